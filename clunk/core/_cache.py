@@ -1,0 +1,48 @@
+"""Where compiled kernels are kept between processes.
+
+numba's own cache notices a change only in the file that defines a function, not in the helpers it calls, and would run
+stale machine code after such an edit. So the directory is named by a digest of every source file of the core.
+"""
+
+import hashlib
+import os
+import tempfile
+from pathlib import Path
+
+import numba
+
+
+def configure() -> None:
+    """Point numba's cache at this core's own directory; a user's `NUMBA_CACHE_DIR` is respected."""
+    if os.environ.get("NUMBA_CACHE_DIR"):
+        return
+    numba.config.CACHE_DIR = str(_writable(_user_cache() / "clunk" / f"kernels-{_digest()}"))
+
+
+def is_cold() -> bool:
+    """Whether no kernel of this core has been compiled and kept yet."""
+    return not any(Path(numba.config.CACHE_DIR).glob("**/tile.*.nbi"))
+
+
+def _digest() -> str:
+    sources = sorted(Path(__file__).parent.glob("*.py"))
+    joined = b"\0".join(source.name.encode() + b"\0" + source.read_bytes() for source in sources)
+    return hashlib.sha256(joined).hexdigest()[:16]
+
+
+def _user_cache() -> Path:
+    root = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
+    try:
+        return Path(root) if root else Path.home() / ".cache"
+    except RuntimeError:  # no home directory
+        return Path(tempfile.gettempdir())
+
+
+def _writable(directory: Path) -> Path:
+    """`directory` if a file can be written there, else a fresh one that costs each process a compilation."""
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=directory):
+            return directory
+    except OSError:
+        return Path(tempfile.mkdtemp(prefix="clunk-kernels-"))

@@ -1,0 +1,28 @@
+"""What a run leaves behind: its events in order, each with what followed it.
+
+Event 0 is the load step itself. Every event opens a phase that lasts to the next one; the extremes of the acceleration
+over that phase are kept with it, one-sided limits at both ends included, so that any window's peak-to-peak value is
+the extremes of the phases in it.
+"""
+
+import numpy as np
+
+LOAD_STEP = 0
+TOUCH = 1  # the gap closes
+SEPARATION = 2  # the contact ends: the gap opens, or the contact force turns tensile
+REJOIN = 3  # separation by force only: the force turns compressive while the flanks still overlap
+OPENING = 4  # separation by force only: the flanks stop overlapping
+
+KIND_NAMES = ("load step", "touch", "separation", "rejoin", "opening")
+
+EVENT = np.dtype(
+    [
+        ("time", np.float64),  # s after the load step
+        ("speed", np.float64),  # rad/s, q' = θ'i - θ'j just before
+        ("max_acceleration", np.float64),  # rad/s2, over the phase that follows
+        ("min_acceleration", np.float64),  # rad/s2
+        ("kind", np.int64),
+        ("side", np.int64),  # the flank concerned: sign of q = θi - θj on it; at the load step 0 if the gap is open
+    ],
+    align=True,
+)

@@ -1,0 +1,449 @@
+"""Fixed-step RK4 with zero-crossing bisection through the regimes of a switched linear system.
+
+On a linear regime a full step is one precomputed matrix product. It also yields each guard's value and a bound on how
+far the guard bends within the step; while that shows that no guard can turn negative, nothing else is done (`coast`).
+Where it does not, and right after every event, the step is expanded into its quartics, zeros are located by bisection,
+and the rest of the step is finished in the successor regime, so that the time grid stays at multiples of the step.
+"""
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from clunk.core import polynomial
+from clunk.core.events import LOAD_STEP
+from clunk.core.regimes import (
+    ACCELERATION,
+    CLOSED_NEGATIVE,
+    CLOSED_POSITIVE,
+    FORCE,
+    GAP,
+    OPEN,
+    PARTED_NEGATIVE,
+    PARTED_POSITIVE,
+    System,
+)
+from clunk.core.sequence import find_primaries
+from clunk.core.severity import window_extremes
+from clunk.core.status import INTERRUPTED, Status
+
+FloatArray = npt.NDArray[np.float64]
+
+_OK = int(Status.OK)
+_NON_FINITE = int(Status.NON_FINITE)
+_EVENT_BUFFER_FULL = int(Status.EVENT_BUFFER_FULL)
+
+_STRIDE = 256  # full steps between two looks at whether the run is settled, and at the stop flag
+# A remainder of a step shorter than this share of it is merged with the next one: right after an event the guard grows
+# from zero, and needs some time to stand clear of rounding.
+_SHORTEST = 0.01
+
+
+@njit(cache=True, nogil=True)
+def preload(system: System, torque: float, half_gap: float, x: FloatArray) -> int:
+    """Set `x` to static equilibrium in contact under `torque`; return the side of the initial flank, 0 if none.
+
+    The initial flank is the one that carries the static contact torque.
+
+    Parameters
+    ----------
+    torque : float  [N m]
+    half_gap : float  [rad]
+    x : (N,) float64  [rad, rad/s]
+        Output.
+    """
+    carried = system.contact_torque[0] * torque
+    side = 1 if carried > 0.0 else -1
+    if not abs(carried) + system.contact_torque[1] * half_gap > 0.0:
+        side = 0
+    for k in range(x.size):
+        x[k] = system.preload[k, 0] * torque + system.preload[k, 1] * side * half_gap
+    return side
+
+
+@njit(cache=True, nogil=True)
+def closed_on(side: int) -> int:
+    """The regime of contact on the flank of `side` (+1 or -1)."""
+    return CLOSED_POSITIVE if side > 0 else CLOSED_NEGATIVE
+
+
+@njit(cache=True, nogil=True)
+def regime_of(system: System, x: FloatArray, half_gap: float) -> int:
+    """The regime that a given state is in: by its gap, and for separation by force by its contact force too."""
+    for regime in (CLOSED_POSITIVE, CLOSED_NEGATIVE, PARTED_POSITIVE, PARTED_NEGATIVE):
+        side = system.side[regime]
+        if side * _functional(system, 0, GAP, x) < half_gap:
+            continue
+        if _guard(system, regime, 0, x, half_gap) >= 0.0 or regime >= PARTED_POSITIVE:
+            return regime
+        if system.guard_functional[regime, 0] == FORCE:
+            return PARTED_POSITIVE if side > 0 else PARTED_NEGATIVE
+    return OPEN
+
+
+@njit(cache=True, nogil=True)
+def _functional(system: System, flow: int, which: int, x: FloatArray) -> float:
+    value = 0.0
+    for k in range(x.size):
+        value += system.functionals[flow, which, k] * x[k]
+    return value
+
+
+@njit(cache=True, nogil=True)
+def _guard(system: System, regime: int, guard: int, x: FloatArray, half_gap: float) -> float:
+    value = _functional(system, system.flow[regime], system.guard_functional[regime, guard], x)
+    return system.guard_sign[regime, guard] * value + system.guard_offset[regime, guard] * half_gap
+
+
+@njit(cache=True, nogil=True)
+def run(  # type: ignore[no-untyped-def]
+    system: System,
+    x: FloatArray,
+    regime: int,
+    torque: float,
+    half_gap: float,
+    events: npt.NDArray[np.void],
+    states: FloatArray,
+    stop: npt.NDArray[np.uint8],
+):
+    """Run from the load step to the end time, or until it is proved that nothing can follow.
+
+    Parameters
+    ----------
+    system : System
+    x : (N,) float64  [rad, rad/s]
+        State at the load step; overwritten by the state at the end.
+    regime : int
+        The regime that `x` is in.
+    torque : float  [N m]
+        Load torque after the step.
+    half_gap : float  [rad]
+    events : (capacity,) EVENT
+        Output. Event 0 is the load step.
+    states : (capacity, N) float64  [rad, rad/s]
+        Output: the state at each event; or no rows at all, and none are kept.
+    stop : (1,) uint8
+        Set to non-zero from another thread to abandon the run.
+
+    Returns
+    -------
+    status : int
+    count : int
+        Events written, the load step included.
+    complete : bool
+        Whether it was proved that no event and no larger acceleration in an open window can follow.
+    end : float  [s after the load step]
+        Where the run stopped.
+    """
+    size = x.size
+    columns, rows = system.transfer.shape[1], system.transfer.shape[2]
+    z, scratch, affine = np.zeros(rows), np.zeros(rows), np.empty(rows)
+    taylor = np.empty((5, size))
+    guard_at, guard_sign, guard_shift = np.empty(2, np.int64), np.empty(2), np.empty(2)
+    acceleration_at = columns + 4 * ACCELERATION
+    primaries = np.empty(events.size, np.int64)
+    step = system.step
+    full_steps = int(np.floor(system.end_time / step + 1e-9))
+    rest = system.end_time - full_steps * step
+    last_steps = full_steps + 1 if rest > 1e-9 * step else full_steps
+
+    count = 1
+    _record(events, states, 0, 0.0, 0.0, LOAD_STEP, system.side[regime], x)
+    index, offset = 0, 0.0  # the time is index · step + offset
+    zero_guard = -1
+    while True:
+        flow = system.flow[regime]
+        gap_input = system.side[regime] * half_gap
+        for r in range(rows):
+            affine[r] = system.transfer_input[flow, 0, r] * torque + system.transfer_input[flow, 1, r] * gap_input
+        transfer = system.transfer[flow]
+        for k in range(2):
+            guard = min(k, system.guards[regime] - 1)  # a single guard stands for two
+            guard_at[k] = columns + 4 * system.guard_functional[regime, guard]
+            guard_sign[k] = system.guard_sign[regime, guard]
+            guard_shift[k] = system.guard_offset[regime, guard] * half_gap
+        largest, smallest = -np.inf, np.inf
+        while True:
+            # one step, or what is left of it, with everything located
+            length = (step if index < full_steps else rest) - offset
+            steps = 1
+            if length < _SHORTEST * step and index + 1 < last_steps:
+                length += step if index + 1 < full_steps else rest
+                steps = 2
+            _expand(system, flow, x, torque, gap_input, taylor)
+            s, guard = _first_event(system, regime, half_gap, taylor, max(length, 0.0), zero_guard)
+            high, low = _acceleration_extremes(system, flow, torque, gap_input, taylor, s)
+            largest, smallest = max(largest, high), min(smallest, low)
+            events[count - 1].max_acceleration = largest
+            events[count - 1].min_acceleration = smallest
+            for k in range(size):
+                x[k] = polynomial.evaluate(taylor[0, k], taylor[1, k], taylor[2, k], taylor[3, k], taylor[4, k], s)
+                if not np.isfinite(x[k]):
+                    return _NON_FINITE, count, False, index * step + offset
+            if guard >= 0:
+                offset += s
+                break
+            index, offset, zero_guard = index + steps, 0.0, -1
+
+            # full steps as long as nothing can happen in them
+            _load(system, flow, x, torque, gap_input, z, columns)
+            clear = True
+            while clear and index < full_steps:
+                budget = min(_STRIDE, full_steps - index)
+                taken, largest, smallest = _coast(
+                    transfer, affine, guard_at, guard_sign, guard_shift, acceleration_at,
+                    z, scratch, budget, largest, smallest,
+                )
+                index += taken
+                clear = taken == budget
+                if stop[0] != 0:
+                    return INTERRUPTED, count, False, index * step
+                if clear and (taken == _STRIDE or index == full_steps):
+                    events[count - 1].max_acceleration = largest
+                    events[count - 1].min_acceleration = smallest
+                    if _settled(system, regime, torque, half_gap, z, events, count, primaries):
+                        x[:] = z[:size]
+                        return _OK, count, True, index * step
+            x[:] = z[:size]
+            events[count - 1].max_acceleration = largest
+            events[count - 1].min_acceleration = smallest
+            if index >= last_steps:
+                return _OK, count, False, system.end_time
+
+        if count == events.size:
+            return _EVENT_BUFFER_FULL, count, False, index * step + offset
+        speed = 0.0
+        for k in range(size):
+            speed += system.lash[k] * x[k]
+        successor = system.successor[regime, guard]
+        side = system.side[successor] if system.side[successor] != 0 else system.side[regime]
+        _record(events, states, count, index * step + offset, speed, system.event_kind[regime, guard], side, x)
+        count += 1
+        zero_guard = system.zero_guard[regime, guard]
+        regime = successor
+        if steps == 2 and offset >= step:
+            index, offset = index + 1, offset - step
+
+
+@njit(cache=True, nogil=True)
+def _record(  # type: ignore[no-untyped-def]
+    events: npt.NDArray[np.void],
+    states: FloatArray,
+    k: int,
+    time: float,
+    speed: float,
+    kind: int,
+    side: int,
+    x: FloatArray,
+):
+    events[k].time = time
+    events[k].speed = speed
+    events[k].kind = kind
+    events[k].side = side
+    events[k].max_acceleration = -np.inf
+    events[k].min_acceleration = np.inf
+    if states.shape[0] > k:
+        states[k, :] = x
+
+
+@njit(cache=True, nogil=True)
+def _expand(  # type: ignore[no-untyped-def]
+    system: System, flow: int, x: FloatArray, torque: float, gap_input: float, taylor: FloatArray
+):
+    """The step as a polynomial of its length: x(s) = sum of taylor[k] s^k, RK4's own for a linear regime."""
+    size = x.size
+    for k in range(size):
+        taylor[0, k] = x[k]
+    for order in range(1, 5):
+        for row in range(size):
+            value = 0.0
+            for k in range(size):
+                value += system.rates[flow, row, k] * taylor[order - 1, k]
+            if order == 1:
+                value += system.inputs[flow, row, 0] * torque + system.inputs[flow, row, 1] * gap_input
+            taylor[order, row] = value / order
+
+
+@njit(cache=True, nogil=True)
+def _quartic(system: System, flow: int, which: int, taylor: FloatArray):  # type: ignore[no-untyped-def]
+    c0, c1, c2, c3, c4 = 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(taylor.shape[1]):
+        weight = system.functionals[flow, which, k]
+        c0 += weight * taylor[0, k]
+        c1 += weight * taylor[1, k]
+        c2 += weight * taylor[2, k]
+        c3 += weight * taylor[3, k]
+        c4 += weight * taylor[4, k]
+    return c0, c1, c2, c3, c4
+
+
+@njit(cache=True, nogil=True)
+def _first_event(  # type: ignore[no-untyped-def]
+    system: System, regime: int, half_gap: float, taylor: FloatArray, length: float, zero_guard: int
+):
+    """When the first of the regime's guards turns negative within `length`, and which; (length, -1) if none does.
+
+    A guard that the last event left at zero has that zero divided out, exactly.
+    """
+    earliest, which = length, -1
+    for guard in range(system.guards[regime]):
+        sign = system.guard_sign[regime, guard]
+        functional = system.guard_functional[regime, guard]
+        c0, c1, c2, c3, c4 = _quartic(system, system.flow[regime], functional, taylor)
+        if guard == zero_guard:
+            s = polynomial.first_negative(sign * c1, sign * c2, sign * c3, sign * c4, 0.0, length)
+        else:
+            c0 = sign * c0 + system.guard_offset[regime, guard] * half_gap
+            s = polynomial.first_negative(c0, sign * c1, sign * c2, sign * c3, sign * c4, length)
+        if s >= 0.0 and (which < 0 or s < earliest):
+            earliest, which = s, guard
+    return earliest, which
+
+
+@njit(cache=True, nogil=True)
+def _acceleration_extremes(  # type: ignore[no-untyped-def]
+    system: System, flow: int, torque: float, gap_input: float, taylor: FloatArray, length: float
+):
+    c0, c1, c2, c3, c4 = _quartic(system, flow, ACCELERATION, taylor)
+    c0 += system.feedthrough[flow, ACCELERATION, 0] * torque + system.feedthrough[flow, ACCELERATION, 1] * gap_input
+    return polynomial.extremes(c0, c1, c2, c3, c4, length)
+
+
+@njit(cache=True, nogil=True)
+def _load(  # type: ignore[no-untyped-def]
+    system: System, flow: int, x: FloatArray, torque: float, gap_input: float, z: FloatArray, columns: int
+):
+    """Put a state and its outputs where `_coast` steps them."""
+    for k in range(x.size):
+        z[k] = x[k]
+    for r in range(system.observe.shape[2]):
+        value = system.observe_input[flow, 0, r] * torque + system.observe_input[flow, 1, r] * gap_input
+        for k in range(x.size):
+            value += system.observe[flow, k, r] * x[k]
+        z[columns + r] = value
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _advance(transfer: FloatArray, affine: FloatArray, z: FloatArray, out: FloatArray):  # type: ignore[no-untyped-def]
+    """out = affine + transfer z: one full step. Summed in pairs, eight columns at a time, which LLVM vectorises."""
+    x0, x1, x2, x3, x4, x5, x6, x7 = z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]
+    for r in range(affine.size):
+        out[r] = affine[r] + (
+            ((transfer[0, r] * x0 + transfer[1, r] * x1) + (transfer[2, r] * x2 + transfer[3, r] * x3))
+            + ((transfer[4, r] * x4 + transfer[5, r] * x5) + (transfer[6, r] * x6 + transfer[7, r] * x7))
+        )
+    for b in range(8, transfer.shape[0], 8):
+        x0, x1, x2, x3 = z[b], z[b + 1], z[b + 2], z[b + 3]
+        x4, x5, x6, x7 = z[b + 4], z[b + 5], z[b + 6], z[b + 7]
+        for r in range(affine.size):
+            out[r] += (
+                (transfer[b, r] * x0 + transfer[b + 1, r] * x1) + (transfer[b + 2, r] * x2 + transfer[b + 3, r] * x3)
+            ) + (
+                (transfer[b + 4, r] * x4 + transfer[b + 5, r] * x5)
+                + (transfer[b + 6, r] * x6 + transfer[b + 7, r] * x7)
+            )
+
+
+@njit(cache=True, nogil=True)
+def _coast(  # type: ignore[no-untyped-def]
+    transfer: FloatArray,
+    affine: FloatArray,
+    guard_at: npt.NDArray[np.int64],
+    guard_sign: FloatArray,
+    guard_shift: FloatArray,
+    acceleration_at: int,
+    z: FloatArray,
+    scratch: FloatArray,
+    budget: int,
+    largest: float,
+    smallest: float,
+):
+    """Take up to `budget` full steps, stopping before the first one in which a guard might turn negative.
+
+    On a step, a guard is at least the smaller of its end values less its bend, max|p''| h²/8, where |p''| h² is at most
+    2|c2| + 6|c3| + 12|c4| in the step's Taylor terms; the same bounds the acceleration's excess over its end values.
+
+    Returns
+    -------
+    taken : int
+    largest, smallest : float  [rad/s2]
+        The acceleration's extremes, updated.
+    """
+    at1, at2, acc = guard_at[0], guard_at[1], acceleration_at
+    sign1, sign2 = guard_sign[0], guard_sign[1]
+    shift1, shift2 = guard_shift[0], guard_shift[1]
+    guard1, guard2 = sign1 * z[at1] + shift1, sign2 * z[at2] + shift2
+    a = z[acc]
+    here, there = z, scratch
+    taken = 0
+    while taken < budget:
+        _advance(transfer, affine, here, there)
+        next1, next2 = sign1 * there[at1] + shift1, sign2 * there[at2] + shift2
+        bend1 = 0.25 * abs(here[at1 + 1]) + 0.75 * abs(here[at1 + 2]) + 1.5 * abs(here[at1 + 3])
+        bend2 = 0.25 * abs(here[at2 + 1]) + 0.75 * abs(here[at2 + 2]) + 1.5 * abs(here[at2 + 3])
+        if not (min(guard1, next1) > bend1 and min(guard2, next2) > bend2):  # also when not a number
+            break
+        next_a = there[acc]
+        largest, smallest = max(largest, next_a), min(smallest, next_a)
+        bend = 0.25 * abs(here[acc + 1]) + 0.75 * abs(here[acc + 2]) + 1.5 * abs(here[acc + 3])
+        if max(a, next_a) + bend > largest or min(a, next_a) - bend < smallest:
+            c2, c3, c4 = here[acc + 1], here[acc + 2], here[acc + 3]
+            high, low = polynomial.extremes(a, next_a - a - c2 - c3 - c4, c2, c3, c4, 1.0)
+            largest, smallest = max(largest, high), min(smallest, low)
+        guard1, guard2, a = next1, next2, next_a
+        here, there = there, here
+        taken += 1
+    if taken % 2 == 1:
+        z[:] = here
+    return taken, largest, smallest
+
+
+@njit(cache=True, nogil=True)
+def _settled(  # type: ignore[no-untyped-def]
+    system: System,
+    regime: int,
+    torque: float,
+    half_gap: float,
+    x: FloatArray,
+    events: npt.NDArray[np.void],
+    count: int,
+    primaries: npt.NDArray[np.int64],
+):
+    """Whether it is proved that no event follows, and no acceleration beyond the extremes of the open window.
+
+    Every functional stays within its rest value plus or minus the sum of its modes' present amplitudes, for ever.
+    """
+    flow = system.flow[regime]
+    if system.provable[flow] == 0:
+        return False
+    size = system.rates.shape[1]
+    gap_input = system.side[regime] * half_gap
+    reach_gap, reach_force, reach_acceleration = 0.0, 0.0, 0.0
+    for mode in range(size):
+        if system.mode_reach[flow, GAP, mode] + system.mode_reach[flow, ACCELERATION, mode] == 0.0:
+            continue  # the other one of a complex pair, or without effect on the lash and the acceleration
+        real, imaginary = 0.0, 0.0
+        for k in range(size):
+            away = x[k] - system.rest_state[flow, k, 0] * torque - system.rest_state[flow, k, 1] * gap_input
+            real += system.mode_rows[flow, 0, mode, k] * away
+            imaginary += system.mode_rows[flow, 1, mode, k] * away
+        amplitude = np.sqrt(real * real + imaginary * imaginary)
+        reach_gap += amplitude * system.mode_reach[flow, GAP, mode]
+        if system.mode_reach.shape[1] > FORCE:
+            reach_force += amplitude * system.mode_reach[flow, FORCE, mode]
+        reach_acceleration += amplitude * system.mode_reach[flow, ACCELERATION, mode]
+    for guard in range(system.guards[regime]):
+        functional = system.guard_functional[regime, guard]
+        at_rest = (
+            system.rest_functional[flow, functional, 0] * torque
+            + system.rest_functional[flow, functional, 1] * gap_input
+        )
+        value = system.guard_sign[regime, guard] * at_rest + system.guard_offset[regime, guard] * half_gap
+        if not value > (1.0 + 1e-9) * (reach_gap if functional == GAP else reach_force):
+            return False
+    found = find_primaries(events, count, system.sticking_time, primaries)
+    if found == 0:
+        return True
+    largest, smallest = window_extremes(events, primaries[found - 1], count)
+    reach = (1.0 + 1e-9) * reach_acceleration
+    return largest >= reach and smallest <= -reach

@@ -1,0 +1,77 @@
+"""Primary impacts, and the label of a sequence of them.
+
+A touch is *primary* on the flank other than the last one, or on the same flank after separation from sticking (a
+contact episode longer than the sticking time; the preloaded contact counts as sticking). Every other touch is
+*secondary*, chatter. Report §3.2.
+"""
+
+from collections.abc import Iterable
+from itertools import groupby
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from clunk.core.events import SEPARATION, TOUCH
+
+INITIAL = -1
+OPPOSITE = 1
+
+
+@njit(cache=True, nogil=True)
+def find_primaries(
+    events: npt.NDArray[np.void], count: int, sticking_time: float, primaries: npt.NDArray[np.int64]
+) -> int:
+    """Write the indices of the primary impacts among `events[:count]` to `primaries`; return how many there are.
+
+    Parameters
+    ----------
+    events : (capacity,) EVENT
+        In order of time; event 0 is the load step, its `side` the preloaded flank (0: none).
+    sticking_time : float  [s]
+    primaries : (capacity,) int64
+        Output.
+    """
+    last_side = events[0].side
+    touched_at = -np.inf  # the preloaded contact has lasted for ever
+    from_sticking = False
+    found = 0
+    for k in range(1, count):
+        event = events[k]
+        if event.kind == TOUCH:
+            if event.side != last_side or from_sticking:
+                primaries[found] = k
+                found += 1
+            last_side = event.side
+            touched_at = event.time
+        elif event.kind == SEPARATION:
+            from_sticking = event.time - touched_at > sticking_time
+    return found
+
+
+def label(flanks: Iterable[int]) -> str:
+    """The run-length label of the primaries' flanks, for example O I I (+1, -1, -1) -> DS(1)SS(1).
+
+    Parameters
+    ----------
+    flanks : of int
+        +1 opposite, -1 initial, in order of time.
+
+    Notes
+    -----
+    From the initial flank, I is a single-sided impact (SS) and O begins a crossing that the next I completes to a
+    double-sided one (DS). O again from the opposite flank is OS, written before its DS; a crossing without its I is CR.
+    """
+    excursions: list[str] = []
+    on_opposite = False
+    for flank in flanks:
+        if on_opposite:
+            excursions.append("DS" if flank == INITIAL else "OS")
+            on_opposite = flank == OPPOSITE
+        elif flank == INITIAL:
+            excursions.append("SS")
+        else:
+            on_opposite = True
+    if on_opposite:
+        excursions.append("CR")
+    return "".join(f"{kind}({len(list(run))})" for kind, run in groupby(excursions)) or "NI"

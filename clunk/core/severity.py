@@ -1,0 +1,45 @@
+"""How hard the primary impacts are: the peak-to-peak acceleration Q_i = max θ'' - min θ'' of report Eq. 3.2."""
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def peak_to_peak(
+    events: npt.NDArray[np.void],
+    count: int,
+    primaries: npt.NDArray[np.int64],
+    found: int,
+    severity: npt.NDArray[np.float64],
+) -> float:
+    """Write Q_i of each primary impact to `severity`; return Q = sqrt(sum Q_i^2) (report Eq. 3.3).
+
+    The window of primary i runs from its touch, right limit included, up to the next primary or the end of the run,
+    gap phases included, with the one-sided limits at every event.
+
+    Parameters
+    ----------
+    events : (capacity,) EVENT
+    primaries : (capacity,) int64
+        Indices of the `found` primary impacts in `events`.
+    severity : (capacity,) float64  [rad/s2]
+        Output.
+    """
+    total = 0.0
+    for i in range(found):
+        end = primaries[i + 1] if i + 1 < found else count
+        largest, smallest = window_extremes(events, primaries[i], end)
+        severity[i] = largest - smallest
+        total += severity[i] ** 2
+    return total**0.5
+
+
+@njit(cache=True, nogil=True)
+def window_extremes(events: npt.NDArray[np.void], begin: int, end: int):  # type: ignore[no-untyped-def]
+    """The largest and the smallest acceleration over the phases that `events[begin:end]` open  [rad/s2]."""
+    largest, smallest = -np.inf, np.inf
+    for k in range(begin, end):
+        largest = max(largest, events[k].max_acceleration)
+        smallest = min(smallest, events[k].min_acceleration)
+    return largest, smallest

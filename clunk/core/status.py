@@ -1,0 +1,38 @@
+"""How a run ended: a value inside, a sentence outside."""
+
+from enum import IntEnum
+
+
+class Status(IntEnum):
+    """Outcome of one run, as stored in the results file's `status`; anything but `OK` is a failed cell."""
+
+    OK = 0
+    NO_EQUILIBRIUM = 1
+    NO_INITIAL_FLANK = 2
+    NON_FINITE = 3
+    EVENT_BUFFER_FULL = 4
+    UNSTABLE_STEP = 5
+
+    @property
+    def sentence(self) -> str:
+        """What happened, for people."""
+        return _SENTENCES[self]
+
+
+_SENTENCES = {
+    Status.OK: "the run finished",
+    Status.NO_EQUILIBRIUM: "no static equilibrium: some inertia has no path of stiffness to ground",
+    Status.NO_INITIAL_FLANK: "no initial flank: the lash carries no static torque before the load step",
+    Status.NON_FINITE: "the state became infinite or undefined",
+    Status.EVENT_BUFFER_FULL: "more events than solver.max_events",
+    Status.UNSTABLE_STEP: "solver.step is beyond the stability limit of RK4 for this driveline",
+}
+
+INTERRUPTED = 255  # never stored: the cell has to be run again
+
+# Bits of the results file's `quality`.
+QUALITY_COMPLETE = 1  # proved that no event and no larger acceleration can follow
+QUALITY_UNDECIDED = 2  # a margin is below its tolerance
+QUALITY_INFERRED = 4  # filled in from agreeing neighbours, not run
+QUALITY_GRAZING = 8  # a tangency was decided within its tolerance
+QUALITY_MEANINGS = {1: "complete", 2: "undecided", 4: "inferred", 8: "grazing"}

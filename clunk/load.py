@@ -1,0 +1,31 @@
+"""The load: an ideal torque step, T(t) = T before until the load step and T after from then on (report Eq. 2.2)."""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.config import Load
+
+Torque = float | npt.NDArray[np.float64]
+
+
+class LoadStep(NamedTuple):
+    """The torque on the loaded inertia before and after the load step  [N m]; numbers, or arrays of one shape."""
+
+    before: Torque
+    after: Torque
+
+
+def tip_out(static_torque: Torque, ratio: Torque) -> LoadStep:
+    """An engine tip-out: the dynamic torque Td = σr Ts is released, Ts stays (report Eq. 2.4, Figure 2.2)."""
+    return LoadStep(before=static_torque * (1.0 + ratio), after=1.0 * static_torque + 0.0 * ratio)
+
+
+def load_step(load: Load) -> LoadStep:
+    """The load step of a config: from static torque and ratio, or from the torques before and after."""
+    if load.static_torque is not None and load.ratio is not None:
+        return tip_out(load.static_torque, load.ratio)
+    assert load.initial_torque is not None  # the config has one pair or the other
+    assert load.final_torque is not None
+    return LoadStep(load.initial_torque, load.final_torque)

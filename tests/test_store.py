@@ -1,0 +1,413 @@
+"""The results file: what is written is what is read, by clunk and by others, and a bad file is a sentence."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import xarray
+
+from clunk import store
+from clunk.core.status import Status
+from clunk.results import CELL_FIELDS, IMPACT_FIELDS, ResultAxis, Results
+
+RATIO = ResultAxis("load.ratio", np.linspace(0.0, 10.0, 5), "load ratio", "σr = Td/Ts", "1")
+BACKLASH = ResultAxis("lash.backlash_deg", np.geomspace(0.5, 20.0, 4), "backlash", "φθ", "degrees")
+INERTIA = ResultAxis("driveline.inertias[4]", np.array([0.001, 0.002, 0.005]), "inertia 4", "J4", "kg m2")
+LABELS = ("NI", "SS(1)", "DS(1)SS(1)", "DS(2)SS(1)")
+PRIMARIES = np.array([0, 1, 3, 5])
+
+
+def example(*axes: ResultAxis, impacts: bool = True) -> Results:
+    """Results with every label and one failed cell; random numbers that a mix-up of cells would show."""
+    rng = np.random.default_rng(7)
+    shape = tuple(len(axis.values) for axis in axes)
+    cells = int(np.prod(shape))
+    sequence = (np.arange(cells) % len(LABELS) if impacts else np.zeros(cells)).astype(np.int16).reshape(shape)
+    primaries = PRIMARIES[sequence].astype(np.int32)
+    status = np.zeros(shape, np.uint8)
+    failed = np.unravel_index(cells // 2, shape)
+    sequence[failed], primaries[failed], status[failed] = -1, 0, Status.NON_FINITE
+    severity = rng.uniform(0.0, 2e4, shape)
+    severity[failed] = np.nan
+    count = int(primaries.sum())
+    return Results(
+        title="Régimes",
+        axes=axes,
+        labels=LABELS if impacts else LABELS[:1],
+        sequence=sequence,
+        severity=severity,
+        approach_velocity=rng.uniform(0.0, 20.0, shape),
+        last_event_time=np.where(primaries > 0, rng.uniform(0.0, 1.0, shape), np.nan),
+        primary_impacts=primaries,
+        touches=(7 * primaries).astype(np.int32),
+        status=status,
+        quality=rng.integers(0, 16, shape, np.uint8),
+        initial_side=rng.integers(-1, 2, shape, np.int8),
+        impact_time=rng.uniform(0.0, 1.0, count),
+        impact_flank=rng.choice(np.array([-1, 1], np.int8), count),
+        impact_closing_speed=rng.uniform(0.0, 20.0, count),
+        impact_severity=rng.uniform(0.0, 1e4, count),
+        config='title = "Régimes"\n' + "# a long resolved config\n" * 5000,
+        config_digest="ab" * 32,
+        attributes={"clunk_version": "0.1.0", "created": "2026-01-02T03:04:05+00:00", "cpu": "Ω 5000"},
+    )
+
+
+def assert_same(left: Results, right: Results) -> None:
+    for name in (*CELL_FIELDS, *IMPACT_FIELDS):
+        np.testing.assert_array_equal(getattr(left, name), getattr(right, name), strict=True, err_msg=name)
+    for name in ("title", "labels", "config", "config_digest", "attributes"):
+        assert getattr(left, name) == getattr(right, name)
+    for mine, theirs in zip(left.axes, right.axes, strict=True):
+        np.testing.assert_array_equal(mine.values, theirs.values, strict=True)
+        assert (mine.parameter, mine.name, mine.symbol, mine.unit) == (
+            theirs.parameter,
+            theirs.name,
+            theirs.symbol,
+            theirs.unit,
+        )
+
+
+AXES = [(RATIO,), (RATIO, BACKLASH), (INERTIA, RATIO, BACKLASH)]
+
+
+@pytest.mark.parametrize("axes", AXES, ids=["one axis", "two axes", "three axes"])
+def test_what_is_written_is_what_is_read(tmp_path: Path, axes: tuple[ResultAxis, ...]) -> None:
+    results = example(*axes)
+    store.write(tmp_path / "map.h5", results)
+    assert_same(results, store.read(tmp_path / "map.h5"))
+
+
+def test_a_large_map_survives_in_several_chunks(tmp_path: Path) -> None:
+    ratio = replace(RATIO, values=np.linspace(0.0, 10.0, 301))
+    backlash = replace(BACKLASH, values=np.linspace(0.0, 20.0, 203))
+    results = example(ratio, backlash)
+    store.write(tmp_path / "map.h5", results)
+    with h5py.File(tmp_path / "map.h5") as file:
+        assert file["impact_time"].chunks[0] < 301
+        np.testing.assert_array_equal(file["impact_time"][()], results.padded("impact_time"))
+    assert_same(results, store.read(tmp_path / "map.h5"))
+
+
+def test_a_map_without_any_impact_keeps_an_impact_dimension_of_one(tmp_path: Path) -> None:
+    results = example(RATIO, BACKLASH, impacts=False)
+    store.write(tmp_path / "map.h5", results)
+    assert_same(results, store.read(tmp_path / "map.h5"))
+    with xarray.open_dataset(tmp_path / "map.h5", engine="h5netcdf") as dataset:
+        assert dataset.sizes["impact"] == 1
+        assert np.isnan(dataset["impact_time"]).all()
+
+
+def test_padded_impacts_follow_their_cell() -> None:
+    results = example(RATIO, BACKLASH)
+    padded = results.padded("impact_closing_speed")
+    flanks = results.padded("impact_flank")
+    assert padded.shape == flanks.shape == (5, 4, 5)
+    position = 0
+    for cell in np.ndindex(results.shape):
+        count = results.primary_impacts[cell]
+        np.testing.assert_array_equal(
+            padded[cell][:count], results.impact_closing_speed[position : position + count], strict=True
+        )
+        assert np.isnan(padded[cell][count:]).all()
+        assert not flanks[cell][count:].any()
+        position += count
+    assert position == results.impact_time.size
+
+
+def test_counts_are_of_cells_and_name_the_failed_ones() -> None:
+    counts = example(RATIO, BACKLASH).counts()
+    assert counts == {"NI": 5, "SS(1)": 5, "DS(1)SS(1)": 4, "DS(2)SS(1)": 5, "failed": 1}
+
+
+def test_results_refuse_arrays_that_do_not_belong_together() -> None:
+    results = example(RATIO, BACKLASH)
+    with pytest.raises(ValueError, match="severity must be float64"):
+        replace(results, severity=results.severity.astype(np.float32))
+    with pytest.raises(ValueError, match="touches must be int32"):
+        replace(results, touches=results.touches.T.copy())
+    with pytest.raises(ValueError, match="impact_time must be"):
+        replace(results, impact_time=results.impact_time[:-1])
+    with pytest.raises(ValueError, match="code without a label"):
+        replace(results, labels=LABELS[:-1])
+
+
+# --- for other people's readers
+
+
+@pytest.mark.parametrize("axes", AXES, ids=["one axis", "two axes", "three axes"])
+def test_xarray_sees_named_dimensions_and_coordinates(tmp_path: Path, axes: tuple[ResultAxis, ...]) -> None:
+    results = example(*axes)
+    store.write(tmp_path / "map.h5", results)
+    names = [axis.variable for axis in axes]
+    with xarray.open_dataset(tmp_path / "map.h5", engine="h5netcdf") as dataset:
+        assert list(dataset["severity"].dims) == names
+        assert list(dataset["impact_time"].dims) == [*names, "impact"]
+        np.testing.assert_array_equal(dataset["impact"], np.arange(1, 6))
+        for axis in axes:
+            np.testing.assert_array_equal(dataset.coords[axis.variable], axis.values)
+            assert dataset[axis.variable].attrs["units"] == axis.unit
+            assert dataset[axis.variable].attrs["parameter"] == axis.parameter
+        assert set(dataset.data_vars) == {*CELL_FIELDS, *IMPACT_FIELDS}
+        for name, variable in dataset.variables.items():
+            assert variable.attrs["units"], name
+            assert variable.attrs["long_name"], name
+        np.testing.assert_array_equal(dataset["impact_severity"], results.padded("impact_severity"))
+        assert dataset["last_event_time"].dtype == np.float64  # "s" is not decoded into a time delta
+        assert dataset.attrs["Conventions"] == "CF-1.11"
+        assert dataset.attrs["schema_version"] == 1
+        assert dataset.attrs["title"] == "Régimes"
+        assert dataset.attrs["config"] == results.config
+        assert dataset.attrs["cpu"] == "Ω 5000"
+
+
+def test_structural_keys_become_plain_variable_names() -> None:
+    assert INERTIA.variable == "driveline_inertias_4"
+    assert RATIO.variable == "load_ratio"
+    assert BACKLASH.variable == "lash_backlash_deg"
+
+
+def test_flag_meanings_decode_every_code(tmp_path: Path) -> None:
+    results = example(RATIO, BACKLASH)
+    store.write(tmp_path / "map.h5", results)
+    with xarray.open_dataset(tmp_path / "map.h5", engine="h5netcdf") as dataset:
+        sequence = dataset["sequence"]
+        assert sequence.dtype == np.int16
+        assert "_FillValue" not in sequence.attrs | sequence.encoding
+        meaning = dict(zip(sequence.attrs["flag_values"], sequence.attrs["flag_meanings"].split(), strict=True))
+        assert meaning == {0: "NI", 1: "SS(1)", 2: "DS(1)SS(1)", 3: "DS(2)SS(1)", -1: "failed"}
+        status = dataset["status"].attrs
+        assert dict(zip(status["flag_values"], status["flag_meanings"].split(), strict=True))[3] == "non_finite"
+        quality = dataset["quality"].attrs
+        assert dict(zip(quality["flag_masks"], quality["flag_meanings"].split(), strict=True)) == {
+            1: "complete",
+            2: "undecided",
+            4: "inferred",
+            8: "grazing",
+        }
+
+
+def test_the_file_needs_no_hdf5_types_that_netcdf_lacks(tmp_path: Path) -> None:
+    store.write(tmp_path / "map.h5", example(RATIO, BACKLASH))
+    with h5py.File(tmp_path / "map.h5") as file:
+        for name, variable in file.items():
+            assert variable.dtype.kind in "iuf", name
+        assert isinstance(file["severity"].attrs.get_id("units").dtype, np.dtypes.BytesDType)
+        assert h5py.check_string_dtype(file.attrs.get_id("config").dtype).length is None
+
+
+def test_header_tells_the_counts_without_the_arrays(tmp_path: Path) -> None:
+    results = example(RATIO, BACKLASH)
+    store.write(tmp_path / "map.h5", results)
+    header = store.read_header(tmp_path / "map.h5")
+    assert header.counts == results.counts()
+    assert header.labels == results.labels
+    assert header.config == results.config
+    assert header.config_digest == results.config_digest
+    assert header.attributes == results.attributes
+
+
+def test_content_digest_depends_on_the_data_and_nothing_else(tmp_path: Path) -> None:
+    def digest(results: Results) -> str:
+        store.write(tmp_path / "map.h5", results)
+        return store.read_header(tmp_path / "map.h5").content_digest
+
+    results = example(RATIO, BACKLASH)
+    original = digest(results)
+    assert digest(replace(results, title="other", attributes={"created": "later"})) == original
+    severity = results.severity.copy()
+    severity[0, 0] = np.nextafter(severity[0, 0], np.inf)
+    time = results.impact_time.copy()
+    time[-1] = np.nextafter(time[-1], np.inf)
+    moved = replace(BACKLASH, values=BACKLASH.values + 1.0)
+    others = [
+        digest(replace(results, severity=severity)),
+        digest(replace(results, impact_time=time)),
+        digest(replace(results, axes=(RATIO, moved))),
+        digest(replace(results, labels=("NI", "SS(2)", *LABELS[2:]))),
+    ]
+    assert len({original, *others}) == 5
+
+
+def test_store_brings_in_neither_numba_nor_matplotlib() -> None:
+    code = "import sys, clunk.store; print({'numba', 'matplotlib'} & set(sys.modules))"
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert answer.stdout.strip() == "set()"
+
+
+# --- interrupted and impossible writes
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()], ids=["full", "ctrl-c"])
+@pytest.mark.parametrize("call", ["fsync", "replace"])
+def test_an_interrupted_write_leaves_the_old_file_and_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, call: str
+) -> None:
+    old = example(RATIO, BACKLASH)
+    store.write(tmp_path / "map.h5", old)
+
+    def fail(*_: object) -> None:
+        assert len(list(tmp_path.iterdir())) == 2  # the temporary file is beside the old one by now
+        raise error
+
+    if call == "fsync":
+        monkeypatch.setattr(os, "fsync", fail)
+    else:
+        monkeypatch.setattr(Path, "replace", fail)
+    with pytest.raises(store.StoreError if isinstance(error, OSError) else KeyboardInterrupt) as raised:
+        store.write(tmp_path / "map.h5", replace(old, title="new"))
+    monkeypatch.undo()
+    if isinstance(error, OSError):
+        assert_sentence(raised.value, tmp_path / "map.h5", "no space left on device")
+    assert [path.name for path in tmp_path.iterdir()] == ["map.h5"]
+    assert_same(old, store.read(tmp_path / "map.h5"))
+
+
+def test_a_full_disk_is_a_sentence_and_the_interpreter_ends_well(tmp_path: Path) -> None:
+    # In a process of its own: what went wrong with HDF5's own writing was the crash when the interpreter exits.
+    code = f"""
+import resource, sys
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from test_store import BACKLASH, RATIO, example, store
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+try:
+    store.write({str(tmp_path / "map.h5")!r}, example(RATIO, BACKLASH))
+except store.StoreError as error:
+    print(error)
+"""
+    pytest.importorskip("resource")
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (answer.returncode, answer.stderr) == (0, "")
+    assert answer.stdout.strip().endswith("cannot be written: file too large.")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_missing_directories_are_made(tmp_path: Path) -> None:
+    store.write(tmp_path / "deep" / "er" / "map.h5", example(RATIO))
+    assert store.read(tmp_path / "deep" / "er" / "map.h5").shape == (5,)
+
+
+def test_writing_through_a_link_replaces_what_it_points_to(tmp_path: Path) -> None:
+    store.write(tmp_path / "map.h5", example(RATIO))
+    (tmp_path / "link.h5").symlink_to(tmp_path / "map.h5")
+    store.write(tmp_path / "link.h5", example(RATIO, BACKLASH))
+    assert (tmp_path / "link.h5").is_symlink()
+    assert store.read(tmp_path / "map.h5").shape == (5, 4)
+
+
+def test_writing_onto_a_directory_or_under_a_file_is_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "taken").mkdir()
+    with pytest.raises(store.StoreError) as raised:
+        store.write(tmp_path / "taken", example(RATIO))
+    assert_sentence(raised.value, tmp_path / "taken", "is a directory")
+    (tmp_path / "file").touch()
+    with pytest.raises(store.StoreError) as raised:
+        store.write(tmp_path / "file" / "map.h5", example(RATIO))
+    assert_sentence(raised.value, tmp_path / "file" / "map.h5", "cannot be written")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "taken"]
+
+
+# --- files that are not what they should be
+
+
+def assert_sentence(error: store.StoreError, path: Path, part: str) -> None:
+    text = str(error)
+    assert text.startswith(str(path))
+    assert part in text
+    assert text.endswith(".")
+    assert "\n" not in text
+    assert ". " not in text
+
+
+def _truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def _edit(name: str, index: object, value: object) -> object:
+    def edit(path: Path) -> None:
+        with h5py.File(path, "r+") as file:
+            file[name][index] = value
+
+    return edit
+
+
+def _set_attribute(name: str, value: object) -> object:
+    def edit(path: Path) -> None:
+        with h5py.File(path, "r+") as file:
+            file.attrs[name] = value
+
+    return edit
+
+
+def _drop(name: str) -> object:
+    def edit(path: Path) -> None:
+        with h5py.File(path, "r+") as file:
+            del file[name]
+
+    return edit
+
+
+def _drop_attribute(name: str) -> object:
+    def edit(path: Path) -> None:
+        with h5py.File(path, "r+") as file:
+            del file.attrs[name]
+
+    return edit
+
+
+def _shorten(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        del file["touches"]
+        file["touches"] = np.zeros((5, 3), np.int32)
+
+
+def _foreign(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        file["x"] = 1.0
+
+
+BROKEN = {
+    "missing": (lambda path: path.unlink(), "no such file or directory"),
+    "directory": (lambda path: (path.unlink(), path.mkdir()), "is a directory"),
+    "empty": (lambda path: path.write_bytes(b""), "not HDF5"),
+    "text": (lambda path: path.write_text("σr, φθ\n"), "not HDF5"),
+    "foreign HDF5": (_foreign, "although it is HDF5"),
+    "newer schema": (_set_attribute("schema_version", np.int32(2)), "schema version 2"),
+    "truncated": (_truncate, "truncated file"),
+    "a value changed": (_edit("severity", (1, 1), -1.0), "content_digest"),
+    "an impact changed": (_edit("impact_time", (0, 1, 0), -1.0), "content_digest"),
+    "negative count": (_edit("primary_impacts", (0, 0), -1), "damaged"),
+    "huge count": (_edit("primary_impacts", (0, 0), 2**31 - 1), "damaged"),
+    "unknown code": (_edit("sequence", (0, 0), 99), "without a label"),
+    "variable gone": (_drop("quality"), "damaged"),
+    "axis gone": (_drop("load_ratio"), "damaged"),
+    "other shape": (_shorten, "damaged"),
+    "no config": (_drop_attribute("config"), "damaged"),
+}
+
+
+@pytest.mark.parametrize("what", BROKEN)
+def test_a_broken_file_is_one_sentence(tmp_path: Path, what: str) -> None:
+    path = tmp_path / "map.h5"
+    store.write(path, example(RATIO, BACKLASH))
+    damage, part = BROKEN[what]
+    damage(path)
+    with pytest.raises(store.StoreError) as raised:
+        store.read(path)
+    assert_sentence(raised.value, path, part)
+
+
+def test_a_file_cut_anywhere_is_a_sentence(tmp_path: Path) -> None:
+    whole = tmp_path / "map.h5"
+    store.write(whole, example(RATIO, BACKLASH))
+    raw = whole.read_bytes()
+    cut = tmp_path / "cut.h5"
+    for length in range(0, len(raw), len(raw) // 97):
+        cut.write_bytes(raw[:length])
+        with pytest.raises(store.StoreError):
+            store.read(cut)
