@@ -32,6 +32,10 @@ OPEN, CLOSED_POSITIVE, CLOSED_NEGATIVE, PARTED_POSITIVE, PARTED_NEGATIVE = range
 # the functionals: q, θ'' of one inertia, and where separation is by force k q + c q' (one SIMD block less without it)
 GAP, ACCELERATION, FORCE = range(3)
 
+# On a step of length h, |p(s)| exceeds its larger end value by at most max|p''| h²/8 <= |c2|/4 + 3|c3|/4 + 3|c4|/2
+# in the step's Taylor terms c_k = p_k h^k; these factors make that a plain sum.
+BEND = (1.0, 0.25, 0.75, 1.5)
+BLOCK = 4  # steps in one product: a third fewer operations a step than four products, and a quarter of their latency
 _LANES = 8  # states and outputs are padded to whole SIMD blocks; rk4.advance unrolls over one block of columns
 _MAX_CONDITION = 1e8  # of an eigenbasis; beyond it half the digits of the modal amplitudes are gone
 
@@ -48,10 +52,13 @@ class System(NamedTuple):
     functionals: FloatArray  # (2, F, N)  C of each flow
     feedthrough: FloatArray  # (2, F, 2)  D of each flow
     lash: FloatArray  # (N,)  q' = lash · x
-    # one full step of length `step` on (x, outputs); outputs are a functional's value and its Taylor terms
-    # of order 2, 3, 4 over the next step, from which its bend within that step is bounded
+    # one full step of length `step`, x -> (x, outputs); outputs are each functional's value and its Taylor terms of
+    # order 2, 3, 4 over the next step, times BEND
     transfer: FloatArray  # (2, columns, rows)  rows contiguous
     transfer_input: FloatArray  # (2, 2, rows)
+    # BLOCK full steps at once, x -> (x, outputs at every step)
+    block: FloatArray  # (2, columns, rows)
+    block_input: FloatArray  # (2, 2, rows)
     observe: FloatArray  # (2, columns, outputs)
     observe_input: FloatArray  # (2, 2, outputs)
     # the regimes
@@ -231,25 +238,36 @@ def _propagator(
         row, row_input = functionals, feedthrough
         for derivative in range(1, order + 1):
             row, row_input = step / derivative * row @ rates, step / derivative * row @ inputs
-        output[:, :, k], output_input[:, :, k] = row, row_input
+        output[:, :, k], output_input[:, :, k] = BEND[k] * row, BEND[k] * row_input
     output = output.reshape(2, -1, size)
     output_input = output_input.reshape(2, -1, 2)
 
-    columns = _padded(size)
-    outputs = _padded(output.shape[1])
-    observe = np.zeros((2, columns, outputs))
-    observe_input = np.zeros((2, 2, outputs))
-    transfer = np.zeros((2, columns, columns + outputs))
-    transfer_input = np.zeros((2, 2, columns + outputs))
-    observe[:, :size, : output.shape[1]] = output.transpose(0, 2, 1)
-    observe_input[:, :, : output.shape[1]] = output_input.transpose(0, 2, 1)
-    transfer[:, :size, :size] = across.transpose(0, 2, 1)
-    transfer[:, :size, columns : columns + output.shape[1]] = (output @ across).transpose(0, 2, 1)
-    transfer_input[:, :, :size] = across_input.transpose(0, 2, 1)
-    transfer_input[:, :, columns : columns + output.shape[1]] = (output @ across_input + output_input).transpose(0, 2, 1)
+    columns, outputs = _padded(size), output.shape[1]
+    observe, observe_input = np.zeros((2, columns, outputs)), np.zeros((2, 2, outputs))
+    observe[:, :size] = output.transpose(0, 2, 1)
+    observe_input[:] = output_input.transpose(0, 2, 1)
+
+    def product(steps: int) -> tuple[FloatArray, FloatArray]:
+        """(x, outputs at every step) after `steps` steps."""
+        rows = _padded(columns + steps * outputs)
+        transfer, transfer_input = np.zeros((2, columns, rows)), np.zeros((2, 2, rows))
+        power, power_input = np.broadcast_to(identity, (2, size, size)), np.zeros((2, size, 2))
+        for k in range(steps):
+            power, power_input = across @ power, across @ power_input + across_input
+            at = slice(columns + k * outputs, columns + (k + 1) * outputs)
+            transfer[:, :size, at] = (output @ power).transpose(0, 2, 1)
+            transfer_input[:, :, at] = (output @ power_input + output_input).transpose(0, 2, 1)
+        transfer[:, :size, :size] = power.transpose(0, 2, 1)
+        transfer_input[:, :, :size] = power_input.transpose(0, 2, 1)
+        return transfer, transfer_input
+
+    transfer, transfer_input = product(1)
+    block, block_input = product(BLOCK)
     return {
         "transfer": transfer,
         "transfer_input": transfer_input,
+        "block": block,
+        "block_input": block_input,
         "observe": observe,
         "observe_input": observe_input,
     }

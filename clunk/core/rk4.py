@@ -14,6 +14,8 @@ from clunk.core import polynomial
 from clunk.core.events import LOAD_STEP
 from clunk.core.regimes import (
     ACCELERATION,
+    BEND,
+    BLOCK,
     CLOSED_NEGATIVE,
     CLOSED_POSITIVE,
     FORCE,
@@ -136,11 +138,11 @@ def run(  # type: ignore[no-untyped-def]
         Where the run stopped.
     """
     size = x.size
-    columns, rows = system.transfer.shape[1], system.transfer.shape[2]
-    z, scratch, affine = np.zeros(rows), np.zeros(rows), np.empty(rows)
+    columns, outputs = system.transfer.shape[1], system.observe.shape[2]
+    affine, block_affine = np.empty(system.transfer.shape[2]), np.empty(system.block.shape[2])
+    z, scratch = np.zeros(affine.size), np.zeros(block_affine.size)
     taylor = np.empty((5, size))
     guard_at, guard_sign, guard_shift = np.empty(2, np.int64), np.empty(2), np.empty(2)
-    acceleration_at = columns + 4 * ACCELERATION
     primaries = np.empty(events.size, np.int64)
     step = system.step
     full_steps = int(np.floor(system.end_time / step + 1e-9))
@@ -154,12 +156,12 @@ def run(  # type: ignore[no-untyped-def]
     while True:
         flow = system.flow[regime]
         gap_input = system.side[regime] * half_gap
-        for r in range(rows):
-            affine[r] = system.transfer_input[flow, 0, r] * torque + system.transfer_input[flow, 1, r] * gap_input
-        transfer = system.transfer[flow]
+        transfer, block = system.transfer[flow], system.block[flow]
+        _combine(system.transfer_input[flow], torque, gap_input, affine)
+        _combine(system.block_input[flow], torque, gap_input, block_affine)
         for k in range(2):
             guard = min(k, system.guards[regime] - 1)  # a single guard stands for two
-            guard_at[k] = columns + 4 * system.guard_functional[regime, guard]
+            guard_at[k] = 4 * system.guard_functional[regime, guard]
             guard_sign[k] = system.guard_sign[regime, guard]
             guard_shift[k] = system.guard_offset[regime, guard] * half_gap
         largest, smallest = -np.inf, np.inf
@@ -191,8 +193,19 @@ def run(  # type: ignore[no-untyped-def]
             while clear and index < full_steps:
                 budget = min(_STRIDE, full_steps - index)
                 taken, largest, smallest = _coast(
-                    transfer, affine, guard_at, guard_sign, guard_shift, acceleration_at,
-                    z, scratch, budget, largest, smallest,
+                    block,
+                    block_affine,
+                    transfer,
+                    affine,
+                    outputs,
+                    guard_at,
+                    guard_sign,
+                    guard_shift,
+                    z,
+                    scratch,
+                    budget,
+                    largest,
+                    smallest,
                 )
                 index += taken
                 clear = taken == budget
@@ -223,6 +236,12 @@ def run(  # type: ignore[no-untyped-def]
         regime = successor
         if steps == 2 and offset >= step:
             index, offset = index + 1, offset - step
+
+
+@njit(cache=True, nogil=True)
+def _combine(inputs: FloatArray, torque: float, gap_input: float, out: FloatArray):  # type: ignore[no-untyped-def]
+    for r in range(out.size):
+        out[r] = inputs[0, r] * torque + inputs[1, r] * gap_input
 
 
 @njit(cache=True, nogil=True)
@@ -346,12 +365,14 @@ def _advance(transfer: FloatArray, affine: FloatArray, z: FloatArray, out: Float
 
 @njit(cache=True, nogil=True)
 def _coast(  # type: ignore[no-untyped-def]
+    block: FloatArray,
+    block_affine: FloatArray,
     transfer: FloatArray,
     affine: FloatArray,
+    outputs: int,
     guard_at: npt.NDArray[np.int64],
     guard_sign: FloatArray,
     guard_shift: FloatArray,
-    acceleration_at: int,
     z: FloatArray,
     scratch: FloatArray,
     budget: int,
@@ -360,8 +381,8 @@ def _coast(  # type: ignore[no-untyped-def]
 ):
     """Take up to `budget` full steps, stopping before the first one in which a guard might turn negative.
 
-    On a step, a guard is at least the smaller of its end values less its bend, max|p''| h²/8, where |p''| h² is at most
-    2|c2| + 6|c3| + 12|c4| in the step's Taylor terms; the same bounds the acceleration's excess over its end values.
+    On a step, a guard is at least the smaller of its end values less its bend (see `regimes.BEND`); the same bounds
+    the acceleration's excess over its end values. Steps go by the block, and one by one where a block is in doubt.
 
     Returns
     -------
@@ -369,33 +390,74 @@ def _coast(  # type: ignore[no-untyped-def]
     largest, smallest : float  [rad/s2]
         The acceleration's extremes, updated.
     """
-    at1, at2, acc = guard_at[0], guard_at[1], acceleration_at
+    columns = transfer.shape[0]
+    width = columns + outputs
+    at1, at2, acc = columns + guard_at[0], columns + guard_at[1], columns + 4 * ACCELERATION
     sign1, sign2 = guard_sign[0], guard_sign[1]
     shift1, shift2 = guard_shift[0], guard_shift[1]
-    guard1, guard2 = sign1 * z[at1] + shift1, sign2 * z[at2] + shift2
-    a = z[acc]
-    here, there = z, scratch
     taken = 0
     while taken < budget:
-        _advance(transfer, affine, here, there)
-        next1, next2 = sign1 * there[at1] + shift1, sign2 * there[at2] + shift2
-        bend1 = 0.25 * abs(here[at1 + 1]) + 0.75 * abs(here[at1 + 2]) + 1.5 * abs(here[at1 + 3])
-        bend2 = 0.25 * abs(here[at2 + 1]) + 0.75 * abs(here[at2 + 2]) + 1.5 * abs(here[at2 + 3])
-        if not (min(guard1, next1) > bend1 and min(guard2, next2) > bend2):  # also when not a number
-            break
-        next_a = there[acc]
-        largest, smallest = max(largest, next_a), min(smallest, next_a)
-        bend = 0.25 * abs(here[acc + 1]) + 0.75 * abs(here[acc + 2]) + 1.5 * abs(here[acc + 3])
-        if max(a, next_a) + bend > largest or min(a, next_a) - bend < smallest:
-            c2, c3, c4 = here[acc + 1], here[acc + 2], here[acc + 3]
-            high, low = polynomial.extremes(a, next_a - a - c2 - c3 - c4, c2, c3, c4, 1.0)
-            largest, smallest = max(largest, high), min(smallest, low)
-        guard1, guard2, a = next1, next2, next_a
-        here, there = there, here
-        taken += 1
-    if taken % 2 == 1:
-        z[:] = here
+        steps = 1
+        if taken + BLOCK <= budget:
+            _advance(block, block_affine, z, scratch)
+            low1, low2, high_a, low_a = np.inf, np.inf, z[acc], z[acc]
+            bend1, bend2, bend = _bend(z, at1), _bend(z, at2), _bend(z, acc)
+            for k in range(BLOCK):
+                shift = k * outputs
+                low1 = min(low1, sign1 * scratch[at1 + shift] + shift1)
+                low2 = min(low2, sign2 * scratch[at2 + shift] + shift2)
+                high_a, low_a = max(high_a, scratch[acc + shift]), min(low_a, scratch[acc + shift])
+                if k + 1 < BLOCK:
+                    bend1 = max(bend1, _bend(scratch, at1 + shift))
+                    bend2 = max(bend2, _bend(scratch, at2 + shift))
+                    bend = max(bend, _bend(scratch, acc + shift))
+            low1 = min(low1, sign1 * z[at1] + shift1)
+            low2 = min(low2, sign2 * z[at2] + shift2)
+            if low1 > bend1 and low2 > bend2:  # not when not a number
+                if high_a + bend > largest or low_a - bend < smallest:
+                    largest, smallest = _watch(z, scratch, acc, acc, largest, smallest)
+                    for k in range(BLOCK - 1):
+                        here = acc + k * outputs
+                        largest, smallest = _watch(scratch, scratch, here, here + outputs, largest, smallest)
+                for k in range(columns):
+                    z[k] = scratch[k]
+                last = (BLOCK - 1) * outputs
+                for k in range(columns, width):
+                    z[k] = scratch[k + last]
+                taken += BLOCK
+                continue
+            steps = BLOCK
+        for _ in range(steps):
+            _advance(transfer, affine, z, scratch)
+            low1 = min(sign1 * z[at1] + shift1, sign1 * scratch[at1] + shift1)
+            low2 = min(sign2 * z[at2] + shift2, sign2 * scratch[at2] + shift2)
+            if not (low1 > _bend(z, at1) and low2 > _bend(z, at2)):
+                return taken, largest, smallest
+            largest, smallest = _watch(z, scratch, acc, acc, largest, smallest)
+            for k in range(width):
+                z[k] = scratch[k]
+            taken += 1
     return taken, largest, smallest
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _bend(z: FloatArray, at: int) -> float:
+    return abs(z[at + 1]) + abs(z[at + 2]) + abs(z[at + 3])
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _watch(  # type: ignore[no-untyped-def]
+    before: FloatArray, after: FloatArray, here: int, there: int, largest: float, smallest: float
+):
+    """Update the acceleration's extremes by one step from `before[here]` to `after[there]`."""
+    a, next_a = before[here], after[there]
+    largest, smallest = max(largest, next_a), min(smallest, next_a)
+    bend = _bend(before, here)
+    if max(a, next_a) + bend > largest or min(a, next_a) - bend < smallest:
+        c2, c3, c4 = before[here + 1] / BEND[1], before[here + 2] / BEND[2], before[here + 3] / BEND[3]
+        high, low = polynomial.extremes(a, next_a - a - c2 - c3 - c4, c2, c3, c4, 1.0)
+        largest, smallest = max(largest, high), min(smallest, low)
+    return largest, smallest
 
 
 @njit(cache=True, nogil=True)

@@ -9,7 +9,7 @@ from clunk.core.events import EVENT, TOUCH
 from clunk.core.regimes import System
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries
 from clunk.core.severity import peak_to_peak
-from clunk.core.status import QUALITY_COMPLETE, Status
+from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -55,6 +55,8 @@ def select(systems: System, k: int) -> System:
         systems.lash[k],
         systems.transfer[k],
         systems.transfer_input[k],
+        systems.block[k],
+        systems.block_input[k],
         systems.observe[k],
         systems.observe_input[k],
         systems.flow[k],

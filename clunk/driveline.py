@@ -1,0 +1,153 @@
+"""A driveline: inertias joined by linear shafts, to each other or to ground, with one lash.
+
+M θ'' + C θ' + K θ = b T (report Eq. 2.6), where closing the lash adds a spring and a damper across it (Eq. 2.12).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.config import Study
+from clunk.core.regimes import System, build_system
+
+FloatArray = npt.NDArray[np.float64]
+End = int | Literal["ground"]
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """Oscillating modes of a driveline, lowest frequency first.
+
+    frequency : (k,) float64  [Hz], undamped natural frequency |λ|/2π
+    damping_ratio : (k,) float64, ζ = -Re λ/|λ|
+    overdamped : (m,) float64  [1/s], the decay rates of what does not oscillate (a rigid-body drift has 0)
+    """
+
+    frequency: FloatArray
+    damping_ratio: FloatArray
+    overdamped: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Driveline:
+    """The matrices of a driveline; n inertias.
+
+    inertia : (n,) float64  [kg m2]
+    damping, stiffness : (n, n) float64  [N m s/rad], [N m/rad], with the lash open
+    lash : (n,) float64, q = lash · θ = θi - θj
+    load : (n,) float64, 1 at the loaded inertia
+    contact_stiffness, contact_damping : float  [N m/rad], [N m s/rad], of the closed lash: r² k34 and r² c34
+    grounded : bool, whether every inertia has a path of stiffness to ground while the lash is closed
+    """
+
+    inertia: FloatArray
+    damping: FloatArray
+    stiffness: FloatArray
+    lash: FloatArray
+    load: FloatArray
+    contact_stiffness: float
+    contact_damping: float
+    grounded: bool
+
+    @classmethod
+    def from_study(cls, study: Study) -> "Driveline":
+        """The driveline that a study's config spells out."""
+        n = len(study.driveline.inertias)
+        damping, stiffness = np.zeros((n, n)), np.zeros((n, n))
+        for shaft in study.driveline.shafts:
+            twist = _incidence(shaft.between, n)
+            stiffness += shaft.stiffness * np.outer(twist, twist)
+            damping += shaft.damping * np.outer(twist, twist)
+        contact = study.lash.contact
+        load = np.zeros(n)
+        load[int(study.load.on) - 1] = 1.0
+        springs = [shaft.between for shaft in study.driveline.shafts if shaft.stiffness > 0.0]
+        return cls(
+            inertia=np.array(study.driveline.inertias, dtype=np.float64),
+            damping=damping,
+            stiffness=stiffness,
+            lash=_incidence(study.lash.between, n),
+            load=load,
+            contact_stiffness=study.lash.radius**2 * contact.stiffness,
+            contact_damping=study.lash.radius**2 * contact.damping,
+            grounded=_all_grounded(n, [*springs, study.lash.between]),
+        )
+
+    @property
+    def contact_period(self) -> float:
+        """T_c = 2π sqrt(J_red/k), with the two inertias at the lash in series, or the one at a lash to ground  [s]."""
+        mobility = float(np.sum(self.lash**2 / self.inertia))
+        return float(2.0 * np.pi / np.sqrt(self.contact_stiffness * mobility))
+
+    def modes(self, *, closed: bool) -> Modes:
+        """Natural frequencies and damping ratios with the lash closed or open."""
+        coupling = np.outer(self.lash, self.lash) * float(closed)
+        n = self.inertia.size
+        rates = np.zeros((2 * n, 2 * n))
+        rates[:n, n:] = np.eye(n)
+        rates[n:, :n] = -(self.stiffness + self.contact_stiffness * coupling) / self.inertia[:, None]
+        rates[n:, n:] = -(self.damping + self.contact_damping * coupling) / self.inertia[:, None]
+        eigenvalues = np.linalg.eigvals(rates)
+        oscillating = eigenvalues[eigenvalues.imag > 1e-9 * np.abs(eigenvalues).max()]
+        oscillating = oscillating[np.argsort(np.abs(oscillating))]
+        monotone = eigenvalues[np.abs(eigenvalues.imag) <= 1e-9 * np.abs(eigenvalues).max()]
+        return Modes(
+            frequency=np.abs(oscillating) / (2.0 * np.pi),
+            damping_ratio=-oscillating.real / np.abs(oscillating),
+            overdamped=np.sort(-monotone.real),
+        )
+
+    def small_gap_thresholds(self, count: int = 4) -> FloatArray:
+        """The load ratios at which one more impact appears as the backlash vanishes, by the lowest mode alone.
+
+        σr = exp(2π ζ1 (n - 1/2)), n = 1 … `count` (report Eq. 3.1, where 2π is missing, and Table 3.1). Empty for a
+        driveline that does not oscillate in contact.
+        """
+        damping_ratio = self.modes(closed=True).damping_ratio
+        if damping_ratio.size == 0:
+            return np.empty(0)
+        return np.exp(2.0 * np.pi * damping_ratio[0] * (np.arange(1, count + 1) - 0.5))
+
+
+def build(study: Study) -> System:
+    """The switched linear system of a study, ready to run."""
+    driveline = Driveline.from_study(study)
+    sticking_time = study.impacts.sticking_time
+    assert study.impacts.acceleration_of is not None  # resolved by the config
+    return build_system(
+        inertia=driveline.inertia,
+        damping=driveline.damping,
+        stiffness=driveline.stiffness,
+        load=driveline.load,
+        lash=driveline.lash,
+        contact_stiffness=driveline.contact_stiffness,
+        contact_damping=driveline.contact_damping,
+        separation_by_force=study.lash.contact.separation == "force",
+        acceleration_of=int(study.impacts.acceleration_of) - 1,
+        step=study.solver.step,
+        end_time=study.solver.end_time,
+        sticking_time=driveline.contact_period if sticking_time is None else sticking_time,
+        grounded=driveline.grounded,
+    )
+
+
+def _incidence(between: Sequence[End], n: int) -> FloatArray:
+    """+1 at the first end, -1 at the second; ground takes no part."""
+    row = np.zeros(n)
+    for end, sign in zip(between, (1.0, -1.0), strict=True):
+        if end != "ground":
+            row[int(end) - 1] += sign
+    return row
+
+
+def _all_grounded(n: int, springs: Sequence[Sequence[End]]) -> bool:
+    """Whether the springs connect every inertia to ground; exact, where a rank would need a tolerance."""
+    reached: set[End] = {"ground"}
+    while True:
+        more = {end for spring in springs if reached & set(spring) for end in spring} - reached
+        if not more:
+            return len(reached) == n + 1
+        reached |= more

@@ -1,0 +1,156 @@
+"""One run: Study -> Trajectory."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk import driveline
+from clunk.config import Study
+from clunk.core import rk4
+from clunk.core.events import EVENT, KIND_NAMES, TOUCH
+from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
+from clunk.core.severity import peak_to_peak
+from clunk.core.status import Status
+from clunk.load import load_step
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class SimulationError(Exception):
+    """A run that cannot start or did not finish; its text is one sentence for the user."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """What one run leaves behind; n inertias, E events (the load step included).
+
+    study : Study
+    initial_side : int, sign of q = θi - θj on the initial flank
+    events : (E,) clunk.core.events.EVENT, times in s after the load step
+    states : (E, 2n) float64, θ and θ' at each event  [rad, rad/s]
+    primaries : (P,) int64, indices of the primary impacts in `events`
+    impact_severity : (P,) float64, Q_i  [rad/s2]
+    complete : bool, whether it was proved that nothing follows
+    end : float, where the run stopped  [s after the load step]
+    """
+
+    study: Study
+    initial_side: int
+    events: npt.NDArray[np.void]
+    states: FloatArray
+    primaries: npt.NDArray[np.int64]
+    impact_severity: FloatArray
+    complete: bool
+    end: float
+
+    @cached_property
+    def flanks(self) -> npt.NDArray[np.int64]:
+        """(P,) int64, +1 for a primary impact on the opposite flank, -1 on the initial one."""
+        return np.where(self.events["side"][self.primaries] == self.initial_side, INITIAL, OPPOSITE)
+
+    @property
+    def label(self) -> str:
+        """The label of the sequence, for example DS(1)SS(1)."""
+        return label(self.flanks)
+
+    @property
+    def letters(self) -> str:
+        """The primary impacts as letters, O opposite and I initial, for example O I I."""
+        return " ".join("O" if flank == OPPOSITE else "I" for flank in self.flanks)
+
+    @property
+    def touches(self) -> int:
+        """How often the gap closed, chatter included."""
+        return int(np.count_nonzero(self.events["kind"] == TOUCH))
+
+    @property
+    def severity(self) -> float:
+        """Q = sqrt(sum Q_i²)  [rad/s2] (report Eq. 3.3)."""
+        return float(np.sqrt(np.sum(self.impact_severity**2)))
+
+    @property
+    def approach_velocity(self) -> float:
+        """V = sqrt(sum v_i²), v_i the relative velocity just before primary impact i  [rad/s]."""
+        return float(np.sqrt(np.sum(self.events["speed"][self.primaries] ** 2)))
+
+    def kind_name(self, k: int) -> str:
+        """What event `k` is: load step, touch, separation, rejoin or opening."""
+        return KIND_NAMES[self.events["kind"][k]]
+
+    def flank_name(self, k: int) -> str:
+        """The flank of event `k`."""
+        side = self.events["side"][k]
+        return "none" if side == 0 else ("initial" if side == self.initial_side else "opposite")
+
+
+def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Trajectory:
+    """Run one load step.
+
+    Parameters
+    ----------
+    study : Study
+        Its axes, if any, are ignored.
+    initial_state : (2n,) array of float, optional  [rad, rad/s]
+        θ and θ' at the load step, instead of static equilibrium in contact under the torque before. The initial flank
+        is then the one that this state touches; in the gap, the nearer one.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    SimulationError
+        Where there is no static equilibrium or no initial flank, or the run fails.
+    """
+    system = driveline.build(study)
+    size = system.lash.size
+    torque = load_step(study.load)
+    half_gap = float(np.deg2rad(study.lash.backlash_deg) / 2)
+    x = np.empty(size)
+    status = Status(system.status)
+    if initial_state is None:
+        if status == Status.OK:
+            side = rk4.preload(system, torque.before, half_gap, x)
+            status = Status.OK if side != 0 else Status.NO_INITIAL_FLANK
+        if status != Status.OK:
+            raise SimulationError(_sentence(status))
+        regime = rk4.closed_on(side)
+    else:
+        if status == Status.UNSTABLE_STEP:
+            raise SimulationError(_sentence(status))
+        given = np.asarray(initial_state, dtype=np.float64)
+        if given.shape != (size,) or not np.all(np.isfinite(given)):
+            raise SimulationError(f"The initial state must be {size} finite numbers, θ in rad and then θ' in rad/s.")
+        x[:] = given
+        regime = rk4.regime_of(system, x, half_gap)
+        side = 1 if x[: size // 2] @ system.lash[size // 2 :] >= 0.0 else -1
+
+    capacity = study.solver.max_events + 1
+    events, states = np.zeros(capacity, EVENT), np.zeros((capacity, size))
+    code, count, complete, end = rk4.run(
+        system, x, regime, float(torque.after), half_gap, events, states, np.zeros(1, np.uint8)
+    )
+    if code != Status.OK:
+        raise SimulationError(_sentence(Status(code)))
+    primaries = np.zeros(capacity, np.int64)
+    found = find_primaries(events, count, system.sticking_time, primaries)
+    severity = np.zeros(capacity)
+    peak_to_peak(events, count, primaries, found, severity)
+    return Trajectory(
+        study=study,
+        initial_side=side,
+        events=events[:count].copy(),
+        states=states[:count].copy(),
+        primaries=primaries[:found].copy(),
+        impact_severity=severity[:found].copy(),
+        complete=bool(complete),
+        end=float(end),
+    )
+
+
+def _sentence(status: Status) -> str:
+    text = status.sentence
+    return text[0].upper() + text[1:] + "."
