@@ -279,10 +279,17 @@ def plot(file: Path, output: Path | None, quantity: str | None) -> None:
     base = output or file.with_suffix(".png")
     if not base.suffix:
         base = base.with_name(base.name + ".png")
-    for name, figure in plots.figures(results, _thresholds(results), quantity):
+    for name in [quantity] if quantity else _default_quantities(results):
         target = base if output and quantity else base.with_name(f"{base.stem}-{name}{base.suffix}")
-        plots.save(figure, target)
+        plots.save(plots.draw(results, name, _thresholds(results)), target)
         click.echo(str(target))
+
+
+def _default_quantities(results: Results) -> tuple[str, str]:
+    """The regimes and how hard the impacts are; Q is not defined for the restitution model, V is."""
+    import numpy as np
+
+    return "regimes", "severity" if np.isfinite(results.severity).any() else "approach_velocity"
 
 
 def _thresholds(results: Results) -> list[float]:
@@ -290,10 +297,10 @@ def _thresholds(results: Results) -> list[float]:
     if all(axis.parameter != "load.ratio" for axis in results.axes):
         return []
     from clunk.config import study_from_text
-    from clunk.driveline import Driveline
+    from clunk.linear import one_mode_thresholds
 
-    driveline = Driveline.from_study(study_from_text(results.config, source="the results file's config"))
-    return [float(ratio) for ratio in driveline.small_gap_thresholds()]
+    study = study_from_text(results.config, source="the results file's config")
+    return [float(ratio) for ratio in one_mode_thresholds(study)]
 
 
 @cli.command()
@@ -420,12 +427,14 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     """
     from clunk.config import load_study
     from clunk.driveline import Driveline
+    from clunk.linear import one_mode_thresholds, rigid_contact_thresholds
 
-    driveline = Driveline.from_study(load_study(config, overrides))
+    study = load_study(config, overrides)
+    driveline = Driveline.from_study(study)
     lash_states = {"closed": driveline.modes(closed=True), "open": driveline.modes(closed=False)}
-    thresholds = driveline.small_gap_thresholds()
+    thresholds = {"lowest mode": one_mode_thresholds(study), "all modes": rigid_contact_thresholds(study)}
     if as_json:
-        record = {
+        record: dict[str, Any] = {
             state: {
                 "frequency_hz": found.frequency.tolist(),
                 "damping_ratio": found.damping_ratio.tolist(),
@@ -433,7 +442,8 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
             }
             for state, found in lash_states.items()
         }
-        click.echo(json.dumps(record | {"thresholds": thresholds.tolist(), "contact_period": driveline.contact_period}))
+        record["thresholds"] = {name: ratios.tolist() for name, ratios in thresholds.items()}
+        click.echo(json.dumps(record | {"contact_period": driveline.contact_period}))
         return
     for state, found in lash_states.items():
         click.echo(f"lash {state}")
@@ -446,9 +456,10 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     click.echo(f"contact period T_c  {1e3 * driveline.contact_period:.2f} ms")
     click.echo()
     click.echo("load ratio σr above which one more impact appears as the backlash vanishes")
-    click.echo("(lowest mode alone: σr = exp(2π ζ1 (n - 1/2)))")
-    click.echo("  impacts n  " + "".join(f"{n:>8}" for n in range(1, len(thresholds) + 1)))
-    click.echo("  σr         " + "".join(f"{ratio:>8.2f}" for ratio in thresholds))
+    click.echo("  impacts       " + "".join(f"{n:>8}" for n in range(1, 5)))
+    for name, ratios in thresholds.items():
+        click.echo(f"  {name:<14}" + "".join(f"{ratio:>8.2f}" for ratio in ratios))
+    click.echo("(lowest mode: σr = exp(2π ζ1 (n - 1/2)); all modes: with the lash locked)")
 
 
 @cli.command()

@@ -100,22 +100,17 @@ class Driveline:
             overdamped=np.sort(-monotone.real),
         )
 
-    def small_gap_thresholds(self, count: int = 4) -> FloatArray:
-        """The load ratios at which one more impact appears as the backlash vanishes, by the lowest mode alone.
-
-        σr = exp(2π ζ1 (n - 1/2)), n = 1 … `count` (report Eq. 3.1, where 2π is missing, and Table 3.1). Empty for a
-        driveline that does not oscillate in contact.
-        """
-        damping_ratio = self.modes(closed=True).damping_ratio
-        if damping_ratio.size == 0:
-            return np.empty(0)
-        return np.exp(2.0 * np.pi * damping_ratio[0] * (np.arange(1, count + 1) - 0.5))
-
 
 def build(study: Study) -> System:
     """The switched linear system of a study, ready to run."""
     driveline = Driveline.from_study(study)
+    contact = study.lash.contact
+    restitution = contact.model == "restitution"
     sticking_time = study.impacts.sticking_time
+    if restitution:
+        sticking_time = 0.0  # the locked state itself is sticking
+    elif sticking_time is None:
+        sticking_time = driveline.contact_period
     assert study.impacts.acceleration_of is not None  # resolved by the config
     return build_system(
         inertia=driveline.inertia,
@@ -125,12 +120,14 @@ def build(study: Study) -> System:
         lash=driveline.lash,
         contact_stiffness=driveline.contact_stiffness,
         contact_damping=driveline.contact_damping,
-        separation_by_force=study.lash.contact.separation == "force",
+        separation_by_force=contact.separation == "force",
         acceleration_of=int(study.impacts.acceleration_of) - 1,
         step=study.solver.step,
         end_time=study.solver.end_time,
-        sticking_time=driveline.contact_period if sticking_time is None else sticking_time,
+        sticking_time=sticking_time,
         grounded=driveline.grounded,
+        restitution=contact.restitution if restitution else None,
+        locking_speed=contact.locking_speed,
     )
 
 

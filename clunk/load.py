@@ -19,13 +19,15 @@ class LoadStep(NamedTuple):
 
 def tip_out(static_torque: Torque, ratio: Torque) -> LoadStep:
     """An engine tip-out: the dynamic torque Td = σr Ts is released, Ts stays (report Eq. 2.4, Figure 2.2)."""
-    return LoadStep(before=static_torque * (1.0 + ratio), after=1.0 * static_torque + 0.0 * ratio)
+    return LoadStep(before=static_torque * (1.0 + ratio), after=static_torque)
 
 
-def load_step(load: Load) -> LoadStep:
-    """The load step of a config: from static torque and ratio, or from the torques before and after."""
-    if load.static_torque is not None and load.ratio is not None:
-        return tip_out(load.static_torque, load.ratio)
-    assert load.initial_torque is not None  # the config has one pair or the other
-    assert load.final_torque is not None
-    return LoadStep(load.initial_torque, load.final_torque)
+def load_step(load: Load, **swept: Torque) -> LoadStep:
+    """The load step of a config: from static torque and ratio, or from the torques before and after.
+
+    `swept` values, under the names of the config's keys, take the place of the config's own.
+    """
+    given = load.model_dump() | swept
+    if given["ratio"] is not None:
+        return tip_out(given["static_torque"], given["ratio"])
+    return LoadStep(given["initial_torque"], given["final_torque"])

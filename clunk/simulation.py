@@ -67,7 +67,9 @@ class Trajectory:
 
     @property
     def severity(self) -> float:
-        """Q = sqrt(sum Q_i²)  [rad/s2] (report Eq. 3.3)."""
+        """Q = sqrt(sum Q_i²)  [rad/s2] (report Eq. 3.3); not defined for the restitution model (NaN)."""
+        if self.study.lash.contact.model == "restitution":
+            return float("nan")
         return float(np.sqrt(np.sum(self.impact_severity**2)))
 
     @property
@@ -107,13 +109,13 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
     """
     system = driveline.build(study)
     size = system.lash.size
-    torque = load_step(study.load)
+    before, after = (float(torque) for torque in load_step(study.load))
     half_gap = float(np.deg2rad(study.lash.backlash_deg) / 2)
     x = np.empty(size)
     status = Status(system.status)
     if initial_state is None:
         if status == Status.OK:
-            side = rk4.preload(system, torque.before, half_gap, x)
+            side = rk4.preload(system, before, half_gap, x)
             status = Status.OK if side != 0 else Status.NO_INITIAL_FLANK
         if status != Status.OK:
             raise SimulationError(_sentence(status))
@@ -125,20 +127,22 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
         if given.shape != (size,) or not np.all(np.isfinite(given)):
             raise SimulationError(f"The initial state must be {size} finite numbers, θ in rad and then θ' in rad/s.")
         x[:] = given
+        if system.impulsive and abs(x @ np.roll(system.lash, size // 2)) > half_gap * (1.0 + 1e-12):
+            raise SimulationError("The initial state overlaps a flank, which the restitution model does not allow.")
         regime = rk4.regime_of(system, x, half_gap)
         side = 1 if x[: size // 2] @ system.lash[size // 2 :] >= 0.0 else -1
 
     capacity = study.solver.max_events + 1
     events, states = np.zeros(capacity, EVENT), np.zeros((capacity, size))
-    code, count, complete, end = rk4.run(
-        system, x, regime, float(torque.after), half_gap, events, states, np.zeros(1, np.uint8)
-    )
+    code, count, complete, end = rk4.run(system, x, regime, after, half_gap, events, states, np.zeros(1, np.uint8))
     if code != Status.OK:
         raise SimulationError(_sentence(Status(code)))
     primaries = np.zeros(capacity, np.int64)
     found = find_primaries(events, count, system.sticking_time, primaries)
     severity = np.zeros(capacity)
     peak_to_peak(events, count, primaries, found, severity)
+    if system.impulsive:  # the acceleration of an impulsive touch is not a number
+        severity[:found] = np.nan
     return Trajectory(
         study=study,
         initial_side=side,

@@ -14,6 +14,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +26,7 @@ from clunk.core import tile
 from clunk.core.regimes import System, stack
 from clunk.core.sequence import OPPOSITE, label
 from clunk.core.status import Status
-from clunk.load import LoadStep, load_step, tip_out
+from clunk.load import load_step
 from clunk.results import CELL_FIELDS, FAILED_CODE, IMPACT_FIELDS, ResultAxis, Results
 
 FloatArray = npt.NDArray[np.float64]
@@ -145,21 +146,18 @@ class _Grid:
                 self._kept.popitem(last=False)
         return system
 
-    def drive(self, positions: tuple[npt.NDArray[np.intp], ...]) -> tuple[LoadStep, FloatArray]:
+    def drive(self, positions: tuple[npt.NDArray[np.intp], ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Torques before and after [N m] and half gap [rad] of the cells at these positions, each (cells,)."""
-        values = {axis.parameter: axis.grid[position] for axis, position in zip(self.axes, positions, strict=True)}
-        count = positions[0].size
-        load, lash = self.study.load, self.study.lash
-        if load.ratio is not None:
-            torque = tip_out(values.get("load.static_torque", load.static_torque), values.get("load.ratio", load.ratio))
-        else:
-            fixed = load_step(load)
-            torque = LoadStep(
-                values.get("load.initial_torque", fixed.before), values.get("load.final_torque", fixed.after)
-            )
-        before, after = (np.broadcast_to(np.asarray(side, np.float64), count).copy() for side in torque)
-        gap = np.broadcast_to(np.asarray(values.get("lash.backlash_deg", lash.backlash_deg), np.float64), count)
-        return LoadStep(before, after), np.deg2rad(gap) / 2
+        swept: dict[str, FloatArray] = {
+            axis.parameter: axis.grid[position] for axis, position in zip(self.axes, positions, strict=True)
+        }
+        torques = {key.removeprefix("load."): value for key, value in swept.items() if key.startswith("load.")}
+        shape = positions[0].shape
+        before, after = (
+            np.broadcast_to(side, shape).astype(np.float64) for side in load_step(self.study.load, **torques)
+        )
+        gap = np.broadcast_to(swept.get("lash.backlash_deg", self.study.lash.backlash_deg), shape)
+        return before, after, np.deg2rad(gap) / 2
 
 
 def _tiles(cells: int, workers: int) -> Iterator[Tile]:
@@ -170,7 +168,7 @@ def _tiles(cells: int, workers: int) -> Iterator[Tile]:
 
 def _run_tile(grid: _Grid, part: Tile, stop: npt.NDArray[np.uint8]) -> _Finished:
     positions = np.unravel_index(np.arange(part.start, part.stop), grid.shape)
-    torque, half_gap = grid.drive(positions)
+    before, after, half_gap = grid.drive(positions)
     if grid.structural:
         combinations = np.stack([positions[axis] for axis in grid.structural], axis=1)
         unique, system_of = np.unique(combinations, axis=0, return_inverse=True)
@@ -186,7 +184,7 @@ def _run_tile(grid: _Grid, part: Tile, stop: npt.NDArray[np.uint8]) -> _Finished
     done = 0
     while done < count and not stop[0]:
         done, written = tile.run_tile(
-            stacked, system_of, torque.before, torque.after, half_gap, done, max_events, cells, buffer, stop
+            stacked, system_of, before, after, half_gap, done, max_events, cells, buffer, stop
         )
         impacts.append(buffer[:written].copy())
     return _Finished(part, cells, impacts)
@@ -308,7 +306,7 @@ def provenance() -> dict[str, str]:
 
 def _cpu_model() -> str:
     try:
-        with open("/proc/cpuinfo", encoding="utf-8") as lines:
+        with Path("/proc/cpuinfo").open(encoding="utf-8") as lines:
             return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
     except (OSError, StopIteration):
         return platform.processor() or platform.machine()

@@ -16,12 +16,15 @@ def configure() -> None:
     """Point numba's cache at this core's own directory; a user's `NUMBA_CACHE_DIR` is respected."""
     if os.environ.get("NUMBA_CACHE_DIR"):
         return
-    numba.config.CACHE_DIR = str(_writable(_user_cache() / "clunk" / f"kernels-{_digest()}"))
+    numba.config.CACHE_DIR = str(  # type: ignore[attr-defined]  # numba makes its settings at run time
+        _writable(_user_cache() / "clunk" / f"kernels-{_digest()}")
+    )
 
 
 def is_cold() -> bool:
     """Whether no kernel of this core has been compiled and kept yet."""
-    return not any(Path(numba.config.CACHE_DIR).glob("**/tile.*.nbi"))
+    directory = Path(numba.config.CACHE_DIR)  # type: ignore[attr-defined]
+    return not any(directory.glob("**/tile.run_tile-*.nbi"))
 
 
 def _digest() -> str:

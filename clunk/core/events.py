@@ -12,8 +12,9 @@ TOUCH = 1  # the gap closes
 SEPARATION = 2  # the contact ends: the gap opens, or the contact force turns tensile
 REJOIN = 3  # separation by force only: the force turns compressive while the flanks still overlap
 OPENING = 4  # separation by force only: the flanks stop overlapping
+LOCK = 5  # restitution only, with the touch before it: the flanks stay together
 
-KIND_NAMES = ("load step", "touch", "separation", "rejoin", "opening")
+KIND_NAMES = ("load step", "touch", "separation", "rejoin", "opening", "lock")
 
 EVENT = np.dtype(
     [
@@ -22,6 +23,7 @@ EVENT = np.dtype(
         ("max_acceleration", np.float64),  # rad/s2, over the phase that follows
         ("min_acceleration", np.float64),  # rad/s2
         ("kind", np.int64),
+        ("regime", np.int64),  # the one that follows, see clunk.core.regimes
         ("side", np.int64),  # the flank concerned: sign of q = θi - θj on it; at the load step 0 if the gap is open
     ],
     align=True,

@@ -35,7 +35,7 @@ def bisect(c0: float, c1: float, c2: float, c3: float, c4: float, low: float, hi
 
 
 @njit(cache=True, nogil=True)
-def stationary_points(c1: float, c2: float, c3: float, c4: float, length: float):  # type: ignore[no-untyped-def]
+def stationary_points(c1: float, c2: float, c3: float, c4: float, length: float) -> tuple[int, float, float, float]:
     """The points of (0, length) at which p' changes sign, in order.
 
     The zeros of p'' in closed form cut p' into monotone pieces, each with at most one zero.
@@ -71,7 +71,7 @@ def stationary_points(c1: float, c2: float, c3: float, c4: float, length: float)
 
 
 @njit(cache=True, nogil=True)
-def _quadratic_roots(a0: float, a1: float, a2: float, length: float):  # type: ignore[no-untyped-def]
+def _quadratic_roots(a0: float, a1: float, a2: float, length: float) -> tuple[float, float]:
     """The two zeros of a0 + a1 s + a2 s^2, in order; one that is not in (0, length) is replaced by `length`."""
     first, second = length, length
     if a2 == 0.0:
@@ -112,7 +112,7 @@ def first_negative(c0: float, c1: float, c2: float, c3: float, c4: float, length
 
 
 @njit(cache=True, nogil=True)
-def extremes(c0: float, c1: float, c2: float, c3: float, c4: float, length: float):  # type: ignore[no-untyped-def]
+def extremes(c0: float, c1: float, c2: float, c3: float, c4: float, length: float) -> tuple[float, float]:
     """The largest and the smallest value of p on [0, length], both ends included."""
     end = evaluate(c0, c1, c2, c3, c4, length)
     largest, smallest = max(c0, end), min(c0, end)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from numba import njit
 
 from clunk.core import polynomial
-from clunk.core.events import LOAD_STEP
+from clunk.core.events import LOAD_STEP, LOCK, TOUCH
 from clunk.core.regimes import (
     ACCELERATION,
     BEND,
@@ -21,6 +21,7 @@ from clunk.core.regimes import (
     FORCE,
     GAP,
     OPEN,
+    OPEN_FLOW,
     PARTED_NEGATIVE,
     PARTED_POSITIVE,
     System,
@@ -39,6 +40,7 @@ _STRIDE = 256  # full steps between two looks at whether the run is settled, and
 # A remainder of a step shorter than this share of it is merged with the next one: right after an event the guard grows
 # from zero, and needs some time to stand clear of rounding.
 _SHORTEST = 0.01
+_ROUNDING = 8 * float(np.finfo(np.float64).eps)  # relative to the terms of a sum of a few products
 
 
 @njit(cache=True, nogil=True)
@@ -71,7 +73,12 @@ def closed_on(side: int) -> int:
 
 @njit(cache=True, nogil=True)
 def regime_of(system: System, x: FloatArray, half_gap: float) -> int:
-    """The regime that a given state is in: by its gap, and for separation by force by its contact force too."""
+    """The regime that a given state is in: by its gap, and for separation by force by its contact force too.
+
+    In the restitution model it is the open one; flanks that rest on each other lock by a touch at rest.
+    """
+    if system.impulsive != 0:
+        return OPEN
     for regime in (CLOSED_POSITIVE, CLOSED_NEGATIVE, PARTED_POSITIVE, PARTED_NEGATIVE):
         side = system.side[regime]
         if side * _functional(system, 0, GAP, x) < half_gap:
@@ -94,11 +101,11 @@ def _functional(system: System, flow: int, which: int, x: FloatArray) -> float:
 @njit(cache=True, nogil=True)
 def _guard(system: System, regime: int, guard: int, x: FloatArray, half_gap: float) -> float:
     value = _functional(system, system.flow[regime], system.guard_functional[regime, guard], x)
-    return system.guard_sign[regime, guard] * value + system.guard_offset[regime, guard] * half_gap
+    return float(system.guard_sign[regime, guard] * value + system.guard_offset[regime, guard] * half_gap)
 
 
 @njit(cache=True, nogil=True)
-def run(  # type: ignore[no-untyped-def]
+def run(
     system: System,
     x: FloatArray,
     regime: int,
@@ -107,7 +114,7 @@ def run(  # type: ignore[no-untyped-def]
     events: npt.NDArray[np.void],
     states: FloatArray,
     stop: npt.NDArray[np.uint8],
-):
+) -> tuple[int, int, bool, float]:
     """Run from the load step to the end time, or until it is proved that nothing can follow.
 
     Parameters
@@ -150,9 +157,10 @@ def run(  # type: ignore[no-untyped-def]
     last_steps = full_steps + 1 if rest > 1e-9 * step else full_steps
 
     count = 1
-    _record(events, states, 0, 0.0, 0.0, LOAD_STEP, system.side[regime], x)
+    _record(events, states, 0, 0.0, 0.0, LOAD_STEP, regime, system.side[regime], x)
     index, offset = 0, 0.0  # the time is index · step + offset
-    zero_guard = -1
+    zero_guard, zero_order = -1, 0
+    fastest = 0.0  # touch so far [rad/s]
     while True:
         flow = system.flow[regime]
         gap_input = system.side[regime] * half_gap
@@ -173,7 +181,7 @@ def run(  # type: ignore[no-untyped-def]
                 length += step if index + 1 < full_steps else rest
                 steps = 2
             _expand(system, flow, x, torque, gap_input, taylor)
-            s, guard = _first_event(system, regime, half_gap, taylor, max(length, 0.0), zero_guard)
+            s, guard = _first_event(system, regime, torque, half_gap, taylor, max(length, 0.0), zero_guard, zero_order)
             high, low = _acceleration_extremes(system, flow, torque, gap_input, taylor, s)
             largest, smallest = max(largest, high), min(smallest, low)
             events[count - 1].max_acceleration = largest
@@ -223,41 +231,113 @@ def run(  # type: ignore[no-untyped-def]
             if index >= last_steps:
                 return _OK, count, False, system.end_time
 
-        if count == events.size:
+        if count + (3 if system.impulsive != 0 else 1) > events.size:
             return _EVENT_BUFFER_FULL, count, False, index * step + offset
+        time = index * step + offset
         speed = 0.0
         for k in range(size):
             speed += system.lash[k] * x[k]
+        kind = system.event_kind[regime, guard]
         successor = system.successor[regime, guard]
-        side = system.side[successor] if system.side[successor] != 0 else system.side[regime]
-        _record(events, states, count, index * step + offset, speed, system.event_kind[regime, guard], side, x)
-        count += 1
+        zero_order = system.zero_order[regime, guard]
         zero_guard = system.zero_guard[regime, guard]
+        if system.impulsive != 0 and kind == TOUCH:
+            side = 1 if guard == 0 else -1
+            fastest = max(fastest, abs(speed))
+            successor, zero_order = _rebound(system, x, torque, side, speed, fastest)
+            zero_guard = guard if successor == OPEN else -1
+            _record(events, states, count, time, speed, TOUCH, OPEN, side, x)
+            count += 1
+            if successor != OPEN:
+                _record(events, states, count, time, 0.0, LOCK, successor, side, x)
+                count += 1
+        else:
+            side = system.side[successor] if system.side[successor] != 0 else system.side[regime]
+            _record(events, states, count, time, speed, kind, successor, side, x)
+            count += 1
+            if system.impulsive != 0 and half_gap == 0.0:  # locked flanks without a gap between them: no free state
+                successor, zero_guard, zero_order = closed_on(-side), 0, 1
+                _record(events, states, count, time, 0.0, TOUCH, OPEN, -side, x)
+                _record(events, states, count + 1, time, 0.0, LOCK, successor, -side, x)
+                count += 2
         regime = successor
         if steps == 2 and offset >= step:
             index, offset = index + 1, offset - step
 
 
 @njit(cache=True, nogil=True)
-def _combine(inputs: FloatArray, torque: float, gap_input: float, out: FloatArray):  # type: ignore[no-untyped-def]
+def _rebound(system: System, x: FloatArray, torque: float, side: int, speed: float, fastest: float) -> tuple[int, int]:
+    """The velocities after a touch, θ' -= (1 + e) q' M⁻¹l/(lᵀM⁻¹l) (report Eq. 2.9), and what follows.
+
+    A rebound not faster than the locking speed ends with q' = 0: locked where the torque that holds it so presses the
+    flanks together, else open, with the gap at zero and about to open.
+
+    Returns
+    -------
+    successor : int
+    zero_order : int
+        Of the guard of this flank in the open regime.
+    """
+    tolerance = system.locking_speed if system.locking_speed >= 0.0 else -system.locking_speed * fastest
+    if system.restitution * abs(speed) > tolerance:
+        for k in range(x.size):
+            x[k] -= (1.0 + system.restitution) * speed * system.impulse[k]
+        return OPEN, 1
+    _take_velocity_out(system, x, speed)
+    torque_held, slope, scale = 0.0, 0.0, 0.0
+    for k in range(x.size):
+        weight = system.functionals[OPEN_FLOW, FORCE, k]
+        rate = system.inputs[OPEN_FLOW, k, 0] * torque
+        for j in range(x.size):
+            rate += system.rates[OPEN_FLOW, k, j] * x[j]
+        torque_held += weight * x[k]
+        slope += weight * rate
+        scale += abs(weight * x[k])
+    driven = system.feedthrough[OPEN_FLOW, FORCE, 0] * torque
+    torque_held, scale = torque_held + driven, scale + abs(driven)
+    pressing = side * torque_held
+    if abs(pressing) <= _ROUNDING * scale:  # zero: what it turns into decides
+        pressing = side * slope
+    return (closed_on(side), 0) if pressing > 0.0 else (OPEN, 2)
+
+
+@njit(cache=True, nogil=True)
+def _take_velocity_out(system: System, x: FloatArray, speed: float) -> None:
+    """Make q' zero at constant momentum, to the last bit: locked inertias then stay together to the last bit."""
+    last = -1
+    for k in range(x.size):
+        x[k] -= speed * system.impulse[k]
+        if system.lash[k] != 0.0:
+            last = k
+    others = 0.0
+    for k in range(x.size):
+        if k != last:
+            others += system.lash[k] * x[k]
+    x[last] = -others / system.lash[last]
+
+
+@njit(cache=True, nogil=True)
+def _combine(inputs: FloatArray, torque: float, gap_input: float, out: FloatArray) -> None:
     for r in range(out.size):
         out[r] = inputs[0, r] * torque + inputs[1, r] * gap_input
 
 
 @njit(cache=True, nogil=True)
-def _record(  # type: ignore[no-untyped-def]
+def _record(
     events: npt.NDArray[np.void],
     states: FloatArray,
     k: int,
     time: float,
     speed: float,
     kind: int,
+    regime: int,
     side: int,
     x: FloatArray,
-):
+) -> None:
     events[k].time = time
     events[k].speed = speed
     events[k].kind = kind
+    events[k].regime = regime
     events[k].side = side
     events[k].max_acceleration = -np.inf
     events[k].min_acceleration = np.inf
@@ -266,9 +346,7 @@ def _record(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _expand(  # type: ignore[no-untyped-def]
-    system: System, flow: int, x: FloatArray, torque: float, gap_input: float, taylor: FloatArray
-):
+def _expand(system: System, flow: int, x: FloatArray, torque: float, gap_input: float, taylor: FloatArray) -> None:
     """The step as a polynomial of its length: x(s) = sum of taylor[k] s^k, RK4's own for a linear regime."""
     size = x.size
     for k in range(size):
@@ -284,8 +362,12 @@ def _expand(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _quartic(system: System, flow: int, which: int, taylor: FloatArray):  # type: ignore[no-untyped-def]
-    c0, c1, c2, c3, c4 = 0.0, 0.0, 0.0, 0.0, 0.0
+def _quartic(
+    system: System, flow: int, which: int, torque: float, gap_input: float, taylor: FloatArray
+) -> tuple[float, float, float, float, float, float]:
+    """A functional over the step: the coefficients of its quartic, and the size of the terms that make the first."""
+    driven = system.feedthrough[flow, which, 0] * torque + system.feedthrough[flow, which, 1] * gap_input
+    c0, c1, c2, c3, c4, scale = driven, 0.0, 0.0, 0.0, 0.0, abs(driven)
     for k in range(taylor.shape[1]):
         weight = system.functionals[flow, which, k]
         c0 += weight * taylor[0, k]
@@ -293,45 +375,56 @@ def _quartic(system: System, flow: int, which: int, taylor: FloatArray):  # type
         c2 += weight * taylor[2, k]
         c3 += weight * taylor[3, k]
         c4 += weight * taylor[4, k]
-    return c0, c1, c2, c3, c4
+        scale += abs(weight * taylor[0, k])
+    return c0, c1, c2, c3, c4, scale
 
 
 @njit(cache=True, nogil=True)
-def _first_event(  # type: ignore[no-untyped-def]
-    system: System, regime: int, half_gap: float, taylor: FloatArray, length: float, zero_guard: int
-):
+def _first_event(
+    system: System,
+    regime: int,
+    torque: float,
+    half_gap: float,
+    taylor: FloatArray,
+    length: float,
+    zero_guard: int,
+    zero_order: int,
+) -> tuple[float, int]:
     """When the first of the regime's guards turns negative within `length`, and which; (length, -1) if none does.
 
-    A guard that the last event left at zero has that zero divided out, exactly.
+    Where the last event left a guard at zero, with or without its first derivatives, those zeros are divided out; a
+    guard within rounding of zero is taken to be zero, so that its derivatives decide.
     """
     earliest, which = length, -1
+    flow, gap_input = system.flow[regime], system.side[regime] * half_gap
     for guard in range(system.guards[regime]):
-        sign = system.guard_sign[regime, guard]
         functional = system.guard_functional[regime, guard]
-        c0, c1, c2, c3, c4 = _quartic(system, system.flow[regime], functional, taylor)
-        if guard == zero_guard:
-            s = polynomial.first_negative(sign * c1, sign * c2, sign * c3, sign * c4, 0.0, length)
-        else:
-            c0 = sign * c0 + system.guard_offset[regime, guard] * half_gap
-            s = polynomial.first_negative(c0, sign * c1, sign * c2, sign * c3, sign * c4, length)
+        sign, shift = system.guard_sign[regime, guard], system.guard_offset[regime, guard] * half_gap
+        c0, c1, c2, c3, c4, scale = _quartic(system, flow, functional, torque, gap_input, taylor)
+        c0, c1, c2, c3, c4 = sign * c0 + shift, sign * c1, sign * c2, sign * c3, sign * c4
+        order = zero_order if guard == zero_guard else 0
+        if order == 0 and abs(c0) <= _ROUNDING * (scale + abs(shift)):
+            order = 1
+        for _ in range(order):
+            c0, c1, c2, c3, c4 = c1, c2, c3, c4, 0.0
+        s = polynomial.first_negative(c0, c1, c2, c3, c4, length)
         if s >= 0.0 and (which < 0 or s < earliest):
             earliest, which = s, guard
     return earliest, which
 
 
 @njit(cache=True, nogil=True)
-def _acceleration_extremes(  # type: ignore[no-untyped-def]
+def _acceleration_extremes(
     system: System, flow: int, torque: float, gap_input: float, taylor: FloatArray, length: float
-):
-    c0, c1, c2, c3, c4 = _quartic(system, flow, ACCELERATION, taylor)
-    c0 += system.feedthrough[flow, ACCELERATION, 0] * torque + system.feedthrough[flow, ACCELERATION, 1] * gap_input
+) -> tuple[float, float]:
+    c0, c1, c2, c3, c4, _ = _quartic(system, flow, ACCELERATION, torque, gap_input, taylor)
     return polynomial.extremes(c0, c1, c2, c3, c4, length)
 
 
 @njit(cache=True, nogil=True)
-def _load(  # type: ignore[no-untyped-def]
+def _load(
     system: System, flow: int, x: FloatArray, torque: float, gap_input: float, z: FloatArray, columns: int
-):
+) -> None:
     """Put a state and its outputs where `_coast` steps them."""
     for k in range(x.size):
         z[k] = x[k]
@@ -343,7 +436,7 @@ def _load(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _advance(transfer: FloatArray, affine: FloatArray, z: FloatArray, out: FloatArray):  # type: ignore[no-untyped-def]
+def _advance(transfer: FloatArray, affine: FloatArray, z: FloatArray, out: FloatArray) -> None:
     """out = affine + transfer z: one full step. Summed in pairs, eight columns at a time, which LLVM vectorises."""
     x0, x1, x2, x3, x4, x5, x6, x7 = z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]
     for r in range(affine.size):
@@ -364,7 +457,7 @@ def _advance(transfer: FloatArray, affine: FloatArray, z: FloatArray, out: Float
 
 
 @njit(cache=True, nogil=True)
-def _coast(  # type: ignore[no-untyped-def]
+def _coast(
     block: FloatArray,
     block_affine: FloatArray,
     transfer: FloatArray,
@@ -378,7 +471,7 @@ def _coast(  # type: ignore[no-untyped-def]
     budget: int,
     largest: float,
     smallest: float,
-):
+) -> tuple[int, float, float]:
     """Take up to `budget` full steps, stopping before the first one in which a guard might turn negative.
 
     On a step, a guard is at least the smaller of its end values less its bend (see `regimes.BEND`); the same bounds
@@ -442,13 +535,13 @@ def _coast(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, inline="always")
 def _bend(z: FloatArray, at: int) -> float:
-    return abs(z[at + 1]) + abs(z[at + 2]) + abs(z[at + 3])
+    return float(abs(z[at + 1]) + abs(z[at + 2]) + abs(z[at + 3]))
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _watch(  # type: ignore[no-untyped-def]
+def _watch(
     before: FloatArray, after: FloatArray, here: int, there: int, largest: float, smallest: float
-):
+) -> tuple[float, float]:
     """Update the acceleration's extremes by one step from `before[here]` to `after[there]`."""
     a, next_a = before[here], after[there]
     largest, smallest = max(largest, next_a), min(smallest, next_a)
@@ -461,7 +554,7 @@ def _watch(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _settled(  # type: ignore[no-untyped-def]
+def _settled(
     system: System,
     regime: int,
     torque: float,
@@ -470,7 +563,7 @@ def _settled(  # type: ignore[no-untyped-def]
     events: npt.NDArray[np.void],
     count: int,
     primaries: npt.NDArray[np.int64],
-):
+) -> bool:
     """Whether it is proved that no event follows, and no acceleration beyond the extremes of the open window.
 
     Every functional stays within its rest value plus or minus the sum of its modes' present amplitudes, for ever.

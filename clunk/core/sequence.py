@@ -2,7 +2,8 @@
 
 A touch is *primary* on the flank other than the last one, or on the same flank after separation from sticking (a
 contact episode longer than the sticking time; the preloaded contact counts as sticking). Every other touch is
-*secondary*, chatter. Report §3.2.
+*secondary*, chatter. Report §3.2. In the restitution model, whose rebounds take no time, an episode begins with the
+lock, and its sticking time is zero: the locked state is sticking.
 """
 
 from collections.abc import Iterable
@@ -12,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from clunk.core.events import SEPARATION, TOUCH
+from clunk.core.events import LOCK, SEPARATION, TOUCH
 
 INITIAL = -1
 OPPOSITE = 1
@@ -43,6 +44,9 @@ def find_primaries(
                 primaries[found] = k
                 found += 1
             last_side = event.side
+            touched_at = event.time
+            from_sticking = False
+        elif event.kind == LOCK:
             touched_at = event.time
         elif event.kind == SEPARATION:
             from_sticking = event.time - touched_at > sticking_time

@@ -32,11 +32,11 @@ def peak_to_peak(
         largest, smallest = window_extremes(events, primaries[i], end)
         severity[i] = largest - smallest
         total += severity[i] ** 2
-    return total**0.5
+    return float(np.sqrt(total))
 
 
 @njit(cache=True, nogil=True)
-def window_extremes(events: npt.NDArray[np.void], begin: int, end: int):  # type: ignore[no-untyped-def]
+def window_extremes(events: npt.NDArray[np.void], begin: int, end: int) -> tuple[float, float]:
     """The largest and the smallest acceleration over the phases that `events[begin:end]` open  [rad/s2]."""
     largest, smallest = -np.inf, np.inf
     for k in range(begin, end):

@@ -1,5 +1,7 @@
 """Many runs: one tile of a sweep, on one thread, without the interpreter lock."""
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 from numba import njit
@@ -45,8 +47,8 @@ IMPACT = np.dtype(
 
 
 @njit(cache=True, nogil=True)
-def select(systems: System, k: int) -> System:
-    """System `k` of a stack."""
+def select(systems: Any, k: int) -> System:
+    """System `k` of a stack, whose fields have a leading dimension."""
     return System(
         systems.rates[k],
         systems.inputs[k],
@@ -68,6 +70,11 @@ def select(systems: System, k: int) -> System:
         systems.successor[k],
         systems.event_kind[k],
         systems.zero_guard[k],
+        systems.zero_order[k],
+        systems.impulsive[k],
+        systems.impulse[k],
+        systems.restitution[k],
+        systems.locking_speed[k],
         systems.preload[k],
         systems.contact_torque[k],
         systems.provable[k],
@@ -83,7 +90,7 @@ def select(systems: System, k: int) -> System:
 
 
 @njit(cache=True, nogil=True)
-def run_tile(  # type: ignore[no-untyped-def]
+def run_tile(
     systems: System,
     system_of: npt.NDArray[np.int64],
     torque_before: FloatArray,
@@ -94,7 +101,7 @@ def run_tile(  # type: ignore[no-untyped-def]
     cells: npt.NDArray[np.void],
     impacts: npt.NDArray[np.void],
     stop: npt.NDArray[np.uint8],
-):
+) -> tuple[int, int]:
     """Run the cells from `first` on, until all are done, `impacts` may not hold the next one's, or `stop` is set.
 
     Parameters
@@ -155,6 +162,8 @@ def run_tile(  # type: ignore[no-untyped-def]
             cell.quality = QUALITY_COMPLETE
         found = find_primaries(events, count, system.sticking_time, primaries)
         cell.severity = peak_to_peak(events, count, primaries, found, severity)
+        if system.impulsive != 0:  # the acceleration of an impulsive touch is not a number
+            cell.severity, severity[:found] = np.nan, np.nan
         cell.pattern = np.uint64(1) if found <= LONGEST_PATTERN else np.uint64(0)
         squares = 0.0
         for i in range(found):

@@ -1,0 +1,407 @@
+"""Time histories: the motion between the events of a run, sampled for figures and for other programs.
+
+A run leaves its events behind and the state at each. Between two of them the motion is linear with a constant input,
+x' = A x + B u, so that z = (x, 1) moves by a matrix exponential: z(t) = exp(M t) z(0) with M = [[A, B u], [0, 0]]. Every
+phase starts from the state at its event; nothing is integrated again and no event is searched again.
+"""
+
+import io
+import os
+import secrets
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import expm
+
+from clunk import __version__, driveline
+from clunk.config import digest, to_toml
+from clunk.core import rk4
+from clunk.core.events import KIND_NAMES, TOUCH
+from clunk.core.regimes import CLOSED_FLOW, System
+from clunk.core.status import Status
+from clunk.load import load_step
+from clunk.simulation import Trajectory
+from clunk.store import CONVENTIONS, _create, _set_text
+
+FloatArray = npt.NDArray[np.float64]
+
+SCHEMA_VERSION = 1
+LARGEST = 10_000_000  # samples; of the nominal driveline about 1.3 GB
+INITIAL, NONE, OPPOSITE = -1, 0, 1  # of `contact`, as of impact_flank in a results file
+
+_NEAR = 1e-6  # of a step: a sample this near to an event would only repeat it
+_FAINT = 0.05  # of the first swing: what is left of the lowest mode where a picture without events may end
+_ROWS = 4096  # of a CSV file, written at once
+
+
+class HistoryError(Exception):
+    """A history that cannot be sampled or written as asked; its text is one sentence for the user."""
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """A run at M samples: multiples of an output step from the load step, both ends, and every event.
+
+    An event has two rows of the same time, its limits from before and from after, since accelerations jump there, and in
+    the restitution model velocities; `event` tells the second. Of events at one time, only the first has a row before.
+
+    time : (M,) float64  [s], the load step at the config's load.step_time
+    after_step : (M,) float64  [s], the load step at 0
+    angle : (M, n) float64  [rad], θ
+    velocity : (M, n) float64  [rad/s], θ'
+    acceleration : (M, n) float64  [rad/s2], θ''; without the impulses of the restitution model
+    torque : (M,) float64  [N m], the load
+    backlash_coordinate : (M,) float64  [m], x_b = r (θi - θj)
+    contact : (M,) int8, the flank that presses: -1 initial, +1 opposite, 0 none
+    event : (M,) int64, the row's index in the trajectory's events, -1 where there is none
+    """
+
+    time: FloatArray
+    after_step: FloatArray
+    angle: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    torque: FloatArray
+    backlash_coordinate: FloatArray
+    contact: npt.NDArray[np.int8]
+    event: npt.NDArray[np.int64]
+
+
+def sample(
+    trajectory: Trajectory, step: float | None = None, until: float | None = None, before: float | None = None
+) -> History:
+    """The motion of a run at evenly spaced times and at its events.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    step : float, optional  [s]
+        Between samples; by default the solver's step.
+    until : float, optional  [s]
+        On the axis of `History.time`; by default the run's end time. A run of which it is proved that nothing follows
+        may be sampled for longer than it was computed.
+    before : float, optional  [s]
+        How much of the equilibrium before the load step to show; by default all from time 0. A run from an initial
+        state has none.
+
+    Raises
+    ------
+    HistoryError
+    """
+    study = trajectory.study
+    system = driveline.build(study)
+    load, half_gap = load_step(study.load), float(np.deg2rad(study.lash.backlash_deg) / 2)
+    equilibrium = _from_equilibrium(trajectory, system, float(load.before), half_gap)
+
+    step = study.solver.step if step is None else step
+    until = study.load.step_time + study.solver.end_time if until is None else until
+    if before is None:
+        before = study.load.step_time if equilibrium else 0.0
+    begin, end = _span(trajectory, step, until, before, equilibrium)
+
+    phases = _Phases(system, float(load.after), half_gap, step)
+    times, states, regimes, marks = [], [], [], []  # of each phase: (m,), (m, 2n), int and the first row's event or -1
+    if equilibrium and begin < 0.0:
+        within = _grid(begin, min(end, 0.0), step)
+        times.append(np.concatenate(([begin], within * step, [min(end, 0.0)])))
+        states.append(np.broadcast_to(trajectory.states[0], (times[-1].size, system.lash.size)))
+        regimes.append(rk4.closed_on(trajectory.initial_side))
+        marks.append(-1)
+    rows_before = times[0].size if times else 0
+
+    starts = trajectory.events["time"]
+    for k in range(int(np.searchsorted(starts, end, side="right"))):
+        start, stop = starts[k], starts[k + 1] if k + 1 < starts.size else np.inf
+        within = _grid(start, min(stop, end), step)
+        regime = int(trajectory.events["regime"][k])
+        x = trajectory.states[k]
+        time, state = [np.array([start])], [x[None]]
+        if within.size:
+            time.append(within * step)
+            state.append(phases.flow(regime, x, within[0] * step - start, within.size))
+        if stop <= end and stop > start:
+            time.append(np.array([stop]))
+            state.append(_state_before(trajectory, system, k + 1)[None])
+        elif stop > end > start:
+            time.append(np.array([end]))
+            state.append(phases.flow(regime, x, end - start, 1))
+        times.append(np.concatenate(time))
+        states.append(np.concatenate(state))
+        regimes.append(regime)
+        marks.append(k)
+
+    lengths = [part.size for part in times]
+    after_step, state = np.concatenate(times), np.concatenate(states)
+    regime_of = np.repeat(np.array(regimes), lengths)
+    event = np.full(after_step.size, -1)
+    event[np.cumsum([0, *lengths[:-1]])] = marks
+    torque = np.where(np.arange(after_step.size) < rows_before, load.before, load.after)
+    acceleration = phases.accelerations(state, regime_of)
+    acceleration[:rows_before] = 0.0  # at rest by definition; the product leaves rounding
+    n = system.lash.size // 2
+    closed = system.flow[regime_of] == CLOSED_FLOW
+    time_axis = study.load.step_time + after_step
+    time_axis[after_step == begin] = study.load.step_time + begin if before != study.load.step_time else 0.0
+    return History(
+        time=time_axis,
+        after_step=after_step,
+        angle=state[:, :n],
+        velocity=state[:, n:],
+        acceleration=acceleration,
+        torque=torque,
+        backlash_coordinate=study.lash.radius * (state[:, :n] @ system.lash[n:]),
+        contact=np.where(closed, -system.side[regime_of] * trajectory.initial_side, NONE).astype(np.int8),
+        event=event,
+    )
+
+
+def shown_until(trajectory: Trajectory) -> float:
+    """When a picture of the run may end, on the axis of `History.time`  [s].
+
+    Half as long again as its events last; without any, when the slowest oscillation in contact has died down; at most
+    the end time, and a multiple of 0.1 s where that is not rough.
+    """
+    study = trajectory.study
+    span = 1.5 * float(trajectory.events["time"][-1])
+    if trajectory.events.size == 1:
+        modes = driveline.Driveline.from_study(study).modes(closed=True)
+        rates = 2.0 * np.pi * modes.frequency * modes.damping_ratio
+        rate = float(rates.min(initial=np.inf))
+        span = -np.log(_FAINT) / rate if 0.0 < rate < np.inf else study.solver.end_time
+    until = study.load.step_time + min(span, study.solver.end_time)
+    rounded = float(np.ceil(10.0 * until - 1e-9) / 10.0)
+    return rounded if until > 0.5 and rounded <= study.load.step_time + study.solver.end_time else until
+
+
+# --- Sampling --------------------------------------------------------------------------------------------------------
+
+
+class _Phases:
+    """The flow of each regime under the load after the step, by powers of one step's matrix exponential."""
+
+    def __init__(self, system: System, torque: float, half_gap: float, step: float) -> None:
+        self._step = step
+        self._n = system.lash.size // 2
+        size = system.lash.size
+        self._augmented = np.zeros((system.flow.size, size + 1, size + 1))
+        for regime, (flow, side) in enumerate(zip(system.flow, system.side, strict=True)):
+            self._augmented[regime, :size, :size] = system.rates[flow]
+            self._augmented[regime, :size, size] = system.inputs[flow] @ [torque, side * half_gap]
+        self._powers: dict[int, list[FloatArray]] = {}
+
+    def flow(self, regime: int, x: FloatArray, offset: float, count: int) -> FloatArray:
+        """(count, 2n) the states at offset, offset + step, … after the state `x`  [rad, rad/s]."""
+        augmented = self._augmented[regime]
+        z = np.empty((count, x.size + 1))
+        z[0] = expm(offset * augmented) @ np.append(x, 1.0)
+        filled, doubling = 1, 0
+        while filled < count:  # 2^k rows and the 2^k-th power of a step give the next 2^k rows
+            more = min(filled, count - filled)
+            z[filled : filled + more] = z[:more] @ self._power(regime, doubling).T
+            filled, doubling = filled + more, doubling + 1
+        return z[:, :-1]
+
+    def accelerations(self, state: FloatArray, regime_of: npt.NDArray[np.int64]) -> FloatArray:
+        """(M, n) θ'' of states in their regimes  [rad/s2]."""
+        acceleration = np.empty((state.shape[0], self._n))
+        for regime in np.unique(regime_of):
+            rows = regime_of == regime
+            lower = self._augmented[regime, self._n : 2 * self._n]
+            acceleration[rows] = state[rows] @ lower[:, :-1].T + lower[:, -1]
+        return acceleration
+
+    def _power(self, regime: int, doubling: int) -> FloatArray:
+        """exp(2^doubling · step · M)."""
+        powers = self._powers.setdefault(regime, [])
+        if not powers:
+            powers.append(np.asarray(expm(self._step * self._augmented[regime])))
+        while len(powers) <= doubling:
+            powers.append(powers[-1] @ powers[-1])
+        return powers[doubling]
+
+
+def _from_equilibrium(trajectory: Trajectory, system: System, torque: float, half_gap: float) -> bool:
+    """Whether the run began at static equilibrium in contact, so that there is something before the load step."""
+    if system.status == Status.NO_EQUILIBRIUM:
+        return False
+    x = np.empty(system.lash.size)
+    side = rk4.preload(system, torque, half_gap, x)
+    return side == trajectory.initial_side and np.array_equal(x, trajectory.states[0])
+
+
+def _span(
+    trajectory: Trajectory, step: float, until: float, before: float, equilibrium: bool
+) -> tuple[float, float]:
+    """Begin and end of a history  [s after the load step]."""
+    if not (np.isfinite(step) and step > 0.0):
+        raise HistoryError(f"The output step must be a positive number of seconds, not {step:g}.")
+    if not (np.isfinite(before) and before >= 0.0):
+        raise HistoryError(f"The time before the load step must be a number of seconds >= 0, not {before:g}.")
+    if before > 0.0 and not equilibrium:
+        raise HistoryError("A run from an initial state has nothing before its load step to sample.")
+    step_time = trajectory.study.load.step_time
+    begin, end = -before, until - step_time
+    if not np.isfinite(until) or end < begin:
+        raise HistoryError(f"A history that starts at {step_time + begin:g} s cannot end at {until:g} s.")
+    limit = max(trajectory.end, trajectory.study.solver.end_time)
+    if not trajectory.complete and end > limit * (1.0 + 1e-9):
+        raise HistoryError(
+            f"The run ends at {step_time + limit:g} s and more may follow; to go on until {until:g} s, raise "
+            "solver.end_time."
+        )
+    count = (end - begin) / step + 2.0 * trajectory.events.size
+    if count > LARGEST:
+        raise HistoryError(
+            f"A step of {step:g} s from {step_time + begin:g} s to {until:g} s makes {count:.3g} samples, and "
+            f"{LARGEST:,} is the limit; choose a larger step or a shorter time."
+        )
+    return begin, end
+
+
+def _grid(start: float, stop: float, step: float) -> npt.NDArray[np.int64]:
+    """The multiples of a step between two times, neither of them included."""
+    first = int(np.floor(start / step + _NEAR)) + 1
+    last = int(np.ceil(stop / step - _NEAR)) - 1
+    return np.arange(first, last + 1)
+
+
+def _state_before(trajectory: Trajectory, system: System, k: int) -> FloatArray:
+    """The state just before event `k`: the recorded one, but for the impulse of a touch in the restitution model."""
+    x = trajectory.states[k]
+    event = trajectory.events[k]
+    if not system.impulsive or event["kind"] != TOUCH:
+        return x
+    return np.asarray(x + (event["speed"] - system.lash @ x) * system.impulse)
+
+
+# --- Files -----------------------------------------------------------------------------------------------------------
+
+
+def save_csv(path: str | os.PathLike[str], history: History, trajectory: Trajectory) -> None:
+    """Write a history as comma-separated values, to full precision, with the units in the names of the columns.
+
+    The last two columns are text, empty but in the row that follows an event: what it is, and its flank. Raises
+    HistoryError.
+    """
+    n = history.angle.shape[1]
+    names = ["time_s", "after_step_s"]
+    for quantity, unit in (("theta", "rad"), ("theta_dot", "rad_per_s"), ("theta_ddot", "rad_per_s2")):
+        names += [f"{quantity}_{inertia}_{unit}" for inertia in range(1, n + 1)]
+    names += ["torque_Nm", "backlash_coordinate_m", "contact", "event", "flank"]
+    columns = (history.time, history.after_step, history.angle, history.velocity, history.acceleration)
+    numbers = np.column_stack((*columns, history.torque, history.backlash_coordinate))
+
+    def write(target: BinaryIO) -> None:
+        target.write((",".join(names) + "\n").encode())
+        for start in range(0, history.time.size, _ROWS):
+            rows = slice(start, start + _ROWS)
+            lines = []
+            for row, contact, event in zip(
+                numbers[rows].tolist(), history.contact[rows].tolist(), history.event[rows].tolist(), strict=True
+            ):
+                what = f"{event_name(trajectory, event)},{trajectory.flank_name(event)}" if event >= 0 else ","
+                lines.append(f"{','.join(map(repr, row))},{contact},{what}\n")  # repr: shortest that reads back equal
+            target.write("".join(lines).encode())
+
+    _write_whole(path, write)
+
+
+def event_name(trajectory: Trajectory, k: int) -> str:
+    """What event `k` is, a touch with its rank: primary touch or secondary touch."""
+    name = trajectory.kind_name(k)
+    if trajectory.events["kind"][k] != TOUCH:
+        return name
+    return f"{'primary' if k in trajectory.primaries else 'secondary'} {name}"
+
+
+def save_hdf5(path: str | os.PathLike[str], history: History, trajectory: Trajectory) -> None:
+    """Write a history as HDF5 laid out as netCDF-4, with the run's events and its config. Raises HistoryError.
+
+    In xarray: ``open_dataset(path, engine="h5netcdf")``. Events have two rows each, so a time need not be unique.
+    """
+    image = io.BytesIO()  # assembled in memory as the results are: HDF5 on a full disk leaves broken handles behind
+    with h5py.File(image, "w", track_order=True) as file:
+        _write_hdf5(file, history, trajectory)
+    _write_whole(path, lambda target: target.write(image.getbuffer()))
+
+
+def _write_hdf5(file: h5py.File, history: History, trajectory: Trajectory) -> None:
+    study = trajectory.study
+    _set_text(file, "title", study.title)
+    _set_text(file, "Conventions", CONVENTIONS)
+    file.attrs["schema_version"] = np.int32(SCHEMA_VERSION)
+    _set_text(file, "clunk_version", __version__)
+    _set_text(file, "label", trajectory.label)
+    file.attrs["severity"] = trajectory.severity
+    file.attrs["config"] = to_toml(study)  # variable length: it may be longer than an object header allows
+    _set_text(file, "config_digest", digest(study))
+
+    def scale(name: str, values: npt.NDArray[np.generic], unit: str, long_name: str) -> h5py.Dataset:
+        variable = _create(file, name, values.shape, values.dtype.type, (unit, long_name))
+        variable[:] = values
+        variable.make_scale(name)
+        return variable
+
+    def put(name: str, values: npt.NDArray[np.generic], unit: str, long_name: str, scales: list[h5py.Dataset]) -> None:
+        variable = _create(file, name, values.shape, values.dtype.type, (unit, long_name), scales)
+        variable[...] = values
+        if name in _FLAGS:
+            variable.attrs["flag_values"] = np.array(list(_FLAGS[name]), variable.dtype)
+            _set_text(variable, "flag_meanings", " ".join(_FLAGS[name].values()))
+
+    time = scale("time", history.time, "s", "time")
+    inertia = scale("inertia", np.arange(1, history.angle.shape[1] + 1, dtype=np.int32), "1", "number of the inertia")
+    if study.driveline.names:
+        _set_text(inertia, "names", ", ".join(study.driveline.names))
+    put("after_step", history.after_step, "s", "time after the load step", [time])
+    put("theta", history.angle, "rad", "angle", [time, inertia])
+    put("theta_dot", history.velocity, "rad s-1", "angular velocity", [time, inertia])
+    put("theta_ddot", history.acceleration, "rad s-2", "angular acceleration", [time, inertia])
+    put("torque", history.torque, "N m", "load torque", [time])
+    put("backlash_coordinate", history.backlash_coordinate, "m", "backlash coordinate: radius times gap angle", [time])
+    put("contact", history.contact, "1", "flank in contact", [time])
+
+    events = trajectory.events
+    event = scale("event", np.arange(events.size, dtype=np.int32), "1", "number of the event, 0 the load step")
+    flank = np.where(events["side"] == trajectory.initial_side, INITIAL, OPPOSITE)
+    rank, severity = np.zeros(events.size, np.int8), np.full(events.size, np.nan)
+    rank[events["kind"] == TOUCH] = 2
+    rank[trajectory.primaries] = 1
+    severity[trajectory.primaries] = trajectory.impact_severity
+    put("event_time", events["time"], "s", "time of the event after the load step", [event])
+    put("event_kind", events["kind"].astype(np.int8), "1", "what happens", [event])
+    put("event_flank", np.where(events["side"] == 0, NONE, flank).astype(np.int8), "1", "flank of the event", [event])
+    put("event_speed", events["speed"], "rad s-1", "relative velocity across the lash just before", [event])
+    put("event_impact", rank, "1", "whether the event is an impact", [event])
+    put("event_severity", severity, "rad s-2", "peak-to-peak acceleration until the next primary impact", [event])
+
+
+_FLANKS = {INITIAL: "initial", NONE: "none", OPPOSITE: "opposite"}
+_FLAGS = {
+    "contact": _FLANKS,
+    "event_flank": _FLANKS,
+    "event_kind": {kind: name.replace(" ", "_") for kind, name in enumerate(KIND_NAMES)},
+    "event_impact": {0: "none", 1: "primary", 2: "secondary"},
+}
+
+
+def _write_whole(path: str | os.PathLike[str], write: Callable[[BinaryIO], object]) -> None:
+    """Write a file under a temporary name beside its own and move it into place: it appears whole or not at all."""
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary.open("xb") as target:
+            write(target)
+        temporary.replace(path)
+    except OSError as error:
+        raise HistoryError(f"{path} cannot be written: {(error.strerror or str(error)).lower()}.") from error
+    finally:
+        with suppress(OSError):  # its directory may be what is missing
+            temporary.unlink(missing_ok=True)

@@ -1,0 +1,123 @@
+"""The linear view of vanishing backlash: how many impacts a load ratio brings (report §3.2, Figure 3.5, Table 3.1).
+
+As the gap vanishes, the lash stays closed, and an impact is a change of sign of the torque it carries. That torque is
+Ts (1 + σr f(t)) times what reaches the lash, with f(t) the response to the released torque, f(0) = 1: each minimum of f
+below zero adds an impact from σr = -1/f on. With the lowest mode alone f = exp(-ζ1 ω t) cos ω t.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk import driveline
+from clunk.config import Study
+from clunk.core.regimes import CLOSED_FLOW, FORCE, System, constrained
+
+FloatArray = npt.NDArray[np.float64]
+
+_SAMPLES = 64  # a period of the fastest mode that matters, to bracket every minimum
+_FAINTEST = 1e-3  # of the first swing: thresholds beyond σr = 1000 are nobody's load ratio
+_MOST_SAMPLES = 2_000_000
+
+
+def periods_in_envelope(study: Study, ratio: float) -> float:
+    """n_c, how many periods the envelope of the lowest mode stays above the static torque.
+
+    n_c = ln(σr) / (2π ζ1) (report Eq. 3.1, where 2π is missing); NaN where nothing oscillates.
+    """
+    damping_ratio = driveline.Driveline.from_study(study).modes(closed=True).damping_ratio
+    if damping_ratio.size == 0 or ratio <= 0.0:
+        return float("nan")
+    return float(np.log(ratio) / (2.0 * np.pi * damping_ratio[0]))
+
+
+def one_mode_thresholds(study: Study, count: int = 4) -> FloatArray:
+    """Load ratios at which one more impact appears as the backlash vanishes, by the lowest mode alone.
+
+    σr = exp(2π ζ1 (n - 1/2)), n = 1 … `count` (report Table 3.1). Empty for a driveline that does not oscillate.
+    """
+    damping_ratio = driveline.Driveline.from_study(study).modes(closed=True).damping_ratio
+    if damping_ratio.size == 0:
+        return np.empty(0)
+    return np.asarray(np.exp(2.0 * np.pi * damping_ratio[0] * (np.arange(1, count + 1) - 0.5)), np.float64)
+
+
+def rigid_contact_thresholds(study: Study, count: int = 4) -> FloatArray:
+    """The same load ratios from all modes of the chain with its lash locked; fewer than `count` where f has fewer."""
+    response = _Response.of(study)
+    if response is None:
+        return np.empty(0)
+    minima = response.minima()
+    deepest_from_here = np.minimum.accumulate(minima[::-1])[::-1]
+    minima = minima[(minima < 0.0) & (minima <= deepest_from_here)]  # a shallower one before a deeper adds nothing
+    return np.asarray(-1.0 / minima[:count], dtype=np.float64)
+
+
+def thresholds_on(study: Study, parameter: str, ratios: FloatArray) -> FloatArray:
+    """Threshold load ratios as values of a swept torque; empty for a parameter that they do not depend on.
+
+    σr is (T before - T after) / T after, whichever of the two torques is swept.
+    """
+    load = study.load
+    if parameter == "load.ratio":
+        return ratios
+    if parameter == "load.initial_torque" and load.final_torque:
+        return (1.0 + ratios) * load.final_torque
+    if parameter == "load.final_torque" and load.initial_torque:
+        return load.initial_torque / (1.0 + ratios)
+    return np.empty(0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Response:
+    """f(t) = Re sum of amplitude · exp(rate t)."""
+
+    rate: npt.NDArray[np.complex128]
+    amplitude: npt.NDArray[np.complex128]
+
+    @classmethod
+    def of(cls, study: Study) -> "_Response | None":
+        """None where there is no static torque across the lash, or no eigenbasis to speak of."""
+        contact = study.lash.contact.model_copy(update={"model": "restitution"})
+        locked = study.model_copy(update={"lash": study.lash.model_copy(update={"contact": contact})})
+        system: System = driveline.build(locked)
+        carried = system.contact_torque[0]
+        if carried == 0.0:
+            return None
+        expand, pick, _ = constrained(system.lash[system.lash.size // 2 :])
+        rate, right = np.linalg.eig(pick @ system.rates[CLOSED_FLOW] @ expand)
+        if rate.size == 0 or np.linalg.cond(right) > 1e10:
+            return None
+        start = np.linalg.solve(right, pick @ system.preload[:, 0])
+        amplitude = (system.functionals[CLOSED_FLOW, FORCE] @ expand @ right) * start / carried
+        # the torque released is felt as the missing balance: F = C x + D T with T = 0 from the step on
+        keep = np.abs(amplitude) > 1e-12
+        return cls(rate[keep].astype(np.complex128), amplitude[keep].astype(np.complex128))
+
+    def __call__(self, time: FloatArray) -> FloatArray:
+        return np.asarray((np.exp(np.multiply.outer(time, self.rate)) @ self.amplitude).real)
+
+    def minima(self) -> FloatArray:
+        """The values of f at its minima, in order of time, until its envelope has become too faint."""
+        from scipy.optimize import minimize_scalar
+
+        slowest = -self.rate.real.max()
+        fastest = np.abs(self.rate.imag).max()
+        if fastest == 0.0:
+            return np.empty(0)
+        dt = 2.0 * np.pi / fastest / _SAMPLES
+        lasting = np.log(np.abs(self.amplitude).sum() / _FAINTEST) / slowest if slowest > 0.0 else np.inf
+        time = np.arange(0.0, min(lasting, _MOST_SAMPLES * dt), dt)
+        f = self(time)
+        dips = np.flatnonzero((f[1:-1] <= f[:-2]) & (f[1:-1] < f[2:])) + 1
+        refined = [
+            minimize_scalar(
+                lambda t: float(self(np.array([t]))[0]),
+                bounds=(time[k - 1], time[k + 1]),
+                method="bounded",
+                options={"xatol": 1e-12},
+            ).fun
+            for k in dips
+        ]
+        return np.array(refined, dtype=np.float64)

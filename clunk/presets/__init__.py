@@ -1,0 +1,1 @@
+"""Drivelines from the literature, as fragments of a config, and the starter config that `clunk init` writes."""

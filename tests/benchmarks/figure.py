@@ -1,0 +1,101 @@
+"""How fast the report's figure is computed: the 201 x 201 map at h = 1e-4 s to 2.0 s, labels and severity.
+
+Run by hand: python tests/benchmarks/figure.py [repeats]
+
+Prints runs/s, ns per step per core and peak memory, as medians of interleaved repeats: runs that stop when nothing can
+follow and runs of full length, on one thread and on all cores.
+"""
+
+import os
+import platform
+import resource
+import statistics
+import subprocess
+import sys
+import time
+
+import numpy as np
+
+from clunk import sweeping
+from clunk.config import study_from_text
+from clunk.core import tile
+
+CONFIG = """
+[driveline]
+preset = "boere-2008"
+[solver]
+step = 1e-4
+end_time = 2.0
+[[sweep.axes]]
+parameter = "load.ratio"
+start = 0.0
+stop = 10.0
+count = {count}
+[[sweep.axes]]
+parameter = "lash.backlash_deg"
+start = 0.0
+stop = 20.0
+count = {count}
+"""
+STEPS = 20_000  # of a full-length run
+
+
+def main(repeats: int) -> None:
+    """Print the table."""
+    study = study_from_text(CONFIG.format(count=201))
+    cells = sweeping.cell_count(study)
+    sweeping.sweep(study_from_text(CONFIG.format(count=3)))  # compile
+    cores = len(os.sched_getaffinity(0))
+    cases = [(early, workers) for early in (True, False) for workers in sorted({1, cores})]
+    seconds: dict[tuple[bool, int], list[float]] = {case: [] for case in cases}
+    for _ in range(repeats):
+        for early, workers in cases:
+            seconds[early, workers].append(timed(study, workers, early))
+    print(f"{platform.processor() or platform.machine()}, {cores} cores; {cells} runs of 2.0 s at h = 1e-4 s")
+    print(f"{'runs':<24}{'threads':>8}{'seconds':>9}{'runs/s':>9}{'us/run/core':>13}{'ns/step/core':>14}")
+    for early, workers in cases:
+        median = statistics.median(seconds[early, workers])
+        each = median * workers / cells
+        name = "stopped when complete" if early else "full length"
+        per_step = "" if early else f"{each / STEPS * 1e9:14.1f}"
+        print(f"{name:<24}{workers:>8}{median:>9.2f}{cells / median:>9.0f}{each * 1e6:>13.1f}{per_step}")
+    print("peak memory per cell above a constant:", f"{bytes_per_cell():.0f} bytes")
+
+
+def timed(study, workers: int, early: bool) -> float:
+    """Seconds of one sweep; without `early` no regime counts as provable, so that each run goes to its end."""
+    kept = sweeping.stack
+    if not early:
+        sweeping.stack = lambda systems: kept([s._replace(provable=np.zeros(2, np.int64)) for s in systems])
+    try:
+        began = time.perf_counter()
+        sweeping.sweep(study, workers=workers)
+        return time.perf_counter() - began
+    finally:
+        sweeping.stack = kept
+
+
+def bytes_per_cell() -> float:
+    """Slope of the peak memory between a small and a large sweep, each whole process with its file written."""
+    small, large = (int(subprocess.check_output([sys.executable, __file__, f"--peak={n}"])) for n in (101, 501))
+    return (large - small) / (501**2 - 101**2)
+
+
+def peak(count: int) -> int:
+    """Peak resident memory of one sweep and its file  [bytes]."""
+    import tempfile
+
+    from clunk.store import write
+
+    with tempfile.TemporaryDirectory() as directory:
+        write(f"{directory}/map.h5", sweeping.sweep(study_from_text(CONFIG.format(count=count))))
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+if __name__ == "__main__":
+    argument = sys.argv[1] if len(sys.argv) > 1 else "5"
+    if argument.startswith("--peak="):
+        print(peak(int(argument.removeprefix("--peak="))))
+    else:
+        assert tile  # the kernel is what is measured
+        main(int(argument))

@@ -1,0 +1,22 @@
+"""What every test may use."""
+
+import pytest
+from hypothesis import settings
+
+from clunk.config import Study, study_from_text
+
+# The first call of a kernel compiles it, which takes longer than any deadline; the same examples on every machine.
+settings.register_profile("clunk", deadline=None, derandomize=True)
+settings.load_profile("clunk")
+
+
+@pytest.fixture(scope="session")
+def nominal() -> Study:
+    """The report's driveline at σr = 5, φθ = 6°: its Figures 3.1 and 3.2."""
+    return study_from_text('[driveline]\npreset = "boere-2008"\n[lash]\nbacklash_deg = 6.0\n[load]\nratio = 5.0\n')
+
+
+@pytest.fixture(scope="session")
+def as_printed() -> Study:
+    """The same with J2, J3 and J4 as the report's Table 2.2 prints them, ten times too large."""
+    return study_from_text('[driveline]\npreset = "boere-2008-as-printed"\n')

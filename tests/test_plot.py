@@ -1,0 +1,532 @@
+"""Figures: what they say is what the results hold, and they can be read."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.text import Annotation, Text
+
+from clunk import plot
+from clunk.results import ResultAxis, Results
+
+LABELS = ("NI", "SS(1)", "DS(1)", "SS(2)", "DS(1)SS(1)", "DS(1)SS(2)", "DS(2)", "DS(2)SS(1)", "DS(3)")
+PRIMARIES = np.array([0, 1, 2, 2, 3, 4, 4, 5, 6])
+THRESHOLDS = (1.46, 3.13, 6.69)
+RATIO = ResultAxis("load.ratio", np.linspace(0.0, 10.0, 101), "load ratio", "σr = Td/Ts", "1")
+BACKLASH = ResultAxis("lash.backlash_deg", np.linspace(0.0, 20.0, 101), "backlash", "φθ", "degrees")
+CONFIG = '[load]\nprofile = "tip-out"\n'
+
+
+def make(axes: tuple[ResultAxis, ...], labels: tuple[str, ...], sequence: np.ndarray, severity: np.ndarray) -> Results:
+    shape = sequence.shape
+    impacts = np.where(sequence < 0, 0, 1).astype(np.int32)
+    count = int(impacts.sum())
+    return Results(
+        title="Regimes of the nominal driveline",
+        axes=axes,
+        labels=labels,
+        sequence=sequence.astype(np.int16),
+        severity=severity.astype(float),
+        approach_velocity=np.ones(shape),
+        last_event_time=np.where(severity > 0.0, 0.5, np.nan),
+        primary_impacts=impacts,
+        touches=np.full(shape, 3, np.int32),
+        status=np.where(sequence < 0, 3, 0).astype(np.uint8),
+        quality=np.ones(shape, np.uint8),
+        initial_side=-np.ones(shape, np.int8),
+        impact_time=np.ones(count),
+        impact_flank=np.ones(count, np.int8),
+        impact_closing_speed=np.ones(count),
+        impact_severity=np.ones(count),
+        config=CONFIG,
+        config_digest="",
+        attributes={},
+    )
+
+
+def nine_regions(ratio: ResultAxis = RATIO, backlash: ResultAxis = BACKLASH) -> Results:
+    """A map with the regions of Figure 3.4 in about their places."""
+    s, p = np.meshgrid(ratio.values, backlash.values, indexing="ij")
+    sequence = np.zeros(s.shape, np.int16)
+    # Each label beyond its line, later ones over earlier ones.
+    sequence[s > 1.46] = 1
+    sequence[s > 3.2] = 3
+    sequence[s > 1.46 + 0.19 * p] = 2
+    sequence[s > 3.2 + 0.075 * p] = 4
+    sequence[s > 8.0 + 0.07 * p] = 5
+    sequence[s > 3.13 + 0.52 * p] = 6
+    sequence[(s > 6.69 + 0.17 * np.minimum(p, 10.0)) & (s > 3.13 + 0.52 * p)] = 7
+    sequence[s > 6.69 + 1.2 * p] = 8
+    present, sequence = np.unique(sequence, return_inverse=True)
+    severity = np.where(PRIMARIES[present][sequence] > 0, 2000.0 * s * np.exp(-(((p - 1.6 * s) / 9.0) ** 2)), 0.0)
+    return make((ratio, backlash), tuple(LABELS[code] for code in present), sequence, severity)
+
+
+@pytest.fixture(scope="module")
+def nine() -> Results:
+    return nine_regions()
+
+
+@pytest.fixture(scope="module")
+def nine_map(nine: Results) -> Figure:
+    return plot.regime_map(nine, THRESHOLDS)
+
+
+def with_cells(results: Results, cells: list[tuple[slice, slice]], code: int, label: str | None = None) -> Results:
+    sequence = results.sequence.copy()
+    for cell in cells:
+        sequence[cell] = code
+    labels = results.labels if label is None else (*results.labels, label)
+    severity = np.where(sequence < 0, np.nan, results.severity)
+    return make(results.axes, labels, sequence, severity)
+
+
+def label_at(results: Results, x: float, y: float) -> str:
+    """Label of the cell nearest to a place on a map with the results' axes."""
+    cell = tuple(int(np.argmin(np.abs(axis.values - at))) for axis, at in zip(results.axes, (x, y), strict=True))
+    code = int(results.sequence[cell])
+    return results.labels[code] if code >= 0 else "failed"
+
+
+def box_of(text: Text) -> np.ndarray:
+    """(4, 2) corners of the text itself, turned as it is, in display pixels."""
+    angle = text.get_rotation()
+    text.set_rotation(0.0)
+    box = Text.get_window_extent(text)
+    text.set_rotation(angle)
+    middle = np.array([box.x0 + box.x1, box.y0 + box.y1]) / 2
+    corners = np.array([[box.x0, box.y0], [box.x1, box.y0], [box.x1, box.y1], [box.x0, box.y1]]) - middle
+    c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    return corners @ np.array([[c, s], [-s, c]]) + middle
+
+
+def outline(corners: np.ndarray) -> np.ndarray:
+    steps = np.linspace(0.0, 1.0, 25)[:, None]
+    return np.concatenate([a + steps * (b - a) for a, b in itertools.pairwise([*corners, corners[0]])])
+
+
+def notes(figure: Figure) -> list[str]:
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+def assert_labels_are_where_they_belong(results: Results, ax: Axes) -> None:
+    for text in ax.texts:
+        if isinstance(text, Annotation):
+            assert label_at(results, *text.xy) == text.get_text()
+            continue
+        for point in ax.transData.inverted().transform(outline(box_of(text))):
+            assert label_at(results, *point) == text.get_text()
+
+
+def assert_texts_do_not_overlap(ax: Axes) -> None:
+    boxes = {text: matplotlib.path.Path(box_of(text)) for text in ax.texts}
+    for one, other in itertools.combinations(boxes.values(), 2):
+        assert not one.intersects_path(other, filled=True)
+
+
+# --- the regime map
+
+
+def test_every_label_is_inside_its_region(nine: Results, nine_map: Figure) -> None:
+    ax = nine_map.axes[0]
+    assert sorted(text.get_text() for text in ax.texts) == sorted(LABELS)
+    assert_labels_are_where_they_belong(nine, ax)
+    assert_texts_do_not_overlap(ax)
+    assert notes(nine_map) == []
+
+
+def test_labels_are_large_enough_to_read(nine_map: Figure) -> None:
+    sizes = [text.get_fontsize() for text in nine_map.findobj(Text) if text.get_text()]
+    assert min(sizes) >= 8.0
+
+
+@pytest.mark.parametrize("count", [21, 61])
+def test_labels_are_inside_their_regions_on_a_coarse_map(count: int) -> None:
+    results = nine_regions(
+        replace(RATIO, values=np.linspace(0.0, 10.0, count)), replace(BACKLASH, values=np.linspace(0.0, 20.0, count))
+    )
+    figure = plot.regime_map(results)
+    named = {text.get_text() for text in figure.axes[0].texts} | {note.split(":")[0] for note in notes(figure)}
+    assert named == set(results.labels)
+    assert_labels_are_where_they_belong(results, figure.axes[0])
+    assert_texts_do_not_overlap(figure.axes[0])
+
+
+def test_a_small_region_gets_a_leader_and_a_speck_a_note(nine: Results) -> None:
+    small = with_cells(nine, [np.s_[20:22, 75:78]], len(nine.labels), "DS(4)")
+    both = with_cells(small, [np.s_[55:56, 90:91]], len(small.labels), "OS(1)DS(1)")
+    figure = plot.regime_map(both)
+    leader = [text for text in figure.axes[0].texts if isinstance(text, Annotation)]
+    assert [text.get_text() for text in leader] == ["DS(4)"]
+    assert_labels_are_where_they_belong(both, figure.axes[0])
+    assert_texts_do_not_overlap(figure.axes[0])
+    assert notes(figure) == ["OS(1)DS(1): 1 cell"]
+    named = [text.get_text() for text in figure.axes[0].texts]
+    assert sorted([*named, "OS(1)DS(1)"]) == sorted(both.labels)
+
+
+def test_the_second_part_of_a_label_is_labelled_too(nine: Results) -> None:
+    results = with_cells(nine, [np.s_[0:13, 60:101]], nine.labels.index("DS(3)"))
+    figure = plot.regime_map(results)
+    assert [text.get_text() for text in figure.axes[0].texts].count("DS(3)") == 2
+    assert_labels_are_where_they_belong(results, figure.axes[0])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_smoothing_hands_no_sample_to_another_label(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    blobs = np.argmax([np.cumsum(np.cumsum(rng.normal(size=(50, 40)), 0), 1) for _ in range(5)], axis=0)
+    noisy = np.where(rng.random(blobs.shape) < 0.03, rng.integers(-1, 5, blobs.shape), blobs).astype(np.int16)
+    for codes in (blobs.astype(np.int16), noisy, rng.integers(0, 3, (9, 7)).astype(np.int16)):
+        regions = plot._Regions(codes)
+        fx, fy = regions.factor
+        np.testing.assert_array_equal(regions.label[::fx, ::fy], codes)
+        for code in regions.present:
+            won = regions.margin(code)[::fx, ::fy] > 0.0
+            np.testing.assert_array_equal(won, codes == code)
+
+
+def test_smoothing_straightens_a_slanted_boundary() -> None:
+    x, y = np.meshgrid(np.arange(60.0), np.arange(60.0), indexing="ij")
+    regions = plot._Regions((y > 5.25 + 0.3 * x).astype(np.int16))
+    fx, fy = regions.factor
+    middle = regions.margin(1)[10 * fx : -10 * fx]
+    crossing = np.argmax(middle > 0.0, axis=1) / fy
+    straight = 5.25 + 0.3 * (10 + np.arange(len(middle)) / fx)
+    assert np.abs(crossing - straight).max() < 0.4  # of a cell; the bare cells are off by 0.5 and more
+
+
+def test_load_ratio_is_on_the_x_axis_whatever_the_order(nine: Results) -> None:
+    turned = make(nine.axes[::-1], nine.labels, nine.sequence.T, nine.severity.T)
+    figure = plot.regime_map(turned, THRESHOLDS)
+    assert_labels_are_where_they_belong(nine, figure.axes[0])
+    assert figure.axes[0].get_xlim() == (0.0, 10.0)
+    assert figure.axes[0].get_ylim() == (0.0, 20.0)
+
+
+def test_axes_carry_name_symbol_and_unit(nine_map: Figure) -> None:
+    ax = nine_map.axes[0]
+    plain = [label.replace(r"$_\mathregular{", "").replace("}$", "") for label in (ax.get_xlabel(), ax.get_ylabel())]
+    assert plain == ["Load ratio σr = Td/Ts", "Backlash φθ [degrees]"]
+    assert ax.get_title(loc="left") == "ideal torque step (tip-out)"
+    assert nine_map.get_suptitle() == "Regimes of the nominal driveline"
+
+
+def test_other_axes_come_in_their_own_order(nine: Results) -> None:
+    inertia = ResultAxis("driveline.inertias[4]", np.linspace(0.001, 0.01, 101), "inertia 4", "J4", "kg m²")
+    results = make((BACKLASH, inertia), nine.labels, nine.sequence, nine.severity)
+    ax = plot.regime_map(results, THRESHOLDS).axes[0]
+    assert ax.get_ylabel() == r"Inertia 4 J$_\mathregular{4}$ [kg m²]"
+    assert ax.get_xlim() == (0.0, 20.0)
+    assert not ax.child_axes  # the thresholds are load ratios
+    assert_labels_are_where_they_belong(results, ax)
+
+
+def test_thresholds_are_marked_on_the_load_ratio_axis(nine_map: Figure) -> None:
+    ax = nine_map.axes[0]
+    (marks,) = [line for line in ax.lines if line.get_marker() == "^"]
+    np.testing.assert_array_equal(marks.get_xdata(), THRESHOLDS)
+    assert not np.any(marks.get_ydata())
+    (top,) = ax.child_axes
+    assert [tick.get_text() for tick in top.get_xticklabels()] == ["1.46", "3.13", "6.69"]
+    assert "vanishing backlash" in top.get_xlabel()
+
+
+def test_a_threshold_beyond_the_map_is_not_marked(nine: Results) -> None:
+    (top,) = plot.regime_map(nine, (*THRESHOLDS, 14.32)).axes[0].child_axes
+    assert len(top.get_xticks()) == 3
+
+
+def test_failed_cells_are_hatched_counted_and_never_labelled(nine: Results) -> None:
+    results = with_cells(nine, [np.s_[50:70, 70:85], np.s_[10:11, 10:11]], -1)
+    for figure in (plot.regime_map(results), plot.severity_map(results)):
+        assert notes(figure) == ["failed: 301 cells"]
+        assert any(contours.hatches != [None] for contours in figure.findobj(matplotlib.contour.ContourSet))
+    assert_labels_are_where_they_belong(results, plot.regime_map(results).axes[0])
+
+
+def test_a_map_that_failed_everywhere_is_still_drawn(nine: Results) -> None:
+    results = with_cells(nine, [np.s_[:, :]], -1)
+    assert notes(plot.regime_map(results))[-1] == "failed: 10201 cells"
+    with pytest.raises(plot.PlotError, match="not defined in any cell"):
+        plot.severity_map(results)
+
+
+def test_a_map_of_one_label_says_so(nine: Results) -> None:
+    results = make(nine.axes, ("SS(1)",), np.zeros_like(nine.sequence), nine.severity)
+    (text,) = plot.regime_map(results).axes[0].texts
+    assert text.get_text() == "SS(1)"
+
+
+def test_a_geometric_axis_is_drawn_as_one() -> None:
+    results = nine_regions(backlash=replace(BACKLASH, values=np.geomspace(0.2, 20.0, 41)))
+    ax = plot.regime_map(results).axes[0]
+    assert ax.get_yscale() == "log"
+    assert ax.get_xscale() == "linear"
+    for text in ax.texts:
+        x, y = text.xy if isinstance(text, Annotation) else text.get_position()
+        cell = (np.argmin(np.abs(RATIO.values - x)), np.argmin(np.abs(np.log(results.axes[1].values / y))))
+        assert results.labels[results.sequence[cell]] == text.get_text()
+
+
+def test_values_in_any_order_and_spacing_give_the_same_map() -> None:
+    values = np.concatenate((np.linspace(0.0, 2.0, 41), np.linspace(2.5, 10.0, 31)))
+    shuffled = values[np.random.default_rng(0).permutation(values.size)]
+    ax = plot.regime_map(nine_regions(replace(RATIO, values=values))).axes[0]
+    other = plot.regime_map(nine_regions(replace(RATIO, values=shuffled))).axes[0]
+    assert [(t.get_text(), t.get_position()) for t in ax.texts] == [
+        (t.get_text(), t.get_position()) for t in other.texts
+    ]
+    assert ax.get_xscale() == "linear"
+
+
+def test_an_axis_of_one_value_is_named_instead_of_drawn(nine: Results) -> None:
+    third = ResultAxis("lash.contact.damping", np.array([94.0]), "contact damping", "c34", "N s/m")
+    results = make((third, *nine.axes), nine.labels, nine.sequence[None], nine.severity[None])
+    ax = plot.regime_map(results).axes[0]
+    assert "contact damping = 94 N s/m" in ax.get_title(loc="left")
+    assert_labels_are_where_they_belong(nine, ax)
+
+
+def test_three_axes_are_refused_with_a_way_out(nine: Results) -> None:
+    third = ResultAxis("lash.contact.damping", np.array([94.0, 95.0]), "contact damping", "c34", "N s/m")
+    results = make((third, *nine.axes), nine.labels, np.stack([nine.sequence] * 2), np.stack([nine.severity] * 2))
+    for quantity in plot.QUANTITIES:
+        with pytest.raises(plot.PlotError, match=r"sweep 3 axes .*lash\.contact\.damping.*--set KEY=VALUE"):
+            plot.draw(results, quantity)
+
+
+def test_dollar_signs_are_only_dollar_signs(nine: Results, tmp_path: Path) -> None:
+    axes = (replace(RATIO, name="price $x^{"), BACKLASH)
+    results = replace(make(axes, nine.labels, nine.sequence, nine.severity), title="5 $ and 6 $_{")
+    plot.save(plot.regime_map(results), tmp_path / "map.svg")
+
+
+# --- colours: simulated colour blindness after Machado, Oliveira and Fernandes (2009), severity 1
+
+VISION = {
+    "full": np.eye(3),
+    "deuteranopia": [[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]],
+    "protanopia": [[0.152, 1.053, -0.205], [0.115, 0.786, 0.099], [-0.004, -0.048, 1.052]],
+    "tritanopia": [[1.256, -0.077, -0.179], [-0.078, 0.931, 0.148], [0.005, 0.691, 0.304]],
+}
+
+
+def _lightness_a_b(rgb: np.ndarray) -> np.ndarray:
+    to_xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+    x, y, z = np.cbrt(to_xyz @ rgb / [0.9505, 1.0, 1.089])
+    return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
+
+
+def _linear(colour: str) -> np.ndarray:
+    rgb = np.array(to_rgb(colour))
+    return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+
+
+@pytest.mark.parametrize("vision", VISION)
+def test_the_nine_labels_of_figure_3_4_differ_in_colour_for_everybody(vision: str) -> None:
+    seen = {
+        label: _lightness_a_b(np.clip(np.array(VISION[vision]) @ _linear(colour), 0.0, 1.0))
+        for label, colour in plot._palette(LABELS).items()
+    }
+    assert set(seen) == set(LABELS)
+    for one, other in itertools.combinations(LABELS, 2):
+        assert np.linalg.norm(seen[one] - seen[other]) > 5.0, (one, other)  # about 2 is just noticeable
+
+
+def test_any_labels_have_colours_of_their_own_that_text_can_be_read_on() -> None:
+    labels = ("NI", *(f"DS({n})SS({m})" for n in range(1, 6) for m in range(1, 5)), "OS(1)DS(1)", "DS(1)CR")
+    palette = plot._palette(labels)
+    assert len(set(palette.values())) == len(labels)
+    ink = _linear(plot._INK) @ [0.2126, 0.7152, 0.0722]
+    for colour in palette.values():
+        assert (_linear(colour) @ [0.2126, 0.7152, 0.0722] + 0.05) / (ink + 0.05) > 4.5  # WCAG 2.2, level AA
+
+
+# --- severity and other quantities
+
+
+def test_the_ridge_is_the_largest_severity_of_each_load_ratio(nine: Results) -> None:
+    ridge = plot.ridge_of(nine.severity)
+    known = np.isfinite(ridge)
+    assert known.sum() > 50
+    np.testing.assert_array_equal(ridge[known], np.argmax(nine.severity, axis=1)[known])
+    (line,) = [line for line in plot.severity_map(nine).axes[0].lines if line.get_gid() == "ridge"]
+    x, y = line.get_xdata(), line.get_ydata()
+    drawn = np.isfinite(y)
+    np.testing.assert_array_equal(x[drawn], nine.axes[0].values[known])
+    np.testing.assert_array_equal(y[drawn], nine.axes[1].values[np.argmax(nine.severity, axis=1)[known]])
+
+
+@pytest.mark.parametrize(
+    ("column", "index"),
+    [
+        ([1.0, 3.0, 2.0], 1.0),
+        ([0.0, 0.0, 0.0], np.nan),  # no impact
+        ([3.0, 2.0, 1.0], np.nan),  # at the border of the map
+        ([1.0, 2.0, 3.0], np.nan),
+        ([1.0, 3.0, np.nan], np.nan),  # a failed cell may be larger
+        ([1.0, np.nan, 2.0, 3.0, 1.0], 3.0),
+        ([1.0, 2.0, 2.0 * (1 + 1e-15), 2.0], np.nan),  # a plateau
+        ([np.nan, np.nan, np.nan], np.nan),
+    ],
+)
+def test_a_ridge_is_only_where_the_largest_value_is_known_to_be_inside(column: list[float], index: float) -> None:
+    np.testing.assert_equal(plot.ridge_of(np.array([column])), [index])
+
+
+def test_the_colours_of_the_severity_map_are_the_severity(nine: Results) -> None:
+    figure = plot.severity_map(with_cells(nine, [np.s_[50:60, 50:60]], -1))
+    (mesh,) = figure.axes[0].findobj(matplotlib.collections.QuadMesh)
+    shown = mesh.get_array().T
+    assert shown.mask[50:60, 50:60].all()
+    assert shown.mask.sum() == 100
+    np.testing.assert_array_equal(shown[:50], nine.severity[:50])
+    assert figure.axes[1].get_ylabel() == "Severity Q [rad/s²]"
+
+
+def test_undefined_is_told_from_failed(nine: Results) -> None:
+    figure = plot.quantity_map(with_cells(nine, [np.s_[50:60, 50:60]], -1), "last_event_time")
+    assert notes(figure) == ["failed: 100 cells", "not defined (no events)"]
+
+
+@pytest.mark.parametrize("quantity", plot.QUANTITIES)
+def test_every_quantity_can_be_drawn(nine: Results, quantity: str, tmp_path: Path) -> None:
+    plot.save(plot.draw(nine, quantity, THRESHOLDS), tmp_path / "map.png")
+
+
+def test_an_unknown_quantity_is_answered_with_the_known() -> None:
+    results = nine_regions(
+        replace(RATIO, values=np.linspace(0, 10, 5)), replace(BACKLASH, values=np.linspace(0, 20, 5))
+    )
+    for draw in (plot.draw, plot.quantity_map):
+        with pytest.raises(plot.PlotError, match="severity, approach_velocity"):
+            draw(results, "loudness")
+
+
+def test_severity_of_the_restitution_model_points_to_the_approach_velocity(nine: Results) -> None:
+    results = replace(nine, severity=np.full(nine.shape, np.nan))
+    with pytest.raises(plot.PlotError, match="approach_velocity"):
+        plot.severity_map(results)
+    assert plot.draw(results, "regimes").axes[0].texts
+
+
+# --- one axis
+
+
+def one_axis(codes: list[int], severity: np.ndarray | None = None) -> Results:
+    ratio = replace(RATIO, values=np.linspace(0.0, 10.0, len(codes)) if len(codes) > 1 else np.array([5.0]))
+    severity = 100.0 * ratio.values if severity is None else severity
+    return make((ratio,), LABELS[: max(codes) + 1], np.array(codes), severity)
+
+
+def test_a_strip_names_the_regimes_over_the_curve() -> None:
+    results = one_axis([0] * 30 + [1] * 40 + [4] * 60 + [7] * 70 + [8] * 1)
+    results = replace(results, labels=("NI", "SS(1)", *LABELS[2:]))
+    figure = plot.strip(results, "severity")
+    band, curve = figure.axes
+    for text in band.texts:
+        x = band.transData.inverted().transform(outline(box_of(text)))[:, 0]
+        for cell in np.rint(x * 20).astype(int):
+            assert results.labels[results.sequence[cell]] == text.get_text()
+    assert {text.get_text() for text in band.texts} == {"NI", "SS(1)", "DS(1)SS(1)", "DS(2)SS(1)"}
+    assert "DS(3): 1 cell" in notes(figure)
+    points = np.concatenate([line.get_xydata() for line in curve.lines if len(line.get_xdata()) != 2])
+    np.testing.assert_array_equal(points, np.column_stack((results.axes[0].values, results.severity))[: len(points)])
+    assert curve.get_ylabel() == "Severity Q [rad/s²]"
+
+
+def test_a_strip_breaks_its_curve_at_failed_cells_and_between_regimes() -> None:
+    results = one_axis([0] * 5 + [-1] * 3 + [1] * 6, np.arange(14.0))
+    figure = plot.strip(results, "severity")
+    assert notes(figure) == ["failed: 3 cells"]
+    curves = [line.get_ydata() for line in figure.axes[1].lines if line.get_marker() == "o"]
+    assert [len(curve) for curve in curves] == [5, 3, 6]
+    assert np.isnan(curves[1]).all()
+
+
+def test_a_single_cell_is_drawn_as_a_strip(tmp_path: Path) -> None:
+    figure = plot.draw(one_axis([4]), "regimes")
+    assert [text.get_text() for text in figure.axes[0].texts] == ["DS(1)SS(1)"]
+    plot.save(figure, tmp_path / "cell.png")
+
+
+def test_a_map_of_one_axis_and_a_strip_of_two_are_refused(nine: Results) -> None:
+    with pytest.raises(plot.PlotError, match="needs two axes and these results sweep one axis"):
+        plot.regime_map(one_axis([0, 1]))
+    with pytest.raises(plot.PlotError, match="needs one axis and these results sweep two axes"):
+        plot.strip(nine, "severity")
+
+
+def test_a_strip_under_the_restitution_model_shows_the_approach_velocity() -> None:
+    results = one_axis([0, 1, 1], np.full(3, np.nan))
+    assert plot.draw(results, "regimes").axes[1].get_ylabel() == "Approach velocity V [rad/s]"
+
+
+# --- files
+
+
+@pytest.mark.parametrize(("suffix", "start"), [(".png", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")])
+def test_figures_are_saved_by_suffix_and_always_the_same(
+    nine: Results, nine_map: Figure, tmp_path: Path, suffix: str, start: bytes
+) -> None:
+    plot.save(nine_map, tmp_path / f"one{suffix}")
+    plot.save(plot.regime_map(nine, THRESHOLDS), tmp_path / f"two{suffix}")
+    one, two = ((tmp_path / f"{name}{suffix}").read_bytes() for name in ("one", "two"))
+    assert one.startswith(start)
+    assert one == two
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_pictures_of_a_full_map_are_small(tmp_path: Path) -> None:
+    results = nine_regions(
+        replace(RATIO, values=np.linspace(0.0, 10.0, 201)), replace(BACKLASH, values=np.linspace(0.0, 20.0, 201))
+    )
+    for name in ("regimes", "severity"):
+        plot.save(plot.draw(results, name), tmp_path / f"{name}.png")
+        assert (tmp_path / f"{name}.png").stat().st_size < 150_000
+
+
+def test_an_unknown_suffix_is_answered_with_the_known(nine_map: Figure, tmp_path: Path) -> None:
+    for name in ("map.jpg", "map"):
+        with pytest.raises(plot.PlotError, match=r"must end in \.png, \.svg, \.pdf"):
+            plot.save(nine_map, tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unwritable_place_is_a_sentence(nine_map: Figure, tmp_path: Path) -> None:
+    with pytest.raises(plot.PlotError, match="cannot be written: no such file or directory"):
+        plot.save(nine_map, tmp_path / "nowhere" / "map.png")
+
+
+def test_a_failed_save_leaves_the_old_picture(
+    nine_map: Figure, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "map.png").write_bytes(b"old")
+
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Figure, "savefig", fail)
+    with pytest.raises(plot.PlotError, match="no space left"):
+        plot.save(nine_map, tmp_path / "map.png")
+    assert (tmp_path / "map.png").read_bytes() == b"old"
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_users_settings_neither_change_the_figure_nor_are_changed(tmp_path: Path) -> None:
+    results = one_axis([0, 0, 1, 1])
+    plot.save(plot.draw(results, "regimes"), tmp_path / "one.png")
+    with matplotlib.rc_context({"font.size": 30.0, "axes.facecolor": "red", "savefig.dpi": 30.0}):
+        before = dict(matplotlib.rcParams)
+        plot.save(plot.draw(results, "regimes"), tmp_path / "two.png")
+        assert dict(matplotlib.rcParams) == before
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()

@@ -1,0 +1,197 @@
+"""A quartic on one step: detection of a zero, its resolution, and the extremes, each alone.
+
+The reference is the companion matrix (numpy.roots). It finds a simple zero that lies at least `APART` from the others
+to about 1e-16 / APART^3 relative to the interval, and the quartic's own rounding moves it as far; 1e-6 has room for both.
+"""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from clunk.core.polynomial import bisect, evaluate, extremes, first_negative, stationary_points
+
+APART = 1e-3
+COEFFICIENT = st.floats(-1.0, 1.0).map(lambda c: round(c, 6))  # no denormals: their products underflow
+COEFFICIENTS = st.tuples(*[COEFFICIENT] * 5)
+LENGTH = st.sampled_from([1.0, 0.3, 2.5])
+
+
+def value(coefficients, s):
+    return np.polynomial.polynomial.polyval(s, coefficients)
+
+
+def rounding(coefficients, length):
+    """What Horner's rule can be off by: 8 roundings of terms no larger than this sum."""
+    return 8 * np.finfo(float).eps * np.dot(np.abs(coefficients), length ** np.arange(len(coefficients)))
+
+
+def from_roots(roots, scale):
+    """Ascending coefficients of the quartic with these zeros."""
+    return scale * np.real(np.poly(roots))[::-1]
+
+
+def real_zeros(coefficients, length):
+    """Zeros in (0, length), by the companion matrix."""
+    roots = np.roots(np.asarray(coefficients)[::-1])
+    real = roots[np.abs(roots.imag) < 1e-9].real
+    return np.sort(real[(real > 0.0) & (real < length)])
+
+
+FOUR_ZEROS = st.tuples(st.floats(-0.5, 1.0), *[st.floats(2 * APART, 0.7)] * 3).map(np.cumsum)
+
+
+@given(FOUR_ZEROS, st.sampled_from([1.0, -1.0, 1e-6, -1e6]))
+def test_the_first_crossing_is_that_of_the_companion_matrix(roots, scale):
+    assume(np.all(np.abs(roots) > APART))
+    assume(np.all(np.abs(roots - 1.0) > APART))
+    coefficients = from_roots(roots, scale)
+    found = first_negative(*coefficients, 1.0)
+    if coefficients[0] < 0.0:
+        assert found == 0.0
+        return
+    inside = real_zeros(coefficients, 1.0)
+    expected = inside[0] if inside.size else -1.0
+    assert found == pytest.approx(expected, abs=1e-6)
+
+
+@given(st.floats(0.01, 0.99), st.floats(-0.5, 1.5), st.floats(APART, 2.0), st.floats(1.1, 3.0))
+def test_a_complex_pair_does_not_hide_a_crossing(zero, real, imaginary, far):
+    """One zero inside, one beyond the end, two that are not real: the quartic falls through zero just once."""
+    coefficients = from_roots([zero, far, complex(real, imaginary), complex(real, -imaginary)], 1.0)
+    assert first_negative(*coefficients, 1.0) == pytest.approx(zero, abs=1e-6)
+
+
+@given(FOUR_ZEROS)
+def test_the_zero_is_located_between_neighbouring_numbers(roots):
+    """Not negative where the zero is said to be, negative at the very next number."""
+    assume(np.all(np.abs(roots) > APART))
+    coefficients = from_roots(roots, 1.0)
+    found = first_negative(*coefficients, 2.5)
+    if coefficients[0] < 0.0 or not np.any(roots > 0.0):
+        return
+    assert evaluate(*coefficients, found) >= 0.0
+    assert evaluate(*coefficients, np.nextafter(found, np.inf)) < 0.0
+
+
+@given(COEFFICIENTS, LENGTH)
+def test_nothing_is_negative_before_the_first_crossing(coefficients, length):
+    found = first_negative(*coefficients, length)
+    end = length if found < 0.0 else found
+    samples = value(coefficients, np.linspace(0.0, end, 401))
+    assert found == 0.0 or samples.min() >= -rounding(coefficients, length)
+
+
+def test_several_crossings_give_the_first():
+    assert first_negative(*from_roots([0.2, 0.4, 0.6, 0.8], 1.0), 1.0) == pytest.approx(0.2, abs=1e-12)
+    assert first_negative(*from_roots([0.3, 0.31, 0.32, 0.33], 1.0), 1.0) == pytest.approx(0.3, abs=1e-8)
+
+
+def test_two_crossings_between_positive_ends_are_not_missed():
+    """Both ends of the step positive, a dip of 1e-8 of the ends' size in between."""
+    dip = (1.0, -4.0, 4.0, 0.0, 0.0)  # (1 - 2s)², touches zero at 1/2
+    lowered = (1.0 - 1e-8, *dip[1:])
+    assert first_negative(*lowered, 1.0) == pytest.approx(0.5 * (1.0 - 1e-4), abs=1e-9)
+
+
+@pytest.mark.parametrize("touch", [0.25, 0.5, 0.75])
+def test_a_tangency_is_no_crossing(touch):
+    """(s - a)² with a dyadic number a: exact in floating point, zero at a and negative nowhere."""
+    assert first_negative(touch**2, -2.0 * touch, 1.0, 0.0, 0.0, 1.0) == -1.0
+
+
+@pytest.mark.parametrize("margin", [1e-6, 1e-10, 1e-14])
+def test_a_tangency_missed_or_cut_by_a_margin_is_told_apart(margin):
+    parabola = (0.25, -1.0, 1.0, 0.0, 0.0)
+    assert first_negative(parabola[0] + margin, *parabola[1:], 1.0) == -1.0
+    cut = first_negative(parabola[0] - margin, *parabola[1:], 1.0)
+    # zeros at 1/2 ± sqrt(margin); the relative error of the margin itself is eps / margin
+    assert cut == pytest.approx(0.5 - margin**0.5, abs=margin**0.5 * (1e-9 + 1e-16 / margin))
+
+
+def test_a_zero_at_the_start_that_is_left_upwards_is_no_crossing():
+    assert first_negative(0.0, 1.0, 0.0, 0.0, 0.0, 1.0) == -1.0
+    assert first_negative(0.0, 0.0, 1.0, 0.0, 0.0, 1.0) == -1.0
+    assert first_negative(0.0, 1.0, -2.0, 0.0, 0.0, 1.0) == pytest.approx(0.5, abs=1e-15)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+def test_a_zero_at_the_start_that_is_left_downwards_is_at_the_start(order):
+    coefficients = np.zeros(5)
+    coefficients[order] = -1.0
+    assert 0.0 <= first_negative(*coefficients, 1.0) < 1e-39
+
+
+def test_negative_at_the_start_is_at_the_start():
+    assert first_negative(-1e-300, 1.0, 0.0, 0.0, 0.0, 1.0) == 0.0
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_what_only_rises_never_turns_negative(c0, c1, c2, c3, c4):
+    assert first_negative(c0, c1, c2, c3, c4, 1.0) == -1.0
+
+
+@given(st.floats(0.001, 0.999))
+def test_what_only_falls_crosses_where_it_should(zero):
+    """Four falling terms that cancel at `zero`: p = sum over k of (zero^k - s^k)."""
+    c0 = sum(zero**k for k in range(1, 5))
+    assert first_negative(c0, -1.0, -1.0, -1.0, -1.0, 1.0) == pytest.approx(zero, rel=1e-14 * 4 / zero + 1e-14)
+
+
+def test_a_crossing_on_the_very_end_counts_only_if_it_is_negative_there():
+    assert first_negative(1.0, -1.0, 0.0, 0.0, 0.0, 1.0) == -1.0
+    assert first_negative(1.0, -1.0, 0.0, 0.0, 0.0, np.nextafter(1.0, 2.0)) == 1.0
+
+
+def test_a_step_of_no_length_holds_no_crossing():
+    assert first_negative(0.0, -1.0, 0.0, 0.0, 0.0, 0.0) == -1.0
+    assert first_negative(1.0, -1.0, 0.0, 0.0, 0.0, 0.0) == -1.0
+
+
+@given(st.floats(1e-30, 1.0))
+def test_bisection_reaches_neighbouring_numbers_at_any_scale(zero):
+    low = bisect(-zero, 1.0, 0.0, 0.0, 0.0, 0.0, 2.0)
+    assert low < zero
+    assert np.nextafter(low, np.inf) >= zero
+
+
+def test_bisection_ends_on_the_side_it_came_from():
+    """Falling or rising: the sign is still that of `low`."""
+    for sign in (1.0, -1.0):
+        low = bisect(sign * 0.3, -sign, 0.0, 0.0, 0.0, 0.0, 1.0)
+        assert low <= 0.3
+        assert low == pytest.approx(0.3, abs=1e-16)
+
+
+@given(COEFFICIENTS, LENGTH)
+def test_the_extremes_bound_the_polynomial_and_are_taken(coefficients, length):
+    largest, smallest = extremes(*coefficients, length)
+    inner = np.roots(np.polynomial.polynomial.polyder(coefficients)[::-1]) if any(coefficients[1:]) else np.empty(0)
+    inner = inner.real[(np.abs(inner.imag) < 1e-6) & (inner.real > 0.0) & (inner.real < length)]
+    exact = value(coefficients, np.concatenate([[0.0, length], inner]))
+    slack = rounding(coefficients, length)
+    assert largest == pytest.approx(exact.max(), abs=slack)  # a zero of p' off by d moves p by d² only
+    assert smallest == pytest.approx(exact.min(), abs=slack)
+    samples = value(coefficients, np.linspace(0.0, length, 401))
+    assert largest >= samples.max() - slack
+    assert smallest <= samples.min() + slack
+
+
+def test_the_extremes_of_four_waves_are_found_between_the_ends():
+    """The Chebyshev polynomial T4 on [0, 1]: five extremes of ±1."""
+    shifted = np.array([1.0, -32.0, 160.0, -256.0, 128.0])
+    assert extremes(*shifted, 1.0) == pytest.approx((1.0, -1.0), abs=1e-13)  # terms up to 160 cancel
+    count, *points = stationary_points(*shifted[1:], 1.0)
+    assert count == 3
+    assert points == pytest.approx(0.5 * (1.0 - np.cos(np.pi * np.array([1, 2, 3]) / 4)), abs=1e-14)
+
+
+@given(st.lists(st.floats(0.01, 0.99), min_size=3, max_size=3), st.sampled_from([1.0, -1.0]))
+def test_stationary_points_are_the_zeros_of_the_slope_in_order(roots, sign):
+    roots = np.sort(roots)
+    assume(np.all(np.diff(roots) > APART))
+    slope = sign * np.poly(roots)[::-1]
+    c1, c2, c3, c4 = slope / np.arange(1, 5)
+    count, *points = stationary_points(c1, c2, c3, c4, 1.0)
+    assert count == 3
+    assert points == pytest.approx(roots, abs=1e-8)

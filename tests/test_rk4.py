@@ -1,0 +1,259 @@
+"""Fixed-step RK4 with located events: its order, its steps, its regimes, and how a run ends."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import reference
+from clunk.core import rk4
+from clunk.core.events import EVENT
+from clunk.core.regimes import CLOSED_NEGATIVE, CLOSED_POSITIVE, OPEN, PARTED_POSITIVE, rk4_growth
+from clunk.core.status import INTERRUPTED, Status
+from running import core_run, system_of, unproved
+
+# An error that goes with h⁴ falls sixteenfold when the step halves. The next order leaves 16 ± 16 hλ, which is 0.6 for
+# the contact mode (λ = 1640 1/s) at h = 2.5e-5 s, and an event's place on the time grid moves the error by less.
+SIXTEENFOLD = pytest.approx(16.0, rel=0.1)
+STEPS = (5e-5, 2.5e-5)
+
+
+def errors_against(events, final_state, run):
+    """Largest error of the event times, the states at the events and the final state."""
+    assert run.kinds == [(event.kind, event.side) for event in events]
+    return (
+        np.max(np.abs(run.events["time"] - [event.time for event in events])),
+        np.max(np.abs(run.states - [event.state for event in events])),
+        np.max(np.abs(run.final_state - final_state)),
+    )
+
+
+def test_rk4_error_falls_sixteenfold_when_the_step_halves():
+    """Between events: the contact mode rings out after a load that never opens the gap (σr = 1), 20 ms after it."""
+    plant = reference.boere(1.0, 6.0)
+    events, final_state = reference.run(plant, end_time=0.02)
+    assert len(events) == 1
+    errors = [
+        np.max(np.abs(core_run(unproved(system_of(plant, step, 0.02)), plant).final_state - final_state))
+        for step in (4e-4, 2e-4)
+    ]
+    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.25)  # larger steps, for rounding not to show
+
+
+@pytest.mark.parametrize("separation", ["gap", "force"])
+@pytest.mark.parametrize(("ratio", "backlash"), [(2.0, 6.0), (5.0, 6.0), (10.0, 10.0), (10.0, 16.0)])
+def test_the_error_falls_sixteenfold_across_located_events(ratio, backlash, separation):
+    plant = reference.boere(ratio, backlash, separation=separation)
+    events, final_state = reference.run(plant)
+    coarse, fine = (
+        errors_against(events, final_state, core_run(unproved(system_of(plant, step)), plant)) for step in STEPS
+    )
+    assert len(events) > 6
+    for large, small in zip(coarse, fine, strict=True):
+        assert large / small == SIXTEENFOLD
+
+
+@pytest.mark.parametrize("step", [1e-5, 1e-4, 1e-3])
+def test_one_step_of_rk4_is_the_taylor_polynomial_of_the_exponential(step):
+    """The precomputed step equals the four classical stages, and differs from exp(hA) by (hA)⁵/5! at most."""
+    plant = reference.boere(5.0, 6.0)
+    system = system_of(plant, step)
+    size = 2 * plant.n
+    x = np.random.default_rng(1).uniform(-1.0, 1.0, size)
+    u = np.array([-1.0, 0.05])
+    for flow in (0, 1):
+        rates, inputs = system.rates[flow], system.inputs[flow]
+
+        def slope(state, rates=rates, constant=inputs @ u):
+            return rates @ state + constant
+
+        k1 = slope(x)
+        k2 = slope(x + step / 2 * k1)
+        k3 = slope(x + step / 2 * k2)
+        k4 = slope(x + step * k3)
+        stages = x + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        product = x @ system.transfer[flow, :size, :size] + u @ system.transfer_input[flow, :, :size]
+        assert product == pytest.approx(stages, rel=1e-13, abs=1e-13 * np.abs(stages).max())
+        exact = expm(step * np.block([[rates, (inputs @ u)[:, None]], [np.zeros((1, size + 1))]]))[:size]
+        truncated = np.linalg.matrix_power(np.abs(step * rates), 4) @ np.abs(step * k1) / 120
+        assert np.all(np.abs(product - exact @ [*x, 1.0]) <= truncated * np.exp(step * 1e4) + 1e-12)
+
+
+def test_growth_is_that_of_the_stability_polynomial():
+    """RK4 is stable up to -2.785 on the real axis and 2√2 on the imaginary one (Hairer & Wanner, §IV.2)."""
+    assert rk4_growth(np.array([-2.785 + 0j, 2.8284j]), 1.0) == pytest.approx([1.0, 1.0], abs=1e-3)
+    assert np.all(rk4_growth(np.array([-2.79 + 0j, 2.83j]), 1.0) > 1.0)
+    assert np.all(rk4_growth(np.array([-2.78 + 0j, 2.82j]), 1.0) < 1.0)
+
+
+def test_a_gap_crossed_within_one_step_is_not_skipped():
+    """1e-4° at 0.04 rad/s is crossed in 40 µs, less than half a step; separation and the touch opposite share it."""
+    plant = reference.boere(7.0, 1e-4)
+    events, _ = reference.run(plant)
+    run = core_run(system_of(plant, 1e-4), plant)
+    assert run.kinds == [(event.kind, event.side) for event in events]
+    assert sum(there - here < 1e-4 for here, there in pairwise(run.events["time"])) >= 3
+
+
+@pytest.mark.parametrize(("separation", "together"), [("gap", 2), ("force", 3)])
+@pytest.mark.parametrize("step", [1e-3, 2e-3])
+def test_several_events_in_one_step_are_all_found(step, separation, together):
+    """A gap of 1e-3° crossed at 0.8 rad/s: separation, opening and the touch opposite lie within half a step.
+
+    The driveline is slow enough for such steps to be accurate: the contact mode has λ = 68 1/s, hλ <= 0.14, as the
+    nominal step has for the report's driveline.
+    """
+    plant = reference.Plant(
+        inertias=(0.024, 0.02, 0.02),
+        shafts=((1, 2, 5.0, 0.1), (3, "ground", 5.0, 0.1), (1, "ground", 0.0, 0.1)),
+        lash=(2, 3),
+        contact_stiffness=40.0,
+        contact_damping=0.01,  # force ends c/k = 0.25 ms before the gap opens
+        backlash=np.deg2rad(1e-3),
+        before=-10.0,
+        acceleration_of=2,
+        separation=separation,
+    )
+    events, _ = reference.run(plant)
+    run = core_run(system_of(plant, step), plant)
+    assert run.kinds == [(event.kind, event.side) for event in events]
+    steps = np.floor(run.events["time"] / step)
+    assert max(np.count_nonzero(steps == one) for one in steps) >= together
+
+
+@pytest.mark.parametrize("separation", ["gap", "force"])
+def test_no_backlash_passes_from_flank_to_flank(separation):
+    """φθ = 0: wherever the gap opens, the other flank is touched at that instant, to rounding of the time."""
+    run = core_run(system_of(plant := reference.boere(7.0, 0.0, separation=separation)), plant)
+    leaving = "separation" if separation == "gap" else "opening"
+    pairs = [(here, there) for here, there in pairwise(range(len(run.events))) if run.kinds[here][0] == leaving]
+    assert len(pairs) == 6
+    for here, there in pairs:
+        assert run.kinds[there] == ("touch", -run.kinds[here][1])
+        assert run.events["time"][there] - run.events["time"][here] <= 1e-12
+
+
+def test_the_grid_of_steps_does_not_move_with_the_events():
+    """The end is that of the config, also where it is no multiple of the step."""
+    plant = reference.boere(5.0, 6.0)
+    for end_time in (0.3, 0.30003, 0.3 + 1e-9):
+        events, final_state = reference.run(plant, end_time)
+        run = core_run(unproved(system_of(plant, 1e-4, end_time)), plant)
+        assert run.end == end_time
+        _, _, error = errors_against(events, final_state, run)
+        assert error < 1e-4  # θ' there; a step too many or too few would be 0.1 rad/s
+
+
+def test_every_transition_keeps_what_it_says_is_zero():
+    """At each event the functional that ended the regime is zero, and so is the guard named as such."""
+    for separation in ("gap", "force"):
+        plant = reference.boere(8.0, 5.0, separation=separation)
+        run = core_run(system_of(plant), plant)
+        q = run.states[:, : plant.n] @ plant.twist
+        speed = run.states[:, plant.n :] @ plant.twist
+        overlap = run.events["side"] * q - plant.backlash / 2
+        force = plant.contact_stiffness * overlap + plant.contact_damping * run.events["side"] * speed
+        for k, (kind, _) in enumerate(run.kinds):
+            if kind == "load step":
+                continue
+            assert run.events["speed"][k] == speed[k]
+            by_force = kind == "rejoin" or (kind == "separation" and separation == "force")
+            # a time located to its last digit leaves the speed times 1e-16 s, and rounding of q = θ3 - θ4
+            assert abs(force[k] if by_force else overlap[k]) < (1e-12 if by_force else 1e-15)
+        assert np.all(np.diff(run.events["time"]) > 0.0)
+
+
+def test_a_given_state_is_in_the_regime_of_its_gap_and_force():
+    """In the gap; pressed on either flank; overlapping but tensile, which only separation by force knows."""
+    plant = reference.boere(5.0, 6.0)
+    by_gap, by_force = system_of(plant), system_of(reference.boere(5.0, 6.0, separation="force"))
+    half = plant.backlash / 2
+
+    def regime(system, q, speed):
+        return rk4.regime_of(system, np.array([0, 0, q, 0, 0, 0, speed, 0.0]), half)
+
+    for system in (by_gap, by_force):
+        assert regime(system, 0.0, 5.0) == OPEN
+        assert regime(system, half + 0.01, 0.0) == CLOSED_POSITIVE
+        assert regime(system, -half - 0.01, 0.0) == CLOSED_NEGATIVE
+    tensile = -1.1 * plant.contact_stiffness * 0.01 / plant.contact_damping
+    assert regime(by_gap, half + 0.01, tensile) == CLOSED_POSITIVE
+    assert regime(by_force, half + 0.01, tensile) == PARTED_POSITIVE
+
+
+class TestHowARunEnds:
+    plant = reference.boere(5.0, 6.0)
+
+    def test_more_events_than_the_buffer_holds_is_said(self):
+        run = core_run(system_of(self.plant), self.plant, capacity=10)
+        assert run.status == Status.EVENT_BUFFER_FULL
+        assert len(run.events) == 10
+        assert not run.complete
+        enough = core_run(system_of(self.plant), self.plant, capacity=19)  # 18 events and the load step
+        assert enough.status == Status.OK
+        assert len(enough.events) == 19
+
+    @pytest.mark.parametrize("size", [1e300, 1e308, np.inf, np.nan])
+    @pytest.mark.parametrize("where", range(8))
+    def test_a_state_beyond_all_numbers_is_said_and_ends(self, where, size):
+        x = np.zeros(8)
+        x[where] = size
+        run = core_run(system_of(self.plant), self.plant, state=x, regime=OPEN)
+        assert run.status in (Status.NON_FINITE, Status.EVENT_BUFFER_FULL)
+        assert not run.complete
+
+    @pytest.mark.parametrize("size", [1e-300, 1e6, 1e100])
+    def test_extreme_states_end_too(self, size):
+        for sign in (1.0, -1.0):
+            run = core_run(system_of(self.plant), self.plant, state=np.full(8, sign * size) * np.arange(1, 9))
+            assert run.status in (Status.OK, Status.EVENT_BUFFER_FULL, Status.NON_FINITE)
+
+    def test_a_step_beyond_the_stability_limit_is_said(self):
+        """The contact mode, ω = 1623 1/s and ζ = 0.196, allows a step of 1.67 ms (RK4's limit at that angle)."""
+        assert system_of(self.plant, 1.5e-3).status == Status.OK
+        assert system_of(self.plant, 2e-3).status == Status.UNSTABLE_STEP
+
+    def test_the_end_in_the_middle_of_something_is_not_complete(self):
+        run = core_run(system_of(self.plant, end_time=0.15), self.plant)  # between two primary impacts
+        assert run.status == Status.OK
+        assert not run.complete
+        assert run.end == 0.15
+        assert run.label == "CR(1)"
+
+    def test_a_finished_run_stops_early_and_says_so(self):
+        run = core_run(system_of(self.plant), self.plant)
+        assert run.complete
+        assert run.events["time"][-1] < run.end < 2.0
+
+    def test_a_run_without_a_bound_goes_on_to_the_end(self):
+        run = core_run(unproved(system_of(self.plant)), self.plant)
+        assert run.status == Status.OK
+        assert not run.complete
+        assert run.end == 2.0
+
+    def test_a_set_stop_flag_abandons_the_run(self):
+        system, x = system_of(self.plant), np.zeros(8)
+        side = rk4.preload(system, self.plant.before, self.plant.backlash / 2, x)
+        events = np.zeros(64, EVENT)
+        status, *_ = rk4.run(
+            system, x, rk4.closed_on(side), -1.0, self.plant.backlash / 2, events, np.empty((0, 8)), np.ones(1, np.uint8)
+        )
+        assert status == INTERRUPTED
+
+
+@pytest.mark.parametrize("separation", ["gap", "force"])
+def test_stopping_early_changes_nothing(separation):
+    """What is proved complete stays so: five times the end time adds no event and no acceleration, on a 9 x 9 map."""
+    system = system_of(reference.boere(5.0, 6.0, separation=separation))
+    long = unproved(system_of(reference.boere(5.0, 6.0, separation=separation), end_time=10.0))
+    for ratio in np.linspace(0.0, 10.0, 9):
+        for backlash in np.linspace(0.0, 20.0, 9):
+            plant = reference.boere(ratio, backlash, separation=separation)
+            short, whole = core_run(system, plant), core_run(long, plant)
+            assert short.complete
+            assert np.array_equal(short.states, whole.states)
+            for field in ("time", "speed", "kind", "side"):
+                assert np.array_equal(short.events[field], whole.events[field])
+            assert np.array_equal(short.impact_severity, whole.impact_severity)
+            assert short.label == whole.label
