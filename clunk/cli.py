@@ -451,7 +451,7 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
         for k, (frequency, ratio) in enumerate(zip(found.frequency, found.damping_ratio, strict=True), 1):
             click.echo(f"  {k:>4}  {frequency:>14.1f}  {ratio:>19.3f}")
         for rate in found.overdamped:
-            click.echo(f"     -  does not oscillate; decays at {abs(rate):.4g} 1/s")
+            click.echo(f"     -  does not oscillate; {f'decays at {rate:.4g} 1/s' if rate > 0.0 else 'drifts'}")
         click.echo()
     click.echo(f"contact period T_c  {1e3 * driveline.contact_period:.2f} ms")
     click.echo()

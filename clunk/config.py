@@ -99,11 +99,10 @@ __all__ = [
     "to_toml",
 ]
 
-_Model = TypeVar("_Model", bound=BaseModel)
+PRESETS = ("boere-2008", "boere-2008-as-printed")
 
 Model = TypeVar("Model", bound=BaseModel)
 
-PRESETS = ("boere-2008", "boere-2008-as-printed")
 
 # --- A config file -> Study ------------------------------------------------------------------------------------------
 
@@ -139,7 +138,7 @@ class _Resolution:
         self._raw = raw
         self._preset_name, self._preset = "", dict[str, Any]()
         self._assigned: dict[Place, Any] = {}
-        self._set: set[Place] = set()  # where the assignments went, names resolved
+        self._set: list[Place] = []  # where the assignments went, names resolved
         for override in overrides:
             self._parse(override)
         self.document: dict[str, Any] = {}
@@ -178,7 +177,7 @@ class _Resolution:
                 self._found.append((place, message))
 
     def _problem(self, place: Place, message: str, lines: KeyLines) -> Problem:
-        for assigned in {*self._assigned, *self._set}:
+        for assigned in [*self._assigned, *self._set]:
             is_inside = place[: len(assigned)] == assigned
             is_made = assigned[: len(place)] == place and value_at(self._raw, place) is None
             if is_inside or (is_made and place not in {("load",), ("lash",), ("driveline",)}):
@@ -202,7 +201,7 @@ class _Resolution:
         name = value_at(self._raw, place)
         if place in self._assigned:
             name = self._assigned.pop(place)
-            self._set.add(place)
+            self._set.append(place)
         if name is None:
             self.document = copy.deepcopy(self._raw)
             return
@@ -229,7 +228,7 @@ class _Resolution:
         if resolved is None:
             self._find([(place, "no inertia has this name")])
             return
-        self._set.add(resolved)
+        self._set.append(resolved)
         node: Any = self.document
         for k, step in enumerate(resolved[:-1]):
             if isinstance(step, str) and isinstance(node, dict):
@@ -381,10 +380,9 @@ def _likely_key(place: Place) -> Place | None:
     near = nearest(name, known)
     homes = [pattern for pattern in [("driveline", "preset"), *schema()] if len(pattern) > 1 and pattern[-1] != ITEM]
     far = nearest(name, [str(pattern[-1]) for pattern in homes])
-    if far is not None and (near is None or (name != near and _likeness(name, far) > _likeness(name, near))):
-        if _likeness(name, far) > 0.75:
-            # of several tables that have such a key, the one below this table
-            return max((home for home in homes if home[-1] == far), key=lambda home: home[: len(table)] == table)
+    if far is not None and _likeness(name, far) > max(0.75, _likeness(name, near or "")):
+        # of several tables that have such a key, the one below this table
+        return max((home for home in homes if home[-1] == far), key=lambda home: home[: len(table)] == table)
     return None if near is None else (*table, near)
 
 

@@ -91,13 +91,15 @@ class Driveline:
         rates[n:, :n] = -(self.stiffness + self.contact_stiffness * coupling) / self.inertia[:, None]
         rates[n:, n:] = -(self.damping + self.contact_damping * coupling) / self.inertia[:, None]
         eigenvalues = np.linalg.eigvals(rates)
-        oscillating = eigenvalues[eigenvalues.imag > 1e-9 * np.abs(eigenvalues).max()]
+        rounding = 1e-7 * np.abs(eigenvalues).max()  # a double zero, an undamped drift, is found to half the digits
+        oscillating = eigenvalues[eigenvalues.imag > rounding]
         oscillating = oscillating[np.argsort(np.abs(oscillating))]
-        monotone = eigenvalues[np.abs(eigenvalues.imag) <= 1e-9 * np.abs(eigenvalues).max()]
+        monotone = eigenvalues[np.abs(eigenvalues.imag) <= rounding]
+        monotone[np.abs(monotone) <= rounding] = 0.0
         return Modes(
             frequency=np.abs(oscillating) / (2.0 * np.pi),
             damping_ratio=-oscillating.real / np.abs(oscillating),
-            overdamped=np.sort(-monotone.real),
+            overdamped=np.sort(np.abs(monotone.real)),
         )
 
 

@@ -1,8 +1,8 @@
 """Time histories: the motion between the events of a run, sampled for figures and for other programs.
 
 A run leaves its events behind and the state at each. Between two of them the motion is linear with a constant input,
-x' = A x + B u, so that z = (x, 1) moves by a matrix exponential: z(t) = exp(M t) z(0) with M = [[A, B u], [0, 0]]. Every
-phase starts from the state at its event; nothing is integrated again and no event is searched again.
+x' = A x + B u, so that z = (x, 1) moves by a matrix exponential: z(t) = exp(M t) z(0) with M = [[A, B u], [0, 0]].
+Every phase starts from the state at its event; nothing is integrated again and no event is searched again.
 """
 
 import io
@@ -36,7 +36,7 @@ LARGEST = 10_000_000  # samples; of the nominal driveline about 1.3 GB
 INITIAL, NONE, OPPOSITE = -1, 0, 1  # of `contact`, as of impact_flank in a results file
 
 _NEAR = 1e-6  # of a step: a sample this near to an event would only repeat it
-_FAINT = 0.05  # of the first swing: what is left of the lowest mode where a picture without events may end
+_FAINT = 0.125  # of the first swing: what is left of the slowest oscillation where a picture may end
 _ROWS = 4096  # of a CSV file, written at once
 
 
@@ -48,8 +48,9 @@ class HistoryError(Exception):
 class History:
     """A run at M samples: multiples of an output step from the load step, both ends, and every event.
 
-    An event has two rows of the same time, its limits from before and from after, since accelerations jump there, and in
-    the restitution model velocities; `event` tells the second. Of events at one time, only the first has a row before.
+    An event has two rows of the same time, its limits from before and from after, since accelerations jump there, and
+    in the restitution model velocities; `event` tells the second. Of events at one time, only the first has a row
+    before.
 
     time : (M,) float64  [s], the load step at the config's load.step_time
     after_step : (M,) float64  [s], the load step at 0
@@ -106,34 +107,24 @@ def sample(
     begin, end = _span(trajectory, step, until, before, equilibrium)
 
     phases = _Phases(system, float(load.after), half_gap, step)
-    times, states, regimes, marks = [], [], [], []  # of each phase: (m,), (m, 2n), int and the first row's event or -1
+    # of each phase: (m,), (m, 2n), its regime and its first row's event
+    times: list[FloatArray] = []
+    states: list[FloatArray] = []
+    regimes: list[int] = []
+    marks: list[int] = []
     if equilibrium and begin < 0.0:
         within = _grid(begin, min(end, 0.0), step)
         times.append(np.concatenate(([begin], within * step, [min(end, 0.0)])))
-        states.append(np.broadcast_to(trajectory.states[0], (times[-1].size, system.lash.size)))
+        states.append(np.broadcast_to(trajectory.states[0] + 0.0, (times[-1].size, system.lash.size)))  # no -0.0
         regimes.append(rk4.closed_on(trajectory.initial_side))
         marks.append(-1)
     rows_before = times[0].size if times else 0
 
-    starts = trajectory.events["time"]
-    for k in range(int(np.searchsorted(starts, end, side="right"))):
-        start, stop = starts[k], starts[k + 1] if k + 1 < starts.size else np.inf
-        within = _grid(start, min(stop, end), step)
-        regime = int(trajectory.events["regime"][k])
-        x = trajectory.states[k]
-        time, state = [np.array([start])], [x[None]]
-        if within.size:
-            time.append(within * step)
-            state.append(phases.flow(regime, x, within[0] * step - start, within.size))
-        if stop <= end and stop > start:
-            time.append(np.array([stop]))
-            state.append(_state_before(trajectory, system, k + 1)[None])
-        elif stop > end > start:
-            time.append(np.array([end]))
-            state.append(phases.flow(regime, x, end - start, 1))
-        times.append(np.concatenate(time))
-        states.append(np.concatenate(state))
-        regimes.append(regime)
+    for k in range(int(np.searchsorted(trajectory.events["time"], end, side="right"))):
+        time, state_in_phase = phases.after_event(trajectory, k, end)
+        times.append(time)
+        states.append(state_in_phase)
+        regimes.append(int(trajectory.events["regime"][k]))
         marks.append(k)
 
     lengths = [part.size for part in times]
@@ -146,10 +137,8 @@ def sample(
     acceleration[:rows_before] = 0.0  # at rest by definition; the product leaves rounding
     n = system.lash.size // 2
     closed = system.flow[regime_of] == CLOSED_FLOW
-    time_axis = study.load.step_time + after_step
-    time_axis[after_step == begin] = study.load.step_time + begin if before != study.load.step_time else 0.0
     return History(
-        time=time_axis,
+        time=study.load.step_time + after_step,
         after_step=after_step,
         angle=state[:, :n],
         velocity=state[:, n:],
@@ -164,19 +153,15 @@ def sample(
 def shown_until(trajectory: Trajectory) -> float:
     """When a picture of the run may end, on the axis of `History.time`  [s].
 
-    Half as long again as its events last; without any, when the slowest oscillation in contact has died down; at most
-    the end time, and a multiple of 0.1 s where that is not rough.
+    When its slowest oscillation in contact has died down, half as long again as its events last, or at its end time,
+    whichever comes last of the first two and first of the three; rounded up to 0.1 s.
     """
     study = trajectory.study
-    span = 1.5 * float(trajectory.events["time"][-1])
-    if trajectory.events.size == 1:
-        modes = driveline.Driveline.from_study(study).modes(closed=True)
-        rates = 2.0 * np.pi * modes.frequency * modes.damping_ratio
-        rate = float(rates.min(initial=np.inf))
-        span = -np.log(_FAINT) / rate if 0.0 < rate < np.inf else study.solver.end_time
-    until = study.load.step_time + min(span, study.solver.end_time)
-    rounded = float(np.ceil(10.0 * until - 1e-9) / 10.0)
-    return rounded if until > 0.5 and rounded <= study.load.step_time + study.solver.end_time else until
+    modes = driveline.Driveline.from_study(study).modes(closed=True)
+    rate = float(np.min(2.0 * np.pi * modes.frequency * modes.damping_ratio, initial=np.inf))
+    span = max(1.5 * float(trajectory.events["time"][-1]), -np.log(_FAINT) / rate if rate > 0.0 else np.inf)
+    latest = study.load.step_time + study.solver.end_time
+    return min(float(np.ceil(10.0 * (study.load.step_time + span) - 1e-9) / 10.0), latest) if span < latest else latest
 
 
 # --- Sampling --------------------------------------------------------------------------------------------------------
@@ -186,6 +171,7 @@ class _Phases:
     """The flow of each regime under the load after the step, by powers of one step's matrix exponential."""
 
     def __init__(self, system: System, torque: float, half_gap: float, step: float) -> None:
+        self._system = system
         self._step = step
         self._n = system.lash.size // 2
         size = system.lash.size
@@ -194,6 +180,23 @@ class _Phases:
             self._augmented[regime, :size, :size] = system.rates[flow]
             self._augmented[regime, :size, size] = system.inputs[flow] @ [torque, side * half_gap]
         self._powers: dict[int, list[FloatArray]] = {}
+
+    def after_event(self, trajectory: Trajectory, k: int, end: float) -> tuple[FloatArray, FloatArray]:
+        """(m,) times and (m, 2n) states from event `k`, its right limit, to the left limit of the next, or to `end`."""
+        starts = trajectory.events["time"]
+        start, stop = float(starts[k]), float(starts[k + 1]) if k + 1 < starts.size else np.inf
+        regime, x = int(trajectory.events["regime"][k]), trajectory.states[k]
+        within = _grid(start, min(stop, end), self._step)
+        times, states = [np.array([start]), within * self._step], [x[None]]
+        if within.size:
+            states.append(self.flow(regime, x, within[0] * self._step - start, within.size))
+        if start < stop <= end:
+            times.append(np.array([stop]))
+            states.append(_state_before(trajectory, self._system, k + 1)[None])
+        elif start < end < stop:
+            times.append(np.array([end]))
+            states.append(self.flow(regime, x, end - start, 1))
+        return np.concatenate(times), np.concatenate(states)
 
     def flow(self, regime: int, x: FloatArray, offset: float, count: int) -> FloatArray:
         """(count, 2n) the states at offset, offset + step, … after the state `x`  [rad, rad/s]."""
@@ -235,9 +238,7 @@ def _from_equilibrium(trajectory: Trajectory, system: System, torque: float, hal
     return side == trajectory.initial_side and np.array_equal(x, trajectory.states[0])
 
 
-def _span(
-    trajectory: Trajectory, step: float, until: float, before: float, equilibrium: bool
-) -> tuple[float, float]:
+def _span(trajectory: Trajectory, step: float, until: float, before: float, equilibrium: bool) -> tuple[float, float]:
     """Begin and end of a history  [s after the load step]."""
     if not (np.isfinite(step) and step > 0.0):
         raise HistoryError(f"The output step must be a positive number of seconds, not {step:g}.")
@@ -276,7 +277,7 @@ def _state_before(trajectory: Trajectory, system: System, k: int) -> FloatArray:
     x = trajectory.states[k]
     event = trajectory.events[k]
     if not system.impulsive or event["kind"] != TOUCH:
-        return x
+        return np.asarray(x)
     return np.asarray(x + (event["speed"] - system.lash @ x) * system.impulse)
 
 

@@ -59,7 +59,7 @@ _FAILED_FILL, _FAILED_HATCH = "#d5d5d5", "#8a8a8a"
 # One hue per number of double-sided impacts, tinted. Chosen so that the nine labels of Figure 3.4 stay apart under
 # simulated protanopia, deuteranopia and tritanopia too (Machado et al. 2009; at least 6.8 in CIE L*a*b*).
 _NO_IMPACT = "#f6f5f1"
-_HUES = ("#b5b010", "#2f7fc1", "#dd6b1f", "#a04585", "#1f9e83", "#6b7480", "#9a6a4a")
+_HUES = ("#b5b010", "#2f7fc1", "#dd6b1f", "#a84a72", "#1f9e83", "#6b7480", "#9a6a4a")
 _TINTS = (0.30, 0.70)  # lightest and darkest member of a family; text stays readable on the darkest
 
 _STYLE: dict[str, Any] = {
@@ -434,7 +434,7 @@ class _Regions:
         return specks, tips
 
     def _sample_score(self, code: int) -> Scores:
-        own = (self.codes == code).astype(np.float32)
+        own: Scores = (self.codes == code).astype(np.float32)
         if self._bare.all():
             return own
         score = ndimage.gaussian_filter(own, self._BLUR, mode="nearest", truncate=3.0)

@@ -9,8 +9,9 @@ import os
 import platform
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -93,10 +94,11 @@ def sweep(
             raise SweepError(f"No cell can run: {status.sentence}.")
     assembly = _Assembly(grid)
     workers = workers or _available_cores()
-    for done, finished in _run_tiles(grid, workers):
-        assembly.add(finished, done)
-        if progress is not None:
-            progress(assembly.done, grid.cells)
+    with closing(_run_tiles(grid, workers)) as finished_tiles:  # an interrupt anywhere abandons the running cells
+        for finished in finished_tiles:
+            assembly.add(finished)
+            if progress is not None:
+                progress(assembly.done, grid.cells)
     return assembly.results()
 
 
@@ -190,7 +192,7 @@ def _run_tile(grid: _Grid, part: Tile, stop: npt.NDArray[np.uint8]) -> _Finished
     return _Finished(part, cells, impacts)
 
 
-def _run_tiles(grid: _Grid, workers: int) -> Iterator[tuple[int, _Finished]]:
+def _run_tiles(grid: _Grid, workers: int) -> Generator[_Finished, None, None]:
     """Finished tiles in the order in which they finish. Leaving the generator early abandons the running cells."""
     stop = np.zeros(1, np.uint8)
     waiting = _tiles(grid.cells, workers)
@@ -204,8 +206,7 @@ def _run_tiles(grid: _Grid, workers: int) -> Iterator[tuple[int, _Finished]]:
                     return
                 finished, running = wait(running, timeout=0.2, return_when=FIRST_COMPLETED)
                 for future in finished:
-                    result = future.result()
-                    yield result.tile.stop - result.tile.start, result
+                    yield future.result()
         finally:
             stop[0] = 1
             for future in running:
@@ -223,7 +224,7 @@ class _Assembly:
         self._fields = {name: np.zeros(grid.cells, dtype) for name, dtype in CELL_FIELDS.items() if name != "sequence"}
         self._impacts: dict[int, dict[str, npt.NDArray[np.generic]]] = {}
 
-    def add(self, finished: _Finished, count: int) -> None:
+    def add(self, finished: _Finished) -> None:
         part, cells = finished.tile, finished.cells
         self._patterns[part.start : part.stop] = cells["pattern"]
         for name, field in self._fields.items():
@@ -239,7 +240,7 @@ class _Assembly:
             for k in long:
                 flanks = impacts["flank"][ends[k] - cells["primary_impacts"][k] : ends[k]]
                 self._long[part.start + int(k)] = label(flanks)
-        self.done += count
+        self.done += part.stop - part.start
 
     def results(self) -> Results:
         study, shape = self._grid.study, self._grid.shape

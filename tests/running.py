@@ -81,6 +81,4 @@ def core_run(
     primaries, severity = np.zeros(capacity, np.int64), np.zeros(capacity)
     found = find_primaries(events, count, system.sticking_time, primaries)
     total = peak_to_peak(events, count, primaries, found, severity)
-    return CoreRun(
-        status, complete, end, events[:count], states[:count], x, primaries[:found], severity[:found], total
-    )
+    return CoreRun(status, complete, end, events[:count], states[:count], x, primaries[:found], severity[:found], total)

@@ -116,9 +116,9 @@ class TestAgainstTheExactReference:
         plant = reference.plant_of(study)
         events, _ = reference.run(plant)
         trajectory = simulate(study)
-        assert [
-            (trajectory.kind_name(k), int(event["side"])) for k, event in enumerate(trajectory.events)
-        ] == [(event.kind, event.side) for event in events]
+        assert [(trajectory.kind_name(k), int(event["side"])) for k, event in enumerate(trajectory.events)] == [
+            (event.kind, event.side) for event in events
+        ]
         assert trajectory.events["time"] == pytest.approx([event.time for event in events], abs=TIME)
 
         primaries = reference.primary_impacts(events, plant.contact_period())

@@ -24,7 +24,7 @@ def configure() -> None:
 def is_cold() -> bool:
     """Whether no kernel of this core has been compiled and kept yet."""
     directory = Path(numba.config.CACHE_DIR)  # type: ignore[attr-defined]
-    return not any(directory.glob("**/tile.run_tile-*.nbi"))
+    return not any(directory.glob("**/rk4.run-*.nbi"))
 
 
 def _digest() -> str:

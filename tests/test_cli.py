@@ -1,0 +1,333 @@
+"""The command line as a person meets it: exit codes, what goes where, and what is left behind."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from clunk.cli import main
+
+ROOT = Path(__file__).parent.parent
+SMALL = """
+title = "Small"
+[driveline]
+preset = "boere-2008"
+[solver]
+step = 2e-4
+[[sweep.axes]]
+parameter = "load.ratio"
+start = 0.0
+stop = 10.0
+count = 6
+[[sweep.axes]]
+parameter = "lash.backlash_deg"
+start = 0.0
+stop = 20.0
+count = 5
+"""
+LADEN = """
+[driveline]
+inertias = [1.0, 1.0]
+[[driveline.shafts]]
+between = [1, "ground"]
+stiffness = 10.0
+damping = 0.1
+[lash]
+between = [1, 2]
+backlash_deg = 1.0
+radius = 1.0
+[lash.contact]
+stiffness = 1e4
+damping = 1.0
+[load]
+on = 2
+static_torque = -1.0
+ratio = 5.0
+"""
+AXES = SMALL[SMALL.index("[[sweep") :]
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # main's handler must not outlive a test
+    return tmp_path
+
+
+@pytest.fixture
+def clunk(here, monkeypatch, capsys):
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["clunk", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stopped:
+            main()
+        out, err = capsys.readouterr()
+        return stopped.value.code, out, err
+
+    return run
+
+
+@pytest.fixture
+def small(here):
+    path = here / "small.toml"
+    path.write_text(SMALL)
+    return path
+
+
+def test_sweep_plot_and_info_work_on_a_small_grid(clunk, small, here):
+    code, out, err = clunk("sweep", small)
+    assert code == 0
+    assert "DS(1)SS(1)" in out
+    assert "30 cells" in err
+    assert "results/small.h5" in err
+    code, out, _ = clunk("info", "results/small.h5")
+    assert code == 0
+    assert "load.ratio: 0 to 10, 6 values" in out
+    code, out, _ = clunk("plot", "results/small.h5")
+    assert code == 0
+    assert out.split() == ["results/small-regimes.png", "results/small-severity.png"]
+    assert all((here / name).stat().st_size > 10_000 for name in out.split())
+
+
+def test_a_finished_sweep_is_not_run_again(clunk, small, here):
+    clunk("sweep", small)
+    before = (here / "results/small.h5").read_bytes()
+    code, _, err = clunk("sweep", small)
+    assert code == 0
+    assert "already complete" in err
+    assert (here / "results/small.h5").read_bytes() == before
+    code, _, err = clunk("sweep", small, "--restart")
+    assert code == 0
+    assert "already complete" not in err
+
+
+def test_results_of_another_config_are_not_overwritten_without_force(clunk, small, here):
+    clunk("sweep", small)
+    before = (here / "results/small.h5").read_bytes()
+    code, _, err = clunk("sweep", small, "--set", "load.static_torque=-2.0")
+    assert code == 2
+    assert "--force" in err
+    assert (here / "results/small.h5").read_bytes() == before
+    code, _, _ = clunk("sweep", small, "--set", "load.static_torque=-2.0", "--force")
+    assert code == 0
+    assert (here / "results/small.h5").read_bytes() != before
+
+
+def test_sweep_prints_json_to_stdout_and_nothing_else(clunk, small):
+    _, out, _ = clunk("sweep", small, "--json")
+    summary = json.loads(out)
+    assert summary["cells"] == 30
+    assert sum(summary["counts"].values()) == 30
+
+
+def test_failed_cells_exit_3_and_name_their_cause(clunk, small):
+    code, _, err = clunk("sweep", small, "--set", "sweep.axes[1].start=-1.0", "--set", "sweep.axes[1].stop=9.0")
+    assert code == 3
+    assert "5 cells failed: no initial flank" in err
+    assert "load.ratio = -1" in err
+
+
+def test_simulate_prints_events_letters_and_label(clunk):
+    code, out, _ = clunk("simulate", ROOT / "configs/nominal.toml")
+    assert code == 0
+    assert "primary impacts   O I I" in out
+    assert "label             DS(1)SS(1)" in out
+    assert max(map(len, out.splitlines())) <= 80
+
+
+def test_simulate_runs_a_cell_of_a_results_file(clunk, small):
+    clunk("sweep", small)
+    code, out, _ = clunk(
+        "simulate", "results/small.h5", "--at", "load.ratio=4", "--at", "lash.backlash_deg=5", "--json"
+    )
+    assert code == 0
+    assert json.loads(out)["label"] == "DS(1)SS(1)"
+    code, _, err = clunk("simulate", "results/small.h5", "--at", "load.ratio=4")
+    assert code == 2
+    assert "--at lash.backlash_deg=" in err
+
+
+def test_modes_prints_the_report_s_numbers(clunk):
+    code, out, _ = clunk("modes", ROOT / "configs/nominal.toml")
+    assert code == 0
+    for number in ("3.2", "16.2", "30.8", "258.3", "1.46", "3.13", "6.69", "14.32"):
+        assert f" {number}" in out
+
+
+def test_init_writes_a_config_that_runs_and_spares_what_is_there(clunk, here):
+    assert clunk("init", "study.toml")[0] == 0
+    text = (here / "study.toml").read_text()
+    code, _, err = clunk("init", "study.toml")
+    assert code == 2
+    assert "--force" in err
+    assert (here / "study.toml").read_text() == text
+    assert clunk("modes", "study.toml")[0] == 0
+
+
+def broken(table_and_key, line):
+    """The small config with a line added to one of its tables."""
+    return SMALL.replace(f"[{table_and_key}]\n", f"[{table_and_key}]\n{line}\n", 1)
+
+
+# (config, what the message must name)
+BROKEN = [
+    (SMALL.replace("preset", "prest"), "preset"),
+    (SMALL.replace("boere-2008", "boere-2009"), "boere-2008"),
+    (broken("solver", "stp = 1e-4"), "solver.stp"),
+    (SMALL.replace("step = 2e-4", "step = 0.0"), "solver.step"),
+    (SMALL.replace("step = 2e-4", "step = -1e-4"), "solver.step"),
+    (SMALL.replace("step = 2e-4", 'step = "small"'), "solver.step"),
+    (SMALL.replace("step = 2e-4", "step = nan"), "solver.step"),
+    (SMALL.replace("step = 2e-4", "step = 0.01"), "solver.step"),
+    (SMALL.replace("step = 2e-4", "step = true"), "solver.step"),
+    (broken("solver", "end_time = inf"), "solver.end_time"),
+    (broken("solver", "max_events = 0"), "solver.max_events"),
+    (broken("solver", 'method = "euler"'), "solver.method"),
+    (broken("driveline", "inertias = [0.024, -0.002, 0.002, 0.002]"), "driveline.inertias[2]"),
+    (broken("driveline", "inertias = []"), "driveline.inertias"),
+    (broken("driveline", "inertias = 0.02"), "driveline.inertias"),
+    (SMALL + "[[driveline.shafts]]\nbetween = [1, 7]\nstiffness = 1.0\ndamping = 0.0\n", "driveline.shafts[1].between"),
+    (SMALL + "[[driveline.shafts]]\nbetween = [1, 1]\nstiffness = 1.0\ndamping = 0.0\n", "driveline.shafts[1].between"),
+    (SMALL + "[[driveline.shafts]]\nbetween = [1, 2]\nstifness = 1.0\ndamping = 0.0\n", "stiffness"),
+    (SMALL + "[lash]\nbetween = [3, 9]\n", "lash.between"),
+    (SMALL + "[lash]\nbacklsh_deg = 6.0\n", "backlash_deg"),
+    (SMALL + "[lash]\nradius = 0.0\n", "lash.radius"),
+    (SMALL + "[lash.contact]\nstiffness = -4e5\n", "lash.contact.stiffness"),
+    (SMALL + '[lash.contact]\nseparation = "sometimes"\n', "lash.contact.separation"),
+    (SMALL + "[lash.contact]\nrestitution = 1.5\n", "lash.contact.restitution"),
+    (SMALL + "[load]\non = 5\n", "load.on"),
+    (SMALL + "[load]\nstatic_torque = -1.0\ninitial_torque = -6.0\n", "load"),
+    (SMALL + '[load]\nprofile = "ramp"\n', "load.profile"),
+    (SMALL.replace("count = 6", "count = 0"), "sweep.axes[1].count"),
+    (SMALL.replace("count = 6", "count = 1000000000000"), "sweep.axes[1].count"),
+    (SMALL.replace("count = 6", "count = 100000").replace("count = 5", "count = 100000"), "cells"),
+    (SMALL.replace("count = 6", "count = 40000").replace("count = 5", "count = 40000"), "memory"),
+    (SMALL.replace('"load.ratio"', '"load.ration"'), "load.ratio"),
+    (SMALL.replace('"load.ratio"', '"load.profile"'), "load.profile"),
+    (SMALL.replace('"load.ratio"', '"lash.backlash_deg"'), "lash.backlash_deg"),
+    (SMALL.replace('"load.ratio"', '"driveline.inertias[9]"'), "driveline.inertias"),
+    (SMALL.replace("stop = 20.0", "stop = inf"), "sweep.axes[2].stop"),
+    (SMALL.replace("start = 0.0\nstop = 20.0", "start = -5.0\nstop = 20.0"), "sweep.axes[2]"),
+    (SMALL.replace("count = 6", 'count = 6\nscale = "log"'), "sweep.axes[1]"),
+    (SMALL[: SMALL.index("[[sweep")], "sweep.axes"),
+    ("title = \n", "TOML"),
+    ("", "driveline"),
+    (LADEN + "[[sweep.axes]]\nparameter = 'load.ratio'\nvalues = []\n", "sweep.axes[1].values"),
+    (LADEN.replace("stiffness = 10.0", "stiffness = 0.0") + AXES, "equilibrium"),
+]
+
+
+@pytest.mark.parametrize(("text", "named"), BROKEN, ids=range(len(BROKEN)))
+def test_a_broken_config_gives_one_clear_message_and_leaves_files_alone(clunk, here, text, named):
+    (here / "broken.toml").write_text(text)
+    (here / "results").mkdir()
+    (here / "results/broken.h5").write_bytes(b"precious")
+    code, out, err = clunk("sweep", "broken.toml", "--force")
+    assert code == 2
+    assert named in err
+    assert "Traceback" not in err
+    assert out == ""
+    assert (here / "results/broken.h5").read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["sweep", "nowhere.toml"], "nowhere.toml"),
+        (["sweep", "."], "directory"),
+        (["sweep", "small.toml", "-o", "folder"], "directory"),
+        (["sweep", "small.toml", "-o", "notes.txt"], "notes.txt"),
+        (["sweep", "small.toml", "-o", "notes.txt/map.h5"], "notes.txt"),
+        (["sweep", "small.toml", "--set", "load.ratio=7"], "load.ratio"),
+        (["sweep", "small.toml", "--set", "load.rato=7"], "load.rato"),
+        (["sweep", "small.toml", "--set", "nonsense"], "nonsense"),
+        (["sweep", "small.toml", "--workers", "0"], "--workers"),
+        (["plot", "nowhere.h5"], "nowhere.h5"),
+        (["plot", "folder"], "folder"),
+        (["plot", "notes.txt"], "notes.txt"),
+        (["plot", "small.toml"], "small.toml"),
+        (["info", "notes.txt"], "notes.txt"),
+        (["simulate", "small.toml"], "--at"),
+        (["simulate", "small.toml", "--at", "load.ratio=x", "--at", "lash.backlash_deg=6"], "load.ratio"),
+        (["simulate", "small.toml", "--at", "load.torque=1"], "load.torque"),
+        (["modes", "nowhere.toml"], "nowhere.toml"),
+        (["init", "folder"], "folder"),
+        (["swep", "small.toml"], "swep"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_bad_usage_gives_one_clear_message(clunk, here, small, arguments, named):
+    (here / "folder").mkdir()
+    (here / "notes.txt").write_text("not a results file")
+    code, _, err = clunk(*arguments)
+    assert code == 2
+    assert named in err
+    assert "Traceback" not in err
+    assert (here / "notes.txt").read_text() == "not a results file"
+
+
+def test_an_unknown_quantity_or_picture_format_is_refused_by_name(clunk, small):
+    clunk("sweep", small)
+    code, _, err = clunk("plot", "results/small.h5", "--quantity", "severty")
+    assert code == 2
+    assert "severty" in err
+    code, _, err = clunk("plot", "results/small.h5", "-o", "map.docx")
+    assert code == 2
+    assert "png" in err
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are POSIX")
+@pytest.mark.parametrize(
+    ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
+)
+def test_a_signal_stops_a_sweep_within_seconds_and_leaves_no_file(tmp_path, number, code, word):
+    command = [
+        sys.executable,
+        "-c",
+        "from clunk.cli import main; main()",
+        "sweep",
+        str(ROOT / "configs/figure_3_4.toml"),
+    ]
+    command += ["--set", "sweep.axes[1].count=2001", "--set", "sweep.axes[2].count=2001", "-o", "map.h5"]
+    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    line = process.stderr.readline()  # "compiling …", or the first progress line: the sweep runs
+    while "cells" not in line:
+        line = process.stderr.readline()
+    began = time.monotonic()
+    process.send_signal(number)
+    _, err = process.communicate(timeout=20)
+    assert time.monotonic() - began < 10  # a second, on a machine that is not busy with other tests
+    assert process.returncode == code
+    assert word in err
+    assert "Traceback" not in err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("option", ["--help", "--version"])
+def test_help_and_version_import_neither_numba_nor_matplotlib(option):
+    script = (
+        "import sys; sys.argv = ['clunk', sys.argv[1]]\nfrom clunk.cli import main\n"
+        "try: main()\nexcept SystemExit: pass\n"
+        "assert not {'numba', 'matplotlib', 'pydantic', 'numpy', 'h5py'} & set(sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", script, option], capture_output=True, check=False).returncode == 0
+
+
+def test_every_command_has_help_with_an_example(clunk):
+    from clunk.cli import cli
+
+    for name in cli.commands:
+        code, out, _ = clunk(name, "--help")
+        assert code == 0
+        assert f"clunk {name}" in out.split("Options")[0].split("\n", 2)[2]
+
+
+def test_shipped_configs_are_valid(clunk, here):
+    for config in (ROOT / "configs").glob("*.toml"):
+        shutil.copy(config, here / config.name)
+        assert clunk("modes", config.name)[0] == 0

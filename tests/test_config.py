@@ -1,0 +1,877 @@
+import hashlib
+import itertools
+import math
+import pickle
+import re
+import time
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tomli_w
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from clunk.config import (
+    PRESETS,
+    Axis,
+    ConfigError,
+    DrivelineConfig,
+    Impacts,
+    Lash,
+    Load,
+    Shaft,
+    Study,
+    digest,
+    get_value,
+    load_study,
+    quantity,
+    replace_values,
+    study_from_text,
+    to_toml,
+)
+from clunk.configfile import KeyLines, dotted, parse_place
+
+CONFIGS = sorted((Path(__file__).parent.parent / "configs").glob("*.toml"))
+STARTER = files("clunk.presets").joinpath("starter.toml").read_text(encoding="utf-8")
+PRESET = '[driveline]\npreset = "boere-2008"\n'
+
+# Numbered, so that a broken line can be named by its number.
+WHOLE = """\
+title = "Whole"
+[driveline]
+inertias = [0.024, 0.002, 0.002, 0.002]
+names = ["motor", "flange", "pinion", "ring"]
+[[driveline.shafts]]
+between = [1, 2]
+stiffness = 31.3
+damping = 0.08
+[[driveline.shafts]]
+between = [2, 3]
+stiffness = 31.3
+damping = 0.04
+[[driveline.shafts]]
+between = [4, "ground"]
+stiffness = 31.3
+damping = 0.1
+[lash]
+between = [3, 4]
+backlash_deg = 6.0
+radius = 0.08
+[lash.contact]
+model = "indentation"
+stiffness = 4.092e5
+damping = 94.0
+separation = "gap"
+restitution = 0.5
+[load]
+profile = "tip-out"
+on = 1
+static_torque = -1.0
+ratio = 5.0
+step_time = 0.1
+[solver]
+method = "rk4"
+step = 1e-4
+end_time = 2.0
+max_events = 512
+[impacts]
+sticking_time = 0.004
+acceleration_of = 3
+[[sweep.axes]]
+parameter = "load.ratio"
+start = 0.0
+stop = 10.0
+count = 11
+[[sweep.axes]]
+parameter = "lash.backlash_deg"
+values = [1.0, 2.0, 5.0]
+"""
+ONE_RUN = WHOLE[: WHOLE.index("[[sweep.axes]]")]
+
+
+def with_line(number: int, line: str) -> str:
+    lines = WHOLE.splitlines()
+    lines[number - 1] = line
+    return "\n".join(lines) + "\n"
+
+
+def errors_of(text: str, *overrides: str) -> ConfigError:
+    with pytest.raises(ConfigError) as caught:
+        study_from_text(text, "study.toml", overrides)
+    return caught.value
+
+
+def axis(body: str) -> str:
+    return f"{PRESET}[[sweep.axes]]\n{body}\n"
+
+
+# --- What is right ---------------------------------------------------------------------------------------------------
+
+
+def test_preset_is_the_corrected_table_2_2():
+    study = study_from_text(PRESET)
+    assert study.driveline.inertias == (0.024, 0.002, 0.002, 0.002)
+    assert study.driveline.names == ("motor", "flange", "pinion", "ring")
+    assert [(s.between, s.stiffness, s.damping) for s in study.driveline.shafts] == [
+        ((1, 2), 31.3, 0.08),
+        ((2, 3), 31.3, 0.04),
+        ((4, "ground"), 31.3, 0.1),
+        ((1, "ground"), 0.0, 0.1),
+    ]
+    assert (study.lash.between, study.lash.backlash_deg, study.lash.radius) == ((3, 4), 6.0, 0.08)
+    contact = study.lash.contact
+    assert (contact.model, contact.separation, contact.restitution) == ("indentation", "gap", 0.5)
+    # facts.md: r² k34 = 2618.88 N m/rad and r² c34 = 0.6016 N m s/rad
+    assert study.lash.radius**2 * contact.stiffness == pytest.approx(2618.88, rel=1e-12)
+    assert study.lash.radius**2 * contact.damping == pytest.approx(0.6016, rel=1e-12)
+    load = study.load
+    assert (load.on, load.static_torque, load.ratio, load.step_time) == (1, -1.0, 5.0, 0.1)
+    assert (load.initial_torque, load.final_torque) == (None, None)
+    assert study.impacts == Impacts(sticking_time=None, acceleration_of=3)
+    assert study.solver.model_dump() == {"method": "rk4", "step": 1e-4, "end_time": 2.0, "max_events": 512}
+    assert study.sweep is None
+
+
+def test_as_printed_preset_differs_only_in_its_inertias():
+    corrected = study_from_text(PRESET)
+    printed = study_from_text(PRESET.replace("boere-2008", "boere-2008-as-printed"))
+    assert printed.driveline.inertias == (0.024, 0.02, 0.02, 0.02)
+    inertias = {"inertias": corrected.driveline.inertias}
+    assert printed.model_copy(update={"driveline": printed.driveline.model_copy(update=inertias)}) == corrected
+
+
+def test_what_the_file_gives_goes_before_the_preset():
+    study = study_from_text(f"{PRESET}inertias = [1.0, 2.0, 3.0, 4.0]\n[lash.contact]\ndamping = 9\n[load]\nratio = 7")
+    assert study.driveline.inertias == (1.0, 2.0, 3.0, 4.0)
+    assert (study.lash.contact.damping, study.lash.contact.stiffness) == (9.0, 4.092e5)
+    assert (study.load.ratio, study.load.static_torque) == (7.0, -1.0)
+
+
+def test_torques_of_the_file_replace_the_preset_s_ratio():
+    load = study_from_text(f"{PRESET}[load]\ninitial_torque = -6.0\nfinal_torque = 0").load
+    assert (load.initial_torque, load.final_torque) == (-6.0, 0.0)
+    assert (load.static_torque, load.ratio) == (None, None)
+
+
+def test_torques_may_be_set_on_the_command_line():
+    load = study_from_text(PRESET, overrides=["load.initial_torque=-6.0", "load.final_torque=0"]).load
+    assert (load.initial_torque, load.final_torque, load.ratio) == (-6.0, 0.0, None)
+
+
+def test_names_become_numbers():
+    text = ONE_RUN.replace("between = [3, 4]", 'between = ["pinion", "ring"]').replace("on = 1", 'on = "motor"')
+    text = text.replace("between = [4, ", 'between = ["ring", ').replace(
+        "acceleration_of = 3", 'acceleration_of="pinion"'
+    )
+    assert study_from_text(text) == study_from_text(ONE_RUN)
+
+
+@pytest.mark.parametrize(("between", "inertia"), [("[3, 4]", 3), ('["ground", 2]', 2), ('["ring", "ground"]', 4)])
+def test_severity_is_that_of_the_lash_s_first_inertia(between, inertia):
+    assert study_from_text(f"{PRESET}[lash]\nbetween = {between}").impacts.acceleration_of == inertia
+
+
+def test_whole_numbers_stand_for_floats():
+    inertias = study_from_text(ONE_RUN.replace("0.024, ", "1, ")).driveline.inertias
+    assert inertias[0] == 1.0
+    assert isinstance(inertias[0], float)
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
+def test_configs_of_the_repository_are_valid(path):
+    assert load_study(path).title != "Untitled"
+
+
+def test_figure_3_4_is_the_report_s_grid():
+    study = load_study(next(path for path in CONFIGS if path.stem == "figure_3_4"))
+    assert study.sweep is not None
+    assert [a.parameter for a in study.sweep.axes] == ["load.ratio", "lash.backlash_deg"]
+    assert [a.count_of_values for a in study.sweep.axes] == [201, 201]
+    np.testing.assert_array_equal(study.sweep.axes[0].grid, np.round(np.arange(201) * 0.05, 10))
+    np.testing.assert_array_equal(study.sweep.axes[1].grid, np.round(np.arange(201) * 0.1, 10))
+
+
+def test_starter_spells_the_preset_out():
+    study = study_from_text(STARTER)
+    assert study.sweep is not None
+    one_run = study.model_copy(update={"sweep": None, "title": "Untitled"})
+    assert one_run == study_from_text(PRESET)
+
+
+def test_starter_names_every_key():
+    keys = set(re.findall(r"^(?:# )?([a-z_]+) = ", STARTER, re.MULTILINE))
+    models = (Study, DrivelineConfig, Shaft, Lash, Load, Impacts, Axis)
+    models += tuple(Study.model_fields[name].annotation for name in ("solver",))
+    models += (Lash.model_fields["contact"].annotation,)
+    tables = {"driveline", "lash", "load", "solver", "impacts", "sweep", "shafts", "contact"}
+    assert keys == {name for model in models for name in model.model_fields} - tables | {"preset"}
+
+
+# --- What is wrong ---------------------------------------------------------------------------------------------------
+
+BROKEN = [
+    # text, key, line, what the message must say
+    (with_line(1, "title = 3"), "title", 1, "found 3; must be text"),
+    (with_line(1, 'title = ""'), "title", 1, 'found ""'),
+    (with_line(1, 'title = "a\\u0000b"'), "title", 1, "text on one line"),
+    (with_line(1, 'titel = "x"'), "titel", 1, 'did you mean "title"?'),
+    (with_line(3, "inertias = [0.024, 0.0, 0.002, 0.002]"), "driveline.inertias[2]", 3, r"greater than 0 (kg m2)"),
+    (with_line(3, "inertias = [0.024, true, 0.002, 0.002]"), "driveline.inertias[2]", 3, "found true"),
+    (with_line(3, 'inertias = [\n0.024, # "\n"x",\n1,1]'), "driveline.inertias[2]", 5, 'found "x"; must be a number'),
+    (with_line(3, "inertias = 0.024"), "driveline.inertias", 3, "must be a list of numbers greater than 0 (kg m2)"),
+    (with_line(3, "inertias = []"), "driveline.inertias", 3, "found []"),
+    (with_line(3, "inertias = [1, 1, 1, 1, 1]"), "driveline.names", 4, "4 names for 5 inertias"),
+    (with_line(3, ""), "driveline.inertias", 2, "missing"),
+    (with_line(4, 'names = ["motor", "ring", "pinion", "ring"]'), "driveline.names[4]", 4, "taken by inertia 2"),
+    (with_line(4, 'names = ["ground", "a", "b", "c"]'), "driveline.names[1]", 4, "kept for the ground"),
+    (with_line(4, 'names = ["a", "2", "b", "c"]'), "driveline.names[2]", 4, 'found "2"'),
+    (with_line(4, "names = [1, 2, 3, 4]"), "driveline.names[1]", 4, "found 1; must be text"),
+    (with_line(6, "between = [1, 5]"), "driveline.shafts[1].between[2]", 6, "there is no inertia 5"),
+    (with_line(6, "between = [0, 1]"), "driveline.shafts[1].between[1]", 6, "from 1 to 4"),
+    (with_line(10, "between = [2, 2]"), "driveline.shafts[2].between", 10, "both ends are 2"),
+    (with_line(10, 'between = ["flange", 2]'), "driveline.shafts[2].between", 10, "both ends are 2"),
+    (with_line(14, 'between = ["ground", "ground"]'), "driveline.shafts[3].between", 14, 'both ends are "ground"'),
+    (with_line(14, "between = [1]"), "driveline.shafts[3].between", 14, "found [1]; must be two inertias"),
+    (with_line(14, "between = 4"), "driveline.shafts[3].between", 14, "found 4; must be two inertias"),
+    (with_line(14, ""), "driveline.shafts[3].between", 13, "missing; must be two inertias"),
+    (with_line(15, "stiffness = -1"), "driveline.shafts[3].stiffness", 15, "found -1; must be a number, 0 or greater"),
+    (with_line(16, "dampign = 0.1"), "driveline.shafts[3].dampign", 16, 'did you mean "damping"?'),
+    (with_line(18, 'between = ["pinion", "rign"]'), "lash.between[2]", 18, 'did you mean "ring"?'),
+    (with_line(18, "between = [3, 4.0]"), "lash.between[2]", 18, "found 4.0; must be an inertia's number"),
+    (with_line(19, "backlsh_deg = 6.0"), "lash.backlsh_deg", 19, 'did you mean "backlash_deg"?'),
+    (with_line(19, "backlash_deg = 361"), "lash.backlash_deg", 19, "from 0 to 360 (degrees)"),
+    (with_line(19, "backlash_deg = nan"), "lash.backlash_deg", 19, "found nan; must be a finite number"),
+    (with_line(20, "radius = inf"), "lash.radius", 20, "found inf; must be a finite number"),
+    (with_line(20, "radius = 1979-05-27"), "lash.radius", 20, "found 1979-05-27"),
+    (with_line(20, f"radius = {10**400}"), "lash.radius", 20, "beyond 64 bits"),
+    (with_line(20, "radius = 0.08\nstifness = 3"), "lash.stifness", 21, '"stiffness" in [lash.contact]'),
+    (with_line(22, 'model = "restitution"'), "lash.contact.model", 22, "not available in this version"),
+    (with_line(22, 'model = "indentatoin"'), "lash.contact.model", 22, 'did you mean "indentation"?'),
+    (with_line(23, "stiffness = 0"), "lash.contact.stiffness", 23, "greater than 0 (N/m)"),
+    (with_line(25, 'separation = "never"'), "lash.contact.separation", 25, '"gap" or "force"'),
+    (with_line(26, "restitution = 1.1"), "lash.contact.restitution", 26, "from 0 to 1"),
+    (with_line(26, "locking_speed = 0"), "lash.contact.locking_speed", 26, "(rad/s)"),
+    (with_line(28, 'profile = "ramp"'), "load.profile", 28, 'must be "tip-out"'),
+    (with_line(29, 'on = "ground"'), "load.on", 29, 'no inertia is named "ground"'),
+    (with_line(29, "on = 5"), "load.on", 29, "there is no inertia 5"),
+    (with_line(30, ""), "load.static_torque", 27, "ratio needs static_torque"),
+    (with_line(31, "initial_torque = 2"), "load", 27, "given together"),
+    (with_line(30, "").replace("ratio = 5.0", "final_torque = 1"), "load.initial_torque", 27, "needs initial_torque"),
+    (with_line(30, "[foo]\nx = 1"), "foo", 30, "unknown key; allowed here: title, driveline"),
+    (with_line(34, 'method = "exact"'), "solver.method", 34, '"exact" is not available in this version'),
+    (with_line(35, "step = 0.0"), "solver.step", 35, "found 0.0; must be a number greater than 0 (s)"),
+    (with_line(35, "step = 3.0"), "solver.step", 35, "longer than the run, end_time = 2 s"),
+    (with_line(35, "step = 1e-10"), "solver.step", 35, "at most 1e+09"),
+    (with_line(37, "max_events = 100001"), "solver.max_events", 37, "a whole number from 1 to 100000"),
+    (with_line(37, "max_events = 5.0"), "solver.max_events", 37, "found 5.0; must be a whole number"),
+    (with_line(39, "sticking_time = -1"), "impacts.sticking_time", 39, "greater than 0 (s)"),
+    (with_line(40, 'acceleration_of = "pinoin"'), "impacts.acceleration_of", 40, 'did you mean "pinion"?'),
+    (with_line(42, 'parameter = "load.ration"'), "sweep.axes[1].parameter", 42, 'did you mean "load.ratio"?'),
+    (with_line(42, 'parameter = "ratio"'), "sweep.axes[1].parameter", 42, 'did you mean "load.ratio"?'),
+    (with_line(42, 'parameter = "driveline.inertias"'), "sweep.axes[1].parameter", 42, "driveline.inertias[1]"),
+    (with_line(42, 'parameter = "driveline.inertias[5]"'), "sweep.axes[1].parameter", 42, "has 4 items"),
+    (with_line(42, 'parameter = "driveline.inertias[0]"'), "sweep.axes[1].parameter", 42, "no key"),
+    (with_line(42, 'parameter = "lash.contact.model"'), "sweep.axes[1].parameter", 42, "no quantity that can be swept"),
+    (with_line(42, 'parameter = "solver.max_events"'), "sweep.axes[1].parameter", 42, "no quantity that can be swept"),
+    (with_line(42, 'parameter = "sweep.axes[1].start"'), "sweep.axes[1].parameter", 42, "no quantity"),
+    (with_line(42, 'parameter = "lash.backlash_deg"'), "sweep.axes[2].parameter", 47, "swept by sweep.axes[1] already"),
+    (with_line(42, 'parameter = "load.initial_torque"'), "sweep.axes[1].parameter", 42, "given by static_torque and"),
+    (with_line(42, 'parameter = "driveline.shafts[2].damping"\nstart = -1').replace("start = 0.0\n", ""),
+     "sweep.axes[1].start", 43, "driveline.shafts[2].damping must be a number, 0 or greater"),
+    (with_line(42, 'parameter = "solver.end_time"\nscale = "log"'), "sweep.axes[1].start", 44, "greater than 0"),
+    (with_line(42, 'parameter = "solver.step"').replace("start = 0.0", "start = 1e-4"), "sweep.axes[1].stop", 44,
+     "a step of 10 s is longer than the run"),
+    (with_line(42, 'parameter = "load.on"').replace("start = 0.0", "start = 1.0"), "sweep.axes[1].stop", 44,
+     "there are 4"),
+    (with_line(45, "count = 0"), "sweep.axes[1].count", 45, "from 1 to 10000000"),
+    (with_line(45, "count = 1"), "sweep.axes[1].count", 45, "one value cannot span 0 to 10"),
+    (with_line(45, f"count = {10**12}"), "sweep.axes[1].count", 45, "from 1 to 10000000"),
+    (with_line(45, ""), "sweep.axes[1]", 41, "missing count"),
+    (with_line(44, "stop = 0.0"), "sweep.axes[1]", 41, "start and stop are both 0"),
+    (with_line(44, "stop = 1e308"), "sweep.axes[1]", 41, "beyond the range of numbers"),
+    (with_line(45, "count = 3\nvalues = [1.0]"), "sweep.axes[1]", 41, "given together"),
+    (with_line(45, 'count = 3\nscale = "cubic"'), "sweep.axes[1].scale", 46, '"linear" or "log"'),
+    (with_line(48, "values = []"), "sweep.axes[2].values", 48, "found []"),
+    (with_line(48, "values = [1.0, 400.0]"), "sweep.axes[2].values[2]", 48, "lash.backlash_deg must be a number from 0"),
+    (with_line(48, "values = [1.0,\n 2, 1]"), "sweep.axes[2].values[3]", 49, "the value 1 occurs twice"),
+    (with_line(48, "values = [1.0, inf]"), "sweep.axes[2].values[2]", 48, "found inf"),
+    (with_line(48, ""), "sweep.axes[2]", 46, "no values are given"),
+    (f"{WHOLE}[sweep.axis]\n", "sweep.axis", 49, 'did you mean "axes"?'),
+    (f"{ONE_RUN}[sweep]\naxes = []\n", "sweep.axes", 42, "an array of tables, [[sweep.axes]]"),
+    (f"{ONE_RUN}[sweep]\n", "sweep.axes", 41, "missing"),
+    (ONE_RUN.replace("[lash]", "[[lash]]"), "lash", 17, "several lashes are not supported yet"),
+    ('preset = "boere-2008"\n', "preset", 1, '"preset" in [driveline]'),
+    ('[driveline]\npreset = "boere-2080"\n', "driveline.preset", 2, 'did you mean "boere-2008"?'),
+    ("[driveline]\npreset = 2008\n", "driveline.preset", 2, "found 2008; must be one of"),
+    (f"{PRESET}inertias = [1, 1, 1]\n", "lash.between[2]", None, "there is no inertia 4"),
+    (f"{PRESET}lash = 3\n", "driveline.lash", 3, "unknown key"),
+    ("lash = 3\n", "lash", 1, "found 3; must be a table"),
+    ("", "driveline", None, "give driveline.preset"),
+    (f"{PRESET}[load]\ninitial_torque = 1\n", "load.final_torque", 3, "initial_torque needs final_torque"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "key", "line", "message"), BROKEN, ids=[f"{case[1]}-{case[3]}" for case in BROKEN])
+def test_broken_config_is_reported_where_it_is_broken(text, key, line, message):
+    error = errors_of(text)
+    found = {problem.key: problem for problem in error.problems}
+    assert key in found, str(error)
+    assert message in found[key].message
+    assert found[key].line == line
+    where = f"line {line}, {key}:" if line is not None else f"  {key}:"
+    assert where in str(error)
+
+
+@pytest.mark.parametrize("case", [case for case in BROKEN if case[0].count("\n") > 20], ids=lambda case: case[1])
+def test_one_mistake_is_one_error(case):
+    text, key, _, message = case
+    extra = {"driveline.inertias": 0, "driveline.names[1]": 3}  # names of four wrong types are four mistakes
+    if key in extra and not ("missing" not in message and extra[key] == 0):
+        pytest.skip("several keys are wrong")
+    assert [problem.key for problem in errors_of(text).problems] == [key]
+
+
+def test_whole_config_is_valid():
+    """Without this, every broken config above could be broken for another reason."""
+    assert study_from_text(WHOLE).sweep is not None
+    assert study_from_text(ONE_RUN).sweep is None
+
+
+def test_all_errors_are_reported_at_once_in_the_order_of_their_lines():
+    text = WHOLE
+    for old, new in {
+        "title =": "titel =",
+        "between = [2, 3]": "between = [2, 9]",
+        "backlash_deg = 6.0": "backlash_deg = -6.0",
+        'separation = "gap"': 'separation = "force!"',
+        "on = 1": 'on = "moter"',
+        "ratio = 5.0\n": "ratio = 5.0\ninitial_torque = 3.0\n",
+        "step = 1e-4": 'step = "small"',
+        "acceleration_of = 3": "acceleration_of = 3.5",
+        "count = 11": "count = -1",
+    }.items():
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    error = errors_of(text, "solver.max_events=0", "nonsense")
+    assert [(problem.line, problem.key) for problem in error.problems] == [
+        (1, "titel"),
+        (10, "driveline.shafts[2].between[2]"),
+        (19, "lash.backlash_deg"),
+        (25, "lash.contact.separation"),
+        (27, "load"),
+        (29, "load.on"),
+        (36, "solver.step"),
+        (41, "impacts.acceleration_of"),
+        (46, "sweep.axes[1].count"),
+        (None, "solver.max_events"),
+        (None, '"nonsense"'),
+    ]
+    assert str(error).startswith("study.toml has 11 errors:\n  line 1, titel: unknown key")
+
+
+def test_report_fits_eighty_columns():
+    error = errors_of(WHOLE.replace("[3, 4]", '["' + "x" * 500 + '", 4]').replace("on = 1", 'on = "moter"'))
+    assert max(len(line) for line in str(error).splitlines()) <= 80
+    assert "…" in str(error)
+
+
+def test_misspelt_required_key_is_not_also_missing():
+    error = errors_of(ONE_RUN.replace("radius =", "raduis ="))
+    assert [problem.key for problem in error.problems] == ["lash.raduis"]
+
+
+def test_wrong_value_of_a_preset_says_so():
+    error = errors_of(f"{PRESET}inertias = [1, 1, 1]\n")
+    assert all('preset "boere-2008"' in problem.message for problem in error.problems)
+
+
+def test_error_survives_pickling():
+    error = errors_of("lash = 3")
+    copied = pickle.loads(pickle.dumps(error))
+    assert str(copied) == str(error)
+    assert copied.problems == error.problems
+
+
+# --- Files that are no configs -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"title = \xff", "is not UTF-8 text: byte 0xff on line 1"),
+        (b"\x89HDF\r\n\x1a\n", "is an HDF5 file"),
+        (b"title = 1\n= 2\n", "is not valid TOML: Invalid statement (at line 2, column 1)"),
+        (b"title = 1\ntitle = 2\n", "is not valid TOML"),
+        (b"x = " + b"[" * 5000 + b"]" * 5000, "is nested too deeply"),
+        (b"x" + b".x" * 5000 + b" = 1", "is nested too deeply"),
+        (b"x = " + b"9" * 5000, "integer of thousands of digits"),
+    ],
+)
+def test_file_that_is_no_config_is_one_sentence(tmp_path, content, message):
+    path = tmp_path / "x.toml"
+    path.write_bytes(content)
+    with pytest.raises(ConfigError) as caught:
+        load_study(path)
+    assert str(caught.value).startswith(f"{path} ")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert len(caught.value.problems) == 1
+
+
+def test_missing_file_names_the_nearest(tmp_path):
+    (tmp_path / "figure.toml").write_text(PRESET)
+    with pytest.raises(ConfigError, match=r"figrue\.toml does not exist; did you mean .*figure\.toml\?"):
+        load_study(tmp_path / "figrue.toml")
+    with pytest.raises(ConfigError, match=r"nothing\.txt does not exist\.$"):
+        load_study(tmp_path / "away" / "nothing.txt")
+    with pytest.raises(ConfigError, match="is a directory"):
+        load_study(tmp_path)
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_study("nul\0.toml")
+
+
+def test_byte_order_mark_and_windows_line_ends_do_no_harm(tmp_path):
+    path = tmp_path / "x.toml"
+    path.write_bytes(b"\xef\xbb\xbf" + WHOLE.replace("\n", "\r\n").encode())
+    assert load_study(path) == study_from_text(WHOLE)
+    path.write_bytes(with_line(20, "radius = -1").replace("\n", "\r\n").encode())
+    with pytest.raises(ConfigError) as caught:
+        load_study(path)
+    assert [problem.line for problem in caught.value.problems] == [20]
+
+
+# --- Overrides ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("override", "parameter", "value"),
+    [
+        ("load.ratio=7", "load.ratio", 7.0),
+        (" load.ratio = 7.5 ", "load.ratio", 7.5),
+        ("driveline.inertias[4]=0.003", "driveline.inertias[4]", 0.003),
+        ("driveline.inertias[ring]=0.003", "driveline.inertias[4]", 0.003),
+        ("driveline.inertias=[1.0, 2.0, 3.0, 4.0]", "driveline.inertias[3]", 3.0),
+        ("driveline.shafts[3].damping=0", "driveline.shafts[3].damping", 0.0),
+        ("impacts.sticking_time=1e-3", "impacts.sticking_time", 1e-3),
+        ("load.on=ring", "load.on", 4.0),
+        ('load.on="ring"', "load.on", 4.0),
+        ("driveline.preset=boere-2008-as-printed", "driveline.inertias[4]", 0.02),
+    ],
+)
+def test_override_sets_its_key(override, parameter, value):
+    study = study_from_text(PRESET, overrides=[override])
+    assert get_value(study, parameter) == value
+    assert get_value(study_from_text(PRESET), "load.static_torque") == -1.0
+
+
+def test_last_override_of_a_key_counts():
+    assert study_from_text(PRESET, overrides=["load.ratio=7", "load.ratio=8"]).load.ratio == 8.0
+
+
+def test_override_may_change_an_axis():
+    study = study_from_text(WHOLE, overrides=["sweep.axes[1].count=51", "sweep.axes[2].values=[3.0]"])
+    assert study.sweep is not None
+    assert [a.count_of_values for a in study.sweep.axes] == [51, 1]
+
+
+def test_plain_word_needs_no_quotes():
+    assert study_from_text(PRESET, overrides=["lash.contact.separation=force"]).lash.contact.separation == "force"
+
+
+@pytest.mark.parametrize(
+    ("override", "key", "message"),
+    [
+        ("load.ratio", '"load.ratio"', "must be KEY=VALUE"),
+        ("=7", '"=7"', "must be KEY=VALUE"),
+        ("load..ratio=7", '"load..ratio=7"', "must be KEY=VALUE"),
+        ("driveline.inertias[0]=7", '"driveline.inertias[0]=7"', "from 1"),
+        ("load.ratio=", '"load.ratio="', "no TOML value"),
+        ("load.ratio=7 8", '"load.ratio=7 8"', "no TOML value"),
+        ("load.ratio=7\nx=8", '"load.ratio=7\\nx=8"', "not one TOML value"),
+        ("load.ration=7", "load.ration", 'did you mean "ratio"?'),
+        ("laod.ratio=7", "laod", 'did you mean "load"?'),
+        ("load.ratio=many", "load.ratio", 'found "many"'),
+        ("solver.step=0.0", "solver.step", "found 0.0; must be a number greater than 0 (s)"),
+        ("solver.step=5", "solver.step", "longer than the run"),
+        ("driveline.inertias[9]=1", "driveline.inertias[9]", "has 4 items"),
+        ("driveline.inertias[rign]=1", "driveline.inertias[rign]", "no inertia has this name"),
+        ("driveline.shafts.damping=1", "driveline.shafts.damping", "is a list"),
+        ("title.x=1", "title.x", "title is no table"),
+        ("lash.backlash_deg=7", "lash.backlash_deg", "sweep.axes[2] sweeps this key"),
+        ("sweep.axes[1].count=-1", "sweep.axes[1].count", "from 1"),
+        ("sweep.axes[2].values=[500.0]", "sweep.axes[2].values[1]", "from 0 to 360"),
+        ("driveline.preset=boere", "driveline.preset", "boere-2008"),
+    ],
+)
+def test_broken_override_is_reported_as_an_override(override, key, message):
+    text = WHOLE.replace('"load.ratio"', '"lash.radius"').replace("start = 0.0", "start = 1.0")
+    error = errors_of(text, override)
+    assert [problem.key for problem in error.problems] == [key]
+    assert message in error.problems[0].message
+    assert error.problems[0].line is None
+    assert f"--set {key}:" in str(error)
+
+
+# --- Axes --------------------------------------------------------------------------------------------------------------
+
+
+def test_linear_axis_has_the_round_numbers_in_it():
+    grid = Axis(parameter="load.ratio", start=0.0, stop=10.0, count=201).grid
+    assert grid.dtype == np.float64
+    assert grid[3] == 0.15
+    assert grid[[0, -1]].tolist() == [0.0, 10.0]
+    assert not grid.flags.writeable
+
+
+def test_log_axis_has_a_constant_ratio():
+    grid = Axis(parameter="lash.radius", start=0.01, stop=10.0, count=4, scale="log").grid
+    # four multiplications and a power: a few units in the last place
+    np.testing.assert_allclose(grid, [0.01, 0.1, 1.0, 10.0], rtol=1e-14)
+    assert grid[[0, -1]].tolist() == [0.01, 10.0]
+
+
+def test_axis_of_one_value_needs_no_stop():
+    study = study_from_text(axis('parameter = "load.ratio"\nstart = 3\ncount = 1'))
+    assert study.sweep is not None
+    assert study.sweep.axes[0].grid.tolist() == [3.0]
+
+
+@given(start=st.floats(-1e6, 1e6), stop=st.floats(-1e6, 1e6), count=st.integers(2, 300), log=st.booleans())
+def test_axis_stays_between_its_ends(start, stop, count, log):
+    if log:
+        start, stop = abs(start) + 1e-6, abs(stop) + 1e-6
+    grid = Axis(parameter="x", start=start, stop=stop, count=count, scale="log" if log else "linear").grid
+    assert grid.size == count
+    assert (grid[0], grid[-1]) == (start, stop)
+    assert grid.min() >= min(start, stop)
+    assert grid.max() <= max(start, stop)
+
+
+@pytest.mark.parametrize(
+    "parameter",
+    ["impacts.sticking_time", "lash.contact.locking_speed", "load.step_time", "driveline.shafts[3].damping"],
+)
+def test_optional_and_nested_keys_can_be_swept(parameter):
+    study = study_from_text(axis(f'parameter = "{parameter}"\nvalues = [0.5, 1]'))
+    assert get_value(replace_values(study, {parameter: 0.5}), parameter) == 0.5
+
+
+def test_axis_may_name_an_inertia():
+    study = study_from_text(axis('parameter = "driveline.inertias[ring]"\nvalues = [0.5, 1]'))
+    assert study.sweep is not None
+    assert study.sweep.axes[0].parameter == "driveline.inertias[4]"
+
+
+def test_swept_key_may_be_left_out():
+    text = "\n".join(line for line in WHOLE.splitlines() if not line.startswith(("ratio", "backlash_deg")))
+    study = study_from_text(text)
+    assert (study.load.ratio, study.lash.backlash_deg) == (0.0, 1.0)
+
+
+def test_wrong_axis_over_a_left_out_key_is_one_error():
+    text = WHOLE.replace("backlash_deg = 6.0\n", "").replace("values = [1.0,", "values = [-1.0,")
+    assert [problem.key for problem in errors_of(text).problems] == ["sweep.axes[2].values[1]"]
+    text = WHOLE.replace("backlash_deg = 6.0\n", "").replace("values = [1.0, 2.0, 5.0]", 'values = ["a"]')
+    assert [problem.key for problem in errors_of(text).problems] == ["sweep.axes[2].values[1]"]
+
+
+def test_axes_over_both_torques_replace_the_preset_s_ratio():
+    axes = "".join(
+        f'[[sweep.axes]]\nparameter = "load.{key}_torque"\nvalues = [1, 2]\n' for key in ("initial", "final")
+    )
+    load = study_from_text(PRESET + axes).load
+    assert (load.initial_torque, load.final_torque, load.ratio) == (1.0, 1.0, None)
+
+
+def test_axis_over_the_ratio_of_a_load_given_by_its_torques_explains_itself():
+    text = (
+        f'{PRESET}[load]\ninitial_torque = 1\nfinal_torque = 2\n[[sweep.axes]]\nparameter = "load.ratio"\nvalues = [1]'
+    )
+    error = errors_of(text)
+    assert [problem.key for problem in error.problems] == ["sweep.axes[1].parameter"]
+    assert "given by initial_torque and final_torque" in error.problems[0].message
+
+
+def test_absurd_grids_are_refused_before_anything_is_allocated():
+    three = "".join(
+        f'[[sweep.axes]]\nparameter = "{parameter}"\nstart = 1\nstop = 2\ncount = 10000\n'
+        for parameter in ("load.ratio", "lash.backlash_deg", "lash.radius")
+    )
+    began = time.perf_counter()
+    error = errors_of(PRESET + three)
+    assert [problem.key for problem in error.problems] == ["sweep.axes"]
+    assert "1,000,000,000,000 cells" in error.problems[0].message
+    longest = study_from_text(axis('parameter = "load.ratio"\nstart = 1\nstop = 2\ncount = 10000000'))
+    assert longest.sweep is not None
+    assert "grid" not in longest.sweep.axes[0].__dict__
+    assert time.perf_counter() - began < 5.0
+
+
+@pytest.mark.parametrize("values", ["[1, 2, 3]", "[1.0, 4.0]"])
+def test_inertia_number_can_be_swept_in_whole_numbers(values):
+    assert study_from_text(axis(f'parameter = "load.on"\nvalues = {values}')).sweep is not None
+    error = errors_of(axis('parameter = "load.on"\nstart = 1\nstop = 4\ncount = 3'))
+    assert "at every value" in error.problems[0].message
+
+
+# --- Values, text, digest ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "text", [WHOLE, ONE_RUN, STARTER, PRESET, *(path.read_text(encoding="utf-8") for path in CONFIGS)]
+)
+def test_resolved_config_gives_an_equal_study(text):
+    study = study_from_text(text)
+    resolved = to_toml(study)
+    assert "preset" not in resolved
+    assert study_from_text(resolved) == study
+    assert to_toml(study_from_text(resolved)) == resolved
+    assert digest(study_from_text(resolved)) == digest(study)
+
+
+def test_single_inertia_with_a_lash_to_ground_survives_the_round_trip():
+    text = """
+    driveline = { inertias = [1.0], shafts = [] }
+    lash = { between = [1, "ground"], backlash_deg = 1, radius = 1, contact = { stiffness = 1, damping = 0 } }
+    load = { on = 1, initial_torque = 1, final_torque = 0 }
+    """
+    study = study_from_text(text)
+    assert study_from_text(to_toml(study)) == study
+
+
+def test_digest_is_of_what_decides_the_results():
+    same = [
+        WHOLE.replace('"Whole"', '"Other"'),
+        WHOLE.replace('["motor"', '["engine"'),
+        WHOLE.replace("ratio = 5.0", "ratio = 6.0"),  # swept
+        WHOLE.replace("start = 0.0", "start = -0.0"),
+        WHOLE.replace("between = [3, 4]", 'between = ["pinion", "ring"]'),
+    ]
+    other = [
+        WHOLE.replace("step = 1e-4", "step = 2e-4"),
+        WHOLE.replace("count = 11", "count = 12"),
+        WHOLE.replace("0.024", "0.025"),
+        WHOLE.replace("static_torque = -1.0", "static_torque = -2.0"),
+        WHOLE.replace("[1.0, 2.0, 5.0]", "[1.0, 5.0, 2.0]"),
+        ONE_RUN,
+    ]
+    assert {digest(study_from_text(text)) for text in same} == {digest(study_from_text(WHOLE))}
+    assert len({digest(study_from_text(text)) for text in [WHOLE, *other]}) == 1 + len(other)
+    assert len(digest(study_from_text(WHOLE))) == hashlib.sha256().digest_size * 2
+
+
+def test_replaced_values_are_those_of_the_study():
+    study = study_from_text(WHOLE)
+    values = {"load.ratio": 3.0, "driveline.inertias[4]": 0.003, "lash.contact.stiffness": 1e5, "load.on": 2.0}
+    replaced = replace_values(study, values)
+    assert {parameter: get_value(replaced, parameter) for parameter in values} == values
+    assert get_value(study, "load.ratio") == 5.0
+    assert replaced.driveline.inertias == (0.024, 0.002, 0.002, 0.003)
+    assert (replaced.load.on, type(replaced.load.on)) == (2, int)
+    assert replaced.sweep == study.sweep
+    assert replace_values(study, {}) == study
+    assert type(replace_values(study, {"load.ratio": np.float64(2.0)}).load.ratio) is float
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"load.ration": 1.0}, 'did you mean "load.ratio"'),
+        ({"driveline.inertias[5]": 1.0}, "has 4 items"),
+        ({"driveline.inertias[4]": 0.0}, "driveline.inertias[4]: found 0.0; must be a number greater than 0"),
+        ({"lash.radius": math.nan}, "found nan"),
+        ({"load.on": 2.5}, "load.on"),
+        ({"load.on": 5.0}, "there is no inertia 5"),
+        ({"solver.step": 3.0}, "longer than the run"),
+        ({"load.initial_torque": 3.0}, "given together"),
+        ({"lash.radius": 0.0, "lash.backlash_deg": -1.0, "solver.step": 0.0}, "has 3 errors"),
+    ],
+)
+def test_replaced_values_obey_the_rules_of_a_file(values, message):
+    with pytest.raises(ConfigError) as caught:
+        replace_values(study_from_text(WHOLE), values)
+    assert message in str(caught.value).replace("\n    ", " ")
+
+
+def test_replacing_is_quick():
+    """The sweep does it once for each structural cell; the bound is ten times what it takes."""
+    study = study_from_text(WHOLE)
+    seconds = []
+    for k in range(50):
+        began = time.perf_counter()
+        replace_values(study, {"driveline.inertias[4]": 0.002 + 1e-5 * k})
+        seconds.append(time.perf_counter() - began)
+    assert min(seconds) < 1.3e-3
+
+
+def test_value_that_is_not_set_is_an_error():
+    with pytest.raises(ConfigError, match="no value in this study"):
+        get_value(study_from_text(PRESET), "impacts.sticking_time")
+
+
+@pytest.mark.parametrize(
+    ("parameter", "name", "symbol", "unit"),
+    [
+        ("load.ratio", "load ratio", "σr = Td/Ts", "1"),
+        ("lash.backlash_deg", "backlash", "φθ", "degrees"),
+        ("driveline.inertias[4]", "inertia 4", "J4", "kg m2"),
+        ("driveline.shafts[3].damping", "damping of shaft 3", "c3", "N m s/rad"),
+        ("impacts.sticking_time", "sticking time", "t_s", "s"),
+    ],
+)
+def test_quantities_have_name_symbol_and_unit(parameter, name, symbol, unit):
+    found = quantity(parameter)
+    assert (found.name, found.symbol, found.unit) == (name, symbol, unit)
+
+
+@pytest.mark.parametrize("parameter", ["load.ration", "title", "", "driveline.inertias", "solver.max_events", "]["])
+def test_what_is_no_quantity_is_an_error(parameter):
+    with pytest.raises(ConfigError):
+        quantity(parameter)
+
+
+def test_study_built_by_hand_is_held_to_the_same_rules():
+    parts: dict[str, Any] = dict(study_from_text(PRESET))
+    assert Study(**parts) == study_from_text(PRESET)
+    with pytest.raises(ValueError, match="there is no inertia 7"):
+        Study(**parts | {"load": parts["load"].model_copy(update={"on": 7})})
+    with pytest.raises(ValueError, match="frozen"):
+        parts["load"].ratio = 3.0
+
+
+# --- The lines of keys -----------------------------------------------------------------------------------------------
+
+
+def test_key_lines_are_found_through_all_of_toml():
+    text = '''
+# comment [x]
+a.b = """
+not = "a key"
+""" # 3
+"quoted key" = 'it''s'.x
+[t]
+list = [
+  1, # ]
+  [2,
+   "]"],
+  { k = 1, l.m = 2 },
+]
+[[t.array]]
+x = 1
+[[t.array]]
+x = 2
+[t.array.sub]
+y = 1979-05-27T07:32:00Z
+'''.replace("'it''s'.x", "'it''s'"[:5])
+    lines = KeyLines(text)
+    for key, line in {
+        "a.b": 3,
+        "t": 7,
+        "t.list": 8,
+        "t.list[1]": 9,
+        "t.list[2][2]": 11,
+        "t.list[3].k": 12,
+        "t.list[3].l.m": 12,
+        "t.array[1].x": 15,
+        "t.array[2]": 16,
+        "t.array[2].x": 17,
+        "t.array[2].sub.y": 19,
+        "t.array[2].nothing": 16,
+        "t.nothing.deeper": 7,
+    }.items():
+        place = parse_place(key)
+        assert place is not None
+        assert (key, lines.find(place)) == (key, line)
+    assert lines.find(("nothing",)) is None
+    assert lines.find(("quoted key",)) == 6
+
+
+@given(st.text(alphabet="ab.=[]{},\"'\\\n# 1", max_size=60))
+@example('a = """')
+@example("[[")
+@example("a = [}")
+def test_key_lines_never_raise(text):
+    KeyLines(text).find(("a", 0, "b"))
+
+
+@given(st.lists(st.one_of(st.integers(0, 99), st.from_regex(r"[A-Za-z_][A-Za-z0-9_-]*", fullmatch=True)), min_size=1))
+def test_dotted_keys_read_back(place):
+    place = ["x", *place]
+    assert parse_place(dotted(tuple(place))) == tuple(place)
+
+
+# --- Whatever comes ----------------------------------------------------------------------------------------------------
+
+_KEYS = sorted({key for key in re.findall(r"[a-z_]+", WHOLE + STARTER)} & set(
+    ["title", "driveline", "preset", "inertias", "names", "shafts", "between", "stiffness", "damping", "lash", "backlash_deg", "radius", "contact", "model", "separation", "restitution", "locking_speed", "load", "profile", "on", "static_torque", "ratio", "initial_torque", "final_torque", "step_time", "solver", "method", "step", "end_time", "max_events", "impacts", "sticking_time", "acceleration_of", "sweep", "axes", "parameter", "start", "stop", "count", "scale", "values"]
+))  # fmt: skip
+_WORDS = ["ground", "motor", "ring", "rk4", "exact", "log", "gap", "load.ratio", "driveline.inertias[4]", *PRESETS, ""]
+_LEAVES = st.one_of(
+    st.sampled_from(_WORDS),
+    st.integers(-3, 6),
+    st.integers(),
+    st.floats(),
+    st.booleans(),
+    st.dates(),
+    st.text(st.characters(exclude_categories=("Cs",)), max_size=5),
+)
+_TREES = st.recursive(
+    _LEAVES,
+    lambda below: st.one_of(
+        st.lists(below, max_size=3),
+        st.dictionaries(
+            st.one_of(st.sampled_from(_KEYS), st.text(st.characters(exclude_categories=("Cs",)), max_size=3)),
+            below,
+            max_size=4,
+        ),
+    ),
+    max_leaves=12,
+)
+
+
+def _places(node: Any, place: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    entries = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
+    return [place, *itertools.chain.from_iterable(_places(child, (*place, key)) for key, child in entries)]
+
+
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(data=st.data(), tree=_TREES)
+def test_a_config_with_anything_anywhere_is_a_study_or_a_config_error(data, tree):
+    import tomllib
+
+    document = tomllib.loads(
+        data.draw(st.sampled_from([WHOLE, PRESET, axis('parameter = "load.ratio"\nvalues = [1]')]))
+    )
+    place = data.draw(st.sampled_from([place for place in _places(document) if place]))
+    node: Any = document
+    for step in place[:-1]:
+        node = node[step]
+    node[place[-1]] = tree
+    try:
+        text = tomli_w.dumps(document)
+    except (ValueError, OverflowError):  # tomli_w cannot write every string as a key
+        return
+    override = f"{dotted(place)}={data.draw(st.sampled_from(['1', 'x', '[1', '{a = 1}', '[]', '']))}"
+    for overrides in ([], [override]):
+        try:
+            study = study_from_text(text, overrides=overrides)
+        except ConfigError as error:
+            assert error.problems
+            assert str(error)
+        else:
+            assert study_from_text(to_toml(study)) == study
+            assert len(digest(study)) == 64
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.text(max_size=30), st.text(max_size=30))
+def test_any_text_and_any_override_is_a_study_or_a_config_error(text, override):
+    with pytest.raises(ConfigError):
+        study_from_text(text, overrides=[override])
+    try:
+        study_from_text(PRESET, overrides=[override])
+    except ConfigError as error:
+        assert str(error).encode("utf-8")

@@ -1,0 +1,222 @@
+"""Laws of physics that hold whatever the driveline: symmetry, scaling, energy, and the limits of the map."""
+
+import numpy as np
+import pytest
+
+import reference
+from clunk.config import replace_values
+from clunk.simulation import SimulationError, simulate
+from running import core_run, system_of, unproved
+
+POINTS = [(2.0, 6.0), (5.0, 6.0), (10.0, 10.0), (7.0, 0.0), (-2.5, 3.0)]
+
+
+def at(study, ratio, backlash, **values):
+    return replace_values(study, {"load.ratio": ratio, "lash.backlash_deg": backlash, **values})
+
+
+def by_force(study):
+    contact = study.lash.contact.model_copy(update={"separation": "force"})
+    return study.model_copy(update={"lash": study.lash.model_copy(update={"contact": contact})})
+
+
+@pytest.mark.parametrize(("ratio", "backlash"), POINTS)
+@pytest.mark.parametrize("separation", [lambda study: study, by_force], ids=["gap", "force"])
+class TestSymmetry:
+    def test_mirrored_load_swaps_flanks(self, nominal, ratio, backlash, separation):
+        """-T for T changes the sign of every angle and of nothing else, to the last bit."""
+        study = separation(at(nominal, ratio, backlash))
+        one, other = simulate(study), simulate(replace_values(study, {"load.static_torque": 1.0}))
+        assert other.initial_side == -one.initial_side
+        assert np.array_equal(other.events["side"], -one.events["side"])
+        assert np.array_equal(other.events["time"], one.events["time"])
+        assert np.array_equal(other.events["kind"], one.events["kind"])
+        assert np.array_equal(other.states, -one.states)
+        assert other.label == one.label
+        assert np.array_equal(other.impact_severity, one.impact_severity)
+
+    def test_twice_the_torque_in_twice_the_gap_is_twice_the_motion(self, nominal, ratio, backlash, separation):
+        """The system is piecewise linear, and a power of two is exact: equal times, twice the speeds, to the last bit."""
+        study = separation(at(nominal, ratio, backlash))
+        one = simulate(study)
+        other = simulate(at(study, ratio, 2.0 * backlash, **{"load.static_torque": -2.0}))
+        assert np.array_equal(other.events["time"], one.events["time"])
+        assert np.array_equal(other.events["speed"], 2.0 * one.events["speed"])
+        assert np.array_equal(other.states, 2.0 * one.states)
+        assert other.label == one.label
+        assert np.array_equal(other.impact_severity, 2.0 * one.impact_severity)
+        assert other.severity == 2.0 * one.severity
+        assert other.approach_velocity == 2.0 * one.approach_velocity
+
+
+def energy(plant, state):
+    """Kinetic and shaft energy, and the potential of the constant torque  [J]; (events,) for rows of states."""
+    _, stiffness = plant.open_matrices()
+    theta, speed = state[:, : plant.n], state[:, plant.n :]
+    kinetic = 0.5 * speed**2 @ np.array(plant.inertias)
+    elastic = 0.5 * np.einsum("ek,kj,ej->e", theta, stiffness, theta)
+    return kinetic + elastic - plant.after * theta @ plant.load
+
+
+@pytest.mark.parametrize("separation", ["gap", "force"])
+@pytest.mark.parametrize(("ratio", "backlash"), [(2.0, 6.0), (5.0, 6.0), (10.0, 10.0), (8.0, 0.5), (-2.5, 3.0)])
+class TestEnergy:
+    def test_contact_never_gains_energy(self, ratio, backlash, separation):
+        """From a touch to the last separation of its episode, rejoins included: the contact only takes.
+
+        Nothing flows in: the torque is constant, and its potential is counted.
+        """
+        plant = reference.boere(ratio, backlash, separation=separation)
+        run = core_run(system_of(plant), plant)
+        level = energy(plant, run.states)
+        ends = "separation" if separation == "gap" else "opening"
+        episodes, touched = 0, None
+        for k, (kind, _) in enumerate(run.kinds):
+            if kind == "touch":
+                touched = k
+            elif kind == ends and touched is not None:
+                assert level[k] < level[touched]
+                episodes += 1
+        assert episodes >= 1
+
+    def test_the_gap_never_gains_energy(self, ratio, backlash, separation):
+        """Shaft dampers only take, too, from the opening of the gap to the touch."""
+        plant = reference.boere(ratio, backlash, separation=separation)
+        run = core_run(system_of(plant), plant)
+        level = energy(plant, run.states)
+        opened = "separation" if separation == "gap" else "opening"
+        crossings = [k for k, (kind, _) in enumerate(run.kinds) if kind == "touch"]
+        assert crossings
+        for k in crossings:
+            assert run.kinds[k - 1][0] == opened
+            assert level[k] < level[k - 1]
+
+    def test_without_any_damper_energy_is_kept(self, ratio, backlash, separation):
+        """No c anywhere: the energy at touches and openings, where the contact spring is slack, is that of the start.
+
+        RK4 itself takes (ωh)⁶/72 of a mode's energy a step, which is 6e-6 of the contact mode's over half a period;
+        half the step brings that to 2e-7 a contact.
+        """
+        shafts = tuple((one, other, k, 0.0) for one, other, k, _ in reference.Plant().shafts)
+        plant = reference.boere(ratio, backlash, separation=separation, shafts=shafts, contact_damping=0.0)
+        run = core_run(system_of(plant, 5e-5, 0.3), plant)
+        side, start = plant.preload()
+        indentation = side * (plant.twist @ start[: plant.n]) - plant.backlash / 2
+        level = energy(plant, run.states)
+        first = level[0] + 0.5 * plant.contact_stiffness * indentation**2
+        slack = [k for k, (kind, _) in enumerate(run.kinds) if kind != "load step"]
+        assert len(slack) >= 2
+        swing = np.ptp(np.concatenate([level, [first]])) + 0.5 * abs(plant.before) ** 2 / 31.3
+        assert level[slack] == pytest.approx(first, abs=1e-5 * swing)
+
+
+def test_no_released_torque_no_motion(nominal):
+    """σr = 0: the load step is none."""
+    trajectory = simulate(at(nominal, 0.0, 6.0))
+    assert trajectory.label == "NI"
+    assert len(trajectory.events) == 1
+    assert trajectory.severity == 0.0
+    assert trajectory.approach_velocity == 0.0
+    assert trajectory.complete
+
+
+def test_no_torque_before_the_load_step_no_initial_flank(nominal):
+    """σr = -1: T(0⁻) = 0, and nothing says where in the gap the driveline rests."""
+    with pytest.raises(SimulationError, match="initial flank"):
+        simulate(at(nominal, -1.0, 6.0))
+
+
+@pytest.mark.parametrize("ratio", [-1.5, -2.0, -3.0])
+def test_a_load_that_changes_sign_ends_on_the_other_flank(nominal, ratio):
+    """σr < -1: the preload is on the positive flank, the final load rests on the negative one; the crossing stays."""
+    trajectory = simulate(at(nominal, ratio, 6.0))
+    assert trajectory.initial_side == 1
+    assert trajectory.label.endswith("CR(1)")
+    assert trajectory.events["side"][-1] == -1
+    assert trajectory.complete
+
+
+def test_the_motion_dies_out_in_static_contact_under_the_torque_after_the_step():
+    """12 s after it, the slowest mode (ζω = 2.45 1/s) has fallen to 2e-13."""
+    plant = reference.boere(5.0, 6.0)
+    _, rest = reference.boere(0.0, 6.0).preload()
+    run = core_run(unproved(system_of(plant, end_time=12.0)), plant)
+    assert run.final_state == pytest.approx(rest, abs=1e-11)
+
+
+class TestVanishingBacklash:
+    """φθ = 0: the flanks change without a gap, and an impact is a change of sign of the contact torque."""
+
+    @pytest.mark.parametrize("separation", [lambda study: study, by_force], ids=["gap", "force"])
+    def test_a_separation_passes_straight_to_the_other_flank(self, nominal, separation):
+        trajectory = simulate(separation(at(nominal, 7.0, 0.0)))
+        kinds = [trajectory.kind_name(k) for k in range(len(trajectory.events))]
+        assert trajectory.label == "DS(3)"
+        assert trajectory.touches == 6
+        for k, kind in enumerate(kinds):
+            if kind == "touch":
+                assert trajectory.events["time"][k] - trajectory.events["time"][k - 1] < 1e-12
+                assert trajectory.events["side"][k] == -trajectory.events["side"][k - 1]
+
+    RIGID = (1.432, 3.072, 6.606, 14.207)  # of the 3 degrees of freedom with the lash locked, computed independently
+
+    def threshold(self, study, count, low, high):
+        """The load ratio from which on there are `count` double-sided impacts, to 1e-5."""
+        while high - low > 1e-5:
+            middle = 0.5 * (low + high)
+            if len(simulate(at(study, middle, 0.0)).primaries) >= 2 * count:
+                high = middle
+            else:
+                low = middle
+        assert simulate(at(study, high, 0.0)).label == f"DS({count})"
+        return high
+
+    @pytest.mark.parametrize("count", [1, 2, 3, 4])
+    def test_one_more_impact_appears_where_the_closed_chain_swings_below_zero(self, nominal, count):
+        """Without a gap the chain is linear: q ~ 1 + σr f(t), and each deeper minimum of f < 0 adds an impact at -1/f.
+
+        The minima are sampled every 10 µs, which is 5e-7 of the third mode's swing (ω = 193 1/s).
+        """
+        plant = reference.boere(1.0, 0.0)
+        damping, stiffness = plant.open_matrices()
+        coupling, inertia = np.outer(plant.twist, plant.twist), np.array(plant.inertias)[:, None]
+        rates = np.zeros((8, 8))
+        rates[:4, 4:] = np.eye(4)
+        rates[4:, :4] = -(stiffness + plant.contact_stiffness * coupling) / inertia
+        rates[4:, 4:] = -(damping + plant.contact_damping * coupling) / inertia
+        _, start = plant.preload()
+        eigenvalues, vectors = np.linalg.eig(rates)
+        amplitudes = (plant.twist @ vectors[:4]) * np.linalg.solve(vectors, start)
+        f = np.real(np.exp(np.multiply.outer(np.arange(0.0, 1.0, 1e-5), eigenvalues)) @ amplitudes)
+        f /= plant.twist @ start[:4]
+        minima = f[1:-1][(f[1:-1] < f[:-2]) & (f[1:-1] < f[2:]) & (f[1:-1] < 0.0)]
+        expected = -1.0 / minima[minima <= np.minimum.accumulate(minima[::-1])[::-1]][count - 1]
+        assert self.threshold(nominal, count, 0.9 * expected, 1.1 * expected) == pytest.approx(expected, rel=1e-5)
+
+    @pytest.mark.parametrize("count", [1, 2, 3, 4])
+    def test_a_stiff_contact_has_the_thresholds_of_a_rigid_one(self, nominal, count):
+        """The nominal contact moves them by less than 1e-3; one 25 times as stiff by a 25th of that: to the last digit."""
+        rigid = self.RIGID[count - 1]
+        assert self.threshold(nominal, count, 0.9 * rigid, 1.1 * rigid) == pytest.approx(rigid, rel=1e-3)
+        stiffer = {"lash.contact.stiffness": 25 * 4.092e5, "lash.contact.damping": 5 * 94.0, "solver.step": 2e-5}
+        study = replace_values(nominal, stiffer)
+        assert self.threshold(study, count, 0.9 * rigid, 1.1 * rigid) == pytest.approx(rigid, abs=1e-3)
+
+
+class TestStickingTime:
+    def test_no_episode_of_the_nominal_run_is_near_it(self, nominal):
+        """Rebounds last at most 0.85 T_c, sticking at least 1.2 T_c: the label does not hang on the rule."""
+        period = reference.boere(5.0, 6.0).contact_period()
+        labels = {
+            simulate(at(nominal, 5.0, 6.0, **{"impacts.sticking_time": share * period})).label
+            for share in (0.86, 1.0, 1.19)
+        }
+        assert labels == {"DS(1)SS(1)"}
+
+    def test_it_decides_what_is_primary(self, nominal):
+        """With a sticking time far below a rebound every touch is primary; beyond the run, none on the same flank is."""
+        every = simulate(at(nominal, 5.0, 6.0, **{"impacts.sticking_time": 1e-9}))
+        assert len(every.primaries) == every.touches == 9
+        none = simulate(at(nominal, 5.0, 6.0, **{"impacts.sticking_time": 10.0}))
+        assert none.label == "DS(1)"
+        assert np.array_equal(none.events["time"], every.events["time"])
