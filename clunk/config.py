@@ -148,7 +148,6 @@ class _Resolution:
         self._expand_preset()
         for place, value in self._assigned.items():
             self._assign(place, value)
-        self._drop_odd_values(self.document, ())
         if isinstance(self.document.get("driveline"), dict):
             self.document["driveline"].pop("preset", None)
         self._stand_in_for_swept_keys()
@@ -252,16 +251,6 @@ class _Resolution:
             return f"{name} is a list; its items are {name}[1] and so on"
         return f"{name} is no {'list' if isinstance(place[-1], int) else 'table'}"
 
-    def _drop_odd_values(self, node: Any, place: Place) -> None:
-        """Integers that TOML does not have but tomllib reads; nothing after this point can digest them."""
-        entries = node.items() if isinstance(node, dict) else enumerate(node)
-        for step, value in list(entries):
-            if isinstance(value, dict | list):
-                self._drop_odd_values(value, (*place, step))
-            elif isinstance(value, int) and abs(value) >= 2**63:
-                self._find([((*place, step), f"found {shorten(value)}")])
-                node[step] = 0
-
     def _stand_in_for_swept_keys(self) -> None:
         """A key that an axis sweeps may be left out: the axis's first value takes its place."""
         for _, axis in axes_of(self.document):
@@ -343,7 +332,7 @@ def _preset(name: str) -> dict[str, Any]:
 # --- Types and ranges: pydantic's errors as sentences ----------------------------------------------------------------
 
 
-def _validated(model: type[_Model], document: Any, at: Place) -> tuple[_Model | None, list[Finding]]:
+def _validated(model: type[Model], document: Any, at: Place) -> tuple[Model | None, list[Finding]]:
     """The model of what stands at a place of a document, or what is wrong with it."""
     try:
         return model.model_validate(_with_tuples(document)), []
@@ -359,8 +348,9 @@ def _validated(model: type[_Model], document: Any, at: Place) -> tuple[_Model | 
         elif detail["type"] == "clunk_rules":
             wrong += detail["ctx"]["findings"]
     for place, detail in errors:
-        # a misspelt key is one mistake, not an unknown key and a missing one
-        if detail["type"] not in {"extra_forbidden", "clunk_rules"} and place not in guessed:
+        # one mistake, one error: a misspelt key is not missing too, nor a list of wrong items too short
+        follows = place in guessed or (detail["type"] == "too_short" and bool(detail["input"]))
+        if detail["type"] not in {"extra_forbidden", "clunk_rules"} and not follows:
             wrong.append((place, _type_message(place, detail)))
     return None, wrong
 

@@ -60,7 +60,7 @@ class Contact(_Frozen):
     locking_speed : float or None  [rad/s], a slower rebound locks; the indentation model does not use it
     """
 
-    model: Literal["indentation"] = "indentation"
+    model: Literal["indentation", "restitution"] = "indentation"
     stiffness: Annotated[Positive, Quantity("contact stiffness", "k", "N/m")]
     damping: Annotated[NotNegative, Quantity("contact damping", "c", "N s/m")]
     separation: Literal["gap", "force"] = "gap"

@@ -22,9 +22,8 @@ LARGEST_GRID = 2**31  # cells
 LONGEST_AXIS = 10_000_000  # values; known before any array is made
 MOST_STEPS = 1e9  # of one run; about ten seconds of nothing but stepping
 
-# Choices that are planned: refused by name rather than as unknown. To open one, add it to its Literal in config.py.
+# Choices that are planned: refused by name rather than as unknown. To open one, add it to its Literal in configmodels.py.
 NOT_YET: dict[Place, tuple[str, ...]] = {
-    ("lash", "contact", "model"): ("restitution",),
     ("solver", "method"): ("exact",),
 }
 
@@ -453,6 +452,8 @@ def _wrong_torque(parameter: str, document: Document) -> str | None:
     other = STEP_TORQUES if pair is RATIO_TORQUES else RATIO_TORQUES
     load = document.get("load")
     if not isinstance(load, Mapping) or all(load.get(key) is None for key in other):
+        return None
+    if any(load.get(key) is not None for key in pair):  # both pairs are given, which is an error of its own
         return None
     return (
         f"{parameter} does not apply: the load is given by {' and '.join(other)}; give load.{pair[0]} and "

@@ -106,7 +106,7 @@ def sample(
         before = study.load.step_time if equilibrium else 0.0
     begin, end = _span(trajectory, step, until, before, equilibrium)
 
-    phases = _Phases(system, float(load.after), half_gap, step)
+    phases = Phases(system, float(load.after), half_gap, step)
     # of each phase: (m,), (m, 2n), its regime and its first row's event
     times: list[FloatArray] = []
     states: list[FloatArray] = []
@@ -167,7 +167,7 @@ def shown_until(trajectory: Trajectory) -> float:
 # --- Sampling --------------------------------------------------------------------------------------------------------
 
 
-class _Phases:
+class Phases:
     """The flow of each regime under the load after the step, by powers of one step's matrix exponential."""
 
     def __init__(self, system: System, torque: float, half_gap: float, step: float) -> None:

@@ -146,6 +146,7 @@ def quantity_map(results: Results, name: str) -> Figure:
     view = _View.of(results, 2)
     codes = view.arrange(results.sequence)
     values = view.arrange(_values(results, name))
+    whole = name in ("primary_impacts", "touches")
     with _styled():
         figure = _figure()
         ax = figure.add_subplot()
@@ -157,12 +158,12 @@ def quantity_map(results: Results, name: str) -> Figure:
             _edges(view.y.values),
             values.T,
             cmap="viridis",
-            norm=_norm(values, whole=name in ("primary_impacts", "touches")),
+            norm=_norm(values, whole=whole),
             rasterized=True,  # a vector file with a path for every cell would take seconds to show
             zorder=0.5,
         )
         bar = figure.colorbar(mesh, ax=ax, pad=0.02, aspect=28)
-        _finish_bar(bar, label)
+        _finish_bar(bar, label, whole=whole)
         regions = _Regions(codes)
         x, y = regions.fine_values(view)
         if FAILED_CODE in regions.present:
@@ -615,24 +616,31 @@ def _label_and_note(
     The notes take height from the map, and less of it then fits: laid out again until the notes are the same.
     """
     palette = _palette(labels)
-    noted: list[str] = []
-    for _ in range(4):
+
+    def note(names: list[str]) -> None:
         notes = []
-        for label in noted[:_MOST_NOTES]:
+        for label in names[:_MOST_NOTES]:
             cells = int(np.count_nonzero(codes == labels.index(label)))
             notes.append(
                 Patch(facecolor=palette[label], edgecolor=_INK, linewidth=0.6, label=f"{label}: {_cells(cells)}")
             )
-        if len(noted) > _MOST_NOTES:
-            notes.append(Patch(alpha=0.0, label=f"and {len(noted) - _MOST_NOTES} labels more"))
+        if len(names) > _MOST_NOTES:
+            notes.append(Patch(alpha=0.0, label=f"and {len(names) - _MOST_NOTES} labels more"))
         _note(figure, notes + _failed_notes(codes))
+
+    noted: set[str] = set()
+    unlabelled: list[str] = []
+    for _ in range(4):
+        note([label for label in labels if label in noted])
         _freeze_layout(figure, ax)
         for artist in [*ax.texts, *(line for line in ax.lines if line.get_gid() == "leader")]:
             artist.remove()
         unlabelled = _label_regions(look(), labels, leaders=leaders)
-        if unlabelled == noted:
+        if noted.issuperset(unlabelled):
             break
-        noted = [label for label in labels if label in {*noted, *unlabelled}]
+        noted.update(unlabelled)
+    if noted != set(unlabelled):  # a label that found room in the end; the row keeps its height
+        note(unlabelled)
 
 
 def _label_regions(raster: _Raster, labels: tuple[str, ...], *, leaders: bool) -> list[str]:
@@ -653,8 +661,11 @@ def _label_regions(raster: _Raster, labels: tuple[str, ...], *, leaders: bool) -
                 written.add(text)
             elif leaders and share >= _SMALLEST_LEADER:
                 pointed.append((text, mask))
+    small = np.zeros(raster.label.shape, np.bool_)
+    for _, mask in pointed:
+        small |= mask
     for text, mask in pointed:
-        if _point_at(raster, mask, text):
+        if _point_at(raster, mask, text, small & ~mask):
             written.add(text)
     return [label for label in labels if label not in written]
 
@@ -736,8 +747,12 @@ def _write(raster: _Raster, text: str, place: _Place) -> None:
     raster.take(text, place)
 
 
-def _point_at(raster: _Raster, mask: Bools, text: str) -> bool:
-    """Write a label beside a region too small for it, in the nearest free room, with a line to the region."""
+def _point_at(raster: _Raster, mask: Bools, text: str, avoid: Bools) -> bool:
+    """Write a label beside a region too small for it, in the nearest free room, with a line to the region.
+
+    avoid : other regions that are pointed at, which the line must not cross
+    """
+    blocked = raster.taken | ndimage.binary_dilation(avoid)
     depth = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
     row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
     anchor = np.array([column + 0.5, row + 0.5])
@@ -760,7 +775,7 @@ def _point_at(raster: _Raster, mask: Bools, text: str) -> bool:
         centre = centres[index]
         line = anchor + np.linspace(0.0, 1.0, 200)[:, None] * (centre - anchor)
         column_, row_ = np.floor(line.T).astype(np.intp)
-        if raster.taken[row_, column_].any():
+        if blocked[row_, column_].any():
             continue
         raster.ax.annotate(
             text,
@@ -963,13 +978,17 @@ def _mark_thresholds(ax: Axes, thresholds: Sequence[float]) -> None:
     top.set_xlabel("▲ thresholds for vanishing backlash", loc="right", fontsize=8.5, color=_FAINT_INK, labelpad=3.0)
 
 
-def _finish_bar(bar: Colorbar, label: str) -> None:
+def _finish_bar(bar: Colorbar, label: str, *, whole: bool) -> None:
     bar.set_label(label)
     bar.outline.set_linewidth(0.6)
     if isinstance(bar.norm, colors.BoundaryNorm):
         bar.set_ticks(0.5 * (bar.norm.boundaries[1:] + bar.norm.boundaries[:-1]))
         bar.ax.yaxis.set_major_formatter(ticker.StrMethodFormatter("{x:.0f}"))
         bar.ax.tick_params(length=0.0)
+        bar.minorticks_off()
+    elif whole:
+        bar.locator = ticker.MaxNLocator(integer=True)
+        bar.update_ticks()
 
 
 def _draw_ridge(ax: Axes, view: _View, ridge: Floats) -> None:

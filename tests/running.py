@@ -3,13 +3,13 @@
 from typing import NamedTuple
 
 import numpy as np
+from reference import Plant
 
 from clunk.core import rk4
 from clunk.core.events import EVENT, KIND_NAMES
 from clunk.core.regimes import System, build_system
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.core.severity import peak_to_peak
-from reference import Plant
 
 
 class CoreRun(NamedTuple):

@@ -1,9 +1,11 @@
+import contextlib
 import hashlib
 import itertools
 import math
 import pickle
 import re
 import time
+import tomllib
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -156,6 +158,13 @@ def test_torques_of_the_file_replace_the_preset_s_ratio():
     assert (load.static_torque, load.ratio) == (None, None)
 
 
+@pytest.mark.parametrize("model", ["indentation", "restitution"])
+def test_contact_models_are_accepted(model):
+    assert (
+        study_from_text(f'{PRESET}[lash.contact]\nmodel = "{model}"\nlocking_speed = 0.01').lash.contact.model == model
+    )
+
+
 def test_torques_may_be_set_on_the_command_line():
     load = study_from_text(PRESET, overrides=["load.initial_torque=-6.0", "load.final_torque=0"]).load
     assert (load.initial_torque, load.final_torque, load.ratio) == (-6.0, 0.0, None)
@@ -228,7 +237,7 @@ BROKEN = [
     (with_line(4, 'names = ["motor", "ring", "pinion", "ring"]'), "driveline.names[4]", 4, "taken by inertia 2"),
     (with_line(4, 'names = ["ground", "a", "b", "c"]'), "driveline.names[1]", 4, "kept for the ground"),
     (with_line(4, 'names = ["a", "2", "b", "c"]'), "driveline.names[2]", 4, 'found "2"'),
-    (with_line(4, "names = [1, 2, 3, 4]"), "driveline.names[1]", 4, "found 1; must be text"),
+    (with_line(4, 'names = ["a", 1, "b", "c"]'), "driveline.names[2]", 4, "found 1; must be text"),
     (with_line(6, "between = [1, 5]"), "driveline.shafts[1].between[2]", 6, "there is no inertia 5"),
     (with_line(6, "between = [0, 1]"), "driveline.shafts[1].between[1]", 6, "from 1 to 4"),
     (with_line(10, "between = [2, 2]"), "driveline.shafts[2].between", 10, "both ends are 2"),
@@ -247,8 +256,14 @@ BROKEN = [
     (with_line(20, "radius = inf"), "lash.radius", 20, "found inf; must be a finite number"),
     (with_line(20, "radius = 1979-05-27"), "lash.radius", 20, "found 1979-05-27"),
     (with_line(20, f"radius = {10**400}"), "lash.radius", 20, "beyond 64 bits"),
+    (with_line(20, f"radius = 0x{'f' * 6000}"), "lash.radius", 20, "beyond 64 bits"),
+    (with_line(18, f"between = [3, 0x{'f' * 6000}]"), "lash.between[2]", 18, "beyond 64 bits"),
+    (with_line(37, f"max_events = 0x{'f' * 6000}"), "solver.max_events", 37, "beyond 64 bits"),
+    (with_line(43, f"start = 0x{'f' * 6000}"), "sweep.axes[1].start", 43, "beyond 64 bits"),
+    (with_line(45, f"count = 0x{'f' * 6000}"), "sweep.axes[1].count", 45, "beyond 64 bits"),
+    (with_line(48, f"values = [1, 0x{'f' * 6000}]"), "sweep.axes[2].values[2]", 48, "beyond 64 bits"),
     (with_line(20, "radius = 0.08\nstifness = 3"), "lash.stifness", 21, '"stiffness" in [lash.contact]'),
-    (with_line(22, 'model = "restitution"'), "lash.contact.model", 22, "not available in this version"),
+    (with_line(22, 'model = "hertz"'), "lash.contact.model", 22, 'must be "indentation" or "restitution"'),
     (with_line(22, 'model = "indentatoin"'), "lash.contact.model", 22, 'did you mean "indentation"?'),
     (with_line(23, "stiffness = 0"), "lash.contact.stiffness", 23, "greater than 0 (N/m)"),
     (with_line(25, 'separation = "never"'), "lash.contact.separation", 25, '"gap" or "force"'),
@@ -259,8 +274,8 @@ BROKEN = [
     (with_line(29, "on = 5"), "load.on", 29, "there is no inertia 5"),
     (with_line(30, ""), "load.static_torque", 27, "ratio needs static_torque"),
     (with_line(31, "initial_torque = 2"), "load", 27, "given together"),
-    (with_line(30, "").replace("ratio = 5.0", "final_torque = 1"), "load.initial_torque", 27, "needs initial_torque"),
-    (with_line(30, "[foo]\nx = 1"), "foo", 30, "unknown key; allowed here: title, driveline"),
+    (ONE_RUN.replace("static_torque = -1.0\nratio", "final_torque"), "load.initial_torque", 27, "needs initial_torque"),
+    (with_line(32, "[foo]\nx = 1"), "foo", 32, "unknown key; allowed here: title, driveline"),
     (with_line(34, 'method = "exact"'), "solver.method", 34, '"exact" is not available in this version'),
     (with_line(35, "step = 0.0"), "solver.step", 35, "found 0.0; must be a number greater than 0 (s)"),
     (with_line(35, "step = 3.0"), "solver.step", 35, "longer than the run, end_time = 2 s"),
@@ -281,11 +296,11 @@ BROKEN = [
     (with_line(42, 'parameter = "load.initial_torque"'), "sweep.axes[1].parameter", 42, "given by static_torque and"),
     (with_line(42, 'parameter = "driveline.shafts[2].damping"\nstart = -1').replace("start = 0.0\n", ""),
      "sweep.axes[1].start", 43, "driveline.shafts[2].damping must be a number, 0 or greater"),
-    (with_line(42, 'parameter = "solver.end_time"\nscale = "log"'), "sweep.axes[1].start", 44, "greater than 0"),
+    (with_line(42, 'parameter = "load.ratio"\nscale = "log"'), "sweep.axes[1].start", 44, 'on an axis of scale "log"'),
     (with_line(42, 'parameter = "solver.step"').replace("start = 0.0", "start = 1e-4"), "sweep.axes[1].stop", 44,
      "a step of 10 s is longer than the run"),
-    (with_line(42, 'parameter = "load.on"').replace("start = 0.0", "start = 1.0"), "sweep.axes[1].stop", 44,
-     "there are 4"),
+    (with_line(42, 'parameter = "load.on"\nstart = 1').replace("start = 0.0\nstop = 10.0", "stop = 11.0"),
+     "sweep.axes[1].stop", 44, "there are 4"),
     (with_line(45, "count = 0"), "sweep.axes[1].count", 45, "from 1 to 10000000"),
     (with_line(45, "count = 1"), "sweep.axes[1].count", 45, "one value cannot span 0 to 10"),
     (with_line(45, f"count = {10**12}"), "sweep.axes[1].count", 45, "from 1 to 10000000"),
@@ -295,7 +310,7 @@ BROKEN = [
     (with_line(45, "count = 3\nvalues = [1.0]"), "sweep.axes[1]", 41, "given together"),
     (with_line(45, 'count = 3\nscale = "cubic"'), "sweep.axes[1].scale", 46, '"linear" or "log"'),
     (with_line(48, "values = []"), "sweep.axes[2].values", 48, "found []"),
-    (with_line(48, "values = [1.0, 400.0]"), "sweep.axes[2].values[2]", 48, "lash.backlash_deg must be a number from 0"),
+    (with_line(48, "values = [1.0, 400.0]"), "sweep.axes[2].values[2]", 48, "lash.backlash_deg must be a number from"),
     (with_line(48, "values = [1.0,\n 2, 1]"), "sweep.axes[2].values[3]", 49, "the value 1 occurs twice"),
     (with_line(48, "values = [1.0, inf]"), "sweep.axes[2].values[2]", 48, "found inf"),
     (with_line(48, ""), "sweep.axes[2]", 46, "no values are given"),
@@ -327,10 +342,7 @@ def test_broken_config_is_reported_where_it_is_broken(text, key, line, message):
 
 @pytest.mark.parametrize("case", [case for case in BROKEN if case[0].count("\n") > 20], ids=lambda case: case[1])
 def test_one_mistake_is_one_error(case):
-    text, key, _, message = case
-    extra = {"driveline.inertias": 0, "driveline.names[1]": 3}  # names of four wrong types are four mistakes
-    if key in extra and not ("missing" not in message and extra[key] == 0):
-        pytest.skip("several keys are wrong")
+    text, key, _, _ = case
     assert [problem.key for problem in errors_of(text).problems] == [key]
 
 
@@ -395,7 +407,7 @@ def test_error_survives_pickling():
     assert copied.problems == error.problems
 
 
-# --- Files that are no configs -----------------------------------------------------------------------------------------
+# --- Files that are no configs ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -443,7 +455,7 @@ def test_byte_order_mark_and_windows_line_ends_do_no_harm(tmp_path):
     assert [problem.line for problem in caught.value.problems] == [20]
 
 
-# --- Overrides ---------------------------------------------------------------------------------------------------------
+# --- Overrides -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -515,7 +527,7 @@ def test_broken_override_is_reported_as_an_override(override, key, message):
     assert f"--set {key}:" in str(error)
 
 
-# --- Axes --------------------------------------------------------------------------------------------------------------
+# --- Axes ------------------------------------------------------------------------------------------------------------
 
 
 def test_linear_axis_has_the_round_numbers_in_it():
@@ -539,10 +551,11 @@ def test_axis_of_one_value_needs_no_stop():
     assert study.sweep.axes[0].grid.tolist() == [3.0]
 
 
+@example(start=203.33966460944185, stop=203.33966460944188, count=15, log=True)  # rounding alone would leave the ends
 @given(start=st.floats(-1e6, 1e6), stop=st.floats(-1e6, 1e6), count=st.integers(2, 300), log=st.booleans())
 def test_axis_stays_between_its_ends(start, stop, count, log):
     if log:
-        start, stop = abs(start) + 1e-6, abs(stop) + 1e-6
+        start, stop = max(abs(start), 1e-6), max(abs(stop), 1e-6)
     grid = Axis(parameter="x", start=start, stop=stop, count=count, scale="log" if log else "linear").grid
     assert grid.size == count
     assert (grid[0], grid[-1]) == (start, stop)
@@ -617,7 +630,7 @@ def test_inertia_number_can_be_swept_in_whole_numbers(values):
     assert "at every value" in error.problems[0].message
 
 
-# --- Values, text, digest ------------------------------------------------------------------------------------------------
+# --- Values, text, digest --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -751,7 +764,7 @@ def test_key_lines_are_found_through_all_of_toml():
 a.b = """
 not = "a key"
 """ # 3
-"quoted key" = 'it''s'.x
+"quoted key" = 'it # s'
 [t]
 list = [
   1, # ]
@@ -765,7 +778,7 @@ x = 1
 x = 2
 [t.array.sub]
 y = 1979-05-27T07:32:00Z
-'''.replace("'it''s'.x", "'it''s'"[:5])
+'''
     lines = KeyLines(text)
     for key, line in {
         "a.b": 3,
@@ -803,11 +816,11 @@ def test_dotted_keys_read_back(place):
     assert parse_place(dotted(tuple(place))) == tuple(place)
 
 
-# --- Whatever comes ----------------------------------------------------------------------------------------------------
+# --- Whatever comes --------------------------------------------------------------------------------------------------
 
-_KEYS = sorted({key for key in re.findall(r"[a-z_]+", WHOLE + STARTER)} & set(
-    ["title", "driveline", "preset", "inertias", "names", "shafts", "between", "stiffness", "damping", "lash", "backlash_deg", "radius", "contact", "model", "separation", "restitution", "locking_speed", "load", "profile", "on", "static_torque", "ratio", "initial_torque", "final_torque", "step_time", "solver", "method", "step", "end_time", "max_events", "impacts", "sticking_time", "acceleration_of", "sweep", "axes", "parameter", "start", "stop", "count", "scale", "values"]
-))  # fmt: skip
+_KEYS = sorted(
+    set(re.findall(r"^#? ?([a-z_]+) = ", STARTER, re.MULTILINE)) | {"axes", "lash", "load", "shafts", "sweep"}
+)
 _WORDS = ["ground", "motor", "ring", "rk4", "exact", "log", "gap", "load.ratio", "driveline.inertias[4]", *PRESETS, ""]
 _LEAVES = st.one_of(
     st.sampled_from(_WORDS),
@@ -840,8 +853,6 @@ def _places(node: Any, place: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
 @settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(data=st.data(), tree=_TREES)
 def test_a_config_with_anything_anywhere_is_a_study_or_a_config_error(data, tree):
-    import tomllib
-
     document = tomllib.loads(
         data.draw(st.sampled_from([WHOLE, PRESET, axis('parameter = "load.ratio"\nvalues = [1]')]))
     )
@@ -856,12 +867,8 @@ def test_a_config_with_anything_anywhere_is_a_study_or_a_config_error(data, tree
         return
     override = f"{dotted(place)}={data.draw(st.sampled_from(['1', 'x', '[1', '{a = 1}', '[]', '']))}"
     for overrides in ([], [override]):
-        try:
+        with contextlib.suppress(ConfigError):
             study = study_from_text(text, overrides=overrides)
-        except ConfigError as error:
-            assert error.problems
-            assert str(error)
-        else:
             assert study_from_text(to_toml(study)) == study
             assert len(digest(study)) == 64
 
@@ -871,7 +878,5 @@ def test_a_config_with_anything_anywhere_is_a_study_or_a_config_error(data, tree
 def test_any_text_and_any_override_is_a_study_or_a_config_error(text, override):
     with pytest.raises(ConfigError):
         study_from_text(text, overrides=[override])
-    try:
+    with contextlib.suppress(ConfigError):
         study_from_text(PRESET, overrides=[override])
-    except ConfigError as error:
-        assert str(error).encode("utf-8")

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-
 import reference
+from running import core_run, system_of, unproved
+
 from clunk.config import replace_values
 from clunk.simulation import SimulationError, simulate
-from running import core_run, system_of, unproved
 
 POINTS = [(2.0, 6.0), (5.0, 6.0), (10.0, 10.0), (7.0, 0.0), (-2.5, 3.0)]
 
@@ -36,7 +36,7 @@ class TestSymmetry:
         assert np.array_equal(other.impact_severity, one.impact_severity)
 
     def test_twice_the_torque_in_twice_the_gap_is_twice_the_motion(self, nominal, ratio, backlash, separation):
-        """The system is piecewise linear, and a power of two is exact: equal times, twice the speeds, to the last bit."""
+        """Piecewise linear, and a power of two is exact: equal times, twice the speeds, to the last bit."""
         study = separation(at(nominal, ratio, backlash))
         one = simulate(study)
         other = simulate(at(study, ratio, 2.0 * backlash, **{"load.static_torque": -2.0}))
@@ -187,7 +187,7 @@ class TestVanishingBacklash:
         _, start = plant.preload()
         eigenvalues, vectors = np.linalg.eig(rates)
         amplitudes = (plant.twist @ vectors[:4]) * np.linalg.solve(vectors, start)
-        f = np.real(np.exp(np.multiply.outer(np.arange(0.0, 1.0, 1e-5), eigenvalues)) @ amplitudes)
+        f = np.real(np.exp(np.multiply.outer(np.arange(0.0, 1.5, 1e-5), eigenvalues)) @ amplitudes)
         f /= plant.twist @ start[:4]
         minima = f[1:-1][(f[1:-1] < f[:-2]) & (f[1:-1] < f[2:]) & (f[1:-1] < 0.0)]
         expected = -1.0 / minima[minima <= np.minimum.accumulate(minima[::-1])[::-1]][count - 1]
@@ -195,7 +195,7 @@ class TestVanishingBacklash:
 
     @pytest.mark.parametrize("count", [1, 2, 3, 4])
     def test_a_stiff_contact_has_the_thresholds_of_a_rigid_one(self, nominal, count):
-        """The nominal contact moves them by less than 1e-3; one 25 times as stiff by a 25th of that: to the last digit."""
+        """The nominal contact moves them by less than 1e-3; one 25 times as stiff by a 25th of that."""
         rigid = self.RIGID[count - 1]
         assert self.threshold(nominal, count, 0.9 * rigid, 1.1 * rigid) == pytest.approx(rigid, rel=1e-3)
         stiffer = {"lash.contact.stiffness": 25 * 4.092e5, "lash.contact.damping": 5 * 94.0, "solver.step": 2e-5}
@@ -214,7 +214,7 @@ class TestStickingTime:
         assert labels == {"DS(1)SS(1)"}
 
     def test_it_decides_what_is_primary(self, nominal):
-        """With a sticking time far below a rebound every touch is primary; beyond the run, none on the same flank is."""
+        """Far below a rebound it makes every touch primary; beyond the run, none on the same flank."""
         every = simulate(at(nominal, 5.0, 6.0, **{"impacts.sticking_time": 1e-9}))
         assert len(every.primaries) == every.touches == 9
         none = simulate(at(nominal, 5.0, 6.0, **{"impacts.sticking_time": 10.0}))

@@ -8,8 +8,8 @@ over an episode.
 
 import numpy as np
 import pytest
-
 import reference
+
 from clunk.config import replace_values, study_from_text
 from clunk.simulation import simulate
 
@@ -174,8 +174,8 @@ def test_the_reference_itself_agrees_with_a_general_integrator():
 class TestOneInertiaOnASpringContact:
     """One inertia of 5 kg m² that rebounds between two stops, from rest in one of them, without a load.
 
-    Contact stiffness 2e4 N m/rad and damping 50 N m s/rad, total backlash π/4, from the relative angle π/2. Closed form:
-    a damped oscillator until separation, then constant speed. Times to 1e-7 s, speeds to their printed digits.
+    Contact stiffness 2e4 N m/rad and damping 50 N m s/rad, total backlash π/4, from the relative angle π/2: a damped
+    oscillator until separation, then constant speed. Times to 1e-7 s, speeds to their printed digits.
     """
 
     def run(self, separation, step=1e-5):

@@ -1,7 +1,7 @@
 """A quartic on one step: detection of a zero, its resolution, and the extremes, each alone.
 
-The reference is the companion matrix (numpy.roots). It finds a simple zero that lies at least `APART` from the others
-to about 1e-16 / APART^3 relative to the interval, and the quartic's own rounding moves it as far; 1e-6 has room for both.
+The reference is the companion matrix (numpy.roots). A simple zero that lies at least `APART` from the others is known
+to about 1e-16 / APART^3 of the interval, by that matrix as by the quartic's own rounding; 1e-6 has room for both.
 """
 
 import numpy as np

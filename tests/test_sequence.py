@@ -1,5 +1,7 @@
 """Which touches are primary impacts, and what a sequence of them is called (report §3.2)."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -65,7 +67,7 @@ def test_a_label_counts_every_primary_impact(flanks):
     runs = [] if name == "NI" else [run.split("(") for run in name.rstrip(")").split(")")]
     assert sum((2 if kind == "DS" else 1) * int(length) for kind, length in runs) == len(flanks)
     kinds = [kind for kind, _ in runs]
-    assert all(one != other for one, other in zip(kinds, kinds[1:], strict=False))
+    assert all(one != other for one, other in pairwise(kinds))
     assert ("CR" in kinds) == (bool(flanks) and flanks[-1] == 1)
 
 

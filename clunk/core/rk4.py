@@ -244,7 +244,7 @@ def run(
         if system.impulsive != 0 and kind == TOUCH:
             side = 1 if guard == 0 else -1
             fastest = max(fastest, abs(speed))
-            successor, zero_order = _rebound(system, x, torque, side, speed, fastest)
+            successor, zero_order = _rebound(system, x, torque, half_gap, side, speed, fastest)
             zero_guard = guard if successor == OPEN else -1
             _record(events, states, count, time, speed, TOUCH, OPEN, side, x)
             count += 1
@@ -253,6 +253,9 @@ def run(
                 count += 1
         else:
             side = system.side[successor] if system.side[successor] != 0 else system.side[regime]
+            if system.impulsive != 0:  # released where it was held, but for what rounding has added up
+                _hold(system, x, side * half_gap)
+                speed = 0.0
             _record(events, states, count, time, speed, kind, successor, side, x)
             count += 1
             if system.impulsive != 0 and half_gap == 0.0:  # locked flanks without a gap between them: no free state
@@ -266,7 +269,9 @@ def run(
 
 
 @njit(cache=True, nogil=True)
-def _rebound(system: System, x: FloatArray, torque: float, side: int, speed: float, fastest: float) -> tuple[int, int]:
+def _rebound(
+    system: System, x: FloatArray, torque: float, half_gap: float, side: int, speed: float, fastest: float
+) -> tuple[int, int]:
     """The velocities after a touch, θ' -= (1 + e) q' M⁻¹l/(lᵀM⁻¹l) (report Eq. 2.9), and what follows.
 
     A rebound not faster than the locking speed ends with q' = 0: locked where the torque that holds it so presses the
@@ -283,7 +288,7 @@ def _rebound(system: System, x: FloatArray, torque: float, side: int, speed: flo
         for k in range(x.size):
             x[k] -= (1.0 + system.restitution) * speed * system.impulse[k]
         return OPEN, 1
-    _take_velocity_out(system, x, speed)
+    _hold(system, x, side * half_gap)
     torque_held, slope, scale = 0.0, 0.0, 0.0
     for k in range(x.size):
         weight = system.functionals[OPEN_FLOW, FORCE, k]
@@ -302,18 +307,26 @@ def _rebound(system: System, x: FloatArray, torque: float, side: int, speed: flo
 
 
 @njit(cache=True, nogil=True)
-def _take_velocity_out(system: System, x: FloatArray, speed: float) -> None:
-    """Make q' zero at constant momentum, to the last bit: locked inertias then stay together to the last bit."""
-    last = -1
-    for k in range(x.size):
-        x[k] -= speed * system.impulse[k]
-        if system.lash[k] != 0.0:
-            last = k
-    others = 0.0
-    for k in range(x.size):
-        if k != last:
-            others += system.lash[k] * x[k]
-    x[last] = -others / system.lash[last]
+def _hold(system: System, x: FloatArray, gap: float) -> None:
+    """Make q = `gap` and q' = 0 without moving the centre of mass: by a share of the difference that its inertia sets.
+
+    The last of the inertias at the lash then takes what is left of rounding, so that q' is zero to the last bit.
+    """
+    n = x.size // 2
+    for first, target in ((0, gap), (n, 0.0)):
+        excess = -target
+        last = 0
+        for k in range(n):
+            excess += system.lash[n + k] * x[first + k]
+        others = -target
+        for k in range(n):
+            weight = system.lash[n + k]
+            if weight != 0.0:
+                x[first + k] -= excess * system.impulse[n + k]
+                others += weight * x[first + k]
+                last = k
+        others -= system.lash[n + last] * x[first + last]
+        x[first + last] = -others / system.lash[n + last]
 
 
 @njit(cache=True, nogil=True)
@@ -573,20 +586,22 @@ def _settled(
         return False
     size = system.rates.shape[1]
     gap_input = system.side[regime] * half_gap
-    reach_gap, reach_force, reach_acceleration = 0.0, 0.0, 0.0
+    watched = system.mode_reach.shape[1]
+    reach = np.zeros(watched)
     for mode in range(size):
-        if system.mode_reach[flow, GAP, mode] + system.mode_reach[flow, ACCELERATION, mode] == 0.0:
-            continue  # the other one of a complex pair, or without effect on the lash and the acceleration
+        widest = 0.0
+        for functional in range(watched):
+            widest = max(widest, system.mode_reach[flow, functional, mode])
+        if widest == 0.0:
+            continue  # the other one of a complex pair, or without effect on anything that is watched
         real, imaginary = 0.0, 0.0
         for k in range(size):
             away = x[k] - system.rest_state[flow, k, 0] * torque - system.rest_state[flow, k, 1] * gap_input
             real += system.mode_rows[flow, 0, mode, k] * away
             imaginary += system.mode_rows[flow, 1, mode, k] * away
         amplitude = np.sqrt(real * real + imaginary * imaginary)
-        reach_gap += amplitude * system.mode_reach[flow, GAP, mode]
-        if system.mode_reach.shape[1] > FORCE:
-            reach_force += amplitude * system.mode_reach[flow, FORCE, mode]
-        reach_acceleration += amplitude * system.mode_reach[flow, ACCELERATION, mode]
+        for functional in range(watched):
+            reach[functional] += amplitude * system.mode_reach[flow, functional, mode]
     for guard in range(system.guards[regime]):
         functional = system.guard_functional[regime, guard]
         at_rest = (
@@ -594,11 +609,11 @@ def _settled(
             + system.rest_functional[flow, functional, 1] * gap_input
         )
         value = system.guard_sign[regime, guard] * at_rest + system.guard_offset[regime, guard] * half_gap
-        if not value > (1.0 + 1e-9) * (reach_gap if functional == GAP else reach_force):
+        if not value > (1.0 + 1e-9) * reach[functional]:
             return False
     found = find_primaries(events, count, system.sticking_time, primaries)
-    if found == 0:
+    if found == 0 or system.impulsive != 0:  # nothing is asked of the acceleration
         return True
     largest, smallest = window_extremes(events, primaries[found - 1], count)
-    reach = (1.0 + 1e-9) * reach_acceleration
-    return largest >= reach and smallest <= -reach
+    swing = (1.0 + 1e-9) * reach[ACCELERATION]
+    return bool(largest >= swing and smallest <= -swing)

@@ -1,0 +1,306 @@
+"""The report's driveline and other ones: matrices, modes, preload, and every event of chains with 1 to 8 inertias."""
+
+import numpy as np
+import pytest
+import reference
+
+from clunk.config import replace_values, study_from_text
+from clunk.driveline import Driveline
+from clunk.linear import one_mode_thresholds, rigid_contact_thresholds
+from clunk.simulation import SimulationError, simulate
+
+
+def test_the_matrices_are_those_of_equation_2_6(nominal):
+    """J, C and K of the open chain, and the load on J1; c34 does not belong in them: there is no contact in the gap."""
+    driveline = Driveline.from_study(nominal)
+    d1, c12, c23, d4, k12, k23, k4 = 0.1, 0.08, 0.04, 0.1, 31.3, 31.3, 31.3
+    damping = [[d1 + c12, -c12, 0, 0], [-c12, c12 + c23, -c23, 0], [0, -c23, c23, 0], [0, 0, 0, d4]]
+    stiffness = [[k12, -k12, 0, 0], [-k12, k12 + k23, -k23, 0], [0, -k23, k23, 0], [0, 0, 0, k4]]
+    assert np.array_equal(driveline.inertia, [0.024, 0.002, 0.002, 0.002])
+    assert driveline.damping == pytest.approx(np.array(damping), abs=1e-17)
+    assert driveline.stiffness == pytest.approx(np.array(stiffness), abs=1e-14)
+    assert np.array_equal(driveline.lash, [0, 0, 1, -1])
+    assert np.array_equal(driveline.load, [1, 0, 0, 0])
+    assert driveline.grounded
+
+
+def test_the_contact_is_converted_from_its_radius(nominal):
+    driveline = Driveline.from_study(nominal)
+    assert driveline.contact_stiffness == pytest.approx(2618.88, rel=1e-12)
+    assert driveline.contact_damping == pytest.approx(0.6016, rel=1e-12)
+
+
+def test_the_natural_frequencies_are_those_of_the_report(nominal):
+    """3.2, 16.2, 30.8 and 258.3 Hz; 10 to 20 % damping. The further digits were computed independently."""
+    modes = Driveline.from_study(nominal).modes(closed=True)
+    assert modes.frequency[:3] == pytest.approx([3.220, 16.203, 30.786], abs=6e-4)
+    assert modes.frequency[3] == pytest.approx(258.31, abs=6e-3)
+    assert modes.damping_ratio == pytest.approx([0.121, 0.146, 0.175, 0.196], abs=6e-4)
+    assert modes.overdamped.size == 0
+
+
+def test_the_inertias_as_printed_do_not_have_them(as_printed):
+    modes = Driveline.from_study(as_printed).modes(closed=True)
+    assert modes.frequency == pytest.approx([2.53, 6.11, 10.4, 81.7], rel=5e-3)
+    assert modes.damping_ratio == pytest.approx([0.089, 0.064, 0.071, 0.062], abs=6e-4)
+
+
+def test_the_open_chain_can_drift(nominal):
+    """Two chains: 4 on its shaft to ground, f = sqrt(31.3/0.002)/2π; and 1, 2, 3 held by nothing but a damper."""
+    modes = Driveline.from_study(nominal).modes(closed=False)
+    assert modes.frequency.size == 3
+    assert np.min(np.abs(modes.frequency - np.sqrt(31.3 / 0.002) / (2.0 * np.pi))) < 1e-9
+    assert modes.overdamped[0] == pytest.approx(0.0, abs=1e-9)
+    assert modes.overdamped[1] > 1.0
+
+
+def test_modes_with_every_damper_taken_out_have_no_damping(nominal):
+    undamped = {f"driveline.shafts[{k}].damping": 0.0 for k in range(1, 5)} | {"lash.contact.damping": 0.0}
+    driveline = Driveline.from_study(replace_values(nominal, undamped))
+    modes = driveline.modes(closed=True)
+    assert modes.damping_ratio == pytest.approx(np.zeros(4), abs=1e-12)
+    closed = driveline.stiffness + driveline.contact_stiffness * np.outer(driveline.lash, driveline.lash)
+    squares = np.sort(np.linalg.eigvals(closed / driveline.inertia[:, None]).real)
+    assert modes.frequency == pytest.approx(np.sqrt(squares) / (2.0 * np.pi), rel=1e-9)
+
+
+def test_the_thresholds_are_those_of_table_3_1(nominal):
+    """1.46, 3.13, 6.69 and 14.32 in the report; with the first mode's damping ratio, one more digit each."""
+    assert one_mode_thresholds(nominal) == pytest.approx([1.463, 3.129, 6.693, 14.317], abs=6e-4)
+
+
+def test_the_thresholds_of_a_rigid_contact_are_the_exact_ones(nominal):
+    assert rigid_contact_thresholds(nominal) == pytest.approx([1.432, 3.072, 6.606, 14.207], abs=6e-4)
+
+
+def test_the_contact_period_is_that_of_the_two_inertias_at_the_lash(nominal):
+    """3.88 ms, which is 1/f4 but for the shafts."""
+    driveline = Driveline.from_study(nominal)
+    assert driveline.contact_period == pytest.approx(3.88e-3, abs=5e-6)
+    assert driveline.contact_period == pytest.approx(2 * np.pi * np.sqrt(0.001 / 2618.88), rel=1e-12)
+    assert driveline.contact_period == pytest.approx(1.0 / driveline.modes(closed=True).frequency[-1], rel=0.01)
+
+
+def single(between='[1, "ground"]', shafts="shafts = []", torque=(-6.0, -1.0)):
+    return study_from_text(
+        f"""
+        [driveline]
+        inertias = [0.002]
+        {shafts}
+        [lash]
+        between = {between}
+        backlash_deg = 1.0
+        radius = 0.1
+        [lash.contact]
+        stiffness = 1e5
+        damping = 50.0
+        [load]
+        on = 1
+        initial_torque = {torque[0]}
+        final_torque = {torque[1]}
+        """
+    )
+
+
+class TestLashToGround:
+    def test_its_contact_period_is_that_of_the_one_inertia(self):
+        assert Driveline.from_study(single()).contact_period == pytest.approx(
+            2 * np.pi * np.sqrt(0.002 / 1e3), rel=1e-12
+        )
+
+    @pytest.mark.parametrize(("between", "sign"), [('[1, "ground"]', 1), ('["ground", 1]', -1)])
+    def test_the_order_of_its_ends_is_the_sign_of_q(self, between, sign):
+        """The same motion; only which side of the gap is called positive differs."""
+        driveline = Driveline.from_study(single(between))
+        assert np.array_equal(driveline.lash, [sign])
+        trajectory = simulate(single(between))
+        assert trajectory.initial_side == -sign
+        assert trajectory.states[0, 0] == pytest.approx(-np.deg2rad(0.5) - 6.0 / 1e3, rel=1e-12)
+        assert np.array_equal(trajectory.states, simulate(single()).states)
+        assert trajectory.label == simulate(single()).label
+
+    def test_it_holds_an_inertia_without_a_shaft(self):
+        assert Driveline.from_study(single()).grounded
+
+    @pytest.mark.parametrize("separation", ["gap", "force"])
+    def test_its_events_are_those_of_the_reference(self, separation):
+        plant = reference.Plant(
+            inertias=(0.01, 0.002),
+            shafts=((1, 2, 40.0, 0.02), (1, "ground", 0.0, 0.05)),
+            lash=(2, "ground"),
+            contact_stiffness=1000.0,
+            contact_damping=0.4,
+            backlash=np.deg2rad(4.0),
+            acceleration_of=2,
+            separation=separation,
+        )
+        agree(plant)
+
+
+@pytest.mark.parametrize(
+    "shafts",
+    [
+        "shafts = []",
+        '[[driveline.shafts]]\nbetween = [1, "ground"]\nstiffness = 0.0\ndamping = 1.0',
+        "[[driveline.shafts]]\nbetween = [1, 2]\nstiffness = 30.0\ndamping = 0.1",
+    ],
+    ids=["none", "damper only", "shaft between them only"],
+)
+def test_a_driveline_without_ground_has_no_equilibrium(shafts):
+    study = study_from_text(
+        f"""
+        [driveline]
+        inertias = [0.01, 0.01]
+        {shafts}
+        [lash]
+        between = [1, 2]
+        backlash_deg = 1.0
+        radius = 0.1
+        [lash.contact]
+        stiffness = 1e5
+        damping = 50.0
+        [load]
+        on = 1
+        static_torque = -1.0
+        ratio = 5.0
+        """
+    )
+    assert not Driveline.from_study(study).grounded
+    with pytest.raises(SimulationError, match="no path of stiffness to ground"):
+        simulate(study)
+
+
+def test_a_load_that_does_not_reach_the_lash_has_no_initial_flank():
+    """The lash hangs off a grounded inertia: whatever the torque, nothing presses its flanks together."""
+    study = study_from_text(
+        """
+        [driveline]
+        inertias = [0.01, 0.002]
+        [[driveline.shafts]]
+        between = [1, "ground"]
+        stiffness = 30.0
+        damping = 0.1
+        [lash]
+        between = [1, 2]
+        backlash_deg = 1.0
+        radius = 0.1
+        [lash.contact]
+        stiffness = 1e5
+        damping = 50.0
+        [load]
+        on = 1
+        static_torque = -1.0
+        ratio = 5.0
+        """
+    )
+    with pytest.raises(SimulationError, match="initial flank"):
+        simulate(study)
+
+
+@pytest.mark.parametrize("values", [[0.0] * 7, [0.0] * 7 + [np.nan], [np.inf] + [0.0] * 7, [[0.0] * 8]])
+def test_an_initial_state_that_is_none_is_refused(nominal, values):
+    with pytest.raises(SimulationError, match="8 finite numbers"):
+        simulate(nominal, initial_state=values)
+
+
+def test_the_preload_as_initial_state_changes_nothing(nominal):
+    whole = simulate(nominal)
+    given = simulate(nominal, initial_state=whole.states[0])
+    assert given.initial_side == whole.initial_side
+    assert np.array_equal(given.states, whole.states)
+    assert given.label == whole.label
+
+
+def test_a_run_can_begin_in_the_gap(nominal):
+    """From rest in the middle of the gap: the nearer flank is the initial one, and the first event is a touch."""
+    plant = reference.plant_of(nominal)
+    for q in (0.01, -0.01):
+        state = np.array([q, q, q, 0, 0, 0, 0, 0])
+        trajectory = simulate(nominal, initial_state=state)
+        events, _ = reference.run(plant, state=state, regime="open")
+        assert trajectory.initial_side == np.sign(q)
+        assert trajectory.kind_name(1) == "touch"
+        assert trajectory.events["time"] == pytest.approx([event.time for event in events], abs=1e-6)
+
+
+def agree(plant):
+    """Every event of a plant, built through its config, is that of the reference.
+
+    RK4's error at half the step is a fifteenth of the difference that halving the step makes; a third of that
+    difference leaves room for an error that the grid of steps makes uneven.
+    """
+    coarse, fine = (simulate(study_from_text(reference.config_of(plant, step, end_time=1.0))) for step in (1e-4, 5e-5))
+    events, _ = reference.run(plant, end_time=1.0)
+    kinds = [(fine.kind_name(k), int(event["side"])) for k, event in enumerate(fine.events)]
+    assert kinds == [(event.kind, event.side) for event in events]
+    assert np.array_equal(coarse.events["kind"], fine.events["kind"])
+    halving = np.max(np.abs(coarse.events["time"] - fine.events["time"]))
+    error = np.max(np.abs(fine.events["time"] - [event.time for event in events]))
+    assert error <= halving / 3 + 1e-10
+    assert error < 1e-4
+    primaries = reference.primary_impacts(events, plant.contact_period())
+    assert list(fine.primaries) == primaries
+    assert fine.impact_severity == pytest.approx(reference.severities(events, primaries), rel=2e-4)
+    return fine
+
+
+def test_a_branched_driveline_agrees_with_the_reference():
+    """Two branches on a gearbox, a shaft round a loop, the lash inside the load path."""
+    agree(
+        reference.Plant(
+            inertias=(0.02, 0.004, 0.003, 0.002, 0.005),
+            shafts=(
+                (1, 2, 40.0, 0.08),
+                (3, 4, 60.0, 0.05),
+                (3, 5, 80.0, 0.04),
+                (4, 5, 30.0, 0.02),
+                (5, "ground", 50.0, 0.1),
+                (1, "ground", 0.0, 0.08),
+            ),
+            lash=(2, 3),
+            contact_stiffness=2000.0,
+            contact_damping=0.4,
+            backlash=np.deg2rad(4.0),
+            before=-7.0,
+            acceleration_of=2,
+        )
+    )
+
+
+def random_plant(n, rng):
+    """A tree of n inertias rooted in ground, one branch of it loaded through the lash; sometimes a loop."""
+    edges = [(k, "ground" if k == 1 else int(rng.integers(1, k))) for k in range(1, n + 1)]
+    loaded = n
+    path = [loaded]  # from the load to ground
+    while path[-1] != "ground":
+        path.append(edges[path[-1] - 1][1])
+    lash = edges[path[int(rng.integers(0, len(path) - 1))] - 1]
+    shafts = []
+    for edge in edges:
+        if edge != lash:
+            stiffness = float(10 ** rng.uniform(1.0, 2.3))
+            shafts.append((*edge, stiffness, float(rng.uniform(0.05, 0.2) * np.sqrt(0.004 * stiffness))))
+    shafts += [(k, "ground", 0.0, float(rng.uniform(0.01, 0.1))) for k in range(1, n + 1) if rng.random() < 0.6]
+    inertias = tuple(float(10 ** rng.uniform(-2.8, -1.5)) for _ in range(n))
+    mobility = sum(1.0 / inertias[end - 1] for end in lash if end != "ground")
+    stiffness = float(10 ** rng.uniform(2.5, 3.3))
+    return reference.Plant(
+        inertias=inertias,
+        shafts=tuple(shafts),
+        lash=lash,
+        contact_stiffness=stiffness,
+        contact_damping=float(rng.uniform(0.1, 0.4) * np.sqrt(stiffness / mobility)),
+        backlash=float(np.deg2rad(10 ** rng.uniform(-1.0, 1.3))),
+        before=float(-1.0 - rng.uniform(2.0, 12.0)),
+        loaded=loaded,
+        acceleration_of=lash[0],
+        separation=str(rng.choice(["gap", "force"])),
+    )
+
+
+@pytest.mark.parametrize("n", range(1, 9))
+def test_random_drivelines_agree_with_the_reference(n):
+    """Event by event. Three of each size, both separation rules among them."""
+    rng = np.random.default_rng(100 + n)
+    touches = sum(agree(random_plant(n, rng)).touches for _ in range(3))
+    assert touches >= 3

@@ -1,0 +1,236 @@
+"""The Restitution Coefficient Model against the report, against its own laws, and against a bouncing ball."""
+
+import numpy as np
+import pytest
+
+from clunk import driveline
+from clunk.config import replace_values, study_from_text
+from clunk.core.events import LOCK, OPENING, SEPARATION, TOUCH
+from clunk.simulation import SimulationError, simulate
+from clunk.sweeping import sweep
+
+NOMINAL = '[driveline]\npreset = "boere-2008"\n[lash.contact]\nmodel = "restitution"\n'
+MAP = """
+[[sweep.axes]]
+parameter = "load.ratio"
+start = 0.0
+stop = 10.0
+count = 41
+[[sweep.axes]]
+parameter = "lash.backlash_deg"
+start = 0.0
+stop = 20.0
+count = 41
+"""
+BALL = """
+[driveline]
+inertias = [0.5]
+shafts = []
+[lash]
+between = [1, "ground"]
+backlash_deg = 60.0
+radius = 1.0
+[lash.contact]
+model = "restitution"
+stiffness = 1.0
+damping = 0.0
+restitution = {e}
+[load]
+on = 1
+initial_torque = 5.0
+final_torque = 5.0
+[solver]
+step = 1e-3
+end_time = 60.0
+max_events = 2000
+"""
+# Every inertia, shaft and end of a lash that a restitution impact may meet.
+DRIVELINES = {
+    "between the last two": NOMINAL,
+    "between the first two": NOMINAL.replace("[lash.contact]", "[lash]\nbetween = [1, 2]\n[lash.contact]").replace(
+        "preset",
+        "shafts = [{between = [2, 3], stiffness = 31.3, damping = 0.04}, "
+        "{between = [3, 4], stiffness = 31.3, damping = 0.08}, "
+        '{between = [4, "ground"], stiffness = 31.3, damping = 0.1}]\npreset',
+    ),
+    "to ground": NOMINAL.replace("[lash.contact]", '[lash]\nbetween = [4, "ground"]\n[lash.contact]').replace(
+        "preset",
+        "shafts = [{between = [1, 2], stiffness = 31.3, damping = 0.08}, "
+        "{between = [2, 3], stiffness = 31.3, damping = 0.04}, "
+        "{between = [3, 4], stiffness = 31.3, damping = 0.1}]\npreset",
+    ),
+}
+
+
+def nominal(**values):
+    return replace_values(study_from_text(NOMINAL), {key.replace("__", "."): value for key, value in values.items()})
+
+
+def lash_row(study):
+    n = len(study.driveline.inertias)
+    row = np.zeros(n)
+    for end, sign in zip(study.lash.between, (1.0, -1.0), strict=True):
+        if end != "ground":
+            row[end - 1] = sign
+    return row
+
+
+def test_the_nominal_run_touches_and_sticks_when_facts_and_figure_3_3_say():
+    run = simulate(nominal())
+    touches = run.events["time"][run.events["kind"] == TOUCH]
+    assert touches[:3] == pytest.approx([0.1190, 0.1285, 0.1324], abs=5e-5)  # printed to four digits
+    locks = run.events["time"][run.events["kind"] == LOCK]
+    assert locks[0] == pytest.approx(0.1359, abs=5e-5)
+    assert run.events["time"][run.primaries] == pytest.approx([0.1190, 0.2608, 0.5633], abs=5e-5)
+    assert run.label == "DS(1)SS(1)"
+
+
+def test_severity_is_not_defined_and_approach_velocity_is():
+    run = simulate(nominal())
+    assert np.isnan(run.severity)
+    assert np.isnan(run.impact_severity).all()
+    assert run.approach_velocity == pytest.approx(np.sqrt(np.sum(run.events["speed"][run.primaries] ** 2)))
+
+
+def test_both_contact_models_have_the_nine_labels_and_agree_in_99_percent_of_the_map():
+    restitution = sweep(study_from_text(NOMINAL + MAP))
+    indentation = sweep(study_from_text('[driveline]\npreset = "boere-2008"\n' + MAP))
+    assert set(restitution.labels) == set(indentation.labels)
+    assert len(restitution.labels) == 9
+    texts = [np.array(results.labels)[results.sequence] for results in (restitution, indentation)]
+    assert np.mean(texts[0] == texts[1]) >= 0.99
+    assert np.isnan(restitution.severity).all()
+
+
+@pytest.mark.parametrize("name", DRIVELINES)
+@pytest.mark.parametrize("e", [0.0, 0.3, 0.5, 0.8, 1.0])
+def test_momentum_and_the_velocity_ratio_hold_to_rounding_at_every_impact(name, e):
+    study = replace_values(study_from_text(DRIVELINES[name]), {"lash.contact.restitution": e, "solver.end_time": 0.3})
+    run = simulate(study)
+    lash, inertias = lash_row(study), np.array(study.driveline.inertias)
+    n = inertias.size
+    touches = np.flatnonzero(run.events["kind"] == TOUCH)
+    assert touches.size >= (1 if e == 0.0 else 3)
+    for k in touches:
+        after, before = run.states[k, n:] @ lash, run.events["speed"][k]
+        locks = k + 1 < len(run.events) and run.events["kind"][k + 1] == LOCK
+        # θ' of a few rad/s in sums of two: rounding is a few 1e-16 times 10
+        assert after == pytest.approx(0.0 if locks else -e * before, abs=1e-14)
+    # the impact itself: no momentum into the pair but from ground, none into the others
+    impulse = lash / inertias
+    pair = np.flatnonzero(lash)
+    if pair.size == 2:
+        assert abs(np.sum(inertias[pair] * impulse[pair])) < 1e-15
+
+
+@pytest.mark.parametrize("e", [0.1, 0.3, 0.5, 0.7, 0.9, 0.95])
+def test_a_bouncing_ball_bounces_when_the_textbook_says(e):
+    """Constant torque, one inertia, lash to ground: after the first impact the n-th follows at 2v0/g (1-eⁿ)/(1-e)."""
+    study = study_from_text(BALL.format(e=e))
+    acceleration, half_gap = 5.0 / 0.5, np.deg2rad(30.0)
+    run = simulate(study, initial_state=[0.0, 0.0])
+    touches = run.events["time"][run.events["kind"] == TOUCH]
+    assert touches[0] == pytest.approx(np.sqrt(2 * half_gap / acceleration), rel=1e-12)
+    v0 = e * np.sqrt(2 * half_gap * acceleration)
+    n = np.arange(1, touches.size)
+    expected = 2 * v0 / acceleration * (1 - e**n) / (1 - e)
+    assert touches[1:] - touches[0] == pytest.approx(expected, rel=1e-9)
+    # it locks at the first rebound within 1e-4 of the fastest touch, all but that share of the way to the limit
+    assert touches.size == np.ceil(np.log(1e-4) / np.log(e))
+    lock = run.events["time"][run.events["kind"] == LOCK]
+    assert lock.size == 1
+    limit = 2 * v0 / (acceleration * (1 - e))
+    assert lock[0] - touches[0] == pytest.approx(limit, rel=1.1e-4 / e)
+    assert run.complete
+
+
+def test_without_restitution_the_first_touch_locks():
+    run = simulate(nominal(lash__contact__restitution=0.0))
+    kinds = run.events["kind"]
+    assert np.all(kinds[np.flatnonzero(kinds == TOUCH) + 1] == LOCK)
+    assert run.label == "DS(1)SS(1)"
+
+
+def test_without_restitution_no_release_is_taken_for_sticking():
+    results = sweep(study_from_text(NOMINAL + "restitution = 0.0\n" + MAP))
+    assert not [label for label in results.labels if "OS" in label or "CR" in label]
+
+
+def test_an_elastic_impact_keeps_the_energy_and_the_run_ends_by_itself():
+    study = nominal(lash__contact__restitution=1.0)
+    with pytest.raises(SimulationError, match=r"[Mm]ore events than solver\.max_events"):
+        simulate(study.model_copy(update={"solver": study.solver.model_copy(update={"max_events": 200})}))
+    run = simulate(replace_values(study, {"solver.end_time": 0.2}))
+    inertias = np.array(study.driveline.inertias)
+    lash = lash_row(study)
+    for k in np.flatnonzero(run.events["kind"] == TOUCH):
+        after = run.states[k, 4:]
+        before = after + 2.0 * run.events["speed"][k] * (lash / inertias) / np.sum(lash**2 / inertias)
+        assert np.sum(inertias * before**2) == pytest.approx(np.sum(inertias * after**2), rel=1e-13)
+
+
+@pytest.mark.parametrize("name", DRIVELINES)
+def test_a_run_that_stops_early_has_all_of_its_events(name, monkeypatch):
+    study = study_from_text(DRIVELINES[name])
+    early = simulate(study)
+    build = driveline.build
+
+    def unproved(study):
+        return build(study)._replace(provable=np.zeros(2, np.int64))
+
+    monkeypatch.setattr(driveline, "build", unproved)
+    whole = simulate(study)
+    assert not whole.complete
+    assert np.array_equal(early.events, whole.events[: len(early.events)])
+    assert len(early.events) == len(whole.events) or not early.complete
+
+
+def test_a_faster_locking_speed_locks_earlier():
+    slow, fast = simulate(nominal()), simulate(nominal(lash__contact__locking_speed=0.5))
+    assert fast.touches < slow.touches
+    speeds = np.abs(fast.events["speed"][fast.events["kind"] == TOUCH])
+    locked = fast.events["kind"][np.flatnonzero(fast.events["kind"] == TOUCH) + 1] == LOCK
+    assert np.all(0.5 * speeds[locked] <= 0.5)
+    assert np.all(0.5 * speeds[~locked] > 0.5)
+
+
+def test_locked_inertias_stay_together_to_the_last_bit():
+    run = simulate(nominal())
+    for k in np.flatnonzero(run.events["kind"] == SEPARATION):
+        q = run.states[k, 2] - run.states[k, 3]
+        assert run.states[k, 6] == run.states[k, 7]
+        assert abs(q) == pytest.approx(np.deg2rad(3.0), rel=1e-14)
+
+
+def test_without_a_gap_separation_passes_straight_to_the_other_flank():
+    run = simulate(nominal(lash__backlash_deg=0.0))
+    kinds, times = run.events["kind"], run.events["time"]
+    separations = np.flatnonzero(kinds == SEPARATION)
+    assert separations.size == 4  # σr = 5 lies between the second and the third threshold: DS(2)
+    assert run.label == "DS(2)"
+    assert np.all(kinds[separations + 1] == TOUCH)
+    assert np.all(times[separations + 1] == times[separations])
+    assert np.all(run.events["speed"][separations + 1] == 0.0)
+
+
+def test_the_mirrored_load_swaps_the_flanks_and_nothing_else():
+    here, mirrored = simulate(nominal()), simulate(nominal(load__static_torque=1.0))
+    assert np.array_equal(here.events["time"], mirrored.events["time"])
+    assert np.array_equal(here.events["speed"], -mirrored.events["speed"])
+    assert here.initial_side == -mirrored.initial_side
+    assert here.label == mirrored.label
+
+
+def test_an_overlap_to_begin_with_is_refused():
+    with pytest.raises(SimulationError, match="overlaps"):
+        simulate(nominal(), initial_state=[0, 0, 1.0, 0, 0, 0, 0, 0])
+
+
+def test_touches_do_not_depend_on_the_step_beyond_its_fourth_power():
+    coarse, fine = simulate(nominal(solver__step=2e-4)), simulate(nominal(solver__step=1e-4))
+    reference = simulate(nominal(solver__step=2.5e-5))
+    assert len(coarse.events) == len(fine.events) == len(reference.events)
+    assert OPENING not in reference.events["kind"]
+    errors = [np.abs(run.events["time"] - reference.events["time"]).max() for run in (coarse, fine)]
+    assert errors[0] < 1e-6
+    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.4)

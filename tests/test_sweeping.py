@@ -1,0 +1,227 @@
+"""Sweeps: the report's map, the same bits for any number of workers, and every cell a single run."""
+
+import numpy as np
+import pytest
+
+from clunk.config import replace_values, study_from_text
+from clunk.core.status import Status
+from clunk.results import CELL_FIELDS, IMPACT_FIELDS
+from clunk.simulation import simulate
+from clunk.sweeping import SweepError, sweep
+
+FIGURE_3_4 = {"NI", "SS(1)", "SS(2)", "DS(1)", "DS(1)SS(1)", "DS(1)SS(2)", "DS(2)", "DS(2)SS(1)", "DS(3)"}
+
+
+def study(*axes, preset="boere-2008", separation="gap", step=1e-4):
+    text = f"""
+    [driveline]
+    preset = "{preset}"
+    [lash.contact]
+    separation = "{separation}"
+    [solver]
+    step = {step}
+    """
+    for parameter, values in axes:
+        text += f'[[sweep.axes]]\nparameter = "{parameter}"\nvalues = {[float(v) for v in values]}\n'
+    return study_from_text(text)
+
+
+def figure_3_4(count, **options):
+    return study(
+        ("load.ratio", np.linspace(0.0, 10.0, count)), ("lash.backlash_deg", np.linspace(0.0, 20.0, count)), **options
+    )
+
+
+def regimes(results):
+    """Each cell's label."""
+    return np.array([*results.labels, "failed"])[results.sequence]
+
+
+def equal(one, other):
+    """Whether two results agree to the last bit; NaN equals NaN."""
+    return one.labels == other.labels and all(
+        np.array_equal(getattr(one, name), getattr(other, name), equal_nan=name not in ("sequence",))
+        for name in [*CELL_FIELDS, *IMPACT_FIELDS]
+    )
+
+
+def same_as_single_run(results, at, study_of_cell):
+    """Whether a cell holds what `simulate` finds at its parameters, to the last bit."""
+    trajectory = simulate(study_of_cell)
+    cell = np.ravel_multi_index(at, results.shape)
+    mine = slice(results.first_impact[cell], results.first_impact[cell + 1])
+    assert regimes(results)[at] == trajectory.label
+    assert results.severity[at] == trajectory.severity
+    assert results.approach_velocity[at] == trajectory.approach_velocity
+    assert results.touches[at] == trajectory.touches
+    assert results.initial_side[at] == trajectory.initial_side
+    assert bool(results.quality[at] & 1) == trajectory.complete
+    assert np.array_equal(results.impact_time[mine], trajectory.events["time"][trajectory.primaries])
+    assert np.array_equal(results.impact_flank[mine], trajectory.flanks)
+    assert np.array_equal(results.impact_closing_speed[mine], np.abs(trajectory.events["speed"][trajectory.primaries]))
+    assert np.array_equal(results.impact_severity[mine], trajectory.impact_severity)
+    if len(trajectory.events) > 1:
+        assert results.last_event_time[at] == trajectory.events["time"][-1]
+    else:
+        assert np.isnan(results.last_event_time[at])
+
+
+@pytest.fixture(scope="module")
+def figure():
+    return sweep(figure_3_4(41))
+
+
+class TestTheMapOfTheReport:
+    def test_labels_are_those_of_figure_3_4(self, figure):
+        assert set(figure.labels) == FIGURE_3_4
+        assert set(regimes(figure).ravel()) == FIGURE_3_4
+
+    def test_codes_are_in_order_of_impacts(self, figure):
+        """By the number of primary impacts and then the label; no matter which cell finished first."""
+        assert figure.labels == (
+            "NI",
+            "SS(1)",
+            "DS(1)",
+            "SS(2)",
+            "DS(1)SS(1)",
+            "DS(1)SS(2)",
+            "DS(2)",
+            "DS(2)SS(1)",
+            "DS(3)",
+        )
+
+    def test_the_inertias_as_printed_give_other_labels(self):
+        """Table 2.2 as printed cannot have made Figure 3.4: DS(3)SS(1) and DS(4) appear, which it does not show."""
+        labels = set(sweep(figure_3_4(41, preset="boere-2008-as-printed")).labels)
+        assert {"DS(3)SS(1)", "DS(4)"} <= labels - FIGURE_3_4
+
+    def test_every_run_is_proved_complete_within_a_second(self, figure):
+        """The last event of the whole map is at 0.99 s, and no run has more than 38 events, two for a touch."""
+        assert np.all(figure.quality == 1)
+        assert np.all(figure.status == Status.OK)
+        assert np.nanmax(figure.last_event_time) == pytest.approx(0.99, abs=0.01)
+        assert figure.touches.max() <= 19
+
+    def test_a_small_ratio_gives_no_impact_and_no_severity(self, figure):
+        quiet = regimes(figure) == "NI"
+        assert np.all(quiet[:5])  # σr up to 1
+        assert np.array_equal(quiet, figure.primary_impacts == 0)
+        assert np.all((figure.severity == 0.0) == quiet)
+        assert np.array_equal(np.isnan(figure.last_event_time), quiet)
+
+    def test_the_severest_cell_is_at_16_degrees(self, figure):
+        """20374 at σr = 10, φθ = 16°, computed exactly; RK4's own error is 2e-5 of it."""
+        at = np.unravel_index(np.argmax(figure.severity), figure.shape)
+        assert figure.axes[0].values[at[0]] == 10.0
+        assert figure.axes[1].values[at[1]] == pytest.approx(16.0, abs=0.5)
+        assert figure.severity[40, 32] == pytest.approx(20374.3, rel=2e-5)
+
+    def test_separation_by_force_has_the_same_labels_and_softer_impacts(self, figure):
+        """It moves the boundaries by a cell here and there (under 1 % of the cells); re-arming too early moves 10 %."""
+        by_force = sweep(figure_3_4(41, separation="force"))
+        assert set(by_force.labels) == FIGURE_3_4
+        assert 0 < np.count_nonzero(regimes(figure) != regimes(by_force)) <= 8
+        assert by_force.severity.max() == pytest.approx(17355, rel=1e-4)  # exact propagator: 17355.1 at 15.5°
+
+    def test_labels_do_not_depend_on_the_step(self):
+        coarse, fine = (sweep(figure_3_4(21, step=step)) for step in (2e-4, 5e-5))
+        assert np.array_equal(regimes(coarse), regimes(fine))
+        # Q_i of weak impacts carry the most of RK4's error, (hλ)⁵/120 a step: 6e-4 over a contact period at h = 2e-4
+        assert coarse.severity == pytest.approx(fine.severity, rel=6e-4)
+
+
+class TestCells:
+    def test_results_are_the_same_bits_for_any_number_of_workers(self):
+        """And for any cut into tiles, which depends on that number."""
+        one, two, four = (sweep(figure_3_4(17), workers=workers) for workers in (1, 2, 4))
+        assert equal(one, two)
+        assert equal(one, four)
+
+    def test_every_cell_is_a_single_run(self, figure):
+        base = figure_3_4(41)
+        for at in [(0, 0), (0, 40), (8, 12), (20, 12), (33, 1), (40, 0), (40, 32), (40, 40)]:
+            values = {axis.parameter: axis.values[k] for axis, k in zip(figure.axes, at, strict=True)}
+            same_as_single_run(figure, at, replace_values(base, values))
+
+    def test_an_inertia_can_be_swept(self):
+        inertias, ratios = [0.001, 0.002, 0.02], [2.0, 5.0, 9.0]
+        base = study(("driveline.inertias[4]", inertias), ("load.ratio", ratios))
+        results = sweep(base, workers=2)
+        assert np.unique(results.severity[:, 1]).size == 3  # the inertia matters
+        for i, inertia in enumerate(inertias):
+            for j, ratio in enumerate(ratios):
+                values = {"driveline.inertias[4]": inertia, "load.ratio": ratio}
+                same_as_single_run(results, (i, j), replace_values(base, values))
+
+    def test_the_order_of_the_axes_does_not_matter(self):
+        axes = [("driveline.inertias[4]", [0.001, 0.002, 0.02]), ("load.ratio", np.linspace(1.0, 9.0, 9))]
+        one, other = sweep(study(*axes)), sweep(study(*axes[::-1]))
+        assert one.labels == other.labels
+        for name in CELL_FIELDS:
+            assert np.array_equal(getattr(one, name), getattr(other, name).T, equal_nan=True), name
+
+    @pytest.mark.parametrize(
+        ("parameter", "values"),
+        [
+            ("lash.contact.damping", [0.0, 94.0, 200.0]),
+            ("lash.contact.stiffness", [2e5, 4e5]),
+            ("lash.radius", [0.05, 0.08]),
+            ("driveline.shafts[3].damping", [0.01, 0.1]),
+            ("load.static_torque", [-2.0, 0.5]),
+            ("impacts.sticking_time", [1e-9, 0.0039, 10.0]),
+            ("impacts.acceleration_of", [1.0, 4.0]),
+            ("solver.step", [5e-5, 2e-4]),
+            ("solver.end_time", [0.15, 0.4, 1.5]),
+            ("load.on", [1.0, 3.0]),
+        ],
+    )
+    def test_whatever_is_swept_a_cell_is_a_single_run(self, parameter, values):
+        base = study((parameter, values))
+        results = sweep(base)
+        for k, value in enumerate(values):
+            same_as_single_run(results, (k,), replace_values(base, {parameter: value}))
+
+    def test_three_axes_are_a_grid_too(self):
+        base = study(("load.ratio", [2.0, 8.0]), ("driveline.inertias[1]", [0.02, 0.03]), ("lash.backlash_deg", [1, 6]))
+        results = sweep(base)
+        assert results.shape == (2, 2, 2)
+        for at in np.ndindex(results.shape):
+            values = {axis.parameter: axis.values[k] for axis, k in zip(results.axes, at, strict=True)}
+            same_as_single_run(results, at, replace_values(base, values))
+
+
+class TestFailedCells:
+    def test_a_cell_without_an_initial_flank_fails_alone(self):
+        """σr = -1 leaves no torque before the step; its neighbours run."""
+        results = sweep(study(("load.ratio", [-2.0, -1.0, 0.0, 5.0])))
+        assert list(results.status) == [Status.OK, Status.NO_INITIAL_FLANK, Status.OK, Status.OK]
+        assert list(regimes(results)) == ["OS(1)CR(1)", "failed", "NI", "DS(1)SS(1)"]
+        assert np.isnan(results.severity[1])
+        assert results.primary_impacts[1] == results.touches[1] == results.initial_side[1] == 0
+        assert results.quality[1] == 0
+
+    def test_a_step_that_is_too_large_fails_alone(self):
+        results = sweep(study(("solver.step", [1e-4, 2e-3, 2e-4])))
+        assert list(results.status) == [Status.OK, Status.UNSTABLE_STEP, Status.OK]
+        assert regimes(results)[1] == "failed"
+
+    def test_more_events_than_allowed_fail_alone(self):
+        base = study(("load.ratio", [1.0, 5.0, 2.0]))
+        base = base.model_copy(update={"solver": base.solver.model_copy(update={"max_events": 10})})
+        results = sweep(base)
+        assert list(results.status) == [Status.OK, Status.EVENT_BUFFER_FULL, Status.OK]
+        assert list(regimes(results)) == ["NI", "failed", "SS(1)"]
+
+    def test_a_run_that_ends_in_the_middle_of_something_is_no_failure(self):
+        results = sweep(study(("solver.end_time", [0.15, 2.0])))
+        assert list(results.status) == [Status.OK, Status.OK]
+        assert list(results.quality) == [0, 1]
+        assert list(regimes(results)) == ["CR(1)", "DS(1)SS(1)"]
+
+    def test_a_sweep_in_which_no_cell_can_run_is_refused(self):
+        with pytest.raises(SweepError, match="No cell can run"):
+            sweep(figure_3_4(3, step=2e-3))
+
+    def test_without_axes_there_is_nothing_to_sweep(self, nominal):
+        with pytest.raises(SweepError, match="nothing to sweep"):
+            sweep(nominal)
