@@ -174,9 +174,9 @@ def _run_sweep(study: Study, workers: int | None) -> tuple[Results, float]:
 
 
 def _say_if_compiling() -> None:
-    from clunk.core import _cache
+    from clunk.core.jit import is_cold
 
-    if _cache.is_cold():
+    if is_cold():
         click.echo("compiling the kernel, once for this installation (about 15 s) …", err=True)
 
 
@@ -285,11 +285,15 @@ def plot(file: Path, output: Path | None, quantity: str | None) -> None:
         click.echo(str(target))
 
 
-def _default_quantities(results: Results) -> tuple[str, str]:
-    """The regimes and how hard the impacts are; Q is not defined for the restitution model, V is."""
+def _default_quantities(results: Results) -> list[str]:
+    """The regimes and how hard the impacts are; Q is not defined for the restitution model, V is.
+
+    A single axis has its labels in the same picture as the curve.
+    """
     import numpy as np
 
-    return "regimes", "severity" if np.isfinite(results.severity).any() else "approach_velocity"
+    hardness = "severity" if np.isfinite(results.severity).any() else "approach_velocity"
+    return ["regimes", hardness] if sum(count > 1 for count in results.shape) > 1 else [hardness]
 
 
 def _thresholds(results: Results) -> list[float]:

@@ -22,7 +22,7 @@ LARGEST_GRID = 2**31  # cells
 LONGEST_AXIS = 10_000_000  # values; known before any array is made
 MOST_STEPS = 1e9  # of one run; about ten seconds of nothing but stepping
 
-# Choices that are planned: refused by name rather than as unknown. To open one, add it to its Literal in configmodels.py.
+# Choices that are planned: refused by name rather than as unknown. To open one, add it to its Literal in configmodels.
 NOT_YET: dict[Place, tuple[str, ...]] = {
     ("solver", "method"): ("exact",),
 }

@@ -49,7 +49,7 @@ Floats = npt.NDArray[np.float64]
 _TRANSITION_COLOURS = ("#d55e00", "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9")
 _OTHERS_COLOUR = "#a9adb0"
 _MARK = (4.0, 8.0)  # points: a smaller square is not seen, a larger one hides what is around it
-_DENSE = 0.02  # share of differing cells above which the labels stand on them instead of between them
+_DENSE = 0.1  # share of differing cells above which the labels stand on them instead of between them
 _FAINT_LINE = "#8f989f"
 _NOWHERE = -2  # in a raster: no region, so that no label is written there
 
@@ -89,11 +89,15 @@ def difference_map(a: Results, b: Results, comparison: Comparison) -> Figure:
             if not dense:
                 for mark in marks:
                     _block(raster, mark.x, mark.y, _mark_size(ax, view))
+                _clear_taken(raster)
             return raster
 
         notes: list[Artist] = [Line2D([], [], label="regimes of A", **line)]
         notes += [mark.handle() for mark in marks]
-        _settle(figure, ax, a.labels, look, [*notes, *_failed_notes(codes)])
+        for failed in _failed_notes(codes):
+            failed.set_label(f"failed in A: {_cells(int(np.count_nonzero(codes == FAILED_CODE)))}")
+            notes.append(failed)
+        _settle(figure, ax, a.labels, look, notes)
         size = _mark_size(ax, view)
         for mark in sorted(marks, key=lambda mark: mark.colour != _OTHERS_COLOUR):  # the others cover no colour
             mark.draw(ax, size, dense=dense)
@@ -140,7 +144,16 @@ def experiment_map(results: Results, comparison: ExperimentComparison) -> Figure
             placed[:] = _place_points(raster, values, points)
             return raster
 
-        _settle(figure, ax, results.labels, look, [*_point_handles(comparison), *_failed_notes(codes)])
+        notes = [*_point_handles(comparison), *_failed_notes(codes)]
+        more: list[Artist] = []
+        for _ in range(3):  # notes take height from the map, and less of the labels then has room
+            unlabelled = _settle(figure, ax, results.labels, look, [*notes, *more])
+            missing: list[Artist] = [_region_handle(label, palette[label]) for label in unlabelled]
+            if len(placed) < len(points):
+                missing.append(Patch(alpha=0.0, label="a point without a label: no room"))
+            if len(missing) <= len(more):
+                break
+            more = missing
         _draw_points(ax, values, points)
         for point, x_, y_ in placed:
             ax.text(
@@ -232,7 +245,7 @@ def _mark_size(ax: Axes, view: _View) -> float:
 
 def _title(comparison: Comparison) -> str:
     a, b = comparison.titles
-    return f"Differences: {a}" if a == b else f"Differences: A: {a}; B: {b}"
+    return f"Differences: {a}" if a == b else "Differences between two maps"
 
 
 def _what_differs(comparison: Comparison) -> list[str]:
@@ -270,6 +283,10 @@ def _point_handles(comparison: ExperimentComparison) -> list[Artist]:
     if comparison.outside:
         handles.append(Patch(alpha=0.0, label=f"outside the map, not counted: {comparison.outside}"))
     return handles
+
+
+def _region_handle(label: str, colour: str) -> Patch:
+    return Patch(facecolor=colour, edgecolor=_INK, linewidth=0.6, label=label)
 
 
 def _look(*, agrees: bool) -> dict[str, Any]:
@@ -327,7 +344,7 @@ def _place_points(raster: _Raster, values: Floats, points: Sequence[Point]) -> l
             left, low = math.floor(u - 0.5 * across), math.floor(v - 0.5 * upward)
             raster.taken[low : low + upward, left : left + across] = True
             placed.append((point, *raster.data(u, v)))
-    raster.label = np.where(raster.taken, np.int16(_NOWHERE), raster.label)
+    _clear_taken(raster)
     return placed
 
 
@@ -340,15 +357,33 @@ def _cells(count: int) -> str:
 
 def _settle(
     figure: Figure, ax: Axes, labels: tuple[str, ...], look: Callable[[], _Raster], notes: Sequence[Artist]
-) -> None:
-    """Lay the figure out with these notes under the map, then write the regions' labels where they have room."""
+) -> list[str]:
+    """Lay the figure out with these notes under the map, then write the regions' labels; returns those without room."""
+    for artist in [*ax.texts, *(line for line in ax.lines if line.get_gid() == "leader")]:
+        artist.remove()
     _note(figure, cast("list[Patch]", notes))
     _freeze_layout(figure, ax)
-    _label_regions(look(), labels, leaders=True)
+    return _label_regions(look(), labels, leaders=True)
+
+
+def _clear_taken(raster: _Raster) -> None:
+    """Keep regions' labels off what is taken. Of a region that falls apart so, the largest piece keeps its name."""
+    free = np.full(raster.label.shape, _NOWHERE, np.int16)
+    for code in np.unique(raster.label):
+        regions, _ = ndimage.label(raster.label == code)
+        pieces, count = ndimage.label((regions > 0) & ~raster.taken)
+        if not count:
+            continue
+        area = np.bincount(pieces.ravel(), minlength=count + 1)
+        region_of = ndimage.maximum(regions, pieces, np.arange(1, count + 1)).astype(np.intp)
+        for region in np.unique(region_of):
+            own = np.flatnonzero(region_of == region) + 1
+            free[pieces == own[np.argmax(area[own])]] = code
+    raster.label = free
 
 
 def _block(raster: _Raster, x: Floats, y: Floats, size: float) -> int:
-    """Take squares of this many points around some values out of the raster; returns half a square's pixels."""
+    """Take squares of this many points around some values; returns half a square's pixels."""
     figure = raster.ax.get_figure(root=True)
     assert figure is not None
     half = math.ceil(0.5 * size * figure.dpi / 72.0 / _PIXEL)
@@ -358,7 +393,6 @@ def _block(raster: _Raster, x: Floats, y: Floats, size: float) -> int:
     hit[np.clip(rows, 0, height - 1).astype(np.intp), np.clip(columns, 0, width - 1).astype(np.intp)] = True
     hit = ndimage.binary_dilation(hit, np.ones((2 * half + 1, 2 * half + 1)))
     raster.taken |= hit
-    raster.label = np.where(hit, np.int16(_NOWHERE), raster.label)
     return half
 
 

@@ -127,8 +127,9 @@ def test_phase_solves_the_equation_of_motion(phase):
         equation_of_motion(contact), time[[0, -1]], x[0], t_eval=time, method="DOP853", rtol=1e-12, atol=1e-14
     ).y.T
     np.testing.assert_allclose(x[:-1], solved[:-1], rtol=0.0, atol=1e-9)
-    # the last row is where the run's RK4 located the event, whose error in a velocity is up to 1e-7 rad/s at this step
-    np.testing.assert_allclose(x[-1], solved[-1], rtol=0.0, atol=1e-6)
+    # The last row is where the run's RK4 located the event. Its error in the contact mode is (ω h)^5/120 ≈ 1e-6 a step,
+    # for some 20 steps of contact at up to 8 rad/s.
+    np.testing.assert_allclose(x[-1], solved[-1], rtol=0.0, atol=2e-4)
 
 
 @pytest.mark.parametrize("model", ["gap", "force"])
@@ -145,7 +146,7 @@ def test_acceleration_balances_the_torques(model):
 
 
 def test_run_loses_the_energy_that_its_dampers_take():
-    sampled = history(step=1e-5)
+    sampled = history(step=1e-5, until=0.5)
     damping, stiffness = matrices(closed=False)
     rate = sampled.velocity[:, 2] - sampled.velocity[:, 3]
     indentation = np.maximum(np.abs(sampled.backlash_coordinate) / RADIUS - HALF_GAP, 0.0)
@@ -160,7 +161,7 @@ def test_run_loses_the_energy_that_its_dampers_take():
 
 @pytest.mark.parametrize("model", ["gap", "force"])
 def test_peak_to_peak_of_the_history_is_the_severity(model):
-    sampled, trajectory = history(model, step=1e-5), run(model)
+    sampled, trajectory = history(model, step=2e-5, until=1.0), run(model)
     rows = rows_of_events(sampled)
     limits = [*rows[trajectory.primaries], sampled.time.size]
     for k, severity in enumerate(trajectory.impact_severity):
@@ -230,11 +231,11 @@ def test_samples_are_multiples_of_the_step_from_the_load_step(step):
 
 
 def test_coarse_and_fine_samples_agree():
-    fine, coarse = sample(run(), step=1e-5), sample(run(), step=1e-3)
+    fine, coarse = sample(run(), step=2e-5, until=1.0), sample(run(), step=1e-3, until=1.0)
     common = np.isin(np.rint(fine.after_step * 1e5), np.rint(coarse.after_step * 1e5)) & (fine.event < 0)
     at = np.searchsorted(coarse.after_step, fine.after_step[common] - 1e-9)
     near = np.abs(coarse.after_step[at] - fine.after_step[common]) < 1e-12
-    assert np.count_nonzero(near) > 1900
+    assert np.count_nonzero(near) > 900
     np.testing.assert_allclose(coarse.angle[at][near], fine.angle[common][near], rtol=0.0, atol=1e-12)
 
 

@@ -4,7 +4,3 @@ Nothing here knows files, units of the config or people; it imports numpy and nu
 order: `regimes` (the system as data), `polynomial` (where a guard turns negative within a step), `rk4` (a run from
 preload to end), `events` (what it leaves behind), `sequence` and `severity` (label and Q), `tile` (many runs).
 """
-
-from clunk.core import _cache
-
-_cache.configure()

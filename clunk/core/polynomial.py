@@ -5,16 +5,16 @@ state (the gap, the contact force, an acceleration) is a quartic p(s) = c0 + c1 
 step's length. Finding an event is finding a zero of p, without integrating anything again.
 """
 
-from numba import njit
+from clunk.core.jit import compiled
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def evaluate(c0: float, c1: float, c2: float, c3: float, c4: float, s: float) -> float:
     """p(s) by Horner's rule."""
     return c0 + s * (c1 + s * (c2 + s * (c3 + s * c4)))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def bisect(c0: float, c1: float, c2: float, c3: float, c4: float, low: float, high: float) -> float:
     """Bisect a sign change of p between `low` and `high` down to neighbouring floating-point numbers.
 
@@ -34,7 +34,7 @@ def bisect(c0: float, c1: float, c2: float, c3: float, c4: float, low: float, hi
     return low
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def stationary_points(c1: float, c2: float, c3: float, c4: float, length: float) -> tuple[int, float, float, float]:
     """The points of (0, length) at which p' changes sign, in order.
 
@@ -70,7 +70,7 @@ def stationary_points(c1: float, c2: float, c3: float, c4: float, length: float)
     return count, found1, found2, found3
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _quadratic_roots(a0: float, a1: float, a2: float, length: float) -> tuple[float, float]:
     """The two zeros of a0 + a1 s + a2 s^2, in order; one that is not in (0, length) is replaced by `length`."""
     first, second = length, length
@@ -92,7 +92,7 @@ def _quadratic_roots(a0: float, a1: float, a2: float, length: float) -> tuple[fl
     return min(first, second), max(first, second)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def first_negative(c0: float, c1: float, c2: float, c3: float, c4: float, length: float) -> float:
     """The first s of [0, length] from which on p is negative, or -1 where there is none."""
     if c0 < 0.0:
@@ -111,7 +111,7 @@ def first_negative(c0: float, c1: float, c2: float, c3: float, c4: float, length
     return -1.0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def extremes(c0: float, c1: float, c2: float, c3: float, c4: float, length: float) -> tuple[float, float]:
     """The largest and the smallest value of p on [0, length], both ends included."""
     end = evaluate(c0, c1, c2, c3, c4, length)

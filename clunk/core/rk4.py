@@ -8,10 +8,10 @@ and the rest of the step is finished in the successor regime, so that the time g
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from clunk.core import polynomial
 from clunk.core.events import LOAD_STEP, LOCK, TOUCH
+from clunk.core.jit import compiled, inlined
 from clunk.core.regimes import (
     ACCELERATION,
     BEND,
@@ -43,7 +43,7 @@ _SHORTEST = 0.01
 _ROUNDING = 8 * float(np.finfo(np.float64).eps)  # relative to the terms of a sum of a few products
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def preload(system: System, torque: float, half_gap: float, x: FloatArray) -> int:
     """Set `x` to static equilibrium in contact under `torque`; return the side of the initial flank, 0 if none.
 
@@ -65,13 +65,13 @@ def preload(system: System, torque: float, half_gap: float, x: FloatArray) -> in
     return side
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def closed_on(side: int) -> int:
     """The regime of contact on the flank of `side` (+1 or -1)."""
     return CLOSED_POSITIVE if side > 0 else CLOSED_NEGATIVE
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def regime_of(system: System, x: FloatArray, half_gap: float) -> int:
     """The regime that a given state is in: by its gap, and for separation by force by its contact force too.
 
@@ -90,7 +90,7 @@ def regime_of(system: System, x: FloatArray, half_gap: float) -> int:
     return OPEN
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _functional(system: System, flow: int, which: int, x: FloatArray) -> float:
     value = 0.0
     for k in range(x.size):
@@ -98,13 +98,13 @@ def _functional(system: System, flow: int, which: int, x: FloatArray) -> float:
     return value
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _guard(system: System, regime: int, guard: int, x: FloatArray, half_gap: float) -> float:
     value = _functional(system, system.flow[regime], system.guard_functional[regime, guard], x)
     return float(system.guard_sign[regime, guard] * value + system.guard_offset[regime, guard] * half_gap)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def run(
     system: System,
     x: FloatArray,
@@ -268,7 +268,7 @@ def run(
             index, offset = index + 1, offset - step
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _rebound(
     system: System, x: FloatArray, torque: float, half_gap: float, side: int, speed: float, fastest: float
 ) -> tuple[int, int]:
@@ -306,7 +306,7 @@ def _rebound(
     return (closed_on(side), 0) if pressing > 0.0 else (OPEN, 2)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _hold(system: System, x: FloatArray, gap: float) -> None:
     """Make q = `gap` and q' = 0 without moving the centre of mass: by a share of the difference that its inertia sets.
 
@@ -329,13 +329,13 @@ def _hold(system: System, x: FloatArray, gap: float) -> None:
         x[first + last] = -others / system.lash[n + last]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _combine(inputs: FloatArray, torque: float, gap_input: float, out: FloatArray) -> None:
     for r in range(out.size):
         out[r] = inputs[0, r] * torque + inputs[1, r] * gap_input
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _record(
     events: npt.NDArray[np.void],
     states: FloatArray,
@@ -358,7 +358,7 @@ def _record(
         states[k, :] = x
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _expand(system: System, flow: int, x: FloatArray, torque: float, gap_input: float, taylor: FloatArray) -> None:
     """The step as a polynomial of its length: x(s) = sum of taylor[k] s^k, RK4's own for a linear regime."""
     size = x.size
@@ -374,7 +374,7 @@ def _expand(system: System, flow: int, x: FloatArray, torque: float, gap_input: 
             taylor[order, row] = value / order
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _quartic(
     system: System, flow: int, which: int, torque: float, gap_input: float, taylor: FloatArray
 ) -> tuple[float, float, float, float, float, float]:
@@ -392,7 +392,7 @@ def _quartic(
     return c0, c1, c2, c3, c4, scale
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _first_event(
     system: System,
     regime: int,
@@ -426,7 +426,7 @@ def _first_event(
     return earliest, which
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _acceleration_extremes(
     system: System, flow: int, torque: float, gap_input: float, taylor: FloatArray, length: float
 ) -> tuple[float, float]:
@@ -434,7 +434,7 @@ def _acceleration_extremes(
     return polynomial.extremes(c0, c1, c2, c3, c4, length)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _load(
     system: System, flow: int, x: FloatArray, torque: float, gap_input: float, z: FloatArray, columns: int
 ) -> None:
@@ -448,7 +448,7 @@ def _load(
         z[columns + r] = value
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _advance(transfer: FloatArray, affine: FloatArray, z: FloatArray, out: FloatArray) -> None:
     """out = affine + transfer z: one full step. Summed in pairs, eight columns at a time, which LLVM vectorises."""
     x0, x1, x2, x3, x4, x5, x6, x7 = z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]
@@ -469,7 +469,7 @@ def _advance(transfer: FloatArray, affine: FloatArray, z: FloatArray, out: Float
             )
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _coast(
     block: FloatArray,
     block_affine: FloatArray,
@@ -546,12 +546,12 @@ def _coast(
     return taken, largest, smallest
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _bend(z: FloatArray, at: int) -> float:
     return float(abs(z[at + 1]) + abs(z[at + 2]) + abs(z[at + 3]))
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _watch(
     before: FloatArray, after: FloatArray, here: int, there: int, largest: float, smallest: float
 ) -> tuple[float, float]:
@@ -566,7 +566,7 @@ def _watch(
     return largest, smallest
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _settled(
     system: System,
     regime: int,

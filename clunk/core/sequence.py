@@ -11,15 +11,15 @@ from itertools import groupby
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from clunk.core.events import LOCK, SEPARATION, TOUCH
+from clunk.core.jit import compiled
 
 INITIAL = -1
 OPPOSITE = 1
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def find_primaries(
     events: npt.NDArray[np.void], count: int, sticking_time: float, primaries: npt.NDArray[np.int64]
 ) -> int:

@@ -2,10 +2,11 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from clunk.core.jit import compiled
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def peak_to_peak(
     events: npt.NDArray[np.void],
     count: int,
@@ -35,7 +36,7 @@ def peak_to_peak(
     return float(np.sqrt(total))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def window_extremes(events: npt.NDArray[np.void], begin: int, end: int) -> tuple[float, float]:
     """The largest and the smallest acceleration over the phases that `events[begin:end]` open  [rad/s2]."""
     largest, smallest = -np.inf, np.inf

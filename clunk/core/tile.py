@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from clunk.core import rk4
 from clunk.core.events import EVENT, TOUCH
+from clunk.core.jit import compiled
 from clunk.core.regimes import System
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries
 from clunk.core.severity import peak_to_peak
@@ -46,7 +46,7 @@ IMPACT = np.dtype(
 )
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def select(systems: Any, k: int) -> System:
     """System `k` of a stack, whose fields have a leading dimension."""
     return System(
@@ -89,7 +89,7 @@ def select(systems: Any, k: int) -> System:
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def run_tile(
     systems: System,
     system_of: npt.NDArray[np.int64],

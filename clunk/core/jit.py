@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept between processes.
+"""How the core's functions are compiled, and where compiled kernels are kept between processes.
 
 numba's own cache notices a change only in the file that defines a function, not in the helpers it calls, and would run
 stale machine code after such an edit. So the directory is named by a digest of every source file of the core.
@@ -12,7 +12,7 @@ from pathlib import Path
 import numba
 
 
-def configure() -> None:
+def _configure() -> None:
     """Point numba's cache at this core's own directory; a user's `NUMBA_CACHE_DIR` is respected."""
     if os.environ.get("NUMBA_CACHE_DIR"):
         return
@@ -49,3 +49,9 @@ def _writable(directory: Path) -> Path:
             return directory
     except OSError:
         return Path(tempfile.mkdtemp(prefix="clunk-kernels-"))
+
+
+_configure()  # before the first function is decorated
+# No fastmath: the same input gives the same bits, on any number of threads.
+compiled = numba.njit(cache=True, nogil=True)
+inlined = numba.njit(cache=True, nogil=True, inline="always")
