@@ -67,7 +67,7 @@ def difference_map(a: Results, b: Results, comparison: Comparison) -> Figure:
     Raises PlotError unless two axes were swept.
     """
     if a.shape != comparison.differs.shape or b.shape != a.shape:
-        raise PlotError("The comparison is not one of these two maps: their grids are not its.")
+        raise PlotError("The comparison is of other maps than these two: the grids differ.")
     view = _View.of(a, 2)
     codes = view.arrange(a.sequence)
     marks = _marks(view, comparison)
@@ -251,9 +251,11 @@ def _title(comparison: Comparison) -> str:
 def _what_differs(comparison: Comparison) -> list[str]:
     """How many cells, and what was done otherwise; for the line under the title."""
     number = f"{comparison.differing:,} of {comparison.cells:,} cells differ"
-    lines = [
-        f"{number} ({percent(comparison.differing, comparison.cells)})" if comparison.cells else "no cell compared"
-    ]
+    share = f" ({percent(comparison.differing, comparison.cells)})" if comparison.cells else ""
+    lines = [number + share]
+    if comparison.titles[0] != comparison.titles[1]:
+        for letter, title in zip("AB", comparison.titles, strict=True):
+            lines += textwrap.wrap(f"{letter}: {title}", _LINE)
     changes = [change for change in comparison.config_differences if change.key != "title"]
     if comparison.configs_equal:
         lines.append("A and B: the same config")

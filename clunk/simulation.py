@@ -11,7 +11,7 @@ from clunk.config import Study
 from clunk.core import rk4
 from clunk.core.events import EVENT, KIND_NAMES, TOUCH
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
-from clunk.core.severity import peak_to_peak
+from clunk.core.severity import peak_to_peak, root_of_squares
 from clunk.core.status import Status
 from clunk.load import load_step
 
@@ -70,12 +70,12 @@ class Trajectory:
         """Q = sqrt(sum Q_i²)  [rad/s2] (report Eq. 3.3); not defined for the restitution model (NaN)."""
         if self.study.lash.contact.model == "restitution":
             return float("nan")
-        return float(np.sqrt(np.sum(self.impact_severity**2)))
+        return root_of_squares(self.impact_severity, self.impact_severity.size)
 
     @property
     def approach_velocity(self) -> float:
         """V = sqrt(sum v_i²), v_i the relative velocity just before primary impact i  [rad/s]."""
-        return float(np.sqrt(np.sum(self.events["speed"][self.primaries] ** 2)))
+        return root_of_squares(self.events["speed"][self.primaries], self.primaries.size)
 
     def kind_name(self, k: int) -> str:
         """What event `k` is: load step, touch, separation, rejoin or opening."""

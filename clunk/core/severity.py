@@ -1,4 +1,7 @@
-"""How hard the primary impacts are: the peak-to-peak acceleration Q_i = max θ'' - min θ'' of report Eq. 3.2."""
+"""How hard the primary impacts are: the peak-to-peak acceleration after each, and the speed before it.
+
+Q_i = max θ'' - min θ'' and Q = sqrt(sum Q_i²) are report Eqs 3.2 and 3.3.
+"""
 
 import numpy as np
 import numpy.typing as npt
@@ -27,12 +30,35 @@ def peak_to_peak(
     severity : (capacity,) float64  [rad/s2]
         Output.
     """
-    total = 0.0
     for i in range(found):
         end = primaries[i + 1] if i + 1 < found else count
         largest, smallest = window_extremes(events, primaries[i], end)
         severity[i] = largest - smallest
-        total += severity[i] ** 2
+    return root_of_squares(severity, found)
+
+
+@compiled
+def approach_velocity(
+    events: npt.NDArray[np.void], primaries: npt.NDArray[np.int64], found: int, speeds: npt.NDArray[np.float64]
+) -> float:
+    """Write each primary impact's closing speed to `speeds`; return V = sqrt(sum v_i^2), defined for both models.
+
+    Parameters
+    ----------
+    speeds : (capacity,) float64  [rad/s]
+        Output, v_i = |q'| just before primary impact i.
+    """
+    for i in range(found):
+        speeds[i] = abs(events[primaries[i]].speed)
+    return root_of_squares(speeds, found)
+
+
+@compiled
+def root_of_squares(values: npt.NDArray[np.float64], count: int) -> float:
+    """The square root of the sum of the squares of `values[:count]`, summed in order."""
+    total = 0.0
+    for i in range(count):
+        total += values[i] ** 2
     return float(np.sqrt(total))
 
 

@@ -10,7 +10,7 @@ from clunk.core.events import EVENT, TOUCH
 from clunk.core.jit import compiled
 from clunk.core.regimes import System
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries
-from clunk.core.severity import peak_to_peak
+from clunk.core.severity import approach_velocity, peak_to_peak
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
 
 FloatArray = npt.NDArray[np.float64]
@@ -127,7 +127,7 @@ def run_tile(
     events = np.empty(max_events + 1, EVENT)
     states = np.empty((0, size))
     primaries = np.empty(max_events + 1, np.int64)
-    severity = np.empty(max_events + 1)
+    severity, speeds = np.empty(max_events + 1), np.empty(max_events + 1)
     written = 0
     for k in range(first, cells.size):
         if stop[0] != 0 or written + max_events > impacts.size:
@@ -165,19 +165,17 @@ def run_tile(
         if system.impulsive != 0:  # the acceleration of an impulsive touch is not a number
             cell.severity, severity[:found] = np.nan, np.nan
         cell.pattern = np.uint64(1) if found <= LONGEST_PATTERN else np.uint64(0)
-        squares = 0.0
+        cell.approach_velocity = approach_velocity(events, primaries, found, speeds)
         for i in range(found):
             event = events[primaries[i]]
             impact = impacts[written]
             impact.time = event.time
-            impact.closing_speed = abs(event.speed)
+            impact.closing_speed = speeds[i]
             impact.severity = severity[i]
             impact.flank = INITIAL if event.side == side else OPPOSITE
             if found <= LONGEST_PATTERN:
                 cell.pattern = np.uint64(2) * cell.pattern + np.uint64(impact.flank == OPPOSITE)
-            squares += event.speed**2
             written += 1
-        cell.approach_velocity = squares**0.5
         cell.primary_impacts = found
         for i in range(1, count):
             if events[i].kind == TOUCH:

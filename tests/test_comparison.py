@@ -1,0 +1,666 @@
+"""Comparisons: maps against maps, maps against measurements, and the figures of both."""
+
+import json
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from clunk.comparison import (
+    ComparisonError,
+    DifferingCell,
+    ExperimentComparison,
+    Tally,
+    Transition,
+    as_record,
+    compare,
+    compare_experiment,
+    report,
+)
+from clunk.experiments import (
+    CAVEAT,
+    Experiment,
+    ExperimentError,
+    Measurement,
+    bundled_experiments,
+    is_experiment,
+    normalised_label,
+    read_experiment,
+)
+from clunk.plot import PlotError, save
+from clunk.plot_comparison import difference_map, experiment_map
+from clunk.results import ResultAxis, Results
+
+RATIO = ResultAxis("load.ratio", np.linspace(0.0, 10.0, 41), "load ratio", "σr = Td/Ts", "1")
+BACKLASH = ResultAxis("lash.backlash_deg", np.linspace(0.0, 20.0, 31), "backlash", "φθ", "degrees")
+CONFIG = """
+title = "Map"
+[driveline]
+inertias = [0.024, 0.002]
+[lash.contact]
+model = "indentation"
+"""
+IMPACTS = {"NI": 0, "SS(1)": 1, "SS(2)": 2, "DS(1)": 2, "DS(1)SS(1)": 3, "DS(2)": 4, "DS(2)SS(1)": 5, "DS(3)": 6}
+
+
+def make(names: Any, axes: Sequence[ResultAxis], order: Sequence[str] | None = None, **changes: Any) -> Results:
+    """Results with these labels; "failed" is a failed cell, and Q = V = 0 where there are no impacts."""
+    names = np.asarray(names, dtype=object)
+    labels = tuple(order or dict.fromkeys(name for name in names.ravel() if name != "failed"))
+    code = {label: k for k, label in enumerate(labels)} | {"failed": -1}
+    shape = names.shape
+    sequence = np.array([code[name] for name in names.ravel()], np.int16).reshape(shape)
+    severity = np.array([1000.0 * IMPACTS.get(name, 1) for name in names.ravel()]).reshape(shape)
+    severity[sequence < 0] = np.nan
+    fields: dict[str, Any] = {
+        "title": "Map",
+        "axes": tuple(axes),
+        "labels": labels,
+        "sequence": sequence,
+        "severity": severity,
+        "approach_velocity": severity / 500.0,
+        "last_event_time": np.zeros(shape),
+        "primary_impacts": np.zeros(shape, np.int32),
+        "touches": np.zeros(shape, np.int32),
+        "status": (sequence < 0).astype(np.uint8),
+        "quality": np.zeros(shape, np.uint8),
+        "initial_side": np.zeros(shape, np.int8),
+        "impact_time": np.zeros(0),
+        "impact_flank": np.zeros(0, np.int8),
+        "impact_closing_speed": np.zeros(0),
+        "impact_severity": np.zeros(0),
+        "config": CONFIG,
+        "config_digest": "a1",
+        "attributes": {"clunk_version": "0.1.0", "created": "2026-01-02"},
+    }
+    return Results(**(fields | changes))
+
+
+def regimes(ratio: float, backlash: float, shift: float = 0.0) -> str:
+    """Something like Figure 3.4: more double-sided impacts at higher load ratios and smaller backlash."""
+    double = int(max(0.0, (ratio - 0.2 * backlash - 1.0 + shift) / 2.5))
+    if not double:
+        return "NI" if ratio < 1.4 else "SS(1)"
+    return f"DS({double})SS(1)" if double < 3 and backlash > 8.0 else f"DS({double})"
+
+
+def like_figure_3_4(shift: float = 0.0, **changes: Any) -> Results:
+    names = [[regimes(ratio, backlash, shift) for backlash in BACKLASH.values] for ratio in RATIO.values]
+    return make(names, (RATIO, BACKLASH), **changes)
+
+
+def small(names: Sequence[Sequence[str]], **changes: Any) -> Results:
+    names = np.asarray(names, dtype=object)
+    x = replace(RATIO, values=np.arange(names.shape[0], dtype=float))
+    y = replace(BACKLASH, values=2.0 * np.arange(names.shape[1]))
+    return make(names, (x, y), **changes)
+
+
+A = [["NI", "SS(1)", "DS(1)"], ["SS(1)", "SS(1)", "DS(2)"]]
+
+
+# --- maps against maps
+
+
+def test_a_map_is_the_same_as_itself() -> None:
+    comparison = compare(like_figure_3_4(), like_figure_3_4())
+    assert comparison.same_regimes
+    assert comparison.identical
+    assert comparison.configs_equal
+    assert not comparison.transitions
+    assert comparison.share == 0.0
+    assert comparison.deviation is not None
+    assert comparison.deviation.median == comparison.deviation.low == comparison.deviation.high == 1.0
+    assert "same in all 1,271 cells" in report(comparison)
+
+
+def test_labels_are_compared_by_their_text_and_not_by_their_codes() -> None:
+    a, b = small(A), small(A, order=["DS(2)", "DS(3)", "DS(1)", "SS(1)", "NI"])
+    assert not np.array_equal(a.sequence, b.sequence)
+    comparison = compare(a, b)
+    assert comparison.same_regimes
+    assert not comparison.identical
+
+
+def test_differing_cells_are_counted_by_transition_and_found_by_their_values() -> None:
+    b = [["NI", "DS(1)", "DS(1)"], ["DS(1)", "SS(1)", "NI"]]
+    comparison = compare(small(A), small(b))
+    assert comparison.differing == 3
+    assert comparison.cells == 6
+    assert comparison.share == 0.5
+    assert comparison.transitions == (Transition("SS(1)", "DS(1)", 2), Transition("DS(2)", "NI", 1))
+    np.testing.assert_array_equal(comparison.differs, [[False, True, False], [True, False, True]])
+    assert list(comparison.differing_cells()) == [
+        DifferingCell((0.0, 2.0), "SS(1)", "DS(1)"),
+        DifferingCell((1.0, 0.0), "SS(1)", "DS(1)"),
+        DifferingCell((1.0, 4.0), "DS(2)", "NI"),
+    ]
+    assert not comparison.same_regimes
+    assert "3 of 6 cells differ (50 %)" in report(comparison)
+
+
+labels_of_a_map = st.lists(st.sampled_from(["NI", "SS(1)", "DS(1)", "failed"]), min_size=6, max_size=6)
+
+
+@given(labels_of_a_map, labels_of_a_map)
+def test_comparing_the_other_way_round_turns_every_transition_round(first: list[str], second: list[str]) -> None:
+    a, b = (small(np.array(names, dtype=object).reshape(2, 3)) for names in (first, second))
+    there, back = compare(a, b), compare(b, a)
+    np.testing.assert_array_equal(there.differs, back.differs)
+    turned = {(found.b, found.a, found.cells) for found in back.transitions}
+    assert {(found.a, found.b, found.cells) for found in there.transitions} == turned
+    assert there.differing == sum(found.cells for found in there.transitions)
+    assert (there.failed_in_a_only, there.failed_in_b_only) == (back.failed_in_b_only, back.failed_in_a_only)
+    assert there.cells + there.failed_in_a_only + there.failed_in_b_only + there.failed_in_both == 6
+    expected = sum(x != y for x, y in zip(first, second, strict=True) if "failed" not in (x, y))
+    assert there.differing == expected
+
+
+def test_failed_cells_are_not_compared_but_reported() -> None:
+    a = small([["failed", "failed", "DS(1)"], ["SS(1)", "SS(1)", "DS(2)"]])
+    b = small([["failed", "SS(1)", "failed"], ["failed", "SS(1)", "DS(2)"]])
+    comparison = compare(a, b)
+    assert (comparison.failed_in_a_only, comparison.failed_in_b_only, comparison.failed_in_both) == (1, 2, 1)
+    assert (comparison.cells, comparison.differing) == (2, 0)
+    assert not comparison.same_regimes
+    assert "1 cells in A only, 2 in B only, 1 in both" in report(comparison)
+    assert compare(a, a).same_regimes
+
+
+def test_maps_without_a_comparable_cell_are_not_the_same() -> None:
+    failed = small([["failed", "failed"]])
+    comparison = compare(failed, failed)
+    assert not comparison.same_regimes
+    assert comparison.deviation is None
+    assert as_record(comparison)["share_differing"] is None
+    assert "No cell has a label in both maps." in report(comparison)
+
+
+def other_axes(*axes: ResultAxis) -> Results:
+    return make(np.full([len(axis.values) for axis in axes], "NI", dtype=object), axes)
+
+
+X = replace(RATIO, values=np.array([0.0, 1.0, 2.0]))
+Y = replace(BACKLASH, values=np.array([0.0, 5.0]))
+
+
+@pytest.mark.parametrize(
+    ("axes", "found"),
+    [
+        ((Y, X), "another order: load.ratio, lash.backlash_deg in A and lash.backlash_deg, load.ratio in B"),
+        ((X,), "other parameters: load.ratio, lash.backlash_deg in A and load.ratio in B"),
+        ((replace(X, parameter="load.step_time"), Y), "other parameters"),
+        ((replace(X, values=np.array([0.0, 2.0])), Y), "load.ratio takes 3 values from 0 to 2 in A and 2 values from"),
+        ((X, replace(Y, values=np.array([0.0, 5.001]))), "value 2 of lash.backlash_deg is 5 in A and 5.001 in B"),
+    ],
+)
+def test_maps_of_other_grids_are_refused_in_one_sentence(axes: tuple[ResultAxis, ...], found: str) -> None:
+    with pytest.raises(ComparisonError) as caught:
+        compare(other_axes(X, Y), other_axes(*axes))
+    assert found in str(caught.value)
+    assert str(caught.value).endswith(".")
+    assert "\n" not in str(caught.value)
+
+
+def test_axes_that_differ_by_rounding_are_the_same() -> None:
+    thirds = replace(X, values=np.array([0.1, 0.2, 0.3]))
+    rounded = replace(X, values=0.1 * np.arange(1, 4))
+    assert not np.array_equal(thirds.values, rounded.values)
+    assert compare(other_axes(thirds, Y), other_axes(rounded, Y)).same_regimes
+
+
+def test_severity_ratio_has_its_quantiles_and_its_extremes_where_they_are() -> None:
+    a = like_figure_3_4()
+    rng = np.random.default_rng(3)
+    factor = rng.uniform(0.9, 1.1, a.shape)
+    factor[30, 4], factor[35, 2] = 0.5, 1.6  # 1/2 is further from 1 than 1.6, the difference is larger at the latter
+    severity = a.severity.copy()
+    severity[30, 4], severity[35, 2] = 2000.0, 9000.0
+    a = replace(a, severity=severity)
+    deviation = compare(a, replace(a, severity=severity * factor)).deviation
+    assert deviation is not None
+    assert deviation.quantity == "severity"
+    impacts = severity > 0.0
+    assert deviation.cells == np.count_nonzero(impacts)
+    expected = np.quantile(factor[impacts], (0.05, 0.5, 0.95))
+    np.testing.assert_allclose((deviation.low, deviation.median, deviation.high), expected, rtol=1e-12)
+    assert deviation.largest_ratio.ratio == 0.5
+    assert deviation.largest_ratio.values == (RATIO.values[30], BACKLASH.values[4])
+    assert deviation.largest_difference.difference == pytest.approx(5400.0)
+    assert deviation.largest_difference.values == (RATIO.values[35], BACKLASH.values[2])
+
+
+def test_without_severity_in_one_map_the_approach_velocities_are_compared() -> None:
+    a = small(A)
+    b = small(A, severity=np.full((2, 3), np.nan), approach_velocity=3.0 * a.approach_velocity)
+    deviation = compare(a, b).deviation
+    assert deviation is not None
+    assert deviation.quantity == "approach_velocity"
+    assert deviation.median == pytest.approx(3.0)
+    text = report(compare(a, b))
+    assert "Approach velocity V, B over A, in 5 cells" in text
+    assert "not defined in both" in text
+
+
+def test_cells_with_impacts_in_one_map_only_have_no_ratio_and_are_counted() -> None:
+    deviation = compare(small(A), small([["SS(1)", "NI", "DS(1)"], ["SS(1)", "NI", "DS(2)"]])).deviation
+    assert deviation is not None
+    assert (deviation.cells, deviation.zero_in_one) == (3, 3)
+
+
+def test_configs_are_compared_key_by_key() -> None:
+    other = CONFIG.replace("0.002", "0.02").replace('"indentation"', '"restitution"\nrestitution = 0.5')
+    comparison = compare(small(A), small(A, config=other, config_digest="b2"))
+    found = [(each.key, each.a, each.b) for each in comparison.config_differences]
+    assert found == [
+        ("driveline.inertias[2]", 0.002, 0.02),
+        ("lash.contact.model", "indentation", "restitution"),
+        ("lash.contact.restitution", None, 0.5),
+    ]
+    assert not comparison.configs_equal
+    text = report(comparison)
+    assert "The configs differ in 3 keys:" in text
+    assert re.search(r'lash\.contact\.model +"indentation" +"restitution"', text)
+    assert re.search(r"lash\.contact\.restitution +\(not given\) +0\.5", text)
+
+
+def test_a_title_decides_nothing() -> None:
+    comparison = compare(small(A), small(A, config=CONFIG.replace('"Map"', '"Other"')))
+    assert comparison.configs_equal
+    assert [each.key for each in comparison.config_differences] == ["title"]
+    assert "digests are the same, but for 1 key" in report(comparison)
+
+
+def test_versions_that_differ_are_named_and_dates_are_not() -> None:
+    other = {"clunk_version": "0.2.0", "created": "2027-01-02"}
+    comparison = compare(small(A), small(A, attributes=other))
+    assert comparison.provenance_differences == {"clunk_version": ("0.1.0", "0.2.0")}
+    assert re.search(r"clunk_version +0\.1\.0 +0\.2\.0", report(comparison))
+
+
+def test_a_config_that_is_no_toml_is_a_sentence() -> None:
+    with pytest.raises(ComparisonError, match="config that B carries cannot be read as TOML"):
+        compare(small(A), small(A, config="title = "))
+
+
+def awkward() -> tuple[Results, Results]:
+    """Many transitions between labels as long as they get, long config values, failed cells."""
+    rng = np.random.default_rng(5)
+    labels = [*IMPACTS, "failed", "OS(1)DS(1)SS(1)DS(1)SS(1)DS(1)SS(1)DS(1)SS(1)DS(1)"]
+    maps = []
+    for title in ("x" * 70, "y" * 70):
+        config = CONFIG.replace("Map", title).replace("0.002", "2e-3" if title[0] == "x" else "3e-3")
+        names = rng.choice(np.array(labels, dtype=object), (12, 9))
+        maps.append(small(names, title=title, config=config, config_digest=title[0]))
+    return maps[0], maps[1]
+
+
+def test_reports_fit_80_columns_and_records_are_json() -> None:
+    a, b = awkward()
+    comparison = compare(a, b)
+    assert len(comparison.transitions) > 12
+    text = report(comparison, ("/a/very/long/path" * 8, "b.h5"))
+    assert max(map(len, text.splitlines())) <= 80
+    assert f"and {len(comparison.transitions) - 12} transitions more" in text
+    record = json.loads(json.dumps(as_record(comparison), allow_nan=False))
+    assert record["cells_differing"] == len(record["differing_cells"]) == comparison.differing
+    assert sum(found["cells"] for found in record["transitions"]) == comparison.differing
+    measured = compare_experiment(a, read_experiment("table_4_1"))
+    assert max(map(len, report(measured).splitlines())) <= 80
+    json.dumps(as_record(measured), allow_nan=False)
+
+
+# --- measurements
+
+
+def test_table_4_1_is_the_reports() -> None:
+    experiment = read_experiment("table_4_1")
+    table = {
+        0.7: "S(1) D(1)+S(1) D(1)+S(1) D(2)+S(1) D(3)+S(1)",
+        2.1: "S(1) D(1)+S(1) D(1)+S(2) D(2)+S(1) D(2)+S(1)",
+        3.6: "S(1) D(1)+S(1) D(1)+S(1) D(1)+S(2) D(1)+S(2)",
+        4.8: "S(1) S(1) D(1)+S(1) D(1)+S(1) D(1)+S(2)",
+    }
+    expected = {
+        (ratio, backlash): label.replace("D", "DS").replace("S(", "SS(").replace("DSS", "DS").replace("+", "")
+        for backlash, row in table.items()
+        for ratio, label in zip((2.5, 4.6, 6.7, 8.5, 10.3), row.split(), strict=True)
+    }
+    assert expected[4.6, 2.1] == "DS(1)SS(1)"
+    assert experiment.columns == ("load_ratio", "lash_backlash_deg")
+    assert {found.values: found.label for found in experiment.measurements} == expected
+    assert "rig's parameters are not the model's" in experiment.caveat
+    assert any("DCT 2008.116" in remark for remark in experiment.remarks)
+
+
+def test_bundled_experiments_are_known_by_name_and_files_by_their_suffix(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert "table_4_1" in bundled_experiments()
+    assert is_experiment("table_4_1")
+    assert is_experiment(tmp_path / "mine.CSV")
+    assert not is_experiment("results/map.h5")
+    monkeypatch.chdir(tmp_path)
+    Path("table_4_1").write_text("load_ratio,label\n1,NI\n")  # a file of one's own comes before a bundled name
+    assert [found.label for found in read_experiment("table_4_1").measurements] == ["NI"]
+
+
+@pytest.mark.parametrize(
+    ("text", "label"),
+    [
+        ("D(1)+S(1)", "DS(1)SS(1)"),
+        ("S(1)", "SS(1)"),
+        (" DS(1) SS(1) ", "DS(1)SS(1)"),
+        ("d(2)+s(1)", "DS(2)SS(1)"),
+        ("S(1)+S(1)", "SS(2)"),
+        ("OS(1)DS(1)CR(1)", "OS(1)DS(1)CR(1)"),
+        ("NI", "NI"),
+    ],
+)
+def test_labels_of_the_report_are_labels(text: str, label: str) -> None:
+    assert normalised_label(text) == label
+
+
+@pytest.mark.parametrize("text", ["", "D", "D(0)", "D(1)+", "+D(1)", "X(1)", "D(1)-S(1)", "NI+S(1)", "D(-1)", "S(1.5)"])
+def test_what_is_no_label_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="is no label"):
+        normalised_label(text)
+
+
+def written(folder: Path, content: str | bytes) -> Path:
+    path = folder / "rig.csv"
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+def test_columns_may_be_dotted_and_the_file_may_come_from_a_spreadsheet(tmp_path: Path) -> None:
+    content = '\ufeff# Rig 2\r\n\r\nlabel, load.ratio ,driveline.shafts[3].damping\r\n"S(1)",2.5,1e-1\r\n,,\r\n'
+    experiment = read_experiment(written(tmp_path, content))
+    assert experiment.columns == ("load_ratio", "driveline_shafts_3__damping")
+    assert experiment.measurements == (Measurement(4, (2.5, 0.1), "SS(1)"),)
+    assert experiment.remarks == ("Rig 2",)
+    assert experiment.caveat == CAVEAT
+
+
+HEADER = "# a comment\nload_ratio,lash_backlash_deg,label\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "line", "found"),
+    [
+        ("load_ratio,lash_backlash_deg\n1,2\n", 1, "no column named label"),
+        ("label\nNI\n", 1, "no column of a parameter"),
+        ("# x\nload_ratoi,label\n1,NI\n", 2, "did you mean load_ratio?"),
+        ("voltage_of_the_sensor,label\n1,NI\n", 1, 'no parameter "voltage_of_the_sensor"'),
+        ("load_ratio,load.ratio,label\n1,1,NI\n", 1, "more than one column load_ratio"),
+        ("load_ratio;label\n1;NI\n", 1, "separated by commas"),
+        (HEADER + "1,2,NI\n\n1,two,NI\n", 5, 'lash_backlash_deg must be a finite number, not "two"'),
+        (HEADER + "nan,2,NI\n", 3, "load_ratio must be a finite number"),
+        (HEADER + "1,2,D(1)*S(1)\n", 3, '"D(1)*S(1)" is no label'),
+        (HEADER + "1,2,\n", 3, "is no label"),
+        (HEADER + "1,2\n", 3, "2 columns here and 3 names"),
+        (HEADER + '1,2,"NI\n', 3, "not CSV"),
+        ("load_ratio,label\n1,NI\n2,\xe9\n".encode("latin-1"), 3, "UTF-8"),
+    ],
+)
+def test_what_is_wrong_with_measurements_is_a_sentence_with_its_line(
+    tmp_path: Path, content: str | bytes, line: int, found: str
+) -> None:
+    path = written(tmp_path, content)
+    with pytest.raises(ExperimentError) as caught:
+        read_experiment(path)
+    assert f"{path}, line {line}: " in str(caught.value)
+    assert found in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "found"), [("", "no measurements"), ("# x\n", "no measurements"), (HEADER, "only column names")]
+)
+def test_a_file_without_measurements_is_refused(tmp_path: Path, content: str, found: str) -> None:
+    with pytest.raises(ExperimentError, match=found):
+        read_experiment(written(tmp_path, content))
+
+
+def test_a_missing_file_a_directory_and_a_nul_are_sentences(tmp_path: Path) -> None:
+    with pytest.raises(ExperimentError, match=r"does not exist; .* table_4_1"):
+        read_experiment(tmp_path / "none.csv")
+    with pytest.raises(ExperimentError, match="is a directory"):
+        read_experiment(tmp_path)
+    with pytest.raises(ExperimentError, match="cannot be read"):
+        read_experiment("a\0b")
+
+
+def measured(points: dict[tuple[float, ...], str], columns: Sequence[str] = ("load_ratio", "lash_backlash_deg")) -> Any:
+    found = tuple(Measurement(k, values, label) for k, (values, label) in enumerate(points.items(), 2))
+    return Experiment("rig.csv", tuple(columns), found)
+
+
+def test_each_point_is_compared_with_the_nearest_cell() -> None:
+    results = small(A)  # load ratio 0, 1; backlash 0, 2, 4
+    comparison = compare_experiment(results, measured({(0.4, 1.2): "SS(1)", (0.6, 3.2): "DS(2)", (0.0, 0.0): "SS(1)"}))
+    assert [(point.cell, point.computed) for point in comparison.points] == [
+        ((0.0, 2.0), "SS(1)"),
+        ((1.0, 4.0), "DS(2)"),
+        ((0.0, 0.0), "NI"),
+    ]
+    assert (comparison.agreeing, comparison.counted, comparison.same_double_sided) == (2, 3, 3)
+    assert comparison.share == pytest.approx(2 / 3)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "computed"),
+    [(-0.5, "SS(1)"), (-0.51, None), (10.5, "DS(1)"), (10.51, None), (4.9, "SS(1)"), (8.0, "DS(1)")],
+)
+def test_half_a_cell_beyond_the_outermost_is_inside_and_more_is_outside(ratio: float, computed: str | None) -> None:
+    axis = replace(RATIO, values=np.arange(11.0))
+    for turn in (slice(None), slice(None, None, -1)):
+        names = np.array(["SS(1)"] * 6 + ["DS(1)"] * 5, dtype=object)[turn]
+        results = make(names, [replace(axis, values=axis.values[turn].copy())])
+        point = compare_experiment(results, measured({(ratio,): "SS(1)"}, ["load_ratio"])).points[0]
+        assert point.computed == computed
+
+
+def test_near_is_meant_on_the_axis_own_scale() -> None:
+    results = make(["SS(1)", "DS(1)", "DS(2)"], [replace(RATIO, values=np.array([1.0, 10.0, 100.0]))])
+    points = {(3.0,): "NI", (3.3,): "NI", (0.33,): "NI", (0.3,): "NI", (310.0,): "NI", (320.0,): "NI", (-1.0,): "NI"}
+    found = [point.computed for point in compare_experiment(results, measured(points, ["load_ratio"])).points]
+    assert found == ["SS(1)", "DS(1)", "SS(1)", None, "DS(2)", None, None]
+
+
+def test_points_outside_or_at_failed_cells_are_reported_and_not_counted() -> None:
+    results = small([["failed", "SS(1)"], ["DS(1)", "SS(1)"]])
+    points = {(0.0, 0.0): "SS(1)", (0.0, 2.0): "SS(1)", (7.0, 2.0): "SS(1)", (1.0, 40.0): "SS(1)"}
+    comparison = compare_experiment(results, measured(points))
+    assert (comparison.counted, comparison.agreeing, comparison.failed, comparison.outside) == (1, 1, 1, 2)
+    assert sum(trend.pairs for trend in comparison.trends) == 0
+    text = report(comparison)
+    assert "1 of 1 measured point agrees" in text
+    assert "Not counted: 2 points outside the swept range." in text
+    assert "Not counted: 1 point nearest to a failed cell." in text
+
+
+def test_nothing_to_count_is_no_share() -> None:
+    comparison = compare_experiment(small(A), measured({(99.0, 0.0): "NI"}))
+    assert math.isnan(comparison.share)
+    assert as_record(comparison)["share_agreeing"] is None
+    assert "No measured point lies where a label was computed." in report(comparison)
+
+
+def test_columns_and_axes_must_match() -> None:
+    with pytest.raises(ExperimentError, match=r"sweep lash\.backlash_deg, and rig\.csv has no column for it"):
+        compare_experiment(small(A), measured({(1.0,): "NI"}, ["load_ratio"]))
+    with pytest.raises(ExperimentError, match="load_step_time of rig.csv is no axis of the results"):
+        compare_experiment(small(A), measured({(1.0, 1.0): "NI"}, ["load_ratio", "load_step_time"]))
+
+
+def test_an_axis_of_one_value_needs_no_column_and_takes_no_other_value() -> None:
+    results = make(
+        [["SS(1)"], ["DS(1)"]], [replace(X, values=np.array([0.0, 1.0])), replace(Y, values=np.array([6.0]))]
+    )
+    assert compare_experiment(results, measured({(1.0,): "DS(1)"}, ["load_ratio"])).agreeing == 1
+    both = compare_experiment(results, measured({(1.0, 6.0): "DS(1)", (1.0, 6.1): "DS(1)"}))
+    assert (both.agreeing, both.outside) == (1, 1)
+    assert [trend.parameter for trend in both.trends] == ["load.ratio"]
+
+
+def test_trend_counts_neighbours_that_are_ordered_alike() -> None:
+    computed = small([["SS(1)", "NI"], ["DS(1)", "SS(1)"], ["DS(2)SS(1)", "DS(1)"]])
+    points = {
+        **{(0.0, 0.0): "SS(1)", (1.0, 0.0): "DS(1)", (2.0, 0.0): "DS(1)SS(1)"},  # rises, same; computed: rises, rises
+        **{(0.0, 2.0): "SS(1)", (1.0, 2.0): "DS(1)", (2.0, 2.0): "SS(2)"},  # rises, falls; computed: same, rises
+    }
+    ratio, backlash = compare_experiment(computed, measured(points)).trends
+    assert (ratio.parameter, ratio.pairs) == ("load.ratio", 4)
+    assert ratio.measured == Tally(rises=2, same=1, falls=1)
+    assert ratio.computed == Tally(rises=3, same=1, falls=0)
+    assert (ratio.alike, ratio.opposed, ratio.share) == (1, 1, 0.25)
+    assert (ratio.measured.direction, ratio.computed.direction) == ("varies", "rises")
+    assert backlash.measured == Tally(rises=0, same=2, falls=1)
+    assert backlash.computed == Tally(rises=0, same=1, falls=2)
+    assert (backlash.alike, backlash.opposed, backlash.computed.direction) == (2, 0, "falls")
+
+
+def test_a_point_without_a_computed_label_is_not_skipped_over() -> None:
+    results = small([["SS(1)"] * 2, ["failed"] * 2, ["DS(1)"] * 2])
+    trend = compare_experiment(results, measured({(k, 0.0): "SS(1)" for k in (0.0, 1.0, 2.0)})).trends[0]
+    assert trend.pairs == 0
+    assert math.isnan(trend.share)
+
+
+def test_table_4_1_has_the_trends_of_a_map_like_figure_3_4() -> None:
+    comparison = compare_experiment(like_figure_3_4(), read_experiment("table_4_1"))
+    ratio, backlash = comparison.trends
+    assert (ratio.measured.direction, ratio.computed.direction, ratio.opposed) == ("rises", "rises", 0)
+    assert (backlash.measured.direction, backlash.computed.direction, backlash.opposed) == ("falls", "falls", 0)
+    assert comparison.outside == 4  # σr = 10.3
+    text = report(comparison)
+    assert "Trend comparison: the rig's parameters are not the model's." in text
+    assert re.search(r"load ratio σr +12 +rises \(6, 6, 0\) +rises", text)
+
+
+# --- figures
+
+
+def drawn(figure: Any, gid: str) -> list[tuple[float, float]]:
+    ax = figure.axes[0]
+    scattered = [tuple(xy) for each in ax.collections if each.get_gid() == gid for xy in each.get_offsets().tolist()]
+    plotted = [(float(line.get_xdata()[0]), float(line.get_ydata()[0])) for line in ax.lines if line.get_gid() == gid]
+    return scattered + plotted
+
+
+def notes(figure: Any) -> list[str]:
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+def boxes(figure: Any, texts: Sequence[Any]) -> list[Any]:
+    """Where texts stand on the page; a turned text's box is larger than the text, so level ones only."""
+    renderer = figure.canvas.get_renderer()
+    level = [text for text in texts if text.get_rotation() == 0.0]
+    # of the text alone, without the white that surrounds it
+    return [type(text).get_window_extent(text, renderer).padded(-1.0) for text in level]
+
+
+def assert_readable(figure: Any) -> None:
+    ax = figure.axes[0]
+    legend = [text for each in figure.legends for text in each.get_texts()]
+    assert min(text.get_fontsize() for text in [*ax.texts, *legend, ax.title]) >= 8.0
+    found = boxes(figure, ax.texts)
+    assert not any(one.overlaps(other) for k, one in enumerate(found) for other in found[:k])
+
+
+def test_difference_map_marks_every_differing_cell_once() -> None:
+    a, b = like_figure_3_4(), like_figure_3_4(0.3, config=CONFIG.replace("0.002", "0.003"), config_digest="b2")
+    comparison = compare(a, b)
+    assert 10 < comparison.differing < 0.1 * a.sequence.size
+    figure = difference_map(a, b, comparison)
+    assert sorted(drawn(figure, "differs")) == sorted(cell.values for cell in comparison.differing_cells())
+    assert_readable(figure)
+    title = figure.axes[0].get_title(loc="left")
+    assert f"{comparison.differing} of 1,271 cells differ" in title
+    assert "driveline.inertias[2] = 0.002 → 0.003" in title
+    first = comparison.transitions[0]
+    assert f"{first.a} → {first.b}: {first.cells} cells" in notes(figure)
+
+
+def test_difference_map_of_very_different_maps_gathers_the_rare_transitions() -> None:
+    a, b = awkward()
+    comparison = compare(a, b)
+    figure = difference_map(a, b, comparison)
+    only_in_b = [tuple(map(float, cell)) for cell in np.argwhere(comparison.failed_b & ~comparison.failed_a) * [1, 2]]
+    assert only_in_b
+    differing = [cell.values for cell in comparison.differing_cells()]
+    assert sorted(drawn(figure, "differs")) == sorted(differing + only_in_b)
+    assert any(f"{len(comparison.transitions) - 6} other transitions" in note for note in notes(figure))
+    assert f"failed in B only: {len(only_in_b)} cells" in notes(figure)
+
+
+def test_difference_map_of_equal_maps_marks_nothing() -> None:
+    a = like_figure_3_4()
+    figure = difference_map(a, a, compare(a, a))
+    assert drawn(figure, "differs") == []
+    assert "0 of 1,271 cells differ" in figure.axes[0].get_title(loc="left")
+
+
+def table_on_the_map() -> tuple[Results, ExperimentComparison]:
+    results = like_figure_3_4()
+    return results, compare_experiment(results, read_experiment("table_4_1"))
+
+
+def test_experiment_map_shows_every_point_inside_filled_where_it_agrees() -> None:
+    results, comparison = table_on_the_map()
+    figure = experiment_map(results, comparison)
+    inside = [point for point in comparison.points if point.computed is not None]
+    assert comparison.agreeing
+    assert sorted(drawn(figure, "agrees")) == sorted(point.values for point in inside if point.agrees)
+    assert sorted(drawn(figure, "differs")) == sorted(point.values for point in inside if not point.agrees)
+    texts = [text.get_text() for text in figure.axes[0].texts if text.get_gid() == "measured"]
+    assert sorted(texts) == sorted(point.measured for point in inside)
+    assert_readable(figure)
+    assert "rig's parameters are not the model's" in figure.axes[0].get_title(loc="left")
+    assert any(f"{comparison.agreeing} of {comparison.counted}" in note for note in notes(figure))
+    assert "outside the map, not counted: 4" in notes(figure)
+
+
+def test_crowded_points_lose_their_labels_and_that_is_noted() -> None:
+    rng = np.random.default_rng(2)
+    points = {
+        (ratio, backlash): "DS(1)SS(1)" for ratio, backlash in rng.uniform([3.0, 4.0], [5.0, 8.0], (60, 2)).tolist()
+    }
+    results = like_figure_3_4()
+    figure = experiment_map(results, compare_experiment(results, measured(points)))
+    assert len(drawn(figure, "agrees")) + len(drawn(figure, "differs")) == 60
+    assert_readable(figure)
+    assert "a point without a label: no room" in notes(figure)
+
+
+def test_maps_with_the_axes_the_other_way_round_look_the_same() -> None:
+    results, comparison = table_on_the_map()
+    turned = make(
+        np.array([[results.labels[code] for code in row] for row in results.sequence], dtype=object).T,
+        (BACKLASH, RATIO),
+    )
+    figure = experiment_map(turned, compare_experiment(turned, read_experiment("table_4_1")))
+    assert drawn(figure, "agrees") == drawn(experiment_map(results, comparison), "agrees")
+
+
+def test_figures_need_two_axes() -> None:
+    results = make(["NI", "SS(1)"], [replace(X, values=np.array([0.0, 1.0]))])
+    with pytest.raises(PlotError, match="needs two axes"):
+        difference_map(results, results, compare(results, results))
+    with pytest.raises(PlotError, match="needs two axes"):
+        experiment_map(results, compare_experiment(results, measured({(1.0,): "NI"}, ["load_ratio"])))
+
+
+@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
+def test_figures_can_be_written(tmp_path: Path, suffix: str) -> None:
+    figure = experiment_map(*table_on_the_map())
+    save(figure, tmp_path / f"map.{suffix}")
+    assert (tmp_path / f"map.{suffix}").stat().st_size > 5000
