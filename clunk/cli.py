@@ -10,14 +10,12 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from clunk import __version__
+from clunk import __version__, terminal
 
 if TYPE_CHECKING:
     from clunk.config import Study
@@ -27,6 +25,7 @@ if TYPE_CHECKING:
 EXIT_INTERNAL = 1
 EXIT_USAGE = 2
 EXIT_FAILED_CELLS = 3
+EXIT_MISMATCH = 4
 EXIT_INTERRUPTED = 130
 EXIT_TERMINATED = 143
 
@@ -66,7 +65,8 @@ def main() -> NoReturn:
 
 def _is_for_the_user(error: Exception) -> bool:
     """Whether an error's text was written for people; told by name, so that nothing is imported to ask."""
-    names = {"ConfigError", "StoreError", "PlotError", "SweepError", "SimulationError"}
+    names = {"ComparisonError", "ConfigError", "ExperimentError", "HistoryError", "PlotError"}
+    names |= {"SimulationError", "StoreError", "SweepError"}
     return type(error).__module__.startswith("clunk.") and type(error).__name__ in names
 
 
@@ -165,7 +165,7 @@ def _run_sweep(study: Study, workers: int | None) -> tuple[Results, float]:
     _say_if_compiling()
     began = time.perf_counter()
     try:
-        with _progress(total) as progress:
+        with terminal.progress(total) as progress:
             results = sweeping.sweep(study, workers=workers, progress=progress)
     except KeyboardInterrupt:
         click.echo("interrupted: the sweep has stopped, and no results file was written", err=True)
@@ -180,48 +180,6 @@ def _say_if_compiling() -> None:
         click.echo("compiling the kernel, once for this installation (about 15 s) …", err=True)
 
 
-@contextmanager
-def _progress(total: int) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar with rate and time left on a terminal, a line now and then elsewhere; both on stderr."""
-    if not sys.stderr.isatty():
-        yield _plain_progress()
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (
-        BarColumn(bar_width=None),
-        MofNCompleteColumn(),
-        TextColumn("cells  {task.fields[rate]}"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=total, rate="")
-        began = time.perf_counter()
-
-        def update(done: int, _total: int) -> None:
-            rate = done / max(time.perf_counter() - began, 1e-9)
-            bar.update(task, completed=done, rate=f"{rate:,.0f}/s ")
-
-        yield update
-
-
-def _plain_progress(every: float = 5.0) -> Callable[[int, int], None]:
-    began = last = time.perf_counter()
-
-    def update(done: int, total: int) -> None:
-        nonlocal last
-        now = time.perf_counter()
-        if now - last < every or done == total:
-            return
-        last = now
-        rate = done / (now - began)
-        left = (total - done) / rate
-        click.echo(f"{done:,} of {total:,} cells, {rate:,.0f}/s, {left:.0f} s left", err=True)
-
-    return update
-
-
 def _report_sweep(results: Results, target: Path, seconds: float, as_json: bool) -> None:
     counts = results.counts()
     cells = results.sequence.size
@@ -229,38 +187,10 @@ def _report_sweep(results: Results, target: Path, seconds: float, as_json: bool)
         summary = {"file": str(target), "cells": cells, "seconds": round(seconds, 3), "counts": counts}
         click.echo(json.dumps(summary, ensure_ascii=False))
     else:
-        _print_counts(counts)
+        terminal.print_counts(counts)
     click.echo(f"{cells:,} cells in {seconds:.1f} s ({cells / seconds:,.0f} runs/s) -> {target}", err=True)
     if counts["failed"]:
-        _report_failures(results)
-
-
-def _report_failures(results: Results) -> None:
-    """Failed cells by cause, and where the first few are."""
-    import numpy as np
-
-    from clunk.core.status import Status
-
-    for status in Status:
-        cells = np.argwhere(results.status == status)
-        if status == Status.OK or cells.size == 0:
-            continue
-        click.echo(f"{len(cells):,} cells failed: {status.sentence}", err=True)
-        for cell in cells[:3]:
-            where = ", ".join(
-                f"{axis.parameter} = {axis.values[k]:.6g}" for axis, k in zip(results.axes, cell, strict=True)
-            )
-            click.echo(f"  at {where}", err=True)
-        if len(cells) > 3:
-            click.echo(f"  and {len(cells) - 3:,} more", err=True)
-
-
-def _print_counts(counts: dict[str, int]) -> None:
-    total = sum(counts.values())
-    width = max(len(label) for label in counts)
-    for label, count in counts.items():
-        if label != "failed" or count:
-            click.echo(f"{label:<{width}}  {count:>9,} cells  {count / total:6.1%}")
+        terminal.report_failures(results)
 
 
 @cli.command()
@@ -307,40 +237,135 @@ def _thresholds(results: Results) -> list[float]:
     return [float(ratio) for ratio in one_mode_thresholds(study)]
 
 
+_FIGURES = ("everything", "angles", "backlash", "closeup", "acceleration", "small-gap")
+
+
 @cli.command()
 @click.argument("source", type=click.Path(path_type=Path))
 @_set_option
 @click.option("--at", "at", multiple=True, metavar="KEY=VALUE", help="Value of a swept key. May be repeated.")
+@click.option("--overlay", metavar="KEY=V1,V2,…", multiple=True, help="A run for each value. May be repeated.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Picture (.png .svg .pdf), or data (.csv .h5).")
+@click.option("--figure", type=click.Choice(_FIGURES), default="everything", help="Which picture [everything].")
+@click.option("--around", type=float, metavar="T", help="Of a close-up: its moment [first impact], s.")
+@click.option("--width", type=float, default=0.1, metavar="T", help="Of a close-up: its length [0.1], s.")
+@click.option("--until", type=float, metavar="T", help="End of the time axis [when it has died down], s.")
+@click.option("--step", type=float, metavar="T", help="Between saved or drawn samples [solver.step], s.")
 @_json_option
-def simulate(source: Path, overrides: tuple[str, ...], at: tuple[str, ...], as_json: bool) -> None:
-    """Run one load step and print its events, primary impacts and label.
+def simulate(
+    source: Path,
+    overrides: tuple[str, ...],
+    at: tuple[str, ...],
+    overlay: tuple[str, ...],
+    output: Path | None,
+    figure: str,
+    around: float | None,
+    width: float,
+    until: float | None,
+    step: float | None,
+    as_json: bool,
+) -> None:
+    """Run one load step; print its events, primary impacts and label; draw or save it.
 
     SOURCE is a config, or a results file of which --at names the cell.
 
     \b
     Examples:
-      clunk simulate configs/nominal.toml --set load.ratio=7
+      clunk simulate configs/nominal.toml --set load.ratio=7 -o run.png
       clunk simulate results/figure_3_4.h5 --at load.ratio=5 --at lash.backlash_deg=6
+      clunk simulate configs/nominal.toml --figure closeup -o chatter.png \\
+          --overlay lash.contact.model=indentation,restitution
     """
-    from clunk.config import load_study, replace_values, study_from_text
     from clunk.simulation import simulate as run
+
+    if output is not None:
+        _check_writable(output)
+    studies = _studies_to_simulate(source, overrides, at, overlay)
+    if output is not None and output.suffix in (".csv", ".h5") and len(studies) > 1:
+        raise click.UsageError(f"{output} takes one run; leave --overlay out, or name a picture.")
+    _say_if_compiling()
+    runs = [(name, run(study)) for name, study in studies]
+    if as_json:
+        records = [{"run": name} | terminal.trajectory_record(trajectory) for name, trajectory in runs]
+        click.echo(json.dumps(records if overlay else records[0], ensure_ascii=False))
+    else:
+        for k, (name, trajectory) in enumerate(runs):
+            if overlay:
+                click.echo(("\n" if k else "") + name)
+            terminal.print_trajectory(trajectory)
+    if output is not None:
+        _save_runs(runs, output, figure, around, width, until, step)
+
+
+def _studies_to_simulate(
+    source: Path, overrides: tuple[str, ...], at: tuple[str, ...], overlay: tuple[str, ...]
+) -> list[tuple[str, Study]]:
+    """The studies of the runs to make, each with a name to tell it from the others."""
+    from itertools import product
+
+    from clunk.config import load_study, replace_values, study_from_text
 
     if source.suffix == ".h5":
         from clunk.store import read_header
 
-        if overrides:
-            raise click.UsageError("--set changes a config; a cell of a results file is named by --at.")
-        study = study_from_text(read_header(source).config, source=f"the config in {source}")
+        if overrides or overlay:
+            raise click.UsageError("--set and --overlay change a config; a cell of a results file is named by --at.")
+        text = read_header(source).config
+
+        def load(_more: list[str]) -> Study:
+            return study_from_text(text, source=f"the config in {source}")
     else:
-        study = load_study(source, overrides)
-    values = _cell_values(study, at)
-    study = replace_values(study.model_copy(update={"sweep": None}), values)
-    _say_if_compiling()
-    trajectory = run(study)
-    if as_json:
-        click.echo(json.dumps(_as_record(trajectory), ensure_ascii=False))
-    else:
-        _print_trajectory(trajectory)
+
+        def load(more: list[str]) -> Study:
+            return load_study(source, [*overrides, *more])
+
+    choices = []
+    for assignment in overlay:
+        key, equals, listed = assignment.partition("=")
+        if not equals or not listed:
+            raise click.UsageError(f"--overlay {assignment}: must be KEY=V1,V2, for example load.ratio=1,2,5.")
+        choices.append([f"{key}={value}" for value in listed.split(",")])
+    studies = []
+    for chosen in product(*choices):
+        study = load(list(chosen))
+        values = _cell_values(study, at)
+        name = ", ".join(chosen) or study.title
+        studies.append((name, replace_values(study.model_copy(update={"sweep": None}), values)))
+    return studies
+
+
+def _save_runs(
+    runs: list[tuple[str, Trajectory]],
+    output: Path,
+    figure: str,
+    around: float | None,
+    width: float,
+    until: float | None,
+    step: float | None,
+) -> None:
+    from clunk import history as histories
+
+    if output.suffix in (".csv", ".h5"):
+        ((_, trajectory),) = runs
+        save = histories.save_csv if output.suffix == ".csv" else histories.save_hdf5
+        save(output, histories.sample(trajectory, step, until), trajectory)
+        click.echo(f"-> {output}", err=True)
+        return
+    from clunk import plot as plots
+    from clunk import plot_history
+
+    end = until if until is not None else max(histories.shown_until(trajectory) for _, trajectory in runs)
+    drawn = [(name, trajectory, histories.sample(trajectory, step, end)) for name, trajectory in runs]
+    draw = {
+        "everything": lambda: plot_history.simulation_figure(drawn),
+        "angles": lambda: plot_history.angles(drawn),
+        "backlash": lambda: plot_history.backlash(drawn),
+        "closeup": lambda: plot_history.closeup(drawn, around, width),
+        "acceleration": lambda: plot_history.acceleration(drawn),
+        "small-gap": lambda: plot_history.small_gap(runs[0][1].study),
+    }
+    plots.save(draw[figure](), output)
+    click.echo(f"-> {output}", err=True)
 
 
 def _cell_values(study: Study, at: tuple[str, ...]) -> dict[str, float]:
@@ -371,53 +396,6 @@ def _cell_values(study: Study, at: tuple[str, ...]) -> dict[str, float]:
             + " ".join(f"--at {key}={axes[key][len(axes[key]) // 2]:.6g}" for key in missing)
         )
     return values
-
-
-def _print_trajectory(trajectory: Trajectory) -> None:
-    primaries = {int(k): i for i, k in enumerate(trajectory.primaries)}
-    click.echo("   time [s]  event       flank     q' [rad/s]  impact     Qi [rad/s²]")
-    for k, event in enumerate(trajectory.events):
-        if k == 0:
-            continue
-        kind = trajectory.kind_name(k)
-        impact, severity = "", ""
-        if kind == "touch":
-            impact = "primary" if k in primaries else "secondary"
-        if k in primaries:
-            severity = f"{trajectory.impact_severity[primaries[k]]:.1f}"
-        line = f"{event['time']:11.7f}  {kind:<10}  {trajectory.flank_name(k):<8}  {event['speed']:+10.6f}"
-        click.echo(f"{line}  {impact:<9}  {severity:>11}".rstrip())
-    ending = "nothing can follow" if trajectory.complete else "the end time; more may follow"
-    click.echo(f"{trajectory.end:11.7f}  end: {ending}")
-    click.echo()
-    click.echo(f"events            {len(trajectory.events) - 1}, {trajectory.touches} of them touches")
-    click.echo(f"primary impacts   {trajectory.letters or 'none'}")
-    click.echo(f"label             {trajectory.label}")
-    click.echo(f"severity Q        {trajectory.severity:.1f} rad/s²")
-    click.echo(f"approach speed V  {trajectory.approach_velocity:.5f} rad/s")
-
-
-def _as_record(trajectory: Trajectory) -> dict[str, Any]:
-    primaries = set(trajectory.primaries.tolist())
-    return {
-        "label": trajectory.label,
-        "severity": trajectory.severity,
-        "approach_velocity": trajectory.approach_velocity,
-        "impact_severity": trajectory.impact_severity.tolist(),
-        "complete": trajectory.complete,
-        "end": trajectory.end,
-        "events": [
-            {
-                "time": float(event["time"]),
-                "event": trajectory.kind_name(k),
-                "flank": trajectory.flank_name(k),
-                "speed": float(event["speed"]),
-                "primary": k in primaries,
-            }
-            for k, event in enumerate(trajectory.events)
-            if k > 0
-        ],
-    }
 
 
 @cli.command()
@@ -500,7 +478,7 @@ def info(file: Path, show_config: bool, as_json: bool) -> None:
     for name, value in header.attributes.items():
         click.echo(f"{name.removesuffix('_version'):<9} {value}")
     click.echo()
-    _print_counts(header.counts)
+    terminal.print_counts(header.counts)
 
 
 @cli.command()
@@ -524,3 +502,84 @@ def init(path: Path, force: bool) -> None:
     except OSError as error:
         raise click.ClickException(f"{path} cannot be written: {error.strerror}.") from error
     click.echo(f"wrote {path}; next: clunk sweep {path}", err=True)
+
+
+@cli.command()
+@click.argument("a", type=click.Path(path_type=Path))
+@click.argument("b", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Also draw where they differ: .png .svg .pdf.")
+@click.option("--expect-equal", is_flag=True, help="Exit with 4 where any label differs.")
+@_json_option
+def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: bool) -> None:
+    """Compare the results file A with another, B, cell by cell; or with measurements.
+
+    B is a results file of the same grid, a CSV file of measured labels, or table_4_1, the report's experiment.
+
+    \b
+    Examples:
+      clunk compare results/rk4.h5 results/force.h5 --expect-equal
+      clunk compare results/figure_3_4.h5 table_4_1 -o experiment.png
+    """
+    from clunk import comparison as comparing
+    from clunk.store import read
+
+    results = read(a)
+    found: Any
+    other = None
+    if comparing.is_experiment(b):
+        found = comparing.compare_experiment(results, comparing.read_experiment(b))
+    else:
+        other = read(b)
+        found = comparing.compare(results, other)
+    if as_json:
+        click.echo(json.dumps(comparing.as_record(found), ensure_ascii=False))
+    else:
+        click.echo(comparing.report(found, (str(a), str(b))), nl=False)
+    if output is not None:
+        from clunk import plot as plots
+        from clunk.plot_comparison import difference_map, experiment_map
+
+        figure = experiment_map(results, found) if other is None else difference_map(results, other, found)
+        plots.save(figure, output)
+        click.echo(f"-> {output}", err=True)
+    if expect_equal and not found.same_regimes:
+        sys.exit(EXIT_MISMATCH)
+
+
+@cli.command()
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), default="results/reproduction", help="Directory of the figures."
+)
+@click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")
+@click.option("--coarsen", type=click.IntRange(1, 20), default=1, help="Every n-th value of the maps' axes [1].")
+@_json_option
+def reproduce(output: Path, workers: int | None, coarsen: int, as_json: bool) -> None:
+    """Recompute the report: every number and claim beside ours, every figure redrawn.
+
+    Exits with 4 where a claim that is known to agree no longer does.
+
+    Example: clunk reproduce
+    """
+    from clunk import claims as claiming
+    from clunk import reproduction
+    from clunk.sweeping import cell_count
+
+    _check_writable(output / "figure_3_1.png")
+    _say_if_compiling()
+    total = sum(cell_count(study) for study in claiming.map_studies(coarsen).values())
+    with terminal.progress(total) as progress:
+        maps = claiming.run_maps(coarsen, workers, progress)
+    evidence = claiming.Evidence(maps)
+    found = claiming.claims(evidence)
+    jobs = reproduction.figures(evidence)
+    with terminal.progress(len(jobs), "figures") as progress:
+        written = reproduction.save_all(jobs, evidence, found, output, progress)
+    if as_json:
+        click.echo(json.dumps([claim.record() for claim in found], ensure_ascii=False))
+    else:
+        terminal.print_claims(found)
+    click.echo(f"{len(written)} files -> {output}", err=True)
+    failed = [claim for claim in found if claim.failed]
+    if failed:
+        click.echo(f"{len(failed)} of {len(found)} claims no longer agree (!)", err=True)
+        sys.exit(EXIT_MISMATCH)

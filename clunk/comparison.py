@@ -480,6 +480,11 @@ class ExperimentComparison:
         """Points whose nearest cell failed."""
         return sum(point.computed == FAILED for point in self.points)
 
+    @property
+    def same_regimes(self) -> bool:
+        """Whether every point inside the swept range agrees; never if there is none."""
+        return self.counted > 0 and self.agreeing == self.counted and not self.failed
+
 
 def compare_experiment(results: Results, experiment: Experiment) -> ExperimentComparison:
     """Compare each measurement with the nearest cell of a map, and the two trends.
@@ -654,7 +659,7 @@ def _transition_report(comparison: Comparison) -> Iterator[str]:
 def _deviation_report(axes: tuple[ResultAxis, ...], found: Deviation) -> Iterator[str]:
     name, unit = _SYMBOL[found.quantity]
     cells = "cell" if found.cells == 1 else "cells"
-    yield f"{name}, B over A, in {found.cells:,} {cells} where both have impacts"
+    yield f"{name}, B over A, in {found.cells:,} {cells} where neither is zero"
     if found.quantity != "severity":
         yield "  (in place of the severity Q, which is not defined in both)"
     yield f"  median {found.median:.4g}; 5 % to 95 % of the cells: {found.low:.4g} to {found.high:.4g}"
@@ -665,8 +670,8 @@ def _deviation_report(axes: tuple[ResultAxis, ...], found: Deviation) -> Iterato
         yield f"  {what} {value}: {extreme.a:.5g} in A, {extreme.b:.5g} in B {unit}"
         yield _cut(f"    at {_where(axes, extreme.values)}", _WIDTH)
     if found.zero_in_one:
-        are = "cell has" if found.zero_in_one == 1 else "cells have"
-        yield f"  {found.zero_in_one:,} {are} impacts in one of the two only"
+        cells = "cell" if found.zero_in_one == 1 else "cells"
+        yield f"  {found.zero_in_one:,} {cells} more in which one of the two is zero"
 
 
 def _config_report(comparison: Comparison) -> Iterator[str]:
@@ -858,6 +863,7 @@ def _experiment_record(comparison: ExperimentComparison) -> dict[str, Any]:
         "points_agreeing": comparison.agreeing,
         "share_agreeing": comparison.share,
         "points_same_double_sided": comparison.same_double_sided,
+        "same_regimes": comparison.same_regimes,
         "points_outside": comparison.outside,
         "points_failed": comparison.failed,
         "trends": [asdict(trend) | {"pairs": trend.pairs, "share_alike": trend.share} for trend in comparison.trends],

@@ -112,9 +112,10 @@ def sample(
     states: list[FloatArray] = []
     regimes: list[int] = []
     marks: list[int] = []
-    if equilibrium and begin < 0.0:
-        within = _grid(begin, min(end, 0.0), step)
-        times.append(np.concatenate(([begin], within * step, [min(end, 0.0)])))
+    if equilibrium:
+        last = min(end, 0.0)
+        first = [begin] if begin < last else []
+        times.append(np.concatenate((first, _grid(begin, last, step) * step, [last])))
         states.append(np.broadcast_to(trajectory.states[0] + 0.0, (times[-1].size, system.lash.size)))  # no -0.0
         regimes.append(rk4.closed_on(trajectory.initial_side))
         marks.append(-1)
@@ -153,15 +154,16 @@ def sample(
 def shown_until(trajectory: Trajectory) -> float:
     """When a picture of the run may end, on the axis of `History.time`  [s].
 
-    When its slowest oscillation in contact has died down, half as long again as its events last, or at its end time,
-    whichever comes last of the first two and first of the three; rounded up to 0.1 s.
+    Half as long again as its events last and not before its slowest oscillation in contact has died down, rounded up to
+    0.1 s; but at the run's end time at the latest.
     """
     study = trajectory.study
     modes = driveline.Driveline.from_study(study).modes(closed=True)
     rate = float(np.min(2.0 * np.pi * modes.frequency * modes.damping_ratio, initial=np.inf))
-    span = max(1.5 * float(trajectory.events["time"][-1]), -np.log(_FAINT) / rate if rate > 0.0 else np.inf)
-    latest = study.load.step_time + study.solver.end_time
-    return min(float(np.ceil(10.0 * (study.load.step_time + span) - 1e-9) / 10.0), latest) if span < latest else latest
+    fading = -np.log(_FAINT) / rate if rate > 0.0 else study.solver.end_time
+    span = min(max(1.5 * float(trajectory.events["time"][-1]), fading), study.solver.end_time)
+    rounded = float(np.ceil(10.0 * (study.load.step_time + span) - 1e-9) / 10.0)
+    return min(rounded, study.load.step_time + study.solver.end_time)
 
 
 # --- Sampling --------------------------------------------------------------------------------------------------------

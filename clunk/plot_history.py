@@ -211,12 +211,13 @@ def _draw_backlash(ax: Axes, runs: Runs, looks: Looks, limits: tuple[float, floa
     ax.set_ylabel(f"Backlash coordinate\n{house._symbol('xb')} [mm]")
     if limits is None:
         reach = max(1.2 * widest, *(1.05e3 * np.abs(history.backlash_coordinate).max() for _, _, history in runs))
-        limits = (-reach, reach) if reach > 0.0 else (-1.0, 1.0)
+        # locked flanks without a gap stay together but for rounding, which is nothing to look at
+        limits = (-reach, reach) if reach > 1e-9 * max(t.study.lash.radius for _, t, _ in runs) else (-1.0, 1.0)
     ax.set_ylim(*limits)
     low, high = ax.get_ylim()
     sides = {trajectory.initial_side for _, trajectory, _ in runs}
-    names = {0.0: "gap" if widest > 0.0 else ""}
-    for side in (-1, 1):
+    names = {0.0: "gap" if widest > 0.0 else "no gap"}
+    for side in (-1, 1) if widest > 0.0 else ():
         names[side * widest] = ("initial flank" if side in sides else "opposite flank") if len(sides) == 1 else "flank"
     for at, name in names.items():
         if low <= at <= high:
@@ -283,7 +284,7 @@ def _mark_severity(ax: Axes, trajectory: Trajectory, history: History) -> None:
             (x, window.largest),
             (0.0, 2.0),
             textcoords="offset points",
-            ha="center",
+            ha="center" if x < end - offset else "right",
             va="bottom",
             fontsize=9.0,
             zorder=7,
@@ -614,7 +615,7 @@ def _half_gap(study: Study) -> float:
 def _case(study: Study) -> str:
     """The load and the gap of a run, in symbols."""
     load = load_step(study.load)
-    ratio = f"{house._symbol('σr')} = {study.load.ratio:g}" if study.load.ratio is not None else ""
+    ratio = f"{house._symbol('σr')} = {study.load.ratio:g}".replace("-", MINUS) if study.load.ratio is not None else ""
     torque = f"T = {load.before:g} → {load.after:g} N m".replace("-", MINUS)
     gap = f"{house._symbol('φθ')} = {study.lash.backlash_deg:g}°"
     return f"{ratio or torque}, {gap}"

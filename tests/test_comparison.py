@@ -480,6 +480,8 @@ def test_points_outside_or_at_failed_cells_are_reported_and_not_counted() -> Non
     points = {(0.0, 0.0): "SS(1)", (0.0, 2.0): "SS(1)", (7.0, 2.0): "SS(1)", (1.0, 40.0): "SS(1)"}
     comparison = compare_experiment(results, measured(points))
     assert (comparison.counted, comparison.agreeing, comparison.failed, comparison.outside) == (1, 1, 1, 2)
+    assert not comparison.same_regimes  # a failed cell is no agreement
+    assert compare_experiment(results, measured({(0.0, 2.0): "SS(1)", (7.0, 2.0): "SS(1)"})).same_regimes
     assert sum(trend.pairs for trend in comparison.trends) == 0
     text = report(comparison)
     assert "1 of 1 measured point agrees" in text
@@ -490,6 +492,7 @@ def test_points_outside_or_at_failed_cells_are_reported_and_not_counted() -> Non
 def test_nothing_to_count_is_no_share() -> None:
     comparison = compare_experiment(small(A), measured({(99.0, 0.0): "NI"}))
     assert math.isnan(comparison.share)
+    assert not comparison.same_regimes
     assert as_record(comparison)["share_agreeing"] is None
     assert "No measured point lies where a label was computed." in report(comparison)
 
@@ -576,6 +579,12 @@ def assert_readable(figure: Any) -> None:
     assert not any(one.overlaps(other) for k, one in enumerate(found) for other in found[:k])
 
 
+def assert_no_text_on_points(figure: Any) -> None:
+    ax = figure.axes[0]
+    points = ax.transData.transform(drawn(figure, "agrees") + drawn(figure, "differs"))
+    assert not any(box.contains(x, y) for box in boxes(figure, ax.texts) for x, y in points)
+
+
 def test_difference_map_marks_every_differing_cell_once() -> None:
     a, b = like_figure_3_4(), like_figure_3_4(0.3, config=CONFIG.replace("0.002", "0.003"), config_digest="b2")
     comparison = compare(a, b)
@@ -624,9 +633,7 @@ def test_experiment_map_shows_every_point_inside_filled_where_it_agrees() -> Non
     texts = [text.get_text() for text in figure.axes[0].texts if text.get_gid() == "measured"]
     assert sorted(texts) == sorted(point.measured for point in inside)
     assert_readable(figure)
-    ax = figure.axes[0]
-    centres = ax.transData.transform([point.values for point in inside])
-    assert not any(box.contains(x, y) for box in boxes(figure, ax.texts) for x, y in centres)
+    assert_no_text_on_points(figure)
     assert "rig's parameters are not the model's" in figure.axes[0].get_title(loc="left")
     assert any(f"{comparison.agreeing} of {comparison.counted}" in note for note in notes(figure))
     assert "outside the map, not counted: 4" in notes(figure)
@@ -640,6 +647,7 @@ def test_crowded_points_lose_their_labels_and_that_is_noted() -> None:
     figure = experiment_map(results, compare_experiment(results, measured(points)))
     assert len(drawn(figure, "agrees")) + len(drawn(figure, "differs")) == 60
     assert_readable(figure)
+    assert_no_text_on_points(figure)
     assert "a point without a label: no room" in notes(figure)
 
 

@@ -1,0 +1,165 @@
+"""What the command line prints: progress on stderr, tables for 80 columns on stdout."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from clunk.claims import Claim
+    from clunk.results import Results
+    from clunk.simulation import Trajectory
+
+Progress = Callable[[int, int], None]
+
+
+@contextmanager
+def progress(total: int, what: str = "cells") -> Iterator[Progress]:
+    """A progress bar with rate and time left on a terminal, a line now and then elsewhere; both on stderr."""
+    if not sys.stderr.isatty():
+        yield _plain_progress(what)
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    columns = (
+        BarColumn(bar_width=None),
+        MofNCompleteColumn(),
+        TextColumn(what + "  {task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=total, rate="")
+        began = time.perf_counter()
+
+        def update(done: int, _total: int) -> None:
+            rate = done / max(time.perf_counter() - began, 1e-9)
+            bar.update(task, completed=done, rate=f"{rate:,.0f}/s ")
+
+        yield update
+
+
+def _plain_progress(what: str, every: float = 5.0) -> Progress:
+    began = last = time.perf_counter()
+
+    def update(done: int, total: int) -> None:
+        nonlocal last
+        now = time.perf_counter()
+        if now - last < every or done == total:
+            return
+        last = now
+        rate = done / (now - began)
+        left = (total - done) / rate
+        click.echo(f"{done:,} of {total:,} {what}, {rate:,.0f}/s, {left:.0f} s left", err=True)
+
+    return update
+
+
+def report_failures(results: Results) -> None:
+    """Failed cells by cause, and where the first few are."""
+    import numpy as np
+
+    from clunk.core.status import Status
+
+    for status in Status:
+        cells = np.argwhere(results.status == status)
+        if status == Status.OK or cells.size == 0:
+            continue
+        click.echo(f"{len(cells):,} cells failed: {status.sentence}", err=True)
+        for cell in cells[:3]:
+            where = ", ".join(
+                f"{axis.parameter} = {axis.values[k]:.6g}" for axis, k in zip(results.axes, cell, strict=True)
+            )
+            click.echo(f"  at {where}", err=True)
+        if len(cells) > 3:
+            click.echo(f"  and {len(cells) - 3:,} more", err=True)
+
+
+def print_counts(counts: dict[str, int]) -> None:
+    """How many cells each label has."""
+    total = sum(counts.values())
+    width = max(len(label) for label in counts)
+    for label, count in counts.items():
+        if label != "failed" or count:
+            click.echo(f"{label:<{width}}  {count:>9,} cells  {count / total:6.1%}")
+
+
+def print_trajectory(trajectory: Trajectory) -> None:
+    """A run's events, its primary impacts and what they amount to."""
+    primaries = {int(k): i for i, k in enumerate(trajectory.primaries)}
+    click.echo("   time [s]  event       flank     q' [rad/s]  impact     Qi [rad/s²]")
+    for k, event in enumerate(trajectory.events):
+        if k == 0:
+            continue
+        kind = trajectory.kind_name(k)
+        impact, severity = "", ""
+        if kind == "touch":
+            impact = "primary" if k in primaries else "secondary"
+        if k in primaries:
+            severity = _severity(trajectory.impact_severity[primaries[k]], "")
+        line = f"{event['time']:11.7f}  {kind:<10}  {trajectory.flank_name(k):<8}  {event['speed']:+10.6f}"
+        click.echo(f"{line}  {impact:<9}  {severity:>11}".rstrip())
+    ending = "nothing can follow" if trajectory.complete else "the end time; more may follow"
+    click.echo(f"{trajectory.end:11.7f}  end: {ending}")
+    click.echo()
+    click.echo(f"events            {len(trajectory.events) - 1}, {trajectory.touches} of them touches")
+    click.echo(f"primary impacts   {trajectory.letters or 'none'}")
+    click.echo(f"label             {trajectory.label}")
+    click.echo(f"severity Q        {_severity(trajectory.severity, ' rad/s²')}")
+    click.echo(f"approach speed V  {trajectory.approach_velocity:.5f} rad/s")
+
+
+def trajectory_record(trajectory: Trajectory) -> dict[str, Any]:
+    """A run for JSON; what is not defined is null."""
+    primaries = set(trajectory.primaries.tolist())
+    return {
+        "label": trajectory.label,
+        "severity": _or_none(trajectory.severity),
+        "approach_velocity": trajectory.approach_velocity,
+        "impact_severity": [_or_none(value) for value in trajectory.impact_severity.tolist()],
+        "complete": trajectory.complete,
+        "end": trajectory.end,
+        "events": [
+            {
+                "time": float(event["time"]),
+                "event": trajectory.kind_name(k),
+                "flank": trajectory.flank_name(k),
+                "speed": float(event["speed"]),
+                "primary": k in primaries,
+            }
+            for k, event in enumerate(trajectory.events)
+            if k > 0
+        ],
+    }
+
+
+def _severity(value: float, unit: str) -> str:
+    return "undefined" if math.isnan(value) else f"{value:.1f}{unit}"
+
+
+def _or_none(value: float) -> float | None:
+    """JSON has no NaN."""
+    return None if math.isnan(value) else value
+
+
+def print_claims(claims: Sequence[Claim]) -> None:
+    """The report's claims beside ours."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1), show_lines=False, leading=1)
+    table.add_column("where", max_width=10)
+    table.add_column("the report", ratio=2)
+    table.add_column("clunk", ratio=3)
+    table.add_column("verdict", max_width=11)
+    for claim in claims:
+        table.add_row(claim.where, claim.report, claim.ours, claim.verdict.value + (" (!)" if claim.failed else ""))
+    Console(highlight=False, markup=False).print(table)
