@@ -303,22 +303,15 @@ def _studies_to_simulate(
     """The studies of the runs to make, each with a name to tell it from the others."""
     from itertools import product
 
-    from clunk.config import load_study, replace_values, study_from_text
+    from clunk.config import replace_values, study_from_text
+    from clunk.configfile import read_text
 
     if source.suffix == ".h5":
         from clunk.store import read_header
 
-        if overrides or overlay:
-            raise click.UsageError("--set and --overlay change a config; a cell of a results file is named by --at.")
-        text = read_header(source).config
-
-        def load(_more: list[str]) -> Study:
-            return study_from_text(text, source=f"the config in {source}")
+        text, name = read_header(source).config, f"the config in {source}"
     else:
-
-        def load(more: list[str]) -> Study:
-            return load_study(source, [*overrides, *more])
-
+        text, name = read_text(source), str(source)
     choices = []
     for assignment in overlay:
         key, equals, listed = assignment.partition("=")
@@ -327,10 +320,9 @@ def _studies_to_simulate(
         choices.append([f"{key}={value}" for value in listed.split(",")])
     studies = []
     for chosen in product(*choices):
-        study = load(list(chosen))
-        values = _cell_values(study, at)
-        name = ", ".join(chosen) or study.title
-        studies.append((name, replace_values(study.model_copy(update={"sweep": None}), values)))
+        study = study_from_text(text, name, [*overrides, *chosen])
+        single = replace_values(study.model_copy(update={"sweep": None}), _cell_values(study, at))
+        studies.append((", ".join(chosen) or study.title, single))
     return studies
 
 
