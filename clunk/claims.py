@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from clunk.comparison import compare_experiment
 from clunk.config import Study, study_from_text
 from clunk.core.events import TOUCH
 from clunk.driveline import Driveline, Modes
-from clunk.experiments import double_sided
+from clunk.experiments import double_sided, read_experiment
 from clunk.linear import one_mode_thresholds, periods_in_envelope, rigid_contact_thresholds
 from clunk.results import Results
 from clunk.simulation import Trajectory, simulate
@@ -392,7 +393,43 @@ def _severity(e: Evidence) -> list[Claim]:
 
 def _experiment(e: Evidence) -> list[Claim]:
     letters = e.nominal.letters
+    measured = compare_experiment(e.maps.indentation, read_experiment("table_4_1"))
+    alike = ", ".join(f"{trend.alike} of {trend.pairs} along {trend.symbol.split()[0]}" for trend in measured.trends)
+    opposed = sum(trend.opposed for trend in measured.trends)
+    single_from = _least_backlash(e.maps.indentation, 2.5, "SS(1)")
+    steps = _steps_up_in_backlash(e.maps.indentation)
+    transitions = (("DS(1)SS(1)", "SS(1)"), ("DS(2)SS(1)", "DS(1)SS(2)"), ("DS(3)SS(1)", "DS(2)SS(1)"))
+    present = [pair for pair in transitions if pair in steps]
     return [
+        _claim(
+            "§4.2.1",
+            "experiment and model agree in their trends: more double-sided impacts at higher σr and smaller gaps",
+            f"neighbouring points of Table 4.1 ordered alike: {alike}; opposed: {opposed}",
+            opposed == 0,
+        ),
+        _claim(
+            "Table 4.1",
+            "measured sequences",
+            f"{measured.agreeing} of {measured.counted} equal the nearest cell's: a trend comparison, since the rig's "
+            "parameters are not the model's",
+            measured.same_regimes,
+            known=Verdict.DIFFERS,
+        ),
+        _claim(
+            "§4.2.1",
+            "only single-sided impacts at small load ratios (σr = 2.5), in Table 4.1 and in Figure 3.4",
+            f"in the map of Figure 3.4 from φθ = {single_from:g}° up; below it is DS(1)",
+            single_from == 0.0,
+            known=Verdict.DIFFERS,
+        ),
+        _claim(
+            "§4.2.1",
+            "Figure 3.4 has Table 4.1's transitions with rising gap: "
+            + ", ".join(f"{before} to {after}" for before, after in transitions),
+            "has " + (", ".join(f"{before} to {after}" for before, after in present) or "none"),
+            len(present) == len(transitions),
+            known=Verdict.DIFFERS,
+        ),
         _contradiction(
             "Figure 4.3",
             "initial, opposite, initial side impacts make one D and one S",
@@ -439,6 +476,21 @@ def _largest_fall(results: Results) -> tuple[float, str]:
     fall = np.where(before > 0.0, fall, 0.0)
     at = np.unravel_index(int(fall.argmax()), fall.shape)
     return float(fall[at]), f"in {results.labels[results.sequence[at]]} near σr = {results.axes[0].values[at[0]]:.2g}"
+
+
+def _least_backlash(results: Results, ratio: float, label: str) -> float:
+    """The backlash from which on a load ratio has this label; NaN where its largest one has not."""
+    row = _texts(results)[int(np.argmin(np.abs(results.axes[0].values - ratio)))]
+    other = np.flatnonzero(row != label)
+    first = int(other[-1]) + 1 if other.size else 0
+    return float(results.axes[1].values[first]) if first < row.size else float("nan")
+
+
+def _steps_up_in_backlash(results: Results) -> set[tuple[str, str]]:
+    """The pairs of different labels of neighbouring cells, in the direction of rising backlash."""
+    texts = _texts(results)
+    pairs = zip(texts[:, :-1].ravel().tolist(), texts[:, 1:].ravel().tolist(), strict=True)
+    return {(before, after) for before, after in pairs if before != after}
 
 
 def _texts(results: Results) -> npt.NDArray[np.str_]:

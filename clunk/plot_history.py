@@ -77,6 +77,9 @@ def backlash(runs: Runs) -> Figure:
     Runs that differ in their contact alone share a panel; every other one has its own.
     """
     panels = _panels(runs)
+    if len(panels) > 1:  # what a panel's runs have in common is said by its title, and runs alike look alike
+        panels = [_told_apart(panel) for panel in panels]
+        runs = [run for panel in panels for run in panel]
     with house._styled():
         figure, axes = _frame(runs, (1.0,) * len(panels), 1.5 + (3.4 if len(panels) == 1 else 2.3 * len(panels)))
         looks = dict(zip((label for label, _, _ in runs), _looks(runs), strict=True))
@@ -105,7 +108,7 @@ def closeup(runs: Runs, around: float | None = None, width: float = 0.1) -> Figu
         raise PlotError(f"A close-up must be wider than {width:g} s.")
     begin = 0.1 * width * np.round((around - _BEFORE * width) / (0.1 * width))  # so that the axis begins at a tick
     end = begin + width
-    touches = [_touches_within(trajectory, begin, end) for _, trajectory, _ in runs]
+    touches = [_touches_within(trajectory, begin, min(end, history.time[-1])) for _, trajectory, history in runs]
     nearest = _nearest_side(runs, touches, around)
     if nearest == 0:
         raise PlotError(f"There is no touch to look at closely between {begin:g} s and {end:g} s.")
@@ -624,6 +627,16 @@ def _case(study: Study) -> str:
 def _outcome(trajectory: Trajectory) -> str:
     severity = trajectory.severity
     return trajectory.label + (f", Q = {severity:.0f} rad/s²" if severity > 0.0 else "")
+
+
+def _told_apart(runs: Runs) -> Runs:
+    """The runs without the parts of their labels, "KEY=VALUE, KEY=VALUE", that are the same for all."""
+    parts = [label.split(", ") for label, _, _ in runs]
+    common = set(parts[0]).intersection(*parts[1:])
+    labels = [", ".join(part for part in own if part not in common) for own in parts]
+    if not all(labels):
+        return runs
+    return [(label, trajectory, history) for label, (_, trajectory, history) in zip(labels, runs, strict=True)]
 
 
 def _panels(runs: Runs) -> list[Runs]:

@@ -388,7 +388,7 @@ def marks(figure, gid):
 
 def test_backlash_panels_are_those_of_figure_3_2():
     runs = [
-        triple(label, model, f"load.ratio={ratio}")
+        triple(f"load.ratio={ratio}, {label}", model, f"load.ratio={ratio}")
         for ratio in (1, 2, 5)
         for label, model in (("IFM", "gap"), ("RCM", "restitution"))
     ]
@@ -438,6 +438,9 @@ def test_closeup_without_a_touch_says_so():
         plot_history.closeup([triple("IFM", "gap", "load.ratio=1")])
     with pytest.raises(PlotError, match=r"no touch to look at closely between 0.86 s and 0.96 s"):
         plot_history.closeup([triple("IFM")], around=0.9)
+    label, trajectory, _ = triple("IFM")
+    with pytest.raises(PlotError, match="no touch to look at closely"):  # it was not sampled for so long
+        plot_history.closeup([(label, trajectory, sample(trajectory, until=0.15))])
     with pytest.raises(PlotError, match="wider than 0 s"):
         plot_history.closeup([triple("IFM")], width=0.0)
 

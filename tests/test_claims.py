@@ -1,0 +1,148 @@
+"""The report against the computation: every claim has the verdict that it is known to deserve, and can lose it."""
+
+import json
+import signal
+import sys
+
+import numpy as np
+import pytest
+
+from clunk import claims, cli, reproduction
+from clunk.claims import Claim, Evidence, Verdict, run_maps
+from clunk.config import replace_values, study_from_text
+from clunk.linear import (
+    one_mode_thresholds,
+    periods_in_envelope,
+    rigid_contact_thresholds,
+    thresholds_on,
+)
+
+COARSE = 10  # 21 x 21 and 11 x 11: every region of Figure 3.4 has cells
+
+
+@pytest.fixture(scope="module")
+def evidence():
+    return Evidence(run_maps(COARSE))
+
+
+@pytest.fixture(scope="module")
+def found(evidence):
+    return claims.claims(evidence)
+
+
+def test_no_claim_that_is_known_to_agree_has_stopped_agreeing(found):
+    assert [claim for claim in found if claim.failed] == []
+
+
+def test_claims_that_are_known_not_to_agree_are_still_shown_not_to(found):
+    # a claim that comes to agree is good news, but then `known` and the README have to say so
+    assert [claim for claim in found if claim.verdict != claim.known] == []
+
+
+def test_every_figure_table_and_erratum_of_the_report_has_a_claim(found):
+    places = " ".join(claim.where for claim in found)
+    for place in ("Table 2.2", "Eq. 2.5", "Eq. 2.8", "Figure 3.1", "Figure 3.2", "Figure 3.3", "Eq. 3.1", "Table 3.1"):
+        assert place in places
+    for place in ("Figure 3.4", "Figure 3.6", "Figure 3.7", "Table 4.1", "Figure 4.3"):
+        assert place in places
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "place"),
+    [("severity", 0.0, "§3.3.2"), ("severity", 1.0, "§3.3.2")],
+)
+def test_a_map_without_its_severity_fails_the_claims_about_it(evidence, field, value, place):
+    flat = getattr(evidence.maps.indentation, field) * 0.0 + value
+    from dataclasses import replace
+
+    maps = replace(evidence.maps, indentation=replace(evidence.maps.indentation, **{field: flat}))
+    failed = [claim for claim in claims.claims(Evidence(maps)) if claim.failed]
+    assert failed
+    assert any(place in claim.where for claim in failed)
+
+
+def test_swapped_models_fail_the_claim_about_their_chatter(evidence, monkeypatch):
+    swapped = Evidence(evidence.maps)
+    swapped.runs = {"indentation": evidence.runs["restitution"], "restitution": evidence.runs["indentation"]}
+    monkeypatch.setattr(claims, "run_of", lambda *_: evidence.nominal)
+    failed = [claim for claim in claims._time_histories(swapped) if claim.failed]
+    assert any("delay" in claim.report for claim in failed)
+
+
+def test_reproduce_writes_every_figure_and_exits_4_when_a_claim_stops_agreeing(tmp_path, monkeypatch, capsys):
+    broken = Claim("§0", "two and two make four", "five", Verdict.DIFFERS)
+    monkeypatch.setattr(claims, "claims", lambda _evidence: [broken])
+    monkeypatch.setattr(reproduction, "figures", lambda e: _figures(e)[:1])
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    monkeypatch.setattr(sys, "argv", ["clunk", "reproduce", "-o", str(tmp_path), "--coarsen", "20"])
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    out, err = capsys.readouterr()
+    assert stopped.value.code == 4
+    assert "five" in out
+    assert "1 of 1 claims no longer agree" in err
+    (record,) = json.loads((tmp_path / "claims.json").read_text())
+    assert record["verdict"] == "differs"
+    assert (tmp_path / "figure_3_1.png").stat().st_size > 10_000
+    assert (tmp_path / "restitution.h5").exists()
+
+
+_figures = reproduction.figures
+
+
+@pytest.mark.slow
+def test_every_figure_of_the_report_can_be_drawn(evidence, found, tmp_path):
+    jobs = reproduction.figures(evidence)
+    written = reproduction.save_all(jobs, evidence, found, tmp_path)
+    names = {path.stem for path in written}
+    assert {f"figure_3_{k}" for k in range(1, 8)} | {"table_4_1", "figure_4_4_trend"} <= names
+    assert all(path.stat().st_size > 0 for path in written)
+
+
+# --- the linear view
+
+
+def test_thresholds_of_one_mode_are_table_3_1(nominal):
+    assert np.round(one_mode_thresholds(nominal), 2) == pytest.approx([1.46, 3.13, 6.69, 14.32], abs=1e-9)
+
+
+def test_thresholds_of_all_modes_are_those_of_the_locked_chain(nominal):
+    # computed independently to four digits
+    assert rigid_contact_thresholds(nominal) == pytest.approx([1.432, 3.072, 6.606, 14.207], abs=6e-4)
+
+
+def test_periods_in_the_envelope_pass_a_half_at_each_threshold(nominal):
+    for n, ratio in enumerate(one_mode_thresholds(nominal), start=1):
+        assert periods_in_envelope(nominal, float(ratio)) == pytest.approx(n - 0.5, rel=1e-12)
+
+
+def test_thresholds_follow_the_torque_that_is_swept(nominal):
+    ratios = one_mode_thresholds(nominal)
+    torques = study_from_text(
+        '[driveline]\npreset = "boere-2008"\n[load]\ninitial_torque = -6.0\nfinal_torque = -1.0\n'
+    )
+    assert thresholds_on(torques, "load.initial_torque", ratios) == pytest.approx(-(1 + ratios))
+    assert thresholds_on(torques, "load.final_torque", ratios) == pytest.approx(-6.0 / (1 + ratios))
+    assert thresholds_on(torques, "lash.backlash_deg", ratios).size == 0
+
+
+def test_a_driveline_whose_load_does_not_reach_the_lash_has_no_thresholds():
+    study = study_from_text(
+        '[driveline]\ninertias = [1.0, 1.0]\nshafts = [{between = [1, "ground"], stiffness = 10.0, damping = 0.1}]\n'
+        "[lash]\nbetween = [1, 2]\nbacklash_deg = 1.0\nradius = 1.0\ncontact = {stiffness = 1e4, damping = 1.0}\n"
+        "[load]\non = 1\nstatic_torque = -1.0\nratio = 5.0\n"
+    )
+    assert rigid_contact_thresholds(study).size == 0
+
+
+def test_an_impact_appears_at_the_exact_threshold_as_the_gap_vanishes(nominal):
+    from clunk.simulation import simulate
+
+    (first, second, *_) = rigid_contact_thresholds(nominal)
+    study = study_from_text('[driveline]\npreset = "boere-2008"\n[lash.contact]\nmodel = "restitution"\n')
+    for ratio, below, above in ((first, "NI", "DS(1)"), (second, "DS(1)", "DS(2)")):
+        labels = [
+            simulate(replace_values(study, {"load.ratio": ratio * factor, "lash.backlash_deg": 0.0})).label
+            for factor in (1 - 1e-6, 1 + 1e-6)
+        ]
+        assert labels == [below, above]
