@@ -347,6 +347,8 @@ def _save_runs(
     from clunk import plot_history
 
     end = until if until is not None else max(histories.shown_until(trajectory) for _, trajectory in runs)
+    if figure == "closeup" and around is not None:
+        end = max(end, around + 0.6 * width)
     drawn = [(name, trajectory, histories.sample(trajectory, step, end)) for name, trajectory in runs]
     draw = {
         "everything": lambda: plot_history.simulation_figure(drawn),

@@ -60,7 +60,7 @@ def figures(e: Evidence) -> list[Job]:
         ("figure_3_4", lambda: plot.regime_map(maps.indentation, thresholds)),
         ("figure_3_4_restitution", lambda: plot.regime_map(maps.restitution, thresholds)),
         (
-            "figure_3_4_difference.png",
+            "figure_3_4_difference",
             lambda: plot_comparison.difference_map(maps.indentation, maps.restitution, between),
         ),
         ("figure_3_4_as_printed", lambda: plot.regime_map(maps.as_printed)),
