@@ -181,6 +181,13 @@ class TestCells:
         for k, value in enumerate(values):
             same_as_single_run(results, (k,), replace_values(base, {parameter: value}))
 
+    def test_two_axes_that_change_the_driveline_are_not_mixed_up(self):
+        base = study(("driveline.inertias[1]", [0.02, 0.024, 0.04]), ("driveline.shafts[1].damping", [0.05, 0.1]))
+        results = sweep(base)
+        for at in np.ndindex(results.shape):
+            values = {axis.parameter: axis.values[k] for axis, k in zip(results.axes, at, strict=True)}
+            same_as_single_run(results, at, replace_values(base, values))
+
     def test_three_axes_are_a_grid_too(self):
         base = study(("load.ratio", [2.0, 8.0]), ("driveline.inertias[1]", [0.02, 0.03]), ("lash.backlash_deg", [1, 6]))
         results = sweep(base)
