@@ -18,7 +18,8 @@ from clunk.comparison import compare_experiment
 from clunk.config import Study, study_from_text
 from clunk.core.events import TOUCH
 from clunk.driveline import Driveline, Modes
-from clunk.experiments import double_sided, read_experiment
+from clunk.experiments import read_experiment
+from clunk.labels import double_sided
 from clunk.linear import one_mode_thresholds, periods_in_envelope, rigid_contact_thresholds
 from clunk.results import Results
 from clunk.simulation import Trajectory, simulate

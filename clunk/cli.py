@@ -29,6 +29,8 @@ EXIT_MISMATCH = 4
 EXIT_INTERRUPTED = 130
 EXIT_TERMINATED = 143
 
+_FEWEST_STEPS = 10  # a period of the fastest oscillation
+
 _set_option = click.option(
     "--set",
     "overrides",
@@ -162,6 +164,7 @@ def _run_sweep(study: Study, workers: int | None) -> tuple[Results, float]:
     import clunk.sweeping as sweeping
 
     total = sweeping.cell_count(study)
+    _warn_of_coarse_step(study)
     _say_if_compiling()
     began = time.perf_counter()
     try:
@@ -171,6 +174,19 @@ def _run_sweep(study: Study, workers: int | None) -> tuple[Results, float]:
         click.echo("interrupted: the sweep has stopped, and no results file was written", err=True)
         sys.exit(EXIT_INTERRUPTED)
     return results, time.perf_counter() - began
+
+
+def _warn_of_coarse_step(study: Study) -> None:
+    """A step that is stable and yet too coarse for the contact gives wrong labels without any other sign."""
+    from clunk.driveline import steps_a_period
+
+    steps = steps_a_period(study)
+    if steps < _FEWEST_STEPS:
+        click.echo(
+            f"warning: solver.step = {study.solver.step:g} s: {steps:.1f} steps a period of the fastest oscillation;\n"
+            f"  with fewer than {_FEWEST_STEPS} weak rebounds are lost",
+            err=True,
+        )
 
 
 def _say_if_compiling() -> None:
@@ -227,14 +243,17 @@ def _default_quantities(results: Results) -> list[str]:
 
 
 def _thresholds(results: Results) -> list[float]:
-    """Load ratios at which one more impact appears as the backlash vanishes, where the map has such an axis."""
-    if all(axis.parameter != "load.ratio" for axis in results.axes):
+    """Where along the x axis one more impact appears as the backlash vanishes, if that depends on the load alone."""
+    from clunk.plot import x_axis
+
+    parameter = x_axis(results).parameter
+    if not parameter.startswith("load."):
         return []
     from clunk.config import study_from_text
-    from clunk.linear import one_mode_thresholds
+    from clunk.linear import one_mode_thresholds, thresholds_on
 
     study = study_from_text(results.config, source="the results file's config")
-    return [float(ratio) for ratio in one_mode_thresholds(study)]
+    return [float(value) for value in thresholds_on(study, parameter, one_mode_thresholds(study))]
 
 
 _FIGURES = ("everything", "angles", "backlash", "closeup", "acceleration", "small-gap")
@@ -284,6 +303,8 @@ def simulate(
     if output is not None and output.suffix in (".csv", ".h5") and len(studies) > 1:
         raise click.UsageError(f"{output} takes one run; leave --overlay out, or name a picture.")
     _say_if_compiling()
+    for _, study in studies:
+        _warn_of_coarse_step(study)
     runs = [(name, run(study)) for name, study in studies]
     if as_json:
         records = [{"run": name} | terminal.trajectory_record(trajectory) for name, trajectory in runs]
@@ -344,19 +365,20 @@ def _save_runs(
         click.echo(f"-> {output}", err=True)
         return
     from clunk import plot as plots
-    from clunk import plot_history
+    from clunk.plot import histories as figures
+    from clunk.plot.small_gap import small_gap
 
     end = until if until is not None else max(histories.shown_until(trajectory) for _, trajectory in runs)
     if figure == "closeup" and around is not None:
         end = max(end, around + 0.6 * width)
     drawn = [(name, trajectory, histories.sample(trajectory, step, end)) for name, trajectory in runs]
     draw = {
-        "everything": lambda: plot_history.simulation_figure(drawn),
-        "angles": lambda: plot_history.angles(drawn),
-        "backlash": lambda: plot_history.backlash(drawn),
-        "closeup": lambda: plot_history.closeup(drawn, around, width),
-        "acceleration": lambda: plot_history.acceleration(drawn),
-        "small-gap": lambda: plot_history.small_gap(runs[0][1].study),
+        "everything": lambda: figures.simulation_figure(drawn),
+        "angles": lambda: figures.angles(drawn),
+        "backlash": lambda: figures.backlash(drawn),
+        "closeup": lambda: figures.closeup(drawn, around, width),
+        "acceleration": lambda: figures.acceleration(drawn),
+        "small-gap": lambda: small_gap(runs[0][1].study),
     }
     plots.save(draw[figure](), output)
     click.echo(f"-> {output}", err=True)
@@ -402,7 +424,7 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     Example: clunk modes configs/nominal.toml
     """
     from clunk.config import load_study
-    from clunk.driveline import Driveline
+    from clunk.driveline import Driveline, steps_a_period
     from clunk.linear import one_mode_thresholds, rigid_contact_thresholds
 
     study = load_study(config, overrides)
@@ -430,6 +452,9 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
             click.echo(f"     -  does not oscillate; {f'decays at {rate:.4g} 1/s' if rate > 0.0 else 'drifts'}")
         click.echo()
     click.echo(f"contact period T_c  {1e3 * driveline.contact_period:.2f} ms")
+    click.echo(
+        f"solver.step         {study.solver.step:g} s, {steps_a_period(study):.1f} steps a period of the fastest mode"
+    )
     click.echo()
     click.echo("load ratio σr above which one more impact appears as the backlash vanishes")
     click.echo("  impacts       " + "".join(f"{n:>8}" for n in range(1, 5)))
@@ -531,7 +556,7 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: 
         click.echo(comparing.report(found, (str(a), str(b))), nl=False)
     if output is not None:
         from clunk import plot as plots
-        from clunk.plot_comparison import difference_map, experiment_map
+        from clunk.plot.comparisons import difference_map, experiment_map
 
         figure = experiment_map(results, found) if other is None else difference_map(results, other, found)
         plots.save(figure, output)

@@ -5,11 +5,8 @@ x' = A x + B u, so that z = (x, 1) moves by a matrix exponential: z(t) = exp(M t
 Every phase starts from the state at its event; nothing is integrated again and no event is searched again.
 """
 
-import io
 import os
-import secrets
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -21,13 +18,14 @@ from scipy.linalg import expm
 
 from clunk import __version__, driveline
 from clunk.config import digest, to_toml
-from clunk.core import rk4
+from clunk.core import switching
 from clunk.core.events import KIND_NAMES, TOUCH
 from clunk.core.regimes import CLOSED_FLOW, System
 from clunk.core.status import Status
+from clunk.files import reason, write_whole
 from clunk.load import load_step
+from clunk.netcdf import CONVENTIONS, create_scale, create_variable, set_flags, set_text, write_file
 from clunk.simulation import Trajectory
-from clunk.store import CONVENTIONS, _create, _set_text
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -117,7 +115,7 @@ def sample(
         first = [begin] if begin < last else []
         times.append(np.concatenate((first, _grid(begin, last, step) * step, [last])))
         states.append(np.broadcast_to(trajectory.states[0] + 0.0, (times[-1].size, system.lash.size)))  # no -0.0
-        regimes.append(rk4.closed_on(trajectory.initial_side))
+        regimes.append(switching.closed_on(trajectory.initial_side))
         marks.append(-1)
     rows_before = times[0].size if times else 0
 
@@ -241,7 +239,7 @@ def _from_equilibrium(trajectory: Trajectory, system: System, torque: float, hal
     if system.status == Status.NO_EQUILIBRIUM:
         return False
     x = np.empty(system.lash.size)
-    side = rk4.preload(system, torque, half_gap, x)
+    side = switching.preload(system, torque, half_gap, x)
     return side == trajectory.initial_side and np.array_equal(x, trajectory.states[0])
 
 
@@ -317,7 +315,7 @@ def save_csv(path: str | os.PathLike[str], history: History, trajectory: Traject
                 lines.append(f"{','.join(map(repr, row))},{contact},{what}\n")  # repr: shortest that reads back equal
             target.write("".join(lines).encode())
 
-    _write_whole(path, write)
+    _save(path, lambda path: write_whole(path, write))
 
 
 def event_name(trajectory: Trajectory, k: int) -> str:
@@ -333,40 +331,31 @@ def save_hdf5(path: str | os.PathLike[str], history: History, trajectory: Trajec
 
     In xarray: ``open_dataset(path, engine="h5netcdf")``. Events have two rows each, so a time need not be unique.
     """
-    image = io.BytesIO()  # assembled in memory as the results are: HDF5 on a full disk leaves broken handles behind
-    with h5py.File(image, "w", track_order=True) as file:
-        _write_hdf5(file, history, trajectory)
-    _write_whole(path, lambda target: target.write(image.getbuffer()))
+    _save(path, lambda path: write_file(path, lambda file: _write_hdf5(file, history, trajectory)))
 
 
 def _write_hdf5(file: h5py.File, history: History, trajectory: Trajectory) -> None:
     study = trajectory.study
-    _set_text(file, "title", study.title)
-    _set_text(file, "Conventions", CONVENTIONS)
+    set_text(file, "title", study.title)
+    set_text(file, "Conventions", CONVENTIONS)
     file.attrs["schema_version"] = np.int32(SCHEMA_VERSION)
-    _set_text(file, "clunk_version", __version__)
-    _set_text(file, "label", trajectory.label)
+    set_text(file, "clunk_version", __version__)
+    set_text(file, "label", trajectory.label)
     file.attrs["severity"] = trajectory.severity
     file.attrs["config"] = to_toml(study)  # variable length: it may be longer than an object header allows
-    _set_text(file, "config_digest", digest(study))
-
-    def scale(name: str, values: npt.NDArray[np.generic], unit: str, long_name: str) -> h5py.Dataset:
-        variable = _create(file, name, values.shape, values.dtype.type, (unit, long_name))
-        variable[:] = values
-        variable.make_scale(name)
-        return variable
+    set_text(file, "config_digest", digest(study))
 
     def put(name: str, values: npt.NDArray[np.generic], unit: str, long_name: str, scales: list[h5py.Dataset]) -> None:
-        variable = _create(file, name, values.shape, values.dtype.type, (unit, long_name), scales)
+        variable = create_variable(file, name, values.shape, values.dtype.type, (unit, long_name), scales)
         variable[...] = values
         if name in _FLAGS:
-            variable.attrs["flag_values"] = np.array(list(_FLAGS[name]), variable.dtype)
-            _set_text(variable, "flag_meanings", " ".join(_FLAGS[name].values()))
+            set_flags(variable, _FLAGS[name])
 
-    time = scale("time", history.time, "s", "time")
-    inertia = scale("inertia", np.arange(1, history.angle.shape[1] + 1, dtype=np.int32), "1", "number of the inertia")
+    time = create_scale(file, "time", history.time, ("s", "time"))
+    numbers = np.arange(1, history.angle.shape[1] + 1, dtype=np.int32)
+    inertia = create_scale(file, "inertia", numbers, ("1", "number of the inertia"))
     if study.driveline.names:
-        _set_text(inertia, "names", ", ".join(study.driveline.names))
+        set_text(inertia, "names", ", ".join(study.driveline.names))
     put("after_step", history.after_step, "s", "time after the load step", [time])
     put("theta", history.angle, "rad", "angle", [time, inertia])
     put("theta_dot", history.velocity, "rad s-1", "angular velocity", [time, inertia])
@@ -376,7 +365,8 @@ def _write_hdf5(file: h5py.File, history: History, trajectory: Trajectory) -> No
     put("contact", history.contact, "1", "flank in contact", [time])
 
     events = trajectory.events
-    event = scale("event", np.arange(events.size, dtype=np.int32), "1", "number of the event, 0 the load step")
+    numbers = np.arange(events.size, dtype=np.int32)
+    event = create_scale(file, "event", numbers, ("1", "number of the event, 0 the load step"))
     flank = np.where(events["side"] == trajectory.initial_side, INITIAL, OPPOSITE)
     rank, severity = np.zeros(events.size, np.int8), np.full(events.size, np.nan)
     rank[events["kind"] == TOUCH] = 2
@@ -399,17 +389,11 @@ _FLAGS = {
 }
 
 
-def _write_whole(path: str | os.PathLike[str], write: Callable[[BinaryIO], object]) -> None:
-    """Write a file under a temporary name beside its own and move it into place: it appears whole or not at all."""
+def _save(path: str | os.PathLike[str], write: Callable[[Path], None]) -> None:
+    """Write a file, its directory made where it is missing. Raises HistoryError."""
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary.open("xb") as target:
-            write(target)
-        temporary.replace(path)
+        write(path)
     except OSError as error:
-        raise HistoryError(f"{path} cannot be written: {(error.strerror or str(error)).lower()}.") from error
-    finally:
-        with suppress(OSError):  # its directory may be what is missing
-            temporary.unlink(missing_ok=True)
+        raise HistoryError(f"{path} cannot be written: {reason(error)}.") from error

@@ -6,11 +6,13 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from clunk import plot, plot_comparison, plot_history, plot_profiles
+from clunk import plot
 from clunk.claims import MAPS, NOMINAL_RATIO, RATIOS, Claim, Evidence
 from clunk.comparison import compare, compare_experiment, read_experiment
 from clunk.history import History, sample
 from clunk.linear import one_mode_thresholds
+from clunk.plot import comparisons, histories, profiles
+from clunk.plot.small_gap import small_gap
 from clunk.simulation import Trajectory
 from clunk.store import write
 
@@ -54,24 +56,24 @@ def figures(e: Evidence) -> list[Job]:
     measured = compare_experiment(maps.indentation, read_experiment("table_4_1"))
     between = compare(maps.indentation, maps.restitution)
     return [
-        ("figure_3_1", lambda: plot_history.angles([_drawn(nominal, "IFM")])),
-        ("figure_3_2", lambda: plot_history.backlash(all_runs)),
-        ("figure_3_3", lambda: plot_history.closeup(both, 0.22, 0.1)),
+        ("figure_3_1", lambda: histories.angles([_drawn(nominal, "IFM")])),
+        ("figure_3_2", lambda: histories.backlash(all_runs)),
+        ("figure_3_3", lambda: histories.closeup(both, 0.22, 0.1)),
         ("figure_3_4", lambda: plot.regime_map(maps.indentation, thresholds)),
         ("figure_3_4_restitution", lambda: plot.regime_map(maps.restitution, thresholds)),
         (
             "figure_3_4_difference",
-            lambda: plot_comparison.difference_map(maps.indentation, maps.restitution, between),
+            lambda: comparisons.difference_map(maps.indentation, maps.restitution, between),
         ),
         ("figure_3_4_as_printed", lambda: plot.regime_map(maps.as_printed)),
-        ("figure_3_5", lambda: plot_history.small_gap(e.study)),
-        ("figure_3_6", lambda: plot_history.acceleration([_drawn(nominal, "IFM", until=1.5)])),
+        ("figure_3_5", lambda: small_gap(e.study)),
+        ("figure_3_6", lambda: histories.acceleration([_drawn(nominal, "IFM", until=1.5)])),
         ("figure_3_7", lambda: plot.severity_map(maps.indentation)),
         ("figure_3_7_by_force", lambda: plot.severity_map(maps.by_force)),
         ("figure_3_7_velocity", lambda: plot.quantity_map(maps.indentation, "approach_velocity")),
         ("figure_3_7_velocity_restitution", lambda: plot.quantity_map(maps.restitution, "approach_velocity")),
-        ("figure_4_4_trend", lambda: plot_profiles.severity_profiles(maps.indentation, (2.5, 4.6, 6.7, 8.5, 10.0))),
-        ("table_4_1", lambda: plot_comparison.experiment_map(maps.indentation, measured)),
+        ("figure_4_4_trend", lambda: profiles.severity_profiles(maps.indentation, (2.5, 4.6, 6.7, 8.5, 10.0))),
+        ("table_4_1", lambda: comparisons.experiment_map(maps.indentation, measured)),
     ]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -56,6 +57,15 @@ class ResultAxis:
     def variable(self) -> str:
         """Name of the axis in the results file: ``load_ratio``, ``driveline_inertias_4``."""
         return re.sub(r"[.\[\]]", "_", self.parameter).rstrip("_")
+
+    @cached_property
+    def is_geometric(self) -> bool:
+        """Whether the values, put in order, are spaced evenly in their logarithm, and not in themselves."""
+        ascending = np.sort(self.values)
+        if len(ascending) < 3 or ascending[0] <= 0.0:
+            return False
+        steps = np.diff(np.log(ascending))
+        return bool(np.allclose(steps, steps.mean(), rtol=1e-6) and ascending[-1] / ascending[0] > 3.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,6 +167,11 @@ class Results:
         block = np.full((*count.shape, self.max_impacts), np.nan if dtype.kind == "f" else 0, dtype)
         block[np.arange(self.max_impacts) < count[..., None]] = flat
         return block
+
+
+def values_at(axes: tuple[ResultAxis, ...], cell: Sequence[int]) -> tuple[float, ...]:
+    """The parameters of a cell, in the axes' order and units."""
+    return tuple(float(axis.values[k]) for axis, k in zip(axes, cell, strict=True))
 
 
 def count_labels(labels: tuple[str, ...], sequence: npt.NDArray[np.int16]) -> dict[str, int]:

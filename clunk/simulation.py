@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from clunk import driveline
 from clunk.config import Study
-from clunk.core import rk4
+from clunk.core import rk4, switching
 from clunk.core.events import EVENT, KIND_NAMES, TOUCH
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.core.severity import peak_to_peak, root_of_squares
@@ -115,11 +115,11 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
     status = Status(system.status)
     if initial_state is None:
         if status == Status.OK:
-            side = rk4.preload(system, before, half_gap, x)
+            side = switching.preload(system, before, half_gap, x)
             status = Status.OK if side != 0 else Status.NO_INITIAL_FLANK
         if status != Status.OK:
             raise SimulationError(_sentence(status))
-        regime = rk4.closed_on(side)
+        regime = switching.closed_on(side)
     else:
         if status == Status.UNSTABLE_STEP:
             raise SimulationError(_sentence(status))
@@ -129,7 +129,7 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
         x[:] = given
         if system.impulsive and abs(x @ np.roll(system.lash, size // 2)) > half_gap * (1.0 + 1e-12):
             raise SimulationError("The initial state overlaps a flank, which the restitution model does not allow.")
-        regime = rk4.regime_of(system, x, half_gap)
+        regime = switching.regime_of(system, x, half_gap)
         side = 1 if x[: size // 2] @ system.lash[size // 2 :] >= 0.0 else -1
 
     capacity = study.solver.max_events + 1

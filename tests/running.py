@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from reference import Plant
 
-from clunk.core import rk4
+from clunk.core import rk4, switching
 from clunk.core.events import EVENT, KIND_NAMES
 from clunk.core.regimes import System, build_system
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
@@ -68,12 +68,12 @@ def core_run(
     half_gap = plant.backlash / 2
     x = np.zeros(2 * plant.n)
     if state is None:
-        side = rk4.preload(system, plant.before, half_gap, x)
+        side = switching.preload(system, plant.before, half_gap, x)
         assert side != 0
-        regime = rk4.closed_on(side)
+        regime = switching.closed_on(side)
     else:
         x[:] = state
-        regime = rk4.regime_of(system, x, half_gap) if regime is None else regime
+        regime = switching.regime_of(system, x, half_gap) if regime is None else regime
     events, states = np.zeros(capacity, EVENT), np.zeros((capacity, x.size))
     status, count, complete, end = rk4.run(
         system, x, regime, float(plant.after), half_gap, events, states, np.zeros(1, np.uint8)

@@ -159,6 +159,16 @@ def test_modes_prints_the_report_s_numbers(clunk):
         assert f" {number}" in out
 
 
+def test_a_step_that_is_too_coarse_for_the_contact_is_warned_of(clunk):
+    # 258 Hz damped by 0.196 swing at 253 Hz: 3.9 steps of 1 ms a period, 39.5 of 0.1 ms
+    _, _, err = clunk("simulate", ROOT / "configs/nominal.toml", "--set", "solver.step=1e-3")
+    assert "3.9 steps a period" in " ".join(err.split())
+    _, _, err = clunk("simulate", ROOT / "configs/nominal.toml")
+    assert "warning" not in err
+    _, out, _ = clunk("modes", ROOT / "configs/nominal.toml")
+    assert "39.5 steps a period" in out
+
+
 def test_init_writes_a_config_that_runs_and_spares_what_is_there(clunk, here):
     assert clunk("init", "study.toml")[0] == 0
     text = (here / "study.toml").read_text()

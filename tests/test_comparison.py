@@ -31,11 +31,11 @@ from clunk.experiments import (
     Measurement,
     bundled_experiments,
     is_experiment,
-    normalised_label,
     read_experiment,
 )
+from clunk.labels import normalised_label
 from clunk.plot import PlotError, save
-from clunk.plot_comparison import difference_map, experiment_map
+from clunk.plot.comparisons import difference_map, experiment_map
 from clunk.results import ResultAxis, Results
 
 RATIO = ResultAxis("load.ratio", np.linspace(0.0, 10.0, 41), "load ratio", "σr = Td/Ts", "1")

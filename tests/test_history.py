@@ -7,11 +7,11 @@ import pytest
 from matplotlib.text import Text
 from scipy.integrate import solve_ivp
 
-from clunk import plot_history
 from clunk.config import Study, digest, study_from_text
 from clunk.core.events import KIND_NAMES, LOCK, TOUCH
 from clunk.history import HistoryError, sample, save_csv, save_hdf5, shown_until
-from clunk.plot import PlotError, save
+from clunk.plot import PlotError, histories, save
+from clunk.plot.small_gap import SmallGap, small_gap
 from clunk.simulation import simulate
 
 xarray = pytest.importorskip("xarray")
@@ -392,7 +392,7 @@ def test_backlash_panels_are_those_of_figure_3_2():
         for ratio in (1, 2, 5)
         for label, model in (("IFM", "gap"), ("RCM", "restitution"))
     ]
-    figure = plot_history.backlash(runs)
+    figure = histories.backlash(runs)
     assert len(figure.axes) == 3
     titles = [ax.get_title(loc="right") for ax in figure.axes]
     assert [title.split(": ")[1] for title in titles] == ["NI", "SS(1)", "DS(1)SS(1)"]
@@ -409,7 +409,7 @@ def test_backlash_panels_are_those_of_figure_3_2():
 
 def test_every_touch_is_marked_at_its_flank():
     trajectory = run()
-    figure = plot_history.backlash([triple("IFM")])
+    figure = histories.backlash([triple("IFM")])
     assert len(marks(figure, "primary")) == trajectory.primaries.size
     assert len(marks(figure, "secondary")) == trajectory.touches - trajectory.primaries.size
     assert {line.get_markerfacecolor() for line in marks(figure, "secondary")} == {"white"}
@@ -423,32 +423,32 @@ def test_every_touch_is_marked_at_its_flank():
 
 
 def test_closeup_shows_the_first_impact_as_figure_3_3():
-    (ax,) = plot_history.closeup([triple("IFM"), triple("RCM", "restitution")]).axes
+    (ax,) = histories.closeup([triple("IFM"), triple("RCM", "restitution")]).axes
     np.testing.assert_allclose(ax.get_xlim(), (0.18, 0.28), atol=1e-12)
     np.testing.assert_allclose(ax.get_ylim(), (3.0, 4.8), atol=0.05)
 
 
 def test_closeup_of_the_initial_flank_is_around_it():
-    (ax,) = plot_history.closeup([triple("IFM")], around=0.361, width=0.05).axes
+    (ax,) = histories.closeup([triple("IFM")], around=0.361, width=0.05).axes
     assert -4.8 < ax.get_ylim()[0] < -1e3 * RADIUS * HALF_GAP < ax.get_ylim()[1] < -3.0
 
 
 def test_closeup_without_a_touch_says_so():
     with pytest.raises(PlotError, match="no primary impact happens"):
-        plot_history.closeup([triple("IFM", "gap", "load.ratio=1")])
+        histories.closeup([triple("IFM", "gap", "load.ratio=1")])
     with pytest.raises(PlotError, match=r"no touch to look at closely between 0.86 s and 0.96 s"):
-        plot_history.closeup([triple("IFM")], around=0.9)
+        histories.closeup([triple("IFM")], around=0.9)
     label, trajectory, _ = triple("IFM")
     with pytest.raises(PlotError, match="no touch to look at closely"):  # it was not sampled for so long
-        plot_history.closeup([(label, trajectory, sample(trajectory, until=0.15))])
+        histories.closeup([(label, trajectory, sample(trajectory, until=0.15))])
     with pytest.raises(PlotError, match="wider than 0 s"):
-        plot_history.closeup([triple("IFM")], width=0.0)
+        histories.closeup([triple("IFM")], width=0.0)
 
 
 @pytest.mark.parametrize("overrides", [(), ("load.ratio=10", "lash.backlash_deg=1")])
 def test_arrows_span_the_peak_to_peak_accelerations(overrides):
     trajectory = run("gap", *overrides)
-    (ax,) = plot_history.acceleration([triple("IFM", "gap", *overrides)]).axes
+    (ax,) = histories.acceleration([triple("IFM", "gap", *overrides)]).axes
     arrows = [text for text in ax.texts if getattr(text, "arrow_patch", None) is not None]
     spans = [arrow.xy[1] - arrow.xyann[1] for arrow in arrows]
     np.testing.assert_allclose(spans, trajectory.impact_severity, rtol=1e-12)
@@ -457,7 +457,7 @@ def test_arrows_span_the_peak_to_peak_accelerations(overrides):
 
 
 def test_restitution_model_is_given_no_severity():
-    figure = plot_history.simulation_figure([triple("RCM", "restitution")])
+    figure = histories.simulation_figure([triple("RCM", "restitution")])
     texts = [text.get_text() for text in figure.findobj(Text)]
     assert any("Q is not defined" in text for text in texts)
     assert not any(text.startswith("Q$") for text in texts)
@@ -465,7 +465,7 @@ def test_restitution_model_is_given_no_severity():
 
 def test_several_runs_are_explained_once():
     runs = [triple("five"), triple("ten $10", "gap", "load.ratio=10", "lash.backlash_deg=10")]
-    figure = plot_history.simulation_figure(runs)
+    figure = histories.simulation_figure(runs)
     texts = [text.get_text() for text in figure.legends[0].get_texts()]
     assert texts[0].startswith("five: DS(1)SS(1), Q = 9300")
     assert texts[1].startswith(r"ten \$10: DS(2)SS(1), Q = ")
@@ -474,14 +474,14 @@ def test_several_runs_are_explained_once():
 
 @pytest.mark.parametrize("ratio", [1.463, 3.129, 6.693, 14.317])
 def test_envelope_ends_half_a_period_off_at_the_thresholds_of_table_3_1(ratio):
-    response = plot_history._SmallGap.of(nominal("gap", f"load.ratio={ratio}"))
+    response = SmallGap.of(nominal("gap", f"load.ratio={ratio}"))
     assert response.periods % 1.0 == pytest.approx(0.5, abs=1e-3)
     assert response.characteristic_time * response.frequency == pytest.approx(response.periods)
 
 
 @pytest.mark.parametrize("model", ["gap", "restitution"])
 def test_small_gap_response_swings_within_its_envelope(model):
-    response = plot_history._SmallGap.of(nominal(model))
+    response = SmallGap.of(nominal(model))
     assert response.torque[0] == pytest.approx(-6.0)
     time = response.time - response.time[0]
     swing = 5.0 * np.exp(-response.decay * time)
@@ -490,27 +490,27 @@ def test_small_gap_response_swings_within_its_envelope(model):
     assert 0.99 < outside.max() < 1.1  # the other modes add little
     maxima = np.count_nonzero(np.diff(np.sign(response.torque)) > 0)
     assert maxima == 2 == round(response.periods)  # DS(2) as the backlash vanishes
-    (ax,) = plot_history.small_gap(nominal(model)).axes
+    (ax,) = small_gap(nominal(model)).axes
     (crossing,) = [line for line in ax.lines if line.get_gid() == "tc"]
     assert crossing.get_xdata()[0] == pytest.approx(0.1 + np.log(5.0) / response.decay)
 
 
 def test_small_gap_without_a_crossing_says_so():
-    (ax,) = plot_history.small_gap(nominal("gap", "load.ratio=0.8")).axes
+    (ax,) = small_gap(nominal("gap", "load.ratio=0.8")).axes
     assert "never crosses zero" in ax.get_title(loc="left")
 
 
 @pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
 def test_pictures_are_written(tmp_path, suffix):
-    save(plot_history.angles([triple("IFM")]), tmp_path / f"angles.{suffix}")
+    save(histories.angles([triple("IFM")]), tmp_path / f"angles.{suffix}")
     assert (tmp_path / f"angles.{suffix}").stat().st_size > 5000
 
 
 def test_text_is_large_enough_to_read():
     for figure in (
-        plot_history.simulation_figure([triple("IFM")]),
-        plot_history.closeup([triple("IFM")]),
-        plot_history.small_gap(nominal()),
+        histories.simulation_figure([triple("IFM")]),
+        histories.closeup([triple("IFM")]),
+        small_gap(nominal()),
     ):
         figure.draw_without_rendering()
         assert min(text.get_fontsize() for text in figure.findobj(Text) if text.get_text()) >= 8.0
@@ -518,4 +518,4 @@ def test_text_is_large_enough_to_read():
 
 def test_no_run_is_an_error():
     with pytest.raises(PlotError, match="no run to draw"):
-        plot_history.angles([])
+        histories.angles([])

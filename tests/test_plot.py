@@ -15,6 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.text import Annotation, Text
 
 from clunk import plot
+from clunk.plot.regions import Regions
+from clunk.plot.style import INK, palette_of
 from clunk.results import ResultAxis, Results
 
 LABELS = ("NI", "SS(1)", "DS(1)", "SS(2)", "DS(1)SS(1)", "DS(1)SS(2)", "DS(2)", "DS(2)SS(1)", "DS(3)")
@@ -208,7 +210,7 @@ def test_smoothing_hands_no_sample_to_another_label(seed: int) -> None:
     blobs = np.argmax([np.cumsum(np.cumsum(rng.normal(size=(50, 40)), 0), 1) for _ in range(5)], axis=0)
     noisy = np.where(rng.random(blobs.shape) < 0.03, rng.integers(-1, 5, blobs.shape), blobs).astype(np.int16)
     for codes in (blobs.astype(np.int16), noisy, rng.integers(0, 3, (9, 7)).astype(np.int16)):
-        regions = plot._Regions(codes)
+        regions = Regions(codes)
         fx, fy = regions.factor
         np.testing.assert_array_equal(regions.label[::fx, ::fy], codes)
         for code in regions.present:
@@ -218,7 +220,7 @@ def test_smoothing_hands_no_sample_to_another_label(seed: int) -> None:
 
 def test_smoothing_straightens_a_slanted_boundary() -> None:
     x, y = np.meshgrid(np.arange(60.0), np.arange(60.0), indexing="ij")
-    regions = plot._Regions((y > 5.25 + 0.3 * x).astype(np.int16))
+    regions = Regions((y > 5.25 + 0.3 * x).astype(np.int16))
     fx, fy = regions.factor
     middle = regions.margin(1)[10 * fx : -10 * fx]
     crossing = np.argmax(middle > 0.0, axis=1) / fy
@@ -267,6 +269,46 @@ def test_a_threshold_beyond_the_map_is_not_marked(nine: Results) -> None:
     assert len(top.get_xticks()) == 3
 
 
+@pytest.mark.parametrize("parameter", ["load.initial_torque", "load.final_torque"])
+def test_thresholds_are_marked_on_a_torque_axis_in_any_order(nine: Results, parameter: str) -> None:
+    torque = ResultAxis(parameter, np.linspace(-10.0, 0.0, 61), "load torque", "T", "N m")
+    ax = plot.regime_map(make((torque, BACKLASH), nine.labels, nine.sequence, nine.severity), (-2.46, -7.69, 5.0)).axes[
+        0
+    ]
+    (marks,) = [line for line in ax.lines if line.get_marker() == "^"]
+    np.testing.assert_array_equal(marks.get_xdata(), [-7.69, -2.46])
+    (top,) = ax.child_axes
+    assert [tick.get_text() for tick in top.get_xticklabels()] == ["\N{MINUS SIGN}7.69", "\N{MINUS SIGN}2.46"]
+
+
+def test_thresholds_are_not_marked_where_the_torque_goes_upwards(nine: Results) -> None:
+    torque = ResultAxis("load.final_torque", np.linspace(-10.0, 0.0, 61), "load torque", "T", "N m")
+    ax = plot.regime_map(make((BACKLASH, torque), nine.labels, nine.sequence, nine.severity), (2.46, 7.69)).axes[0]
+    assert not ax.child_axes
+
+
+def test_of_thresholds_too_close_to_be_read_every_one_is_marked_and_the_first_named(nine: Results) -> None:
+    ax = plot.regime_map(nine, (3.0, 3.1, 3.2, 7.0)).axes[0]
+    assert [tick.get_text() for tick in ax.child_axes[0].get_xticklabels()] == ["3.00", "", "", "7.00"]
+    (marks,) = [line for line in ax.lines if line.get_marker() == "^"]
+    assert len(marks.get_xdata()) == 4
+
+
+@pytest.mark.parametrize(
+    "title", ["Regimes of a nominal driveline " * 5, "W" * 150, "Short", "Nine words of which none may leave the page"]
+)
+def test_a_title_is_wrapped_to_the_figure(nine: Results, title: str) -> None:
+    for figure in (plot.regime_map(replace(nine, title=title)), plot.severity_map(replace(nine, title=title))):
+        (drawn,) = [text for text in figure.texts if text.get_text() == figure.get_suptitle()]
+        assert "".join(figure.get_suptitle().split()) == "".join(title.split())
+        box = drawn.get_window_extent(figure.canvas.get_renderer())
+        assert box.x1 <= figure.bbox.width
+        assert box.x0 == pytest.approx(figure.axes[0].get_window_extent().x0, abs=2.0)
+        assert box.y0 > figure.axes[0].get_window_extent().y1
+        lines = figure.get_suptitle().count("\n") + 1
+        assert lines <= 1 + 1.2 * len(title) * drawn.get_fontsize() / 72 / 6.0  # no line is left half empty
+
+
 def test_failed_cells_are_hatched_counted_and_never_labelled(nine: Results) -> None:
     results = with_cells(nine, [np.s_[30:42, 42:52], np.s_[6:7, 6:7]], -1)
     for figure in (plot.regime_map(results), plot.severity_map(results)):
@@ -277,7 +319,7 @@ def test_failed_cells_are_hatched_counted_and_never_labelled(nine: Results) -> N
 
 def test_a_map_that_failed_everywhere_is_still_drawn(nine: Results) -> None:
     results = with_cells(nine, [np.s_[:, :]], -1)
-    assert notes(plot.regime_map(results))[-1] == "failed: 3721 cells"
+    assert notes(plot.regime_map(results))[-1] == "failed: 3,721 cells"
     with pytest.raises(plot.PlotError, match="not defined in any cell"):
         plot.severity_map(results)
 
@@ -357,7 +399,7 @@ def _linear(colour: str) -> np.ndarray:
 def test_the_nine_labels_of_figure_3_4_differ_in_colour_for_everybody(vision: str) -> None:
     seen = {
         label: _lightness_a_b(np.clip(np.array(VISION[vision]) @ _linear(colour), 0.0, 1.0))
-        for label, colour in plot._palette(LABELS).items()
+        for label, colour in palette_of(LABELS).items()
     }
     assert set(seen) == set(LABELS)
     for one, other in itertools.combinations(LABELS, 2):
@@ -366,9 +408,9 @@ def test_the_nine_labels_of_figure_3_4_differ_in_colour_for_everybody(vision: st
 
 def test_any_labels_have_colours_of_their_own_that_text_can_be_read_on() -> None:
     labels = ("NI", *(f"DS({n})SS({m})" for n in range(1, 6) for m in range(1, 5)), "OS(1)DS(1)", "DS(1)CR")
-    palette = plot._palette(labels)
+    palette = palette_of(labels)
     assert len(set(palette.values())) == len(labels)
-    ink = _linear(plot._INK) @ [0.2126, 0.7152, 0.0722]
+    ink = _linear(INK) @ [0.2126, 0.7152, 0.0722]
     for colour in palette.values():
         assert (_linear(colour) @ [0.2126, 0.7152, 0.0722] + 0.05) / (ink + 0.05) > 4.5  # WCAG 2.2, level AA
 

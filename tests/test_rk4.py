@@ -7,7 +7,7 @@ import pytest
 import reference
 from running import core_run, system_of, unproved
 
-from clunk.core import rk4
+from clunk.core import rk4, switching
 from clunk.core.events import EVENT
 from clunk.core.regimes import CLOSED_NEGATIVE, CLOSED_POSITIVE, OPEN, PARTED_POSITIVE, rk4_growth
 from clunk.core.status import INTERRUPTED, Status
@@ -218,7 +218,7 @@ def test_a_given_state_is_in_the_regime_of_its_gap_and_force():
     half = plant.backlash / 2
 
     def regime(system, q, speed):
-        return rk4.regime_of(system, np.array([0, 0, q, 0, 0, 0, speed, 0.0]), half)
+        return switching.regime_of(system, np.array([0, 0, q, 0, 0, 0, speed, 0.0]), half)
 
     for system in (by_gap, by_force):
         assert regime(system, 0.0, 5.0) == OPEN
@@ -281,12 +281,12 @@ class TestHowARunEnds:
 
     def test_a_set_stop_flag_abandons_the_run(self):
         system, x = system_of(self.plant), np.zeros(8)
-        side = rk4.preload(system, self.plant.before, self.plant.backlash / 2, x)
+        side = switching.preload(system, self.plant.before, self.plant.backlash / 2, x)
         events = np.zeros(64, EVENT)
         status, *_ = rk4.run(
             system,
             x,
-            rk4.closed_on(side),
+            switching.closed_on(side),
             -1.0,
             self.plant.backlash / 2,
             events,

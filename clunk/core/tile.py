@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core import rk4
+from clunk.core import rk4, switching
 from clunk.core.events import EVENT, TOUCH
 from clunk.core.jit import compiled
 from clunk.core.regimes import System
@@ -145,13 +145,13 @@ def run_tile(
         cell.status = system.status
         if system.status != _OK:
             continue
-        side = rk4.preload(system, torque_before[k], half_gap[k], x)
+        side = switching.preload(system, torque_before[k], half_gap[k], x)
         if side == 0:
             cell.status = _NO_INITIAL_FLANK
             continue
         cell.initial_side = side
         status, count, complete, _ = rk4.run(
-            system, x, rk4.closed_on(side), torque_after[k], half_gap[k], events, states, stop
+            system, x, switching.closed_on(side), torque_after[k], half_gap[k], events, states, stop
         )
         if status == INTERRUPTED:
             return k, written

@@ -10,7 +10,6 @@ from collections import Counter
 from dataclasses import dataclass
 from importlib.resources import files
 from importlib.resources.abc import Traversable
-from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +17,7 @@ import numpy as np
 from clunk.configfile import nearest, shorten
 from clunk.configmodels import schema
 from clunk.configrules import parameters
+from clunk.labels import normalised_label
 from clunk.results import ResultAxis
 
 CAVEAT = "trend comparison, unless the rig's parameters are the model's"
@@ -111,28 +111,6 @@ def read_experiment(path: str | os.PathLike[str]) -> Experiment:
         remarks=tuple(remark for remark in remarks if remark and not remark.lower().startswith("caveat:")),
         caveat=caveats[0] if caveats and caveats[0] else CAVEAT,
     )
-
-
-def normalised_label(text: str) -> str:
-    """A label in clunk's notation: "D(1)+S(1)" and "DS(1) SS(1)" are DS(1)SS(1), "S(1)+S(1)" is SS(2).
-
-    Raises ValueError where it is none.
-    """
-    bare = re.sub(r"\s", "", text).upper()
-    if bare == "NI":
-        return bare
-    term = r"(DS|SS|OS|CR|D|S)\(([1-9]\d{0,5})\)"
-    if not re.fullmatch(rf"{term}(?:\+?{term})*", bare):
-        raise ValueError(f"{text!r} is no label")
-    full = {"D": "DS", "S": "SS"}
-    terms = [(full.get(kind, kind), int(count)) for kind, count in re.findall(term, bare)]
-    runs = groupby(terms, key=lambda run: run[0])
-    return "".join(f"{kind}({sum(count for _, count in run)})" for kind, run in runs)
-
-
-def double_sided(label: str) -> int:
-    """How many double-sided impacts a label has."""
-    return sum(int(count) for count in re.findall(r"DS\((\d+)\)", label))
 
 
 def _read_lines(path: str | os.PathLike[str]) -> list[str]:

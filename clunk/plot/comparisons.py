@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,31 +16,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from scipy import ndimage
 
-from clunk.comparison import Comparison, ExperimentComparison, Point, percent
+from clunk.comparison import Comparison, ExperimentComparison, Point
+from clunk.comparison.reporting import percent
 from clunk.configfile import shorten
-from clunk.plot import (
-    _FAINT_INK,
-    _INK,
-    _PIXEL,
-    PlotError,
-    _boundaries,
-    _failed_notes,
-    _figure,
-    _freeze_layout,
-    _hatch,
-    _label_regions,
-    _note,
-    _palette,
-    _Raster,
-    _Regions,
-    _scale_axes,
-    _styled,
-    _titles,
-    _View,
-)
-from clunk.results import FAILED_CODE, Results
+from clunk.plot.labelling import region_swatch, settle
+from clunk.plot.maps import map_titles
+from clunk.plot.plane import View, scale_axes
+from clunk.plot.raster import Raster
+from clunk.plot.regions import Regions, draw_boundaries, fill_regions, hatch_failed
+from clunk.plot.style import FAINT_INK, INK, PlotError, cells_phrase, failed_notes, new_figure, palette_of, styled
+from clunk.results import FAILED, Results
 
 Bools = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
@@ -51,9 +37,8 @@ _OTHERS_COLOUR = "#a9adb0"
 _MARK = (4.0, 8.0)  # points: a smaller square is not seen, a larger one hides what is around it
 _DENSE = 0.1  # share of differing cells above which the labels stand on them instead of between them
 _FAINT_LINE = "#8f989f"
-_NOWHERE = -2  # in a raster: no region, so that no label is written there
 
-_AGREES_COLOUR, _DIFFERS_COLOUR = _INK, "#b23500"
+_AGREES_COLOUR, _DIFFERS_COLOUR = INK, "#b23500"
 _POINT = 6.5  # points, diameter of a measured point
 _POINT_TEXT = 8.0  # points
 _LINE = 92  # characters of the line under the title
@@ -68,42 +53,38 @@ def difference_map(a: Results, b: Results, comparison: Comparison) -> Figure:
     """
     if a.shape != comparison.differs.shape or b.shape != a.shape:
         raise PlotError("The comparison is of other maps than these two: the grids differ.")
-    view = _View.of(a, 2)
+    view = View.of(a, 2)
     codes = view.arrange(a.sequence)
     marks = _marks(view, comparison)
-    with _styled():
-        figure = _figure()
+    with styled():
+        figure = new_figure()
         ax = figure.add_subplot()
-        _titles(figure, ax, replace(a, title=_title(comparison)), view, "\n".join(_what_differs(comparison)))
-        _scale_axes(ax, view)
-        regions = _Regions(codes)
-        x, y = regions.fine_values(view)
-        if FAILED_CODE in regions.present:
-            _hatch(ax, x, y, regions.margin(FAILED_CODE).T)
+        map_titles(figure, ax, replace(a, title=_title(comparison)), view, "\n".join(_what_differs(comparison)))
+        scale_axes(ax, view)
+        regions = Regions(codes)
+        hatch_failed(ax, view, regions)
         dense = comparison.differing > _DENSE * a.sequence.size
-        line: dict[str, Any] = {"color": _INK, "linewidth": 0.7} if dense else {"color": _FAINT_LINE, "linewidth": 0.8}
-        _boundaries(ax, x, y, regions, **line)
+        line: dict[str, Any] = {"color": INK, "linewidth": 0.7} if dense else {"color": _FAINT_LINE, "linewidth": 0.8}
+        draw_boundaries(ax, view, regions, **line)
 
-        def look() -> _Raster:
-            raster = _Raster.of(ax, regions, view)
+        def look() -> Raster:
+            raster = Raster.of(ax, regions, view)
             if not dense:
                 for mark in marks:
-                    _block(raster, mark.x, mark.y, _mark_size(ax, view))
-                _clear_taken(raster)
+                    raster.block(mark.x, mark.y, _mark_size(ax, view))
+                raster.clear_taken()
             return raster
 
         notes: list[Artist] = [Line2D([], [], label="regimes of A", **line)]
         notes += [mark.handle() for mark in marks]
-        for failed in _failed_notes(codes):
-            failed.set_label(f"failed in A: {_cells(int(np.count_nonzero(codes == FAILED_CODE)))}")
-            notes.append(failed)
-        _settle(figure, ax, a.labels, look, notes)
+        notes += failed_notes(codes, f"{FAILED} in A")
+        settle(figure, ax, a.labels, look, notes)
         size = _mark_size(ax, view)
         for mark in sorted(marks, key=lambda mark: mark.colour != _OTHERS_COLOUR):  # the others cover no colour
             mark.draw(ax, size, dense=dense)
         halo = [patheffects.Stroke(linewidth=2.4, foreground="white"), patheffects.Normal()]
         for text in ax.texts:
-            text.set_color(_INK if dense else _FAINT_INK)
+            text.set_color(INK if dense else FAINT_INK)
             text.set_path_effects(halo)
         return figure
 
@@ -115,40 +96,34 @@ def experiment_map(results: Results, comparison: ExperimentComparison) -> Figure
 
     Raises PlotError unless two axes were swept.
     """
-    view = _View.of(results, 2)
+    view = View.of(results, 2)
     codes = view.arrange(results.sequence)
     points = [point for point in comparison.points if point.computed is not None]
     values = np.array([[point.values[k] for k in view.keep] for point in points]).reshape(-1, 2)
     values = np.clip(values, [axis.values[0] for axis in view.axes], [axis.values[-1] for axis in view.axes])
-    with _styled():
-        figure = _figure()
+    with styled():
+        figure = new_figure()
         ax = figure.add_subplot()
         caveat = textwrap.fill(comparison.experiment.caveat, _LINE)
         caveat = caveat[:1].upper() + caveat[1:]
-        _titles(figure, ax, results, view, f"points: measured, {comparison.experiment.name}\n{caveat}")
-        _scale_axes(ax, view)
-        regions = _Regions(codes)
-        palette = _palette(results.labels)
-        x, y = regions.fine_values(view)
-        for code in regions.present:
-            margin = regions.margin(code).T
-            if code == FAILED_CODE:
-                _hatch(ax, x, y, margin)
-            elif margin.max() > 0.0:
-                ax.contourf(x, y, margin, levels=[0.0, np.inf], colors=[palette[results.labels[code]]], zorder=1)
-        _boundaries(ax, x, y, regions, color=_INK, linewidth=0.7)
+        map_titles(figure, ax, results, view, f"points: measured, {comparison.experiment.name}\n{caveat}")
+        scale_axes(ax, view)
+        regions = Regions(codes)
+        fill_regions(ax, view, regions, results.labels)
+        draw_boundaries(ax, view, regions, color=INK, linewidth=0.7)
         placed: list[tuple[Point, float, float]] = []
 
-        def look() -> _Raster:
-            raster = _Raster.of(ax, regions, view)
+        def look() -> Raster:
+            raster = Raster.of(ax, regions, view)
             placed[:] = _place_points(raster, values, points)
             return raster
 
-        notes = [*_point_handles(comparison), *_failed_notes(codes)]
+        notes = [*_point_handles(comparison), *failed_notes(codes)]
+        palette = palette_of(results.labels)
         more: list[Artist] = []
         for _ in range(3):  # notes take height from the map, and less of the labels then has room
-            unlabelled = _settle(figure, ax, results.labels, look, [*notes, *more])
-            missing: list[Artist] = [_region_handle(label, palette[label]) for label in unlabelled]
+            unlabelled = settle(figure, ax, results.labels, look, [*notes, *more])
+            missing: list[Artist] = [region_swatch(label, palette[label]) for label in unlabelled]
             if len(placed) < len(points):
                 missing.append(Patch(alpha=0.0, label="a point without a label: no room"))
             if len(missing) <= len(more):
@@ -170,9 +145,6 @@ def experiment_map(results: Results, comparison: ExperimentComparison) -> Figure
                 bbox={"boxstyle": "round,pad=0.12", "facecolor": "white", "alpha": 0.85, "edgecolor": "none"},
             )
         return figure
-
-
-# --- marks of differing cells
 
 
 class _Mark(NamedTuple):
@@ -205,7 +177,7 @@ class _Mark(NamedTuple):
         return Line2D([], [], color=self.colour, marker=self.marker, markersize=7, linestyle="none", label=self.label)
 
 
-def _marks(view: _View, comparison: Comparison) -> list[_Mark]:
+def _marks(view: View, comparison: Comparison) -> list[_Mark]:
     """The most frequent transitions, each in its colour, then the others together, then cells that failed in B only."""
     codes_a, codes_b = view.arrange(comparison.codes_a), view.arrange(comparison.codes_b)
     rest = view.arrange(comparison.differs).copy()
@@ -218,23 +190,23 @@ def _marks(view: _View, comparison: Comparison) -> list[_Mark]:
         own = codes_a == comparison.labels.index(transition.a)
         own &= codes_b == comparison.labels.index(transition.b)
         rest &= ~own
-        label = f"{transition.a} → {transition.b}: {_cells(transition.cells)}"
+        label = f"{transition.a} → {transition.b}: {cells_phrase(transition.cells)}"
         marks.append(_mark(view, own, label, colour, "s"))
     others = len(comparison.transitions) - len(shown)
     if others:
-        label = f"{others} other transition{'' if others == 1 else 's'}: {_cells(int(rest.sum()))}"
+        label = f"{others} other transition{'' if others == 1 else 's'}: {cells_phrase(int(rest.sum()))}"
         marks.append(_mark(view, rest, label, _OTHERS_COLOUR, "s"))
     if failed_in_b.any():
-        marks.append(_mark(view, failed_in_b, f"failed in B only: {_cells(int(failed_in_b.sum()))}", _INK, "x"))
+        marks.append(_mark(view, failed_in_b, f"{FAILED} in B only: {cells_phrase(int(failed_in_b.sum()))}", INK, "x"))
     return marks
 
 
-def _mark(view: _View, cells: Bools, label: str, colour: str, marker: str) -> _Mark:
+def _mark(view: View, cells: Bools, label: str, colour: str, marker: str) -> _Mark:
     i, j = np.nonzero(cells)
     return _Mark(label, view.x.values[i], view.y.values[j], colour, marker)
 
 
-def _mark_size(ax: Axes, view: _View) -> float:
+def _mark_size(ax: Axes, view: View) -> float:
     """Side of a mark in points: a cell's, as far as that can be seen and hides nothing."""
     box = ax.get_window_extent()
     figure = ax.get_figure(root=True)
@@ -271,9 +243,6 @@ def _or_none(value: Any) -> str:
     return "(not given)" if value is None else shorten(value, 30)
 
 
-# --- measured points
-
-
 def _point_handles(comparison: ExperimentComparison) -> list[Artist]:
     agrees = f"measured, agrees: {comparison.agreeing} of {comparison.counted}"
     if comparison.counted:
@@ -287,13 +256,9 @@ def _point_handles(comparison: ExperimentComparison) -> list[Artist]:
     return handles
 
 
-def _region_handle(label: str, colour: str) -> Patch:
-    return Patch(facecolor=colour, edgecolor=_INK, linewidth=0.6, label=label)
-
-
 def _look(*, agrees: bool) -> dict[str, Any]:
     if agrees:
-        return {"marker": "o", "markersize": _POINT, "markerfacecolor": _INK, "markeredgecolor": "white"}
+        return {"marker": "o", "markersize": _POINT, "markerfacecolor": INK, "markeredgecolor": "white"}
     return {
         "marker": "$\\otimes$",
         "markersize": _POINT + 2.0,
@@ -316,15 +281,15 @@ def _draw_points(ax: Axes, values: Floats, points: Sequence[Point]) -> None:
 _SIDES = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1))
 
 
-def _place_points(raster: _Raster, values: Floats, points: Sequence[Point]) -> list[tuple[Point, float, float]]:
+def _place_points(raster: Raster, values: Floats, points: Sequence[Point]) -> list[tuple[Point, float, float]]:
     """Where each measured label goes; (point, x, y) in data coordinates, without those that find no room.
 
     The places of points and labels are taken out of the raster's regions, so that no region's label goes there.
     """
-    x, y = _pixels(raster, values)
-    half = _block(raster, values[:, 0], values[:, 1], _POINT + 2.0)
+    x, y = raster.pixels(values)
+    half = raster.block(values[:, 0], values[:, 1], _POINT + 2.0)
     placed = []
-    border = _border(raster)
+    border = raster.border()
     height, width = raster.label.shape
     for column, row, point in zip(x, y, points, strict=True):
         across, upward = raster.measure(point.measured, _POINT_TEXT)
@@ -346,68 +311,5 @@ def _place_points(raster: _Raster, values: Floats, points: Sequence[Point]) -> l
             left, low = math.floor(u - 0.5 * across), math.floor(v - 0.5 * upward)
             raster.taken[low : low + upward, left : left + across] = True
             placed.append((point, *raster.data(u, v)))
-    _clear_taken(raster)
+    raster.clear_taken()
     return placed
-
-
-# --- both
-
-
-def _cells(count: int) -> str:
-    return f"{count:,} cell{'' if count == 1 else 's'}"
-
-
-def _settle(
-    figure: Figure, ax: Axes, labels: tuple[str, ...], look: Callable[[], _Raster], notes: Sequence[Artist]
-) -> list[str]:
-    """Lay the figure out with these notes under the map, then write the regions' labels; returns those without room."""
-    for artist in [*ax.texts, *(line for line in ax.lines if line.get_gid() == "leader")]:
-        artist.remove()
-    _note(figure, cast("list[Patch]", notes))
-    _freeze_layout(figure, ax)
-    return _label_regions(look(), labels, leaders=True)
-
-
-def _clear_taken(raster: _Raster) -> None:
-    """Keep regions' labels off what is taken. Of a region that falls apart so, the largest piece keeps its name."""
-    free = np.full(raster.label.shape, _NOWHERE, np.int16)
-    for code in np.unique(raster.label):
-        regions, _ = ndimage.label(raster.label == code)
-        pieces, count = ndimage.label((regions > 0) & ~raster.taken)
-        if not count:
-            continue
-        area = np.bincount(pieces.ravel(), minlength=count + 1)
-        region_of = ndimage.maximum(regions, pieces, np.arange(1, count + 1)).astype(np.intp)
-        for region in np.unique(region_of):
-            own = np.flatnonzero(region_of == region) + 1
-            free[pieces == own[np.argmax(area[own])]] = code
-    raster.label = free
-
-
-def _block(raster: _Raster, x: Floats, y: Floats, size: float) -> int:
-    """Take squares of this many points around some values; returns half a square's pixels."""
-    figure = raster.ax.get_figure(root=True)
-    assert figure is not None
-    half = math.ceil(0.5 * size * figure.dpi / 72.0 / _PIXEL)
-    height, width = raster.label.shape
-    columns, rows = _pixels(raster, np.column_stack((x, y)))
-    hit = np.zeros(raster.label.shape, np.bool_)
-    hit[np.clip(rows, 0, height - 1).astype(np.intp), np.clip(columns, 0, width - 1).astype(np.intp)] = True
-    hit = ndimage.binary_dilation(hit, np.ones((2 * half + 1, 2 * half + 1)))
-    raster.taken |= hit
-    return half
-
-
-def _pixels(raster: _Raster, values: Floats) -> tuple[Floats, Floats]:
-    """Raster columns and rows of data coordinates (n, 2)."""
-    box = raster.ax.get_window_extent()
-    column, row = (raster.ax.transData.transform(values.reshape(-1, 2)) - [box.x0, box.y0]).T / _PIXEL
-    return column, row
-
-
-def _border(raster: _Raster) -> Bools:
-    label = raster.label
-    border = np.zeros(label.shape, np.bool_)
-    border[1:] |= label[1:] != label[:-1]
-    border[:, 1:] |= label[:, 1:] != label[:, :-1]
-    return border

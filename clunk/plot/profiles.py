@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from clunk import plot as house
-from clunk.plot import PlotError
+from clunk.plot.maps import quantity_label
+from clunk.plot.plane import axis_label
+from clunk.plot.style import INK, PlotError, new_figure, styled, symbol_text
 from clunk.results import Results
 
 _COLOURS = ("#d9b310", "#1f9e83", "#2f7fc1", "#7d55a8", "#b8447c", "#dd6b1f")
@@ -20,24 +21,24 @@ def severity_profiles(results: Results, ratios: Sequence[float]) -> Figure:
     if [axis.parameter for axis in results.axes] != ["load.ratio", "lash.backlash_deg"]:
         raise PlotError("Severity profiles are drawn from a map over load.ratio and lash.backlash_deg.")
     load, backlash = (axis.values for axis in results.axes)
-    with house._styled():
-        figure = house._figure()
+    with styled():
+        figure = new_figure()
         ax = figure.add_subplot()
         for ratio, colour in zip(ratios, _COLOURS, strict=False):
             row = int(np.argmin(np.abs(load - ratio)))
             q = results.severity[row]
             worst = int(np.argmax(q))
             ax.plot(backlash, q, color=colour, linewidth=1.5)
-            name = f"{house._symbol('σr')} = {load[row]:.3g}"
+            name = f"{symbol_text('σr')} = {load[row]:.3g}"
             ax.annotate(name, (backlash[-1], q[-1]), (5, 0), textcoords="offset points", va="center", color=colour)
             if 0 < worst < q.size - 1:
                 ax.plot(backlash[worst], q[worst], "o", color=colour, markeredgecolor="white", markersize=7)
-        ax.plot([], [], "o", color=house._INK, label="largest Q for this load ratio")
+        ax.plot([], [], "o", color=INK, label="largest Q for this load ratio")
         ax.legend(frameon=False, loc="upper left")
         ax.set_xlim(backlash[0], backlash[-1])
         ax.set_ylim(bottom=0.0)
-        ax.set_xlabel(house._axis_label(results.axes[1]))
-        ax.set_ylabel(house._quantity_label("severity"))
+        ax.set_xlabel(axis_label(results.axes[1]))
+        ax.set_ylabel(quantity_label("severity"))
         ax.spines[["top", "right"]].set_visible(False)
         ax.set_title("Severity over backlash: up to a worst gap, then down", loc="left", fontweight="bold")
         return figure

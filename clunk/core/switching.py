@@ -1,0 +1,242 @@
+"""What happens at the ends of a run and at its events: preload, the regime a state is in, and switching to the next.
+
+Detection is not here: whoever flows through a regime says which guard turned negative, and where.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.core.events import LOCK, TOUCH
+from clunk.core.jit import compiled
+from clunk.core.regimes import (
+    CLOSED_NEGATIVE,
+    CLOSED_POSITIVE,
+    FORCE,
+    GAP,
+    OPEN,
+    OPEN_FLOW,
+    PARTED_NEGATIVE,
+    PARTED_POSITIVE,
+    System,
+)
+
+FloatArray = npt.NDArray[np.float64]
+
+ROUNDING = 8 * float(np.finfo(np.float64).eps)  # relative to the terms of a sum of a few products
+
+
+@compiled
+def preload(system: System, torque: float, half_gap: float, x: FloatArray) -> int:
+    """Set `x` to static equilibrium in contact under `torque`; return the side of the initial flank, 0 if none.
+
+    The initial flank is the one that carries the static contact torque.
+
+    Parameters
+    ----------
+    torque : float  [N m]
+    half_gap : float  [rad]
+    x : (N,) float64  [rad, rad/s]
+        Output.
+    """
+    carried = system.contact_torque[0] * torque
+    side = 1 if carried > 0.0 else -1
+    if not abs(carried) + system.contact_torque[1] * half_gap > 0.0:
+        side = 0
+    for k in range(x.size):
+        x[k] = system.preload[k, 0] * torque + system.preload[k, 1] * side * half_gap
+    return side
+
+
+@compiled
+def closed_on(side: int) -> int:
+    """The regime of contact on the flank of `side` (+1 or -1)."""
+    return CLOSED_POSITIVE if side > 0 else CLOSED_NEGATIVE
+
+
+@compiled
+def regime_of(system: System, x: FloatArray, half_gap: float) -> int:
+    """The regime that a given state is in: by its gap, and for separation by force by its contact force too.
+
+    In the restitution model it is the open one; flanks that rest on each other lock by a touch at rest.
+    """
+    if system.impulsive != 0:
+        return OPEN
+    for regime in (CLOSED_POSITIVE, CLOSED_NEGATIVE, PARTED_POSITIVE, PARTED_NEGATIVE):
+        side = system.side[regime]
+        if side * _functional(system, 0, GAP, x) < half_gap:
+            continue
+        if _guard(system, regime, 0, x, half_gap) >= 0.0 or regime >= PARTED_POSITIVE:
+            return regime
+        if system.guard_functional[regime, 0] == FORCE:
+            return PARTED_POSITIVE if side > 0 else PARTED_NEGATIVE
+    return OPEN
+
+
+@compiled
+def _functional(system: System, flow: int, which: int, x: FloatArray) -> float:
+    value = 0.0
+    for k in range(x.size):
+        value += system.functionals[flow, which, k] * x[k]
+    return value
+
+
+@compiled
+def _guard(system: System, regime: int, guard: int, x: FloatArray, half_gap: float) -> float:
+    value = _functional(system, system.flow[regime], system.guard_functional[regime, guard], x)
+    return float(system.guard_sign[regime, guard] * value + system.guard_offset[regime, guard] * half_gap)
+
+
+@compiled
+def room_for_a_switch(system: System, events: npt.NDArray[np.void], count: int) -> bool:
+    """Whether the event buffer holds what one switch may write: without a gap, a separation, a touch and a lock."""
+    return count + (3 if system.impulsive != 0 else 1) <= events.size
+
+
+@compiled
+def switch(
+    system: System,
+    regime: int,
+    guard: int,
+    time: float,
+    x: FloatArray,
+    torque: float,
+    half_gap: float,
+    events: npt.NDArray[np.void],
+    states: FloatArray,
+    count: int,
+    fastest: float,
+) -> tuple[int, int, int, int, float]:
+    """Leave a regime by one of its guards: record the event, reset the state where the contact does, name what follows.
+
+    Parameters
+    ----------
+    x : (N,) float64  [rad, rad/s]
+        State at the event; reset in place.
+    events, states : (capacity,) EVENT, (capacity, N) float64
+        Output, from `count` on.
+    fastest : float  [rad/s]
+        Touch so far.
+
+    Returns
+    -------
+    count : int
+        Events written so far.
+    successor : int
+    zero_guard, zero_order : int
+        The successor's guard that is zero on entry, and how many of its derivatives, itself included, are; -1 and 0
+        if none is.
+    fastest : float
+    """
+    speed = 0.0
+    for k in range(x.size):
+        speed += system.lash[k] * x[k]
+    kind, successor = system.event_kind[regime, guard], system.successor[regime, guard]
+    zero_guard, zero_order = system.zero_guard[regime, guard], system.zero_order[regime, guard]
+    if system.impulsive == 0:
+        side = system.side[successor] if system.side[successor] != 0 else system.side[regime]
+        record(events, states, count, time, speed, kind, successor, side, x)
+        return count + 1, successor, zero_guard, zero_order, fastest
+    if kind == TOUCH:
+        side = 1 if guard == 0 else -1
+        fastest = max(fastest, abs(speed))
+        successor, zero_order = _rebound(system, x, torque, half_gap, side, speed, fastest)
+        record(events, states, count, time, speed, TOUCH, OPEN, side, x)
+        if successor == OPEN:
+            return count + 1, OPEN, guard, zero_order, fastest
+        record(events, states, count + 1, time, 0.0, LOCK, successor, side, x)
+        return count + 2, successor, -1, 0, fastest
+    side = system.side[regime]
+    _hold(system, x, side * half_gap)  # released where it was held, but for what rounding has added up
+    record(events, states, count, time, 0.0, kind, successor, side, x)
+    if half_gap > 0.0:
+        return count + 1, successor, zero_guard, zero_order, fastest
+    # locked flanks without a gap between them: no free state
+    successor = closed_on(-side)
+    record(events, states, count + 1, time, 0.0, TOUCH, OPEN, -side, x)
+    record(events, states, count + 2, time, 0.0, LOCK, successor, -side, x)
+    return count + 3, successor, 0, 1, fastest
+
+
+@compiled
+def record(
+    events: npt.NDArray[np.void],
+    states: FloatArray,
+    k: int,
+    time: float,
+    speed: float,
+    kind: int,
+    regime: int,
+    side: int,
+    x: FloatArray,
+) -> None:
+    """Write event `k`, and the state at it; the extremes of the phase that it opens are still to come."""
+    events[k].time = time
+    events[k].speed = speed
+    events[k].kind = kind
+    events[k].regime = regime
+    events[k].side = side
+    events[k].max_acceleration = -np.inf
+    events[k].min_acceleration = np.inf
+    if states.shape[0] > k:
+        states[k, :] = x
+
+
+@compiled
+def _rebound(
+    system: System, x: FloatArray, torque: float, half_gap: float, side: int, speed: float, fastest: float
+) -> tuple[int, int]:
+    """The velocities after a touch, θ' -= (1 + e) q' M⁻¹l/(lᵀM⁻¹l) (report Eq. 2.9), and what follows.
+
+    A rebound not faster than the locking speed ends with q' = 0: locked where the torque that holds it so presses the
+    flanks together, else open, with the gap at zero and about to open.
+
+    Returns
+    -------
+    successor : int
+    zero_order : int
+        Of the guard of this flank in the open regime.
+    """
+    tolerance = system.locking_speed if system.locking_speed >= 0.0 else -system.locking_speed * fastest
+    if system.restitution * abs(speed) > tolerance:
+        for k in range(x.size):
+            x[k] -= (1.0 + system.restitution) * speed * system.impulse[k]
+        return OPEN, 1
+    _hold(system, x, side * half_gap)
+    torque_held, slope, scale = 0.0, 0.0, 0.0
+    for k in range(x.size):
+        weight = system.functionals[OPEN_FLOW, FORCE, k]
+        rate = system.inputs[OPEN_FLOW, k, 0] * torque
+        for j in range(x.size):
+            rate += system.rates[OPEN_FLOW, k, j] * x[j]
+        torque_held += weight * x[k]
+        slope += weight * rate
+        scale += abs(weight * x[k])
+    driven = system.feedthrough[OPEN_FLOW, FORCE, 0] * torque
+    torque_held, scale = torque_held + driven, scale + abs(driven)
+    pressing = side * torque_held
+    if abs(pressing) <= ROUNDING * scale:  # zero: what it turns into decides
+        pressing = side * slope
+    return (closed_on(side), 0) if pressing > 0.0 else (OPEN, 2)
+
+
+@compiled
+def _hold(system: System, x: FloatArray, gap: float) -> None:
+    """Make q = `gap` and q' = 0 without moving the centre of mass: by a share of the difference that its inertia sets.
+
+    The last of the inertias at the lash then takes what is left of rounding, so that q' is zero to the last bit.
+    """
+    n = x.size // 2
+    for first, target in ((0, gap), (n, 0.0)):
+        excess = -target
+        last = 0
+        for k in range(n):
+            excess += system.lash[n + k] * x[first + k]
+        others = -target
+        for k in range(n):
+            weight = system.lash[n + k]
+            if weight != 0.0:
+                x[first + k] -= excess * system.impulse[n + k]
+                others += weight * x[first + k]
+                last = k
+        others -= system.lash[n + last] * x[first + last]
+        x[first + last] = -others / system.lash[n + last]

@@ -1,0 +1,50 @@
+"""Files that appear whole or not at all: whoever reads one finds the old content or the new, never half of it."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import BinaryIO
+
+
+def write_whole(path: str | os.PathLike[str], write: Callable[[BinaryIO], object]) -> None:
+    """Write a file so that at every moment `path` is either the old file or the complete new one.
+
+    What `write` puts into the file goes beside `path` under a temporary name, is flushed to the disk, then renamed.
+    Raises OSError; then, and on an interrupt, the temporary file is removed.
+    """
+    path = Path(os.path.realpath(path))  # through a symbolic link: replace the file, not the link
+    temporary = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
+    try:
+        with temporary.open("xb") as target:
+            write(target)
+            target.flush()
+            os.fsync(target.fileno())
+        temporary.replace(path)
+        _sync_directory(path.parent)
+    finally:
+        with suppress(OSError):  # its directory may be what is missing
+            temporary.unlink(missing_ok=True)
+
+
+def reason(error: BaseException) -> str:
+    """An error's own words as one phrase, to stand within a sentence."""
+    if isinstance(error, OSError) and error.strerror:
+        words = error.strerror
+    else:
+        words = str(error.args[0]) if error.args else type(error).__name__
+    words = " ".join(words.split()).rstrip(".")
+    return words[:1].lower() + words[1:]
+
+
+def _sync_directory(directory: Path) -> None:
+    """Make the renaming itself survive a power cut, where directories can be opened for that."""
+    if os.name == "posix":
+        descriptor = os.open(directory, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

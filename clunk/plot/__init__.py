@@ -1,0 +1,26 @@
+"""Figures for people: regime maps like the report's Figure 3.4, severity maps like its Figure 3.7.
+
+Cells are samples: a regime is known at the swept values and nowhere between. Regions are drawn from the first to the
+last value, with smooth boundaries that pass between the same samples as they do in the data, so that every sample lies
+in a region of its own label however small that is.
+
+Figures of runs are in `histories` and `small_gap`, of comparisons in `comparisons`, of severities in `profiles`: what
+they draw takes longer to import than the maps do.
+"""
+
+from clunk.plot.maps import QUANTITIES, draw, quantity_map, regime_map, ridge_of, severity_map, strip
+from clunk.plot.plane import x_axis
+from clunk.plot.style import PlotError, save
+
+__all__ = [
+    "QUANTITIES",
+    "PlotError",
+    "draw",
+    "quantity_map",
+    "regime_map",
+    "ridge_of",
+    "save",
+    "severity_map",
+    "strip",
+    "x_axis",
+]

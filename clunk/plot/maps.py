@@ -1,0 +1,341 @@
+"""Maps of results: regimes like the report's Figure 3.4, severities like its Figure 3.7, and strips along one axis."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib import colors, patheffects, ticker
+from matplotlib.axes import Axes
+from matplotlib.colorbar import Colorbar
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from scipy import ndimage
+
+from clunk.plot.labelling import label_and_note, region_swatch
+from clunk.plot.plane import View, cell_edges, drawn_axes, scale_axes, scale_axis
+from clunk.plot.raster import Raster, corners_that_fit
+from clunk.plot.regions import Regions, draw_boundaries, fill_regions, hatch_failed
+from clunk.plot.style import (
+    FAILED_FILL,
+    FAILED_HATCH,
+    FAINT_INK,
+    HUES,
+    INK,
+    MINUS,
+    PlotError,
+    failed_notes,
+    freeze_layout,
+    new_figure,
+    palette_of,
+    set_notes,
+    set_titles,
+    styled,
+    symbol_text,
+    tidy,
+)
+from clunk.results import FAILED_CODE, Results
+
+Floats = npt.NDArray[np.float64]
+
+
+# Quantity of a cell -> (name, symbol, unit); "regimes" is the map of labels.
+_QUANTITY = {
+    "severity": ("Severity", "Q", "rad/s²"),
+    "approach_velocity": ("Approach velocity", "V", "rad/s"),
+    "primary_impacts": ("Primary impacts", "", ""),
+    "touches": ("Touches, chatter included", "", ""),
+    "last_event_time": ("Last event after the load step", "", "s"),
+}
+QUANTITIES: list[str] = ["regimes", *_QUANTITY]
+
+_WITH_THRESHOLDS = ("load.ratio", "load.initial_torque", "load.final_torque")
+_UNDEFINED = "#efefec"
+_DIGIT = 0.0114  # width of a threshold's digit over the map's
+
+
+def draw(results: Results, quantity: str, thresholds: Sequence[float] = ()) -> Figure:
+    """The figure of a quantity of `QUANTITIES`: a map for two swept axes, a strip for one. Raises PlotError."""
+    if quantity not in QUANTITIES:
+        raise PlotError(f"There is no quantity {quantity!r}; there are {', '.join(QUANTITIES)}.")
+    if len(drawn_axes(results)) == 1:
+        if quantity == "regimes":  # Q is not defined under the restitution model
+            quantity = "severity" if np.isfinite(results.severity).any() else "approach_velocity"
+        return strip(results, quantity)
+    if quantity == "regimes":
+        return regime_map(results, thresholds)
+    return quantity_map(results, quantity)
+
+
+def regime_map(results: Results, thresholds: Sequence[float] = ()) -> Figure:
+    """Which sequence of impacts happens where, each region with its label inside (Figure 3.4).
+
+    thresholds : values of the x axis at which the number of impacts for vanishing backlash changes (Table 3.1), marked
+        where x is the load ratio or a load torque and y the backlash; along any other, they might not stay the same
+
+    Raises PlotError unless two axes were swept.
+    """
+    view = View.of(results, 2)
+    with styled():
+        figure = new_figure()
+        ax = figure.add_subplot()
+        map_titles(figure, ax, results, view)
+        scale_axes(ax, view)
+        codes = view.arrange(results.sequence)
+        regions = Regions(codes)
+        fill_regions(ax, view, regions, results.labels)
+        draw_boundaries(ax, view, regions, color=INK, linewidth=0.9)
+        if view.x.parameter in _WITH_THRESHOLDS and view.y.parameter == "lash.backlash_deg":
+            _mark_thresholds(ax, thresholds)
+        label_and_note(figure, ax, results.labels, codes, lambda: Raster.of(ax, regions, view), leaders=True)
+        return figure
+
+
+def severity_map(results: Results) -> Figure:
+    """How severe the impacts are, and at which backlash they are worst for each load ratio (Figure 3.7).
+
+    Raises PlotError unless two axes were swept and Q is defined somewhere.
+    """
+    return quantity_map(results, "severity")
+
+
+def quantity_map(results: Results, name: str) -> Figure:
+    """A quantity of every cell as colour, under the regimes' boundaries; for the severity also its ridge.
+
+    Raises PlotError unless two axes were swept, `name` is a quantity and it is defined in some cell.
+    """
+    label = quantity_label(name)
+    view = View.of(results, 2)
+    codes = view.arrange(results.sequence)
+    values = view.arrange(_values(results, name))
+    whole = name in ("primary_impacts", "touches")
+    with styled():
+        figure = new_figure()
+        ax = figure.add_subplot()
+        map_titles(figure, ax, results, view, "light lines: boundaries of the regimes")
+        scale_axes(ax, view)
+        ax.set_facecolor(_UNDEFINED)
+        mesh = ax.pcolormesh(
+            cell_edges(view.x),
+            cell_edges(view.y),
+            values.T,
+            cmap="viridis",
+            norm=_norm(values, whole=whole),
+            rasterized=True,  # a vector file with a path for every cell would take seconds to show
+            zorder=0.5,
+        )
+        bar = figure.colorbar(mesh, ax=ax, pad=0.02, aspect=28)
+        _finish_bar(bar, label, whole=whole)
+        regions = Regions(codes)
+        hatch_failed(ax, view, regions)
+        draw_boundaries(ax, view, regions, color="white", linewidth=0.6)
+        notes = failed_notes(codes)
+        if np.isnan(values[codes != FAILED_CODE]).any():
+            notes.append(region_swatch("not defined (no events)", _UNDEFINED))
+        ridge = ridge_of(values) if name == "severity" else np.full(len(view.x.values), np.nan)
+        if np.isfinite(ridge).any():
+            _draw_ridge(ax, view, ridge)
+        set_notes(figure, notes)
+        freeze_layout(figure, ax)
+        if np.isfinite(ridge).any():
+            _label_ridge(ax, view, ridge)
+        return figure
+
+
+def strip(results: Results, quantity: str = "severity") -> Figure:
+    """Along one swept axis: the labels as a coloured strip over the curve of a quantity.
+
+    Raises PlotError unless one axis was swept, `quantity` is one and it is defined in some cell.
+    """
+    label = quantity_label(quantity)
+    view = View.of(results, 1)
+    codes = view.arrange(results.sequence)
+    values = view.arrange(_values(results, quantity))
+    palette = palette_of(results.labels)
+    with styled():
+        figure = new_figure()
+        band, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 4.6))
+        map_titles(figure, band, results, view)
+        samples = view.x.values
+        edges = cell_edges(view.x)
+        starts = np.concatenate(([0], np.flatnonzero(np.diff(codes)) + 1, [len(codes)]))
+        for start, stop in pairwise(starts):
+            left, right = max(edges[start], samples[0]), min(edges[stop], samples[-1])
+            if len(samples) == 1:
+                left, right = edges
+            if codes[start] == FAILED_CODE:
+                look: dict[str, Any] = {"facecolor": FAILED_FILL, "hatch": "////", "edgecolor": FAILED_HATCH}
+            else:
+                look = {"facecolor": palette[results.labels[codes[start]]], "edgecolor": "none"}
+            band.axvspan(left, right, linewidth=0.0, zorder=1, **look)
+            if start:
+                band.axvline(left, color=INK, linewidth=0.9, zorder=2)
+                ax.axvline(left, color=FAINT_INK, linewidth=0.6, linestyle=(0, (4, 3)), zorder=1)
+            # One line per regime: the quantity jumps between them.
+            marker = {"marker": "o", "markersize": 3.0} if len(samples) <= 60 or stop - start == 1 else {}
+            look = {"color": HUES[1], "linewidth": 1.5, "clip_on": False, "zorder": 3}
+            ax.plot(samples[start:stop], values[start:stop], **look, **marker)
+        scale_axis(ax, "x", view.x)
+        ax.set_xlim(*((samples[0], samples[-1]) if len(samples) > 1 else edges))
+        ax.set_ylabel(label)
+        if not np.nanmin(values) < 0.0:
+            ax.set_ylim(bottom=0.0)
+        tidy(ax)
+        band.set_yticks([])
+        band.tick_params(bottom=False, labelbottom=False)
+        label_and_note(figure, band, results.labels, codes, lambda: Raster.of_strip(band, codes, edges), leaders=False)
+        return figure
+
+
+def ridge_of(values: Floats) -> Floats:
+    """Index along the second axis of the largest value in each row of the first, where that is an interior maximum.
+
+    values : (nx, ny); returns (nx,) float, NaN where the largest value is not positive, lies on the border of the map,
+    beside a value that is not known, or within 0.1 % of either end's: on a plateau rounding would choose the place.
+    """
+    ridge = np.full(len(values), np.nan)
+    for row, column in enumerate(values):
+        if np.isnan(column).all():
+            continue
+        top = int(np.nanargmax(column))
+        interior = 0 < top < len(column) - 1 and np.isfinite(column[[top - 1, top + 1]]).all()
+        if interior and column[top] > 0.0 and not (column[[0, -1]] > 0.999 * column[top]).any():
+            ridge[row] = top
+    return ridge
+
+
+def _values(results: Results, name: str) -> Floats:
+    values = np.where(results.sequence == FAILED_CODE, np.nan, getattr(results, name).astype(np.float64))
+    if np.isnan(values).all():
+        why = (
+            "; under the restitution model accelerations are impulsive, and approach_velocity is the measure to plot"
+            if name == "severity"
+            else ""
+        )
+        raise PlotError(f"There is no {name} to draw: it is not defined in any cell{why}.")
+    return values
+
+
+def quantity_label(name: str) -> str:
+    """A quantity's name, symbol and unit. Raises PlotError where it is none."""
+    if name not in _QUANTITY:
+        raise PlotError(f"There is no quantity {name!r} to draw; there are {', '.join(_QUANTITY)}.")
+    title, symbol, unit = _QUANTITY[name]
+    return " ".join(part for part in (title, symbol, f"[{unit}]" if unit else "") if part)
+
+
+def map_titles(figure: Figure, ax: Axes, results: Results, view: View, more: str = "") -> None:
+    """The results' title, and under it the load, the values of the axes that are not drawn, and what more there is."""
+    fixed = "; ".join(f"{axis.name} = {axis.values[0]:g} {axis.unit.removeprefix('1')}".rstrip() for axis in view.fixed)
+    line = "; ".join(part for part in (_load(results), fixed, more) if part)
+    set_titles(figure, ax, results.title.strip() or "Impact regimes", line)
+
+
+def _load(results: Results) -> str:
+    """What the load is, in words: an ideal step is a worst case, and a reader should know."""
+    try:
+        profile = tomllib.loads(results.config)["load"]["profile"]
+    except (tomllib.TOMLDecodeError, KeyError, TypeError):
+        return ""
+    return "ideal torque step (tip-out)" if profile == "tip-out" else f"load: {profile}"
+
+
+def _mark_thresholds(ax: Axes, thresholds: Sequence[float]) -> None:
+    """Triangles where the number of impacts for vanishing backlash changes, with their values above the map."""
+    low, high = ax.get_xlim()
+    inside = sorted(value for value in thresholds if low <= value <= high)
+    if not inside:
+        return
+    along = ax.get_xaxis_transform()
+    ax.plot(inside, [0.0] * len(inside), "^", color=INK, markersize=5.5, transform=along, clip_on=False, zorder=6)
+    top = ax.secondary_xaxis("top")
+    top.set_xticks(inside, _spaced_numbers(ax, inside))
+    top.tick_params(direction="out", length=3.0, labelsize=8.5)
+    top.minorticks_off()
+    top.set_xlabel("▲ thresholds for vanishing backlash", loc="right", fontsize=8.5, color=FAINT_INK, labelpad=3.0)
+
+
+def _spaced_numbers(ax: Axes, values: Sequence[float]) -> list[str]:
+    """Ascending values as text, empty where it would run into the one before."""
+    texts = [f"{value:{'.2f' if abs(value) >= 0.1 else '.2g'}}".replace("-", MINUS) for value in values]
+    across = ax.transAxes.inverted().transform(ax.transData.transform([(value, 0.0) for value in values]))[:, 0]
+    end = -np.inf
+    for k, middle in enumerate(across):
+        half = 0.5 * _DIGIT * len(texts[k])
+        if middle - half < end + 0.5 * _DIGIT:
+            texts[k] = ""
+        else:
+            end = middle + half
+    return texts
+
+
+def _norm(values: Floats, *, whole: bool) -> colors.Normalize:
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    if whole and high - low <= 12:  # one colour per number
+        return colors.BoundaryNorm(np.arange(low - 0.5, high + 1.0), 256)
+    if low >= 0.0:
+        low = 0.0
+    return colors.Normalize(low, high if high > low else low + 1.0)
+
+
+def _finish_bar(bar: Colorbar, label: str, *, whole: bool) -> None:
+    bar.set_label(label)
+    bar.outline.set_linewidth(0.6)
+    if isinstance(bar.norm, colors.BoundaryNorm):
+        bar.set_ticks(0.5 * (bar.norm.boundaries[1:] + bar.norm.boundaries[:-1]))
+        bar.ax.yaxis.set_major_formatter(ticker.StrMethodFormatter("{x:.0f}"))
+        bar.ax.tick_params(length=0.0)
+        bar.minorticks_off()
+    elif whole:
+        bar.locator = ticker.MaxNLocator(integer=True)
+        bar.update_ticks()
+
+
+def _draw_ridge(ax: Axes, view: View, ridge: Floats) -> None:
+    """The ridge as a line, broken where it leaves the map or jumps from one hill to another."""
+    known = np.isfinite(ridge)
+    y = np.where(known, view.y.values[np.where(known, ridge, 0).astype(np.intp)], np.nan)
+    jump = np.abs(np.diff(ridge)) > max(3.0, 0.05 * len(view.y.values))
+    x = np.insert(view.x.values, np.flatnonzero(jump) + 1, np.nan)
+    y = np.insert(y, np.flatnonzero(jump) + 1, np.nan)
+    outline = [patheffects.Stroke(linewidth=2.8, foreground=INK), patheffects.Normal()]
+    line = Line2D(x, y, color="white", linewidth=1.4, path_effects=outline, zorder=4, gid="ridge", label="ridge")
+    ax.add_line(line)
+
+
+def _label_ridge(ax: Axes, view: View, ridge: Floats) -> None:
+    """Name the ridge beside its middle, off the line itself."""
+    raster = Raster.blank(ax)
+    known = np.flatnonzero(np.isfinite(ridge))
+    points = np.column_stack((view.x.values[known], view.y.values[ridge[known].astype(np.intp)]))
+    across, upward = raster.pixels(points)
+    height, width = raster.taken.shape
+    for start, stop in pairwise(range(len(known))):
+        steps = np.linspace(0.0, 1.0, 60)
+        column = (across[start] + steps * (across[stop] - across[start])).astype(np.intp)
+        row = (upward[start] + steps * (upward[stop] - upward[start])).astype(np.intp)
+        raster.taken[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)] = True
+    clear = ndimage.distance_transform_edt(~raster.taken) > 3.0
+    symbol = view.x.symbol.split("=")[0].strip() or view.x.name
+    text = f"largest Q for each {symbol}"
+    columns_needed, rows_needed = raster.measure(text, 9.0)
+    rows, columns = np.nonzero(corners_that_fit(clear, columns_needed, rows_needed))
+    if not rows.size:
+        return
+    centres = np.column_stack((columns + 0.5 * columns_needed, rows + 0.5 * rows_needed))
+    middle = len(known) // 2
+    nearest = centres[np.argmin(np.hypot(*(centres - [across[middle], upward[middle]]).T))]
+    ax.text(
+        *raster.data(*nearest),
+        f"largest Q for each {symbol_text(symbol)}",
+        fontsize=9.0,
+        color="white",
+        ha="center",
+        va="center",
+        zorder=5,
+        path_effects=[patheffects.Stroke(linewidth=2.2, foreground=INK), patheffects.Normal()],
+    )

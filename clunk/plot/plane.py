@@ -1,0 +1,136 @@
+"""Results as a plane: what lies along which axis, in what order and on what scale."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib import ticker
+from matplotlib.axes import Axes
+
+from clunk.plot.style import PlotError, plain, symbol_text
+from clunk.results import ResultAxis, Results
+
+Array = npt.NDArray[Any]
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class View:
+    """The swept axes of some results, ascending, and how their arrays are turned to match."""
+
+    axes: tuple[ResultAxis, ...]  # x and, for a map, y
+    fixed: tuple[ResultAxis, ...]  # axes of one value
+    keep: tuple[int, ...]
+    order: tuple[npt.NDArray[np.intp], ...]
+
+    @classmethod
+    def of(cls, results: Results, dimensions: int) -> View:
+        """The view of some results that sweep this many axes. Raises PlotError where they sweep others."""
+        keep = drawn_axes(results)
+        if len(keep) != dimensions:
+            swept = ", ".join(results.axes[index].parameter for index in keep)
+            if len(keep) > 2:
+                raise PlotError(
+                    f"These results sweep {len(keep)} axes ({swept}) and a map shows two: take the others out of the "
+                    "config's [[sweep.axes]], fix each with --set KEY=VALUE, and sweep again."
+                )
+            kind = {1: "one axis", 2: "two axes"}
+            raise PlotError(
+                f"This figure needs {kind[dimensions]} and these results sweep {kind[len(keep)]} ({swept})."
+            )
+        order = tuple(np.argsort(results.axes[index].values, kind="stable") for index in keep)
+        drawn = ((results.axes[index], ascending) for index, ascending in zip(keep, order, strict=True))
+        axes = tuple(replace(axis, values=axis.values[ascending]) for axis, ascending in drawn)
+        fixed = tuple(axis for index, axis in enumerate(results.axes) if index not in keep)
+        return cls(axes, fixed, keep, order)
+
+    @property
+    def x(self) -> ResultAxis:
+        """From left to right."""
+        return self.axes[0]
+
+    @property
+    def y(self) -> ResultAxis:
+        """Upwards."""
+        return self.axes[1]
+
+    def arrange(self, array: Array) -> Array:
+        """An array of the results' shape as (nx,) or (nx, ny), ascending."""
+        rest = tuple(axis for axis in range(array.ndim) if axis not in self.keep)
+        turned = np.transpose(array, (*self.keep, *rest)).reshape([len(order) for order in self.order])
+        return turned[np.ix_(*self.order)]
+
+
+def drawn_axes(results: Results) -> tuple[int, ...]:
+    """Indices of the axes with more than one value, x first; of the first axis if there is none.
+
+    Of two, the load ratio is x.
+    """
+    drawn = tuple(index for index, axis in enumerate(results.axes) if len(axis.values) > 1) or (0,)
+    if len(drawn) == 2 and results.axes[drawn[1]].parameter == "load.ratio":
+        drawn = drawn[::-1]
+    return drawn
+
+
+def x_axis(results: Results) -> ResultAxis:
+    """The axis that a figure of these results draws from left to right."""
+    return results.axes[drawn_axes(results)[0]]
+
+
+def ruler(axis: ResultAxis) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
+    """The scale of an axis and its inverse: halfway between two values of a geometric axis is their geometric mean."""
+    return (np.log, np.exp) if axis.is_geometric else (np.asarray, np.asarray)
+
+
+def cell_edges(axis: ResultAxis) -> Floats:
+    """(n + 1,) limits of cells centred on their values."""
+    values = axis.values
+    if len(values) == 1:
+        half = 0.5 * (abs(values[0]) or 1.0)
+        return np.array([values[0] - half, values[0] + half])
+    to, back = ruler(axis)
+    scaled = to(values)
+    middle = 0.5 * (scaled[1:] + scaled[:-1])
+    edges: Floats = back(np.concatenate(([2 * scaled[0] - middle[0]], middle, [2 * scaled[-1] - middle[-1]])))
+    return edges
+
+
+def scale_axes(ax: Axes, view: View) -> None:
+    """Both axes of a map, from the first to the last value."""
+    scale_axis(ax, "x", view.x)
+    scale_axis(ax, "y", view.y)
+    ax.set_xlim(view.x.values[0], view.x.values[-1])
+    ax.set_ylim(view.y.values[0], view.y.values[-1])
+    ax.tick_params(direction="out")
+
+
+def scale_axis(ax: Axes, which: str, axis: ResultAxis) -> None:
+    """Name, unit, scale and ticks of one axis, "x" or "y"."""
+    label = axis_label(axis)
+    if which == "x":
+        ax.set_xlabel(label)
+    else:
+        ax.set_ylabel(label)
+    line = ax.xaxis if which == "x" else ax.yaxis
+    if not axis.is_geometric:
+        line.set_major_locator(ticker.MaxNLocator(10, steps=[1, 2, 5, 10]))
+    else:
+        (ax.set_xscale if which == "x" else ax.set_yscale)("log")
+        # Plain numbers, and some of them between the powers of ten, which a short axis has few of.
+        decades = math.log10(axis.values[-1] / axis.values[0])
+        line.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0) if decades < 3 else (1.0,)))
+        line.set_major_formatter(ticker.StrMethodFormatter("{x:g}"))
+        line.set_minor_formatter(ticker.NullFormatter())
+
+
+def axis_label(axis: ResultAxis) -> str:
+    """An axis's name, symbol and unit."""
+    name = axis.name or axis.parameter
+    unit = "" if axis.unit in ("", "1") else f"[{axis.unit}]"
+    parts = plain(name[:1].upper() + name[1:]), symbol_text(axis.symbol), plain(unit)
+    return " ".join(part for part in parts if part)

@@ -1,0 +1,199 @@
+"""Regions between samples: smooth boundaries with every sample on its own side, and how they are drawn."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from scipy import ndimage
+
+from clunk.plot.plane import View, ruler
+from clunk.plot.style import FAILED_FILL, FAILED_HATCH, palette_of
+from clunk.results import FAILED_CODE
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+Codes = npt.NDArray[np.int16]
+Scores = npt.NDArray[np.float32]
+
+
+class Regions:
+    """The label between the samples: smooth boundaries, and every sample on its own side of them.
+
+    Each label has a score at each sample, the smoothed indicator of its cells; between samples scores are interpolated
+    and the highest wins. A sample that smoothing would hand to another label pushes its own score up until it does not;
+    where that is not enough, and on lines and specks, nothing is smoothed. So a boundary never leaves the gap between
+    two samples: what the data leave open is all that is smoothed.
+    """
+
+    _BLUR = 2.0  # standard deviation in cells
+    _REACH = 0.8  # likewise, of a push: how far a boundary gives way for a sample on its wrong side
+    _LEAD = 0.02  # score by which a pushed sample's own label wins
+    _TIP_LEAD = 0.05  # and more on lines and tips, or they would shrink to nothing between their neighbours
+
+    def __init__(self, codes: Codes) -> None:
+        self.codes = codes  # (nx, ny)
+        self.present: list[int] = [int(code) for code in np.unique(codes)]
+        # As fine as the picture can show, at least the samples themselves.
+        self.factor = tuple(int(np.clip(math.ceil(700 / count), 1, 8)) for count in codes.shape)
+        self._push = np.zeros(codes.shape, np.float32)
+        specks, tips = self._specks()
+        self._bare = specks | ndimage.binary_dilation(codes == FAILED_CODE)
+        for _ in range(8):
+            deficit = self._deficit() + np.where(tips, self._TIP_LEAD, 0.0)
+            if deficit.max() <= 0.0:
+                break
+            self._push += np.where(deficit > 0.0, deficit + self._LEAD, 0.0)
+        self._bare |= self._deficit() > 0.0
+        self.label, self._best, self._second = self._compete()
+        for _ in range(8):
+            wrong = self._wrong()
+            if not wrong.any():
+                break
+            self._bare |= wrong
+            self.label, self._best, self._second = self._compete()
+        else:
+            self._bare[:] = True
+            self.label, self._best, self._second = self._compete()
+
+    def margin(self, code: int) -> Scores:
+        """By how much a label wins (positive) or loses at each fine point."""
+        score = self._score(code)
+        margin: Scores = score - np.where(self.label == code, self._second, self._best)
+        return margin
+
+    def fine_values(self, view: View) -> tuple[Floats, ...]:
+        """The parameter at the fine points, along each axis."""
+        values = []
+        for axis, factor in zip(view.axes, self.factor, strict=True):
+            to, back = ruler(axis)
+            count = len(axis.values)
+            fine = np.linspace(0.0, count - 1.0, (count - 1) * factor + 1)
+            values.append(back(np.interp(fine, np.arange(count), to(axis.values))))
+        return tuple(values)
+
+    def _specks(self) -> tuple[Bools, Bools]:
+        """Cells in no 2 x 2 block of their label: of regions without any block, and of the others' lines and tips."""
+        specks = np.zeros(self.codes.shape, np.bool_)
+        tips = np.zeros(self.codes.shape, np.bool_)
+        for code in self.present:
+            own = self.codes == code
+            block = ndimage.binary_opening(own, np.ones((2, 2)))
+            parts, count = ndimage.label(own, np.ones((3, 3)))
+            thick = np.zeros(count + 1, np.bool_)
+            thick[parts[block]] = True
+            specks |= own & ~thick[parts]
+            tips |= own & thick[parts] & ~block
+        return specks, tips
+
+    def _sample_score(self, code: int) -> Scores:
+        own: Scores = (self.codes == code).astype(np.float32)
+        if self._bare.all():
+            return own
+        score = ndimage.gaussian_filter(own, self._BLUR, mode="nearest", truncate=3.0)
+        push = own * self._push
+        if push.any():
+            peak = 1.0 / (2.0 * math.pi * self._REACH**2)  # of the kernel
+            score += ndimage.gaussian_filter(push, self._REACH, mode="constant", truncate=3.0) / peak
+        chosen: Scores = np.where(self._bare, own, score)
+        return chosen
+
+    def _deficit(self) -> Scores:
+        """By how much each sample's own label falls short of another's score there."""
+        mine = np.empty(self.codes.shape, np.float32)
+        other = np.full(self.codes.shape, -np.inf, np.float32)
+        for code in self.present:
+            score = self._sample_score(code)
+            own = self.codes == code
+            mine[own] = score[own]
+            other[~own] = np.maximum(other, score)[~own]
+        deficit: Scores = other - mine
+        return deficit
+
+    def _score(self, code: int) -> Scores:
+        score: Scores = self._sample_score(code)
+        for axis, factor in enumerate(self.factor):
+            score = _refine(score, factor, axis)
+        return score
+
+    def _compete(self) -> tuple[Codes, Scores, Scores]:
+        shape = tuple((count - 1) * factor + 1 for count, factor in zip(self.codes.shape, self.factor, strict=True))
+        label = np.full(shape, self.present[0], np.int16)
+        best = np.full(shape, -1.0, np.float32)
+        second = np.full(shape, -1.0, np.float32)
+        for code in self.present:
+            score = self._score(code)
+            wins = score > best
+            second = np.where(wins, best, np.maximum(second, score))
+            label[wins] = code
+            best = np.maximum(best, score)
+        return label, best, second
+
+    def _wrong(self) -> Bools:
+        """Samples that another label took, and corners of cells where a label won that none of the four has."""
+        fx, fy = self.factor
+        wrong: Bools = self.label[::fx, ::fy] != self.codes
+        corner = [
+            np.minimum(np.arange(size) // factor, count - 2)
+            for size, factor, count in zip(self.label.shape, self.factor, self.codes.shape, strict=True)
+        ]
+        foreign = np.ones(self.label.shape, np.bool_)
+        for dx in (0, 1):
+            for dy in (0, 1):
+                foreign &= self.label != self.codes[np.ix_(corner[0] + dx, corner[1] + dy)]
+        if foreign.any():
+            i, j = np.nonzero(foreign)
+            for dx in (0, 1):
+                for dy in (0, 1):
+                    wrong[corner[0][i] + dx, corner[1][j] + dy] = True
+        return wrong
+
+
+def _refine(samples: Scores, factor: int, axis: int) -> Scores:
+    """Linear interpolation at `factor` points per cell along one axis; the samples themselves are among them."""
+    if factor == 1 or samples.shape[axis] == 1:
+        return samples
+    rows = np.moveaxis(samples, axis, 0)
+    fine = np.empty(((len(rows) - 1) * factor + 1, *rows.shape[1:]), np.float32)
+    for step in range(factor):
+        weight = np.float32(step / factor)
+        fine[step:-1:factor] = rows[:-1] * (1 - weight) + rows[1:] * weight
+    fine[-1] = rows[-1]
+    refined: Scores = np.moveaxis(fine, 0, axis)
+    return refined
+
+
+def fill_regions(ax: Axes, view: View, regions: Regions, labels: tuple[str, ...]) -> None:
+    """Each region in its label's colour, failed cells hatched."""
+    hatch_failed(ax, view, regions)
+    palette = palette_of(labels)
+    x, y = regions.fine_values(view)
+    for code in regions.present:
+        margin = regions.margin(code).T
+        if code != FAILED_CODE and margin.max() > 0.0:
+            ax.contourf(x, y, margin, levels=[0.0, np.inf], colors=[palette[labels[code]]], zorder=1)
+
+
+def hatch_failed(ax: Axes, view: View, regions: Regions) -> None:
+    """A hatch over the failed cells, if there are any."""
+    if FAILED_CODE not in regions.present:
+        return
+    look: dict[str, Any] = {"colors": [FAILED_FILL], "hatches": ["//////"], "zorder": 1}
+    x, y = regions.fine_values(view)
+    filled = ax.contourf(x, y, regions.margin(FAILED_CODE).T, levels=[0.0, np.inf], **look)
+    filled.set_edgecolor(FAILED_HATCH)
+    filled.set_linewidth(0.0)
+
+
+def draw_boundaries(ax: Axes, view: View, regions: Regions, *, color: str, linewidth: float) -> None:
+    """Lines between the regions."""
+    if len(regions.present) == 1:
+        return
+    x, y = regions.fine_values(view)
+    for code in regions.present:
+        margin = regions.margin(code).T
+        if margin.min() < 0.0 < margin.max():
+            ax.contour(x, y, margin, levels=[0.0], colors=[color], linewidths=linewidth, zorder=3)
