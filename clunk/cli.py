@@ -5,8 +5,10 @@ What a command needs is imported inside it, so that `--help` and `--version` wai
 
 from __future__ import annotations
 
+import io
 import json
 import os
+import re
 import signal
 import sys
 import time
@@ -44,12 +46,19 @@ _json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON 
 def main() -> NoReturn:
     """Entry point: runs the command and turns what a user can cause into one message and an exit code."""
     signal.signal(signal.SIGTERM, _terminate)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without σ shows a ? instead of a traceback
     try:
         cli.main(standalone_mode=False)
     except click.exceptions.Exit as error:
         sys.exit(error.exit_code)
+    except click.UsageError as error:
+        command = error.ctx.command_path if error.ctx else "clunk"
+        terminal.complain(f"{error.format_message()}\nTry '{command} --help'.")
+        sys.exit(EXIT_USAGE)
     except click.ClickException as error:
-        error.show()
+        terminal.complain(error.format_message())
         sys.exit(EXIT_USAGE)
     except (click.Abort, KeyboardInterrupt):
         click.echo("interrupted", err=True)
@@ -60,7 +69,7 @@ def main() -> NoReturn:
     except Exception as error:
         if not _is_for_the_user(error):
             raise
-        click.echo(str(error), err=True)
+        terminal.complain(str(error))
         sys.exit(EXIT_USAGE)
     sys.exit(0)
 
@@ -68,7 +77,7 @@ def main() -> NoReturn:
 def _is_for_the_user(error: Exception) -> bool:
     """Whether an error's text was written for people; told by name, so that nothing is imported to ask."""
     names = {"ComparisonError", "ConfigError", "ExperimentError", "HistoryError", "PlotError"}
-    names |= {"SimulationError", "StoreError", "SweepError"}
+    names |= {"SimulationError", "StoreError", "SweepError", "TargetError"}
     return type(error).__module__.startswith("clunk.") and type(error).__name__ in names
 
 
@@ -110,32 +119,36 @@ def sweep(
 
     Example: clunk sweep configs/figure_3_4.toml --set solver.step=5e-5
     """
+    from clunk import targets
     from clunk.config import digest, load_study
 
     study = load_study(config, overrides)
     target = output or Path("results") / f"{config.stem}.h5"
-    if _already_complete(target, digest(study), force=force, restart=restart):
+    targets.check(target, targets.RESULTS, reads=config)
+    counts = _complete_counts(target, digest(study), force=force, restart=restart)
+    if counts is not None:
         click.echo(f"{target} is already complete.", err=True)
-        return
-    _check_writable(target)
-    results, seconds = _run_sweep(study, workers)
+        _report_counts(counts, target, 0.0, as_json)
+    else:
+        results, seconds = _run_sweep(study, workers)
 
-    from clunk.store import write
+        from clunk.store import write
 
-    write(target, results)
-    _report_sweep(results, target, seconds, as_json)
-    if results.counts()["failed"]:
+        write(target, results)
+        counts = results.counts()
+        _report_counts(counts, target, seconds, as_json)
+        cells = results.sequence.size
+        click.echo(f"{cells:,} cells in {seconds:.1f} s ({cells / seconds:,.0f} runs/s) -> {target}", err=True)
+        if counts["failed"]:
+            terminal.report_failures(results)
+    if counts["failed"]:
         sys.exit(EXIT_FAILED_CELLS)
 
 
-def _already_complete(target: Path, config_digest: str, *, force: bool, restart: bool) -> bool:
-    """Whether `target` holds this very sweep; whatever else is there is refused unless forced."""
-    if not target.exists():
-        return False
-    if target.is_dir():
-        raise click.ClickException(f"{target} is a directory; -o names a file.")
-    if force:
-        return False
+def _complete_counts(target: Path, config_digest: str, *, force: bool, restart: bool) -> dict[str, int] | None:
+    """The counts of a target that holds this very sweep; whatever else is there is refused unless forced."""
+    if not target.exists() or force:
+        return None
     from clunk.store import StoreError, read_header
 
     try:
@@ -147,17 +160,7 @@ def _already_complete(target: Path, config_digest: str, *, force: bool, restart:
             f"{target} holds the results of another config ({header.title!r}). "
             "Name another file with -o, or overwrite it with --force."
         )
-    return not restart
-
-
-def _check_writable(target: Path) -> None:
-    """Find out before the work, not after it, that the results have nowhere to go."""
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise click.ClickException(f"The directory {target.parent} cannot be made: {error.strerror}.") from error
-    if not os.access(target.parent, os.W_OK):
-        raise click.ClickException(f"The directory {target.parent} is not writable.")
+    return None if restart else header.counts
 
 
 def _run_sweep(study: Study, workers: int | None) -> tuple[Results, float]:
@@ -165,7 +168,10 @@ def _run_sweep(study: Study, workers: int | None) -> tuple[Results, float]:
 
     total = sweeping.cell_count(study)
     _warn_of_coarse_step(study)
-    _say_if_compiling()
+    for parameter in sweeping.unused_axes(study):
+        click.echo(f"note: {parameter} is swept, but changes nothing in this model", err=True)
+    _say_if_compiling("tile.run_tile")
+    sweeping.warm_up(study)
     began = time.perf_counter()
     try:
         with terminal.progress(total) as progress:
@@ -189,24 +195,20 @@ def _warn_of_coarse_step(study: Study) -> None:
         )
 
 
-def _say_if_compiling() -> None:
+def _say_if_compiling(kernel: str) -> None:
     from clunk.core.jit import is_cold
 
-    if is_cold():
+    if is_cold(kernel):
         click.echo("compiling the kernel, once for this installation (about 15 s) …", err=True)
 
 
-def _report_sweep(results: Results, target: Path, seconds: float, as_json: bool) -> None:
-    counts = results.counts()
-    cells = results.sequence.size
+def _report_counts(counts: dict[str, int], target: Path, seconds: float, as_json: bool) -> None:
     if as_json:
+        cells = sum(counts.values())
         summary = {"file": str(target), "cells": cells, "seconds": round(seconds, 3), "counts": counts}
         click.echo(json.dumps(summary, ensure_ascii=False))
     else:
         terminal.print_counts(counts)
-    click.echo(f"{cells:,} cells in {seconds:.1f} s ({cells / seconds:,.0f} runs/s) -> {target}", err=True)
-    if counts["failed"]:
-        terminal.report_failures(results)
 
 
 @cli.command()
@@ -219,12 +221,15 @@ def plot(file: Path, output: Path | None, quantity: str | None) -> None:
     Example: clunk plot results/figure_3_4.h5 -o figure.svg
     """
     from clunk import plot as plots
+    from clunk import targets
     from clunk.store import read
 
-    results = read(file)
     base = output or file.with_suffix(".png")
     if not base.suffix:
         base = base.with_name(base.name + ".png")
+    if output is not None:
+        targets.check(base, targets.PICTURES, reads=file)
+    results = read(file)
     for name in [quantity] if quantity else _default_quantities(results):
         target = base if output and quantity else base.with_name(f"{base.stem}-{name}{base.suffix}")
         plots.save(plots.draw(results, name, _thresholds(results)), target)
@@ -256,6 +261,7 @@ def _thresholds(results: Results) -> list[float]:
     return [float(value) for value in thresholds_on(study, parameter, one_mode_thresholds(study))]
 
 
+_CLOSEUP_WIDTH = 0.1  # s
 _FIGURES = ("everything", "angles", "backlash", "closeup", "acceleration", "small-gap")
 
 
@@ -267,7 +273,7 @@ _FIGURES = ("everything", "angles", "backlash", "closeup", "acceleration", "smal
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Picture (.png .svg .pdf), or data (.csv .h5).")
 @click.option("--figure", type=click.Choice(_FIGURES), default="everything", help="Which picture [everything].")
 @click.option("--around", type=float, metavar="T", help="Of a close-up: its moment [first impact], s.")
-@click.option("--width", type=float, default=0.1, metavar="T", help="Of a close-up: its length [0.1], s.")
+@click.option("--width", type=float, default=_CLOSEUP_WIDTH, metavar="T", help="Of a close-up: its length [0.1], s.")
 @click.option("--until", type=float, metavar="T", help="End of the time axis [when it has died down], s.")
 @click.option("--step", type=float, metavar="T", help="Between saved or drawn samples [solver.step], s.")
 @_json_option
@@ -295,14 +301,17 @@ def simulate(
       clunk simulate configs/nominal.toml --figure closeup -o chatter.png \\
           --overlay lash.contact.model=indentation,restitution
     """
+    from clunk import targets
     from clunk.simulation import simulate as run
 
-    if output is not None:
-        _check_writable(output)
+    _check_drawing(output, figure, around, width, until, step)
     studies = _studies_to_simulate(source, overrides, at, overlay)
-    if output is not None and output.suffix in (".csv", ".h5") and len(studies) > 1:
-        raise click.UsageError(f"{output} takes one run; leave --overlay out, or name a picture.")
-    _say_if_compiling()
+    if output is not None:
+        targets.check(output, (*targets.PICTURES, *targets.DATA), reads=source)
+        targets.spare_a_sweep(output)
+        if output.suffix.lower() in targets.DATA and len(studies) > 1:
+            raise click.UsageError(f"{output} takes one run; leave --overlay out, or name a picture.")
+    _say_if_compiling("rk4.run")
     for _, study in studies:
         _warn_of_coarse_step(study)
     runs = [(name, run(study)) for name, study in studies]
@@ -316,6 +325,21 @@ def simulate(
             terminal.print_trajectory(trajectory)
     if output is not None:
         _save_runs(runs, output, figure, around, width, until, step)
+
+
+def _check_drawing(
+    output: Path | None, figure: str, around: float | None, width: float, until: float | None, step: float | None
+) -> None:
+    """Refuse what could not be drawn, before the run and not after it."""
+    given = {"--around": around, "--until": until, "--step": step}
+    if output is None:
+        named = [option for option, value in given.items() if value is not None]
+        named += ["--figure"] * (figure != "everything") + ["--width"] * (width != _CLOSEUP_WIDTH)
+        if named:
+            raise click.UsageError(f"{named[0]} needs -o, the file to draw or save to.")
+    for option, value in {"--width": width, "--until": until, "--step": step}.items():
+        if value is not None and not value > 0.0:
+            raise click.UsageError(f"{option} {value:g}: must be greater than 0 (s).")
 
 
 def _studies_to_simulate(
@@ -333,16 +357,19 @@ def _studies_to_simulate(
         text, name = read_header(source).config, f"the config in {source}"
     else:
         text, name = read_text(source), str(source)
-    choices = []
+    choices: dict[str, list[str]] = {}
     for assignment in overlay:
         key, equals, listed = assignment.partition("=")
         if not equals or not listed:
             raise click.UsageError(f"--overlay {assignment}: must be KEY=V1,V2, for example load.ratio=1,2,5.")
-        choices.append([f"{key}={value}" for value in listed.split(",")])
+        if key in choices:
+            raise click.UsageError(f"--overlay {assignment}: {key} is there twice; list its values in one.")
+        choices[key] = [f"{key}={value}" for value in re.split(r",(?![^\[]*\])", listed)]
     studies = []
-    for chosen in product(*choices):
+    for chosen in product(*choices.values()):
         study = study_from_text(text, name, [*overrides, *chosen])
-        single = replace_values(study.model_copy(update={"sweep": None}), _cell_values(study, at))
+        values = _cell_values(study, at, all_needed=source.suffix == ".h5")
+        single = replace_values(study.model_copy(update={"sweep": None}), values)
         studies.append((", ".join(chosen) or study.title, single))
     return studies
 
@@ -357,10 +384,11 @@ def _save_runs(
     step: float | None,
 ) -> None:
     from clunk import history as histories
+    from clunk import targets
 
-    if output.suffix in (".csv", ".h5"):
+    if output.suffix.lower() in targets.DATA:
         ((_, trajectory),) = runs
-        save = histories.save_csv if output.suffix == ".csv" else histories.save_hdf5
+        save = histories.save_csv if output.suffix.lower() == ".csv" else histories.save_hdf5
         save(output, histories.sample(trajectory, step, until), trajectory)
         click.echo(f"-> {output}", err=True)
         return
@@ -384,8 +412,11 @@ def _save_runs(
     click.echo(f"-> {output}", err=True)
 
 
-def _cell_values(study: Study, at: tuple[str, ...]) -> dict[str, float]:
-    """The swept keys' values named by --at, each taken to the axis's nearest one."""
+def _cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[str, float]:
+    """The swept keys' values named by --at, each taken to the axis's nearest one.
+
+    Where not all are needed, what is not named keeps the config's own value.
+    """
     import numpy as np
 
     axes = {axis.parameter: axis.grid for axis in study.sweep.axes} if study.sweep else {}
@@ -396,22 +427,30 @@ def _cell_values(study: Study, at: tuple[str, ...]) -> dict[str, float]:
         if key not in axes:
             known = ", ".join(axes) or "nothing"
             raise click.UsageError(f"--at {assignment}: {key!r} is not swept; swept here: {known}.")
+        lowest, highest = float(axes[key].min()), float(axes[key].max())
         try:
             wanted = float(text)
         except ValueError:
             raise click.UsageError(f"--at {assignment}: {text!r} is not a number.") from None
+        if not lowest <= wanted <= highest:  # also when not a number
+            raise click.UsageError(f"--at {assignment}: {key} is swept from {lowest:g} to {highest:g}.")
         values[key] = float(axes[key][np.argmin(np.abs(axes[key] - wanted))])
         if not np.isclose(values[key], wanted, rtol=1e-9, atol=0.0):
             click.echo(f"{key} = {values[key]:.6g} is the nearest value of its axis", err=True)
     missing = [key for key in axes if key not in values]
-    if missing and at:
-        raise click.UsageError("Which cell? Also give " + " ".join(f"--at {key}=…" for key in missing) + ".")
+    if missing and all_needed:
+        examples = " ".join(f"--at {key}={axes[key][len(axes[key]) // 2]:.6g}" for key in missing)
+        raise click.UsageError(f"Which cell? Also name {examples}, for example.")
     if missing:
-        raise click.UsageError(
-            "This is a sweep; name one of its cells, for example "
-            + " ".join(f"--at {key}={axes[key][len(axes[key]) // 2]:.6g}" for key in missing)
-        )
+        own = ", ".join(f"{key} = {_own_value(study, key):g}" for key in missing)
+        click.echo(f"swept keys at the config's own values: {own}; --at names others", err=True)
     return values
+
+
+def _own_value(study: Study, key: str) -> float:
+    from clunk.config import get_value
+
+    return get_value(study, key)
 
 
 @cli.command()
@@ -459,7 +498,7 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     click.echo("load ratio σr above which one more impact appears as the backlash vanishes")
     click.echo("  impacts       " + "".join(f"{n:>8}" for n in range(1, 5)))
     for name, ratios in thresholds.items():
-        click.echo(f"  {name:<14}" + "".join(f"{ratio:>8.2f}" for ratio in ratios))
+        click.echo(f"  {name:<14}" + ("".join(f"{ratio:>8.2f}" for ratio in ratios) or "    none"))
     click.echo("(lowest mode: σr = exp(2π ζ1 (n - 1/2)); all modes: with the lash locked)")
 
 
@@ -514,9 +553,12 @@ def init(path: Path, force: bool) -> None:
     if str(path) == "-":
         click.echo(text, nl=False)
         return
+    if path.is_dir():
+        raise click.ClickException(f"{path} is a directory; name a file in it.")
     if path.exists() and not force:
         raise click.ClickException(f"{path} exists; --force overwrites it.")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise click.ClickException(f"{path} cannot be written: {error.strerror}.") from error
@@ -540,8 +582,11 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: 
       clunk compare results/figure_3_4.h5 table_4_1 -o experiment.png
     """
     from clunk import comparison as comparing
+    from clunk import targets
     from clunk.store import read
 
+    if output is not None:
+        targets.check(output, targets.PICTURES)
     results = read(a)
     found: Any
     other = None
@@ -570,7 +615,7 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: 
     "-o", "--output", type=click.Path(path_type=Path), default="results/reproduction", help="Directory of the figures."
 )
 @click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")
-@click.option("--coarsen", type=click.IntRange(1, 20), default=1, help="Every n-th value of the maps' axes [1].")
+@click.option("--coarsen", type=click.IntRange(1, 20), default=1, help="About every n-th value of the maps' axes [1].")
 @_json_option
 def reproduce(output: Path, workers: int | None, coarsen: int, as_json: bool) -> None:
     """Recompute the report: every number and claim beside ours, every figure redrawn.
@@ -580,11 +625,11 @@ def reproduce(output: Path, workers: int | None, coarsen: int, as_json: bool) ->
     Example: clunk reproduce
     """
     from clunk import claims as claiming
-    from clunk import reproduction
+    from clunk import reproduction, targets
     from clunk.sweeping import cell_count
 
-    _check_writable(output / "figure_3_1.png")
-    _say_if_compiling()
+    targets.check(output / "figure_3_1.png", targets.PICTURES)
+    _say_if_compiling("tile.run_tile")
     total = sum(cell_count(study) for study in claiming.map_studies(coarsen).values())
     with terminal.progress(total) as progress:
         maps = claiming.run_maps(coarsen, workers, progress)

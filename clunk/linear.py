@@ -1,8 +1,9 @@
 """The linear view of vanishing backlash: how many impacts a load ratio brings (report §3.2, Figure 3.5, Table 3.1).
 
 As the gap vanishes, the lash stays closed, and an impact is a change of sign of the torque it carries. That torque is
-Ts (1 + σr f(t)) times what reaches the lash, with f(t) the response to the released torque, f(0) = 1: each minimum of f
-below zero adds an impact from σr = -1/f on. With the lowest mode alone f = exp(-ζ1 ω t) cos ω t.
+Ts (1 + σr f(t)) times what reaches the lash, with f(t) the response to the released torque, f(0) = 1. It is on the
+other flank while f < -1/σr, so that every excursion of f below that level is one more crossing and back. With the
+lowest mode alone f = exp(-ζ1 ω t) cos ω t, and each of its minima adds one.
 """
 
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ FloatArray = npt.NDArray[np.float64]
 _SAMPLES = 64  # a period of the fastest mode that matters, to bracket every minimum
 _FAINTEST = 1e-3  # of the first swing: thresholds beyond σr = 1000 are nobody's load ratio
 _MOST_SAMPLES = 2_000_000
+_BLOCK = 1 << 14
 
 
 def periods_in_envelope(study: Study, ratio: float) -> float:
@@ -46,12 +48,29 @@ def one_mode_thresholds(study: Study, count: int = 4) -> FloatArray:
 def rigid_contact_thresholds(study: Study, count: int = 4) -> FloatArray:
     """The same load ratios from all modes of the chain with its lash locked; fewer than `count` where f has fewer."""
     response = _Response.of(study)
-    if response is None:
-        return np.empty(0)
-    minima = response.minima()
-    deepest_from_here = np.minimum.accumulate(minima[::-1])[::-1]
-    minima = minima[(minima < 0.0) & (minima <= deepest_from_here)]  # a shallower one before a deeper adds nothing
-    return np.asarray(-1.0 / minima[:count], dtype=np.float64)
+    return np.empty(0) if response is None else levels_of_excursions(response.extremes(), count)
+
+
+def levels_of_excursions(extremes: FloatArray, count: int) -> FloatArray:
+    """The σr from which on f has 1, 2, … `count` separate excursions below -1/σr; fewer where f has fewer.
+
+    Two dips are one excursion while f does not rise above the level between them. As the level rises from the deepest
+    minimum, an excursion begins at each minimum, and two become one at each maximum between them.
+
+    Parameters
+    ----------
+    extremes : (m,) float64
+        Minima and maxima of f in turn, a minimum first.
+    """
+    minima, between = extremes[0::2], extremes[1::2]
+    found: list[float] = []
+    for level in np.sort(minima[minima < 0.0]):
+        below = minima <= level
+        joined = below[:-1] & below[1:] & (between[: minima.size - 1] <= level)
+        excursions = int(below.sum()) - int(joined.sum())
+        while len(found) < min(excursions, count):
+            found.append(-1.0 / level)
+    return np.array(found, dtype=np.float64)
 
 
 def thresholds_on(study: Study, parameter: str, ratios: FloatArray) -> FloatArray:
@@ -98,26 +117,31 @@ class _Response:
     def __call__(self, time: FloatArray) -> FloatArray:
         return np.asarray((np.exp(np.multiply.outer(time, self.rate)) @ self.amplitude).real)
 
-    def minima(self) -> FloatArray:
-        """The values of f at its minima, in order of time, until its envelope has become too faint."""
-        from scipy.optimize import minimize_scalar
-
-        slowest = -self.rate.real.max()
-        fastest = np.abs(self.rate.imag).max()
+    def extremes(self) -> FloatArray:
+        """Minima and maxima of f in turn, a minimum first, until its envelope has become too faint."""
+        fastest = float(np.abs(self.rate.imag).max())
         if fastest == 0.0:
             return np.empty(0)
+        slowest = float(-self.rate.real.max())
         dt = 2.0 * np.pi / fastest / _SAMPLES
         lasting = np.log(np.abs(self.amplitude).sum() / _FAINTEST) / slowest if slowest > 0.0 else np.inf
-        time = np.arange(0.0, min(lasting, _MOST_SAMPLES * dt), dt)
-        f = self(time)
-        dips = np.flatnonzero((f[1:-1] <= f[:-2]) & (f[1:-1] < f[2:])) + 1
-        refined = [
-            minimize_scalar(
-                lambda t: float(self(np.array([t]))[0]),
-                bounds=(time[k - 1], time[k + 1]),
-                method="bounded",
-                options={"xatol": 1e-12},
-            ).fun
-            for k in dips
-        ]
-        return np.array(refined, dtype=np.float64)
+        steps = int(min(lasting / dt, _MOST_SAMPLES))
+        turns: list[float] = []
+        for start in range(0, steps, _BLOCK):  # the exponentials of all modes at all times would fill the memory
+            time = np.asarray(dt * np.arange(start, min(start + _BLOCK, steps) + 2), dtype=np.float64)
+            f = self(time)
+            rising = np.diff(f) > 0.0
+            turns += [self._turn(time[k], time[k + 2]) for k in np.flatnonzero(rising[1:] != rising[:-1])]
+        values = np.array(turns, dtype=np.float64)
+        return values[1:] if values.size > 1 and values[0] > values[1] else values
+
+    def _turn(self, before: float, after: float) -> float:
+        """The value of f where its slope changes sign between two times."""
+        from scipy.optimize import brentq
+
+        def slope(time: float) -> float:
+            return float((np.exp(self.rate * time) @ (self.rate * self.amplitude)).real)
+
+        if slope(before) * slope(after) > 0.0:  # flat to rounding
+            return float(self(np.array([before]))[0])
+        return float(self(np.array([brentq(slope, before, after, xtol=1e-14)]))[0])

@@ -9,12 +9,13 @@ from matplotlib.figure import Figure
 from clunk import plot
 from clunk.claims import MAPS, NOMINAL_RATIO, RATIOS, Claim, Evidence
 from clunk.comparison import compare, compare_experiment, read_experiment
+from clunk.files import reason, write_whole
 from clunk.history import History, sample
 from clunk.linear import one_mode_thresholds
 from clunk.plot import comparisons, histories, profiles
 from clunk.plot.small_gap import small_gap
 from clunk.simulation import Trajectory
-from clunk.store import write
+from clunk.store import StoreError, write
 
 Job = tuple[str, Callable[[], Figure]]
 
@@ -41,7 +42,11 @@ def save_all(
         write(written[-1], getattr(evidence.maps, name))
     written.append(directory / "claims.json")
     records = [claim.record() for claim in found]
-    written[-1].write_text(json.dumps(records, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    text = json.dumps(records, indent=1, ensure_ascii=False) + "\n"
+    try:
+        write_whole(written[-1], lambda file: file.write(text.encode()))
+    except OSError as error:
+        raise StoreError(f"{written[-1]} cannot be written: {reason(error)}.") from error
     return written
 
 

@@ -5,6 +5,7 @@ threads. A cell's result depends on nothing but its parameters, so neither the c
 a bit of it.
 """
 
+import math
 import os
 import platform
 import threading
@@ -104,7 +105,25 @@ def sweep(
 
 def cell_count(study: Study) -> int:
     """How many cells the grid of a study has; 0 without axes."""
-    return 0 if study.sweep is None else int(np.prod([axis.count_of_values for axis in study.sweep.axes]))
+    return 0 if study.sweep is None else math.prod(axis.count_of_values for axis in study.sweep.axes)
+
+
+def unused_axes(study: Study) -> list[str]:
+    """The swept keys that change nothing in the study's contact model."""
+    contact, swept = study.lash.contact, study.sweep.axes if study.sweep else ()
+    if contact.model == "restitution":
+        unused = {"lash.contact.stiffness", "lash.contact.damping", "impacts.sticking_time", "impacts.acceleration_of"}
+    else:
+        unused = {"lash.contact.restitution", "lash.contact.locking_speed"}
+    return [axis.parameter for axis in swept if axis.parameter in unused | {"load.step_time"}]
+
+
+def warm_up(study: Study) -> None:
+    """Compile the kernel, or load it: what a first call of it would otherwise do in the middle of a sweep."""
+    nothing = np.zeros(0)
+    systems = stack([driveline.build(study)])
+    cells, impacts, stop = np.zeros(0, tile.CELL), np.zeros(0, tile.IMPACT), np.zeros(1, np.uint8)
+    tile.run_tile(systems, np.zeros(0, np.int64), nothing, nothing, nothing, 0, 1, cells, impacts, stop)
 
 
 @dataclass
@@ -122,7 +141,7 @@ class _Grid:
         self.study = study
         self.axes = study.sweep.axes
         self.shape = tuple(axis.count_of_values for axis in self.axes)
-        self.cells = int(np.prod(self.shape, dtype=object))
+        self.cells = math.prod(self.shape)
         self.structural = [k for k, axis in enumerate(self.axes) if axis.parameter not in _DRIVING]
         self._kept: OrderedDict[tuple[int, ...], System] = OrderedDict()
         self._lock = threading.Lock()

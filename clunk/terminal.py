@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import textwrap
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -17,6 +18,14 @@ if TYPE_CHECKING:
     from clunk.simulation import Trajectory
 
 Progress = Callable[[int, int], None]
+
+_WIDTH = 80
+
+
+def complain(text: str) -> None:
+    """Print what is wrong, within the width of a terminal; a report that is laid out already stays as it is."""
+    for line in text.splitlines():
+        click.echo(line if len(line) <= _WIDTH else textwrap.fill(line, _WIDTH, break_on_hyphens=False), err=True)
 
 
 @contextmanager
@@ -72,7 +81,7 @@ def report_failures(results: Results) -> None:
         cells = np.argwhere(results.status == status)
         if status == Status.OK or cells.size == 0:
             continue
-        click.echo(f"{len(cells):,} cells failed: {status.sentence}", err=True)
+        complain(f"{len(cells):,} {'cell' if len(cells) == 1 else 'cells'} failed: {status.sentence}")
         for cell in cells[:3]:
             where = ", ".join(
                 f"{axis.parameter} = {axis.values[k]:.6g}" for axis, k in zip(results.axes, cell, strict=True)
@@ -88,7 +97,7 @@ def print_counts(counts: dict[str, int]) -> None:
     width = max(len(label) for label in counts)
     for label, count in counts.items():
         if label != "failed" or count:
-            click.echo(f"{label:<{width}}  {count:>9,} cells  {count / total:6.1%}")
+            click.echo(f"{label:<{width}}  {count:>9,} {'cell ' if count == 1 else 'cells'}  {count / total:6.1%}")
 
 
 def print_trajectory(trajectory: Trajectory) -> None:
@@ -109,11 +118,11 @@ def print_trajectory(trajectory: Trajectory) -> None:
     ending = "nothing can follow" if trajectory.complete else "the end time; more may follow"
     click.echo(f"{trajectory.end:11.7f}  end: {ending}")
     click.echo()
-    click.echo(f"events            {len(trajectory.events) - 1}, {trajectory.touches} of them touches")
-    click.echo(f"primary impacts   {trajectory.letters or 'none'}")
-    click.echo(f"label             {trajectory.label}")
-    click.echo(f"severity Q        {_severity(trajectory.severity, ' rad/s²')}")
-    click.echo(f"approach speed V  {trajectory.approach_velocity:.5f} rad/s")
+    click.echo(f"events              {len(trajectory.events) - 1}, {trajectory.touches} of them touches")
+    click.echo(f"primary impacts     {trajectory.letters or 'none'}")
+    click.echo(f"label               {trajectory.label}")
+    click.echo(f"severity Q          {_severity(trajectory.severity, ' rad/s²')}")
+    click.echo(f"approach velocity V {trajectory.approach_velocity:.5f} rad/s")
 
 
 def trajectory_record(trajectory: Trajectory) -> dict[str, Any]:
@@ -131,7 +140,7 @@ def trajectory_record(trajectory: Trajectory) -> dict[str, Any]:
                 "time": float(event["time"]),
                 "event": trajectory.kind_name(k),
                 "flank": trajectory.flank_name(k),
-                "speed": float(event["speed"]),
+                "relative_velocity": float(event["speed"]),
                 "primary": k in primaries,
             }
             for k, event in enumerate(trajectory.events)

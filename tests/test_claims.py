@@ -3,6 +3,7 @@
 import json
 import signal
 import sys
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from clunk import claims, cli, reproduction
 from clunk.claims import Claim, Evidence, Verdict, run_maps
 from clunk.config import replace_values, study_from_text
 from clunk.linear import (
+    levels_of_excursions,
     one_mode_thresholds,
     periods_in_envelope,
     rigid_contact_thresholds,
@@ -114,6 +116,51 @@ def test_thresholds_of_all_modes_are_those_of_the_locked_chain(nominal):
 def test_periods_in_the_envelope_pass_a_half_at_each_threshold(nominal):
     for n, ratio in enumerate(one_mode_thresholds(nominal), start=1):
         assert periods_in_envelope(nominal, float(ratio)) == pytest.approx(n - 0.5, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("extremes", "levels"),
+    [
+        ([-0.7, 0.5, -0.3, 0.2, -0.1], [1 / 0.7, 1 / 0.3, 1 / 0.1]),  # one mode: each minimum adds one
+        ([-0.735, -0.5, -0.909, -0.4, -0.870], [1 / 0.909, 1 / 0.870, 1 / 0.735]),  # the deepest first
+        ([-0.9, -0.85, -0.8], [1 / 0.9]),  # two dips without a way back between them are one
+        ([-0.9, 0.1, -0.9], [1 / 0.9, 1 / 0.9]),
+        ([0.3, 0.5, 0.4], []),
+    ],
+)
+def test_impacts_are_counted_as_excursions_and_not_as_minima(extremes, levels):
+    assert levels_of_excursions(np.array(extremes), 4) == pytest.approx(levels, rel=1e-12)
+
+
+def test_thresholds_of_random_chains_are_where_the_locked_model_gains_an_impact():
+    from clunk.simulation import simulate
+
+    rng = np.random.default_rng(5)
+    checked = 0
+    for _ in range(12):
+        n = int(rng.integers(2, 6))
+        open_shaft = int(rng.integers(1, n))
+        ends = [(k, k + 1) for k in range(1, n)] + [(n, "ground")]
+        shafts = ", ".join(
+            f"{{between = {list(pair)!r}, stiffness = {10 ** rng.uniform(0.5, 2.5):.4g}, "
+            f"damping = {10 ** rng.uniform(-2.5, -1):.4g}}}"
+            for pair in ends
+            if pair != (open_shaft, open_shaft + 1)
+        )
+        study = study_from_text(
+            f"[driveline]\ninertias = {(10 ** rng.uniform(-3, -1, n)).tolist()}\nshafts = [{shafts}]\n"
+            f"[lash]\nbetween = [{open_shaft}, {open_shaft + 1}]\nbacklash_deg = 0.0\nradius = 1.0\n"
+            'contact = {model = "restitution", stiffness = 1.0, damping = 0.0}\n'
+            "[load]\non = 1\nstatic_torque = -1.0\nratio = 5.0\n[solver]\nstep = 2e-4\nend_time = 20.0\n"
+        )
+        thresholds = rigid_contact_thresholds(study, 4)
+        thresholds = thresholds[thresholds < 50.0]
+        for k, (low, high) in enumerate(pairwise(thresholds), start=1):
+            if high / low > 1.002:  # halfway between two that are apart
+                run = simulate(replace_values(study, {"load.ratio": float(np.sqrt(low * high))}))
+                assert run.label == f"DS({k})"
+                checked += 1
+    assert checked >= 20
 
 
 def test_thresholds_follow_the_torque_that_is_swept(nominal):

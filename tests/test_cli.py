@@ -135,8 +135,8 @@ def test_failed_cells_exit_3_and_name_their_cause(clunk, small):
 def test_simulate_prints_events_letters_and_label(clunk):
     code, out, _ = clunk("simulate", ROOT / "configs/nominal.toml")
     assert code == 0
-    assert "primary impacts   O I I" in out
-    assert "label             DS(1)SS(1)" in out
+    assert "primary impacts     O I I" in out
+    assert "label               DS(1)SS(1)" in out
     assert max(map(len, out.splitlines())) <= 80
 
 
@@ -150,6 +150,96 @@ def test_simulate_runs_a_cell_of_a_results_file(clunk, small):
     code, _, err = clunk("simulate", "results/small.h5", "--at", "load.ratio=4")
     assert code == 2
     assert "--at lash.backlash_deg=" in err
+
+
+def test_simulate_of_a_sweep_takes_the_config_s_own_values_where_none_are_named(clunk, small):
+    code, out, err = clunk("simulate", small)
+    assert code == 0
+    assert "load.ratio = 5, lash.backlash_deg = 6" in err
+    assert "DS(1)SS(1)" in out
+    code, out, _ = clunk("simulate", small, "--at", "load.ratio=2")
+    assert code == 0
+    assert "SS(1)" in out
+
+
+def test_simulate_never_writes_over_a_sweep_s_results(clunk, small, here):
+    clunk("sweep", small)
+    before = (here / "results/small.h5").read_bytes()
+    for source in (small, "results/small.h5"):
+        values = ["--at", "load.ratio=4", "--at", "lash.backlash_deg=5"]
+        code, _, err = clunk("simulate", source, *values, "-o", "results/small.h5")
+        assert code == 2
+        assert "results/small.h5" in err
+        assert (here / "results/small.h5").read_bytes() == before
+    code, _, _ = clunk("simulate", small, "-o", "run.h5")
+    assert code == 0
+    code, _, _ = clunk("simulate", small, "-o", "run.h5")  # a run may be saved again
+    assert code == 0
+
+
+def test_simulate_draws_and_saves_runs_and_overlays(clunk, here):
+    config = ROOT / "configs/nominal.toml"
+    for figure in ("everything", "angles", "backlash", "closeup", "acceleration", "small-gap"):
+        code, _, err = clunk("simulate", config, "--overlay", "load.ratio=2,5", "--figure", figure, "-o", "run.png")
+        assert code == 0
+        assert "-> run.png" in err
+    assert (here / "run.png").stat().st_size > 10_000
+    assert clunk("simulate", config, "-o", "RUN.CSV", "--step", "1e-3")[0] == 0
+    header, first = (here / "RUN.CSV").read_text().splitlines()[:2]
+    assert header.startswith("time_s,")
+    assert first.startswith("0.0,-0.1,")
+    code, out, _ = clunk("simulate", config, "--overlay", "lash.contact.model=indentation,restitution", "--json")
+    assert code == 0
+    assert [run["severity"] is None for run in json.loads(out)] == [False, True]
+
+
+def test_compare_tells_equal_from_different(clunk, small, here):
+    clunk("sweep", small)
+    clunk("sweep", small, "--set", "lash.contact.model=restitution", "-o", "rcm.h5")
+    assert clunk("compare", "results/small.h5", "results/small.h5", "--expect-equal")[0] == 0
+    clunk("sweep", small, "--set", "lash.contact.stiffness=1e4", "-o", "soft.h5")
+    code, out, _ = clunk("compare", "results/small.h5", "soft.h5", "--expect-equal", "-o", "difference.png")
+    assert code == 4
+    assert "lash.contact.stiffness" in out
+    assert (here / "difference.png").stat().st_size > 10_000
+    code, out, _ = clunk("compare", "results/small.h5", "table_4_1", "--json")
+    assert code == 0
+    assert json.loads(out)
+
+
+def test_a_finished_sweep_answers_in_json_and_with_its_failures(clunk, small):
+    moved = ["--set", "sweep.axes[1].start=-1.0", "--set", "sweep.axes[1].stop=9.0", "--json"]
+    first, second = clunk("sweep", small, *moved), clunk("sweep", small, *moved)
+    assert first[0] == second[0] == 3
+    assert json.loads(first[1])["counts"] == json.loads(second[1])["counts"]
+
+
+def test_an_axis_that_changes_nothing_is_noted(clunk, small):
+    axis = ["--set", 'sweep.axes[1].parameter="lash.contact.restitution"', "--set", "sweep.axes[1].stop=1.0"]
+    code, _, err = clunk("sweep", small, *axis)
+    assert code == 0
+    assert "lash.contact.restitution is swept, but changes nothing" in err
+
+
+def test_a_terminal_without_greek_letters_gets_question_marks():
+    command = [sys.executable, "-c", "from clunk.cli import main; main()", "modes", str(ROOT / "configs/nominal.toml")]
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(command, capture_output=True, env=environment, check=False)
+    assert done.returncode == 0
+    assert b"258.3" in done.stdout
+
+
+def test_messages_keep_within_80_columns(clunk, small):
+    three = [
+        "--set",
+        'sweep.axes=[{parameter="load.ratio",values=[2.0,5.0]},'
+        '{parameter="lash.backlash_deg",values=[2.0,5.0]},{parameter="lash.radius",values=[0.07,0.08]}]',
+    ]
+    clunk("sweep", small, *three)
+    for command in (["plot", "results/small.h5"], ["sweep", small], ["simulate", small, "--at", "load.torque=1"]):
+        code, _, err = clunk(*command)
+        assert code == 2
+        assert max(map(len, err.splitlines())) <= 80
 
 
 def test_modes_prints_the_report_s_numbers(clunk):
@@ -262,7 +352,20 @@ def test_a_broken_config_gives_one_clear_message_and_leaves_files_alone(clunk, h
         (["plot", "notes.txt"], "notes.txt"),
         (["plot", "small.toml"], "small.toml"),
         (["info", "notes.txt"], "notes.txt"),
-        (["simulate", "small.toml"], "--at"),
+        (["sweep", "small.toml", "-o", "small.toml", "--force"], ".h5"),
+        (["sweep", "small.toml", "-o", "map.png"], ".h5"),
+        (["simulate", "small.toml", "-o", "run.docx"], ".csv"),
+        (["simulate", "small.toml", "--figure", "closeup"], "-o"),
+        (["simulate", "small.toml", "--until", "1.0"], "-o"),
+        (["simulate", "small.toml", "--width", "-1", "-o", "run.png"], "--width"),
+        (["simulate", "small.toml", "--overlay", "load.ratio", "-o", "run.png"], "--overlay"),
+        (["simulate", "small.toml", "--overlay", "lash.radius=1", "--overlay", "lash.radius=2"], "twice"),
+        (["simulate", "small.toml", "--overlay", "lash.radius=1,2", "-o", "run.csv"], "one run"),
+        (["simulate", "small.toml", "--at", "load.ratio=nan"], "0 to 10"),
+        (["simulate", "small.toml", "--at", "load.ratio=11"], "0 to 10"),
+        (["compare", "notes.txt", "notes.txt"], "notes.txt"),
+        (["compare", "notes.txt", "table_4_1", "-o", "map.csv"], ".png"),
+        (["reproduce", "-o", "notes.txt"], "notes.txt"),
         (["simulate", "small.toml", "--at", "load.ratio=x", "--at", "lash.backlash_deg=6"], "load.ratio"),
         (["simulate", "small.toml", "--at", "load.torque=1"], "load.torque"),
         (["modes", "nowhere.toml"], "nowhere.toml"),

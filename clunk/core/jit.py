@@ -21,10 +21,10 @@ def _configure() -> None:
     )
 
 
-def is_cold() -> bool:
-    """Whether no kernel of this core has been compiled and kept yet."""
+def is_cold(kernel: str) -> bool:
+    """Whether a kernel of this core, "rk4.run" for example, has not been compiled and kept yet."""
     directory = Path(numba.config.CACHE_DIR)  # type: ignore[attr-defined]
-    return not any(directory.glob("**/rk4.run-*.nbi"))
+    return not any(directory.glob(f"**/{kernel}-*.nbi"))
 
 
 def _digest() -> str:

@@ -155,7 +155,7 @@ def run(
             if index >= last_steps:
                 return _OK, count, False, system.end_time
 
-        if not room_for_a_switch(system, events, count):
+        if not room_for_a_switch(system, half_gap, events, count):
             return _EVENT_BUFFER_FULL, count, False, index * step + offset
         count, regime, zero_guard, zero_order, fastest = switch(
             system, regime, guard, index * step + offset, x, torque, half_gap, events, states, count, fastest

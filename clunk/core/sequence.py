@@ -34,7 +34,7 @@ def find_primaries(
         Output.
     """
     last_side = events[0].side
-    touched_at = -np.inf  # the preloaded contact has lasted for ever
+    episode_began = -np.inf  # the preloaded contact has lasted for ever
     from_sticking = False
     found = 0
     for k in range(1, count):
@@ -44,12 +44,12 @@ def find_primaries(
                 primaries[found] = k
                 found += 1
             last_side = event.side
-            touched_at = event.time
+            episode_began = event.time
             from_sticking = False
         elif event.kind == LOCK:
-            touched_at = event.time
+            episode_began = event.time
         elif event.kind == SEPARATION:
-            from_sticking = event.time - touched_at > sticking_time
+            from_sticking = event.time - episode_began > sticking_time
     return found
 
 

@@ -24,8 +24,8 @@ _SENTENCES = {
     Status.NO_EQUILIBRIUM: "no static equilibrium: some inertia has no path of stiffness to ground",
     Status.NO_INITIAL_FLANK: "no initial flank: the lash carries no static torque before the load step",
     Status.NON_FINITE: "the state became infinite or undefined",
-    Status.EVENT_BUFFER_FULL: "more events than solver.max_events",
-    Status.UNSTABLE_STEP: "solver.step is beyond the stability limit of RK4 for this driveline",
+    Status.EVENT_BUFFER_FULL: "more events than solver.max_events allows; raise it, or shorten solver.end_time",
+    Status.UNSTABLE_STEP: "RK4 is unstable with this solver.step; shorten it (clunk modes tells the fastest mode)",
 }
 
 INTERRUPTED = 255  # never stored: the cell has to be run again

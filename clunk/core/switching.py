@@ -87,9 +87,10 @@ def _guard(system: System, regime: int, guard: int, x: FloatArray, half_gap: flo
 
 
 @compiled
-def room_for_a_switch(system: System, events: npt.NDArray[np.void], count: int) -> bool:
-    """Whether the event buffer holds what one switch may write: without a gap, a separation, a touch and a lock."""
-    return count + (3 if system.impulsive != 0 else 1) <= events.size
+def room_for_a_switch(system: System, half_gap: float, events: npt.NDArray[np.void], count: int) -> bool:
+    """Whether the event buffer holds what one switch may write: up to a separation, a touch and its lock."""
+    most = 1 if system.impulsive == 0 else (2 if half_gap > 0.0 else 3)
+    return count + most <= events.size
 
 
 @compiled
