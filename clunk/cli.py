@@ -199,7 +199,7 @@ def _say_if_compiling(kernel: str) -> None:
     from clunk.core.jit import is_cold
 
     if is_cold(kernel):
-        click.echo("compiling the kernel, once for this installation (about 15 s) …", err=True)
+        click.echo("compiling the kernel, once for this installation (about 20 s) …", err=True)
 
 
 def _report_counts(counts: dict[str, int], target: Path, seconds: float, as_json: bool) -> None:

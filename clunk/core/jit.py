@@ -52,6 +52,7 @@ def _writable(directory: Path) -> Path:
 
 
 _configure()  # before the first function is decorated
-# No fastmath: the same input gives the same bits, on any number of threads.
-compiled = numba.njit(cache=True, nogil=True)
-inlined = numba.njit(cache=True, nogil=True, inline="always")
+# No fastmath: the same input gives the same bits, on any number of threads. Division by zero gives an infinity and no
+# exception: kernels never raise.
+compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
+inlined = numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")

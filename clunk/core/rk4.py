@@ -31,6 +31,12 @@ _SHORTEST = 0.01
 
 
 @compiled
+def _unknown(value: int) -> int:
+    """An integer that numba does not know: for a known one it would compile again what that is passed to."""
+    return int(np.int64(value))
+
+
+@compiled
 def run(
     system: System,
     x: FloatArray,
@@ -82,10 +88,10 @@ def run(
     rest = system.end_time - full_steps * step
     last_steps = full_steps + 1 if rest > 1e-9 * step else full_steps
 
-    count = 1
+    count, none = _unknown(1), _unknown(0)
     record(events, states, 0, 0.0, 0.0, LOAD_STEP, regime, system.side[regime], x)
     index, offset = 0, 0.0  # the time is index · step + offset
-    zero_guard, zero_order = -1, 0
+    zero_guard, zero_order = none - 1, none
     fastest = 0.0  # touch so far [rad/s]
     while True:
         flow = system.flow[regime]
@@ -117,7 +123,7 @@ def run(
             if guard >= 0:
                 offset += s
                 break
-            index, offset, zero_guard = index + steps, 0.0, -1
+            index, offset, zero_guard = index + steps, 0.0, none - 1
 
             # full steps as long as nothing can happen in them
             _load(system, flow, x, torque, gap_input, z, columns)
