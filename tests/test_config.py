@@ -126,7 +126,7 @@ def test_preset_is_the_corrected_table_2_2():
     assert (study.lash.between, study.lash.backlash_deg, study.lash.radius) == ((3, 4), 6.0, 0.08)
     contact = study.lash.contact
     assert (contact.model, contact.separation, contact.restitution) == ("indentation", "gap", 0.5)
-    # facts.md: r² k34 = 2618.88 N m/rad and r² c34 = 0.6016 N m s/rad
+    # r² k34 = 2618.88 N m/rad and r² c34 = 0.6016 N m s/rad
     assert study.lash.radius**2 * contact.stiffness == pytest.approx(2618.88, rel=1e-12)
     assert study.lash.radius**2 * contact.damping == pytest.approx(0.6016, rel=1e-12)
     load = study.load
