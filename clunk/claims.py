@@ -21,6 +21,7 @@ from clunk.driveline import Driveline, Modes
 from clunk.experiments import read_experiment
 from clunk.labels import double_sided
 from clunk.linear import one_mode_thresholds, periods_in_envelope, rigid_contact_thresholds
+from clunk.load import load_step
 from clunk.results import Results
 from clunk.simulation import Trajectory, simulate
 from clunk.sweeping import cell_count, sweep
@@ -508,8 +509,6 @@ def _profile(results: Results, ratio: float) -> str:
 
 
 def _before(study: Study) -> float:
-    from clunk.load import load_step
-
     return float(load_step(study.load).before)
 
 

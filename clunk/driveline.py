@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.config import Study
-from clunk.core.regimes import System, build_system
+from clunk.core.regimes import System, build_system, chain
 
 FloatArray = npt.NDArray[np.float64]
 End = int | Literal["ground"]
@@ -85,11 +85,9 @@ class Driveline:
     def modes(self, *, closed: bool) -> Modes:
         """Natural frequencies and damping ratios with the lash closed or open."""
         coupling = np.outer(self.lash, self.lash) * float(closed)
-        n = self.inertia.size
-        rates = np.zeros((2 * n, 2 * n))
-        rates[:n, n:] = np.eye(n)
-        rates[n:, :n] = -(self.stiffness + self.contact_stiffness * coupling) / self.inertia[:, None]
-        rates[n:, n:] = -(self.damping + self.contact_damping * coupling) / self.inertia[:, None]
+        damping = self.damping + self.contact_damping * coupling
+        stiffness = self.stiffness + self.contact_stiffness * coupling
+        rates, _ = chain(self.inertia, damping, stiffness, self.load)
         eigenvalues = np.linalg.eigvals(rates)
         rounding = 1e-7 * np.abs(eigenvalues).max()  # a double zero, an undamped drift, is found to half the digits
         oscillating = eigenvalues[eigenvalues.imag > rounding]

@@ -146,9 +146,6 @@ class _Grid:
         self._kept: OrderedDict[tuple[int, ...], System] = OrderedDict()
         self._lock = threading.Lock()
 
-    def values(self) -> tuple[FloatArray, ...]:
-        return tuple(axis.grid for axis in self.axes)
-
     def system(self, at: tuple[int, ...]) -> System:
         """The system at these positions on the structural axes; kept, since neighbouring tiles share systems."""
         with self._lock:

@@ -141,13 +141,13 @@ def build_system(
     """
     n = inertia.size
     impulsive = restitution is not None
-    open_rates, open_inputs = _chain(inertia, damping, stiffness, load)
+    open_rates, open_inputs = chain(inertia, damping, stiffness, load)
     impulse = lash / inertia / np.sum(lash**2 / inertia)
     if impulsive:
         closed_rates, closed_inputs = _locked(open_rates, open_inputs, inertia, lash)
     else:
         coupling = np.outer(lash, lash)
-        closed_rates, closed_inputs = _chain(
+        closed_rates, closed_inputs = chain(
             inertia, damping + contact_damping * coupling, stiffness + contact_stiffness * coupling, load
         )
         closed_inputs[n:, 1] = contact_stiffness * lash / inertia
@@ -284,7 +284,7 @@ def _as_arrays(regimes: _Regimes) -> dict[str, Any]:
     return columns
 
 
-def _chain(
+def chain(
     inertia: FloatArray, damping: FloatArray, stiffness: FloatArray, load: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """A and B of M θ'' + C θ' + K θ = b T."""
