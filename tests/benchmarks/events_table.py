@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from clunk.config import Study, study_from_text
+from clunk.load import load_step
 
 PATH = Path(__file__).with_name("reference_events.npz")
 RATIOS = np.linspace(0.0, 10.0, 20)
@@ -85,3 +86,15 @@ def grid() -> tuple[np.ndarray, np.ndarray]:
     """Load ratio and backlash [degrees] of the 400 runs, each (400,)."""
     ratio, backlash = np.meshgrid(RATIOS, BACKLASHES_DEG, indexing="ij")
     return ratio.ravel(), backlash.ravel()
+
+
+def preload(study, driveline):
+    """Half gap [rad] (400,), angles at rest on the flank that carries the load before the step (n, 400), its side."""
+    ratio, backlash_deg = grid()
+    half_gaps = np.deg2rad(backlash_deg) / 2
+    before = np.broadcast_to(load_step(study.load, ratio=ratio).before, ratio.shape)
+    lash, stiffness = driveline.lash, driveline.contact_stiffness
+    closed = driveline.stiffness + stiffness * np.outer(lash, lash)
+    side = np.where(np.linalg.solve(closed, driveline.load) @ lash * before > 0.0, 1.0, -1.0)
+    forces = np.outer(driveline.load, before) + stiffness * np.outer(lash, side * half_gaps)
+    return half_gaps, np.linalg.solve(closed, forces), side
