@@ -1,11 +1,12 @@
 """clunk beside the real alternatives: the same 400 runs on the same machine, and how far each one's events are off.
 
-Run by hand: python tests/benchmarks/peers.py [--quick] [--json] [--repeats N]       needs clunk's extra `bench`
+Run by hand: python tests/benchmarks/peers.py [--quick] [--json] [--repeats N] [--patience S]    (clunk's extra `bench`)
 
 The runs are those of `events_table`: 20 x 20 cells, 1.5 s after the load step, every touch and separation located. Each
 row is timed on one core and on two, in interleaved repeats, compilation before the clock starts; the table has the
-medians, the best of the repeats (far above the median where others used the machine), and the ratio of the medians to
-heyoka's eight lanes. clunk's rows are whole calls of
+medians, half the range of the repeats, and the ratio to heyoka's eight lanes. On a machine with other users each
+measurement waits up to S seconds for it to be idle, and those during which others took 5 % of it or more do not count;
+a rate with no other measurement than such is marked *. clunk's rows are whole calls of
 `clunk.sweep` with as many threads as cores; the other rows are processes that already wait for work, timed until every
 run's events are in this process. Errors are against the stored table of `reference_events.py`: the largest |time error|
 of any event in the runs that have the right number of them, and how many runs have another number of events, or
@@ -28,6 +29,7 @@ from importlib.metadata import version
 import events_table
 import figure
 import numpy as np
+from machine import Watch
 
 import clunk
 from clunk import sweeping
@@ -40,6 +42,7 @@ CELLS = np.arange(events_table.RATIOS.size * events_table.BACKLASHES_DEG.size)
 CORES = (1, 2)
 SAMPLE = CELLS[::7]  # of the rows that take half a minute for all: 58 runs from all over the map
 YARDSTICK = "heyoka, tolerance 1e-9"
+DISTURBED = 0.05  # of the machine used by others
 NOTES = """\
 clunk's rows deliver label, Q, V and every primary impact of each cell, from all its events, and
 stop a run when it is proved that nothing can follow; "full length" does not stop. The other rows
@@ -52,24 +55,36 @@ class Row:
     """One line of the table.
 
     rates : cores -> runs/s, one for each repeat
+    others : cores -> share of the machine that others took meanwhile
     ready : float  [s], from nothing to the first run, with what it compiles
     """
 
     name: str
     ready: float = 0.0
     rates: dict[int, list[float]] = field(default_factory=lambda: {cores: [] for cores in CORES})
+    others: dict[int, list[float]] = field(default_factory=lambda: {cores: [] for cores in CORES})
     time_error: float = float("nan")
     checked: int = 0
     wrong_events: int = 0
     wrong_labels: int = 0
 
-    def rate(self, cores: int) -> float:
-        """Runs/s, the median."""
-        return statistics.median(self.rates[cores])
+    def counted(self, cores: int) -> list[float]:
+        """The rates that count: the undisturbed ones, or all if there is none  [runs/s]."""
+        both = list(zip(self.rates[cores], self.others[cores], strict=True))
+        return [rate for rate, others in both if others < DISTURBED] or self.rates[cores]
 
-    def best(self, cores: int) -> float:
-        """Runs/s, the best."""
-        return max(self.rates[cores])
+    def rate(self, cores: int) -> float:
+        """The median  [runs/s]."""
+        return statistics.median(self.counted(cores))
+
+    def spread(self, cores: int) -> float:
+        """Half the range, as a share of the median."""
+        counted = self.counted(cores)
+        return (max(counted) - min(counted)) / 2 / self.rate(cores)
+
+    def disturbed(self, cores: int) -> bool:
+        """Whether others used the machine in every measurement."""
+        return min(self.others[cores]) >= DISTURBED
 
 
 class Clunk:
@@ -83,6 +98,7 @@ class Clunk:
         sweeping.warm_up(self.study)
         self.row.ready = time.perf_counter() - began
         self.work(1)
+        self.processes: list[multiprocessing.process.BaseProcess] = []
 
     def work(self, cores: int) -> tuple[int, float]:
         """Runs and seconds of one sweep."""
@@ -219,12 +235,17 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--quick", action="store_true", help="two short repeats; solve_ivp is checked on 58 runs")
     parser.add_argument("--json", action="store_true")
+    parser.add_argument(
+        "--patience", type=float, default=0.0, help="seconds that a measurement waits for an idle machine"
+    )
+    parser.add_argument("--only", default="", help="rows whose name has this in it, and the yardstick")
     options = parser.parse_args()
     repeats, at_least = (2, 0.2) if options.quick else (options.repeats, 0.5)
-    before = os.getloadavg()[0]
     rows = []
     with contextlib.ExitStack() as stack:
         for name, make in contestants().items():
+            if options.only not in name and name != YARDSTICK:
+                continue
             try:
                 rows.append(make(name))
             except ImportError as error:
@@ -233,15 +254,19 @@ def main() -> None:
                 print(f"{name}: skipped, this version has no such method", file=sys.stderr)
             else:
                 stack.callback(rows[-1].close)
+        watch = Watch([process.pid for contestant in rows for process in contestant.processes])
         for repeat in range(repeats):
             for contestant in rows:
                 for cores in CORES:
+                    watch.wait(DISTURBED, options.patience)
+                    watch.start()
                     contestant.row.rates[cores].append(rate(contestant, cores, at_least))
+                    contestant.row.others[cores].append(watch.others())
             print(f"repeat {repeat + 1} of {repeats}", file=sys.stderr)
         for contestant in rows:
             contestant.check(not options.quick)
     table = [contestant.row for contestant in rows]
-    machine = f"{sweeping.provenance()['cpu']}, {len(os.sched_getaffinity(0))} cores, load {before:.1f} before"
+    machine = f"{sweeping.provenance()['cpu']}, {len(os.sched_getaffinity(0))} cores"
     if options.json:
         print(json.dumps({"machine": machine, "repeats": repeats, "rows": [asdict(row) for row in table]}, indent=1))
     else:
@@ -262,18 +287,19 @@ def report(table: list[Row], machine: str, repeats: int) -> None:
     packages = ", ".join(f"{name} {version(name)}" for name in installed("heyoka", "scipy", "numba", "numpy"))
     print(f"{machine}; medians of {repeats}; {packages}")
     yardstick = next((row for row in table if row.name == YARDSTICK), None)
-    print(f"{'':<24}{'1 core':>9}{'':>8}{'of':>7}{'2 cores':>9}{'':>8}{'of':>7}{'time':>7}{'wrong':>7}{'wrong':>7}")
-    print(f"{'':<24}", *(f"{'runs/s':>9}{'best':>8}{'heyoka':>7}" for _ in CORES), sep="", end="")
-    print(f"{'error':>7}{'events':>7}{'labels':>7}")
+    print(f"{'':<24}{'1 core':>10}{'':>6}{'of':>8}{'2 cores':>10}{'':>6}{'of':>8}{'time':>8}{'wrong':>8}{'wrong':>8}")
+    print(f"{'':<24}", *(f"{'runs/s':>10}{'+-':>6}{'heyoka':>8}" for _ in CORES), sep="", end="")
+    print(f"{'error':>8}{'events':>8}{'labels':>8}")
     for row in table:
         speeds = ""
         for cores in CORES:
             share = f"{row.rate(cores) / yardstick.rate(cores):.2g}" if yardstick else ""
-            speeds += f"{row.rate(cores):>9,.0f}{row.best(cores):>8,.0f}{share:>7}"
-        wrong = f"{row.wrong_events:>7}{row.wrong_labels:>7}" + (
+            number = f"{'*' if row.disturbed(cores) else ''}{row.rate(cores):,.0f}"
+            speeds += f"{number:>10}{row.spread(cores):>6.0%}{share:>8}"
+        wrong = f"{row.wrong_events:>8}{row.wrong_labels:>8}" + (
             f" of {row.checked}" if row.checked < CELLS.size else ""
         )
-        print(f"{row.name:<24}{speeds}{row.time_error:>7.0e}{wrong}")
+        print(f"{row.name:<24}{speeds}{row.time_error:>8.0e}{wrong}")
     print(f"{NOTES}\nSeconds to the first run, not counted: ", end="")
     print(", ".join(f"{row.name} {row.ready:.1f}" for row in table) + ".")
 
