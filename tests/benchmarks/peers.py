@@ -1,0 +1,316 @@
+"""clunk beside the real alternatives: the same 400 runs on the same machine, and how far each one's events are off.
+
+Run by hand: python tests/benchmarks/peers.py [--quick] [--json] [--repeats N] [--patience S]    (clunk's extra `bench`)
+
+The runs are those of `events_table`: 20 x 20 cells, 1.5 s after the load step, every touch and separation located. Each
+row is timed on one core and on two, in interleaved repeats, compilation before the clock starts; the table has the
+medians, half the range of the repeats, and the ratio to heyoka's eight lanes. On a machine with other users each
+measurement waits up to S seconds for it to be idle, and those during which others took 5 % of it or more do not count;
+a rate with no other measurement than such is marked *. clunk's rows are whole calls of
+`clunk.sweep` with as many threads as cores; the other rows are processes that already wait for work, timed until every
+run's events are in this process. Errors are against the stored table of `reference_events.py`: the largest |time error|
+of any event in the runs that have the right number of them, and how many runs have another number of events, or
+another label.
+"""
+
+import argparse
+import contextlib
+import importlib
+import json
+import multiprocessing
+import os
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
+
+import events_table
+import figure
+import numpy as np
+from machine import Watch
+
+import clunk
+from clunk import sweeping
+from clunk.config import replace_values
+from clunk.core.events import EVENT
+from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
+from clunk.driveline import Driveline
+
+CELLS = np.arange(events_table.RATIOS.size * events_table.BACKLASHES_DEG.size)
+CORES = (1, 2)
+SAMPLE = CELLS[::7]  # of the rows that take half a minute for all: 58 runs from all over the map
+YARDSTICK = "heyoka, tolerance 1e-9"
+DISTURBED = 0.05  # of the machine used by others
+NOTES = """\
+clunk's rows deliver label, Q, V and every primary impact of each cell, from all its events, and
+stop a run when it is proved that nothing can follow; "full length" does not stop. The other rows
+deliver time, kind and flank of every event and go to 1.5 s; their labels are made off the clock.
+solve_ivp is timed on 58 of the 400 runs."""
+
+
+@dataclass
+class Row:
+    """One line of the table.
+
+    rates : cores -> runs/s, one for each repeat
+    others : cores -> share of the machine that others took meanwhile
+    ready : float  [s], from nothing to the first run, with what it compiles
+    """
+
+    name: str
+    ready: float = 0.0
+    rates: dict[int, list[float]] = field(default_factory=lambda: {cores: [] for cores in CORES})
+    others: dict[int, list[float]] = field(default_factory=lambda: {cores: [] for cores in CORES})
+    time_error: float = float("nan")
+    checked: int = 0
+    wrong_events: int = 0
+    wrong_labels: int = 0
+
+    def counted(self, cores: int) -> list[float]:
+        """The rates that count: the undisturbed ones, or all if there is none  [runs/s]."""
+        both = list(zip(self.rates[cores], self.others[cores], strict=True))
+        return [rate for rate, others in both if others < DISTURBED] or self.rates[cores]
+
+    def rate(self, cores: int) -> float:
+        """The median  [runs/s]."""
+        return statistics.median(self.counted(cores))
+
+    def spread(self, cores: int) -> float:
+        """Half the range, as a share of the median."""
+        counted = self.counted(cores)
+        return (max(counted) - min(counted)) / 2 / self.rate(cores)
+
+    def disturbed(self, cores: int) -> bool:
+        """Whether others used the machine in every measurement."""
+        return min(self.others[cores]) >= DISTURBED
+
+
+class Clunk:
+    """A method of clunk's, by the public sweep and, for the times of the events, by the public simulate."""
+
+    def __init__(self, name: str, method: str, whole: bool = False) -> None:
+        self.row = Row(name)
+        self.study = events_table.study(method)
+        self.whole = whole
+        began = time.perf_counter()
+        sweeping.warm_up(self.study)
+        self.row.ready = time.perf_counter() - began
+        self.work(1)
+        self.processes: list[multiprocessing.process.BaseProcess] = []
+
+    def work(self, cores: int) -> tuple[int, float]:
+        """Runs and seconds of one sweep."""
+        return CELLS.size, figure.timed(self.study, cores, not self.whole)
+
+    def check(self, _: bool) -> None:
+        """Fill in the errors."""
+        results = clunk.sweep(self.study)
+        ratio, backlash_deg = events_table.grid()
+        found = []
+        for sigma, degrees in zip(ratio, backlash_deg, strict=True):
+            cell = {"load.ratio": float(sigma), "lash.backlash_deg": float(degrees)}
+            events = clunk.simulate(replace_values(self.study, cell)).events[1:]
+            found.append(np.column_stack([events["time"], events["kind"] * events["side"]]))
+        compare(self.row, CELLS, found, [results.labels[code] for code in results.sequence.ravel()])
+
+    def close(self) -> None:
+        """Nothing is kept."""
+
+
+class Peer:
+    """Another package: a process for each core, that has made its solver and waits for cells."""
+
+    def __init__(self, name: str, module: str, timed: np.ndarray, **options: object) -> None:
+        self.row = Row(name)
+        self.timed = timed
+        importlib.import_module(module)  # ImportError here, not in a process
+        context = multiprocessing.get_context("spawn")
+        self.pipes, self.processes = [], []
+        for _ in range(max(CORES)):
+            here, there = context.Pipe()
+            process = context.Process(target=serve, args=(there, module, options), daemon=True)
+            process.start()
+            self.pipes.append(here)
+            self.processes.append(process)
+        self.row.ready = max(pipe.recv() for pipe in self.pipes)
+
+    def work(self, cores: int) -> tuple[int, float]:
+        """Runs and seconds until their events are here."""
+        began = time.perf_counter()
+        self.solve(self.timed, cores)
+        return self.timed.size, time.perf_counter() - began
+
+    def solve(self, cells: np.ndarray, cores: int) -> list[np.ndarray]:
+        """The events of each cell; eights of neighbours are dealt out in turn, so that all take equally long."""
+        share = [cells[np.arange(cells.size) // 8 % cores == k] for k in range(cores)]
+        for pipe, part in zip(self.pipes, share, strict=False):
+            pipe.send(part)
+        events = {}
+        for pipe, part in zip(self.pipes, share, strict=False):
+            counts, flat = pipe.recv()
+            events |= dict(zip(part.tolist(), np.split(flat, np.cumsum(counts)[:-1]), strict=True))
+        return [events[cell] for cell in cells.tolist()]
+
+    def check(self, all_cells: bool) -> None:
+        """Fill in the errors, of all runs or of those that are timed."""
+        cells = CELLS if all_cells else self.timed
+        found = self.solve(cells, max(CORES))
+        driveline = Driveline.from_study(events_table.study())
+        _, _, sides = events_table.preload(events_table.study(), driveline)
+        labels = [
+            label_of(run, int(side), driveline.contact_period) for run, side in zip(found, sides[cells], strict=True)
+        ]
+        compare(self.row, cells, found, labels)
+
+    def close(self) -> None:
+        """End its processes."""
+        for pipe, process in zip(self.pipes, self.processes, strict=True):
+            pipe.send(None)
+            process.join()
+
+
+def serve(pipe, module: str, options: dict) -> None:
+    """In a process: solve what comes."""
+    began = time.perf_counter()
+    solve = importlib.import_module(module).make(**options)
+    solve(CELLS[200:208])
+    pipe.send(time.perf_counter() - began)
+    while (cells := pipe.recv()) is not None:
+        found = solve(cells)
+        pipe.send((np.array([len(run) for run in found]), np.concatenate(found)))
+
+
+def label_of(run: np.ndarray, initial_side: int, sticking_time: float) -> str:
+    """The label of a run's events, by clunk's rules."""
+    events = np.zeros(len(run) + 1, EVENT)
+    events["side"][0] = initial_side
+    events["time"][1:], events["kind"][1:], events["side"][1:] = run[:, 0], np.abs(run[:, 1]), np.sign(run[:, 1])
+    primaries = np.zeros(len(run) + 1, np.int64)
+    found = find_primaries(events, len(events), sticking_time, primaries)
+    return label(np.where(events["side"][primaries[:found]] == initial_side, INITIAL, OPPOSITE))
+
+
+def compare(row: Row, cells: np.ndarray, found: list[np.ndarray], labels: list[str]) -> None:
+    """Errors of these cells' runs against the stored table."""
+    table = events_table.read()
+    errors = [0.0]
+    for cell, run in zip(cells, found, strict=True):
+        own = table.of(cell)
+        kinds = table.kind[own].astype(np.float64) * table.side[own]
+        if not np.array_equal(run[:, 1], kinds):
+            row.wrong_events += 1
+        else:
+            errors += np.abs(run[:, 0] - table.time[own] - table.remainder[own]).tolist()
+    row.time_error = max(errors)
+    row.checked = cells.size
+    row.wrong_labels = int(np.count_nonzero(np.array(labels) != table.label[cells]))
+
+
+def contestants() -> dict[str, Callable[[str], Clunk | Peer]]:
+    """What makes each row, by its name."""
+
+    def heyoka(tolerance: float) -> Callable[[str], Peer]:
+        return lambda name: Peer(name, "peer_heyoka", CELLS, tolerance=tolerance)
+
+    def solve_ivp(**options: object) -> Callable[[str], Peer]:
+        return lambda name: Peer(name, "peer_scipy", SAMPLE, **options)
+
+    return {
+        YARDSTICK: heyoka(1e-9),
+        "heyoka, tolerance 1e-12": heyoka(1e-12),
+        "clunk exact": lambda name: Clunk(name, "exact"),
+        "clunk rk4": lambda name: Clunk(name, "rk4"),
+        "clunk rk4, full length": lambda name: Clunk(name, "rk4", whole=True),
+        "solve_ivp RK45, 1e-6": solve_ivp(method="RK45", rtol=1e-6, atol=1e-9, first_step=1e-6),
+        "solve_ivp DOP853, 1e-9": solve_ivp(method="DOP853", rtol=1e-9, atol=1e-12, first_step=1e-6),
+        "solve_ivp, its defaults": solve_ivp(),
+    }
+
+
+def main() -> None:
+    """Time, check, print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--quick", action="store_true", help="two short repeats; solve_ivp is checked on 58 runs")
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument(
+        "--patience", type=float, default=0.0, help="seconds that a measurement waits for an idle machine"
+    )
+    parser.add_argument("--only", default="", help="rows whose name has this in it, and the yardstick")
+    options = parser.parse_args()
+    repeats, at_least = (2, 0.2) if options.quick else (options.repeats, 0.5)
+    rows = []
+    with contextlib.ExitStack() as stack:
+        for name, make in contestants().items():
+            if options.only not in name and name != YARDSTICK:
+                continue
+            try:
+                rows.append(make(name))
+            except ImportError as error:
+                print(f"{name}: skipped, {error}", file=sys.stderr)
+            except clunk.ConfigError:
+                print(f"{name}: skipped, this version has no such method", file=sys.stderr)
+            else:
+                stack.callback(rows[-1].close)
+        watch = Watch([process.pid for contestant in rows for process in contestant.processes])
+        for repeat in range(repeats):
+            for contestant in rows:
+                for cores in CORES:
+                    watch.wait(DISTURBED, options.patience)
+                    watch.start()
+                    contestant.row.rates[cores].append(rate(contestant, cores, at_least))
+                    contestant.row.others[cores].append(watch.others())
+            print(f"repeat {repeat + 1} of {repeats}", file=sys.stderr)
+        for contestant in rows:
+            contestant.check(not options.quick)
+    table = [contestant.row for contestant in rows]
+    machine = f"{sweeping.provenance()['cpu']}, {len(os.sched_getaffinity(0))} cores"
+    if options.json:
+        print(json.dumps({"machine": machine, "repeats": repeats, "rows": [asdict(row) for row in table]}, indent=1))
+    else:
+        report(table, machine, repeats)
+
+
+def rate(contestant: Clunk | Peer, cores: int, at_least: float) -> float:
+    """Runs/s over at least so many seconds."""
+    runs, seconds = 0, 0.0
+    while seconds < at_least:
+        more, took = contestant.work(cores)
+        runs, seconds = runs + more, seconds + took
+    return runs / seconds
+
+
+def report(table: list[Row], machine: str, repeats: int) -> None:
+    """The table for people."""
+    packages = ", ".join(f"{name} {version(name)}" for name in installed("heyoka", "scipy", "numba", "numpy"))
+    print(f"{machine}; medians of {repeats}; {packages}")
+    yardstick = next((row for row in table if row.name == YARDSTICK), None)
+    print(f"{'':<24}{'1 core':>10}{'':>6}{'of':>8}{'2 cores':>10}{'':>6}{'of':>8}{'time':>8}{'wrong':>8}{'wrong':>8}")
+    print(f"{'':<24}", *(f"{'runs/s':>10}{'+-':>6}{'heyoka':>8}" for _ in CORES), sep="", end="")
+    print(f"{'error':>8}{'events':>8}{'labels':>8}")
+    for row in table:
+        speeds = ""
+        for cores in CORES:
+            share = f"{row.rate(cores) / yardstick.rate(cores):.2g}" if yardstick else ""
+            number = f"{'*' if row.disturbed(cores) else ''}{row.rate(cores):,.0f}"
+            speeds += f"{number:>10}{row.spread(cores):>6.0%}{share:>8}"
+        wrong = f"{row.wrong_events:>8}{row.wrong_labels:>8}" + (
+            f" of {row.checked}" if row.checked < CELLS.size else ""
+        )
+        print(f"{row.name:<24}{speeds}{row.time_error:>8.0e}{wrong}")
+    print(f"{NOTES}\nSeconds to the first run, not counted: ", end="")
+    print(", ".join(f"{row.name} {row.ready:.1f}" for row in table) + ".")
+
+
+def installed(*names: str) -> Iterator[str]:
+    """Those of these packages that are installed."""
+    for name in names:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            version(name)
+            yield name
+
+
+if __name__ == "__main__":
+    main()
