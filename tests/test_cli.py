@@ -398,7 +398,7 @@ def test_an_unknown_quantity_or_picture_format_is_refused_by_name(clunk, small):
 @pytest.mark.parametrize(
     ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
 )
-def test_a_signal_stops_a_sweep_within_seconds_and_leaves_no_file(tmp_path, number, code, word):
+def test_a_signal_stops_a_sweep_within_seconds_and_keeps_what_is_done(tmp_path, number, code, word):
     command = [
         sys.executable,
         "-c",
@@ -418,7 +418,9 @@ def test_a_signal_stops_a_sweep_within_seconds_and_leaves_no_file(tmp_path, numb
     assert process.returncode == code
     assert word in err
     assert "Traceback" not in err
-    assert list(tmp_path.iterdir()) == []
+    assert "the same command goes on" in " ".join(err.split())
+    assert [path.name for path in tmp_path.iterdir()] == ["map.h5.partial"]
+    assert {path.name for path in (tmp_path / "map.h5.partial").iterdir()} >= {"manifest.json", "part-000001"}
 
 
 @pytest.mark.parametrize("option", ["--help", "--version"])

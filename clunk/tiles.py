@@ -1,0 +1,67 @@
+"""A tile: cells of the grid that were run together, what came of them, and the bytes in which that is kept."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+_MAGIC = b"clunk tiles 1\n\0\0"
+_HEADER = struct.Struct("<16sQQ32s32s")  # magic, cells, impacts, origin, SHA-256 of all other bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Tile:
+    """The runs of some cells.
+
+    cells : (n,) int64, each one's number in C order of the grid; in any order, consecutive or not
+    records : (n,) CELL
+    impacts : (N,) IMPACT, those of each cell behind those of the cell before it: `records["primary_impacts"]` of them
+    """
+
+    cells: npt.NDArray[np.int64]
+    records: npt.NDArray[np.void]
+    impacts: npt.NDArray[np.void]
+
+
+def to_bytes(tiles: Sequence[Tile], origin: bytes) -> bytes:
+    """Tiles in one piece, behind a checksum.
+
+    origin : 32 bytes that tell which study and which versions the tiles are of
+    """
+    arrays = [
+        np.concatenate([tile.cells for tile in tiles]).astype("<i8", copy=False),
+        np.concatenate([tile.records for tile in tiles]),
+        np.concatenate([tile.impacts for tile in tiles]),
+    ]
+    body = b"".join(array.tobytes() for array in arrays)
+    counts = (len(arrays[0]), len(arrays[2]))
+    return _HEADER.pack(_MAGIC, *counts, origin, _checksum(*counts, origin, body)) + body
+
+
+def from_bytes(raw: bytes, origin: bytes, record: np.dtype[np.void], impact: np.dtype[np.void]) -> Tile:
+    """What `to_bytes` made, as one tile. Raises ValueError where a bit of it differs, or its origin."""
+    if len(raw) < _HEADER.size:
+        raise ValueError("truncated")
+    magic, cells, impacts, its_origin, checksum = _HEADER.unpack_from(raw)
+    if magic != _MAGIC or its_origin != origin:
+        raise ValueError("of another study or version")
+    body = memoryview(raw)[_HEADER.size :]
+    lengths = (8 * cells, record.itemsize * cells, impact.itemsize * impacts)
+    if len(body) != sum(lengths) or _checksum(cells, impacts, origin, body) != checksum:
+        raise ValueError("damaged")
+    return Tile(
+        np.frombuffer(body[: lengths[0]], "<i8").astype(np.int64, copy=False),
+        np.frombuffer(body[lengths[0] : lengths[0] + lengths[1]], record),
+        np.frombuffer(body[lengths[0] + lengths[1] :], impact),
+    )
+
+
+def _checksum(cells: int, impacts: int, origin: bytes, body: bytes | memoryview) -> bytes:
+    sha = hashlib.sha256(struct.pack("<QQ", cells, impacts) + origin)
+    sha.update(body)
+    return sha.digest()
