@@ -87,8 +87,8 @@ class ChunkWriter:
 def _deflated(part: npt.NDArray[Any], shape: tuple[int, ...]) -> bytes:
     """A chunk through HDF5's filters shuffle and deflate; one over the edge is filled up with zeros.
 
-    Run-length coding is up to twice as fast as zlib's search at level 1 for 5 % more bytes: shuffled, the high bytes
-    of neighbouring numbers are runs, and the low ones are noise.
+    Run-length coding takes 60 % of the time of zlib's search at level 1, and up to 25 % more bytes: shuffled, the high
+    bytes of neighbouring numbers are runs, and the low ones are noise.
     """
     if part.shape != shape:
         part = np.pad(part, [(0, full - count) for full, count in zip(shape, part.shape, strict=True)])

@@ -29,17 +29,15 @@ class Tile:
 
 
 def to_bytes(tiles: Sequence[Tile], origin: bytes) -> bytes:
-    """Tiles in one piece, behind a checksum.
+    """Tiles in one piece, column by column, behind a checksum.
 
     origin : 32 bytes that tell which study and which versions the tiles are of
     """
-    arrays = [
-        np.concatenate([tile.cells for tile in tiles]).astype("<i8", copy=False),
-        np.concatenate([tile.records for tile in tiles]),
-        np.concatenate([tile.impacts for tile in tiles]),
-    ]
-    body = b"".join(array.tobytes() for array in arrays)
-    counts = (len(arrays[0]), len(arrays[2]))
+    records, impacts = (np.concatenate([getattr(tile, name) for tile in tiles]) for name in ("records", "impacts"))
+    columns = [np.concatenate([tile.cells for tile in tiles])]
+    columns += [array[name] for array in (records, impacts) for name in array.dtype.names or ()]
+    body = b"".join(column.tobytes() for column in columns)
+    counts = (len(records), len(impacts))
     return _HEADER.pack(_MAGIC, *counts, origin, _checksum(*counts, origin, body)) + body
 
 
@@ -51,14 +49,30 @@ def from_bytes(raw: bytes, origin: bytes, record: np.dtype[np.void], impact: np.
     if magic != _MAGIC or its_origin != origin:
         raise ValueError("of another study or version")
     body = memoryview(raw)[_HEADER.size :]
-    lengths = (8 * cells, record.itemsize * cells, impact.itemsize * impacts)
-    if len(body) != sum(lengths) or _checksum(cells, impacts, origin, body) != checksum:
+    width = 8 + sum(_widths(record))
+    if len(body) != width * cells + sum(_widths(impact)) * impacts:
+        raise ValueError("damaged")
+    if _checksum(cells, impacts, origin, body) != checksum:
         raise ValueError("damaged")
     return Tile(
-        np.frombuffer(body[: lengths[0]], "<i8").astype(np.int64, copy=False),
-        np.frombuffer(body[lengths[0] : lengths[0] + lengths[1]], record),
-        np.frombuffer(body[lengths[0] + lengths[1] :], impact),
+        np.frombuffer(body[: 8 * cells], np.int64),
+        _from_columns(body[8 * cells : width * cells], record, cells),
+        _from_columns(body[width * cells :], impact, impacts),
     )
+
+
+def _from_columns(body: memoryview, dtype: np.dtype[np.void], count: int) -> npt.NDArray[np.void]:
+    array = np.zeros(count, dtype)
+    begin = 0
+    for name, width in zip(dtype.names or (), _widths(dtype), strict=True):
+        array[name] = np.frombuffer(body[begin : begin + width * count], dtype[name])
+        begin += width * count
+    return array
+
+
+def _widths(dtype: np.dtype[np.void]) -> list[int]:
+    """Bytes of each field, without what lies between them."""
+    return [dtype[name].itemsize for name in dtype.names or ()]
 
 
 def _checksum(cells: int, impacts: int, origin: bytes, body: bytes | memoryview) -> bytes:
