@@ -168,7 +168,7 @@ def test_failed_cells_are_run_again_and_the_file_says_so(clunk, small, here):
     assert code == 3
     before = read("results/small.h5")
     failed = before.status != 0
-    code, _, err = clunk("sweep", small, "--set", "solver.max_events=14", "--retry-failed")
+    code, _, _ = clunk("sweep", small, "--set", "solver.max_events=14", "--retry-failed")
     assert code == 3
     code, _, _ = clunk("sweep", small, "--retry-failed")
     assert code == 0
