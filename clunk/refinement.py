@@ -30,7 +30,7 @@ UNKNOWN = -1  # kind and touches of a cell that has not been run
 DOUBTFUL = -2  # kind of one whose neighbours must be run whatever they are
 
 COARSE_INTERVALS = 60  # of an axis, at least: every 16th of 1001 cells
-_CREST = 2  # cells to either side
+_CREST = 3  # cells to either side; with 2, one cell in a million was missed in 4 of 20 cuttings of that map
 
 _HIGHEST = np.iinfo(np.int32).max
 _LOWEST = np.iinfo(np.int32).min

@@ -41,7 +41,7 @@ _MEANING = {
     "severity": ("rad s-2", "severity Q: root of the summed squares of the primary impacts' severities"),
     "approach_velocity": ("rad s-1", "approach velocity V: root of the summed squares of the closing speeds"),
     "primary_impacts": ("1", "number of primary impacts"),
-    "touches": ("1", "number of touches, chatter included"),
+    "touches": ("1", "number of touches, chatter included; -1 where inferred"),
     "last_event_time": ("s", "time of the last event after the load step"),
     "status": ("1", "how the run ended"),
     "quality": ("1", "what is known about the run's sequence"),
