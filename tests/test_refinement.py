@@ -95,7 +95,7 @@ class TestWhichCellsAreRun:
         truth = int32((i - 50) ** 2 + 2 * (j - 60) ** 2 < 900) + int32(i + j > 180)
         touches = int32(i // 9 + 3 * truth)
         whole = refined(truth, (8, 8), touches)
-        for at_once in (1000, 77):
+        for at_once in (300, 77):
             part = refined(truth, (8, 8), touches, at_once)
             assert part[2] > whole[2]
             assert np.array_equal(part[1], whole[1])
