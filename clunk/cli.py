@@ -133,8 +133,8 @@ def sweep(
       clunk sweep configs/figure_3_4.toml --refine -o refined.h5
       clunk sweep configs/figure_3_4.toml --retry-failed --set solver.max_events=4096
     """
-    if retry_failed and (refine or force or restart):
-        raise click.UsageError("--retry-failed goes with none of --refine, --force and --restart.")
+    if retry_failed and (refine or force):
+        raise click.UsageError("--retry-failed goes with neither --refine nor --force.")
     from clunk import targets
     from clunk.config import digest, load_study
 

@@ -30,7 +30,7 @@ UNKNOWN = -1  # kind and touches of a cell that has not been run
 DOUBTFUL = -2  # kind of one whose neighbours must be run whatever they are
 
 COARSE_INTERVALS = 60  # of an axis, at least: every 16th of 1001 cells
-# With these, 62,484 cells are run, and no cell of that map is missed, nor of 20 cuttings of it; crests over 2 cells only
+# With these, 62,484 cells are run, and none of that map is missed, nor of 20 cuttings of it; crests over 2 cells only
 # missed one in 4 of the 20. Following every change of touches down to single cells would run 115,000.
 _WIDE = 4  # cells; what the number of touches does within such a block is followed only where it jumps or has a crest
 _CREST = 5  # cells to either side
