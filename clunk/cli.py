@@ -144,8 +144,6 @@ def sweep(
     from clunk.parts import WorkingDirectory
 
     with WorkingDirectory(target) as directory:
-        if restart:
-            directory.clear()
         earlier = None
         if retry_failed:
             from clunk.store import read
@@ -159,6 +157,8 @@ def sweep(
             click.echo(f"{target} {'has no failed cells' if retry_failed else 'is already complete'}.", err=True)
             _report_counts(counts, target, 0.0, as_json)
         else:
+            if restart:
+                directory.clear()
             counts = _sweep_into(directory, study, target, workers, refine, earlier, as_json)
     if counts["failed"]:
         sys.exit(EXIT_FAILED_CELLS)
@@ -241,7 +241,7 @@ def _sweep_into(
                 results = sweeping.sweep(study, workers=workers, progress=progress, refine=refine, parts=parts)
     except (KeyboardInterrupt, SystemExit) as stopped:
         kept = f"{parts.kept:,} cells are kept in {directory.path}; the same command goes on from there"
-        click.echo(f"stopped: {kept if parts.kept else 'no cell was finished'}", err=True)
+        terminal.complain(f"stopped: {kept if parts.kept else 'no cell was finished'}")
         if isinstance(stopped, SystemExit):
             raise
         click.echo("interrupted", err=True)

@@ -135,6 +135,16 @@ def test_restart_takes_no_part_of_a_stopped_sweep(clunk, small, here):
     assert [path.name for path in (here / "results").iterdir()] == ["small.h5"]
 
 
+def test_restart_of_a_sweep_that_is_refused_takes_nothing_away(clunk, small, here):
+    clunk("sweep", small, "-o", "map.h5")
+    (here / "map.h5.partial").mkdir()
+    (here / "map.h5.partial/part-000001").write_bytes(b"work")
+    code, _, err = clunk("sweep", small, "-o", "map.h5", "--set", "load.static_torque=-2.0", "--restart")
+    assert code == 2
+    assert "--force" in err
+    assert (here / "map.h5.partial/part-000001").read_bytes() == b"work"
+
+
 def test_what_a_sweep_left_that_was_killed_at_its_very_end_is_tidied_up(clunk, small, here):
     clunk("sweep", small)
     (here / "results/small.h5.partial").mkdir()
