@@ -13,8 +13,10 @@ regime is a touch more than its neighbours have, just hard or late enough to be 
 touches accumulate, and these lines are much longer than it and are followed along their whole length.
 
 Every cell that is left then lies in a block whose known cells are of one kind. The cells run are the smallest set
-closed under these rules, so that they depend neither on the order of the runs nor on where they were interrupted. What
-is nowhere seen from that set is missed: an island between the cells of the coarse grid that none of these lines meets.
+closed under these rules, so that they depend neither on the order of the runs nor on where they were interrupted.
+
+What is nowhere seen from that set is missed: an island between the cells of the coarse grid that none of these lines
+meets. On the report's map at 1001 x 1001 there is none; with its inertias as printed, at 281 x 281, 12 of 78,961 cells.
 """
 
 from __future__ import annotations
