@@ -65,6 +65,15 @@ class TestWhichCellsAreRun:
         assert np.array_equal(found, truth)
         assert ran.mean() < 0.2
 
+    def test_a_thin_regime_is_followed_over_the_gaps_that_the_grid_cuts_into_it(self):
+        i, j = plane(129, 129)
+        truth = int32(3 * i == 4 * (j - 20))  # every fourth row has a cell of it
+        truth[:18, :21] = 1  # and a region at its end that the coarse grid sees
+        found, ran, _ = refined(truth, (16, 16))
+        assert truth[100, 95] == 1
+        assert np.array_equal(found, truth)
+        assert ran.mean() < 0.25
+
     def test_an_island_between_the_coarse_cells_is_missed(self):
         truth = np.zeros((65, 65), np.int32)
         truth[20:23, 20:23] = 1
