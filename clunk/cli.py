@@ -12,6 +12,7 @@ import re
 import signal
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -21,6 +22,7 @@ from clunk import __version__, terminal
 
 if TYPE_CHECKING:
     from clunk.config import Study
+    from clunk.parts import WorkingDirectory
     from clunk.results import Results
     from clunk.simulation import Trajectory
 
@@ -77,7 +79,7 @@ def main() -> NoReturn:
 def _is_for_the_user(error: Exception) -> bool:
     """Whether an error's text was written for people; told by name, so that nothing is imported to ask."""
     names = {"ComparisonError", "ConfigError", "ExperimentError", "HistoryError", "PlotError"}
-    names |= {"SimulationError", "StoreError", "SweepError", "TargetError"}
+    names |= {"PartsError", "SimulationError", "StoreError", "SweepError", "TargetError"}
     return type(error).__module__.startswith("clunk.") and type(error).__name__ in names
 
 
@@ -104,7 +106,11 @@ def cli() -> None:
 @_set_option
 @click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")
 @click.option("--force", is_flag=True, help="Overwrite a results file of another config.")
-@click.option("--restart", is_flag=True, help="Run again although the results file is complete.")
+@click.option("--restart", is_flag=True, help="Begin anew: neither go on with a stopped sweep nor keep a finished one.")
+@click.option("--refine", is_flag=True, help="Run only where labels change, and infer the other cells' labels.")
+@click.option(
+    "--retry-failed", is_flag=True, help="Run the failed cells of the finished file again; [solver] may differ."
+)
 @_json_option
 def sweep(
     config: Path,
@@ -113,39 +119,54 @@ def sweep(
     workers: int | None,
     force: bool,
     restart: bool,
+    refine: bool,
+    retry_failed: bool,
     as_json: bool,
 ) -> None:
     """Run the grid of CONFIG in parallel and write a results file.
 
-    Example: clunk sweep configs/figure_3_4.toml --set solver.step=5e-5
+    Stopped by whatever, the same command goes on where it was.
+
+    \b
+    Examples:
+      clunk sweep configs/figure_3_4.toml --set solver.step=5e-5
+      clunk sweep configs/figure_3_4.toml --refine -o refined.h5
+      clunk sweep configs/figure_3_4.toml --retry-failed --set solver.max_events=4096
     """
+    if retry_failed and (refine or force):
+        raise click.UsageError("--retry-failed goes with neither --refine nor --force.")
     from clunk import targets
     from clunk.config import digest, load_study
 
     study = load_study(config, overrides)
     target = output or Path("results") / f"{config.stem}.h5"
     targets.check(target, targets.RESULTS, reads=config)
-    counts = _complete_counts(target, digest(study), force=force, restart=restart)
-    if counts is not None:
-        click.echo(f"{target} is already complete.", err=True)
-        _report_counts(counts, target, 0.0, as_json)
-    else:
-        results, seconds = _run_sweep(study, workers)
+    from clunk.parts import WorkingDirectory
 
-        from clunk.store import write
+    with WorkingDirectory(target) as directory:
+        earlier = None
+        if retry_failed:
+            from clunk.store import read
 
-        write(target, results)
-        counts = results.counts()
-        _report_counts(counts, target, seconds, as_json)
-        cells = results.sequence.size
-        click.echo(f"{cells:,} cells in {seconds:.1f} s ({cells / seconds:,.0f} runs/s) -> {target}", err=True)
-        if counts["failed"]:
-            terminal.report_failures(results)
+            earlier = read(target)
+            counts = None if (earlier.status != 0).any() else earlier.counts()
+        else:
+            counts = _complete_counts(target, digest(study), force=force, restart=restart, refine=refine)
+        if counts is not None:
+            _tidy(directory, study, refine, retry_failed)
+            click.echo(f"{target} {'has no failed cells' if retry_failed else 'is already complete'}.", err=True)
+            _report_counts(counts, target, 0.0, as_json)
+        else:
+            if restart:
+                directory.clear()
+            counts = _sweep_into(directory, study, target, workers, refine, earlier, as_json)
     if counts["failed"]:
         sys.exit(EXIT_FAILED_CELLS)
 
 
-def _complete_counts(target: Path, config_digest: str, *, force: bool, restart: bool) -> dict[str, int] | None:
+def _complete_counts(
+    target: Path, config_digest: str, *, force: bool, restart: bool, refine: bool
+) -> dict[str, int] | None:
     """The counts of a target that holds this very sweep; whatever else is there is refused unless forced."""
     if not target.exists() or force:
         return None
@@ -160,26 +181,80 @@ def _complete_counts(target: Path, config_digest: str, *, force: bool, restart: 
             f"{target} holds the results of another config ({header.title!r}). "
             "Name another file with -o, or overwrite it with --force."
         )
-    return None if restart else header.counts
+    if restart:
+        return None
+    if "refinement" in header.attributes and not refine:
+        raise click.ClickException(
+            f"{target} holds this sweep by --refine, with inferred cells. "
+            "Name another file with -o, or overwrite it with --force."
+        )
+    return header.counts
 
 
-def _run_sweep(study: Study, workers: int | None) -> tuple[Results, float]:
+def _tidy(directory: WorkingDirectory, study: Study, refine: bool, retry: bool) -> None:
+    """Remove what a sweep that was killed after its file was in place has left; another sweep's parts stay."""
+    if directory.parts():
+        from clunk.parts import PartsError
+        from clunk.sweeping import parts_of
+
+        with suppress(PartsError):
+            parts_of(directory, study, refine=refine, retry=retry)
+            directory.clear()
+
+
+def _sweep_into(
+    directory: WorkingDirectory,
+    study: Study,
+    target: Path,
+    workers: int | None,
+    refine: bool,
+    earlier: Results | None,
+    as_json: bool,
+) -> dict[str, int]:
+    """Run, write, report; the counts."""
     import clunk.sweeping as sweeping
+    from clunk.store import write
 
     total = sweeping.cell_count(study)
     _warn_of_coarse_step(study)
     for parameter in sweeping.unused_axes(study):
         click.echo(f"note: {parameter} is swept, but changes nothing in this model", err=True)
+    parts = sweeping.parts_of(directory, study, refine=refine, retry=earlier is not None)
     _say_if_compiling("tile.run_tile")
     sweeping.warm_up(study)
     began = time.perf_counter()
+    known, ran = 0 if earlier is None else total - earlier.counts()["failed"], 0
+    told = False
     try:
-        with terminal.progress(total) as progress:
-            results = sweeping.sweep(study, workers=workers, progress=progress)
-    except KeyboardInterrupt:
-        click.echo("interrupted: the sweep has stopped, and no results file was written", err=True)
+        with terminal.progress(total) as show:
+
+            def progress(done: int, total: int) -> None:
+                nonlocal ran, told
+                if not told:
+                    terminal.report_resumed(parts.taken_up, parts.discarded)
+                told, ran = True, done - known
+                show(done, total)
+
+            if earlier is not None:
+                results = sweeping.retry_failed(earlier, study, workers=workers, progress=progress, parts=parts)
+            else:
+                results = sweeping.sweep(study, workers=workers, progress=progress, refine=refine, parts=parts)
+    except (KeyboardInterrupt, SystemExit) as stopped:
+        kept = f"{parts.kept:,} cells are kept in {directory.path}; the same command goes on from there"
+        terminal.complain(f"stopped: {kept if parts.kept else 'no cell was finished'}")
+        if isinstance(stopped, SystemExit):
+            raise
+        click.echo("interrupted", err=True)
         sys.exit(EXIT_INTERRUPTED)
-    return results, time.perf_counter() - began
+    seconds = time.perf_counter() - began
+    write(target, results, directory.path)
+    directory.remove()
+    counts = results.counts()
+    _report_counts(counts, target, seconds, as_json)
+    terminal.report_speed(total, ran, parts.taken_up, seconds, target, inferred=refine)
+    if counts["failed"]:
+        terminal.report_failures(results)
+    return counts
 
 
 def _warn_of_coarse_step(study: Study) -> None:
@@ -505,15 +580,18 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
 @cli.command()
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--config", "show_config", is_flag=True, help="Print the whole resolved config (TOML) instead.")
+@click.option("--check", is_flag=True, help="Also read it whole and compare it with its checksums.")
 @_json_option
-def info(file: Path, show_config: bool, as_json: bool) -> None:
+def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
     """Say what a results file holds: config, versions, regime counts.
 
-    Example: clunk info results/figure_3_4.h5
+    Example: clunk info results/figure_3_4.h5 --check
     """
+    from clunk.store import check as check_file
     from clunk.store import read_header
 
     header = read_header(file)
+    bytes_checked = check_file(file) if check else None
     if show_config:
         click.echo(header.config, nl=not header.config.endswith("\n"))
         return
@@ -524,7 +602,8 @@ def info(file: Path, show_config: bool, as_json: bool) -> None:
             for a in header.axes
         ]
         record = {"title": header.title, "axes": axes, "counts": header.counts, "config_digest": header.config_digest}
-        click.echo(json.dumps(record | header.attributes, ensure_ascii=False))
+        checked: dict[str, Any] = {"checked": {"data": True, "bytes": bytes_checked}} if check else {}
+        click.echo(json.dumps(record | header.attributes | checked, ensure_ascii=False))
         return
     click.echo(header.title)
     click.echo()
@@ -535,6 +614,13 @@ def info(file: Path, show_config: bool, as_json: bool) -> None:
     click.echo(f"config    {header.config_digest[:16]}…")
     for name, value in header.attributes.items():
         click.echo(f"{name.removesuffix('_version'):<9} {value}")
+    if bytes_checked is not None:
+        data = "the data match their digest"
+        click.echo(
+            f"checked   {data}{', the bytes their checksum' if bytes_checked else '; the bytes have no checksum:'}"
+        )
+        if not bytes_checked:
+            click.echo("          another program has changed the file")
     click.echo()
     terminal.print_counts(header.counts)
 

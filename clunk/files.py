@@ -10,14 +10,15 @@ from pathlib import Path
 from typing import BinaryIO
 
 
-def write_whole(path: str | os.PathLike[str], write: Callable[[BinaryIO], object]) -> None:
+def write_whole(path: str | os.PathLike[str], write: Callable[[BinaryIO], object], scratch: Path | None = None) -> None:
     """Write a file so that at every moment `path` is either the old file or the complete new one.
 
-    What `write` puts into the file goes beside `path` under a temporary name, is flushed to the disk, then renamed.
+    What `write` puts into the file goes to `scratch`, a directory of the same file system (by default the one of
+    `path`), under a temporary name, is flushed to the disk, then renamed.
     Raises OSError; then, and on an interrupt, the temporary file is removed.
     """
     path = Path(os.path.realpath(path))  # through a symbolic link: replace the file, not the link
-    temporary = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
+    temporary = (scratch or path.parent) / f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp"
     try:
         with temporary.open("xb") as target:
             write(target)

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import io
 import os
+import zlib
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import product
+from pathlib import Path
+from typing import Any, BinaryIO, Self
 
 import h5py
 import numpy as np
 import numpy.typing as npt
 
+from clunk.checksum import trailer
 from clunk.files import write_whole
 
 CONVENTIONS = "CF-1.11"
@@ -21,8 +27,8 @@ _CHUNK_BYTES = 1 << 20  # HDF5's chunk cache, so that every chunk is compressed 
 _LONGEST_FIXED_TEXT = 1 << 14  # an HDF5 attribute in an object header ends at 64 KiB; longer text goes to the heap
 
 
-def write_file(path: str | os.PathLike[str], fill: Callable[[h5py.File], None]) -> None:
-    """Write the file that `fill` fills, whole or not at all. Raises OSError.
+def write_file(path: str | os.PathLike[str], fill: Callable[[h5py.File], None], scratch: Path | None = None) -> None:
+    """Write the file that `fill` fills and its checksum, whole or not at all; see `write_whole`. Raises OSError.
 
     It is assembled in memory (a results file takes about 90 bytes a cell): HDF5 writing to a full disk does not only
     fail, it leaves handles that crash the interpreter when it exits. Python's own write fails cleanly.
@@ -30,7 +36,65 @@ def write_file(path: str | os.PathLike[str], fill: Callable[[h5py.File], None]) 
     image = io.BytesIO()
     with h5py.File(image, "w", track_order=True) as file:  # netCDF-4 asks for creation order
         fill(file)
-    write_whole(path, lambda target: target.write(image.getbuffer()))
+
+    def write(target: BinaryIO) -> None:
+        target.write(image.getbuffer())
+        target.write(trailer(image.getbuffer()))
+
+    write_whole(path, write, scratch)
+
+
+class ChunkWriter:
+    """Fills variables, compressing their chunks on every core; all is written when it is left.
+
+    HDF5 compresses on one thread; zlib lets go of the interpreter lock.
+    """
+
+    def __init__(self) -> None:
+        cores = os.cpu_count() or 1
+        self._pool = ThreadPoolExecutor(min(cores, 8), thread_name_prefix="clunk-zlib")
+        self._most = 4 * min(cores, 8)  # chunks in memory
+        self._running: deque[tuple[h5py.Dataset, tuple[int, ...], Future[bytes]]] = deque()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        try:
+            if kind is None:
+                self._drain(0)
+        finally:
+            self._pool.shutdown(cancel_futures=True)
+
+    def write(self, variable: h5py.Dataset, start: int, rows: npt.NDArray[Any]) -> None:
+        """Write `rows` to `variable[start:]`; where it is chunked, `start` and the end are between chunks."""
+        if variable.chunks is None:
+            variable[start : start + len(rows)] = rows
+            return
+        rows = rows.astype(variable.dtype, copy=False)
+        for offset in product(*(range(0, n, step) for n, step in zip(rows.shape, variable.chunks, strict=True))):
+            part = rows[tuple(slice(at, at + step) for at, step in zip(offset, variable.chunks, strict=True))]
+            place = (start + offset[0], *offset[1:])
+            self._running.append((variable, place, self._pool.submit(_deflated, part, variable.chunks)))
+            self._drain(self._most)
+
+    def _drain(self, left: int) -> None:
+        while len(self._running) > left:
+            variable, place, chunk = self._running.popleft()
+            variable.id.write_direct_chunk(place, chunk.result())
+
+
+def _deflated(part: npt.NDArray[Any], shape: tuple[int, ...]) -> bytes:
+    """A chunk through HDF5's filters shuffle and deflate; one over the edge is filled up with zeros.
+
+    Run-length coding takes 60 % of the time of zlib's search at level 1, and up to 25 % more bytes: shuffled, the high
+    bytes of neighbouring numbers are runs, and the low ones are noise.
+    """
+    if part.shape != shape:
+        part = np.pad(part, [(0, full - count) for full, count in zip(shape, part.shape, strict=True)])
+    planes = np.ascontiguousarray(part).view(np.uint8).reshape(-1, part.itemsize).T
+    deflate = zlib.compressobj(1, zlib.DEFLATED, strategy=zlib.Z_RLE)
+    return deflate.compress(np.ascontiguousarray(planes).data) + deflate.flush()
 
 
 def create_scale(

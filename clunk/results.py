@@ -81,7 +81,7 @@ class Results:
     severity : shape, Q  [rad/s²], NaN where it is not defined
     approach_velocity : shape, V  [rad/s]
     last_event_time : shape  [s after the load step], NaN where nothing happened
-    primary_impacts, touches : shape, int32
+    primary_impacts, touches : shape, int32; touches -1 where the cell was inferred
     status, quality : shape, uint8; see `clunk.core.status`
     initial_side : shape, int8, sign of θ_i - θ_j on the initial flank (0: none)
     impact_time : (N,)  [s after the load step]; cells in C order, cell k owns `primary_impacts[k]` consecutive entries
@@ -89,6 +89,9 @@ class Results:
     impact_closing_speed : (N,)  [rad/s]
     impact_severity : (N,) Q_i  [rad/s²]
     config, config_digest : the resolved TOML and its digest
+
+    A cell that a refined sweep inferred (`QUALITY_INFERRED`) has what its regime tells: code, primary_impacts,
+    initial_side and the flanks of its impacts, which have their places in the flat arrays; its floats are NaN.
     attributes : versions, date and machine, by name
 
     Raises ValueError where an array's shape or dtype is not the one above, or a code has no label.

@@ -18,9 +18,19 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
+from clunk.checksum import verify
 from clunk.core.status import QUALITY_MEANINGS, Status
 from clunk.files import reason
-from clunk.netcdf import CONVENTIONS, create_scale, create_variable, get_text, set_flags, set_text, write_file
+from clunk.netcdf import (
+    CONVENTIONS,
+    ChunkWriter,
+    create_scale,
+    create_variable,
+    get_text,
+    set_flags,
+    set_text,
+    write_file,
+)
 from clunk.results import CELL_FIELDS, FAILED, FAILED_CODE, IMPACT_FIELDS, ResultAxis, Results, count_labels
 
 SCHEMA_VERSION = 1
@@ -31,7 +41,7 @@ _MEANING = {
     "severity": ("rad s-2", "severity Q: root of the summed squares of the primary impacts' severities"),
     "approach_velocity": ("rad s-1", "approach velocity V: root of the summed squares of the closing speeds"),
     "primary_impacts": ("1", "number of primary impacts"),
-    "touches": ("1", "number of touches, chatter included"),
+    "touches": ("1", "number of touches, chatter included; -1 where inferred"),
     "last_event_time": ("s", "time of the last event after the load step"),
     "status": ("1", "how the run ended"),
     "quality": ("1", "what is known about the run's sequence"),
@@ -70,21 +80,22 @@ class Header:
     attributes: dict[str, str]
 
 
-def write(path: str | os.PathLike[str], results: Results) -> None:
+def write(path: str | os.PathLike[str], results: Results, scratch: Path | None = None) -> None:
     """Write a results file so that at every moment `path` is either the old file or the complete new one.
 
-    Missing parent directories are made. Raises StoreError.
+    Missing parent directories are made. What is not complete yet is in `scratch`, by default in the same directory.
+    Raises StoreError.
     """
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_file(path, lambda file: _write(file, results))
+        write_file(path, lambda file: _write(file, results), scratch)
     except OSError as error:
         raise StoreError(f"{path} cannot be written: {reason(error)}.") from error
 
 
 def read(path: str | os.PathLike[str]) -> Results:
-    """Read a results file whole and check it against its digest. Raises StoreError."""
+    """Read a results file whole and check it against its checksum and digest. Raises StoreError."""
     with _opened(path) as file:
         header = _header(file)
         shape = tuple(len(axis.values) for axis in header.axes)
@@ -127,6 +138,15 @@ def read_header(path: str | os.PathLike[str]) -> Header:
         return _header(file)
 
 
+def check(path: str | os.PathLike[str]) -> bool:
+    """Check a results file: its data against their digest, and its bytes against their checksum.
+
+    Returns whether the bytes have a checksum: another program that changes the file takes it away. Raises StoreError.
+    """
+    read(path)
+    return verify(path)
+
+
 # --- writing
 
 
@@ -146,23 +166,25 @@ def _write(file: h5py.File, results: Results) -> None:
     impact = create_scale(file, "impact", numbers, ("1", "number of the primary impact"))
 
     digest = _Digest(results.axes, results.labels)
-    for name, dtype in CELL_FIELDS.items():
-        variable = create_variable(file, name, results.shape, dtype, _MEANING[name], scales)
-        _write_flags(variable, name, results.labels)
-        values = np.ascontiguousarray(getattr(results, name))
-        variable[...] = values
-        digest.begin(name, values.shape, dtype)
-        digest.add(values)
-    for name, dtype in IMPACT_FIELDS.items():
-        shape = (*results.shape, results.max_impacts)
-        variable = create_variable(file, name, shape, dtype, _MEANING[name], [*scales, impact])
-        _write_flags(variable, name, results.labels)
-        digest.begin(name, shape, dtype)
-        # Padded a block of rows at a time: padded whole, the impacts would be most of a large map's memory.
-        for start, stop in _row_blocks(variable):
-            block = results.padded_rows(name, start, stop)
-            variable[start:stop] = block
-            digest.add(block)
+    with ChunkWriter() as chunks:
+        for name, dtype in CELL_FIELDS.items():
+            variable = create_variable(file, name, results.shape, dtype, _MEANING[name], scales)
+            _write_flags(variable, name, results.labels)
+            digest.begin(name, results.shape, dtype)
+            values = np.ascontiguousarray(getattr(results, name))
+            for start, stop in _row_blocks(variable):
+                chunks.write(variable, start, values[start:stop])
+            digest.add(values)
+        for name, dtype in IMPACT_FIELDS.items():
+            shape = (*results.shape, results.max_impacts)
+            variable = create_variable(file, name, shape, dtype, _MEANING[name], [*scales, impact])
+            _write_flags(variable, name, results.labels)
+            digest.begin(name, shape, dtype)
+            # Padded a block of rows at a time: padded whole, the impacts would be most of a large map's memory.
+            for start, stop in _row_blocks(variable):
+                block = results.padded_rows(name, start, stop)
+                chunks.write(variable, start, block)
+                digest.add(block)
     set_text(file, "content_digest", digest.hexdigest())
 
 
@@ -227,6 +249,7 @@ def _opened(path: str | os.PathLike[str]) -> Iterator[h5py.File]:
     if signature != b"\x89HDF\r\n\x1a\n":
         raise StoreError(f"{path} is not a results file of clunk: it is not HDF5.")
     try:
+        verify(path)  # before HDF5 sees it
         with h5py.File(path, "r") as file:
             if "schema_version" not in file.attrs or "sequence" not in file:
                 raise StoreError(f"{path} is not a results file of clunk, although it is HDF5.")

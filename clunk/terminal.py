@@ -8,6 +8,7 @@ import textwrap
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -46,29 +47,64 @@ def progress(total: int, what: str = "cells") -> Iterator[Progress]:
     )
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=total, rate="")
-        began = time.perf_counter()
+        speed = _Speed()
 
-        def update(done: int, _total: int) -> None:
-            rate = done / max(time.perf_counter() - began, 1e-9)
-            bar.update(task, completed=done, rate=f"{rate:,.0f}/s ")
+        def update(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total, rate=f"{speed(done):,.0f}/s ")
 
         yield update
 
 
 def _plain_progress(what: str, every: float = 5.0) -> Progress:
-    began = last = time.perf_counter()
+    last = time.perf_counter()
+    speed = _Speed()
 
     def update(done: int, total: int) -> None:
         nonlocal last
         now = time.perf_counter()
-        if now - last < every or done == total:
+        rate = speed(done)
+        if now - last < every or done == total or rate == 0.0:
             return
         last = now
-        rate = done / (now - began)
         left = (total - done) / rate
         click.echo(f"{done:,} of {total:,} {what}, {rate:,.0f}/s, {left:.0f} s left", err=True)
 
     return update
+
+
+class _Speed:
+    """Cells a second since the first report; what was done by then may be of an earlier run."""
+
+    def __init__(self) -> None:
+        self._first: tuple[int, float] | None = None
+
+    def __call__(self, done: int) -> float:
+        now = time.perf_counter()
+        if self._first is None:
+            self._first = done, now
+        count, began = self._first
+        return (done - count) / max(now - began, 1e-9)
+
+
+def report_resumed(taken_up: int, discarded: int) -> None:
+    """What a stopped sweep had left."""
+    if taken_up:
+        click.echo(f"{_cells(taken_up)} were finished before; going on from there", err=True)
+    if discarded:
+        what = "part" if discarded == 1 else "parts"
+        click.echo(f"{discarded:,} {what} of other versions, or damaged: their cells are run again", err=True)
+
+
+def report_speed(total: int, ran: int, taken_up: int, seconds: float, target: Path, *, inferred: bool) -> None:
+    """How many cells ran, how many of them were taken up, and how fast."""
+    rate = f" ({(ran - taken_up) / seconds:,.0f} runs/s)" if ran > taken_up and seconds > 0.0 else ""
+    click.echo(f"{_cells(total)} in {seconds:.1f} s{rate} -> {target}", err=True)
+    if inferred:
+        click.echo(f"{ran:,} of them were run; the others are inferred from their neighbours", err=True)
+
+
+def _cells(count: int) -> str:
+    return f"{count:,} {'cell' if count == 1 else 'cells'}"
 
 
 def report_failures(results: Results) -> None:
@@ -81,7 +117,7 @@ def report_failures(results: Results) -> None:
         cells = np.argwhere(results.status == status)
         if status == Status.OK or cells.size == 0:
             continue
-        complain(f"{len(cells):,} {'cell' if len(cells) == 1 else 'cells'} failed: {status.sentence}")
+        complain(f"{_cells(len(cells))} failed: {status.sentence}")
         for cell in cells[:3]:
             where = ", ".join(
                 f"{axis.parameter} = {axis.values[k]:.6g}" for axis, k in zip(results.axes, cell, strict=True)

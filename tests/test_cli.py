@@ -9,9 +9,12 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from clunk.cli import main
+from clunk.results import CELL_FIELDS, IMPACT_FIELDS
+from clunk.store import read
 
 ROOT = Path(__file__).parent.parent
 SMALL = """
@@ -116,6 +119,119 @@ def test_results_of_another_config_are_not_overwritten_without_force(clunk, smal
     code, _, _ = clunk("sweep", small, "--set", "load.static_torque=-2.0", "--force")
     assert code == 0
     assert (here / "results/small.h5").read_bytes() != before
+
+
+def test_restart_takes_no_part_of_a_stopped_sweep(clunk, small, here):
+    directory = here / "results/small.h5.partial"
+    directory.mkdir(parents=True)
+    other = {"plan": "every cell", "config_digest": "ab", "versions": {}, "study": {"load.ratio": 7.0}}
+    (directory / "manifest.json").write_text(json.dumps(other))
+    (directory / "part-000001").write_bytes(b"of another sweep")
+    code, _, err = clunk("sweep", small)
+    assert code == 2
+    assert "another config" in " ".join(err.split())
+    assert "--restart" in err
+    assert clunk("sweep", small, "--restart")[0] == 0
+    assert [path.name for path in (here / "results").iterdir()] == ["small.h5"]
+
+
+def test_restart_of_a_sweep_that_is_refused_takes_nothing_away(clunk, small, here):
+    clunk("sweep", small, "-o", "map.h5")
+    (here / "map.h5.partial").mkdir()
+    (here / "map.h5.partial/part-000001").write_bytes(b"work")
+    code, _, err = clunk("sweep", small, "-o", "map.h5", "--set", "load.static_torque=-2.0", "--restart")
+    assert code == 2
+    assert "--force" in err
+    assert (here / "map.h5.partial/part-000001").read_bytes() == b"work"
+
+
+def test_what_a_sweep_left_that_was_killed_at_its_very_end_is_tidied_up(clunk, small, here):
+    clunk("sweep", small)
+    (here / "results/small.h5.partial").mkdir()
+    (here / "results/small.h5.partial/part-000001").write_bytes(b"left")
+    code, _, err = clunk("sweep", small)
+    assert code == 0
+    assert "already complete" in err
+    assert [path.name for path in (here / "results").iterdir()] == ["small.h5"]
+
+
+def test_a_refined_sweep_says_how_many_cells_it_ran_and_is_not_taken_for_a_dense_one(clunk, small, here):
+    line = ["--set", 'sweep.axes=[{parameter="load.ratio",start=0.0,stop=10.0,count=241}]']
+    code, out, err = clunk("sweep", small, *line, "--refine")
+    assert code == 0
+    assert "inferred from their neighbours" in err
+    code, _, err = clunk("sweep", small, *line, "--refine")
+    assert code == 0
+    assert "already complete" in err
+    code, _, err = clunk("sweep", small, *line)
+    assert code == 2
+    assert "--refine" in err
+    code, dense, _ = clunk("sweep", small, *line, "--force")
+    assert code == 0
+    assert dense == out
+    assert "already complete" in clunk("sweep", small, *line, "--refine")[2]  # it has more than that
+
+
+def test_failed_cells_are_run_again_and_the_file_says_so(clunk, small, here):
+    few = ["--set", "solver.max_events=10"]
+    code, _, _ = clunk("sweep", small, *few)
+    assert code == 3
+    before = read("results/small.h5")
+    failed = before.status != 0
+    code, _, _ = clunk("sweep", small, "--set", "solver.max_events=14", "--retry-failed")
+    assert code == 3
+    code, _, _ = clunk("sweep", small, "--retry-failed")
+    assert code == 0
+    after = read("results/small.h5")
+    assert not after.status.any()
+    assert np.array_equal(before.severity[~failed], after.severity[~failed])
+    note = after.attributes["retried"]
+    assert note.startswith(
+        f"{np.count_nonzero(failed)} failed cells run again with solver.max_events = 14 instead of 10"
+    )
+    assert "solver.max_events = 512 instead of 10: 0 failed again" in note
+    assert "already complete" in clunk("sweep", small, *few)[2]  # the file's config is still its own
+    assert "has no failed cells" in clunk("sweep", small, "--retry-failed")[2]
+    clunk("sweep", small, "-o", "dense.h5")
+    dense = read("dense.h5")
+    assert after.labels == dense.labels
+    for name in (*CELL_FIELDS, *IMPACT_FIELDS):
+        assert np.array_equal(getattr(after, name), getattr(dense, name), equal_nan=True), name
+
+
+def test_only_the_solver_may_differ_where_failed_cells_are_run_again(clunk, small, here):
+    clunk("sweep", small, "--set", "solver.max_events=10")
+    before = (here / "results/small.h5").read_bytes()
+    code, _, err = clunk("sweep", small, "--retry-failed", "--set", "load.static_torque=-2.0")
+    assert code == 2
+    assert "only [solver] may differ" in " ".join(err.split())
+    assert (here / "results/small.h5").read_bytes() == before
+    code, _, err = clunk("sweep", small, "--retry-failed", "-o", "nowhere.h5")
+    assert code == 2
+    assert "nowhere.h5" in err
+    code, _, err = clunk("sweep", small, "--retry-failed", "--force")
+    assert code == 2
+    assert "--force" in err
+
+
+def test_info_checks_a_file_and_names_a_damaged_one(clunk, small, here):
+    clunk("sweep", small)
+    path = here / "results/small.h5"
+    code, out, _ = clunk("info", path, "--check")
+    assert code == 0
+    assert "the data match their digest, the bytes their checksum" in out
+    assert json.loads(clunk("info", path, "--check", "--json")[1])["checked"] == {"data": True, "bytes": True}
+    raw = bytearray(path.read_bytes())
+    path.write_bytes(raw[:-78])  # what another program leaves that has changed it
+    code, out, _ = clunk("info", path, "--check")
+    assert code == 0
+    assert "no checksum" in out
+    raw[len(raw) // 2] ^= 1
+    path.write_bytes(raw)
+    for arguments in (["info", path], ["info", path, "--check"], ["plot", path], ["sweep", small]):
+        code, _, err = clunk(*arguments)
+        assert code == 2
+        assert "do not match its checksum" in " ".join(err.split())
 
 
 def test_sweep_prints_json_to_stdout_and_nothing_else(clunk, small):
@@ -398,7 +514,7 @@ def test_an_unknown_quantity_or_picture_format_is_refused_by_name(clunk, small):
 @pytest.mark.parametrize(
     ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
 )
-def test_a_signal_stops_a_sweep_within_seconds_and_leaves_no_file(tmp_path, number, code, word):
+def test_a_signal_stops_a_sweep_within_seconds_and_keeps_what_is_done(tmp_path, number, code, word):
     command = [
         sys.executable,
         "-c",
@@ -418,7 +534,9 @@ def test_a_signal_stops_a_sweep_within_seconds_and_leaves_no_file(tmp_path, numb
     assert process.returncode == code
     assert word in err
     assert "Traceback" not in err
-    assert list(tmp_path.iterdir()) == []
+    assert "the same command goes on" in " ".join(err.split())
+    assert [path.name for path in tmp_path.iterdir()] == ["map.h5.partial"]
+    assert {path.name for path in (tmp_path / "map.h5.partial").iterdir()} >= {"manifest.json", "part-000001"}
 
 
 @pytest.mark.parametrize("option", ["--help", "--version"])

@@ -1,5 +1,6 @@
 """The results file: what is written is what is read, by clunk and by others, and a bad file is a sentence."""
 
+import hashlib
 import os
 import subprocess
 import sys
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 import xarray
 
-from clunk import store
+from clunk import netcdf, store
 from clunk.core.status import Status
 from clunk.results import CELL_FIELDS, IMPACT_FIELDS, ResultAxis, Results
 
@@ -409,6 +410,101 @@ def test_a_file_cut_anywhere_is_a_sentence(tmp_path: Path) -> None:
     raw = whole.read_bytes()
     cut = tmp_path / "cut.h5"
     for length in range(0, len(raw), len(raw) // 97):
+        if length == len(raw) - 78:  # the checksum gone and nothing else
+            continue
         cut.write_bytes(raw[:length])
         with pytest.raises(store.StoreError):
             store.read(cut)
+
+
+# --- the bytes' own checksum
+
+
+def test_hdf5_and_netcdf_readers_do_not_mind_the_checksum(tmp_path: Path) -> None:
+    path = tmp_path / "map.h5"
+    store.write(path, example(RATIO, BACKLASH))
+    raw = path.read_bytes()
+    assert raw[-78:] == b"clunk-sha256:" + hashlib.sha256(raw[:-78]).hexdigest().encode() + b"\n"
+    assert store.check(path)
+    with h5py.File(path) as file:
+        assert file["severity"].shape == (5, 4)
+    with xarray.open_dataset(path, engine="h5netcdf") as dataset:
+        assert dataset["severity"].shape == (5, 4)
+
+
+def test_a_file_that_another_program_has_changed_has_no_checksum_and_is_read_by_its_digest(tmp_path: Path) -> None:
+    path = tmp_path / "map.h5"
+    store.write(path, example(RATIO, BACKLASH))
+    with h5py.File(path, "r+") as file:
+        file.attrs["comment"] = "looked at"
+    assert not store.check(path)
+    assert store.read(path).attributes["comment"] == "looked at"
+    with h5py.File(path, "r+") as file:
+        file["severity"][0, 0] = 1.0
+    with pytest.raises(store.StoreError) as raised:
+        store.check(path)
+    assert_sentence(raised.value, path, "content_digest")
+
+
+@pytest.mark.parametrize("changed", ["bit", "cut", "longer"])
+def test_what_is_behind_the_hdf5_is_its_checksum_or_nothing(tmp_path: Path, changed: str) -> None:
+    path = tmp_path / "map.h5"
+    store.write(path, example(RATIO))
+    raw = bytearray(path.read_bytes())
+    if changed == "bit":
+        raw[-70] ^= 1
+    path.write_bytes({"bit": raw, "cut": raw[:-1], "longer": raw + b"\n"}[changed])
+    for reader in (store.read, store.read_header, store.check):
+        with pytest.raises(store.StoreError) as raised:
+            reader(path)
+        assert_sentence(raised.value, path, "damaged")
+
+
+BARRAGE = f"""
+import faulthandler, random, sys
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from test_store import BACKLASH, RATIO, Path, example, store
+path = Path(sys.argv[1])
+store.write(path, example(RATIO, BACKLASH))
+raw = path.read_bytes()
+chance = random.Random(5)
+for k in range(2 * int(sys.argv[2])):
+    if k % 2:
+        changed = bytearray(raw)
+        changed[chance.randrange(len(raw))] ^= 1 << chance.randrange(8)
+    else:
+        changed = raw[: chance.randrange(len(raw) - 78)]
+    path.write_bytes(changed)
+    faulthandler.dump_traceback_later(10, exit=True)
+    for reader in (store.read, store.read_header, store.check):
+        try:
+            reader(path)
+        except store.StoreError as error:
+            assert str(error).startswith(str(path))
+        else:
+            print("believed", k)
+    faulthandler.cancel_dump_traceback_later()
+"""
+
+
+def test_three_hundred_cuts_and_three_hundred_flipped_bits_are_all_refused_at_once(tmp_path: Path) -> None:
+    # In a process of its own, which a hang or a crash of HDF5 would end.
+    command = [sys.executable, "-c", BARRAGE, str(tmp_path / "map.h5"), "300"]
+    answer = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (answer.returncode, answer.stdout, answer.stderr) == (0, "", "")
+
+
+def test_chunks_are_what_hdf5_would_have_made_of_them(tmp_path: Path) -> None:
+    """Over the edge of the last chunk, too, and with several chunks in each direction."""
+    rng = np.random.default_rng(2)
+    values = rng.normal(size=(5, 7, 3)).astype(np.float64)
+
+    def fill(file: h5py.File) -> None:
+        variable = file.create_dataset("x", values.shape, "<f8", chunks=(2, 3, 2), compression="gzip", shuffle=True)
+        with netcdf.ChunkWriter() as chunks:
+            for start in range(0, 5, 2):
+                chunks.write(variable, start, values[start : start + 2])
+
+    netcdf.write_file(tmp_path / "x.h5", fill)
+    with h5py.File(tmp_path / "x.h5") as file:
+        np.testing.assert_array_equal(file["x"], values, strict=True)

@@ -16,7 +16,7 @@ import time
 
 import numpy as np
 
-from clunk import sweeping
+from clunk import cells, sweeping
 from clunk.config import study_from_text
 
 CONFIG = """
@@ -63,15 +63,15 @@ def main(repeats: int) -> None:
 
 def timed(study, workers: int, early: bool) -> float:
     """Seconds of one sweep; without `early` no regime counts as provable, so that each run goes to its end."""
-    kept = sweeping.stack
+    kept = cells.stack
     if not early:
-        sweeping.stack = lambda systems: kept([s._replace(provable=np.zeros(2, np.int64)) for s in systems])
+        cells.stack = lambda systems: kept([s._replace(provable=np.zeros(2, np.int64)) for s in systems])
     try:
         began = time.perf_counter()
         sweeping.sweep(study, workers=workers)
         return time.perf_counter() - began
     finally:
-        sweeping.stack = kept
+        cells.stack = kept
 
 
 def bytes_per_cell() -> float:

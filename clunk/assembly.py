@@ -1,0 +1,175 @@
+"""Tiles, in whatever order they come, put together to Results that do not depend on that order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.config import Study, digest, quantity, to_toml
+from clunk.core.sequence import OPPOSITE, label
+from clunk.core.status import QUALITY_GRAZING, QUALITY_INFERRED, QUALITY_UNDECIDED, Status
+from clunk.refinement import DOUBTFUL, UNKNOWN
+from clunk.results import CELL_FIELDS, FAILED_CODE, IMPACT_FIELDS, ResultAxis, Results
+from clunk.tiles import Tile
+
+Cells = npt.NDArray[np.int64]
+
+# Of a cell that was not run: nothing is interpolated.
+_UNKNOWN_VALUES = {"severity": np.nan, "approach_velocity": np.nan, "last_event_time": np.nan, "touches": -1}
+
+
+class Assembly:
+    """The results' arrays, filled tile by tile.
+
+    done : cells that are known
+    """
+
+    def __init__(self, study: Study) -> None:
+        assert study.sweep is not None
+        self._study = study
+        self._axes = study.sweep.axes
+        self.shape = tuple(axis.count_of_values for axis in self._axes)
+        cells = int(np.prod(self.shape, dtype=np.int64))
+        self.done = 0
+        self._sequences: dict[tuple[int, ...], int] = {}  # the primaries' flanks -> code, in the order they turned up
+        self._codes = np.full(cells, FAILED_CODE, np.int32)
+        self._known = np.zeros(cells, bool)
+        self._fields = {name: np.zeros(cells, dtype) for name, dtype in CELL_FIELDS.items() if name != "sequence"}
+        self._impacts: list[tuple[Cells, dict[str, npt.NDArray[np.generic]]]] = []
+
+    def add(self, tile: Tile) -> None:
+        """Take a tile's results; cells that are there already are passed over."""
+        new = ~self._known[tile.cells]
+        if not new.all():
+            owned = np.repeat(new, tile.records["primary_impacts"])
+            tile = Tile(tile.cells[new], tile.records[new], tile.impacts[owned])
+        flanks = tile.impacts["flank"]
+        self._codes[tile.cells] = self._codes_of(tile.records, flanks)
+        for name, field in self._fields.items():
+            field[tile.cells] = tile.records[name]
+        columns = {
+            name: np.ascontiguousarray(tile.impacts[name.removeprefix("impact_")], dtype)
+            for name, dtype in IMPACT_FIELDS.items()
+        }
+        self._take(tile.cells, columns)
+
+    def add_results(self, results: Results) -> None:
+        """Take over all cells of finished results that have not failed."""
+        sequence, first = results.sequence.ravel(), results.first_impact
+        codes = np.full(len(results.labels) + 1, FAILED_CODE, np.int32)  # the last is of the failed, -1
+        for code, cell in zip(*np.unique(sequence, return_index=True), strict=True):
+            if code != FAILED_CODE:
+                flanks = results.impact_flank[first[cell] : first[cell + 1]]
+                codes[code] = self._code(tuple(int(flank) for flank in flanks))
+        cells = np.flatnonzero(sequence != FAILED_CODE).astype(np.int64)
+        self._codes[cells] = codes[sequence[cells]]
+        for name, field in self._fields.items():
+            field[cells] = getattr(results, name).ravel()[cells]
+        owned = np.repeat(sequence != FAILED_CODE, np.diff(first))
+        self._take(cells, {name: getattr(results, name)[owned] for name in IMPACT_FIELDS})
+
+    def missing(self) -> Cells:
+        """The cells that have not been run, in ascending order."""
+        return np.flatnonzero(~self._known).astype(np.int64)
+
+    def kinds(self) -> npt.NDArray[np.int32]:
+        """What refinement compares: shape, int32; equal where the flanks of the impacts and the initial flank are."""
+        kinds = 3 * self._codes + 1 + self._fields["initial_side"]
+        vague = (self._fields["quality"] & (QUALITY_UNDECIDED | QUALITY_GRAZING)) != 0
+        kinds[(self._codes == FAILED_CODE) | vague] = DOUBTFUL
+        kinds[~self._known] = UNKNOWN
+        return kinds.reshape(self.shape)
+
+    def touches(self) -> npt.NDArray[np.int32]:
+        """The number of touches, shape; `UNKNOWN` where it is."""
+        touches: npt.NDArray[np.int32] = np.where(self._known, self._fields["touches"], UNKNOWN).astype(np.int32)
+        return touches.reshape(self.shape)
+
+    def infer(self, cells: Cells, sources: Cells) -> None:
+        """Give cells that have not been run the regime of others: label, flanks, initial flank and no quantity."""
+        self._codes[cells] = self._codes[sources]
+        for name in ("primary_impacts", "initial_side"):
+            self._fields[name][cells] = self._fields[name][sources]
+        for name, value in _UNKNOWN_VALUES.items():
+            self._fields[name][cells] = value
+        self._fields["quality"][cells] = QUALITY_INFERRED
+        counts = self._fields["primary_impacts"][cells]
+        columns = {name: np.full(int(counts.sum()), np.nan, dtype) for name, dtype in _FLOATING.items()}
+        flanks = np.zeros(int(counts.sum()), np.int8)
+        codes, ends = self._codes[cells], np.cumsum(counts)
+        for sequence, code in self._sequences.items():
+            starts = (ends - counts)[codes == code]
+            for k, flank in enumerate(sequence):
+                flanks[starts + k] = flank
+        self._take(cells, {**columns, "impact_flank": flanks})
+
+    def results(self, attributes: dict[str, str]) -> Results:
+        """The finished map; every cell has been run or inferred.
+
+        Codes are by (number of primaries, label), so that they do not depend on who finished first.
+        """
+        assert self._known.all()
+        names = {label(flanks): len(flanks) for flanks in self._sequences}
+        labels = tuple(sorted(names, key=lambda text: (names[text], text)))
+        code = np.array([labels.index(label(flanks)) for flanks in self._sequences] + [FAILED_CODE], np.int16)
+        axes = []
+        for axis in self._axes:
+            what = quantity(axis.parameter)
+            axes.append(ResultAxis(axis.parameter, axis.grid, what.name, what.symbol, what.unit))
+        return Results(
+            title=self._study.title,
+            axes=tuple(axes),
+            labels=labels,
+            sequence=code[self._codes].reshape(self.shape),
+            **{name: field.reshape(self.shape) for name, field in self._fields.items()},
+            **self._flat_impacts(),
+            config=to_toml(self._study),
+            config_digest=digest(self._study),
+            attributes=attributes,
+        )
+
+    def _codes_of(self, records: npt.NDArray[np.void], flanks: npt.NDArray[np.int8]) -> npt.NDArray[np.int32]:
+        """Each record's code; flanks : (N,), of all of their impacts."""
+        patterns, inverse = np.unique(records["pattern"], return_inverse=True)
+        known = [self._code(_flanks(pattern)) if pattern else FAILED_CODE for pattern in patterns.tolist()]
+        codes: npt.NDArray[np.int32] = np.array(known, np.int32)[inverse.reshape(-1)]
+        # sequences too long for a pattern are told from their flanks
+        long = np.flatnonzero((records["pattern"] == 0) & (records["status"] == Status.OK))
+        if long.size:
+            ends = np.cumsum(records["primary_impacts"])
+            for k in long:
+                own = flanks[ends[k] - records["primary_impacts"][k] : ends[k]]
+                codes[k] = self._code(tuple(int(flank) for flank in own))
+        return codes
+
+    def _code(self, flanks: Sequence[int]) -> int:
+        return self._sequences.setdefault(tuple(flanks), len(self._sequences))
+
+    def _take(self, cells: Cells, impacts: dict[str, npt.NDArray[np.generic]]) -> None:
+        self._impacts.append((cells, impacts))
+        self._known[cells] = True
+        self.done += cells.size
+
+    def _flat_impacts(self) -> dict[str, npt.NDArray[Any]]:
+        """Every tile's impacts where their cells are in C order."""
+        counts = self._fields["primary_impacts"]
+        first = np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
+        flat: dict[str, npt.NDArray[Any]] = {name: np.empty(first[-1], dtype) for name, dtype in IMPACT_FIELDS.items()}
+        for cells, impacts in self._impacts:
+            mine = counts[cells]
+            begin = np.cumsum(mine, dtype=np.int64) - mine  # of each cell within the tile
+            position = np.arange(mine.sum()) + np.repeat(first[cells] - begin, mine)
+            for name, values in impacts.items():
+                flat[name][position] = values
+        return flat
+
+
+_FLOATING = {name: dtype for name, dtype in IMPACT_FIELDS.items() if issubclass(dtype, np.floating)}
+
+
+def _flanks(pattern: int) -> tuple[int, ...]:
+    """The flanks that a pattern's bits stand for, behind its leading 1."""
+    return tuple(OPPOSITE if bit == "1" else -OPPOSITE for bit in bin(pattern)[3:])

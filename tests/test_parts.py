@@ -1,0 +1,361 @@
+"""Sweeps that are stopped, killed or get in each other's way: what is done stays, and the results are the same bits."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_sweeping import equal, figure_3_4
+
+from clunk import parts as keeping
+from clunk.config import replace_values
+from clunk.parts import PartsError, WorkingDirectory
+from clunk.store import read_header
+from clunk.sweeping import parts_of, sweep
+
+CONFIG = """
+[driveline]
+preset = "boere-2008"
+[solver]
+step = 2e-4
+[[sweep.axes]]
+parameter = "load.ratio"
+start = 0.0
+stop = 10.0
+count = 41
+[[sweep.axes]]
+parameter = "lash.backlash_deg"
+start = 0.0
+stop = 20.0
+count = 31
+"""
+
+
+@pytest.fixture
+def target(tmp_path):
+    return tmp_path / "map.h5"
+
+
+@pytest.fixture
+def often(monkeypatch):
+    """A part for every tile."""
+    for name in ("_FIRST_PART", "_PART", "_SHARE"):
+        monkeypatch.setattr(keeping, name, 0.0)
+
+
+@pytest.fixture(scope="module")
+def study():
+    return figure_3_4(17, step=2e-4)
+
+
+@pytest.fixture(scope="module")
+def whole(study):
+    return sweep(study)
+
+
+def stopped(study, target, after, error=KeyboardInterrupt, **options):
+    """Start a sweep and stop it when so many cells are done; how many are kept."""
+
+    def progress(done, _total):
+        if done >= after:
+            raise error
+
+    with WorkingDirectory(target) as directory:
+        parts = parts_of(directory, study, refine=options.get("refine", False))
+        with pytest.raises(error):
+            sweep(study, progress=progress, parts=parts, **options)
+        return parts.kept
+
+
+def resumed(study, target, **options):
+    """Go on, and the parts; the directory is removed."""
+    with WorkingDirectory(target) as directory:
+        parts = parts_of(directory, study, refine=options.get("refine", False))
+        results = sweep(study, parts=parts, **options)
+        directory.remove()
+    assert not directory.path.exists()
+    return results, parts
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])
+def test_a_stopped_sweep_goes_on_where_it_was_and_ends_with_the_same_bits(study, whole, target, error):
+    first = stopped(study, target, 60, error)
+    second = stopped(study, target, 150, error)
+    assert 60 <= first < second < 289
+    results, parts = resumed(study, target, workers=1)
+    assert parts.taken_up == second
+    assert parts.discarded == 0
+    assert equal(results, whole)
+
+
+def test_a_refined_sweep_goes_on_likewise(target, often):
+    line = figure_3_4(121, step=2e-4)
+    line = line.model_copy(update={"sweep": line.sweep.model_copy(update={"axes": line.sweep.axes[:1]})})
+    line = replace_values(line, {"lash.backlash_deg": 6.0})
+    kept = stopped(line, target, 40, refine=True)
+    results, parts = resumed(line, target, refine=True)
+    assert parts.taken_up == kept >= 40
+    assert equal(results, sweep(line, refine=True))
+    assert results.attributes["refinement"] == sweep(line, refine=True).attributes["refinement"]
+
+
+def test_a_finished_sweep_leaves_no_directory_and_a_short_one_no_parts(study, target):
+    with WorkingDirectory(target) as directory:
+        parts = parts_of(directory, study)
+        sweep(study, parts=parts)
+        assert directory.parts() == []
+    assert list(target.parent.iterdir()) == []
+
+
+def test_parts_of_another_config_are_refused_with_what_differs(study, target):
+    stopped(study, target, 60)
+    other = replace_values(study, {"load.static_torque": -2.0, "solver.end_time": 1.5})
+    with WorkingDirectory(target) as directory, pytest.raises(PartsError) as raised:
+        parts_of(directory, other)
+    assert "load.static_torque = -1.0 there, -2.0 here" in str(raised.value)
+    assert "solver.end_time = 2.0 there, 1.5 here" in str(raised.value)
+    assert "--restart" in str(raised.value)
+    with WorkingDirectory(target) as directory, pytest.raises(PartsError, match="runs every cell, not"):
+        parts_of(directory, study, refine=True)
+    with WorkingDirectory(target) as directory:
+        directory.clear()
+        parts_of(directory, other)
+
+
+def damage(path, how):
+    raw = bytearray(path.read_bytes())
+    if how == "cut":
+        raw = raw[: len(raw) // 2]
+    elif how == "emptied":
+        raw = b""
+    else:
+        raw[len(raw) // 2] ^= 4
+    path.write_bytes(raw)
+
+
+@pytest.mark.parametrize("how", ["cut", "emptied", "a bit changed"])
+def test_damaged_parts_are_run_again(study, whole, target, often, how):
+    stopped(study, target, 150)
+    with WorkingDirectory(target) as directory:
+        names = directory.parts()
+        damage(names[1], how)
+        damage(names[-1], how)
+        (directory.path / ".part-000009.1-ab.tmp").write_bytes(b"half")  # of a process that was killed
+    results, parts = resumed(study, target)
+    assert parts.discarded == 2
+    assert 0 < parts.taken_up < 289
+    assert equal(results, whole)
+
+
+def test_parts_of_other_versions_are_run_again(study, whole, target, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(keeping, "_versions", lambda: {"numba": "0.1"})
+        stopped(study, target, 150)
+    results, parts = resumed(study, target)
+    assert (parts.discarded, parts.taken_up) == (1, 0)
+    assert equal(results, whole)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", '{"plan": 1}', '{"plan": 1, "config_digest": 2, "study": 3, "versions": 4}']
+)
+def test_parts_without_a_readable_manifest_still_tell_what_they_are(study, whole, target, text):
+    kept = stopped(study, target, 150)
+    other = replace_values(study, {"load.static_torque": -2.0})
+    manifest = target.parent / "map.h5.partial" / "manifest.json"
+    manifest.write_text(text)
+    results, parts = resumed(study, target)
+    assert parts.taken_up == kept
+    assert equal(results, whole)
+    stopped(study, target, 150)
+    manifest.write_text(text)
+    _, parts = resumed(other, target)
+    assert (parts.discarded, parts.taken_up) == (1, 0)
+
+
+def test_a_second_writer_is_refused_at_once(study, target):
+    with WorkingDirectory(target):
+        with pytest.raises(PartsError, match="another sweep"), WorkingDirectory(target):
+            pass
+        link = target.with_name("link.h5")
+        target.touch()
+        link.symlink_to(target)
+        with pytest.raises(PartsError, match="another sweep"), WorkingDirectory(link):
+            pass
+        with WorkingDirectory(target.with_name("other.h5")):
+            pass
+    with WorkingDirectory(target):
+        pass
+
+
+def test_a_disk_that_is_full_is_a_sentence_and_what_was_kept_stays(study, whole, target, often, monkeypatch):
+    kept = stopped(study, target, 60)
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch, WorkingDirectory(target) as directory:
+        patch.setattr(os, "fsync", full)
+        with pytest.raises(PartsError, match="no space left on device; the same command goes on"):
+            sweep(study, parts=parts_of(directory, study))
+    results, parts = resumed(study, target)
+    assert parts.taken_up == kept
+    assert equal(results, whole)
+
+
+def test_few_parts_are_written_however_long_a_sweep_takes(study, target, monkeypatch):
+    """One every 1.5 s at first, at most 2 % of the time so far later, 30 s at the longest: 24 h are 3,100 files."""
+    now = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    tile = next(iter(_tiles(study)))
+    moments = []
+    with WorkingDirectory(target) as directory:
+        parts = parts_of(directory, study)
+        monkeypatch.setattr(parts, "flush", lambda: (moments.append(now[0]), _written(parts, now[0])))
+        while now[0] < 86400.0:
+            parts.add(tile)
+            now[0] += 0.5
+    pauses = np.diff(moments)
+    assert moments[0] == pytest.approx(2.0, abs=0.5)
+    assert pauses.min() >= 1.5
+    assert pauses.max() <= 30.5
+    assert len(moments) < 3200
+
+
+def _written(parts, now):
+    parts._written, parts._number = now, parts._number + 1
+    parts._waiting.clear()
+
+
+def _tiles(study):
+    from clunk.cells import Grid
+
+    yield Grid(study).run(np.arange(5), np.zeros(1, np.uint8))
+
+
+# --- killed
+
+RUN = """
+import os, signal, sys, time
+from clunk import parts, store
+parts._FIRST_PART = parts._PART = parts._SHARE = 0.0
+moment = sys.argv.pop(1)
+die = lambda: os.kill(os.getpid(), signal.SIGKILL)
+count = 0
+def at(module, name, wanted, before):
+    original = getattr(module, name)
+    def patched(*arguments, **options):
+        global count
+        count += 1
+        if before and count == wanted:
+            die()
+        value = original(*arguments, **options)
+        if count == wanted:
+            die()
+        return value
+    setattr(module, name, patched)
+if moment == "first fsync":
+    at(os, "fsync", 2, True)
+elif moment == "fifth part":
+    at(os, "fsync", 10, False)
+elif moment == "assembly":
+    at(store, "_write_flags", 5, False)
+elif moment == "file on disk":
+    at(store, "write_file", 1, False)
+elif moment == "trailer":
+    from clunk import netcdf
+    at(netcdf, "trailer", 1, False)
+from clunk.cli import main
+sys.argv[0] = "clunk"
+main()
+"""
+posix = pytest.mark.skipif(os.name != "posix", reason="SIGKILL is POSIX")
+
+
+def start(directory, moment):
+    (directory / "map.toml").write_text(CONFIG)
+    command = [sys.executable, "-c", RUN, moment, "sweep", "map.toml", "-o", "map.h5"]
+    return subprocess.Popen(command, cwd=directory, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def finish(directory):
+    process = start(directory, "never")
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    assert sorted(path.name for path in directory.iterdir()) == ["map.h5", "map.toml"]
+    return read_header(directory / "map.h5").content_digest, out, err
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    return finish(tmp_path_factory.mktemp("undisturbed"))[0]
+
+
+@posix
+def test_killed_at_any_moment_the_same_command_gives_the_same_bits(tmp_path, undisturbed):
+    """One sweep killed five times: while its first part is written, later, while it is assembled, and at its end."""
+    for moment in ("first fsync", "fifth part", "assembly", "trailer", "file on disk"):
+        process = start(tmp_path, moment)
+        _, err = process.communicate(timeout=120)
+        assert process.returncode == -signal.SIGKILL, (moment, err)
+        assert (tmp_path / "map.h5.partial").is_dir(), moment
+        assert (tmp_path / "map.h5").exists() == (moment == "file on disk")
+    digest, _, err = finish(tmp_path)
+    assert digest == undisturbed
+    assert "already complete" in err
+
+
+@posix
+@pytest.mark.slow
+def test_killed_at_fifty_random_moments_each_sweep_ends_with_the_same_bits(tmp_path, undisturbed):
+    rng = np.random.default_rng(11)
+    killed = 0
+    for k in range(50):
+        directory = tmp_path / str(k)
+        directory.mkdir()
+        process = start(directory, "never")
+        while not (directory / "map.h5.partial").exists():
+            time.sleep(0.005)
+        time.sleep(float(rng.uniform(0.0, 2.0)))
+        process.kill()
+        process.communicate()
+        killed += process.returncode == -signal.SIGKILL
+        assert finish(directory)[0] == undisturbed
+    assert killed > 25
+
+
+@posix
+def test_a_second_command_on_the_same_file_is_refused_and_the_lock_dies_with_its_process(tmp_path, undisturbed):
+    process = start(tmp_path, "never")
+    while not (tmp_path / "map.h5.partial" / "lock").exists():
+        time.sleep(0.005)
+    process.send_signal(signal.SIGSTOP)
+    second = start(tmp_path, "never")
+    _, err = second.communicate(timeout=60)
+    assert second.returncode == 2
+    assert "written by another sweep" in " ".join(err.split())
+    process.kill()
+    process.communicate()
+    assert finish(tmp_path)[0] == undisturbed
+
+
+@posix
+def test_where_files_cannot_grow_the_command_ends_with_a_sentence_and_can_go_on(tmp_path, undisturbed):
+    (tmp_path / "map.toml").write_text(CONFIG)
+    limit = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000)){RUN}"
+    command = [sys.executable, "-c", limit, "never", "sweep", "map.toml", "-o", "map.h5"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "cannot be written: file too large" in " ".join(done.stderr.split())
+    assert "Traceback" not in done.stderr
+    manifest = json.loads((tmp_path / "map.h5.partial" / "manifest.json").read_text())
+    assert manifest["plan"] == "every cell"
+    assert Path(tmp_path / "map.h5.partial" / "part-000001").exists()
+    digest, _, err = finish(tmp_path)
+    assert digest == undisturbed
+    assert "1,271 cells were finished before" in err
