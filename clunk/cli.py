@@ -290,7 +290,7 @@ def simulate(
     step: float | None,
     as_json: bool,
 ) -> None:
-    """Run one load step; print its events, primary impacts and label; draw or save it.
+    """Run one load step; print its events, label and energy balance; draw or save it.
 
     SOURCE is a config, or a results file of which --at names the cell.
 
@@ -302,6 +302,7 @@ def simulate(
           --overlay lash.contact.model=indentation,restitution
     """
     from clunk import targets
+    from clunk.energy import balance
     from clunk.simulation import simulate as run
 
     _check_drawing(output, figure, around, width, until, step)
@@ -316,13 +317,20 @@ def simulate(
         _warn_of_coarse_step(study)
     runs = [(name, run(study)) for name, study in studies]
     if as_json:
-        records = [{"run": name} | terminal.trajectory_record(trajectory) for name, trajectory in runs]
+        records = [
+            {"run": name}
+            | terminal.trajectory_record(trajectory)
+            | {"energy": terminal.energy_record(balance(trajectory))}
+            for name, trajectory in runs
+        ]
         click.echo(json.dumps(records if overlay else records[0], ensure_ascii=False))
     else:
         for k, (name, trajectory) in enumerate(runs):
             if overlay:
                 click.echo(("\n" if k else "") + name)
             terminal.print_trajectory(trajectory)
+            click.echo()
+            terminal.print_energy(trajectory, balance(trajectory))
     if output is not None:
         _save_runs(runs, output, figure, around, width, until, step)
 
