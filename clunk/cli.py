@@ -444,14 +444,14 @@ def _cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict
             raise click.UsageError(f"--at {assignment}: {key} is swept from {lowest:g} to {highest:g}.")
         values[key] = float(axes[key][np.argmin(np.abs(axes[key] - wanted))])
         if not np.isclose(values[key], wanted, rtol=1e-9, atol=0.0):
-            click.echo(f"{key} = {values[key]:.6g} is the nearest value of its axis", err=True)
+            terminal.complain(f"{key} = {values[key]:.6g} is the nearest value of its axis")
     missing = [key for key in axes if key not in values]
     if missing and all_needed:
         examples = " ".join(f"--at {key}={axes[key][len(axes[key]) // 2]:.6g}" for key in missing)
         raise click.UsageError(f"Which cell? Also name {examples}, for example.")
     if missing:
         own = ", ".join(f"{key} = {_own_value(study, key):g}" for key in missing)
-        click.echo(f"swept keys at the config's own values: {own}; --at names others", err=True)
+        terminal.complain(f"swept keys at the config's own values: {own}; --at names others")
     return values
 
 
