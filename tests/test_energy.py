@@ -84,6 +84,37 @@ def test_flanks_that_rejoin_regain_what_their_overlap_stores(ratio, backlash, da
     assert max(found.dropped, found.regained) > 100 * CLOSED * found.largest  # the balance would notice
 
 
+@pytest.mark.parametrize("contact", CONTACTS.values(), ids=CONTACTS)
+def test_a_ball_between_two_walls_balances(contact):
+    """One inertia, no shaft: the load drives it to and fro, and nothing but the contact takes anything."""
+    ball = f"""
+[driveline]
+inertias = [0.5]
+shafts = []
+[lash]
+between = [1, "ground"]
+backlash_deg = 60.0
+radius = 1.0
+[lash.contact]
+stiffness = 1e4
+damping = 2.0
+{contact}
+[load]
+on = 1
+initial_torque = 5.0
+final_torque = -5.0
+[solver]
+step = 2e-5
+end_time = 10.0
+"""
+    trajectory = simulate(study_from_text(ball))
+    found = balance(trajectory)
+    assert trajectory.touches > 0
+    assert found.relative_residual < CLOSED
+    assert found.damped_in_shafts == ()
+    assert found.work > 0.0
+
+
 def test_a_driveline_at_rest_has_nothing_to_balance():
     found = balance(run(CONTACTS["separation by gap"], ratio=0.0))
     assert found.work == pytest.approx(0.0, abs=1e-15)

@@ -29,7 +29,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:(overflow|invalid|divide)"),
 ]
 
-LONGEST = 5.0  # s of one command; the slowest takes 0.1 s once the kernel is compiled
+LONGEST = 5.0  # s of one command; the slowest takes 0.5 s once the kernel is compiled
 MOST_STEPS = 1e6  # of a run that is tried: 20 ms
 VALUES = [
     *("nan", "-nan", "inf", "-inf", "0", "-0.0", "-1", "1e308", "-1e308", "1.8e308", "1e-308", "5e-324", "1e16"),
@@ -133,7 +133,7 @@ def command(tmp_path_factory):
         out, err = io.StringIO(), io.StringIO()
         argv, handler = sys.argv, signal.getsignal(signal.SIGTERM)
         sys.argv = ["clunk", name, str(path)]
-        began = time.monotonic()
+        began = time.process_time()  # other programs take their share of the wall clock
         try:
             with at_most(10 * LONGEST), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
                 main()
@@ -142,7 +142,7 @@ def command(tmp_path_factory):
         finally:
             sys.argv = argv
             signal.signal(signal.SIGTERM, handler)
-        assert time.monotonic() - began < LONGEST
+        assert time.process_time() - began < LONGEST
         return code, out.getvalue(), err.getvalue()
 
     run.path = path

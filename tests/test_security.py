@@ -5,10 +5,11 @@ from pathlib import Path
 
 import pytest
 
+import clunk
 from clunk.config import study_from_text
 from clunk.configmodels import schema
 
-PACKAGE = Path(__file__).parent.parent / "clunk"
+PACKAGE = Path(clunk.__file__).parent
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 # What runs text or bytes as code, and what talks to other machines or starts other programs.
 MODULES = {
