@@ -365,7 +365,7 @@ def simulate(
     step: float | None,
     as_json: bool,
 ) -> None:
-    """Run one load step; print its events, primary impacts and label; draw or save it.
+    """Run one load step; print its events, label and energy balance; draw or save it.
 
     SOURCE is a config, or a results file of which --at names the cell.
 
@@ -377,6 +377,7 @@ def simulate(
           --overlay lash.contact.model=indentation,restitution
     """
     from clunk import targets
+    from clunk.energy import balance
     from clunk.simulation import simulate as run
 
     _check_drawing(output, figure, around, width, until, step)
@@ -391,13 +392,20 @@ def simulate(
         _warn_of_coarse_step(study)
     runs = [(name, run(study)) for name, study in studies]
     if as_json:
-        records = [{"run": name} | terminal.trajectory_record(trajectory) for name, trajectory in runs]
+        records = [
+            {"run": name}
+            | terminal.trajectory_record(trajectory)
+            | {"energy": terminal.energy_record(balance(trajectory))}
+            for name, trajectory in runs
+        ]
         click.echo(json.dumps(records if overlay else records[0], ensure_ascii=False))
     else:
         for k, (name, trajectory) in enumerate(runs):
             if overlay:
                 click.echo(("\n" if k else "") + name)
             terminal.print_trajectory(trajectory)
+            click.echo()
+            terminal.print_energy(trajectory, balance(trajectory))
     if output is not None:
         _save_runs(runs, output, figure, around, width, until, step)
 
@@ -511,14 +519,14 @@ def _cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict
             raise click.UsageError(f"--at {assignment}: {key} is swept from {lowest:g} to {highest:g}.")
         values[key] = float(axes[key][np.argmin(np.abs(axes[key] - wanted))])
         if not np.isclose(values[key], wanted, rtol=1e-9, atol=0.0):
-            click.echo(f"{key} = {values[key]:.6g} is the nearest value of its axis", err=True)
+            terminal.complain(f"{key} = {values[key]:.6g} is the nearest value of its axis")
     missing = [key for key in axes if key not in values]
     if missing and all_needed:
         examples = " ".join(f"--at {key}={axes[key][len(axes[key]) // 2]:.6g}" for key in missing)
         raise click.UsageError(f"Which cell? Also name {examples}, for example.")
     if missing:
         own = ", ".join(f"{key} = {_own_value(study, key):g}" for key in missing)
-        click.echo(f"swept keys at the config's own values: {own}; --at names others", err=True)
+        terminal.complain(f"swept keys at the config's own values: {own}; --at names others")
     return values
 
 

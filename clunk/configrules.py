@@ -21,6 +21,9 @@ Finding = tuple[Place, str]
 LARGEST_GRID = 2**31  # cells
 LONGEST_AXIS = 10_000_000  # values; known before any array is made
 MOST_STEPS = 1e9  # of one run; about ten seconds of nothing but stepping
+LARGEST_SIZE = 1e30  # of inertias, stiffnesses, dampings and the radius, and the smallest is its inverse
+WIDEST_SPREAD = 1e12  # of the inertias and of the springs of one driveline: four digits are left where they add up
+FASTEST_RATE = 1e12  # 1/s, of stiffness or damping on an inertia; atoms swing ten times faster
 
 # Choices that are planned: refused by name rather than as unknown. To open one, add it to its Literal in configmodels.
 NOT_YET: dict[Place, tuple[str, ...]] = {
@@ -322,6 +325,57 @@ def _steps_rule(document: Document) -> Iterator[Finding]:
         yield _axis_first(at_shortest, at_latest), f"{complaint}; at most {MOST_STEPS:g} are allowed"
 
 
+def _size_rule(document: Document) -> Iterator[Finding]:
+    """Inertias, springs and dampers are of sizes that double precision can multiply, and add to one another."""
+    shafts = range(len(items_of(value_at(document, ("driveline", "shafts")))))
+    inertias = range(len(items_of(value_at(document, ("driveline", "inertias")))))
+    contact: Place = ("lash", "contact")
+    masses = [size for k in inertias for size in _extent(document, ("driveline", "inertias", k))]
+    springs, dampers = (
+        [size for k in shafts for size in _extent(document, ("driveline", "shafts", k, key))]
+        for key in ("stiffness", "damping")
+    )
+    radii = list(_extent(document, ("lash", "radius")))
+    at_radius = {key: list(_extent(document, (*contact, key))) for key in ("stiffness", "damping")}
+    absurd = [
+        (place, f"found {size:g}; must be from {1.0 / LARGEST_SIZE:g} to {LARGEST_SIZE:g}")
+        for size, place in [*masses, *springs, *dampers, *radii, *at_radius["stiffness"], *at_radius["damping"]]
+        if not 1.0 / LARGEST_SIZE <= size <= LARGEST_SIZE
+    ]
+    yield from absurd
+    if absurd:
+        return
+    springs += _torsional(at_radius["stiffness"], radii)
+    dampers += _torsional(at_radius["damping"], radii)
+    for sizes, unit in ((masses, "kg m2"), (springs, "N m/rad")):
+        (smallest, at_smallest), (largest, at_largest) = min(sizes, default=(1.0, ())), max(sizes, default=(1.0, ()))
+        if largest > WIDEST_SPREAD * smallest:
+            yield (
+                _axis_first(at_largest, at_smallest),
+                f"{largest:g} {unit} here and {smallest:g} {unit} at {dotted(at_smallest)} are more than a factor of "
+                f"{WIDEST_SPREAD:g} apart; the smaller one is lost in rounding",
+            )
+            return
+    lightest, at_lightest = min(masses, default=(math.inf, ()))
+    for sizes, power, unit in ((springs, 0.5, "N m/rad"), (dampers, 1.0, "N m s/rad")):
+        largest, at_largest = max(sizes, default=(0.0, ()))
+        rate = (largest / lightest) ** power
+        if rate > FASTEST_RATE:
+            complaint = (
+                f"{largest:g} {unit} on the {lightest:g} kg m2 of {dotted(at_lightest)} is a rate of {rate:.2g} 1/s"
+            )
+            yield at_largest, f"{complaint}; at most {FASTEST_RATE:g} 1/s is allowed"
+
+
+def _torsional(sizes: Sequence[tuple[float, Place]], radii: Sequence[tuple[float, Place]]) -> list[tuple[float, Place]]:
+    """r² times a stiffness or damping at the radius, at the place of whichever of the two is further from 1."""
+    return [
+        (radius**2 * size, at if abs(math.log(size)) > abs(2.0 * math.log(radius)) else at_radius)
+        for size, at in sizes
+        for radius, at_radius in radii
+    ]
+
+
 def _axis_first(*places: Place) -> Place:
     """Whichever of these places lies on an axis, since that is the less obvious one."""
     return next((place for place in places if place[0] == "sweep"), places[0])
@@ -525,5 +579,5 @@ def _axis_range(axis: Document, at: Place, parameter: str, schema: Schema, docum
 
 def findings(document: Document) -> Iterator[Finding]:
     """Where keys contradict each other, or name what is not there; axes aside."""
-    for rule in (_lash_rule, _names_rule, _inertia_rule, _torque_rule, _steps_rule):
+    for rule in (_lash_rule, _names_rule, _inertia_rule, _torque_rule, _steps_rule, _size_rule):
         yield from rule(document)

@@ -15,6 +15,7 @@ import click
 
 if TYPE_CHECKING:
     from clunk.claims import Claim
+    from clunk.energy import EnergyBalance
     from clunk.results import Results
     from clunk.simulation import Trajectory
 
@@ -161,6 +162,53 @@ def print_trajectory(trajectory: Trajectory) -> None:
     click.echo(f"approach velocity V {trajectory.approach_velocity:.5f} rad/s")
 
 
+def print_energy(trajectory: Trajectory, balance: EnergyBalance) -> None:
+    """Where a run's energy went: stored before and after, taken by dampers and flanks, and what does not add up."""
+    click.echo(f"{'energy [J]':<20}" + "".join(f"{word:>14}" for word in ("before", "after", "change", "damped")))
+    contact = balance.contact_before, balance.contact_after, balance.damped_in_contact
+    rows = [("inertias", balance.kinetic_before, balance.kinetic_after, 0.0)]
+    rows += zip(
+        (shaft_name(trajectory, k) for k in range(len(balance.shafts_before))),
+        balance.shafts_before,
+        balance.shafts_after,
+        balance.damped_in_shafts,
+        strict=True,
+    )
+    rows.append(("contact", *contact))
+    rows.append(("together", balance.stored_before, balance.stored_after, balance.damped))
+    for name, before, after, damped in rows:
+        numbers = "".join(_joule(value) for value in (before, after, after - before, damped))
+        click.echo(f"{name:<20}{numbers}")
+    lines = [("work of the load", balance.work)]
+    if trajectory.study.lash.contact.model == "restitution":
+        lines.append(("lost at impacts", balance.lost_at_impacts))
+    elif trajectory.study.lash.contact.separation == "force":
+        lines += [("dropped at partings", balance.dropped), ("regained at rejoins", balance.regained)]
+    for name, value in lines:
+        click.echo(f"{name:<20}{_joule(value)}")
+    click.echo(f"{'residual':<20}{_joule(balance.residual)}, {balance.relative_residual:.1e} of the largest energy")
+
+
+def shaft_name(trajectory: Trajectory, k: int) -> str:
+    """A shaft by its number and ends, for example shaft 3, 4-ground."""
+    one, other = trajectory.study.driveline.shafts[k].between
+    return f"shaft {k + 1}, {one}-{other}"
+
+
+def _joule(value: float) -> str:
+    return f"{value:>14.6g}"
+
+
+def energy_record(balance: EnergyBalance) -> dict[str, Any]:
+    """An energy balance for JSON, in J; what is not defined is null."""
+    record: dict[str, Any] = dict(vars(balance))
+    record |= {name: getattr(balance, name) for name in ("residual", "relative_residual")}
+    return {
+        name: [_or_none(item) for item in value] if isinstance(value, tuple) else _or_none(value)
+        for name, value in record.items()
+    }
+
+
 def trajectory_record(trajectory: Trajectory) -> dict[str, Any]:
     """A run for JSON; what is not defined is null."""
     primaries = set(trajectory.primaries.tolist())
@@ -190,8 +238,8 @@ def _severity(value: float, unit: str) -> str:
 
 
 def _or_none(value: float) -> float | None:
-    """JSON has no NaN."""
-    return None if math.isnan(value) else value
+    """JSON has neither NaN nor infinities."""
+    return value if math.isfinite(value) else None
 
 
 def print_claims(claims: Sequence[Claim]) -> None:

@@ -92,7 +92,6 @@ def test_reproduce_writes_every_figure_and_exits_4_when_a_claim_stops_agreeing(t
 _figures = reproduction.figures
 
 
-@pytest.mark.slow
 def test_every_figure_of_the_report_can_be_drawn(evidence, found, tmp_path):
     jobs = reproduction.figures(evidence)
     written = reproduction.save_all(jobs, evidence, found, tmp_path)

@@ -309,6 +309,23 @@ def test_simulate_draws_and_saves_runs_and_overlays(clunk, here):
     assert [run["severity"] is None for run in json.loads(out)] == [False, True]
 
 
+@pytest.mark.parametrize("contact", ["model=indentation", "separation=force", "model=restitution"])
+def test_simulate_accounts_for_the_energy(clunk, contact):
+    arguments = ["simulate", ROOT / "configs/nominal.toml", "--set", f"lash.contact.{contact}"]
+    arguments += ["--set", "solver.step=2e-5"]
+    code, out, _ = clunk(*arguments)
+    assert code == 0
+    table = out[out.index("energy [J]") :].splitlines()
+    assert max(map(len, table)) <= 80
+    assert [line.split()[0] for line in table[1:7]] == ["inertias", "shaft", "shaft", "shaft", "shaft", "contact"]
+    assert table[-1].startswith("residual")
+    _, out, _ = clunk(*arguments, "--json")
+    energy = json.loads(out)["energy"]
+    assert energy["relative_residual"] < 1e-8
+    assert (energy["lost_at_impacts"] > 0.0) == (contact == "model=restitution")
+    assert (energy["dropped"] > 0.0) == (contact == "separation=force")
+
+
 def test_compare_tells_equal_from_different(clunk, small, here):
     clunk("sweep", small)
     clunk("sweep", small, "--set", "lash.contact.model=restitution", "-o", "rcm.h5")

@@ -1,0 +1,142 @@
+"""A damaged cache of compiled kernels costs a compilation, and nothing else.
+
+pytest -m slow tests/test_cache.py        every kind of damage; each compiles for about 20 s
+"""
+
+import importlib.util
+import os
+import shutil
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import pytest
+
+import clunk.core.jit  # noqa: F401  # points numba at its cache, which a test then moves
+
+ROOT = Path(__file__).parent.parent
+COMMAND = [sys.executable, "-c", "from clunk.cli import main; main()", "simulate", str(ROOT / "configs/nominal.toml")]
+
+
+def simulate(variable, directory):
+    environment = {key: value for key, value in os.environ.items() if key not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
+    done = subprocess.run(
+        COMMAND, env=environment | {variable: str(directory)}, capture_output=True, text=True, timeout=240, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "DS(1)SS(1)" in done.stdout
+    return done.stdout, done.stderr
+
+
+def files(directory, suffix):
+    found = sorted(directory.rglob(f"*{suffix}"))
+    assert found
+    return found
+
+
+def truncate(directory):
+    """Every file ends in its middle, as after a crash or on a full disk."""
+    for path in files(directory, ".nbi") + files(directory, ".nbc"):
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def empty(directory):
+    for path in files(directory, ".nbi") + files(directory, ".nbc"):
+        path.write_bytes(b"")
+
+
+def fill_with_garbage(directory):
+    for path in files(directory, ".nbi") + files(directory, ".nbc"):
+        path.write_bytes(bytes(range(256)) * 40)
+
+
+def truncate_machine_code(directory):
+    """The index is whole and names files that are not."""
+    for path in files(directory, ".nbc"):
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def lose_machine_code(directory):
+    for path in files(directory, ".nbc"):
+        path.unlink()
+
+
+# numba lets through what unpickling half a file raises; it only expects that a file is missing.
+RAISES = pytest.mark.xfail(strict=True, reason="numba's cache raises where it is damaged")
+DAMAGES = [
+    *(pytest.param(damage, marks=RAISES) for damage in (truncate, empty, fill_with_garbage, truncate_machine_code)),
+    lose_machine_code,
+]
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_kernel_whose_cache_is_damaged_is_compiled_anew(tmp_path, monkeypatch, damage):
+    """One small kernel, loaded three times as by three processes: compiled, compiled anew, and taken from the cache."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
+    (tmp_path / "kernel.py").write_text(
+        "from clunk.core.jit import compiled\n@compiled\ndef double(x):\n    return 2.0 * x\n"
+    )
+
+    def load():
+        spec = importlib.util.spec_from_file_location("kernel", tmp_path / "kernel.py")
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module.double
+
+    first = load()
+    assert first(1.5) == 3.0
+    damage(tmp_path / "cache")
+    again, last = load(), load()
+    assert again(1.5) == 3.0
+    assert sum(again.stats.cache_hits.values()) == 0
+    assert last(1.5) == 3.0
+    assert sum(last.stats.cache_hits.values()) == 1
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A cache that is whole, and what a run prints with it."""
+    directory = tmp_path_factory.mktemp("cache")
+    return directory, simulate("XDG_CACHE_HOME", directory)[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_run_survives_a_damaged_cache(tmp_path, whole, damage):
+    directory, expected = whole
+    shutil.copytree(directory, tmp_path / "cache")
+    damage(tmp_path / "cache")
+    assert simulate("XDG_CACHE_HOME", tmp_path / "cache")[0] == expected
+    out, err = simulate("XDG_CACHE_HOME", tmp_path / "cache")
+    assert out == expected
+    assert "compiling" not in err
+
+
+@pytest.fixture
+def unwritable(tmp_path):
+    """A directory that takes no files; root may write anywhere but among the kernel's own."""
+    if os.name != "posix" or (os.geteuid() == 0 and not Path("/proc/self").exists()):
+        pytest.skip("no directory here takes no files")
+    if os.geteuid() == 0:
+        yield Path("/proc/self")
+        return
+    tmp_path.chmod(stat.S_IRUSR | stat.S_IXUSR)
+    yield tmp_path
+    tmp_path.chmod(stat.S_IRWXU)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("variable", ["XDG_CACHE_HOME", "NUMBA_CACHE_DIR"])
+def test_an_unwritable_cache_is_done_without(unwritable, variable):
+    simulate(variable, unwritable)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("variable", ["XDG_CACHE_HOME", "NUMBA_CACHE_DIR"])
+def test_a_cache_that_is_a_file_is_done_without(tmp_path, variable):
+    (tmp_path / "cache").write_text("not a directory")
+    simulate(variable, tmp_path / "cache")
+    assert (tmp_path / "cache").read_text() == "not a directory"

@@ -1,0 +1,179 @@
+"""The energy balance of a run: it closes for every contact, every lash and every method, and notices what does not."""
+
+from dataclasses import replace
+from typing import get_args
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from clunk.config import Solver, study_from_text
+from clunk.core.events import REJOIN, TOUCH
+from clunk.energy import balance
+from clunk.simulation import simulate
+
+METHODS = get_args(Solver.model_fields["method"].annotation)
+CLOSED = 1e-8  # of the largest term: RK4 at 2e-5 s takes (ωh)⁶/72 = 2e-11 of the contact mode's energy a step
+CONTACTS = {
+    "separation by gap": 'separation = "gap"',
+    "separation by force": 'separation = "force"',
+    "restitution": 'model = "restitution"',
+    "plastic restitution": 'model = "restitution"\nrestitution = 0.0',
+}
+SHAFTS = """shafts = [{{between = [1, 2], stiffness = 31.3, damping = {a}}},
+{{between = [2, 3], stiffness = 31.3, damping = {b}}}, {last}]
+"""
+GROUNDED = SHAFTS.format(a=0.08, b=0.04, last="{between = [3, 4], stiffness = 31.3, damping = 0.1}")
+UNDAMPED = SHAFTS.format(a=0.0, b=0.0, last='{between = [4, "ground"], stiffness = 31.3, damping = 0.0}')
+
+
+def run(contact, ratio=5.0, backlash=6.0, *, shafts="", lash="", method="rk4", step=2e-5, end_time=1.0):
+    return simulate(
+        study_from_text(
+            f'[driveline]\npreset = "boere-2008"\n{shafts}[lash]\nbacklash_deg = {backlash}\n{lash}\n'
+            f"[lash.contact]\n{contact}\n[load]\nratio = {ratio}\n"
+            f'[solver]\nmethod = "{method}"\nstep = {step}\nend_time = {end_time}\nmax_events = 4096\n'
+        )
+    )
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("contact", CONTACTS.values(), ids=CONTACTS)
+class TestEnergyIsAccountedFor:
+    @pytest.mark.parametrize(("ratio", "backlash"), [(1.0, 6.0), (2.0, 6.0), (5.0, 6.0), (10.0, 10.0), (-2.5, 3.0)])
+    def test_over_the_report_s_map(self, contact, method, ratio, backlash):
+        found = balance(run(contact, ratio, backlash, method=method))
+        assert found.relative_residual < CLOSED
+        assert found.damped > 0.0
+
+    def test_without_a_gap(self, contact, method):
+        assert balance(run(contact, 7.0, 0.0, method=method)).relative_residual < CLOSED
+
+    def test_with_a_lash_to_ground(self, contact, method):
+        """The contact alone holds the driveline; in the gap it drifts."""
+        trajectory = run(contact, 5.0, 6.0, shafts=GROUNDED, lash='between = [4, "ground"]', method=method)
+        assert trajectory.touches > 0
+        assert balance(trajectory).relative_residual < CLOSED
+
+    def test_without_any_damper_none_is_damped(self, contact, method):
+        """The contact's oscillation does not die out, and RK4 loses 1e-9 of it a period; 0.3 s are 77 of them."""
+        trajectory = run(f"{contact}\ndamping = 0.0", 5.0, 6.0, shafts=UNDAMPED, method=method, end_time=0.3)
+        found = balance(trajectory)
+        assert trajectory.touches > 0
+        assert found.damped == 0.0
+        assert found.relative_residual < CLOSED
+        assert (found.lost_at_impacts > 0.0) == ("restitution" in contact)
+
+    def test_from_an_initial_state_in_the_gap(self, contact, method):
+        trajectory = run(contact, method=method)
+        state = np.array([0.3, 0.2, 0.01, 0.0, -3.0, 2.0, 5.0, -1.0])
+        thrown = simulate(trajectory.study, initial_state=state)
+        assert thrown.touches > 0
+        found = balance(thrown)
+        assert found.relative_residual < CLOSED
+        assert found.kinetic_before == pytest.approx(0.5 * np.sum([0.024 * 9, 0.002 * 4, 0.002 * 25, 0.002]))
+
+
+@pytest.mark.parametrize(("ratio", "backlash", "damping"), [(5.5, 8.0, 94.0), (2.0, 1.0, 400.0)])
+def test_flanks_that_rejoin_regain_what_their_overlap_stores(ratio, backlash, damping):
+    trajectory = run(f'separation = "force"\ndamping = {damping}', ratio, backlash)
+    found = balance(trajectory)
+    assert np.any(trajectory.events["kind"] == REJOIN)
+    assert 0.0 < found.regained < found.dropped
+    assert found.relative_residual < CLOSED
+    assert max(found.dropped, found.regained) > 100 * CLOSED * found.largest  # the balance would notice
+
+
+@pytest.mark.parametrize("contact", CONTACTS.values(), ids=CONTACTS)
+def test_a_ball_between_two_walls_balances(contact):
+    """One inertia, no shaft: the load drives it to and fro, and nothing but the contact takes anything."""
+    ball = f"""
+[driveline]
+inertias = [0.5]
+shafts = []
+[lash]
+between = [1, "ground"]
+backlash_deg = 60.0
+radius = 1.0
+[lash.contact]
+stiffness = 1e4
+damping = 2.0
+{contact}
+[load]
+on = 1
+initial_torque = 5.0
+final_torque = -5.0
+[solver]
+step = 2e-5
+end_time = 10.0
+"""
+    trajectory = simulate(study_from_text(ball))
+    found = balance(trajectory)
+    assert trajectory.touches > 0
+    assert found.relative_residual < CLOSED
+    assert found.damped_in_shafts == ()
+    assert found.work > 0.0
+
+
+def test_a_driveline_at_rest_has_nothing_to_balance():
+    found = balance(run(CONTACTS["separation by gap"], ratio=0.0))
+    assert found.work == pytest.approx(0.0, abs=1e-15)
+    assert found.damped == pytest.approx(0.0, abs=1e-15)
+    assert found.stored_after == pytest.approx(found.stored_before, rel=1e-14)
+    assert found.relative_residual < 1e-14
+
+
+def test_the_terms_are_those_of_an_independent_integration():
+    """Work and dissipation integrated beside the motion, phase by phase, by DOP853 from the recorded states."""
+    trajectory = run(CONTACTS["separation by force"], end_time=0.3)
+    inertia, half_gap = np.array([0.024, 0.002, 0.002, 0.002]), np.deg2rad(3.0)
+    k, c = np.array([31.3, 31.3, 31.3, 0.0]), np.array([0.08, 0.04, 0.1, 0.1])
+    twist = np.array([[1, -1, 0, 0], [0, 1, -1, 0], [0, 0, 0, 1], [1, 0, 0, 0]], dtype=float)
+    lash = np.array([0.0, 0.0, 1.0, -1.0])
+    contact_k, contact_c = 2618.88, 0.6016
+    total = np.zeros(6)
+    ends = np.append(trajectory.events["time"][1:], trajectory.end)
+    for event, state, end in zip(trajectory.events, trajectory.states, ends, strict=True):
+        side = {0: 0, 1: 1, 2: -1, 3: 0, 4: 0}[int(event["regime"])]
+
+        def rates(_, x, side=side):
+            theta, speed, closed = x[:4], x[4:8], abs(side)
+            torque = -twist.T @ (k * (twist @ theta) + c * (twist @ speed)) + [-1.0, 0.0, 0.0, 0.0]
+            torque -= lash * (contact_k * (closed * lash @ theta - side * half_gap) + closed * contact_c * lash @ speed)
+            power = [-speed[0], *(c * (twist @ speed) ** 2), closed * contact_c * (lash @ speed) ** 2]
+            return np.concatenate([speed, torque / inertia, power])
+
+        start = np.concatenate([state, np.zeros(6)])
+        span = [float(event["time"]), float(end)]
+        total += solve_ivp(rates, span, start, method="DOP853", rtol=1e-10, atol=1e-13).y[8:, -1]
+    found = balance(trajectory)
+    computed = [found.work, *found.damped_in_shafts, found.damped_in_contact]
+    assert computed == pytest.approx(total, rel=1e-8, abs=1e-10)
+
+
+def test_the_residual_falls_with_the_fourth_power_of_rk4_s_step():
+    """RK4's local error in a phase's end state is of order h⁵, in a number of steps that grows as 1/h."""
+    coarse, fine = (balance(run(CONTACTS["separation by gap"], step=step)) for step in (1e-4, 5e-5))
+    assert coarse.relative_residual / fine.relative_residual == pytest.approx(16.0, rel=0.2)
+
+
+@pytest.mark.parametrize("contact", CONTACTS.values(), ids=CONTACTS)
+def test_a_state_that_does_not_follow_from_the_one_before_is_noticed(contact):
+    """Velocities at the last event off by a part in 10⁴, or it 10 µs late, unbalance the run."""
+    trajectory = run(contact)
+    k = -1
+    states, events = trajectory.states.copy(), trajectory.events.copy()
+    states[k, 4:] *= 1.0 + 1e-4
+    assert balance(replace(trajectory, states=states)).relative_residual > 10 * CLOSED
+    events["time"][k] += 1e-5
+    assert balance(replace(trajectory, events=events)).relative_residual > 10 * CLOSED
+
+
+def test_an_impact_loses_what_newton_s_law_says():
+    """½ m (1 - e²) v² with m = J3 J4/(J3 + J4); a lock is an impact with e = 0."""
+    trajectory = run(CONTACTS["restitution"])
+    touches = trajectory.events["kind"] == TOUCH
+    locks = np.append(trajectory.events["regime"][1:] != 0, False)
+    kept = np.where(locks[touches], 0.0, 0.25)
+    expected = np.sum(0.5 * 0.001 * (1.0 - kept) * trajectory.events["speed"][touches] ** 2)
+    assert balance(trajectory).lost_at_impacts == pytest.approx(expected, rel=1e-12)
