@@ -12,8 +12,10 @@ import numpy.typing as npt
 from clunk import driveline
 from clunk.config import Study, replace_values
 from clunk.core import tile as kernel
-from clunk.core.regimes import System, stack
+from clunk.core.flows import Flows
+from clunk.core.regimes import System
 from clunk.core.status import Status
+from clunk.core.steps import Steps
 from clunk.load import load_step
 from clunk.tiles import Tile
 
@@ -43,18 +45,18 @@ class Grid:
         self.shape = tuple(axis.count_of_values for axis in self.axes)
         self.cells = math.prod(self.shape)
         self.structural = [k for k, axis in enumerate(self.axes) if axis.parameter not in _DRIVING]
-        self._kept: OrderedDict[tuple[int, ...], System] = OrderedDict()
+        self._kept: OrderedDict[tuple[int, ...], tuple[System, Steps | Flows]] = OrderedDict()
         self._lock = threading.Lock()
 
     def complaint(self) -> str | None:
         """Why no cell at all can run, where that is known beforehand."""
         if self.structural:
             return None
-        status = Status(self.system(()).status)
+        status = Status(self.prepared(())[0].status)
         return None if status == Status.OK else status.sentence
 
-    def system(self, at: tuple[int, ...]) -> System:
-        """The system at these positions on the structural axes; kept, since neighbouring tiles share systems."""
+    def prepared(self, at: tuple[int, ...]) -> tuple[System, Steps | Flows]:
+        """The system and its method's tables at these positions on the structural axes; kept for other tiles."""
         with self._lock:
             found = self._kept.get(at)
             if found is not None:
@@ -64,12 +66,12 @@ class Grid:
             self.axes[axis].parameter: float(self.axes[axis].grid[position])
             for axis, position in zip(self.structural, at, strict=True)
         }
-        system = driveline.build(replace_values(self.study, values) if values else self.study)
+        prepared = driveline.prepare(replace_values(self.study, values) if values else self.study)
         with self._lock:
-            self._kept[at] = system
+            self._kept[at] = prepared
             if len(self._kept) > _KEPT_SYSTEMS:
                 self._kept.popitem(last=False)
-        return system
+        return prepared
 
     def drive(self, positions: tuple[npt.NDArray[np.intp], ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Torques before and after [N m] and half gap [rad] of the cells at these positions, each (cells,)."""
@@ -99,26 +101,34 @@ class Grid:
         if self.structural:
             combinations = np.stack([positions[axis] for axis in self.structural], axis=1)
             unique, system_of = np.unique(combinations, axis=0, return_inverse=True)
-            systems = [self.system(tuple(int(k) for k in at)) for at in unique]
         else:
-            systems, system_of = [self.system(())], np.zeros(cells.size, np.int64)
-        stacked, system_of = stack(systems), system_of.reshape(-1).astype(np.int64)
-        max_events = self.study.solver.max_events
+            unique, system_of = np.zeros((1, 0), np.int64), np.zeros(cells.size, np.int64)
+        solver = self.study.solver
         records = np.zeros(cells.size, CELL)
+        known = np.zeros(cells.size, bool)
         impacts: list[npt.NDArray[np.void]] = [np.zeros(0, IMPACT)]
-        buffer = np.zeros(8 * cells.size + max_events, IMPACT)
-        done = 0
-        while done < cells.size and not stop[0]:
-            done, written = kernel.run_tile(
-                stacked, system_of, before, after, half_gap, done, max_events, records, buffer, stop
-            )
-            impacts.append(buffer[:written].copy())
-        return Tile(cells[:done], records[:done], np.concatenate(impacts))
+        owners: list[npt.NDArray[np.int64]] = [np.zeros(0, np.int64)]
+        buffer = np.zeros(8 * cells.size + solver.max_events, IMPACT)
+        for k, at in enumerate(unique):
+            mine = np.flatnonzero(system_of.reshape(-1) == k)
+            system, tables = self.prepared(tuple(int(position) for position in at))
+            drive = before[mine], after[mine], half_gap[mine]
+            own, done = np.zeros(mine.size, CELL), 0
+            while done < mine.size and not stop[0]:
+                begun = done
+                done, written = kernel.run_tile(
+                    system, tables, solver.margin_tolerance, *drive, done, solver.max_events, own, buffer, stop
+                )
+                impacts.append(buffer[:written].copy())
+                owners.append(np.repeat(mine[begun:done], own["primary_impacts"][begun:done]))
+            records[mine], known[mine[:done]] = own, True
+        in_order = np.argsort(np.concatenate(owners), kind="stable")
+        return Tile(cells[known], records[known], np.concatenate(impacts)[in_order])
 
 
 def warm_up(study: Study) -> None:
     """Compile the kernel, or load it: what a first call of it would otherwise do in the middle of a sweep."""
     nothing = np.zeros(0)
-    systems = stack([driveline.build(study)])
+    system, tables = driveline.prepare(study)
     records, impacts, stop = np.zeros(0, CELL), np.zeros(0, IMPACT), np.zeros(1, np.uint8)
-    kernel.run_tile(systems, np.zeros(0, np.int64), nothing, nothing, nothing, 0, 1, records, impacts, stop)
+    kernel.run_tile(system, tables, 0.0, nothing, nothing, nothing, 0, 1, records, impacts, stop)

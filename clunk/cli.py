@@ -216,11 +216,11 @@ def _sweep_into(
     from clunk.store import write
 
     total = sweeping.cell_count(study)
-    _warn_of_coarse_step(study)
+    _warn_of_coarse_step(study, study.solver.method)
     for parameter in sweeping.unused_axes(study):
         click.echo(f"note: {parameter} is swept, but changes nothing in this model", err=True)
     parts = sweeping.parts_of(directory, study, refine=refine, retry=earlier is not None)
-    _say_if_compiling("tile.run_tile")
+    _say_if_compiling(study.solver.method)
     sweeping.warm_up(study)
     began = time.perf_counter()
     known, ran = 0 if earlier is None else total - earlier.counts()["failed"], 0
@@ -257,12 +257,11 @@ def _sweep_into(
     return counts
 
 
-def _warn_of_coarse_step(study: Study) -> None:
-    """A step that is stable and yet too coarse for the contact gives wrong labels without any other sign."""
+def _warn_of_coarse_step(study: Study, method: str) -> None:
+    """A step of rk4 that is stable and yet too coarse for the contact gives wrong labels without any other sign."""
     from clunk.driveline import steps_a_period
 
-    steps = steps_a_period(study)
-    if steps < _FEWEST_STEPS:
+    if method == "rk4" and (steps := steps_a_period(study)) < _FEWEST_STEPS:
         click.echo(
             f"warning: solver.step = {study.solver.step:g} s: {steps:.1f} steps a period of the fastest oscillation;\n"
             f"  with fewer than {_FEWEST_STEPS} weak rebounds are lost",
@@ -270,11 +269,13 @@ def _warn_of_coarse_step(study: Study) -> None:
         )
 
 
-def _say_if_compiling(kernel: str) -> None:
+def _say_if_compiling(*methods: str) -> None:
     from clunk.core.jit import is_cold
 
-    if is_cold(kernel):
-        click.echo("compiling the kernel, once for this installation (about 20 s) …", err=True)
+    cold = [method for method in dict.fromkeys(methods) if is_cold(f"{method}.run")]
+    if cold:
+        which, seconds = " and ".join(cold), 20 * len(cold) + 20 * ("exact" in cold)
+        click.echo(f"compiling {which}, once for this installation (about {seconds} s) …", err=True)
 
 
 def _report_counts(counts: dict[str, int], target: Path, seconds: float, as_json: bool) -> None:
@@ -289,7 +290,9 @@ def _report_counts(counts: dict[str, int], target: Path, seconds: float, as_json
 @cli.command()
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Picture: .png, .svg or .pdf [FILE.png].")
-@click.option("--quantity", metavar="NAME", help="One picture only: regimes, severity, approach_velocity, touches, …")
+@click.option(
+    "--quantity", metavar="NAME", help="One picture only: regimes, severity, approach_velocity, touches, margin, …"
+)
 def plot(file: Path, output: Path | None, quantity: str | None) -> None:
     """Draw the maps of a results file: the regimes and their severity.
 
@@ -387,9 +390,9 @@ def simulate(
         targets.spare_a_sweep(output)
         if output.suffix.lower() in targets.DATA and len(studies) > 1:
             raise click.UsageError(f"{output} takes one run; leave --overlay out, or name a picture.")
-    _say_if_compiling("rk4.run")
+    _say_if_compiling(*(study.solver.method for _, study in studies))
     for _, study in studies:
-        _warn_of_coarse_step(study)
+        _warn_of_coarse_step(study, study.solver.method)
     runs = [(name, run(study)) for name, study in studies]
     if as_json:
         records = [
@@ -705,6 +708,43 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: 
 
 
 @cli.command()
+@click.argument("config", type=click.Path(path_type=Path))
+@_set_option
+@click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")
+@_json_option
+def verify(config: Path, overrides: tuple[str, ...], workers: int | None, as_json: bool) -> None:
+    """Run CONFIG by both methods, rk4 and exact, and compare labels, events and severity.
+
+    Exact is guarded: it cannot skip an event, to rounding, for this model. Where labels differ in a cell that it does
+    not flag (undecided or grazing), the exit code is 4. A config without axes is compared event by event.
+
+    \b
+    Examples:
+      clunk verify configs/smoke.toml
+      clunk verify configs/figure_3_4.toml --set solver.step=5e-5
+    """
+    from clunk import verification
+    from clunk.config import load_study
+    from clunk.sweeping import cell_count
+
+    study = load_study(config, overrides)
+    _warn_of_coarse_step(study, "rk4")
+    _say_if_compiling(*verification.METHODS)
+    with terminal.progress(len(verification.METHODS) * max(cell_count(study), 1)) as progress:
+        found = verification.verify(study, workers=workers, progress=progress)
+    if as_json:
+        click.echo(json.dumps(found.record(), ensure_ascii=False))
+    else:
+        terminal.print_verification(found)
+    for method, results in zip(verification.METHODS, (found.rk4, found.exact), strict=True):
+        terminal.report_failures(results, f" by {method}")
+    if found.differing_elsewhere:
+        sys.exit(EXIT_MISMATCH)
+    if found.failed:
+        sys.exit(EXIT_FAILED_CELLS)
+
+
+@cli.command()
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), default="results/reproduction", help="Directory of the figures."
 )
@@ -723,7 +763,7 @@ def reproduce(output: Path, workers: int | None, coarsen: int, as_json: bool) ->
     from clunk.sweeping import cell_count
 
     targets.check(output / "figure_3_1.png", targets.PICTURES)
-    _say_if_compiling("tile.run_tile")
+    _say_if_compiling("rk4")
     total = sum(cell_count(study) for study in claiming.map_studies(coarsen).values())
     with terminal.progress(total) as progress:
         maps = claiming.run_maps(coarsen, workers, progress)

@@ -55,7 +55,6 @@ from clunk.configmodels import (
 )
 from clunk.configrules import (
     ITEM,
-    NOT_YET,
     RATIO_TORQUES,
     STEP_TORQUES,
     Finding,
@@ -405,8 +404,6 @@ def _type_message(place: Place, detail: ErrorDetails) -> str:
     if detail["type"] == "finite_number":
         must_be = must_be.replace("a number", "a finite number")
     if key is not None and key.choices and isinstance(found, str):
-        if found in NOT_YET.get(place, ()):
-            return f"{shorten(found)} is not available in this version; must be {must_be}"
         likely = nearest(found, key.choices)
         return f"found {shorten(found)}; must be {must_be}" + (f"; did you mean {shorten(likely)}?" if likely else "")
     return f"found {shorten(found)}; must be {must_be}"

@@ -104,15 +104,18 @@ class Load(_Frozen):
 class Solver(_Frozen):
     """How a run is computed.
 
-    step : float  [s]
+    method : "rk4", fixed-step with bisection, or "exact", by the modes of each regime
+    step : float  [s], of rk4; the exact method does not use it
     end_time : float  [s after the load step]
+    margin_tolerance : float, a run of the exact method that came nearer than this to another label is undecided
     max_events : int, touches and separations
     """
 
-    method: Literal["rk4"] = "rk4"
+    method: Literal["rk4", "exact"] = "rk4"
     step: Annotated[Positive, Quantity("time step", "h", "s")] = 1e-4
     end_time: Annotated[Positive, Quantity("end time", "t_end", "s")] = 2.0
     max_events: Annotated[int, Field(ge=1, le=100_000)] = 512
+    margin_tolerance: Annotated[float, Field(ge=0, le=0.25)] = 1e-4
 
 
 class Impacts(_Frozen):

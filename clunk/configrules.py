@@ -25,11 +25,6 @@ LARGEST_SIZE = 1e30  # of inertias, stiffnesses, dampings and the radius, and th
 WIDEST_SPREAD = 1e12  # of the inertias and of the springs of one driveline: four digits are left where they add up
 FASTEST_RATE = 1e12  # 1/s, of stiffness or damping on an inertia; atoms swing ten times faster
 
-# Choices that are planned: refused by name rather than as unknown. To open one, add it to its Literal in configmodels.
-NOT_YET: dict[Place, tuple[str, ...]] = {
-    ("solver", "method"): ("exact",),
-}
-
 STEP_TORQUES = ("initial_torque", "final_torque")
 RATIO_TORQUES = ("static_torque", "ratio")
 

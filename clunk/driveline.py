@@ -11,7 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.config import Study
-from clunk.core.regimes import System, build_system, chain
+from clunk.core.flows import Chain, Flows, build_flows
+from clunk.core.regimes import System, build_system, chain, constrained, unconstrained
+from clunk.core.status import Status
+from clunk.core.steps import Steps, build_steps
 
 FloatArray = npt.NDArray[np.float64]
 End = int | Literal["ground"]
@@ -101,8 +104,17 @@ class Driveline:
         )
 
 
+def prepare(study: Study) -> tuple[System, Steps | Flows]:
+    """The switched linear system of a study, and the tables of its method: ready to run."""
+    system = build(study)
+    if study.solver.method == "exact":
+        return system, _flows(study, system)
+    steps = build_steps(system, study.solver.step)
+    return (system if steps.stable else system._replace(status=int(Status.UNSTABLE_STEP))), steps
+
+
 def build(study: Study) -> System:
-    """The switched linear system of a study, ready to run."""
+    """The switched linear system of a study."""
     driveline = Driveline.from_study(study)
     contact = study.lash.contact
     restitution = contact.model == "restitution"
@@ -122,13 +134,33 @@ def build(study: Study) -> System:
         contact_damping=driveline.contact_damping,
         separation_by_force=contact.separation == "force",
         acceleration_of=int(study.impacts.acceleration_of) - 1,
-        step=study.solver.step,
         end_time=study.solver.end_time,
         sticking_time=sticking_time,
         grounded=driveline.grounded,
         restitution=contact.restitution if restitution else None,
         locking_speed=contact.locking_speed,
     )
+
+
+def _flows(study: Study, system: System) -> Flows:
+    driveline = Driveline.from_study(study)
+    mass, damping, stiffness = np.diag(driveline.inertia), driveline.damping, driveline.stiffness
+    coupling = np.outer(driveline.lash, driveline.lash)
+    n = driveline.inertia.size
+    opened = Chain(mass, damping, stiffness, *unconstrained(2 * n))
+    if study.lash.contact.model == "restitution":
+        locked = constrained(driveline.lash)
+        basis = locked.expand[:n, : n - 1]
+        reduced = [basis.T @ matrix @ basis for matrix in (mass, damping, stiffness)]
+        closed = Chain(reduced[0], reduced[1], reduced[2], *locked)
+    else:
+        closed = Chain(
+            mass,
+            damping + driveline.contact_damping * coupling,
+            stiffness + driveline.contact_stiffness * coupling,
+            *unconstrained(2 * n),
+        )
+    return build_flows(system.rates, system.inputs, system.functionals, system.feedthrough, [opened, closed])
 
 
 def steps_a_period(study: Study) -> float:
@@ -139,7 +171,7 @@ def steps_a_period(study: Study) -> float:
     """
     system = build(study)
     fastest = float(np.abs(np.linalg.eigvals(system.rates).imag).max())
-    return 2.0 * np.pi / (fastest * system.step) if fastest > 0.0 else float("inf")
+    return 2.0 * np.pi / (fastest * study.solver.step) if fastest > 0.0 else float("inf")
 
 
 def _incidence(between: Sequence[End], n: int) -> FloatArray:

@@ -135,7 +135,7 @@ def _balance(trajectory: Trajectory) -> EnergyBalance:
     ends = np.append(events["time"][1:], trajectory.end)
     work, damped, x = 0.0, np.zeros(rows.shape[0]), states[0]
     for event, start, end in zip(events, states, ends, strict=True):
-        flow, side = system.flow[event["regime"]], system.side[event["regime"]]
+        flow, side, _ = system.regimes[event["regime"]]
         is_closed = np.concatenate([np.ones(len(shafts)), [float(flow == CLOSED_FLOW)]])
         rates = system.rates[flow] @ start + system.inputs[flow] @ [torque, side * half_gap]
         travel, forms = _integrals(system.rates[flow], rows, float(end - event["time"]))
@@ -156,7 +156,11 @@ def _balance(trajectory: Trajectory) -> EnergyBalance:
         )
 
     def contact_at(state: FloatArray, regime: int) -> float:
-        return in_contact(state, int(system.side[regime])) if system.flow[regime] == CLOSED_FLOW else 0.0
+        return (
+            in_contact(state, int(system.regimes["side"][regime]))
+            if system.regimes["flow"][regime] == CLOSED_FLOW
+            else 0.0
+        )
 
     return EnergyBalance(
         work=work,

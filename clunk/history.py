@@ -135,7 +135,7 @@ def sample(
     acceleration = phases.accelerations(state, regime_of)
     acceleration[:rows_before] = 0.0  # at rest by definition; the product leaves rounding
     n = system.lash.size // 2
-    closed = system.flow[regime_of] == CLOSED_FLOW
+    closed = system.regimes["flow"][regime_of] == CLOSED_FLOW
     return History(
         time=study.load.step_time + after_step,
         after_step=after_step,
@@ -144,7 +144,7 @@ def sample(
         acceleration=acceleration,
         torque=torque,
         backlash_coordinate=study.lash.radius * _apply(system.lash[None, n:], state[:, :n])[:, 0],
-        contact=np.where(closed, -system.side[regime_of] * trajectory.initial_side, NONE).astype(np.int8),
+        contact=np.where(closed, -system.regimes["side"][regime_of] * trajectory.initial_side, NONE).astype(np.int8),
         event=event,
     )
 
@@ -175,10 +175,10 @@ class Phases:
         self._step = step
         self._n = system.lash.size // 2
         size = system.lash.size
-        self._augmented = np.zeros((system.flow.size, size + 1, size + 1))
-        for regime, (flow, side) in enumerate(zip(system.flow, system.side, strict=True)):
-            self._augmented[regime, :size, :size] = system.rates[flow]
-            self._augmented[regime, :size, size] = system.inputs[flow] @ [torque, side * half_gap]
+        self._augmented = np.zeros((system.regimes.size, size + 1, size + 1))
+        for regime, row in enumerate(system.regimes):
+            self._augmented[regime, :size, :size] = system.rates[row["flow"]]
+            self._augmented[regime, :size, size] = system.inputs[row["flow"]] @ [torque, row["side"] * half_gap]
         self._powers: dict[int, list[FloatArray]] = {}
 
     def after_event(self, trajectory: Trajectory, k: int, end: float) -> tuple[FloatArray, FloatArray]:

@@ -25,6 +25,7 @@ CELL_FIELDS: dict[str, type[np.generic]] = {
     "status": np.uint8,
     "quality": np.uint8,
     "initial_side": np.int8,
+    "margin": np.float64,
 }
 IMPACT_FIELDS: dict[str, type[np.generic]] = {
     "impact_time": np.float64,
@@ -84,6 +85,8 @@ class Results:
     primary_impacts, touches : shape, int32; touches -1 where the cell was inferred
     status, quality : shape, uint8; see `clunk.core.status`
     initial_side : shape, int8, sign of θ_i - θ_j on the initial flank (0: none)
+    margin : shape, dimensionless: how near the run came to another label, positive for what did not happen and negative
+        for what did (see `clunk.core.exact`); NaN where the method knows none
     impact_time : (N,)  [s after the load step]; cells in C order, cell k owns `primary_impacts[k]` consecutive entries
     impact_flank : (N,) int8, +1 opposite, -1 initial
     impact_closing_speed : (N,)  [rad/s]
@@ -109,6 +112,7 @@ class Results:
     status: npt.NDArray[np.uint8]
     quality: npt.NDArray[np.uint8]
     initial_side: npt.NDArray[np.int8]
+    margin: npt.NDArray[np.float64]
     impact_time: npt.NDArray[np.float64]
     impact_flank: npt.NDArray[np.int8]
     impact_closing_speed: npt.NDArray[np.float64]

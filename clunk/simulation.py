@@ -8,11 +8,11 @@ import numpy.typing as npt
 
 from clunk import driveline
 from clunk.config import Study
-from clunk.core import rk4, switching
+from clunk.core import switching, tile
 from clunk.core.events import EVENT, KIND_NAMES, TOUCH
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.core.severity import peak_to_peak, root_of_squares
-from clunk.core.status import Status
+from clunk.core.status import QUALITY_COMPLETE, Status
 from clunk.load import load_step
 
 FloatArray = npt.NDArray[np.float64]
@@ -33,6 +33,7 @@ class Trajectory:
     primaries : (P,) int64, indices of the primary impacts in `events`
     impact_severity : (P,) float64, Q_i  [rad/s2]
     complete : bool, whether it was proved that nothing follows
+    margin : float, how near the run came to another label (see clunk.core.exact); NaN where the method knows none
     end : float, where the run stopped  [s after the load step]
     """
 
@@ -43,6 +44,7 @@ class Trajectory:
     primaries: npt.NDArray[np.int64]
     impact_severity: FloatArray
     complete: bool
+    margin: float
     end: float
 
     @cached_property
@@ -107,7 +109,7 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
     SimulationError
         Where there is no static equilibrium or no initial flank, or the run fails.
     """
-    system = driveline.build(study)
+    system, tables = driveline.prepare(study)
     size = system.lash.size
     before, after = (float(torque) for torque in load_step(study.load))
     half_gap = float(np.deg2rad(study.lash.backlash_deg) / 2)
@@ -134,7 +136,9 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
 
     capacity = study.solver.max_events + 1
     events, states = np.zeros(capacity, EVENT), np.zeros((capacity, size))
-    code, count, complete, end = rk4.run(system, x, regime, after, half_gap, events, states, np.zeros(1, np.uint8))
+    code, count, quality, margin, end = tile.run(
+        system, tables, x, regime, after, half_gap, events, states, np.zeros(1, np.uint8)
+    )
     if code != Status.OK:
         raise SimulationError(_sentence(Status(code)))
     primaries = np.zeros(capacity, np.int64)
@@ -150,7 +154,8 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
         states=states[:count].copy(),
         primaries=primaries[:found].copy(),
         impact_severity=severity[:found].copy(),
-        complete=bool(complete),
+        complete=bool(quality & QUALITY_COMPLETE),
+        margin=float(margin),
         end=float(end),
     )
 

@@ -33,7 +33,8 @@ from clunk.netcdf import (
 )
 from clunk.results import CELL_FIELDS, FAILED, FAILED_CODE, IMPACT_FIELDS, ResultAxis, Results, count_labels
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+_SINCE = {"margin": 2}  # schema version that brought a variable; in older files it is NaN, and not in their digest
 
 # Variable -> (unit, long name).
 _MEANING = {
@@ -46,6 +47,7 @@ _MEANING = {
     "status": ("1", "how the run ended"),
     "quality": ("1", "what is known about the run's sequence"),
     "initial_side": ("1", "sign of the gap coordinate on the initial flank, 0 without one"),
+    "margin": ("1", "margin: how near the run came to another label; positive: not reached, negative: passed"),
     "impact_time": ("s", "time of the primary impact after the load step"),
     "impact_flank": ("1", "flank of the primary impact"),
     "impact_closing_speed": ("rad s-1", "closing speed just before the primary impact"),
@@ -102,6 +104,9 @@ def read(path: str | os.PathLike[str]) -> Results:
         digest = _Digest(header.axes, header.labels)
         fields: dict[str, npt.NDArray[Any]] = {}
         for name, dtype in CELL_FIELDS.items():
+            if int(file.attrs["schema_version"]) < _SINCE.get(name, 1):
+                fields[name] = np.full(shape, np.nan, dtype)
+                continue
             fields[name] = _variable(file, name, shape, dtype)[()]
             digest.begin(name, shape, dtype)
             digest.add(fields[name])

@@ -7,6 +7,7 @@ a bit of it.
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 import platform
@@ -36,7 +37,7 @@ __all__ = ["SweepError", "cell_count", "parts_of", "retry_failed", "sweep", "unu
 Cells = npt.NDArray[np.int64]
 Progress = Callable[[int, int], None]
 
-_TILE_CELLS = 512  # 0.1 s of the report's driveline: progress is smooth, overhead small
+_TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
 _BYTES_PER_CELL = 400  # the most that a cell's results, their assembly and writing take
 
 
@@ -229,7 +230,8 @@ def _refinement_note(ran: int, cells: int, spacing: tuple[int, ...]) -> str:
 def _run_tiles(grid: Grid, cells: Cells, workers: int) -> Generator[Tile, None, None]:
     """Finished tiles in the order in which they finish. Leaving the generator early abandons the running cells."""
     stop = np.zeros(1, np.uint8)
-    size = max(1, min(_TILE_CELLS, -(-cells.size // (8 * workers))))
+    largest = _TILE_CELLS[grid.study.solver.method]
+    size = min(max(-(-cells.size // (8 * workers)), largest // 32), largest)
     waiting = (cells[start : start + size] for start in range(0, cells.size, size))
     with ThreadPoolExecutor(workers, thread_name_prefix="clunk") as pool:
         running: set[Future[Tile]] = set()
@@ -250,16 +252,19 @@ def _run_tiles(grid: Grid, cells: Cells, workers: int) -> Generator[Tile, None, 
 
 def provenance() -> dict[str, str]:
     """Versions, date and machine, as the results file's attributes name them."""
-    versions = {f"{name}_version": version(name) for name in ("numpy", "numba", "h5py")}
+    return {**_versions(), "created": datetime.now(UTC).isoformat(timespec="seconds"), "cpu": _cpu_model()}
+
+
+@functools.cache
+def _versions() -> dict[str, str]:
     return {
         "clunk_version": clunk.__version__,
         "python_version": platform.python_version(),
-        **versions,
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "cpu": _cpu_model(),
+        **{f"{name}_version": version(name) for name in ("numpy", "numba", "h5py")},
     }
 
 
+@functools.cache
 def _cpu_model() -> str:
     try:
         with Path("/proc/cpuinfo").open(encoding="utf-8") as lines:

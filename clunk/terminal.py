@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from clunk.energy import EnergyBalance
     from clunk.results import Results
     from clunk.simulation import Trajectory
+    from clunk.verification import Verification
 
 Progress = Callable[[int, int], None]
 
@@ -108,8 +109,8 @@ def _cells(count: int) -> str:
     return f"{count:,} {'cell' if count == 1 else 'cells'}"
 
 
-def report_failures(results: Results) -> None:
-    """Failed cells by cause, and where the first few are."""
+def report_failures(results: Results, how: str = "") -> None:
+    """Failed cells by cause, and where the first few are; `how` goes after "failed"."""
     import numpy as np
 
     from clunk.core.status import Status
@@ -118,7 +119,7 @@ def report_failures(results: Results) -> None:
         cells = np.argwhere(results.status == status)
         if status == Status.OK or cells.size == 0:
             continue
-        complain(f"{_cells(len(cells))} failed: {status.sentence}")
+        complain(f"{_cells(len(cells))} failed{how}: {status.sentence}")
         for cell in cells[:3]:
             where = ", ".join(
                 f"{axis.parameter} = {axis.values[k]:.6g}" for axis, k in zip(results.axes, cell, strict=True)
@@ -160,6 +161,8 @@ def print_trajectory(trajectory: Trajectory) -> None:
     click.echo(f"label               {trajectory.label}")
     click.echo(f"severity Q          {_severity(trajectory.severity, ' rad/s²')}")
     click.echo(f"approach velocity V {trajectory.approach_velocity:.5f} rad/s")
+    if trajectory.margin == trajectory.margin:
+        click.echo(f"margin              {trajectory.margin:+.3g}")
 
 
 def print_energy(trajectory: Trajectory, balance: EnergyBalance) -> None:
@@ -218,6 +221,7 @@ def trajectory_record(trajectory: Trajectory) -> dict[str, Any]:
         "approach_velocity": trajectory.approach_velocity,
         "impact_severity": [_or_none(value) for value in trajectory.impact_severity.tolist()],
         "complete": trajectory.complete,
+        "margin": _or_none(trajectory.margin),
         "end": trajectory.end,
         "events": [
             {
@@ -256,3 +260,122 @@ def print_claims(claims: Sequence[Claim]) -> None:
     for claim in claims:
         table.add_row(claim.where, claim.report, claim.ours, claim.verdict.value + (" (!)" if claim.failed else ""))
     Console(highlight=False, markup=False).print(table)
+
+
+_QUANTITIES = {
+    "impact_time": ("time of a primary impact", "s"),
+    "last_event_time": ("time of the last event", "s"),
+    "severity": ("severity Q", "rad/s²"),
+    "impact_severity": ("an impact's Qi", "rad/s²"),
+    "approach_velocity": ("approach velocity V", "rad/s"),
+}
+_MOST_DISAGREEMENTS = 8
+
+
+def print_verification(found: Verification) -> None:
+    """What two methods agree on and what not, and last of all the verdict."""
+    from clunk.verification import GUARDED
+
+    rates = ["" if found.events else f"; {found.cells / max(seconds, 1e-9):,.0f} runs/s" for seconds in found.seconds]
+    click.echo(f"rk4    a fixed step of {found.study.solver.step:g} s{rates[0]}")
+    click.echo(f"exact  {GUARDED}{rates[1]}")
+    click.echo()
+    if found.events:
+        _print_event_pairs(found)
+    else:
+        _print_cell_counts(found)
+    _print_largest(found)
+    if not found.events:
+        for flagged, count in ((False, found.differing_elsewhere), (True, found.differing_flagged)):
+            _print_disagreements(found, flagged, count)
+    click.echo()
+    click.echo(textwrap.fill(found.verdict, _WIDTH))
+
+
+def _print_cell_counts(found: Verification) -> None:
+    from clunk.core.status import QUALITY_COMPLETE, QUALITY_GRAZING, QUALITY_UNDECIDED
+
+    tolerance = found.study.solver.margin_tolerance
+    rows = [
+        ("cells", found.cells),
+        ("failed", found.failed),
+        ("labels equal", found.equal),
+        ("labels differ in flagged cells", found.differing_flagged),
+        ("labels differ elsewhere", found.differing_elsewhere),
+        ("number of touches equal", found.equal_touches),
+        (f"flagged: undecided, |margin| < {tolerance:g}", found.count("exact", QUALITY_UNDECIDED)),
+        ("flagged: grazing", found.count("exact", QUALITY_GRAZING)),
+        ("complete by exact", found.count("exact", QUALITY_COMPLETE)),
+        ("complete by rk4", found.count("rk4", QUALITY_COMPLETE)),
+    ]
+    for what, count in rows:
+        if count or what != "failed":
+            click.echo(f"{what:<40}{count:>11,}  {_share(count, found.cells):>10}")
+
+
+def _print_event_pairs(found: Verification) -> None:
+    happened = [pair for pair in found.events if pair.kind != "load step"]
+    click.echo("    rk4 [s]   exact [s]  difference  event       flank" if happened else "no events")
+    for pair in happened:
+        times = f"{_number(pair.rk4, '.7f'):>11} {_number(pair.exact, '.7f'):>11}"
+        difference = _number(pair.rk4 - pair.exact, "+.1e")
+        click.echo(f"{times}  {difference:>10}  {pair.kind:<10}  {pair.flank}")
+    click.echo()
+    click.echo(f"{'':<12}{'rk4':<24}exact")
+    labels = [results.labels[int(results.sequence.flat[0])] for results in (found.rk4, found.exact)]
+    click.echo(f"{'label':<12}{labels[0]:<24}{labels[1]}")
+    click.echo(f"{'touches':<12}{found.rk4.touches.flat[0]:<24}{found.exact.touches.flat[0]}")
+    flag = "flagged" if found.flagged.any() else f"solver.margin_tolerance is {found.study.solver.margin_tolerance:g}"
+    click.echo(f"{'margin':<12}{'-':<24}{_number(float(found.exact.margin.flat[0]), '+.3g')}; {flag}")
+
+
+def _print_largest(found: Verification) -> None:
+    from clunk.verification import SMALL
+
+    if not found.largest:
+        return
+    click.echo()
+    where = "" if found.events else " in cells with equal labels"
+    of_largest = "" if found.events else "over largest"
+    click.echo(f"{'largest difference' + where:<50}{of_largest:>13}{'over own':>12}")
+    for each in found.largest:
+        name, unit = _QUANTITIES[each.quantity]
+        line = f"  {name:<26}{f'{each.difference:.1e} {unit}':>22}"
+        if unit != "s":
+            line += f"{'' if found.events else format(each.of_largest, '.1e'):>13}{_number(each.of_own, '.1e'):>12}"
+        click.echo(line)
+        if not found.events and each.difference > 0.0:
+            at = zip(found.comparison.axes, each.values, strict=True)
+            click.echo("    at " + ", ".join(f"{axis.parameter} = {value:.6g}" for axis, value in at))
+            if each.touches[0] != each.touches[1]:
+                click.echo(f"    with {each.touches[0]} touches by rk4 and {each.touches[1]} by exact")
+    if not found.events:
+        click.echo(f"  (largest: of the map; own: the value itself, where it is {100 * SMALL:g} % of that or more)")
+    if found.study.lash.contact.model == "restitution":
+        click.echo("  (Q and Qi are not defined for the restitution model)")
+
+
+def _print_disagreements(found: Verification, flagged: bool, count: int) -> None:
+    from itertools import islice
+
+    if not count:
+        return
+    shown = list(islice(found.disagreements(flagged=flagged), _MOST_DISAGREEMENTS))
+    click.echo()
+    what = "labels differ in flagged cells" if flagged else "labels differ elsewhere"
+    click.echo(what + (f", the first {len(shown)} of {count:,}" if count > len(shown) else ""))
+    rows = [[*(axis.parameter for axis in found.comparison.axes), "rk4", "exact", "margin"]]
+    rows += [[*(f"{v:.6g}" for v in each.values), each.rk4, each.exact, f"{each.margin:+.2g}"] for each in shown]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        click.echo("  " + "  ".join(f"{text:<{width}}" for text, width in zip(row, widths, strict=True)).rstrip())
+
+
+def _share(count: int, of: int) -> str:
+    """A share that never says none or all where that is not so."""
+    share = count / of
+    return "> 99.99 %" if 0.9999 < share < 1.0 else "< 0.01 %" if 0.0 < share < 0.0001 else f"{100.0 * share:.2f} %"
+
+
+def _number(value: float, how: str) -> str:
+    return "-" if math.isnan(value) else f"{value:{how}}"

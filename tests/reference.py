@@ -5,6 +5,8 @@ z(t) = exp(M t) z(0). Every phase is sampled densely (125 samples a period of th
 which a guard is negative at the end, or has a minimum inside, is expanded into a Taylor series of order 10 (truncated
 below 1e-20), whose real zeros cut it into pieces of one sign; Brent's method polishes the first zero. Nothing is
 skipped, nothing stops before the end time.
+
+With a coefficient of restitution the closed lash is a constraint instead, and a touch an impulse across it.
 """
 
 from dataclasses import dataclass
@@ -19,6 +21,7 @@ from scipy.optimize import brentq
 ORDER = 10
 BLOCK = 64  # cells sampled by one matrix product
 CELL = 0.05  # of a cell: its length times the fastest mode's |λ|
+LOCKING = 1e-4
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,8 @@ class Plant:
 
     inertias  [kg m2]; shafts: (one end, other end, stiffness [N m/rad], damping [N m s/rad]), ends numbered from 1 or
     "ground"; lash: its two ends; contact_stiffness, contact_damping  [N m/rad], [N m s/rad]; backlash: total  [rad];
-    before, after  [N m]: the torque on inertia `loaded`.
+    before, after  [N m]: the torque on inertia `loaded`. With `restitution` the contact's stiffness and damping are not
+    used; a rebound not faster than LOCKING times the fastest touch so far locks.
     """
 
     inertias: tuple = (0.024, 0.002, 0.002, 0.002)
@@ -41,6 +45,7 @@ class Plant:
     loaded: int = 1
     acceleration_of: int = 3
     separation: str = "gap"
+    restitution: float | None = None
 
     @property
     def n(self):
@@ -82,9 +87,14 @@ class Plant:
         _, stiffness = self.open_matrices()
         q, k = self.twist, self.contact_stiffness
         for side in (1, -1):
-            forces = self.before * self.load + side * k * self.backlash / 2 * q
-            theta = np.linalg.solve(stiffness + k * np.outer(q, q), forces)
-            torque = k * (side * (q @ theta) - self.backlash / 2)
+            if self.restitution is None:
+                forces = self.before * self.load + side * k * self.backlash / 2 * q
+                theta = np.linalg.solve(stiffness + k * np.outer(q, q), forces)
+                torque = k * (side * (q @ theta) - self.backlash / 2)
+            else:  # the torque on the constraint q θ = side φ/2 is its multiplier
+                bordered = np.block([[stiffness, q[:, None]], [q[None], np.zeros((1, 1))]])
+                solution = np.linalg.solve(bordered, [*(self.before * self.load), side * self.backlash / 2])
+                theta, torque = solution[:-1], side * solution[-1]
             if torque > 1e-9 * abs(self.before):  # less is rounding: the load does not reach the lash
                 return side, np.concatenate([theta, np.zeros(self.n)])
         raise ValueError("no flank carries the torque")
@@ -108,6 +118,7 @@ class _Guard(NamedTuple):
     side: int
     successor: str
     zero_after: int  # the successor's guard that is zero then, or -1
+    order: int = 1  # and how many of its derivatives, itself included, are
 
 
 class _Regime:
@@ -187,6 +198,8 @@ def _regimes(plant, torque):
     def acceleration(matrix):
         return matrix[n + plant.acceleration_of - 1]
 
+    if plant.restitution is not None:
+        return _rigid_regimes(plant, generator(0), overlap, acceleration)
     fastest = max(np.max(np.abs(np.linalg.eigvals(generator(side)))) for side in (0, 1))
     cell = CELL / fastest
     by_force = plant.separation == "force"
@@ -216,6 +229,40 @@ def _regimes(plant, torque):
     return regimes
 
 
+def _rigid_regimes(plant, loose, overlap, acceleration):
+    """Open, and locked on either flank: there the torque across the lash is what keeps q'' = 0."""
+    n = plant.n
+    q, inverse = plant.twist, 1.0 / np.array(plant.inertias)
+    holding = q @ loose[n : 2 * n] / (q * inverse @ q)  # the row of that torque, signed like q
+    held = loose.copy()
+    held[n : 2 * n] -= np.outer(q * inverse, holding)
+    rates = [np.max(np.abs(np.linalg.eigvals(matrix)), initial=0.0) for matrix in (loose, held)]
+    cell = CELL / max(rates) if max(rates) > 1e-6 else 1e-3
+    touches = [_Guard(-overlap(side), "touch", side, "open", -1) for side in (1, -1)]
+    regimes = {"open": _Regime(loose, touches, acceleration(loose), cell)}
+    for side in (1, -1):
+        guards = [_Guard(side * holding, "separation", side, "open", 0 if side > 0 else 1, 3)]
+        regimes[f"closed{side:+d}"] = _Regime(held, guards, acceleration(held), cell)
+    return regimes
+
+
+def _strike(plant, z, regimes, side, fastest):
+    """The state after an impulsive touch on the flank of `side`, and the regime and the zero that follow."""
+    n = plant.n
+    q, inverse = plant.twist, 1.0 / np.array(plant.inertias)
+    speed, z = q @ z[n : 2 * n], z.copy()
+    guard = 0 if side > 0 else 1
+    kick = q * inverse / (q * inverse @ q) * speed
+    if plant.restitution * abs(speed) > LOCKING * fastest:
+        z[n : 2 * n] -= (1.0 + plant.restitution) * kick
+        return z, "open", guard, 1
+    z[n : 2 * n] -= kick
+    locked = f"closed{side:+d}"
+    if regimes[locked].guards[0].row @ z > 0.0:
+        return z, locked, -1, 0
+    return z, "open", guard, 2
+
+
 def run(plant, end_time=2.0, state=None, regime=None, max_events=5000):
     """Events from the load step on (event 0), and the state at the end time; from preload unless a state is given."""
     if state is None:
@@ -225,22 +272,32 @@ def run(plant, end_time=2.0, state=None, regime=None, max_events=5000):
     n = plant.n
     speed_row = np.concatenate([np.zeros(n), plant.twist, [0.0]])
     z = np.concatenate([state, [1.0]])
-    time, zero, header = 0.0, -1, (0.0, "load step", int(regime[-2:]) if regime != "open" else 0, 0.0, z[:-1])
+    time, zero, order, fastest = 0.0, -1, 1, 0.0
+    header = (0.0, "load step", int(regime[-2:]) if regime != "open" else 0, 0.0, z[:-1])
     events = []
     while len(events) < max_events:
         here = regimes[regime]
-        after, hit, z, largest, smallest = _phase(here, z, end_time - time, zero)
+        after, hit, z, largest, smallest = _phase(here, z, end_time - time, zero, order)
         events.append(Event(*header, largest, smallest))
         time += after
         if hit is None:
             return events, z[:-1]
         guard = here.guards[hit]
-        header = (time, guard.kind, guard.side, float(speed_row @ z), z[:-1])
-        regime, zero = guard.successor, guard.zero_after
+        regime, zero, order, speed = guard.successor, guard.zero_after, guard.order, float(speed_row @ z)
+        if plant.restitution is not None and guard.kind == "separation":
+            # a torque that the load step itself turns parts the flanks with a curvature, not with a third derivative
+            order = 2 if guard.row @ z < -1e-9 * (np.abs(guard.row) @ np.abs(z)) else 3
+        if plant.restitution is not None and guard.kind == "touch":
+            fastest = max(fastest, abs(speed))
+            z, regime, zero, order = _strike(plant, z, regimes, guard.side, fastest)
+        header = (time, guard.kind, guard.side, speed, z[:-1])
+        if plant.restitution is not None and regime != "open":
+            events.append(Event(*header, -np.inf, np.inf))
+            header = (time, "lock", guard.side, 0.0, z[:-1])
     raise RuntimeError("more events than allowed")
 
 
-def _phase(regime, z, remaining, zero):
+def _phase(regime, z, remaining, zero, order=1):
     """Until the first guard turns negative, or for the remaining time: duration, guard, state, extremes."""
     duration, first = 0.0, True
     largest, smallest = -np.inf, np.inf
@@ -251,7 +308,7 @@ def _phase(regime, z, remaining, zero):
         earliest, hit = 1.0, None
         for k, guard in enumerate(regime.guards):
             coefficients = series @ guard.row
-            u = _first_negative(coefficients[1:] if k == zero else coefficients)
+            u = _first_negative(coefficients[order:] if k == zero else coefficients)
             if u is not None and (hit is None or u < earliest):
                 earliest, hit = u, k
         high, low = _extremes(series @ regime.acceleration, earliest)
@@ -284,13 +341,15 @@ def _phase(regime, z, remaining, zero):
 
 def primary_impacts(events, sticking_time):
     """Indices of the touches on the other flank than the last one, or on the same one after it had stuck."""
-    flank, touched, stuck = events[0].side, -np.inf, False
+    flank, touched, stuck = events[0].side, -np.inf, False  # a preload has lasted for ever
     found = []
     for k, event in enumerate(events):
         if event.kind == "touch":
             if event.side != flank or stuck:
                 found.append(k)
-            flank, touched = event.side, event.time
+            flank, touched, stuck = event.side, event.time, False
+        elif event.kind == "lock":
+            touched = event.time
         elif event.kind == "separation":
             stuck = event.time - touched > sticking_time
     return found
@@ -329,15 +388,17 @@ def plant_of(study):
         loaded=study.load.on,
         acceleration_of=study.impacts.acceleration_of,
         separation=contact.separation,
+        restitution=contact.restitution if contact.model == "restitution" else None,
     )
 
 
-def config_of(plant, step=1e-4, end_time=2.0):
+def config_of(plant, step=1e-4, end_time=2.0, method="rk4"):
     """The config, as TOML, that spells out a plant; the contact at a radius of 0.1 m."""
     shafts = "".join(
         f"[[driveline.shafts]]\nbetween = {_ends(one, other)}\nstiffness = {k!r}\ndamping = {c!r}\n"
         for one, other, k, c in plant.shafts
     )
+    model = "" if plant.restitution is None else f'model = "restitution"\nrestitution = {plant.restitution!r}\n'
     return f"""
 [driveline]
 inertias = {list(plant.inertias)}
@@ -350,11 +411,12 @@ radius = 0.1
 stiffness = {plant.contact_stiffness / 0.01!r}
 damping = {plant.contact_damping / 0.01!r}
 separation = "{plant.separation}"
-[load]
+{model}[load]
 on = {plant.loaded}
 initial_torque = {plant.before!r}
 final_torque = {plant.after!r}
 [solver]
+method = "{method}"
 step = {step!r}
 end_time = {end_time!r}
 max_events = 4096

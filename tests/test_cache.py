@@ -64,12 +64,7 @@ def lose_machine_code(directory):
         path.unlink()
 
 
-# numba lets through what unpickling half a file raises; it only expects that a file is missing.
-RAISES = pytest.mark.xfail(strict=True, reason="numba's cache raises where it is damaged")
-DAMAGES = [
-    *(pytest.param(damage, marks=RAISES) for damage in (truncate, empty, fill_with_garbage, truncate_machine_code)),
-    lose_machine_code,
-]
+DAMAGES = [truncate, empty, fill_with_garbage, truncate_machine_code, lose_machine_code]
 
 
 @pytest.mark.parametrize("damage", DAMAGES)

@@ -72,6 +72,7 @@ def make(names: Any, axes: Sequence[ResultAxis], order: Sequence[str] | None = N
         "status": (sequence < 0).astype(np.uint8),
         "quality": np.zeros(shape, np.uint8),
         "initial_side": np.zeros(shape, np.int8),
+        "margin": np.full(shape, np.nan),
         "impact_time": np.zeros(0),
         "impact_flank": np.zeros(0, np.int8),
         "impact_closing_speed": np.zeros(0),

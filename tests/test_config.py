@@ -133,7 +133,13 @@ def test_preset_is_the_corrected_table_2_2():
     assert (load.on, load.static_torque, load.ratio, load.step_time) == (1, -1.0, 5.0, 0.1)
     assert (load.initial_torque, load.final_torque) == (None, None)
     assert study.impacts == Impacts(sticking_time=None, acceleration_of=3)
-    assert study.solver.model_dump() == {"method": "rk4", "step": 1e-4, "end_time": 2.0, "max_events": 512}
+    assert study.solver.model_dump() == {
+        "method": "rk4",
+        "step": 1e-4,
+        "end_time": 2.0,
+        "max_events": 512,
+        "margin_tolerance": 1e-4,
+    }
     assert study.sweep is None
 
 
@@ -276,7 +282,7 @@ BROKEN = [
     (with_line(31, "initial_torque = 2"), "load", 27, "given together"),
     (ONE_RUN.replace("static_torque = -1.0\nratio", "final_torque"), "load.initial_torque", 27, "needs initial_torque"),
     (with_line(32, "[foo]\nx = 1"), "foo", 32, "unknown key; allowed here: title, driveline"),
-    (with_line(34, 'method = "exact"'), "solver.method", 34, '"exact" is not available in this version'),
+    (with_line(34, 'method = "euler"'), "solver.method", 34, 'must be "rk4" or "exact"'),
     (with_line(35, "step = 0.0"), "solver.step", 35, "found 0.0; must be a number greater than 0 (s)"),
     (with_line(35, "step = 3.0"), "solver.step", 35, "longer than the run, end_time = 2 s"),
     (with_line(35, "step = 1e-10"), "solver.step", 35, "at most 1e+09"),

@@ -5,7 +5,7 @@ from typing import get_args
 import numpy as np
 import pytest
 import reference
-from running import core_run, system_of, unproved
+from running import core_run, prepared, unproved
 
 from clunk.config import Solver, get_value, replace_values
 from clunk.simulation import SimulationError, simulate
@@ -34,14 +34,14 @@ def by_method(study, method):
     return study.model_copy(update={"solver": study.solver.model_copy(update={"method": method})})
 
 
-def agree(found, expected, method):
-    """By rk4 to the last bit, since a power of two or a sign is exact in every sum; by another method to 1e-12."""
+def agree(found, expected, method, within=1e-12):
+    """By rk4 to the last bit, since a power of two or a sign is exact in every sum; by another method to rounding."""
     found, expected = np.asarray(found), np.asarray(expected)
     if method == "rk4":
         return np.array_equal(found, expected, equal_nan=True)
     scale = np.max(np.abs(expected), initial=0.0, where=np.isfinite(expected))
     return found.shape == expected.shape and np.allclose(
-        found, expected, rtol=1e-12, atol=1e-12 * scale, equal_nan=True
+        found, expected, rtol=within, atol=within * scale, equal_nan=True
     )
 
 
@@ -94,9 +94,10 @@ class TestSymmetry:
         assert np.array_equal(other.events["kind"], one.events["kind"])
         assert np.array_equal(other.events["side"], one.events["side"])
         assert agree(other.events["time"], 2.0 * one.events["time"], method)
-        assert agree(other.events["speed"], one.events["speed"] / 2.0, method)
-        assert agree(other.states[:, :n], one.states[:, :n], method)
-        assert agree(other.states[:, n:], one.states[:, n:] / 2.0, method)
+        # chatter divides the gap's rounding by ever shorter flights, and where flanks graze it decides when they part
+        assert agree(other.events["speed"], one.events["speed"] / 2.0, method, within=1e-11)
+        assert agree(other.states[:, :n], one.states[:, :n], method, within=1e-11)
+        assert agree(other.states[:, n:], one.states[:, n:] / 2.0, method, within=1e-11)
         assert other.label == one.label
         assert agree(other.impact_severity, one.impact_severity / 4.0, method)
         assert agree(other.approach_velocity, one.approach_velocity / 2.0, method)
@@ -120,7 +121,7 @@ class TestEnergy:
         Nothing flows in: the torque is constant, and its potential is counted.
         """
         plant = reference.boere(ratio, backlash, separation=separation)
-        run = core_run(system_of(plant), plant)
+        run = core_run(prepared(plant), plant)
         level = energy(plant, run.states)
         ends = "separation" if separation == "gap" else "opening"
         episodes, touched = 0, None
@@ -135,7 +136,7 @@ class TestEnergy:
     def test_the_gap_never_gains_energy(self, ratio, backlash, separation):
         """Shaft dampers only take, too, from the opening of the gap to the touch."""
         plant = reference.boere(ratio, backlash, separation=separation)
-        run = core_run(system_of(plant), plant)
+        run = core_run(prepared(plant), plant)
         level = energy(plant, run.states)
         opened = "separation" if separation == "gap" else "opening"
         crossings = [k for k, (kind, _) in enumerate(run.kinds) if kind == "touch"]
@@ -152,7 +153,7 @@ class TestEnergy:
         """
         shafts = tuple((one, other, k, 0.0) for one, other, k, _ in reference.Plant().shafts)
         plant = reference.boere(ratio, backlash, separation=separation, shafts=shafts, contact_damping=0.0)
-        run = core_run(system_of(plant, 5e-5, 0.3), plant)
+        run = core_run(prepared(plant, 5e-5, 0.3), plant)
         side, start = plant.preload()
         indentation = side * (plant.twist @ start[: plant.n]) - plant.backlash / 2
         level = energy(plant, run.states)
@@ -193,7 +194,7 @@ def test_the_motion_dies_out_in_static_contact_under_the_torque_after_the_step()
     """12 s after it, the slowest mode (ζω = 2.45 1/s) has fallen to 2e-13."""
     plant = reference.boere(5.0, 6.0)
     _, rest = reference.boere(0.0, 6.0).preload()
-    run = core_run(unproved(system_of(plant, end_time=12.0)), plant)
+    run = core_run(unproved(prepared(plant, end_time=12.0)), plant)
     assert run.final_state == pytest.approx(rest, abs=1e-11)
 
 

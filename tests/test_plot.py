@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Annotation, Text
 
 from clunk import plot
+from clunk.core.status import QUALITY_UNDECIDED
 from clunk.plot.regions import Regions
 from clunk.plot.style import INK, palette_of
 from clunk.results import ResultAxis, Results
@@ -44,6 +45,7 @@ def make(axes: tuple[ResultAxis, ...], labels: tuple[str, ...], sequence: np.nda
         status=np.where(sequence < 0, 3, 0).astype(np.uint8),
         quality=np.ones(shape, np.uint8),
         initial_side=-np.ones(shape, np.int8),
+        margin=np.where(sequence < 0, np.nan, 0.1 - 0.05 * (sequence % 4)),
         impact_time=np.ones(count),
         impact_flank=np.ones(count, np.int8),
         impact_closing_speed=np.ones(count),
@@ -483,6 +485,34 @@ def test_severity_of_the_restitution_model_points_to_the_approach_velocity(nine:
     assert plot.draw(results, "regimes").axes[0].texts
 
 
+def test_the_colours_of_the_margin_diverge_from_zero(nine: Results) -> None:
+    margin = np.linspace(-0.2, 0.1, nine.sequence.size).reshape(nine.shape)
+    figure = plot.quantity_map(replace(nine, margin=margin), "margin")
+    (mesh,) = figure.axes[0].collections[:1]
+    np.testing.assert_array_equal(np.ma.filled(mesh.get_array(), np.nan), margin.T)
+    assert (mesh.norm.vmin, mesh.norm.vmax) == (-0.2, 0.2)
+    assert min(to_rgb(mesh.cmap(0.5))) > 0.95
+    assert "margin" in figure.axes[1].get_ylabel().lower()
+
+
+def test_results_without_margins_say_which_method_knows_them(nine: Results) -> None:
+    with pytest.raises(plot.PlotError, match=r"only the exact method knows it: sweep with --set solver\.method=exact"):
+        plot.quantity_map(replace(nine, margin=np.full(nine.shape, np.nan)), "margin")
+
+
+def test_undecided_cells_are_dotted_and_counted(nine: Results) -> None:
+    quality = nine.quality.copy()
+    cells = [(3, 40), (30, 7), (55, 0)]
+    for cell in cells:
+        quality[cell] |= QUALITY_UNDECIDED
+    figure = plot.regime_map(replace(nine, quality=quality))
+    assert notes(figure)[-1] == "undecided: 3 cells"
+    (dots,) = [line for line in figure.axes[0].lines if line.get_gid() == "undecided"]
+    expected = [(RATIO.values[i], BACKLASH.values[j]) for i, j in cells]
+    np.testing.assert_allclose(dots.get_xydata(), expected)
+    assert not [line for line in plot.regime_map(nine).axes[0].lines if line.get_gid() == "undecided"]
+
+
 # --- one axis
 
 
@@ -515,6 +545,17 @@ def test_a_strip_breaks_its_curve_at_failed_cells_and_between_regimes() -> None:
     curves = [line.get_ydata() for line in figure.axes[1].lines if line.get_marker() == "o"]
     assert [len(curve) for curve in curves] == [5, 3, 6]
     assert np.isnan(curves[1]).all()
+
+
+def test_a_strip_of_the_margin_has_a_line_at_zero_and_dots_under_the_labels() -> None:
+    results = one_axis([0, 0, 1, 1])
+    quality = np.array([1, 3, 1, 1], np.uint8)
+    figure = plot.draw(replace(results, margin=np.array([0.1, 5e-5, -0.01, -0.1]), quality=quality), "margin")
+    band, ax = figure.axes[:2]
+    assert any(np.all(np.asarray(line.get_ydata()) == 0.0) for line in ax.lines)
+    (dots,) = [line for line in band.lines if line.get_gid() == "undecided"]
+    assert dots.get_xdata() == results.axes[0].values[1]
+    assert "undecided: 1 cell" in notes(figure)
 
 
 def test_a_single_cell_is_drawn_as_a_strip(tmp_path: Path) -> None:

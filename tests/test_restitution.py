@@ -173,12 +173,13 @@ def test_an_elastic_impact_keeps_the_energy_and_the_run_ends_by_itself():
 def test_a_run_that_stops_early_has_all_of_its_events(name, monkeypatch):
     study = study_from_text(DRIVELINES[name])
     early = simulate(study)
-    build = driveline.build
+    prepare = driveline.prepare
 
     def unproved(study):
-        return build(study)._replace(provable=np.zeros(2, np.int64))
+        system, steps = prepare(study)
+        return system, steps._replace(provable=np.zeros(2, np.int64))
 
-    monkeypatch.setattr(driveline, "build", unproved)
+    monkeypatch.setattr(driveline, "prepare", unproved)
     whole = simulate(study)
     assert not whole.complete
     assert np.array_equal(early.events, whole.events[: len(early.events)])

@@ -5,12 +5,15 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import reference
-from running import core_run, system_of, unproved
+from running import core_run, prepared, unproved
 
+from clunk import driveline
+from clunk.config import study_from_text
 from clunk.core import rk4, switching
 from clunk.core.events import EVENT
-from clunk.core.regimes import CLOSED_NEGATIVE, CLOSED_POSITIVE, OPEN, PARTED_POSITIVE, rk4_growth
+from clunk.core.regimes import CLOSED_NEGATIVE, CLOSED_POSITIVE, OPEN, PARTED_POSITIVE
 from clunk.core.status import INTERRUPTED, Status
+from clunk.core.steps import rk4_growth
 
 # An error that goes with h⁴ falls sixteenfold when the step halves. The next order leaves 16 ± 16 hλ, which is 0.6 for
 # the contact mode (λ = 1640 1/s) at h = 2.5e-5 s, and an event's place on the time grid moves the error by less.
@@ -34,7 +37,7 @@ def test_rk4_error_falls_sixteenfold_when_the_step_halves():
     events, final_state = reference.run(plant, end_time=0.02)
     assert len(events) == 1
     errors = [
-        np.max(np.abs(core_run(unproved(system_of(plant, step, 0.02)), plant).final_state - final_state))
+        np.max(np.abs(core_run(unproved(prepared(plant, step, 0.02)), plant).final_state - final_state))
         for step in (4e-4, 2e-4)
     ]
     assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.25)  # larger steps, for rounding not to show
@@ -46,7 +49,7 @@ def test_the_error_falls_sixteenfold_across_located_events(ratio, backlash, sepa
     plant = reference.boere(ratio, backlash, separation=separation)
     events, final_state = reference.run(plant)
     coarse, fine = (
-        errors_against(events, final_state, core_run(unproved(system_of(plant, step)), plant)) for step in STEPS
+        errors_against(events, final_state, core_run(unproved(prepared(plant, step)), plant)) for step in STEPS
     )
     assert len(events) > 6
     for large, small in zip(coarse, fine, strict=True):
@@ -80,7 +83,7 @@ def test_steps_equal_the_four_classical_stages(steps, closed):
         k3 = slope(expected + length / 2 * k2)
         k4 = slope(expected + length * k3)
         expected = expected + length / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    run = core_run(unproved(system_of(plant, step, (steps + 0.3) * step)), plant, state=x)
+    run = core_run(unproved(prepared(plant, step, (steps + 0.3) * step)), plant, state=x)
     assert len(run.events) == 1
     # rounding of h A x, whose terms reach 1e-4 s · 1.3e6 1/s² · 0.6 rad, and of so many steps
     assert run.final_state == pytest.approx(expected, rel=1e-12, abs=steps * 1e-13)
@@ -97,7 +100,7 @@ def test_a_gap_crossed_within_one_step_is_not_skipped():
     """1e-4° at 0.04 rad/s is crossed in 40 µs, less than half a step; separation and the touch opposite share it."""
     plant = reference.boere(7.0, 1e-4)
     events, _ = reference.run(plant)
-    run = core_run(system_of(plant, 1e-4), plant)
+    run = core_run(prepared(plant, 1e-4), plant)
     assert run.kinds == [(event.kind, event.side) for event in events]
     assert sum(there - here < 1e-4 for here, there in pairwise(run.events["time"])) >= 3
 
@@ -122,7 +125,7 @@ def test_a_touch_between_two_steps_that_both_end_in_the_gap_is_not_skipped(steps
     turn = (steps + 0.5) * step
     for reach in (1e-6, 1e-9, -1e-9, -1e-6):
         start = np.array([half + reach - pull * turn**2 / 2, pull * turn])
-        run = core_run(system_of(plant, step, 0.01), plant, state=start)
+        run = core_run(prepared(plant, step, 0.01), plant, state=start)
         assert run.kinds[1:2] == ([("touch", 1)] if reach > 0.0 else [])
         if reach > 0.0:  # q = 0.05 is known to 1e-17, the time to that over the speed
             speed = np.sqrt(2.0 * reach * pull)
@@ -149,7 +152,7 @@ def test_several_events_in_one_step_are_all_found(step, separation, together):
         separation=separation,
     )
     events, _ = reference.run(plant)
-    run = core_run(system_of(plant, step), plant)
+    run = core_run(prepared(plant, step), plant)
     assert run.kinds == [(event.kind, event.side) for event in events]
     steps = np.floor(run.events["time"] / step)
     assert max(np.count_nonzero(steps == one) for one in steps) >= together
@@ -163,7 +166,7 @@ def test_contacts_of_any_damping_keep_their_events(share, separation):
     critical = 2.0 * np.sqrt(nominal.contact_stiffness * 0.001)  # of the two inertias at the lash in series
     plant = reference.boere(5.0, 6.0, separation=separation, contact_damping=share * critical)
     events, _ = reference.run(plant, end_time=0.4)
-    run = core_run(system_of(plant, 5e-5, 0.4), plant)
+    run = core_run(prepared(plant, 5e-5, 0.4), plant)
     assert run.kinds == [(event.kind, event.side) for event in events]
     # T_c (ωh)⁴/120 = 1e-9 s late a contact period, and a hundred of those in 0.4 s
     assert run.events["time"] == pytest.approx([event.time for event in events], abs=1e-7)
@@ -172,7 +175,7 @@ def test_contacts_of_any_damping_keep_their_events(share, separation):
 @pytest.mark.parametrize("separation", ["gap", "force"])
 def test_no_backlash_passes_from_flank_to_flank(separation):
     """φθ = 0: wherever the gap opens, the other flank is touched at that instant, to rounding of the time."""
-    run = core_run(system_of(plant := reference.boere(7.0, 0.0, separation=separation)), plant)
+    run = core_run(prepared(plant := reference.boere(7.0, 0.0, separation=separation)), plant)
     leaving = "separation" if separation == "gap" else "opening"
     pairs = [(here, there) for here, there in pairwise(range(len(run.events))) if run.kinds[here][0] == leaving]
     assert len(pairs) == 6
@@ -186,7 +189,7 @@ def test_the_grid_of_steps_does_not_move_with_the_events():
     plant = reference.boere(5.0, 6.0)
     for end_time in (0.3, 0.30003, 0.3 + 1e-9):
         events, final_state = reference.run(plant, end_time)
-        run = core_run(unproved(system_of(plant, 1e-4, end_time)), plant)
+        run = core_run(unproved(prepared(plant, 1e-4, end_time)), plant)
         assert run.end == end_time
         _, _, error = errors_against(events, final_state, run)
         assert error < 1e-4  # θ' there; a step too many or too few would be 0.1 rad/s
@@ -196,7 +199,7 @@ def test_every_transition_keeps_what_it_says_is_zero():
     """At each event the functional that ended the regime is zero, and so is the guard named as such."""
     for separation in ("gap", "force"):
         plant = reference.boere(8.0, 5.0, separation=separation)
-        run = core_run(system_of(plant), plant)
+        run = core_run(prepared(plant), plant)
         q = run.states[:, : plant.n] @ plant.twist
         speed = run.states[:, plant.n :] @ plant.twist
         overlap = run.events["side"] * q - plant.backlash / 2
@@ -214,7 +217,7 @@ def test_every_transition_keeps_what_it_says_is_zero():
 def test_a_given_state_is_in_the_regime_of_its_gap_and_force():
     """In the gap; pressed on either flank; overlapping but tensile, which only separation by force knows."""
     plant = reference.boere(5.0, 6.0)
-    by_gap, by_force = system_of(plant), system_of(reference.boere(5.0, 6.0, separation="force"))
+    by_gap, by_force = prepared(plant).system, prepared(reference.boere(5.0, 6.0, separation="force")).system
     half = plant.backlash / 2
 
     def regime(system, q, speed):
@@ -233,11 +236,11 @@ class TestHowARunEnds:
     plant = reference.boere(5.0, 6.0)
 
     def test_more_events_than_the_buffer_holds_is_said(self):
-        run = core_run(system_of(self.plant), self.plant, capacity=10)
+        run = core_run(prepared(self.plant), self.plant, capacity=10)
         assert run.status == Status.EVENT_BUFFER_FULL
         assert len(run.events) == 10
         assert not run.complete
-        enough = core_run(system_of(self.plant), self.plant, capacity=19)  # 18 events and the load step
+        enough = core_run(prepared(self.plant), self.plant, capacity=19)  # 18 events and the load step
         assert enough.status == Status.OK
         assert len(enough.events) == 19
 
@@ -246,45 +249,49 @@ class TestHowARunEnds:
     def test_a_state_beyond_all_numbers_is_said_and_ends(self, where, size):
         x = np.zeros(8)
         x[where] = size
-        run = core_run(system_of(self.plant), self.plant, state=x, regime=OPEN)
+        run = core_run(prepared(self.plant), self.plant, state=x, regime=OPEN)
         assert run.status == Status.NON_FINITE
         assert not run.complete
 
     @pytest.mark.parametrize("size", [1e-300, 1e6, 1e100])
     def test_extreme_states_end_too(self, size):
         for sign in (1.0, -1.0):
-            run = core_run(system_of(self.plant), self.plant, state=np.full(8, sign * size) * np.arange(1, 9))
+            run = core_run(prepared(self.plant), self.plant, state=np.full(8, sign * size) * np.arange(1, 9))
             assert run.status in (Status.OK, Status.EVENT_BUFFER_FULL, Status.NON_FINITE)
 
     def test_a_step_beyond_the_stability_limit_is_said(self):
         """The contact mode, ω = 1623 1/s and ζ = 0.196, allows a step of 1.67 ms (RK4's limit at that angle)."""
-        assert system_of(self.plant, 1.5e-3).status == Status.OK
-        assert system_of(self.plant, 2e-3).status == Status.UNSTABLE_STEP
+        assert prepared(self.plant, 1.5e-3).steps.stable
+        assert not prepared(self.plant, 2e-3).steps.stable
+        for step, status in ((1.5e-3, Status.OK), (2e-3, Status.UNSTABLE_STEP)):
+            system, _ = driveline.prepare(study_from_text(reference.config_of(self.plant, step)))
+            assert system.status == status
 
     def test_the_end_in_the_middle_of_something_is_not_complete(self):
-        run = core_run(system_of(self.plant, end_time=0.15), self.plant)  # between two primary impacts
+        run = core_run(prepared(self.plant, end_time=0.15), self.plant)  # between two primary impacts
         assert run.status == Status.OK
         assert not run.complete
         assert run.end == 0.15
         assert run.label == "CR(1)"
 
     def test_a_finished_run_stops_early_and_says_so(self):
-        run = core_run(system_of(self.plant), self.plant)
+        run = core_run(prepared(self.plant), self.plant)
         assert run.complete
         assert run.events["time"][-1] < run.end < 2.0
 
     def test_a_run_without_a_bound_goes_on_to_the_end(self):
-        run = core_run(unproved(system_of(self.plant)), self.plant)
+        run = core_run(unproved(prepared(self.plant)), self.plant)
         assert run.status == Status.OK
         assert not run.complete
         assert run.end == 2.0
 
     def test_a_set_stop_flag_abandons_the_run(self):
-        system, x = system_of(self.plant), np.zeros(8)
+        (system, steps), x = prepared(self.plant), np.zeros(8)
         side = switching.preload(system, self.plant.before, self.plant.backlash / 2, x)
         events = np.zeros(64, EVENT)
         status, *_ = rk4.run(
             system,
+            steps,
             x,
             switching.closed_on(side),
             -1.0,
@@ -299,12 +306,12 @@ class TestHowARunEnds:
 @pytest.mark.parametrize("separation", ["gap", "force"])
 def test_stopping_early_changes_nothing(separation):
     """What is proved complete stays so: five times the end time adds no event and no acceleration, on a 9 x 9 map."""
-    system = system_of(reference.boere(5.0, 6.0, separation=separation))
-    long = unproved(system_of(reference.boere(5.0, 6.0, separation=separation), end_time=10.0))
+    short_run = prepared(reference.boere(5.0, 6.0, separation=separation))
+    long = unproved(prepared(reference.boere(5.0, 6.0, separation=separation), end_time=10.0))
     for ratio in np.linspace(0.0, 10.0, 9):
         for backlash in np.linspace(0.0, 20.0, 9):
             plant = reference.boere(ratio, backlash, separation=separation)
-            short, whole = core_run(system, plant), core_run(long, plant)
+            short, whole = core_run(short_run, plant), core_run(long, plant)
             assert short.complete
             assert np.array_equal(short.states, whole.states)
             for field in ("time", "speed", "kind", "side"):

@@ -50,6 +50,7 @@ def example(*axes: ResultAxis, impacts: bool = True) -> Results:
         status=status,
         quality=rng.integers(0, 16, shape, np.uint8),
         initial_side=rng.integers(-1, 2, shape, np.int8),
+        margin=np.where(status, np.nan, rng.uniform(-0.25, 0.25, shape)),
         impact_time=rng.uniform(0.0, 1.0, count),
         impact_flank=rng.choice(np.array([-1, 1], np.int8), count),
         impact_closing_speed=rng.uniform(0.0, 20.0, count),
@@ -162,7 +163,7 @@ def test_xarray_sees_named_dimensions_and_coordinates(tmp_path: Path, axes: tupl
         np.testing.assert_array_equal(dataset["impact_severity"], results.padded("impact_severity"))
         assert dataset["last_event_time"].dtype == np.float64  # "s" is not decoded into a time delta
         assert dataset.attrs["Conventions"] == "CF-1.11"
-        assert dataset.attrs["schema_version"] == 1
+        assert dataset.attrs["schema_version"] == store.SCHEMA_VERSION
         assert dataset.attrs["title"] == "Régimes"
         assert dataset.attrs["config"] == results.config
         assert dataset.attrs["cpu"] == "Ω 5000"
@@ -234,6 +235,22 @@ def test_content_digest_depends_on_the_data_and_nothing_else(tmp_path: Path) -> 
         digest(replace(results, labels=("NI", "SS(2)", *LABELS[2:]))),
     ]
     assert len({original, *others}) == 5
+
+
+def test_a_file_without_margins_is_still_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    results = example(RATIO, BACKLASH)
+    with monkeypatch.context() as first_schema:
+        fields = {name: dtype for name, dtype in CELL_FIELDS.items() if name != "margin"}
+        first_schema.setattr(store, "CELL_FIELDS", fields)
+        first_schema.setattr(store, "SCHEMA_VERSION", 1)
+        store.write(tmp_path / "map.h5", results)
+    with h5py.File(tmp_path / "map.h5") as file:
+        assert "margin" not in file
+    assert_same(replace(results, margin=np.full(results.shape, np.nan)), store.read(tmp_path / "map.h5"))
+    with h5py.File(tmp_path / "map.h5", "r+") as file:
+        file["touches"][0, 0] += 1
+    with pytest.raises(store.StoreError, match="content_digest"):
+        store.read(tmp_path / "map.h5")
 
 
 def test_store_brings_in_no_plotting() -> None:
@@ -379,7 +396,7 @@ BROKEN = {
     "empty": (lambda path: path.write_bytes(b""), "not HDF5"),
     "text": (lambda path: path.write_text("σr, φθ\n"), "not HDF5"),
     "foreign HDF5": (_foreign, "although it is HDF5"),
-    "newer schema": (_set_attribute("schema_version", np.int32(2)), "schema version 2"),
+    "newer schema": (_set_attribute("schema_version", np.int32(99)), "schema version 99"),
     "truncated": (_truncate, "truncated file"),
     "a value changed": (_edit("severity", (1, 1), -1.0), "content_digest"),
     "an impact changed": (_edit("impact_time", (0, 1, 0), -1.0), "content_digest"),

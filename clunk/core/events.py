@@ -1,8 +1,8 @@
 """What a run leaves behind: its events in order, each with what followed it.
 
 Event 0 is the load step itself. Every event opens a phase that lasts to the next one; the extremes of the acceleration
-over that phase are kept with it, one-sided limits at both ends included, so that any window's peak-to-peak value is
-the extremes of the phases in it.
+over that phase are kept with it, one-sided limits at both ends included, so that the peak-to-peak value of a primary
+impact's window is the extremes of the phases in it. (The exact method locates those that count there, and no others.)
 """
 
 import numpy as np

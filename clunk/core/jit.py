@@ -4,12 +4,18 @@ numba's own cache notices a change only in the file that defines a function, not
 stale machine code after such an edit. So the directory is named by a digest of every source file of the core.
 """
 
+import contextlib
 import hashlib
 import os
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, TypeVar, cast
 
 import numba
+from numba.core.caching import FunctionCache
+
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def _configure() -> None:
@@ -51,8 +57,39 @@ def _writable(directory: Path) -> Path:
         return Path(tempfile.mkdtemp(prefix="clunk-kernels-"))
 
 
+class _Cache(FunctionCache):
+    """numba's cache of one function; where it is damaged or cannot be written, that costs a compilation and no more."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        except Exception:  # whatever it is that reading half a file, or something else in its place, raises
+            with contextlib.suppress(OSError):
+                self.flush()  # type: ignore[no-untyped-call]
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        with contextlib.suppress(OSError):
+            super().save_overload(sig, data)  # type: ignore[no-untyped-call]
+
+
+def _kept(**options: Any) -> Callable[[Function], Function]:
+    """numba's njit with a cache: what cache=True does, with a class of ours."""
+
+    def decorate(function: Function) -> Function:
+        dispatcher = numba.njit(nogil=True, error_model="numpy", **options)(function)
+        dispatcher._cache = _Cache(function)  # type: ignore[no-untyped-call]
+        return cast(Function, dispatcher)
+
+    return decorate
+
+
 _configure()  # before the first function is decorated
 # No fastmath: the same input gives the same bits, on any number of threads. Division by zero gives an infinity and no
 # exception: kernels never raise.
-compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
-inlined = numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+compiled = _kept()
+inlined = _kept(forceinline=True)  # in the machine code; by numba itself, arrays would be counted at each use
+# Without reference counts, each change of which is an atomic operation: for what allocates nothing, and is called so
+# often that they would take longer than its work.
+unowned = _kept(_nrt=False)
+unowned_inlined = _kept(_nrt=False, forceinline=True)

@@ -5,7 +5,12 @@ state (the gap, the contact force, an acceleration) is a quartic p(s) = c0 + c1 
 step's length. Finding an event is finding a zero of p, without integrating anything again.
 """
 
-from clunk.core.jit import compiled
+import numpy as np
+import numpy.typing as npt
+
+from clunk.core.jit import compiled, unowned
+
+FloatArray = npt.NDArray[np.float64]
 
 
 @compiled
@@ -119,5 +124,127 @@ def extremes(c0: float, c1: float, c2: float, c3: float, c4: float, length: floa
     _, s1, s2, s3 = stationary_points(c1, c2, c3, c4, length)
     for s in (s1, s2, s3):
         value = evaluate(c0, c1, c2, c3, c4, s)
+        largest, smallest = max(largest, value), min(smallest, value)
+    return largest, smallest
+
+
+@unowned
+def value_of(c: FloatArray, count: int, s: float) -> float:
+    """c[0] + c[1] s + ... + c[count - 1] s^(count - 1) by Horner's rule."""
+    value = 0.0
+    for k in range(count - 1, -1, -1):
+        value = value * s + c[k]
+    return value
+
+
+@unowned
+def value_and_slope(c: FloatArray, count: int, s: float) -> tuple[float, float]:
+    """The same, and its derivative."""
+    value, slope = 0.0, 0.0
+    for k in range(count - 1, -1, -1):
+        slope = slope * s + value
+        value = value * s + c[k]
+    return value, slope
+
+
+@unowned
+def slope_and_bend(c: FloatArray, s: float) -> tuple[float, float]:
+    """The first and the second derivative of the whole polynomial."""
+    value, slope, half = 0.0, 0.0, 0.0
+    for k in range(c.size - 1, -1, -1):
+        half = half * s + slope
+        slope = slope * s + value
+        value = value * s + c[k]
+    return slope, 2.0 * half
+
+
+@unowned
+def zero_between(c: FloatArray, count: int, low: float, high: float) -> float:
+    """The zero where a polynomial changes sign between `low` and `high`: Newton's steps, kept within the bracket."""
+    first, last = value_of(c, count, low), value_of(c, count, high)
+    s = low + (high - low) * first / (first - last)
+    for _ in range(200):
+        value, slope = value_and_slope(c, count, s)
+        if (value >= 0.0) == (first >= 0.0):
+            low = s
+        else:
+            high = s
+        moved = s - value / slope if slope != 0.0 else low
+        if low <= moved <= high:
+            if abs(moved - s) <= 1e-9:  # squared by the step just made
+                return moved
+        else:
+            moved = 0.5 * (low + high)
+            if high - low <= 1e-16:
+                return moved
+        s = moved
+    return s
+
+
+@unowned
+def sign_changes(c: FloatArray, count: int, length: float, found: FloatArray, ladder: FloatArray) -> int:
+    """Write the points of (0, length) at which a polynomial changes sign to `found`, in order; return their number.
+
+    Between the sign changes of its derivative it is monotone; where its lowest term outweighs all others it has none.
+    The derivatives' coefficients go into `ladder`, (count, count) at least.
+    """
+    others, power = 0.0, 1.0
+    for k in range(1, count):
+        power *= length
+        others += abs(c[k]) * power
+    if abs(c[0]) > others or count < 2:
+        return 0
+    derivative = ladder[count - 1]
+    for k in range(count - 1):
+        derivative[k] = (k + 1) * c[k + 1]
+    pieces = sign_changes(derivative, count - 1, length, found, ladder) + 1
+    kept, low, before = 0, 0.0, c[0]
+    for piece in range(pieces):
+        high = found[piece] if piece < pieces - 1 else length
+        after = value_of(c, count, high)
+        if (before < 0.0) != (after < 0.0):
+            found[kept] = zero_between(c, count, low, high)  # kept <= piece: nothing unread is overwritten
+            kept += 1
+        low, before = high, after
+    return kept
+
+
+@unowned
+def turning_points(c: FloatArray, length: float, found: FloatArray, ladder: FloatArray) -> int:
+    """Write the points of (0, length) at which the slope changes sign to `found`, in order; return their number."""
+    others, power = 0.0, 1.0
+    for k in range(2, c.size):
+        power *= length
+        others += k * abs(c[k]) * power
+    if abs(c[1]) > others:
+        return 0
+    derivative = ladder[c.size - 1]
+    for k in range(c.size - 1):
+        derivative[k] = (k + 1) * c[k + 1]
+    return sign_changes(derivative, c.size - 1, length, found, ladder)
+
+
+@unowned
+def first_negative_of(c: FloatArray, length: float, found: FloatArray, ladder: FloatArray) -> float:
+    """The first s of [0, length] from which on a polynomial is negative, or -1 where there is none."""
+    if c[0] < 0.0:
+        return 0.0
+    turns = turning_points(c, length, found, ladder)
+    low = 0.0
+    for piece in range(turns + 1):
+        high = found[piece] if piece < turns else length
+        if value_of(c, c.size, high) < 0.0:
+            return zero_between(c, c.size, low, high)
+        low = high
+    return -1.0
+
+
+@unowned
+def extremes_of(c: FloatArray, length: float, found: FloatArray, ladder: FloatArray) -> tuple[float, float]:
+    """The largest and the smallest value of a polynomial on [0, length], both ends included."""
+    end = value_of(c, c.size, length)
+    largest, smallest = max(c[0], end), min(c[0], end)
+    for piece in range(turning_points(c, length, found, ladder)):
+        value = value_of(c, c.size, found[piece])
         largest, smallest = max(largest, value), min(smallest, value)
     return largest, smallest

@@ -20,7 +20,7 @@ s φ/2, a constraint whose torque is the guard, and a touch *resets* the velocit
 the open regime, or, below the locking speed and under a compressive torque, locks.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -37,47 +37,42 @@ OPEN, CLOSED_POSITIVE, CLOSED_NEGATIVE, PARTED_POSITIVE, PARTED_NEGATIVE = range
 # the torque that locks q (one output less to step without it).
 GAP, ACCELERATION, FORCE = range(3)
 
-# On a step of length h, |p(s)| exceeds its larger end value by at most max|p''| h²/8 <= |c2|/4 + 3|c3|/4 + 3|c4|/2
-# in the step's Taylor terms c_k = p_k h^k; these factors make that a plain sum.
-BEND = (1.0, 0.25, 0.75, 1.5)
-BLOCK = 4  # steps in one product: a third fewer operations a step than four products, and a quarter of their latency
 LOCKING_SHARE = 1e-4  # of the run's fastest touch: chatter has then lost all but 1e-8 of its energy
-_LANES = 8  # states and outputs are padded to whole SIMD blocks; rk4.advance unrolls over one block of columns
-_MAX_CONDITION = 1e8  # of an eigenbasis; beyond it half the digits of the modal amplitudes are gone
+
+REGIME = np.dtype(
+    [
+        ("flow", np.int64),  # OPEN_FLOW or CLOSED_FLOW
+        ("side", np.int64),  # s
+        ("guards", np.int64),  # how many
+    ],
+    align=True,
+)
+GUARD = np.dtype(
+    [
+        ("functional", np.int64),  # guard = sign · functional + offset · φ/2
+        ("sign", np.float64),
+        ("offset", np.float64),
+        ("successor", np.int64),  # the regime that follows where it turns negative, and the event that this is
+        ("event_kind", np.int64),
+        ("zero_guard", np.int64),  # the successor's guard that is zero on entry, or -1
+        ("zero_order", np.int64),  # and how many of its derivatives, itself included, are
+    ],
+    align=True,
+)
 
 
 class System(NamedTuple):
-    """One driveline with its lash, contact and solver step, ready to run; N states, F functionals, 2 flows, 5 regimes.
+    """One driveline with its lash and contact, ready to run; N states, F functionals, 2 flows, 5 regimes."""
 
-    `stack` puts several behind each other: every field gets a leading dimension.
-    """
-
-    # the continuous system
+    # the flows
     rates: FloatArray  # (2, N, N)  A of each flow
     inputs: FloatArray  # (2, N, 2)  B of each flow, for (T, s φ/2)
     functionals: FloatArray  # (2, F, N)  C of each flow
     feedthrough: FloatArray  # (2, F, 2)  D of each flow
     lash: FloatArray  # (N,)  q' = lash · x
-    # one full step of length `step`, x -> (x, outputs); outputs are each functional's value and its Taylor terms of
-    # order 2, 3, 4 over the next step, times BEND
-    transfer: FloatArray  # (2, columns, rows)  rows contiguous
-    transfer_input: FloatArray  # (2, 2, rows)
-    # BLOCK full steps at once, x -> (x, outputs at every step)
-    block: FloatArray  # (2, columns, rows)
-    block_input: FloatArray  # (2, 2, rows)
-    observe: FloatArray  # (2, columns, outputs)
-    observe_input: FloatArray  # (2, 2, outputs)
     # the regimes
-    flow: IntArray  # (5,)
-    side: IntArray  # (5,)  s
-    guards: IntArray  # (5,)  how many
-    guard_functional: IntArray  # (5, 2)
-    guard_sign: FloatArray  # (5, 2)  guard = sign · functional + offset · φ/2
-    guard_offset: FloatArray  # (5, 2)
-    successor: IntArray  # (5, 2)
-    event_kind: IntArray  # (5, 2)
-    zero_guard: IntArray  # (5, 2)  the successor's guard that is zero on entry, or -1
-    zero_order: IntArray  # (5, 2)  and how many of its derivatives, itself included, are
+    regimes: npt.NDArray[np.void]  # (5,) REGIME
+    guards: npt.NDArray[np.void]  # (5, 2) GUARD
     # touches of the restitution model
     impulsive: int  # whether a touch resets the velocities
     impulse: FloatArray  # (N,)  change of x per unit of q'
@@ -86,14 +81,7 @@ class System(NamedTuple):
     # before the step
     preload: FloatArray  # (N, 2)  static equilibrium in contact for (T, s φ/2)
     contact_torque: FloatArray  # (2,)  the static torque across the lash, signed like q, for (T, s φ/2)
-    # a bound on all that can follow: amplitudes of decaying modes
-    provable: IntArray  # (2,)  whether the flow's modes give such a bound
-    mode_rows: FloatArray  # (2, 2, N, N)  real and imaginary part of the left eigenvectors, one of each pair
-    mode_reach: FloatArray  # (2, F, N)  largest change of a functional per unit amplitude of a mode
-    rest_state: FloatArray  # (2, N, 2)  equilibrium for (T, s φ/2)
-    rest_functional: FloatArray  # (2, F, 2)
     # scalars
-    step: float  # s
     end_time: float  # s after the load step
     sticking_time: float  # s
     status: int  # why this system cannot be run, or OK
@@ -110,7 +98,6 @@ def build_system(
     contact_damping: float,
     separation_by_force: bool,
     acceleration_of: int,
-    step: float,
     end_time: float,
     sticking_time: float,
     grounded: bool,
@@ -131,7 +118,7 @@ def build_system(
     contact_stiffness, contact_damping : float  [N m/rad], [N m s/rad]
     acceleration_of : int
         Index from 0 of the inertia whose acceleration is watched.
-    step, end_time, sticking_time : float  [s]
+    end_time, sticking_time : float  [s]
     grounded : bool
         Whether every inertia has a path of stiffness to ground while the lash is closed.
     restitution : float, optional
@@ -168,50 +155,31 @@ def build_system(
         functionals[:, FORCE, n:] = contact_damping * lash
 
     if impulsive:
-        guards = _restitution_table()
+        table = _restitution_table()
     else:
-        guards = _indentation_table(contact_stiffness, contact_damping, separation_by_force)
-    propagator = _propagator(rates, inputs, functionals, feedthrough, step)
-    reductions = [unconstrained(2 * n), constrained(lash) if impulsive else unconstrained(2 * n)]
-    modal, stable = _modal_bound(rates, inputs, functionals, feedthrough, step, reductions)
+        table = _indentation_table(contact_stiffness, contact_damping, separation_by_force)
     preload = np.zeros((2 * n, 2))
     if grounded:
         preload[:n] = _preload(stiffness, load, lash, None if impulsive else contact_stiffness)
-    status = Status.OK if grounded else Status.NO_EQUILIBRIUM
-    if not stable:
-        status = Status.UNSTABLE_STEP
+    regimes, guards = _tables(table)
     return System(
         rates=rates,
         inputs=inputs,
         functionals=functionals,
         feedthrough=feedthrough,
         lash=np.concatenate([np.zeros(n), lash]),
-        **propagator,
-        **_as_arrays(guards),
+        regimes=regimes,
+        guards=guards,
         impulsive=int(impulsive),
         impulse=np.concatenate([np.zeros(n), impulse]),
         restitution=restitution if restitution is not None else 0.0,
         locking_speed=locking_speed if locking_speed is not None else -LOCKING_SHARE,
         preload=preload,
         contact_torque=_contact_torque(stiffness, load, lash, preload[:n]),
-        **modal,
-        step=step,
         end_time=end_time,
         sticking_time=sticking_time,
-        status=int(status),
+        status=int(Status.OK if grounded else Status.NO_EQUILIBRIUM),
     )
-
-
-def stack(systems: list[System]) -> System:
-    """Systems of equal size behind each other: every field gets a leading dimension of their number."""
-    fields: list[Any] = [np.stack(field) for field in zip(*systems, strict=True)]
-    return System(*fields)
-
-
-def rk4_growth(eigenvalues: npt.NDArray[np.complex128], step: float | FloatArray) -> FloatArray:
-    """|R(h λ)| with RK4's stability polynomial R(z) = 1 + z + z²/2 + z³/6 + z⁴/24."""
-    z = eigenvalues * step
-    return np.abs(1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4))))
 
 
 class _Guard(NamedTuple):
@@ -268,20 +236,13 @@ def _reached(side: int) -> int:
     return 0 if side > 0 else 1
 
 
-def _as_arrays(regimes: _Regimes) -> dict[str, Any]:
-    columns: dict[str, Any] = {
-        "flow": np.array([flow for flow, _, _ in regimes], dtype=np.int64),
-        "side": np.array([side for _, side, _ in regimes], dtype=np.int64),
-        "guards": np.array([len(guards) for _, _, guards in regimes], dtype=np.int64),
-    }
-    names = {"functional": "guard_functional", "sign": "guard_sign", "offset": "guard_offset"}
-    for field in _Guard._fields:
-        values = np.zeros((len(regimes), 2), dtype=np.float64 if field in ("sign", "offset") else np.int64)
-        for regime, (_, _, guards) in enumerate(regimes):
-            for k, guard in enumerate(guards):
-                values[regime, k] = getattr(guard, field)
-        columns[names.get(field, field)] = values
-    return columns
+def _tables(table: _Regimes) -> tuple[npt.NDArray[np.void], npt.NDArray[np.void]]:
+    regimes, guards = np.zeros(len(table), REGIME), np.zeros((len(table), 2), GUARD)
+    for regime, (flow, side, leaving) in enumerate(table):
+        regimes[regime] = (flow, side, len(leaving))
+        for k, guard in enumerate(leaving):
+            guards[regime, k] = tuple(guard)
+    return regimes, guards
 
 
 def chain(
@@ -335,122 +296,6 @@ def constrained(lash: FloatArray) -> Reduction:
     shift[pivot] = 1.0 / lash[pivot]
     both: FloatArray = np.eye(2)
     return Reduction(np.kron(both, basis).astype(np.float64), np.kron(both, pick).astype(np.float64), shift)
-
-
-def _propagator(
-    rates: FloatArray, inputs: FloatArray, functionals: FloatArray, feedthrough: FloatArray, step: float
-) -> dict[str, Any]:
-    """One RK4 step as a matrix: the Taylor polynomial of exp(hA) to degree 4, identical to the four stages.
-
-    The outputs of the next state are appended to it, so that stepping and watching are one product.
-    """
-    size = rates.shape[1]
-    identity = np.eye(size)
-    scaled = step * rates
-    integral = identity + scaled / 2 @ (identity + scaled / 3 @ (identity + scaled / 4))
-    across = identity + scaled @ integral
-    across_input = step * integral @ inputs
-
-    orders = (0, 2, 3, 4)
-    count = functionals.shape[1]
-    output = np.zeros((2, count, len(orders), size))
-    output_input = np.zeros((2, count, len(orders), 2))
-    for k, order in enumerate(orders):
-        row, row_input = functionals, feedthrough
-        for derivative in range(1, order + 1):
-            row, row_input = step / derivative * row @ rates, step / derivative * row @ inputs
-        output[:, :, k], output_input[:, :, k] = BEND[k] * row, BEND[k] * row_input
-    rows: FloatArray = output.reshape(2, -1, size)
-    rows_input: FloatArray = output_input.reshape(2, -1, 2)
-
-    columns, outputs = _padded(size), rows.shape[1]
-    observe, observe_input = np.zeros((2, columns, outputs)), np.zeros((2, 2, outputs))
-    observe[:, :size] = rows.transpose(0, 2, 1)
-    observe_input[:] = rows_input.transpose(0, 2, 1)
-
-    def product(steps: int) -> tuple[FloatArray, FloatArray]:
-        """(x, outputs at every step) after `steps` steps."""
-        width = _padded(columns + steps * outputs)
-        transfer, transfer_input = np.zeros((2, columns, width)), np.zeros((2, 2, width))
-        power, power_input = np.broadcast_to(identity, (2, size, size)), np.zeros((2, size, 2))
-        for k in range(steps):
-            power, power_input = across @ power, across @ power_input + across_input
-            at = slice(columns + k * outputs, columns + (k + 1) * outputs)
-            transfer[:, :size, at] = (rows @ power).transpose(0, 2, 1)
-            transfer_input[:, :, at] = (rows @ power_input + rows_input).transpose(0, 2, 1)
-        transfer[:, :size, :size] = power.transpose(0, 2, 1)
-        transfer_input[:, :, :size] = power_input.transpose(0, 2, 1)
-        return transfer, transfer_input
-
-    transfer, transfer_input = product(1)
-    block, block_input = product(BLOCK)
-    return {
-        "transfer": transfer,
-        "transfer_input": transfer_input,
-        "block": block,
-        "block_input": block_input,
-        "observe": observe,
-        "observe_input": observe_input,
-    }
-
-
-def _padded(count: int) -> int:
-    return -(-count // _LANES) * _LANES
-
-
-def _modal_bound(
-    rates: FloatArray,
-    inputs: FloatArray,
-    functionals: FloatArray,
-    feedthrough: FloatArray,
-    step: float,
-    reductions: list[Reduction],
-) -> tuple[dict[str, Any], bool]:
-    """Per flow, what bounds a functional for all time: its rest value and its modes' amplitudes.
-
-    With left eigenvectors w_k and right v_k, C x(t) = rest + sum of Re(C v_k  w_k·(x - x_rest) g_k(t)) and |g_k| <= 1
-    both for exp(λ t) and for RK4's powers of R(h λ), within a step included (checked on a grid of partial steps).
-    A flow with a mode at zero (it can drift) or with a badly conditioned eigenbasis has no such bound here.
-    """
-    size = rates.shape[1]
-    provable = np.zeros(2, dtype=np.int64)
-    mode_rows = np.zeros((2, 2, size, size))
-    mode_reach = np.zeros((2, functionals.shape[1], size))
-    rest_state = np.zeros((2, size, 2))
-    rest_functional = np.zeros((2, functionals.shape[1], 2))
-    stable = True
-    for flow, (expand, pick, shift) in enumerate(reductions):
-        reduced = pick @ rates[flow] @ expand
-        eigenvalues, right = np.linalg.eig(reduced)
-        eigenvalues, right = eigenvalues.astype(np.complex128), right.astype(np.complex128)
-        partial = rk4_growth(eigenvalues[:, None], step * np.arange(1, 9) / 8)
-        # numerically an undamped or rigid-body mode has a growth of 1 + rounding
-        stable = stable and bool(np.all(partial[:, -1] <= 1 + 1e-9))
-        at_zero = np.abs(eigenvalues) <= 1e-7 * np.max(np.abs(eigenvalues), initial=0.0)
-        if np.any(at_zero) or np.any(partial > 1 + 1e-12):
-            continue
-        if eigenvalues.size and np.linalg.cond(right) > _MAX_CONDITION:
-            continue
-        provable[flow] = 1
-        count = eigenvalues.size
-        left = np.linalg.inv(right) @ pick
-        weight = np.where(eigenvalues.imag > 0, 2.0, np.where(eigenvalues.imag < 0, 0.0, 1.0))
-        mode_rows[flow, 0, :count], mode_rows[flow, 1, :count] = left.real, left.imag
-        mode_reach[flow, :, :count] = weight * np.abs(functionals[flow] @ expand @ right)
-        forcing = inputs[flow].copy()
-        forcing[:, 1] += rates[flow] @ shift
-        rest_state[flow] = -expand @ np.linalg.solve(reduced, pick @ forcing)
-        rest_state[flow, :, 1] += shift
-        rest_functional[flow] = functionals[flow] @ rest_state[flow] + feedthrough[flow]
-    rest_functional[:, ACCELERATION] = 0.0  # at rest by definition; the product above leaves rounding
-    bound = {
-        "provable": provable,
-        "mode_rows": mode_rows,
-        "mode_reach": mode_reach,
-        "rest_state": rest_state,
-        "rest_functional": rest_functional,
-    }
-    return bound, stable
 
 
 def _preload(stiffness: FloatArray, load: FloatArray, lash: FloatArray, contact_stiffness: float | None) -> FloatArray:

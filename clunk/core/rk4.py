@@ -12,10 +12,11 @@ import numpy.typing as npt
 from clunk.core import polynomial
 from clunk.core.events import LOAD_STEP
 from clunk.core.jit import compiled, inlined
-from clunk.core.regimes import ACCELERATION, BEND, BLOCK, System
+from clunk.core.regimes import ACCELERATION, System
 from clunk.core.settling import settled
-from clunk.core.status import INTERRUPTED, Status
+from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
 from clunk.core.step import acceleration_extremes, expand, finish, first_event
+from clunk.core.steps import BEND, BLOCK, Steps
 from clunk.core.switching import record, room_for_a_switch, switch
 
 FloatArray = npt.NDArray[np.float64]
@@ -39,6 +40,7 @@ def _unknown(value: int) -> int:
 @compiled
 def run(
     system: System,
+    steps: Steps,
     x: FloatArray,
     regime: int,
     torque: float,
@@ -46,12 +48,13 @@ def run(
     events: npt.NDArray[np.void],
     states: FloatArray,
     stop: npt.NDArray[np.uint8],
-) -> tuple[int, int, bool, float]:
+) -> tuple[int, int, int, float, float]:
     """Run from the load step to the end time, or until it is proved that nothing can follow.
 
     Parameters
     ----------
     system : System
+    steps : Steps
     x : (N,) float64  [rad, rad/s]
         State at the load step; overwritten by the state at the end.
     regime : int
@@ -71,47 +74,47 @@ def run(
     status : int
     count : int
         Events written, the load step included.
-    complete : bool
-        Whether it was proved that no event and no larger acceleration in an open window can follow.
+    quality : int
+        QUALITY_COMPLETE where it was proved that no event and no larger acceleration in an open window can follow.
+    margin : float
+        Not known to this method: NaN.
     end : float  [s after the load step]
         Where the run stopped.
     """
     size = x.size
-    columns, outputs = system.transfer.shape[1], system.observe.shape[2]
-    affine, block_affine = np.empty(system.transfer.shape[2]), np.empty(system.block.shape[2])
+    columns, outputs = steps.transfer.shape[1], steps.observe.shape[2]
+    affine, block_affine = np.empty(steps.transfer.shape[2]), np.empty(steps.block.shape[2])
     z, scratch = np.zeros(affine.size), np.zeros(block_affine.size)
     taylor = np.empty((5, size))
     guard_at, guard_sign, guard_shift = np.empty(2, np.int64), np.empty(2), np.empty(2)
     primaries = np.empty(events.size, np.int64)
-    step = system.step
+    step = steps.step
     full_steps = int(np.floor(system.end_time / step + 1e-9))
     rest = system.end_time - full_steps * step
     last_steps = full_steps + 1 if rest > 1e-9 * step else full_steps
 
     count, none = _unknown(1), _unknown(0)
-    record(events, states, 0, 0.0, 0.0, LOAD_STEP, regime, system.side[regime], x)
+    record(events, states, 0, 0.0, 0.0, LOAD_STEP, regime, system.regimes[regime].side, x)
     index, offset = 0, 0.0  # the time is index · step + offset
     zero_guard, zero_order = none - 1, none
     fastest = 0.0  # touch so far [rad/s]
     while True:
-        flow = system.flow[regime]
-        gap_input = system.side[regime] * half_gap
-        transfer, block = system.transfer[flow], system.block[flow]
-        _combine(system.transfer_input[flow], torque, gap_input, affine)
-        _combine(system.block_input[flow], torque, gap_input, block_affine)
+        flow = system.regimes[regime].flow
+        gap_input = system.regimes[regime].side * half_gap
+        transfer, block = steps.transfer[flow], steps.block[flow]
+        _combine(steps.transfer_input[flow], torque, gap_input, affine)
+        _combine(steps.block_input[flow], torque, gap_input, block_affine)
         for k in range(2):
-            guard = min(k, system.guards[regime] - 1)  # a single guard stands for two
-            guard_at[k] = 4 * system.guard_functional[regime, guard]
-            guard_sign[k] = system.guard_sign[regime, guard]
-            guard_shift[k] = system.guard_offset[regime, guard] * half_gap
+            row = system.guards[regime, min(k, system.regimes[regime].guards - 1)]  # a single guard stands for two
+            guard_at[k], guard_sign[k], guard_shift[k] = 4 * row.functional, row.sign, row.offset * half_gap
         largest, smallest = -np.inf, np.inf
         while True:
             # one step, or what is left of it, with everything located
             length = (step if index < full_steps else rest) - offset
-            steps = 1
+            spanned = 1
             if length < _SHORTEST * step and index + 1 < last_steps:
                 length += step if index + 1 < full_steps else rest
-                steps = 2
+                spanned = 2
             expand(system, flow, x, torque, gap_input, taylor)
             s, guard = first_event(system, regime, torque, half_gap, taylor, max(length, 0.0), zero_guard, zero_order)
             high, low = acceleration_extremes(system, flow, torque, gap_input, taylor, s)
@@ -119,14 +122,14 @@ def run(
             events[count - 1].max_acceleration = largest
             events[count - 1].min_acceleration = smallest
             if not finish(taylor, s, x):
-                return _NON_FINITE, count, False, index * step + offset
+                return _NON_FINITE, count, 0, np.nan, index * step + offset
             if guard >= 0:
                 offset += s
                 break
-            index, offset, zero_guard = index + steps, 0.0, none - 1
+            index, offset, zero_guard = index + spanned, 0.0, none - 1
 
             # full steps as long as nothing can happen in them
-            _load(system, flow, x, torque, gap_input, z, columns)
+            _load(steps.observe, steps.observe_input, flow, x, torque, gap_input, z, columns)
             clear = True
             while clear and index < full_steps:
                 budget = min(_STRIDE, full_steps - index)
@@ -148,25 +151,25 @@ def run(
                 index += taken
                 clear = taken == budget
                 if stop[0] != 0:
-                    return INTERRUPTED, count, False, index * step
+                    return INTERRUPTED, count, 0, np.nan, index * step
                 if clear and (taken == _STRIDE or index == full_steps):
                     events[count - 1].max_acceleration = largest
                     events[count - 1].min_acceleration = smallest
-                    if settled(system, regime, torque, half_gap, z, events, count, primaries):
+                    if settled(system, steps, regime, torque, half_gap, z, events, count, primaries):
                         x[:] = z[:size]
-                        return _OK, count, True, index * step
+                        return _OK, count, QUALITY_COMPLETE, np.nan, index * step
             x[:] = z[:size]
             events[count - 1].max_acceleration = largest
             events[count - 1].min_acceleration = smallest
             if index >= last_steps:
-                return _OK, count, False, system.end_time
+                return _OK, count, 0, np.nan, system.end_time
 
-        if not room_for_a_switch(system, half_gap, events, count):
-            return _EVENT_BUFFER_FULL, count, False, index * step + offset
+        if not room_for_a_switch(system.impulsive, half_gap, events.size, count):
+            return _EVENT_BUFFER_FULL, count, 0, np.nan, index * step + offset
         count, regime, zero_guard, zero_order, fastest = switch(
             system, regime, guard, index * step + offset, x, torque, half_gap, events, states, count, fastest
         )
-        if steps == 2 and offset >= step:
+        if spanned == 2 and offset >= step:
             index, offset = index + 1, offset - step
 
 
@@ -178,15 +181,22 @@ def _combine(inputs: FloatArray, torque: float, gap_input: float, out: FloatArra
 
 @compiled
 def _load(
-    system: System, flow: int, x: FloatArray, torque: float, gap_input: float, z: FloatArray, columns: int
+    observe: FloatArray,
+    observe_input: FloatArray,
+    flow: int,
+    x: FloatArray,
+    torque: float,
+    gap_input: float,
+    z: FloatArray,
+    columns: int,
 ) -> None:
     """Put a state and its outputs where `_coast` steps them."""
     for k in range(x.size):
         z[k] = x[k]
-    for r in range(system.observe.shape[2]):
-        value = system.observe_input[flow, 0, r] * torque + system.observe_input[flow, 1, r] * gap_input
+    for r in range(observe.shape[2]):
+        value = observe_input[flow, 0, r] * torque + observe_input[flow, 1, r] * gap_input
         for k in range(x.size):
-            value += system.observe[flow, k, r] * x[k]
+            value += observe[flow, k, r] * x[k]
         z[columns + r] = value
 
 
@@ -229,7 +239,7 @@ def _coast(
 ) -> tuple[int, float, float]:
     """Take up to `budget` full steps, stopping before the first one in which a guard might turn negative.
 
-    On a step, a guard is at least the smaller of its end values less its bend (see `regimes.BEND`); the same bounds
+    On a step, a guard is at least the smaller of its end values less its bend (see `steps.BEND`); the same bounds
     the acceleration's excess over its end values. Steps go by the block, and one by one where a block is in doubt.
 
     Returns

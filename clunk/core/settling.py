@@ -7,6 +7,7 @@ from clunk.core.jit import compiled
 from clunk.core.regimes import ACCELERATION, System
 from clunk.core.sequence import find_primaries
 from clunk.core.severity import window_extremes
+from clunk.core.steps import Steps
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -14,6 +15,7 @@ FloatArray = npt.NDArray[np.float64]
 @compiled
 def settled(
     system: System,
+    steps: Steps,
     regime: int,
     torque: float,
     half_gap: float,
@@ -26,34 +28,34 @@ def settled(
 
     Every functional stays within its rest value plus or minus the sum of its modes' present amplitudes, for ever.
     """
-    flow = system.flow[regime]
-    if system.provable[flow] == 0:
+    flow = system.regimes[regime].flow
+    if steps.provable[flow] == 0:
         return False
     size = system.rates.shape[1]
-    gap_input = system.side[regime] * half_gap
-    watched = system.mode_reach.shape[1]
+    gap_input = system.regimes[regime].side * half_gap
+    watched = steps.mode_reach.shape[1]
     reach = np.zeros(watched)
     for mode in range(size):
         widest = 0.0
         for functional in range(watched):
-            widest = max(widest, system.mode_reach[flow, functional, mode])
+            widest = max(widest, steps.mode_reach[flow, functional, mode])
         if widest == 0.0:
             continue  # the other one of a complex pair, or without effect on anything that is watched
         real, imaginary = 0.0, 0.0
         for k in range(size):
-            away = x[k] - system.rest_state[flow, k, 0] * torque - system.rest_state[flow, k, 1] * gap_input
-            real += system.mode_rows[flow, 0, mode, k] * away
-            imaginary += system.mode_rows[flow, 1, mode, k] * away
+            away = x[k] - steps.rest_state[flow, k, 0] * torque - steps.rest_state[flow, k, 1] * gap_input
+            real += steps.mode_rows[flow, 0, mode, k] * away
+            imaginary += steps.mode_rows[flow, 1, mode, k] * away
         amplitude = np.sqrt(real * real + imaginary * imaginary)
         for functional in range(watched):
-            reach[functional] += amplitude * system.mode_reach[flow, functional, mode]
-    for guard in range(system.guards[regime]):
-        functional = system.guard_functional[regime, guard]
+            reach[functional] += amplitude * steps.mode_reach[flow, functional, mode]
+    for guard in range(system.regimes[regime].guards):
+        row = system.guards[regime, guard]
+        functional = row.functional
         at_rest = (
-            system.rest_functional[flow, functional, 0] * torque
-            + system.rest_functional[flow, functional, 1] * gap_input
+            steps.rest_functional[flow, functional, 0] * torque + steps.rest_functional[flow, functional, 1] * gap_input
         )
-        value = system.guard_sign[regime, guard] * at_rest + system.guard_offset[regime, guard] * half_gap
+        value = row.sign * at_rest + row.offset * half_gap
         if not value > (1.0 + 1e-9) * reach[functional]:
             return False
     found = find_primaries(events, count, system.sticking_time, primaries)

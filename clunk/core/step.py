@@ -47,10 +47,10 @@ def first_event(
     guard within rounding of zero is taken to be zero, so that its derivatives decide.
     """
     earliest, which = length, -1
-    flow, gap_input = system.flow[regime], system.side[regime] * half_gap
-    for guard in range(system.guards[regime]):
-        functional = system.guard_functional[regime, guard]
-        sign, shift = system.guard_sign[regime, guard], system.guard_offset[regime, guard] * half_gap
+    flow, gap_input = system.regimes[regime].flow, system.regimes[regime].side * half_gap
+    for guard in range(system.regimes[regime].guards):
+        row = system.guards[regime, guard]
+        functional, sign, shift = row.functional, row.sign, row.offset * half_gap
         c0, c1, c2, c3, c4, scale = _quartic(system, flow, functional, torque, gap_input, taylor)
         c0, c1, c2, c3, c4 = sign * c0 + shift, sign * c1, sign * c2, sign * c3, sign * c4
         order = zero_order if guard == zero_guard else 0

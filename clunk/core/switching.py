@@ -22,6 +22,7 @@ from clunk.core.regimes import (
 
 FloatArray = npt.NDArray[np.float64]
 
+_PARTED = 1e-9  # of its terms: what the torque across the flanks is not at a separation that was located
 ROUNDING = 8 * float(np.finfo(np.float64).eps)  # relative to the terms of a sum of a few products
 
 
@@ -62,12 +63,12 @@ def regime_of(system: System, x: FloatArray, half_gap: float) -> int:
     if system.impulsive != 0:
         return OPEN
     for regime in (CLOSED_POSITIVE, CLOSED_NEGATIVE, PARTED_POSITIVE, PARTED_NEGATIVE):
-        side = system.side[regime]
+        side = system.regimes[regime].side
         if side * _functional(system, 0, GAP, x) < half_gap:
             continue
         if _guard(system, regime, 0, x, half_gap) >= 0.0 or regime >= PARTED_POSITIVE:
             return regime
-        if system.guard_functional[regime, 0] == FORCE:
+        if system.guards[regime, 0].functional == FORCE:
             return PARTED_POSITIVE if side > 0 else PARTED_NEGATIVE
     return OPEN
 
@@ -82,15 +83,16 @@ def _functional(system: System, flow: int, which: int, x: FloatArray) -> float:
 
 @compiled
 def _guard(system: System, regime: int, guard: int, x: FloatArray, half_gap: float) -> float:
-    value = _functional(system, system.flow[regime], system.guard_functional[regime, guard], x)
-    return float(system.guard_sign[regime, guard] * value + system.guard_offset[regime, guard] * half_gap)
+    row = system.guards[regime, guard]
+    value = _functional(system, system.regimes[regime].flow, row.functional, x)
+    return float(row.sign * value + row.offset * half_gap)
 
 
 @compiled
-def room_for_a_switch(system: System, half_gap: float, events: npt.NDArray[np.void], count: int) -> bool:
+def room_for_a_switch(impulsive: int, half_gap: float, capacity: int, count: int) -> bool:
     """Whether the event buffer holds what one switch may write: up to a separation, a touch and its lock."""
-    most = 1 if system.impulsive == 0 else (2 if half_gap > 0.0 else 3)
-    return count + most <= events.size
+    most = 1 if impulsive == 0 else (2 if half_gap > 0.0 else 3)
+    return count + most <= capacity
 
 
 @compiled
@@ -128,15 +130,58 @@ def switch(
         if none is.
     fastest : float
     """
+    if system.impulsive == 0:
+        count, successor, zero_guard, zero_order = pass_on(
+            system.regimes, system.guards, system.lash, regime, guard, time, x, events, states, count
+        )
+        return count, successor, zero_guard, zero_order, fastest
+    return strike(system, regime, guard, time, x, torque, half_gap, events, states, count, fastest)
+
+
+@compiled
+def pass_on(
+    regimes: npt.NDArray[np.void],
+    guards: npt.NDArray[np.void],
+    lash: FloatArray,
+    regime: int,
+    guard: int,
+    time: float,
+    x: FloatArray,
+    events: npt.NDArray[np.void],
+    states: FloatArray,
+    count: int,
+) -> tuple[int, int, int, int]:
+    """`switch` where the contact resets nothing: of the indentation model."""
+    speed = 0.0
+    for k in range(x.size):
+        speed += lash[k] * x[k]
+    row = guards[regime, guard]
+    successor = row.successor
+    side = regimes[successor].side if regimes[successor].side != 0 else regimes[regime].side
+    record(events, states, count, time, speed, row.event_kind, successor, side, x)
+    return count + 1, successor, row.zero_guard, row.zero_order
+
+
+@compiled
+def strike(
+    system: System,
+    regime: int,
+    guard: int,
+    time: float,
+    x: FloatArray,
+    torque: float,
+    half_gap: float,
+    events: npt.NDArray[np.void],
+    states: FloatArray,
+    count: int,
+    fastest: float,
+) -> tuple[int, int, int, int, float]:
+    """`switch` of the restitution model."""
     speed = 0.0
     for k in range(x.size):
         speed += system.lash[k] * x[k]
-    kind, successor = system.event_kind[regime, guard], system.successor[regime, guard]
-    zero_guard, zero_order = system.zero_guard[regime, guard], system.zero_order[regime, guard]
-    if system.impulsive == 0:
-        side = system.side[successor] if system.side[successor] != 0 else system.side[regime]
-        record(events, states, count, time, speed, kind, successor, side, x)
-        return count + 1, successor, zero_guard, zero_order, fastest
+    row = system.guards[regime, guard]
+    kind, successor, zero_guard, zero_order = row.event_kind, row.successor, row.zero_guard, row.zero_order
     if kind == TOUCH:
         side = 1 if guard == 0 else -1
         fastest = max(fastest, abs(speed))
@@ -146,10 +191,13 @@ def switch(
             return count + 1, OPEN, guard, zero_order, fastest
         record(events, states, count + 1, time, 0.0, LOCK, successor, side, x)
         return count + 2, successor, -1, 0, fastest
-    side = system.side[regime]
+    side = system.regimes[regime].side
     _hold(system, x, side * half_gap)  # released where it was held, but for what rounding has added up
     record(events, states, count, time, 0.0, kind, successor, side, x)
     if half_gap > 0.0:
+        torque_held, _, scale = _held(system, x, torque)
+        if abs(torque_held) > _PARTED * scale:  # the load step itself parts them: q'' is not zero
+            zero_order = 2
         return count + 1, successor, zero_guard, zero_order, fastest
     # locked flanks without a gap between them: no free state
     successor = closed_on(-side)
@@ -179,7 +227,8 @@ def record(
     events[k].max_acceleration = -np.inf
     events[k].min_acceleration = np.inf
     if states.shape[0] > k:
-        states[k, :] = x
+        for j in range(x.size):
+            states[k, j] = x[j]
 
 
 @compiled
@@ -188,8 +237,8 @@ def _rebound(
 ) -> tuple[int, int]:
     """The velocities after a touch, θ' -= (1 + e) q' M⁻¹l/(lᵀM⁻¹l) (report Eq. 2.9), and what follows.
 
-    A rebound not faster than the locking speed ends with q' = 0: locked where the torque that holds it so presses the
-    flanks together, else open, with the gap at zero and about to open.
+    A rebound not faster than the locking speed, or not higher than rounding, ends with q' = 0: locked where the torque
+    that holds it so presses the flanks together, else open, with the gap at zero and about to open.
 
     Returns
     -------
@@ -198,12 +247,34 @@ def _rebound(
         Of the guard of this flank in the open regime.
     """
     tolerance = system.locking_speed if system.locking_speed >= 0.0 else -system.locking_speed * fastest
+    # a rebound lower than the rounding of the gap cannot be followed
+    place, pull, n = 0.0, 0.0, x.size // 2
+    for k in range(n, x.size):
+        weight = system.lash[k]
+        if weight != 0.0:
+            place += abs(weight * x[k - n])
+            rate = system.inputs[OPEN_FLOW, k, 0] * torque
+            for j in range(x.size):
+                rate += system.rates[OPEN_FLOW, k, j] * x[j]
+            pull += weight * rate
+    tolerance = max(tolerance, np.sqrt(2.0 * abs(pull) * ROUNDING * place))
     if system.restitution * abs(speed) > tolerance:
         for k in range(x.size):
             x[k] -= (1.0 + system.restitution) * speed * system.impulse[k]
         return OPEN, 1
     _hold(system, x, side * half_gap)
-    torque_held, slope, scale = 0.0, 0.0, 0.0
+    torque_held, slope, scale = _held(system, x, torque)
+    pressing = side * torque_held
+    if abs(pressing) <= ROUNDING * scale:  # zero: what it turns into decides
+        pressing = side * slope
+    return (closed_on(side), 0) if pressing > 0.0 else (OPEN, 2)
+
+
+@compiled
+def _held(system: System, x: FloatArray, torque: float) -> tuple[float, float, float]:
+    """The torque that would keep q'' at zero, its rate of change, and the size of the terms that make it."""
+    torque_held, slope = system.feedthrough[OPEN_FLOW, FORCE, 0] * torque, 0.0
+    scale = abs(torque_held)
     for k in range(x.size):
         weight = system.functionals[OPEN_FLOW, FORCE, k]
         rate = system.inputs[OPEN_FLOW, k, 0] * torque
@@ -212,12 +283,7 @@ def _rebound(
         torque_held += weight * x[k]
         slope += weight * rate
         scale += abs(weight * x[k])
-    driven = system.feedthrough[OPEN_FLOW, FORCE, 0] * torque
-    torque_held, scale = torque_held + driven, scale + abs(driven)
-    pressing = side * torque_held
-    if abs(pressing) <= ROUNDING * scale:  # zero: what it turns into decides
-        pressing = side * slope
-    return (closed_on(side), 0) if pressing > 0.0 else (OPEN, 2)
+    return torque_held, slope, scale
 
 
 @compiled

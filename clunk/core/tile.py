@@ -4,14 +4,17 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numba.extending import overload
 
-from clunk.core import rk4, switching
+from clunk.core import exact, rk4, switching
 from clunk.core.events import EVENT, TOUCH
+from clunk.core.flows import Flows
 from clunk.core.jit import compiled
 from clunk.core.regimes import System
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries
 from clunk.core.severity import approach_velocity, peak_to_peak
-from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
+from clunk.core.status import INTERRUPTED, QUALITY_UNDECIDED, Status
+from clunk.core.steps import Steps
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -26,6 +29,7 @@ CELL = np.dtype(
         ("severity", np.float64),  # Q, rad/s2
         ("approach_velocity", np.float64),  # V, rad/s
         ("last_event_time", np.float64),  # s after the load step, NaN without events
+        ("margin", np.float64),  # see clunk.core.exact; NaN where the method knows none
         ("primary_impacts", np.int32),
         ("touches", np.int32),
         ("status", np.uint8),
@@ -46,53 +50,44 @@ IMPACT = np.dtype(
 )
 
 
-@compiled
-def select(systems: Any, k: int) -> System:
-    """System `k` of a stack, whose fields have a leading dimension."""
-    return System(
-        systems.rates[k],
-        systems.inputs[k],
-        systems.functionals[k],
-        systems.feedthrough[k],
-        systems.lash[k],
-        systems.transfer[k],
-        systems.transfer_input[k],
-        systems.block[k],
-        systems.block_input[k],
-        systems.observe[k],
-        systems.observe_input[k],
-        systems.flow[k],
-        systems.side[k],
-        systems.guards[k],
-        systems.guard_functional[k],
-        systems.guard_sign[k],
-        systems.guard_offset[k],
-        systems.successor[k],
-        systems.event_kind[k],
-        systems.zero_guard[k],
-        systems.zero_order[k],
-        systems.impulsive[k],
-        systems.impulse[k],
-        systems.restitution[k],
-        systems.locking_speed[k],
-        systems.preload[k],
-        systems.contact_torque[k],
-        systems.provable[k],
-        systems.mode_rows[k],
-        systems.mode_reach[k],
-        systems.rest_state[k],
-        systems.rest_functional[k],
-        systems.step[k],
-        systems.end_time[k],
-        systems.sticking_time[k],
-        systems.status[k],
+def run(
+    system: System,
+    tables: Steps | Flows,
+    x: FloatArray,
+    regime: int,
+    torque: float,
+    half_gap: float,
+    events: npt.NDArray[np.void],
+    states: FloatArray,
+    stop: npt.NDArray[np.uint8],
+) -> tuple[int, int, int, float, float]:
+    """Run one load step by the method that the tables are for: see `rk4.run` and `exact.run`."""
+    method: Any = exact.run if isinstance(tables, Flows) else rk4.run
+    found: tuple[int, int, int, float, float] = method(
+        system, tables, x, regime, torque, half_gap, events, states, stop
     )
+    return found
+
+
+@overload(run)
+def _run(
+    system: Any, tables: Any, x: Any, regime: Any, torque: Any, half_gap: Any, events: Any, states: Any, stop: Any
+) -> Any:
+    method = exact.run if tables.instance_class is Flows else rk4.run
+
+    def chosen(
+        system: Any, tables: Any, x: Any, regime: Any, torque: Any, half_gap: Any, events: Any, states: Any, stop: Any
+    ) -> Any:
+        return method(system, tables, x, regime, torque, half_gap, events, states, stop)
+
+    return chosen
 
 
 @compiled
 def run_tile(
-    systems: System,
-    system_of: npt.NDArray[np.int64],
+    system: System,
+    tables: Steps | Flows,
+    undecided: float,
     torque_before: FloatArray,
     torque_after: FloatArray,
     half_gap: FloatArray,
@@ -106,10 +101,10 @@ def run_tile(
 
     Parameters
     ----------
-    systems : System
-        A stack.
-    system_of : (cells,) int64
-        Each cell's system.
+    system, tables
+        As `run` takes them.
+    undecided : float
+        Cells whose |margin| is below it are flagged.
     torque_before, torque_after : (cells,) float64  [N m]
     half_gap : (cells,) float64  [rad]
     cells : (cells,) CELL
@@ -122,7 +117,7 @@ def run_tile(
     done, written : int
         The first cell that was not run, and how many impacts were written.
     """
-    size = systems.rates.shape[2]
+    size = system.lash.size
     x = np.empty(size)
     events = np.empty(max_events + 1, EVENT)
     states = np.empty((0, size))
@@ -137,11 +132,11 @@ def run_tile(
         cell.severity = np.nan
         cell.approach_velocity = np.nan
         cell.last_event_time = np.nan
+        cell.margin = np.nan
         cell.primary_impacts = 0
         cell.touches = 0
         cell.quality = 0
         cell.initial_side = 0
-        system = select(systems, system_of[k])
         cell.status = system.status
         if system.status != _OK:
             continue
@@ -150,16 +145,18 @@ def run_tile(
             cell.status = _NO_INITIAL_FLANK
             continue
         cell.initial_side = side
-        status, count, complete, _ = rk4.run(
-            system, x, switching.closed_on(side), torque_after[k], half_gap[k], events, states, stop
+        status, count, quality, margin, _ = run(
+            system, tables, x, switching.closed_on(side), torque_after[k], half_gap[k], events, states, stop
         )
         if status == INTERRUPTED:
             return k, written
         cell.status = status
         if status != _OK:
             continue
-        if complete:
-            cell.quality = QUALITY_COMPLETE
+        cell.margin = margin
+        if abs(margin) < undecided:
+            quality |= QUALITY_UNDECIDED
+        cell.quality = quality
         found = find_primaries(events, count, system.sticking_time, primaries)
         cell.severity = peak_to_peak(events, count, primaries, found, severity)
         if system.impulsive != 0:  # the acceleration of an impulsive touch is not a number

@@ -31,22 +31,29 @@ _MOST_NOTES = 24
 
 
 def label_and_note(
-    figure: Figure, ax: Axes, labels: tuple[str, ...], codes: Codes, look: Callable[[], Raster], *, leaders: bool
+    figure: Figure,
+    ax: Axes,
+    labels: tuple[str, ...],
+    codes: Codes,
+    look: Callable[[], Raster],
+    *,
+    leaders: bool,
+    more: Sequence[Artist] = (),
 ) -> None:
-    """Write the labels into their regions, and under the axes those that find no room, with the failed cells.
+    """Write the labels into their regions, and under the axes those that find no room, the failed cells and `more`.
 
     The notes take height from the map, and less of it then fits: laid out again until the notes are the same.
     """
     palette = palette_of(labels)
 
-    def notes(names: list[str]) -> list[Patch]:
-        swatches = []
+    def notes(names: list[str]) -> list[Artist]:
+        swatches: list[Artist] = []
         for label in names[:_MOST_NOTES]:
             cells = int(np.count_nonzero(codes == labels.index(label)))
             swatches.append(region_swatch(f"{label}: {cells_phrase(cells)}", palette[label]))
         if len(names) > _MOST_NOTES:
             swatches.append(Patch(alpha=0.0, label=f"and {len(names) - _MOST_NOTES} labels more"))
-        return swatches + failed_notes(codes)
+        return [*swatches, *failed_notes(codes), *more]
 
     noted: set[str] = set()
     unlabelled: list[str] = []

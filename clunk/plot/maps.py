@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from scipy import ndimage
 
+from clunk.core.status import QUALITY_UNDECIDED
 from clunk.plot.labelling import label_and_note, region_swatch
 from clunk.plot.plane import View, cell_edges, drawn_axes, scale_axes, scale_axis
 from clunk.plot.raster import Raster, corners_that_fit
@@ -28,6 +29,7 @@ from clunk.plot.style import (
     INK,
     MINUS,
     PlotError,
+    cells_phrase,
     failed_notes,
     freeze_layout,
     new_figure,
@@ -50,11 +52,13 @@ _QUANTITY = {
     "primary_impacts": ("Primary impacts", "", ""),
     "touches": ("Touches, chatter included", "", ""),
     "last_event_time": ("Last event after the load step", "", "s"),
+    "margin": ("Margin to another label: + not reached, \N{MINUS SIGN} passed", "", ""),
 }
 QUANTITIES: list[str] = ["regimes", *_QUANTITY]
 
 _WITH_THRESHOLDS = ("load.ratio", "load.initial_torque", "load.final_torque")
 _UNDEFINED = "#efefec"
+_STRIP_DOT = 0.12  # of a strip's height: undecided cells are marked under their labels
 _DIGIT = 0.0114  # width of a threshold's digit over the map's
 
 
@@ -91,7 +95,15 @@ def regime_map(results: Results, thresholds: Sequence[float] = ()) -> Figure:
         draw_boundaries(ax, view, regions, color=INK, linewidth=0.9)
         if view.x.parameter in _WITH_THRESHOLDS and view.y.parameter == "lash.backlash_deg":
             _mark_thresholds(ax, thresholds)
-        label_and_note(figure, ax, results.labels, codes, lambda: Raster.of(ax, regions, view), leaders=True)
+        label_and_note(
+            figure,
+            ax,
+            results.labels,
+            codes,
+            lambda: Raster.of(ax, regions, view),
+            leaders=True,
+            more=_mark_undecided(ax, view, results),
+        )
         return figure
 
 
@@ -106,25 +118,27 @@ def severity_map(results: Results) -> Figure:
 def quantity_map(results: Results, name: str) -> Figure:
     """A quantity of every cell as colour, under the regimes' boundaries; for the severity also its ridge.
 
+    The margin's colours diverge from zero, where a run is as near to one label as to another.
+
     Raises PlotError unless two axes were swept, `name` is a quantity and it is defined in some cell.
     """
     label = quantity_label(name)
     view = View.of(results, 2)
     codes = view.arrange(results.sequence)
     values = view.arrange(_values(results, name))
-    whole = name in ("primary_impacts", "touches")
+    whole, diverging = name in ("primary_impacts", "touches"), name == "margin"
     with styled():
         figure = new_figure()
         ax = figure.add_subplot()
-        map_titles(figure, ax, results, view, "light lines: boundaries of the regimes")
+        map_titles(figure, ax, results, view, f"{'dark' if diverging else 'light'} lines: boundaries of the regimes")
         scale_axes(ax, view)
         ax.set_facecolor(_UNDEFINED)
         mesh = ax.pcolormesh(
             cell_edges(view.x),
             cell_edges(view.y),
             values.T,
-            cmap="viridis",
-            norm=_norm(values, whole=whole),
+            cmap="PuOr" if diverging else "viridis",
+            norm=_norm(values, whole=whole, diverging=diverging),
             rasterized=True,  # a vector file with a path for every cell would take seconds to show
             zorder=0.5,
         )
@@ -132,10 +146,10 @@ def quantity_map(results: Results, name: str) -> Figure:
         _finish_bar(bar, label, whole=whole)
         regions = Regions(codes)
         hatch_failed(ax, view, regions)
-        draw_boundaries(ax, view, regions, color="white", linewidth=0.6)
+        draw_boundaries(ax, view, regions, color=INK if diverging else "white", linewidth=0.6)
         notes = failed_notes(codes)
         if np.isnan(values[codes != FAILED_CODE]).any():
-            notes.append(region_swatch("not defined (no events)", _UNDEFINED))
+            notes.append(region_swatch("not known" if diverging else "not defined (no events)", _UNDEFINED))
         ridge = ridge_of(values) if name == "severity" else np.full(len(view.x.values), np.nan)
         if np.isfinite(ridge).any():
             _draw_ridge(ax, view, ridge)
@@ -184,10 +198,20 @@ def strip(results: Results, quantity: str = "severity") -> Figure:
         ax.set_ylabel(label)
         if not np.nanmin(values) < 0.0:
             ax.set_ylim(bottom=0.0)
+        elif np.nanmax(values) > 0.0:
+            ax.axhline(0.0, color=INK, linewidth=0.8, zorder=2)
         tidy(ax)
         band.set_yticks([])
         band.tick_params(bottom=False, labelbottom=False)
-        label_and_note(figure, band, results.labels, codes, lambda: Raster.of_strip(band, codes, edges), leaders=False)
+        label_and_note(
+            figure,
+            band,
+            results.labels,
+            codes,
+            lambda: Raster.of_strip(band, codes, edges),
+            leaders=False,
+            more=_mark_undecided(band, view, results),
+        )
         return figure
 
 
@@ -208,14 +232,29 @@ def ridge_of(values: Floats) -> Floats:
     return ridge
 
 
+def _mark_undecided(ax: Axes, view: View, results: Results) -> list[Line2D]:
+    """A dot on every cell whose margin is below its tolerance, and the note that says so; nothing where none is."""
+    cells = np.nonzero(view.arrange(results.quality) & QUALITY_UNDECIDED)
+    count = len(cells[0])
+    if not count:
+        return []
+    across = view.x.values[cells[0]]
+    upward = view.y.values[cells[1]] if len(view.axes) > 1 else np.full(count, _STRIP_DOT)
+    look: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": INK, "markeredgewidth": 0.0}
+    size = float(np.clip(0.6 * 330.0 / max(map(len, (axis.values for axis in view.axes))), 1.3, 3.0))  # a map: 330 pt
+    transform = ax.transData if len(view.axes) > 1 else ax.get_xaxis_transform()
+    ax.plot(across, upward, **look, markersize=size, transform=transform, zorder=4, gid="undecided")
+    return [Line2D([], [], **look, markersize=3.0, label=f"undecided: {cells_phrase(count)}")]
+
+
 def _values(results: Results, name: str) -> Floats:
     values = np.where(results.sequence == FAILED_CODE, np.nan, getattr(results, name).astype(np.float64))
     if np.isnan(values).all():
-        why = (
-            "; under the restitution model accelerations are impulsive, and approach_velocity is the measure to plot"
-            if name == "severity"
-            else ""
-        )
+        why = {
+            "severity": "; under the restitution model accelerations are impulsive, and approach_velocity is the "
+            "measure to plot",
+            "margin": "; only the exact method knows it: sweep with --set solver.method=exact",
+        }.get(name, "")
         raise PlotError(f"There is no {name} to draw: it is not defined in any cell{why}.")
     return values
 
@@ -273,8 +312,10 @@ def _spaced_numbers(ax: Axes, values: Sequence[float]) -> list[str]:
     return texts
 
 
-def _norm(values: Floats, *, whole: bool) -> colors.Normalize:
+def _norm(values: Floats, *, whole: bool, diverging: bool) -> colors.Normalize:
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    if diverging:
+        return colors.CenteredNorm(0.0, max(abs(low), abs(high)) or 1.0)
     if whole and high - low <= 12:  # one colour per number
         return colors.BoundaryNorm(np.arange(low - 0.5, high + 1.0), 256)
     if low >= 0.0:
