@@ -26,7 +26,7 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 
 from clunk.files import reason, write_whole
-from clunk.tiles import Tile, from_bytes, to_bytes
+from clunk.tiles import Tile, from_bytes, to_pieces
 
 _FIRST_PART = 2.0  # s: what is done sooner is as soon done again
 _PART = 1.5  # s, at least; a part of 20,000 cells is 3 MB and takes 25 ms
@@ -184,8 +184,8 @@ class Parts:
             text = json.dumps(self._manifest, indent=1, ensure_ascii=False, default=str)
             if not manifest.exists():
                 write_whole(manifest, lambda file: file.write(text.encode()))
-            raw = to_bytes(self._waiting, self._origin)
-            write_whole(self.directory.path / f"part-{self._number + 1:06}", lambda file: file.write(raw))
+            pieces = to_pieces(self._waiting, self._origin)
+            write_whole(self.directory.path / f"part-{self._number + 1:06}", lambda file: file.writelines(pieces))
         except OSError as error:
             raise PartsError(
                 f"{self.directory.path} cannot take the finished cells: {reason(error)}; "

@@ -162,7 +162,10 @@ def print_trajectory(trajectory: Trajectory) -> None:
     click.echo(f"severity Q          {_severity(trajectory.severity, ' rad/s²')}")
     click.echo(f"approach velocity V {trajectory.approach_velocity:.5f} rad/s")
     if trajectory.margin == trajectory.margin:
-        click.echo(f"margin              {trajectory.margin:+.3g}")
+        from clunk.core.exact import MOST
+
+        most = f"{MOST:g} or more"
+        click.echo(f"margin              {most if trajectory.margin >= MOST else f'{trajectory.margin:+.3g}'}")
 
 
 def print_energy(trajectory: Trajectory, balance: EnergyBalance) -> None:

@@ -28,21 +28,21 @@ class Tile:
     impacts: npt.NDArray[np.void]
 
 
-def to_bytes(tiles: Sequence[Tile], origin: bytes) -> bytes:
-    """Tiles in one piece, column by column, behind a checksum.
+def to_pieces(tiles: Sequence[Tile], origin: bytes) -> list[bytes | memoryview]:
+    """Tiles column by column, behind a checksum: pieces to be written one after the other.
 
     origin : 32 bytes that tell which study and which versions the tiles are of
     """
     records, impacts = (np.concatenate([getattr(tile, name) for tile in tiles]) for name in ("records", "impacts"))
     columns = [np.concatenate([tile.cells for tile in tiles])]
     columns += [array[name] for array in (records, impacts) for name in array.dtype.names or ()]
-    body = b"".join(column.tobytes() for column in columns)
+    body = [np.ascontiguousarray(column).data.cast("B") for column in columns if column.size]
     counts = (len(records), len(impacts))
-    return _HEADER.pack(_MAGIC, *counts, origin, _checksum(*counts, origin, body)) + body
+    return [_HEADER.pack(_MAGIC, *counts, origin, _checksum(*counts, origin, *body)), *body]
 
 
 def from_bytes(raw: bytes, origin: bytes, record: np.dtype[np.void], impact: np.dtype[np.void]) -> Tile:
-    """What `to_bytes` made, as one tile. Raises ValueError where a bit of it differs, or its origin."""
+    """What `to_pieces` made, put together, as one tile. Raises ValueError where a bit of it differs, or its origin."""
     if len(raw) < _HEADER.size:
         raise ValueError("truncated")
     magic, cells, impacts, its_origin, checksum = _HEADER.unpack_from(raw)
@@ -75,7 +75,8 @@ def _widths(dtype: np.dtype[np.void]) -> list[int]:
     return [dtype[name].itemsize for name in dtype.names or ()]
 
 
-def _checksum(cells: int, impacts: int, origin: bytes, body: bytes | memoryview) -> bytes:
+def _checksum(cells: int, impacts: int, origin: bytes, *body: memoryview) -> bytes:
     sha = hashlib.sha256(struct.pack("<QQ", cells, impacts) + origin)
-    sha.update(body)
+    for piece in body:
+        sha.update(piece)
     return sha.digest()

@@ -25,7 +25,7 @@ from clunk.core.status import QUALITY_GRAZING
 from clunk.simulation import simulate
 
 NUDGE = 1e-10
-FLOOR = 1e-11  # s, between two codes that are exact to rounding
+FLOOR = 2e-11  # s, between two codes that are exact to rounding
 POSITION = 2e-14  # rad, what a sum of up to eight modes of some 0.1 rad is off by, over several events
 CONTACTS = {
     "gap": {"separation": "gap"},

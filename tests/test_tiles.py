@@ -7,7 +7,7 @@ from test_sweeping import equal, figure_3_4
 from clunk.assembly import Assembly
 from clunk.cells import CELL, IMPACT, Grid
 from clunk.sweeping import sweep
-from clunk.tiles import from_bytes, to_bytes
+from clunk.tiles import from_bytes, to_pieces
 
 ORIGIN = bytes(range(32))
 
@@ -47,7 +47,7 @@ def test_a_stopped_tile_has_the_cells_that_are_done(study):
 
 
 def test_bytes_give_the_same_tile_again(tile):
-    again = from_bytes(to_bytes([tile, tile], ORIGIN), ORIGIN, CELL, IMPACT)
+    again = from_bytes(b"".join(to_pieces([tile, tile], ORIGIN)), ORIGIN, CELL, IMPACT)
     for name in ("cells", "records", "impacts"):
         one, two = getattr(tile, name), getattr(again, name)
         assert one.dtype == two.dtype
@@ -56,7 +56,7 @@ def test_bytes_give_the_same_tile_again(tile):
 
 
 def test_bytes_of_another_origin_cut_or_changed_are_refused(tile):
-    raw = to_bytes([tile], ORIGIN)
+    raw = b"".join(to_pieces([tile], ORIGIN))
     with pytest.raises(ValueError, match="another study"):
         from_bytes(raw, ORIGIN[::-1], CELL, IMPACT)
     for length in [*range(0, len(raw), 97), len(raw) - 1]:
