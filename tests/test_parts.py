@@ -1,11 +1,13 @@
 """Sweeps that are stopped, killed or get in each other's way: what is done stays, and the results are the same bits."""
 
 import contextlib
+import json
 import os
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -331,3 +333,35 @@ def test_killed_at_fifty_random_moments_each_sweep_ends_with_the_same_bits(tmp_p
         tried += 1
         assert finish(directory)[0] == undisturbed
         assert tried < 200
+
+
+@posix
+def test_a_second_command_on_the_same_file_is_refused_and_the_lock_dies_with_its_process(tmp_path, undisturbed):
+    process = start(tmp_path, "never")
+    while not (tmp_path / "map.h5.partial" / "lock").exists():
+        time.sleep(0.005)
+    process.send_signal(signal.SIGSTOP)
+    second = start(tmp_path, "never")
+    _, err = second.communicate(timeout=60)
+    assert second.returncode == 2
+    assert "written by another sweep" in " ".join(err.split())
+    process.kill()
+    process.communicate()
+    assert finish(tmp_path)[0] == undisturbed
+
+
+@posix
+def test_where_files_cannot_grow_the_command_ends_with_a_sentence_and_can_go_on(tmp_path, undisturbed):
+    (tmp_path / "map.toml").write_text(CONFIG)
+    limit = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000)){RUN}"
+    command = [sys.executable, "-c", limit, "never", "sweep", "map.toml", "-o", "map.h5"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "cannot be written: file too large" in " ".join(done.stderr.split())
+    assert "Traceback" not in done.stderr
+    manifest = json.loads((tmp_path / "map.h5.partial" / "manifest.json").read_text())
+    assert manifest["plan"] == "every cell"
+    assert Path(tmp_path / "map.h5.partial" / "part-000001").exists()
+    digest, _, err = finish(tmp_path)
+    assert digest == undisturbed
+    assert "1,271 cells were finished before" in err
