@@ -82,6 +82,7 @@ def run(
     quality : int
         QUALITY_COMPLETE, QUALITY_GRAZING.
     margin : float
+        Dimensionless, from -MOST to MOST.
     end : float  [s after the load step]
         Where the run stopped.
     """
@@ -593,7 +594,8 @@ def _phase(
                     elif event < 0 or s < part:
                         event, part = g, s
         order1, order2 = 0, 0
-        # between a guard and the Hermite cubic of its slower part lie at most
+        # between a guard and the Hermite cubic of its slower part lie at most h³/16 of its jerk, since they part with a
+        # third derivative of twice that and meet, with their slopes, at both ends; and the sway of the faster part
         s1, s2, was1, was2 = d1, d2, g1 + ring1, g2 + ring2
         doubt1, doubt2 = h * h * h * j1 * 0.0625 + ring1, h * h * h * j2 * 0.0625 + ring2
 

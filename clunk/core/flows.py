@@ -28,10 +28,7 @@ _ROUNDING = 1e-12  # relative to the largest of its kind
 
 
 class Flows(NamedTuple):
-    """The open and the closed flow: N states, F functionals, C coordinates in P = C/2 pairs.
-
-    `stack` puts several behind each other: every field gets a leading dimension.
-    """
+    """The open and the closed flow: N states, F functionals, C coordinates in P = C/2 pairs, a multiple of BLOCK."""
 
     origin: FloatArray  # (2, 3, N, 2)  for (T, s φ/2): value, slope and curvature of the particular solution at t = 0
     origin_output: FloatArray  # (2, 3, F, 2)  the functionals of it
