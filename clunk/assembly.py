@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clunk.config import Study, digest, quantity, to_toml
+from clunk.config import Study, digest, to_toml
 from clunk.core.sequence import OPPOSITE, label
 from clunk.core.status import QUALITY_GRAZING, QUALITY_INFERRED, QUALITY_UNDECIDED, Status
+from clunk.designs import design_of
 from clunk.refinement import DOUBTFUL, UNKNOWN
-from clunk.results import CELL_FIELDS, FAILED_CODE, IMPACT_FIELDS, ResultAxis, Results
+from clunk.results import CELL_FIELDS, FAILED_CODE, IMPACT_FIELDS, Results
 from clunk.tiles import Tile
 
 Cells = npt.NDArray[np.int64]
@@ -28,11 +29,10 @@ class Assembly:
     """
 
     def __init__(self, study: Study) -> None:
-        assert study.sweep is not None
         self._study = study
-        self._axes = study.sweep.axes
-        self.shape = tuple(axis.count_of_values for axis in self._axes)
-        cells = int(np.prod(self.shape, dtype=np.int64))
+        self._design = design_of(study)
+        self.shape = self._design.shape
+        cells = self._design.cells
         self.done = 0
         self._sequences: dict[tuple[int, ...], int] = {}  # the primaries' flanks -> code, in the order they turned up
         self._codes = np.full(cells, FAILED_CODE, np.int32)
@@ -115,13 +115,10 @@ class Assembly:
         names = {label(flanks): len(flanks) for flanks in self._sequences}
         labels = tuple(sorted(names, key=lambda text: (names[text], text)))
         code = np.array([labels.index(label(flanks)) for flanks in self._sequences] + [FAILED_CODE], np.int16)
-        axes = []
-        for axis in self._axes:
-            what = quantity(axis.parameter)
-            axes.append(ResultAxis(axis.parameter, axis.grid, what.name, what.symbol, what.unit))
         return Results(
             title=self._study.title,
-            axes=tuple(axes),
+            axes=self._design.axes,
+            coordinates=self._design.coordinates,
             labels=labels,
             sequence=code[self._codes].reshape(self.shape),
             **{name: field.reshape(self.shape) for name, field in self._fields.items()},

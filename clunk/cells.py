@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from collections import OrderedDict
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,7 @@ from clunk.core.flows import Flows
 from clunk.core.regimes import System
 from clunk.core.status import Status
 from clunk.core.steps import Steps
+from clunk.designs import Design, design_of
 from clunk.load import load_step
 from clunk.tiles import Tile
 
@@ -23,49 +24,51 @@ FloatArray = npt.NDArray[np.float64]
 
 CELL, IMPACT = kernel.CELL, kernel.IMPACT
 
-# Parameters that only change what drives a system, not the system: these fly.
-_DRIVING = {
-    "load.ratio",
-    "load.static_torque",
-    "load.initial_torque",
-    "load.final_torque",
-    "load.step_time",
-    "lash.backlash_deg",
-}
+_BACKLASH = "lash.backlash_deg"
+_TORQUES = {"load.ratio", "load.static_torque", "load.initial_torque", "load.final_torque"}
+DRIVING = {*_TORQUES, "load.step_time", _BACKLASH}  # these only change what drives a system, not the system: they fly
 _KEPT_SYSTEMS = 4096  # about 10 KB each
 
 
 class Grid:
-    """The cells of a study: each one's system, torques and gap."""
+    """The cells of a study: each one's system, torques and gap.
 
-    def __init__(self, study: Study) -> None:
-        assert study.sweep is not None
+    design : of which cells; by default the study's
+    """
+
+    def __init__(self, study: Study, design: Design | None = None) -> None:
         self.study = study
-        self.axes = study.sweep.axes
-        self.shape = tuple(axis.count_of_values for axis in self.axes)
-        self.cells = math.prod(self.shape)
-        self.structural = [k for k, axis in enumerate(self.axes) if axis.parameter not in _DRIVING]
-        self._kept: OrderedDict[tuple[int, ...], tuple[System, Steps | Flows]] = OrderedDict()
+        self.design = design or design_of(study)
+        self.structural = [column for column in self.design.columns if column.parameter not in DRIVING]
+        self._dimensions = sorted({column.dimension for column in self.structural})
+        self._kept: OrderedDict[tuple[float, ...], tuple[System, Steps | Flows]] = OrderedDict()
         self._lock = threading.Lock()
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Length of each dimension."""
+        return self.design.shape
+
+    @property
+    def cells(self) -> int:
+        """How many cells there are."""
+        return self.design.cells
 
     def complaint(self) -> str | None:
         """Why no cell at all can run, where that is known beforehand."""
         if self.structural:
             return None
-        status = Status(self.prepared(())[0].status)
+        status = Status(self.prepared({})[0].status)
         return None if status == Status.OK else status.sentence
 
-    def prepared(self, at: tuple[int, ...]) -> tuple[System, Steps | Flows]:
-        """The system and its method's tables at these positions on the structural axes; kept for other tiles."""
+    def prepared(self, values: Mapping[str, float]) -> tuple[System, Steps | Flows]:
+        """The system and its method's tables with these values of what is structural; kept for other tiles."""
+        at = tuple(values.values())  # the keys are always the same, in the same order
         with self._lock:
             found = self._kept.get(at)
             if found is not None:
                 self._kept.move_to_end(at)
                 return found
-        values = {
-            self.axes[axis].parameter: float(self.axes[axis].grid[position])
-            for axis, position in zip(self.structural, at, strict=True)
-        }
         prepared = driveline.prepare(replace_values(self.study, values) if values else self.study)
         with self._lock:
             self._kept[at] = prepared
@@ -73,18 +76,29 @@ class Grid:
                 self._kept.popitem(last=False)
         return prepared
 
-    def drive(self, positions: tuple[npt.NDArray[np.intp], ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Torques before and after [N m] and half gap [rad] of the cells at these positions, each (cells,)."""
-        swept: dict[str, FloatArray] = {
-            axis.parameter: axis.grid[position] for axis, position in zip(self.axes, positions, strict=True)
-        }
-        torques = {key.removeprefix("load."): value for key, value in swept.items() if key.startswith("load.")}
-        shape = positions[0].shape
+    def drive(self, values: Mapping[str, FloatArray], count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Torques before and after [N m] and half gap [rad] of `count` cells with these values, each (count,)."""
+        torques = {key.removeprefix("load."): values[key] for key in values if key in _TORQUES}
         before, after = (
-            np.broadcast_to(side, shape).astype(np.float64) for side in load_step(self.study.load, **torques)
+            np.broadcast_to(side, count).astype(np.float64) for side in load_step(self.study.load, **torques)
         )
-        gap = np.broadcast_to(swept.get("lash.backlash_deg", self.study.lash.backlash_deg), shape)
+        gap = np.broadcast_to(values.get(_BACKLASH, self.study.lash.backlash_deg), count)
         return before, after, np.deg2rad(gap) / 2
+
+    def groups(self, cells: npt.NDArray[np.int64]) -> Iterator[tuple[dict[str, float], npt.NDArray[np.intp]]]:
+        """Those of these cells, by their index, that have one system, with the values that make it."""
+        if not self.structural:
+            yield {}, np.arange(cells.size)
+            return
+        positions = np.unravel_index(cells, self.shape)
+        combinations = np.stack([positions[dimension] for dimension in self._dimensions], axis=1)
+        unique, group_of = np.unique(combinations, axis=0, return_inverse=True)
+        order = np.argsort(group_of.reshape(-1), kind="stable")
+        ends = np.cumsum(np.bincount(group_of.reshape(-1), minlength=len(unique)))
+        for at, end, begin in zip(unique, ends, [0, *ends[:-1]], strict=True):
+            position = dict(zip(self._dimensions, at, strict=True))
+            values = {own.parameter: float(own.values[position[own.dimension]]) for own in self.structural}
+            yield values, order[begin:end]
 
     def run(self, cells: npt.NDArray[np.int64], stop: npt.NDArray[np.uint8]) -> Tile:
         """Run cells. Their results depend on nothing but their parameters.
@@ -96,22 +110,17 @@ class Grid:
         stop : (1,) uint8
             Set by another thread, it ends the work within a run; the tile then has the cells that are done.
         """
-        positions = np.unravel_index(cells, self.shape)
-        before, after, half_gap = self.drive(positions)
-        if self.structural:
-            combinations = np.stack([positions[axis] for axis in self.structural], axis=1)
-            unique, system_of = np.unique(combinations, axis=0, return_inverse=True)
-        else:
-            unique, system_of = np.zeros((1, 0), np.int64), np.zeros(cells.size, np.int64)
+        before, after, half_gap = self.drive(self.design.at(cells), cells.size)
         solver = self.study.solver
         records = np.zeros(cells.size, CELL)
         known = np.zeros(cells.size, bool)
         impacts: list[npt.NDArray[np.void]] = [np.zeros(0, IMPACT)]
         owners: list[npt.NDArray[np.int64]] = [np.zeros(0, np.int64)]
         buffer = np.zeros(8 * cells.size + solver.max_events, IMPACT)
-        for k, at in enumerate(unique):
-            mine = np.flatnonzero(system_of.reshape(-1) == k)
-            system, tables = self.prepared(tuple(int(position) for position in at))
+        for values, mine in self.groups(cells):
+            if stop[0]:
+                break
+            system, tables = self.prepared(values)
             drive = before[mine], after[mine], half_gap[mine]
             own, done = np.zeros(mine.size, CELL), 0
             while done < mine.size and not stop[0]:

@@ -217,7 +217,7 @@ def _sweep_into(
 
     total = sweeping.cell_count(study)
     _warn_of_coarse_step(study, study.solver.method)
-    for parameter in sweeping.unused_axes(study):
+    for parameter in sweeping.unused_parameters(study):
         click.echo(f"note: {parameter} is swept, but changes nothing in this model", err=True)
     parts = sweeping.parts_of(directory, study, refine=refine, retry=earlier is not None)
     _say_if_compiling(study.solver.method)

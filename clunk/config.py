@@ -43,10 +43,12 @@ from clunk.configfile import (
 from clunk.configmodels import (
     Axis,
     Contact,
+    Draw,
     DrivelineConfig,
     Impacts,
     Lash,
     Load,
+    Sampling,
     Shaft,
     Solver,
     Study,
@@ -61,7 +63,7 @@ from clunk.configrules import (
     Key,
     Quantity,
     axes_of,
-    axis_findings,
+    draws_of,
     findings,
     first_value,
     items_of,
@@ -71,7 +73,9 @@ from clunk.configrules import (
     parameter_complaint,
     place_of,
     references,
+    sweep_findings,
     value_at,
+    with_value,
 )
 
 __all__ = [
@@ -79,16 +83,19 @@ __all__ = [
     "Axis",
     "ConfigError",
     "Contact",
+    "Draw",
     "DrivelineConfig",
     "Impacts",
     "Lash",
     "Load",
     "Problem",
     "Quantity",
+    "Sampling",
     "Shaft",
     "Solver",
     "Study",
     "Sweep",
+    "content",
     "digest",
     "get_value",
     "load_study",
@@ -152,7 +159,7 @@ class _Resolution:
         self._stand_in_for_swept_keys()
         self._resolve_names()
         self._find(findings(self.document))
-        self._find(axis_findings(self.document, schema()))
+        self._find(sweep_findings(self.document, schema()))
         self._refuse_setting_a_swept_key()
         self._check_text()
         study, wrong = _validated(Study, self.document, ())
@@ -252,6 +259,11 @@ class _Resolution:
 
     def _stand_in_for_swept_keys(self) -> None:
         """A key that an axis sweeps may be left out: the axis's first value takes its place."""
+        for _, draw in draws_of(self.document):
+            parameter = draw.get("parameter")
+            place = place_of(parameter, self.document) if isinstance(parameter, str) else None
+            if place is not None:
+                draw["parameter"] = dotted(place)
         for _, axis in axes_of(self.document):
             parameter = axis.get("parameter")
             place = place_of(parameter, self.document) if isinstance(parameter, str) else None
@@ -465,7 +477,7 @@ def replace_values(study: Study, values: Mapping[str, float]) -> Study:
         plain = number(value)
         if plain is not None and key.whole:
             plain = int(plain) if plain.is_integer() else plain
-        sections[section] = _with_value(sections[section], place[1:], value if plain is None else plain)
+        sections[section] = with_value(sections[section], place[1:], value if plain is None else plain)
     models: dict[str, Any] = {}
     for section, content in sections.items():
         models[section], found = _validated(type(getattr(study, section)), content, (section,))
@@ -483,7 +495,18 @@ _RULED = ("driveline", "lash", "load", "solver", "impacts")
 
 def to_toml(study: Study) -> str:
     """The whole config: preset expanded, names resolved, defaults filled in. Loading it gives an equal study."""
-    return tomli_w.dumps(study.model_dump(exclude_none=True))
+    return tomli_w.dumps(content(study))
+
+
+def content(study: Study) -> dict[str, Any]:
+    """A study as plain tables, lists and values, without what is left out."""
+    plain = study.model_dump(exclude_none=True)
+    if study.sweep is not None:
+        sweep = {key: value for key, value in plain["sweep"].items() if value != ()}
+        if not {"samples", "tolerances"} & set(sweep):
+            sweep.pop("sampling")
+        plain["sweep"] = sweep
+    return plain
 
 
 def digest(study: Study) -> str:
@@ -491,10 +514,14 @@ def digest(study: Study) -> str:
 
     A swept key's own value does not count, since no cell has it.
     """
-    content = study.model_dump(exclude_none=True, exclude={"title": True, "driveline": {"names"}})
+    decisive = content(study)
+    del decisive["title"]
+    decisive["driveline"].pop("names", None)
+    if study.sweep is not None and study.sweep.design == "grid":
+        del decisive["sweep"]["design"]  # sweeps of earlier versions know no other
     for axis in study.sweep.axes if study.sweep is not None else ():
-        content = _with_value(content, _parameter(study, axis.parameter)[0], None)
-    canonical = json.dumps(_without_signed_zeros(content), sort_keys=True, separators=(",", ":"), allow_nan=False)
+        decisive = with_value(decisive, _parameter(study, axis.parameter)[0], None)
+    canonical = json.dumps(_without_signed_zeros(decisive), sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode("utf-8")).hexdigest()
 
 
@@ -504,16 +531,6 @@ def _without_signed_zeros(node: Any) -> Any:
     if isinstance(node, list | tuple):
         return [_without_signed_zeros(item) for item in node]
     return node + 0.0 if isinstance(node, float) else node
-
-
-def _with_value(node: Any, place: Place, value: Any) -> Any:
-    """A copy of a document with another value at a place."""
-    if not place:
-        return value
-    step = place[0]
-    if isinstance(step, int):
-        return (*node[:step], _with_value(node[step], place[1:], value), *node[step + 1 :])
-    return {**node, step: _with_value(node.get(step), place[1:], value)}
 
 
 def _parameter(study: Study, parameter: str) -> tuple[Place, Key]:

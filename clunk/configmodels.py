@@ -4,6 +4,8 @@ The units are the config's (degrees, N/m at a radius); `driveline` converts. Ine
 """
 
 import functools
+import math
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -12,7 +14,21 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from clunk.configfile import Place, dotted
-from clunk.configrules import LONGEST_AXIS, Key, MustBe, Quantity, axis_findings, findings, schema_of
+from clunk.configrules import (
+    LONGEST_AXIS,
+    MOST_DRAWS,
+    Key,
+    MustBe,
+    Quantity,
+    findings,
+    key_at,
+    place_of,
+    schema_of,
+    sweep_findings,
+    value_at,
+    with_value,
+)
+from clunk.distributions import NUMBERS, Distribution, Kind, Sampler, unit_points
 
 FloatArray = npt.NDArray[np.float64]
 End = int | Literal["ground"]
@@ -184,10 +200,77 @@ class Axis(_Frozen):
         return grid
 
 
-class Sweep(_Frozen):
-    """The grid of a study: the product of its axes, in order."""
+class Draw(_Frozen):
+    """A key that is drawn at random: its distribution (see `clunk.distributions`), in the key's unit.
 
-    axes: Annotated[tuple[Axis, ...], Field(min_length=1)]
+    parameter : str, dotted key
+    draws : what the number is: the key's value, a factor on its nominal value, or an offset from that
+    low, mode, high, mean, std, median, sigma : float or None; a mean or median that is left out is the nominal value
+    """
+
+    parameter: Annotated[str, MustBe('a dotted numeric key, for example "lash.contact.stiffness"')]
+    distribution: Kind
+    draws: Literal["value", "factor", "offset"] = "value"
+    low: float | None = None
+    mode: float | None = None
+    high: float | None = None
+    mean: float | None = None
+    std: Positive | None = None
+    median: Positive | None = None
+    sigma: Positive | None = None
+
+    def distributed(self, nominal: float) -> Distribution:
+        """The distribution of what is drawn, where the key's nominal value is this."""
+        numbers: dict[str, float | None] = {name: getattr(self, name) for name in NUMBERS}
+        middle = {"normal": "mean", "lognormal": "median"}.get(self.distribution)
+        if middle is not None and numbers[middle] is None:
+            numbers[middle] = {"value": nominal, "factor": 1.0, "offset": 0.0}[self.draws]
+        return Distribution(self.distribution, **numbers)
+
+    def applied(self, drawn: npt.ArrayLike, nominal: npt.ArrayLike) -> FloatArray:
+        """The key's values, from what was drawn and its nominal value."""
+        drawn, nominal = np.asarray(drawn, np.float64), np.asarray(nominal, np.float64)
+        if self.draws == "factor":
+            values = nominal * drawn
+        elif self.draws == "offset":
+            values = nominal + drawn
+        else:
+            values = drawn + np.zeros_like(nominal)
+        return np.asarray(values, np.float64)
+
+
+class Sampling(_Frozen):
+    """How the drawn keys are drawn, all together.
+
+    method : scrambled Sobol points, best in powers of two, or a Latin hypercube
+    count : int, of the sample
+    seed : int, the same one gives the same sample
+    """
+
+    method: Sampler = "sobol"
+    count: Annotated[int, Field(ge=1, le=MOST_DRAWS)] = 256
+    seed: Annotated[int, Field(ge=0)] = 0
+
+    def points(self, dimensions: int) -> FloatArray:
+        """(count, dimensions) float64 in [0, 1)."""
+        return unit_points(self.method, self.count, dimensions, self.seed)
+
+
+class Sweep(_Frozen):
+    """What is run.
+
+    design : the product of the axes, or ("zip") the axes of equal length walked together
+    axes : in order
+    samples : keys drawn together, a further dimension of the results
+    tolerances : keys drawn for every cell, of which a cell gets the outcome's statistics
+    sampling : of samples or tolerances
+    """
+
+    design: Literal["grid", "zip"] = "grid"
+    axes: Annotated[tuple[Axis, ...], Field(min_length=1)] = ()
+    samples: Annotated[tuple[Draw, ...], Field(min_length=1)] = ()
+    tolerances: Annotated[tuple[Draw, ...], Field(min_length=1)] = ()
+    sampling: Sampling = Sampling()
 
 
 class Study(_Frozen):
@@ -207,11 +290,44 @@ class Study(_Frozen):
     @model_validator(mode="after")
     def _hold_to_rules(self) -> Self:
         document = self.model_dump()
-        found = [*findings(document), *axis_findings(document, schema())]
+        found = [*findings(document), *sweep_findings(document, schema())] or list(_drawn_findings(self, document))
         if found:
             text = "; ".join(f"{dotted(place)}: {message}" for place, message in found)
             raise PydanticCustomError("clunk_rules", "{text}", {"text": text, "findings": found})
         return self
+
+
+def _drawn_findings(study: Study, document: dict[str, Any]) -> Iterator[tuple[Place, str]]:
+    """Whatever is drawn is allowed: the sample is known beforehand, and its least and largest values are looked at."""
+    sweep = study.sweep
+    if sweep is None or not (sweep.samples or sweep.tolerances):
+        return
+    table = "samples" if sweep.samples else "tolerances"
+    draws = sweep.samples or sweep.tolerances
+    points = sweep.sampling.points(len(draws))
+    axes = {axis.parameter: axis.grid for axis in sweep.axes}
+    for k, draw in enumerate(draws):
+        at: Place = ("sweep", table, k)
+        place = place_of(draw.parameter, document)
+        assert place is not None
+        key = key_at(schema(), place)
+        assert key is not None
+        own = value_at(document, place)
+        nominal = axes.get(draw.parameter, np.array([np.nan if own is None else own]))
+        drawn = draw.distributed(float(nominal[0])).ppf(points[:, k])  # around a swept value it does not use this
+        values = draw.applied(drawn[:, None], np.array([nominal.min(), nominal.max()]))
+        for extreme in (values.min(), values.max()):
+            value = float(extreme)
+            number = int(np.nonzero(values == extreme)[0][0]) + 1 if math.isfinite(value) else 1
+            which = f"draw {number} of {len(drawn)} makes {draw.parameter} {value:.6g}"
+            if not math.isfinite(value) or not key.allows(value):
+                bound = "; bound the distribution with low and high" if draw.distribution != "uniform" else ""
+                yield at, f"{which}; it must be {key.must_be}{bound}"
+                break
+            complaint = next(findings(with_value(document, place, value)), None)
+            if complaint is not None:
+                yield at, f"{which}; {complaint[1]}"
+                break
 
 
 @functools.cache

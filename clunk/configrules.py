@@ -14,12 +14,14 @@ from typing import Any, Literal, NamedTuple
 from pydantic import BaseModel
 
 from clunk.configfile import Place, dotted, nearest, parse_place, shorten
+from clunk.distributions import BOUNDS, NEEDS, NUMBERS
 
 Document = Mapping[str, Any]
 Finding = tuple[Place, str]
 
 LARGEST_GRID = 2**31  # cells
 LONGEST_AXIS = 10_000_000  # values; known before any array is made
+MOST_DRAWS = 1_000_000  # of a sample
 MOST_STEPS = 1e9  # of one run; about ten seconds of nothing but stepping
 LARGEST_SIZE = 1e30  # of inertias, stiffnesses, dampings and the radius, and the smallest is its inverse
 WIDEST_SPREAD = 1e12  # of the inertias and of the springs of one driveline: four digits are left where they add up
@@ -183,6 +185,16 @@ def number(value: Any) -> float | None:
         return float(value) if math.isfinite(value) else None
     except OverflowError:
         return None
+
+
+def with_value(node: Any, place: Place, value: Any) -> Any:
+    """A copy of a document with another value at a place."""
+    if not place:
+        return value
+    step = place[0]
+    if isinstance(step, int):
+        return (*node[:step], with_value(node[step], place[1:], value), *node[step + 1 :])
+    return {**node, step: with_value(node.get(step), place[1:], value)}
 
 
 # --- Inertias and their names ----------------------------------------------------------------------------------------
@@ -470,27 +482,137 @@ def parameter_complaint(parameter: str, schema: Schema, document: Document) -> s
     )
 
 
-def axis_findings(document: Document, schema: Schema) -> Iterator[Finding]:
-    """Every axis runs over a numeric key of its own, in values that this key allows."""
-    taken: dict[str, int] = {}
-    cells = 1
+def sweep_findings(document: Document, schema: Schema) -> Iterator[Finding]:
+    """Every swept or drawn key is a numeric one, in one place only, and gets values that it allows."""
+    sweep = document.get("sweep")
+    if not isinstance(sweep, Mapping):
+        return
+    if not any(sweep.get(key) for key in ("axes", "samples", "tolerances")) and "axes" not in sweep:
+        yield ("sweep", "axes"), "missing; must be an array of tables, [[sweep.axes]], or else [[sweep.samples]]"
+    taken: dict[str, Place] = {}
+    together = sweep.get("design") == "zip"
+    counts: list[tuple[int, int]] = []
     for k, axis in axes_of(document):
         at: Place = ("sweep", "axes", k)
         parameter = axis.get("parameter")
         if isinstance(parameter, str):
             complaint = parameter_complaint(parameter, schema, document) or _wrong_torque(parameter, document)
             if complaint is None and parameter in taken:
-                complaint = f"{parameter} is swept by sweep.axes[{taken[parameter] + 1}] already"
+                complaint = f"{parameter} is swept by {dotted(taken[parameter])} already"
             if complaint is not None:
                 yield (*at, "parameter"), complaint
             else:
-                taken[parameter] = k
+                taken[parameter] = at
                 yield from _axis_range(axis, at, parameter, schema, document)
-        yield from _axis_form(axis, at)
+        yield from _axis_form(axis, at, repeats=together)
         count = axis.get("count") if axis.get("values") is None else len(items_of(axis.get("values")))
-        cells *= count if isinstance(count, int) and 1 <= count <= LONGEST_AXIS else 1
+        if isinstance(count, int) and 1 <= count <= LONGEST_AXIS:
+            counts.append((k, count))
+    if together:
+        yield from _zip_findings(counts)
+    yield from _draws_findings(document, schema, taken)
+    cells = math.prod(count for _, count in counts[:1] if together) if together else math.prod(n for _, n in counts)
+    drawn = number(value_at(document, ("sweep", "sampling", "count")))
+    if sweep.get("samples") and drawn is not None and drawn >= 1.0:
+        cells *= int(drawn)
     if cells > LARGEST_GRID:
         yield ("sweep", "axes"), f"the grid has {cells:,} cells; at most {LARGEST_GRID:,} are allowed"
+
+
+def _zip_findings(counts: Sequence[tuple[int, int]]) -> Iterator[Finding]:
+    """Axes that are walked together are equally long."""
+    if not counts:
+        return
+    first, length = counts[0]
+    for k, count in counts[1:]:
+        if count != length:
+            yield (
+                ("sweep", "axes", k),
+                f"found {count} values, and sweep.axes[{first + 1}] has {length}; the axes of a zip design are walked "
+                "together and must be equally long",
+            )
+
+
+# --- Drawn keys ------------------------------------------------------------------------------------------------------
+
+
+def draws_of(document: Document) -> Iterator[tuple[Place, dict[str, Any]]]:
+    """The samples and tolerances that are tables, each with its place."""
+    for table in ("samples", "tolerances"):
+        for k, draw in enumerate(items_of(value_at(document, ("sweep", table)))):
+            if isinstance(draw, dict):
+                yield ("sweep", table, k), draw
+
+
+def _draws_findings(document: Document, schema: Schema, swept: Mapping[str, Place]) -> Iterator[Finding]:
+    """Drawn keys are numeric ones, drawn once, by a distribution that has its numbers."""
+    drawn: dict[str, Place] = {}
+    for at, draw in draws_of(document):
+        parameter = draw.get("parameter")
+        if isinstance(parameter, str):
+            complaint = parameter_complaint(parameter, schema, document) or _wrong_torque(parameter, document)
+            complaint = complaint or _undrawable(at, draw, parameter, swept, schema, document)
+            if complaint is None and parameter in drawn:
+                complaint = f"{parameter} is drawn by {dotted(drawn[parameter])} already"
+            elif complaint is None and at[1] == "samples" and parameter in swept:
+                complaint = f"{parameter} is swept by {dotted(swept[parameter])} already"
+            if complaint is not None:
+                yield (*at, "parameter"), complaint
+            else:
+                drawn[parameter] = at
+        yield from _distribution_findings(draw, at)
+    samples, tolerances = (items_of(value_at(document, ("sweep", table))) for table in ("samples", "tolerances"))
+    if samples and tolerances:
+        yield ("sweep", "samples"), "samples and tolerances are given together; give one of the two"
+    if samples and value_at(document, ("sweep", "design")) == "zip":
+        yield ("sweep", "samples"), 'samples do not go with design = "zip"; give one of the two'
+
+
+def _undrawable(
+    at: Place, draw: Document, parameter: str, swept: Mapping[str, Place], schema: Schema, document: Document
+) -> str | None:
+    place = place_of(parameter, document)
+    key = None if place is None else key_at(schema, place)
+    if key is not None and key.whole:
+        return f"{parameter} is an inertia's number, which cannot be drawn"
+    if at[1] == "tolerances" and parameter in swept and draw.get("draws", "value") == "value":
+        return f'{parameter} is swept: its tolerance must be around the swept value; set draws = "factor" or "offset"'
+    if place is not None and parameter not in swept and value_at(document, place) is None and _needs_nominal(draw):
+        return f"{parameter} has no value in this config that its distribution could be around"
+    return None
+
+
+def _needs_nominal(draw: Document) -> bool:
+    middle = {"normal": "mean", "lognormal": "median"}.get(str(draw.get("distribution")))
+    return draw.get("draws", "value") != "value" or (middle is not None and draw.get(middle) is None)
+
+
+def _distribution_findings(draw: Document, at: Place) -> Iterator[Finding]:
+    """A distribution has the numbers that it needs, no others, and in their order."""
+    kind = draw.get("distribution")
+    needs = NEEDS.get(kind) if isinstance(kind, str) else None
+    if needs is None:
+        return
+    optional = {"normal": ("mean", *BOUNDS), "lognormal": ("median", *BOUNDS)}.get(str(kind), ())
+    allowed = {*needs, *optional}
+    for name in NUMBERS:
+        if draw.get(name) is not None and name not in allowed:
+            yield (*at, name), f"a {kind} distribution has no {name}; it is given by {_listing(needs)}"
+    missing = [name for name in needs if draw.get(name) is None and name not in optional]
+    if missing:
+        yield at, f"missing {_listing(missing)}; a {kind} distribution is given by {_listing(needs)}"
+    found = {name: value for name in ("low", "mode", "high") if (value := number(draw.get(name))) is not None}
+    low, high = found.get("low"), found.get("high")
+    if low is not None and high is not None and not low < high:
+        yield (*at, "high"), f"found {high:g}; must be greater than low = {low:g}"
+    elif "mode" in found and not found.get("low", -math.inf) <= found["mode"] <= found.get("high", math.inf):
+        yield (*at, "mode"), f"found {found['mode']:g}; must be from low to high"
+    elif kind == "lognormal" and high is not None and high <= 0.0:
+        yield (*at, "high"), f"found {high:g}; a lognormal number is greater than 0"
+
+
+def _listing(names: Sequence[str]) -> str:
+    return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else "".join(names)
 
 
 def _wrong_torque(parameter: str, document: Document) -> str | None:
@@ -510,8 +632,8 @@ def _wrong_torque(parameter: str, document: Document) -> str | None:
     )
 
 
-def _axis_form(axis: Document, at: Place) -> Iterator[Finding]:
-    """Either start, stop and count, or values."""
+def _axis_form(axis: Document, at: Place, *, repeats: bool) -> Iterator[Finding]:
+    """Either start, stop and count, or values; a value occurs once unless `repeats`."""
     start, stop, count = (number(axis.get(key)) for key in ("start", "stop", "count"))
     spans = [key for key in ("start", "stop", "count", "scale") if axis.get(key) is not None]
     if axis.get("values") is not None:
@@ -520,7 +642,7 @@ def _axis_form(axis: Document, at: Place) -> Iterator[Finding]:
         seen: set[float] = set()
         for k, value in enumerate(items_of(axis["values"])):
             if number(value) is not None:
-                if float(value) in seen:
+                if float(value) in seen and not repeats:
                     yield (*at, "values", k), f"the value {shorten(value)} occurs twice"
                 seen.add(float(value))
         return

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+RUN = "run"  # the dimension of what is walked or drawn together
 FAILED = "failed"
 FAILED_CODE = -1
 
@@ -37,9 +38,9 @@ IMPACT_FIELDS: dict[str, type[np.generic]] = {
 
 @dataclass(frozen=True, eq=False)
 class ResultAxis:
-    """One swept parameter and the values it took.
+    """One swept parameter and the values it took; or the dimension `run`, with the runs' numbers from 1.
 
-    parameter : dotted key of the config, e.g. ``load.ratio`` or ``driveline.inertias[4]``
+    parameter : dotted key of the config, e.g. ``load.ratio`` or ``driveline.inertias[4]``; or ``run``
     values : (count,) float64  [unit]
     name, symbol, unit : for people, e.g. ``load ratio``, ``σr = Td/Ts``, ``1``
     """
@@ -77,6 +78,7 @@ class Results:
 
     title : str
     axes : one or more `ResultAxis`
+    coordinates : the parameters that change together along the axis `run`, if there is one; each as long as it
     labels : code -> label; the code -1 is a failed cell
     sequence : shape, int16 codes into `labels`
     severity : shape, Q  [rad/s²], NaN where it is not defined
@@ -120,12 +122,16 @@ class Results:
     config: str
     config_digest: str
     attributes: dict[str, str]
+    coordinates: tuple[ResultAxis, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.axes:
             raise ValueError("results need at least one axis")
-        if len({axis.variable for axis in self.axes}) != len(self.axes):
+        if len({axis.variable for axis in self.parameters}) != len(self.parameters):
             raise ValueError("two axes have the same name")
+        run = {len(axis.values) for axis in self.axes if axis.parameter == RUN}
+        if {len(axis.values) for axis in self.coordinates} - run:
+            raise ValueError("a coordinate is not as long as the axis run")
         for name, dtype in CELL_FIELDS.items():
             _require(name, getattr(self, name), self.shape, dtype)
         if self.primary_impacts.min() < 0:
@@ -144,6 +150,14 @@ class Results:
     def shape(self) -> tuple[int, ...]:
         """The axes' counts in order."""
         return tuple(len(axis.values) for axis in self.axes)
+
+    @property
+    def parameters(self) -> tuple[ResultAxis, ...]:
+        """What was swept: the axes, and in the place of `run` its coordinates."""
+        found: list[ResultAxis] = []
+        for axis in self.axes:
+            found += self.coordinates if axis.parameter == RUN else [axis]
+        return tuple(found)
 
     @property
     def max_impacts(self) -> int:

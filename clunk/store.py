@@ -31,7 +31,7 @@ from clunk.netcdf import (
     set_text,
     write_file,
 )
-from clunk.results import CELL_FIELDS, FAILED, FAILED_CODE, IMPACT_FIELDS, ResultAxis, Results, count_labels
+from clunk.results import CELL_FIELDS, FAILED, FAILED_CODE, IMPACT_FIELDS, RUN, ResultAxis, Results, count_labels
 
 SCHEMA_VERSION = 2
 _SINCE = {"margin": 2}  # schema version that brought a variable; in older files it is NaN, and not in their digest
@@ -66,7 +66,7 @@ class Header:
     """What a results file says about itself, without its large arrays.
 
     title, config, config_digest, content_digest : str
-    axes : the swept parameters
+    axes, coordinates : the swept parameters, as those of `Results`
     labels : code -> label
     counts : label -> number of cells, ``failed`` last
     attributes : versions, date and machine
@@ -80,6 +80,7 @@ class Header:
     config_digest: str
     content_digest: str
     attributes: dict[str, str]
+    coordinates: tuple[ResultAxis, ...] = ()
 
 
 def write(path: str | os.PathLike[str], results: Results, scratch: Path | None = None) -> None:
@@ -101,7 +102,7 @@ def read(path: str | os.PathLike[str]) -> Results:
     with _opened(path) as file:
         header = _header(file)
         shape = tuple(len(axis.values) for axis in header.axes)
-        digest = _Digest(header.axes, header.labels)
+        digest = _Digest(header.axes + header.coordinates, header.labels)
         fields: dict[str, npt.NDArray[Any]] = {}
         for name, dtype in CELL_FIELDS.items():
             if int(file.attrs["schema_version"]) < _SINCE.get(name, 1):
@@ -129,6 +130,7 @@ def read(path: str | os.PathLike[str]) -> Results:
         return Results(
             title=header.title,
             axes=header.axes,
+            coordinates=header.coordinates,
             labels=header.labels,
             config=header.config,
             config_digest=header.config_digest,
@@ -167,13 +169,18 @@ def _write(file: h5py.File, results: Results) -> None:
     set_text(file, "config_digest", results.config_digest)
 
     scales = [_write_axis(file, axis) for axis in results.axes]
+    run = [scale for axis, scale in zip(results.axes, scales, strict=True) if axis.parameter == RUN]
+    for axis in results.coordinates:
+        _write_coordinate(file, axis, run)
     numbers = np.arange(1, results.max_impacts + 1, dtype=np.int32)
     impact = create_scale(file, "impact", numbers, ("1", "number of the primary impact"))
 
-    digest = _Digest(results.axes, results.labels)
+    digest = _Digest(results.axes + results.coordinates, results.labels)
+    along_run = " ".join(axis.variable for axis in results.coordinates)
     with ChunkWriter() as chunks:
         for name, dtype in CELL_FIELDS.items():
             variable = create_variable(file, name, results.shape, dtype, _MEANING[name], scales)
+            _write_coordinates_of(variable, along_run)
             _write_flags(variable, name, results.labels)
             digest.begin(name, results.shape, dtype)
             values = np.ascontiguousarray(getattr(results, name))
@@ -183,6 +190,7 @@ def _write(file: h5py.File, results: Results) -> None:
         for name, dtype in IMPACT_FIELDS.items():
             shape = (*results.shape, results.max_impacts)
             variable = create_variable(file, name, shape, dtype, _MEANING[name], [*scales, impact])
+            _write_coordinates_of(variable, along_run)
             _write_flags(variable, name, results.labels)
             digest.begin(name, shape, dtype)
             # Padded a block of rows at a time: padded whole, the impacts would be most of a large map's memory.
@@ -196,6 +204,19 @@ def _write(file: h5py.File, results: Results) -> None:
 def _write_axis(file: h5py.File, axis: ResultAxis) -> h5py.Dataset:
     texts = {"symbol": axis.symbol, "parameter": axis.parameter}
     return create_scale(file, axis.variable, axis.values, (axis.unit, axis.name), texts)
+
+
+def _write_coordinate(file: h5py.File, axis: ResultAxis, run: list[h5py.Dataset]) -> None:
+    variable = create_variable(file, axis.variable, axis.values.shape, np.float64, (axis.unit, axis.name), run)
+    variable[:] = axis.values
+    for name, text in (("symbol", axis.symbol), ("parameter", axis.parameter)):
+        set_text(variable, name, text)
+
+
+def _write_coordinates_of(variable: h5py.Dataset, names: str) -> None:
+    """CF's attribute that makes a variable's coordinates of others than its own dimensions."""
+    if names:
+        set_text(variable, "coordinates", names)
 
 
 def _write_flags(variable: h5py.Dataset, name: str, labels: tuple[str, ...]) -> None:
@@ -272,6 +293,11 @@ def _opened(path: str | os.PathLike[str]) -> Iterator[h5py.File]:
 def _header(file: h5py.File) -> Header:
     sequence = file["sequence"]
     axes = tuple(_read_axis(dimension[0]) for dimension in sequence.dims)
+    coordinates = (
+        tuple(_read_axis(file[name]) for name in get_text(sequence, "coordinates").split())
+        if ("coordinates" in sequence.attrs)
+        else ()
+    )
     labels = _labels(sequence)
     codes = _variable(file, "sequence", tuple(len(axis.values) for axis in axes), np.int16)[()]
     if codes.min() < FAILED_CODE or codes.max() >= len(labels):
@@ -279,6 +305,7 @@ def _header(file: h5py.File) -> Header:
     return Header(
         title=get_text(file, "title"),
         axes=axes,
+        coordinates=coordinates,
         labels=labels,
         counts=count_labels(labels, codes),
         config=get_text(file, "config"),

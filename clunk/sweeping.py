@@ -8,7 +8,6 @@ a bit of it.
 from __future__ import annotations
 
 import functools
-import math
 import os
 import platform
 from collections.abc import Callable, Generator, Iterator
@@ -27,12 +26,13 @@ import clunk
 from clunk import refinement
 from clunk.assembly import Assembly
 from clunk.cells import CELL, IMPACT, Grid, warm_up
-from clunk.config import Study, digest, study_from_text
+from clunk.config import Study, content, digest, study_from_text
+from clunk.designs import design_of
 from clunk.parts import Parts, WorkingDirectory
 from clunk.results import FAILED_CODE, Results
 from clunk.tiles import Tile
 
-__all__ = ["SweepError", "cell_count", "parts_of", "retry_failed", "sweep", "unused_axes", "warm_up"]
+__all__ = ["SweepError", "cell_count", "parts_of", "retry_failed", "sweep", "unused_parameters", "warm_up"]
 
 Cells = npt.NDArray[np.int64]
 Progress = Callable[[int, int], None]
@@ -83,7 +83,7 @@ def sweep(
     if not refine:
         _run(grid, assembly, iter([None]), workers, progress, parts)
         return assembly.results(provenance())
-    spacing = refinement.spacings([axis.grid for axis in grid.axes])
+    spacing = refinement.spacings([axis.values for axis in grid.design.axes])
     _run(grid, assembly, _refinements(assembly, spacing), workers, progress, parts)
     ran = assembly.done
     assembly.infer(*refinement.inferred(assembly.kinds(), assembly.touches(), spacing))
@@ -141,33 +141,37 @@ def parts_of(directory: WorkingDirectory, study: Study, *, refine: bool = False,
     """
     plan = "every cell"
     if refine:
-        axes = study.sweep.axes if study.sweep else ()
-        widest = max(refinement.spacings([axis.grid for axis in axes]), default=1)
+        widest = max(refinement.spacings([axis.values for axis in design_of(study).axes]), default=1)
         plan = f"what --refine needs (from spacing {widest})"
     elif retry:
         plan = "the failed cells again"
-    content = study.model_dump(exclude_none=True, exclude={"title": True, "driveline": {"names"}})
-    return Parts(directory, dict(_flat(content)), digest(study), plan, CELL, IMPACT)
+    decisive = content(study)
+    del decisive["title"]
+    decisive["driveline"].pop("names", None)
+    return Parts(directory, dict(_flat(decisive)), digest(study), plan, CELL, IMPACT)
 
 
 def cell_count(study: Study) -> int:
     """How many cells the grid of a study has; 0 without axes."""
-    return 0 if study.sweep is None else math.prod(axis.count_of_values for axis in study.sweep.axes)
+    design = design_of(study)
+    return design.cells if design.shape else 0
 
 
-def unused_axes(study: Study) -> list[str]:
-    """The swept keys that change nothing in the study's contact model."""
-    contact, swept = study.lash.contact, study.sweep.axes if study.sweep else ()
+def unused_parameters(study: Study) -> list[str]:
+    """The swept or drawn keys that change nothing in the study's contact model."""
+    contact, sweep = study.lash.contact, study.sweep
+    swept = [axis.parameter for axis in sweep.axes] if sweep else []
+    swept += [draw.parameter for draw in (*sweep.samples, *sweep.tolerances)] if sweep else []
     if contact.model == "restitution":
         unused = {"lash.contact.stiffness", "lash.contact.damping", "impacts.sticking_time", "impacts.acceleration_of"}
     else:
         unused = {"lash.contact.restitution", "lash.contact.locking_speed"}
-    return [axis.parameter for axis in swept if axis.parameter in unused | {"load.step_time"}]
+    return [parameter for parameter in swept if parameter in unused | {"load.step_time"}]
 
 
 def _checked(study: Study, workers: int | None) -> Grid:
-    if study.sweep is None:
-        raise SweepError("There is nothing to sweep: the config has no [[sweep.axes]].")
+    if not cell_count(study):
+        raise SweepError("There is nothing to sweep: the config has no [[sweep.axes]] and no [[sweep.samples]].")
     if workers is not None and workers < 1:
         raise SweepError(f"A sweep needs at least one worker, not {workers}.")
     grid = Grid(study)
