@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from clunk.results import Results
     from clunk.simulation import SimulationError, Trajectory, simulate
     from clunk.store import StoreError
-    from clunk.sweeping import SweepError, sweep
+    from clunk.sweeping import SweepError, sweep, tolerance_map
+    from clunk.tolerancemap import ToleranceMap
 
 __all__ = [
     "ConfigError",
@@ -22,10 +23,12 @@ __all__ = [
     "StoreError",
     "Study",
     "SweepError",
+    "ToleranceMap",
     "Trajectory",
     "load_study",
     "simulate",
     "sweep",
+    "tolerance_map",
 ]
 
 _HOME = {
@@ -35,10 +38,12 @@ _HOME = {
     "StoreError": "store",
     "Study": "config",
     "SweepError": "sweeping",
+    "ToleranceMap": "tolerancemap",
     "Trajectory": "simulation",
     "load_study": "config",
     "simulate": "simulation",
     "sweep": "sweeping",
+    "tolerance_map": "sweeping",
 }
 
 

@@ -27,7 +27,8 @@ CELL, IMPACT = kernel.CELL, kernel.IMPACT
 _BACKLASH = "lash.backlash_deg"
 _TORQUES = {"load.ratio", "load.static_torque", "load.initial_torque", "load.final_torque"}
 DRIVING = {*_TORQUES, "load.step_time", _BACKLASH}  # these only change what drives a system, not the system: they fly
-_KEPT_SYSTEMS = 4096  # about 10 KB each
+KEPT_SYSTEMS = 4096  # about 20 KB each
+_TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
 
 
 class Grid:
@@ -54,6 +55,15 @@ class Grid:
         """How many cells there are."""
         return self.design.cells
 
+    @property
+    def tile_cells(self) -> int:
+        """How many cells a tile has at most."""
+        return _TILE_CELLS[self.study.solver.method]
+
+    def ordered(self, cells: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """These cells in the order in which they are best cut into tiles."""
+        return cells
+
     def complaint(self) -> str | None:
         """Why no cell at all can run, where that is known beforehand."""
         if self.structural:
@@ -72,7 +82,7 @@ class Grid:
         prepared = driveline.prepare(replace_values(self.study, values) if values else self.study)
         with self._lock:
             self._kept[at] = prepared
-            if len(self._kept) > _KEPT_SYSTEMS:
+            if len(self._kept) > KEPT_SYSTEMS:
                 self._kept.popitem(last=False)
         return prepared
 
@@ -111,28 +121,59 @@ class Grid:
             Set by another thread, it ends the work within a run; the tile then has the cells that are done.
         """
         before, after, half_gap = self.drive(self.design.at(cells), cells.size)
-        solver = self.study.solver
         records = np.zeros(cells.size, CELL)
         known = np.zeros(cells.size, bool)
         impacts: list[npt.NDArray[np.void]] = [np.zeros(0, IMPACT)]
         owners: list[npt.NDArray[np.int64]] = [np.zeros(0, np.int64)]
-        buffer = np.zeros(8 * cells.size + solver.max_events, IMPACT)
+        buffer = self.impact_buffer(cells.size)
         for values, mine in self.groups(cells):
             if stop[0]:
                 break
-            system, tables = self.prepared(values)
-            drive = before[mine], after[mine], half_gap[mine]
-            own, done = np.zeros(mine.size, CELL), 0
-            while done < mine.size and not stop[0]:
-                begun = done
-                done, written = kernel.run_tile(
-                    system, tables, solver.margin_tolerance, *drive, done, solver.max_events, own, buffer, stop
-                )
-                impacts.append(buffer[:written].copy())
-                owners.append(np.repeat(mine[begun:done], own["primary_impacts"][begun:done]))
-            records[mine], known[mine[:done]] = own, True
+            own, pieces = self.run_group(values, (before[mine], after[mine], half_gap[mine]), buffer, stop)
+            done = mine[: own.size]
+            records[done], known[done] = own, True
+            impacts += pieces
+            owners.append(np.repeat(done, own["primary_impacts"]))
         in_order = np.argsort(np.concatenate(owners), kind="stable")
         return Tile(cells[known], records[known], np.concatenate(impacts)[in_order])
+
+    def impact_buffer(self, runs: int) -> npt.NDArray[np.void]:
+        """IMPACT, where the kernel puts the primary impacts of up to this many runs."""
+        return np.zeros(8 * runs + self.study.solver.max_events, IMPACT)
+
+    def run_group(
+        self,
+        values: Mapping[str, float],
+        drive: tuple[FloatArray, FloatArray, FloatArray],
+        buffer: npt.NDArray[np.void],
+        stop: npt.NDArray[np.uint8],
+    ) -> tuple[npt.NDArray[np.void], list[npt.NDArray[np.void]]]:
+        """Runs of one system.
+
+        Parameters
+        ----------
+        values
+            What makes the system; see `prepared`.
+        drive : torques before and after [N m] and half gap [rad], each (n,)
+        buffer : (capacity,) IMPACT
+            To work in.
+        stop : (1,) uint8
+
+        Returns
+        -------
+        records, impacts
+            Of the runs that were done before `stop` was set: CELL, one each, and IMPACT, in pieces.
+        """
+        system, tables = self.prepared(values)
+        solver = self.study.solver
+        records, done = np.zeros(drive[0].size, CELL), 0
+        impacts = []
+        while done < records.size and not stop[0]:
+            done, written = kernel.run_tile(
+                system, tables, solver.margin_tolerance, *drive, done, solver.max_events, records, buffer, stop
+            )
+            impacts.append(buffer[:written].copy())
+        return records[:done], impacts
 
 
 def warm_up(study: Study) -> None:

@@ -125,26 +125,15 @@ class Results:
     coordinates: tuple[ResultAxis, ...] = ()
 
     def __post_init__(self) -> None:
-        if not self.axes:
-            raise ValueError("results need at least one axis")
-        if len({axis.variable for axis in self.parameters}) != len(self.parameters):
-            raise ValueError("two axes have the same name")
-        run = {len(axis.values) for axis in self.axes if axis.parameter == RUN}
-        if {len(axis.values) for axis in self.coordinates} - run:
-            raise ValueError("a coordinate is not as long as the axis run")
+        check_axes(self.axes, self.coordinates)
         for name, dtype in CELL_FIELDS.items():
-            _require(name, getattr(self, name), self.shape, dtype)
+            require(name, getattr(self, name), self.shape, dtype)
         if self.primary_impacts.min() < 0:
             raise ValueError("primary_impacts must not be negative")
         impacts = (int(self.primary_impacts.sum(dtype=np.int64)),)
         for name, dtype in IMPACT_FIELDS.items():
-            _require(name, getattr(self, name), impacts, dtype)
-        if any(not label or label.split() != [label] or label == FAILED for label in self.labels):
-            raise ValueError("a label must be one word, and not 'failed'")
-        if len(set(self.labels)) != len(self.labels):
-            raise ValueError("labels must differ from each other")
-        if self.sequence.min() < FAILED_CODE or self.sequence.max() >= len(self.labels):
-            raise ValueError("sequence holds a code without a label")
+            require(name, getattr(self, name), impacts, dtype)
+        check_labels(self.labels, self.sequence)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -154,10 +143,7 @@ class Results:
     @property
     def parameters(self) -> tuple[ResultAxis, ...]:
         """What was swept: the axes, and in the place of `run` its coordinates."""
-        found: list[ResultAxis] = []
-        for axis in self.axes:
-            found += self.coordinates if axis.parameter == RUN else [axis]
-        return tuple(found)
+        return swept_parameters(self.axes, self.coordinates)
 
     @property
     def max_impacts(self) -> int:
@@ -201,6 +187,37 @@ def count_labels(labels: tuple[str, ...], sequence: npt.NDArray[np.int16]) -> di
     return {label: int(cells[code - FAILED_CODE]) for code, label in enumerate(labels)} | {FAILED: int(cells[0])}
 
 
-def _require(name: str, array: npt.NDArray[Any], shape: tuple[int, ...], dtype: type[np.generic]) -> None:
+def swept_parameters(axes: tuple[ResultAxis, ...], coordinates: tuple[ResultAxis, ...]) -> tuple[ResultAxis, ...]:
+    """The axes, and in the place of `run` its coordinates."""
+    found: list[ResultAxis] = []
+    for axis in axes:
+        found += coordinates if axis.parameter == RUN else [axis]
+    return tuple(found)
+
+
+def check_axes(axes: tuple[ResultAxis, ...], coordinates: tuple[ResultAxis, ...]) -> None:
+    """Raise ValueError where these cannot be the axes of results."""
+    if not axes:
+        raise ValueError("results need at least one axis")
+    parameters = swept_parameters(axes, coordinates)
+    if len({axis.variable for axis in parameters}) != len(parameters):
+        raise ValueError("two axes have the same name")
+    run = {len(axis.values) for axis in axes if axis.parameter == RUN}
+    if {len(axis.values) for axis in coordinates} - run:
+        raise ValueError("a coordinate is not as long as the axis run")
+
+
+def check_labels(labels: tuple[str, ...], sequence: npt.NDArray[np.int16]) -> None:
+    """Raise ValueError where these cannot be labels, or a code has none."""
+    if any(not label or label.split() != [label] or label == FAILED for label in labels):
+        raise ValueError("a label must be one word, and not 'failed'")
+    if len(set(labels)) != len(labels):
+        raise ValueError("labels must differ from each other")
+    if sequence.min() < FAILED_CODE or sequence.max() >= len(labels):
+        raise ValueError("sequence holds a code without a label")
+
+
+def require(name: str, array: npt.NDArray[Any], shape: tuple[int, ...], dtype: type[np.generic]) -> None:
+    """Raise ValueError where an array has another shape or dtype."""
     if array.shape != shape or array.dtype != dtype:
         raise ValueError(f"{name} must be {np.dtype(dtype)} {shape}, not {array.dtype} {array.shape}")

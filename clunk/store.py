@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,8 +32,10 @@ from clunk.netcdf import (
     write_file,
 )
 from clunk.results import CELL_FIELDS, FAILED, FAILED_CODE, IMPACT_FIELDS, RUN, ResultAxis, Results, count_labels
+from clunk.tolerancemap import ToleranceMap
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 2  # of a regime map
+NEWEST_VERSION = 3  # of any file that is read: tolerance maps have it, which came with it
 _SINCE = {"margin": 2}  # schema version that brought a variable; in older files it is NaN, and not in their digest
 
 # Variable -> (unit, long name).
@@ -54,7 +56,8 @@ _MEANING = {
     "impact_severity": ("rad s-2", "severity of the primary impact: peak-to-peak acceleration until the next"),
 }
 # Root attributes that are fields of Results (or this module's own); all others are Results.attributes.
-_OWN_ATTRIBUTES = {"title", "Conventions", "schema_version", "config", "config_digest", "content_digest"}
+_OWN_ATTRIBUTES = {"title", "Conventions", "schema_version", "kind", "config", "config_digest", "content_digest"}
+TOLERANCE_MAP = "tolerance map"  # the attribute `kind` of one; a regime map has none
 
 
 class StoreError(Exception):
@@ -68,8 +71,9 @@ class Header:
     title, config, config_digest, content_digest : str
     axes, coordinates : the swept parameters, as those of `Results`
     labels : code -> label
-    counts : label -> number of cells, ``failed`` last
+    counts : label -> number of cells, ``failed`` last; of a tolerance map, cells in which it is the most likely one
     attributes : versions, date and machine
+    tolerance_map : whether it is one, which `clunk.tolerancefile` reads
     """
 
     title: str
@@ -81,6 +85,7 @@ class Header:
     content_digest: str
     attributes: dict[str, str]
     coordinates: tuple[ResultAxis, ...] = ()
+    tolerance_map: bool = False
 
 
 def write(path: str | os.PathLike[str], results: Results, scratch: Path | None = None) -> None:
@@ -89,26 +94,35 @@ def write(path: str | os.PathLike[str], results: Results, scratch: Path | None =
     Missing parent directories are made. What is not complete yet is in `scratch`, by default in the same directory.
     Raises StoreError.
     """
+    write_filled(path, lambda file: _write(file, results), scratch)
+
+
+def write_filled(path: str | os.PathLike[str], fill: Callable[[h5py.File], None], scratch: Path | None = None) -> None:
+    """Write the results file that `fill` fills, as `write` does. Raises StoreError."""
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_file(path, lambda file: _write(file, results), scratch)
+        write_file(path, fill, scratch)
     except OSError as error:
         raise StoreError(f"{path} cannot be written: {reason(error)}.") from error
 
 
 def read(path: str | os.PathLike[str]) -> Results:
     """Read a results file whole and check it against its checksum and digest. Raises StoreError."""
-    with _opened(path) as file:
-        header = _header(file)
+    with opened(path) as file:
+        header = header_of(file)
+        if header.tolerance_map:
+            raise StoreError(
+                f"{path} holds a tolerance map, where a regime map is needed: sweep without [[sweep.tolerances]]."
+            )
         shape = tuple(len(axis.values) for axis in header.axes)
-        digest = _Digest(header.axes + header.coordinates, header.labels)
+        digest = Digest(header.axes + header.coordinates, header.labels)
         fields: dict[str, npt.NDArray[Any]] = {}
         for name, dtype in CELL_FIELDS.items():
             if int(file.attrs["schema_version"]) < _SINCE.get(name, 1):
                 fields[name] = np.full(shape, np.nan, dtype)
                 continue
-            fields[name] = _variable(file, name, shape, dtype)[()]
+            fields[name] = variable_of(file, name, shape, dtype)[()]
             digest.begin(name, shape, dtype)
             digest.add(fields[name])
         counts = fields["primary_impacts"]
@@ -117,10 +131,10 @@ def read(path: str | os.PathLike[str]) -> Results:
             raise ValueError("primary_impacts is out of range")
         first = np.concatenate(([0], np.cumsum(counts.reshape(shape[0], -1).sum(axis=1, dtype=np.int64))))
         for name, dtype in IMPACT_FIELDS.items():
-            variable = _variable(file, name, (*shape, longest), dtype)
+            variable = variable_of(file, name, (*shape, longest), dtype)
             digest.begin(name, variable.shape, dtype)
             flat = np.empty(int(first[-1]), dtype)
-            for start, stop in _row_blocks(variable):
+            for start, stop in row_blocks(variable):
                 block = variable[start:stop]
                 digest.add(block)
                 flat[first[start] : first[stop]] = block[np.arange(longest) < counts[start:stop, ..., None]]
@@ -141,8 +155,8 @@ def read(path: str | os.PathLike[str]) -> Results:
 
 def read_header(path: str | os.PathLike[str]) -> Header:
     """Read what `Header` holds; of the arrays only the axes and `sequence` (2 bytes a cell). Raises StoreError."""
-    with _opened(path) as file:
-        return _header(file)
+    with opened(path) as file:
+        return header_of(file)
 
 
 def check(path: str | os.PathLike[str]) -> bool:
@@ -158,47 +172,57 @@ def check(path: str | os.PathLike[str]) -> bool:
 
 
 def _write(file: h5py.File, results: Results) -> None:
+    scales = write_head(file, results, SCHEMA_VERSION)
+    numbers = np.arange(1, results.max_impacts + 1, dtype=np.int32)
+    impact = create_scale(file, "impact", numbers, ("1", "number of the primary impact"))
+
+    digest = Digest(results.axes + results.coordinates, results.labels)
+    with ChunkWriter() as chunks:
+        for name, dtype in CELL_FIELDS.items():
+            variable = create_variable(file, name, results.shape, dtype, _MEANING[name], scales)
+            describe(variable, name, results)
+            values = np.ascontiguousarray(getattr(results, name))
+            digest.begin(name, results.shape, dtype)
+            for start, stop in row_blocks(variable):
+                chunks.write(variable, start, values[start:stop])
+            digest.add(values)
+        for name, dtype in IMPACT_FIELDS.items():
+            shape = (*results.shape, results.max_impacts)
+            variable = create_variable(file, name, shape, dtype, _MEANING[name], [*scales, impact])
+            describe(variable, name, results)
+            digest.begin(name, shape, dtype)
+            # Padded a block of rows at a time: padded whole, the impacts would be most of a large map's memory.
+            for start, stop in row_blocks(variable):
+                block = results.padded_rows(name, start, stop)
+                chunks.write(variable, start, block)
+                digest.add(block)
+    set_text(file, "content_digest", digest.hexdigest())
+
+
+def write_head(file: h5py.File, results: Results | ToleranceMap, version: int) -> list[h5py.Dataset]:
+    """Write the root attributes and the axes; returns the axes' scales."""
     set_text(file, "title", results.title)
     set_text(file, "Conventions", CONVENTIONS)
-    file.attrs["schema_version"] = np.int32(SCHEMA_VERSION)
+    file.attrs["schema_version"] = np.int32(version)
     for name, value in results.attributes.items():
         if name in _OWN_ATTRIBUTES:
             raise ValueError(f"{name} is written from the results' own fields, not from attributes")
         set_text(file, name, value)
     file.attrs["config"] = results.config  # variable length: it may be longer than an object header allows
     set_text(file, "config_digest", results.config_digest)
-
     scales = [_write_axis(file, axis) for axis in results.axes]
     run = [scale for axis, scale in zip(results.axes, scales, strict=True) if axis.parameter == RUN]
     for axis in results.coordinates:
-        _write_coordinate(file, axis, run)
-    numbers = np.arange(1, results.max_impacts + 1, dtype=np.int32)
-    impact = create_scale(file, "impact", numbers, ("1", "number of the primary impact"))
+        write_coordinate(file, axis.variable, axis, run)
+    return scales
 
-    digest = _Digest(results.axes + results.coordinates, results.labels)
+
+def describe(variable: h5py.Dataset, name: str, results: Results | ToleranceMap) -> None:
+    """A variable's coordinates besides its own dimensions, and what its integers mean, where they are codes."""
     along_run = " ".join(axis.variable for axis in results.coordinates)
-    with ChunkWriter() as chunks:
-        for name, dtype in CELL_FIELDS.items():
-            variable = create_variable(file, name, results.shape, dtype, _MEANING[name], scales)
-            _write_coordinates_of(variable, along_run)
-            _write_flags(variable, name, results.labels)
-            digest.begin(name, results.shape, dtype)
-            values = np.ascontiguousarray(getattr(results, name))
-            for start, stop in _row_blocks(variable):
-                chunks.write(variable, start, values[start:stop])
-            digest.add(values)
-        for name, dtype in IMPACT_FIELDS.items():
-            shape = (*results.shape, results.max_impacts)
-            variable = create_variable(file, name, shape, dtype, _MEANING[name], [*scales, impact])
-            _write_coordinates_of(variable, along_run)
-            _write_flags(variable, name, results.labels)
-            digest.begin(name, shape, dtype)
-            # Padded a block of rows at a time: padded whole, the impacts would be most of a large map's memory.
-            for start, stop in _row_blocks(variable):
-                block = results.padded_rows(name, start, stop)
-                chunks.write(variable, start, block)
-                digest.add(block)
-    set_text(file, "content_digest", digest.hexdigest())
+    if along_run:
+        set_text(variable, "coordinates", along_run)
+    _write_flags(variable, name, results.labels)
 
 
 def _write_axis(file: h5py.File, axis: ResultAxis) -> h5py.Dataset:
@@ -206,22 +230,17 @@ def _write_axis(file: h5py.File, axis: ResultAxis) -> h5py.Dataset:
     return create_scale(file, axis.variable, axis.values, (axis.unit, axis.name), texts)
 
 
-def _write_coordinate(file: h5py.File, axis: ResultAxis, run: list[h5py.Dataset]) -> None:
-    variable = create_variable(file, axis.variable, axis.values.shape, np.float64, (axis.unit, axis.name), run)
+def write_coordinate(file: h5py.File, name: str, axis: ResultAxis, scales: list[h5py.Dataset]) -> None:
+    """Write a parameter's values along a dimension that has another one's name."""
+    variable = create_variable(file, name, axis.values.shape, np.float64, (axis.unit, axis.name), scales)
     variable[:] = axis.values
-    for name, text in (("symbol", axis.symbol), ("parameter", axis.parameter)):
-        set_text(variable, name, text)
-
-
-def _write_coordinates_of(variable: h5py.Dataset, names: str) -> None:
-    """CF's attribute that makes a variable's coordinates of others than its own dimensions."""
-    if names:
-        set_text(variable, "coordinates", names)
+    for key, text in (("symbol", axis.symbol), ("parameter", axis.parameter)):
+        set_text(variable, key, text)
 
 
 def _write_flags(variable: h5py.Dataset, name: str, labels: tuple[str, ...]) -> None:
     """What the integers of a variable mean, where they are codes."""
-    if name == "sequence":
+    if name in ("sequence", "nominal_sequence"):
         # The failed code last: flag_meanings.split()[code] is then right for -1 too.
         set_flags(variable, {**dict(enumerate(labels)), FAILED_CODE: FAILED})
     elif name == "status":
@@ -232,7 +251,7 @@ def _write_flags(variable: h5py.Dataset, name: str, labels: tuple[str, ...]) -> 
         set_flags(variable, {-1: "initial", 0: "none", 1: "opposite"})
 
 
-def _row_blocks(variable: h5py.Dataset) -> Iterator[tuple[int, int]]:
+def row_blocks(variable: h5py.Dataset) -> Iterator[tuple[int, int]]:
     """Ranges of the first axis that cover whole chunks."""
     rows = variable.shape[0]
     step = variable.chunks[0] if variable.chunks else rows
@@ -240,7 +259,7 @@ def _row_blocks(variable: h5py.Dataset) -> Iterator[tuple[int, int]]:
         yield start, min(start + step, rows)
 
 
-class _Digest:
+class Digest:
     """SHA-256 over the axes, the labels and then each variable's name, shape, dtype and little-endian values."""
 
     def __init__(self, axes: tuple[ResultAxis, ...], labels: tuple[str, ...]) -> None:
@@ -250,13 +269,16 @@ class _Digest:
             self.add(axis.values)
 
     def begin(self, name: str, shape: tuple[int, ...], dtype: type[np.generic]) -> None:
+        """Begin a variable, whose values are then added."""
         self._sha.update(f"\n{name} {shape} {np.dtype(dtype).name}\n".encode())
 
     def add(self, values: npt.NDArray[Any]) -> None:
+        """Add values, in C order."""
         little = values.astype(values.dtype.newbyteorder("<"), copy=False)
         self._sha.update(np.ascontiguousarray(little).data)
 
     def hexdigest(self) -> str:
+        """The digest of all that was added."""
         return self._sha.hexdigest()
 
 
@@ -264,7 +286,7 @@ class _Digest:
 
 
 @contextmanager
-def _opened(path: str | os.PathLike[str]) -> Iterator[h5py.File]:
+def opened(path: str | os.PathLike[str]) -> Iterator[h5py.File]:
     """The open file; whatever is wrong with it leaves here as a StoreError."""
     path = Path(path)
     try:
@@ -280,9 +302,9 @@ def _opened(path: str | os.PathLike[str]) -> Iterator[h5py.File]:
             if "schema_version" not in file.attrs or "sequence" not in file:
                 raise StoreError(f"{path} is not a results file of clunk, although it is HDF5.")
             version = int(file.attrs["schema_version"])
-            if version > SCHEMA_VERSION:
+            if version > NEWEST_VERSION:
                 raise StoreError(
-                    f"{path} has schema version {version} and this clunk reads up to {SCHEMA_VERSION}: "
+                    f"{path} has schema version {version} and this clunk reads up to {NEWEST_VERSION}: "
                     "a newer clunk is needed to read it."
                 )
             yield file
@@ -290,16 +312,17 @@ def _opened(path: str | os.PathLike[str]) -> Iterator[h5py.File]:
         raise StoreError(f"{path} is damaged ({reason(error)}): run the sweep again.") from error
 
 
-def _header(file: h5py.File) -> Header:
+def header_of(file: h5py.File) -> Header:
+    """The header of an open file."""
     sequence = file["sequence"]
-    axes = tuple(_read_axis(dimension[0]) for dimension in sequence.dims)
+    axes = tuple(read_axis(dimension[0]) for dimension in sequence.dims)
     coordinates = (
-        tuple(_read_axis(file[name]) for name in get_text(sequence, "coordinates").split())
+        tuple(read_axis(file[name]) for name in get_text(sequence, "coordinates").split())
         if ("coordinates" in sequence.attrs)
         else ()
     )
     labels = _labels(sequence)
-    codes = _variable(file, "sequence", tuple(len(axis.values) for axis in axes), np.int16)[()]
+    codes = variable_of(file, "sequence", tuple(len(axis.values) for axis in axes), np.int16)[()]
     if codes.min() < FAILED_CODE or codes.max() >= len(labels):
         raise ValueError("sequence holds a code without a label")
     return Header(
@@ -311,6 +334,7 @@ def _header(file: h5py.File) -> Header:
         config=get_text(file, "config"),
         config_digest=get_text(file, "config_digest"),
         content_digest=get_text(file, "content_digest"),
+        tolerance_map="kind" in file.attrs and get_text(file, "kind") == TOLERANCE_MAP,
         # Names that begin with _ are netCDF's own, left by its tools.
         attributes={
             name: get_text(file, name)
@@ -320,7 +344,8 @@ def _header(file: h5py.File) -> Header:
     )
 
 
-def _read_axis(scale: h5py.Dataset) -> ResultAxis:
+def read_axis(scale: h5py.Dataset) -> ResultAxis:
+    """A parameter's values with their meaning."""
     return ResultAxis(
         parameter=get_text(scale, "parameter"),
         values=np.asarray(scale[()], np.float64),
@@ -337,7 +362,8 @@ def _labels(sequence: h5py.Dataset) -> tuple[str, ...]:
     return tuple(meaning[code] for code in range(len(meaning) - 1))
 
 
-def _variable(file: h5py.File, name: str, shape: tuple[int, ...], dtype: type[np.generic]) -> h5py.Dataset:
+def variable_of(file: h5py.File, name: str, shape: tuple[int, ...], dtype: type[np.generic]) -> h5py.Dataset:
+    """A variable of this shape and dtype; ValueError where it has others."""
     variable = file[name]
     if variable.shape != shape or variable.dtype != dtype:
         raise ValueError(f"{name} is {variable.dtype} {variable.shape} instead of {np.dtype(dtype)} {shape}")

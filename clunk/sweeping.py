@@ -31,13 +31,23 @@ from clunk.designs import design_of
 from clunk.parts import Parts, WorkingDirectory
 from clunk.results import FAILED_CODE, Results
 from clunk.tiles import Tile
+from clunk.tolerancemap import ToleranceMap
+from clunk.tolerances import OUTCOME, TOLERANCE_CELL, ToleranceAssembly, ToleranceGrid
 
-__all__ = ["SweepError", "cell_count", "parts_of", "retry_failed", "sweep", "unused_parameters", "warm_up"]
+__all__ = [
+    "SweepError",
+    "cell_count",
+    "parts_of",
+    "retry_failed",
+    "sweep",
+    "tolerance_map",
+    "unused_parameters",
+    "warm_up",
+]
 
 Cells = npt.NDArray[np.int64]
 Progress = Callable[[int, int], None]
 
-_TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
 _BYTES_PER_CELL = 400  # the most that a cell's results, their assembly and writing take
 
 
@@ -58,7 +68,7 @@ def sweep(
     Parameters
     ----------
     study : Study
-        With at least one axis.
+        With at least one axis or sample, and without tolerances.
     workers : int, optional
         Threads; by default one for each core that this process may use.
     progress : callable(done, total), optional
@@ -72,13 +82,16 @@ def sweep(
     Raises
     ------
     SweepError
-        Where there is nothing to sweep, the grid does not fit in memory, or no cell of it could run.
+        Where there is nothing to sweep, the grid does not fit in memory, no cell of it could run, or there are
+        tolerances.
     PartsError
         Where finished cells cannot be kept.
     KeyboardInterrupt
         Passed on after the running cells have been abandoned, and the finished ones kept.
     """
-    grid = _checked(study, workers)
+    if has_tolerances(study):
+        raise SweepError("The study has [[sweep.tolerances]]: clunk.tolerance_map runs it.")
+    grid = _checked(Grid(study), workers)
     assembly = Assembly(study)
     if not refine:
         _run(grid, assembly, iter([None]), workers, progress, parts)
@@ -88,6 +101,31 @@ def sweep(
     ran = assembly.done
     assembly.infer(*refinement.inferred(assembly.kinds(), assembly.touches(), spacing))
     return assembly.results({**provenance(), "refinement": _refinement_note(ran, grid.cells, spacing)})
+
+
+def tolerance_map(
+    study: Study,
+    *,
+    workers: int | None = None,
+    progress: Progress | None = None,
+    parts: Parts | None = None,
+) -> ToleranceMap:
+    """Run the grid of a study with tolerances, each cell for every draw of the sample.
+
+    Parameters and errors are those of `sweep`.
+    """
+    if not has_tolerances(study):
+        raise SweepError("The study has no [[sweep.tolerances]]: clunk.sweep runs it.")
+    grid = ToleranceGrid(study)
+    _checked(grid, workers)
+    assembly = ToleranceAssembly(study, grid)
+    _run(grid, assembly, iter([None]), workers, progress, parts)
+    return assembly.results(provenance())
+
+
+def has_tolerances(study: Study) -> bool:
+    """Whether each cell of a study's grid is to be run for a sample of toleranced parameters."""
+    return study.sweep is not None and bool(study.sweep.tolerances)
 
 
 def retry_failed(
@@ -104,7 +142,7 @@ def retry_failed(
 
     Raises SweepError where the study differs in anything but [solver]; else as `sweep`.
     """
-    grid = _checked(study, workers)
+    grid = _checked(Grid(study), workers)
     before = study_from_text(results.config, source="the results' config")
     if digest(before.model_copy(update={"solver": study.solver})) != digest(study):
         raise SweepError("The failed cells of another config cannot be run again: only [solver] may differ.")
@@ -145,10 +183,14 @@ def parts_of(directory: WorkingDirectory, study: Study, *, refine: bool = False,
         plan = f"what --refine needs (from spacing {widest})"
     elif retry:
         plan = "the failed cells again"
+    types = CELL, IMPACT
+    if has_tolerances(study):
+        plan = "every cell for every draw"
+        types = TOLERANCE_CELL, OUTCOME
     decisive = content(study)
     del decisive["title"]
     decisive["driveline"].pop("names", None)
-    return Parts(directory, dict(_flat(decisive)), digest(study), plan, CELL, IMPACT)
+    return Parts(directory, dict(_flat(decisive)), digest(study), plan, *types)
 
 
 def cell_count(study: Study) -> int:
@@ -169,12 +211,11 @@ def unused_parameters(study: Study) -> list[str]:
     return [parameter for parameter in swept if parameter in unused | {"load.step_time"}]
 
 
-def _checked(study: Study, workers: int | None) -> Grid:
-    if not cell_count(study):
+def _checked(grid: Grid, workers: int | None) -> Grid:
+    if not grid.shape:
         raise SweepError("There is nothing to sweep: the config has no [[sweep.axes]] and no [[sweep.samples]].")
     if workers is not None and workers < 1:
         raise SweepError(f"A sweep needs at least one worker, not {workers}.")
-    grid = Grid(study)
     _refuse_if_too_large(grid)
     complaint = grid.complaint()
     if complaint is not None:
@@ -184,7 +225,7 @@ def _checked(study: Study, workers: int | None) -> Grid:
 
 def _run(
     grid: Grid,
-    assembly: Assembly,
+    assembly: Assembly | ToleranceAssembly,
     batches: Iterator[Cells | None],
     workers: int | None,
     progress: Progress | None,
@@ -234,8 +275,9 @@ def _refinement_note(ran: int, cells: int, spacing: tuple[int, ...]) -> str:
 def _run_tiles(grid: Grid, cells: Cells, workers: int) -> Generator[Tile, None, None]:
     """Finished tiles in the order in which they finish. Leaving the generator early abandons the running cells."""
     stop = np.zeros(1, np.uint8)
-    largest = _TILE_CELLS[grid.study.solver.method]
+    largest = grid.tile_cells
     size = min(max(-(-cells.size // (8 * workers)), largest // 32), largest)
+    cells = grid.ordered(cells)
     waiting = (cells[start : start + size] for start in range(0, cells.size, size))
     with ThreadPoolExecutor(workers, thread_name_prefix="clunk") as pool:
         running: set[Future[Tile]] = set()

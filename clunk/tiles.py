@@ -1,4 +1,7 @@
-"""A tile: cells of the grid that were run together, what came of them, and the bytes in which that is kept."""
+"""A tile: cells of the grid that were run together, what came of them, and the bytes in which that is kept.
+
+Of a regime map, a cell has a CELL and its impacts; of a tolerance map, a TOLERANCE_CELL and its OUTCOMEs.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +22,9 @@ class Tile:
     """The runs of some cells.
 
     cells : (n,) int64, each one's number in C order of the grid; in any order, consecutive or not
-    records : (n,) CELL
-    impacts : (N,) IMPACT, those of each cell behind those of the cell before it: `records["primary_impacts"]` of them
+    records : (n,) CELL or TOLERANCE_CELL
+    impacts : (N,) IMPACT or OUTCOME, those of each cell behind those of the cell before it: as many of them as
+        `records["primary_impacts"]` or `records["outcomes"]` says
     """
 
     cells: npt.NDArray[np.int64]
