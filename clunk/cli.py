@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from clunk.parts import WorkingDirectory
     from clunk.results import Results
     from clunk.simulation import Trajectory
+    from clunk.tolerancemap import ToleranceMap
 
 EXIT_INTERNAL = 1
 EXIT_USAGE = 2
@@ -139,6 +140,10 @@ def sweep(
     from clunk.config import digest, load_study
 
     study = load_study(config, overrides)
+    tolerances = study.sweep is not None and bool(study.sweep.tolerances)
+    if tolerances and (refine or retry_failed):
+        option = "--refine" if refine else "--retry-failed"
+        raise click.UsageError(f"{option} does not go with [[sweep.tolerances]]: every cell has its own probabilities.")
     target = output or Path("results") / f"{config.stem}.h5"
     targets.check(target, targets.RESULTS, reads=config)
     from clunk.parts import WorkingDirectory
@@ -155,12 +160,17 @@ def sweep(
         if counts is not None:
             _tidy(directory, study, refine, retry_failed)
             click.echo(f"{target} {'has no failed cells' if retry_failed else 'is already complete'}.", err=True)
-            _report_counts(counts, target, 0.0, as_json)
+            if tolerances:
+                from clunk import tolerancefile
+
+                failed = _report_tolerances(tolerancefile.read(target), target, 0.0, as_json)
+            else:
+                failed = _report_counts(counts, target, 0.0, as_json)
         else:
             if restart:
                 directory.clear()
-            counts = _sweep_into(directory, study, target, workers, refine, earlier, as_json)
-    if counts["failed"]:
+            failed = _sweep_into(directory, study, target, workers, refine, earlier, as_json)
+    if failed:
         sys.exit(EXIT_FAILED_CELLS)
 
 
@@ -210,10 +220,11 @@ def _sweep_into(
     refine: bool,
     earlier: Results | None,
     as_json: bool,
-) -> dict[str, int]:
-    """Run, write, report; the counts."""
+) -> int:
+    """Run, write, report; how many cells, or runs of a tolerance map, have failed."""
     import clunk.sweeping as sweeping
-    from clunk.store import write
+    from clunk import store, tolerancefile
+    from clunk.designs import has_tolerances
 
     total = sweeping.cell_count(study)
     _warn_of_coarse_step(study, study.solver.method)
@@ -237,6 +248,8 @@ def _sweep_into(
 
             if earlier is not None:
                 results = sweeping.retry_failed(earlier, study, workers=workers, progress=progress, parts=parts)
+            elif has_tolerances(study):
+                found = sweeping.tolerance_map(study, workers=workers, progress=progress, parts=parts)
             else:
                 results = sweeping.sweep(study, workers=workers, progress=progress, refine=refine, parts=parts)
     except (KeyboardInterrupt, SystemExit) as stopped:
@@ -247,14 +260,20 @@ def _sweep_into(
         click.echo("interrupted", err=True)
         sys.exit(EXIT_INTERRUPTED)
     seconds = time.perf_counter() - began
-    write(target, results, directory.path)
+    if has_tolerances(study):
+        tolerancefile.write(target, found, directory.path)
+        directory.remove()
+        failed = _report_tolerances(found, target, seconds, as_json)
+        terminal.report_speed(total, ran, parts.taken_up, seconds, target, draws=found.draws)
+        terminal.report_failures(found, " for some draws")
+        return failed
+    store.write(target, results, directory.path)
     directory.remove()
-    counts = results.counts()
-    _report_counts(counts, target, seconds, as_json)
+    failed = _report_counts(results.counts(), target, seconds, as_json)
     terminal.report_speed(total, ran, parts.taken_up, seconds, target, inferred=refine)
-    if counts["failed"]:
+    if failed:
         terminal.report_failures(results)
-    return counts
+    return failed
 
 
 def _warn_of_coarse_step(study: Study, method: str) -> None:
@@ -278,13 +297,25 @@ def _say_if_compiling(*methods: str) -> None:
         click.echo(f"compiling {which}, once for this installation (about {seconds} s) …", err=True)
 
 
-def _report_counts(counts: dict[str, int], target: Path, seconds: float, as_json: bool) -> None:
+def _report_counts(counts: dict[str, int], target: Path, seconds: float, as_json: bool) -> int:
+    """Print the counts; returns how many cells have failed."""
     if as_json:
         cells = sum(counts.values())
         summary = {"file": str(target), "cells": cells, "seconds": round(seconds, 3), "counts": counts}
         click.echo(json.dumps(summary, ensure_ascii=False))
     else:
         terminal.print_counts(counts)
+    return counts["failed"]
+
+
+def _report_tolerances(found: ToleranceMap, target: Path, seconds: float, as_json: bool) -> int:
+    """Print what a tolerance map comes to; returns how many runs have failed."""
+    if as_json:
+        summary = {"file": str(target), "seconds": round(seconds, 3)} | terminal.tolerance_record(found)
+        click.echo(json.dumps(summary, ensure_ascii=False))
+    else:
+        terminal.print_tolerances(found)
+    return found.failed
 
 
 @cli.command()
@@ -296,17 +327,33 @@ def _report_counts(counts: dict[str, int], target: Path, seconds: float, as_json
 def plot(file: Path, output: Path | None, quantity: str | None) -> None:
     """Draw the maps of a results file: the regimes and their severity.
 
-    Example: clunk plot results/figure_3_4.h5 -o figure.svg
+    Of a tolerance map: the most likely regimes, where they are uncertain, and
+    how probable double-sided impacts are.
+
+    \b
+    Examples:
+      clunk plot results/figure_3_4.h5 -o figure.svg
+      clunk plot results/tolerance.h5 --quantity severity_95
     """
     from clunk import plot as plots
     from clunk import targets
-    from clunk.store import read
+    from clunk.plot import certainty
+    from clunk.store import read, read_header
 
     base = output or file.with_suffix(".png")
     if not base.suffix:
         base = base.with_name(base.name + ".png")
     if output is not None:
         targets.check(base, targets.PICTURES, reads=file)
+    if read_header(file).tolerance_map:
+        from clunk import tolerancefile
+
+        found = tolerancefile.read(file)
+        for name in [quantity] if quantity else certainty.default_quantities(found):
+            target = base if output and quantity else base.with_name(f"{base.stem}-{name}{base.suffix}")
+            plots.save(certainty.draw(found, name), target)
+            click.echo(str(target))
+        return
     results = read(file)
     for name in [quantity] if quantity else _default_quantities(results):
         target = base if output and quantity else base.with_name(f"{base.stem}-{name}{base.suffix}")
@@ -598,11 +645,11 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
 
     Example: clunk info results/figure_3_4.h5 --check
     """
-    from clunk.store import check as check_file
-    from clunk.store import read_header
+    from clunk import store, tolerancefile
 
-    header = read_header(file)
-    bytes_checked = check_file(file) if check else None
+    header = store.read_header(file)
+    found = tolerancefile.read(file) if header.tolerance_map else None
+    bytes_checked = (store.check if found is None else tolerancefile.check)(file) if check else None
     if show_config:
         click.echo(header.config, nl=not header.config.endswith("\n"))
         return
@@ -612,7 +659,8 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
             | {"count": len(a.values)}
             for a in header.axes
         ]
-        record = {"title": header.title, "axes": axes, "counts": header.counts, "config_digest": header.config_digest}
+        counts = {"counts": header.counts} if found is None else terminal.tolerance_record(found)
+        record = {"title": header.title, "axes": axes} | counts | {"config_digest": header.config_digest}
         checked: dict[str, Any] = {"checked": {"data": True, "bytes": bytes_checked}} if check else {}
         click.echo(json.dumps(record | header.attributes | checked, ensure_ascii=False))
         return
@@ -622,6 +670,9 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
         span = f"{axis.values[0]:g} to {axis.values[-1]:g}"
         unit = "" if axis.unit == "1" else f" {axis.unit}"
         click.echo(f"axis      {axis.parameter}: {span}{unit}, {len(axis.values)} values")
+    for each in found.sample if found is not None else ():
+        unit = "" if each.unit == "1" else f" {each.unit}"
+        click.echo(f"drawn     {each.name}, {each.values.min():.4g} to {each.values.max():.4g}{unit}")
     click.echo(f"config    {header.config_digest[:16]}…")
     for name, value in header.attributes.items():
         click.echo(f"{name.removesuffix('_version'):<9} {value}")
@@ -633,7 +684,10 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
         if not bytes_checked:
             click.echo("          another program has changed the file")
     click.echo()
-    terminal.print_counts(header.counts)
+    if found is None:
+        terminal.print_counts(header.counts)
+    else:
+        terminal.print_tolerances(found)
 
 
 @cli.command()

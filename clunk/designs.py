@@ -96,6 +96,18 @@ def design_of(study: Study) -> Design:
     return Design((*shape, sweep.sampling.count), tuple(columns), run=len(shape))
 
 
+def has_tolerances(study: Study) -> bool:
+    """Whether each cell of a study is to be run for a sample of toleranced parameters."""
+    return study.sweep is not None and bool(study.sweep.tolerances)
+
+
+def nominal(study: Study) -> Study:
+    """The study without its tolerances."""
+    if study.sweep is None:
+        return study
+    return study.model_copy(update={"sweep": study.sweep.model_copy(update={"tolerances": ()})})
+
+
 def drawn_numbers(study: Study, draws: Sequence[Draw]) -> list[FloatArray]:
     """What the study's sampling draws for each of these, (count,) each: a value, a factor or an offset."""
     assert study.sweep is not None

@@ -27,7 +27,7 @@ from clunk import refinement
 from clunk.assembly import Assembly
 from clunk.cells import CELL, IMPACT, Grid, warm_up
 from clunk.config import Study, content, digest, study_from_text
-from clunk.designs import design_of
+from clunk.designs import design_of, has_tolerances
 from clunk.parts import Parts, WorkingDirectory
 from clunk.results import FAILED_CODE, Results
 from clunk.tiles import Tile
@@ -121,11 +121,6 @@ def tolerance_map(
     assembly = ToleranceAssembly(study, grid)
     _run(grid, assembly, iter([None]), workers, progress, parts)
     return assembly.results(provenance())
-
-
-def has_tolerances(study: Study) -> bool:
-    """Whether each cell of a study's grid is to be run for a sample of toleranced parameters."""
-    return study.sweep is not None and bool(study.sweep.tolerances)
 
 
 def retry_failed(

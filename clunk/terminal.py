@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from clunk.energy import EnergyBalance
     from clunk.results import Results
     from clunk.simulation import Trajectory
+    from clunk.tolerancemap import ToleranceMap
     from clunk.verification import Verification
 
 Progress = Callable[[int, int], None]
@@ -97,10 +98,14 @@ def report_resumed(taken_up: int, discarded: int) -> None:
         click.echo(f"{discarded:,} {what} of other versions, or damaged: their cells are run again", err=True)
 
 
-def report_speed(total: int, ran: int, taken_up: int, seconds: float, target: Path, *, inferred: bool) -> None:
-    """How many cells ran, how many of them were taken up, and how fast."""
-    rate = f" ({(ran - taken_up) / seconds:,.0f} runs/s)" if ran > taken_up and seconds > 0.0 else ""
-    click.echo(f"{_cells(total)} in {seconds:.1f} s{rate} -> {target}", err=True)
+def report_speed(
+    total: int, ran: int, taken_up: int, seconds: float, target: Path, *, inferred: bool = False, draws: int = 0
+) -> None:
+    """How many cells ran, how many of them were taken up, and how fast; of a tolerance map, each for all draws."""
+    runs = (ran - taken_up) * (draws + 1)  # and nominally
+    rate = f" ({runs / seconds:,.0f} runs/s)" if ran > taken_up and seconds > 0.0 else ""
+    each = f" x {draws:,} draws" if draws else ""
+    click.echo(f"{_cells(total)}{each} in {seconds:.1f} s{rate} -> {target}", err=True)
     if inferred:
         click.echo(f"{ran:,} of them were run; the others are inferred from their neighbours", err=True)
 
@@ -109,7 +114,7 @@ def _cells(count: int) -> str:
     return f"{count:,} {'cell' if count == 1 else 'cells'}"
 
 
-def report_failures(results: Results, how: str = "") -> None:
+def report_failures(results: Results | ToleranceMap, how: str = "") -> None:
     """Failed cells by cause, and where the first few are; `how` goes after "failed"."""
     import numpy as np
 
@@ -136,6 +141,41 @@ def print_counts(counts: dict[str, int]) -> None:
     for label, count in counts.items():
         if label != "failed" or count:
             click.echo(f"{label:<{width}}  {count:>9,} {'cell ' if count == 1 else 'cells'}  {count / total:6.1%}")
+
+
+def print_tolerances(found: ToleranceMap) -> None:
+    """In how many cells each label is the most likely one, its share of all runs, and how many cells are uncertain."""
+    from clunk.tolerancemap import CERTAIN
+
+    counts, shares = found.counts(), found.shares()
+    cells, width = sum(counts.values()), max(len(label) for label in counts)
+    click.echo(f"{'':<{width}}  {'most likely in':>15}  {'of all runs':>19}")
+    for label, count in counts.items():
+        if label != "failed" or shares[label]:
+            click.echo(f"{label:<{width}}  {_cells(count):>15}  {count / cells:6.1%}  {shares[label]:11.4%}")
+    click.echo()
+    click.echo(
+        f"{_cells(found.uncertain)} of {cells:,} ({found.uncertain / cells:.1%}) are uncertain: "
+        f"no label has {CERTAIN:.0%} of the {found.draws:,} draws"
+    )
+    moved = int((found.sequence != found.nominal_sequence).sum())
+    click.echo(f"{_cells(moved)} of {cells:,} have another most likely label than the nominal one")
+    if found.failed:
+        runs = cells * found.draws
+        complain(f"{found.failed:,} of {runs:,} runs failed, in {_cells(int((found.runs[..., -1] > 0).sum()))}")
+
+
+def tolerance_record(found: ToleranceMap) -> dict[str, Any]:
+    """A tolerance map for JSON."""
+    counts = found.counts()
+    return {
+        "cells": sum(counts.values()),
+        "draws": found.draws,
+        "counts": counts,
+        "shares": found.shares(),
+        "uncertain_cells": found.uncertain,
+        "failed_runs": found.failed,
+    }
 
 
 def print_trajectory(trajectory: Trajectory) -> None:

@@ -43,6 +43,7 @@ _MEANING = {
     "nominal_sequence": ("1", "sequence of impact excursions (regime label) without tolerances"),
     "severity_mean": ("rad s-2", "mean severity Q of the runs of the sample that did not fail; 0 without impacts"),
     "severity_quantiles": ("rad s-2", "quantiles of the severity Q of the runs of the sample that did not fail"),
+    "status": ("1", "how the first run of the sample that failed ended"),
 }
 _DRAWN = "drawn_"
 
@@ -129,4 +130,5 @@ def _layout(shape: tuple[int, ...], labels: int) -> dict[str, tuple[tuple[int, .
         "nominal_sequence": (shape, np.int16),
         "severity_mean": (shape, np.float64),
         "severity_quantiles": ((*shape, len(QUANTILES)), np.float64),
+        "status": (shape, np.uint8),
     }

@@ -9,7 +9,16 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.labels import double_sided
-from clunk.results import FAILED, FAILED_CODE, ResultAxis, check_axes, check_labels, count_labels, require
+from clunk.results import (
+    FAILED,
+    FAILED_CODE,
+    ResultAxis,
+    check_axes,
+    check_labels,
+    count_labels,
+    require,
+    swept_parameters,
+)
 
 QUANTILES = (0.05, 0.5, 0.95)
 CERTAIN = 0.95  # a cell whose most likely label is less probable lies in the band between regimes
@@ -32,6 +41,7 @@ class ToleranceMap:
         defined
     severity_quantiles : shape + (3,), the `QUANTILES` of the same Q, linear between order statistics (type 7 of
         Hyndman and Fan, doi:10.2307/2684934)
+    status : shape, uint8, how the first run that failed ended (see `clunk.core.status`), 0 where none did
     config, config_digest, attributes : as those of `Results`
 
     Raises ValueError where an array's shape or dtype is not the one above, a code has no label, or a cell's runs are
@@ -46,6 +56,7 @@ class ToleranceMap:
     nominal_sequence: npt.NDArray[np.int16]
     severity_mean: npt.NDArray[np.float64]
     severity_quantiles: npt.NDArray[np.float64]
+    status: npt.NDArray[np.uint8]
     config: str
     config_digest: str
     attributes: dict[str, str]
@@ -60,6 +71,7 @@ class ToleranceMap:
         require("nominal_sequence", self.nominal_sequence, self.shape, np.int16)
         require("severity_mean", self.severity_mean, self.shape, np.float64)
         require("severity_quantiles", self.severity_quantiles, (*self.shape, len(QUANTILES)), np.float64)
+        require("status", self.status, self.shape, np.uint8)
         if self.runs.min() < 0 or (self.runs.sum(axis=-1) != self.draws).any():
             raise ValueError("the runs of a cell are not as many as the sample")
 
@@ -67,6 +79,11 @@ class ToleranceMap:
     def shape(self) -> tuple[int, ...]:
         """The axes' counts in order."""
         return tuple(len(axis.values) for axis in self.axes)
+
+    @property
+    def parameters(self) -> tuple[ResultAxis, ...]:
+        """What was swept: the axes, and in the place of `run` its coordinates."""
+        return swept_parameters(self.axes, self.coordinates)
 
     @property
     def draws(self) -> int:

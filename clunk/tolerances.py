@@ -27,7 +27,14 @@ Flanks = tuple[int, ...]
 
 # A cell of a tolerance map; in a tile its outcomes stand where those of a map have impacts.
 TOLERANCE_CELL = np.dtype(
-    [("outcomes", np.int32), ("mean", np.float64), ("low", np.float64), ("median", np.float64), ("high", np.float64)],
+    [
+        ("outcomes", np.int32),
+        ("status", np.uint8),  # of the first draw that failed
+        ("mean", np.float64),  # of the severity; so are these quantiles
+        ("low", np.float64),
+        ("median", np.float64),
+        ("high", np.float64),
+    ],
     align=True,
 )
 # An outcome: up to 62 primaries' flanks as `pattern` of `clunk.core.tile` has them (0: failed), how many runs had it,
@@ -35,6 +42,7 @@ TOLERANCE_CELL = np.dtype(
 OUTCOME = np.dtype([("pattern", np.uint64), ("runs", np.int32), ("nominal", np.int8)], align=True)
 
 _GOES_ON = -1
+_GOLDEN = 0.6180339887498949
 _LONG = 1 << 63  # from here on, a pattern is the number of a sequence that is too long for one
 _TILE_RUNS = 1 << 16  # 1 MB of them, in about a second
 _MOST_TILE_RUNS = 1 << 22  # 64 MB: where more systems are drawn than are kept, many cells must share each
@@ -78,18 +86,22 @@ class ToleranceGrid(Grid):
         at = self.design.at(cells)
         patterns = np.zeros((cells.size, self.draws + 1), np.uint64)  # the nominal run last
         severity = np.full((cells.size, self.draws + 1), np.nan)
+        status = np.zeros((cells.size, self.draws + 1), np.uint8)
         long: list[Flanks] = []
         buffer = self.impact_buffer(cells.size)
+        # tiles that run at the same time begin far apart, so that each prepares systems for the others
+        begin = int(_GOLDEN * (cells[0] // cells.size) * self.draws)
+        order = [self.draws, *((begin + np.arange(self.draws)) % self.draws)]
         for values, mine in self.groups(cells):
             own = {parameter: column[mine] for parameter, column in at.items()}
-            for draw in range(self.draws + 1):
+            for draw in order:
                 system, driving = (dict(values), own) if draw == self.draws else self._at(draw, values, own)
                 records, impacts = self.run_group(system, self.drive(driving, mine.size), buffer, stop)
                 if records.size < mine.size:
                     return _NO_CELLS
-                severity[mine, draw] = records["severity"]
+                severity[mine, draw], status[mine, draw] = records["severity"], records["status"]
                 patterns[mine, draw] = _numbered(records, impacts, long)
-        found = [_summary(patterns[k], severity[k], long) for k in range(cells.size)]
+        found = [_summary(patterns[k], severity[k], status[k], long) for k in range(cells.size)]
         records = np.array([record for record, _ in found], TOLERANCE_CELL)
         outcomes = np.array([outcome for _, outcomes in found for outcome in outcomes], OUTCOME)
         return Tile(cells, records, outcomes)
@@ -121,6 +133,7 @@ class ToleranceAssembly:
         self._known = np.zeros(grid.cells, bool)
         self._mean = np.zeros(grid.cells)
         self._quantiles = np.zeros((grid.cells, len(QUANTILES)))
+        self._status = np.zeros(grid.cells, np.uint8)
         self._codes: dict[Flanks | None, int] = {None: FAILED_CODE}  # of the primaries' flanks, as they turned up
         self._nominal = np.zeros(grid.cells, np.int64)
         self._runs: list[tuple[Cells, Cells, Cells]] = []  # cells, codes, and how many runs
@@ -134,7 +147,7 @@ class ToleranceAssembly:
         new = ~self._known[tile.cells]
         for name, own in zip(("low", "median", "high"), self._quantiles.T, strict=True):
             own[tile.cells] = tile.records[name]
-        self._mean[tile.cells] = tile.records["mean"]
+        self._mean[tile.cells], self._status[tile.cells] = tile.records["mean"], tile.records["status"]
         entries = []
         owners = np.repeat(np.arange(tile.cells.size), tile.records["outcomes"])
         for owner, flanks, count, nominal in _outcomes(owners, tile.impacts):
@@ -172,6 +185,7 @@ class ToleranceAssembly:
             nominal_sequence=code[self._nominal].reshape(shape),
             severity_mean=self._mean.reshape(shape),
             severity_quantiles=self._quantiles.reshape(*shape, len(QUANTILES)),
+            status=self._status.reshape(shape),
             config=to_toml(self._study),
             config_digest=digest(self._study),
             attributes=attributes,
@@ -216,7 +230,7 @@ def _numbered(
 
 
 def _summary(
-    patterns: npt.NDArray[np.uint64], severity: FloatArray, long: list[Flanks]
+    patterns: npt.NDArray[np.uint64], severity: FloatArray, status: npt.NDArray[np.uint8], long: list[Flanks]
 ) -> tuple[tuple[float, ...], list[tuple[int, int, int]]]:
     """A cell's TOLERANCE_CELL and its OUTCOMEs, from its runs; the last of them is the nominal one."""
     nominal = int(patterns[-1])
@@ -229,7 +243,8 @@ def _summary(
         outcomes += [(word, _GOES_ON, 0) for word in words[1:]]
     known = severity[:-1][np.isfinite(severity[:-1])]
     statistics = (known.mean(), *np.quantile(known, QUANTILES)) if known.size else (np.nan,) * (1 + len(QUANTILES))
-    return (len(outcomes), *statistics), outcomes
+    first_failed = int(status[np.argmax(status[:-1] != Status.OK)])
+    return (len(outcomes), first_failed, *statistics), outcomes
 
 
 def _words(flanks: Flanks) -> list[int]:

@@ -20,6 +20,7 @@ from clunk import sweeping
 from clunk.comparison import Comparison, compare
 from clunk.config import Axis, Study, Sweep
 from clunk.core.status import QUALITY_COMPLETE, QUALITY_GRAZING, QUALITY_UNDECIDED, Status
+from clunk.designs import nominal
 from clunk.results import Results, values_at
 from clunk.simulation import Trajectory, simulate
 
@@ -261,7 +262,7 @@ def verify(
     Parameters
     ----------
     study : Study
-        Without axes, its single run is compared, event by event.
+        Without axes, its single run is compared, event by event; of one with tolerances, the nominal runs.
     workers : int, optional
         Threads of each sweep; by default one for each core that this process may use.
     progress : callable(done, total), optional
@@ -273,7 +274,7 @@ def verify(
         Where no cell can run; the single run of a study without axes must finish.
     """
     events: tuple[EventPair, ...] = ()
-    grid = study
+    grid = nominal(study)
     if study.sweep is None:
         events = pair_events(*(simulate(by(study, method)) for method in METHODS))
         one = Axis(parameter="lash.backlash_deg", values=(study.lash.backlash_deg,))

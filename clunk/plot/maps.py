@@ -41,6 +41,7 @@ from clunk.plot.style import (
     tidy,
 )
 from clunk.results import FAILED_CODE, Results
+from clunk.tolerancemap import ToleranceMap
 
 Floats = npt.NDArray[np.float64]
 
@@ -267,14 +268,14 @@ def quantity_label(name: str) -> str:
     return " ".join(part for part in (title, symbol, f"[{unit}]" if unit else "") if part)
 
 
-def map_titles(figure: Figure, ax: Axes, results: Results, view: View, more: str = "") -> None:
+def map_titles(figure: Figure, ax: Axes, results: Results | ToleranceMap, view: View, more: str = "") -> None:
     """The results' title, and under it the load, the values of the axes that are not drawn, and what more there is."""
     fixed = "; ".join(f"{axis.name} = {axis.values[0]:g} {axis.unit.removeprefix('1')}".rstrip() for axis in view.fixed)
     line = "; ".join(part for part in (_load(results), fixed, more) if part)
     set_titles(figure, ax, results.title.strip() or "Impact regimes", line)
 
 
-def _load(results: Results) -> str:
+def _load(results: Results | ToleranceMap) -> str:
     """What the load is, in words: an ideal step is a worst case, and a reader should know."""
     try:
         profile = tomllib.loads(results.config)["load"]["profile"]

@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 
 from clunk.plot.style import PlotError, plain, symbol_text
 from clunk.results import ResultAxis, Results
+from clunk.tolerancemap import ToleranceMap
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
@@ -29,7 +30,7 @@ class View:
     order: tuple[npt.NDArray[np.intp], ...]
 
     @classmethod
-    def of(cls, results: Results, dimensions: int) -> View:
+    def of(cls, results: Results | ToleranceMap, dimensions: int) -> View:
         """The view of some results that sweep this many axes. Raises PlotError where they sweep others."""
         keep = drawn_axes(results)
         if len(keep) != dimensions:
@@ -66,7 +67,7 @@ class View:
         return turned[np.ix_(*self.order)]
 
 
-def drawn_axes(results: Results) -> tuple[int, ...]:
+def drawn_axes(results: Results | ToleranceMap) -> tuple[int, ...]:
     """Indices of the axes with more than one value, x first; of the first axis if there is none.
 
     Of two, the load ratio is x.

@@ -1,0 +1,504 @@
+"""Tolerance maps: every cell is a plain loop of single runs, and what a figure and a file say is what was counted."""
+
+import tracemalloc
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+import xarray
+from matplotlib.colors import to_rgb
+from test_cli import clunk, here  # noqa: F401  fixtures
+
+from clunk import parts as keeping
+from clunk import store, tolerancefile, tolerances
+from clunk.config import Axis, get_value, replace_values, study_from_text, to_toml
+from clunk.core.status import Status
+from clunk.designs import drawn_numbers, nominal
+from clunk.labels import double_sided, excursions
+from clunk.parts import PartsError, WorkingDirectory
+from clunk.plot import PlotError, certainty, save
+from clunk.plot.style import palette_of
+from clunk.simulation import SimulationError, simulate
+from clunk.store import StoreError, read, read_header
+from clunk.sweeping import SweepError, parts_of, sweep, tolerance_map
+from clunk.tolerancemap import QUANTILES, ToleranceMap
+from clunk.verification import verify
+
+DRIVELINE = """
+title = "Small"
+[driveline]
+preset = "boere-2008"
+[solver]
+method = "exact"
+"""
+AXES = """
+[[sweep.axes]]
+parameter = "load.ratio"
+start = 0.0
+stop = 10.0
+count = 21
+[[sweep.axes]]
+parameter = "lash.backlash_deg"
+start = 0.5
+stop = 18.5
+count = 7
+"""
+
+
+def tolerance(parameter, std=0.05, draws="factor"):
+    return f'[[sweep.tolerances]]\nparameter = "{parameter}"\ndistribution = "normal"\ndraws = "{draws}"\nstd = {std}\n'
+
+
+def study(*tolerances, axes=AXES, count=16, base=DRIVELINE, seed=1):
+    return study_from_text(f"{base}{axes}[sweep.sampling]\ncount = {count}\nseed = {seed}\n{''.join(tolerances)}")
+
+
+def equal(one, other):
+    """Whether two tolerance maps agree to the last bit; NaN equals NaN."""
+    names = ("runs", "nominal_sequence", "severity_mean", "severity_quantiles", "status")
+    return one.labels == other.labels and all(
+        np.array_equal(getattr(one, name), getattr(other, name), equal_nan=name.startswith("severity"))
+        for name in names
+    )
+
+
+def single_runs(toleranced, cell):
+    """Labels and severities of a plain loop over the draws, at these values of the axes."""
+    draws = toleranced.sweep.tolerances
+    drawn = drawn_numbers(toleranced, draws)
+    bare = replace_values(nominal(toleranced).model_copy(update={"sweep": None}), cell)
+    labels, severities = [], []
+    for k in range(toleranced.sweep.sampling.count):
+        values = {}
+        for draw, numbers in zip(draws, drawn, strict=True):
+            own = get_value(bare, draw.parameter)
+            values[draw.parameter] = numbers[k] * own if draw.draws == "factor" else own + numbers[k]
+        try:
+            run = simulate(replace_values(bare, values))
+        except SimulationError:
+            labels.append("failed")
+            continue
+        labels.append(run.label)
+        severities.append(run.severity)
+    return labels, severities
+
+
+def same_as_single_runs(found, toleranced, at):
+    cell = {axis.parameter: float(axis.values[k]) for axis, k in zip(found.axes, at, strict=True)}
+    labels, severities = single_runs(toleranced, cell)
+    counted = dict(zip((*found.labels, "failed"), found.runs[at].tolist(), strict=True))
+    assert {label: count for label, count in counted.items() if count} == {
+        label: labels.count(label) for label in labels
+    }
+    if severities:
+        assert found.severity_mean[at] == np.mean(severities)
+        assert np.array_equal(found.severity_quantiles[at], np.quantile(severities, QUANTILES))
+    else:
+        assert np.isnan(found.severity_mean[at])
+
+
+@pytest.fixture(scope="module")
+def toleranced():
+    """Keys that make a new system, one that does not, and one of a swept key."""
+    return study(
+        tolerance("lash.contact.stiffness"),
+        tolerance("driveline.inertias[4]"),
+        tolerance("lash.backlash_deg"),
+        tolerance("load.static_torque", 0.2, "offset"),
+    )
+
+
+@pytest.fixture(scope="module")
+def found(toleranced):
+    return tolerance_map(toleranced)
+
+
+class TestCells:
+    def test_the_probabilities_of_a_cell_add_up_to_one(self, found):
+        assert np.array_equal(found.runs.sum(axis=-1), np.full(found.shape, 16))
+        assert np.array_equal(found.probability.sum(axis=-1), np.ones(found.shape))  # exact: 16 is a power of two
+        assert sum(found.shares().values()) == pytest.approx(1.0, abs=1e-12)
+        assert sum(found.counts().values()) == 147
+
+    def test_a_cell_is_a_plain_loop_of_single_runs(self, found, toleranced):
+        """At 20 cells, half of them the least certain ones: the same counts, mean and quantiles to the last bit."""
+        order = np.argsort(found.certainty, axis=None, kind="stable")
+        cells = [*order[:10], *np.random.default_rng(3).choice(order[10:], 10, replace=False)]
+        assert found.certainty.ravel()[cells].min() < 0.7
+        for cell in cells:
+            same_as_single_runs(found, toleranced, np.unravel_index(cell, found.shape))
+
+    def test_the_nominal_label_is_that_of_the_map_without_tolerances(self, found, toleranced):
+        plain = sweep(nominal(toleranced))
+        labels = np.array([*found.labels, "failed"])
+        assert np.array_equal(labels[found.nominal_sequence], np.array([*plain.labels, "failed"])[plain.sequence])
+
+    def test_certain_cells_are_those_of_the_map_without_tolerances(self, found):
+        certain = found.certainty == 1.0
+        assert 0.3 < certain.mean() < 1.0
+        assert np.array_equal(found.sequence[certain], found.nominal_sequence[certain])
+
+    def test_the_most_likely_label_is_the_one_with_the_most_runs(self, found):
+        runs = np.take_along_axis(found.runs, found.sequence[..., None], axis=-1)[..., 0]
+        assert np.array_equal(runs, found.runs.max(axis=-1))
+        assert np.array_equal(runs / 16, found.certainty)
+
+    def test_of_equally_likely_labels_the_first_counts(self, found):
+        runs = np.zeros((*found.shape, len(found.labels) + 1), np.int32)
+        runs[..., 1] = runs[..., 2] = 8
+        runs[0, 0] = 0
+        runs[0, 0, [-2, -1]] = 8
+        tied = replace(found, runs=runs)
+        assert tied.sequence[0, 0] == len(found.labels) - 1
+        assert np.all(tied.sequence.ravel()[1:] == 1)
+
+    def test_the_probability_of_a_double_sided_impact_is_that_of_its_labels(self, found):
+        crossing = [double_sided(label) > 0 for label in found.labels]
+        assert found.double_sided == pytest.approx(found.probability[..., :-1][..., crossing].sum(axis=-1), abs=1e-12)
+        assert found.double_sided.min() == 0.0
+        assert found.double_sided.max() == 1.0
+
+    def test_a_label_that_means_no_impact_has_severity_zero(self, found):
+        quiet = found.runs[..., found.labels.index("NI")] == 16
+        assert quiet.any()
+        assert np.all(found.severity_mean[quiet] == 0.0)
+        assert np.all(found.severity_quantiles[quiet] == 0.0)
+
+    def test_quantiles_are_in_order(self, found):
+        assert np.all(np.diff(found.severity_quantiles, axis=-1) >= 0.0)
+
+
+def test_the_uncertain_fraction_grows_with_the_tolerance():
+    fractions = [
+        tolerance_map(study(tolerance("lash.backlash_deg", std), tolerance("load.ratio", std))).uncertain / 147
+        for std in (0.01, 0.03, 0.1)
+    ]
+    assert 0.0 < fractions[0] < fractions[1] < fractions[2] < 0.8
+
+
+def test_a_lopsided_tolerance_moves_the_most_likely_label():
+    """Twice the backlash in most draws: as many double-sided impacts as on the map at about the double backlash."""
+    moved = study(tolerance("lash.backlash_deg").replace("std = 0.05", "mean = 2.0\nstd = 0.01"), count=4)
+    found = tolerance_map(moved)
+    doubled = sweep(replace_axis(nominal(moved), "lash.backlash_deg", 2.0 * np.array(moved.sweep.axes[1].grid)))
+    likely, there = (np.array(each.labels)[each.sequence] for each in (found, doubled))
+    assert np.mean(likely == there) > 0.95  # but for cells within 1 % of a boundary
+    assert np.mean(likely == np.array(found.labels)[found.nominal_sequence]) < 0.9
+
+
+def replace_axis(base, parameter, values):
+    changed = Axis(parameter=parameter, values=tuple(float(value) for value in values))
+    axes = tuple(changed if own.parameter == parameter else own for own in base.sweep.axes)
+    return base.model_copy(update={"sweep": base.sweep.model_copy(update={"axes": axes})})
+
+
+def test_a_structural_axis_may_have_a_tolerance_of_its_own():
+    axes = (
+        '[[sweep.axes]]\nparameter = "load.ratio"\nvalues = [2.0, 8.5]\n'
+        '[[sweep.axes]]\nparameter = "driveline.inertias[4]"\nvalues = [0.0015, 0.002, 0.003]\n'
+    )
+    base = study(tolerance("driveline.inertias[4]", 0.1), tolerance("load.ratio", 0.5, "offset"), axes=axes, count=8)
+    found = tolerance_map(base)
+    for at in np.ndindex(found.shape):
+        same_as_single_runs(found, base, at)
+
+
+def test_rk4_and_axes_walked_together():
+    axes = (
+        '[sweep]\ndesign = "zip"\n[[sweep.axes]]\nparameter = "load.ratio"\nvalues = [2.0, 3.3, 8.5]\n'
+        '[[sweep.axes]]\nparameter = "lash.backlash_deg"\nvalues = [1.0, 9.0, 9.5]\n'
+    )
+    base = study(tolerance("lash.contact.damping", 0.1), axes=axes, count=4, base=DRIVELINE.replace("exact", "rk4"))
+    found = tolerance_map(base)
+    assert found.shape == (3,)
+    assert [each.parameter for each in found.coordinates] == ["load.ratio", "lash.backlash_deg"]
+    for k in range(3):
+        cell = {each.parameter: float(each.values[k]) for each in found.coordinates}
+        labels, severities = single_runs(base, cell)
+        assert found.labels[found.sequence[k]] == max(labels, key=labels.count)
+        assert found.severity_mean[k] == np.mean(severities)
+
+
+def test_sequences_longer_than_a_pattern_are_told_apart():
+    """With no more than 1e-9 s of contact every touch is primary: a hundred, of which a pattern holds 62."""
+    base = (
+        DRIVELINE.replace('"exact"', '"exact"\nmax_events = 2000\nend_time = 10.0')
+        + "[lash.contact]\ndamping = 5.0\n[impacts]\nsticking_time = 1e-9\n"
+    )
+    long = study(tolerance("driveline.inertias[4]", 0.3), axes=AXES.replace("= 21", "= 3"), count=4, base=base)
+    found = tolerance_map(long)
+    assert max(excursions(label) for label in found.labels) > 62
+    for at in [(1, 0), (2, 0), (2, 3)]:
+        same_as_single_runs(found, long, at)
+
+
+@pytest.fixture(scope="module")
+def failing():
+    return study(
+        tolerance("load.ratio", 1.5, "offset"),
+        axes='[[sweep.axes]]\nparameter = "load.ratio"\nvalues = [1.0, 3.0, 5.0]\n',
+        base=DRIVELINE.replace('"exact"', '"exact"\nmax_events = 14'),
+    )
+
+
+class TestFailedRuns:
+    def test_they_are_counted_under_a_label_of_their_own(self, failing):
+        found = tolerance_map(failing)
+        assert 0 < found.failed < 48
+        assert np.all((found.status == Status.EVENT_BUFFER_FULL) == (found.runs[:, -1] > 0))
+        for k in range(3):
+            same_as_single_runs(found, failing, (k,))
+
+    def test_the_command_says_where_and_exits_with_3(self, failing, clunk, here):  # noqa: F811
+        (here / "failing.toml").write_text(to_toml(failing))
+        code, out, err = clunk("sweep", "failing.toml", "-o", "map.h5")
+        assert code == 3
+        assert "of 48 runs failed" in err
+        assert "failed for some draws: more events" in " ".join(err.split())
+        assert out.splitlines()[-1].endswith("than the nominal one")
+        code, _, err = clunk("sweep", "failing.toml", "-o", "map.h5")
+        assert code == 3
+        assert "already complete" in err
+
+
+class TestTiles:
+    def test_results_are_the_same_bits_for_any_number_of_workers_and_any_tiles(self, found, toleranced, monkeypatch):
+        assert equal(found, tolerance_map(toleranced, workers=1))
+        for runs in (1, 150, 900):
+            monkeypatch.setattr(tolerances, "_TILE_RUNS", runs)
+            assert equal(found, tolerance_map(toleranced, workers=3))
+
+    def test_memory_does_not_grow_with_the_sample(self, monkeypatch):
+        """8 and 128 draws of 49 cells; the sample itself and the kept system are all that is there for longer."""
+        monkeypatch.setattr(tolerances, "_TILE_RUNS", 256)
+        peaks = []
+        for count in (8, 128):
+            backlash = study(tolerance("lash.backlash_deg"), axes=AXES.replace("21", "7"), count=count)
+            tolerance_map(backlash, workers=1)  # what is made once
+            tracemalloc.start()
+            tolerance_map(backlash, workers=1)
+            peaks.append(tracemalloc.get_traced_memory()[1])
+            tracemalloc.stop()
+        assert peaks[1] < 1.3 * peaks[0]
+
+    def test_a_stopped_sweep_goes_on_where_it_was(self, found, toleranced, tmp_path, monkeypatch):
+        monkeypatch.setattr(tolerances, "_TILE_RUNS", 160)
+        for name in ("_FIRST_PART", "_PART", "_SHARE"):
+            monkeypatch.setattr(keeping, name, 0.0)
+
+        def stop(done, _total):
+            if done >= 50:
+                raise KeyboardInterrupt
+
+        with WorkingDirectory(tmp_path / "map.h5") as directory:
+            parts = parts_of(directory, toleranced)
+            with pytest.raises(KeyboardInterrupt):
+                tolerance_map(toleranced, progress=stop, parts=parts)
+            assert 50 <= parts.kept < 147
+            with pytest.raises(PartsError, match="another config"):
+                parts_of(directory, nominal(toleranced))
+            parts = parts_of(directory, toleranced)
+            again = tolerance_map(toleranced, parts=parts)
+            assert 50 <= parts.taken_up < 147
+            directory.remove()
+        assert equal(found, again)
+
+
+@pytest.fixture(scope="module")
+def path(found, tmp_path_factory):
+    path = tmp_path_factory.mktemp("file") / "map.h5"
+    tolerancefile.write(path, found)
+    return path
+
+
+class TestFile:
+    def test_what_was_written_is_read(self, found, path):
+        again = tolerancefile.read(path)
+        assert equal(found, again)
+        assert again.config == found.config
+        for one, other in zip((*found.axes, *found.sample), (*again.axes, *again.sample), strict=True):
+            assert (one.parameter, one.name, one.symbol, one.unit) == (
+                other.parameter,
+                other.name,
+                other.symbol,
+                other.unit,
+            )
+            assert np.array_equal(one.values, other.values)
+        assert tolerancefile.check(path)
+        header = read_header(path)
+        assert header.tolerance_map
+        assert header.counts == found.counts()
+
+    def test_xarray_finds_labels_by_their_name(self, found, path):
+        with xarray.open_dataset(path, engine="h5netcdf") as data:
+            assert data["probability"].dims == ("load_ratio", "lash_backlash_deg", "label")
+            assert np.array_equal(
+                data["probability"].sel(label="DS(2)"), found.probability[..., found.labels.index("DS(2)")]
+            )
+            assert np.all(data["probability"].sum("label") == 1.0)
+            assert np.array_equal(data["sequence"], found.sequence)
+            assert data["sequence"].attrs["flag_meanings"].split()[:2] == list(found.labels[:2])
+            median = data["severity_quantiles"].sel(quantile=0.5)
+            assert np.array_equal(median, found.severity_quantiles[..., 1])
+            assert np.array_equal(data["drawn_driveline_inertias_4"], found.sample[1].values)
+            assert data["drawn_driveline_inertias_4"].dims == ("draw",)
+            for name, variable in data.variables.items():
+                assert "long_name" in variable.attrs, name
+
+    def test_the_sample_is_what_the_config_draws(self, found, toleranced):
+        drawn = drawn_numbers(toleranced, toleranced.sweep.tolerances)
+        assert all(np.array_equal(own.values, numbers) for own, numbers in zip(found.sample, drawn, strict=True))
+        assert [own.unit for own in found.sample] == ["1", "1", "1", "N m"]
+
+    @pytest.mark.parametrize("name", ["probability", "sequence", "severity_mean", "drawn_lash_contact_stiffness"])
+    def test_a_changed_value_is_noticed(self, path, tmp_path, name):
+        changed = tmp_path / "changed.h5"
+        changed.write_bytes(path.read_bytes())
+        with h5py.File(changed, "r+") as file:
+            values = file[name][()]
+            values.flat[5] += 1
+            file[name][()] = values
+        with pytest.raises(StoreError, match="damaged"):
+            tolerancefile.read(changed)
+
+    def test_neither_kind_is_read_as_the_other(self, path, toleranced, tmp_path):
+        with pytest.raises(StoreError, match="holds a tolerance map, where a regime map is needed"):
+            read(path)
+        store.write(tmp_path / "plain.h5", sweep(nominal(toleranced)))
+        with pytest.raises(StoreError, match="holds a regime map, where a tolerance map is needed"):
+            tolerancefile.read(tmp_path / "plain.h5")
+
+    def test_a_map_whose_runs_do_not_add_up_is_none(self, found):
+        runs = found.runs.copy()
+        runs[3, 3, 0] += 1
+        with pytest.raises(ValueError, match="not as many as the sample"):
+            replace(found, runs=runs)
+
+
+class TestCommands:
+    @pytest.fixture
+    def config(self, here):  # noqa: F811
+        text = (
+            DRIVELINE + AXES.replace("21", "11") + "[sweep.sampling]\ncount = 8\n" + tolerance("lash.backlash_deg", 0.1)
+        )
+        (here / "small.toml").write_text(text)
+        return "small.toml"
+
+    def test_sweep_info_plot_and_simulate(self, config, clunk, here):  # noqa: F811
+        code, out, err = clunk("sweep", config)
+        assert code == 0
+        assert "77 cells x 8 draws in" in err
+        assert "are uncertain" in out
+        assert all(len(line) <= 80 for line in (out + err).splitlines())
+        code, again, err = clunk("sweep", config)
+        assert (code, again) == (0, out)
+        assert "already complete" in err
+        code, shown, _ = clunk("info", "results/small.h5", "--check")
+        assert code == 0
+        assert "drawn     backlash: factor on its nominal value" in shown
+        assert shown.endswith(out)
+        code, shown, _ = clunk("info", "results/small.h5", "--json")
+        assert '"uncertain_cells"' in shown
+        code, shown, _ = clunk("plot", "results/small.h5")
+        assert [line.rsplit("-", 1)[1] for line in shown.split()] == ["regimes.png", "double_sided.png", "severity.png"]
+        assert (here / "results" / "small-regimes.png").exists()
+        code, shown, _ = clunk("simulate", "results/small.h5", "--at", "load.ratio=5", "--at", "lash.backlash_deg=6.5")
+        assert "DS(1)SS(1)" in shown
+
+    @pytest.mark.parametrize(
+        ("arguments", "sentence"),
+        [
+            (("sweep", "small.toml", "--refine"), "--refine does not go with [[sweep.tolerances]]"),
+            (("sweep", "small.toml", "--retry-failed"), "--retry-failed does not go with [[sweep.tolerances]]"),
+            (("compare", "small.h5", "small.h5"), "small.h5 holds a tolerance map, where a regime map is needed"),
+            (
+                ("plot", "small.h5", "--quantity", "touches"),
+                "A tolerance map has no quantity 'touches'; it has regimes",
+            ),
+        ],
+    )
+    def test_what_does_not_go_is_a_sentence(self, config, clunk, found, arguments, sentence):  # noqa: F811
+        tolerancefile.write("small.h5", found)
+        code, out, err = clunk(*arguments)
+        assert (code, out) == (2, "")
+        assert sentence in " ".join(err.split())
+
+    def test_verify_compares_the_nominal_runs(self, toleranced):
+        verified = verify(replace_axis(toleranced, "load.ratio", [2.0, 5.0]))
+        assert verified.cells == 14
+        assert verified.differing_elsewhere == 0
+
+    def test_each_function_refuses_the_other_ones_study(self, toleranced):
+        with pytest.raises(SweepError, match=r"clunk\.tolerance_map runs it"):
+            sweep(toleranced)
+        with pytest.raises(SweepError, match=r"clunk\.sweep runs it"):
+            tolerance_map(nominal(toleranced))
+        with pytest.raises(SweepError, match="nothing to sweep"):
+            tolerance_map(study(tolerance("lash.backlash_deg"), axes=""))
+
+
+class TestFigures:
+    def test_a_certain_cell_has_its_label_s_colour_and_an_uncertain_one_is_paler(self, found, tmp_path):
+        """Within NI, and at the cell that is least certain of all."""
+        figure = certainty.likely_regimes(found)
+        save(figure, tmp_path / "map.png")
+        ax = figure.axes[0]
+        present = tuple(
+            label for label in found.labels if label in {found.labels[k] for k in np.unique(found.sequence)}
+        )
+        palette = palette_of(present)
+        image = np.asarray(figure.canvas.buffer_rgba())[..., :3] / 255.0
+
+        def colour(at):
+            x, y = ax.transData.transform([axis.values[k] for axis, k in zip(found.axes, at, strict=True)])
+            return image[len(image) - 1 - int(y), int(x)]
+
+        certain = (1, 3)
+        assert found.certainty[certain] == 1.0
+        assert colour(certain) == pytest.approx(to_rgb(palette[found.labels[found.sequence[certain]]]), abs=0.02)
+        least = np.unravel_index(np.argmin(found.certainty[1:-1, 1:-1]), (19, 5))
+        least = (least[0] + 1, least[1] + 1)
+        own = np.array(to_rgb(palette[found.labels[found.sequence[least]]]))
+        assert np.sum(1.0 - colour(least)) < 0.6 * np.sum(1.0 - own)
+        notes = [text.get_text() for text in figure.legends[0].get_texts()]
+        assert f"less than 95 % likely: {found.uncertain} cells" in notes
+
+    @pytest.mark.parametrize("quantity", ["double_sided", "severity_5"])
+    def test_what_is_drawn_of_two_axes_is_a_picture(self, found, quantity, tmp_path):
+        save(certainty.draw(found, quantity), tmp_path / "map.png")
+
+    @pytest.mark.parametrize("quantity", certainty.QUANTITIES)
+    def test_of_one_axis_every_quantity_is_in_the_same_picture(self, found, quantity):
+        assert len(certainty.draw(row(found, 3), quantity).axes) == 2
+
+    def test_the_map_of_double_sided_impacts_shows_their_probability(self, found):
+        mesh = certainty.double_sided_map(found).axes[0].collections[0]
+        assert np.array_equal(mesh.get_array(), found.double_sided.T)
+        assert mesh.get_clim() == (0.0, 1.0)
+
+    def test_a_quantile_of_the_severity_is_drawn_by_its_name(self, found):
+        mesh = certainty.severity_map(found, "severity_95").axes[0].collections[0]
+        assert np.array_equal(mesh.get_array(), found.severity_quantiles[..., 2].T)
+
+    def test_along_one_axis_the_median_is_drawn_within_its_band(self, found):
+        ax = certainty.likelihood_curves(row(found, 3)).axes[1]
+        median = next(line for line in ax.lines if line.get_label() == "median")
+        assert np.array_equal(median.get_ydata(), found.severity_quantiles[:, 3, 1])
+        band = ax.collections[0].get_paths()[0].vertices[:, 1]
+        assert band.max() == found.severity_quantiles[:, 3, 2].max()
+
+    def test_under_the_restitution_model_there_is_no_severity_to_draw(self):
+        base = DRIVELINE + '[lash.contact]\nmodel = "restitution"\n'
+        found = tolerance_map(study(tolerance("lash.backlash_deg"), axes=AXES.replace("21", "3"), count=2, base=base))
+        assert certainty.default_quantities(found) == ["regimes", "double_sided"]
+        with pytest.raises(PlotError, match="no severity to draw"):
+            certainty.draw(found, "severity")
+        certainty.likelihood_curves(row(found, 3))
+
+
+def row(found: ToleranceMap, k: int) -> ToleranceMap:
+    """The map at the k-th backlash alone."""
+    one = replace(found.axes[1], values=found.axes[1].values[k : k + 1])
+    names = ("runs", "nominal_sequence", "severity_mean", "severity_quantiles", "status")
+    return replace(found, axes=(found.axes[0], one), **{name: getattr(found, name)[:, k : k + 1] for name in names})
