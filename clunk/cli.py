@@ -502,6 +502,8 @@ def _studies_to_simulate(
     for chosen in product(*choices.values()):
         study = study_from_text(text, name, [*overrides, *chosen])
         values = _cell_values(study, at, all_needed=source.suffix == ".h5")
+        if study.sweep is not None and study.sweep.tolerances and not studies:
+            terminal.complain("tolerances are left aside; this is the nominal run")
         single = replace_values(study.model_copy(update={"sweep": None}), values)
         studies.append((", ".join(chosen) or study.title, single))
     return studies

@@ -154,12 +154,10 @@ def print_tolerances(found: ToleranceMap) -> None:
         if label != "failed" or shares[label]:
             click.echo(f"{label:<{width}}  {_cells(count):>15}  {count / cells:6.1%}  {shares[label]:11.4%}")
     click.echo()
-    click.echo(
-        f"{_cells(found.uncertain)} of {cells:,} ({found.uncertain / cells:.1%}) are uncertain: "
-        f"no label has {CERTAIN:.0%} of the {found.draws:,} draws"
-    )
+    uncertain = f"{_cells(found.uncertain)} of {cells:,}, {found.uncertain / cells:.1%}"
+    click.echo(f"uncertain (no label has {CERTAIN:.0%} of the {found.draws:,} draws): {uncertain}")
     moved = int((found.sequence != found.nominal_sequence).sum())
-    click.echo(f"{_cells(moved)} of {cells:,} have another most likely label than the nominal one")
+    click.echo(f"another most likely label than without tolerances: {_cells(moved)} of {cells:,}")
     if found.failed:
         runs = cells * found.draws
         complain(f"{found.failed:,} of {runs:,} runs failed, in {_cells(int((found.runs[..., -1] > 0).sum()))}")

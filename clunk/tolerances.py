@@ -75,7 +75,7 @@ class ToleranceGrid(Grid):
 
     def ordered(self, cells: Cells) -> Cells:
         """These cells, those that share their systems beside each other."""
-        return np.concatenate([cells[mine] for _, mine in self.groups(cells)])
+        return np.concatenate([cells[:0], *(cells[mine] for _, mine in self.groups(cells))])
 
     def complaint(self) -> str | None:
         """Why no cell at all can run, where that is known beforehand."""
