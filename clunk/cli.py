@@ -498,7 +498,7 @@ def _studies_to_simulate(
         if key in choices:
             raise click.UsageError(f"--overlay {assignment}: {key} is there twice; list its values in one.")
         choices[key] = [f"{key}={value}" for value in re.split(r",(?![^\[]*\])", listed)]
-    studies = []
+    studies: list[tuple[str, Study]] = []
     for chosen in product(*choices.values()):
         study = study_from_text(text, name, [*overrides, *chosen])
         values = _cell_values(study, at, all_needed=source.suffix == ".h5")

@@ -180,24 +180,30 @@ class Axis(_Frozen):
         assert self.count is not None
         return self.count
 
-    @functools.cached_property
+    @property
     def grid(self) -> FloatArray:
         """(count,) float64, the values in order; read-only."""
-        if self.values is not None:
-            grid = np.array(self.values, dtype=np.float64)
-        else:
-            assert self.start is not None
-            assert self.stop is not None
-            k, last = np.arange(self.count_of_values), max(self.count_of_values - 1, 1)
-            if self.scale == "log":
-                grid = self.start * (self.stop / self.start) ** (k / last)
-            else:  # multiplied before divided: 0 to 10 in 201 values has 0.15 in it, not 0.15000000000000002
-                grid = self.start + (self.stop - self.start) * k / last
-            # rounding must not carry a value out of a range that allows both ends
-            grid = np.clip(grid, min(self.start, self.stop), max(self.start, self.stop))
-            grid[-1] = self.stop
-        grid.flags.writeable = False
-        return grid
+        return _grid(self)
+
+
+@functools.lru_cache(maxsize=16)  # not kept in the axis itself, where it would count when two are compared
+def _grid(axis: Axis) -> FloatArray:
+    if axis.values is not None:
+        grid = np.array(axis.values, dtype=np.float64)
+    else:
+        assert axis.start is not None
+        assert axis.stop is not None
+        k, last = np.arange(axis.count_of_values), max(axis.count_of_values - 1, 1)
+        if axis.scale == "log":
+            grid = axis.start * (axis.stop / axis.start) ** (k / last)
+        else:  # multiplied before divided: 0 to 10 in 201 values has 0.15 in it, not 0.15000000000000002
+            grid = axis.start + (axis.stop - axis.start) * k / last
+        # rounding must not carry a value out of a range that allows both ends
+        grid = np.clip(grid, min(axis.start, axis.stop), max(axis.start, axis.stop))
+        grid[-1] = axis.stop
+    grid += 0.0  # no negative zeros, which are equal to positive ones and would share their place
+    grid.flags.writeable = False
+    return grid
 
 
 class Draw(_Frozen):
