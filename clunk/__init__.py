@@ -12,18 +12,22 @@ if TYPE_CHECKING:
     from clunk.config import ConfigError, Study, load_study
     from clunk.results import Results
     from clunk.simulation import SimulationError, Trajectory, simulate
+    from clunk.sobol import Sensitivity, SensitivityError, sensitivity
     from clunk.store import StoreError
     from clunk.sweeping import SweepError, sweep
 
 __all__ = [
     "ConfigError",
     "Results",
+    "Sensitivity",
+    "SensitivityError",
     "SimulationError",
     "StoreError",
     "Study",
     "SweepError",
     "Trajectory",
     "load_study",
+    "sensitivity",
     "simulate",
     "sweep",
 ]
@@ -31,12 +35,15 @@ __all__ = [
 _HOME = {
     "ConfigError": "config",
     "Results": "results",
+    "Sensitivity": "sobol",
+    "SensitivityError": "sobol",
     "SimulationError": "simulation",
     "StoreError": "store",
     "Study": "config",
     "SweepError": "sweeping",
     "Trajectory": "simulation",
     "load_study": "config",
+    "sensitivity": "sobol",
     "simulate": "simulation",
     "sweep": "sweeping",
 }

@@ -79,7 +79,7 @@ def main() -> NoReturn:
 def _is_for_the_user(error: Exception) -> bool:
     """Whether an error's text was written for people; told by name, so that nothing is imported to ask."""
     names = {"ComparisonError", "ConfigError", "ExperimentError", "HistoryError", "PlotError"}
-    names |= {"PartsError", "SimulationError", "StoreError", "SweepError", "TargetError"}
+    names |= {"PartsError", "SensitivityError", "SimulationError", "StoreError", "SweepError", "TargetError"}
     return type(error).__module__.startswith("clunk.") and type(error).__name__ in names
 
 
@@ -742,6 +742,72 @@ def verify(config: Path, overrides: tuple[str, ...], workers: int | None, as_jso
         sys.exit(EXIT_MISMATCH)
     if found.failed:
         sys.exit(EXIT_FAILED_CELLS)
+
+
+@cli.command()
+@click.argument("config", type=click.Path(path_type=Path))
+@_set_option
+@click.option("--at", "at", multiple=True, metavar="KEY=VALUE", help="Value of a swept key. May be repeated.")
+@click.option(
+    "--of",
+    "quantities",
+    multiple=True,
+    metavar="QUANTITY",
+    help="severity, approach_velocity, primary_impacts, touches, last_event_time, nominal_label, double_sided or "
+    "label=DS(1)SS(1), for example [severity and nominal_label]. May be repeated.",
+)
+@click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Also draw the indices: .png .svg .pdf.")
+@_json_option
+def sensitivity(
+    config: Path,
+    overrides: tuple[str, ...],
+    at: tuple[str, ...],
+    quantities: tuple[str, ...],
+    workers: int | None,
+    output: Path | None,
+    as_json: bool,
+) -> None:
+    """Tell which of CONFIG's tolerances the spread at one operating point comes from.
+
+    Prints first-order and total Sobol indices, from n (d + 2) runs for d tolerances; n is sweep.sampling.count, a power
+    of two.
+
+    \b
+    Examples:
+      clunk sensitivity tolerances.toml --set sweep.sampling.count=4096
+      clunk sensitivity tolerances.toml --of severity --of double_sided -o bars.png
+    """
+    from clunk import sobol, targets
+    from clunk.config import load_study, replace_values
+    from clunk.sweeping import unused_parameters, warm_up
+
+    study = load_study(config, overrides)
+    if output is not None:
+        targets.check(output, targets.PICTURES, reads=config)
+    point = sobol.operating_point(replace_values(study, _cell_values(study, at, all_needed=False)))
+    _warn_of_coarse_step(point, point.solver.method)
+    for parameter in unused_parameters(point):
+        click.echo(f"note: {parameter} is drawn, but changes nothing in this model", err=True)
+    _say_if_compiling(point.solver.method)
+    warm_up(point)
+    began = time.perf_counter()
+    with terminal.progress(sobol.run_count(point), "runs") as progress:
+        found = sobol.sensitivity(point, of=quantities, workers=workers, progress=progress)
+    seconds = time.perf_counter() - began
+    if as_json:
+        click.echo(json.dumps(found.record(), ensure_ascii=False))
+    else:
+        terminal.print_sensitivity(found)
+    draws = len(found.parameters)
+    what = f"{found.runs:,} runs, {found.samples:,} samples x ({draws} parameters + 2), in {seconds:.1f} s"
+    click.echo(f"{what} ({found.runs / seconds:,.0f} runs/s)", err=True)
+    if output is not None:
+        from clunk import plot as plots
+        from clunk.plot.indices import sobol_bars
+
+        plots.save(sobol_bars(found), output)
+        click.echo(f"-> {output}", err=True)
 
 
 @cli.command()

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from clunk.energy import EnergyBalance
     from clunk.results import Results
     from clunk.simulation import Trajectory
+    from clunk.sobol import Indices, Sensitivity
     from clunk.verification import Verification
 
 Progress = Callable[[int, int], None]
@@ -372,6 +373,58 @@ def _print_disagreements(found: Verification, flagged: bool, count: int) -> None
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         click.echo("  " + "  ".join(f"{text:<{width}}" for text, width in zip(row, widths, strict=True)).rstrip())
+
+
+def print_sensitivity(found: Sensitivity) -> None:
+    """What is drawn and what came of it, then every quantity's Sobol indices by falling total index."""
+    from clunk.sobol import distribution_phrase
+
+    width = max(len(parameter) for parameter in found.parameters)
+    for draw in found.draws:
+        line = f"{draw.parameter:<{width}}  {distribution_phrase(found.study, draw)}"
+        click.echo(textwrap.fill(line, _WIDTH, subsequent_indent=" " * (width + 2), break_on_hyphens=False))
+    click.echo()
+    hardness = (
+        f"V {found.approach_velocity:.5f} rad/s" if math.isnan(found.severity) else f"Q {found.severity:.1f} rad/s²"
+    )
+    click.echo(f"without tolerances  {found.label}, {hardness}")
+    wide = max(len(label) for label in found.labels)
+    for k, (label, share) in enumerate(found.labels.items()):
+        count = round(share * 2 * found.samples)
+        click.echo(
+            f"{'with tolerances' if k == 0 else '':<18}  {label:<{wide}}  {_share(count, 2 * found.samples):>10}"
+        )
+    for indices in found.indices:
+        click.echo()
+        _print_indices(indices, found.parameters, width)
+
+
+def _print_indices(indices: Indices, parameters: Sequence[str], width: int) -> None:
+    from clunk.sobol import CONFIDENCE, QUANTILES
+
+    click.echo(indices.heading)
+    if not indices.varies:
+        value = ("always" if indices.mean else "never") if indices.is_indicator else f"always {indices.mean:.6g}"
+        click.echo(f"{value}: there is no variance to divide")
+        return
+    if indices.is_indicator:
+        click.echo(f"in {100 * indices.mean:.2f} % of the runs")
+    else:
+        click.echo(f"mean {indices.mean:.6g}, standard deviation {indices.std:.4g}")
+        quantiles = (f"{100 * q:g} %: {value:.6g}" for q, value in zip(QUANTILES, indices.quantiles, strict=True))
+        click.echo(f"quantiles {', '.join(quantiles)}")
+    interval = f"[{100 * CONFIDENCE:g} %]"
+    heads = f"{f' alone, S {interval}':<23}   in all, ST {interval}"
+    click.echo(f"{'share of the variance':<{width}}  {heads}")
+    for k in indices.order:
+        first = _with_interval(indices.first[k], *indices.first_interval[:, k])
+        total = _with_interval(indices.total[k], *indices.total_interval[:, k])
+        click.echo(f"{parameters[k]:<{width}}  {first:<23}  {total}")
+
+
+def _with_interval(value: float, low: float, high: float) -> str:
+    value, low, high = (round(number, 3) + 0.0 for number in (value, low, high))  # no -0.000
+    return f"{value:6.3f} [{low:.3f}, {high:.3f}]"
 
 
 def _share(count: int, of: int) -> str:
