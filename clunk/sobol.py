@@ -228,25 +228,25 @@ def sensitivity(
 
 def operating_point(study: Study) -> Study:
     """The study with its tolerances and without axes. Raises SensitivityError where they have no Sobol indices."""
-    sweep = study.sweep
-    if sweep is None or not sweep.tolerances:
+    swept = study.sweep
+    if swept is None or not swept.tolerances:
         raise SensitivityError(
             "There is nothing whose share could be told: the config has no [[sweep.tolerances]], one for each "
             "parameter that is drawn."
         )
-    if len(sweep.tolerances) == 1:
+    if len(swept.tolerances) == 1:
         raise SensitivityError(
-            f"{sweep.tolerances[0].parameter} is the only parameter with a tolerance, and all of the variance is "
+            f"{swept.tolerances[0].parameter} is the only parameter with a tolerance, and all of the variance is "
             "its own; Sobol indices need two or more."
         )
-    count = sweep.sampling.count
+    count = swept.sampling.count
     if count < _FEWEST or count & (count - 1):
         power = max(_FEWEST, 2 ** math.floor(math.log2(count)))
         raise SensitivityError(
             f"sweep.sampling.count = {count}: Sobol indices need a power of two, {_FEWEST} or more; take {power} or "
             f"{2 * power}."
         )
-    return study.model_copy(update={"sweep": sweep.model_copy(update={"axes": (), "design": "grid"})})
+    return study.model_copy(update={"sweep": swept.model_copy(update={"axes": (), "design": "grid"})})
 
 
 def run_count(point: Study) -> int:
