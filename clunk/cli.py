@@ -12,17 +12,16 @@ import re
 import signal
 import sys
 import time
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from clunk import __version__, terminal
+from clunk import __version__, progress, terminal
 
 if TYPE_CHECKING:
     from clunk.config import Study
-    from clunk.parts import WorkingDirectory
+    from clunk.output import Output
     from clunk.results import Results
     from clunk.simulation import Trajectory
 
@@ -136,122 +135,60 @@ def sweep(
     if retry_failed and (refine or force):
         raise click.UsageError("--retry-failed goes with neither --refine nor --force.")
     from clunk import targets
-    from clunk.config import digest, load_study
+    from clunk.config import load_study
 
     study = load_study(config, overrides)
     target = output or Path("results") / f"{config.stem}.h5"
     targets.check(target, targets.RESULTS, reads=config)
-    from clunk.parts import WorkingDirectory
+    from clunk.output import opened
 
-    with WorkingDirectory(target) as directory:
-        earlier = None
-        if retry_failed:
-            from clunk.store import read
-
-            earlier = read(target)
-            counts = None if (earlier.status != 0).any() else earlier.counts()
-        else:
-            counts = _complete_counts(target, digest(study), force=force, restart=restart, refine=refine)
+    with opened(target, study, refine=refine, retry=retry_failed, restart=restart, force=force) as output_file:
+        counts = output_file.counts
         if counts is not None:
-            _tidy(directory, study, refine, retry_failed)
             click.echo(f"{target} {'has no failed cells' if retry_failed else 'is already complete'}.", err=True)
             _report_counts(counts, target, 0.0, as_json)
         else:
-            if restart:
-                directory.clear()
-            counts = _sweep_into(directory, study, target, workers, refine, earlier, as_json)
+            counts = _sweep_into(output_file, workers, as_json)
     if counts["failed"]:
         sys.exit(EXIT_FAILED_CELLS)
 
 
-def _complete_counts(
-    target: Path, config_digest: str, *, force: bool, restart: bool, refine: bool
-) -> dict[str, int] | None:
-    """The counts of a target that holds this very sweep; whatever else is there is refused unless forced."""
-    if not target.exists() or force:
-        return None
-    from clunk.store import StoreError, read_header
-
-    try:
-        header = read_header(target)
-    except StoreError as error:
-        raise click.ClickException(f"{error} It is in the way of the results; --force overwrites it.") from error
-    if header.config_digest != config_digest:
-        raise click.ClickException(
-            f"{target} holds the results of another config ({header.title!r}). "
-            "Name another file with -o, or overwrite it with --force."
-        )
-    if restart:
-        return None
-    if "refinement" in header.attributes and not refine:
-        raise click.ClickException(
-            f"{target} holds this sweep by --refine, with inferred cells. "
-            "Name another file with -o, or overwrite it with --force."
-        )
-    return header.counts
-
-
-def _tidy(directory: WorkingDirectory, study: Study, refine: bool, retry: bool) -> None:
-    """Remove what a sweep that was killed after its file was in place has left; another sweep's parts stay."""
-    if directory.parts():
-        from clunk.parts import PartsError
-        from clunk.sweeping import parts_of
-
-        with suppress(PartsError):
-            parts_of(directory, study, refine=refine, retry=retry)
-            directory.clear()
-
-
-def _sweep_into(
-    directory: WorkingDirectory,
-    study: Study,
-    target: Path,
-    workers: int | None,
-    refine: bool,
-    earlier: Results | None,
-    as_json: bool,
-) -> dict[str, int]:
+def _sweep_into(output: Output, workers: int | None, as_json: bool) -> dict[str, int]:
     """Run, write, report; the counts."""
     import clunk.sweeping as sweeping
-    from clunk.store import write
 
+    study, target, parts, earlier = output.study, output.path, output.parts, output.earlier
     total = sweeping.cell_count(study)
     _warn_of_coarse_step(study, study.solver.method)
     for parameter in sweeping.unused_parameters(study):
         click.echo(f"note: {parameter} is swept, but changes nothing in this model", err=True)
-    parts = sweeping.parts_of(directory, study, refine=refine, retry=earlier is not None)
     _say_if_compiling(study.solver.method)
     sweeping.warm_up(study)
     began = time.perf_counter()
     known, ran = 0 if earlier is None else total - earlier.counts()["failed"], 0
     told = False
     try:
-        with terminal.progress(total) as show:
+        with progress.shown(total) as show:
 
-            def progress(done: int, total: int) -> None:
+            def tell(done: int, total: int) -> None:
                 nonlocal ran, told
                 if not told:
                     terminal.report_resumed(parts.taken_up, parts.discarded)
                 told, ran = True, done - known
                 show(done, total)
 
-            if earlier is not None:
-                results = sweeping.retry_failed(earlier, study, workers=workers, progress=progress, parts=parts)
-            else:
-                results = sweeping.sweep(study, workers=workers, progress=progress, refine=refine, parts=parts)
+            results = output.run(workers=workers, progress=tell)
     except (KeyboardInterrupt, SystemExit) as stopped:
-        kept = f"{parts.kept:,} cells are kept in {directory.path}; the same command goes on from there"
-        terminal.complain(f"stopped: {kept if parts.kept else 'no cell was finished'}")
+        terminal.complain(f"stopped: {output.kept}")
         if isinstance(stopped, SystemExit):
             raise
         click.echo("interrupted", err=True)
         sys.exit(EXIT_INTERRUPTED)
     seconds = time.perf_counter() - began
-    write(target, results, directory.path)
-    directory.remove()
+    output.save(results)
     counts = results.counts()
     _report_counts(counts, target, seconds, as_json)
-    terminal.report_speed(total, ran, parts.taken_up, seconds, target, inferred=refine)
+    terminal.report_speed(total, ran, parts.taken_up, seconds, target, inferred=output.refine)
     if counts["failed"]:
         terminal.report_failures(results)
     return counts
@@ -270,12 +207,11 @@ def _warn_of_coarse_step(study: Study, method: str) -> None:
 
 
 def _say_if_compiling(*methods: str) -> None:
-    from clunk.core.jit import is_cold
+    from clunk.cells import compiling_note
 
-    cold = [method for method in dict.fromkeys(methods) if is_cold(f"{method}.run")]
-    if cold:
-        which, seconds = " and ".join(cold), 20 * len(cold) + 20 * ("exact" in cold)
-        click.echo(f"compiling {which}, once for this installation (about {seconds} s) …", err=True)
+    note = compiling_note(*methods)
+    if note:
+        click.echo(note, err=True)
 
 
 def _report_counts(counts: dict[str, int], target: Path, seconds: float, as_json: bool) -> None:
@@ -310,7 +246,7 @@ def plot(file: Path, output: Path | None, quantity: str | None) -> None:
     results = read(file)
     for name in [quantity] if quantity else _default_quantities(results):
         target = base if output and quantity else base.with_name(f"{base.stem}-{name}{base.suffix}")
-        plots.save(plots.draw(results, name, _thresholds(results)), target)
+        plots.save(plots.draw(results, name, plots.thresholds_of(results)), target)
         click.echo(str(target))
 
 
@@ -323,20 +259,6 @@ def _default_quantities(results: Results) -> list[str]:
 
     hardness = "severity" if np.isfinite(results.severity).any() else "approach_velocity"
     return ["regimes", hardness] if sum(count > 1 for count in results.shape) > 1 else [hardness]
-
-
-def _thresholds(results: Results) -> list[float]:
-    """Where along the x axis one more impact appears as the backlash vanishes, if that depends on the load alone."""
-    from clunk.plot import x_axis
-
-    parameter = x_axis(results).parameter
-    if not parameter.startswith("load."):
-        return []
-    from clunk.config import study_from_text
-    from clunk.linear import one_mode_thresholds, thresholds_on
-
-    study = study_from_text(results.config, source="the results file's config")
-    return [float(value) for value in thresholds_on(study, parameter, one_mode_thresholds(study))]
 
 
 _CLOSEUP_WIDTH = 0.1  # s
@@ -619,9 +541,7 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
     click.echo(header.title)
     click.echo()
     for axis in header.axes:
-        span = f"{axis.values[0]:g} to {axis.values[-1]:g}"
-        unit = "" if axis.unit == "1" else f" {axis.unit}"
-        click.echo(f"axis      {axis.parameter}: {span}{unit}, {len(axis.values)} values")
+        click.echo(f"axis      {axis.parameter}: {axis.spread}")
     click.echo(f"config    {header.config_digest[:16]}…")
     for name, value in header.attributes.items():
         click.echo(f"{name.removesuffix('_version'):<9} {value}")
@@ -730,8 +650,8 @@ def verify(config: Path, overrides: tuple[str, ...], workers: int | None, as_jso
     study = load_study(config, overrides)
     _warn_of_coarse_step(study, "rk4")
     _say_if_compiling(*verification.METHODS)
-    with terminal.progress(len(verification.METHODS) * max(cell_count(study), 1)) as progress:
-        found = verification.verify(study, workers=workers, progress=progress)
+    with progress.shown(len(verification.METHODS) * max(cell_count(study), 1)) as show:
+        found = verification.verify(study, workers=workers, progress=show)
     if as_json:
         click.echo(json.dumps(found.record(), ensure_ascii=False))
     else:
@@ -792,8 +712,8 @@ def sensitivity(
     _say_if_compiling(point.solver.method)
     warm_up(point)
     began = time.perf_counter()
-    with terminal.progress(sobol.run_count(point), "runs") as progress:
-        found = sobol.sensitivity(point, of=quantities, workers=workers, progress=progress)
+    with progress.shown(sobol.run_count(point), "runs") as show:
+        found = sobol.sensitivity(point, of=quantities, workers=workers, progress=show)
     seconds = time.perf_counter() - began
     if as_json:
         click.echo(json.dumps(found.record(), ensure_ascii=False))
@@ -831,13 +751,13 @@ def reproduce(output: Path, workers: int | None, coarsen: int, as_json: bool) ->
     targets.check(output / "figure_3_1.png", targets.PICTURES)
     _say_if_compiling("rk4")
     total = sum(cell_count(study) for study in claiming.map_studies(coarsen).values())
-    with terminal.progress(total) as progress:
-        maps = claiming.run_maps(coarsen, workers, progress)
+    with progress.shown(total) as show:
+        maps = claiming.run_maps(coarsen, workers, show)
     evidence = claiming.Evidence(maps)
     found = claiming.claims(evidence)
     jobs = reproduction.figures(evidence)
-    with terminal.progress(len(jobs), "figures") as progress:
-        written = reproduction.save_all(jobs, evidence, found, output, progress)
+    with progress.shown(len(jobs), "figures") as show:
+        written = reproduction.save_all(jobs, evidence, found, output, show)
     if as_json:
         click.echo(json.dumps([claim.record() for claim in found], ensure_ascii=False))
     else:

@@ -1,13 +1,10 @@
-"""What the command line prints: progress on stderr, tables for 80 columns on stdout."""
+"""What the command line prints: complaints on stderr, tables for 80 columns on stdout."""
 
 from __future__ import annotations
 
 import math
-import sys
 import textwrap
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,8 +18,6 @@ if TYPE_CHECKING:
     from clunk.sobol import Indices, Sensitivity
     from clunk.verification import Verification
 
-Progress = Callable[[int, int], None]
-
 _WIDTH = 80
 
 
@@ -30,63 +25,6 @@ def complain(text: str) -> None:
     """Print what is wrong, within the width of a terminal; a report that is laid out already stays as it is."""
     for line in text.splitlines():
         click.echo(line if len(line) <= _WIDTH else textwrap.fill(line, _WIDTH, break_on_hyphens=False), err=True)
-
-
-@contextmanager
-def progress(total: int, what: str = "cells") -> Iterator[Progress]:
-    """A progress bar with rate and time left on a terminal, a line now and then elsewhere; both on stderr."""
-    if not sys.stderr.isatty():
-        yield _plain_progress(what)
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bar
-
-    columns = (
-        BarColumn(bar_width=None),
-        MofNCompleteColumn(),
-        TextColumn(what + "  {task.fields[rate]}"),
-        TimeRemainingColumn(),
-    )
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=total, rate="")
-        speed = _Speed()
-
-        def update(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total, rate=f"{speed(done):,.0f}/s ")
-
-        yield update
-
-
-def _plain_progress(what: str, every: float = 5.0) -> Progress:
-    last = time.perf_counter()
-    speed = _Speed()
-
-    def update(done: int, total: int) -> None:
-        nonlocal last
-        now = time.perf_counter()
-        rate = speed(done)
-        if now - last < every or done == total or rate == 0.0:
-            return
-        last = now
-        left = (total - done) / rate
-        click.echo(f"{done:,} of {total:,} {what}, {rate:,.0f}/s, {left:.0f} s left", err=True)
-
-    return update
-
-
-class _Speed:
-    """Cells a second since the first report; what was done by then may be of an earlier run."""
-
-    def __init__(self) -> None:
-        self._first: tuple[int, float] | None = None
-
-    def __call__(self, done: int) -> float:
-        now = time.perf_counter()
-        if self._first is None:
-            self._first = done, now
-        count, began = self._first
-        return (done - count) / max(now - began, 1e-9)
 
 
 def report_resumed(taken_up: int, discarded: int) -> None:
@@ -141,32 +79,15 @@ def print_counts(counts: dict[str, int]) -> None:
 
 def print_trajectory(trajectory: Trajectory) -> None:
     """A run's events, its primary impacts and what they amount to."""
-    primaries = {int(k): i for i, k in enumerate(trajectory.primaries)}
-    click.echo("   time [s]  event       flank     q' [rad/s]  impact     Qi [rad/s²]")
-    for k, event in enumerate(trajectory.events):
-        if k == 0:
-            continue
-        kind = trajectory.kind_name(k)
-        impact, severity = "", ""
-        if kind == "touch":
-            impact = "primary" if k in primaries else "secondary"
-        if k in primaries:
-            severity = _severity(trajectory.impact_severity[primaries[k]], "")
-        line = f"{event['time']:11.7f}  {kind:<10}  {trajectory.flank_name(k):<8}  {event['speed']:+10.6f}"
-        click.echo(f"{line}  {impact:<9}  {severity:>11}".rstrip())
-    ending = "nothing can follow" if trajectory.complete else "the end time; more may follow"
-    click.echo(f"{trajectory.end:11.7f}  end: {ending}")
-    click.echo()
-    click.echo(f"events              {len(trajectory.events) - 1}, {trajectory.touches} of them touches")
-    click.echo(f"primary impacts     {trajectory.letters or 'none'}")
-    click.echo(f"label               {trajectory.label}")
-    click.echo(f"severity Q          {_severity(trajectory.severity, ' rad/s²')}")
-    click.echo(f"approach velocity V {trajectory.approach_velocity:.5f} rad/s")
-    if trajectory.margin == trajectory.margin:
-        from clunk.core.exact import MOST
+    from clunk.simulation import EVENT_COLUMNS
 
-        most = f"{MOST:g} or more"
-        click.echo(f"margin              {most if trajectory.margin >= MOST else f'{trajectory.margin:+.3g}'}")
+    widths = "{:>11}  {:<10}  {:<8}  {:>10}  {:<9}  {:>11}"
+    for row in (EVENT_COLUMNS, *trajectory.event_table()):
+        click.echo(widths.format(*row).rstrip())
+    click.echo(f"{trajectory.end:11.7f}  end: {trajectory.ending}")
+    click.echo()
+    for name, value in trajectory.summary():
+        click.echo(f"{name:<19} {value}")
 
 
 def print_energy(trajectory: Trajectory, balance: EnergyBalance) -> None:
@@ -239,10 +160,6 @@ def trajectory_record(trajectory: Trajectory) -> dict[str, Any]:
             if k > 0
         ],
     }
-
-
-def _severity(value: float, unit: str) -> str:
-    return "undefined" if math.isnan(value) else f"{value:.1f}{unit}"
 
 
 def _or_none(value: float) -> float | None:
