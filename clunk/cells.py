@@ -13,6 +13,7 @@ from clunk import driveline
 from clunk.config import Study, replace_values
 from clunk.core import tile as kernel
 from clunk.core.flows import Flows
+from clunk.core.jit import is_cold
 from clunk.core.regimes import System
 from clunk.core.status import Status
 from clunk.core.steps import Steps
@@ -174,6 +175,15 @@ class Grid:
             )
             impacts.append(buffer[:written].copy())
         return records[:done], impacts
+
+
+def compiling_note(*methods: str) -> str:
+    """What to tell whoever waits for these methods' kernels to be compiled; nothing where they are already."""
+    cold = [method for method in dict.fromkeys(methods) if is_cold(f"{method}.run")]
+    if not cold:
+        return ""
+    seconds = 20 * len(cold) + 20 * ("exact" in cold)
+    return f"compiling {' and '.join(cold)}, once for this installation (about {seconds} s) …"
 
 
 def warm_up(study: Study) -> None:

@@ -12,17 +12,16 @@ import re
 import signal
 import sys
 import time
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from clunk import __version__, terminal
+from clunk import __version__, progress, terminal
 
 if TYPE_CHECKING:
     from clunk.config import Study
-    from clunk.parts import WorkingDirectory
+    from clunk.output import Output
     from clunk.results import Results
     from clunk.simulation import Trajectory
     from clunk.tolerancemap import ToleranceMap
@@ -80,7 +79,7 @@ def main() -> NoReturn:
 def _is_for_the_user(error: Exception) -> bool:
     """Whether an error's text was written for people; told by name, so that nothing is imported to ask."""
     names = {"ComparisonError", "ConfigError", "ExperimentError", "HistoryError", "PlotError"}
-    names |= {"PartsError", "SimulationError", "StoreError", "SweepError", "TargetError"}
+    names |= {"PartsError", "SensitivityError", "SimulationError", "StoreError", "SweepError", "TargetError"}
     return type(error).__module__.startswith("clunk.") and type(error).__name__ in names
 
 
@@ -137,7 +136,7 @@ def sweep(
     if retry_failed and (refine or force):
         raise click.UsageError("--retry-failed goes with neither --refine nor --force.")
     from clunk import targets
-    from clunk.config import digest, load_study
+    from clunk.config import load_study
 
     study = load_study(config, overrides)
     tolerances = study.sweep is not None and bool(study.sweep.tolerances)
@@ -146,19 +145,11 @@ def sweep(
         raise click.UsageError(f"{option} does not go with [[sweep.tolerances]]: every cell has its own probabilities.")
     target = output or Path("results") / f"{config.stem}.h5"
     targets.check(target, targets.RESULTS, reads=config)
-    from clunk.parts import WorkingDirectory
+    from clunk.output import opened
 
-    with WorkingDirectory(target) as directory:
-        earlier = None
-        if retry_failed:
-            from clunk.store import read
-
-            earlier = read(target)
-            counts = None if (earlier.status != 0).any() else earlier.counts()
-        else:
-            counts = _complete_counts(target, digest(study), force=force, restart=restart, refine=refine)
+    with opened(target, study, refine=refine, retry=retry_failed, restart=restart, force=force) as output_file:
+        counts = output_file.counts
         if counts is not None:
-            _tidy(directory, study, refine, retry_failed)
             click.echo(f"{target} {'has no failed cells' if retry_failed else 'is already complete'}.", err=True)
             if tolerances:
                 from clunk import tolerancefile
@@ -167,110 +158,52 @@ def sweep(
             else:
                 failed = _report_counts(counts, target, 0.0, as_json)
         else:
-            if restart:
-                directory.clear()
-            failed = _sweep_into(directory, study, target, workers, refine, earlier, as_json)
+            failed = _sweep_into(output_file, workers, as_json)
     if failed:
         sys.exit(EXIT_FAILED_CELLS)
 
 
-def _complete_counts(
-    target: Path, config_digest: str, *, force: bool, restart: bool, refine: bool
-) -> dict[str, int] | None:
-    """The counts of a target that holds this very sweep; whatever else is there is refused unless forced."""
-    if not target.exists() or force:
-        return None
-    from clunk.store import StoreError, read_header
-
-    try:
-        header = read_header(target)
-    except StoreError as error:
-        raise click.ClickException(f"{error} It is in the way of the results; --force overwrites it.") from error
-    if header.config_digest != config_digest:
-        raise click.ClickException(
-            f"{target} holds the results of another config ({header.title!r}). "
-            "Name another file with -o, or overwrite it with --force."
-        )
-    if restart:
-        return None
-    if "refinement" in header.attributes and not refine:
-        raise click.ClickException(
-            f"{target} holds this sweep by --refine, with inferred cells. "
-            "Name another file with -o, or overwrite it with --force."
-        )
-    return header.counts
-
-
-def _tidy(directory: WorkingDirectory, study: Study, refine: bool, retry: bool) -> None:
-    """Remove what a sweep that was killed after its file was in place has left; another sweep's parts stay."""
-    if directory.parts():
-        from clunk.parts import PartsError
-        from clunk.sweeping import parts_of
-
-        with suppress(PartsError):
-            parts_of(directory, study, refine=refine, retry=retry)
-            directory.clear()
-
-
-def _sweep_into(
-    directory: WorkingDirectory,
-    study: Study,
-    target: Path,
-    workers: int | None,
-    refine: bool,
-    earlier: Results | None,
-    as_json: bool,
-) -> int:
+def _sweep_into(output: Output, workers: int | None, as_json: bool) -> int:
     """Run, write, report; how many cells, or runs of a tolerance map, have failed."""
     import clunk.sweeping as sweeping
-    from clunk import store, tolerancefile
-    from clunk.designs import has_tolerances
+    from clunk.tolerancemap import ToleranceMap
 
+    study, target, parts, earlier = output.study, output.path, output.parts, output.earlier
     total = sweeping.cell_count(study)
     _warn_of_coarse_step(study, study.solver.method)
     for parameter in sweeping.unused_parameters(study):
         click.echo(f"note: {parameter} is swept, but changes nothing in this model", err=True)
-    parts = sweeping.parts_of(directory, study, refine=refine, retry=earlier is not None)
     _say_if_compiling(study.solver.method)
     sweeping.warm_up(study)
     began = time.perf_counter()
     known, ran = 0 if earlier is None else total - earlier.counts()["failed"], 0
     told = False
     try:
-        with terminal.progress(total) as show:
+        with progress.shown(total) as show:
 
-            def progress(done: int, total: int) -> None:
+            def tell(done: int, total: int) -> None:
                 nonlocal ran, told
                 if not told:
                     terminal.report_resumed(parts.taken_up, parts.discarded)
                 told, ran = True, done - known
                 show(done, total)
 
-            if earlier is not None:
-                results = sweeping.retry_failed(earlier, study, workers=workers, progress=progress, parts=parts)
-            elif has_tolerances(study):
-                found = sweeping.tolerance_map(study, workers=workers, progress=progress, parts=parts)
-            else:
-                results = sweeping.sweep(study, workers=workers, progress=progress, refine=refine, parts=parts)
+            results = output.run(workers=workers, progress=tell)
     except (KeyboardInterrupt, SystemExit) as stopped:
-        kept = f"{parts.kept:,} cells are kept in {directory.path}; the same command goes on from there"
-        terminal.complain(f"stopped: {kept if parts.kept else 'no cell was finished'}")
+        terminal.complain(f"stopped: {output.kept}")
         if isinstance(stopped, SystemExit):
             raise
         click.echo("interrupted", err=True)
         sys.exit(EXIT_INTERRUPTED)
     seconds = time.perf_counter() - began
-    if has_tolerances(study):
-        tolerancefile.write(target, found, directory.path)
-        directory.remove()
-        failed = _report_tolerances(found, target, seconds, as_json)
-        terminal.report_speed(total, ran, parts.taken_up, seconds, target, draws=found.draws)
-        terminal.report_failures(found, " for some draws")
+    output.save(results)
+    if isinstance(results, ToleranceMap):
+        failed = _report_tolerances(results, target, seconds, as_json)
+        terminal.report_speed(total, ran, parts.taken_up, seconds, target, draws=results.draws)
+        terminal.report_failures(results, " for some draws")
         return failed
-    store.write(target, results, directory.path)
-    directory.remove()
     failed = _report_counts(results.counts(), target, seconds, as_json)
-    terminal.report_speed(total, ran, parts.taken_up, seconds, target, inferred=refine)
+    terminal.report_speed(total, ran, parts.taken_up, seconds, target, inferred=output.refine)
     if failed:
         terminal.report_failures(results)
     return failed
@@ -289,12 +222,11 @@ def _warn_of_coarse_step(study: Study, method: str) -> None:
 
 
 def _say_if_compiling(*methods: str) -> None:
-    from clunk.core.jit import is_cold
+    from clunk.cells import compiling_note
 
-    cold = [method for method in dict.fromkeys(methods) if is_cold(f"{method}.run")]
-    if cold:
-        which, seconds = " and ".join(cold), 20 * len(cold) + 20 * ("exact" in cold)
-        click.echo(f"compiling {which}, once for this installation (about {seconds} s) …", err=True)
+    note = compiling_note(*methods)
+    if note:
+        click.echo(note, err=True)
 
 
 def _report_counts(counts: dict[str, int], target: Path, seconds: float, as_json: bool) -> int:
@@ -357,7 +289,7 @@ def plot(file: Path, output: Path | None, quantity: str | None) -> None:
     results = read(file)
     for name in [quantity] if quantity else _default_quantities(results):
         target = base if output and quantity else base.with_name(f"{base.stem}-{name}{base.suffix}")
-        plots.save(plots.draw(results, name, _thresholds(results)), target)
+        plots.save(plots.draw(results, name, plots.thresholds_of(results)), target)
         click.echo(str(target))
 
 
@@ -370,20 +302,6 @@ def _default_quantities(results: Results) -> list[str]:
 
     hardness = "severity" if np.isfinite(results.severity).any() else "approach_velocity"
     return ["regimes", hardness] if sum(count > 1 for count in results.shape) > 1 else [hardness]
-
-
-def _thresholds(results: Results) -> list[float]:
-    """Where along the x axis one more impact appears as the backlash vanishes, if that depends on the load alone."""
-    from clunk.plot import x_axis
-
-    parameter = x_axis(results).parameter
-    if not parameter.startswith("load."):
-        return []
-    from clunk.config import study_from_text
-    from clunk.linear import one_mode_thresholds, thresholds_on
-
-    study = study_from_text(results.config, source="the results file's config")
-    return [float(value) for value in thresholds_on(study, parameter, one_mode_thresholds(study))]
 
 
 _CLOSEUP_WIDTH = 0.1  # s
@@ -669,9 +587,7 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
     click.echo(header.title)
     click.echo()
     for axis in header.axes:
-        span = f"{axis.values[0]:g} to {axis.values[-1]:g}"
-        unit = "" if axis.unit == "1" else f" {axis.unit}"
-        click.echo(f"axis      {axis.parameter}: {span}{unit}, {len(axis.values)} values")
+        click.echo(f"axis      {axis.parameter}: {axis.spread}")
     for each in found.sample if found is not None else ():
         unit = "" if each.unit == "1" else f" {each.unit}"
         click.echo(f"drawn     {each.name}, {each.values.min():.4g} to {each.values.max():.4g}{unit}")
@@ -786,8 +702,8 @@ def verify(config: Path, overrides: tuple[str, ...], workers: int | None, as_jso
     study = load_study(config, overrides)
     _warn_of_coarse_step(study, "rk4")
     _say_if_compiling(*verification.METHODS)
-    with terminal.progress(len(verification.METHODS) * max(cell_count(study), 1)) as progress:
-        found = verification.verify(study, workers=workers, progress=progress)
+    with progress.shown(len(verification.METHODS) * max(cell_count(study), 1)) as show:
+        found = verification.verify(study, workers=workers, progress=show)
     if as_json:
         click.echo(json.dumps(found.record(), ensure_ascii=False))
     else:
@@ -798,6 +714,72 @@ def verify(config: Path, overrides: tuple[str, ...], workers: int | None, as_jso
         sys.exit(EXIT_MISMATCH)
     if found.failed:
         sys.exit(EXIT_FAILED_CELLS)
+
+
+@cli.command()
+@click.argument("config", type=click.Path(path_type=Path))
+@_set_option
+@click.option("--at", "at", multiple=True, metavar="KEY=VALUE", help="Value of a swept key. May be repeated.")
+@click.option(
+    "--of",
+    "quantities",
+    multiple=True,
+    metavar="QUANTITY",
+    help="severity, approach_velocity, primary_impacts, touches, last_event_time, nominal_label, double_sided or "
+    "label=DS(1)SS(1), for example [severity and nominal_label]. May be repeated.",
+)
+@click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Also draw the indices: .png .svg .pdf.")
+@_json_option
+def sensitivity(
+    config: Path,
+    overrides: tuple[str, ...],
+    at: tuple[str, ...],
+    quantities: tuple[str, ...],
+    workers: int | None,
+    output: Path | None,
+    as_json: bool,
+) -> None:
+    """Tell which of CONFIG's tolerances the spread at one operating point comes from.
+
+    Prints first-order and total Sobol indices, from n (d + 2) runs for d tolerances; n is sweep.sampling.count, a power
+    of two.
+
+    \b
+    Examples:
+      clunk sensitivity tolerances.toml --set sweep.sampling.count=4096
+      clunk sensitivity tolerances.toml --of severity --of double_sided -o bars.png
+    """
+    from clunk import sobol, targets
+    from clunk.config import load_study, replace_values
+    from clunk.sweeping import unused_parameters, warm_up
+
+    study = load_study(config, overrides)
+    if output is not None:
+        targets.check(output, targets.PICTURES, reads=config)
+    point = sobol.operating_point(replace_values(study, _cell_values(study, at, all_needed=False)))
+    _warn_of_coarse_step(point, point.solver.method)
+    for parameter in unused_parameters(point):
+        click.echo(f"note: {parameter} is drawn, but changes nothing in this model", err=True)
+    _say_if_compiling(point.solver.method)
+    warm_up(point)
+    began = time.perf_counter()
+    with progress.shown(sobol.run_count(point), "runs") as show:
+        found = sobol.sensitivity(point, of=quantities, workers=workers, progress=show)
+    seconds = time.perf_counter() - began
+    if as_json:
+        click.echo(json.dumps(found.record(), ensure_ascii=False))
+    else:
+        terminal.print_sensitivity(found)
+    draws = len(found.parameters)
+    what = f"{found.runs:,} runs, {found.samples:,} samples x ({draws} parameters + 2), in {seconds:.1f} s"
+    click.echo(f"{what} ({found.runs / seconds:,.0f} runs/s)", err=True)
+    if output is not None:
+        from clunk import plot as plots
+        from clunk.plot.indices import sobol_bars
+
+        plots.save(sobol_bars(found), output)
+        click.echo(f"-> {output}", err=True)
 
 
 @cli.command()
@@ -821,13 +803,13 @@ def reproduce(output: Path, workers: int | None, coarsen: int, as_json: bool) ->
     targets.check(output / "figure_3_1.png", targets.PICTURES)
     _say_if_compiling("rk4")
     total = sum(cell_count(study) for study in claiming.map_studies(coarsen).values())
-    with terminal.progress(total) as progress:
-        maps = claiming.run_maps(coarsen, workers, progress)
+    with progress.shown(total) as show:
+        maps = claiming.run_maps(coarsen, workers, show)
     evidence = claiming.Evidence(maps)
     found = claiming.claims(evidence)
     jobs = reproduction.figures(evidence)
-    with terminal.progress(len(jobs), "figures") as progress:
-        written = reproduction.save_all(jobs, evidence, found, output, progress)
+    with progress.shown(len(jobs), "figures") as show:
+        written = reproduction.save_all(jobs, evidence, found, output, show)
     if as_json:
         click.echo(json.dumps([claim.record() for claim in found], ensure_ascii=False))
     else:

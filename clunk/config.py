@@ -125,12 +125,32 @@ def load_study(path: str | PathLike[str], overrides: Sequence[str] = ()) -> Stud
     ------
     ConfigError
         With everything that is wrong.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> clunk.load_study("configs/smoke.toml", ["load.static_torque=-2.0"])
+    <clunk.Study 'Smoke test: a coarse Figure 3.4'>
+      driveline  4 inertias, 4 shafts
+      backlash   between 3 and 4: swept
+      contact    indentation, separation by gap
+      load       tip-out on inertia 1: Ts = -2 N m, σr swept
+      solver     rk4, step 0.0002 s, to 2 s
+      swept      load.ratio: 0 to 10, 21 values
+      swept      lash.backlash_deg: 0 to 20, 21 values
     """
     return study_from_text(read_text(path), str(path), overrides)
 
 
 def study_from_text(text: str, source: str = "<text>", overrides: Sequence[str] = ()) -> Study:
-    """The study of a config's text; `source` is what to call it in a report. As `load_study` otherwise."""
+    """The study of a config's text; `source` is what to call it in a report. As `load_study` otherwise.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> clunk.study_from_text('driveline.preset = "boere-2008"').load.ratio
+    5.0
+    """
     return _Resolution(parse_toml(text, source), overrides).study(source, text)
 
 
@@ -466,6 +486,13 @@ def replace_values(study: Study, values: Mapping[str, float]) -> Study:
     ------
     ConfigError
         Where a value is not allowed, by the rules of a config file.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> study = clunk.load_study("configs/nominal.toml")
+    >>> [clunk.simulate(clunk.replace_values(study, {"load.ratio": ratio})).label for ratio in (1.0, 2.0, 5.0)]
+    ['NI', 'SS(1)', 'DS(1)SS(1)']
     """
     sections: dict[str, Any] = {}
     wrong: list[Finding] = []

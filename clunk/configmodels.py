@@ -29,6 +29,7 @@ from clunk.configrules import (
     with_value,
 )
 from clunk.distributions import NUMBERS, Distribution, Kind, Sampler, unit_points
+from clunk.summaries import Rows, as_html, as_text, html_table
 
 FloatArray = npt.NDArray[np.float64]
 End = int | Literal["ground"]
@@ -301,6 +302,50 @@ class Study(_Frozen):
             text = "; ".join(f"{dotted(place)}: {message}" for place, message in found)
             raise PydanticCustomError("clunk_rules", "{text}", {"text": text, "findings": found})
         return self
+
+    def summary(self) -> Rows:
+        """What is computed, for people: (name, value) pairs."""
+        lash, load, solver = self.lash, self.load, self.solver
+        contact = lash.contact
+        if contact.model == "restitution":
+            model = f"restitution, e = {contact.restitution:g}"
+        else:
+            model = f"indentation, separation by {contact.separation}"
+        swept = {axis.parameter for axis in self.sweep.axes} if self.sweep is not None else set()
+        gap = "swept" if "lash.backlash_deg" in swept else f"{lash.backlash_deg:g} degrees"
+        torques = []
+        for symbol, key in (
+            ("Ts", "static_torque"),
+            ("σr", "ratio"),
+            ("T(0⁻)", "initial_torque"),
+            ("T(0⁺)", "final_torque"),
+        ):
+            value, unit = getattr(load, key), "" if key == "ratio" else " N m"
+            if value is not None:
+                torques.append(f"{symbol} swept" if f"load.{key}" in swept else f"{symbol} = {value:g}{unit}")
+        step = f", step {solver.step:g} s" if solver.method == "rk4" else ""
+        rows = [
+            ("driveline", f"{len(self.driveline.inertias)} inertias, {len(self.driveline.shafts)} shafts"),
+            ("backlash", f"between {lash.between[0]} and {lash.between[1]}: {gap}"),
+            ("contact", model),
+            ("load", f"{load.profile} on inertia {load.on}: {', '.join(torques)}"),
+            ("solver", f"{solver.method}{step}, to {solver.end_time:g} s"),
+        ]
+        if self.sweep is not None:
+            for axis in self.sweep.axes:
+                spread = f"{axis.grid[0]:g} to {axis.grid[-1]:g}, {axis.count_of_values} values"
+                rows.append(("swept", f"{axis.parameter}: {spread}"))
+            for draw in (*self.sweep.samples, *self.sweep.tolerances):
+                rows.append(("drawn", f"{draw.parameter}: {draw.distribution}, {self.sweep.sampling.count} draws"))
+        return rows
+
+    def __repr__(self) -> str:
+        return as_text(f"clunk.Study {self.title!r}", self.summary())
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        return as_html(self.title, html_table(self.summary()))
 
 
 def _drawn_findings(study: Study, document: dict[str, Any]) -> Iterator[tuple[Place, str]]:

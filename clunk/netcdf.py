@@ -33,15 +33,21 @@ def write_file(path: str | os.PathLike[str], fill: Callable[[h5py.File], None], 
     It is assembled in memory (a results file takes about 90 bytes a cell): HDF5 writing to a full disk does not only
     fail, it leaves handles that crash the interpreter when it exits. Python's own write fails cleanly.
     """
-    image = io.BytesIO()
-    with h5py.File(image, "w", track_order=True) as file:  # netCDF-4 asks for creation order
-        fill(file)
+    image = image_of(fill)
 
     def write(target: BinaryIO) -> None:
         target.write(image.getbuffer())
         target.write(trailer(image.getbuffer()))
 
     write_whole(path, write, scratch)
+
+
+def image_of(fill: Callable[[h5py.File], None]) -> io.BytesIO:
+    """The file that `fill` fills, in memory."""
+    image = io.BytesIO()
+    with h5py.File(image, "w", track_order=True) as file:  # netCDF-4 asks for creation order
+        fill(file)
+    return image
 
 
 class ChunkWriter:

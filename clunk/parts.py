@@ -216,12 +216,12 @@ class Parts:
             what = "; ".join(differences) or "the config"
             raise PartsError(
                 f"{self.directory.path} holds an unfinished sweep of another config ({what}): finish that one, "
-                "or begin anew with --restart."
+                "or begin anew with --restart (in Python, restart=True)."
             )
         if plan != self._manifest["plan"]:
             raise PartsError(
                 f"{self.directory.path} holds an unfinished sweep that runs {plan}, not {self._manifest['plan']}: "
-                "finish that one, or begin anew with --restart."
+                "finish that one, or begin anew with --restart (in Python, restart=True)."
             )
         if versions != self._manifest["versions"]:
             path.unlink()

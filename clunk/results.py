@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from clunk.core.status import QUALITY_MEANINGS, Status
+from clunk.summaries import Rows, as_html, as_text, html_table
 
 RUN = "run"  # the dimension of what is walked or drawn together
 FAILED = "failed"
@@ -59,6 +62,12 @@ class ResultAxis:
     def variable(self) -> str:
         """Name of the axis in the results file: ``load_ratio``, ``driveline_inertias_4``."""
         return re.sub(r"[.\[\]]", "_", self.parameter).rstrip("_")
+
+    @property
+    def spread(self) -> str:
+        """First and last value, unit and count, for people: ``0 to 20 degrees, 21 values``."""
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"{self.values[0]:g} to {self.values[-1]:g}{unit}, {len(self.values)} values"
 
     @cached_property
     def is_geometric(self) -> bool:
@@ -161,6 +170,78 @@ class Results:
         """Number of cells of each label, in the labels' order, and last of ``failed`` (also where it is 0)."""
         return count_labels(self.labels, self.sequence)
 
+    @property
+    def label_map(self) -> npt.NDArray[np.str_]:
+        """Each cell's label, shape; ``failed`` where the run failed."""
+        return np.array([*self.labels, FAILED])[self.sequence]  # the code -1 is the last
+
+    def cell(self, values: Mapping[str, float]) -> dict[str, Any]:
+        """Everything that is known about the cell nearest to these values.
+
+        Parameters
+        ----------
+        values : by parameter, for every axis, in its unit
+
+        Returns
+        -------
+        dict
+            The cell's own value of each parameter; its `label`; whatever there is of a cell, by name; the names of its
+            `status` and `quality` in the place of their codes; and of each primary impact what there is of impacts, in
+            arrays.
+
+        Raises
+        ------
+        ValueError
+            Where an axis is not named, or something that is none; or a value lies beyond an axis.
+
+        Examples
+        --------
+        >>> import clunk
+        >>> results = clunk.sweep(clunk.load_study("configs/smoke.toml"))
+        >>> cell = results.cell({"load.ratio": 5.0, "lash.backlash_deg": 6.0})
+        >>> cell["label"], cell["touches"], cell["quality"]
+        ('DS(1)SS(1)', 9, ['complete'])
+        >>> cell["impact_time"].round(4)  # s after the load step
+        array([0.1191, 0.2613, 0.565 ])
+        """
+        names = [axis.parameter for axis in self.axes]
+        if set(values) != set(names):
+            raise ValueError(f"A cell is named by {' and '.join(names)}, not by {', '.join(values) or 'nothing'}.")
+        at = tuple(_nearest(axis, values[axis.parameter]) for axis in self.axes)
+        number = int(np.ravel_multi_index(at, self.shape))
+        impacts = slice(*self.first_impact[number : number + 2])
+        found: dict[str, Any] = dict(zip(names, values_at(self.axes, at), strict=True))
+        for axis, position in zip(self.axes, at, strict=True):
+            if axis.parameter == RUN:
+                found |= {along.parameter: float(along.values[position]) for along in self.coordinates}
+        found["label"] = [*self.labels, FAILED][self.sequence[at]]
+        found |= {name: getattr(self, name)[at].item() for name in CELL_FIELDS}
+        found["status"] = Status(found["status"]).name.lower()
+        found["quality"] = [name for bit, name in QUALITY_MEANINGS.items() if found["quality"] & bit]
+        return found | {name: getattr(self, name)[impacts] for name in IMPACT_FIELDS}
+
+    def summary(self) -> Rows:
+        """What was found, for people: (name, value) pairs."""
+        rows = [(axis.parameter, axis.spread) for axis in self.axes]
+        rows += [(axis.parameter, f"{axis.spread}, along {RUN}") for axis in self.coordinates]
+        if np.isfinite(self.severity).any():
+            rows.append(("severity Q", f"{np.nanmin(self.severity):.0f} to {np.nanmax(self.severity):.0f} rad/s²"))
+        for bit, name in QUALITY_MEANINGS.items():
+            count = int(np.count_nonzero(self.quality & bit))
+            if count:
+                rows.append((name, share(count, self.sequence.size)))
+        return rows
+
+    def _label_rows(self) -> Rows:
+        cells = self.sequence.size
+        return [(label, share(n, cells)) for label, n in self.counts().items() if n or label != FAILED]
+
+    def __repr__(self) -> str:
+        return as_text(f"clunk.Results {self.title!r}", [*self.summary(), *self._label_rows()])
+
+    def _repr_html_(self) -> str:
+        return as_html(self.title, html_table(self.summary()), html_table(self._label_rows(), ("label", "cells")))
+
     def padded(self, name: str) -> npt.NDArray[Any]:
         """One `impact_…` array as shape + (max_impacts,), padded with NaN (floats) or 0 (integers)."""
         return self.padded_rows(name, 0, self.shape[0])
@@ -179,6 +260,19 @@ class Results:
 def values_at(axes: tuple[ResultAxis, ...], cell: Sequence[int]) -> tuple[float, ...]:
     """The parameters of a cell, in the axes' order and units."""
     return tuple(float(axis.values[k]) for axis, k in zip(axes, cell, strict=True))
+
+
+def share(count: int, cells: int) -> str:
+    """How many of the cells, and which part of them: ``21 cells, 4.8 %``."""
+    return f"{count:,} {'cell' if count == 1 else 'cells'}, {100.0 * count / cells:.1f} %"
+
+
+def _nearest(axis: ResultAxis, value: float) -> int:
+    """The position of the value on an axis that is nearest to this one; ValueError beyond the axis."""
+    lowest, highest = axis.values.min(), axis.values.max()
+    if not lowest <= value <= highest:  # also where it is not a number
+        raise ValueError(f"{axis.parameter} is swept from {lowest:g} to {highest:g}; {value:g} is not on it.")
+    return int(np.argmin(np.abs(axis.values - value)))
 
 
 def count_labels(labels: tuple[str, ...], sequence: npt.NDArray[np.int16]) -> dict[str, int]:

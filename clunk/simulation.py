@@ -10,12 +10,17 @@ from clunk import driveline
 from clunk.config import Study
 from clunk.core import switching, tile
 from clunk.core.events import EVENT, KIND_NAMES, TOUCH
+from clunk.core.exact import MOST
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.core.severity import peak_to_peak, root_of_squares
 from clunk.core.status import QUALITY_COMPLETE, Status
 from clunk.load import load_step
+from clunk.summaries import Rows, as_html, as_text, html_table
 
 FloatArray = npt.NDArray[np.float64]
+
+EVENT_COLUMNS = ("time [s]", "event", "flank", "q' [rad/s]", "impact", "Qi [rad/s²]")
+_SHOWN_EVENTS = 40  # in a notebook
 
 
 class SimulationError(Exception):
@@ -88,6 +93,47 @@ class Trajectory:
         side = self.events["side"][k]
         return "none" if side == 0 else ("initial" if side == self.initial_side else "opposite")
 
+    @property
+    def ending(self) -> str:
+        """Why the run stopped."""
+        return "nothing can follow" if self.complete else "the end time; more may follow"
+
+    def summary(self) -> Rows:
+        """What the run amounts to, for people: (name, value) pairs."""
+        rows = [
+            ("events", f"{len(self.events) - 1}, {self.touches} of them touches"),
+            ("primary impacts", self.letters or "none"),
+            ("label", self.label),
+            ("severity Q", _severity(self.severity, " rad/s²")),
+            ("approach velocity V", f"{self.approach_velocity:.5f} rad/s"),
+        ]
+        if not np.isnan(self.margin):
+            rows.append(("margin", f"{MOST:g} or more" if self.margin >= MOST else f"{self.margin:+.3g}"))
+        return rows
+
+    def event_table(self) -> list[tuple[str, ...]]:
+        """The events after the load step as texts, by `EVENT_COLUMNS`."""
+        number = {int(k): i for i, k in enumerate(self.primaries)}
+        rows: list[tuple[str, ...]] = []
+        for k, event in enumerate(self.events[1:], 1):
+            impact = "primary" if k in number else "secondary" if event["kind"] == TOUCH else ""
+            severity = _severity(self.impact_severity[number[k]]) if k in number else ""
+            texts = f"{event['time']:.7f}", self.kind_name(k), self.flank_name(k), f"{event['speed']:+.6f}"
+            rows.append((*texts, impact, severity))
+        return rows
+
+    def __repr__(self) -> str:
+        ended = ("ended", f"{self.end:.4g} s after the load step: {self.ending}")
+        return as_text(f"clunk.Trajectory of {self.study.title!r}", [*self.summary(), ended])
+
+    def _repr_html_(self) -> str:
+        events = self.event_table()
+        shown = events[:_SHOWN_EVENTS]
+        if len(events) > len(shown):
+            shown.append((f"… {len(events) - len(shown)} more", *[""] * (len(EVENT_COLUMNS) - 1)))
+        shown.append((f"{self.end:.7f}", f"end: {self.ending}", *[""] * (len(EVENT_COLUMNS) - 2)))
+        return as_html(self.study.title, html_table(self.summary()), html_table(shown, EVENT_COLUMNS))
+
 
 def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Trajectory:
     """Run one load step.
@@ -108,6 +154,21 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
     ------
     SimulationError
         Where there is no static equilibrium or no initial flank, or the run fails.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> run = clunk.simulate(clunk.load_study("configs/nominal.toml"))
+    >>> run
+    <clunk.Trajectory of 'Nominal tip-out: σr = 5, φθ = 6°'>
+      events               18, 9 of them touches
+      primary impacts      O I I
+      label                DS(1)SS(1)
+      severity Q           9299.7 rad/s²
+      approach velocity V  10.96922 rad/s
+      ended                0.6818 s after the load step: nothing can follow
+    >>> run.events["time"][run.primaries].round(4)  # s after the load step
+    array([0.1191, 0.2613, 0.565 ])
     """
     system, tables = driveline.prepare(study)
     size = system.lash.size
@@ -163,3 +224,7 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
 def _sentence(status: Status) -> str:
     text = status.sentence
     return text[0].upper() + text[1:] + "."
+
+
+def _severity(value: float, unit: str = "") -> str:
+    return "undefined" if np.isnan(value) else f"{value:.1f}{unit}"

@@ -7,6 +7,7 @@ is one sentence.
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -27,6 +28,7 @@ from clunk.netcdf import (
     create_scale,
     create_variable,
     get_text,
+    image_of,
     set_flags,
     set_text,
     write_file,
@@ -93,6 +95,12 @@ def write(path: str | os.PathLike[str], results: Results, scratch: Path | None =
 
     Missing parent directories are made. What is not complete yet is in `scratch`, by default in the same directory.
     Raises StoreError.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> results = clunk.sweep(clunk.load_study("configs/smoke.toml"))
+    >>> clunk.write_results("results/copy.h5", results)
     """
     write_filled(path, lambda file: _write(file, results), scratch)
 
@@ -107,8 +115,21 @@ def write_filled(path: str | os.PathLike[str], fill: Callable[[h5py.File], None]
         raise StoreError(f"{path} cannot be written: {reason(error)}.") from error
 
 
+def to_image(results: Results) -> io.BytesIO:
+    """A results file in memory."""
+    return image_of(lambda file: _write(file, results))
+
+
 def read(path: str | os.PathLike[str]) -> Results:
-    """Read a results file whole and check it against its checksum and digest. Raises StoreError."""
+    """Read a results file whole and check it against its checksum and digest. Raises StoreError.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> results = clunk.sweep(clunk.load_study("configs/smoke.toml"), "results/smoke.h5")
+    >>> clunk.read_results("results/smoke.h5").label_map[10, 6]
+    np.str_('DS(1)SS(1)')
+    """
     with opened(path) as file:
         header = header_of(file)
         if header.tolerance_map:

@@ -51,6 +51,10 @@ Progress = Callable[[int, int], None]
 _BYTES_PER_CELL = 400  # the most that a cell's results, their assembly and writing take
 
 
+HAS_TOLERANCES = "The study has [[sweep.tolerances]]: clunk.tolerance_map runs it."
+NO_TOLERANCES = "The study has no [[sweep.tolerances]]: clunk.sweep runs it."
+
+
 class SweepError(Exception):
     """A sweep that cannot start; its text is one sentence for the user."""
 
@@ -90,7 +94,7 @@ def sweep(
         Passed on after the running cells have been abandoned, and the finished ones kept.
     """
     if has_tolerances(study):
-        raise SweepError("The study has [[sweep.tolerances]]: clunk.tolerance_map runs it.")
+        raise SweepError(HAS_TOLERANCES)
     grid = _checked(Grid(study), workers)
     assembly = Assembly(study)
     if not refine:
@@ -115,7 +119,7 @@ def tolerance_map(
     Parameters and errors are those of `sweep`.
     """
     if not has_tolerances(study):
-        raise SweepError("The study has no [[sweep.tolerances]]: clunk.sweep runs it.")
+        raise SweepError(NO_TOLERANCES)
     grid = ToleranceGrid(study)
     _checked(grid, workers)
     assembly = ToleranceAssembly(study, grid)

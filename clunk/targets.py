@@ -23,7 +23,7 @@ def check(target: Path, suffixes: Sequence[str], *, reads: Path | None = None) -
     Missing parent directories are made. Raises TargetError.
     """
     if target.is_dir():
-        raise TargetError(f"{target} is a directory; -o names a file.")
+        raise TargetError(f"{target} is a directory; name a file in it.")
     if target.suffix.lower() not in suffixes:
         raise TargetError(f"{target} cannot be written: its name must end in {', '.join(suffixes)}.")
     if reads is not None and target.resolve() == reads.resolve():

@@ -1,13 +1,10 @@
-"""What the command line prints: progress on stderr, tables for 80 columns on stdout."""
+"""What the command line prints: complaints on stderr, tables for 80 columns on stdout."""
 
 from __future__ import annotations
 
 import math
-import sys
 import textwrap
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,10 +15,9 @@ if TYPE_CHECKING:
     from clunk.energy import EnergyBalance
     from clunk.results import Results
     from clunk.simulation import Trajectory
+    from clunk.sobol import Indices, Sensitivity
     from clunk.tolerancemap import ToleranceMap
     from clunk.verification import Verification
-
-Progress = Callable[[int, int], None]
 
 _WIDTH = 80
 
@@ -30,63 +26,6 @@ def complain(text: str) -> None:
     """Print what is wrong, within the width of a terminal; a report that is laid out already stays as it is."""
     for line in text.splitlines():
         click.echo(line if len(line) <= _WIDTH else textwrap.fill(line, _WIDTH, break_on_hyphens=False), err=True)
-
-
-@contextmanager
-def progress(total: int, what: str = "cells") -> Iterator[Progress]:
-    """A progress bar with rate and time left on a terminal, a line now and then elsewhere; both on stderr."""
-    if not sys.stderr.isatty():
-        yield _plain_progress(what)
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bar
-
-    columns = (
-        BarColumn(bar_width=None),
-        MofNCompleteColumn(),
-        TextColumn(what + "  {task.fields[rate]}"),
-        TimeRemainingColumn(),
-    )
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=total, rate="")
-        speed = _Speed()
-
-        def update(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total, rate=f"{speed(done):,.0f}/s ")
-
-        yield update
-
-
-def _plain_progress(what: str, every: float = 5.0) -> Progress:
-    last = time.perf_counter()
-    speed = _Speed()
-
-    def update(done: int, total: int) -> None:
-        nonlocal last
-        now = time.perf_counter()
-        rate = speed(done)
-        if now - last < every or done == total or rate == 0.0:
-            return
-        last = now
-        left = (total - done) / rate
-        click.echo(f"{done:,} of {total:,} {what}, {rate:,.0f}/s, {left:.0f} s left", err=True)
-
-    return update
-
-
-class _Speed:
-    """Cells a second since the first report; what was done by then may be of an earlier run."""
-
-    def __init__(self) -> None:
-        self._first: tuple[int, float] | None = None
-
-    def __call__(self, done: int) -> float:
-        now = time.perf_counter()
-        if self._first is None:
-            self._first = done, now
-        count, began = self._first
-        return (done - count) / max(now - began, 1e-9)
 
 
 def report_resumed(taken_up: int, discarded: int) -> None:
@@ -178,32 +117,15 @@ def tolerance_record(found: ToleranceMap) -> dict[str, Any]:
 
 def print_trajectory(trajectory: Trajectory) -> None:
     """A run's events, its primary impacts and what they amount to."""
-    primaries = {int(k): i for i, k in enumerate(trajectory.primaries)}
-    click.echo("   time [s]  event       flank     q' [rad/s]  impact     Qi [rad/s²]")
-    for k, event in enumerate(trajectory.events):
-        if k == 0:
-            continue
-        kind = trajectory.kind_name(k)
-        impact, severity = "", ""
-        if kind == "touch":
-            impact = "primary" if k in primaries else "secondary"
-        if k in primaries:
-            severity = _severity(trajectory.impact_severity[primaries[k]], "")
-        line = f"{event['time']:11.7f}  {kind:<10}  {trajectory.flank_name(k):<8}  {event['speed']:+10.6f}"
-        click.echo(f"{line}  {impact:<9}  {severity:>11}".rstrip())
-    ending = "nothing can follow" if trajectory.complete else "the end time; more may follow"
-    click.echo(f"{trajectory.end:11.7f}  end: {ending}")
-    click.echo()
-    click.echo(f"events              {len(trajectory.events) - 1}, {trajectory.touches} of them touches")
-    click.echo(f"primary impacts     {trajectory.letters or 'none'}")
-    click.echo(f"label               {trajectory.label}")
-    click.echo(f"severity Q          {_severity(trajectory.severity, ' rad/s²')}")
-    click.echo(f"approach velocity V {trajectory.approach_velocity:.5f} rad/s")
-    if trajectory.margin == trajectory.margin:
-        from clunk.core.exact import MOST
+    from clunk.simulation import EVENT_COLUMNS
 
-        most = f"{MOST:g} or more"
-        click.echo(f"margin              {most if trajectory.margin >= MOST else f'{trajectory.margin:+.3g}'}")
+    widths = "{:>11}  {:<10}  {:<8}  {:>10}  {:<9}  {:>11}"
+    for row in (EVENT_COLUMNS, *trajectory.event_table()):
+        click.echo(widths.format(*row).rstrip())
+    click.echo(f"{trajectory.end:11.7f}  end: {trajectory.ending}")
+    click.echo()
+    for name, value in trajectory.summary():
+        click.echo(f"{name:<19} {value}")
 
 
 def print_energy(trajectory: Trajectory, balance: EnergyBalance) -> None:
@@ -276,10 +198,6 @@ def trajectory_record(trajectory: Trajectory) -> dict[str, Any]:
             if k > 0
         ],
     }
-
-
-def _severity(value: float, unit: str) -> str:
-    return "undefined" if math.isnan(value) else f"{value:.1f}{unit}"
 
 
 def _or_none(value: float) -> float | None:
@@ -410,6 +328,58 @@ def _print_disagreements(found: Verification, flagged: bool, count: int) -> None
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         click.echo("  " + "  ".join(f"{text:<{width}}" for text, width in zip(row, widths, strict=True)).rstrip())
+
+
+def print_sensitivity(found: Sensitivity) -> None:
+    """What is drawn and what came of it, then every quantity's Sobol indices by falling total index."""
+    from clunk.sobol import distribution_phrase
+
+    width = max(len(parameter) for parameter in found.parameters)
+    for draw in found.draws:
+        line = f"{draw.parameter:<{width}}  {distribution_phrase(found.study, draw)}"
+        click.echo(textwrap.fill(line, _WIDTH, subsequent_indent=" " * (width + 2), break_on_hyphens=False))
+    click.echo()
+    hardness = (
+        f"V {found.approach_velocity:.5f} rad/s" if math.isnan(found.severity) else f"Q {found.severity:.1f} rad/s²"
+    )
+    click.echo(f"without tolerances  {found.label}, {hardness}")
+    wide = max(len(label) for label in found.labels)
+    for k, (label, share) in enumerate(found.labels.items()):
+        count = round(share * 2 * found.samples)
+        click.echo(
+            f"{'with tolerances' if k == 0 else '':<18}  {label:<{wide}}  {_share(count, 2 * found.samples):>10}"
+        )
+    for indices in found.indices:
+        click.echo()
+        _print_indices(indices, found.parameters, width)
+
+
+def _print_indices(indices: Indices, parameters: Sequence[str], width: int) -> None:
+    from clunk.sobol import CONFIDENCE, QUANTILES
+
+    click.echo(indices.heading)
+    if not indices.varies:
+        value = ("always" if indices.mean else "never") if indices.is_indicator else f"always {indices.mean:.6g}"
+        click.echo(f"{value}: there is no variance to divide")
+        return
+    if indices.is_indicator:
+        click.echo(f"in {100 * indices.mean:.2f} % of the runs")
+    else:
+        click.echo(f"mean {indices.mean:.6g}, standard deviation {indices.std:.4g}")
+        quantiles = (f"{100 * q:g} %: {value:.6g}" for q, value in zip(QUANTILES, indices.quantiles, strict=True))
+        click.echo(f"quantiles {', '.join(quantiles)}")
+    interval = f"[{100 * CONFIDENCE:g} %]"
+    heads = f"{f' alone, S {interval}':<23}   in all, ST {interval}"
+    click.echo(f"{'share of the variance':<{width}}  {heads}")
+    for k in indices.order:
+        first = _with_interval(indices.first[k], *indices.first_interval[:, k])
+        total = _with_interval(indices.total[k], *indices.total_interval[:, k])
+        click.echo(f"{parameters[k]:<{width}}  {first:<23}  {total}")
+
+
+def _with_interval(value: float, low: float, high: float) -> str:
+    value, low, high = (round(number, 3) + 0.0 for number in (value, low, high))  # no -0.000
+    return f"{value:6.3f} [{low:.3f}, {high:.3f}]"
 
 
 def _share(count: int, of: int) -> str:

@@ -54,7 +54,17 @@ def write(path: str | os.PathLike[str], found: ToleranceMap, scratch: Path | Non
 
 
 def read(path: str | os.PathLike[str]) -> ToleranceMap:
-    """Read a tolerance map whole and check it against its checksum and digest. Raises StoreError."""
+    """Read a tolerance map whole and check it against its checksum and digest. Raises StoreError.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> fewer = ["sweep.sampling.count=4", "sweep.axes[1].count=3", "sweep.axes[2].count=3"]
+    >>> study = clunk.load_study("configs/tolerance.toml", fewer)
+    >>> found = clunk.tolerance_map(study, "results/tolerance.h5")
+    >>> clunk.read_tolerance_map("results/tolerance.h5").draws
+    4
+    """
     with opened(path) as file:
         header = header_of(file)
         if not header.tolerance_map:

@@ -12,13 +12,16 @@ from clunk.labels import double_sided
 from clunk.results import (
     FAILED,
     FAILED_CODE,
+    RUN,
     ResultAxis,
     check_axes,
     check_labels,
     count_labels,
     require,
+    share,
     swept_parameters,
 )
+from clunk.summaries import Rows, as_html, as_text, html_table
 
 QUANTILES = (0.05, 0.5, 0.95)
 CERTAIN = 0.95  # a cell whose most likely label is less probable lies in the band between regimes
@@ -132,6 +135,24 @@ class ToleranceMap:
         total = self.runs.reshape(-1, self.runs.shape[-1]).sum(axis=0, dtype=np.int64)
         names = (*self.labels, FAILED)
         return {name: int(count) / int(total.sum()) for name, count in zip(names, total, strict=True)}
+
+    def summary(self) -> Rows:
+        """What was found, for people: (name, value) pairs."""
+        rows = [(axis.parameter, axis.spread) for axis in self.axes]
+        rows += [(axis.parameter, f"{axis.spread}, along {RUN}") for axis in self.coordinates]
+        rows += [(each.parameter, f"drawn {each.spread}") for each in self.sample]
+        rows.append((f"below {CERTAIN:.0%}", share(self.uncertain, self.sequence.size)))
+        return rows
+
+    def _label_rows(self) -> Rows:
+        shares = self.shares().items()
+        return [(label, f"{part:.4%} of all runs") for label, part in shares if part or label != FAILED]
+
+    def __repr__(self) -> str:
+        return as_text(f"clunk.ToleranceMap {self.title!r}", [*self.summary(), *self._label_rows()])
+
+    def _repr_html_(self) -> str:
+        return as_html(self.title, html_table(self.summary()), html_table(self._label_rows(), ("label", "probability")))
 
 
 def most_likely(runs: npt.NDArray[np.int32]) -> npt.NDArray[np.int16]:

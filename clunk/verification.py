@@ -23,6 +23,7 @@ from clunk.core.status import QUALITY_COMPLETE, QUALITY_GRAZING, QUALITY_UNDECID
 from clunk.designs import nominal
 from clunk.results import Results, values_at
 from clunk.simulation import Trajectory, simulate
+from clunk.summaries import as_text
 
 Method = Literal["rk4", "exact"]
 Bools = npt.NDArray[np.bool_]
@@ -106,6 +107,15 @@ class Verification:
     flagged: Bools
     largest: tuple[Largest, ...]
     events: tuple[EventPair, ...]
+
+    def __repr__(self) -> str:
+        rows = [
+            ("cells", f"{self.cells:,}"),
+            ("labels equal", f"{self.equal:,}"),
+            ("labels differ in flagged cells", f"{self.differing_flagged:,}"),
+            ("labels differ elsewhere", f"{self.differing_elsewhere:,}"),
+        ]
+        return as_text(f"clunk.Verification of {self.study.title!r}", rows)
 
     @property
     def cells(self) -> int:

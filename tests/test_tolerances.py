@@ -10,6 +10,7 @@ import xarray
 from matplotlib.colors import to_rgb
 from test_cli import clunk, here  # noqa: F401  fixtures
 
+import clunk as clunk_api
 from clunk import parts as keeping
 from clunk import store, tolerancefile, tolerances
 from clunk.config import Axis, get_value, replace_values, study_from_text, to_toml
@@ -403,7 +404,9 @@ class TestCommands:
         code, shown, _ = clunk("plot", "results/small.h5")
         assert [line.rsplit("-", 1)[1] for line in shown.split()] == ["regimes.png", "double_sided.png", "severity.png"]
         assert (here / "results" / "small-regimes.png").exists()
-        code, shown, err = clunk("simulate", "results/small.h5", "--at", "load.ratio=5", "--at", "lash.backlash_deg=6.5")
+        code, shown, err = clunk(
+            "simulate", "results/small.h5", "--at", "load.ratio=5", "--at", "lash.backlash_deg=6.5"
+        )
         assert "DS(1)SS(1)" in shown
         assert "this is the nominal run" in err
 
@@ -437,6 +440,29 @@ class TestCommands:
             tolerance_map(nominal(toleranced))
         with pytest.raises(SweepError, match="nothing to sweep"):
             tolerance_map(study(tolerance("lash.backlash_deg"), axes=""))
+
+
+class TestFromPython:
+    def test_a_file_is_written_and_then_read_instead_of_run(self, toleranced, found, tmp_path):
+        told = []
+        first = clunk_api.tolerance_map(toleranced, tmp_path / "map.h5", progress=lambda done, _: told.append(done))
+        assert told[-1] == 147
+        told.clear()
+        again = clunk_api.tolerance_map(toleranced, tmp_path / "map.h5", progress=lambda done, _: told.append(done))
+        assert not told
+        assert equal(first, found)
+        assert equal(again, found)
+        assert equal(clunk_api.read_tolerance_map(tmp_path / "map.h5"), found)
+        data = clunk_api.open_results(tmp_path / "map.h5")
+        labels = np.array([*found.labels, "failed"])
+        assert np.array_equal(data["most_likely_label"], labels[found.sequence])
+        assert data["probability"].sel(label="NI", load_ratio=0.0).min() == 1.0
+
+    def test_it_is_drawn_and_says_what_it_is(self, found):
+        assert len(clunk_api.draw(found, "double_sided").axes) == 2
+        assert "backlash_deg" in repr(found)
+        assert f"{found.uncertain} cells" in repr(found)
+        assert "<table" in found._repr_html_()
 
 
 class TestFigures:

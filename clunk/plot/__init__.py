@@ -8,7 +8,16 @@ Figures of runs are in `histories` and `small_gap`, of comparisons in `compariso
 they draw takes longer to import than the maps do.
 """
 
-from clunk.plot.maps import QUANTITIES, draw, quantity_map, regime_map, ridge_of, severity_map, strip
+from clunk.plot.maps import (
+    QUANTITIES,
+    draw,
+    quantity_map,
+    regime_map,
+    ridge_of,
+    severity_map,
+    strip,
+    thresholds_of,
+)
 from clunk.plot.plane import x_axis
 from clunk.plot.style import PlotError, save
 
@@ -22,5 +31,6 @@ __all__ = [
     "save",
     "severity_map",
     "strip",
+    "thresholds_of",
     "x_axis",
 ]

@@ -18,7 +18,7 @@ from scipy import ndimage
 
 from clunk.core.status import QUALITY_UNDECIDED
 from clunk.plot.labelling import label_and_note, region_swatch
-from clunk.plot.plane import View, cell_edges, drawn_axes, scale_axes, scale_axis
+from clunk.plot.plane import View, cell_edges, drawn_axes, scale_axes, scale_axis, x_axis
 from clunk.plot.raster import Raster, corners_that_fit
 from clunk.plot.regions import Regions, draw_boundaries, fill_regions, hatch_failed
 from clunk.plot.style import (
@@ -74,6 +74,18 @@ def draw(results: Results, quantity: str, thresholds: Sequence[float] = ()) -> F
     if quantity == "regimes":
         return regime_map(results, thresholds)
     return quantity_map(results, quantity)
+
+
+def thresholds_of(results: Results) -> list[float]:
+    """Where along the x axis one more impact appears as the backlash vanishes, if that depends on the load alone."""
+    parameter = x_axis(results).parameter
+    if not parameter.startswith("load."):
+        return []
+    from clunk.config import study_from_text
+    from clunk.linear import one_mode_thresholds, thresholds_on
+
+    study = study_from_text(results.config, source="the results file's config")
+    return [float(value) for value in thresholds_on(study, parameter, one_mode_thresholds(study))]
 
 
 def regime_map(results: Results, thresholds: Sequence[float] = ()) -> Figure:

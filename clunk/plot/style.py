@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import re
 import textwrap
@@ -68,12 +69,22 @@ def styled() -> Iterator[None]:
         yield
 
 
+class NotebookFigure(Figure):
+    """A figure that a notebook shows, also where no pyplot has told it how."""
+
+    def _repr_png_(self) -> bytes:
+        picture = io.BytesIO()
+        with styled():
+            self.savefig(picture, format="png")
+        return picture.getvalue()
+
+
 def new_figure(size: tuple[float, float] = SIZE) -> Figure:
     """An empty figure.
 
     size : width and height  [inches]
     """
-    figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
+    figure = NotebookFigure(figsize=size, dpi=_DPI, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 

@@ -1,6 +1,6 @@
 """What the report leaves open decides little of its map.
 
-pytest -m slow tests/test_sensitivity.py        the README's tables, from ten maps of 101 x 101 cells
+pytest -m slow tests/test_openchoices.py        the README's tables, from ten maps of 101 x 101 cells
 """
 
 from pathlib import Path
@@ -11,7 +11,7 @@ import pytest
 from clunk.config import replace_values
 from clunk.driveline import Driveline
 from clunk.history import sample
-from clunk.sensitivity import base_study, by_force, contact_damping, main, markdown, measure, tension
+from clunk.openchoices import base_study, by_force, contact_damping, main, markdown, measure, tension
 from clunk.simulation import simulate
 
 

@@ -1,6 +1,6 @@
 """How much of the report's map hangs on what the report leaves open: contact damping, sticking time, separation rule.
 
-    python -m clunk.sensitivity              prints the table of the README, from ten maps of 101 x 101 cells
+    python -m clunk.openchoices              prints the table of the README, from ten maps of 101 x 101 cells
 
 The damping is given as the damping ratio ζ4 of the closed driveline's fastest mode; the report says that all ratios lie
 between 10 and 20 %, and that its chatter is that of a restitution of 0.5.
@@ -28,7 +28,7 @@ DAMPING_RATIOS = (0.10, 0.13, 0.16, 0.23, 0.26)
 STICKING_TIMES = (0.7, 0.85, 1.2, 1.5)  # of the contact period
 
 _MAP = """
-title = "Sensitivity"
+title = "What the report leaves open"
 [driveline]
 preset = "boere-2008"
 [[sweep.axes]]
@@ -88,7 +88,7 @@ class Separation:
 
 
 @dataclass(frozen=True)
-class Sensitivity:
+class OpenChoices:
     """The variants of the map, and both separation rules."""
 
     variants: tuple[Variant, ...]
@@ -97,7 +97,7 @@ class Sensitivity:
 
 def base_study(count: int = COUNT) -> Study:
     """The report's map with `count` values an axis."""
-    return study_from_text(_MAP.format(count=count), source="the config of the sensitivity")
+    return study_from_text(_MAP.format(count=count), source="the config of the open choices")
 
 
 def contact_damping(study: Study, ratio: float) -> float:
@@ -145,7 +145,7 @@ def tension(study: Study, ratio: float, backlash: float) -> float:
     return Driveline.from_study(single).contact_damping * float(np.max(speeds, initial=0.0))
 
 
-def measure(count: int = COUNT, workers: int | None = None, progress: Progress | None = None) -> Sensitivity:
+def measure(count: int = COUNT, workers: int | None = None, progress: Progress | None = None) -> OpenChoices:
     """Run the maps; `progress` gets the cells done and all cells."""
     base = base_study(count)
     studies = {"nominal": base, **variants(base)}
@@ -166,7 +166,7 @@ def measure(count: int = COUNT, workers: int | None = None, progress: Progress |
         tensions += [tension(base, float(ratio), float(backlash)) for backlash in backlashes]
         if progress is not None:
             progress(len(studies) * cells + len(tensions), total)
-    return Sensitivity(
+    return OpenChoices(
         variants=tuple(_variant(name, found, nominal) for name, found in maps.items()),
         separations=(
             _separation("by gap", nominal, base, max(tensions)),
@@ -213,7 +213,7 @@ def _nominal(results: Results) -> float:
     return float(results.severity[at])
 
 
-def markdown(found: Sensitivity) -> str:
+def markdown(found: OpenChoices) -> str:
     """Both tables as the README has them."""
     lines = ["| changed | cells with another label | Q at σr = 5, φθ = 6° | largest Q |", "| --- | --- | --- | --- |"]
     for variant in found.variants:
@@ -237,7 +237,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables."""
     import argparse
 
-    parser = argparse.ArgumentParser(prog="python -m clunk.sensitivity", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="python -m clunk.openchoices", description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=COUNT, help="values an axis [%(default)s]")
     parser.add_argument("--workers", type=int, help="threads [one for each core]")
     options = parser.parse_args(arguments)

@@ -1,0 +1,256 @@
+"""What a script or a notebook calls beside `load_study` and `simulate`: sweeps with a bar and a file, and pictures."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from clunk import sweeping, targets, tolerancefile, verification
+from clunk.cells import compiling_note, warm_up
+from clunk.config import Study
+from clunk.designs import has_tolerances
+from clunk.output import opened
+from clunk.progress import Progress, shown
+from clunk.results import Results
+from clunk.simulation import Trajectory
+from clunk.store import read
+from clunk.sweeping import HAS_TOLERANCES, NO_TOLERANCES, SweepError
+from clunk.tolerancemap import ToleranceMap
+from clunk.verification import METHODS, Verification, by
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def sweep(
+    study: Study,
+    output: str | os.PathLike[str] | None = None,
+    *,
+    progress: bool | Progress = False,
+    workers: int | None = None,
+    refine: bool = False,
+    restart: bool = False,
+    force: bool = False,
+) -> Results:
+    """Run the grid of a study in parallel.
+
+    Parameters
+    ----------
+    study : Study
+        With at least one axis.
+    output : path of a results file (.h5), optional
+        As ``clunk sweep`` writes it: finished cells are kept on the disk, a sweep that was stopped goes on when it is
+        called again, and one that is complete in the file is read instead of run.
+    progress : bool or callable(done, total)
+        True shows a bar in a terminal or a notebook, and a line now and then elsewhere; or else a function that is
+        called in this thread with the number of cells after each finished tile.
+    workers : int, optional
+        Threads; by default one for each core that this process may use.
+    refine : bool
+        Run only a coarse grid and where labels change, and infer the other cells' labels.
+    restart : bool
+        Neither go on with a stopped sweep nor keep a finished one.
+    force : bool
+        Overwrite a results file of another study.
+
+    Returns
+    -------
+    Results
+        Those of a cell depend on nothing but its parameters: neither workers nor interruptions change a bit.
+
+    Raises
+    ------
+    SweepError
+        Where there is nothing to sweep, the grid does not fit in memory, no cell of it could run, or the file holds
+        something else.
+    TargetError, StoreError, PartsError
+        Where the file cannot be written, or finished cells cannot be kept or taken up.
+    KeyboardInterrupt
+        Passed on after finished cells have been kept.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> study = clunk.load_study("configs/smoke.toml", ["solver.method='exact'"])
+    >>> results = clunk.sweep(study, "results/exact.h5", progress=True)
+    >>> results.shape
+    (21, 21)
+    >>> results.counts()["DS(1)SS(1)"]
+    160
+    """
+    if has_tolerances(study):
+        raise SweepError(HAS_TOLERANCES)
+    found = _found(study, output, progress, workers, refine=refine, restart=restart, force=force)
+    assert isinstance(found, Results)
+    return found
+
+
+def tolerance_map(
+    study: Study,
+    output: str | os.PathLike[str] | None = None,
+    *,
+    progress: bool | Progress = False,
+    workers: int | None = None,
+    restart: bool = False,
+    force: bool = False,
+) -> ToleranceMap:
+    """Run every cell of a study's grid for the same sample of its toleranced parameters.
+
+    Parameters
+    ----------
+    study : Study
+        With at least one axis, and tolerances.
+    output, progress, workers, restart, force
+        As of `sweep`.
+
+    Returns
+    -------
+    ToleranceMap
+        How probable each label is in each cell, and the severity's mean and quantiles there.
+
+    Raises
+    ------
+    SweepError
+        As of `sweep`, and where there are no tolerances.
+    TargetError, StoreError, PartsError, KeyboardInterrupt
+        As of `sweep`.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> fewer = ["sweep.sampling.count=16", "sweep.axes[1].count=6", "sweep.axes[2].count=5"]
+    >>> found = clunk.tolerance_map(clunk.load_study("configs/tolerance.toml", fewer))
+    >>> found.runs.sum(axis=-1).min(), found.draws
+    (np.int64(16), 16)
+    """
+    if not has_tolerances(study):
+        raise SweepError(NO_TOLERANCES)
+    found = _found(study, output, progress, workers, refine=False, restart=restart, force=force)
+    assert isinstance(found, ToleranceMap)
+    return found
+
+
+def verify(study: Study, *, progress: bool | Progress = False, workers: int | None = None) -> Verification:
+    """Run a study by both methods, rk4 and exact, and compare.
+
+    Parameters
+    ----------
+    study : Study
+        Without axes, its single run is compared, event by event.
+    progress, workers
+        As of `sweep`; the cells of both methods are counted together.
+
+    Raises
+    ------
+    SweepError, SimulationError
+        Where no cell can run; the single run of a study without axes must finish.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> found = clunk.verify(clunk.load_study("configs/smoke.toml"))
+    >>> found.equal, found.differing_elsewhere
+    (441, 0)
+    """
+    both = [by(study, method) for method in METHODS]
+    with _telling(progress, len(both) * sweeping.cell_count(study), *both) as tell:
+        return verification.verify(study, workers=workers, progress=tell)
+
+
+def draw(what: Results | ToleranceMap | Trajectory, quantity: str = "regimes") -> Figure:
+    """The map of a sweep's results, or the picture of a run.
+
+    Parameters
+    ----------
+    what : Results, ToleranceMap or Trajectory
+    quantity : str
+        Of results: regimes, severity, approach_velocity, primary_impacts, touches, last_event_time or margin. Of a
+        tolerance map: regimes, double_sided, severity (its mean), severity_5, severity_50 or severity_95.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A notebook shows it; `clunk.plot.save` writes it as PNG, SVG or PDF.
+
+    Raises
+    ------
+    PlotError
+        Where the results cannot be drawn so.
+    TypeError
+        Where it is something else, a Dataset for example.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> results = clunk.sweep(clunk.load_study("configs/smoke.toml"))
+    >>> figure = clunk.draw(results, "severity")
+    >>> clunk.plot.save(figure, "severity.svg")
+    """
+    from clunk import plot
+
+    if isinstance(what, Results):
+        return plot.draw(what, quantity, plot.thresholds_of(what))
+    if isinstance(what, ToleranceMap):
+        from clunk.plot import certainty
+
+        return certainty.draw(what, quantity)
+    if not isinstance(what, Trajectory):
+        kind = type(what).__name__
+        raise TypeError(f"draw takes Results or a Trajectory, not a {kind}; clunk.read_results(path) gives Results.")
+    from clunk.history import sample
+    from clunk.plot.histories import simulation_figure
+
+    return simulation_figure([(what.study.title, what, sample(what))])
+
+
+def _found(
+    study: Study,
+    output: str | os.PathLike[str] | None,
+    progress: bool | Progress,
+    workers: int | None,
+    *,
+    refine: bool,
+    restart: bool,
+    force: bool,
+) -> Results | ToleranceMap:
+    """What a study's sweep finds, or a file that is complete already has."""
+    tolerances = has_tolerances(study)
+    if output is None:
+        with _telling(progress, sweeping.cell_count(study), study) as tell:
+            if tolerances:
+                return sweeping.tolerance_map(study, workers=workers, progress=tell)
+            return sweeping.sweep(study, workers=workers, progress=tell, refine=refine)
+    path = Path(output)
+    targets.check(path, targets.RESULTS)
+    with opened(path, study, refine=refine, restart=restart, force=force) as file:
+        if file.counts is not None:
+            return tolerancefile.read(path) if tolerances else read(path)
+        try:
+            with _telling(progress, sweeping.cell_count(study), study) as tell:
+                found = file.run(workers=workers, progress=tell)
+        except KeyboardInterrupt as stopped:
+            stopped.add_note(file.kept)
+            raise
+        file.save(found)
+    return found
+
+
+@contextmanager
+def _telling(progress: bool | Progress, cells: int, *studies: Study) -> Iterator[Progress | None]:
+    """The function that is told of progress; the bar waits until what the studies need is compiled."""
+    if progress is False or cells == 0:
+        yield None
+    elif progress is True:
+        note = compiling_note(*(study.solver.method for study in studies))
+        if note:
+            print(note, file=sys.stderr)
+        for study in studies:
+            warm_up(study)
+        with shown(cells) as tell:
+            yield tell
+    else:
+        yield progress

@@ -1,0 +1,35 @@
+"""What an object says of itself: a heading and named values, as text for a shell and as HTML for a notebook."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+
+Rows = Sequence[tuple[str, str]]
+
+_WIDTH = 80
+_LEFT = ' style="text-align: left"'  # notebooks align the cells of tables to the right
+
+
+def as_text(heading: str, rows: Rows) -> str:
+    """A heading and a line for each row, none longer than a terminal is wide."""
+    width = max((len(name) for name, _ in rows), default=0)
+    return "\n".join(
+        [f"<{_cut(heading, _WIDTH - 2)}>", *(_cut(f"  {name:<{width}}  {text}", _WIDTH) for name, text in rows)]
+    )
+
+
+def as_html(heading: str, *tables: str) -> str:
+    """A heading over tables that `html_table` made."""
+    return f"<div><strong>{escape(heading)}</strong>{''.join(tables)}</div>"
+
+
+def html_table(rows: Iterable[Sequence[str]], header: Sequence[str] = ()) -> str:
+    """A table whose texts, which may be anyone's, are escaped."""
+    head = "".join(f"<th{_LEFT}>{escape(text)}</th>" for text in header)
+    body = "".join(f"<tr>{''.join(f'<td{_LEFT}>{escape(text)}</td>' for text in row)}</tr>" for row in rows)
+    return f"<table>{f'<thead><tr>{head}</tr></thead>' if head else ''}<tbody>{body}</tbody></table>"
+
+
+def _cut(text: str, width: int) -> str:
+    return text if len(text) <= width else text[: width - 1] + "…"

@@ -1,0 +1,379 @@
+"""The Python API: examples that run, sweeps into files, Datasets, what objects say of themselves, and progress."""
+
+import doctest
+import importlib
+import io
+import re
+import shutil
+import subprocess
+import sys
+import types
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+from test_store import BACKLASH, RATIO, assert_same, example
+
+import clunk
+from clunk import progress
+from clunk.config import digest
+from clunk.results import CELL_FIELDS, IMPACT_FIELDS, RUN, ResultAxis
+
+ROOT = Path(__file__).parent.parent
+TITLE = '<script>alert("x")</script> & co'
+SMALL = f"""
+title = '{TITLE}'
+driveline.preset = "boere-2008"
+[[sweep.axes]]
+parameter = "load.ratio"
+start = 0.0
+stop = 10.0
+count = 6
+[[sweep.axes]]
+parameter = "lash.backlash_deg"
+values = [1.0, 5.0, 10.0, 20.0]
+"""
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def small():
+    return clunk.study_from_text(SMALL)
+
+
+@pytest.fixture(scope="module")
+def results(small):
+    return clunk.sweep(small)
+
+
+# --- names and examples
+
+
+def test_every_public_name_is_there_and_documented():
+    assert set(clunk.__all__) <= set(dir(clunk))
+    for name in clunk.__all__:
+        assert getattr(clunk, name).__doc__, name
+    with pytest.raises(AttributeError, match="no attribute 'swep'"):
+        _ = clunk.swep
+
+
+def test_import_waits_for_nothing_heavy():
+    code = (
+        "import sys, clunk; assert not "
+        "{'numba', 'matplotlib', 'pydantic', 'xarray', 'h5py', 'numpy', 'IPython'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("module", ["clunk", *sorted({home.partition(":")[0] for home in clunk._HOME.values()})])
+def test_the_examples_say_what_is_printed(module, here):
+    shutil.copytree(ROOT / "configs", here / "configs")
+    found = importlib.import_module(module if module == "clunk" else f"clunk.{module}")
+    report = io.StringIO()
+    runner = doctest.DocTestRunner(verbose=False)
+    for test in doctest.DocTestFinder().find(found):
+        runner.run(test, out=report.write)
+    assert not runner.failures, report.getvalue()
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in clunk.__all__ if isinstance(getattr(clunk, name), types.FunctionType)]
+)
+def test_every_public_function_has_an_example(name):
+    assert doctest.DocTestFinder().find(getattr(clunk, name), name)[0].examples
+
+
+# --- sweeps into a file
+
+
+def test_a_sweep_into_a_file_is_written_once_and_then_read(small, results, here):
+    told = []
+    found = clunk.sweep(small, "maps/small.h5", progress=lambda done, total: told.append((done, total)))
+    assert told[-1] == (24, 24)
+    before = (here / "maps/small.h5").read_bytes()
+    told.clear()
+    again = clunk.sweep(small, "maps/small.h5", progress=lambda *numbers: told.append(numbers))
+    assert not told
+    assert (here / "maps/small.h5").read_bytes() == before
+    assert_same(found, again)
+    assert_same(replace(found, attributes={}), replace(results, attributes={}))
+    assert [path.name for path in (here / "maps").iterdir()] == ["small.h5"]
+    clunk.sweep(small, "maps/small.h5", restart=True, progress=lambda *numbers: told.append(numbers))
+    assert told[-1] == (24, 24)
+
+
+def test_a_sweep_into_a_file_of_something_else_leaves_it_alone(small, here):
+    clunk.sweep(small, "small.h5")
+    before = (here / "small.h5").read_bytes()
+    other = clunk.replace_values(small, {"load.static_torque": -2.0})
+    with pytest.raises(clunk.SweepError, match=r"another config .*force=True"):
+        clunk.sweep(other, "small.h5")
+    assert (here / "small.h5").read_bytes() == before
+    (here / "junk.h5").write_bytes(b"junk")
+    with pytest.raises(clunk.SweepError, match=r"not HDF5.*in the way"):
+        clunk.sweep(small, "junk.h5")
+    with pytest.raises(clunk.TargetError, match=re.escape("must end in .h5")):
+        clunk.sweep(small, "small.csv")
+    clunk.sweep(other, "small.h5", force=True)
+    assert clunk.read_results("small.h5").config_digest == digest(other)
+
+
+def test_an_interrupted_sweep_keeps_its_cells_and_goes_on(small, results, here, monkeypatch):
+    def interrupt(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as stopped:
+        clunk.sweep(small, "small.h5", progress=interrupt)
+    (note,) = stopped.value.__notes__
+    kept = int(note.split()[0])
+    assert note.endswith("small.h5.partial; the same command goes on from there")
+    told = []
+    found = clunk.sweep(small, "small.h5", progress=lambda done, total: told.append(done))
+    assert told[0] == kept > 0
+    assert_same(replace(found, attributes={}), replace(results, attributes={}))
+    assert [path.name for path in here.iterdir()] == ["small.h5"]
+
+
+def test_a_study_without_axes_is_refused_at_once(here):
+    single = clunk.study_from_text('driveline.preset = "boere-2008"')
+    for output in (None, "x.h5"):
+        with pytest.raises(clunk.SweepError, match="nothing to sweep"):
+            clunk.sweep(single, output, progress=True)
+    assert not list(here.iterdir())
+
+
+# --- Datasets
+
+
+def test_a_dataset_is_what_is_in_the_file_with_labels_as_text(tmp_path):
+    results = example(RATIO, BACKLASH)
+    clunk.write_results(tmp_path / "map.h5", results)
+    found = clunk.open_results(tmp_path / "map.h5")
+    assert isinstance(found, xarray.Dataset)
+    (tmp_path / "map.h5").unlink()  # it is in memory
+    assert set(found.data_vars) == {"label", *CELL_FIELDS, *IMPACT_FIELDS}
+    for name in CELL_FIELDS:
+        np.testing.assert_array_equal(found[name], getattr(results, name), strict=False)
+    for name in IMPACT_FIELDS:
+        np.testing.assert_array_equal(found[name], results.padded(name))
+    assert found.label.dims == found.sequence.dims == ("load_ratio", "lash_backlash_deg")
+    np.testing.assert_array_equal(found.label, results.label_map)
+    np.testing.assert_array_equal(found.label == "failed", results.status != 0)
+    assert found.label.where(found.sequence == 2, drop=True).values.flat[0] == "DS(1)SS(1)"
+    assert (found.load_ratio.attrs["units"], found.load_ratio.attrs["long_name"]) == ("1", "load ratio")
+    assert found.lash_backlash_deg.attrs["parameter"] == "lash.backlash_deg"
+    assert found.attrs["title"] == "Régimes"
+
+
+def test_a_dataset_of_results_in_memory_is_that_of_their_file(tmp_path):
+    results = example(RATIO, BACKLASH)
+    clunk.write_results(tmp_path / "map.h5", results)
+    xarray.testing.assert_identical(clunk.to_dataset(results), clunk.open_results(tmp_path / "map.h5"))
+
+
+def test_a_dataset_has_the_parameters_of_each_run_as_coordinates():
+    run = ResultAxis(RUN, np.arange(1.0, 6.0), "run", "", "1")
+    results = replace(example(RATIO), axes=(run,), coordinates=(RATIO,))
+    found = clunk.to_dataset(results)
+    assert found.label.dims == ("run",)
+    np.testing.assert_array_equal(found.label.coords["load_ratio"], RATIO.values)
+
+
+def test_without_xarray_results_are_plain_arrays(tmp_path, monkeypatch):
+    results = example(RATIO, BACKLASH)
+    clunk.write_results(tmp_path / "map.h5", results)
+    for missing in ("xarray", "h5netcdf"):
+        with monkeypatch.context() as patch:
+            patch.setitem(sys.modules, missing, None)
+            found = clunk.open_results(tmp_path / "map.h5")
+            assert isinstance(found, clunk.Results)
+            assert_same(found, results)
+            with pytest.raises(ImportError, match=re.escape("clunk[xarray]")):
+                clunk.to_dataset(results)
+
+
+@pytest.mark.parametrize("has_xarray", [True, False])
+def test_a_damaged_file_is_a_sentence(tmp_path, monkeypatch, has_xarray):
+    if not has_xarray:
+        monkeypatch.setitem(sys.modules, "xarray", None)
+    path = tmp_path / "map.h5"
+    clunk.write_results(path, example(RATIO, BACKLASH))
+    raw = bytearray(path.read_bytes())
+    raw[len(raw) // 2] ^= 1
+    path.write_bytes(raw)
+    with pytest.raises(clunk.StoreError, match="is damaged"):
+        clunk.open_results(path)
+    with pytest.raises(clunk.StoreError, match="cannot be read"):
+        clunk.open_results(tmp_path / "nowhere.h5")
+
+
+# --- cells
+
+
+def test_a_cell_has_all_that_its_own_run_finds(small, results):
+    cell = results.cell({"lash.backlash_deg": 5.4, "load.ratio": 6.2})  # the nearest: 5°, 6
+    values = {"load.ratio": 6.0, "lash.backlash_deg": 5.0}
+    run = clunk.simulate(clunk.replace_values(small, values))
+    assert {key: cell[key] for key in values} == values
+    assert (cell["label"], cell["severity"], cell["touches"]) == (run.label, run.severity, run.touches)
+    assert cell["status"] == "ok"
+    assert cell["quality"] == ["complete"]
+    np.testing.assert_array_equal(cell["impact_time"], run.events["time"][run.primaries])
+    assert set(cell) == {*values, "label", *CELL_FIELDS, *IMPACT_FIELDS}
+
+
+def test_a_failed_cell_says_so():
+    results = example(RATIO, BACKLASH)
+    at = tuple(np.argwhere(results.status != 0)[0])
+    cell = results.cell({axis.parameter: axis.values[k] for axis, k in zip(results.axes, at, strict=True)})
+    assert cell["label"] == "failed" == results.label_map[at]
+    assert cell["status"] == "non_finite"
+    assert cell["impact_time"].size == 0
+
+
+def test_a_cell_along_run_tells_its_parameters():
+    run = ResultAxis(RUN, np.arange(1.0, 6.0), "run", "", "1")
+    cell = replace(example(RATIO), axes=(run,), coordinates=(RATIO,)).cell({"run": 3})
+    assert (cell["run"], cell["load.ratio"]) == (3.0, RATIO.values[2])
+
+
+def test_a_cell_that_is_not_there_is_refused(results):
+    with pytest.raises(ValueError, match=r"named by load.ratio and lash.backlash_deg, not by load.ratio\."):
+        results.cell({"load.ratio": 5.0})
+    for wrong in (11.0, float("nan")):
+        with pytest.raises(ValueError, match=r"load\.ratio is swept from 0 to 10"):
+            results.cell({"load.ratio": wrong, "lash.backlash_deg": 5.0})
+
+
+# --- what objects say of themselves
+
+
+def test_summaries_fit_a_terminal_and_escape_what_users_wrote(small, results):
+    for thing in (small, results, clunk.simulate(small)):
+        lines = repr(thing).splitlines()
+        assert TITLE[:20] in lines[0]
+        assert max(map(len, lines)) <= 80
+        html = thing._repr_html_()
+        assert "<script>" not in html
+        assert "&lt;script&gt;" in html
+        assert html.count("<table>") == html.count("</table>") > 0
+    assert max(map(len, repr(small.model_copy(update={"title": "long " * 40})).splitlines())) == 80
+
+
+def test_a_study_s_summary_tells_what_is_swept_and_solved(small):
+    text = str(small)
+    assert "load.ratio: 0 to 10, 6 values" in text
+    assert "σr swept" in text
+    assert "rk4, step 0.0001 s, to 2 s" in text
+    assert "restitution, e = 0.5" in repr(
+        clunk.load_study(ROOT / "configs/nominal.toml", ["lash.contact.model='restitution'"])
+    )
+
+
+def test_a_results_summary_counts_every_label(results):
+    for text in (repr(results), results._repr_html_()):
+        for label, count in results.counts().items():
+            assert (label in text) == (count > 0)
+    assert "1 cell, 5.0 %" in repr(example(RATIO, BACKLASH))  # the failed one of 20
+
+
+def test_a_run_s_table_has_its_events_but_not_endlessly(nominal):
+    run = clunk.simulate(nominal)
+    html = run._repr_html_()
+    assert html.count("primary<") == 3
+    assert "0.1191" in html
+    rebounding = clunk.simulate(
+        nominal.model_copy(
+            update={
+                "lash": nominal.lash.model_copy(
+                    update={"contact": nominal.lash.contact.model_copy(update={"model": "restitution"})}
+                )
+            }
+        )
+    )
+    assert len(rebounding.events) - 1 == 46
+    assert "… 6 more" in rebounding._repr_html_()
+
+
+def test_what_is_drawn_is_a_picture(results, nominal):
+    for figure in (clunk.draw(results), clunk.draw(results, "severity"), clunk.draw(clunk.simulate(nominal))):
+        assert figure._repr_png_().startswith(b"\x89PNG")
+    with pytest.raises(clunk.PlotError, match="no quantity 'speed'"):
+        clunk.draw(results, "speed")
+    with pytest.raises(TypeError, match=r"not a Dataset; clunk\.read_results"):
+        clunk.draw(clunk.to_dataset(results))
+
+
+# --- progress
+
+
+class Screen(io.StringIO):
+    """A terminal that keeps what it shows."""
+
+    def isatty(self):
+        return True
+
+
+def test_a_terminal_shows_a_bar(small, monkeypatch):
+    monkeypatch.setattr(sys, "stderr", Screen())
+    monkeypatch.setenv("TERM", "xterm")
+    clunk.sweep(small, progress=True)
+    assert "24/24" in sys.stderr.getvalue()
+
+
+def test_elsewhere_there_is_a_line_now_and_then(small, monkeypatch, capsys):
+    monkeypatch.setattr(progress, "_LINE_EVERY", 0.0)
+    with progress.shown(100) as tell:
+        for done in (10, 20, 100):
+            tell(done, 100)
+    out, err = capsys.readouterr()
+    assert not out
+    assert re.fullmatch(r"20 of 100 cells, [\d,]+/s, 0 s left\n", err)
+
+
+@pytest.fixture
+def notebook(monkeypatch):
+    """What IPython does of it in a kernel: the displays and their updates, as HTML."""
+    shown = []
+
+    class Handle:
+        def update(self, thing):
+            shown.append(thing._repr_html_())
+
+    def display(thing, *, display_id):
+        shown.append(thing._repr_html_())
+        return Handle()
+
+    shell, displaying = types.ModuleType("IPython"), types.ModuleType("IPython.display")
+    shell.get_ipython = lambda: types.SimpleNamespace(kernel=object())
+    displaying.display = display
+    monkeypatch.setitem(sys.modules, "IPython", shell)
+    monkeypatch.setitem(sys.modules, "IPython.display", displaying)
+    return shown
+
+
+def test_a_notebook_shows_a_bar_that_stays_where_it_was_interrupted(small, notebook):
+    clunk.sweep(small, progress=True)
+    assert 'max="24" value="0"' in notebook[0]
+    assert 'max="24" value="24"' in notebook[-1]
+    assert "24 of 24 cells" in notebook[-1]
+    notebook.clear()
+    with suppress(KeyboardInterrupt), progress.shown(24) as tell:
+        tell(7, 24)
+        raise KeyboardInterrupt
+    assert 'max="24" value="7"' in notebook[-1]
+
+
+def test_ipython_in_a_terminal_is_a_terminal(notebook, monkeypatch, capsys):
+    monkeypatch.setattr(sys.modules["IPython"], "get_ipython", types.SimpleNamespace)
+    with progress.shown(24) as tell:
+        tell(24, 24)
+    assert not notebook
