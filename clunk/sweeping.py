@@ -275,7 +275,7 @@ def _run_tiles(grid: Grid, cells: Cells, workers: int) -> Generator[Tile, None, 
     """Finished tiles in the order in which they finish. Leaving the generator early abandons the running cells."""
     stop = np.zeros(1, np.uint8)
     largest = grid.tile_cells
-    size = min(max(-(-cells.size // (8 * workers)), largest // 32), largest)
+    size = min(max(-(-cells.size // (8 * workers)), largest // 32, 1), largest)
     cells = grid.ordered(cells)
     waiting = (cells[start : start + size] for start in range(0, cells.size, size))
     with ThreadPoolExecutor(workers, thread_name_prefix="clunk") as pool:

@@ -302,6 +302,10 @@ class TestTiles:
             parts = parts_of(directory, toleranced)
             again = tolerance_map(toleranced, parts=parts)
             assert 50 <= parts.taken_up < 147
+            parts = parts_of(directory, toleranced)
+            monkeypatch.setattr(tolerances, "_TILE_RUNS", 1)
+            assert equal(found, tolerance_map(toleranced, parts=parts))  # nothing is left to run
+            assert parts.taken_up == 147
             directory.remove()
         assert equal(found, again)
 
