@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -59,6 +59,10 @@ class ResultAxis:
     def variable(self) -> str:
         """Name of the axis in the results file: ``load_ratio``, ``driveline_inertias_4``."""
         return re.sub(r"[.\[\]]", "_", self.parameter).rstrip("_")
+
+    def nearest(self, value: float) -> int:
+        """Index of the value nearest to this one; of two as near, the first."""
+        return int(np.argmin(np.abs(self.values - value)))
 
     @cached_property
     def is_geometric(self) -> bool:
@@ -154,10 +158,7 @@ class Results:
     @property
     def parameters(self) -> tuple[ResultAxis, ...]:
         """What was swept: the axes, and in the place of `run` its coordinates."""
-        found: list[ResultAxis] = []
-        for axis in self.axes:
-            found += self.coordinates if axis.parameter == RUN else [axis]
-        return tuple(found)
+        return parameters_of(self.axes, self.coordinates)
 
     @property
     def max_impacts(self) -> int:
@@ -170,6 +171,37 @@ class Results:
         first = np.zeros(self.primary_impacts.size + 1, np.int64)
         np.cumsum(self.primary_impacts.ravel(), out=first[1:])
         return first
+
+    def at(self, values: Mapping[str, float]) -> Results:
+        """The slice at some axes' values, the nearest of each: ``results.at({"lash.contact.stiffness": 4e5})``.
+
+        Those axes stay, with one value; of `run` a run's number, and its coordinates stay with theirs. Labels and codes
+        are those of the whole.
+
+        Raises ValueError where a name is not an axis, or a value is not a number.
+        """
+        index: dict[int, int] = {}
+        for parameter, value in values.items():
+            names = [axis.parameter for axis in self.axes]
+            if parameter not in names:
+                raise ValueError(f"{parameter!r} is no axis of these results; their axes are {', '.join(names)}")
+            if np.isnan(value):
+                raise ValueError(f"{parameter} = {value} is not a number")
+            index[names.index(parameter)] = self.axes[names.index(parameter)].nearest(value)
+        part = tuple(slice(index[k], index[k] + 1) if k in index else slice(None) for k in range(len(self.axes)))
+        cells = np.arange(self.sequence.size).reshape(self.shape)[part].ravel()
+        count, first = np.diff(self.first_impact)[cells], self.first_impact[cells]
+        begin = np.cumsum(count) - count  # of each cell's impacts in the slice
+        impacts = np.arange(count.sum()) + np.repeat(first - begin, count)
+        run = next((own for axis, own in zip(self.axes, part, strict=True) if axis.parameter == RUN), slice(None))
+        fields: dict[str, Any] = {name: np.ascontiguousarray(getattr(self, name)[part]) for name in CELL_FIELDS}
+        fields |= {name: getattr(self, name)[impacts] for name in IMPACT_FIELDS}
+        return replace(
+            self,
+            axes=tuple(replace(axis, values=axis.values[own]) for axis, own in zip(self.axes, part, strict=True)),
+            coordinates=tuple(replace(axis, values=axis.values[run]) for axis in self.coordinates),
+            **fields,
+        )
 
     def counts(self) -> dict[str, int]:
         """Number of cells of each label, in the labels' order, and last of ``failed`` (also where it is 0)."""
@@ -190,9 +222,23 @@ class Results:
         return block
 
 
-def values_at(axes: tuple[ResultAxis, ...], cell: Sequence[int]) -> tuple[float, ...]:
-    """The parameters of a cell, in the axes' order and units."""
-    return tuple(float(axis.values[k]) for axis, k in zip(axes, cell, strict=True))
+def parameters_of(axes: Sequence[ResultAxis], coordinates: Sequence[ResultAxis]) -> tuple[ResultAxis, ...]:
+    """The axes, and in the place of `run` its coordinates."""
+    found: list[ResultAxis] = []
+    for axis in axes:
+        found += coordinates if axis.parameter == RUN else [axis]
+    return tuple(found)
+
+
+def values_at(
+    axes: Sequence[ResultAxis], cell: Sequence[int], coordinates: Sequence[ResultAxis] = ()
+) -> tuple[float, ...]:
+    """The parameters of a cell, in the order of `parameters_of` and their units."""
+    values: list[float] = []
+    for axis, k in zip(axes, cell, strict=True):
+        own = coordinates if axis.parameter == RUN else [axis]
+        values += (float(each.values[k]) for each in own)
+    return tuple(values)
 
 
 def count_labels(labels: tuple[str, ...], sequence: npt.NDArray[np.int16]) -> dict[str, int]:

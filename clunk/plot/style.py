@@ -94,14 +94,14 @@ def freeze_layout(figure: Figure, ax: Axes) -> None:
     title = figure._suptitle  # type: ignore[attr-defined]
     if title is not None:
         left = ax.get_position().x0
-        if _wrap(figure, title, (1.0 - left) * figure.bbox.width - _TITLE_MARGIN * figure.dpi):
+        if wrap(figure, title, (1.0 - left) * figure.bbox.width - _TITLE_MARGIN * figure.dpi):
             figure.draw_without_rendering()  # the title takes another height
     figure.set_layout_engine("none")
     if title is not None:
         title.set_x(left)
 
 
-def _wrap(figure: Figure, title: Text, room: float) -> bool:
+def wrap(figure: Figure, title: Text, room: float) -> bool:
     """Break a title into lines of `room` display pixels at most; whether that changed it."""
     before = title.get_text()
     text = " ".join(before.split())
