@@ -332,7 +332,8 @@ def plot(
     if output is not None:
         targets.check(base, targets.PICTURES, reads=file)
     results = read(file)
-    results = results.at(_nearest_values(results.axes, results.coordinates, at))
+    if at:
+        results = results.at(_nearest_values(results.axes, results.coordinates, at))
     look: dict[str, Any] = {"facets": facets, "x": x, "y": y}
     for name in [quantity] if quantity else plots.default_quantities(results, **look):
         target = base if output and quantity else base.with_name(f"{base.stem}-{name}{base.suffix}")

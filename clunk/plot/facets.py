@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.text import Text
 
-from clunk.plot.labelling import label_regions, present, region_swatch
+from clunk.plot.labelling import label_regions, more_labels, present, region_swatch
 from clunk.plot.maps import (
     boundaries_note,
     finish_bar,
@@ -43,6 +43,7 @@ from clunk.plot.style import (
     PlotError,
     failed_notes,
     new_figure,
+    note_columns,
     palette_of,
     set_notes,
     styled,
@@ -51,10 +52,15 @@ from clunk.plot.style import (
 )
 from clunk.results import FAILED_CODE, RUN, ResultAxis, Results
 
+Floats = npt.NDArray[np.float64]
+
 MOST_VALUES = (12, 4)  # of one facet, of each of two
 
-_PANEL = (2.0, 1.7)  # inches, at least
-_AROUND = (0.9, 1.9)  # inches, for axes, titles and notes
+_NARROWEST = 2.0  # inches, of a panel
+_HIGHEST = 2.2  # likewise
+_AROUND = (0.9, 1.3)  # inches, for axes and titles
+_NOTE = 0.18  # inches, of a row of notes
+_MOST_NOTES = 16  # labels
 _POINTS = 300  # across a panel: finer is not seen
 _SETTINGS = ((8.5, False), (7.5, False), (7.5, True), (6.5, False), (6.5, True))  # sizes of labels, and turned or not
 _MARGIN = 0.08  # inches, at the right of the titles
@@ -67,48 +73,52 @@ def facet_map(results: Results, facets: Sequence[str], quantity: str = "regimes"
     values, or not two axes are left for the maps.
     """
     if quantity != "regimes":
-        quantity_label(quantity)
+        quantity_label(quantity)  # refuses what is none
     axes = _facet_axes(results, facets)
-    columns, rows = _arranged([len(shown_values(axis, len(axes))) for axis in axes])
-    places = product(*(shown_values(axis, len(axes)) for axis in axes))
-    panels = [results.at(dict(zip(facets, place, strict=True))) for place in places]
-    views = [View.of(panel, 2) for panel in panels]
+    values = [shown_values(axis, len(axes)) for axis in axes]
+    parts = [results.at(dict(zip(facets, place, strict=True))) for place in product(*values)]
+    views = [View.of(part, 2) for part in parts]
+    columns, rows = _arranged([len(each) for each in values])
     with styled():
-        width = max(SIZE[0], _AROUND[0] + columns * _PANEL[0])
-        figure = new_figure((width, _AROUND[1] + rows * _PANEL[1] * (width - _AROUND[0]) / columns / _PANEL[0]))
+        figure = new_figure(_size(columns, rows))
         title = figure.suptitle(title_of(results), fontsize=11.5, fontweight="bold", ha="left", parse_math=False)
-        inner = figure.add_subfigure(figure.add_gridspec(1, 1)[0])
+        inner = figure.add_subfigure(figure.add_gridspec(1, 1)[0])  # for a second title, and names of the axes
         grid = inner.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-        for ax in grid.flat[len(panels) :]:
+        for ax in grid.flat[len(parts) :]:
             ax.remove()
-        drawn = list(grid.flat[: len(panels)])
-        for ax, view in zip(drawn, views, strict=True):
-            _scale(ax, view)
-        _name_panels(grid, axes)
-        first = views[0]
-        inner.supxlabel(axis_label(first.x), fontsize=10.0)
-        inner.supylabel(axis_label(first.y), fontsize=10.0)
-        regions = [Regions(view.arrange(panel.sequence), _POINTS) for panel, view in zip(panels, views, strict=True)]
-        varying = {*facets, *(axis.parameter for axis in results.coordinates if RUN in facets)}
-        fixed = [axis for axis in first.fixed if axis.parameter not in varying]
-        named = " and ".join(map(_full_name, axes))
-        more = [f"each map at one {named}"]
-        if quantity == "regimes":
-            notes = _paint_regimes(drawn, panels, views, regions)
-        else:
-            notes = _paint_quantity(inner, drawn, panels, views, regions, quantity)
-            more.append(boundaries_note(quantity))
-        line = subtitle_of(results, fixed, "; ".join(more))
+        panels = [
+            _Panel(ax, part, view, Regions(view.arrange(part.sequence), _POINTS))
+            for ax, part, view in zip(grid.flat, parts, views, strict=False)
+        ]
+        for panel in panels:
+            _scale(panel)
+        _name_panels(grid, axes, values)
+        inner.supxlabel(axis_label(views[0].x), fontsize=10.0)
+        inner.supylabel(axis_label(views[0].y), fontsize=10.0)
+        notes = _paint_regimes(panels) if quantity == "regimes" else _paint_quantity(inner, panels, quantity)
+        line = _subtitle(results, axes, views[0], quantity, figure.get_figwidth())
         subtitle = inner.suptitle(line, fontsize=9.0, color=FAINT_INK, ha="left", parse_math=False)
         set_notes(figure, notes)
-        _freeze(figure, drawn[0], title, subtitle)
+        if notes:
+            figure.set_figheight(figure.get_figheight() + _NOTE * math.ceil(len(notes) / note_columns(figure, notes)))
+        _freeze(figure, panels[0].ax, title, subtitle)
         if quantity == "regimes":
-            for ax, own, view in zip(drawn, regions, views, strict=True):
-                label_regions(Raster.of(ax, own, view), results.labels, leaders=False, settings=_SETTINGS)
+            for panel in panels:
+                raster = Raster.of(panel.ax, panel.regions, panel.view)
+                label_regions(raster, results.labels, leaders=False, settings=_SETTINGS)
         return figure
 
 
-def shown_values(axis: ResultAxis, facets: int) -> npt.NDArray[np.float64]:
+class _Panel(NamedTuple):
+    """One map, and what it shows."""
+
+    ax: Axes
+    results: Results
+    view: View
+    regions: Regions
+
+
+def shown_values(axis: ResultAxis, facets: int) -> Floats:
     """The values of a facet that are drawn, ascending: all, or evenly spaced ones with the first and the last."""
     values, most = np.sort(axis.values), MOST_VALUES[facets - 1]
     if len(values) <= most:
@@ -150,9 +160,27 @@ def _arranged(counts: Sequence[int]) -> tuple[int, int]:
     return columns, math.ceil(counts[0] / columns)
 
 
-def _scale(ax: Axes, view: View) -> None:
+def _size(columns: int, rows: int) -> tuple[float, float]:
+    """Of the figure without its notes, width and height  [inches]."""
+    panel = max((SIZE[0] - _AROUND[0]) / columns, _NARROWEST)
+    return _AROUND[0] + columns * panel, _AROUND[1] + rows * min(0.85 * panel, _HIGHEST)
+
+
+def _subtitle(results: Results, axes: Sequence[ResultAxis], view: View, quantity: str, width: float) -> str:
+    """What is fixed in all panels, and what is not."""
+    varying = {axis.parameter for axis in axes}
+    if RUN in varying:
+        varying |= {axis.parameter for axis in results.coordinates}
+    more = [f"each map at one {' and '.join(map(_full_name, axes))}"]
+    if quantity != "regimes":
+        more.append(boundaries_note(quantity))
+    return subtitle_of(results, [axis for axis in view.fixed if axis.parameter not in varying], more, width)
+
+
+def _scale(panel: _Panel) -> None:
     """The axes of a panel, which is too small for many numbers."""
-    scale_axes(ax, view)
+    ax = panel.ax
+    scale_axes(ax, panel.view)
     ax.set_xlabel("")
     ax.set_ylabel("")
     ax.tick_params(labelsize=8.0)
@@ -162,13 +190,13 @@ def _scale(ax: Axes, view: View) -> None:
             locator.set_params(nbins=5)
 
 
-def _name_panels(grid: npt.NDArray[Any], axes: Sequence[ResultAxis]) -> None:
+def _name_panels(grid: npt.NDArray[Any], axes: Sequence[ResultAxis], values: Sequence[Floats]) -> None:
     """A panel's value over it; of two facets the columns' over the first row and the rows' beside the last column."""
-    values = [shown_values(axis, len(axes)) for axis in axes]
     if len(axes) == 1:
         for ax, value in zip(grid.flat, values[0], strict=False):
             ax.set_title(_named(axes[0], value), loc="left", fontsize=9.0)
-        for ax in grid[-2, grid.shape[1] - (grid.size - len(values[0])) :] if len(values[0]) < grid.size else ():
+        empty = grid.size - len(values[0])
+        for ax in grid[-2, grid.shape[1] - empty :] if empty else ():
             ax.tick_params(labelbottom=True)  # nothing is drawn under it
         return
     for ax, value in zip(grid[0], values[1], strict=True):
@@ -199,36 +227,32 @@ def _freeze(figure: Figure, ax: Axes, title: Text, subtitle: Text) -> None:
         text.set_x(left / figure.bbox.width)
 
 
-def _paint_regimes(
-    drawn: Sequence[Axes], panels: Sequence[Results], views: Sequence[View], regions: Sequence[Regions]
-) -> list[Artist]:
+def _paint_regimes(panels: Sequence[_Panel]) -> list[Artist]:
     """The regimes of all panels, and their notes."""
-    labels = panels[0].labels
-    for ax, view, own in zip(drawn, views, regions, strict=True):
-        paint_regimes(ax, view, own, labels, linewidth=0.6)
-    undecided = sum(mark_undecided(ax, view, panel) for ax, view, panel in zip(drawn, views, panels, strict=True))
-    codes = np.stack([own.codes for own in regions])
+    labels = panels[0].results.labels
+    for panel in panels:
+        paint_regimes(panel.ax, panel.view, panel.regions, labels, linewidth=0.6)
+    undecided = sum(mark_undecided(panel.ax, panel.view, panel.results) for panel in panels)
+    codes = np.stack([panel.regions.codes for panel in panels])
     palette = palette_of(labels)
-    swatches = [region_swatch(label, palette[label]) for label in present(labels, codes)]
+    there = present(labels, codes)
+    # many labels are of few cells each, and hardly seen
+    rare = sorted(there, key=lambda label: -int(np.count_nonzero(codes == labels.index(label))))[_MOST_NOTES:]
+    swatches: list[Artist] = [region_swatch(label, palette[label]) for label in there if label not in rare]
+    if rare:
+        swatches.append(more_labels(len(rare)))
     return [*swatches, *failed_notes(codes), *undecided_notes(undecided)]
 
 
-def _paint_quantity(
-    inner: SubFigure,
-    drawn: Sequence[Axes],
-    panels: Sequence[Results],
-    views: Sequence[View],
-    regions: Sequence[Regions],
-    name: str,
-) -> list[Artist]:
+def _paint_quantity(inner: SubFigure, panels: Sequence[_Panel], name: str) -> list[Artist]:
     """A quantity of all panels, its colour bar, and their notes."""
-    values = np.stack([view.arrange(known_values(panel, name)) for panel, view in zip(panels, views, strict=True)])
+    values = np.stack([panel.view.arrange(known_values(panel.results, name)) for panel in panels])
     require_some(values, name)
     norm = quantity_norm(values, name)
-    for ax, view, own, value in zip(drawn, views, regions, values, strict=True):
-        mesh = paint_quantity(ax, view, own, value, name, norm, linewidth=0.4)
-    finish_bar(inner.colorbar(mesh, ax=drawn, pad=0.02, aspect=40), name)
-    codes = np.stack([own.codes for own in regions])
+    for panel, own in zip(panels, values, strict=True):
+        mesh = paint_quantity(panel.ax, panel.view, panel.regions, own, name, norm, linewidth=0.4)
+    finish_bar(inner.colorbar(mesh, ax=[panel.ax for panel in panels], pad=0.02, aspect=40), name)
+    codes = np.stack([panel.regions.codes for panel in panels])
     notes: list[Artist] = [*failed_notes(codes)]
     if np.isnan(values[codes != FAILED_CODE]).any():
         notes.append(undefined_note(name))

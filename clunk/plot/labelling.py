@@ -53,7 +53,7 @@ def label_and_note(
             cells = int(np.count_nonzero(codes == labels.index(label)))
             swatches.append(region_swatch(f"{label}: {cells_phrase(cells)}", palette[label]))
         if len(names) > _MOST_NOTES:
-            swatches.append(Patch(alpha=0.0, label=f"and {len(names) - _MOST_NOTES} labels more"))
+            swatches.append(more_labels(len(names) - _MOST_NOTES))
         return [*swatches, *failed_notes(codes), *more]
 
     there = present(labels, codes)
@@ -96,6 +96,11 @@ def settle(
 def region_swatch(text: str, colour: str) -> Patch:
     """A note that begins with a region's colour."""
     return Patch(facecolor=colour, edgecolor=INK, linewidth=0.6, label=text)
+
+
+def more_labels(count: int) -> Patch:
+    """A note of labels that have none."""
+    return Patch(alpha=0.0, label=f"and {count} label{'' if count == 1 else 's'} more")
 
 
 def label_regions(

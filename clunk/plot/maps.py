@@ -30,6 +30,7 @@ from clunk.plot.style import (
     HUES,
     INK,
     MINUS,
+    SIZE,
     PlotError,
     cells_phrase,
     failed_notes,
@@ -113,7 +114,7 @@ def quantity_map(results: Results, name: str) -> Figure:
 
     Raises PlotError unless two axes were swept, `name` is a quantity and it is defined in some cell.
     """
-    quantity_label(name)
+    quantity_label(name)  # refuses what is none
     view = View.of(results, 2)
     codes = view.arrange(results.sequence)
     values = view.arrange(quantity_values(results, name))
@@ -306,7 +307,7 @@ def quantity_label(name: str) -> str:
 
 def map_titles(figure: Figure, ax: Axes, results: Results, view: View, more: str = "") -> None:
     """The results' title, and under it the load, the values of the axes that are not drawn, and what more there is."""
-    set_titles(figure, ax, title_of(results), subtitle_of(results, view.fixed, more))
+    set_titles(figure, ax, title_of(results), subtitle_of(results, view.fixed, [more]))
 
 
 def title_of(results: Results) -> str:
@@ -314,12 +315,15 @@ def title_of(results: Results) -> str:
     return results.title.strip() or "Impact regimes"
 
 
-def subtitle_of(results: Results, fixed: Sequence[ResultAxis], more: str = "") -> str:
-    """The line under it: the load, the values of what is fixed, and what more there is."""
-    parts = [_load(results), *(value_text(axis, axis.values[0]) for axis in fixed), more]
+def subtitle_of(results: Results, fixed: Sequence[ResultAxis], more: Sequence[str] = (), width: float = SIZE[0]) -> str:
+    """What stands under it: the load, the values of what is fixed, and what more there is; in lines.
+
+    width : of the figure  [inches]
+    """
+    parts = [_load(results), *(value_text(axis, axis.values[0]) for axis in fixed), *more]
     lines = [""]
     for part in filter(None, parts):
-        if lines[-1] and len(lines[-1]) + len(part) > _LINE:
+        if lines[-1] and len(lines[-1]) + len(part.split("\n")[0]) > _LINE * width / SIZE[0]:
             lines.append("")
         lines[-1] += f"; {part}" if lines[-1] else part
     return ";\n".join(lines)

@@ -142,7 +142,7 @@ def _values_of(results: Results, axis: ResultAxis) -> Floats:
 
 def _titles(figure: Figure, ax: Axes, results: Results) -> None:
     count = f"{results.sequence.size:,} runs"
-    set_titles(figure, ax, title_of(results), subtitle_of(results, fixed_parameters(results), count))
+    set_titles(figure, ax, title_of(results), subtitle_of(results, fixed_parameters(results), [count]))
 
 
 def _look(count: int) -> dict[str, Any]:

@@ -125,9 +125,14 @@ def set_notes(figure: Figure, handles: Sequence[Artist]) -> None:
     for old in list(figure.legends):
         old.remove()
     if handles:
-        widest = max(len(str(handle.get_label())) for handle in handles)
-        columns = max(1, int((SIZE[0] - 0.4) / (0.45 + 0.075 * widest)))  # inches: a swatch, a character
-        figure.legend(handles=list(handles), loc="outside lower center", ncols=columns, frameon=False, handlelength=1.6)
+        look: dict[str, Any] = {"ncols": note_columns(figure, handles), "frameon": False, "handlelength": 1.6}
+        figure.legend(handles=list(handles), loc="outside lower center", **look)
+
+
+def note_columns(figure: Figure, handles: Sequence[Artist]) -> int:
+    """How many notes stand side by side."""
+    widest = max(len(str(handle.get_label())) for handle in handles)
+    return max(1, int((figure.get_figwidth() - 0.4) / (0.45 + 0.075 * widest)))  # inches: a swatch, a character
 
 
 def failed_notes(codes: npt.NDArray[np.int16], what: str = FAILED) -> list[Patch]:
