@@ -20,9 +20,11 @@ import click
 from clunk import __version__, progress, terminal
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from clunk.config import Study
     from clunk.output import Output
-    from clunk.results import Results
+    from clunk.results import ResultAxis
     from clunk.simulation import Trajectory
     from clunk.tolerancemap import ToleranceMap
 
@@ -41,6 +43,9 @@ _set_option = click.option(
     multiple=True,
     metavar="KEY=VALUE",
     help="Override a key of the config, for example --set load.ratio=7. May be repeated.",
+)
+_at_option = click.option(
+    "--at", "at", multiple=True, metavar="KEY=VALUE", help="Value of a swept key. May be repeated."
 )
 _json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for scripts.")
 
@@ -256,15 +261,30 @@ def _report_tolerances(found: ToleranceMap, target: Path, seconds: float, as_jso
 @click.option(
     "--quantity", metavar="NAME", help="One picture only: regimes, severity, approach_velocity, touches, margin, …"
 )
-def plot(file: Path, output: Path | None, quantity: str | None) -> None:
+@_at_option
+@click.option("--facet", "facets", multiple=True, metavar="KEY", help="A map for each value; twice: rows, columns.")
+@click.option("--x", metavar="KEY", help="From left to right, of axes walked together or of a sample.")
+@click.option("--y", metavar="KEY", help="Upwards, of a sample; without it a quantity over --x.")
+def plot(
+    file: Path,
+    output: Path | None,
+    quantity: str | None,
+    at: tuple[str, ...],
+    facets: tuple[str, ...],
+    x: str | None,
+    y: str | None,
+) -> None:
     """Draw the maps of a results file: the regimes and their severity.
 
-    Of a tolerance map: the most likely regimes, where they are uncertain, and
-    how probable double-sided impacts are.
+    A map has two axes: of more, --at takes a slice, and --facet draws a map for each value. Of a
+    tolerance map: the most likely regimes, where they are uncertain, and how probable double-sided impacts are.
 
     \b
     Examples:
       clunk plot results/figure_3_4.h5 -o figure.svg
+      clunk plot results/four_axes.h5 --at lash.contact.stiffness=4e5 \\
+          --facet 'driveline.shafts[1].damping'
+      clunk plot results/sample.h5 --x load.ratio --y lash.backlash_deg
       clunk plot results/tolerance.h5 --quantity severity_95
     """
     from clunk import plot as plots
@@ -280,28 +300,30 @@ def plot(file: Path, output: Path | None, quantity: str | None) -> None:
     if read_header(file).tolerance_map:
         from clunk import tolerancefile
 
+        if facets or x is not None or y is not None:
+            raise click.UsageError(
+                f"--facet, --x and --y do not go with a tolerance map, which {file} holds; --at does."
+            )
         found = tolerancefile.read(file)
+        if at:
+            found = found.at(_nearest_values(found.axes, found.coordinates, at))
         for name in [quantity] if quantity else certainty.default_quantities(found):
             target = base if output and quantity else base.with_name(f"{base.stem}-{name}{base.suffix}")
             plots.save(certainty.draw(found, name), target)
             click.echo(str(target))
         return
     results = read(file)
-    for name in [quantity] if quantity else _default_quantities(results):
+    if at:
+        results = results.at(_nearest_values(results.axes, results.coordinates, at))
+    look: dict[str, Any] = {"facets": facets, "x": x, "y": y}
+    for name in [quantity] if quantity else plots.default_quantities(results, **look):
         target = base if output and quantity else base.with_name(f"{base.stem}-{name}{base.suffix}")
-        plots.save(plots.draw(results, name, plots.thresholds_of(results)), target)
+        plots.save(plots.draw(results, name, plots.thresholds_of(results), **look), target)
         click.echo(str(target))
-
-
-def _default_quantities(results: Results) -> list[str]:
-    """The regimes and how hard the impacts are; Q is not defined for the restitution model, V is.
-
-    A single axis has its labels in the same picture as the curve.
-    """
-    import numpy as np
-
-    hardness = "severity" if np.isfinite(results.severity).any() else "approach_velocity"
-    return ["regimes", hardness] if sum(count > 1 for count in results.shape) > 1 else [hardness]
+    for axis in results.axes:
+        shown = len(plots.shown_values(axis, len(facets))) if axis.parameter in facets else len(axis.values)
+        if shown < len(axis.values):
+            terminal.complain(f"{shown} of the {len(axis.values)} values of {axis.parameter} are drawn, evenly spaced")
 
 
 _CLOSEUP_WIDTH = 0.1  # s
@@ -311,7 +333,7 @@ _FIGURES = ("everything", "angles", "backlash", "closeup", "acceleration", "smal
 @cli.command()
 @click.argument("source", type=click.Path(path_type=Path))
 @_set_option
-@click.option("--at", "at", multiple=True, metavar="KEY=VALUE", help="Value of a swept key. May be repeated.")
+@_at_option
 @click.option("--overlay", metavar="KEY=V1,V2,…", multiple=True, help="A run for each value. May be repeated.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Picture (.png .svg .pdf), or data (.csv .h5).")
 @click.option("--figure", type=click.Choice(_FIGURES), default="everything", help="Which picture [everything].")
@@ -466,37 +488,64 @@ def _save_runs(
 
 
 def _cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[str, float]:
-    """The swept keys' values named by --at, each taken to the axis's nearest one.
+    """The swept keys' values that --at names, of `run` those of its coordinates.
 
     Where not all are needed, what is not named keeps the config's own value.
     """
+    import shlex
+
+    from clunk.designs import design_of
+    from clunk.results import RUN
+
+    design = design_of(study)
+    named = _nearest_values(design.axes, design.coordinates, at)
+    missing = [axis for axis in design.axes if axis.parameter not in named]
+    if missing and all_needed:
+        options = (shlex.quote(f"{axis.parameter}={axis.values[len(axis.values) // 2]:.6g}") for axis in missing)
+        raise click.UsageError(f"Which cell? Also name {' '.join(f'--at {each}' for each in options)}, for example.")
+    own = [axis.parameter for axis in missing if axis.parameter != RUN]
+    own += [axis.parameter for axis in design.coordinates] if any(axis.parameter == RUN for axis in missing) else []
+    if own:
+        listed = ", ".join(f"{key} = {_own_value(study, key):g}" for key in own)
+        terminal.complain(f"swept keys at the config's own values: {listed}; --at names others")
+    run = named.pop(RUN, None)
+    if run is not None:
+        named |= {axis.parameter: float(axis.values[int(run) - 1]) for axis in design.coordinates}
+    return named
+
+
+def _nearest_values(
+    axes: Sequence[ResultAxis], coordinates: Sequence[ResultAxis], at: tuple[str, ...]
+) -> dict[str, float]:
+    """The axes' values that --at names, each taken to the nearest one of its axis."""
     import numpy as np
 
-    axes = {axis.parameter: axis.grid for axis in study.sweep.axes} if study.sweep else {}
+    known = {axis.parameter: axis for axis in axes}
     values: dict[str, float] = {}
     for assignment in at:
         key, _, text = assignment.partition("=")
         key = key.strip()
-        if key not in axes:
-            known = ", ".join(axes) or "nothing"
-            raise click.UsageError(f"--at {assignment}: {key!r} is not swept; swept here: {known}.")
-        lowest, highest = float(axes[key].min()), float(axes[key].max())
+        along_run = next((axis for axis in coordinates if axis.parameter == key), None)
+        if key not in known and along_run is None:
+            swept = ", ".join([*known, *(axis.parameter for axis in coordinates)]) or "nothing"
+            raise click.UsageError(f"--at {assignment}: {key!r} is not swept; swept here: {swept}.")
+        axis = along_run or known[key]
+        lowest, highest = float(axis.values.min()), float(axis.values.max())
         try:
             wanted = float(text)
         except ValueError:
             raise click.UsageError(f"--at {assignment}: {text!r} is not a number.") from None
         if not lowest <= wanted <= highest:  # also when not a number
             raise click.UsageError(f"--at {assignment}: {key} is swept from {lowest:g} to {highest:g}.")
-        values[key] = float(axes[key][np.argmin(np.abs(axes[key] - wanted))])
-        if not np.isclose(values[key], wanted, rtol=1e-9, atol=0.0):
-            terminal.complain(f"{key} = {values[key]:.6g} is the nearest value of its axis")
-    missing = [key for key in axes if key not in values]
-    if missing and all_needed:
-        examples = " ".join(f"--at {key}={axes[key][len(axes[key]) // 2]:.6g}" for key in missing)
-        raise click.UsageError(f"Which cell? Also name {examples}, for example.")
-    if missing:
-        own = ", ".join(f"{key} = {_own_value(study, key):g}" for key in missing)
-        terminal.complain(f"swept keys at the config's own values: {own}; --at names others")
+        nearest = float(axis.values[axis.nearest(wanted)])
+        if along_run is not None:
+            raise click.UsageError(
+                f"--at {assignment}: {key} changes together with the other keys of its run; name the run, --at "
+                f"run={axis.nearest(wanted) + 1}, where it is {nearest:.6g}."
+            )
+        values[key] = nearest
+        if not np.isclose(nearest, wanted, rtol=1e-9, atol=0.0):
+            terminal.complain(f"{key} = {nearest:.6g} is the nearest value of its axis")
     return values
 
 
@@ -579,8 +628,15 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
             | {"count": len(a.values)}
             for a in header.axes
         ]
-        counts = {"counts": header.counts} if found is None else terminal.tolerance_record(found)
-        record = {"title": header.title, "axes": axes} | counts | {"config_digest": header.config_digest}
+        record: dict[str, Any] = {"title": header.title, "axes": axes}
+        if header.coordinates:
+            record["coordinates"] = [
+                {"parameter": a.parameter, "unit": a.unit, "lowest": float(a.values.min())}
+                | {"highest": float(a.values.max())}
+                for a in header.coordinates
+            ]
+        record |= {"counts": header.counts} if found is None else terminal.tolerance_record(found)
+        record |= {"config_digest": header.config_digest}
         checked: dict[str, Any] = {"checked": {"data": True, "bytes": bytes_checked}} if check else {}
         click.echo(json.dumps(record | header.attributes | checked, ensure_ascii=False))
         return
@@ -588,6 +644,8 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
     click.echo()
     for axis in header.axes:
         click.echo(f"axis      {axis.parameter}: {axis.spread}")
+    for axis in header.coordinates:
+        click.echo(f"along run {axis.parameter}: {axis.spread}")
     for each in found.sample if found is not None else ():
         unit = "" if each.unit == "1" else f" {each.unit}"
         click.echo(f"drawn     {each.name}, {each.values.min():.4g} to {each.values.max():.4g}{unit}")

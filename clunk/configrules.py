@@ -599,7 +599,8 @@ def _distribution_findings(draw: Document, at: Place) -> Iterator[Finding]:
         if draw.get(name) is not None and name not in allowed:
             yield (*at, name), f"a {kind} distribution has no {name}; it is given by {_listing(needs)}"
     missing = [name for name in needs if draw.get(name) is None and name not in optional]
-    if missing:
+    misspelt = set(draw) - {"parameter", "distribution", "draws", *NUMBERS}
+    if missing and not misspelt:  # a misspelt number has an error of its own
         yield at, f"missing {_listing(missing)}; a {kind} distribution is given by {_listing(needs)}"
     found = {name: value for name in ("low", "mode", "high") if (value := number(draw.get(name))) is not None}
     low, high = found.get("low"), found.get("high")

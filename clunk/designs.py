@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.config import ConfigError, Draw, Study, get_value, quantity
+from clunk.refinement import spacings
 from clunk.results import RUN, ResultAxis
 
 FloatArray = npt.NDArray[np.float64]
@@ -72,6 +73,12 @@ class Design:
     def coordinates(self) -> tuple[ResultAxis, ...]:
         """The parameters along `run`."""
         return tuple(column.axis for column in self.columns if column.dimension == self.run)
+
+    @property
+    def spacing(self) -> tuple[int, ...]:
+        """Of a refined sweep's coarse grid; 1 along `run`, where a run tells nothing of the next."""
+        spacing = spacings([axis.values for axis in self.axes])
+        return tuple(1 if k == self.run else step for k, step in enumerate(spacing))
 
     def at(self, cells: Cells) -> dict[str, FloatArray]:
         """Parameter -> its value in each of these cells, which are numbers in C order."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -65,9 +65,16 @@ class ResultAxis:
 
     @property
     def spread(self) -> str:
-        """First and last value, unit and count, for people: ``0 to 20 degrees, 21 values``."""
+        """Least and largest value, unit and count, for people: ``0 to 20 degrees, 21 values``."""
         unit = "" if self.unit == "1" else f" {self.unit}"
-        return f"{self.values[0]:g} to {self.values[-1]:g}{unit}, {len(self.values)} values"
+        return f"{self.values.min():g} to {self.values.max():g}{unit}, {len(self.values)} values"
+
+    def nearest(self, value: float) -> int:
+        """Index of the value nearest to this one; of two as near, the first. Raises ValueError beyond the axis."""
+        lowest, highest = self.values.min(), self.values.max()
+        if not lowest <= value <= highest:  # also where it is not a number
+            raise ValueError(f"{self.parameter} is swept from {lowest:g} to {highest:g}; {value:g} is not on it.")
+        return int(np.argmin(np.abs(self.values - value)))
 
     @cached_property
     def is_geometric(self) -> bool:
@@ -152,7 +159,7 @@ class Results:
     @property
     def parameters(self) -> tuple[ResultAxis, ...]:
         """What was swept: the axes, and in the place of `run` its coordinates."""
-        return swept_parameters(self.axes, self.coordinates)
+        return parameters_of(self.axes, self.coordinates)
 
     @property
     def max_impacts(self) -> int:
@@ -165,6 +172,29 @@ class Results:
         first = np.zeros(self.primary_impacts.size + 1, np.int64)
         np.cumsum(self.primary_impacts.ravel(), out=first[1:])
         return first
+
+    def at(self, values: Mapping[str, float]) -> Results:
+        """The slice at some axes' values, the nearest of each: ``results.at({"lash.contact.stiffness": 4e5})``.
+
+        Those axes stay, with one value; of `run` a run's number, and its coordinates stay with theirs. Labels and codes
+        are those of the whole.
+
+        Raises ValueError where a name is not an axis, or a value lies beyond it.
+        """
+        part = slice_of(self.axes, values)
+        cells = np.arange(self.sequence.size).reshape(self.shape)[part].ravel()
+        count, first = np.diff(self.first_impact)[cells], self.first_impact[cells]
+        begin = np.cumsum(count) - count  # of each cell's impacts in the slice
+        impacts = np.arange(count.sum()) + np.repeat(first - begin, count)
+        run = next((own for axis, own in zip(self.axes, part, strict=True) if axis.parameter == RUN), slice(None))
+        fields: dict[str, Any] = {name: np.ascontiguousarray(getattr(self, name)[part]) for name in CELL_FIELDS}
+        fields |= {name: getattr(self, name)[impacts] for name in IMPACT_FIELDS}
+        return replace(
+            self,
+            axes=tuple(replace(axis, values=axis.values[own]) for axis, own in zip(self.axes, part, strict=True)),
+            coordinates=tuple(replace(axis, values=axis.values[run]) for axis in self.coordinates),
+            **fields,
+        )
 
     def counts(self) -> dict[str, int]:
         """Number of cells of each label, in the labels' order, and last of ``failed`` (also where it is 0)."""
@@ -207,13 +237,12 @@ class Results:
         names = [axis.parameter for axis in self.axes]
         if set(values) != set(names):
             raise ValueError(f"A cell is named by {' and '.join(names)}, not by {', '.join(values) or 'nothing'}.")
-        at = tuple(_nearest(axis, values[axis.parameter]) for axis in self.axes)
+        at = tuple(axis.nearest(values[axis.parameter]) for axis in self.axes)
         number = int(np.ravel_multi_index(at, self.shape))
         impacts = slice(*self.first_impact[number : number + 2])
         found: dict[str, Any] = dict(zip(names, values_at(self.axes, at), strict=True))
-        for axis, position in zip(self.axes, at, strict=True):
-            if axis.parameter == RUN:
-                found |= {along.parameter: float(along.values[position]) for along in self.coordinates}
+        own = values_at(self.axes, at, self.coordinates)
+        found |= {axis.parameter: value for axis, value in zip(self.parameters, own, strict=True)}
         found["label"] = [*self.labels, FAILED][self.sequence[at]]
         found |= {name: getattr(self, name)[at].item() for name in CELL_FIELDS}
         found["status"] = Status(found["status"]).name.lower()
@@ -257,22 +286,39 @@ class Results:
         return block
 
 
-def values_at(axes: tuple[ResultAxis, ...], cell: Sequence[int]) -> tuple[float, ...]:
-    """The parameters of a cell, in the axes' order and units."""
-    return tuple(float(axis.values[k]) for axis, k in zip(axes, cell, strict=True))
+def slice_of(axes: Sequence[ResultAxis], values: Mapping[str, float]) -> tuple[slice, ...]:
+    """Of each axis the one position nearest to its value, or all where it has none; ValueError beyond an axis."""
+    index: dict[int, int] = {}
+    for parameter, value in values.items():
+        names = [axis.parameter for axis in axes]
+        if parameter not in names:
+            raise ValueError(f"{parameter!r} is no axis of these results; their axes are {', '.join(names)}")
+        index[names.index(parameter)] = axes[names.index(parameter)].nearest(value)
+    return tuple(slice(index[k], index[k] + 1) if k in index else slice(None) for k in range(len(axes)))
+
+
+def parameters_of(axes: Sequence[ResultAxis], coordinates: Sequence[ResultAxis]) -> tuple[ResultAxis, ...]:
+    """The axes, and in the place of `run` its coordinates."""
+    found: list[ResultAxis] = []
+    for axis in axes:
+        found += coordinates if axis.parameter == RUN else [axis]
+    return tuple(found)
+
+
+def values_at(
+    axes: Sequence[ResultAxis], cell: Sequence[int], coordinates: Sequence[ResultAxis] = ()
+) -> tuple[float, ...]:
+    """The parameters of a cell, in the order of `parameters_of` and their units; of `run` its number without these."""
+    values: list[float] = []
+    for axis, k in zip(axes, cell, strict=True):
+        own = coordinates if axis.parameter == RUN and coordinates else [axis]
+        values += (float(each.values[k]) for each in own)
+    return tuple(values)
 
 
 def share(count: int, cells: int) -> str:
     """How many of the cells, and which part of them: ``21 cells, 4.8 %``."""
     return f"{count:,} {'cell' if count == 1 else 'cells'}, {100.0 * count / cells:.1f} %"
-
-
-def _nearest(axis: ResultAxis, value: float) -> int:
-    """The position of the value on an axis that is nearest to this one; ValueError beyond the axis."""
-    lowest, highest = axis.values.min(), axis.values.max()
-    if not lowest <= value <= highest:  # also where it is not a number
-        raise ValueError(f"{axis.parameter} is swept from {lowest:g} to {highest:g}; {value:g} is not on it.")
-    return int(np.argmin(np.abs(axis.values - value)))
 
 
 def count_labels(labels: tuple[str, ...], sequence: npt.NDArray[np.int16]) -> dict[str, int]:
@@ -281,19 +327,11 @@ def count_labels(labels: tuple[str, ...], sequence: npt.NDArray[np.int16]) -> di
     return {label: int(cells[code - FAILED_CODE]) for code, label in enumerate(labels)} | {FAILED: int(cells[0])}
 
 
-def swept_parameters(axes: tuple[ResultAxis, ...], coordinates: tuple[ResultAxis, ...]) -> tuple[ResultAxis, ...]:
-    """The axes, and in the place of `run` its coordinates."""
-    found: list[ResultAxis] = []
-    for axis in axes:
-        found += coordinates if axis.parameter == RUN else [axis]
-    return tuple(found)
-
-
 def check_axes(axes: tuple[ResultAxis, ...], coordinates: tuple[ResultAxis, ...]) -> None:
     """Raise ValueError where these cannot be the axes of results."""
     if not axes:
         raise ValueError("results need at least one axis")
-    parameters = swept_parameters(axes, coordinates)
+    parameters = parameters_of(axes, coordinates)
     if len({axis.variable for axis in parameters}) != len(parameters):
         raise ValueError("two axes have the same name")
     run = {len(axis.values) for axis in axes if axis.parameter == RUN}

@@ -100,7 +100,7 @@ def sweep(
     if not refine:
         _run(grid, assembly, iter([None]), workers, progress, parts)
         return assembly.results(provenance())
-    spacing = refinement.spacings([axis.values for axis in grid.design.axes])
+    spacing = grid.design.spacing
     _run(grid, assembly, _refinements(assembly, spacing), workers, progress, parts)
     ran = assembly.done
     assembly.infer(*refinement.inferred(assembly.kinds(), assembly.touches(), spacing))
@@ -178,7 +178,7 @@ def parts_of(directory: WorkingDirectory, study: Study, *, refine: bool = False,
     """
     plan = "every cell"
     if refine:
-        widest = max(refinement.spacings([axis.values for axis in design_of(study).axes]), default=1)
+        widest = max(design_of(study).spacing, default=1)
         plan = f"what --refine needs (from spacing {widest})"
     elif retry:
         plan = "the failed cells again"

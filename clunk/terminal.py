@@ -13,7 +13,7 @@ import click
 if TYPE_CHECKING:
     from clunk.claims import Claim
     from clunk.energy import EnergyBalance
-    from clunk.results import Results
+    from clunk.results import ResultAxis, Results
     from clunk.simulation import Trajectory
     from clunk.sobol import Indices, Sensitivity
     from clunk.tolerancemap import ToleranceMap
@@ -58,6 +58,7 @@ def report_failures(results: Results | ToleranceMap, how: str = "") -> None:
     import numpy as np
 
     from clunk.core.status import Status
+    from clunk.results import values_at
 
     for status in Status:
         cells = np.argwhere(results.status == status)
@@ -65,12 +66,18 @@ def report_failures(results: Results | ToleranceMap, how: str = "") -> None:
             continue
         complain(f"{_cells(len(cells))} failed{how}: {status.sentence}")
         for cell in cells[:3]:
-            where = ", ".join(
-                f"{axis.parameter} = {axis.values[k]:.6g}" for axis, k in zip(results.axes, cell, strict=True)
-            )
-            click.echo(f"  at {where}", err=True)
+            values = values_at(results.axes, cell, results.coordinates)
+            click.echo(at_cell(results.parameters, values), err=True)
         if len(cells) > 3:
             click.echo(f"  and {len(cells) - 3:,} more", err=True)
+
+
+def at_cell(parameters: Sequence[ResultAxis], values: Sequence[float], indent: int = 2) -> str:
+    """A cell by its parameters, for example at load.ratio = 5, wrapped."""
+    named = ", ".join(f"{axis.parameter} = {value:.6g}" for axis, value in zip(parameters, values, strict=True))
+    blank = " " * indent
+    look: dict[str, Any] = {"initial_indent": blank, "subsequent_indent": blank + "   ", "break_on_hyphens": False}
+    return textwrap.fill(f"at {named}", _WIDTH, **look)
 
 
 def print_counts(counts: dict[str, int]) -> None:
@@ -304,8 +311,7 @@ def _print_largest(found: Verification) -> None:
             line += f"{'' if found.events else format(each.of_largest, '.1e'):>13}{_number(each.of_own, '.1e'):>12}"
         click.echo(line)
         if not found.events and each.difference > 0.0:
-            at = zip(found.comparison.axes, each.values, strict=True)
-            click.echo("    at " + ", ".join(f"{axis.parameter} = {value:.6g}" for axis, value in at))
+            click.echo(at_cell(found.comparison.parameters, each.values, indent=4))
             if each.touches[0] != each.touches[1]:
                 click.echo(f"    with {each.touches[0]} touches by rk4 and {each.touches[1]} by exact")
     if not found.events:
@@ -323,7 +329,13 @@ def _print_disagreements(found: Verification, flagged: bool, count: int) -> None
     click.echo()
     what = "labels differ in flagged cells" if flagged else "labels differ elsewhere"
     click.echo(what + (f", the first {len(shown)} of {count:,}" if count > len(shown) else ""))
-    rows = [[*(axis.parameter for axis in found.comparison.axes), "rk4", "exact", "margin"]]
+    parameters = found.comparison.parameters
+    if len(parameters) > 2:  # a table of more would be too wide
+        for each in shown:
+            click.echo(f"  {each.rk4} by rk4, {each.exact} by exact; margin {each.margin:+.2g}")
+            click.echo(at_cell(parameters, each.values, indent=4))
+        return
+    rows = [[*(axis.parameter for axis in parameters), "rk4", "exact", "margin"]]
     rows += [[*(f"{v:.6g}" for v in each.values), each.rk4, each.exact, f"{each.margin:+.2g}"] for each in shown]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,9 +19,10 @@ from clunk.results import (
     check_axes,
     check_labels,
     count_labels,
+    parameters_of,
     require,
     share,
-    swept_parameters,
+    slice_of,
 )
 from clunk.summaries import Rows, as_html, as_text, html_table
 
@@ -86,7 +89,20 @@ class ToleranceMap:
     @property
     def parameters(self) -> tuple[ResultAxis, ...]:
         """What was swept: the axes, and in the place of `run` its coordinates."""
-        return swept_parameters(self.axes, self.coordinates)
+        return parameters_of(self.axes, self.coordinates)
+
+    def at(self, values: Mapping[str, float]) -> ToleranceMap:
+        """The slice at some axes' values, the nearest of each; as `Results.at`."""
+        part = slice_of(self.axes, values)
+        run = next((own for axis, own in zip(self.axes, part, strict=True) if axis.parameter == RUN), slice(None))
+        names = ("runs", "nominal_sequence", "severity_mean", "severity_quantiles", "status")
+        fields: dict[str, Any] = {name: np.ascontiguousarray(getattr(self, name)[part]) for name in names}
+        return replace(
+            self,
+            axes=tuple(replace(axis, values=axis.values[own]) for axis, own in zip(self.axes, part, strict=True)),
+            coordinates=tuple(replace(axis, values=axis.values[run]) for axis in self.coordinates),
+            **fields,
+        )
 
     @property
     def draws(self) -> int:

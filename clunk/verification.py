@@ -38,7 +38,7 @@ SMALL = 0.01  # of the map's largest value: below it a relative difference says 
 class Disagreement:
     """A cell with two labels.
 
-    values : its parameters in the axes' order and units
+    values : those of the comparison's parameters, in their units
     rk4, exact : its labels
     margin : how near the exact run came to another label
     flagged : whether the exact run is undecided or grazing
@@ -198,7 +198,7 @@ class Verification:
         for cell in np.argwhere(found.differs & (self.flagged == flagged)):
             at = tuple(int(k) for k in cell)
             yield Disagreement(
-                values=values_at(found.axes, at),
+                values=values_at(found.axes, at, found.coordinates),
                 rk4=found.labels[found.codes_a[at]],
                 exact=found.labels[found.codes_b[at]],
                 margin=float(self.exact.margin[at]),
@@ -207,7 +207,7 @@ class Verification:
 
     def record(self) -> dict[str, Any]:
         """The verification for JSON; null where something is not defined."""
-        parameters = [axis.parameter for axis in self.comparison.axes] if self.study.sweep else []
+        parameters = [axis.parameter for axis in self.comparison.parameters] if self.study.sweep else []
 
         def at(values: tuple[float, ...]) -> dict[str, float]:
             return dict(zip(parameters, values, strict=False))  # a single run has no parameters
@@ -372,7 +372,7 @@ def _largest(rk4: Results, exact: Results, comparison: Comparison) -> Iterator[L
         yield Largest(
             quantity=name,
             difference=float(difference[k]),
-            values=values_at(exact.axes, at),
+            values=values_at(exact.axes, at, exact.coordinates),
             touches=(int(rk4.touches[at]), int(exact.touches[at])),
             of_largest=_over(float(difference[k]), largest),
             of_own=_relative(difference, np.abs(b), largest),

@@ -15,6 +15,7 @@ import pytest
 import tomli_w
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from scipy import stats
 
 from clunk.config import (
     PRESETS,
@@ -35,6 +36,7 @@ from clunk.config import (
     to_toml,
 )
 from clunk.configfile import KeyLines, dotted, parse_place
+from clunk.designs import design_of
 
 CONFIGS = sorted((Path(__file__).parent.parent / "configs").glob("*.toml"))
 STARTER = files("clunk.presets").joinpath("starter.toml").read_text(encoding="utf-8")
@@ -894,3 +896,173 @@ def test_any_text_and_any_override_is_a_study_or_a_config_error(text, override):
         study_from_text(text, overrides=[override])
     with contextlib.suppress(ConfigError):
         study_from_text(PRESET, overrides=[override])
+
+
+# --- Designs: axes walked together, drawn keys -----------------------------------------------------------------------
+
+
+def drawn(*tables: str, sweep: str = "", sampling: str = "count = 16") -> str:
+    """The preset with some [[sweep.samples]]."""
+    return "\n".join(
+        [PRESET, f"[sweep]\n{sweep}" if sweep else "", f"[sweep.sampling]\n{sampling}"]
+        + [f"[[sweep.samples]]\n{table}" for table in tables]
+    )
+
+
+def sample(parameter: str, distribution: str, **numbers: float | str) -> str:
+    return tomli_w.dumps({"parameter": parameter, "distribution": distribution, **numbers})
+
+
+STIFFNESS = "lash.contact.stiffness"
+DAMPING_AXIS = '[[sweep.axes]]\nparameter = "lash.contact.damping"\nvalues = [50.0, 94.0]\n'
+ZIP = PRESET + (
+    '[sweep]\ndesign = "zip"\n[[sweep.axes]]\nparameter = "load.ratio"\nvalues = [1, 2, 5]\n'
+    '[[sweep.axes]]\nparameter = "lash.backlash_deg"\nstart = 1\nstop = 9\ncount = 3\n'
+)
+WRONG_DESIGNS = {
+    "zip lengths": (ZIP.replace("count = 3", "count = 4"), "sweep.axes[2]", "found 4 values, and sweep.axes[1] has 3"),
+    "unknown design": (ZIP.replace('"zip"', '"zipped"'), "sweep.design", 'did you mean "zip"?'),
+    "zip with samples": (ZIP + f"[[sweep.samples]]\n{sample(STIFFNESS, 'uniform', low=1.0, high=2.0)}",
+                         "sweep.samples", 'do not go with design = "zip"'),
+    "unknown distribution": (drawn(sample(STIFFNESS, "norml", std=1.0)), "sweep.samples[1].distribution",
+                             'did you mean "normal"?'),
+    "no distribution": (drawn(f'parameter = "{STIFFNESS}"\n'), "sweep.samples[1].distribution", "missing"),
+    "misspelt number": (drawn(sample(STIFFNESS, "uniform", low=1.0, hihg=2.0)), "sweep.samples[1].hihg",
+                        'did you mean "high"?'),
+    "misspelt key": (drawn(sample("lash.contact.stifness", "normal", std=1.0)), "sweep.samples[1].parameter",
+                     'did you mean "lash.contact.stiffness"?'),
+    "missing number": (drawn(sample(STIFFNESS, "uniform", low=1.0)), "sweep.samples[1]",
+                       "missing high; a uniform distribution is given by low and high"),
+    "missing spread": (drawn(sample(STIFFNESS, "lognormal")), "sweep.samples[1]", "missing sigma"),
+    "superfluous number": (drawn(sample(STIFFNESS, "triangular", low=1.0, mode=2.0, high=3.0, std=1.0)),
+                           "sweep.samples[1].std", "a triangular distribution has no std"),
+    "low above high": (drawn(sample(STIFFNESS, "uniform", low=2.0, high=1.0)), "sweep.samples[1].high",
+                       "found 1; must be greater than low = 2"),
+    "mode outside": (drawn(sample(STIFFNESS, "triangular", low=1.0, mode=4.0, high=3.0)), "sweep.samples[1].mode",
+                     "must be from low to high"),
+    "negative spread": (drawn(sample(STIFFNESS, "normal", std=-1.0)), "sweep.samples[1].std", "greater than 0"),
+    "drawn twice": (drawn(*2 * [sample(STIFFNESS, "normal", draws="factor", std=0.1)]), "sweep.samples[2].parameter",
+                    "drawn by sweep.samples[1] already"),
+    "drawn and swept": (drawn(sample("lash.contact.damping", "uniform", low=1.0, high=2.0)) + DAMPING_AXIS,
+                        "sweep.samples[1].parameter", "swept by sweep.axes[1] already"),
+    "whole number": (drawn(sample("load.on", "uniform", low=1.0, high=2.0)), "sweep.samples[1].parameter",
+                     "an inertia's number, which cannot be drawn"),
+    "no quantity": (drawn(sample("lash.contact.model", "uniform", low=1.0, high=2.0)), "sweep.samples[1].parameter",
+                    "no quantity that can be swept"),
+    "wrong torque": (drawn(sample("load.final_torque", "normal", std=1.0)), "sweep.samples[1].parameter",
+                     "load.final_torque does not apply"),
+    "nothing to be around": (drawn(sample("lash.contact.locking_speed", "normal", std=1.0)),
+                             "sweep.samples[1].parameter", "has no value in this config"),
+    "negative inertia": (drawn(sample("driveline.inertias[4]", "normal", draws="factor", std=0.6)),
+                         "sweep.samples[1]", "must be a number greater than 0 (kg m2); bound the distribution"),
+    "samples and tolerances": (drawn(sample(STIFFNESS, "normal", std=1.0))
+                               + f"[[sweep.tolerances]]\n{sample('lash.radius', 'normal', std=1e-4)}",
+                               "sweep.samples", "give one of the two"),
+    "no draws": (drawn(sample(STIFFNESS, "normal", std=1.0), sampling="count = 0"), "sweep.sampling.count",
+                 "from 1 to 1000000"),
+    "unknown method": (drawn(sample(STIFFNESS, "normal", std=1.0), sampling='method = "sobl"'),
+                       "sweep.sampling.method", 'did you mean "sobol"?'),
+    "grid too large": (drawn(sample(STIFFNESS, "normal", std=1.0), sampling="count = 1000000")
+                       + DAMPING_AXIS.replace("values = [50.0, 94.0]", "start = 1.0\nstop = 2.0\ncount = 10000"),
+                       "sweep.axes", "10,000,000,000 cells"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", WRONG_DESIGNS)
+def test_wrong_design_is_reported_where_it_is_wrong(case):
+    text, key, message = WRONG_DESIGNS[case]
+    with pytest.raises(ConfigError) as caught:
+        study_from_text(text, "study.toml")
+    (found,) = caught.value.problems
+    assert found.key == key
+    assert message in found.message
+    assert found.line is not None
+
+
+def test_axes_that_are_walked_together_may_repeat_values():
+    sweep = study_from_text(ZIP.replace("[1, 2, 5]", "[1, 5, 5]")).sweep
+    assert sweep is not None
+    assert sweep.axes[0].grid.tolist() == [1.0, 5.0, 5.0]
+
+
+@pytest.mark.parametrize(
+    ("override", "read"),
+    [
+        ("sweep.sampling.count=512", lambda sweep: sweep.sampling.count == 512),
+        ("sweep.sampling.method=latin-hypercube", lambda sweep: sweep.sampling.method == "latin-hypercube"),
+        ("sweep.samples[1].std=0.01", lambda sweep: sweep.samples[0].std == 0.01),
+    ],
+)
+def test_design_may_be_set_on_the_command_line(override, read):
+    assert read(study_from_text(drawn(sample(STIFFNESS, "normal", draws="factor", std=0.1)), "x", [override]).sweep)
+
+
+def test_design_survives_the_round_trip_and_counts_in_the_digest():
+    text = drawn(sample(STIFFNESS, "normal", draws="factor", std=0.1))
+    study = study_from_text(text)
+    assert study_from_text(to_toml(study)) == study
+    assert digest(study_from_text(to_toml(study))) == digest(study)
+    others = [["sweep.sampling.seed=1"], ["sweep.samples[1].std=0.2"], ["sweep.sampling.count=17"]]
+    assert len({digest(study), *(digest(study_from_text(text, "x", each)) for each in others)}) == 4
+    assert digest(study_from_text(ZIP)) != digest(study_from_text(ZIP.replace("zip", "grid")))
+
+
+def test_digest_of_a_grid_is_that_of_earlier_versions():
+    """Files of earlier versions are known again: they have no design in their configs."""
+    assert digest(load_study(Path(__file__).parent.parent / "configs" / "smoke.toml")) == (
+        "fade34b116fd9f6c98341e166df4bf2415ab1ee7d879b335b6ee8f1fdebd1622"
+    )
+
+
+def columns(*tables: str, count: int = 1024, method: str = "sobol", seed: int = 0) -> list[np.ndarray]:
+    sampling = f'count = {count}\nseed = {seed}\nmethod = "{method}"'
+    return [column.values for column in design_of(study_from_text(drawn(*tables, sampling=sampling))).columns]
+
+
+DISTRIBUTIONS = {
+    "uniform": (sample(STIFFNESS, "uniform", low=3e5, high=5e5), stats.uniform(3e5, 2e5)),
+    "normal": (sample(STIFFNESS, "normal", mean=4e5, std=2e4), stats.norm(4e5, 2e4)),
+    "normal around the nominal value": (sample(STIFFNESS, "normal", std=2e4), stats.norm(4.092e5, 2e4)),
+    "normal factor": (sample(STIFFNESS, "normal", draws="factor", std=0.05), stats.norm(4.092e5, 0.05 * 4.092e5)),
+    "lognormal": (sample(STIFFNESS, "lognormal", median=4e5, sigma=0.2), stats.lognorm(0.2, scale=4e5)),
+    "lognormal factor": (sample(STIFFNESS, "lognormal", draws="factor", sigma=0.2),
+                         stats.lognorm(0.2, scale=4.092e5)),
+    "triangular": (sample(STIFFNESS, "triangular", low=3e5, mode=3.5e5, high=5e5), stats.triang(0.25, 3e5, 2e5)),
+    "triangular offset": (sample(STIFFNESS, "triangular", draws="offset", low=-1e4, mode=0.0, high=2e4),
+                          stats.triang(1 / 3, 4.092e5 - 1e4, 3e4)),
+    "truncated normal": (sample(STIFFNESS, "normal", mean=4e5, std=2e4, low=3.9e5, high=4.5e5),
+                         stats.truncnorm(-0.5, 2.5, 4e5, 2e4)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("method", ["sobol", "latin-hypercube"])
+@pytest.mark.parametrize("name", DISTRIBUTIONS)
+def test_drawn_values_have_their_distribution(name, method):
+    """Each of n equal shares of the unit interval holds one point: the empirical distribution is off by 1/n at most."""
+    table, distribution = DISTRIBUTIONS[name]
+    (values,) = columns(table, method=method)
+    assert stats.ks_1samp(values, distribution.cdf).statistic <= 1 / 1024 + 1e-9
+
+
+def test_seed_makes_the_sample():
+    tables = sample(STIFFNESS, "normal", draws="factor", std=0.1), sample("load.ratio", "uniform", low=0.0, high=10.0)
+    for method in ("sobol", "latin-hypercube"):
+        one, again, other = (columns(*tables, count=64, method=method, seed=seed) for seed in (5, 5, 6))
+        assert all(np.array_equal(a, b) for a, b in zip(one, again, strict=True))
+        assert not any(np.intersect1d(a, b).size for a, b in zip(one, other, strict=True))
+
+
+def test_keys_are_drawn_independently():
+    """Spearman's correlation of n independent pairs has a standard deviation of 1/sqrt(n - 1): 0.03 here."""
+    ratio, stiffness = columns(
+        sample("load.ratio", "uniform", low=0.0, high=10.0), sample(STIFFNESS, "lognormal", sigma=0.5)
+    )
+    assert abs(stats.spearmanr(ratio, stiffness).statistic) < 0.1
+
+
+def test_truncation_holds_in_the_far_tail():
+    """Bounds that lie on one side of the mean, where rounding is coarse."""
+    (values,) = columns(sample(STIFFNESS, "normal", mean=4e5, std=1e4, low=4.4e5, high=4.41e5))
+    assert values.min() >= 4.4e5
+    assert values.max() <= 4.41e5
+    assert np.unique(values).size == values.size

@@ -366,7 +366,7 @@ def test_three_axes_are_refused_with_a_way_out(nine: Results) -> None:
     third = ResultAxis("lash.contact.damping", np.array([94.0, 95.0]), "contact damping", "c34", "N s/m")
     results = make((third, *nine.axes), nine.labels, np.stack([nine.sequence] * 2), np.stack([nine.severity] * 2))
     for quantity in plot.QUANTITIES:
-        with pytest.raises(plot.PlotError, match=r"sweep 3 axes .*lash\.contact\.damping.*--set KEY=VALUE"):
+        with pytest.raises(plot.PlotError, match=r"sweep 3 axes .*\n.*--at lash\.contact\.damping=95\n.*--facet lash"):
             plot.draw(results, quantity)
 
 

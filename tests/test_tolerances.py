@@ -23,7 +23,7 @@ from clunk.plot.style import palette_of
 from clunk.simulation import SimulationError, simulate
 from clunk.store import StoreError, read, read_header
 from clunk.sweeping import SweepError, parts_of, sweep, tolerance_map
-from clunk.tolerancemap import QUANTILES, ToleranceMap
+from clunk.tolerancemap import QUANTILES
 from clunk.verification import verify
 
 DRIVELINE = """
@@ -139,6 +139,14 @@ class TestCells:
         certain = found.certainty == 1.0
         assert 0.3 < certain.mean() < 1.0
         assert np.array_equal(found.sequence[certain], found.nominal_sequence[certain])
+
+    def test_a_slice_has_the_cells_of_the_whole(self, found):
+        part = found.at({"load.ratio": 8.4})
+        assert part.axes[0].values == [8.5]
+        assert np.array_equal(part.runs, found.runs[17:18])
+        assert np.array_equal(part.severity_quantiles, found.severity_quantiles[17:18])
+        with pytest.raises(ValueError, match="no axis of these results"):
+            found.at({"load.on": 1.0})
 
     def test_the_most_likely_label_is_the_one_with_the_most_runs(self, found):
         runs = np.take_along_axis(found.runs, found.sequence[..., None], axis=-1)[..., 0]
@@ -408,6 +416,8 @@ class TestCommands:
         code, shown, _ = clunk("plot", "results/small.h5")
         assert [line.rsplit("-", 1)[1] for line in shown.split()] == ["regimes.png", "double_sided.png", "severity.png"]
         assert (here / "results" / "small-regimes.png").exists()
+        code, shown, _ = clunk("plot", "results/small.h5", "--at", "lash.backlash_deg=6.5", "-o", "slice.png")
+        assert (code, shown) == (0, "slice-regimes.png\n")
         code, shown, err = clunk(
             "simulate", "results/small.h5", "--at", "load.ratio=5", "--at", "lash.backlash_deg=6.5"
         )
@@ -419,6 +429,7 @@ class TestCommands:
         [
             (("sweep", "small.toml", "--refine"), "--refine does not go with [[sweep.tolerances]]"),
             (("sweep", "small.toml", "--retry-failed"), "--retry-failed does not go with [[sweep.tolerances]]"),
+            (("plot", "small.h5", "--facet", "load.ratio"), "--facet, --x and --y do not go with a tolerance map"),
             (("compare", "small.h5", "small.h5"), "small.h5 holds a tolerance map, where a regime map is needed"),
             (
                 ("plot", "small.h5", "--quantity", "touches"),
@@ -501,7 +512,7 @@ class TestFigures:
 
     @pytest.mark.parametrize("quantity", certainty.QUANTITIES)
     def test_of_one_axis_every_quantity_is_in_the_same_picture(self, found, quantity):
-        assert len(certainty.draw(row(found, 3), quantity).axes) == 2
+        assert len(certainty.draw(found.at({"lash.backlash_deg": 9.5}), quantity).axes) == 2
 
     def test_the_map_of_double_sided_impacts_shows_their_probability(self, found):
         mesh = certainty.double_sided_map(found).axes[0].collections[0]
@@ -513,7 +524,7 @@ class TestFigures:
         assert np.array_equal(mesh.get_array(), found.severity_quantiles[..., 2].T)
 
     def test_along_one_axis_the_median_is_drawn_within_its_band(self, found):
-        ax = certainty.likelihood_curves(row(found, 3)).axes[1]
+        ax = certainty.likelihood_curves(found.at({"lash.backlash_deg": 9.5})).axes[1]
         median = next(line for line in ax.lines if line.get_label() == "median")
         assert np.array_equal(median.get_ydata(), found.severity_quantiles[:, 3, 1])
         band = ax.collections[0].get_paths()[0].vertices[:, 1]
@@ -525,11 +536,4 @@ class TestFigures:
         assert certainty.default_quantities(found) == ["regimes", "double_sided"]
         with pytest.raises(PlotError, match="no severity to draw"):
             certainty.draw(found, "severity")
-        certainty.likelihood_curves(row(found, 3))
-
-
-def row(found: ToleranceMap, k: int) -> ToleranceMap:
-    """The map at the k-th backlash alone."""
-    one = replace(found.axes[1], values=found.axes[1].values[k : k + 1])
-    names = ("runs", "nominal_sequence", "severity_mean", "severity_quantiles", "status")
-    return replace(found, axes=(found.axes[0], one), **{name: getattr(found, name)[:, k : k + 1] for name in names})
+        certainty.likelihood_curves(found.at({"lash.backlash_deg": 9.5}))

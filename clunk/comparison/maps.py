@@ -12,12 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.configfile import dotted
-from clunk.results import CELL_FIELDS, FAILED_CODE, IMPACT_FIELDS, ResultAxis, Results, values_at
+from clunk.results import CELL_FIELDS, FAILED_CODE, IMPACT_FIELDS, ResultAxis, Results, parameters_of, values_at
 
 Bools = npt.NDArray[np.bool_]
 Codes = npt.NDArray[np.intp]
 
 _SAME_AXIS = 1e-9  # of an axis's smallest step: the same values computed in another way differ by rounding
+_ROUNDING = 1e-14  # of a value itself: drawn ones may lie as near to each other as that
 
 
 class ComparisonError(Exception):
@@ -35,7 +36,7 @@ class Transition:
 
 @dataclass(frozen=True)
 class DifferingCell:
-    """A cell with two labels; `values` are its parameters in the axes' order and units."""
+    """A cell with two labels; `values` are those of the comparison's parameters, in their units."""
 
     values: tuple[float, ...]
     a: str
@@ -44,7 +45,7 @@ class DifferingCell:
 
 @dataclass(frozen=True)
 class Extreme:
-    """A quantity in the cell where A and B are furthest apart; `values` are its parameters in the axes' order."""
+    """A quantity in the cell where A and B are furthest apart; `values` are those of the comparison's parameters."""
 
     values: tuple[float, ...]
     a: float
@@ -97,7 +98,7 @@ class Comparison:
     """Two maps of the same grid.
 
     titles : of A and of B
-    axes : A's; B's are the same
+    axes, coordinates : A's; B's are the same
     labels : of both, A's first
     differs : shape, bool: both have a label, and not the same
     failed_a, failed_b : shape, bool
@@ -124,6 +125,12 @@ class Comparison:
     configs_equal: bool
     config_differences: tuple[ConfigDifference, ...]
     provenance_differences: dict[str, tuple[str, str]]
+    coordinates: tuple[ResultAxis, ...] = ()
+
+    @property
+    def parameters(self) -> tuple[ResultAxis, ...]:
+        """What the maps sweep: the axes, and in the place of `run` its coordinates."""
+        return parameters_of(self.axes, self.coordinates)
 
     @property
     def cells(self) -> int:
@@ -164,7 +171,8 @@ class Comparison:
         """The cells whose labels differ, in the grid's order."""
         for cell in np.argwhere(self.differs):
             at = tuple(int(k) for k in cell)
-            yield DifferingCell(values_at(self.axes, at), self.labels[self.codes_a[at]], self.labels[self.codes_b[at]])
+            values = values_at(self.axes, at, self.coordinates)
+            yield DifferingCell(values, self.labels[self.codes_a[at]], self.labels[self.codes_b[at]])
 
 
 def compare(a: Results, b: Results) -> Comparison:
@@ -175,6 +183,7 @@ def compare(a: Results, b: Results) -> Comparison:
     ComparisonError
         Where the axes are not the same, or a config cannot be read.
     """
+    _require_same_axes(a.parameters, b.parameters)
     _require_same_axes(a.axes, b.axes)
     labels = tuple(dict.fromkeys((*a.labels, *b.labels)))
     codes_a, codes_b = (_codes(results, labels) for results in (a, b))
@@ -204,6 +213,7 @@ def compare(a: Results, b: Results) -> Comparison:
             for name in dict.fromkeys((*a.attributes, *b.attributes))
             if name != "created" and a.attributes.get(name) != b.attributes.get(name)
         },
+        coordinates=a.coordinates,
     )
 
 
@@ -221,8 +231,9 @@ def _require_same_axes(a: tuple[ResultAxis, ...], b: tuple[ResultAxis, ...]) -> 
                 f"The maps cannot be compared because their grids differ: {mine.parameter} takes {_span(mine)} in A "
                 f"and {_span(theirs)} in B."
             )
-        steps = np.abs(np.diff(mine.values))
-        tolerance = _SAME_AXIS * (steps.min() if steps.size else abs(mine.values[0]))
+        steps = np.diff(np.unique(mine.values))
+        smallest = steps.min() if steps.size else abs(mine.values[0])
+        tolerance = np.maximum(_SAME_AXIS * smallest, _ROUNDING * np.abs(mine.values))
         apart = np.abs(mine.values - theirs.values) > tolerance
         if apart.any():
             k = int(np.argmax(apart))
@@ -271,7 +282,7 @@ def _deviation(a: Results, b: Results) -> Deviation | None:
 
     def extreme(k: np.intp) -> Extreme:
         at = tuple(int(index) for index in cells[k])
-        return Extreme(values_at(a.axes, at), float(mine[at]), float(theirs[at]))
+        return Extreme(values_at(a.axes, at, a.coordinates), float(mine[at]), float(theirs[at]))
 
     return Deviation(
         quantity=name,
@@ -287,7 +298,7 @@ def _deviation(a: Results, b: Results) -> Deviation | None:
 
 def _identical(a: Results, b: Results) -> bool:
     names = [*CELL_FIELDS, *IMPACT_FIELDS]
-    axes = all(np.array_equal(mine.values, theirs.values) for mine, theirs in zip(a.axes, b.axes, strict=True))
+    axes = all(np.array_equal(one.values, other.values) for one, other in zip(a.parameters, b.parameters, strict=True))
     # bytes, so that NaN is equal to itself
     return axes and a.labels == b.labels and all(getattr(a, n).tobytes() == getattr(b, n).tobytes() for n in names)
 

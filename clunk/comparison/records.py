@@ -22,7 +22,7 @@ def _at(axes: tuple[ResultAxis, ...], values: tuple[float, ...]) -> dict[str, fl
 
 
 def _map_record(comparison: Comparison) -> dict[str, Any]:
-    axes, found = comparison.axes, comparison.deviation
+    axes, found = comparison.parameters, comparison.deviation
     deviation: dict[str, Any] | None = None
     if found is not None:
         deviation = {name: getattr(found, name) for name in ("quantity", "cells", "zero_in_one")}

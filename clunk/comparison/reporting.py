@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterator, Sequence
 
 from clunk.comparison.maps import Comparison, Deviation
@@ -39,17 +40,26 @@ def _map_report(comparison: Comparison, names: tuple[str, str]) -> Iterator[str]
     yield from _transition_report(comparison)
     if 0 < comparison.differing <= _MOST_CELLS:
         yield ""
-        yield from _table(
-            [
-                [*(axis.parameter for axis in comparison.axes), "A", "B"],
-                *([*map(_number, cell.values), cell.a, cell.b] for cell in comparison.differing_cells()),
-            ]
-        )
+        yield from _cell_report(comparison)
     if comparison.deviation is not None and not comparison.identical:
         yield ""
-        yield from _deviation_report(comparison.axes, comparison.deviation)
+        yield from _deviation_report(comparison.parameters, comparison.deviation)
     yield ""
     yield from _config_report(comparison)
+
+
+def _cell_report(comparison: Comparison) -> Iterator[str]:
+    if len(comparison.parameters) > 2:  # a table of more would be too wide
+        for cell in comparison.differing_cells():
+            yield f"  {cell.a} in A, {cell.b} in B"
+            yield from _where(comparison.parameters, cell.values)
+        return
+    yield from _table(
+        [
+            [*(axis.parameter for axis in comparison.parameters), "A", "B"],
+            *([*map(_number, cell.values), cell.a, cell.b] for cell in comparison.differing_cells()),
+        ]
+    )
 
 
 def _regimes_sentence(comparison: Comparison) -> str:
@@ -88,7 +98,7 @@ def _deviation_report(axes: tuple[ResultAxis, ...], found: Deviation) -> Iterato
         ("largest difference", found.largest_difference, f"{found.largest_difference.difference:+.4g} {unit}"),
     ):
         yield f"  {what} {value}: {extreme.a:.5g} in A, {extreme.b:.5g} in B {unit}"
-        yield _cut(f"    at {_where(axes, extreme.values)}", _WIDTH)
+        yield from _where(axes, extreme.values)
     if found.zero_in_one:
         cells = "cell" if found.zero_in_one == 1 else "cells"
         yield f"  {found.zero_in_one:,} {cells} more in which one of the two is zero"
@@ -225,5 +235,8 @@ def percent(part: int, whole: int) -> str:
     return f"{share:.2g} %" if share < 10 else f"{share:.4g} %" if share > 99 else f"{share:.3g} %"
 
 
-def _where(axes: tuple[ResultAxis, ...], values: tuple[float, ...]) -> str:
-    return ", ".join(f"{axis.parameter} = {_number(value)}" for axis, value in zip(axes, values, strict=True))
+def _where(axes: tuple[ResultAxis, ...], values: tuple[float, ...]) -> Iterator[str]:
+    named = ", ".join(f"{axis.parameter} = {_number(value)}" for axis, value in zip(axes, values, strict=True))
+    yield from textwrap.wrap(
+        f"at {named}", _WIDTH, initial_indent="    ", subsequent_indent="       ", break_on_hyphens=False
+    )

@@ -8,28 +8,28 @@ Figures of runs are in `histories` and `small_gap`, of comparisons in `compariso
 they draw takes longer to import than the maps do.
 """
 
-from clunk.plot.maps import (
-    QUANTITIES,
-    draw,
-    quantity_map,
-    regime_map,
-    ridge_of,
-    severity_map,
-    strip,
-    thresholds_of,
-)
+from clunk.plot.drawing import default_quantities, draw
+from clunk.plot.facets import MOST_VALUES, facet_map, shown_values
+from clunk.plot.maps import QUANTITIES, quantity_map, regime_map, ridge_of, severity_map, strip, thresholds_of
 from clunk.plot.plane import x_axis
+from clunk.plot.scatter import scatter_curve, scatter_map
 from clunk.plot.style import PlotError, save
 
 __all__ = [
+    "MOST_VALUES",
     "QUANTITIES",
     "PlotError",
+    "default_quantities",
     "draw",
+    "facet_map",
     "quantity_map",
     "regime_map",
     "ridge_of",
     "save",
+    "scatter_curve",
+    "scatter_map",
     "severity_map",
+    "shown_values",
     "strip",
     "thresholds_of",
     "x_axis",

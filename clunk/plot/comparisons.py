@@ -20,7 +20,7 @@ from matplotlib.patches import Patch
 from clunk.comparison import Comparison, ExperimentComparison, Point
 from clunk.comparison.reporting import percent
 from clunk.configfile import shorten
-from clunk.plot.labelling import region_swatch, settle
+from clunk.plot.labelling import present, region_swatch, settle
 from clunk.plot.maps import map_titles
 from clunk.plot.plane import View, scale_axes
 from clunk.plot.raster import Raster
@@ -123,7 +123,8 @@ def experiment_map(results: Results, comparison: ExperimentComparison) -> Figure
         more: list[Artist] = []
         for _ in range(3):  # notes take height from the map, and less of the labels then has room
             unlabelled = settle(figure, ax, results.labels, look, [*notes, *more])
-            missing: list[Artist] = [region_swatch(label, palette[label]) for label in unlabelled]
+            there = present(results.labels, codes)
+            missing: list[Artist] = [region_swatch(label, palette[label]) for label in unlabelled if label in there]
             if len(placed) < len(points):
                 missing.append(Patch(alpha=0.0, label="a point without a label: no room"))
             if len(missing) <= len(more):

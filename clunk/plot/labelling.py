@@ -15,6 +15,7 @@ from scipy import ndimage
 
 from clunk.plot.raster import Place, Raster, corners_that_fit, rotate
 from clunk.plot.style import INK, cells_phrase, failed_notes, freeze_layout, palette_of, set_notes
+from clunk.results import FAILED_CODE
 
 Bools = npt.NDArray[np.bool_]
 Codes = npt.NDArray[np.int16]
@@ -52,20 +53,27 @@ def label_and_note(
             cells = int(np.count_nonzero(codes == labels.index(label)))
             swatches.append(region_swatch(f"{label}: {cells_phrase(cells)}", palette[label]))
         if len(names) > _MOST_NOTES:
-            swatches.append(Patch(alpha=0.0, label=f"and {len(names) - _MOST_NOTES} labels more"))
+            swatches.append(more_labels(len(names) - _MOST_NOTES))
         return [*swatches, *failed_notes(codes), *more]
 
+    there = present(labels, codes)
     noted: set[str] = set()
     unlabelled: list[str] = []
     for _ in range(4):
         unlabelled = settle(
             figure, ax, labels, look, notes([label for label in labels if label in noted]), leaders=leaders
         )
+        unlabelled = [label for label in unlabelled if label in there]
         if noted.issuperset(unlabelled):
             break
         noted.update(unlabelled)
     if noted != set(unlabelled):  # a label that found room in the end; the row keeps its height
         set_notes(figure, notes(unlabelled))
+
+
+def present(labels: tuple[str, ...], codes: Codes) -> list[str]:
+    """The labels that some cell has: those of a slice may be fewer than the results'."""
+    return [labels[code] for code in np.unique(codes) if code != FAILED_CODE]
 
 
 def settle(
@@ -90,8 +98,18 @@ def region_swatch(text: str, colour: str) -> Patch:
     return Patch(facecolor=colour, edgecolor=INK, linewidth=0.6, label=text)
 
 
-def label_regions(raster: Raster, labels: tuple[str, ...], *, leaders: bool) -> list[str]:
-    """Write each label into its region; returns, in order, those that found no room."""
+def more_labels(count: int) -> Patch:
+    """A note of labels that have none."""
+    return Patch(alpha=0.0, label=f"and {count} label{'' if count == 1 else 's'} more")
+
+
+def label_regions(
+    raster: Raster, labels: tuple[str, ...], *, leaders: bool, settings: Sequence[tuple[float, bool]] = _SETTINGS
+) -> list[str]:
+    """Write each label into its region; returns, in order, those that found no room.
+
+    settings : what is tried in turn, each a size in points and whether the text may be turned
+    """
     pointed: list[tuple[str, Bools]] = []
     written: set[str] = set()
     for code, text in enumerate(labels):
@@ -102,7 +120,7 @@ def label_regions(raster: Raster, labels: tuple[str, ...], *, leaders: bool) -> 
             if rank and share < _SMALLEST_REPEAT:
                 break
             mask = parts == part
-            place = _inside(raster, mask, text)
+            place = _inside(raster, mask, text, settings)
             if place is not None:
                 _write(raster, text, place)
                 written.add(text)
@@ -117,12 +135,12 @@ def label_regions(raster: Raster, labels: tuple[str, ...], *, leaders: bool) -> 
     return [label for label in labels if label not in written]
 
 
-def _inside(raster: Raster, mask: Bools, text: str) -> Place | None:
+def _inside(raster: Raster, mask: Bools, text: str, settings: Sequence[tuple[float, bool]]) -> Place | None:
     """The roomiest place for a text wholly inside a region, as large and as level as it can be."""
     rows, columns = ndimage.find_objects(mask.astype(np.int8))[0]
     crop = np.pad(mask[rows, columns], 1)
     x0, y0 = columns.start - 1, rows.start - 1
-    for size, turned in _SETTINGS:
+    for size, turned in settings:
         width, height = raster.measure(text, size)
         best: tuple[float, Place] | None = None
         for angle in _ANGLES if turned else (0.0,):

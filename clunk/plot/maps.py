@@ -11,14 +11,16 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib import colors, patheffects, ticker
 from matplotlib.axes import Axes
+from matplotlib.collections import QuadMesh
 from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from scipy import ndimage
 
 from clunk.core.status import QUALITY_UNDECIDED
 from clunk.plot.labelling import label_and_note, region_swatch
-from clunk.plot.plane import View, cell_edges, drawn_axes, scale_axes, scale_axis, x_axis
+from clunk.plot.plane import View, cell_edges, scale_axes, scale_axis, value_text, x_axis
 from clunk.plot.raster import Raster, corners_that_fit
 from clunk.plot.regions import Regions, draw_boundaries, fill_regions, hatch_failed
 from clunk.plot.style import (
@@ -28,6 +30,7 @@ from clunk.plot.style import (
     HUES,
     INK,
     MINUS,
+    SIZE,
     PlotError,
     cells_phrase,
     failed_notes,
@@ -40,7 +43,7 @@ from clunk.plot.style import (
     symbol_text,
     tidy,
 )
-from clunk.results import FAILED_CODE, Results
+from clunk.results import FAILED_CODE, ResultAxis, Results
 from clunk.tolerancemap import ToleranceMap
 
 Floats = npt.NDArray[np.float64]
@@ -56,24 +59,14 @@ _QUANTITY = {
     "margin": ("Margin to another label: + not reached, \N{MINUS SIGN} passed", "", ""),
 }
 QUANTITIES: list[str] = ["regimes", *_QUANTITY]
+_WHOLE = ("primary_impacts", "touches")
 
 _WITH_THRESHOLDS = ("load.ratio", "load.initial_torque", "load.final_torque")
+_LINE = 92  # characters of a subtitle that the width of a figure takes
 _UNDEFINED = "#efefec"
 _STRIP_DOT = 0.12  # of a strip's height: undecided cells are marked under their labels
+_DOT: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": INK, "markeredgewidth": 0.0}
 _DIGIT = 0.0114  # width of a threshold's digit over the map's
-
-
-def draw(results: Results, quantity: str, thresholds: Sequence[float] = ()) -> Figure:
-    """The figure of a quantity of `QUANTITIES`: a map for two swept axes, a strip for one. Raises PlotError."""
-    if quantity not in QUANTITIES:
-        raise PlotError(f"There is no quantity {quantity!r}; there are {', '.join(QUANTITIES)}.")
-    if len(drawn_axes(results)) == 1:
-        if quantity == "regimes":  # Q is not defined under the restitution model
-            quantity = "severity" if np.isfinite(results.severity).any() else "approach_velocity"
-        return strip(results, quantity)
-    if quantity == "regimes":
-        return regime_map(results, thresholds)
-    return quantity_map(results, quantity)
 
 
 def thresholds_of(results: Results) -> list[float]:
@@ -81,10 +74,12 @@ def thresholds_of(results: Results) -> list[float]:
     parameter = x_axis(results).parameter
     if not parameter.startswith("load."):
         return []
-    from clunk.config import study_from_text
+    from clunk.config import replace_values, study_from_text
     from clunk.linear import one_mode_thresholds, thresholds_on
 
     study = study_from_text(results.config, source="the results file's config")
+    fixed = {axis.parameter: float(axis.values[0]) for axis in results.parameters if len(axis.values) == 1}
+    study = replace_values(study, fixed)
     return [float(value) for value in thresholds_on(study, parameter, one_mode_thresholds(study))]
 
 
@@ -104,8 +99,7 @@ def regime_map(results: Results, thresholds: Sequence[float] = ()) -> Figure:
         scale_axes(ax, view)
         codes = view.arrange(results.sequence)
         regions = Regions(codes)
-        fill_regions(ax, view, regions, results.labels)
-        draw_boundaries(ax, view, regions, color=INK, linewidth=0.9)
+        paint_regimes(ax, view, regions, results.labels)
         if view.x.parameter in _WITH_THRESHOLDS and view.y.parameter == "lash.backlash_deg":
             _mark_thresholds(ax, thresholds)
         label_and_note(
@@ -115,7 +109,7 @@ def regime_map(results: Results, thresholds: Sequence[float] = ()) -> Figure:
             codes,
             lambda: Raster.of(ax, regions, view),
             leaders=True,
-            more=_mark_undecided(ax, view, results),
+            more=undecided_notes(mark_undecided(ax, view, results)),
         )
         return figure
 
@@ -135,34 +129,21 @@ def quantity_map(results: Results, name: str) -> Figure:
 
     Raises PlotError unless two axes were swept, `name` is a quantity and it is defined in some cell.
     """
-    label = quantity_label(name)
+    quantity_label(name)  # refuses what is none
     view = View.of(results, 2)
     codes = view.arrange(results.sequence)
-    values = view.arrange(_values(results, name))
-    whole, diverging = name in ("primary_impacts", "touches"), name == "margin"
+    values = view.arrange(quantity_values(results, name))
     with styled():
         figure = new_figure()
         ax = figure.add_subplot()
-        map_titles(figure, ax, results, view, f"{'dark' if diverging else 'light'} lines: boundaries of the regimes")
+        map_titles(figure, ax, results, view, boundaries_note(name))
         scale_axes(ax, view)
-        ax.set_facecolor(_UNDEFINED)
-        mesh = ax.pcolormesh(
-            cell_edges(view.x),
-            cell_edges(view.y),
-            values.T,
-            cmap="PuOr" if diverging else "viridis",
-            norm=_norm(values, whole=whole, diverging=diverging),
-            rasterized=True,  # a vector file with a path for every cell would take seconds to show
-            zorder=0.5,
-        )
+        mesh = paint_quantity(ax, view, Regions(codes), values, name, quantity_norm(values, name))
         bar = figure.colorbar(mesh, ax=ax, pad=0.02, aspect=28)
-        _finish_bar(bar, label, whole=whole)
-        regions = Regions(codes)
-        hatch_failed(ax, view, regions)
-        draw_boundaries(ax, view, regions, color=INK if diverging else "white", linewidth=0.6)
+        finish_bar(bar, name)
         notes = failed_notes(codes)
         if np.isnan(values[codes != FAILED_CODE]).any():
-            notes.append(region_swatch("not known" if diverging else "not defined (no events)", _UNDEFINED))
+            notes.append(undefined_note(name))
         ridge = ridge_of(values) if name == "severity" else np.full(len(view.x.values), np.nan)
         if np.isfinite(ridge).any():
             _draw_ridge(ax, view, ridge)
@@ -173,20 +154,20 @@ def quantity_map(results: Results, name: str) -> Figure:
         return figure
 
 
-def strip(results: Results, quantity: str = "severity") -> Figure:
-    """Along one swept axis: the labels as a coloured strip over the curve of a quantity.
+def strip(results: Results, quantity: str = "severity", more: str = "") -> Figure:
+    """Along one swept axis: the labels as a coloured strip over the curve of a quantity; `more` goes under the title.
 
     Raises PlotError unless one axis was swept, `quantity` is one and it is defined in some cell.
     """
     label = quantity_label(quantity)
     view = View.of(results, 1)
     codes = view.arrange(results.sequence)
-    values = view.arrange(_values(results, quantity))
+    values = view.arrange(quantity_values(results, quantity))
     palette = palette_of(results.labels)
     with styled():
         figure = new_figure()
         band, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 4.6))
-        map_titles(figure, band, results, view)
+        map_titles(figure, band, results, view, more)
         samples = view.x.values
         edges = cell_edges(view.x)
         starts = np.concatenate(([0], np.flatnonzero(np.diff(codes)) + 1, [len(codes)]))
@@ -223,7 +204,7 @@ def strip(results: Results, quantity: str = "severity") -> Figure:
             codes,
             lambda: Raster.of_strip(band, codes, edges),
             leaders=False,
-            more=_mark_undecided(band, view, results),
+            more=undecided_notes(mark_undecided(band, view, results)),
         )
         return figure
 
@@ -245,23 +226,83 @@ def ridge_of(values: Floats) -> Floats:
     return ridge
 
 
-def _mark_undecided(ax: Axes, view: View, results: Results) -> list[Line2D]:
-    """A dot on every cell whose margin is below its tolerance, and the note that says so; nothing where none is."""
+def paint_regimes(ax: Axes, view: View, regions: Regions, labels: tuple[str, ...], linewidth: float = 0.9) -> None:
+    """The regions in their labels' colours, and the lines between them."""
+    fill_regions(ax, view, regions, labels)
+    draw_boundaries(ax, view, regions, color=INK, linewidth=linewidth)
+
+
+def paint_quantity(
+    ax: Axes,
+    view: View,
+    regions: Regions,
+    values: Floats,
+    name: str,
+    norm: colors.Normalize,
+    linewidth: float = 0.6,
+) -> QuadMesh:
+    """A quantity as colour under the regimes' boundaries; values : (nx, ny)."""
+    diverging = name == "margin"
+    ax.set_facecolor(_UNDEFINED)
+    mesh = ax.pcolormesh(
+        cell_edges(view.x),
+        cell_edges(view.y),
+        values.T,
+        cmap=colour_map(name),
+        norm=norm,
+        rasterized=True,  # a vector file with a path for every cell would take seconds to show
+        zorder=0.5,
+    )
+    hatch_failed(ax, view, regions)
+    draw_boundaries(ax, view, regions, color=INK if diverging else "white", linewidth=linewidth)
+    return mesh
+
+
+def boundaries_note(name: str) -> str:
+    """What the lines on a quantity's map are."""
+    return f"{'dark' if name == 'margin' else 'light'} lines: boundaries of the regimes"
+
+
+def undefined_note(name: str) -> Patch:
+    """What a cell without a value looks like, and why it has none."""
+    return region_swatch("not known" if name == "margin" else "not defined (no events)", _UNDEFINED)
+
+
+def mark_undecided(ax: Axes, view: View, results: Results) -> int:
+    """A dot on every cell whose margin is below its tolerance; how many there are."""
     cells = np.nonzero(view.arrange(results.quality) & QUALITY_UNDECIDED)
     count = len(cells[0])
-    if not count:
-        return []
-    across = view.x.values[cells[0]]
-    upward = view.y.values[cells[1]] if len(view.axes) > 1 else np.full(count, _STRIP_DOT)
-    look: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": INK, "markeredgewidth": 0.0}
-    size = float(np.clip(0.6 * 330.0 / max(map(len, (axis.values for axis in view.axes))), 1.3, 3.0))  # a map: 330 pt
-    transform = ax.transData if len(view.axes) > 1 else ax.get_xaxis_transform()
-    ax.plot(across, upward, **look, markersize=size, transform=transform, zorder=4, gid="undecided")
-    return [Line2D([], [], **look, markersize=3.0, label=f"undecided: {cells_phrase(count)}")]
+    if count:
+        across = view.x.values[cells[0]]
+        upward = view.y.values[cells[1]] if len(view.axes) > 1 else np.full(count, _STRIP_DOT)
+        size = float(
+            np.clip(0.6 * 330.0 / max(map(len, (axis.values for axis in view.axes))), 1.3, 3.0)
+        )  # a map: 330 pt
+        transform = ax.transData if len(view.axes) > 1 else ax.get_xaxis_transform()
+        ax.plot(across, upward, **_DOT, markersize=size, transform=transform, zorder=4, gid="undecided")
+    return count
 
 
-def _values(results: Results, name: str) -> Floats:
-    values = np.where(results.sequence == FAILED_CODE, np.nan, getattr(results, name).astype(np.float64))
+def undecided_notes(count: int) -> list[Line2D]:
+    """The note that says what the dots are; nothing where there is none."""
+    return [Line2D([], [], **_DOT, markersize=3.0, label=f"undecided: {cells_phrase(count)}")] if count else []
+
+
+def quantity_values(results: Results, name: str) -> Floats:
+    """A quantity of every cell, NaN where it failed. Raises PlotError where it is not defined in any."""
+    values = known_values(results, name)
+    require_some(values, name)
+    return values
+
+
+def known_values(results: Results, name: str) -> Floats:
+    """A quantity of every cell, NaN where it failed."""
+    values: Floats = np.where(results.sequence == FAILED_CODE, np.nan, getattr(results, name).astype(np.float64))
+    return values
+
+
+def require_some(values: Floats, name: str) -> None:
+    """Raises PlotError where none of a quantity's values is known."""
     if np.isnan(values).all():
         why = {
             "severity": "; under the restitution model accelerations are impulsive, and approach_velocity is the "
@@ -269,7 +310,6 @@ def _values(results: Results, name: str) -> Floats:
             "margin": "; only the exact method knows it: sweep with --set solver.method=exact",
         }.get(name, "")
         raise PlotError(f"There is no {name} to draw: it is not defined in any cell{why}.")
-    return values
 
 
 def quantity_label(name: str) -> str:
@@ -282,9 +322,28 @@ def quantity_label(name: str) -> str:
 
 def map_titles(figure: Figure, ax: Axes, results: Results | ToleranceMap, view: View, more: str = "") -> None:
     """The results' title, and under it the load, the values of the axes that are not drawn, and what more there is."""
-    fixed = "; ".join(f"{axis.name} = {axis.values[0]:g} {axis.unit.removeprefix('1')}".rstrip() for axis in view.fixed)
-    line = "; ".join(part for part in (_load(results), fixed, more) if part)
-    set_titles(figure, ax, results.title.strip() or "Impact regimes", line)
+    set_titles(figure, ax, title_of(results), subtitle_of(results, view.fixed, [more]))
+
+
+def title_of(results: Results | ToleranceMap) -> str:
+    """What stands over a figure of these results."""
+    return results.title.strip() or "Impact regimes"
+
+
+def subtitle_of(
+    results: Results | ToleranceMap, fixed: Sequence[ResultAxis], more: Sequence[str] = (), width: float = SIZE[0]
+) -> str:
+    """What stands under it: the load, the values of what is fixed, and what more there is; in lines.
+
+    width : of the figure  [inches]
+    """
+    parts = [_load(results), *(value_text(axis, axis.values[0]) for axis in fixed), *more]
+    lines = [""]
+    for part in filter(None, parts):
+        if lines[-1] and len(lines[-1]) + len(part.split("\n")[0]) > _LINE * width / SIZE[0]:
+            lines.append("")
+        lines[-1] += f"; {part}" if lines[-1] else part
+    return ";\n".join(lines)
 
 
 def _load(results: Results | ToleranceMap) -> str:
@@ -325,26 +384,33 @@ def _spaced_numbers(ax: Axes, values: Sequence[float]) -> list[str]:
     return texts
 
 
-def _norm(values: Floats, *, whole: bool, diverging: bool) -> colors.Normalize:
+def colour_map(name: str) -> str:
+    """The colours of a quantity; the margin's diverge from zero."""
+    return "PuOr" if name == "margin" else "viridis"
+
+
+def quantity_norm(values: Floats, name: str) -> colors.Normalize:
+    """From the values of a quantity, of any shape, to its colours."""
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    if diverging:
+    if name == "margin":
         return colors.CenteredNorm(0.0, max(abs(low), abs(high)) or 1.0)
-    if whole and high - low <= 12:  # one colour per number
+    if name in _WHOLE and high - low <= 12:  # one colour per number
         return colors.BoundaryNorm(np.arange(low - 0.5, high + 1.0), 256)
     if low >= 0.0:
         low = 0.0
     return colors.Normalize(low, high if high > low else low + 1.0)
 
 
-def _finish_bar(bar: Colorbar, label: str, *, whole: bool) -> None:
-    bar.set_label(label)
+def finish_bar(bar: Colorbar, name: str) -> None:
+    """Name, frame and ticks of a quantity's colour bar."""
+    bar.set_label(quantity_label(name))
     bar.outline.set_linewidth(0.6)
     if isinstance(bar.norm, colors.BoundaryNorm):
         bar.set_ticks(0.5 * (bar.norm.boundaries[1:] + bar.norm.boundaries[:-1]))
         bar.ax.yaxis.set_major_formatter(ticker.StrMethodFormatter("{x:.0f}"))
         bar.ax.tick_params(length=0.0)
         bar.minorticks_off()
-    elif whole:
+    elif name in _WHOLE:
         bar.locator = ticker.MaxNLocator(integer=True)
         bar.update_ticks()
 

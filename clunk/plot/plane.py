@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,12 +14,15 @@ import numpy.typing as npt
 from matplotlib import ticker
 from matplotlib.axes import Axes
 
-from clunk.plot.style import PlotError, plain, symbol_text
-from clunk.results import ResultAxis, Results
+from clunk.plot.style import MINUS, PlotError, plain, symbol_text
+from clunk.results import RUN, ResultAxis, Results
 from clunk.tolerancemap import ToleranceMap
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
+
+_USUAL = ("load.ratio", "lash.backlash_deg")
+_MOST_COORDINATES = 3  # of a run in a title
 
 
 @dataclass(frozen=True)
@@ -25,7 +30,7 @@ class View:
     """The swept axes of some results, ascending, and how their arrays are turned to match."""
 
     axes: tuple[ResultAxis, ...]  # x and, for a map, y
-    fixed: tuple[ResultAxis, ...]  # axes of one value
+    fixed: tuple[ResultAxis, ...]  # what has one value only, for a title
     keep: tuple[int, ...]
     order: tuple[npt.NDArray[np.intp], ...]
 
@@ -37,18 +42,22 @@ class View:
             swept = ", ".join(results.axes[index].parameter for index in keep)
             if len(keep) > 2:
                 raise PlotError(
-                    f"These results sweep {len(keep)} axes ({swept}) and a map shows two: take the others out of the "
-                    "config's [[sweep.axes]], fix each with --set KEY=VALUE, and sweep again."
+                    f"These results sweep {len(keep)} axes ({swept}) and a map shows two. Draw a slice or the family:\n"
+                    f"{ways_to_fewer(results)}"
                 )
             kind = {1: "one axis", 2: "two axes"}
             raise PlotError(
                 f"This figure needs {kind[dimensions]} and these results sweep {kind[len(keep)]} ({swept})."
             )
+        if dimensions == 2 and any(results.axes[index].parameter == RUN for index in keep):
+            raise PlotError(
+                "Runs that are drawn together have no order that a map could show: clunk plot draws them as points, "
+                "with --x KEY and --y KEY."
+            )
         order = tuple(np.argsort(results.axes[index].values, kind="stable") for index in keep)
         drawn = ((results.axes[index], ascending) for index, ascending in zip(keep, order, strict=True))
         axes = tuple(replace(axis, values=axis.values[ascending]) for axis, ascending in drawn)
-        fixed = tuple(axis for index, axis in enumerate(results.axes) if index not in keep)
-        return cls(axes, fixed, keep, order)
+        return cls(axes, fixed_parameters(results), keep, order)
 
     @property
     def x(self) -> ResultAxis:
@@ -76,6 +85,32 @@ def drawn_axes(results: Results | ToleranceMap) -> tuple[int, ...]:
     if len(drawn) == 2 and results.axes[drawn[1]].parameter == "load.ratio":
         drawn = drawn[::-1]
     return drawn
+
+
+def fixed_parameters(results: Results | ToleranceMap) -> tuple[ResultAxis, ...]:
+    """What has one value in these results: axes, and a single run's coordinates or, if they are many, its number."""
+    keep = drawn_axes(results)
+    fixed: list[ResultAxis] = []
+    for index, axis in enumerate(results.axes):
+        if index not in keep or (axis.parameter == RUN and len(axis.values) == 1):
+            few = axis.parameter == RUN and len(results.coordinates) <= _MOST_COORDINATES
+            fixed += results.coordinates if few else [axis]
+    return tuple(fixed)
+
+
+def ways_to_fewer(results: Results | ToleranceMap) -> str:
+    """What to type so that two axes are left, load ratio and backlash if they are there; a line each."""
+    axes = [results.axes[index] for index in drawn_axes(results)]
+    rest = sorted(axes, key=lambda axis: axis.parameter not in _USUAL)[2:]
+    at = " ".join(at_option(axis) for axis in rest)
+    facets = " ".join(f"--facet {shlex.quote(axis.parameter)}" for axis in rest[:2])
+    fixed = "".join(f" {at_option(axis)}" for axis in rest[2:])
+    return f"  clunk plot FILE {at}\n  clunk plot FILE {facets}{fixed}"
+
+
+def at_option(axis: ResultAxis) -> str:
+    """The option that fixes an axis at its middle value."""
+    return f"--at {shlex.quote(f'{axis.parameter}={axis.values[len(axis.values) // 2]:.6g}')}"
 
 
 def x_axis(results: Results) -> ResultAxis:
@@ -121,12 +156,34 @@ def scale_axis(ax: Axes, which: str, axis: ResultAxis) -> None:
     if not axis.is_geometric:
         line.set_major_locator(ticker.MaxNLocator(10, steps=[1, 2, 5, 10]))
     else:
-        (ax.set_xscale if which == "x" else ax.set_yscale)("log")
-        # Plain numbers, and some of them between the powers of ten, which a short axis has few of.
-        decades = math.log10(axis.values[-1] / axis.values[0])
-        line.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0) if decades < 3 else (1.0,)))
-        line.set_major_formatter(ticker.StrMethodFormatter("{x:g}"))
-        line.set_minor_formatter(ticker.NullFormatter())
+        set_log_scale(ax, which, axis.values[0], axis.values[-1])
+
+
+def set_log_scale(ax: Axes, which: str, low: float, high: float) -> None:
+    """A logarithmic scale with plain numbers, some of them between the powers of ten: a short axis has few of those."""
+    (ax.set_xscale if which == "x" else ax.set_yscale)("log")
+    line = ax.xaxis if which == "x" else ax.yaxis
+    line.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0) if math.log10(high / low) < 3 else (1.0,)))
+    line.set_major_formatter(ticker.StrMethodFormatter("{x:g}"))
+    line.set_minor_formatter(ticker.NullFormatter())
+
+
+def value_text(axis: ResultAxis, value: float, *, symbol: bool = False) -> str:
+    """A parameter's value with its name, or shorter with its `symbol`, and its unit."""
+    name = axis.symbol.split("=")[0].strip() if symbol else axis.name
+    unit = "" if axis.unit in ("", "1") else f" {axis.unit}"
+    return f"{name or axis.parameter} = {number_text(value)}{unit}"
+
+
+def number_text(value: float) -> str:
+    """A number as figures write it: 1.6e6 for 1.6e+06."""
+    return re.sub(r"e\+?(-?)0*", r"e\1", f"{value:.6g}").replace("-", MINUS)
+
+
+def axis_span(axis: ResultAxis) -> str:
+    """A parameter's name and from where to where it goes."""
+    unit = "" if axis.unit in ("", "1") else f" {axis.unit}"
+    return f"{axis.name or axis.parameter} from {number_text(axis.values[0])} to {number_text(axis.values[-1])}{unit}"
 
 
 def axis_label(axis: ResultAxis) -> str:

@@ -34,11 +34,11 @@ class Regions:
     _LEAD = 0.02  # score by which a pushed sample's own label wins
     _TIP_LEAD = 0.05  # and more on lines and tips, or they would shrink to nothing between their neighbours
 
-    def __init__(self, codes: Codes) -> None:
+    def __init__(self, codes: Codes, points: int = 700) -> None:
         self.codes = codes  # (nx, ny)
         self.present: list[int] = [int(code) for code in np.unique(codes)]
         # As fine as the picture can show, at least the samples themselves.
-        self.factor = tuple(int(np.clip(math.ceil(700 / count), 1, 8)) for count in codes.shape)
+        self.factor = tuple(int(np.clip(math.ceil(points / count), 1, 8)) for count in codes.shape)
         self._push = np.zeros(codes.shape, np.float32)
         specks, tips = self._specks()
         self._bare = specks | ndimage.binary_dilation(codes == FAILED_CODE)

@@ -105,14 +105,14 @@ def freeze_layout(figure: Figure, ax: Axes) -> None:
     title = figure._suptitle  # type: ignore[attr-defined]
     if title is not None:
         left = ax.get_position().x0
-        if _wrap(figure, title, (1.0 - left) * figure.bbox.width - _TITLE_MARGIN * figure.dpi):
+        if wrap(figure, title, (1.0 - left) * figure.bbox.width - _TITLE_MARGIN * figure.dpi):
             figure.draw_without_rendering()  # the title takes another height
     figure.set_layout_engine("none")
     if title is not None:
         title.set_x(left)
 
 
-def _wrap(figure: Figure, title: Text, room: float) -> bool:
+def wrap(figure: Figure, title: Text, room: float) -> bool:
     """Break a title into lines of `room` display pixels at most; whether that changed it."""
     before = title.get_text()
     text = " ".join(before.split())
@@ -136,9 +136,14 @@ def set_notes(figure: Figure, handles: Sequence[Artist]) -> None:
     for old in list(figure.legends):
         old.remove()
     if handles:
-        widest = max(len(str(handle.get_label())) for handle in handles)
-        columns = max(1, int((SIZE[0] - 0.4) / (0.45 + 0.075 * widest)))  # inches: a swatch, a character
-        figure.legend(handles=list(handles), loc="outside lower center", ncols=columns, frameon=False, handlelength=1.6)
+        look: dict[str, Any] = {"ncols": note_columns(figure, handles), "frameon": False, "handlelength": 1.6}
+        figure.legend(handles=list(handles), loc="outside lower center", **look)
+
+
+def note_columns(figure: Figure, handles: Sequence[Artist]) -> int:
+    """How many notes stand side by side."""
+    widest = max(len(str(handle.get_label())) for handle in handles)
+    return max(1, int((figure.get_figwidth() - 0.4) / (0.45 + 0.075 * widest)))  # inches: a swatch, a character
 
 
 def failed_notes(codes: npt.NDArray[np.int16], what: str = FAILED) -> list[Patch]:

@@ -1,0 +1,528 @@
+"""Designs: what is walked or drawn together, and grids of many axes; their cells, slices, files and figures."""
+
+import json
+
+import numpy as np
+import pytest
+import xarray
+from matplotlib.collections import QuadMesh
+from test_store import assert_same
+from test_sweeping import equal, regimes, same_as_single_run
+
+from clunk import plot
+from clunk.cli import main
+from clunk.comparison import ComparisonError, as_record, compare, report
+from clunk.config import replace_values, study_from_text
+from clunk.core.status import QUALITY_INFERRED
+from clunk.designs import design_of
+from clunk.refinement import inferred, wanted
+from clunk.results import CELL_FIELDS, IMPACT_FIELDS, RUN
+from clunk.store import read, read_header, write
+from clunk.sweeping import cell_count, retry_failed, sweep
+
+BASE = '[driveline]\npreset = "boere-2008"\n[solver]\nmethod = "exact"\n'
+ZIP = f"""{BASE}
+[sweep]
+design = "zip"
+[[sweep.axes]]
+parameter = "load.ratio"
+values = [1, 2, 5, 5, 8]
+[[sweep.axes]]
+parameter = "lash.backlash_deg"
+start = 1
+stop = 9
+count = 5
+[[sweep.axes]]
+parameter = "driveline.inertias[4]"
+values = [0.003, 0.002, 0.001, 0.002, 0.001]
+"""
+DRAWS = """
+[sweep.sampling]
+count = {count}
+seed = 3
+[[sweep.samples]]
+parameter = "lash.contact.stiffness"
+distribution = "normal"
+draws = "factor"
+std = 0.15
+[[sweep.samples]]
+parameter = "driveline.inertias[4]"
+distribution = "lognormal"
+sigma = 0.3
+"""
+SAMPLE = f"""{BASE}{DRAWS.format(count=32)}
+[[sweep.samples]]
+parameter = "load.ratio"
+distribution = "uniform"
+low = 0
+high = 10
+"""
+AXES = {
+    "load.ratio": [0.0, 1.0, 2.5, 4.6, 7.0, 10.0],
+    "lash.backlash_deg": [0.0, 2.0, 6.0, 15.0],
+    "lash.contact.stiffness": [1e5, 4.092e5, 1.6e6],
+    "driveline.shafts[1].damping": [0.04, 0.16],
+}
+
+
+def grid(*names: str, **fixed: float) -> str:
+    return "".join(f'[[sweep.axes]]\nparameter = "{name}"\nvalues = {AXES[name]}\n' for name in names)
+
+
+@pytest.fixture(scope="module")
+def zipped():
+    return sweep(study_from_text(ZIP))
+
+
+@pytest.fixture(scope="module")
+def sampled():
+    return sweep(study_from_text(SAMPLE))
+
+
+@pytest.fixture(scope="module")
+def mixed():
+    """A grid of two axes for each of six drawn drivelines."""
+    return sweep(study_from_text(BASE + DRAWS.format(count=6) + grid("load.ratio", "lash.backlash_deg")))
+
+
+@pytest.fixture(scope="module")
+def four():
+    return sweep(study_from_text(BASE + grid(*AXES)))
+
+
+class TestCells:
+    @pytest.mark.parametrize("text", [ZIP, SAMPLE], ids=["zip", "sample"])
+    def test_each_is_the_single_run_of_its_parameters(self, text):
+        study = study_from_text(text)
+        results = sweep(study)
+        assert results.shape == (cell_count(study),)
+        assert [axis.parameter for axis in results.axes] == [RUN]
+        for k in range(*results.shape):
+            values = {axis.parameter: float(axis.values[k]) for axis in results.coordinates}
+            assert len(values) == 3
+            same_as_single_run(results, (k,), replace_values(study, values))
+
+    def test_those_of_a_grid_of_samples_too(self, mixed):
+        study = study_from_text(mixed.config)
+        assert mixed.shape == (6, 4, 6)
+        for cell in np.ndindex(mixed.shape):
+            values = {axis.parameter: float(axis.values[cell[k]]) for k, axis in enumerate(mixed.axes[:2])}
+            values |= {axis.parameter: float(axis.values[cell[2]]) for axis in mixed.coordinates}
+            same_as_single_run(mixed, cell, replace_values(study, values))
+
+    def test_axes_that_are_walked_together_take_their_values_in_order(self, zipped):
+        walked = {axis.parameter: axis.values.tolist() for axis in zipped.coordinates}
+        assert walked["load.ratio"] == [1.0, 2.0, 5.0, 5.0, 8.0]
+        assert walked["lash.backlash_deg"] == [1.0, 3.0, 5.0, 7.0, 9.0]
+        assert zipped.axes[0].values.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
+
+    def test_a_seed_reproduces_the_sweep_whatever_the_number_of_workers(self, sampled):
+        assert equal(sampled, sweep(study_from_text(SAMPLE), workers=1))
+        other = sweep(study_from_text(SAMPLE, "x", ["sweep.sampling.seed=4"]))
+        assert not np.array_equal(sampled.severity, other.severity)
+
+    def test_four_axes_are_the_maps_of_two_at_each_value_of_the_others(self, four):
+        two = study_from_text(BASE + grid("load.ratio", "lash.backlash_deg"))
+        for stiffness in AXES["lash.contact.stiffness"]:
+            for damping in AXES["driveline.shafts[1].damping"]:
+                fixed = {"lash.contact.stiffness": stiffness, "driveline.shafts[1].damping": damping}
+                whole, part = sweep(replace_values(two, fixed)), four.at(fixed)
+                assert part.shape == (6, 4, 1, 1)
+                assert np.array_equal(regimes(part)[:, :, 0, 0], regimes(whole))
+                for name in CELL_FIELDS:
+                    if name != "sequence":  # codes depend on what else is in a file
+                        mine = getattr(part, name)[:, :, 0, 0]
+                        np.testing.assert_array_equal(mine, getattr(whole, name), strict=True, err_msg=name)
+                for name in IMPACT_FIELDS:
+                    np.testing.assert_array_equal(getattr(part, name), getattr(whole, name), strict=True, err_msg=name)
+
+    def test_failed_cells_are_run_again(self):
+        study = study_from_text(SAMPLE, "x", ["solver.max_events=12"])
+        results = sweep(study)
+        failed = results.counts()["failed"]
+        assert 0 < failed < 32
+        mended = retry_failed(results, study.model_copy(update={"solver": study_from_text(SAMPLE).solver}))
+        assert equal(mended, sweep(study_from_text(SAMPLE)))
+
+
+class TestRefinement:
+    def test_nothing_is_inferred_from_another_run(self):
+        """Each run has a regime of its own, which a region of another one cuts into: only its own cells tell where."""
+        axis = '[[sweep.axes]]\nparameter = "load.ratio"\nstart=0\nstop=10\ncount=241\n'
+        spacing = design_of(study_from_text(BASE + DRAWS.format(count=250) + axis)).spacing
+        assert spacing == (4, 1)  # as an axis, 250 runs would have 4 too
+        truth = np.broadcast_to(np.arange(250, dtype=np.int32) // 3, (241, 250)).copy()
+        truth[100:137, 7::2] = 1000
+        kinds, touches = np.full_like(truth, -1), np.full_like(truth, -1)
+        while (cells := wanted(kinds, touches, spacing)).size:
+            kinds.flat[cells], touches.flat[cells] = truth.flat[cells], 0
+        cells, sources = inferred(kinds, touches, spacing)
+        assert cells.size > 1000
+        kinds.flat[cells] = kinds.flat[sources]
+        assert np.array_equal(kinds, truth)
+
+    def test_a_sample_along_a_fine_axis_has_the_labels_of_the_dense_sweep(self):
+        axis = '[[sweep.axes]]\nparameter = "load.ratio"\nstart = 0\nstop = 10\ncount = 241\n'
+        study = study_from_text(BASE + DRAWS.format(count=3) + axis)
+        refined, dense = sweep(study, refine=True), sweep(study)
+        assert np.array_equal(regimes(refined), regimes(dense))
+        assert np.count_nonzero(refined.quality & QUALITY_INFERRED) > 50
+
+    def test_a_third_and_fourth_axis_too(self):
+        fine = '[[sweep.axes]]\nparameter = "load.ratio"\nstart = 0\nstop = 10\ncount = 241\n'
+        study = study_from_text(BASE + fine + grid("lash.contact.stiffness", "driveline.shafts[1].damping"))
+        refined, dense = sweep(study, refine=True), sweep(study)
+        assert np.array_equal(regimes(refined), regimes(dense))
+        assert np.count_nonzero(refined.quality & QUALITY_INFERRED) > 100
+
+    def test_of_a_sample_alone_every_cell_is_run(self):
+        study = study_from_text(SAMPLE, "x", ["sweep.sampling.count=128"])  # as an axis, 128 runs would be refined
+        results = sweep(study, refine=True)
+        assert not np.any(results.quality & QUALITY_INFERRED)
+
+
+class TestSlices:
+    def test_impacts_follow_their_cells(self, four):
+        first = four.first_impact
+        part = four.at({"lash.backlash_deg": 6.0, "driveline.shafts[1].damping": 0.16})
+        assert part.shape == (6, 1, 3, 1)
+        assert part.impact_time.size > 10
+        for i in range(6):
+            for j in range(3):
+                whole = np.ravel_multi_index((i, 2, j, 1), four.shape)
+                own = np.ravel_multi_index((i, 0, j, 0), part.shape)
+                for name in IMPACT_FIELDS:
+                    mine = getattr(part, name)[part.first_impact[own] : part.first_impact[own + 1]]
+                    assert np.array_equal(mine, getattr(four, name)[first[whole] : first[whole + 1]])
+
+    def test_the_nearest_value_is_taken(self, four):
+        assert four.at({"lash.contact.stiffness": 3e5}).axes[2].values.tolist() == [4.092e5]
+        assert four.at({"lash.contact.stiffness": 1.5e6}).axes[2].values.tolist() == [1.6e6]
+
+    def test_a_run_keeps_its_coordinates(self, mixed):
+        part = mixed.at({RUN: 4})
+        assert part.shape == (6, 4, 1)
+        for whole, own in zip(mixed.coordinates, part.coordinates, strict=True):
+            assert own.values.tolist() == [whole.values[3]]
+        assert np.array_equal(part.sequence[:, :, 0], mixed.sequence[:, :, 3])
+
+    def test_slicing_twice_is_slicing_once(self, four):
+        once = four.at({"load.ratio": 7.0, "lash.contact.stiffness": 1e5})
+        assert_same(four.at({"lash.contact.stiffness": 1e5}).at({"load.ratio": 7.0}), once)
+
+    def test_what_is_no_axis_or_no_number_is_refused(self, four, zipped):
+        with pytest.raises(ValueError, match=r"'load\.ration' is no axis .* load\.ratio, lash"):
+            four.at({"load.ration": 1.0})
+        with pytest.raises(ValueError, match="axes are run"):
+            zipped.at({"load.ratio": 1.0})
+        for beyond in (np.nan, -0.1, 10.1):
+            with pytest.raises(ValueError, match=r"load\.ratio is swept from 0 to 10"):
+                four.at({"load.ratio": beyond})
+
+
+class TestFiles:
+    @pytest.mark.parametrize("name", ["zipped", "sampled", "mixed", "four"])
+    def test_what_is_written_is_what_is_read(self, name, request, tmp_path):
+        results = request.getfixturevalue(name)
+        write(tmp_path / "results.h5", results)
+        again = read(tmp_path / "results.h5")
+        assert_same(results, again)
+        assert [axis.parameter for axis in again.parameters] == [axis.parameter for axis in results.parameters]
+        for mine, theirs in zip(results.coordinates, again.coordinates, strict=True):
+            assert np.array_equal(mine.values, theirs.values)
+            assert (mine.name, mine.symbol, mine.unit) == (theirs.name, theirs.symbol, theirs.unit)
+
+    def test_a_slice_can_be_written_too(self, mixed, tmp_path):
+        part = mixed.at({RUN: 2})
+        write(tmp_path / "slice.h5", part)
+        assert_same(part, read(tmp_path / "slice.h5"))
+
+    def test_xarray_selects_from_four_axes(self, four, tmp_path):
+        write(tmp_path / "four.h5", four)
+        with xarray.open_dataset(tmp_path / "four.h5", engine="h5netcdf") as data:
+            assert data["severity"].dims == (
+                "load_ratio",
+                "lash_backlash_deg",
+                "lash_contact_stiffness",
+                "driveline_shafts_1__damping",
+            )
+            chosen = data.sel(lash_contact_stiffness=4e5, driveline_shafts_1__damping=0.1, method="nearest")
+            part = four.at({"lash.contact.stiffness": 4e5, "driveline.shafts[1].damping": 0.1})
+            np.testing.assert_array_equal(chosen["severity"], part.severity[:, :, 0, 0])
+            hardest = data["severity"].sel(load_ratio=10.0).max().item()
+            assert hardest == four.severity[-1].max()
+
+    def test_xarray_selects_runs_by_what_was_drawn(self, mixed, tmp_path):
+        write(tmp_path / "mixed.h5", mixed)
+        with xarray.open_dataset(tmp_path / "mixed.h5", engine="h5netcdf") as data:
+            assert data["severity"].dims == ("load_ratio", "lash_backlash_deg", "run")
+            stiff = data["lash_contact_stiffness"]
+            assert stiff.dims == ("run",)
+            soft = data["severity"].where(stiff < 4.092e5, drop=True)
+            chosen = mixed.coordinates[0].values < 4.092e5
+            assert 0 < chosen.sum() < 6
+            np.testing.assert_array_equal(soft, mixed.severity[:, :, chosen])
+            assert data["severity"].swap_dims(run="lash_contact_stiffness").sortby("lash_contact_stiffness").ndim == 3
+
+
+class TestComparison:
+    def test_cells_that_differ_are_named_by_their_parameters(self, sampled):
+        text = SAMPLE.replace("preset = ", "shafts = [\n" + SHAFTS + "]\npreset = ")
+        other = sweep(study_from_text(text))
+        found = compare(sampled, other)
+        assert 0 < found.differing <= 12
+        (cell, *_) = found.differing_cells()
+        ratio = sampled.coordinates[2].values
+        assert cell.values[2] in ratio[found.differs]
+        assert set(as_record(found)["differing_cells"][0]["at"]) == {axis.parameter for axis in sampled.coordinates}
+        lines = report(found).splitlines()
+        assert max(map(len, lines)) <= 80
+        assert any("load.ratio = " in line for line in lines)
+
+    def test_other_draws_cannot_be_compared(self, sampled, zipped):
+        other = sweep(study_from_text(SAMPLE, "x", ["sweep.sampling.seed=4"]))
+        with pytest.raises(ComparisonError, match=r"grids differ: value 1 of lash\.contact\.stiffness is"):
+            compare(sampled, other)
+        with pytest.raises(ComparisonError, match="sweep other parameters"):
+            compare(sampled, zipped)
+
+    def test_the_same_draws_are_the_same(self, sampled):
+        found = compare(sampled, sweep(study_from_text(SAMPLE)))
+        assert found.identical
+        assert found.same_regimes
+
+
+SHAFTS = """
+  { between = [1, 2], stiffness = 31.3, damping = 0.12 },
+  { between = [2, 3], stiffness = 31.3, damping = 0.04 },
+  { between = [4, "ground"], stiffness = 31.3, damping = 0.1 },
+  { between = [1, "ground"], stiffness = 0.0, damping = 0.1 },
+"""
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory, four, zipped, sampled, mixed):
+    """The results in files, and what a command prints about them: clunk(*arguments) -> code, stdout, stderr."""
+    place = tmp_path_factory.mktemp("designs")
+    for name, results in {"four": four, "zip": zipped, "sample": sampled, "mixed": mixed}.items():
+        write(place / f"{name}.h5", results)
+    return place
+
+
+@pytest.fixture
+def clunk(files, monkeypatch, capsys):
+    monkeypatch.chdir(files)
+
+    def run(*arguments):
+        monkeypatch.setattr("sys.argv", ["clunk", *arguments])
+        with pytest.raises(SystemExit) as stopped:
+            main()
+        written = capsys.readouterr()
+        return stopped.value.code, written.out, written.err
+
+    return run
+
+
+FACETS = ["--facet", "lash.contact.stiffness", "--facet", "driveline.shafts[1].damping"]
+
+
+class TestCommandLine:
+    @pytest.mark.parametrize(
+        ("arguments", "pictures"),
+        [
+            (["four.h5", *FACETS, "--quantity", "regimes"], ["four-regimes.png"]),
+            (["four.h5", "--at", "lash.contact.stiffness=4e5", "--at", "driveline.shafts[1].damping=0.04"],
+             ["four-regimes.png", "four-severity.png"]),
+            (["four.h5", "--at", "lash.contact.stiffness=4e5", *FACETS[2:], "--quantity", "touches", "-o", "t.svg"],
+             ["t.svg"]),
+            (["four.h5", *(f"--at={key}={values[0]:g}" for key, values in list(AXES.items())[1:])],
+             ["four-severity.png"]),
+            (["zip.h5"], ["zip-severity.png"]),
+            (["zip.h5", "--x", "run", "--quantity", "touches"], ["zip-touches.png"]),
+            (["sample.h5"], ["sample-regimes.png", "sample-severity.png"]),
+            (["sample.h5", "--x", "load.ratio"], ["sample-severity.png"]),
+            (["sample.h5", "--x", "load.ratio", "--y", "driveline.inertias[4]", "--quantity", "margin"],
+             ["sample-margin.png"]),
+            (["sample.h5", "--at", "run=7"], ["sample-severity.png"]),
+            (["mixed.h5", "--facet", "run", "--quantity", "touches"], ["mixed-touches.png"]),
+            (["mixed.h5", "--at", "run=3", "--quantity", "regimes"], ["mixed-regimes.png"]),
+            (["mixed.h5", "--at", "lash.backlash_deg=6", "--quantity", "severity"], ["mixed-severity.png"]),
+        ],
+    )  # fmt: skip
+    def test_every_design_is_drawn(self, clunk, files, arguments, pictures):
+        code, out, err = clunk("plot", *arguments)
+        assert code == 0, err
+        assert out.split() == pictures
+        for picture in pictures:
+            (files / picture).unlink()
+
+    @pytest.mark.parametrize(
+        ("arguments", "found"),
+        [
+            (["four.h5"], "--at lash.contact.stiffness=409200 --at 'driveline.shafts[1].damping=0.16'"),
+            (["four.h5"], "--facet lash.contact.stiffness --facet 'driveline.shafts[1].damping'"),
+            (["four.h5", *FACETS[:2]], "also give --at 'driveline.shafts[1].damping=0.16'"),
+            (["four.h5", *FACETS, "--facet", "load.ratio"], "one facet, or two for rows and columns"),
+            (["four.h5", "--facet", "load.ration"], "no axis of several values; these are load.ratio"),
+            (["four.h5", *FACETS[:2], *FACETS[:2]], "is there twice"),
+            (["four.h5", *FACETS, "--at", "load.ratio=1"], "beside the facets 1 of"),
+            (["four.h5", "--x", "load.ratio"], "--x and --y are for axes that are walked together and for samples"),
+            (["four.h5", "--at", "load.ration=1"], "'load.ration' is not swept"),
+            (["four.h5", "--at", "load.ratio=11"], "swept from 0 to 10"),
+            (["zip.h5", "--x", "load.ratio"], "neither rises nor falls throughout the runs; --x may be"),
+            (["zip.h5", "--x", "lash.radius"], "does not change in these results"),
+            (["zip.h5", "--x", "run", "--y", "run"], "--y is for samples"),
+            (["sample.h5", "--y", "run"], "--y goes with --x"),
+            (["sample.h5", "--x", "load.ratio", "--y", "load.ratio"], "are both load.ratio"),
+            (["sample.h5", "--x", "lash.radius"], "lash.radius does not change in these results"),
+            (["sample.h5", "--facet", "run"], "none of run is left"),
+            (["sample.h5", "--at", "load.ratio=5"], "name the run, --at run="),
+            (["mixed.h5"], "would lie on each other: also give --at run=4, for example, or --facet run"),
+            (["mixed.h5", "--x", "load.ratio"], "also give --at lash.backlash_deg=6"),
+            (["mixed.h5", "--facet", "load.ratio"], "have no order that a map could show"),
+        ],
+    )
+    def test_what_cannot_be_drawn_is_answered_with_what_to_type(self, clunk, files, arguments, found):
+        before = sorted(files.iterdir())
+        code, out, err = clunk("plot", *arguments)
+        assert (code, out) == (2, "")
+        assert found in " ".join(err.split())
+        assert sorted(files.iterdir()) == before
+
+    def test_nearest_values_and_facets_left_out_are_told(self, clunk):
+        at = ["--at", "lash.contact.stiffness=4e5", "--at", "load.ratio=1"]
+        _, _, err = clunk("plot", "four.h5", *at, "--quantity", "touches")
+        assert err.splitlines() == ["lash.contact.stiffness = 409200 is the nearest value of its axis"]
+        _, _, err = clunk("plot", "four.h5", "--facet", "load.ratio", *FACETS[2:], "--quantity", "touches")
+        assert "4 of the 6 values of load.ratio are drawn, evenly spaced" in err
+
+    def test_a_cell_of_a_sample_is_run_again_by_its_run(self, clunk, sampled):
+        code, out, _ = clunk("simulate", "sample.h5", "--at", "run=17", "--json")
+        found = json.loads(out)
+        assert code == 0
+        assert found["label"] == regimes(sampled)[16]
+        assert found["severity"] == sampled.severity[16]
+        code, _, err = clunk("simulate", "sample.h5")
+        assert code == 2
+        assert "--at run=17" in err
+
+    def test_info_tells_what_lies_along_the_runs(self, clunk, sampled):
+        _, out, _ = clunk("info", "sample.h5")
+        ratio = sampled.coordinates[2].values
+        assert "axis      run: 1 to 32, 32 values" in out
+        assert f"along run load.ratio: {ratio.min():g} to {ratio.max():g}" in out
+        _, out, _ = clunk("info", "sample.h5", "--json")
+        assert [each["parameter"] for each in json.loads(out)["coordinates"]] == [
+            axis.parameter for axis in sampled.coordinates
+        ]
+        _, out, _ = clunk("info", "four.h5")
+        assert out.count("\naxis ") == 4
+        assert read_header("four.h5").coordinates == ()
+
+    def test_failed_cells_are_named_by_their_parameters(self, clunk, files):
+        (files / "sample.toml").write_text(SAMPLE)
+        code, _, err = clunk("sweep", "sample.toml", "--set", "solver.max_events=12", "-o", "failed.h5")
+        assert code == 3
+        assert "  at lash.contact.stiffness = " in err
+        assert max(map(len, err.splitlines())) <= 80
+
+    def test_verify_compares_a_sample(self, clunk, files):
+        (files / "small.toml").write_text(SAMPLE.replace("count = 32", "count = 4"))
+        code, out, _ = clunk("verify", "small.toml", "--json")
+        found = json.loads(out)
+        assert code == 0
+        assert found["cells"] == found["labels_equal"] == 4
+        code, out, _ = clunk("verify", "small.toml")
+        assert "    at lash.contact.stiffness = " in out
+        assert max(map(len, out.splitlines())) <= 80
+
+
+class TestFigures:
+    def test_panels_are_slices_under_one_legend_and_one_palette(self, four):
+        figure = plot.draw(four, "regimes", facets=["lash.contact.stiffness", "driveline.shafts[1].damping"])
+        panels = figure.subfigs[0].axes
+        assert len(panels) == 6
+        assert [panel.get_title(loc="left") for panel in panels[:2]] == [
+            "c$_\\mathregular{1}$ = 0.04 N m s/rad",
+            "c$_\\mathregular{1}$ = 0.16 N m s/rad",
+        ]
+        (legend,) = figure.legends
+        named = [text.get_text() for text in legend.get_texts()]
+        assert named[: len(four.labels)] == list(four.labels)
+        limits = {(panel.get_xlim(), panel.get_ylim()) for panel in panels}
+        assert limits == {((0.0, 10.0), (0.0, 15.0))}
+
+    def test_panels_share_the_scale_of_a_quantity(self, four):
+        part = four.at({"driveline.shafts[1].damping": 0.04})
+        figure = plot.draw(part, "severity", facets=["lash.contact.stiffness"])
+        meshes = [mesh for panel in figure.subfigs[0].axes for mesh in panel.collections]
+        shown = [mesh for mesh in meshes if isinstance(mesh, QuadMesh) and np.size(mesh.get_array()) == 24]
+        assert len(shown) == 3
+        assert len({mesh.norm.vmax for mesh in shown}) == 1
+        for k, mesh in enumerate(shown):
+            np.testing.assert_array_equal(np.asarray(mesh.get_array()).reshape(4, 6).T, four.severity[:, :, k, 0])
+
+    def test_of_many_values_twelve_are_drawn_from_the_first_to_the_last(self):
+        fine = '[[sweep.axes]]\nparameter = "load.ratio"\nstart = 0\nstop = 10\ncount = 101\n'
+        axis = design_of(study_from_text(BASE + fine)).axes[0]
+        shown = plot.shown_values(axis, 1)
+        assert len(shown) == 12
+        assert (shown[0], shown[-1]) == (0.0, 10.0)
+        steps = np.diff(shown)
+        assert steps.max() - steps.min() <= 0.1 + 1e-9
+        assert len(plot.shown_values(axis, 2)) == 4
+
+    def test_a_point_stands_for_each_run_in_its_labels_colour(self, sampled):
+        figure = plot.scatter_map(sampled, "load.ratio", "driveline.inertias[4]")
+        ax = figure.axes[0]
+        (points,) = ax.collections
+        inertia, ratio = (sampled.coordinates[k].values for k in (1, 2))
+        np.testing.assert_array_equal(points.get_offsets(), np.column_stack((ratio, inertia)))
+        colours = [tuple(colour) for colour in points.get_facecolors()]
+        by_label = {
+            label: {c for c, own in zip(colours, regimes(sampled), strict=True) if own == label}
+            for label in sampled.labels
+        }
+        assert all(len(own) == 1 for own in by_label.values())
+        assert len(set.union(*by_label.values())) == len(sampled.labels)
+        assert len(figure.legends[0].get_texts()) == len(sampled.labels)
+
+    def test_points_of_a_grid_of_samples_have_the_parameters_of_their_cells(self, mixed):
+        part = mixed.at({"lash.backlash_deg": 6.0})
+        figure = plot.scatter_map(part, "load.ratio", "lash.contact.stiffness", "severity")
+        points = figure.axes[0].collections[0]
+        ratio, stiffness = points.get_offsets().T
+        for k, value in enumerate(np.asarray(points.get_array())):
+            i = int(np.flatnonzero(mixed.axes[0].values == ratio[k])[0])
+            run = int(np.flatnonzero(mixed.coordinates[0].values == stiffness[k])[0])
+            assert value == mixed.severity[i, 2, run]
+
+    def test_a_path_is_drawn_along_the_first_parameter_that_rises_throughout(self, zipped):
+        ax = plot.draw(zipped, "severity").axes[1]
+        assert ax.get_xlabel().startswith("Backlash")
+        x = np.concatenate([line.get_xdata() for line in ax.lines if line.get_marker() == "o"])
+        np.testing.assert_array_equal(x, zipped.coordinates[1].values)
+        assert plot.draw(zipped, "severity", x="run").axes[1].get_xlabel() == "Run"
+
+    def test_a_slice_says_at_which_values_it_is(self, four, mixed):
+        part = four.at({"lash.contact.stiffness": 4e5, "driveline.shafts[1].damping": 0.04})
+        line = plot.draw(part, "touches").axes[0].get_title(loc="left")
+        assert "contact stiffness = 409200 N/m" in line
+        assert "damping of shaft 1 = 0.04 N m s/rad" in line
+        line = plot.draw(mixed.at({RUN: 3}), "touches").axes[0].get_title(loc="left")
+        assert f"inertia 4 = {mixed.coordinates[1].values[2]:.6g} kg m2" in line
+
+    def test_thresholds_are_those_of_the_slices_driveline(self, four):
+        """σr = exp(2π ζ1 (n - 1/2)): more damping, higher thresholds."""
+        light, heavy = (plot.thresholds_of(four.at({"driveline.shafts[1].damping": c})) for c in (0.04, 0.16))
+        assert len(light) == len(heavy) > 2
+        assert all(b > 1.02 * a for a, b in zip(light, heavy, strict=True))
+
+    def test_only_labels_of_the_slice_are_noted(self, four):
+        part = four.at({"load.ratio": 2.5, "driveline.shafts[1].damping": 0.04})
+        figure = plot.regime_map(part)
+        written = {text.get_text() for ax in figure.axes for text in ax.texts}
+        written |= {text.get_text().split(":")[0] for legend in figure.legends for text in legend.get_texts()}
+        present = set(regimes(part).ravel())
+        assert present < set(four.labels)
+        assert written - {"undecided"} == present
