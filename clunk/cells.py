@@ -36,9 +36,12 @@ _KEPT_SYSTEMS = 4096  # about 10 KB each
 
 
 class Grid:
-    """The cells of a study: each one's system, torques and gap."""
+    """The cells of a study: each one's system, torques and gap.
 
-    def __init__(self, study: Study) -> None:
+    shared : of another `Grid.shared`, so that it need not be prepared again
+    """
+
+    def __init__(self, study: Study, shared: tuple[System, Steps | Flows] | None = None) -> None:
         assert study.sweep is not None
         self.study = study
         self.axes = study.sweep.axes
@@ -46,6 +49,8 @@ class Grid:
         self.cells = math.prod(self.shape)
         self.structural = [k for k, axis in enumerate(self.axes) if axis.parameter not in _DRIVING]
         self._kept: OrderedDict[tuple[int, ...], tuple[System, Steps | Flows]] = OrderedDict()
+        if shared is not None:
+            self._kept[()] = shared
         self._lock = threading.Lock()
 
     def complaint(self) -> str | None:
@@ -54,6 +59,10 @@ class Grid:
             return None
         status = Status(self.prepared(())[0].status)
         return None if status == Status.OK else status.sentence
+
+    def shared(self) -> tuple[System, Steps | Flows] | None:
+        """The system and tables that all cells share, if they do."""
+        return None if self.structural else self.prepared(())
 
     def prepared(self, at: tuple[int, ...]) -> tuple[System, Steps | Flows]:
         """The system and its method's tables at these positions on the structural axes; kept for other tiles."""

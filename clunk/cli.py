@@ -12,7 +12,7 @@ import re
 import signal
 import sys
 import time
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -22,6 +22,7 @@ from clunk import __version__, terminal
 
 if TYPE_CHECKING:
     from clunk.config import Study
+    from clunk.engines import Engine
     from clunk.parts import WorkingDirectory
     from clunk.results import Results
     from clunk.simulation import Trajectory
@@ -79,7 +80,7 @@ def main() -> NoReturn:
 def _is_for_the_user(error: Exception) -> bool:
     """Whether an error's text was written for people; told by name, so that nothing is imported to ask."""
     names = {"ComparisonError", "ConfigError", "ExperimentError", "HistoryError", "PlotError"}
-    names |= {"PartsError", "SimulationError", "StoreError", "SweepError", "TargetError"}
+    names |= {"EngineError", "PartsError", "SimulationError", "StoreError", "SweepError", "TargetError"}
     return type(error).__module__.startswith("clunk.") and type(error).__name__ in names
 
 
@@ -104,7 +105,8 @@ def cli() -> None:
 @click.argument("config", type=click.Path(path_type=Path))
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Results file [results/CONFIG.h5].")
 @_set_option
-@click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")
+@click.option("--workers", type=click.IntRange(1, 1024), help="Threads, or local processes [one for each core].")
+@click.option("--scheduler", metavar="ADDRESS", help="Run on dask workers: tcp://HOST:8786, or local.")
 @click.option("--force", is_flag=True, help="Overwrite a results file of another config.")
 @click.option("--restart", is_flag=True, help="Begin anew: neither go on with a stopped sweep nor keep a finished one.")
 @click.option("--refine", is_flag=True, help="Run only where labels change, and infer the other cells' labels.")
@@ -117,6 +119,7 @@ def sweep(
     output: Path | None,
     overrides: tuple[str, ...],
     workers: int | None,
+    scheduler: str | None,
     force: bool,
     restart: bool,
     refine: bool,
@@ -132,9 +135,15 @@ def sweep(
       clunk sweep configs/figure_3_4.toml --set solver.step=5e-5
       clunk sweep configs/figure_3_4.toml --refine -o refined.h5
       clunk sweep configs/figure_3_4.toml --retry-failed --set solver.max_events=4096
+      clunk sweep configs/figure_3_4.toml --scheduler tcp://localhost:8786
     """
     if retry_failed and (refine or force):
         raise click.UsageError("--retry-failed goes with neither --refine nor --force.")
+    if scheduler is not None and scheduler != "local":
+        if not re.fullmatch(r"[a-z]+://\S+", scheduler):
+            raise click.UsageError(f"--scheduler is an address such as tcp://host:8786, or local, not {scheduler!r}.")
+        if workers is not None:
+            raise click.UsageError("--workers is for threads or --scheduler local: a scheduler has its own workers.")
     from clunk import targets
     from clunk.config import digest, load_study
 
@@ -159,7 +168,7 @@ def sweep(
         else:
             if restart:
                 directory.clear()
-            counts = _sweep_into(directory, study, target, workers, refine, earlier, as_json)
+            counts = _sweep_into(directory, study, target, refine, earlier, as_json, _engine(scheduler, workers))
     if counts["failed"]:
         sys.exit(EXIT_FAILED_CELLS)
 
@@ -206,13 +215,14 @@ def _sweep_into(
     directory: WorkingDirectory,
     study: Study,
     target: Path,
-    workers: int | None,
     refine: bool,
     earlier: Results | None,
     as_json: bool,
+    opening: AbstractContextManager[Engine],
 ) -> dict[str, int]:
     """Run, write, report; the counts."""
     import clunk.sweeping as sweeping
+    from clunk.engines import EngineError
     from clunk.store import write
 
     total = sweeping.cell_count(study)
@@ -222,11 +232,11 @@ def _sweep_into(
     parts = sweeping.parts_of(directory, study, refine=refine, retry=earlier is not None)
     _say_if_compiling(study.solver.method)
     sweeping.warm_up(study)
-    began = time.perf_counter()
     known, ran = 0 if earlier is None else total - earlier.counts()["failed"], 0
     told = False
     try:
-        with terminal.progress(total) as show:
+        with opening as engine, terminal.progress(total) as show:
+            began = time.perf_counter()
 
             def progress(done: int, total: int) -> None:
                 nonlocal ran, told
@@ -236,14 +246,18 @@ def _sweep_into(
                 show(done, total)
 
             if earlier is not None:
-                results = sweeping.retry_failed(earlier, study, workers=workers, progress=progress, parts=parts)
+                results = sweeping.retry_failed(earlier, study, engine=engine, progress=progress, parts=parts)
             else:
-                results = sweeping.sweep(study, workers=workers, progress=progress, refine=refine, parts=parts)
-    except (KeyboardInterrupt, SystemExit) as stopped:
+                results = sweeping.sweep(study, engine=engine, progress=progress, refine=refine, parts=parts)
+    except (KeyboardInterrupt, SystemExit, EngineError) as stopped:
+        if isinstance(stopped, EngineError):
+            terminal.complain(str(stopped))
         kept = f"{parts.kept:,} cells are kept in {directory.path}; the same command goes on from there"
         terminal.complain(f"stopped: {kept if parts.kept else 'no cell was finished'}")
         if isinstance(stopped, SystemExit):
             raise
+        if isinstance(stopped, EngineError):
+            sys.exit(EXIT_USAGE)
         click.echo("interrupted", err=True)
         sys.exit(EXIT_INTERRUPTED)
     seconds = time.perf_counter() - began
@@ -255,6 +269,21 @@ def _sweep_into(
     if counts["failed"]:
         terminal.report_failures(results)
     return counts
+
+
+def _engine(scheduler: str | None, workers: int | None) -> AbstractContextManager[Engine]:
+    """What runs the cells; to be opened."""
+    if scheduler is None:
+        from clunk.engines import Threads
+
+        return nullcontext(Threads(workers))
+    try:
+        from clunk.distributed import Cluster
+    except ModuleNotFoundError as error:
+        raise click.ClickException(
+            f"--scheduler needs dask, which is not installed (no {error.name}): pip install 'clunk[dask]'"
+        ) from error
+    return Cluster(scheduler, workers, say=lambda text: click.echo(text, err=True))
 
 
 def _warn_of_coarse_step(study: Study, method: str) -> None:
@@ -710,7 +739,8 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: 
 @cli.command()
 @click.argument("config", type=click.Path(path_type=Path))
 @_set_option
-@click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")
+@click.option("--workers", type=click.IntRange(1, 1024), help="Threads, or local processes [one for each core].")
+@click.option("--scheduler", metavar="ADDRESS", help="Run on dask workers: tcp://HOST:8786, or local.")
 @_json_option
 def verify(config: Path, overrides: tuple[str, ...], workers: int | None, as_json: bool) -> None:
     """Run CONFIG by both methods, rk4 and exact, and compare labels, events and severity.
@@ -748,7 +778,8 @@ def verify(config: Path, overrides: tuple[str, ...], workers: int | None, as_jso
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), default="results/reproduction", help="Directory of the figures."
 )
-@click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")
+@click.option("--workers", type=click.IntRange(1, 1024), help="Threads, or local processes [one for each core].")
+@click.option("--scheduler", metavar="ADDRESS", help="Run on dask workers: tcp://HOST:8786, or local.")
 @click.option("--coarsen", type=click.IntRange(1, 20), default=1, help="About every n-th value of the maps' axes [1].")
 @_json_option
 def reproduce(output: Path, workers: int | None, coarsen: int, as_json: bool) -> None:

@@ -138,7 +138,7 @@ class Parts:
         self._manifest = {
             "plan": plan,
             "config_digest": config_digest,
-            "versions": _versions(),
+            "versions": versions(),
             "arrays": [str(record.descr), str(impact.descr)],
             "study": dict(study),
         }
@@ -206,7 +206,7 @@ class Parts:
         path = self.directory.path / "manifest.json"
         try:
             found = json.loads(path.read_bytes())
-            plan, digest, study, versions = (found[key] for key in ("plan", "config_digest", "study", "versions"))
+            plan, digest, study, its_versions = (found[key] for key in ("plan", "config_digest", "study", "versions"))
             differences = _differences(study, json.loads(json.dumps(self._manifest["study"], default=str)))
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             with suppress(OSError):
@@ -223,7 +223,7 @@ class Parts:
                 f"{self.directory.path} holds an unfinished sweep that runs {plan}, not {self._manifest['plan']}: "
                 "finish that one, or begin anew with --restart."
             )
-        if versions != self._manifest["versions"]:
+        if its_versions != self._manifest["versions"]:
             path.unlink()
 
 
@@ -239,7 +239,7 @@ def _shown(value: Any) -> str:
     return text if len(text) <= 40 else text[:37] + "…"
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
     """Everything of the program that could change a bit of a cell's results."""
     sources = hashlib.sha256()
     root = Path(__file__).parent

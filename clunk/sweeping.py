@@ -1,8 +1,6 @@
 """A sweep: axes -> tiles -> Results.
 
-The cells to run are cut into tiles; a jitted kernel without the interpreter lock runs each on a pool of threads. A
-cell's result depends on nothing but its parameters, so neither the cut, the order nor the number of threads can change
-a bit of it.
+The cells to run are cut into tiles; an engine runs these, on this process's threads or on the workers of a scheduler.
 """
 
 from __future__ import annotations
@@ -11,13 +9,11 @@ import functools
 import math
 import os
 import platform
-from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,16 +24,15 @@ from clunk import refinement
 from clunk.assembly import Assembly
 from clunk.cells import CELL, IMPACT, Grid, warm_up
 from clunk.config import Study, digest, study_from_text
+from clunk.engines import Engine, EngineError, Threads
 from clunk.parts import Parts, WorkingDirectory
 from clunk.results import FAILED_CODE, Results
-from clunk.tiles import Tile
 
 __all__ = ["SweepError", "cell_count", "parts_of", "retry_failed", "sweep", "unused_axes", "warm_up"]
 
 Cells = npt.NDArray[np.int64]
 Progress = Callable[[int, int], None]
 
-_TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
 _BYTES_PER_CELL = 400  # the most that a cell's results, their assembly and writing take
 
 
@@ -49,6 +44,7 @@ def sweep(
     study: Study,
     *,
     workers: int | None = None,
+    engine: Engine | None = None,
     progress: Progress | None = None,
     refine: bool = False,
     parts: Parts | None = None,
@@ -61,6 +57,8 @@ def sweep(
         With at least one axis.
     workers : int, optional
         Threads; by default one for each core that this process may use.
+    engine : Engine, optional
+        What runs the cells instead of these threads; see `clunk.distributed`.
     progress : callable(done, total), optional
         Called in this thread with the number of cells after each finished tile.
     refine : bool
@@ -75,19 +73,22 @@ def sweep(
         Where there is nothing to sweep, the grid does not fit in memory, or no cell of it could run.
     PartsError
         Where finished cells cannot be kept.
+    EngineError
+        Where the engine cannot go on; the finished cells have been kept.
     KeyboardInterrupt
         Passed on after the running cells have been abandoned, and the finished ones kept.
     """
     grid = _checked(study, workers)
+    engine = engine or Threads(workers)
     assembly = Assembly(study)
     if not refine:
-        _run(grid, assembly, iter([None]), workers, progress, parts)
-        return assembly.results(provenance())
+        _run(grid, assembly, iter([None]), engine, progress, parts)
+        return assembly.results(provenance(engine))
     spacing = refinement.spacings([axis.grid for axis in grid.axes])
-    _run(grid, assembly, _refinements(assembly, spacing), workers, progress, parts)
+    _run(grid, assembly, _refinements(assembly, spacing), engine, progress, parts)
     ran = assembly.done
     assembly.infer(*refinement.inferred(assembly.kinds(), assembly.touches(), spacing))
-    return assembly.results({**provenance(), "refinement": _refinement_note(ran, grid.cells, spacing)})
+    return assembly.results({**provenance(engine), "refinement": _refinement_note(ran, grid.cells, spacing)})
 
 
 def retry_failed(
@@ -95,6 +96,7 @@ def retry_failed(
     study: Study,
     *,
     workers: int | None = None,
+    engine: Engine | None = None,
     progress: Progress | None = None,
     parts: Parts | None = None,
 ) -> Results:
@@ -105,14 +107,15 @@ def retry_failed(
     Raises SweepError where the study differs in anything but [solver]; else as `sweep`.
     """
     grid = _checked(study, workers)
+    engine = engine or Threads(workers)
     before = study_from_text(results.config, source="the results' config")
     if digest(before.model_copy(update={"solver": study.solver})) != digest(study):
         raise SweepError("The failed cells of another config cannot be run again: only [solver] may differ.")
     assembly = Assembly(study)
     assembly.add_results(results)
     failed = assembly.missing()
-    _run(grid, assembly, iter([None]), workers, progress, parts)
-    found = assembly.results(provenance())
+    _run(grid, assembly, iter([None]), engine, progress, parts)
+    found = assembly.results(provenance(engine))
     still = int(np.count_nonzero(found.sequence.ravel()[failed] == FAILED_CODE))
     changes = [
         f"solver.{key} = {value} instead of {getattr(before.solver, key)}"
@@ -182,12 +185,11 @@ def _run(
     grid: Grid,
     assembly: Assembly,
     batches: Iterator[Cells | None],
-    workers: int | None,
+    engine: Engine,
     progress: Progress | None,
     parts: Parts | None,
 ) -> None:
     """Run batches of cells, each asked for when those before it are assembled; None stands for all that is missing."""
-    workers = workers or _available_cores()
     for tile in parts.read() if parts is not None else ():
         assembly.add(tile)
     if progress is not None and parts is not None and parts.taken_up:
@@ -196,14 +198,14 @@ def _run(
         for batch in batches:
             cells = assembly.missing() if batch is None else batch
             total = assembly.done + cells.size
-            with closing(_run_tiles(grid, cells, workers)) as tiles:  # an interrupt anywhere abandons the running cells
+            with closing(engine.run(grid, cells)) as tiles:  # an interrupt anywhere abandons the running cells
                 for tile in tiles:
                     assembly.add(tile)
                     if parts is not None:
                         parts.add(tile)
                     if progress is not None:
                         progress(assembly.done, total)
-    except (KeyboardInterrupt, SystemExit):  # SIGINT, SIGTERM: keep what is done
+    except (KeyboardInterrupt, SystemExit, EngineError):  # SIGINT, SIGTERM, workers gone: keep what is done
         if parts is not None:
             parts.flush()
         raise
@@ -227,32 +229,9 @@ def _refinement_note(ran: int, cells: int, spacing: tuple[int, ...]) -> str:
     )
 
 
-def _run_tiles(grid: Grid, cells: Cells, workers: int) -> Generator[Tile, None, None]:
-    """Finished tiles in the order in which they finish. Leaving the generator early abandons the running cells."""
-    stop = np.zeros(1, np.uint8)
-    largest = _TILE_CELLS[grid.study.solver.method]
-    size = min(max(-(-cells.size // (8 * workers)), largest // 32), largest)
-    waiting = (cells[start : start + size] for start in range(0, cells.size, size))
-    with ThreadPoolExecutor(workers, thread_name_prefix="clunk") as pool:
-        running: set[Future[Tile]] = set()
-        try:
-            while True:
-                while len(running) < 2 * workers and (part := next(waiting, None)) is not None:
-                    running.add(pool.submit(grid.run, part, stop))
-                if not running:
-                    return
-                finished, running = wait(running, timeout=0.2, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    yield future.result()
-        finally:
-            stop[0] = 1
-            for future in running:
-                future.cancel()
-
-
-def provenance() -> dict[str, str]:
+def provenance(engine: Engine) -> dict[str, str]:
     """Versions, date and machine, as the results file's attributes name them."""
-    return {**_versions(), "created": datetime.now(UTC).isoformat(timespec="seconds"), "cpu": _cpu_model()}
+    return {**_versions(), "created": datetime.now(UTC).isoformat(timespec="seconds"), "cpu": engine.processors()}
 
 
 @functools.cache
@@ -262,22 +241,6 @@ def _versions() -> dict[str, str]:
         "python_version": platform.python_version(),
         **{f"{name}_version": version(name) for name in ("numpy", "numba", "h5py")},
     }
-
-
-@functools.cache
-def _cpu_model() -> str:
-    try:
-        with Path("/proc/cpuinfo").open(encoding="utf-8") as lines:
-            return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.processor() or platform.machine()
-
-
-def _available_cores() -> int:
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on macOS and Windows
-        return os.cpu_count() or 1
 
 
 def _refuse_if_too_large(grid: Grid) -> None:

@@ -155,7 +155,7 @@ def test_damaged_parts_are_run_again(study, whole, target, often, how):
 
 def test_parts_of_other_versions_are_run_again(study, whole, target, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(keeping, "_versions", lambda: {"numba": "0.1"})
+        patch.setattr(keeping, "versions", lambda: {"numba": "0.1"})
         stopped(study, target, 150)
     results, parts = resumed(study, target)
     assert (parts.discarded, parts.taken_up) == (1, 0)
