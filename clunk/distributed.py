@@ -41,7 +41,7 @@ from clunk.tiles import Tile, from_bytes, to_pieces
 
 LOCAL = "local"
 
-_CONNECTING = 6.0  # s
+_CONNECTING = 4.0  # s
 _IN_FLIGHT = 3  # tiles for each thread of the workers
 _ASKING = 1.0  # s between two looks at how many threads there are
 _FETCHED = 16  # tiles at once, each of about half a megabyte
@@ -277,7 +277,7 @@ def _local_cluster(workers: int) -> Iterator[LocalCluster]:
         cluster = LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
-            dashboard_address=None,
+            scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
             memory_limit=0,  # of a worker; it needs some MB beside the program itself
             local_directory=scratch,
             silence_logs=logging.CRITICAL,

@@ -1,0 +1,140 @@
+"""What a sweep costs beside its runs: `python tests/benchmarks/scale.py 1e6 1e7 1e8` with a kernel that is empty.
+
+Every tile is a copy of a real one, so that impacts, labels and the size of the file are those of the report's map.
+Each size runs in a process of its own, in the directory that TMPDIR names; 1e8 cells take 25 GB of it for a while.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import json
+import math
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from clunk import cells, store, sweeping
+from clunk.assembly import Assembly
+from clunk.config import study_from_text
+from clunk.parts import Parts, WorkingDirectory
+from clunk.tiles import Tile
+
+CONFIG = """
+[driveline]
+preset = "boere-2008"
+[solver]
+method = "exact"
+[[sweep.axes]]
+parameter = "load.ratio"
+start = 0.0
+stop = 10.0
+count = {rows}
+[[sweep.axes]]
+parameter = "lash.backlash_deg"
+start = 0.0
+stop = 20.0
+count = {columns}
+"""
+REAL = 1 << 16  # cells of the map that the tiles are copies of
+
+
+class Stages:
+    """Seconds and memory of each stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self.memory: dict[str, int] = {}
+
+    def watch(self, name, function):
+        @functools.wraps(function)
+        def watched(*arguments, **options):
+            began = time.perf_counter()
+            try:
+                return function(*arguments, **options)
+            finally:
+                self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
+                self.memory[name] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+        return watched
+
+
+def empty_kernel(study):
+    """A stand-in for `Grid.run`: tiles of cells that have been run before."""
+    grid = cells.Grid(study)
+    step = max(1, grid.cells // REAL)
+    real = grid.run(np.arange(0, grid.cells, step)[:REAL], np.zeros(1, np.uint8))
+    first = np.concatenate(([0], np.cumsum(real.records["primary_impacts"], dtype=np.int64)))
+
+    def run(_grid, wanted, _stop):
+        begin = int(wanted[0]) // step % max(1, real.cells.size - wanted.size)
+        end = begin + wanted.size
+        return Tile(wanted, real.records[begin:end].copy(), real.impacts[first[begin] : first[end]].copy())
+
+    return run
+
+
+def measure(count: float) -> dict[str, object]:
+    """One sweep with the empty kernel, from the first tile to the checked file."""
+    rows = round(math.sqrt(count))
+    study = study_from_text(CONFIG.format(rows=rows, columns=round(count / rows)))
+    stages = Stages()
+    cells.Grid.run = stages.watch("tiles", empty_kernel(study))
+    Assembly.add = stages.watch("assembly: tiles", Assembly.add)
+    Assembly.results = stages.watch("assembly: results", Assembly.results)
+    Parts.add = stages.watch("parts", Parts.add)
+    with tempfile.TemporaryDirectory() as scratch, WorkingDirectory(Path(scratch) / "map.h5") as directory:
+        parts = sweeping.parts_of(directory, study)
+        results = stages.watch("sweep in all", sweeping.sweep)(study, parts=parts)
+        kept = sum(path.stat().st_size for path in directory.path.iterdir())
+        stages.watch("file", store.write)(directory.target, results, directory.path)
+        del results
+        size = directory.target.stat().st_size
+        directory.remove()
+        try:
+            stages.watch("info --check", store.check)(directory.target)
+        except store.StoreError as error:
+            print(error, file=sys.stderr)
+    cells_run = sweeping.cell_count(study)
+    return {
+        "cells": cells_run,
+        "seconds": stages.seconds,
+        "memory": stages.memory,
+        "parts": kept / cells_run,
+        "file": size / cells_run,
+    }
+
+
+def main() -> None:
+    """Print a table for each size."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("cells", nargs="+", type=float)
+    parser.add_argument("--here", action="store_true", help="in this process, as JSON")
+    options = parser.parse_args()
+    if options.here:
+        print(json.dumps(measure(options.cells[0])))
+        return
+    for count in options.cells:
+        done = subprocess.run(
+            [sys.executable, __file__, "--here", str(count)], stdout=subprocess.PIPE, text=True, check=False
+        )
+        if done.returncode:
+            print(f"{count:.0e} cells: ended with {done.returncode}")
+            continue
+        found = json.loads(done.stdout)
+        print(f"{found['cells']:,} cells; parts {found['parts']:.0f} and file {found['file']:.0f} bytes a cell")
+        print(f"{'':<20}{'s':>10}{'ns a cell':>12}{'GB at most by then':>21}")
+        for name, seconds in found["seconds"].items():
+            print(f"{name:<20}{seconds:>10.2f}{1e9 * seconds / found['cells']:>12.0f}{found['memory'][name] / 1e9:>21.2f}")
+        print()
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("TMPDIR", ".")
+    main()
