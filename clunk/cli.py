@@ -80,7 +80,7 @@ def main() -> NoReturn:
 def _is_for_the_user(error: Exception) -> bool:
     """Whether an error's text was written for people; told by name, so that nothing is imported to ask."""
     names = {"ComparisonError", "ConfigError", "ExperimentError", "HistoryError", "PlotError"}
-    names |= {"EngineError", "PartsError", "SimulationError", "StoreError", "SweepError", "TargetError"}
+    names |= {"EngineError", "PartsError", "ScratchError", "SimulationError", "StoreError", "SweepError", "TargetError"}
     return type(error).__module__.startswith("clunk.") and type(error).__name__ in names
 
 

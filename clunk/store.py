@@ -24,6 +24,7 @@ from clunk.files import reason
 from clunk.netcdf import (
     CONVENTIONS,
     ChunkWriter,
+    Image,
     create_scale,
     create_variable,
     get_text,
@@ -55,6 +56,9 @@ _MEANING = {
 }
 # Root attributes that are fields of Results (or this module's own); all others are Results.attributes.
 _OWN_ATTRIBUTES = {"title", "Conventions", "schema_version", "config", "config_digest", "content_digest"}
+
+
+_LARGE = 1 << 22  # cells, about 400 MB: more is assembled on the disk
 
 
 class StoreError(Exception):
@@ -91,7 +95,7 @@ def write(path: str | os.PathLike[str], results: Results, scratch: Path | None =
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_file(path, lambda file: _write(file, results), scratch)
+        write_file(path, lambda file: _write(file, results), scratch, large=results.sequence.size > _LARGE)
     except OSError as error:
         raise StoreError(f"{path} cannot be written: {reason(error)}.") from error
 
@@ -155,7 +159,7 @@ def check(path: str | os.PathLike[str]) -> bool:
 # --- writing
 
 
-def _write(file: h5py.File, results: Results) -> None:
+def _write(file: Image, results: Results) -> None:
     set_text(file, "title", results.title)
     set_text(file, "Conventions", CONVENTIONS)
     file.attrs["schema_version"] = np.int32(SCHEMA_VERSION)
@@ -171,7 +175,7 @@ def _write(file: h5py.File, results: Results) -> None:
     impact = create_scale(file, "impact", numbers, ("1", "number of the primary impact"))
 
     digest = _Digest(results.axes, results.labels)
-    with ChunkWriter() as chunks:
+    with ChunkWriter(file) as chunks:
         for name, dtype in CELL_FIELDS.items():
             variable = create_variable(file, name, results.shape, dtype, _MEANING[name], scales)
             _write_flags(variable, name, results.labels)

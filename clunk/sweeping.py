@@ -27,6 +27,7 @@ from clunk.config import Study, digest, study_from_text
 from clunk.engines import Engine, EngineError, Threads
 from clunk.parts import Parts, WorkingDirectory
 from clunk.results import FAILED_CODE, Results
+from clunk.scratch import Scratch
 
 __all__ = ["SweepError", "cell_count", "parts_of", "retry_failed", "sweep", "unused_axes", "warm_up"]
 
@@ -34,6 +35,8 @@ Cells = npt.NDArray[np.int64]
 Progress = Callable[[int, int], None]
 
 _BYTES_PER_CELL = 400  # the most that a cell's results, their assembly and writing take
+_BYTES_IN_MEMORY = 50  # of them, what has to be in memory where the results are put together on the disk
+_LARGE_SHARE = 0.25  # of the memory
 
 
 class SweepError(Exception):
@@ -73,14 +76,16 @@ def sweep(
         Where there is nothing to sweep, the grid does not fit in memory, or no cell of it could run.
     PartsError
         Where finished cells cannot be kept.
+    ScratchError
+        Where the disk has no room for the results.
     EngineError
         Where the engine cannot go on; the finished cells have been kept.
     KeyboardInterrupt
         Passed on after the running cells have been abandoned, and the finished ones kept.
     """
-    grid = _checked(study, workers)
+    grid = _checked(study, workers, parts)
     engine = engine or Threads(workers)
-    assembly = Assembly(study)
+    assembly = Assembly(study, _scratch(grid, parts))
     if not refine:
         _run(grid, assembly, iter([None]), engine, progress, parts)
         return assembly.results(provenance(engine))
@@ -106,7 +111,7 @@ def retry_failed(
 
     Raises SweepError where the study differs in anything but [solver]; else as `sweep`.
     """
-    grid = _checked(study, workers)
+    grid = _checked(study, workers, parts)
     engine = engine or Threads(workers)
     before = study_from_text(results.config, source="the results' config")
     if digest(before.model_copy(update={"solver": study.solver})) != digest(study):
@@ -168,13 +173,13 @@ def unused_axes(study: Study) -> list[str]:
     return [axis.parameter for axis in swept if axis.parameter in unused | {"load.step_time"}]
 
 
-def _checked(study: Study, workers: int | None) -> Grid:
+def _checked(study: Study, workers: int | None, parts: Parts | None) -> Grid:
     if study.sweep is None:
         raise SweepError("There is nothing to sweep: the config has no [[sweep.axes]].")
     if workers is not None and workers < 1:
         raise SweepError(f"A sweep needs at least one worker, not {workers}.")
     grid = Grid(study)
-    _refuse_if_too_large(grid)
+    _refuse_if_too_large(grid, parts)
     complaint = grid.complaint()
     if complaint is not None:
         raise SweepError(f"No cell can run: {complaint}.")
@@ -243,18 +248,28 @@ def _versions() -> dict[str, str]:
     }
 
 
-def _refuse_if_too_large(grid: Grid) -> None:
-    needed = grid.cells * _BYTES_PER_CELL
-    try:
-        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):
-        return
+def _scratch(grid: Grid, parts: Parts | None) -> Scratch:
+    """Where the results are put together: beside the parts, where they would be a large share of the memory."""
+    large = grid.cells * _BYTES_PER_CELL > _LARGE_SHARE * _memory()
+    return Scratch(parts.directory.path if large and parts is not None else None)
+
+
+def _refuse_if_too_large(grid: Grid, parts: Parts | None) -> None:
+    needed, memory = grid.cells * (_BYTES_PER_CELL if parts is None else _BYTES_IN_MEMORY), _memory()
     if needed > 0.8 * memory:
         sizes = " x ".join(str(count) for count in grid.shape)
         raise SweepError(
             f"The grid of {sizes} = {grid.cells:,} cells does not fit in memory: it takes about "
             f"{needed / 2**30:.0f} GiB, and this machine has {memory / 2**30:.0f} GiB."
         )
+
+
+def _memory() -> float:
+    """Of this machine, bytes; infinite where it does not tell."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return math.inf
 
 
 def _flat(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:

@@ -11,10 +11,10 @@ import functools
 import json
 import math
 import os
-import resource
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 
@@ -46,11 +46,19 @@ REAL = 1 << 16  # cells of the map that the tiles are copies of
 
 
 class Stages:
-    """Seconds and memory of each stage."""
+    """Seconds of each stage, and the most memory by its end, without what the system can write out to files."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
         self.memory: dict[str, int] = {}
+        self._most = 0
+        threading.Thread(target=self._look, daemon=True).start()
+
+    def _look(self):
+        while True:
+            status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+            self._most = max(self._most, 1024 * int(status["RssAnon"].split()[0]))
+            time.sleep(0.05)
 
     def watch(self, name, function):
         @functools.wraps(function)
@@ -60,7 +68,7 @@ class Stages:
                 return function(*arguments, **options)
             finally:
                 self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
-                self.memory[name] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+                self.memory[name] = self._most
 
         return watched
 
@@ -131,7 +139,9 @@ def main() -> None:
         print(f"{found['cells']:,} cells; parts {found['parts']:.0f} and file {found['file']:.0f} bytes a cell")
         print(f"{'':<20}{'s':>10}{'ns a cell':>12}{'GB at most by then':>21}")
         for name, seconds in found["seconds"].items():
-            print(f"{name:<20}{seconds:>10.2f}{1e9 * seconds / found['cells']:>12.0f}{found['memory'][name] / 1e9:>21.2f}")
+            print(
+                f"{name:<20}{seconds:>10.2f}{1e9 * seconds / found['cells']:>12.0f}{found['memory'][name] / 1e9:>21.2f}"
+            )
         print()
 
 
