@@ -20,7 +20,7 @@ import warnings
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from itertools import islice
+from itertools import count, islice
 from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
 from types import TracebackType
@@ -133,18 +133,20 @@ class Cluster:
         self._check_workers(job)
         # A task of its own: it goes to each worker once, and to those that come later as well.
         study = self._client.submit(bytes, _pickled(grid.study, grid.shared()), key=f"clunk-study-{job.name}")
-        waiting = enumerate(cut(cells, job.method, threads))
+        waiting = cut(cells, job.method, threads)
         running: set[Future[Any]] = set()
         done: SimpleQueue[Future[Any]] = SimpleQueue()
+        numbers = count()
         try:
             while True:
                 if time.monotonic() - asked > _ASKING:
                     threads, asked = self._threads(), time.monotonic()
-                for number, part in islice(waiting, max(0, _IN_FLIGHT * threads - len(running))):
-                    key = f"clunk-tile-{job.name}-{number}"
-                    future = self._client.submit(_run_tile, study, job, _in_short(part), key=key)
-                    running.add(future)
-                    future.add_done_callback(done.put)
+                parts = [_in_short(part) for part in islice(waiting, max(0, _IN_FLIGHT * threads - len(running)))]
+                if parts:
+                    keys = [f"clunk-tile-{job.name}-{number}" for number in islice(numbers, len(parts))]
+                    for future in self._client.map(_run_tile, parts, study=study, job=job, key=keys):
+                        running.add(future)
+                        future.add_done_callback(done.put)
                 if not running:
                     return
                 futures = _those_in(done)
@@ -186,8 +188,8 @@ class Cluster:
                     f"Worker {address} cannot run clunk ({reason(worker)}): it needs the same installation as here."
                 )
             _refuse_other_versions(worker, job)
-        if count := sum(cold.values()):
-            self._say(f"{count} of {len(found)} workers compile {job.method}, once for an installation …")
+        if compiling := sum(cold.values()):
+            self._say(f"{compiling} of {len(found)} workers compile {job.method}, once for an installation …")
 
     def _fetched(self, futures: Sequence[Future[Any]], job: _Job) -> Iterator[bytes]:
         """The tiles of finished tasks."""
@@ -312,7 +314,7 @@ def _quiet() -> Iterator[None]:
 # --- on a worker
 
 
-def _run_tile(study: bytes, job: _Job, cells: Cells | tuple[int, int]) -> tuple[_Worker, bytes | None]:
+def _run_tile(cells: Cells | tuple[int, int], study: bytes, job: _Job) -> tuple[_Worker, bytes | None]:
     """A tile, as `clunk.tiles` writes it; none by other versions."""
     worker = _introduced(distributed.get_worker())
     if worker.versions != job.versions:

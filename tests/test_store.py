@@ -317,8 +317,11 @@ def test_a_large_file_is_assembled_on_the_disk_to_the_same_bytes(
     assert store.check(tmp_path / "disk.h5")
 
 
-def test_a_disk_that_fills_up_under_a_large_file_is_a_sentence_and_the_interpreter_ends_well(tmp_path: Path) -> None:
-    # Incompressible values, 3 MB where 2 MB are allowed, so that it is full in the middle.
+@pytest.mark.parametrize("limit", [60_000, 2_000_000])
+def test_a_disk_that_fills_up_under_a_large_file_is_a_sentence_and_the_interpreter_ends_well(
+    tmp_path: Path, limit: int
+) -> None:
+    # Of 3 MB of incompressible values, at the first variable and in the middle.
     code = f"""
 import resource, sys
 from dataclasses import replace
@@ -333,7 +336,7 @@ fields |= {{"primary_impacts": np.zeros(count, np.int32), "severity": np.random.
 fields |= {{name: getattr(small, name)[:0] for name in store.IMPACT_FIELDS}}
 fields |= {{name: np.random.default_rng(2).normal(size=count) for name in ("margin", "approach_velocity")}}
 large = replace(small, axes=(replace(small.axes[0], values=np.arange(float(count))),), **fields)
-resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, 2_000_000))
+resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
 try:
     store.write({str(tmp_path / "map.h5")!r}, large)
 except store.StoreError as error:

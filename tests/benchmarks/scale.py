@@ -7,6 +7,7 @@ Each size runs in a process of its own, in the directory that TMPDIR names; 1e8 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import functools
 import json
 import math
@@ -20,9 +21,9 @@ from pathlib import Path
 
 import numpy as np
 
-from clunk import cells, store, sweeping
+from clunk import cells, engines, store, sweeping
 from clunk.assembly import Assembly
-from clunk.config import study_from_text
+from clunk.config import Study, study_from_text, to_toml
 from clunk.parts import Parts, WorkingDirectory
 from clunk.tiles import Tile
 
@@ -73,27 +74,37 @@ class Stages:
         return watched
 
 
-def empty_kernel(study):
-    """A stand-in for `Grid.run`: tiles of cells that have been run before."""
-    grid = cells.Grid(study)
-    step = max(1, grid.cells // REAL)
-    real = grid.run(np.arange(0, grid.cells, step)[:REAL], np.zeros(1, np.uint8))
-    first = np.concatenate(([0], np.cumsum(real.records["primary_impacts"], dtype=np.int64)))
+@functools.cache
+def real_tile(study_text: str) -> tuple[Tile, np.ndarray]:
+    """Some cells of a map, run once, and where the impacts of each begin."""
+    grid = cells.Grid(study_from_text(study_text))
+    numbers = np.arange(0, grid.cells, max(1, grid.cells // REAL))[:REAL]
+    tile = RUN(grid, numbers, np.zeros(1, np.uint8))
+    return tile, np.concatenate(([0], np.cumsum(tile.records["primary_impacts"], dtype=np.int64)))
 
-    def run(_grid, wanted, _stop):
-        begin = int(wanted[0]) // step % max(1, real.cells.size - wanted.size)
-        end = begin + wanted.size
-        return Tile(wanted, real.records[begin:end].copy(), real.impacts[first[begin] : first[end]].copy())
 
-    return run
+RUN = cells.Grid.run
+
+
+def empty_run(grid, wanted, _stop):
+    """A stand-in for `Grid.run`: cells that have been run before."""
+    real, first = real_tile(to_toml(grid.study))
+    begin = int(wanted[0] * REAL // grid.cells) % max(1, real.cells.size - wanted.size)
+    end = begin + wanted.size
+    return Tile(wanted, real.records[begin:end].copy(), real.impacts[first[begin] : first[end]].copy())
+
+
+def study_of(count: float) -> Study:
+    """The report's map with about so many cells."""
+    rows = round(math.sqrt(count))
+    return study_from_text(CONFIG.format(rows=rows, columns=round(count / rows)))
 
 
 def measure(count: float) -> dict[str, object]:
     """One sweep with the empty kernel, from the first tile to the checked file."""
-    rows = round(math.sqrt(count))
-    study = study_from_text(CONFIG.format(rows=rows, columns=round(count / rows)))
+    study = study_of(count)
     stages = Stages()
-    cells.Grid.run = stages.watch("tiles", empty_kernel(study))
+    cells.Grid.run = stages.watch("tiles", empty_run)
     Assembly.add = stages.watch("assembly: tiles", Assembly.add)
     Assembly.results = stages.watch("assembly: results", Assembly.results)
     Parts.add = stages.watch("parts", Parts.add)
@@ -119,12 +130,55 @@ def measure(count: float) -> dict[str, object]:
     }
 
 
+def measure_tasks(count: float, workers: int) -> None:
+    """The same tiles by the workers of a scheduler: what a tile costs on its way, and how much of that here."""
+    from clunk.distributed import Cluster
+
+    study = study_of(count)
+    preload = f"import sys; sys.path[:0] = [{str(Path(__file__).parent)!r}] ; import scale ; scale.make_empty()"
+    dask = [sys.executable, "-m", "dask"]
+    with tempfile.TemporaryDirectory() as scratch, contextlib.ExitStack() as ending:
+        file = Path(scratch) / "scheduler.json"
+        options = ["--no-dashboard", "--scheduler-file", str(file)]
+        commands = [[*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", *options]]
+        commands += workers * [
+            [*dask, "worker", *options, "--nthreads", "1", "--preload", preload, "--local-directory", scratch]
+        ]
+        for command in commands:
+            process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+            ending.callback(process.wait)
+            ending.callback(process.terminate)
+            while not file.exists() or not file.read_text():
+                time.sleep(0.1)
+        engine = ending.enter_context(Cluster(json.loads(file.read_text())["address"], say=print))
+        for size in (32, 512, 4096):
+            engines._TILE_CELLS["exact"] = size
+            part = np.arange(min(sweeping.cell_count(study), 1000 * size))
+            for timed in (False, True):
+                began, tiles, process_began = time.perf_counter(), 0, time.process_time()
+                for _tile in engine.run(cells.Grid(study), part):
+                    tiles += 1
+                seconds, here = time.perf_counter() - began, time.process_time() - process_began
+                if timed:
+                    each, rate = 1e3 * seconds / tiles, part.size / seconds
+                    print(f"{size:>5} cells: {each:.2f} ms a tile, {1e3 * here / tiles:.2f} here; {rate:,.0f} cells/s")
+
+
+def make_empty() -> None:
+    """On a worker."""
+    cells.Grid.run = empty_run
+
+
 def main() -> None:
     """Print a table for each size."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("cells", nargs="+", type=float)
     parser.add_argument("--here", action="store_true", help="in this process, as JSON")
+    parser.add_argument("--workers", type=int, help="what a tile costs by so many local dask workers, instead")
     options = parser.parse_args()
+    if options.workers:
+        measure_tasks(options.cells[0], options.workers)
+        return
     if options.here:
         print(json.dumps(measure(options.cells[0])))
         return
