@@ -12,6 +12,7 @@ import hashlib
 import io
 import json
 import logging
+import math
 import pickle
 import secrets
 import threading
@@ -20,7 +21,6 @@ import warnings
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from itertools import count, islice
 from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
 from types import TracebackType
@@ -34,7 +34,7 @@ from distributed import Client, Future, KilledWorker, LocalCluster
 
 from clunk.cells import CELL, IMPACT, Grid
 from clunk.core.jit import is_cold
-from clunk.engines import Cells, EngineError, available_cores, cpu_model, cut
+from clunk.engines import Cells, EngineError, available_cores, cpu_model, tile_size
 from clunk.files import reason
 from clunk.parts import versions
 from clunk.tiles import Tile, from_bytes, to_pieces
@@ -44,7 +44,10 @@ LOCAL = "local"
 _CONNECTING = 4.0  # s
 _IN_FLIGHT = 3  # tiles for each thread of the workers
 _ASKING = 1.0  # s between two looks at how many threads there are
-_FETCHED = 16  # tiles at once, each of about half a megabyte
+_FETCHED = 8  # tiles at once
+_SHORTEST = 0.2  # s, of a tile
+_ATTENTION = 4e-3  # s of this process for a tile, with a margin
+_LARGEST = 1 << 18  # cells of a tile, about 30 MB
 _ENDING = 3.0  # s that workers have to hear that a sweep is abandoned
 
 
@@ -71,6 +74,48 @@ class _Worker:
     processor: str
 
 
+@dataclass(frozen=True)
+class _Answer:
+    """A tile as `clunk.tiles` writes it, empty from a worker of other versions; and how long it took."""
+
+    worker: _Worker
+    seconds: float
+    tile: bytes
+
+
+class _Tiles:
+    """The cells that wait, cut into tiles: so long that this process has the time to look after all workers.
+
+    cells : to be run
+    size : of the first tiles, and the least
+    """
+
+    def __init__(self, cells: Cells, size: int) -> None:
+        self._cells = cells
+        self._least = size
+        self._begin = 0
+        self._number = 0
+        self._pace = math.inf  # s a cell
+
+    def next(self, tiles: int, threads: int) -> dict[int, Cells | tuple[int, int]]:
+        """Up to so many tiles by number, for so many threads: consecutive cells as the range that they are."""
+        found: dict[int, Cells | tuple[int, int]] = {}
+        while len(found) < tiles and self._begin < self._cells.size:
+            wanted = int(max(_SHORTEST, _ATTENTION * threads) / self._pace)
+            share = (self._cells.size - self._begin) // (4 * threads)  # so that all end together
+            part = self._cells[self._begin :][: max(self._least, min(wanted, share, _LARGEST))]
+            first, last = int(part[0]), int(part[-1])
+            found[self._number] = (first, last + 1) if last - first + 1 == part.size else part
+            self._begin += part.size
+            self._number += 1
+        return found
+
+    def took(self, seconds: float, cells: int) -> None:
+        """How long a tile took; the first ones of a worker load the program, too."""
+        pace = max(seconds, 1e-6) / max(cells, 1)
+        self._pace = pace if math.isinf(self._pace) else 0.5 * (self._pace + pace)
+
+
 class Cluster:
     """The workers of a scheduler, while this is open.
 
@@ -92,6 +137,7 @@ class Cluster:
         self._workers = workers or available_cores()
         self._say = say or (lambda _text: None)
         self._processors: set[str] = set()
+        self._told = False
         self._open = ExitStack()
 
     def __enter__(self) -> Self:
@@ -133,26 +179,30 @@ class Cluster:
         self._check_workers(job)
         # A task of its own: it goes to each worker once, and to those that come later as well.
         study = self._client.submit(bytes, _pickled(grid.study, grid.shared()), key=f"clunk-study-{job.name}")
-        waiting = cut(cells, job.method, threads)
+        tiles = _Tiles(cells, tile_size(cells.size, job.method, threads))
         running: set[Future[Any]] = set()
         done: SimpleQueue[Future[Any]] = SimpleQueue()
-        numbers = count()
         try:
             while True:
                 if time.monotonic() - asked > _ASKING:
                     threads, asked = self._threads(), time.monotonic()
-                parts = [_in_short(part) for part in islice(waiting, max(0, _IN_FLIGHT * threads - len(running)))]
+                parts = tiles.next(_IN_FLIGHT * threads - len(running), threads)
                 if parts:
-                    keys = [f"clunk-tile-{job.name}-{number}" for number in islice(numbers, len(parts))]
-                    for future in self._client.map(_run_tile, parts, study=study, job=job, key=keys):
+                    keys = [f"clunk-tile-{job.name}-{number}" for number in parts]
+                    for future in self._client.map(_run_tile, list(parts.values()), study=study, job=job, key=keys):
                         running.add(future)
                         future.add_done_callback(done.put)
                 if not running:
                     return
                 futures = _those_in(done)
-                for raw in self._fetched(futures, job):
-                    yield from_bytes(raw, job.origin, CELL, IMPACT)
+                for answer in self._fetched(futures, job):
+                    tile = from_bytes(answer.tile, job.origin, CELL, IMPACT)
+                    tiles.took(answer.seconds, tile.cells.size)
+                    yield tile
                 running.difference_update(futures)
+                if grid.structural and len(self._processors) > 1 and not self._told:
+                    self._told = True
+                    self._say(f"note: processors of several types, last bits may depend on them: {self.processors()}")
                 if self._client.status != "running":
                     raise self._lost()
         finally:
@@ -191,12 +241,12 @@ class Cluster:
         if compiling := sum(cold.values()):
             self._say(f"{compiling} of {len(found)} workers compile {job.method}, once for an installation …")
 
-    def _fetched(self, futures: Sequence[Future[Any]], job: _Job) -> Iterator[bytes]:
-        """The tiles of finished tasks."""
+    def _fetched(self, futures: Sequence[Future[Any]], job: _Job) -> list[_Answer]:
+        """What came of finished tasks."""
         if not futures:
-            return
+            return []
         try:
-            answers: list[tuple[_Worker, bytes | None]] = self._client.gather(list(futures))
+            answers: list[_Answer] = self._client.gather(list(futures))
         except KilledWorker as error:
             raise EngineError(
                 f"The same cells were being run by {error.allowed_failures + 1} workers that died, the last of them "
@@ -207,11 +257,10 @@ class Cluster:
                 raise self._lost() from error
             self._check_workers(job)  # one that has come since may be why
             raise EngineError(f"A worker could not run its cells: {reason(error)}.") from error
-        for worker, tile in answers:
-            _refuse_other_versions(worker, job)
-            self._processors.add(worker.processor)
-            assert tile is not None
-            yield tile
+        for answer in answers:
+            _refuse_other_versions(answer.worker, job)
+            self._processors.add(answer.worker.processor)
+        return answers
 
     def _lost(self) -> EngineError:
         return EngineError(f"The scheduler at {self._address} was lost.")
@@ -267,12 +316,6 @@ class _Pickler(pickle.Pickler):
         return np.transpose, (np.ascontiguousarray(value.transpose(order)), tuple(np.argsort(order).tolist()))
 
 
-def _in_short(cells: Cells) -> Cells | tuple[int, int]:
-    """Cells as a range, where they are one."""
-    first, last = int(cells[0]), int(cells[-1])
-    return (first, last + 1) if last - first + 1 == cells.size else cells
-
-
 @contextmanager
 def _local_cluster(workers: int) -> Iterator[LocalCluster]:
     with TemporaryDirectory(prefix="clunk-dask-") as scratch:
@@ -314,14 +357,14 @@ def _quiet() -> Iterator[None]:
 # --- on a worker
 
 
-def _run_tile(cells: Cells | tuple[int, int], study: bytes, job: _Job) -> tuple[_Worker, bytes | None]:
-    """A tile, as `clunk.tiles` writes it; none by other versions."""
+def _run_tile(cells: Cells | tuple[int, int], study: bytes, job: _Job) -> _Answer:
     worker = _introduced(distributed.get_worker())
     if worker.versions != job.versions:
-        return worker, None
+        return _Answer(worker, 0.0, b"")
     numbers = np.arange(*cells, dtype=np.int64) if isinstance(cells, tuple) else cells
+    began = time.perf_counter()
     tile = _grid(study).run(numbers, _stop_flag(job.name))
-    return worker, b"".join(to_pieces([tile], job.origin))
+    return _Answer(worker, time.perf_counter() - began, b"".join(to_pieces([tile], job.origin)))
 
 
 def _introduced(dask_worker: distributed.Worker) -> _Worker:

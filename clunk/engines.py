@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import os
 import platform
-from collections.abc import Generator, Iterator
+from collections.abc import Generator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Protocol
@@ -56,7 +56,8 @@ class Threads:
     def run(self, grid: Grid, cells: Cells) -> Generator[Tile, None, None]:
         """See `Engine`."""
         stop = np.zeros(1, np.uint8)
-        waiting = cut(cells, grid.study.solver.method, self._workers)
+        size = tile_size(cells.size, grid.study.solver.method, self._workers)
+        waiting = (cells[start : start + size] for start in range(0, cells.size, size))
         with ThreadPoolExecutor(self._workers, thread_name_prefix="clunk") as pool:
             running: set[Future[Tile]] = set()
             try:
@@ -78,11 +79,10 @@ class Threads:
         return cpu_model()
 
 
-def cut(cells: Cells, method: str, workers: int) -> Iterator[Cells]:
-    """The tiles' cells: eight tiles a worker, but none that would take longer than about 0.1 s or far less."""
+def tile_size(cells: int, method: str, workers: int) -> int:
+    """Cells of a tile: eight tiles a worker, but none that would take longer than about 0.1 s, or far less."""
     largest = _TILE_CELLS[method]
-    size = min(max(-(-cells.size // (8 * workers)), largest // 32), largest)
-    return (cells[start : start + size] for start in range(0, cells.size, size))
+    return min(max(-(-cells // (8 * workers)), largest // 32), largest)
 
 
 def available_cores() -> int:

@@ -145,7 +145,7 @@ class Results:
         """The axes' counts in order."""
         return tuple(len(axis.values) for axis in self.axes)
 
-    @property
+    @cached_property
     def max_impacts(self) -> int:
         """Length of the file's `impact` dimension: the most primary impacts of any cell, at least 1."""
         return max(1, int(self.primary_impacts.max()))

@@ -37,12 +37,12 @@ class ByHand:
             time.sleep(0.02)
         self.address = json.loads(file.read_text())["address"]
 
-    def worker(self, preload=None, nanny=False):
+    def worker(self, preload=None, nanny=False, **environment):
         """A worker with one thread; it is there when this returns."""
         before = len(self.workers())
         options = ["--nthreads", "1", "--local-directory", str(self._directory), "--memory-limit", "0"]
         options += [] if nanny else ["--no-nanny"]
-        process = self._start("worker", *options, *(["--preload", preload] if preload else []))
+        process = self._start("worker", *options, *(["--preload", preload] if preload else []), **environment)
         while len(self.workers()) == before:
             assert process.poll() is None
             time.sleep(0.05)
@@ -60,10 +60,11 @@ class ByHand:
             process.wait()
         self._errors.close()
 
-    def _start(self, kind, *options):
+    def _start(self, kind, *options, **environment):
         file = str(self._directory / "scheduler.json")
         command = [sys.executable, "-m", "dask", kind, *options, "--scheduler-file", file, "--no-dashboard"]
-        self._processes.append(subprocess.Popen(command, stdout=self._errors, stderr=self._errors))
+        output = {"stdout": self._errors, "stderr": self._errors, "env": {**os.environ, **environment}}
+        self._processes.append(subprocess.Popen(command, **output))
         return self._processes[-1]
 
 
@@ -92,6 +93,22 @@ def map_17():
 @pytest.fixture(scope="module")
 def whole(map_17):
     return sweep(map_17)
+
+
+def test_tiles_grow_until_the_client_has_time_for_all_workers_and_shrink_towards_the_end():
+    tiles = distributed._Tiles(np.arange(10_000_000), 128)
+    assert tiles.next(2, 1000) == {0: (0, 128), 1: (128, 256)}
+    tiles.took(0.01, 100)
+    begin, end = tiles.next(1, 1000)[2]
+    assert end - begin == (10_000_000 - 256) // 4000  # and not 40,000, which would take 4 s
+    begin, end = tiles.next(1, 20)[3]
+    assert end - begin == 2000  # 0.2 s
+    cells = [cell for part in tiles.next(10**6, 20).values() for cell in part]
+    assert cells[-1] == 10_000_000
+    assert min(np.diff(np.reshape(cells, (-1, 2)), axis=1)[:-1]) == 128
+    scattered = distributed._Tiles(np.array([3, 5, 6]), 2)
+    first, second = scattered.next(5, 1).values()
+    assert (list(first), second) == ([3, 5], (6, 7))
 
 
 def clunk(directory, *arguments, before="pass"):
@@ -134,7 +151,7 @@ class TestTheSameBits:
         local = clunk(tmp_path, "--scheduler", "local", "--workers", "2")
         out, err = local.communicate(timeout=120)
         assert local.returncode == 0, err
-        assert len(err.splitlines()) == 1, err
+        assert all("cells" in line for line in err.splitlines()), err
         assert sorted(path.name for path in tmp_path.iterdir()) == ["map.h5", "map.toml"]
         digest = read_header(tmp_path / "map.h5").content_digest
         threads = clunk(tmp_path, "--force")
@@ -181,17 +198,23 @@ class TestTheSameBits:
         with Cluster("local", workers=2) as engine:
             assert equal(sweep(figure, engine=engine), sweep(figure))
 
+    def test_where_a_worker_rounds_otherwise_but_all_cells_share_a_system(self, alone):
+        """OpenBLAS as on an older processor gives other last bits to eigenvectors."""
+        alone.worker(OPENBLAS_CORETYPE="Prescott")
+        shared = figure_3_4(17)
+        shared = shared.model_copy(update={"solver": shared.solver.model_copy(update={"method": "exact"})})
+        with Cluster(alone.address) as engine:
+            assert equal(sweep(shared, engine=engine), sweep(shared))
+
 
 class TestWhatIsRefused:
     def test_no_scheduler(self, tmp_path):
-        began = time.monotonic()
         process = clunk(tmp_path, "--scheduler", "tcp://127.0.0.1:9")
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=30)  # 4 s, and what an import takes
         assert process.returncode == 2
         assert "No scheduler answers at tcp://127.0.0.1:9" in words(err)
         assert "Traceback" not in err
         assert out == ""
-        assert time.monotonic() - began < 10.0
         assert [path.name for path in tmp_path.iterdir()] == ["map.toml"]
 
     @pytest.mark.parametrize(
@@ -292,7 +315,8 @@ class TestAnEndBeforeTheEnd:
         assert process.returncode == 130, err
         assert "the same command goes on from there" in words(err)
         assert err.splitlines()[-1] == "interrupted"
-        assert len(err.splitlines()) <= 5, err
+        assert "distributed" not in err
+        assert "Traceback" not in err
         assert sorted(path.name for path in directory.iterdir()) == ["map.h5.partial", "map.toml"]
 
 
