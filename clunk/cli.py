@@ -739,8 +739,7 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: 
 @cli.command()
 @click.argument("config", type=click.Path(path_type=Path))
 @_set_option
-@click.option("--workers", type=click.IntRange(1, 1024), help="Threads, or local processes [one for each core].")
-@click.option("--scheduler", metavar="ADDRESS", help="Run on dask workers: tcp://HOST:8786, or local.")
+@click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")
 @_json_option
 def verify(config: Path, overrides: tuple[str, ...], workers: int | None, as_json: bool) -> None:
     """Run CONFIG by both methods, rk4 and exact, and compare labels, events and severity.
@@ -778,8 +777,7 @@ def verify(config: Path, overrides: tuple[str, ...], workers: int | None, as_jso
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), default="results/reproduction", help="Directory of the figures."
 )
-@click.option("--workers", type=click.IntRange(1, 1024), help="Threads, or local processes [one for each core].")
-@click.option("--scheduler", metavar="ADDRESS", help="Run on dask workers: tcp://HOST:8786, or local.")
+@click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")
 @click.option("--coarsen", type=click.IntRange(1, 20), default=1, help="About every n-th value of the maps' axes [1].")
 @_json_option
 def reproduce(output: Path, workers: int | None, coarsen: int, as_json: bool) -> None:
