@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from clunk.api import draw, sweep, tolerance_map, verify
     from clunk.config import ConfigError, Study, load_study, replace_values, study_from_text
     from clunk.datasets import open_results, to_dataset
+    from clunk.engines import EngineError
     from clunk.parts import PartsError
     from clunk.plot import PlotError
     from clunk.results import Results
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ConfigError",
+    "EngineError",
     "PartsError",
     "PlotError",
     "Results",
@@ -64,6 +66,7 @@ __all__ = [
 # Public name -> where it is: its module, and its name there if that is another.
 _HOME = {
     "ConfigError": "config",
+    "EngineError": "engines",
     "PartsError": "parts",
     "PlotError": "plot",
     "Results": "results",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,8 @@ from clunk import sweeping, targets, tolerancefile, verification
 from clunk.cells import compiling_note, warm_up
 from clunk.config import Study
 from clunk.designs import has_tolerances
-from clunk.output import opened
+from clunk.engines import Engine, EngineError
+from clunk.output import engine_of, opened
 from clunk.progress import Progress, shown
 from clunk.results import Results
 from clunk.simulation import Trajectory
@@ -32,6 +33,7 @@ def sweep(
     *,
     progress: bool | Progress = False,
     workers: int | None = None,
+    scheduler: str | None = None,
     refine: bool = False,
     restart: bool = False,
     force: bool = False,
@@ -50,6 +52,9 @@ def sweep(
         called in this thread with the number of cells after each finished tile.
     workers : int, optional
         Threads; by default one for each core that this process may use.
+    scheduler : str, optional
+        Run on the workers of this dask scheduler, ``tcp://host:8786``; or, ``local``, on processes of this machine, as
+        many as `workers`.
     refine : bool
         Run only a coarse grid and where labels change, and infer the other cells' labels.
     restart : bool
@@ -69,6 +74,8 @@ def sweep(
         something else.
     TargetError, StoreError, PartsError
         Where the file cannot be written, or finished cells cannot be kept or taken up.
+    EngineError
+        Where the scheduler or its workers cannot start or go on; finished cells have been kept.
     KeyboardInterrupt
         Passed on after finished cells have been kept.
 
@@ -84,7 +91,7 @@ def sweep(
     """
     if has_tolerances(study):
         raise SweepError(HAS_TOLERANCES)
-    found = _found(study, output, progress, workers, refine=refine, restart=restart, force=force)
+    found = _found(study, output, progress, engine_of(scheduler, workers), refine=refine, restart=restart, force=force)
     assert isinstance(found, Results)
     return found
 
@@ -95,6 +102,7 @@ def tolerance_map(
     *,
     progress: bool | Progress = False,
     workers: int | None = None,
+    scheduler: str | None = None,
     restart: bool = False,
     force: bool = False,
 ) -> ToleranceMap:
@@ -104,7 +112,7 @@ def tolerance_map(
     ----------
     study : Study
         With at least one axis, and tolerances.
-    output, progress, workers, restart, force
+    output, progress, workers, scheduler, restart, force
         As of `sweep`.
 
     Returns
@@ -116,7 +124,7 @@ def tolerance_map(
     ------
     SweepError
         As of `sweep`, and where there are no tolerances.
-    TargetError, StoreError, PartsError, KeyboardInterrupt
+    TargetError, StoreError, PartsError, EngineError, KeyboardInterrupt
         As of `sweep`.
 
     Examples
@@ -129,7 +137,7 @@ def tolerance_map(
     """
     if not has_tolerances(study):
         raise SweepError(NO_TOLERANCES)
-    found = _found(study, output, progress, workers, refine=False, restart=restart, force=force)
+    found = _found(study, output, progress, engine_of(scheduler, workers), refine=False, restart=restart, force=force)
     assert isinstance(found, ToleranceMap)
     return found
 
@@ -211,7 +219,7 @@ def _found(
     study: Study,
     output: str | os.PathLike[str] | None,
     progress: bool | Progress,
-    workers: int | None,
+    opening: AbstractContextManager[Engine],
     *,
     refine: bool,
     restart: bool,
@@ -220,19 +228,19 @@ def _found(
     """What a study's sweep finds, or a file that is complete already has."""
     tolerances = has_tolerances(study)
     if output is None:
-        with _telling(progress, sweeping.cell_count(study), study) as tell:
+        with opening as engine, _telling(progress, sweeping.cell_count(study), study) as tell:
             if tolerances:
-                return sweeping.tolerance_map(study, workers=workers, progress=tell)
-            return sweeping.sweep(study, workers=workers, progress=tell, refine=refine)
+                return sweeping.tolerance_map(study, engine=engine, progress=tell)
+            return sweeping.sweep(study, engine=engine, progress=tell, refine=refine)
     path = Path(output)
     targets.check(path, targets.RESULTS)
     with opened(path, study, refine=refine, restart=restart, force=force) as file:
         if file.counts is not None:
             return tolerancefile.read(path) if tolerances else read(path)
         try:
-            with _telling(progress, sweeping.cell_count(study), study) as tell:
-                found = file.run(workers=workers, progress=tell)
-        except KeyboardInterrupt as stopped:
+            with opening as engine, _telling(progress, sweeping.cell_count(study), study) as tell:
+                found = file.run(engine=engine, progress=tell)
+        except (KeyboardInterrupt, EngineError) as stopped:
             stopped.add_note(file.kept)
             raise
         file.save(found)

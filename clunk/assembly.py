@@ -14,6 +14,7 @@ from clunk.core.status import QUALITY_GRAZING, QUALITY_INFERRED, QUALITY_UNDECID
 from clunk.designs import design_of
 from clunk.refinement import DOUBTFUL, UNKNOWN
 from clunk.results import CELL_FIELDS, FAILED_CODE, IMPACT_FIELDS, Results
+from clunk.scratch import Scratch
 from clunk.tiles import Tile
 
 Cells = npt.NDArray[np.int64]
@@ -25,19 +26,24 @@ _UNKNOWN_VALUES = {"severity": np.nan, "approach_velocity": np.nan, "last_event_
 class Assembly:
     """The results' arrays, filled tile by tile.
 
+    scratch : where they are made; by default in memory
     done : cells that are known
     """
 
-    def __init__(self, study: Study) -> None:
+    def __init__(self, study: Study, scratch: Scratch | None = None) -> None:
         self._study = study
         self._design = design_of(study)
         self.shape = self._design.shape
         cells = self._design.cells
         self.done = 0
+        self._scratch = scratch or Scratch()
         self._sequences: dict[tuple[int, ...], int] = {}  # the primaries' flanks -> code, in the order they turned up
-        self._codes = np.full(cells, FAILED_CODE, np.int32)
+        self._codes: npt.NDArray[np.int32] = self._scratch.zeros(cells, np.int32)
+        self._codes.fill(FAILED_CODE)
         self._known = np.zeros(cells, bool)
-        self._fields = {name: np.zeros(cells, dtype) for name, dtype in CELL_FIELDS.items() if name != "sequence"}
+        self._fields = {
+            name: self._scratch.zeros(cells, dtype) for name, dtype in CELL_FIELDS.items() if name != "sequence"
+        }
         self._impacts: list[tuple[Cells, dict[str, npt.NDArray[np.generic]]]] = []
 
     def add(self, tile: Tile) -> None:
@@ -73,11 +79,11 @@ class Assembly:
 
     def missing(self) -> Cells:
         """The cells that have not been run, in ascending order."""
-        return np.flatnonzero(~self._known).astype(np.int64)
+        return np.flatnonzero(~self._known).astype(np.int64, copy=False)
 
     def kinds(self) -> npt.NDArray[np.int32]:
         """What refinement compares: shape, int32; equal where the flanks of the impacts and the initial flank are."""
-        kinds = 3 * self._codes + 1 + self._fields["initial_side"]
+        kinds: npt.NDArray[np.int32] = 3 * self._codes + 1 + self._fields["initial_side"]
         vague = (self._fields["quality"] & (QUALITY_UNDECIDED | QUALITY_GRAZING)) != 0
         kinds[(self._codes == FAILED_CODE) | vague] = DOUBTFUL
         kinds[~self._known] = UNKNOWN
@@ -120,7 +126,7 @@ class Assembly:
             axes=self._design.axes,
             coordinates=self._design.coordinates,
             labels=labels,
-            sequence=code[self._codes].reshape(self.shape),
+            sequence=self._scratch.keep(code[self._codes]).reshape(self.shape),
             **{name: field.reshape(self.shape) for name, field in self._fields.items()},
             **self._flat_impacts(),
             config=to_toml(self._study),
@@ -146,7 +152,8 @@ class Assembly:
         return self._sequences.setdefault(tuple(flanks), len(self._sequences))
 
     def _take(self, cells: Cells, impacts: dict[str, npt.NDArray[np.generic]]) -> None:
-        self._impacts.append((cells, impacts))
+        kept = {name: self._scratch.keep(values) for name, values in impacts.items()}
+        self._impacts.append((self._scratch.keep(cells), kept))
         self._known[cells] = True
         self.done += cells.size
 
@@ -154,7 +161,9 @@ class Assembly:
         """Every tile's impacts where their cells are in C order."""
         counts = self._fields["primary_impacts"]
         first = np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
-        flat: dict[str, npt.NDArray[Any]] = {name: np.empty(first[-1], dtype) for name, dtype in IMPACT_FIELDS.items()}
+        flat: dict[str, npt.NDArray[Any]] = {
+            name: self._scratch.zeros(int(first[-1]), dtype) for name, dtype in IMPACT_FIELDS.items()
+        }
         for cells, impacts in self._impacts:
             mine = counts[cells]
             begin = np.cumsum(mine, dtype=np.int64) - mine  # of each cell within the tile

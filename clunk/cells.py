@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -36,14 +37,22 @@ class Grid:
     """The cells of a study: each one's system, torques and gap.
 
     design : of which cells; by default the study's
+    shared : of another `Grid.shared`, so that it need not be prepared again
     """
 
-    def __init__(self, study: Study, design: Design | None = None) -> None:
+    record, detail = CELL, IMPACT  # of its tiles
+    runs = 1  # of each cell
+
+    def __init__(
+        self, study: Study, design: Design | None = None, shared: tuple[System, Steps | Flows] | None = None
+    ) -> None:
         self.study = study
         self.design = design or design_of(study)
         self.structural = [column for column in self.design.columns if column.parameter not in DRIVING]
         self._dimensions = sorted({column.dimension for column in self.structural})
         self._kept: OrderedDict[tuple[float, ...], tuple[System, Steps | Flows]] = OrderedDict()
+        if shared is not None:
+            self._kept[()] = shared
         self._lock = threading.Lock()
 
     @property
@@ -67,10 +76,17 @@ class Grid:
 
     def complaint(self) -> str | None:
         """Why no cell at all can run, where that is known beforehand."""
-        if self.structural:
-            return None
-        status = Status(self.prepared({})[0].status)
+        shared = self.shared()
+        status = Status.OK if shared is None else Status(shared[0].status)
         return None if status == Status.OK else status.sentence
+
+    def shared(self) -> tuple[System, Steps | Flows] | None:
+        """The system and tables that all cells share, if they do."""
+        return None if self.structural else self.prepared({})
+
+    def recipe(self) -> tuple[type[Grid], tuple[Any, ...]]:
+        """What another process makes the same grid of: its type and what that is called with."""
+        return type(self), (self.study, self.design, self.shared())
 
     def prepared(self, values: Mapping[str, float]) -> tuple[System, Steps | Flows]:
         """The system and its method's tables with these values of what is structural; kept for other tiles."""

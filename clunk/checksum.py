@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 _MARK = b"clunk-sha256:"
 _LENGTH = len(_MARK) + 64 + 1  # `head -c -78 FILE | sha256sum` gives the same digits
@@ -17,9 +19,20 @@ _END_AT = {0: 40, 1: 44, 2: 28, 3: 28}  # superblock version -> where it has the
 _BLOCK = 1 << 20
 
 
-def trailer(content: bytes | memoryview) -> bytes:
-    """What is to follow the content of a file."""
-    return _MARK + hashlib.sha256(content).hexdigest().encode() + b"\n"
+def trailer(content: Iterable[bytes | memoryview]) -> bytes:
+    """What is to follow the content of a file, which comes block by block."""
+    sha = hashlib.sha256()
+    for block in content:
+        sha.update(block)
+    return _MARK + sha.hexdigest().encode() + b"\n"
+
+
+def blocks(file: BinaryIO, size: int) -> Iterator[bytes]:
+    """The first `size` bytes of a file."""
+    file.seek(0)
+    while size and (block := file.read(min(_BLOCK, size))):
+        size -= len(block)
+        yield block
 
 
 def verify(path: str | os.PathLike[str]) -> bool:
@@ -33,12 +46,7 @@ def verify(path: str | os.PathLike[str]) -> bool:
         file.seek(max(0, size - _LENGTH))
         tail = file.read()
         if tail.startswith(_MARK):
-            file.seek(0)
-            sha, left = hashlib.sha256(), size - _LENGTH
-            while block := file.read(min(_BLOCK, left)):
-                sha.update(block)
-                left -= len(block)
-            if tail != _MARK + sha.hexdigest().encode() + b"\n":
+            if tail != trailer(blocks(file, size - _LENGTH)):
                 raise ValueError("its bytes do not match its checksum")
             return True
     at = _END_AT.get(head[8]) if len(head) == 64 else None

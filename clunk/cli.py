@@ -21,8 +21,10 @@ from clunk import __version__, progress, terminal
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from contextlib import AbstractContextManager
 
     from clunk.config import Study
+    from clunk.engines import Engine
     from clunk.output import Output
     from clunk.results import ResultAxis
     from clunk.simulation import Trajectory
@@ -84,7 +86,8 @@ def main() -> NoReturn:
 def _is_for_the_user(error: Exception) -> bool:
     """Whether an error's text was written for people; told by name, so that nothing is imported to ask."""
     names = {"ComparisonError", "ConfigError", "ExperimentError", "HistoryError", "PlotError"}
-    names |= {"PartsError", "SensitivityError", "SimulationError", "StoreError", "SweepError", "TargetError"}
+    names |= {"EngineError", "PartsError", "ScratchError", "SensitivityError", "SimulationError", "StoreError"}
+    names |= {"SweepError", "TargetError"}
     return type(error).__module__.startswith("clunk.") and type(error).__name__ in names
 
 
@@ -109,7 +112,8 @@ def cli() -> None:
 @click.argument("config", type=click.Path(path_type=Path))
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Results file [results/CONFIG.h5].")
 @_set_option
-@click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")
+@click.option("--workers", type=click.IntRange(1, 1024), help="Threads, or local processes [one for each core].")
+@click.option("--scheduler", metavar="ADDRESS", help="Run on dask workers: tcp://HOST:8786, or local.")
 @click.option("--force", is_flag=True, help="Overwrite a results file of another config.")
 @click.option("--restart", is_flag=True, help="Begin anew: neither go on with a stopped sweep nor keep a finished one.")
 @click.option("--refine", is_flag=True, help="Run only where labels change, and infer the other cells' labels.")
@@ -122,6 +126,7 @@ def sweep(
     output: Path | None,
     overrides: tuple[str, ...],
     workers: int | None,
+    scheduler: str | None,
     force: bool,
     restart: bool,
     refine: bool,
@@ -137,6 +142,7 @@ def sweep(
       clunk sweep configs/figure_3_4.toml --set solver.step=5e-5
       clunk sweep configs/figure_3_4.toml --refine -o refined.h5
       clunk sweep configs/figure_3_4.toml --retry-failed --set solver.max_events=4096
+      clunk sweep configs/figure_3_4.toml --scheduler tcp://localhost:8786
     """
     if retry_failed and (refine or force):
         raise click.UsageError("--retry-failed goes with neither --refine nor --force.")
@@ -150,8 +156,9 @@ def sweep(
         raise click.UsageError(f"{option} does not go with [[sweep.tolerances]]: every cell has its own probabilities.")
     target = output or Path("results") / f"{config.stem}.h5"
     targets.check(target, targets.RESULTS, reads=config)
-    from clunk.output import opened
+    from clunk.output import engine_of, opened
 
+    opening = engine_of(scheduler, workers, say=lambda text: click.echo(text, err=True))
     with opened(target, study, refine=refine, retry=retry_failed, restart=restart, force=force) as output_file:
         counts = output_file.counts
         if counts is not None:
@@ -163,14 +170,15 @@ def sweep(
             else:
                 failed = _report_counts(counts, target, 0.0, as_json)
         else:
-            failed = _sweep_into(output_file, workers, as_json)
+            failed = _sweep_into(output_file, opening, as_json)
     if failed:
         sys.exit(EXIT_FAILED_CELLS)
 
 
-def _sweep_into(output: Output, workers: int | None, as_json: bool) -> int:
+def _sweep_into(output: Output, opening: AbstractContextManager[Engine], as_json: bool) -> int:
     """Run, write, report; how many cells, or runs of a tolerance map, have failed."""
     import clunk.sweeping as sweeping
+    from clunk.engines import EngineError
     from clunk.tolerancemap import ToleranceMap
 
     study, target, parts, earlier = output.study, output.path, output.parts, output.earlier
@@ -180,11 +188,11 @@ def _sweep_into(output: Output, workers: int | None, as_json: bool) -> int:
         click.echo(f"note: {parameter} is swept, but changes nothing in this model", err=True)
     _say_if_compiling(study.solver.method)
     sweeping.warm_up(study)
-    began = time.perf_counter()
     known, ran = 0 if earlier is None else total - earlier.counts()["failed"], 0
     told = False
     try:
-        with progress.shown(total) as show:
+        with opening as engine, progress.shown(total) as show:
+            began = time.perf_counter()
 
             def tell(done: int, total: int) -> None:
                 nonlocal ran, told
@@ -193,11 +201,15 @@ def _sweep_into(output: Output, workers: int | None, as_json: bool) -> int:
                 told, ran = True, done - known
                 show(done, total)
 
-            results = output.run(workers=workers, progress=tell)
-    except (KeyboardInterrupt, SystemExit) as stopped:
+            results = output.run(engine=engine, progress=tell)
+    except (KeyboardInterrupt, SystemExit, EngineError) as stopped:
+        if isinstance(stopped, EngineError):
+            terminal.complain(str(stopped))
         terminal.complain(f"stopped: {output.kept}")
         if isinstance(stopped, SystemExit):
             raise
+        if isinstance(stopped, EngineError):
+            sys.exit(EXIT_USAGE)
         click.echo("interrupted", err=True)
         sys.exit(EXIT_INTERRUPTED)
     seconds = time.perf_counter() - began

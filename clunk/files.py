@@ -20,7 +20,7 @@ def write_whole(path: str | os.PathLike[str], write: Callable[[BinaryIO], object
     path = Path(os.path.realpath(path))  # through a symbolic link: replace the file, not the link
     temporary = (scratch or path.parent) / f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp"
     try:
-        with temporary.open("xb") as target:
+        with temporary.open("x+b") as target:
             write(target)
             target.flush()
             os.fsync(target.fileno())
@@ -29,6 +29,19 @@ def write_whole(path: str | os.PathLike[str], write: Callable[[BinaryIO], object
     finally:
         with suppress(OSError):  # its directory may be what is missing
             temporary.unlink(missing_ok=True)
+
+
+def reserve(file: BinaryIO, size: int) -> None:
+    """See to it that the disk has room for a file to grow to `size` bytes; it has zeros there. Raises OSError."""
+    if hasattr(os, "posix_fallocate"):
+        os.posix_fallocate(file.fileno(), 0, size)
+    else:
+        at = file.tell()
+        begin = file.seek(0, os.SEEK_END)
+        while begin < size:
+            begin += file.write(bytes(min(size - begin, 1 << 20)))
+        file.flush()
+        file.seek(at)
 
 
 def reason(error: BaseException) -> str:

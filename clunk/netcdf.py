@@ -16,38 +16,103 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from clunk.checksum import trailer
-from clunk.files import write_whole
+from clunk.checksum import blocks, trailer
+from clunk.files import reserve, write_whole
 
 CONVENTIONS = "CF-1.11"
 
 # On the map of Figure 3.4 levels 1 to 6 differ by 1 % in size, and 6 takes three times as long.
 _COMPRESSION = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 _CHUNK_BYTES = 1 << 20  # HDF5's chunk cache, so that every chunk is compressed once
+_AHEAD = 1 << 26  # bytes reserved; chunks and HDF5's own structures for them are far smaller
 _LONGEST_FIXED_TEXT = 1 << 14  # an HDF5 attribute in an object header ends at 64 KiB; longer text goes to the heap
 
 
-def write_file(path: str | os.PathLike[str], fill: Callable[[h5py.File], None], scratch: Path | None = None) -> None:
+def write_file(
+    path: str | os.PathLike[str], fill: Callable[[Image], None], scratch: Path | None = None, *, large: bool = False
+) -> None:
     """Write the file that `fill` fills and its checksum, whole or not at all; see `write_whole`. Raises OSError.
 
     It is assembled in memory (a results file takes about 90 bytes a cell): HDF5 writing to a full disk does not only
-    fail, it leaves handles that crash the interpreter when it exits. Python's own write fails cleanly.
+    fail, it leaves handles that crash the interpreter when it exits. Python's own write fails cleanly. A large one is
+    assembled on the disk, in room that is reserved before HDF5 writes there.
     """
-    image = image_of(fill)
 
     def write(target: BinaryIO) -> None:
-        target.write(image.getbuffer())
-        target.write(trailer(image.getbuffer()))
+        if large:
+            room = _Room(target)
+            with Image(room) as file:
+                fill(file)
+            target.truncate(room.end)
+            checksum = trailer(blocks(target, room.end))
+            target.write(checksum)
+        else:
+            target.write(image.getbuffer())
+            target.write(trailer([image.getbuffer()]))
 
+    image = io.BytesIO() if large else image_of(fill)
     write_whole(path, write, scratch)
 
 
-def image_of(fill: Callable[[h5py.File], None]) -> io.BytesIO:
+def image_of(fill: Callable[[Image], None]) -> io.BytesIO:
     """The file that `fill` fills, in memory."""
     image = io.BytesIO()
-    with h5py.File(image, "w", track_order=True) as file:  # netCDF-4 asks for creation order
+    with Image(image) as file:
         fill(file)
     return image
+
+
+class Image(h5py.File):  # type: ignore[misc]  # h5py has no type information
+    """An HDF5 file while it is filled."""
+
+    def __init__(self, target: io.BytesIO | _Room) -> None:
+        self._target = target
+        if isinstance(target, _Room):
+            target.reserve()
+        super().__init__(target, "w", track_order=True)  # netCDF-4 asks for creation order
+
+    def reserve(self) -> None:
+        """To be called after each few megabytes: see to it that there is room for as many more. Raises OSError."""
+        if isinstance(self._target, _Room):
+            self._target.reserve()
+
+
+class _Room:
+    """A file as HDF5 sees it: it ends where HDF5 has written, and the room reserved behind that end is not seen."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._reserved = 0
+        self.end = 0
+
+    def reserve(self) -> None:
+        if self.end + _AHEAD // 2 > self._reserved:
+            self._reserved = self.end + _AHEAD
+            reserve(self._file, self._reserved)
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        return self._file.seek(self.end + offset) if whence == os.SEEK_END else self._file.seek(offset, whence)
+
+    def tell(self) -> int:
+        return self._file.tell()
+
+    def readinto(self, buffer: memoryview) -> int:
+        return self._file.readinto(buffer)  # type: ignore[attr-defined, no-any-return]
+
+    def read(self, size: int = -1) -> bytes:
+        return self._file.read(size)
+
+    def write(self, data: bytes | memoryview) -> int:
+        written = self._file.write(data)
+        self.end = max(self.end, self._file.tell())
+        return written
+
+    def truncate(self, size: int) -> int:
+        self.end = size
+        return size
+
+    def flush(self) -> None:
+        self._file.flush()
 
 
 class ChunkWriter:
@@ -56,7 +121,8 @@ class ChunkWriter:
     HDF5 compresses on one thread; zlib lets go of the interpreter lock.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, file: Image) -> None:
+        self._file = file
         cores = os.cpu_count() or 1
         self._pool = ThreadPoolExecutor(min(cores, 8), thread_name_prefix="clunk-zlib")
         self._most = 4 * min(cores, 8)  # chunks in memory
@@ -87,6 +153,7 @@ class ChunkWriter:
     def _drain(self, left: int) -> None:
         while len(self._running) > left:
             variable, place, chunk = self._running.popleft()
+            self._file.reserve()
             variable.id.write_direct_chunk(place, chunk.result())
 
 

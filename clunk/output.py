@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+import re
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +13,7 @@ from pathlib import Path
 from clunk import tolerancefile
 from clunk.config import Study, digest
 from clunk.designs import has_tolerances
+from clunk.engines import Engine, EngineError, Threads
 from clunk.parts import Parts, PartsError, WorkingDirectory
 from clunk.results import Results
 from clunk.store import StoreError, read, read_header, write
@@ -51,13 +53,13 @@ class Output:
             return "no cell was finished"
         return f"{self.parts.kept:,} cells are kept in {self.directory.path}; the same command goes on from there"
 
-    def run(self, *, workers: int | None = None, progress: Progress | None = None) -> Results | ToleranceMap:
+    def run(self, *, engine: Engine, progress: Progress | None = None) -> Results | ToleranceMap:
         """Run what is missing. As `clunk.sweeping.sweep`, or `tolerance_map` where the study has tolerances."""
         if has_tolerances(self.study):
-            return tolerance_map(self.study, workers=workers, progress=progress, parts=self.parts)
+            return tolerance_map(self.study, engine=engine, progress=progress, parts=self.parts)
         if self.earlier is not None:
-            return retry_failed(self.earlier, self.study, workers=workers, progress=progress, parts=self.parts)
-        return sweep(self.study, workers=workers, progress=progress, refine=self.refine, parts=self.parts)
+            return retry_failed(self.earlier, self.study, engine=engine, progress=progress, parts=self.parts)
+        return sweep(self.study, engine=engine, progress=progress, refine=self.refine, parts=self.parts)
 
     def tidy(self) -> None:
         """Remove what a sweep that was killed after its file was in place has left; another sweep's parts stay."""
@@ -133,3 +135,36 @@ def _complete_counts(path: Path, study: Study, *, restart: bool, refine: bool) -
     if "refinement" in header.attributes and not refine:
         raise SweepError(f"{path} holds this sweep by --refine, with inferred cells. {_WAYS_OUT}")
     return header.counts
+
+
+def engine_of(
+    scheduler: str | None, workers: int | None = None, say: Callable[[str], None] | None = None
+) -> AbstractContextManager[Engine]:
+    """What runs cells, to be opened: this process's threads, or the workers of a dask scheduler.
+
+    Parameters
+    ----------
+    scheduler : str or None
+        Its address, ``tcp://host:8786``; or ``local`` for worker processes on this machine; or None for threads.
+    workers : int, optional
+        Threads or processes here; by default one for each core that this process may use.
+    say : callable(text), optional
+        Told what is being waited for.
+
+    Raises EngineError where there is no such thing as the address, or no dask.
+    """
+    if workers is not None and workers < 1:
+        raise EngineError(f"A sweep needs at least one worker, not {workers}.")
+    if scheduler is None:
+        return nullcontext(Threads(workers))
+    if scheduler != "local" and not re.fullmatch(r"[a-z]+://\S+", scheduler):
+        raise EngineError(f"A scheduler is an address such as tcp://host:8786, or local, not {scheduler!r}.")
+    if scheduler != "local" and workers is not None:
+        raise EngineError("The number of workers is for threads, or for a local scheduler; this one has its own.")
+    try:
+        from clunk.distributed import Cluster
+    except ModuleNotFoundError as error:
+        raise EngineError(
+            f"A scheduler needs dask, which is not installed (no {error.name}): pip install 'clunk[dask]'"
+        ) from error
+    return Cluster(scheduler, workers, say)

@@ -31,6 +31,7 @@ from clunk.tiles import Tile, from_bytes, to_pieces
 _FIRST_PART = 2.0  # s: what is done sooner is as soon done again
 _PART = 1.5  # s, at least; a part of 20,000 cells is 3 MB and takes 25 ms
 _LONGEST_PART = 30.0  # s
+_LARGEST_PART = 1 << 20  # cells, about 120 MB: many workers are faster than any clock
 _SHARE = 0.02  # of the time so far: what may be lost, so that a day's sweep is not 50,000 files
 
 
@@ -138,7 +139,7 @@ class Parts:
         self._manifest = {
             "plan": plan,
             "config_digest": config_digest,
-            "versions": _versions(),
+            "versions": versions(),
             "arrays": [str(record.descr), str(impact.descr)],
             "study": dict(study),
         }
@@ -146,6 +147,7 @@ class Parts:
         self._origin = hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).digest()
         self._types = record, impact
         self._waiting: list[Tile] = []
+        self._cells_waiting = 0
         self._number = max((int(path.name.removeprefix("part-")) for path in directory.parts()), default=0)
         self._began = self._written = time.monotonic()
         self._refuse_others()
@@ -170,9 +172,11 @@ class Parts:
     def add(self, tile: Tile) -> None:
         """Keep a tile: now and then, what has accumulated is written. Raises PartsError."""
         self._waiting.append(tile)
+        self._cells_waiting += tile.cells.size
         now = time.monotonic()
         pause = min(max(_PART, _SHARE * (now - self._began)), _LONGEST_PART)
-        if now - self._written >= (pause if self._number else _FIRST_PART):
+        due = now - self._written >= (pause if self._number else _FIRST_PART)
+        if due or self._cells_waiting >= _LARGEST_PART:
             self.flush()
 
     def flush(self) -> None:
@@ -192,7 +196,8 @@ class Parts:
                 "the same command goes on from what is there."
             ) from error
         self._number += 1
-        self.kept += sum(tile.cells.size for tile in self._waiting)
+        self.kept += self._cells_waiting
+        self._cells_waiting = 0
         self._waiting.clear()  # after it is on the disk; written twice, a cell is read once
         self._written = time.monotonic()
 
@@ -206,7 +211,7 @@ class Parts:
         path = self.directory.path / "manifest.json"
         try:
             found = json.loads(path.read_bytes())
-            plan, digest, study, versions = (found[key] for key in ("plan", "config_digest", "study", "versions"))
+            plan, digest, study, its_versions = (found[key] for key in ("plan", "config_digest", "study", "versions"))
             differences = _differences(study, json.loads(json.dumps(self._manifest["study"], default=str)))
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             with suppress(OSError):
@@ -223,7 +228,7 @@ class Parts:
                 f"{self.directory.path} holds an unfinished sweep that runs {plan}, not {self._manifest['plan']}: "
                 "finish that one, or begin anew with --restart (in Python, restart=True)."
             )
-        if versions != self._manifest["versions"]:
+        if its_versions != self._manifest["versions"]:
             path.unlink()
 
 
@@ -239,7 +244,7 @@ def _shown(value: Any) -> str:
     return text if len(text) <= 40 else text[:37] + "…"
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
     """Everything of the program that could change a bit of a cell's results."""
     sources = hashlib.sha256()
     root = Path(__file__).parent

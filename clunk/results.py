@@ -161,7 +161,7 @@ class Results:
         """What was swept: the axes, and in the place of `run` its coordinates."""
         return parameters_of(self.axes, self.coordinates)
 
-    @property
+    @cached_property
     def max_impacts(self) -> int:
         """Length of the file's `impact` dimension: the most primary impacts of any cell, at least 1."""
         return max(1, int(self.primary_impacts.max()))

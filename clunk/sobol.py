@@ -193,6 +193,17 @@ def sensitivity(
         Where the run without tolerances failed.
     SweepError, KeyboardInterrupt
         As `clunk.sweep`.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> study = clunk.load_study("configs/tolerance.toml", ["sweep.sampling.count=64"])
+    >>> found = clunk.sensitivity(study, of=["severity"])
+    >>> found.label, found.runs
+    ('DS(1)SS(1)', 384)
+    >>> severity = found.indices[0]
+    >>> found.parameters[severity.order[0]]
+    'lash.contact.stiffness'
     """
     point = operating_point(study)
     quantities = tuple(dict.fromkeys(_checked_quantity(point, name) for name in of)) or default_quantities(point)

@@ -25,6 +25,7 @@ from clunk.files import reason
 from clunk.netcdf import (
     CONVENTIONS,
     ChunkWriter,
+    Image,
     create_scale,
     create_variable,
     get_text,
@@ -60,6 +61,9 @@ _MEANING = {
 # Root attributes that are fields of Results (or this module's own); all others are Results.attributes.
 _OWN_ATTRIBUTES = {"title", "Conventions", "schema_version", "kind", "config", "config_digest", "content_digest"}
 TOLERANCE_MAP = "tolerance map"  # the attribute `kind` of one; a regime map has none
+
+
+_LARGE = 1 << 22  # cells, about 400 MB: more is assembled on the disk
 
 
 class StoreError(Exception):
@@ -102,15 +106,17 @@ def write(path: str | os.PathLike[str], results: Results, scratch: Path | None =
     >>> results = clunk.sweep(clunk.load_study("configs/smoke.toml"))
     >>> clunk.write_results("results/copy.h5", results)
     """
-    write_filled(path, lambda file: _write(file, results), scratch)
+    write_filled(path, lambda file: _write(file, results), scratch, large=results.sequence.size > _LARGE)
 
 
-def write_filled(path: str | os.PathLike[str], fill: Callable[[h5py.File], None], scratch: Path | None = None) -> None:
+def write_filled(
+    path: str | os.PathLike[str], fill: Callable[[Image], None], scratch: Path | None = None, *, large: bool = False
+) -> None:
     """Write the results file that `fill` fills, as `write` does. Raises StoreError."""
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_file(path, fill, scratch)
+        write_file(path, fill, scratch, large=large)
     except OSError as error:
         raise StoreError(f"{path} cannot be written: {reason(error)}.") from error
 
@@ -192,13 +198,13 @@ def check(path: str | os.PathLike[str]) -> bool:
 # --- writing
 
 
-def _write(file: h5py.File, results: Results) -> None:
+def _write(file: Image, results: Results) -> None:
     scales = write_head(file, results, SCHEMA_VERSION)
     numbers = np.arange(1, results.max_impacts + 1, dtype=np.int32)
     impact = create_scale(file, "impact", numbers, ("1", "number of the primary impact"))
 
     digest = Digest(results.axes + results.coordinates, results.labels)
-    with ChunkWriter() as chunks:
+    with ChunkWriter(file) as chunks:
         for name, dtype in CELL_FIELDS.items():
             variable = create_variable(file, name, results.shape, dtype, _MEANING[name], scales)
             describe(variable, name, results)

@@ -1,23 +1,20 @@
 """A sweep: axes -> tiles -> Results.
 
-The cells to run are cut into tiles; a jitted kernel without the interpreter lock runs each on a pool of threads. A
-cell's result depends on nothing but its parameters, so neither the cut, the order nor the number of threads can change
-a bit of it.
+The cells to run are cut into tiles; an engine runs these, on this process's threads or on the workers of a scheduler.
 """
 
 from __future__ import annotations
 
 import functools
+import math
 import os
 import platform
-from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
-from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -25,14 +22,15 @@ import numpy.typing as npt
 import clunk
 from clunk import refinement
 from clunk.assembly import Assembly
-from clunk.cells import CELL, IMPACT, Grid, warm_up
+from clunk.cells import Grid, warm_up
 from clunk.config import Study, content, digest, study_from_text
 from clunk.designs import design_of, has_tolerances
+from clunk.engines import Engine, EngineError, Threads
 from clunk.parts import Parts, WorkingDirectory
 from clunk.results import FAILED_CODE, Results
-from clunk.tiles import Tile
+from clunk.scratch import Scratch
 from clunk.tolerancemap import ToleranceMap
-from clunk.tolerances import OUTCOME, TOLERANCE_CELL, ToleranceAssembly, ToleranceGrid
+from clunk.tolerances import ToleranceAssembly, ToleranceGrid
 
 __all__ = [
     "SweepError",
@@ -47,8 +45,11 @@ __all__ = [
 
 Cells = npt.NDArray[np.int64]
 Progress = Callable[[int, int], None]
+AnyGrid = TypeVar("AnyGrid", bound=Grid)
 
 _BYTES_PER_CELL = 400  # the most that a cell's results, their assembly and writing take
+_BYTES_IN_MEMORY = 50  # of them, what has to be in memory where the results are put together on the disk
+_LARGE_SHARE = 0.25  # of the memory
 
 
 HAS_TOLERANCES = "The study has [[sweep.tolerances]]: clunk.tolerance_map runs it."
@@ -63,6 +64,7 @@ def sweep(
     study: Study,
     *,
     workers: int | None = None,
+    engine: Engine | None = None,
     progress: Progress | None = None,
     refine: bool = False,
     parts: Parts | None = None,
@@ -75,6 +77,8 @@ def sweep(
         With at least one axis or sample, and without tolerances.
     workers : int, optional
         Threads; by default one for each core that this process may use.
+    engine : Engine, optional
+        What runs the cells instead of these threads; see `clunk.distributed`.
     progress : callable(done, total), optional
         Called in this thread with the number of cells after each finished tile.
     refine : bool
@@ -90,27 +94,33 @@ def sweep(
         tolerances.
     PartsError
         Where finished cells cannot be kept.
+    ScratchError
+        Where the disk has no room for the results.
+    EngineError
+        Where the engine cannot go on; the finished cells have been kept.
     KeyboardInterrupt
         Passed on after the running cells have been abandoned, and the finished ones kept.
     """
     if has_tolerances(study):
         raise SweepError(HAS_TOLERANCES)
-    grid = _checked(Grid(study), workers)
-    assembly = Assembly(study)
+    grid = _checked(Grid(study), workers, parts)
+    engine = engine or Threads(workers)
+    assembly = Assembly(study, _scratch(grid, parts))
     if not refine:
-        _run(grid, assembly, iter([None]), workers, progress, parts)
-        return assembly.results(provenance())
+        _run(grid, assembly, iter([None]), engine, progress, parts)
+        return assembly.results(provenance(engine))
     spacing = grid.design.spacing
-    _run(grid, assembly, _refinements(assembly, spacing), workers, progress, parts)
+    _run(grid, assembly, _refinements(assembly, spacing), engine, progress, parts)
     ran = assembly.done
     assembly.infer(*refinement.inferred(assembly.kinds(), assembly.touches(), spacing))
-    return assembly.results({**provenance(), "refinement": _refinement_note(ran, grid.cells, spacing)})
+    return assembly.results({**provenance(engine), "refinement": _refinement_note(ran, grid.cells, spacing)})
 
 
 def tolerance_map(
     study: Study,
     *,
     workers: int | None = None,
+    engine: Engine | None = None,
     progress: Progress | None = None,
     parts: Parts | None = None,
 ) -> ToleranceMap:
@@ -120,11 +130,11 @@ def tolerance_map(
     """
     if not has_tolerances(study):
         raise SweepError(NO_TOLERANCES)
-    grid = ToleranceGrid(study)
-    _checked(grid, workers)
+    grid = _checked(ToleranceGrid(study), workers, parts)
+    engine = engine or Threads(workers)
     assembly = ToleranceAssembly(study, grid)
-    _run(grid, assembly, iter([None]), workers, progress, parts)
-    return assembly.results(provenance())
+    _run(grid, assembly, iter([None]), engine, progress, parts)
+    return assembly.results(provenance(engine))
 
 
 def retry_failed(
@@ -132,6 +142,7 @@ def retry_failed(
     study: Study,
     *,
     workers: int | None = None,
+    engine: Engine | None = None,
     progress: Progress | None = None,
     parts: Parts | None = None,
 ) -> Results:
@@ -141,15 +152,16 @@ def retry_failed(
 
     Raises SweepError where the study differs in anything but [solver]; else as `sweep`.
     """
-    grid = _checked(Grid(study), workers)
+    grid = _checked(Grid(study), workers, parts)
+    engine = engine or Threads(workers)
     before = study_from_text(results.config, source="the results' config")
     if digest(before.model_copy(update={"solver": study.solver})) != digest(study):
         raise SweepError("The failed cells of another config cannot be run again: only [solver] may differ.")
     assembly = Assembly(study)
     assembly.add_results(results)
     failed = assembly.missing()
-    _run(grid, assembly, iter([None]), workers, progress, parts)
-    found = assembly.results(provenance())
+    _run(grid, assembly, iter([None]), engine, progress, parts)
+    found = assembly.results(provenance(engine))
     still = int(np.count_nonzero(found.sequence.ravel()[failed] == FAILED_CODE))
     changes = [
         f"solver.{key} = {value} instead of {getattr(before.solver, key)}"
@@ -182,14 +194,13 @@ def parts_of(directory: WorkingDirectory, study: Study, *, refine: bool = False,
         plan = f"what --refine needs (from spacing {widest})"
     elif retry:
         plan = "the failed cells again"
-    types = CELL, IMPACT
+    kind = ToleranceGrid if has_tolerances(study) else Grid
     if has_tolerances(study):
         plan = "every cell for every draw"
-        types = TOLERANCE_CELL, OUTCOME
     decisive = content(study)
     del decisive["title"]
     decisive["driveline"].pop("names", None)
-    return Parts(directory, dict(_flat(decisive)), digest(study), plan, *types)
+    return Parts(directory, dict(_flat(decisive)), digest(study), plan, kind.record, kind.detail)
 
 
 def cell_count(study: Study) -> int:
@@ -210,12 +221,12 @@ def unused_parameters(study: Study) -> list[str]:
     return [parameter for parameter in swept if parameter in unused | {"load.step_time"}]
 
 
-def _checked(grid: Grid, workers: int | None) -> Grid:
+def _checked(grid: AnyGrid, workers: int | None, parts: Parts | None) -> AnyGrid:
     if not grid.shape:
         raise SweepError("There is nothing to sweep: the config has no [[sweep.axes]] and no [[sweep.samples]].")
     if workers is not None and workers < 1:
         raise SweepError(f"A sweep needs at least one worker, not {workers}.")
-    _refuse_if_too_large(grid)
+    _refuse_if_too_large(grid, parts)
     complaint = grid.complaint()
     if complaint is not None:
         raise SweepError(f"No cell can run: {complaint}.")
@@ -226,12 +237,11 @@ def _run(
     grid: Grid,
     assembly: Assembly | ToleranceAssembly,
     batches: Iterator[Cells | None],
-    workers: int | None,
+    engine: Engine,
     progress: Progress | None,
     parts: Parts | None,
 ) -> None:
     """Run batches of cells, each asked for when those before it are assembled; None stands for all that is missing."""
-    workers = workers or _available_cores()
     for tile in parts.read() if parts is not None else ():
         assembly.add(tile)
     if progress is not None and parts is not None and parts.taken_up:
@@ -240,14 +250,14 @@ def _run(
         for batch in batches:
             cells = assembly.missing() if batch is None else batch
             total = assembly.done + cells.size
-            with closing(_run_tiles(grid, cells, workers)) as tiles:  # an interrupt anywhere abandons the running cells
+            with closing(engine.run(grid, cells)) as tiles:  # an interrupt anywhere abandons the running cells
                 for tile in tiles:
                     assembly.add(tile)
                     if parts is not None:
                         parts.add(tile)
                     if progress is not None:
                         progress(assembly.done, total)
-    except (KeyboardInterrupt, SystemExit):  # SIGINT, SIGTERM: keep what is done
+    except (KeyboardInterrupt, SystemExit, EngineError):  # SIGINT, SIGTERM, workers gone: keep what is done
         if parts is not None:
             parts.flush()
         raise
@@ -271,33 +281,9 @@ def _refinement_note(ran: int, cells: int, spacing: tuple[int, ...]) -> str:
     )
 
 
-def _run_tiles(grid: Grid, cells: Cells, workers: int) -> Generator[Tile, None, None]:
-    """Finished tiles in the order in which they finish. Leaving the generator early abandons the running cells."""
-    stop = np.zeros(1, np.uint8)
-    largest = grid.tile_cells
-    size = min(max(-(-cells.size // (8 * workers)), largest // 32, 1), largest)
-    cells = grid.ordered(cells)
-    waiting = (cells[start : start + size] for start in range(0, cells.size, size))
-    with ThreadPoolExecutor(workers, thread_name_prefix="clunk") as pool:
-        running: set[Future[Tile]] = set()
-        try:
-            while True:
-                while len(running) < 2 * workers and (part := next(waiting, None)) is not None:
-                    running.add(pool.submit(grid.run, part, stop))
-                if not running:
-                    return
-                finished, running = wait(running, timeout=0.2, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    yield future.result()
-        finally:
-            stop[0] = 1
-            for future in running:
-                future.cancel()
-
-
-def provenance() -> dict[str, str]:
+def provenance(engine: Engine) -> dict[str, str]:
     """Versions, date and machine, as the results file's attributes name them."""
-    return {**_versions(), "created": datetime.now(UTC).isoformat(timespec="seconds"), "cpu": _cpu_model()}
+    return {**_versions(), "created": datetime.now(UTC).isoformat(timespec="seconds"), "cpu": engine.processors()}
 
 
 @functools.cache
@@ -309,34 +295,28 @@ def _versions() -> dict[str, str]:
     }
 
 
-@functools.cache
-def _cpu_model() -> str:
-    try:
-        with Path("/proc/cpuinfo").open(encoding="utf-8") as lines:
-            return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.processor() or platform.machine()
+def _scratch(grid: Grid, parts: Parts | None) -> Scratch:
+    """Where the results are put together: beside the parts, where they would be a large share of the memory."""
+    large = grid.cells * _BYTES_PER_CELL > _LARGE_SHARE * _memory()
+    return Scratch(parts.directory.path if large and parts is not None else None)
 
 
-def _available_cores() -> int:
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on macOS and Windows
-        return os.cpu_count() or 1
-
-
-def _refuse_if_too_large(grid: Grid) -> None:
-    needed = grid.cells * _BYTES_PER_CELL
-    try:
-        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):
-        return
+def _refuse_if_too_large(grid: Grid, parts: Parts | None) -> None:
+    needed, memory = grid.cells * (_BYTES_PER_CELL if parts is None else _BYTES_IN_MEMORY), _memory()
     if needed > 0.8 * memory:
         sizes = " x ".join(str(count) for count in grid.shape)
         raise SweepError(
             f"The grid of {sizes} = {grid.cells:,} cells does not fit in memory: it takes about "
             f"{needed / 2**30:.0f} GiB, and this machine has {memory / 2**30:.0f} GiB."
         )
+
+
+def _memory() -> float:
+    """Of this machine, bytes; infinite where it does not tell."""
+    try:
+        return float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return math.inf
 
 
 def _flat(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:

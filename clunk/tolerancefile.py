@@ -17,7 +17,7 @@ import h5py
 import numpy as np
 
 from clunk.checksum import verify
-from clunk.netcdf import ChunkWriter, create_scale, create_variable, get_text, set_text
+from clunk.netcdf import ChunkWriter, Image, create_scale, create_variable, get_text, set_text
 from clunk.results import FAILED
 from clunk.store import (
     NEWEST_VERSION,
@@ -104,7 +104,7 @@ def check(path: str | os.PathLike[str]) -> bool:
     return verify(path)
 
 
-def _write(file: h5py.File, found: ToleranceMap) -> None:
+def _write(file: Image, found: ToleranceMap) -> None:
     scales = write_head(file, found, NEWEST_VERSION)
     set_text(file, "kind", TOLERANCE_MAP)
     # Of variable length: xarray takes fixed-length strings for bytes, and none would be found by its name.
@@ -120,7 +120,7 @@ def _write(file: h5py.File, found: ToleranceMap) -> None:
 
     digest = Digest(found.axes + found.coordinates + found.sample, found.labels)
     further = {"probability": [label], "severity_quantiles": [quantile]}
-    with ChunkWriter() as chunks:
+    with ChunkWriter(file) as chunks:
         for name, (shape, dtype) in _layout(found.shape, len(found.labels)).items():
             variable = create_variable(file, name, shape, dtype, _MEANING[name], [*scales, *further.get(name, [])])
             describe(variable, name, found)

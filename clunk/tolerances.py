@@ -7,14 +7,18 @@ Of a cell's runs only their outcomes are kept, each with its number of runs, and
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from clunk.cells import DRIVING, KEPT_SYSTEMS, Grid
 from clunk.config import ConfigError, Study, digest, get_value, quantity, to_toml
+from clunk.core.flows import Flows
+from clunk.core.regimes import System
 from clunk.core.sequence import INITIAL, OPPOSITE, label
 from clunk.core.status import Status
+from clunk.core.steps import Steps
 from clunk.core.tile import LONGEST_PATTERN
 from clunk.designs import design_of, drawn_numbers
 from clunk.results import FAILED_CODE, ResultAxis
@@ -56,11 +60,14 @@ class ToleranceGrid(Grid):
     draws : int, the size of the sample
     """
 
-    def __init__(self, study: Study) -> None:
+    record, detail = TOLERANCE_CELL, OUTCOME
+
+    def __init__(self, study: Study, shared: tuple[System, Steps | Flows] | None = None) -> None:
         assert study.sweep is not None
-        super().__init__(study.model_copy(update={"sweep": None}), design_of(study))
+        super().__init__(study.model_copy(update={"sweep": None}), design_of(study), shared)
+        self._whole = study
         self._tolerances = study.sweep.tolerances
-        self.draws = study.sweep.sampling.count
+        self.draws = self.runs = study.sweep.sampling.count
         self.drawn = {
             own.parameter: numbers
             for own, numbers in zip(self._tolerances, drawn_numbers(study, self._tolerances), strict=True)
@@ -77,9 +84,13 @@ class ToleranceGrid(Grid):
         """These cells, those that share their systems beside each other."""
         return np.concatenate([cells[:0], *(cells[mine] for _, mine in self.groups(cells))])
 
-    def complaint(self) -> str | None:
-        """Why no cell at all can run, where that is known beforehand."""
-        return None if self._new_systems else super().complaint()
+    def shared(self) -> tuple[System, Steps | Flows] | None:
+        """The system and tables that all runs share, if they do."""
+        return None if self._new_systems else super().shared()
+
+    def recipe(self) -> tuple[type[Grid], tuple[Any, ...]]:
+        """See `Grid.recipe`."""
+        return type(self), (self._whole, self.shared())
 
     def run(self, cells: Cells, stop: npt.NDArray[np.uint8]) -> Tile:
         """Run cells; as `Grid.run`, but a tile that was stopped has no cells."""

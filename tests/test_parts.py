@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import mmap
 import os
 import signal
 import subprocess
@@ -14,6 +15,7 @@ import pytest
 from test_sweeping import equal, figure_3_4
 
 from clunk import parts as keeping
+from clunk import scratch, sweeping
 from clunk.config import replace_values
 from clunk.parts import PartsError, WorkingDirectory
 from clunk.store import read_header
@@ -155,7 +157,7 @@ def test_damaged_parts_are_run_again(study, whole, target, often, how):
 
 def test_parts_of_other_versions_are_run_again(study, whole, target, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(keeping, "_versions", lambda: {"numba": "0.1"})
+        patch.setattr(keeping, "versions", lambda: {"numba": "0.1"})
         stopped(study, target, 150)
     results, parts = resumed(study, target)
     assert (parts.discarded, parts.taken_up) == (1, 0)
@@ -237,6 +239,48 @@ def _tiles(study):
     from clunk.cells import Grid
 
     yield Grid(study).run(np.arange(5), np.zeros(1, np.uint8))
+
+
+def test_what_waits_to_be_written_is_bounded_however_fast_cells_finish(study, whole, target, monkeypatch):
+    monkeypatch.setattr(keeping, "_LARGEST_PART", 100)
+    with WorkingDirectory(target) as directory:
+        assert equal(sweep(study, workers=1, parts=parts_of(directory, study)), whole)
+        assert len(directory.parts()) == 3  # two of 112, as tiles are of 16 cells here, and the last
+
+
+def test_results_put_together_on_the_disk_are_the_same_bits(study, whole, target, often, monkeypatch):
+    """And nothing is left of where they were, nor of a file that a process left when it was killed."""
+    monkeypatch.setattr(sweeping, "_LARGE_SHARE", 0.0)
+    stopped(study, target, 150)
+    assert not list(target.parent.glob("map.h5.partial/.*"))
+    results, parts = resumed(study, target)
+    assert parts.taken_up >= 150
+    assert equal(results, whole)
+    assert isinstance(owner(results.severity), mmap.mmap)
+    assert isinstance(owner(results.impact_time), mmap.mmap)
+
+
+def owner(array):
+    """What an array's bytes belong to."""
+    while isinstance(array, np.ndarray):
+        array = array.base
+    return array.obj if isinstance(array, memoryview) else array
+
+
+def test_no_room_for_results_on_the_disk_is_a_sentence(study, whole, target, often, monkeypatch):
+    kept = stopped(study, target, 60)
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch, WorkingDirectory(target) as directory:
+        patch.setattr(sweeping, "_LARGE_SHARE", 0.0)
+        patch.setattr(scratch, "reserve", full)
+        with pytest.raises(scratch.ScratchError, match=r"has no room for the results \(no space left on device\)"):
+            sweep(study, parts=parts_of(directory, study))
+    results, parts = resumed(study, target)
+    assert parts.taken_up == kept
+    assert equal(results, whole)
 
 
 # --- killed
@@ -340,6 +384,7 @@ def test_a_second_command_on_the_same_file_is_refused_and_the_lock_dies_with_its
     process = start(tmp_path, "never")
     while not (tmp_path / "map.h5.partial" / "lock").exists():
         time.sleep(0.005)
+    time.sleep(0.05)  # it is locked a moment after it is there
     process.send_signal(signal.SIGSTOP)
     second = start(tmp_path, "never")
     _, err = second.communicate(timeout=60)

@@ -15,8 +15,10 @@ SOURCES = sorted(PACKAGE.rglob("*.py"))
 MODULES = {
     *("pickle", "cPickle", "dill", "cloudpickle", "marshal", "shelve", "joblib", "code", "codeop", "runpy", "yaml"),
     *("socket", "ssl", "http", "urllib", "ftplib", "smtplib", "telnetlib", "xmlrpc", "requests", "httpx", "aiohttp"),
-    *("subprocess", "pty", "webbrowser", "ctypes", "cffi", "multiprocessing"),
+    *("dask", "distributed", "subprocess", "pty", "webbrowser", "ctypes", "cffi", "multiprocessing"),
 }
+# A scheduler that the user names is trusted: dask's own messages are pickles, and so is what a worker gets of a study.
+ALLOWED = {PACKAGE / "distributed.py": {"dask", "distributed", "pickle"}}
 CALLS = {"eval", "exec", "compile", "__import__", "breakpoint", "input"}
 OF_OS = {"system", "popen", "execv", "execve", "execvp", "spawnv", "spawnl", "startfile", "fork"}
 KEYWORDS = {"allow_pickle", "shell"}
@@ -42,7 +44,8 @@ def offences(source):
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_nothing_in_the_package_runs_data_or_opens_a_connection(path):
-    assert list(offences(path.read_text(encoding="utf-8"))) == []
+    found = {name for _, name in offences(path.read_text(encoding="utf-8"))}
+    assert found == ALLOWED.get(path, set())
 
 
 @pytest.mark.parametrize(

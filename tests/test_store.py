@@ -306,6 +306,49 @@ except store.StoreError as error:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_large_file_is_assembled_on_the_disk_to_the_same_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    results = example(RATIO, BACKLASH)
+    store.write(tmp_path / "memory.h5", results)
+    monkeypatch.setattr(store, "_LARGE", 0)
+    store.write(tmp_path / "disk.h5", results)
+    assert (tmp_path / "disk.h5").read_bytes() == (tmp_path / "memory.h5").read_bytes()
+    assert store.check(tmp_path / "disk.h5")
+
+
+@pytest.mark.parametrize("limit", [60_000, 2_000_000])
+def test_a_disk_that_fills_up_under_a_large_file_is_a_sentence_and_the_interpreter_ends_well(
+    tmp_path: Path, limit: int
+) -> None:
+    # Of 3 MB of incompressible values, at the first variable and in the middle.
+    code = f"""
+import resource, sys
+from dataclasses import replace
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+import numpy as np
+from test_store import RATIO, example, netcdf, store
+store._LARGE, netcdf._AHEAD = 0, 1 << 18
+small = example(RATIO)
+count = 100_000
+fields = {{name: np.resize(getattr(small, name), count) for name in store.CELL_FIELDS}}
+fields |= {{"primary_impacts": np.zeros(count, np.int32), "severity": np.random.default_rng(1).normal(size=count)}}
+fields |= {{name: getattr(small, name)[:0] for name in store.IMPACT_FIELDS}}
+fields |= {{name: np.random.default_rng(2).normal(size=count) for name in ("margin", "approach_velocity")}}
+large = replace(small, axes=(replace(small.axes[0], values=np.arange(float(count))),), **fields)
+resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
+try:
+    store.write({str(tmp_path / "map.h5")!r}, large)
+except store.StoreError as error:
+    print(error)
+"""
+    pytest.importorskip("resource")
+    answer = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (answer.returncode, answer.stderr) == (0, "")
+    assert answer.stdout.strip().endswith("cannot be written: file too large.")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_missing_directories_are_made(tmp_path: Path) -> None:
     store.write(tmp_path / "deep" / "er" / "map.h5", example(RATIO))
     assert store.read(tmp_path / "deep" / "er" / "map.h5").shape == (5,)
@@ -516,9 +559,9 @@ def test_chunks_are_what_hdf5_would_have_made_of_them(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     values = rng.normal(size=(5, 7, 3)).astype(np.float64)
 
-    def fill(file: h5py.File) -> None:
+    def fill(file: netcdf.Image) -> None:
         variable = file.create_dataset("x", values.shape, "<f8", chunks=(2, 3, 2), compression="gzip", shuffle=True)
-        with netcdf.ChunkWriter() as chunks:
+        with netcdf.ChunkWriter(file) as chunks:
             for start in range(0, 5, 2):
                 chunks.write(variable, start, values[start : start + 2])
 

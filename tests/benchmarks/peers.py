@@ -37,6 +37,7 @@ from clunk.config import replace_values
 from clunk.core.events import EVENT
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.driveline import Driveline
+from clunk.engines import cpu_model
 
 CELLS = np.arange(events_table.RATIOS.size * events_table.BACKLASHES_DEG.size)
 CORES = (1, 2)
@@ -266,7 +267,7 @@ def main() -> None:
         for contestant in rows:
             contestant.check(not options.quick)
     table = [contestant.row for contestant in rows]
-    machine = f"{sweeping.provenance()['cpu']}, {len(os.sched_getaffinity(0))} cores"
+    machine = f"{cpu_model()}, {len(os.sched_getaffinity(0))} cores"
     if options.json:
         print(json.dumps({"machine": machine, "repeats": repeats, "rows": [asdict(row) for row in table]}, indent=1))
     else:

@@ -1,0 +1,205 @@
+"""What a sweep costs beside its runs: `python tests/benchmarks/scale.py 1e6 1e7 1e8` with a kernel that is empty.
+
+Every tile is a copy of a real one, so that impacts, labels and the size of the file are those of the report's map.
+Each size runs in a process of its own, in the directory that TMPDIR names; 1e8 cells take 25 GB of it for a while.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import functools
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+
+from clunk import cells, engines, store, sweeping
+from clunk.assembly import Assembly
+from clunk.config import Study, study_from_text, to_toml
+from clunk.parts import Parts, WorkingDirectory
+from clunk.tiles import Tile
+
+CONFIG = """
+[driveline]
+preset = "boere-2008"
+[solver]
+method = "exact"
+[[sweep.axes]]
+parameter = "load.ratio"
+start = 0.0
+stop = 10.0
+count = {rows}
+[[sweep.axes]]
+parameter = "lash.backlash_deg"
+start = 0.0
+stop = 20.0
+count = {columns}
+"""
+REAL = 1 << 16  # cells of the map that the tiles are copies of
+
+
+class Stages:
+    """Seconds of each stage, and the most memory by its end, without what the system can write out to files."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self.memory: dict[str, int] = {}
+        self._most = 0
+        threading.Thread(target=self._look, daemon=True).start()
+
+    def _look(self):
+        while True:
+            status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+            self._most = max(self._most, 1024 * int(status["RssAnon"].split()[0]))
+            time.sleep(0.05)
+
+    def watch(self, name, function):
+        @functools.wraps(function)
+        def watched(*arguments, **options):
+            began = time.perf_counter()
+            try:
+                return function(*arguments, **options)
+            finally:
+                self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
+                self.memory[name] = self._most
+
+        return watched
+
+
+@functools.cache
+def real_tile(study_text: str) -> tuple[Tile, np.ndarray]:
+    """Some cells of a map, run once, and where the impacts of each begin."""
+    grid = cells.Grid(study_from_text(study_text))
+    numbers = np.arange(0, grid.cells, max(1, grid.cells // REAL))[:REAL]
+    tile = RUN(grid, numbers, np.zeros(1, np.uint8))
+    return tile, np.concatenate(([0], np.cumsum(tile.records["primary_impacts"], dtype=np.int64)))
+
+
+RUN = cells.Grid.run
+
+
+def empty_run(grid, wanted, _stop):
+    """A stand-in for `Grid.run`: cells that have been run before."""
+    real, first = real_tile(to_toml(grid.study))
+    begin = int(wanted[0] * REAL // grid.cells) % max(1, real.cells.size - wanted.size)
+    end = begin + wanted.size
+    return Tile(wanted, real.records[begin:end].copy(), real.impacts[first[begin] : first[end]].copy())
+
+
+def study_of(count: float) -> Study:
+    """The report's map with about so many cells."""
+    rows = round(math.sqrt(count))
+    return study_from_text(CONFIG.format(rows=rows, columns=round(count / rows)))
+
+
+def measure(count: float) -> dict[str, object]:
+    """One sweep with the empty kernel, from the first tile to the checked file."""
+    study = study_of(count)
+    stages = Stages()
+    cells.Grid.run = stages.watch("tiles", empty_run)
+    Assembly.add = stages.watch("assembly: tiles", Assembly.add)
+    Assembly.results = stages.watch("assembly: results", Assembly.results)
+    Parts.add = stages.watch("parts", Parts.add)
+    with tempfile.TemporaryDirectory() as scratch, WorkingDirectory(Path(scratch) / "map.h5") as directory:
+        parts = sweeping.parts_of(directory, study)
+        results = stages.watch("sweep in all", sweeping.sweep)(study, parts=parts)
+        kept = sum(path.stat().st_size for path in directory.path.iterdir())
+        stages.watch("file", store.write)(directory.target, results, directory.path)
+        del results
+        size = directory.target.stat().st_size
+        directory.remove()
+        try:
+            stages.watch("info --check", store.check)(directory.target)
+        except store.StoreError as error:
+            print(error, file=sys.stderr)
+    cells_run = sweeping.cell_count(study)
+    return {
+        "cells": cells_run,
+        "seconds": stages.seconds,
+        "memory": stages.memory,
+        "parts": kept / cells_run,
+        "file": size / cells_run,
+    }
+
+
+def measure_tasks(count: float, workers: int) -> None:
+    """The same tiles by the workers of a scheduler: what a tile costs on its way, and how much of that here."""
+    from clunk import distributed
+
+    distributed._Tiles.took = lambda *_: None  # they would grow
+    study = study_of(count)
+    preload = f"import sys; sys.path[:0] = [{str(Path(__file__).parent)!r}] ; import scale ; scale.make_empty()"
+    dask = [sys.executable, "-m", "dask"]
+    with tempfile.TemporaryDirectory() as scratch, contextlib.ExitStack() as ending:
+        file = Path(scratch) / "scheduler.json"
+        options = ["--no-dashboard", "--scheduler-file", str(file)]
+        commands = [[*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", *options]]
+        commands += workers * [
+            [*dask, "worker", *options, "--nthreads", "1", "--preload", preload, "--local-directory", scratch]
+        ]
+        for command in commands:
+            process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+            ending.callback(process.wait)
+            ending.callback(process.terminate)
+            while not file.exists() or not file.read_text():
+                time.sleep(0.1)
+        engine = ending.enter_context(distributed.Cluster(json.loads(file.read_text())["address"], say=print))
+        for size in (32, 512, 4096):
+            engines._TILE_CELLS["exact"] = size
+            part = np.arange(min(sweeping.cell_count(study), 1000 * size))
+            for timed in (False, True):
+                began, tiles, process_began = time.perf_counter(), 0, time.process_time()
+                for _tile in engine.run(cells.Grid(study), part):
+                    tiles += 1
+                seconds, here = time.perf_counter() - began, time.process_time() - process_began
+                if timed:
+                    each, rate = 1e3 * seconds / tiles, part.size / seconds
+                    print(f"{size:>5} cells: {each:.2f} ms a tile, {1e3 * here / tiles:.2f} here; {rate:,.0f} cells/s")
+
+
+def make_empty() -> None:
+    """On a worker."""
+    cells.Grid.run = empty_run
+
+
+def main() -> None:
+    """Print a table for each size."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("cells", nargs="+", type=float)
+    parser.add_argument("--here", action="store_true", help="in this process, as JSON")
+    parser.add_argument("--workers", type=int, help="what a tile costs by so many local dask workers, instead")
+    options = parser.parse_args()
+    if options.workers:
+        measure_tasks(options.cells[0], options.workers)
+        return
+    if options.here:
+        print(json.dumps(measure(options.cells[0])))
+        return
+    for count in options.cells:
+        done = subprocess.run(
+            [sys.executable, __file__, "--here", str(count)], stdout=subprocess.PIPE, text=True, check=False
+        )
+        if done.returncode:
+            print(f"{count:.0e} cells: ended with {done.returncode}")
+            continue
+        found = json.loads(done.stdout)
+        print(f"{found['cells']:,} cells; parts {found['parts']:.0f} and file {found['file']:.0f} bytes a cell")
+        print(f"{'':<20}{'s':>10}{'ns a cell':>12}{'GB at most by then':>21}")
+        for name, seconds in found["seconds"].items():
+            print(
+                f"{name:<20}{seconds:>10.2f}{1e9 * seconds / found['cells']:>12.0f}{found['memory'][name] / 1e9:>21.2f}"
+            )
+        print()
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("TMPDIR", ".")
+    main()

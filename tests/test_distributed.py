@@ -1,0 +1,349 @@
+"""Sweeps on the workers of a dask scheduler: the same bits, whoever dies meanwhile."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_parts import CONFIG, posix, resumed, stopped
+from test_sweeping import equal, figure_3_4, study
+
+from clunk import distributed
+from clunk.config import load_study
+from clunk.distributed import Cluster
+from clunk.engines import EngineError
+from clunk.parts import WorkingDirectory
+from clunk.store import read_header
+from clunk.sweeping import parts_of, sweep, tolerance_map
+
+ROOT = Path(__file__).parent.parent
+
+# Sockets that dask leaves to be collected as unclosed when a peer was killed.
+pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+
+
+class ByHand:
+    """`dask scheduler`, and workers that are told one by one to join it."""
+
+    def __init__(self, directory):
+        self._directory = directory
+        self._processes = []
+        self._errors = (directory / "errors").open("w")
+        self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", "0")
+        file = directory / "scheduler.json"
+        while not file.exists() or not file.read_text():
+            assert self.scheduler.poll() is None
+            time.sleep(0.02)
+        self.address = json.loads(file.read_text())["address"]
+
+    def worker(self, preload=None, nanny=False, **environment):
+        """A worker with one thread; it is there when this returns."""
+        before = len(self.workers())
+        options = ["--nthreads", "1", "--local-directory", str(self._directory), "--memory-limit", "0"]
+        options += [] if nanny else ["--no-nanny"]
+        process = self._start("worker", *options, *(["--preload", preload] if preload else []), **environment)
+        while len(self.workers()) == before:
+            assert process.poll() is None
+            time.sleep(0.05)
+        return process
+
+    def workers(self):
+        from distributed import Client
+
+        with Client(self.address, set_as_default=False) as client:
+            return client.nthreads()
+
+    def end(self):
+        for process in self._processes:
+            process.kill()
+            process.wait()
+        self._errors.close()
+
+    def _start(self, kind, *options, **environment):
+        file = str(self._directory / "scheduler.json")
+        command = [sys.executable, "-m", "dask", kind, *options, "--scheduler-file", file, "--no-dashboard"]
+        output = {"stdout": self._errors, "stderr": self._errors, "env": {**os.environ, **environment}}
+        self._processes.append(subprocess.Popen(command, **output))
+        return self._processes[-1]
+
+
+@pytest.fixture(scope="module")
+def two_workers(tmp_path_factory):
+    by_hand = ByHand(tmp_path_factory.mktemp("dask"))
+    by_hand.worker()
+    by_hand.worker()
+    yield by_hand
+    by_hand.end()
+
+
+@pytest.fixture
+def alone(tmp_path):
+    """A scheduler that a test may spoil."""
+    by_hand = ByHand(tmp_path)
+    yield by_hand
+    by_hand.end()
+
+
+@pytest.fixture(scope="module")
+def map_17():
+    return figure_3_4(17, step=2e-4)
+
+
+@pytest.fixture(scope="module")
+def whole(map_17):
+    return sweep(map_17)
+
+
+def test_tiles_grow_until_the_client_has_time_for_all_workers_and_shrink_towards_the_end():
+    tiles = distributed._Tiles(np.arange(10_000_000), 128, 1 << 18)
+    assert tiles.next(2, 1000) == {0: (0, 128), 1: (128, 256)}
+    tiles.took(0.01, 100)
+    begin, end = tiles.next(1, 1000)[2]
+    assert end - begin == (10_000_000 - 256) // 4000  # and not 40,000, which would take 4 s
+    begin, end = tiles.next(1, 20)[3]
+    assert end - begin == 2000  # 0.2 s
+    cells = [cell for part in tiles.next(10**6, 20).values() for cell in part]
+    assert cells[-1] == 10_000_000
+    assert min(np.diff(np.reshape(cells, (-1, 2)), axis=1)[:-1]) == 128
+    scattered = distributed._Tiles(np.array([3, 5, 6]), 2, 1 << 18)
+    first, second = scattered.next(5, 1).values()
+    assert (list(first), second) == ([3, 5], (6, 7))
+
+
+def clunk(directory, *arguments, before="pass"):
+    """The command itself, in a process group of its own."""
+    (directory / "map.toml").write_text(CONFIG)
+    code = f"import sys; {before}; sys.argv[0] = 'clunk'; from clunk.cli import main; main()"
+    return subprocess.Popen(
+        [sys.executable, "-c", code, "sweep", "map.toml", "-o", "map.h5", *arguments],
+        cwd=directory,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def words(text):
+    return " ".join(text.split())
+
+
+class TestTheSameBits:
+    def test_as_by_threads(self, two_workers, map_17, whole):
+        with Cluster(two_workers.address) as engine:
+            assert equal(sweep(map_17, engine=engine), whole)
+
+    @pytest.mark.parametrize("method", ["rk4", "exact"])
+    def test_where_each_cell_has_its_own_system(self, two_workers, method):
+        own = study(("driveline.inertias[1]", np.linspace(0.01, 0.05, 12)), ("load.ratio", [2.0, 5.0, 9.0]))
+        own = own.model_copy(update={"solver": own.solver.model_copy(update={"method": method})})
+        with Cluster(two_workers.address) as engine:
+            assert equal(sweep(own, engine=engine), sweep(own))
+
+    def test_of_a_tolerance_map(self, two_workers):
+        toleranced = load_study(
+            ROOT / "configs/tolerance.toml",
+            ["sweep.sampling.count=5", "sweep.axes[1].count=6", "sweep.axes[2].count=4"],
+        )
+        here = tolerance_map(toleranced)
+        with Cluster(two_workers.address) as engine:
+            there = tolerance_map(toleranced, engine=engine)
+        for name in ("runs", "nominal_sequence", "severity_mean", "severity_quantiles", "status"):
+            assert getattr(here, name).tobytes() == getattr(there, name).tobytes()
+
+    def test_of_a_refined_sweep(self, two_workers):
+        line = figure_3_4(121, step=2e-4)
+        line = line.model_copy(update={"sweep": line.sweep.model_copy(update={"axes": line.sweep.axes[:1]})})
+        with Cluster(two_workers.address) as engine:
+            assert equal(sweep(line, engine=engine, refine=True), sweep(line, refine=True))
+
+    def test_by_a_local_cluster_of_the_command_which_leaves_nothing_behind(self, tmp_path):
+        local = clunk(tmp_path, "--scheduler", "local", "--workers", "2")
+        out, err = local.communicate(timeout=120)
+        assert local.returncode == 0, err
+        assert all("cells" in line for line in err.splitlines()), err
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["map.h5", "map.toml"]
+        digest = read_header(tmp_path / "map.h5").content_digest
+        threads = clunk(tmp_path, "--force")
+        assert threads.communicate(timeout=120)[0] == out
+        assert read_header(tmp_path / "map.h5").content_digest == digest
+
+    @posix
+    def test_when_a_worker_is_killed_and_another_joins(self, two_workers, map_17, whole):
+        third = two_workers.worker()
+
+        def progress(done, _total):
+            if done >= 100 and third.poll() is None:
+                third.kill()
+                third.wait()
+                two_workers.worker()
+
+        with Cluster(two_workers.address) as engine:
+            assert equal(sweep(map_17, engine=engine, progress=progress), whole)
+        assert third.returncode == -signal.SIGKILL
+
+    @posix
+    @pytest.mark.slow
+    def test_of_figure_3_4_when_one_of_two_processes_is_killed_at_three_random_moments(self, alone):
+        """One at a time; another takes its place."""
+        figure = figure_3_4(201)
+        threads = sweep(figure)
+        rng = np.random.default_rng(3)
+        alone.worker()
+        for kill_at in (None, *rng.integers(1, 201 * 201, 3)):
+            other = alone.worker()
+
+            def progress(done, _total, other=other, kill_at=kill_at):
+                if kill_at is not None and done >= kill_at and other.poll() is None:
+                    other.kill()
+
+            with Cluster(alone.address) as engine:
+                assert equal(sweep(figure, engine=engine, progress=progress), threads)
+            other.kill()
+            other.wait()
+
+    @pytest.mark.slow
+    def test_of_figure_3_4_by_a_local_cluster(self):
+        figure = figure_3_4(201)
+        with Cluster("local", workers=2) as engine:
+            assert equal(sweep(figure, engine=engine), sweep(figure))
+
+    def test_where_a_worker_rounds_otherwise_but_all_cells_share_a_system(self, alone):
+        """OpenBLAS as on an older processor gives other last bits to eigenvectors."""
+        alone.worker(OPENBLAS_CORETYPE="Prescott")
+        shared = figure_3_4(17)
+        shared = shared.model_copy(update={"solver": shared.solver.model_copy(update={"method": "exact"})})
+        with Cluster(alone.address) as engine:
+            assert equal(sweep(shared, engine=engine), sweep(shared))
+
+
+class TestWhatIsRefused:
+    def test_no_scheduler(self, tmp_path):
+        process = clunk(tmp_path, "--scheduler", "tcp://127.0.0.1:9")
+        out, err = process.communicate(timeout=30)  # 4 s, and what an import takes
+        assert process.returncode == 2
+        assert "No scheduler answers at tcp://127.0.0.1:9" in words(err)
+        assert "Traceback" not in err
+        assert out == ""
+        assert [path.name for path in tmp_path.iterdir()] == ["map.toml"]
+
+    @pytest.mark.parametrize(
+        ("arguments", "sentence"),
+        [
+            (["--scheduler", "somewhere"], "an address such as tcp://host:8786, or local, not 'somewhere'"),
+            (["--scheduler", "tcp://127.0.0.1:9", "--workers", "2"], "for a local scheduler; this one has its own"),
+        ],
+    )
+    def test_options_that_make_no_sense(self, tmp_path, arguments, sentence):
+        process = clunk(tmp_path, *arguments)
+        _, err = process.communicate(timeout=60)
+        assert process.returncode == 2
+        assert sentence in words(err)
+
+    def test_without_dask(self, tmp_path):
+        process = clunk(tmp_path, "--scheduler", "local", before="sys.modules['dask'] = None")
+        _, err = process.communicate(timeout=60)
+        assert process.returncode == 2
+        assert "pip install 'clunk[dask]'" in words(err)
+        assert "Traceback" not in err
+
+    def test_a_worker_of_other_versions(self, two_workers, map_17, monkeypatch):
+        """Before it runs anything, and where it comes later with its first tile."""
+        here = {**distributed.versions(), "numba": "0.1"}
+        monkeypatch.setattr(distributed, "versions", lambda: here)
+        with Cluster(two_workers.address) as engine:
+            with pytest.raises(EngineError, match=r"Worker tcp://.* has another numba: 0\.[0-9.]* there, 0\.1 here"):
+                sweep(map_17, engine=engine)
+            monkeypatch.setattr(engine, "_check_workers", lambda _job: None)
+            with pytest.raises(EngineError, match=r"Worker tcp://.* has another numba"):
+                sweep(map_17, engine=engine)
+
+    def test_a_worker_without_clunk(self, alone, map_17):
+        alone.worker(preload="import sys; sys.modules['clunk'] = None")
+        with Cluster(alone.address) as engine, pytest.raises(EngineError, match=r"Worker tcp://.* cannot run clunk"):
+            sweep(map_17, engine=engine)
+
+
+class TestAnEndBeforeTheEnd:
+    def test_without_a_worker_it_waits_and_says_so(self, alone, map_17, whole):
+        said = []
+
+        def say(text):
+            said.append(text)
+            if len(said) == 1:
+                alone.worker()
+
+        with Cluster(alone.address, say=say) as engine:
+            assert equal(sweep(map_17, engine=engine), whole)
+        assert said == [f"waiting for a worker of {alone.address} …"]
+
+    @posix
+    def test_a_lost_scheduler_leaves_what_is_done(self, alone, map_17, whole, tmp_path):
+        alone.worker()
+        kept = lost(alone, map_17, tmp_path / "map.h5")
+        assert kept >= 100
+        results, parts = resumed(map_17, tmp_path / "map.h5")
+        assert parts.taken_up == kept
+        assert equal(results, whole)
+
+    def test_stopped_it_goes_on_by_threads_and_the_other_way_round(self, two_workers, map_17, whole, tmp_path):
+        with Cluster(two_workers.address) as engine:
+            first = stopped(map_17, tmp_path / "map.h5", 60, engine=engine)
+            second = stopped(map_17, tmp_path / "map.h5", 150)
+            results, parts = resumed(map_17, tmp_path / "map.h5", engine=engine)
+        assert 60 <= first < second == parts.taken_up
+        assert equal(results, whole)
+
+    @posix
+    @pytest.mark.slow
+    def test_cells_that_kill_every_worker_end_in_a_sentence(self, alone, map_17):
+        for _ in range(2):
+            alone.worker(
+                preload="import clunk.distributed, os; clunk.distributed._grid = lambda _: os._exit(1)", nanny=True
+            )
+        with Cluster(alone.address) as engine, pytest.raises(EngineError, match="run by 4 workers that died"):
+            sweep(map_17, engine=engine)
+
+    @posix
+    @pytest.mark.slow
+    @pytest.mark.parametrize("scheduler", ["local", "by hand"])
+    def test_ctrl_c_on_the_command_keeps_what_is_done_and_nothing_else(self, alone, tmp_path, scheduler):
+        """It goes to the whole process group, as from a terminal."""
+        directory = tmp_path / "here"
+        directory.mkdir()
+        if scheduler == "by hand":
+            alone.worker()
+            scheduler = alone.address
+        often = "from clunk import parts; parts._FIRST_PART = parts._PART = parts._SHARE = 0.0"
+        slow = ["--set", "solver.step=1e-6", "--scheduler", scheduler]
+        process = clunk(directory, *slow, before=often)
+        while not (directory / "map.h5.partial" / "part-000001").exists():
+            assert process.poll() is None
+            time.sleep(0.01)
+        os.killpg(process.pid, signal.SIGINT)
+        _, err = process.communicate(timeout=30)
+        assert process.returncode == 130, err
+        assert "the same command goes on from there" in words(err)
+        assert err.splitlines()[-1] == "interrupted"
+        assert "distributed" not in err
+        assert "Traceback" not in err
+        assert sorted(path.name for path in directory.iterdir()) == ["map.h5.partial", "map.toml"]
+
+
+def lost(by_hand, study, target):
+    """Sweep until its scheduler is killed, after 100 cells; how many are kept."""
+
+    def progress(done, _total):
+        if done >= 100:
+            by_hand.scheduler.kill()
+
+    with WorkingDirectory(target) as directory, Cluster(by_hand.address) as engine:
+        parts = parts_of(directory, study)
+        with pytest.raises(EngineError, match=f"The scheduler at {by_hand.address} was lost"):
+            sweep(study, engine=engine, progress=progress, parts=parts)
+        return parts.kept
