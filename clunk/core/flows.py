@@ -22,9 +22,9 @@ BoolArray = npt.NDArray[np.bool_]
 
 SPANS = 32  # two an octave
 BLOCK = 4  # pairs: their number is filled up to a multiple, so that the kernels' loops have a known length
-TERMS = 8  # of a Taylor series over the shortest span
+TERMS = 10  # of a Taylor series over the shortest span
 JERK, SWAY = 6, 7  # in `Flows.watch`: what bounds a functional's third derivative, and its value less its origin
-_SHORTEST = 1.0 / 32.0  # |λ| times the shortest span: TERMS terms are then exact to rounding
+_SHORTEST = 1.0 / 8.0  # |λ| times the shortest span: TERMS terms are then exact to rounding
 _LADDER = np.ldexp(np.tile([1.0, 1.5], SPANS // 2), np.repeat(np.arange(SPANS // 2), 2))
 _TAYLOR = np.array([1.0 / math.factorial(k) for k in range(TERMS)])
 _MAX_CONDITION = 1e4  # of an eigenbasis in energy coordinates: beyond it, more than four digits are lost
