@@ -55,7 +55,7 @@ def from_bytes(raw: bytes, origin: bytes, record: np.dtype[np.void], impact: np.
     if _checksum(cells, impacts, origin, body) != checksum:
         raise ValueError("damaged")
     return Tile(
-        np.frombuffer(body[: 8 * cells], np.int64),
+        np.frombuffer(body[: 8 * cells], np.int64).copy(),  # of the cells alone; a view would keep all the bytes
         np.frombuffer(body[8 * cells : width * cells], record),
         np.frombuffer(body[width * cells :], impact),
     )

@@ -610,9 +610,9 @@ def _phase(
                     elif event < 0 or s < part:
                         event, part = g, s
         order1, order2 = 0, 0
-        # between the slope of a guard's slower part and the straight line through its ends lies at most its bow, h²/8 of
-        # the jerk; between that part and the Hermite cubic of its ends h³/16 of it, since they part with a third
-        # derivative of twice the jerk and meet, with their slopes, at both ends
+        # between the slope of a guard's slower part and the line through its ends lies at most its bow, h²/8 of the
+        # jerk; between that part and the Hermite cubic of its ends h³/16 of it, since they part with a third derivative
+        # of twice the jerk and meet, with their slopes, at both ends
         s1, s2, was1, was2 = d1, d2, g1 + ring1, g2 + ring2
         bow1, bow2, rang1, rang2 = h * h * j1 * 0.125, h * h * j2 * 0.125, ring1, ring2
 

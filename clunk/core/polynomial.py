@@ -210,7 +210,9 @@ def sign_changes(c: FloatArray, count: int, length: float, found: FloatArray, la
         high = found[piece] if piece < pieces - 1 else length
         after = value_of(c, count, high)
         if (before < 0.0) != (after < 0.0):
-            found[kept] = zero_between(c, count, low, high, before, after)  # kept <= piece: nothing unread is overwritten
+            found[kept] = zero_between(
+                c, count, low, high, before, after
+            )  # kept <= piece: nothing unread is overwritten
             kept += 1
         low, before = high, after
     return kept
