@@ -59,20 +59,17 @@ class Driveline:
     def from_study(cls, study: Study) -> "Driveline":
         """The driveline that a study's config spells out."""
         n = len(study.driveline.inertias)
-        damping, stiffness = np.zeros((n, n)), np.zeros((n, n))
-        for shaft in study.driveline.shafts:
-            twist = _incidence(shaft.between, n)
-            stiffness += shaft.stiffness * np.outer(twist, twist)
-            damping += shaft.damping * np.outer(twist, twist)
+        shafts = study.driveline.shafts
+        twist = _incidence([shaft.between for shaft in shafts], n)
         contact = study.lash.contact
         load = np.zeros(n)
         load[int(study.load.on) - 1] = 1.0
-        springs = [shaft.between for shaft in study.driveline.shafts if shaft.stiffness > 0.0]
+        springs = [shaft.between for shaft in shafts if shaft.stiffness > 0.0]
         return cls(
             inertia=np.array(study.driveline.inertias, dtype=np.float64),
-            damping=damping,
-            stiffness=stiffness,
-            lash=_incidence(study.lash.between, n),
+            damping=(twist.T * [shaft.damping for shaft in shafts]) @ twist,
+            stiffness=(twist.T * [shaft.stiffness for shaft in shafts]) @ twist,
+            lash=_incidence([study.lash.between], n)[0],
             load=load,
             contact_stiffness=study.lash.radius**2 * contact.stiffness,
             contact_damping=study.lash.radius**2 * contact.damping,
@@ -106,16 +103,20 @@ class Driveline:
 
 def prepare(study: Study) -> tuple[System, Steps | Flows]:
     """The switched linear system of a study, and the tables of its method: ready to run."""
-    system = build(study)
+    driveline = Driveline.from_study(study)
+    system = _build(study, driveline)
     if study.solver.method == "exact":
-        return system, _flows(study, system)
+        return system, _flows(study, driveline, system)
     steps = build_steps(system, study.solver.step)
     return (system if steps.stable else system._replace(status=int(Status.UNSTABLE_STEP))), steps
 
 
 def build(study: Study) -> System:
     """The switched linear system of a study."""
-    driveline = Driveline.from_study(study)
+    return _build(study, Driveline.from_study(study))
+
+
+def _build(study: Study, driveline: Driveline) -> System:
     contact = study.lash.contact
     restitution = contact.model == "restitution"
     sticking_time = study.impacts.sticking_time
@@ -142,20 +143,18 @@ def build(study: Study) -> System:
     )
 
 
-def _flows(study: Study, system: System) -> Flows:
-    driveline = Driveline.from_study(study)
-    mass, damping, stiffness = np.diag(driveline.inertia), driveline.damping, driveline.stiffness
-    coupling = np.outer(driveline.lash, driveline.lash)
-    n = driveline.inertia.size
-    opened = Chain(mass, damping, stiffness, *unconstrained(2 * n))
+def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
+    inertia, damping, stiffness = driveline.inertia, driveline.damping, driveline.stiffness
+    n = inertia.size
+    opened = Chain(inertia, damping, stiffness, *unconstrained(2 * n))
     if study.lash.contact.model == "restitution":
         locked = constrained(driveline.lash)
-        basis = locked.expand[:n, : n - 1]
-        reduced = [basis.T @ matrix @ basis for matrix in (mass, damping, stiffness)]
-        closed = Chain(reduced[0], reduced[1], reduced[2], *locked)
+        basis = locked.expand[:n, : n - 1]  # each row has at most one entry: the inertias' matrix stays diagonal
+        closed = Chain(inertia @ basis**2, basis.T @ damping @ basis, basis.T @ stiffness @ basis, *locked)
     else:
+        coupling = driveline.lash[:, None] * driveline.lash
         closed = Chain(
-            mass,
+            inertia,
             damping + driveline.contact_damping * coupling,
             stiffness + driveline.contact_stiffness * coupling,
             *unconstrained(2 * n),
@@ -174,13 +173,14 @@ def steps_a_period(study: Study) -> float:
     return 2.0 * np.pi / (fastest * study.solver.step) if fastest > 0.0 else float("inf")
 
 
-def _incidence(between: Sequence[End], n: int) -> FloatArray:
-    """+1 at the first end, -1 at the second; ground takes no part."""
-    row = np.zeros(n)
-    for end, sign in zip(between, (1.0, -1.0), strict=True):
-        if end != "ground":
-            row[int(end) - 1] += sign
-    return row
+def _incidence(joints: Sequence[Sequence[End]], n: int) -> FloatArray:
+    """(joints, n), +1 at the first end of each, -1 at the second; ground takes no part."""
+    rows = np.zeros((len(joints), n))
+    for row, between in zip(rows, joints, strict=True):
+        for end, sign in zip(between, (1.0, -1.0), strict=True):
+            if end != "ground":
+                row[int(end) - 1] += sign
+    return rows
 
 
 def _all_grounded(n: int, springs: Sequence[Sequence[End]]) -> bool:

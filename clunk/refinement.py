@@ -29,7 +29,7 @@ from itertools import pairwise, product
 import numpy as np
 import numpy.typing as npt
 
-UNKNOWN = -1  # kind and touches of a cell that has not been run
+UNKNOWN = -1  # kind and touches of a cell that has not been run; _extremes relies on it
 DOUBTFUL = -2  # kind of one whose neighbours must be run whatever they are
 
 COARSE_INTERVALS = 60  # of an axis, at least: every 16th of 1001 cells
@@ -41,7 +41,6 @@ _CREST = 5  # cells to either side
 _GAP = 4  # cells between the dashes of a thin regime
 
 _HIGHEST = np.iinfo(np.int32).max
-_LOWEST = np.iinfo(np.int32).min
 
 Integers = npt.NDArray[np.int32]
 Cells = npt.NDArray[np.int64]
@@ -82,7 +81,10 @@ def wanted(kinds: Integers, touches: Integers, spacing: Sequence[int]) -> Cells:
             left = np.clip(np.searchsorted(ends, points, side="left") - 1, 0, last)
             right = np.clip(np.searchsorted(ends, points, side="right") - 1, 0, last)
             halved = halved.take(left, axis) | halved.take(right, axis)
-        mask[np.ix_(*fine)] |= halved
+        if halved.shape == mask.shape:
+            mask |= halved
+        else:
+            mask[np.ix_(*fine)] |= halved
     _mark_around(mask, _thin(kinds, spacing), spacing)
     mask &= kinds == UNKNOWN
     return np.flatnonzero(mask).astype(np.int64)
@@ -124,20 +126,11 @@ def _positions(count: int, step: int) -> Cells:
 
 def _mixed(kinds: Integers, touches: Integers, spacing: Sequence[int]) -> list[Mask]:
     """For each level but the last, which of its blocks are to be halved."""
-    crest = _crest(touches, spacing)
-    doubtful = (kinds == DOUBTFUL) | crest
-    unknown = kinds == UNKNOWN
-    found = [
-        low < high
-        for low, high in _extremes(
-            np.where(unknown, _HIGHEST, np.where(doubtful, _LOWEST, kinds)),
-            np.where(unknown, _LOWEST, np.where(doubtful, _HIGHEST, kinds)),
-            spacing,
-        )
-    ]
-    # halved, a number stays far from overflow where a block has no known cell
-    fewest, most = np.where(unknown, _HIGHEST // 2, touches), np.where(unknown, _LOWEST // 2, touches)
-    for k, (low, high) in enumerate(_extremes(fewest, most, spacing)):
+    doubtful = np.flatnonzero((kinds == DOUBTFUL) | _crest(touches, spacing))
+    low, high = kinds.copy(), kinds.copy()
+    low.flat[doubtful], high.flat[doubtful] = 0, _HIGHEST
+    found = [low < high for low, high in _extremes(low, high, spacing)]
+    for k, (low, high) in enumerate(_extremes(touches, touches, spacing)):
         found[k] |= high - low >= (2 if 2 << k <= _WIDE else 1)
     return found[::-1]
 
@@ -153,14 +146,21 @@ def _crest(touches: Integers, spacing: Sequence[int]) -> Mask:
     for direction in product(*((-1, 0, 1) if widest > 1 else (0,) for widest in spacing)):
         offset = sum(step * stride for step, stride in zip(direction, strides, strict=True))
         if offset > 0:
-            above, below = (
-                np.any([values[known + sign * k * offset] < own for k in range(1, _CREST + 1)], axis=0)
-                for sign in (1, -1)
-            )
-            crest |= above & below
+            rest = np.flatnonzero(~crest)
+            for sign in (1, -1):
+                rest = rest[_is_lower(values, known[rest], own[rest], sign * offset)]
+            crest[rest] = True
     mask = np.zeros(values.size, bool)
     mask[known[crest]] = True
     return mask.reshape(padded.shape)[(slice(_CREST, -_CREST),) * touches.ndim]
+
+
+def _is_lower(values: Integers, places: Cells, own: Integers, offset: int) -> Mask:
+    """Whether any of the next values along an offset is below a place's own."""
+    least = values[places + offset]
+    for k in range(2, _CREST + 1):
+        np.minimum(least, values[places + k * offset], out=least)
+    return least < own
 
 
 def _thin(kinds: Integers, spacing: Sequence[int]) -> Cells:
@@ -187,7 +187,12 @@ def _mark_around(mask: Mask, cells: Cells, spacing: Sequence[int]) -> None:
 
 
 def _extremes(low: Integers, high: Integers, spacing: Sequence[int]) -> Iterator[tuple[Integers, Integers]]:
-    """The least and the greatest value in each block, edges included, from blocks two cells wide to the coarsest."""
+    """The least and the greatest value in each block, edges included, from blocks two cells wide to the coarsest.
+
+    `UNKNOWN` where a block has no other: as it is the greatest of all unsigned, and the least of all signed numbers, it
+    takes part in neither.
+    """
+    low = low.view(np.uint32)
     for axis, count in enumerate(low.shape):
         if count > 1:  # between neighbouring cells
             low = np.minimum(_part(low, axis, slice(-1)), _part(low, axis, slice(1, None)))
@@ -197,7 +202,7 @@ def _extremes(low: Integers, high: Integers, spacing: Sequence[int]) -> Iterator
         for axis, widest in enumerate(spacing):
             if step <= widest:
                 low, high = _joined(np.minimum, low, axis), _joined(np.maximum, high, axis)
-        yield low, high
+        yield low.view(np.int32), high
         step *= 2
 
 

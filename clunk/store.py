@@ -10,6 +10,7 @@ import hashlib
 import io
 import os
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -287,26 +288,37 @@ def row_blocks(variable: h5py.Dataset) -> Iterator[tuple[int, int]]:
 
 
 class Digest:
-    """SHA-256 over the axes, the labels and then each variable's name, shape, dtype and little-endian values."""
+    """SHA-256 over the axes, the labels and then each variable's name, shape, dtype and little-endian values.
+
+    A thread of its own computes it, while the next values are made ready; those added must not be changed any more.
+    """
 
     def __init__(self, axes: tuple[ResultAxis, ...], labels: tuple[str, ...]) -> None:
         self._sha = hashlib.sha256("\n".join(labels).encode())
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="clunk-sha256")
+        self._running: Future[None] | None = None
         for axis in axes:
             self.begin(axis.variable, axis.values.shape, np.float64)
             self.add(axis.values)
 
     def begin(self, name: str, shape: tuple[int, ...], dtype: type[np.generic]) -> None:
         """Begin a variable, whose values are then added."""
-        self._sha.update(f"\n{name} {shape} {np.dtype(dtype).name}\n".encode())
+        self._update(f"\n{name} {shape} {np.dtype(dtype).name}\n".encode())
 
     def add(self, values: npt.NDArray[Any]) -> None:
         """Add values, in C order."""
         little = values.astype(values.dtype.newbyteorder("<"), copy=False)
-        self._sha.update(np.ascontiguousarray(little).data)
+        self._update(np.ascontiguousarray(little).data)
 
     def hexdigest(self) -> str:
         """The digest of all that was added."""
+        self._thread.shutdown()
         return self._sha.hexdigest()
+
+    def _update(self, raw: bytes | memoryview) -> None:
+        if self._running is not None:
+            self._running.result()
+        self._running = self._thread.submit(self._sha.update, raw)
 
 
 # --- reading

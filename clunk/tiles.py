@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-_MAGIC = b"clunk tiles 1\n\0\0"
+_MAGIC = b"clunk tiles 2\n\0\0"
 _HEADER = struct.Struct("<16sQQ32s32s")  # magic, cells, impacts, origin, SHA-256 of all other bytes
 
 
@@ -33,15 +33,15 @@ class Tile:
 
 
 def to_pieces(tiles: Sequence[Tile], origin: bytes) -> list[bytes | memoryview]:
-    """Tiles column by column, behind a checksum: pieces to be written one after the other.
+    """All tiles' cells, then their records, then their impacts, as they are in memory, behind a checksum.
+
+    The pieces are to be written one after the other; nothing is copied.
 
     origin : 32 bytes that tell which study and which versions the tiles are of
     """
-    records, impacts = (np.concatenate([getattr(tile, name) for tile in tiles]) for name in ("records", "impacts"))
-    columns = [np.concatenate([tile.cells for tile in tiles])]
-    columns += [array[name] for array in (records, impacts) for name in array.dtype.names or ()]
-    body = [np.ascontiguousarray(column).data.cast("B") for column in columns if column.size]
-    counts = (len(records), len(impacts))
+    counts = sum(tile.cells.size for tile in tiles), sum(tile.impacts.size for tile in tiles)
+    arrays = [getattr(tile, name) for name in ("cells", "records", "impacts") for tile in tiles]
+    body = [np.ascontiguousarray(array).view(np.uint8).data for array in arrays if array.size]
     return [_HEADER.pack(_MAGIC, *counts, origin, _checksum(*counts, origin, *body)), *body]
 
 
@@ -53,30 +53,16 @@ def from_bytes(raw: bytes, origin: bytes, record: np.dtype[np.void], impact: np.
     if magic != _MAGIC or its_origin != origin:
         raise ValueError("of another study or version")
     body = memoryview(raw)[_HEADER.size :]
-    width = 8 + sum(_widths(record))
-    if len(body) != width * cells + sum(_widths(impact)) * impacts:
+    width = 8 + record.itemsize
+    if len(body) != width * cells + impact.itemsize * impacts:
         raise ValueError("damaged")
     if _checksum(cells, impacts, origin, body) != checksum:
         raise ValueError("damaged")
     return Tile(
         np.frombuffer(body[: 8 * cells], np.int64).copy(),  # of the cells alone; a view would keep all the bytes
-        _from_columns(body[8 * cells : width * cells], record, cells),
-        _from_columns(body[width * cells :], impact, impacts),
+        np.frombuffer(body[8 * cells : width * cells], record),
+        np.frombuffer(body[width * cells :], impact),
     )
-
-
-def _from_columns(body: memoryview, dtype: np.dtype[np.void], count: int) -> npt.NDArray[np.void]:
-    array = np.zeros(count, dtype)
-    begin = 0
-    for name, width in zip(dtype.names or (), _widths(dtype), strict=True):
-        array[name] = np.frombuffer(body[begin : begin + width * count], dtype[name])
-        begin += width * count
-    return array
-
-
-def _widths(dtype: np.dtype[np.void]) -> list[int]:
-    """Bytes of each field, without what lies between them."""
-    return [dtype[name].itemsize for name in dtype.names or ()]
 
 
 def _checksum(cells: int, impacts: int, origin: bytes, *body: memoryview) -> bytes:

@@ -393,6 +393,16 @@ def _look(
 
 
 @unowned_inlined
+def _rush(watch: FloatArray, y: FloatArray, level: int) -> float:
+    """The steepest that the fastest pairs of a functional make it from now on."""
+    total = 0.0
+    for p in range(level):
+        slope = watch[p, 2] * watch[p, 2] + watch[p, 3] * watch[p, 3]
+        total += np.sqrt(slope * (y[2 * p] * y[2 * p] + y[2 * p + 1] * y[2 * p + 1]))
+    return total
+
+
+@unowned_inlined
 def _low(value: float, slope: float, curvature: float, jerk: float, h: float) -> float:
     """What a guard does not go below within a time h, where that is positive: it is concave in h."""
     return value + h * (slope + h * (0.5 * min(curvature, 0.0) - h * (jerk * _SIXTH)))
@@ -465,7 +475,8 @@ def _phase(
     order1, order2 = zero_order if zero_guard == 0 else 0, zero_order if zero_guard == 1 else 0
     elapsed, h, k, level, grazed, event, ends = 0.0, 0.0, 0, 0, False, -1, False
     entered = zero_guard if zero_order > 0 else -1
-    s1, s2, was1, was2, doubt1, doubt2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    s1, s2, was1, was2 = 0.0, 0.0, 0.0, 0.0
+    bow1, bow2, rang1, rang2 = 0.0, 0.0, 0.0, 0.0
     a = modal.value(accelerating, y) + origin[2, 0]
     largest, smallest = a, a
     high, low = max(high, a), min(low, a)
@@ -497,7 +508,12 @@ def _phase(
                 begins, fell, ends_at, rises = (was1, s1, g1 + ring1, d1) if g == 0 else (was2, s2, g2 + ring2, d2)
                 if level == 0 and not (fell < 0.0 and rises >= 0.0):
                     continue
-                if _dip(begins, ends_at, fell, rises, h) - (doubt1 if g == 0 else doubt2) < abs(margin) * scale[g]:
+                bow, ring = (bow1, rang1) if g == 0 else (bow2, rang2)
+                if _dip(begins, ends_at, fell, rises, h) - 0.5 * h * bow - ring < abs(margin) * scale[g]:
+                    if level > 0:  # does it turn, or does it fall or rise faster than those pairs ring?
+                        bow += _rush(watch[at[g]], before, level)
+                        if max(fell, rises) < -bow or min(fell, rises) > bow:
+                            continue
                     began = max(elapsed - h, held_from)
                     modal.move_by(span, propagator, generator, modes, work, before, began - (elapsed - h))
                     _move_origin(origin, g, began, here)
@@ -594,10 +610,11 @@ def _phase(
                     elif event < 0 or s < part:
                         event, part = g, s
         order1, order2 = 0, 0
-        # between a guard and the Hermite cubic of its slower part lie at most h³/16 of its jerk, since they part with a
-        # third derivative of twice that and meet, with their slopes, at both ends; and the sway of the faster part
+        # between the slope of a guard's slower part and the line through its ends lies at most its bow, h²/8 of the
+        # jerk; between that part and the Hermite cubic of its ends h³/16 of it, since they part with a third derivative
+        # of twice the jerk and meet, with their slopes, at both ends
         s1, s2, was1, was2 = d1, d2, g1 + ring1, g2 + ring2
-        doubt1, doubt2 = h * h * h * j1 * 0.0625 + ring1, h * h * h * j2 * 0.0625 + ring2
+        bow1, bow2, rang1, rang2 = h * h * j1 * 0.125, h * h * j2 * 0.125, ring1, ring2
 
         # go there, and see what the acceleration did on the way
         modal.copy(y, before)

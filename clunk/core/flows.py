@@ -9,6 +9,8 @@ A flow without a well-conditioned eigenbasis (critical damping, for example) kee
 the energy; that never grows either. It can take the shortest span only, by its Taylor series.
 """
 
+import functools
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -20,9 +22,11 @@ BoolArray = npt.NDArray[np.bool_]
 
 SPANS = 32  # two an octave
 BLOCK = 4  # pairs: their number is filled up to a multiple, so that the kernels' loops have a known length
-TERMS = 8  # of a Taylor series over the shortest span
+TERMS = 10  # of a Taylor series over the shortest span
 JERK, SWAY = 6, 7  # in `Flows.watch`: what bounds a functional's third derivative, and its value less its origin
-_SHORTEST = 1.0 / 32.0  # |λ| times the shortest span: TERMS terms are then exact to rounding
+_SHORTEST = 1.0 / 8.0  # |λ| times the shortest span: TERMS terms are then exact to rounding
+_LADDER = np.ldexp(np.tile([1.0, 1.5], SPANS // 2), np.repeat(np.arange(SPANS // 2), 2))
+_TAYLOR = np.array([1.0 / math.factorial(k) for k in range(TERMS)])
 _MAX_CONDITION = 1e4  # of an eigenbasis in energy coordinates: beyond it, more than four digits are lost
 _ROUNDING = 1e-12  # relative to the largest of its kind
 
@@ -47,12 +51,13 @@ class Flows(NamedTuple):
 class Chain(NamedTuple):
     """A chain M θ'' + C θ' + K θ = … in m angles without constraint, and how they lie in the n of the driveline.
 
-    mass, damping, stiffness : (m, m) float64
+    inertia : (m,) float64, the diagonal of M
+    damping, stiffness : (m, m) float64
     expand, pick : (2n, 2m), (2m, 2n) float64, x = expand (θ, θ') + shift s φ/2 and back
     shift : (2n,) float64
     """
 
-    mass: FloatArray
+    inertia: FloatArray
     damping: FloatArray
     stiffness: FloatArray
     expand: FloatArray
@@ -67,26 +72,31 @@ def build_flows(
     feedthrough: FloatArray,
     chains: list[Chain],
 ) -> Flows:
-    """Tables of the open and the closed flow; the arrays are those of `regimes.System`."""
-    pairs = -(-rates.shape[1] // (2 * BLOCK)) * BLOCK
-    flows = [
-        _filled_up(_flow(rates[k], inputs[k], functionals[k], feedthrough[k], chain), pairs)
-        for k, chain in enumerate(chains)
-    ]
-    return Flows(*(np.stack(field) for field in zip(*flows, strict=True)))
+    """Tables of the open and the closed flow; the arrays are those of `regimes.System`.
 
-
-def _filled_up(flow: Flows, pairs: int) -> Flows:
-    """With coordinates added that stay zero."""
-    more = pairs - flow.watch.shape[1]
-    return flow._replace(
-        coordinates=np.pad(flow.coordinates, ((0, 0), (0, 2 * more))),
-        basis=np.pad(flow.basis, ((0, 0), (0, 2 * more))),
-        propagator=np.pad(flow.propagator, ((0, 0), (0, more), (0, 0))),
-        generator=np.pad(flow.generator, ((0, 2 * more), (0, 2 * more))),
-        watch=np.pad(flow.watch, ((0, 0), (0, more), (0, 0))),
-        series=np.pad(flow.series, ((0, 0), (0, 0), (0, 2 * more))),
+    Few and whole array operations: a sweep over inertias, stiffnesses or dampings builds these for each of its values.
+    """
+    flows, states = rates.shape[:2]
+    count = functionals.shape[1]
+    pairs = -(-states // (2 * BLOCK)) * BLOCK
+    size = 2 * pairs
+    tables = Flows(
+        origin=np.zeros((flows, 3, states, 2)),
+        origin_output=np.zeros((flows, 3, count, 2)),
+        coordinates=np.zeros((flows, states, size)),
+        basis=np.zeros((flows, states, size)),
+        modal=np.zeros(flows, np.int64),
+        ringing=np.zeros(flows, np.int64),
+        span=np.zeros((flows, SPANS)),
+        propagator=np.zeros((flows, SPANS, pairs, 5)),
+        generator=np.zeros((flows, size, size)),
+        watch=np.zeros((flows, count, pairs, 8)),
+        series=np.zeros((flows, count, TERMS, size)),
+        steady=np.zeros(flows, np.int64),
     )
+    for k, chain in enumerate(chains):
+        _fill(tables, k, rates[k], inputs[k], functionals[k], feedthrough[k], chain)
+    return tables
 
 
 class _Scaled(NamedTuple):
@@ -101,147 +111,175 @@ class _Scaled(NamedTuple):
     drift: BoolArray  # (2m,)  displacements that nothing depends on, and the velocities that only they depend on
 
 
-def _flow(
-    rates: FloatArray, inputs: FloatArray, functionals: FloatArray, feedthrough: FloatArray, chain: Chain
-) -> Flows:
+def _fill(
+    tables: Flows,
+    k: int,
+    rates: FloatArray,
+    inputs: FloatArray,
+    functionals: FloatArray,
+    feedthrough: FloatArray,
+    chain: Chain,
+) -> None:
+    """Flow `k`; the coordinates that a chain has fewer than the tables stay zero."""
     scaled = _scale(chain)
     into, back = scaled.into @ chain.pick, chain.expand @ scaled.back
     forcing = inputs.copy()
     forcing[:, 1] += rates @ chain.shift
-    origin = np.stack([back @ p for p in _particular(scaled, into @ forcing)])
-    origin[0, :, 1] += chain.shift
-    origin_output = np.stack([functionals @ p for p in origin])
-    origin_output[0] += feedthrough
+    tables.origin[k] = back @ _particular(scaled, into @ forcing)
+    tables.origin[k, 0, :, 1] += chain.shift
+    tables.origin_output[k] = functionals @ tables.origin[k]
+    tables.origin_output[k, 0] += feedthrough
+    tables.steady[k] = not scaled.drift.any()
 
     size, count = into.shape[0], functionals.shape[0]
     modes = _modes(scaled)
     if modes is None:
-        vectors, inverse, block = np.eye(size), np.eye(size), scaled.generator
+        block = scaled.generator
         fastest = float(np.linalg.norm(block, 2))
     else:
         vectors, inverse, block = modes
-        fastest = float(np.linalg.norm(block, axis=1).max(initial=0.0))
-    shortest = 2.0 ** np.floor(np.log2(_SHORTEST / fastest)) if fastest > 0.0 else 1.0
-    span = shortest * np.ldexp(np.tile([1.0, 1.5], SPANS // 2), np.repeat(np.arange(SPANS // 2), 2))
+        into, back = inverse @ into, back @ vectors
+        fastest = math.sqrt((block * block).sum(axis=1).max(initial=0.0))
+        tables.modal[k] = 1
+        tables.ringing[k] = np.count_nonzero(block.diagonal(-1)[::2])
+    tables.coordinates[k, :, :size], tables.basis[k, :, :size] = into.T, back
+    shortest = 2.0 ** math.floor(math.log2(_SHORTEST / fastest)) if fastest > 0.0 else 1.0
+    span = shortest * _LADDER
+    tables.span[k], tables.generator[k, :size, :size] = span, shortest * block
+    _propagate(block, span, tables.propagator[k, :, : size // 2])
 
-    derivatives = np.zeros((TERMS, count, size))
-    derivatives[0] = functionals @ back @ vectors
-    for k in range(1, TERMS):
-        derivatives[k] = derivatives[k - 1] @ block
-    pairs = derivatives[:3].reshape(3, count, size // 2, 2).transpose(1, 2, 0, 3).reshape(count, size // 2, 6)
-    reach = [_reach(derivatives[k], modes is not None)[..., None] for k in (3, 0)]
-    watch = np.concatenate([pairs, *reach], axis=2)
-    factor = np.cumprod(np.r_[1.0, shortest / np.arange(1, TERMS)])
-    return Flows(
-        origin=origin,
-        origin_output=origin_output,
-        coordinates=(inverse @ into).T,
-        basis=back @ vectors,
-        modal=np.array(modes is not None, np.int64),
-        ringing=np.array(0 if modes is None else np.count_nonzero(np.diag(block, -1)[::2]), np.int64),
-        span=span,
-        propagator=_propagators(block, span),
-        generator=shortest * block,
-        watch=watch,
-        series=(factor[:, None, None] * derivatives).transpose(1, 0, 2),
-        steady=np.array(not np.any(scaled.drift), np.int64),
-    )
+    derivatives = np.empty((TERMS, count, size))
+    derivatives[0] = functionals @ back
+    for j in range(1, TERMS):
+        np.matmul(derivatives[j - 1], block, out=derivatives[j])
+    watch = tables.watch[k, :, : size // 2]
+    for j in range(3):
+        watch[:, :, 2 * j : 2 * j + 2] = derivatives[j].reshape(count, size // 2, 2)
+    watch[:, :, JERK : SWAY + 1] = _reach(derivatives[[3, 0]], modes is not None).transpose(1, 2, 0)
+    factor = _TAYLOR * shortest ** np.arange(TERMS)
+    tables.series[k, :, :, :size] = (factor[:, None, None] * derivatives).transpose(1, 0, 2)
 
 
-def _reach(row: FloatArray, modal: bool) -> FloatArray:
-    """(F, P), what bounds |row · y| from now on, by the pairs' amplitudes."""
-    pairs = np.hypot(row[:, 0::2], row[:, 1::2])
+def _reach(rows: FloatArray, modal: bool) -> FloatArray:
+    """(…, P), what bounds |row · y| from now on, by the pairs' amplitudes."""
+    pairs = np.hypot(rows[..., 0::2], rows[..., 1::2])
     if not modal:  # by |y|, which is at most the sum of the amplitudes
-        pairs[:] = np.linalg.norm(row, axis=1, keepdims=True)
+        pairs[:] = np.linalg.norm(rows, axis=-1, keepdims=True)
     return np.asarray(pairs * (1.0 + 1e-9), np.float64)  # what is multiplied up, span by span, is rounded
 
 
 def _scale(chain: Chain) -> _Scaled:
-    m = chain.mass.shape[0]
-    root = np.linalg.cholesky(chain.mass)
-    squared, rotated = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, chain.stiffness).T))
-    shapes = np.linalg.solve(root.T, rotated)
+    m = chain.inertia.size
+    root = np.sqrt(chain.inertia)
+    squared, rotated = np.linalg.eigh(chain.stiffness / (root[:, None] * root))
+    shapes = rotated / root[:, None]
     free = squared <= _ROUNDING * squared.max(initial=0.0)
-    # among the free shapes those apart that are not damped either
-    damping = shapes[:, free].T @ chain.damping @ shapes[:, free]
-    shapes[:, free] = shapes[:, free] @ np.linalg.eigh(damping)[1]
+    drifting = bool(free.any())
+    if np.count_nonzero(free) > 1:  # among the free shapes those apart that are not damped either
+        shapes[:, free] = shapes[:, free] @ np.linalg.eigh(shapes[:, free].T @ chain.damping @ shapes[:, free])[1]
     stiffness, damping = shapes.T @ chain.stiffness @ shapes, shapes.T @ chain.damping @ shapes
-    stiffness[free], stiffness[:, free] = 0.0, 0.0
-    undamped = free & (np.diag(damping) <= _ROUNDING * np.diag(damping).max(initial=0.0))
-    damping[undamped], damping[:, undamped] = 0.0, 0.0
+    undamped = free
+    if drifting:
+        stiffness[free], stiffness[:, free] = 0.0, 0.0
+        own = damping.diagonal()
+        undamped = free & (own <= _ROUNDING * own.max(initial=0.0))
+        damping[undamped], damping[:, undamped] = 0.0, 0.0
+        squared = np.where(free, squared[~free].min(initial=np.inf), squared)
+        squared[np.isinf(squared)] = 1.0
 
-    frequency = np.sqrt(np.where(free, squared[~free].min(initial=np.inf), squared))
-    frequency[np.isinf(frequency)] = 1.0
-    generator = np.zeros((2 * m, 2 * m))
-    generator[:m, m:] = np.diag(frequency)
+    frequency = np.sqrt(squared)
+    generator, into, back = np.zeros((3, 2 * m, 2 * m))
+    generator[:m, m:].flat[:: m + 1] = frequency
     generator[m:, :m] = -stiffness / frequency
     generator[m:, m:] = -damping
-    into, back = np.zeros((2 * m, 2 * m)), np.zeros((2 * m, 2 * m))
-    into[m:, m:], back[m:, m:] = shapes.T @ chain.mass, shapes
+    into[m:, m:], back[m:, m:] = shapes.T * chain.inertia, shapes
     into[:m, :m], back[:m, :m] = frequency[:, None] * into[m:, m:], shapes / frequency
-    return _Scaled(into, back, generator, np.r_[free, undamped])
+    return _Scaled(into, back, generator, np.concatenate((free, undamped)))
 
 
-def _particular(scaled: _Scaled, forcing: FloatArray) -> list[FloatArray]:
-    """p0, p1, p2 with p0 + p1 t + p2 t²/2 a solution of z' = generator z + forcing."""
+def _particular(scaled: _Scaled, forcing: FloatArray) -> FloatArray:
+    """p0, p1, p2 with p0 + p1 t + p2 t²/2 a solution of z' = generator z + forcing: (3, 2m, inputs)."""
     generator, drift = scaled.generator, scaled.drift
-    p0, p1, p2 = (np.zeros_like(forcing) for _ in range(3))
-    p0[~drift] = -np.linalg.solve(generator[np.ix_(~drift, ~drift)], forcing[~drift])
-    p1[drift] = generator[np.ix_(drift, ~drift)] @ p0[~drift] + forcing[drift]
-    p2[drift] = generator[np.ix_(drift, drift)] @ p1[drift]
-    return [p0, p1, p2]
+    particular = np.zeros((3, *forcing.shape))
+    if not drift.any():
+        particular[0] = -np.linalg.solve(generator, forcing)
+        return particular
+    stays, p0 = ~drift, particular[0]
+    p0[stays] = -np.linalg.solve(generator[stays][:, stays], forcing[stays])
+    particular[1, drift] = generator[drift] @ p0 + forcing[drift]
+    particular[2, drift] = generator[drift] @ particular[1]
+    return particular
 
 
 def _modes(scaled: _Scaled) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """A real eigenbasis, its inverse, and the generator in it; None where it is badly conditioned."""
+    """A real eigenbasis, its inverse, and the generator in it; None where it is badly conditioned.
+
+    Oscillating modes first, fastest first; then undamped drifts, then what is overdamped, then damped drifts.
+    """
     generator, drift = scaled.generator, scaled.drift
     size = generator.shape[0]
-    eigenvalues, right = np.linalg.eig(generator[np.ix_(~drift, ~drift)])
-    eigenvalues = eigenvalues.astype(np.complex128)
-    vectors = np.zeros((size, eigenvalues.size), np.complex128)
-    vectors[~drift] = right
-    vectors[drift] = generator[np.ix_(drift, ~drift)] @ right / eigenvalues
-
-    displacement, velocity = np.flatnonzero(drift[: size // 2]), np.flatnonzero(drift[size // 2 :])
-    columns: list[FloatArray] = []
-    block = np.zeros((size, size))
+    drifting = bool(drift.any())
+    if drifting:
+        stays = ~drift
+        eigenvalues, right = np.linalg.eig(generator[stays][:, stays])
+        vectors = np.zeros((size, eigenvalues.size), right.dtype)
+        vectors[stays] = right
+        vectors[drift] = generator[drift][:, stays] @ right / eigenvalues
+    else:
+        eigenvalues, vectors = np.linalg.eig(generator)
     fastest_first = np.argsort(-np.abs(eigenvalues), kind="stable")
     eigenvalues, vectors = eigenvalues[fastest_first], vectors[:, fastest_first]
-    for value, vector in zip(eigenvalues, vectors.T, strict=True):
-        if value.imag > 0.0:
-            at = len(columns)
-            sigma = min(value.real, 0.0)  # a chain is passive: growth is rounding
-            block[at : at + 2, at : at + 2] = [[sigma, value.imag], [-value.imag, sigma]]
-            columns += [vector.real, vector.imag]
-    unit = np.eye(size)
+    sigma, omega = np.minimum(eigenvalues.real, 0.0), eigenvalues.imag  # a chain is passive: growth is rounding
+    rings, decays = np.flatnonzero(omega > 0.0), np.flatnonzero(omega == 0.0)
+
+    unit = _unit(size)
+    basis, block = np.zeros((size, size)), np.zeros((size, size))
+    end = 2 * rings.size
+    basis[:, 0:end:2], basis[:, 1:end:2] = vectors[:, rings].real, vectors[:, rings].imag
+    at = np.arange(0, end, 2)
+    block[at, at] = block[at + 1, at + 1] = sigma[rings]
+    block[at, at + 1], block[at + 1, at] = omega[rings], -omega[rings]
+    displacement, velocity = np.flatnonzero(drift[: size // 2]), np.flatnonzero(drift[size // 2 :])
     for k in velocity:
-        at = len(columns)
-        block[at, at + 1] = 1.0
-        columns += [unit[k] * generator[k, k + size // 2], unit[k + size // 2]]
-    for value, vector in zip(eigenvalues, vectors.T, strict=True):
-        if value.imag == 0.0:
-            block[len(columns), len(columns)] = min(value.real, 0.0)
-            columns.append(vector.real)
-    columns += [unit[k] for k in displacement if k not in velocity]
-    basis = np.stack(columns, axis=1) if columns else np.zeros((0, 0))
-    if size and not np.linalg.cond(basis) <= _MAX_CONDITION:
+        block[end, end + 1] = 1.0
+        basis[:, end], basis[:, end + 1] = unit[k] * generator[k, k + size // 2], unit[k + size // 2]
+        end += 2
+    at = np.arange(end, end + decays.size)
+    basis[:, at], block[at, at] = vectors[:, decays].real, sigma[decays]
+    end += decays.size
+    for k in displacement:
+        if k not in velocity:
+            basis[:, end] = unit[k]
+            end += 1
+    try:
+        inverse = np.linalg.inv(basis)
+    except np.linalg.LinAlgError:
         return None
-    inverse = np.linalg.inv(basis)
+    # by the Frobenius norms, at most as many times larger as there are coordinates, the condition is found sooner
+    bound = math.sqrt((basis * basis).sum() * (inverse * inverse).sum())
+    if not bound <= _MAX_CONDITION and size and not np.linalg.cond(basis) <= _MAX_CONDITION:
+        return None
     return basis, inverse @ (2.0 * unit - basis @ inverse), block
 
 
-def _propagators(block: FloatArray, span: FloatArray) -> FloatArray:
-    """(spans, P, 5), exp(block · span) of each pair of a block-diagonal generator, and the decay of its amplitude."""
-    pairs = block.shape[0] // 2
-    result = np.zeros((span.size, pairs, 5))
-    for p in range(pairs):
-        part = block[2 * p : 2 * p + 2, 2 * p : 2 * p + 2]
-        decay = np.exp(np.outer(span, np.diag(part)))
-        angle = part[0, 1] * span
-        if part[0, 1] == -part[1, 0]:
-            result[:, p, 0], result[:, p, 3] = decay[:, 0] * np.cos(angle), decay[:, 1] * np.cos(angle)
-            result[:, p, 1], result[:, p, 2] = decay[:, 0] * np.sin(angle), -decay[:, 1] * np.sin(angle)
-        else:  # a drift
-            result[:, p, 0], result[:, p, 1], result[:, p, 3] = 1.0, angle, 1.0
-        result[:, p, 4] = decay.max(axis=1)
-    return result
+@functools.cache
+def _unit(size: int) -> FloatArray:
+    return np.eye(size)
+
+
+def _propagate(block: FloatArray, span: FloatArray, result: FloatArray) -> None:
+    """exp(block · span) of each pair of a block-diagonal generator, and the decay of its amplitude.
+
+    result : (spans, P, 5)
+    """
+    diagonal, above, below = block.diagonal(), block.diagonal(1)[::2], block.diagonal(-1)[::2]
+    decay, angle = np.exp(span[:, None] * diagonal), span[:, None] * above
+    first, second = decay[:, 0::2], decay[:, 1::2]
+    cosine, sine = np.cos(angle), np.sin(angle)
+    result[:, :, 0], result[:, :, 3] = first * cosine, second * cosine
+    result[:, :, 1], result[:, :, 2] = first * sine, -second * sine
+    result[:, :, 4] = np.maximum(first, second)
+    drifts = above != -below
+    if drifts.any():  # they do not decay
+        result[:, drifts, 0], result[:, drifts, 1] = 1.0, angle[:, drifts]
+        result[:, drifts, 2], result[:, drifts, 3] = 0.0, 1.0

@@ -130,21 +130,26 @@ def extremes(c0: float, c1: float, c2: float, c3: float, c4: float, length: floa
 
 @unowned
 def value_of(c: FloatArray, count: int, s: float) -> float:
-    """c[0] + c[1] s + ... + c[count - 1] s^(count - 1) by Horner's rule."""
-    value = 0.0
-    for k in range(count - 1, -1, -1):
-        value = value * s + c[k]
-    return value
+    """c[0] + c[1] s + ... + c[count - 1] s^(count - 1): Horner's rule, even and odd powers side by side."""
+    square = s * s
+    even, odd = c[count - 1] if count % 2 else 0.0, 0.0
+    for k in range(count // 2 - 1, -1, -1):
+        even = even * square + c[2 * k]
+        odd = odd * square + c[2 * k + 1]
+    return even + s * odd
 
 
 @unowned
 def value_and_slope(c: FloatArray, count: int, s: float) -> tuple[float, float]:
     """The same, and its derivative."""
-    value, slope = 0.0, 0.0
-    for k in range(count - 1, -1, -1):
-        slope = slope * s + value
-        value = value * s + c[k]
-    return value, slope
+    square = s * s
+    even, odd, even_slope, odd_slope = c[count - 1] if count % 2 else 0.0, 0.0, 0.0, 0.0
+    for k in range(count // 2 - 1, -1, -1):
+        even_slope = even_slope * square + even
+        odd_slope = odd_slope * square + odd
+        even = even * square + c[2 * k]
+        odd = odd * square + c[2 * k + 1]
+    return even + s * odd, odd + 2.0 * s * (even_slope + s * odd_slope)
 
 
 @unowned
@@ -159,9 +164,11 @@ def slope_and_bend(c: FloatArray, s: float) -> tuple[float, float]:
 
 
 @unowned
-def zero_between(c: FloatArray, count: int, low: float, high: float) -> float:
-    """The zero where a polynomial changes sign between `low` and `high`: Newton's steps, kept within the bracket."""
-    first, last = value_of(c, count, low), value_of(c, count, high)
+def zero_between(c: FloatArray, count: int, low: float, high: float, first: float, last: float) -> float:
+    """The zero where a polynomial changes sign between `low` and `high`: Newton's steps, kept within the bracket.
+
+    first, last : its values there
+    """
     s = low + (high - low) * first / (first - last)
     for _ in range(200):
         value, slope = value_and_slope(c, count, s)
@@ -171,7 +178,7 @@ def zero_between(c: FloatArray, count: int, low: float, high: float) -> float:
             high = s
         moved = s - value / slope if slope != 0.0 else low
         if low <= moved <= high:
-            if abs(moved - s) <= 1e-9:  # squared by the step just made
+            if abs(moved - s) <= 1e-8:  # squared by the step just made
                 return moved
         else:
             moved = 0.5 * (low + high)
@@ -203,7 +210,9 @@ def sign_changes(c: FloatArray, count: int, length: float, found: FloatArray, la
         high = found[piece] if piece < pieces - 1 else length
         after = value_of(c, count, high)
         if (before < 0.0) != (after < 0.0):
-            found[kept] = zero_between(c, count, low, high)  # kept <= piece: nothing unread is overwritten
+            found[kept] = zero_between(
+                c, count, low, high, before, after
+            )  # kept <= piece: nothing unread is overwritten
             kept += 1
         low, before = high, after
     return kept
@@ -230,12 +239,13 @@ def first_negative_of(c: FloatArray, length: float, found: FloatArray, ladder: F
     if c[0] < 0.0:
         return 0.0
     turns = turning_points(c, length, found, ladder)
-    low = 0.0
+    low, before = 0.0, c[0]
     for piece in range(turns + 1):
         high = found[piece] if piece < turns else length
-        if value_of(c, c.size, high) < 0.0:
-            return zero_between(c, c.size, low, high)
-        low = high
+        after = value_of(c, c.size, high)
+        if after < 0.0:
+            return zero_between(c, c.size, low, high, before, after)
+        low, before = high, after
     return -1.0
 
 

@@ -129,16 +129,16 @@ def build_system(
     n = inertia.size
     impulsive = restitution is not None
     open_rates, open_inputs = chain(inertia, damping, stiffness, load)
-    impulse = lash / inertia / np.sum(lash**2 / inertia)
+    mobility = (lash**2 / inertia).sum()
     if impulsive:
         closed_rates, closed_inputs = _locked(open_rates, open_inputs, inertia, lash)
     else:
-        coupling = np.outer(lash, lash)
+        coupling = lash[:, None] * lash
         closed_rates, closed_inputs = chain(
             inertia, damping + contact_damping * coupling, stiffness + contact_stiffness * coupling, load
         )
         closed_inputs[n:, 1] = contact_stiffness * lash / inertia
-    rates, inputs = np.stack([open_rates, closed_rates]), np.stack([open_inputs, closed_inputs])
+    rates, inputs = np.array([open_rates, closed_rates]), np.array([open_inputs, closed_inputs])
 
     with_force = impulsive or separation_by_force
     functionals = np.zeros((2, 3 if with_force else 2, 2 * n))
@@ -147,7 +147,6 @@ def build_system(
     functionals[:, ACCELERATION] = rates[:, n + acceleration_of]
     feedthrough[:, ACCELERATION] = inputs[:, n + acceleration_of]
     if impulsive:  # the torque that keeps q'' at zero, also where nothing does
-        mobility = np.sum(lash**2 / inertia)
         functionals[:, FORCE] = lash @ open_rates[n:] / mobility
         feedthrough[:, FORCE] = lash @ open_inputs[n:] / mobility
     elif separation_by_force:
@@ -171,7 +170,7 @@ def build_system(
         regimes=regimes,
         guards=guards,
         impulsive=int(impulsive),
-        impulse=np.concatenate([np.zeros(n), impulse]),
+        impulse=np.concatenate([np.zeros(n), lash / inertia / mobility]),
         restitution=restitution if restitution is not None else 0.0,
         locking_speed=locking_speed if locking_speed is not None else -LOCKING_SHARE,
         preload=preload,
@@ -308,7 +307,7 @@ def _preload(stiffness: FloatArray, load: FloatArray, lash: FloatArray, contact_
         rest: FloatArray = basis @ np.linalg.solve(basis.T @ stiffness @ basis, basis.T @ forces)
         rest[:, 1] += shift
         return rest
-    closed = stiffness + contact_stiffness * np.outer(lash, lash)
+    closed = stiffness + contact_stiffness * lash[:, None] * lash
     return np.asarray(np.linalg.solve(closed, np.column_stack([load, contact_stiffness * lash])), np.float64)
 
 
@@ -318,6 +317,6 @@ def _contact_torque(stiffness: FloatArray, load: FloatArray, lash: FloatArray, p
     pull = stiffness[end] @ preload
     torque: FloatArray = lash[end] * (np.array([load[end], 0.0]) - pull)
     # a load that does not reach the lash, or a gap that does not load it, leaves rounding only
-    scale = np.array([1.0, np.max(np.abs(stiffness), initial=0.0) + 1e-300])
+    scale = np.array([1.0, np.abs(stiffness).max(initial=0.0) + 1e-300])
     torque[np.abs(torque) <= 1e-11 * scale] = 0.0
     return torque
