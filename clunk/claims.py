@@ -22,6 +22,7 @@ from clunk.experiments import read_experiment
 from clunk.labels import double_sided
 from clunk.linear import one_mode_thresholds, periods_in_envelope, rigid_contact_thresholds
 from clunk.load import load_step
+from clunk.plot.maps import ridge_of
 from clunk.results import Results
 from clunk.simulation import Trajectory, simulate
 from clunk.sweeping import cell_count, sweep
@@ -115,11 +116,20 @@ def map_studies(coarsen: int = 1) -> dict[str, Study]:
     """The studies of `Maps` by field name, on 1/`coarsen` of their values an axis."""
     studies = {}
     for name, (title, preset, model, separation, count) in MAPS.items():
-        text = _MAP.format(
-            title=title, preset=preset, model=model, separation=separation, count=(count - 1) // coarsen + 1
-        )
-        studies[name] = study_from_text(text, source=f"the config of {title}")
+        studies[name] = report_map((count - 1) // coarsen + 1, title, preset, model, separation)
     return studies
+
+
+def report_map(
+    count: int,
+    title: str = "Figure 3.4",
+    preset: str = "boere-2008",
+    model: str = "indentation",
+    separation: str = "gap",
+) -> Study:
+    """The report's map, load ratio 0 to 10 and backlash 0 to 20 degrees, with `count` values an axis."""
+    text = _MAP.format(title=title, preset=preset, model=model, separation=separation, count=count)
+    return study_from_text(text, source=f"the config of {title}")
 
 
 def run_maps(coarsen: int = 1, workers: int | None = None, progress: Callable[[int, int], None] | None = None) -> Maps:
@@ -461,10 +471,10 @@ def _contradiction(where: str, report: str, ours: str, shown: bool) -> Claim:
 
 
 def ridge(results: Results) -> FloatArray:
-    """The backlash of largest Q for each load ratio, NaN where that is at an end of the range or nothing impacts."""
-    at = results.severity.argmax(axis=1)
-    inside = (at > 0) & (at < results.shape[1] - 1) & (results.severity.max(axis=1) > 0.0)
-    return np.where(inside, results.axes[1].values[at], np.nan)
+    """The backlash of largest Q for each load ratio, NaN where `clunk.plot.ridge_of` has none."""
+    at = ridge_of(results.severity)
+    known = np.isfinite(at)
+    return np.where(known, results.axes[1].values[np.where(known, at, 0.0).astype(np.intp)], np.nan)
 
 
 def _ordered(values: npt.NDArray[Any], axis: int) -> float:

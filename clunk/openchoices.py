@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
 
-from clunk.claims import NOMINAL_BACKLASH, NOMINAL_RATIO, ridge
-from clunk.config import Study, replace_values, study_from_text
+from clunk.claims import NOMINAL_BACKLASH, NOMINAL_RATIO, report_map, ridge
+from clunk.config import Study, replace_values
 from clunk.core.events import SEPARATION
 from clunk.driveline import Driveline
 from clunk.results import Results
@@ -26,22 +26,6 @@ Progress = Callable[[int, int], None]
 COUNT = 101  # values an axis
 DAMPING_RATIOS = (0.10, 0.13, 0.16, 0.23, 0.26)
 STICKING_TIMES = (0.7, 0.85, 1.2, 1.5)  # of the contact period
-
-_MAP = """
-title = "What the report leaves open"
-[driveline]
-preset = "boere-2008"
-[[sweep.axes]]
-parameter = "load.ratio"
-start = 0.0
-stop = 10.0
-count = {count}
-[[sweep.axes]]
-parameter = "lash.backlash_deg"
-start = 0.0
-stop = 20.0
-count = {count}
-"""
 
 
 @dataclass(frozen=True)
@@ -97,7 +81,7 @@ class OpenChoices:
 
 def base_study(count: int = COUNT) -> Study:
     """The report's map with `count` values an axis."""
-    return study_from_text(_MAP.format(count=count), source="the config of the open choices")
+    return report_map(count, "What the report leaves open")
 
 
 def contact_damping(study: Study, ratio: float) -> float:

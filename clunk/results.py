@@ -86,8 +86,43 @@ class ResultAxis:
         return bool(np.allclose(steps, steps.mean(), rtol=1e-6) and ascending[-1] / ascending[0] > 3.0)
 
 
+class OverAxes:
+    """What all results over axes have."""
+
+    axes: tuple[ResultAxis, ...]
+    coordinates: tuple[ResultAxis, ...]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The axes' counts in order."""
+        return tuple(len(axis.values) for axis in self.axes)
+
+    @property
+    def parameters(self) -> tuple[ResultAxis, ...]:
+        """What was swept: the axes, and in the place of `run` its coordinates."""
+        return parameters_of(self.axes, self.coordinates)
+
+    def _part(self, values: Mapping[str, float]) -> tuple[tuple[slice, ...], dict[str, Any]]:
+        """The slice at some axes' values, the nearest of each: the positions on the axes, and `axes`, `coordinates`.
+
+        Raises ValueError where a name is not an axis, or a value lies beyond it.
+        """
+        names = [axis.parameter for axis in self.axes]
+        part = [slice(None)] * len(names)
+        for parameter, value in values.items():
+            if parameter not in names:
+                raise ValueError(f"{parameter!r} is no axis of these results; their axes are {', '.join(names)}")
+            at = names.index(parameter)
+            position = self.axes[at].nearest(value)
+            part[at] = slice(position, position + 1)
+        run = part[names.index(RUN)] if RUN in names else slice(None)
+        axes = tuple(replace(axis, values=axis.values[own]) for axis, own in zip(self.axes, part, strict=True))
+        coordinates = tuple(replace(axis, values=axis.values[run]) for axis in self.coordinates)
+        return tuple(part), {"axes": axes, "coordinates": coordinates}
+
+
 @dataclass(frozen=True, eq=False)
-class Results:
+class Results(OverAxes):
     """A regime map and what lies under it.
 
     "Shape" is the axes' counts in order; N counts the primary impacts of all cells.
@@ -151,16 +186,6 @@ class Results:
             require(name, getattr(self, name), impacts, dtype)
         check_labels(self.labels, self.sequence)
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """The axes' counts in order."""
-        return tuple(len(axis.values) for axis in self.axes)
-
-    @property
-    def parameters(self) -> tuple[ResultAxis, ...]:
-        """What was swept: the axes, and in the place of `run` its coordinates."""
-        return parameters_of(self.axes, self.coordinates)
-
     @cached_property
     def max_impacts(self) -> int:
         """Length of the file's `impact` dimension: the most primary impacts of any cell, at least 1."""
@@ -181,20 +206,14 @@ class Results:
 
         Raises ValueError where a name is not an axis, or a value lies beyond it.
         """
-        part = slice_of(self.axes, values)
+        part, along = self._part(values)
         cells = np.arange(self.sequence.size).reshape(self.shape)[part].ravel()
         count, first = np.diff(self.first_impact)[cells], self.first_impact[cells]
         begin = np.cumsum(count) - count  # of each cell's impacts in the slice
         impacts = np.arange(count.sum()) + np.repeat(first - begin, count)
-        run = next((own for axis, own in zip(self.axes, part, strict=True) if axis.parameter == RUN), slice(None))
         fields: dict[str, Any] = {name: np.ascontiguousarray(getattr(self, name)[part]) for name in CELL_FIELDS}
         fields |= {name: getattr(self, name)[impacts] for name in IMPACT_FIELDS}
-        return replace(
-            self,
-            axes=tuple(replace(axis, values=axis.values[own]) for axis, own in zip(self.axes, part, strict=True)),
-            coordinates=tuple(replace(axis, values=axis.values[run]) for axis in self.coordinates),
-            **fields,
-        )
+        return replace(self, **along, **fields)
 
     def counts(self) -> dict[str, int]:
         """Number of cells of each label, in the labels' order, and last of ``failed`` (also where it is 0)."""
@@ -284,17 +303,6 @@ class Results:
         block = np.full((*count.shape, self.max_impacts), np.nan if dtype.kind == "f" else 0, dtype)
         block[np.arange(self.max_impacts) < count[..., None]] = flat
         return block
-
-
-def slice_of(axes: Sequence[ResultAxis], values: Mapping[str, float]) -> tuple[slice, ...]:
-    """Of each axis the one position nearest to its value, or all where it has none; ValueError beyond an axis."""
-    index: dict[int, int] = {}
-    for parameter, value in values.items():
-        names = [axis.parameter for axis in axes]
-        if parameter not in names:
-            raise ValueError(f"{parameter!r} is no axis of these results; their axes are {', '.join(names)}")
-        index[names.index(parameter)] = axes[names.index(parameter)].nearest(value)
-    return tuple(slice(index[k], index[k] + 1) if k in index else slice(None) for k in range(len(axes)))
 
 
 def parameters_of(axes: Sequence[ResultAxis], coordinates: Sequence[ResultAxis]) -> tuple[ResultAxis, ...]:

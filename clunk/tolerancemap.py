@@ -15,14 +15,13 @@ from clunk.results import (
     FAILED,
     FAILED_CODE,
     RUN,
+    OverAxes,
     ResultAxis,
     check_axes,
     check_labels,
     count_labels,
-    parameters_of,
     require,
     share,
-    slice_of,
 )
 from clunk.summaries import Rows, as_html, as_text, html_table
 
@@ -31,7 +30,7 @@ CERTAIN = 0.95  # a cell whose most likely label is less probable lies in the ba
 
 
 @dataclass(frozen=True, eq=False)
-class ToleranceMap:
+class ToleranceMap(OverAxes):
     """Every cell of a grid, run for the same sample of the toleranced parameters.
 
     "Shape" is the axes' counts in order, N the size of the sample.
@@ -81,28 +80,12 @@ class ToleranceMap:
         if self.runs.min() < 0 or (self.runs.sum(axis=-1) != self.draws).any():
             raise ValueError("the runs of a cell are not as many as the sample")
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """The axes' counts in order."""
-        return tuple(len(axis.values) for axis in self.axes)
-
-    @property
-    def parameters(self) -> tuple[ResultAxis, ...]:
-        """What was swept: the axes, and in the place of `run` its coordinates."""
-        return parameters_of(self.axes, self.coordinates)
-
     def at(self, values: Mapping[str, float]) -> ToleranceMap:
         """The slice at some axes' values, the nearest of each; as `Results.at`."""
-        part = slice_of(self.axes, values)
-        run = next((own for axis, own in zip(self.axes, part, strict=True) if axis.parameter == RUN), slice(None))
+        part, along = self._part(values)
         names = ("runs", "nominal_sequence", "severity_mean", "severity_quantiles", "status")
         fields: dict[str, Any] = {name: np.ascontiguousarray(getattr(self, name)[part]) for name in names}
-        return replace(
-            self,
-            axes=tuple(replace(axis, values=axis.values[own]) for axis, own in zip(self.axes, part, strict=True)),
-            coordinates=tuple(replace(axis, values=axis.values[run]) for axis in self.coordinates),
-            **fields,
-        )
+        return replace(self, **along, **fields)
 
     @property
     def draws(self) -> int:

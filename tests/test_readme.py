@@ -3,6 +3,7 @@
 import doctest
 import io
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -35,7 +36,7 @@ def test_the_readme_s_commands_run(here):
     found = list(commands())
     assert len(found) >= 8
     for command in found:
-        run = [sys.executable, "-c", "from clunk.cli import main; main()", *command.split()[1:]]
+        run = [sys.executable, "-c", "from clunk.cli import main; main()", *shlex.split(command)[1:]]
         done = subprocess.run(run, cwd=here, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"{command}\n{done.stderr}"
 

@@ -17,33 +17,16 @@ import time
 import numpy as np
 
 from clunk import driveline, sweeping
-from clunk.config import study_from_text
+from clunk.claims import report_map
 
-CONFIG = """
-[driveline]
-preset = "boere-2008"
-[solver]
-step = 1e-4
-end_time = 2.0
-[[sweep.axes]]
-parameter = "load.ratio"
-start = 0.0
-stop = 10.0
-count = {count}
-[[sweep.axes]]
-parameter = "lash.backlash_deg"
-start = 0.0
-stop = 20.0
-count = {count}
-"""
 STEPS = 20_000  # of a full-length run
 
 
 def main(repeats: int) -> None:
     """Print the table."""
-    study = study_from_text(CONFIG.format(count=201))
+    study = report_map(201)
     cells = sweeping.cell_count(study)
-    sweeping.sweep(study_from_text(CONFIG.format(count=3)))  # compile
+    sweeping.sweep(report_map(3))  # compile
     cores = len(os.sched_getaffinity(0))
     cases = [(early, workers) for early in (True, False) for workers in sorted({1, cores})]
     seconds: dict[tuple[bool, int], list[float]] = {case: [] for case in cases}
@@ -92,7 +75,7 @@ def peak(count: int) -> int:
     from clunk.store import write
 
     with tempfile.TemporaryDirectory() as directory:
-        write(f"{directory}/map.h5", sweeping.sweep(study_from_text(CONFIG.format(count=count))))
+        write(f"{directory}/map.h5", sweeping.sweep(report_map(count)))
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
