@@ -99,7 +99,8 @@ class TestSymmetry:
         assert agree(other.states[:, :n], one.states[:, :n], method, within=1e-11)
         assert agree(other.states[:, n:], one.states[:, n:] / 2.0, method, within=1e-11)
         assert other.label == one.label
-        assert agree(other.impact_severity, one.impact_severity / 4.0, method)
+        # an extreme at an event changes by the contact's own rate, 1600 1/s, times the rounding of its time, 1e-14 s
+        assert agree(other.impact_severity, one.impact_severity / 4.0, method, within=1e-10)
         assert agree(other.approach_velocity, one.approach_velocity / 2.0, method)
 
 
