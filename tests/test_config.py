@@ -21,12 +21,15 @@ from clunk.config import (
     PRESETS,
     Axis,
     ConfigError,
+    Draw,
     DrivelineConfig,
     Impacts,
     Lash,
     Load,
+    Sampling,
     Shaft,
     Study,
+    Sweep,
     digest,
     get_value,
     load_study,
@@ -220,10 +223,11 @@ def test_starter_spells_the_preset_out():
 
 def test_starter_names_every_key():
     keys = set(re.findall(r"^(?:# )?([a-z_]+) = ", STARTER, re.MULTILINE))
-    models = (Study, DrivelineConfig, Shaft, Lash, Load, Impacts, Axis)
+    models = (Study, DrivelineConfig, Shaft, Lash, Load, Impacts, Axis, Sweep, Sampling, Draw)
     models += tuple(Study.model_fields[name].annotation for name in ("solver",))
     models += (Lash.model_fields["contact"].annotation,)
     tables = {"driveline", "lash", "load", "solver", "impacts", "sweep", "shafts", "contact"}
+    tables |= {"axes", "samples", "tolerances", "sampling"}
     assert keys == {name for model in models for name in model.model_fields} - tables | {"preset"}
 
 
