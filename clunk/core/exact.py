@@ -476,7 +476,7 @@ def _phase(
     elapsed, h, k, level, grazed, event, ends = 0.0, 0.0, 0, 0, False, -1, False
     entered = zero_guard if zero_order > 1 else -1  # it is level, and rounding would have it turn
     s1, s2, was1, was2 = 0.0, 0.0, 0.0, 0.0
-    bow1, bow2, rang1, rang2 = 0.0, 0.0, 0.0, 0.0
+    bow1, bow2, rang1, rang2, bent1, bent2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     a = modal.value(accelerating, y) + origin[2, 0]
     largest, smallest = a, a
     high, low = max(high, a), min(low, a)
@@ -506,8 +506,10 @@ def _phase(
                 if g == event or (g == entered and held_from <= 0.0) or scale[g] <= 0.0:
                     continue
                 begins, fell, ends_at, rises = (was1, s1, g1 + ring1, d1) if g == 0 else (was2, s2, g2 + ring2, d2)
-                bow, ring = (bow1, rang1) if g == 0 else (bow2, rang2)
+                bow, ring, bent = (bow1, rang1, bent1 + e1) if g == 0 else (bow2, rang2, bent2 + e2)
                 if _dip(begins, ends_at, fell, rises, h) - 0.5 * h * bow - ring < abs(margin) * scale[g]:
+                    if level == 0 and bent * h < -8.0 * bow:  # bent down all the way
+                        continue
                     bow += _rush(watch[at[g]], before, level)
                     if max(fell, rises) < -bow or min(fell, rises) > bow:  # it falls all the way, or rises
                         continue
@@ -610,7 +612,7 @@ def _phase(
         # between the slope of a guard's slower part and the line through its ends lies at most its bow, h²/8 of the
         # jerk; between that part and the Hermite cubic of its ends h³/16 of it, since they part with a third derivative
         # of twice the jerk and meet, with their slopes, at both ends
-        s1, s2, was1, was2 = d1, d2, g1 + ring1, g2 + ring2
+        s1, s2, was1, was2, bent1, bent2 = d1, d2, g1 + ring1, g2 + ring2, e1, e2
         bow1, bow2, rang1, rang2 = h * h * j1 * 0.125, h * h * j2 * 0.125, ring1, ring2
 
         # go there, and see what the acceleration did on the way
