@@ -99,9 +99,9 @@ class TestSymmetry:
         assert agree(other.states[:, :n], one.states[:, :n], method, within=1e-11)
         assert agree(other.states[:, n:], one.states[:, n:] / 2.0, method, within=1e-11)
         assert other.label == one.label
-        # an extreme at an event changes by the contact's own rate, 1600 1/s, times the rounding of its time, 1e-14 s
+        # a stiff contact turns 1e-11 of the speeds into more than that of the accelerations of a weak impact
         assert agree(other.impact_severity, one.impact_severity / 4.0, method, within=1e-10)
-        assert agree(other.approach_velocity, one.approach_velocity / 2.0, method)
+        assert agree(other.approach_velocity, one.approach_velocity / 2.0, method, within=1e-11)
 
 
 def energy(plant, state):

@@ -474,9 +474,9 @@ def _phase(
     highest, deepest = span.size - 1 if modes else 0, min(ringing, amplitude.size - 1)
     order1, order2 = zero_order if zero_guard == 0 else 0, zero_order if zero_guard == 1 else 0
     elapsed, h, k, level, grazed, event, ends = 0.0, 0.0, 0, 0, False, -1, False
-    entered = zero_guard if zero_order > 0 else -1
+    entered = zero_guard if zero_order > 1 else -1  # it is level, and rounding would have it turn
     s1, s2, was1, was2 = 0.0, 0.0, 0.0, 0.0
-    bow1, bow2, rang1, rang2 = 0.0, 0.0, 0.0, 0.0
+    bow1, bow2, rang1, rang2, bent1, bent2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     a = modal.value(accelerating, y) + origin[2, 0]
     largest, smallest = a, a
     high, low = max(high, a), min(low, a)
@@ -503,21 +503,20 @@ def _phase(
         # what turned back on the way here is a near miss
         if h > 0.0 and elapsed > held_from:
             for g in range(watched):
-                if g in (event, entered) or scale[g] <= 0.0:
+                if g == event or (g == entered and held_from <= 0.0) or scale[g] <= 0.0:
                     continue
                 begins, fell, ends_at, rises = (was1, s1, g1 + ring1, d1) if g == 0 else (was2, s2, g2 + ring2, d2)
-                if level == 0 and not (fell < 0.0 and rises >= 0.0):
-                    continue
-                bow, ring = (bow1, rang1) if g == 0 else (bow2, rang2)
+                bow, ring, bent = (bow1, rang1, bent1 + e1) if g == 0 else (bow2, rang2, bent2 + e2)
                 if _dip(begins, ends_at, fell, rises, h) - 0.5 * h * bow - ring < abs(margin) * scale[g]:
-                    if level > 0:  # does it turn, or does it fall or rise faster than those pairs ring?
-                        bow += _rush(watch[at[g]], before, level)
-                        if max(fell, rises) < -bow or min(fell, rises) > bow:
-                            continue
+                    if level == 0 and bent * h < -8.0 * bow:  # bent down all the way
+                        continue
+                    bow += _rush(watch[at[g]], before, level)
+                    if max(fell, rises) < -bow or min(fell, rises) > bow:  # it falls all the way, or rises
+                        continue
                     began = max(elapsed - h, held_from)
                     modal.move_by(span, propagator, generator, modes, work, before, began - (elapsed - h))
                     _move_origin(origin, g, began, here)
-                    nearest = _nearest(
+                    nearest = modal.lowest_turn(
                         span, propagator, generator, watch[at[g]], series[at[g]], modes, work, sign[g], shift[g],
                         before, here, elapsed - began, k, abs(margin) * scale[g]
                     ) / scale[g]  # fmt: skip
@@ -613,7 +612,7 @@ def _phase(
         # between the slope of a guard's slower part and the line through its ends lies at most its bow, h²/8 of the
         # jerk; between that part and the Hermite cubic of its ends h³/16 of it, since they part with a third derivative
         # of twice the jerk and meet, with their slopes, at both ends
-        s1, s2, was1, was2 = d1, d2, g1 + ring1, g2 + ring2
+        s1, s2, was1, was2, bent1, bent2 = d1, d2, g1 + ring1, g2 + ring2, e1, e2
         bow1, bow2, rang1, rang2 = h * h * j1 * 0.125, h * h * j2 * 0.125, ring1, ring2
 
         # go there, and see what the acceleration did on the way
@@ -653,36 +652,3 @@ def _phase(
             largest, smallest = max(largest, high), min(smallest, low)
         a = last
         elapsed += h
-
-
-@unowned
-def _nearest(
-    span: FloatArray,
-    propagator: FloatArray,
-    generator: FloatArray,
-    watch: FloatArray,
-    series: FloatArray,
-    modes: bool,
-    work: modal.Work,
-    sign: float,
-    shift: float,
-    y: FloatArray,
-    here: FloatArray,
-    h: float,
-    longest: int,
-    bar: float,
-) -> float:
-    """A guard's least value in a time, if that is inside it and below `bar`; else infinite."""
-    begins = sign * (modal.value(watch, y) + here[0]) + shift
-    limit = (bar - shift) / sign
-    if sign > 0.0:
-        _, found = modal.extremes(
-            span, propagator, generator, watch, series, modes, work, y, here, h, longest, np.inf, limit
-        )
-    else:
-        found, _ = modal.extremes(
-            span, propagator, generator, watch, series, modes, work, y, here, h, longest, limit, -np.inf
-        )
-    least, ends = sign * found + shift, sign * work[2][0] + shift
-    noise = ROUNDING * (abs(shift) + abs(here[0]) + bar)
-    return least if sign * (found - limit) < 0.0 and least < ends and least < begins - noise else np.inf

@@ -177,7 +177,7 @@ def extremes(
     longest : int
         The longest span that fits into it, -1 for none.
     work
-        Scratch; the functional's last value is left in the first place of its third array.
+        Scratch.
     """
     at, amplitude, c, found = work[0], work[2], work[3], work[4]
     copy(y, at)
@@ -203,7 +203,6 @@ def extremes(
             high, low = polynomial.extremes_of(c, min(1.0, rest / h), found, work[5])
             largest, smallest = max(largest, high), min(smallest, low)
             if rest <= h:
-                work[2][0] = polynomial.value_of(c, TERMS, rest / h)
                 return largest, smallest
             k = 0
         if modes:
@@ -216,8 +215,74 @@ def extremes(
         rest -= h
         k = min(k + 2, longest)
     last = value(watch, at) + rest_value
-    work[2][0] = last
     return max(largest, last), min(smallest, last)
+
+
+@unowned
+def lowest_turn(
+    span: FloatArray,
+    propagator: FloatArray,
+    generator: FloatArray,
+    watch: FloatArray,
+    series: FloatArray,
+    modes: bool,
+    work: Work,
+    sign: float,
+    shift: float,
+    y: FloatArray,
+    origin: FloatArray,
+    length: float,
+    longest: int,
+    bar: float,
+) -> float:
+    """The lowest value at which a guard turns from falling to rising within a time, where below `bar`; else infinite.
+
+    As in `extremes`, a span is passed in which the guard is monotone or stays above the bar, and the shortest one is
+    expanded elsewhere.
+
+    Parameters
+    ----------
+    sign, shift : float
+        The guard is sign times the functional plus shift.
+    y, origin, length, longest, work
+        As of `extremes`.
+    """
+    at, amplitude, c, found = work[0], work[2], work[3], work[4]
+    copy(y, at)
+    measure(at, amplitude)
+    rest_value, rest_slope, curvature = origin[0], origin[1], origin[2]
+    rest, k, lowest = length, longest, np.inf
+    while rest > 0.0:
+        v, d, e = observe(watch, at)
+        v, d, e = sign * (v + rest_value) + shift, sign * (d + rest_slope), abs(e + curvature)
+        most = within(watch, JERK, amplitude)
+        while k >= 0:
+            h = span[k]
+            if h <= rest:
+                above = v + h * (min(d, 0.0) - 0.5 * h * (e + h * most / 3.0)) >= bar
+                if above or abs(d) > h * (e + 0.5 * h * most):
+                    break
+            k -= 1
+        h = span[max(k, 0)]
+        if k < 0:
+            expand(series, at, h, rest_value, rest_slope, curvature, c)
+            falls = sign * c[1] < 0.0
+            for turn in range(polynomial.turning_points(c, min(1.0, rest / h), found, work[5])):
+                value = sign * polynomial.value_of(c, TERMS, found[turn]) + shift
+                if falls and value < bar:
+                    bar, lowest = value, value
+                falls = not falls
+            k = 0
+        if modes:
+            jump(propagator, k, at, amplitude)
+        else:
+            move(generator, modes, 1.0, at, work)
+            measure(at, amplitude)
+        rest_value += h * (rest_slope + 0.5 * h * curvature)
+        rest_slope += h * curvature
+        rest -= h
+        k = min(k + 2, longest)
+    return lowest
 
 
 @unowned
