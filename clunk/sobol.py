@@ -119,6 +119,13 @@ class Sensitivity:
         assert self.study.sweep is not None
         return self.study.sweep.tolerances
 
+    @property
+    def at(self) -> dict[str, float]:
+        """The operating point: load and backlash, by parameter, in their units."""
+        torques = ("load.ratio", "load.initial_torque", "load.final_torque")
+        keys = [key for key in torques if getattr(self.study.load, key.removeprefix("load.")) is not None]
+        return {key: get_value(self.study, key) for key in (*keys, "lash.backlash_deg")}
+
     def record(self) -> dict[str, Any]:
         """Everything for JSON; null where something is not defined."""
         assert self.study.sweep is not None
@@ -126,6 +133,7 @@ class Sensitivity:
         return {
             "title": self.study.title,
             "config_digest": digest(self.study),
+            "at": self.at,
             "parameters": [
                 {**numbers, "nominal": _or_none(own_value(self.study, draw.parameter))}
                 for draw, numbers in zip(self.draws, drawn, strict=True)

@@ -351,6 +351,7 @@ def print_sensitivity(found: Sensitivity) -> None:
         line = f"{draw.parameter:<{width}}  {distribution_phrase(found.study, draw)}"
         click.echo(textwrap.fill(line, _WIDTH, subsequent_indent=" " * (width + 2), break_on_hyphens=False))
     click.echo()
+    click.echo(f"operating point     {', '.join(f'{key} = {value:g}' for key, value in found.at.items())}")
     hardness = (
         f"V {found.approach_velocity:.5f} rad/s" if math.isnan(found.severity) else f"Q {found.severity:.1f} rad/s²"
     )

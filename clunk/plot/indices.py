@@ -60,7 +60,7 @@ def sobol_bars(found: Sensitivity) -> Figure:
         headings = [textwrap.fill(_capital(indices.heading), wrapped) for indices in drawn]
         for ax, indices, heading in zip(panels, drawn, headings, strict=False):
             _draw_bars(ax, indices, order)
-            set_titles(figure, ax, found.study.title, heading)
+            set_titles(figure, ax, f"{found.study.title}: {_point(found)}", heading)
         names = [_name(found.parameters[k]) for k in order]
         panels[0].set_yticks(np.arange(order.size), names)
         panels[0].set_ylim(order.size - 0.5, -0.5)
@@ -100,6 +100,13 @@ def _draw_bars(ax: Axes, indices: Indices, order: npt.NDArray[np.intp]) -> None:
     ax.set_axisbelow(True)
     ax.spines[["top", "right", "left"]].set_visible(False)
     ax.tick_params(axis="y", length=0)
+
+
+def _point(found: Sensitivity) -> str:
+    """The operating point, for example load ratio 5, backlash 6 degrees."""
+    known = {parameter: quantity(parameter) for parameter in found.at}
+    values = (f"{known[key].name} {value:g} {known[key].unit.removeprefix('1')}" for key, value in found.at.items())
+    return ", ".join(value.rstrip() for value in values)
 
 
 def _name(parameter: str) -> str:
