@@ -393,13 +393,14 @@ def _look(
 
 
 @unowned_inlined
-def _rush(watch: FloatArray, y: FloatArray, level: int) -> float:
-    """The steepest that the fastest pairs of a functional make it from now on."""
-    total = 0.0
+def _ringing(watch: FloatArray, y: FloatArray, level: int) -> tuple[float, float]:
+    """What the fastest pairs of a functional add to it at most from now on, and to its slope."""
+    sway, rush = 0.0, 0.0
     for p in range(level):
-        slope = watch[p, 2] * watch[p, 2] + watch[p, 3] * watch[p, 3]
-        total += np.sqrt(slope * (y[2 * p] * y[2 * p] + y[2 * p + 1] * y[2 * p + 1]))
-    return total
+        amplitude = np.sqrt(y[2 * p] * y[2 * p] + y[2 * p + 1] * y[2 * p + 1])
+        sway += watch[p, SWAY] * amplitude
+        rush += np.sqrt(watch[p, 2] * watch[p, 2] + watch[p, 3] * watch[p, 3]) * amplitude
+    return sway, rush
 
 
 @unowned_inlined
@@ -507,14 +508,17 @@ def _phase(
                     continue
                 begins, fell, ends_at, rises = (was1, s1, g1 + ring1, d1) if g == 0 else (was2, s2, g2 + ring2, d2)
                 bow, ring, bent = (bow1, rang1, bent1 + e1) if g == 0 else (bow2, rang2, bent2 + e2)
-                if _dip(begins, ends_at, fell, rises, h) - 0.5 * h * bow - ring < abs(margin) * scale[g]:
-                    if level == 0 and bent * h < -8.0 * bow:  # bent down all the way
-                        continue
-                    bow += _rush(watch[at[g]], before, level)
-                    if max(fell, rises) < -bow or min(fell, rises) > bow:  # it falls all the way, or rises
-                        continue
+                # whether it falls all the way, rises, or is bent down
+                if level == 0 and (max(fell, rises) < -bow or min(fell, rises) > bow or bent * h < -8.0 * bow):
+                    continue
+                least = _dip(begins, ends_at, fell, rises, h) - 0.5 * h * bow
+                if least - ring < abs(margin) * scale[g]:
                     began = max(elapsed - h, held_from)
                     modal.move_by(span, propagator, generator, modes, work, before, began - (elapsed - h))
+                    ring, rush = _ringing(watch[at[g]], before, level)  # it may have died down meanwhile
+                    bow += rush
+                    if least - ring >= abs(margin) * scale[g] or max(fell, rises) < -bow or min(fell, rises) > bow:
+                        continue
                     _move_origin(origin, g, began, here)
                     nearest = modal.lowest_turn(
                         span, propagator, generator, watch[at[g]], series[at[g]], modes, work, sign[g], shift[g],
