@@ -317,20 +317,20 @@ def test_a_large_file_is_assembled_on_the_disk_to_the_same_bytes(
     assert store.check(tmp_path / "disk.h5")
 
 
-@pytest.mark.parametrize("limit", [60_000, 2_000_000])
+@pytest.mark.parametrize("limit", [60_000, 6_000_000])
 def test_a_disk_that_fills_up_under_a_large_file_is_a_sentence_and_the_interpreter_ends_well(
     tmp_path: Path, limit: int
 ) -> None:
-    # Of 3 MB of incompressible values, at the first variable and in the middle.
+    # Of 10 MB of incompressible values, at the first variable and in the middle; a chunk has 1 MB.
     code = f"""
 import resource, sys
 from dataclasses import replace
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 import numpy as np
 from test_store import RATIO, example, netcdf, store
-store._LARGE, netcdf._AHEAD = 0, 1 << 18
+store._LARGE, netcdf._AHEAD = 0, 1 << 22
 small = example(RATIO)
-count = 100_000
+count = 400_000
 fields = {{name: np.resize(getattr(small, name), count) for name in store.CELL_FIELDS}}
 fields |= {{"primary_impacts": np.zeros(count, np.int32), "severity": np.random.default_rng(1).normal(size=count)}}
 fields |= {{name: getattr(small, name)[:0] for name in store.IMPACT_FIELDS}}
