@@ -4,6 +4,7 @@ import hashlib
 import os
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -310,9 +311,13 @@ def test_a_large_file_is_assembled_on_the_disk_to_the_same_bytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     results = example(RATIO, BACKLASH)
-    store.write(tmp_path / "memory.h5", results)
-    monkeypatch.setattr(store, "_LARGE", 0)
-    store.write(tmp_path / "disk.h5", results)
+    for _ in range(5):  # HDF5 notes the second in which a file was made
+        began = int(time.time())
+        for name, large in (("memory.h5", 1 << 22), ("disk.h5", 0)):
+            monkeypatch.setattr(store, "_LARGE", large)
+            store.write(tmp_path / name, results)
+        if int(time.time()) == began:
+            break
     assert (tmp_path / "disk.h5").read_bytes() == (tmp_path / "memory.h5").read_bytes()
     assert store.check(tmp_path / "disk.h5")
 
