@@ -28,7 +28,7 @@ CELL, IMPACT = kernel.CELL, kernel.IMPACT
 
 _BACKLASH = "lash.backlash_deg"
 _TORQUES = {"load.ratio", "load.static_torque", "load.initial_torque", "load.final_torque"}
-DRIVING = {*_TORQUES, "load.step_time", _BACKLASH}  # these only change what drives a system, not the system: they fly
+DRIVING = {*_TORQUES, "load.step_time", _BACKLASH}  # of these a system stays the same
 KEPT_SYSTEMS = 4096  # about 20 KB each
 _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
 

@@ -126,7 +126,12 @@ def _nominal(study: Study, draw: Draw) -> float:
     """The study's own value; NaN for a key that has none, or that is swept: nothing is drawn around it then."""
     if study.sweep is not None and any(axis.parameter == draw.parameter for axis in study.sweep.axes):
         return math.nan
+    return own_value(study, draw.parameter)
+
+
+def own_value(study: Study, parameter: str) -> float:
+    """A parameter's value in its own unit, tolerances aside; NaN where it has none."""
     try:
-        return get_value(study, draw.parameter)
+        return get_value(study, parameter)
     except ConfigError:
         return math.nan

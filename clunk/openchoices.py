@@ -6,7 +6,7 @@ The damping is given as the damping ratio ζ4 of the closed driveline's fastest 
 between 10 and 20 %, and that its chatter is that of a restitution of 0.5.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,11 +17,10 @@ from clunk.claims import NOMINAL_BACKLASH, NOMINAL_RATIO, report_map, ridge
 from clunk.config import Study, replace_values
 from clunk.core.events import SEPARATION
 from clunk.driveline import Driveline
+from clunk.progress import Progress
 from clunk.results import Results
 from clunk.simulation import simulate
 from clunk.sweeping import cell_count, sweep
-
-Progress = Callable[[int, int], None]
 
 COUNT = 101  # values an axis
 DAMPING_RATIOS = (0.10, 0.13, 0.16, 0.23, 0.26)

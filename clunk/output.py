@@ -15,9 +15,10 @@ from clunk.config import Study, digest
 from clunk.designs import has_tolerances
 from clunk.engines import Engine, EngineError, Threads
 from clunk.parts import Parts, PartsError, WorkingDirectory
+from clunk.progress import Progress
 from clunk.results import Results
 from clunk.store import StoreError, read, read_header, write
-from clunk.sweeping import Progress, SweepError, parts_of, retry_failed, sweep, tolerance_map
+from clunk.sweeping import SweepError, parts_of, retry_failed, sweep, tolerance_map
 from clunk.tolerancemap import ToleranceMap
 
 _WAYS_OUT = "Name another file, or overwrite it with --force (in Python, force=True)."

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,14 +20,15 @@ import numpy.typing as npt
 from clunk.config import Axis, ConfigError, Draw, Study, Sweep, digest, get_value, quantity, replace_values
 from clunk.configfile import nearest, shorten
 from clunk.core.status import Status
+from clunk.designs import own_value
 from clunk.distributions import BOUNDS, NEEDS
 from clunk.labels import double_sided, normalised_label
+from clunk.progress import Progress
 from clunk.results import Results
 from clunk.simulation import Trajectory, simulate
 from clunk.sweeping import sweep
 
 FloatArray = npt.NDArray[np.float64]
-Progress = Callable[[int, int], None]
 
 CONFIDENCE = 0.95  # of the intervals
 QUANTILES = (0.05, 0.5, 0.95)
@@ -278,14 +279,6 @@ def default_quantities(study: Study) -> tuple[str, ...]:
     """The severity, or what stands for it, and whether the label stays."""
     hardness = "approach_velocity" if study.lash.contact.model == "restitution" else "severity"
     return hardness, "nominal_label"
-
-
-def own_value(study: Study, parameter: str) -> float:
-    """The parameter's value without tolerances; NaN where it has none."""
-    try:
-        return get_value(study, parameter)
-    except ConfigError:
-        return math.nan
 
 
 def distribution_phrase(study: Study, draw: Draw) -> str:

@@ -9,7 +9,7 @@ import functools
 import math
 import os
 import platform
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -27,6 +27,7 @@ from clunk.config import Study, content, digest, study_from_text
 from clunk.designs import design_of, has_tolerances
 from clunk.engines import Engine, EngineError, Threads
 from clunk.parts import Parts, WorkingDirectory
+from clunk.progress import Progress
 from clunk.results import FAILED_CODE, Results
 from clunk.scratch import Scratch
 from clunk.tolerancemap import ToleranceMap
@@ -44,7 +45,6 @@ __all__ = [
 ]
 
 Cells = npt.NDArray[np.int64]
-Progress = Callable[[int, int], None]
 AnyGrid = TypeVar("AnyGrid", bound=Grid)
 
 _BYTES_PER_CELL = 400  # the most that a cell's results, their assembly and writing take
@@ -157,7 +157,7 @@ def retry_failed(
     before = study_from_text(results.config, source="the results' config")
     if digest(before.model_copy(update={"solver": study.solver})) != digest(study):
         raise SweepError("The failed cells of another config cannot be run again: only [solver] may differ.")
-    assembly = Assembly(study)
+    assembly = Assembly(study, _scratch(grid, parts))
     assembly.add_results(results)
     failed = assembly.missing()
     _run(grid, assembly, iter([None]), engine, progress, parts)
@@ -194,9 +194,9 @@ def parts_of(directory: WorkingDirectory, study: Study, *, refine: bool = False,
         plan = f"what --refine needs (from spacing {widest})"
     elif retry:
         plan = "the failed cells again"
-    kind = ToleranceGrid if has_tolerances(study) else Grid
+    kind: type[Grid] = Grid
     if has_tolerances(study):
-        plan = "every cell for every draw"
+        plan, kind = "every cell for every draw", ToleranceGrid
     decisive = content(study)
     del decisive["title"]
     decisive["driveline"].pop("names", None)

@@ -13,14 +13,14 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.cells import DRIVING, KEPT_SYSTEMS, Grid
-from clunk.config import ConfigError, Study, digest, get_value, quantity, to_toml
+from clunk.config import Study, digest, quantity, to_toml
 from clunk.core.flows import Flows
 from clunk.core.regimes import System
 from clunk.core.sequence import INITIAL, OPPOSITE, label
 from clunk.core.status import Status
 from clunk.core.steps import Steps
 from clunk.core.tile import LONGEST_PATTERN
-from clunk.designs import design_of, drawn_numbers
+from clunk.designs import design_of, drawn_numbers, own_value
 from clunk.results import FAILED_CODE, ResultAxis
 from clunk.tiles import Tile
 from clunk.tolerancemap import QUANTILES, ToleranceMap
@@ -125,9 +125,9 @@ class ToleranceGrid(Grid):
         for own in self._tolerances:
             parameter, drawn = own.parameter, self.drawn[own.parameter][draw]
             if parameter in DRIVING:
-                cells[parameter] = own.applied(drawn, cells.get(parameter, _nominal(self.study, parameter)))
+                cells[parameter] = own.applied(drawn, cells.get(parameter, own_value(self.study, parameter)))
             else:
-                system[parameter] = float(own.applied(drawn, system.get(parameter, _nominal(self.study, parameter))))
+                system[parameter] = float(own.applied(drawn, system.get(parameter, own_value(self.study, parameter))))
         return system, cells
 
 
@@ -213,14 +213,6 @@ def sample_of(study: Study, drawn: Mapping[str, FloatArray]) -> tuple[ResultAxis
         unit = "1" if own.draws == "factor" else known.unit
         found.append(ResultAxis(own.parameter, drawn[own.parameter], known.name + what[own.draws], known.symbol, unit))
     return tuple(found)
-
-
-def _nominal(study: Study, parameter: str) -> float:
-    """The study's own value; NaN for a key that has none: its values are drawn as they are."""
-    try:
-        return get_value(study, parameter)
-    except ConfigError:
-        return float("nan")
 
 
 def _numbered(
