@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from clunk.cells import compiling_note, warm_up
 from clunk.config import replace_values, study_from_text
 from clunk.core.status import Status
 from clunk.results import CELL_FIELDS, IMPACT_FIELDS
@@ -232,3 +233,9 @@ class TestFailedCells:
     def test_without_axes_there_is_nothing_to_sweep(self, nominal):
         with pytest.raises(SweepError, match="nothing to sweep"):
             sweep(nominal)
+
+
+@pytest.mark.parametrize("method", ["rk4", "exact"])
+def test_a_kernel_that_is_compiled_is_not_announced_again(method):
+    warm_up(study_from_text(f'[driveline]\npreset = "boere-2008"\n[solver]\nmethod = "{method}"\n'))
+    assert compiling_note(method) == ""

@@ -1,11 +1,11 @@
 """The numerical core: a switched linear system, its flow, its events, and what they amount to.
 
-Nothing here knows files, units of the config or people; it imports numpy and numba only. One load step, in reading
-order: `regimes` (the system as data), `switching` (preload, and what happens at an event), then one of two methods,
-and `events` (what a run leaves behind), `sequence` and `severity` (label, Q and V), `tile` (many runs), `jit` (how all
-of it is compiled).
+Nothing here knows files, units of the config or people; it imports numpy, numba and its llvmlite only. One load step,
+in reading order: `regimes` (the system as data), `switching` (preload, and what happens at an event), then one of two
+methods, and `events` (what a run leaves behind), `sequence` and `severity` (label, Q and V), `tile` (many runs), `jit`
+(how all of it is compiled).
 
 By rk4: `steps` (full steps as matrices), `step` and `polynomial` (one short step with everything in it located), `rk4`
 (a run from preload to end), `settling` (when a run is over). Exactly: `flows` (the regimes' modes, as tables), `modal`
-(moving along them), `polynomial` again, `exact` (a run).
+(moving along them) by `lanes` (eight numbers at a time), `polynomial` again, `exact` (a run).
 """

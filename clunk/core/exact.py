@@ -18,16 +18,18 @@ so are the near misses, which give the run's margin: how near it came to another
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core import modal, polynomial
+from clunk.core import lanes, modal, polynomial
 from clunk.core.events import LOAD_STEP, LOCK, OPENING, REJOIN, SEPARATION, TOUCH
-from clunk.core.flows import BLOCK, JERK, SWAY, TERMS, Flows
+from clunk.core.flows import BLOCK, CURVATURE, JERK, LONG, SLOPE, SPANS, SWAY, TERMS, VALUE, Flows
 from clunk.core.jit import compiled, unowned, unowned_inlined
+from clunk.core.lanes import WIDTH
 from clunk.core.regimes import ACCELERATION, CLOSED_FLOW, CLOSED_POSITIVE, FORCE, GAP, System
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, QUALITY_GRAZING, Status
 from clunk.core.switching import ROUNDING, pass_on, record, room_for_a_switch, strike
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+Space = tuple[FloatArray, modal.Work, FloatArray, FloatArray, IntArray]
 
 _OK = int(Status.OK)
 _NON_FINITE = int(Status.NON_FINITE)
@@ -36,6 +38,7 @@ _EVENT_BUFFER_FULL = int(Status.EVENT_BUFFER_FULL)
 MOST = 0.25  # margins from here on are all alike
 GRAZING = 1e-12  # a guard that turns back within this share of its scale has not turned negative
 _SIXTH = 1.0 / 6.0 * (1.0 + 1e-15)  # a product is quicker than a division
+_MOST_DIP = 4.0 / 27.0 * (1.0 + 1e-15)  # of a Hermite cubic below both its ends, in (0, 1), for a slope of 1
 _CLOSED = -np.inf  # a window of severity that nothing can exceed
 
 # How a phase ends, if not by a guard.
@@ -86,30 +89,28 @@ def run(
     end : float  [s after the load step]
         Where the run stopped.
     """
-    size, most = flows.watch.shape[2] * 2, max(flows.watch.shape[2] * 2, TERMS)
-    work, ladder, numbers = np.empty((9, most)), np.empty((TERMS, TERMS)), np.empty(2, np.int64)
-    guard, origin = np.empty((3, 2)), np.empty((4, 3))
-    return _run(
-        system,
-        flows,
-        x,
-        regime,
-        torque,
-        half_gap,
-        events,
-        states,
-        stop,
-        work[:, :size],
-        work,
-        ladder,
-        guard,
-        origin,
-        numbers,
+    return run_in(workspace(flows), system, flows, x, regime, torque, half_gap, events, states, stop)
+
+
+@compiled
+def workspace(flows: Flows) -> Space:
+    """What `run_in` takes, for any number of runs, one after the other."""
+    rows = np.empty((7, flows.basis.shape[1]))
+    scratch = (
+        rows[3],
+        rows[4],
+        rows[5],
+        np.empty(LONG),
+        np.empty(TERMS),
+        np.empty((TERMS, TERMS)),
+        rows[6],
     )
+    return rows, scratch, np.empty((3, 2)), np.empty((4, 3)), np.empty(2, np.int64)
 
 
 @unowned
-def _run(
+def run_in(
+    space: Space,
     system: System,
     flows: Flows,
     x: FloatArray,
@@ -119,29 +120,15 @@ def _run(
     events: npt.NDArray[np.void],
     states: FloatArray,
     stop: npt.NDArray[np.uint8],
-    rows: FloatArray,
-    long_rows: FloatArray,
-    ladder: FloatArray,
-    guard: FloatArray,
-    origin: FloatArray,
-    at: IntArray,
 ) -> tuple[int, int, int, float, float]:
     """`run`, in work space that it is given."""
+    rows, scratch, guard, origin, at = space
     origins, origin_output, coordinates, basis = flows.origin, flows.origin_output, flows.coordinates, flows.basis
-    span, propagator, generator = flows.span, flows.propagator, flows.generator
+    span, propagator, power, generator = flows.span, flows.propagator, flows.power, flows.generator
     watch, series, modal_flow, ringing, steady = flows.watch, flows.series, flows.modal, flows.ringing, flows.steady
     regimes, table, lash = system.regimes, system.guards, system.lash
     impulsive, sticking_time, end_time = system.impulsive, system.sticking_time, system.end_time
-    y, before, amplitude = rows[0], rows[1], rows[2, : rows.shape[1] // 2]
-    scratch = (
-        rows[3],
-        rows[4],
-        rows[5, : rows.shape[1] // 2],
-        long_rows[6, :TERMS],
-        long_rows[7, :TERMS],
-        ladder,
-        rows[8],
-    )
+    y, before, amplitude = rows[0], rows[1], rows[2]
     here, origin = origin[3], origin[:3]
     by_force = impulsive == 0 and table[CLOSED_POSITIVE, 0].functional != GAP
     sign, shift, scale = guard[0], guard[1], guard[2]
@@ -171,6 +158,7 @@ def _run(
         ended, elapsed, largest, smallest, high, low, margin, grazed = _phase(
             span[flow],
             propagator[flow],
+            power[flow],
             generator[flow],
             watch[flow],
             series[flow],
@@ -209,7 +197,7 @@ def _run(
             return _OK, count, quality, margin, end_time
         if ended == _STOPPED:
             return INTERRUPTED, count, quality, margin, time
-        if ended == _LOST or not _leave(origins[flow], basis[flow], torque, gap_input, elapsed, y, x):
+        if ended == _LOST or not _leave(origins[flow], basis[flow], torque, gap_input, elapsed, y, before, x):
             return _NON_FINITE, count, quality, margin, time
         if not room_for_a_switch(impulsive, half_gap, events.size, count):
             return _EVENT_BUFFER_FULL, count, quality, margin, time
@@ -223,6 +211,7 @@ def _run(
             beyond = modal.depth(
                 span[flow],
                 propagator[flow],
+                power[flow],
                 generator[flow],
                 watch[flow, at[ended]],
                 series[flow, at[ended]],
@@ -309,13 +298,15 @@ def _enter(
         f = at[k] if k < 2 else ACCELERATION
         for j in range(3):
             origin[k, j] = origin_output[j, f, 0] * torque + origin_output[j, f, 1] * gap_input
-    for j in range(y.size):
-        y[j] = 0.0
-    for k in range(x.size):
-        away = x[k] - origins[0, k, 0] * torque - origins[0, k, 1] * gap_input
-        for b in range(0, y.size, 2 * BLOCK):
-            for j in range(b, b + 2 * BLOCK):
-                y[j] += coordinates[k, j] * away
+    blocks = y.size // WIDTH
+    for b in range(blocks):
+        lanes.store(amplitude, b, _origin(origins, 0, blocks, b, torque, gap_input))
+    for b in range(blocks):
+        total = lanes.splat(0.0)
+        for k in range(x.size):
+            away = x[k] - lanes.number(amplitude, k)
+            total = lanes.plus_times(total, lanes.load(coordinates, k * blocks + b), away)
+        lanes.store(y, b, total)
     modal.measure(y, amplitude)
 
 
@@ -327,21 +318,32 @@ def _leave(
     gap_input: float,
     elapsed: float,
     y: FloatArray,
+    moved: FloatArray,
     x: FloatArray,
 ) -> bool:
-    """Back to the state; whether it is finite."""
-    finite = True
+    """Back to the state; whether it is finite. `moved` is scratch."""
+    blocks, half = y.size // WIDTH, 0.5 * elapsed * elapsed
+    total = 0.0
+    for b in range(blocks):
+        row = _origin(origins, 0, blocks, b, torque, gap_input)
+        row = lanes.plus_times(row, _origin(origins, 1, blocks, b, torque, gap_input), elapsed)
+        row = lanes.plus_times(row, _origin(origins, 2, blocks, b, torque, gap_input), half)
+        away = lanes.splat(0.0)
+        for j in range(y.size):
+            away = lanes.plus_times(away, lanes.load(basis, j * blocks + b), lanes.number(y, j))
+        lanes.store(moved, b, lanes.plus(row, away))
     for k in range(x.size):
-        total = 0.0
-        for j in range(2, -1, -1):
-            value = origins[j, k, 0] * torque + origins[j, k, 1] * gap_input
-            total = value + total * elapsed / (j + 1)
-        for b in range(0, y.size, 2 * BLOCK):
-            for j in range(b, b + 2 * BLOCK):
-                total += basis[k, j] * y[j]
-        x[k] = total
-        finite = finite and np.isfinite(total)
-    return finite
+        x[k] = lanes.number(moved, k)
+        total += abs(x[k])
+    return bool(np.isfinite(total))
+
+
+@unowned_inlined
+def _origin(origins: FloatArray, order: int, blocks: int, b: int, torque: float, gap_input: float) -> lanes.Lanes:
+    """Eight states of a particular solution, or of its slope or curvature."""
+    at = order * 2 * blocks + b
+    row = lanes.times(lanes.load(origins, at), lanes.splat(torque))
+    return lanes.plus_times(row, lanes.load(origins, at + blocks), gap_input)
 
 
 @unowned_inlined
@@ -372,41 +374,129 @@ def _look(
     sway : float
         Of all of it.
     """
-    value, slope, curvature, jerk, sway, ringing = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for block in range(0, amplitude.size, BLOCK):
-        for p in range(block, block + BLOCK):
-            a, b = y[2 * p], y[2 * p + 1]
-            slow = 1.0 if p >= level else 0.0
-            value += slow * (watch[p, 0] * a + watch[p, 1] * b)
-            slope += slow * (watch[p, 2] * a + watch[p, 3] * b)
-            curvature += slow * (watch[p, 4] * a + watch[p, 5] * b)
-            jerk += slow * (watch[p, JERK] * amplitude[p])
-            each = watch[p, SWAY] * amplitude[p]
-            ringing += (1.0 - slow) * each
-            sway += each
-    a, b = y[2 * level], y[2 * level + 1]
-    v1 = watch[level, 0] * a + watch[level, 1] * b
-    d1 = watch[level, 2] * a + watch[level, 3] * b
-    e1 = watch[level, 4] * a + watch[level, 5] * b
-    j1, s1 = watch[level, JERK] * amplitude[level], watch[level, SWAY] * amplitude[level]
-    return value, slope, curvature, jerk, ringing, v1, d1, e1, j1, s1, sway
+    size, at = y.size, _place(level)
+    seen, bound, ringing = modal.look(watch, y, at), modal.bounds(watch, amplitude, at), 0.0
+    for k in range(level):
+        ringing += watch[size + _place(k), SWAY] * amplitude[_place(k)]
+    fast = lanes.times(lanes.load(watch, at), lanes.splat(lanes.number(y, at)))
+    fast = lanes.plus_times(fast, lanes.load(watch, at + BLOCK), lanes.number(y, at + BLOCK))
+    fast_bound = lanes.times(lanes.load(watch, size + at), lanes.splat(lanes.number(amplitude, at)))
+    return (
+        lanes.lane(seen, VALUE),
+        lanes.lane(seen, SLOPE),
+        lanes.lane(seen, CURVATURE),
+        lanes.lane(bound, JERK),
+        ringing,
+        lanes.lane(fast, VALUE),
+        lanes.lane(fast, SLOPE),
+        lanes.lane(fast, CURVATURE),
+        lanes.lane(fast_bound, JERK),
+        lanes.lane(fast_bound, SWAY),
+        ringing + lanes.lane(bound, SWAY),
+    )
+
+
+@unowned_inlined
+def _place(pair: int) -> int:
+    """Where the first of a pair's coordinates lies."""
+    return pair + pair // BLOCK * BLOCK
 
 
 @unowned_inlined
 def _ringing(watch: FloatArray, y: FloatArray, level: int) -> tuple[float, float]:
     """What the fastest pairs of a functional add to it at most from now on, and to its slope."""
     sway, rush = 0.0, 0.0
-    for p in range(level):
-        amplitude = np.sqrt(y[2 * p] * y[2 * p] + y[2 * p + 1] * y[2 * p + 1])
-        sway += watch[p, SWAY] * amplitude
-        rush += np.sqrt(watch[p, 2] * watch[p, 2] + watch[p, 3] * watch[p, 3]) * amplitude
+    for k in range(level):
+        p = _place(k)
+        q = p + BLOCK
+        amplitude = np.sqrt(y[p] * y[p] + y[q] * y[q])
+        sway += watch[y.size + p, SWAY] * amplitude
+        rush += np.sqrt(watch[p, SLOPE] * watch[p, SLOPE] + watch[q, SLOPE] * watch[q, SLOPE]) * amplitude
     return sway, rush
+
+
+@unowned_inlined
+def _longest(
+    span: FloatArray,
+    g1: float,
+    d1: float,
+    e1: float,
+    j1: float,
+    g2: float,
+    d2: float,
+    e2: float,
+    j2: float,
+    rest: float,
+    k: int,
+) -> int:
+    """The longest span that keeps two guards positive by `_low`, and is not beyond `rest`; -1 for none.
+
+    k : where to look first
+    """
+    base = min(max(k - WIDTH // 2 + 1, 0), SPANS - WIDTH)
+    passing = _passing(span, base, g1, d1, e1, j1, g2, d2, e2, j2, rest)
+    while passing == 0 and base > 0:
+        base = max(base - WIDTH, 0)
+        passing = _passing(span, base, g1, d1, e1, j1, g2, d2, e2, j2, rest)
+    while passing == WIDTH and base < SPANS - WIDTH:
+        base = min(base + WIDTH, SPANS - WIDTH)
+        passing = _passing(span, base, g1, d1, e1, j1, g2, d2, e2, j2, rest)
+    return base + passing - 1
+
+
+@unowned_inlined
+def _passing(
+    span: FloatArray,
+    base: int,
+    g1: float,
+    d1: float,
+    e1: float,
+    j1: float,
+    g2: float,
+    d2: float,
+    e2: float,
+    j2: float,
+    rest: float,
+) -> int:
+    """How many of the eight spans from `base` on `_longest` may take."""
+    h = lanes.load_from(span, base)
+    first = lanes.plus_times(lanes.splat(0.5 * min(e1, 0.0)), h, -(j1 * _SIXTH))
+    second = lanes.plus_times(lanes.splat(0.5 * min(e2, 0.0)), h, -(j2 * _SIXTH))
+    first = lanes.plus(lanes.splat(d1), lanes.times(h, first))
+    second = lanes.plus(lanes.splat(d2), lanes.times(h, second))
+    first = lanes.plus(lanes.splat(g1), lanes.times(h, first))
+    second = lanes.plus(lanes.splat(g2), lanes.times(h, second))
+    return int(lanes.both_positive(first, second, h, rest))
 
 
 @unowned_inlined
 def _low(value: float, slope: float, curvature: float, jerk: float, h: float) -> float:
     """What a guard does not go below within a time h, where that is positive: it is concave in h."""
     return value + h * (slope + h * (0.5 * min(curvature, 0.0) - h * (jerk * _SIXTH)))
+
+
+@unowned_inlined
+def _clean_crossing(c: FloatArray, length: float) -> tuple[float, float, float]:
+    """The zero of a series that does nothing but fall, its slope and half its curvature there; else -1 for the first.
+
+    length : at most 1
+    """
+    even, odd = 0.0, 0.0
+    for k in range(2, TERMS, 2):
+        even += k * abs(c[k])
+        odd += (k + 1) * abs(c[k + 1])
+    steep = c[1] * c[1] - c[0] * c[2]
+    if not (c[0] > 0.0 and -c[1] > even + odd and steep > 0.0):
+        return -1.0, 0.0, 0.0
+    s = -c[0] * c[1] / steep
+    for _ in range(3):
+        if not s <= length:
+            break
+        value, slope, half = polynomial.derivatives(c, TERMS, s)
+        s -= value * slope / (slope * slope - value * half)
+        if abs(value) <= 1e-4 * abs(slope) and 0.0 <= s <= length:  # the error is the cube of this step's
+            return s, slope, half
+    return -1.0, 0.0, 0.0
 
 
 @unowned_inlined
@@ -424,6 +514,7 @@ def _dip(begins: float, ends: float, fell: float, rises: float, h: float) -> flo
 def _phase(
     span: FloatArray,
     propagator: FloatArray,
+    power: FloatArray,
     generator: FloatArray,
     watch: FloatArray,
     series: FloatArray,
@@ -471,14 +562,15 @@ def _phase(
     first, second, accelerating = watch[at[0]], watch[at[1]], watch[ACCELERATION]
     two = at[0] != at[1]
     sign1, sign2 = sign[0], sign[1]
-    c, found = work[3], work[4]
-    highest, deepest = span.size - 1 if modes else 0, min(ringing, amplitude.size - 1)
+    long_c, c, found = work[3], work[3][:TERMS], work[4]
+    highest, deepest = span.size - 1 if modes else 0, min(ringing, amplitude.size // 2 - 1)
     order1, order2 = zero_order if zero_guard == 0 else 0, zero_order if zero_guard == 1 else 0
     elapsed, h, k, level, grazed, event, ends = 0.0, 0.0, 0, 0, False, -1, False
     entered = zero_guard if zero_order > 1 else -1  # it is level, and rounding would have it turn
     s1, s2, was1, was2 = 0.0, 0.0, 0.0, 0.0
     bow1, bow2, rang1, rang2, bent1, bent2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    a = modal.value(accelerating, y) + origin[2, 0]
+    a, slope, curvature = modal.observe(accelerating, y)
+    a += origin[2, 0]
     largest, smallest = a, a
     high, low = max(high, a), min(low, a)
     while True:
@@ -511,17 +603,21 @@ def _phase(
                 # whether it falls all the way, rises, or is bent down
                 if level == 0 and (max(fell, rises) < -bow or min(fell, rises) > bow or bent * h < -8.0 * bow):
                     continue
+                bar = abs(margin) * scale[g] + ring + 0.5 * h * bow
+                if min(begins, ends_at) - h * _MOST_DIP * (max(rises, 0.0) - min(fell, 0.0)) >= bar:
+                    continue
                 least = _dip(begins, ends_at, fell, rises, h) - 0.5 * h * bow
                 if least - ring < abs(margin) * scale[g]:
                     began = max(elapsed - h, held_from)
-                    modal.move_by(span, propagator, generator, modes, work, before, began - (elapsed - h))
+                    if began > elapsed - h:
+                        modal.move_by(span, propagator, power, generator, modes, work, before, began - (elapsed - h))
                     ring, rush = _ringing(watch[at[g]], before, level)  # it may have died down meanwhile
                     bow += rush
                     if least - ring >= abs(margin) * scale[g] or max(fell, rises) < -bow or min(fell, rises) > bow:
                         continue
                     _move_origin(origin, g, began, here)
                     nearest = modal.lowest_turn(
-                        span, propagator, generator, watch[at[g]], series[at[g]], modes, work, sign[g], shift[g],
+                        span, propagator, power, generator, watch[at[g]], series[at[g]], modes, work, sign[g], shift[g],
                         before, here, elapsed - began, k, abs(margin) * scale[g]
                     ) / scale[g]  # fmt: skip
                     if nearest < abs(margin):
@@ -535,7 +631,8 @@ def _phase(
         if stop[0] != 0:
             return _STOPPED, elapsed, largest, smallest, high, low, margin, grazed
 
-        swing = modal.within(accelerating, SWAY, amplitude)
+        bound = modal.bounds(accelerating, amplitude, 0)
+        swing = lanes.lane(bound, SWAY)
         beaten = origin[2, 0] + swing > high or origin[2, 0] - swing < low
         if steady and not beaten:
             calm1, calm2 = sign1 * origin[0, 0] + shift[0] - sway1, sign2 * origin[1, 0] + shift[1] - sway2
@@ -551,31 +648,15 @@ def _phase(
         if order1 > 1 or order2 > 1:
             k = -1
         else:
-            k = max(k, 0)
-            while k < highest:
-                h = span[k + 1]
-                if not ((_low(g1, d1, e1, j1, h) > 0.0) & (_low(g2, d2, e2, j2, h) > 0.0) & (h <= rest)):
-                    break
-                k += 1
-            while k >= 0:
-                h = span[k]
-                if (_low(g1, d1, e1, j1, h) > 0.0) & (_low(g2, d2, e2, j2, h) > 0.0) & (h <= rest):
-                    break
-                k -= 1
+            k = min(_longest(span, g1, d1, e1, j1, g2, d2, e2, j2, rest, k), highest)
             if k < 0 and level > 0:
                 level, h = 0, 0.0
                 continue
             if level < deepest and g1 - n1 > r1 and g2 - n2 > r2:
-                longer = k
-                while longer < highest:
-                    h = span[longer + 1]
-                    if not (
-                        (_low(g1 - n1 - r1, d1 - m1, e1 - l1, j1 - q1, h) > 0.0)
-                        & (_low(g2 - n2 - r2, d2 - m2, e2 - l2, j2 - q2, h) > 0.0)
-                        & (h <= rest)
-                    ):
-                        break
-                    longer += 1
+                longer = _longest(
+                    span, g1 - n1 - r1, d1 - m1, e1 - l1, j1 - q1, g2 - n2 - r2, d2 - m2, e2 - l2, j2 - q2, rest, k + 2
+                )  # fmt: skip
+                longer = min(longer, highest)
                 if longer > k:
                     k, level = longer, level + 1
                     g1, d1, e1, j1 = g1 - n1 - r1, d1 - m1, e1 - l1, j1 - q1
@@ -589,7 +670,7 @@ def _phase(
                 if order < 2 and (_low(g1, d1, e1, j1, h) if g == 0 else _low(g2, d2, e2, j2, h)) > 0.0:
                     continue
                 _move_origin(origin, g, elapsed, here)
-                modal.expand(series[at[g]], y, h, here[0], here[1], here[2], c)
+                modal.expand(series[at[g]], y, h, here[0], here[1], here[2], long_c)
                 for j in range(TERMS):
                     c[j] *= sign[g]
                 c[0] += shift[g]
@@ -602,13 +683,16 @@ def _phase(
                     for j in range(TERMS - 1):
                         c[j] = c[j + 1]
                     c[TERMS - 1] = 0.0
-                s = polynomial.first_negative_of(c, part, found, work[5])
+                s, fall, half = _clean_crossing(long_c, part)
+                if s < 0.0:
+                    s = polynomial.first_negative_of(c, part, found, work[5])
+                    _, fall, half = polynomial.derivatives(c, TERMS, max(s, 0.0))
                 if s >= 0.0:
-                    slope, bend = polynomial.slope_and_bend(c, s)
+                    bend = 2.0 * half
                     if order > 0:
-                        slope, bend = c[0], 2.0 * c[1]  # only where it falls at once can it turn back within rounding
+                        fall, bend = c[0], 2.0 * c[1]  # only where it falls at once can it turn back within rounding
                     tangent = s > 0.0 or order > 0 or c[0] >= -max(noise, GRAZING * scale[g])
-                    if tangent and bend > 0.0 and order < 2 and slope * slope <= 2.0 * bend * GRAZING * scale[g]:
+                    if tangent and bend > 0.0 and order < 2 and fall * fall <= 2.0 * bend * GRAZING * scale[g]:
                         grazed = True
                     elif event < 0 or s < part:
                         event, part = g, s
@@ -624,16 +708,17 @@ def _phase(
         h *= part
         bend, monotone = 0.0, True
         if beaten:
-            _, slope, curvature = modal.observe(accelerating, y)
-            jerk = modal.within(accelerating, JERK, amplitude)
+            jerk = lanes.lane(bound, JERK)
             bend = 0.125 * h * h * (abs(curvature) + h * jerk)
-            monotone = abs(slope) > h * (abs(curvature) + 0.5 * h * jerk)
+            monotone = abs(slope) > h * ((-curvature if slope > 0.0 else curvature) + 0.5 * h * jerk)
         if k >= 0 and modes:
             modal.jump(propagator, k, y, amplitude)
         else:
-            modal.move(generator, modes, part, y, work)
-            modal.measure(y, amplitude)
-        last = modal.value(accelerating, y) + origin[2, 0]
+            modal.move(power, generator, modes, part, y, work)
+            if event < 0 or level > 0:
+                modal.measure(y, amplitude)
+        last, slope, curvature = modal.observe(accelerating, y)
+        last += origin[2, 0]
         largest, smallest = max(largest, last), min(smallest, last)
         high, low = max(high, last), min(low, last)
         if beaten and not monotone and (max(a, last) + bend > high or min(a, last) - bend < low):
@@ -641,6 +726,7 @@ def _phase(
             high, low = modal.extremes(
                 span,
                 propagator,
+                power,
                 generator,
                 accelerating,
                 series[ACCELERATION],

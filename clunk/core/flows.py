@@ -5,26 +5,35 @@ the flow can drift, and y' = Λ y. Λ is real and made of 2 x 2 blocks: [[σ, ω
 eigenvalues, diagonal for two real ones, [[0, 1], [0, 0]] for an undamped drift. The amplitudes of the modes never grow,
 so a functional's third derivative stays within the sum of |c Λ³| times the amplitudes at any earlier time.
 
+The pairs lie in lanes: four pairs are eight coordinates, first the one member of each, then the other.
+
 A flow without a well-conditioned eigenbasis (critical damping, for example) keeps coordinates in which |y|² is twice
 the energy; that never grows either. It can take the shortest span only, by its Taylor series.
 """
 
 import functools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+from clunk.core.lanes import WIDTH
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
 SPANS = 32  # two an octave
-BLOCK = 4  # pairs: their number is filled up to a multiple, so that the kernels' loops have a known length
-TERMS = 10  # of a Taylor series over the shortest span
-JERK, SWAY = 6, 7  # in `Flows.watch`: what bounds a functional's third derivative, and its value less its origin
-_SHORTEST = 1.0 / 8.0  # |λ| times the shortest span: TERMS terms are then exact to rounding
+BLOCK = WIDTH // 2  # pairs: their number is filled up to a multiple
+TERMS = 12  # of a Taylor series over the shortest span
+LONG = -(-TERMS // WIDTH) * WIDTH
+# lanes of `Flows.watch`: a functional less its origin, its slope and curvature; what bounds its third derivative from
+# now on, and its value less its origin
+VALUE, SLOPE, CURVATURE, JERK, SWAY = range(5)
+_BOUNDED = 3  # the order that JERK bounds
+OWN, CROSS, DECAY = range(3)  # of a 2 x 2 block: what multiplies a coordinate itself, and its partner
+_SHORTEST = 1.0 / 4.0  # |λ| times the shortest span: TERMS terms are then exact to rounding
 _LADDER = np.ldexp(np.tile([1.0, 1.5], SPANS // 2), np.repeat(np.arange(SPANS // 2), 2))
 _TAYLOR = np.array([1.0 / math.factorial(k) for k in range(TERMS)])
 _MAX_CONDITION = 1e4  # of an eigenbasis in energy coordinates: beyond it, more than four digits are lost
@@ -32,19 +41,20 @@ _ROUNDING = 1e-12  # relative to the largest of its kind
 
 
 class Flows(NamedTuple):
-    """The open and the closed flow: N states, F functionals, C coordinates in P = C/2 pairs, a multiple of BLOCK."""
+    """The open and the closed flow: N states, F functionals, C coordinates, a multiple of 8 as L is, B = C/8."""
 
-    origin: FloatArray  # (2, 3, N, 2)  for (T, s φ/2): value, slope and curvature of the particular solution at t = 0
+    origin: FloatArray  # (2, 3, 2, L)  for (T, s φ/2): value, slope and curvature of the particular solution at t = 0
     origin_output: FloatArray  # (2, 3, F, 2)  the functionals of it
     coordinates: FloatArray  # (2, N, C)  x - origin -> y
-    basis: FloatArray  # (2, N, C)  y -> x - origin
+    basis: FloatArray  # (2, C, L)  y -> x - origin, filled up to L
     modal: IntArray  # (2,)  whether the coordinates are modes
     ringing: IntArray  # (2,)  how many pairs, from the first on and fastest first, are oscillating modes
     span: FloatArray  # (2, SPANS)  [s]
-    propagator: FloatArray  # (2, SPANS, P, 5)  of each pair over a span: its block's four entries, and its decay
+    propagator: FloatArray  # (2, SPANS, B, 3, 8)  over a span: each coordinate's OWN and CROSS share, and its DECAY
+    power: FloatArray  # (2, TERMS, B, 2, 8)  OWN and CROSS of (Λ times the shortest span)^k / k!, for modes
     generator: FloatArray  # (2, C, C)  Λ times the shortest span
-    watch: FloatArray  # (2, F, P, 8)  pair -> value, slope and curvature of a functional; amplitude -> JERK and SWAY
-    series: FloatArray  # (2, F, TERMS, C)  y -> a functional's Taylor coefficients over the shortest span
+    watch: FloatArray  # (2, F, 2C, 8)  coordinates, then amplitudes -> VALUE, SLOPE, CURVATURE, JERK, SWAY
+    series: FloatArray  # (2, F, C, LONG)  y -> a functional's Taylor coefficients over the shortest span
     steady: IntArray  # (2,)  whether the origin does not move
 
 
@@ -78,20 +88,21 @@ def build_flows(
     """
     flows, states = rates.shape[:2]
     count = functionals.shape[1]
-    pairs = -(-states // (2 * BLOCK)) * BLOCK
-    size = 2 * pairs
+    blocks = -(-states // WIDTH)
+    size = blocks * WIDTH
     tables = Flows(
-        origin=np.zeros((flows, 3, states, 2)),
+        origin=np.zeros((flows, 3, 2, size)),
         origin_output=np.zeros((flows, 3, count, 2)),
         coordinates=np.zeros((flows, states, size)),
-        basis=np.zeros((flows, states, size)),
+        basis=np.zeros((flows, size, size)),
         modal=np.zeros(flows, np.int64),
         ringing=np.zeros(flows, np.int64),
         span=np.zeros((flows, SPANS)),
-        propagator=np.zeros((flows, SPANS, pairs, 5)),
+        propagator=np.zeros((flows, SPANS, blocks, 3, WIDTH)),
+        power=np.zeros((flows, TERMS, blocks, 2, WIDTH)),
         generator=np.zeros((flows, size, size)),
-        watch=np.zeros((flows, count, pairs, 8)),
-        series=np.zeros((flows, count, TERMS, size)),
+        watch=np.zeros((flows, count, 2 * size, WIDTH)),
+        series=np.zeros((flows, count, size, LONG)),
         steady=np.zeros(flows, np.int64),
     )
     for k, chain in enumerate(chains):
@@ -125,13 +136,13 @@ def _fill(
     into, back = scaled.into @ chain.pick, chain.expand @ scaled.back
     forcing = inputs.copy()
     forcing[:, 1] += rates @ chain.shift
-    tables.origin[k] = back @ _particular(scaled, into @ forcing)
-    tables.origin[k, 0, :, 1] += chain.shift
-    tables.origin_output[k] = functionals @ tables.origin[k]
+    origin = back @ _particular(scaled, into @ forcing)
+    origin[0, :, 1] += chain.shift
+    tables.origin[k, :, :, : rates.shape[0]] = origin.transpose(0, 2, 1)
+    tables.origin_output[k] = functionals @ origin
     tables.origin_output[k, 0] += feedthrough
     tables.steady[k] = not scaled.drift.any()
 
-    size, count = into.shape[0], functionals.shape[0]
     modes = _modes(scaled)
     if modes is None:
         block = scaled.generator
@@ -142,29 +153,47 @@ def _fill(
         fastest = math.sqrt((block * block).sum(axis=1).max(initial=0.0))
         tables.modal[k] = 1
         tables.ringing[k] = np.count_nonzero(block.diagonal(-1)[::2])
-    tables.coordinates[k, :, :size], tables.basis[k, :, :size] = into.T, back
     shortest = 2.0 ** math.floor(math.log2(_SHORTEST / fastest)) if fastest > 0.0 else 1.0
-    span = shortest * _LADDER
-    tables.span[k], tables.generator[k, :size, :size] = span, shortest * block
-    _propagate(block, span, tables.propagator[k, :, : size // 2])
+    tables.span[k] = shortest * _LADDER
 
-    derivatives = np.empty((TERMS, count, size))
-    derivatives[0] = functionals @ back
+    states, size = tables.coordinates.shape[1:]
+    place = _lanes(size)[: into.shape[0]]
+    generator, basis = tables.generator[k], tables.basis[k]
+    tables.coordinates[k][:, place], basis[place, :states] = into.T, back.T
+    generator[place[:, None], place] = shortest * block
+    if modes is not None:
+        pairs = _pairs(generator)
+        _propagate(pairs, tables.propagator[k])
+        _expand(pairs, tables.power[k])
+
+    derivatives = np.empty((TERMS, functionals.shape[0], size))  # by the time over the shortest span
+    derivatives[0] = functionals @ basis[:, :states].T
     for j in range(1, TERMS):
-        np.matmul(derivatives[j - 1], block, out=derivatives[j])
-    watch = tables.watch[k, :, : size // 2]
-    for j in range(3):
-        watch[:, :, 2 * j : 2 * j + 2] = derivatives[j].reshape(count, size // 2, 2)
-    watch[:, :, JERK : SWAY + 1] = _reach(derivatives[[3, 0]], modes is not None).transpose(1, 2, 0)
-    factor = _TAYLOR * shortest ** np.arange(TERMS)
-    tables.series[k, :, :, :size] = (factor[:, None, None] * derivatives).transpose(1, 0, 2)
+        np.matmul(derivatives[j - 1], generator, out=derivatives[j])
+    tables.series[k][:, :, :TERMS] = (_TAYLOR[:, None, None] * derivatives).transpose(1, 2, 0)
+    slow = derivatives[: _BOUNDED + 1] / (shortest ** np.arange(_BOUNDED + 1))[:, None, None]
+    watch = tables.watch[k].reshape(functionals.shape[0], 2, -1, 2, BLOCK, WIDTH)
+    watch[:, 0, ..., VALUE : CURVATURE + 1] = _halves(slow[: CURVATURE + 1]).transpose(1, 2, 3, 4, 0)
+    watch[:, 1, :, 0, :, JERK : SWAY + 1] = _reach(slow[[_BOUNDED, 0]], modes is not None).transpose(1, 2, 3, 0)
+
+
+@functools.cache
+def _lanes(size: int) -> IntArray:
+    """Where the coordinates 0, 1, 2, … lie, of which 2p and 2p + 1 are a pair."""
+    return np.ascontiguousarray(_halves(np.arange(size)).transpose(0, 2, 1)).ravel()
+
+
+def _halves(rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """(…, C) as (…, B, 2, 4): the one members of four pairs, and the other."""
+    return rows.reshape(*rows.shape[:-1], -1, 2, BLOCK)
 
 
 def _reach(rows: FloatArray, modal: bool) -> FloatArray:
-    """(…, P), what bounds |row · y| from now on, by the pairs' amplitudes."""
-    pairs = np.hypot(rows[..., 0::2], rows[..., 1::2])
+    """(…, B, 4), what bounds |row · y| from now on, by the pairs' amplitudes."""
+    halves = _halves(rows)
+    pairs = np.hypot(halves[..., 0, :], halves[..., 1, :])
     if not modal:  # by |y|, which is at most the sum of the amplitudes
-        pairs[:] = np.linalg.norm(rows, axis=-1, keepdims=True)
+        pairs[:] = np.linalg.norm(rows, axis=-1)[..., None, None]
     return np.asarray(pairs * (1.0 + 1e-9), np.float64)  # what is multiplied up, span by span, is rounded
 
 
@@ -267,19 +296,47 @@ def _unit(size: int) -> FloatArray:
     return np.eye(size)
 
 
-def _propagate(block: FloatArray, span: FloatArray, result: FloatArray) -> None:
-    """exp(block · span) of each pair of a block-diagonal generator, and the decay of its amplitude.
+class _Pairs(NamedTuple):
+    """A block-diagonal generator: of each pair its block [[σ1, ω], [-ω, σ2]], or [[0, ω], [0, 0]] for a drift."""
 
-    result : (spans, P, 5)
+    sigma: FloatArray  # (B, 2, 4)
+    omega: FloatArray  # (B, 4)
+    drift: BoolArray  # (B, 4)
+
+
+def _pairs(generator: FloatArray) -> _Pairs:
+    one, other = _halves(np.arange(generator.shape[0])).transpose(1, 0, 2)
+    omega = generator[one, other]
+    return _Pairs(_halves(generator.diagonal()), omega, omega != -generator[other, one])
+
+
+def _propagate(pairs: _Pairs, result: FloatArray) -> None:
+    """exp(generator · span) over the spans of the ladder, and the decay of the amplitudes.
+
+    result : (SPANS, B, 3, 8)
     """
-    diagonal, above, below = block.diagonal(), block.diagonal(1)[::2], block.diagonal(-1)[::2]
-    decay, angle = np.exp(span[:, None] * diagonal), span[:, None] * above
-    first, second = decay[:, 0::2], decay[:, 1::2]
-    cosine, sine = np.cos(angle), np.sin(angle)
-    result[:, :, 0], result[:, :, 3] = first * cosine, second * cosine
-    result[:, :, 1], result[:, :, 2] = first * sine, -second * sine
-    result[:, :, 4] = np.maximum(first, second)
-    drifts = above != -below
-    if drifts.any():  # they do not decay
-        result[:, drifts, 0], result[:, drifts, 1] = 1.0, angle[:, drifts]
-        result[:, drifts, 2], result[:, drifts, 3] = 0.0, 1.0
+    decay, angle = np.exp(_LADDER[:, None, None, None] * pairs.sigma), _LADDER[:, None, None] * pairs.omega
+    halves, drifting = result.reshape(*result.shape[:-1], 2, BLOCK), pairs.drift.any()
+    turning = np.where(pairs.drift, 0.0, angle) if drifting else angle
+    halves[:, :, OWN] = decay * np.cos(turning)[:, :, None]
+    sine = np.sin(turning)
+    halves[:, :, CROSS, 0], halves[:, :, CROSS, 1] = decay[:, :, 0] * sine, -decay[:, :, 1] * sine
+    halves[:, :, DECAY] = decay.max(axis=2)[:, :, None]
+    if drifting:
+        halves[:, :, CROSS, 0] += np.where(pairs.drift, angle, 0.0)
+
+
+def _expand(pairs: _Pairs, result: FloatArray) -> None:
+    """generator^k / k! for k from 0 on.
+
+    result : (TERMS, B, 2, 8)
+    """
+    power = np.empty((TERMS, *pairs.sigma.shape), np.complex128)
+    power[0], power.real[1:], power.imag[1:] = 1.0, pairs.sigma, np.where(pairs.drift, 0.0, pairs.omega)[:, None]
+    np.multiply.accumulate(power, axis=0, out=power)
+    power *= _TAYLOR[:, None, None, None]
+    halves = result.reshape(*result.shape[:-1], 2, BLOCK)
+    halves[:, :, OWN] = power.real
+    halves[:, :, CROSS, 0], halves[:, :, CROSS, 1] = power.imag[:, :, 0], -power.imag[:, :, 1]
+    if pairs.drift.any():
+        halves[1, :, CROSS, 0] += np.where(pairs.drift, pairs.omega, 0.0)

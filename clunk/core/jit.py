@@ -28,9 +28,9 @@ def _configure() -> None:
 
 
 def is_cold(kernel: str) -> bool:
-    """Whether a kernel of this core, "rk4.run" for example, has not been compiled and kept yet."""
+    """Whether no kernel of this core whose name begins so, "rk4.run" for example, has been compiled and kept yet."""
     directory = Path(numba.config.CACHE_DIR)  # type: ignore[attr-defined]
-    return not any(directory.glob(f"**/{kernel}-*.nbi"))
+    return not any(directory.glob(f"**/{kernel}*-*.nbi"))
 
 
 def _digest() -> str:

@@ -7,79 +7,114 @@ for y = 0.
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core import polynomial
-from clunk.core.flows import BLOCK, JERK, SPANS, TERMS
+from clunk.core import lanes, polynomial
+from clunk.core.flows import BLOCK, CROSS, CURVATURE, DECAY, JERK, OWN, SLOPE, SPANS, TERMS, VALUE
 from clunk.core.jit import unowned, unowned_inlined
+from clunk.core.lanes import WIDTH, Lanes
 
 FloatArray = npt.NDArray[np.float64]
-_INVERSE = tuple(1.0 / max(k, 1) for k in range(TERMS))
-# scratch: 2 x (C,), (P,), 2 x (TERMS,), (TERMS, TERMS), (C,)
+_SIXTH = 1.0 / 6.0 * (1.0 + 1e-15)  # a product is quicker than a division
+# scratch: 3 x (C,), (LONG,), (TERMS,), (TERMS, TERMS), (C,)
 Work = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 @unowned_inlined
 def copy(y: FloatArray, to: FloatArray) -> None:
     """Copy coordinates."""
-    for b in range(0, y.size, 2 * BLOCK):
-        for j in range(b, b + 2 * BLOCK):
-            to[j] = y[j]
+    for b in range(y.size // WIDTH):
+        lanes.store(to, b, lanes.load(y, b))
 
 
-@unowned
+@unowned_inlined
 def measure(y: FloatArray, amplitude: FloatArray) -> None:
-    """The amplitude of each pair of coordinates."""
-    for b in range(0, amplitude.size, BLOCK):
-        for p in range(b, b + BLOCK):
-            amplitude[p] = np.sqrt(y[2 * p] * y[2 * p] + y[2 * p + 1] * y[2 * p + 1])
+    """The amplitude of each pair of coordinates, in both their places."""
+    for b in range(y.size // WIDTH):
+        row = lanes.load(y, b)
+        squares = lanes.times(row, row)
+        lanes.store(amplitude, b, lanes.root(lanes.plus(squares, lanes.swapped(squares))))
+
+
+@unowned_inlined
+def look(watch: FloatArray, y: FloatArray, first: int) -> Lanes:
+    """VALUE, SLOPE and CURVATURE of a functional, less its origin, by the pairs from the one at `first` on."""
+    if first == 0:
+        total = _seen(watch, y, 0, BLOCK)
+        for b in range(WIDTH, y.size, WIDTH):
+            total = lanes.plus(total, _seen(watch, y, b, b + BLOCK))
+        return total
+    total = lanes.splat(0.0)
+    for b in range(0, y.size, WIDTH):
+        total = lanes.plus(total, _seen(watch, y, max(b, first), b + BLOCK))
+    return total
+
+
+@unowned_inlined
+def _seen(watch: FloatArray, y: FloatArray, first: int, end: int) -> Lanes:
+    one, other = lanes.splat(0.0), lanes.splat(0.0)
+    for p in range(first, end):
+        one = lanes.plus_times(one, lanes.load(watch, p), lanes.number(y, p))
+        other = lanes.plus_times(other, lanes.load(watch, p + BLOCK), lanes.number(y, p + BLOCK))
+    return lanes.plus(one, other)
+
+
+@unowned_inlined
+def bounds(watch: FloatArray, amplitude: FloatArray, first: int) -> Lanes:
+    """JERK and SWAY of a functional from now on, by the pairs from the one at `first` on."""
+    if first == 0:
+        total = _bounded(watch, amplitude, 0, BLOCK)
+        for b in range(WIDTH, amplitude.size, WIDTH):
+            total = lanes.plus(total, _bounded(watch, amplitude, b, b + BLOCK))
+        return total
+    total = lanes.splat(0.0)
+    for b in range(0, amplitude.size, WIDTH):
+        total = lanes.plus(total, _bounded(watch, amplitude, max(b, first), b + BLOCK))
+    return total
+
+
+@unowned_inlined
+def _bounded(watch: FloatArray, amplitude: FloatArray, first: int, end: int) -> Lanes:
+    total = lanes.splat(0.0)
+    for p in range(first, end):
+        total = lanes.plus_times(total, lanes.load(watch, amplitude.size + p), lanes.number(amplitude, p))
+    return total
 
 
 @unowned_inlined
 def observe(watch: FloatArray, y: FloatArray) -> tuple[float, float, float]:
     """Value, slope and curvature of a functional, less its origin."""
-    value, slope, curvature = 0.0, 0.0, 0.0
-    for block in range(0, watch.shape[0], BLOCK):
-        for p in range(block, block + BLOCK):
-            a, b = y[2 * p], y[2 * p + 1]
-            value += watch[p, 0] * a + watch[p, 1] * b
-            slope += watch[p, 2] * a + watch[p, 3] * b
-            curvature += watch[p, 4] * a + watch[p, 5] * b
-    return value, slope, curvature
+    seen = look(watch, y, 0)
+    return lanes.lane(seen, VALUE), lanes.lane(seen, SLOPE), lanes.lane(seen, CURVATURE)
 
 
 @unowned_inlined
 def value(watch: FloatArray, y: FloatArray) -> float:
     """Value of a functional, less its origin."""
-    total = 0.0
-    for b in range(0, watch.shape[0], BLOCK):
-        for p in range(b, b + BLOCK):
-            total += watch[p, 0] * y[2 * p] + watch[p, 1] * y[2 * p + 1]
-    return total
+    return float(lanes.lane(look(watch, y, 0), VALUE))
 
 
 @unowned_inlined
 def within(watch: FloatArray, which: int, amplitude: FloatArray) -> float:
     """What bounds a functional's third derivative (JERK), or its value less its origin (SWAY), from now on."""
-    total = 0.0
-    for b in range(0, amplitude.size, BLOCK):
-        for p in range(b, b + BLOCK):
-            total += watch[p, which] * amplitude[p]
-    return total
+    return float(lanes.lane(bounds(watch, amplitude, 0), which))
 
 
 @unowned
-def move(generator: FloatArray, modes: bool, part: float, y: FloatArray, work: Work) -> None:
+def move(power: FloatArray, generator: FloatArray, modes: bool, part: float, y: FloatArray, work: Work) -> None:
     """Move y by a part of the shortest span, by the Taylor series of the exponential."""
+    if modes:
+        for b in range(y.size // WIDTH):
+            row = lanes.load(y, b)
+            partner = lanes.swapped(row)
+            total = lanes.splat(0.0)
+            for k in range(TERMS - 1, -1, -1):
+                at = (k * (y.size // WIDTH) + b) * 2
+                term = lanes.times(lanes.load(power, at + OWN), row)
+                term = lanes.plus(term, lanes.times(lanes.load(power, at + CROSS), partner))
+                total = lanes.plus_times(term, total, part)
+            lanes.store(y, b, total)
+        return
     size, scratch, moved = y.size, work[1], work[6]
     copy(y, scratch)
-    if modes:
-        for p in range(0, size, 2):
-            a, b, c, d = generator[p, p], generator[p, p + 1], generator[p + 1, p], generator[p + 1, p + 1]
-            y1, y2 = y[p], y[p + 1]
-            for k in range(TERMS - 1, 0, -1):
-                s = part * _INVERSE[k]
-                y1, y2 = scratch[p] + s * (a * y1 + b * y2), scratch[p + 1] + s * (c * y1 + d * y2)
-            y[p], y[p + 1] = y1, y2
-        return
     for k in range(TERMS - 1, 0, -1):
         for r in range(size):
             total = 0.0
@@ -93,18 +128,19 @@ def move(generator: FloatArray, modes: bool, part: float, y: FloatArray, work: W
 @unowned_inlined
 def jump(propagator: FloatArray, k: int, y: FloatArray, amplitude: FloatArray) -> None:
     """Move y and the amplitudes of the modes by a span."""
-    for block in range(0, amplitude.size, BLOCK):
-        for p in range(block, block + BLOCK):
-            a, b = y[2 * p], y[2 * p + 1]
-            y[2 * p] = propagator[k, p, 0] * a + propagator[k, p, 1] * b
-            y[2 * p + 1] = propagator[k, p, 2] * a + propagator[k, p, 3] * b
-            amplitude[p] *= propagator[k, p, 4]
+    blocks = y.size // WIDTH
+    for b in range(blocks):
+        row, at = lanes.load(y, b), (k * blocks + b) * 3
+        own = lanes.times(lanes.load(propagator, at + OWN), row)
+        lanes.store(y, b, lanes.plus(own, lanes.times(lanes.load(propagator, at + CROSS), lanes.swapped(row))))
+        lanes.store(amplitude, b, lanes.times(lanes.load(propagator, at + DECAY), lanes.load(amplitude, b)))
 
 
 @unowned
 def move_by(
     span: FloatArray,
     propagator: FloatArray,
+    power: FloatArray,
     generator: FloatArray,
     modes: bool,
     work: Work,
@@ -118,13 +154,13 @@ def move_by(
             if modes:
                 jump(propagator, k, y, work[2])
             else:
-                move(generator, modes, 1.0, y, work)
+                move(power, generator, modes, 1.0, y, work)
             rest -= span[k]
     if rest > 0.0:
-        move(generator, modes, rest / span[0], y, work)
+        move(power, generator, modes, rest / span[0], y, work)
 
 
-@unowned
+@unowned_inlined
 def expand(
     series: FloatArray,
     y: FloatArray,
@@ -134,22 +170,41 @@ def expand(
     curvature: float,
     c: FloatArray,
 ) -> None:
-    """A functional's Taylor coefficients over the shortest span, its origin included."""
-    for k in range(TERMS):
-        total = 0.0
-        for b in range(0, y.size, 2 * BLOCK):
-            for j in range(b, b + 2 * BLOCK):
-                total += series[k, j] * y[j]
-        c[k] = total
+    """A functional's Taylor coefficients over the shortest span, its origin included.
+
+    c : (LONG,) float64
+        Output; zero from TERMS on.
+    """
+    low, high = lanes.splat(0.0), lanes.splat(0.0)
+    for b in range(0, y.size, WIDTH):
+        for j in range(b, b + WIDTH):
+            low = lanes.plus_times(low, lanes.load(series, 2 * j), lanes.number(y, j))
+            high = lanes.plus_times(high, lanes.load(series, 2 * j + 1), lanes.number(y, j))
+    lanes.store(c, 0, low)
+    lanes.store(c, 1, high)
     c[0] += value
     c[1] += h * slope
     c[2] += 0.5 * h * h * curvature
+
+
+@unowned_inlined
+def _bend(h: Lanes, curvature: float, jerk: float) -> Lanes:
+    """How far, for each unit of time, a functional may part from its tangent within times h."""
+    return lanes.times(h, lanes.plus_times(lanes.splat(0.5 * abs(curvature)), h, jerk * _SIXTH))
+
+
+@unowned_inlined
+def _turn(h: Lanes, slope: float, curvature: float, jerk: float) -> Lanes:
+    """Negative where a functional is monotone within times h: how far its slope may cross zero, convex in h."""
+    away = -curvature if slope > 0.0 else curvature
+    return lanes.plus(lanes.splat(-abs(slope)), lanes.times(h, lanes.plus_times(lanes.splat(away), h, 0.5 * jerk)))
 
 
 @unowned
 def extremes(
     span: FloatArray,
     propagator: FloatArray,
+    power: FloatArray,
     generator: FloatArray,
     watch: FloatArray,
     series: FloatArray,
@@ -175,11 +230,14 @@ def extremes(
         Value, slope and curvature of the functional's origin at the beginning.
     length : float  [s]
     longest : int
-        The longest span that fits into it, -1 for none.
+        Where to look first for spans to pass: the longest that fits into it, -1 for none.
     work
         Scratch.
+    largest, smallest : float
+        The value at the end is within.
     """
-    at, amplitude, c, found = work[0], work[2], work[3], work[4]
+    at, amplitude, long_c, found = work[0], work[2], work[3], work[4]
+    c = long_c[:TERMS]
     copy(y, at)
     measure(at, amplitude)
     rest_value, rest_slope, curvature = origin[0], origin[1], origin[2]
@@ -189,39 +247,42 @@ def extremes(
         v, d, e = v + rest_value, d + rest_slope, e + curvature
         most = within(watch, JERK, amplitude)
         largest, smallest = max(largest, v), min(smallest, v)
-        while k >= 0:
-            h = span[k]
-            if h <= rest:
-                bend = 0.5 * h * (abs(e) + h * most / 3.0)
-                cannot = v + h * (max(d, 0.0) + bend) <= largest and v + h * (min(d, 0.0) - bend) >= smallest
-                if cannot or abs(d) > h * (abs(e) + 0.5 * h * most):
-                    break
-            k -= 1
+        base = max(min(k + 1, SPANS) - WIDTH, 0)
+        while True:
+            h = lanes.load_from(span, base)
+            bend = _bend(h, e, most)
+            over = lanes.plus(lanes.splat(v - largest), lanes.times(h, lanes.plus(lanes.splat(max(d, 0.0)), bend)))
+            under = lanes.plus(lanes.splat(smallest - v), lanes.times(h, lanes.plus(lanes.splat(max(-d, 0.0)), bend)))
+            passing = lanes.either_below(lanes.larger(over, under), _turn(h, d, e, most))
+            if passing > 0 or base == 0:
+                break
+            base = max(base - WIDTH, 0)
+        k = base + passing - 1 if modes else min(passing - 1, 0)
         h = span[max(k, 0)]
         if k < 0:
-            expand(series, at, h, rest_value, rest_slope, curvature, c)
+            expand(series, at, h, rest_value, rest_slope, curvature, long_c)
             high, low = polynomial.extremes_of(c, min(1.0, rest / h), found, work[5])
             largest, smallest = max(largest, high), min(smallest, low)
-            if rest <= h:
-                return largest, smallest
             k = 0
+        if rest <= h:
+            break
         if modes:
             jump(propagator, k, at, amplitude)
         else:
-            move(generator, modes, 1.0, at, work)
+            move(power, generator, modes, 1.0, at, work)
             measure(at, amplitude)
         rest_value += h * (rest_slope + 0.5 * h * curvature)
         rest_slope += h * curvature
         rest -= h
-        k = min(k + 2, longest)
-    last = value(watch, at) + rest_value
-    return max(largest, last), min(smallest, last)
+        k = longest
+    return largest, smallest
 
 
 @unowned
 def lowest_turn(
     span: FloatArray,
     propagator: FloatArray,
+    power: FloatArray,
     generator: FloatArray,
     watch: FloatArray,
     series: FloatArray,
@@ -247,25 +308,30 @@ def lowest_turn(
     y, origin, length, longest, work
         As of `extremes`.
     """
-    at, amplitude, c, found = work[0], work[2], work[3], work[4]
+    at, amplitude, long_c, found = work[0], work[2], work[3], work[4]
+    c = long_c[:TERMS]
     copy(y, at)
     measure(at, amplitude)
     rest_value, rest_slope, curvature = origin[0], origin[1], origin[2]
     rest, k, lowest = length, longest, np.inf
     while rest > 0.0:
         v, d, e = observe(watch, at)
-        v, d, e = sign * (v + rest_value) + shift, sign * (d + rest_slope), abs(e + curvature)
+        v, d, e = sign * (v + rest_value) + shift, sign * (d + rest_slope), sign * (e + curvature)
         most = within(watch, JERK, amplitude)
-        while k >= 0:
-            h = span[k]
-            if h <= rest:
-                above = v + h * (min(d, 0.0) - 0.5 * h * (e + h * most / 3.0)) >= bar
-                if above or abs(d) > h * (e + 0.5 * h * most):
-                    break
-            k -= 1
+        base = max(min(k + 1, SPANS) - WIDTH, 0)
+        while True:
+            h = lanes.load_from(span, base)
+            fall = lanes.plus(lanes.splat(max(-d, 0.0)), _bend(h, e, most))
+            under = lanes.plus(lanes.splat(bar - v), lanes.times(h, fall))
+            concave = lanes.plus_times(lanes.splat(e), h, most)  # negative where it can only turn the other way
+            passing = lanes.either_below(under, lanes.smaller(_turn(h, d, e, most), concave))
+            if passing > 0 or base == 0:
+                break
+            base = max(base - WIDTH, 0)
+        k = base + passing - 1 if modes else min(passing - 1, 0)
         h = span[max(k, 0)]
         if k < 0:
-            expand(series, at, h, rest_value, rest_slope, curvature, c)
+            expand(series, at, h, rest_value, rest_slope, curvature, long_c)
             falls = sign * c[1] < 0.0
             for turn in range(polynomial.turning_points(c, min(1.0, rest / h), found, work[5])):
                 value = sign * polynomial.value_of(c, TERMS, found[turn]) + shift
@@ -273,15 +339,17 @@ def lowest_turn(
                     bar, lowest = value, value
                 falls = not falls
             k = 0
+        if rest <= h:
+            break
         if modes:
             jump(propagator, k, at, amplitude)
         else:
-            move(generator, modes, 1.0, at, work)
+            move(power, generator, modes, 1.0, at, work)
             measure(at, amplitude)
         rest_value += h * (rest_slope + 0.5 * h * curvature)
         rest_slope += h * curvature
         rest -= h
-        k = min(k + 2, longest)
+        k = longest
     return lowest
 
 
@@ -289,6 +357,7 @@ def lowest_turn(
 def depth(
     span: FloatArray,
     propagator: FloatArray,
+    power: FloatArray,
     generator: FloatArray,
     watch: FloatArray,
     series: FloatArray,
@@ -311,7 +380,8 @@ def depth(
     origin : (3,) float64
         Value, slope and curvature of the functional's origin there.
     """
-    at, amplitude, c, found = work[0], work[2], work[3], work[4]
+    at, amplitude, long_c, found = work[0], work[2], work[3], work[4]
+    c = long_c[:TERMS]
     copy(y, at)
     measure(at, amplitude)
     rest_value, rest_slope, curvature = origin[0], origin[1], origin[2]
@@ -322,7 +392,7 @@ def depth(
         reached = -(sign * (v + rest_value) + shift)
         if reached >= limit:
             return limit
-        falling, bending = -sign * (d + rest_slope), max(sign * (e + curvature), 0.0)
+        falling, bending = -sign * (d + rest_slope), sign * (e + curvature)
         most = 0.5 * within(watch, JERK, amplitude)
         k = max(k, 0)
         while k < highest and falling > span[k + 1] * (bending + span[k + 1] * most):
@@ -331,7 +401,7 @@ def depth(
             k -= 1
         h = span[max(k, 0)]
         if k < 0:
-            expand(series, at, h, rest_value, rest_slope, curvature, c)
+            expand(series, at, h, rest_value, rest_slope, curvature, long_c)
             if sign * c[1] >= 0.0:
                 break
             if polynomial.turning_points(c, 1.0, found, work[5]) > 0:
@@ -340,7 +410,7 @@ def depth(
         if modes:
             jump(propagator, max(k, 0), at, amplitude)
         else:
-            move(generator, modes, 1.0, at, work)
+            move(power, generator, modes, 1.0, at, work)
             measure(at, amplitude)
         rest_value += h * (rest_slope + 0.5 * h * curvature)
         rest_slope += h * curvature

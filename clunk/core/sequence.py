@@ -13,13 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.events import LOCK, SEPARATION, TOUCH
-from clunk.core.jit import compiled
+from clunk.core.jit import unowned
 
 INITIAL = -1
 OPPOSITE = 1
 
 
-@compiled
+@unowned
 def find_primaries(
     events: npt.NDArray[np.void], count: int, sticking_time: float, primaries: npt.NDArray[np.int64]
 ) -> int:

@@ -6,10 +6,10 @@ Q_i = max θ'' - min θ'' and Q = sqrt(sum Q_i²) are report Eqs 3.2 and 3.3.
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.jit import compiled
+from clunk.core.jit import unowned
 
 
-@compiled
+@unowned
 def peak_to_peak(
     events: npt.NDArray[np.void],
     count: int,
@@ -37,7 +37,7 @@ def peak_to_peak(
     return root_of_squares(severity, found)
 
 
-@compiled
+@unowned
 def approach_velocity(
     events: npt.NDArray[np.void], primaries: npt.NDArray[np.int64], found: int, speeds: npt.NDArray[np.float64]
 ) -> float:
@@ -53,7 +53,7 @@ def approach_velocity(
     return root_of_squares(speeds, found)
 
 
-@compiled
+@unowned
 def root_of_squares(values: npt.NDArray[np.float64], count: int) -> float:
     """The square root of the sum of the squares of `values[:count]`, summed in order."""
     total = 0.0
@@ -62,7 +62,7 @@ def root_of_squares(values: npt.NDArray[np.float64], count: int) -> float:
     return float(np.sqrt(total))
 
 
-@compiled
+@unowned
 def window_extremes(events: npt.NDArray[np.void], begin: int, end: int) -> tuple[float, float]:
     """The largest and the smallest acceleration over the phases that `events[begin:end]` open  [rad/s2]."""
     largest, smallest = -np.inf, np.inf

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.events import LOCK, TOUCH
-from clunk.core.jit import compiled
+from clunk.core.jit import unowned
 from clunk.core.regimes import (
     CLOSED_NEGATIVE,
     CLOSED_POSITIVE,
@@ -26,7 +26,7 @@ _PARTED = 1e-9  # of its terms: what the torque across the flanks is not at a se
 ROUNDING = 8 * float(np.finfo(np.float64).eps)  # relative to the terms of a sum of a few products
 
 
-@compiled
+@unowned
 def preload(system: System, torque: float, half_gap: float, x: FloatArray) -> int:
     """Set `x` to static equilibrium in contact under `torque`; return the side of the initial flank, 0 if none.
 
@@ -48,13 +48,13 @@ def preload(system: System, torque: float, half_gap: float, x: FloatArray) -> in
     return side
 
 
-@compiled
+@unowned
 def closed_on(side: int) -> int:
     """The regime of contact on the flank of `side` (+1 or -1)."""
     return CLOSED_POSITIVE if side > 0 else CLOSED_NEGATIVE
 
 
-@compiled
+@unowned
 def regime_of(system: System, x: FloatArray, half_gap: float) -> int:
     """The regime that a given state is in: by its gap, and for separation by force by its contact force too.
 
@@ -73,7 +73,7 @@ def regime_of(system: System, x: FloatArray, half_gap: float) -> int:
     return OPEN
 
 
-@compiled
+@unowned
 def _functional(system: System, flow: int, which: int, x: FloatArray) -> float:
     value = 0.0
     for k in range(x.size):
@@ -81,21 +81,21 @@ def _functional(system: System, flow: int, which: int, x: FloatArray) -> float:
     return value
 
 
-@compiled
+@unowned
 def _guard(system: System, regime: int, guard: int, x: FloatArray, half_gap: float) -> float:
     row = system.guards[regime, guard]
     value = _functional(system, system.regimes[regime].flow, row.functional, x)
     return float(row.sign * value + row.offset * half_gap)
 
 
-@compiled
+@unowned
 def room_for_a_switch(impulsive: int, half_gap: float, capacity: int, count: int) -> bool:
     """Whether the event buffer holds what one switch may write: up to a separation, a touch and its lock."""
     most = 1 if impulsive == 0 else (2 if half_gap > 0.0 else 3)
     return count + most <= capacity
 
 
-@compiled
+@unowned
 def switch(
     system: System,
     regime: int,
@@ -138,7 +138,7 @@ def switch(
     return strike(system, regime, guard, time, x, torque, half_gap, events, states, count, fastest)
 
 
-@compiled
+@unowned
 def pass_on(
     regimes: npt.NDArray[np.void],
     guards: npt.NDArray[np.void],
@@ -162,7 +162,7 @@ def pass_on(
     return count + 1, successor, row.zero_guard, row.zero_order
 
 
-@compiled
+@unowned
 def strike(
     system: System,
     regime: int,
@@ -206,7 +206,7 @@ def strike(
     return count + 3, successor, 0, 1, fastest
 
 
-@compiled
+@unowned
 def record(
     events: npt.NDArray[np.void],
     states: FloatArray,
@@ -231,7 +231,7 @@ def record(
             states[k, j] = x[j]
 
 
-@compiled
+@unowned
 def _rebound(
     system: System, x: FloatArray, torque: float, half_gap: float, side: int, speed: float, fastest: float
 ) -> tuple[int, int]:
@@ -270,7 +270,7 @@ def _rebound(
     return (closed_on(side), 0) if pressing > 0.0 else (OPEN, 2)
 
 
-@compiled
+@unowned
 def _held(system: System, x: FloatArray, torque: float) -> tuple[float, float, float]:
     """The torque that would keep q'' at zero, its rate of change, and the size of the terms that make it."""
     torque_held, slope = system.feedthrough[OPEN_FLOW, FORCE, 0] * torque, 0.0
@@ -286,7 +286,7 @@ def _held(system: System, x: FloatArray, torque: float) -> tuple[float, float, f
     return torque_held, slope, scale
 
 
-@compiled
+@unowned
 def _hold(system: System, x: FloatArray, gap: float) -> None:
     """Make q = `gap` and q' = 0 without moving the centre of mass: by a share of the difference that its inertia sets.
 

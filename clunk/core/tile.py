@@ -69,18 +69,43 @@ def run(
     return found
 
 
-@overload(run)
-def _run(
-    system: Any, tables: Any, x: Any, regime: Any, torque: Any, half_gap: Any, events: Any, states: Any, stop: Any
-) -> Any:
-    method = exact.run if tables.instance_class is Flows else rk4.run
+def _workspace(tables: Steps | Flows) -> Any:
+    """What `_run_in` needs beside the tables, for all cells of a tile."""
 
-    def chosen(
-        system: Any, tables: Any, x: Any, regime: Any, torque: Any, half_gap: Any, events: Any, states: Any, stop: Any
-    ) -> Any:
-        return method(system, tables, x, regime, torque, half_gap, events, states, stop)
 
-    return chosen
+@overload(_workspace)
+def _compiled_workspace(tables: Any) -> Any:
+    def of_exact(tables: Any) -> Any:
+        return exact.workspace(tables)
+
+    def of_rk4(tables: Any) -> Any:
+        return 0
+
+    return of_exact if tables.instance_class is Flows else of_rk4
+
+
+def _run_in(*space_and_arguments: Any) -> Any:
+    """`run`, within a kernel."""
+
+
+@overload(_run_in)
+def _compiled_run(
+    space: Any, system: Any, tables: Any, x: Any, regime: Any, torque: Any, half_gap: Any, events: Any, states: Any,
+    stop: Any
+) -> Any:  # fmt: skip
+    def by_exact(
+        space: Any, system: Any, tables: Any, x: Any, regime: Any, torque: Any, half_gap: Any, events: Any, states: Any,
+        stop: Any
+    ) -> Any:  # fmt: skip
+        return exact.run_in(space, system, tables, x, regime, torque, half_gap, events, states, stop)
+
+    def by_rk4(
+        space: Any, system: Any, tables: Any, x: Any, regime: Any, torque: Any, half_gap: Any, events: Any, states: Any,
+        stop: Any
+    ) -> Any:  # fmt: skip
+        return rk4.run(system, tables, x, regime, torque, half_gap, events, states, stop)
+
+    return by_exact if tables.instance_class is Flows else by_rk4
 
 
 @compiled
@@ -118,7 +143,7 @@ def run_tile(
         The first cell that was not run, and how many impacts were written.
     """
     size = system.lash.size
-    x = np.empty(size)
+    x, space = np.empty(size), _workspace(tables)
     events = np.empty(max_events + 1, EVENT)
     states = np.empty((0, size))
     primaries = np.empty(max_events + 1, np.int64)
@@ -145,8 +170,8 @@ def run_tile(
             cell.status = _NO_INITIAL_FLANK
             continue
         cell.initial_side = side
-        status, count, quality, margin, _ = run(
-            system, tables, x, switching.closed_on(side), torque_after[k], half_gap[k], events, states, stop
+        status, count, quality, margin, _ = _run_in(
+            space, system, tables, x, switching.closed_on(side), torque_after[k], half_gap[k], events, states, stop
         )
         if status == INTERRUPTED:
             return k, written
