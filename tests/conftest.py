@@ -3,11 +3,20 @@
 import pytest
 from hypothesis import settings
 
+from clunk.cells import compiling_note, warm_up
 from clunk.config import Study, study_from_text
 
 # The first call of a kernel compiles it, which takes longer than any deadline; the same examples on every machine.
 settings.register_profile("clunk", deadline=None, derandomize=True)
 settings.load_profile("clunk")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile the kernels before there are several processes, each of which would."""
+    if config.getoption("numprocesses", None) and not hasattr(config, "workerinput"):
+        for method in ("rk4", "exact"):
+            if compiling_note(method):
+                warm_up(study_from_text(f'[driveline]\npreset = "boere-2008"\n[solver]\nmethod = "{method}"\n'))
 
 
 @pytest.fixture(scope="session")
