@@ -12,7 +12,7 @@ settings.load_profile("clunk")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compile the kernels before there are several processes, each of which would."""
+    """Compile the kernels here, where several processes would each do it."""
     if config.getoption("numprocesses", None) and not hasattr(config, "workerinput"):
         for method in ("rk4", "exact"):
             if compiling_note(method):

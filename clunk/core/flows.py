@@ -27,7 +27,7 @@ BoolArray = npt.NDArray[np.bool_]
 SPANS = 32  # two an octave
 BLOCK = WIDTH // 2  # pairs: their number is filled up to a multiple
 TERMS = 12  # of a Taylor series over the shortest span
-LONG = -(-TERMS // WIDTH) * WIDTH
+LONG = 2 * WIDTH  # room for its terms: two rows of lanes
 # lanes of `Flows.watch`: a functional less its origin, its slope and curvature; what bounds its third derivative from
 # now on, and its value less its origin
 VALUE, SLOPE, CURVATURE, JERK, SWAY = range(5)

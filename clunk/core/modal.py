@@ -87,12 +87,6 @@ def observe(watch: FloatArray, y: FloatArray) -> tuple[float, float, float]:
 
 
 @unowned_inlined
-def value(watch: FloatArray, y: FloatArray) -> float:
-    """Value of a functional, less its origin."""
-    return float(lanes.lane(look(watch, y, 0), VALUE))
-
-
-@unowned_inlined
 def within(watch: FloatArray, which: int, amplitude: FloatArray) -> float:
     """What bounds a functional's third derivative (JERK), or its value less its origin (SWAY), from now on."""
     return float(lanes.lane(bounds(watch, amplitude, 0), which))
