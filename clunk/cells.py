@@ -195,7 +195,7 @@ class Grid:
 
 def compiling_note(*methods: str) -> str:
     """What to tell whoever waits for these methods' kernels to be compiled; nothing where they are already."""
-    cold = [method for method in dict.fromkeys(methods) if is_cold(f"{method}.run")]
+    cold = [method for method in dict.fromkeys(methods) if is_cold(method)]
     if not cold:
         return ""
     seconds = 20 * len(cold) + 20 * ("exact" in cold)

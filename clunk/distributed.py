@@ -229,7 +229,7 @@ class Cluster:
         """Refuse workers of other versions, or that cannot tell theirs; say where kernels will be compiled."""
         try:
             found = self._client.run(_introduced, on_error="return")
-            cold = self._client.run(_is_cold, job.method, on_error="ignore")
+            cold = self._client.run(is_cold, job.method, on_error="ignore")
         except Exception as error:
             raise self._lost() from error
         for address, worker in found.items():
@@ -376,10 +376,6 @@ def _introduced(dask_worker: distributed.Worker) -> _Worker:
 @functools.cache
 def _versions() -> dict[str, str]:
     return versions()
-
-
-def _is_cold(method: str) -> bool:
-    return is_cold(f"{method}.run")
 
 
 @functools.lru_cache(2)

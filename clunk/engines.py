@@ -81,8 +81,9 @@ class Threads:
 
 
 def tile_size(cells: int, grid: Grid, workers: int) -> int:
-    """Cells of a tile: eight tiles a worker, but none larger than the grid's, or far smaller."""
-    return min(max(-(-cells // (8 * workers)), grid.tile_cells // 32, 1), grid.tile_cells)
+    """Cells of a tile: eight tiles a worker, but none larger than the grid's; or few, where they were far smaller."""
+    least = min(grid.tile_cells // 8, -(-cells // workers))
+    return min(max(-(-cells // (8 * workers)), least, 1), grid.tile_cells)
 
 
 def available_cores() -> int:

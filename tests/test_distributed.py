@@ -68,7 +68,8 @@ class ByHand:
         file = str(self._directory / "scheduler.json")
         command = [sys.executable, "-m", "dask", kind, *options, "--scheduler-file", file, "--no-dashboard"]
         output = {"stdout": self._errors, "stderr": self._errors, "env": {**os.environ, **environment}}
-        self._processes.append(subprocess.Popen(command, **output))
+        # elsewhere, "-m" would take clunk from here if it is here, and compile it anew
+        self._processes.append(subprocess.Popen(command, cwd=self._directory, **output))
         return self._processes[-1]
 
 

@@ -1,6 +1,7 @@
 """The exact flows' tables against the matrix exponential, and the bounds that the exact method rests on.
 
-Every case is a driveline whose open and closed side are compared: modes, drifts and flows that have no eigenbasis.
+Every case is a driveline whose open and closed side are compared: modes, drifts and flows that have no eigenbasis. Each
+lane has a state of its own.
 """
 
 from dataclasses import replace
@@ -8,30 +9,150 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import reference
+from numpy.polynomial.polynomial import polyder, polyint, polyval
 from scipy.linalg import expm
 
 from clunk import driveline
 from clunk.config import study_from_text
-from clunk.core.flows import BLOCK, CROSS, JERK, LONG, SPANS, SWAY, TERMS
-from clunk.core.modal import expand, extremes, jump, measure, move, observe, within
+from clunk.core import abreast, lanes, queues, rows
+from clunk.core.events import EVENT
+from clunk.core.flows import BLOCK, CROSS, SLOPE, SPANS, TERMS
+from clunk.core.jit import compiled
+from clunk.core.lanes import WIDTH
+from clunk.core.pool import ask, fields, make_pool, push, take
 from clunk.core.regimes import ACCELERATION
+from clunk.core.search import search
 
 # Rounding of a few products of tables that are each good to some 1e-15; |λ| T reaches 1e3 in the longest span compared,
 # and an angle that large is known to 1e3 eps, a modal basis to its condition (up to 1e4) times eps.
 TIGHT = 1e-11
 OPEN, CLOSED = 0, 1
+RUNS = 24  # that are looked through together: more than there are lanes
 
 
-def work_for(size):
-    """Scratch of `modal.Work`."""
-    rows = np.zeros((4, size))
-    return (rows[0], rows[1], rows[2], np.zeros(LONG), np.zeros(TERMS), np.zeros((TERMS, TERMS)), rows[3])
+@compiled
+def move(power, generator, modes, parts, work, size):
+    abreast.move(power, generator, modes, lanes.load(parts, 0), work, size, np.zeros((2 * size, WIDTH)))
+
+
+@compiled
+def observe(watch, output, f, steady, work, size, inputs, times, results):
+    """Value, slope and curvature of a functional, its origin included."""
+    value, slope, curvature = abreast.glance(watch, work, size, lanes.splat(0.0), 0)
+    torque, gap_input, elapsed = lanes.load(inputs, 0), lanes.load(inputs, 1), lanes.load(times, 0)
+    value0, slope0, curvature0 = abreast.origin(output, f, steady, torque, gap_input, elapsed)
+    lanes.store(results, 0, value + value0)
+    lanes.store(results, 1, slope + slope0)
+    lanes.store(results, 2, curvature + curvature0)
+
+
+@compiled
+def look(watch, work, size, levels, deepest, results):
+    """What `abreast.look` returns, and then `glance`, `bounds` and `rush`."""
+    level, row = lanes.load(levels, 0), 0
+    for seen in abreast.look(watch, work, size, level, deepest):
+        lanes.store(results, row, seen)
+        row += 1
+    for seen in abreast.glance(watch, work, size, level, deepest):
+        lanes.store(results, row, seen)
+        row += 1
+    for bound in abreast.bounds(watch, work, size):
+        lanes.store(results, row, bound)
+        row += 1
+    lanes.store(results, row, abreast.rush(watch, work, size, level, deepest))
+
+
+LOOKS = 17
+GLANCED, JERKING, SWAYING, RUSHING = slice(11, 14), 14, 15, 16
+
+
+@compiled
+def expand(series, work, size, shortest, sides, rest, c):
+    sign, shift = lanes.load(sides, 0), lanes.load(sides, 1)
+    value, slope, curvature = lanes.load(rest, 0), lanes.load(rest, 1), lanes.load(rest, 2)
+    abreast.expand(series, work, size, shortest, sign, shift, value, slope, curvature, c)
+
+
+@compiled
+def find_longest(shortest, guards, rest, results):
+    g1, d1, e1, j1 = lanes.load(guards, 0), lanes.load(guards, 1), lanes.load(guards, 2), lanes.load(guards, 3)
+    g2, d2, e2, j2 = lanes.load(guards, 4), lanes.load(guards, 5), lanes.load(guards, 6), lanes.load(guards, 7)
+    h, k = abreast.longest(shortest, g1, d1, e1, j1, g2, d2, e2, j2, lanes.load(rest, 0))
+    lanes.store(results, 0, h)
+    lanes.store(results, 1, k)
+
+
+@compiled
+def find_low(guard, h, results):
+    g, d, e, j = lanes.load(guard, 0), lanes.load(guard, 1), lanes.load(guard, 2), lanes.load(guard, 3)
+    lanes.store(results, 0, abreast.low(g, d, e, j, lanes.load(h, 0)))
+
+
+@compiled
+def evaluate(c, at, results):
+    s = lanes.load(at, 0)
+    value, slope, half = abreast.derivatives(c, s)
+    lanes.store(results, 0, value)
+    lanes.store(results, 1, slope)
+    lanes.store(results, 2, half)
+    lanes.store(results, 3, abreast.value(c, s))
+
+
+@compiled
+def cross(c, length, results):
+    found, none, s, slope, half = abreast.crossing(c, lanes.load(length, 0))
+    lanes.store(results, 0, s)
+    lanes.store(results, 1, slope)
+    lanes.store(results, 2, half)
+    return found, none
+
+
+@compiled
+def turn(c, length, results):
+    found, none, s = abreast.turning(c, np.zeros((TERMS, WIDTH)), lanes.load(length, 0))
+    lanes.store(results, 0, s)
+    return found, none
+
+
+@compiled
+def search_all(pool, flows, queue, task, lengths, origins, signs, shifts, counts):
+    """(S, 2): TOP and BOTTOM of all runs of a pool, when what they look for is known."""
+    size = flows.basis.shape[1]
+    field, found = fields(size), np.zeros((lengths.size, 2))
+    for slot in range(lengths.size):
+        pool.here[:] = origins[:, slot]
+        ask(pool, slot, task, size, lengths[slot], signs[slot], shifts[slot])
+        pool.asked[slot * rows.TASKS + task, field + rows.COUNTS] = counts[slot]
+        push(pool, queue, slot * rows.TASKS + task)
+    while pool.length[queue] > 0:
+        count = take(pool, queue, pool.asked)
+        search(pool, flows, queue, count)
+        for lane in range(count):
+            found[pool.who[lane] // rows.TASKS, 0] = pool.work[field + rows.TOP, lane]
+            found[pool.who[lane] // rows.TASKS, 1] = pool.work[field + rows.BOTTOM, lane]
+    return found
 
 
 def sizes(y):
-    """(…, C): the amplitude of each pair, in both its places."""
-    halves = y.reshape(*y.shape[:-1], -1, 2, BLOCK)
-    return np.repeat(np.hypot(halves[..., :1, :], halves[..., 1:, :]), 2, axis=-2).reshape(y.shape)
+    """(…, C/2, W): the amplitude of each pair."""
+    halves = y.reshape(*y.shape[:-2], -1, 2, BLOCK, y.shape[-1])
+    return np.hypot(halves[..., 0, :, :], halves[..., 1, :, :]).reshape(*y.shape[:-2], -1, y.shape[-1])
+
+
+def both(pairs):
+    """(C, …): what is known of each pair, for both its coordinates."""
+    blocks = pairs.reshape(-1, 1, BLOCK, *pairs.shape[1:])
+    return np.repeat(blocks, 2, axis=1).reshape(-1, *pairs.shape[1:])
+
+
+def dealt(*values):
+    """Rows of one value for each lane, until each lane has had each."""
+    return [np.resize(np.roll(values, k), WIDTH) for k in range(len(values))]
+
+
+def holds(bits):
+    """(W,): of each lane its bit."""
+    return np.array([bits >> k & 1 for k in range(WIDTH)], bool)
 
 
 def plant(inertias, shafts, lash, contact_damping=0.6, **values):
@@ -68,19 +189,26 @@ for name in ("two inertias", "free chain, undamped", "one inertia on a spring, t
 
 
 class Flow:
-    """One flow's tables, with the affine system that they stand for."""
+    """One flow's tables, with the affine system that they stand for; of states and inputs, each column is a lane's."""
 
-    def __init__(self, plant, flow):
+    def __init__(self, plant, which):
         study = study_from_text(reference.config_of(plant, method="exact"))
         system, flows = driveline.prepare(study)
         for field in flows._fields:
-            setattr(self, field, getattr(flows, field)[flow])
-        self.rates, self.inputs = system.rates[flow], system.inputs[flow]
-        self.functionals, self.feedthrough = system.functionals[flow], system.feedthrough[flow]
-        self.size = self.rates.shape[0]
+            setattr(self, field, getattr(flows, field)[which])
+        self.which, self.system, self.flows = which, system, flows
+        self.rates, self.inputs = system.rates[which], system.inputs[which]
+        self.functionals, self.feedthrough = system.functionals[which], system.feedthrough[which]
+        self.size, self.count = self.coordinates.shape
         self.origin = self.origin.transpose(0, 2, 1)[:, : self.size]
         self.fastest = np.abs(np.linalg.eigvals(self.rates)).max()
         self.pace = max(self.fastest, 1.0)
+        # velocities by what makes them as large as angles: the exponential is then scaled, and squared, least
+        self.units = np.ones((self.size + 2, 1))
+        self.units[self.size // 2 : self.size] = 2.0 ** np.round(np.log2(self.pace))
+        self.augmented = np.zeros((self.size + 2, self.size + 2))
+        self.augmented[: self.size] = np.hstack((self.rates, self.inputs))
+        self.augmented *= self.units.T / self.units
         self.impulsive = bool(system.impulsive)
         self.lash = system.lash[self.size // 2 :]
 
@@ -88,61 +216,106 @@ class Flow:
     def is_modal(self):
         return bool(self.modal)
 
-    def starts(self, count=5):
-        """Random states and inputs; on the constraint, where the flow has one."""
+    def starts(self, count=WIDTH):
+        """(2n, count), (2, count): random states and inputs; on the constraint, where the flow has one."""
         random = np.random.default_rng(1)
-        for _ in range(count):
-            x, u = random.normal(size=self.size), random.normal(size=2)
-            n = self.size // 2
-            x[n:] *= self.pace * 0.1
-            if self.impulsive and not np.any(self.rates[n:].T @ self.lash):  # locked: q = s φ/2 and q' = 0
-                x[:n] -= self.lash * (self.lash @ x[:n] - u[1]) / (self.lash @ self.lash)
-                x[n:] -= self.lash * (self.lash @ x[n:]) / (self.lash @ self.lash)
-            yield x, u
+        x, u = random.normal(size=(self.size, count)), random.normal(size=(2, count))
+        n = self.size // 2
+        x[n:] *= self.pace * 0.1
+        if self.impulsive and not np.any(self.rates[n:].T @ self.lash):  # locked: q = s φ/2 and q' = 0
+            x[:n] -= np.outer(self.lash, self.lash @ x[:n] - u[1]) / (self.lash @ self.lash)
+            x[n:] -= np.outer(self.lash, self.lash @ x[n:]) / (self.lash @ self.lash)
+        return x, u
 
-    def moved(self, x, u, time):
-        """exp of the augmented matrix: the state after a time."""
-        size = self.size
-        augmented = np.zeros((size + 1, size + 1))
-        augmented[:size, :size], augmented[:size, size] = self.rates, self.inputs @ u
-        return (expm(augmented * time) @ [*x, 1.0])[:size]
+    def moved(self, x, u, times):
+        """exp of the augmented matrix: the states after times."""
+        across = expm(self.augmented * np.reshape(times, (-1, 1, 1)))
+        z = np.vstack((x, u)) / self.units
+        return (self.units * (across @ z.T[..., None])[..., 0].T)[: self.size]
 
     def trajectory(self, x, u, length, count=500):
-        """(count + 1, 2n): the states over a time, evenly spaced."""
-        size = self.size
-        augmented = np.zeros((size + 1, size + 1))
-        augmented[:size, :size], augmented[:size, size] = self.rates, self.inputs @ u
-        across, z = expm(augmented * length / count), [np.array([*x, 1.0])]
+        """(count + 1, 2n, W): the states over a time, evenly spaced."""
+        across, z = expm(self.augmented * length / count), [np.vstack((x, u)) / self.units]
         for _ in range(count):
             z.append(across @ z[-1])
-        return np.array(z)[:, :size]
+        return (self.units * np.array(z))[:, : self.size]
 
     def enter(self, x, u):
-        return (x - self.origin[0] @ u) @ self.coordinates
+        return self.coordinates.T @ (x - self.origin[0] @ u)
 
-    def leave(self, y, u, time):
+    def enter_lanes(self, x, u):
+        """(3C/2, W): coordinates and amplitudes."""
+        work = np.vstack((self.enter(x, u), np.zeros((self.count // 2, WIDTH))))
+        abreast.measure(work, self.count)
+        return work
+
+    def move(self, work, parts):
+        move(self.power, self.generator, self.is_modal, parts, work, self.count)
+
+    def jump(self, work, k):
+        """Each lane by another span."""
+        abreast.jump(np.ascontiguousarray(self.propagator[k].reshape(WIDTH, -1).T), work, self.count)
+
+    def leave(self, work, u, times):
         value, slope, curvature = self.origin @ u
-        return value + time * (slope + 0.5 * time * curvature) + (y @ self.basis)[: self.size]
+        return value + times * (slope + 0.5 * times * curvature) + (self.basis.T @ work[: self.count])[: self.size]
 
-    def output_origin(self, u, time):
-        """(3, F): value, slope and curvature of the functionals' origins."""
+    def observe(self, f, work, u, times):
+        """(3, W)."""
+        results = np.zeros((3, WIDTH))
+        observe(self.watch[f], self.origin_output, f, bool(self.steady), work, self.count, u, times, results)
+        return results
+
+    def look(self, f, work, levels=0, deepest=0):
+        """(LOOKS, W)."""
+        results = np.zeros((LOOKS, WIDTH))
+        look(self.watch[f], work, self.count, np.full(WIDTH, levels, float), deepest, results)
+        return results
+
+    def output(self, x, u):
+        """(…, F, W): the functionals."""
+        return self.functionals @ x + self.feedthrough @ u
+
+    def output_origin(self, u, times):
+        """(3, F, W): value, slope and curvature of the functionals' origins."""
         value, slope, curvature = self.origin_output @ u
-        return np.array([value + time * (slope + 0.5 * time * curvature), slope + time * curvature, curvature])
+        return np.array([value + times * (slope + 0.5 * times * curvature), slope + times * curvature, curvature])
 
     def scale(self, *states):
-        """(2n,): as large as angles and velocities get, the origin included."""
+        """(2n, W): as large as angles and velocities get, the origin included."""
         n = self.size // 2
         together = np.abs(np.array(states))
-        return np.repeat([together[:, :n].max(), together[:, n:].max()], n)
+        return np.repeat([together[:, :n].max(axis=(0, 1)), together[:, n:].max(axis=(0, 1))], n, axis=0)
+
+    def output_scale(self, u, *states):
+        """(F, W): as large as the terms of the functionals get."""
+        return np.abs(self.functionals) @ self.scale(*states, self.origin[0] @ u) + np.abs(self.feedthrough @ u)
 
     def derivatives(self, x, u, count):
-        """(count, F): the functionals and their derivatives."""
-        rows, values = x, [self.functionals @ x + self.feedthrough @ u]
-        rate = self.rates @ rows + self.inputs @ u
+        """(count, F, W): the functionals and their derivatives."""
+        values, rate = [self.output(x, u)], self.rates @ x + self.inputs @ u
         for _ in range(1, count):
             values.append(self.functionals @ rate)
             rate = self.rates @ rate
         return np.array(values)
+
+    def search(self, f, queue, task, x, u, lengths, *, top, bottom, signs, shifts, counts=None):
+        """What `search` finds in a functional, which stands for every other: TOP, BOTTOM, and the pool."""
+        runs, task_of = x.shape[1], (slice(x.shape[1]), task)
+        everywhere = [f] * len(self.watch)
+        flows = self.flows._replace(
+            watch=np.ascontiguousarray(self.flows.watch[:, everywhere]),
+            series=np.ascontiguousarray(self.flows.series[:, everywhere]),
+        )
+        pool = make_pool(self.system, flows, np.zeros((runs, 1), EVENT), np.zeros((runs, 0, self.size)))
+        field, y = fields(self.count), self.enter(x, u)
+        pool.numbers[:runs, :field] = np.vstack((y, sizes(y))).T
+        asked = pool.asked.reshape(runs + 1, rows.TASKS, -1)
+        asked[*task_of, field + rows.TOP], asked[*task_of, field + rows.BOTTOM] = top, bottom
+        origins, counts = self.output_origin(u, 0.0)[:, f], np.full(runs, np.inf) if counts is None else counts
+        found = search_all(pool, flows, queue, task, lengths, origins, signs, shifts, counts)
+        assert sorted(pool.waiting[queues.FOLLOW, : pool.length[queues.FOLLOW]]) == list(range(runs))
+        return found[:, 0], found[:, 1], pool.numbers[:runs, field:]
 
 
 @pytest.fixture(params=[(name, which) for name in PLANTS for which in (OPEN, CLOSED)], ids=lambda p: f"{p[0]}, {p[1]}")
@@ -152,154 +325,366 @@ def flow(request):
 
 
 def test_entering_and_leaving_changes_nothing(flow):
-    for x, u in flow.starts():
-        scale = flow.scale(x, flow.origin[0] @ u)
-        assert np.all(np.abs(flow.leave(flow.enter(x, u), u, 0.0) - x) <= 1e-12 * scale)
+    x, u = flow.starts()
+    scale = flow.scale(x, flow.origin[0] @ u)
+    assert np.all(np.abs(flow.leave(flow.enter_lanes(x, u), u, 0.0) - x) <= 1e-12 * scale)
 
 
 def test_a_span_is_the_matrix_exponential(flow):
     """Spans up to a thousand radians of the fastest mode; a flow without modes knows the shortest only."""
-    spans = range(SPANS) if flow.is_modal else [0]
-    for x, u in flow.starts(2):
-        for k in spans:
-            if flow.span[k] * flow.fastest > 1e3:
-                continue
-            y = flow.enter(x, u)
-            amplitude = np.zeros(y.size)
-            if flow.is_modal:
-                jump(flow.propagator, k, y, amplitude)
-            else:
-                move(flow.power, flow.generator, False, 1.0, y, work_for(y.size))
-            exact = flow.moved(x, u, flow.span[k])
-            scale = flow.scale(x, exact, flow.origin[0] @ u)
-            assert np.all(np.abs(flow.leave(y, u, flow.span[k]) - exact) <= TIGHT * scale)
-
-
-@pytest.mark.parametrize("part", [0.0, 1e-9, 0.3, 1.0])
-def test_a_part_of_the_shortest_span_is_too(flow, part):
-    for x, u in flow.starts(2):
-        y = flow.enter(x, u)
-        move(flow.power, flow.generator, flow.is_modal, part, y, work_for(y.size))
-        exact = flow.moved(x, u, part * flow.span[0])
+    x, u = flow.starts()
+    known = np.flatnonzero(flow.span * flow.fastest <= 1e3) if flow.is_modal else np.zeros(1, int)
+    for first in range(0, SPANS, WIDTH // 2):
+        k = known[(first + np.arange(WIDTH)) % known.size]
+        work = flow.enter_lanes(x, u)
+        if flow.is_modal:
+            flow.jump(work, k)
+        else:
+            flow.move(work, np.ones(WIDTH))
+        exact = flow.moved(x, u, flow.span[k])
         scale = flow.scale(x, exact, flow.origin[0] @ u)
-        assert np.all(np.abs(flow.leave(y, u, part * flow.span[0]) - exact) <= 1e-12 * scale)
+        assert np.all(np.abs(flow.leave(work, u, flow.span[k]) - exact) <= TIGHT * scale)
+
+
+def test_a_part_of_the_shortest_span_is_too(flow):
+    x, u = flow.starts()
+    for parts in dealt(0.0, 1e-9, 0.3, 1.0):
+        work = flow.enter_lanes(x, u)
+        flow.move(work, parts)
+        exact = flow.moved(x, u, parts * flow.span[0])
+        scale = flow.scale(x, exact, flow.origin[0] @ u)
+        assert np.all(np.abs(flow.leave(work, u, parts * flow.span[0]) - exact) <= 1e-12 * scale)
 
 
 def test_spans_are_two_an_octave(flow):
+    assert flow.span[1] == 1.5 * flow.span[0]
     assert flow.span[2:] == pytest.approx(2.0 * flow.span[:-2], rel=0.0)
     assert np.all(np.diff(flow.span) > 0.0)
 
 
 def test_value_slope_and_curvature_are_the_functionals(flow):
     """At entry and after a while, against C A^k (A x + B u) of the state."""
-    for x, u in flow.starts():
-        for time in (0.0, 0.7 * flow.span[0], flow.span[0]):
-            y = flow.enter(x, u)
-            move(flow.power, flow.generator, flow.is_modal, time / flow.span[0], y, work_for(y.size))
-            exact = flow.derivatives(flow.moved(x, u, time), u, 3)
-            rest = flow.output_origin(u, time)
-            size = np.abs(flow.functionals) @ flow.scale(x, flow.origin[0] @ u) + np.abs(flow.feedthrough @ u)
-            for f in range(len(flow.watch)):
-                found = np.array(observe(flow.watch[f], y)) + rest[:, f]
-                rounding = TIGHT * (size[f] + np.abs(rest[0, f])) * flow.pace ** np.arange(3)
-                assert np.all(np.abs(found - exact[:, f]) <= rounding)
+    x, u = flow.starts()
+    size, pace = flow.output_scale(u, x), flow.pace ** np.arange(3)[:, None]
+    for parts in dealt(0.0, 0.7, 1.0):
+        work, times = flow.enter_lanes(x, u), parts * flow.span[0]
+        flow.move(work, parts)
+        exact = flow.derivatives(flow.moved(x, u, times), u, 3)
+        rest = flow.output_origin(u, times)
+        for f in range(len(flow.watch)):
+            rounding = TIGHT * (size[f] + np.abs(rest[0, f])) * pace
+            assert np.all(np.abs(flow.observe(f, work, u, times) - exact[:, f]) <= rounding)
 
 
 def test_the_series_is_the_functional_over_the_shortest_span(flow):
-    c = np.zeros(LONG)
-    for x, u in flow.starts():
-        y, rest = flow.enter(x, u), flow.output_origin(u, 0.0)
-        for f in range(len(flow.watch)):
-            expand(flow.series[f], y, flow.span[0], *rest[:, f], c)
-            size = np.abs(flow.functionals[f]) @ flow.scale(x, flow.origin[0] @ u) + np.abs(flow.feedthrough[f] @ u)
-            for s in (0.0, 0.25, 1.0):
-                exact = flow.functionals[f] @ flow.moved(x, u, s * flow.span[0]) + flow.feedthrough[f] @ u
-                assert np.polynomial.polynomial.polyval(s, c) == pytest.approx(exact, abs=TIGHT * size)
+    """Of sign times the functional plus shift."""
+    x, u = flow.starts()
+    work, rest, size = flow.enter_lanes(x, u), flow.output_origin(u, 0.0), flow.output_scale(u, x)
+    signs, shifts = dealt(1.0, -1.0)[0], np.linspace(-1.0, 1.0, WIDTH)
+    for f in range(len(flow.watch)):
+        c = np.full((TERMS, WIDTH), np.nan)
+        origin = np.ascontiguousarray(rest[:, f])
+        expand(flow.series[f], work, flow.count, flow.span[0], np.array([signs, shifts]), origin, c)
+        for s in (0.0, 0.25, 1.0):
+            exact = signs * flow.output(flow.moved(x, u, s * flow.span[0]), u)[f] + shifts
+            assert np.all(np.abs(polyval(s, c) - exact) <= TIGHT * (size[f] + np.abs(shifts)))
 
 
 def drifts(flow):
-    """(C,) whether a pair is a drift, whose displacement has no bound."""
+    """(C/2, 1) whether a pair is a drift, whose displacement has no bound."""
     cross = flow.propagator[SPANS - 1, :, CROSS].reshape(-1, 2, BLOCK)
-    drift = (cross[:, 0] != 0.0) & (cross[:, 1] == 0.0) & flow.is_modal
-    return np.repeat(drift[:, None], 2, axis=1).ravel()
+    return ((cross[:, 0] != 0.0) & (cross[:, 1] == 0.0) & flow.is_modal).reshape(-1, 1)
+
+
+def test_amplitudes_are_those_of_the_pairs(flow):
+    work = flow.enter_lanes(*flow.starts())
+    assert work[flow.count :] == pytest.approx(sizes(work[: flow.count]), rel=1e-15)
 
 
 def test_amplitudes_never_grow(flow):
     """Of every pair of modes; without modes, of all coordinates together, drifts left out."""
-    for x, u in flow.starts(3):
-        homogeneous = x - flow.origin[0] @ u
-        times = [flow.trajectory(homogeneous, np.zeros(2), length) for length in (10.0 / flow.pace, 300.0 / flow.pace)]
-        y = np.concatenate(times) @ flow.coordinates
-        if flow.is_modal:
-            amplitude = sizes(y)
-            rounding = TIGHT * np.abs(flow.coordinates).max() * np.abs(homogeneous).max()
-            assert np.all((amplitude <= amplitude[0] * (1.0 + 1e-9) + rounding) | drifts(flow))
-        else:
-            moves = np.any(flow.generator != 0.0, axis=0)  # what anything depends on
-            amplitude = np.linalg.norm(y[:, moves], axis=1)
-            assert np.all(amplitude <= amplitude[0] * (1.0 + 1e-9))
+    x, u = flow.starts()
+    homogeneous = x - flow.origin[0] @ u
+    times = [flow.trajectory(homogeneous, 0.0 * u, length) for length in (10.0 / flow.pace, 300.0 / flow.pace)]
+    y = flow.coordinates.T @ np.concatenate(times)
+    if flow.is_modal:
+        amplitude = sizes(y)
+        rounding = TIGHT * np.abs(flow.coordinates).max() * np.abs(homogeneous).max(axis=0)
+        assert np.all((amplitude <= amplitude[0] * (1.0 + 1e-9) + rounding) | drifts(flow))
+    else:
+        moves = np.any(flow.generator != 0.0, axis=0)  # what anything depends on
+        amplitude = np.linalg.norm(y[:, moves], axis=1)
+        assert np.all(amplitude <= amplitude[0] * (1.0 + 1e-9))
 
 
 def test_the_tabulated_decay_bounds_the_amplitude(flow):
     if not flow.is_modal:
         pytest.skip("knows no modes")
-    for x, u in flow.starts(3):
-        for k in range(SPANS):
-            y = flow.enter(x, u)
-            amplitude = np.zeros(y.size)
-            measure(y, amplitude)
-            jump(flow.propagator, k, y, amplitude)
-            now = sizes(y)
-            assert np.all((now <= amplitude * (1.0 + 1e-12) + 1e-300) | drifts(flow))  # denormal numbers round
+    x, u = flow.starts()
+    for first in range(0, SPANS, WIDTH // 2):
+        work = flow.enter_lanes(x, u)
+        flow.jump(work, (first + np.arange(WIDTH)) % SPANS)
+        now, bound = sizes(work[: flow.count]), work[flow.count :]
+        assert np.all((now <= bound * (1.0 + 1e-12) + 1e-300) | drifts(flow))  # denormal numbers round
 
 
 def test_jerk_bounds_the_third_derivative_for_ever(flow):
+    x, u = flow.starts()
+    work, states = flow.enter_lanes(x, u), flow.trajectory(x, u, 100.0 / flow.pace)
     third = flow.functionals @ np.linalg.matrix_power(flow.rates, 2)
-    for x, u in flow.starts(3):
-        y = flow.enter(x, u)
-        amplitude = np.zeros(y.size)
-        measure(y, amplitude)
-        states = flow.trajectory(x, u, 100.0 / flow.pace)
-        values = (states @ flow.rates.T + flow.inputs @ u) @ third.T
-        scale = np.abs(flow.functionals) @ flow.scale(*states, flow.origin[0] @ u) * flow.pace**3
-        for f in range(len(flow.watch)):
-            assert np.abs(values[:, f]).max() <= within(flow.watch[f], JERK, amplitude) + TIGHT * scale[f]
+    values = third @ (flow.rates @ states + flow.inputs @ u)
+    scale = np.abs(flow.functionals) @ flow.scale(*states, flow.origin[0] @ u) * flow.pace**3
+    for f in range(len(flow.watch)):
+        assert np.all(np.abs(values[:, f]).max(axis=0) <= flow.look(f, work)[JERKING] + TIGHT * scale[f])
 
 
 def test_sway_bounds_what_is_off_the_origin_for_ever(flow):
     """Of the acceleration always; of the others where nothing drifts."""
-    for x, u in flow.starts(3):
-        y = flow.enter(x, u)
-        amplitude = np.zeros(y.size)
-        measure(y, amplitude)
-        states, times = flow.trajectory(x, u, 100.0 / flow.pace), np.linspace(0.0, 100.0 / flow.pace, 501)
-        origin = np.array([flow.output_origin(u, time)[0] for time in times])
-        away = states @ flow.functionals.T + flow.feedthrough @ u - origin
-        scale = np.abs(flow.functionals) @ flow.scale(*states, flow.origin[0] @ u)
-        for f in range(len(flow.watch)):
-            if f == ACCELERATION or flow.steady:
-                assert np.abs(away[:, f]).max() <= within(flow.watch[f], SWAY, amplitude) + TIGHT * scale[f]
+    x, u = flow.starts()
+    work, states = flow.enter_lanes(x, u), flow.trajectory(x, u, 100.0 / flow.pace)
+    origin = np.array([flow.output_origin(u, time)[0] for time in np.linspace(0.0, 100.0 / flow.pace, 501)])
+    away = flow.output(states, u) - origin
+    scale = np.abs(flow.functionals) @ flow.scale(*states, flow.origin[0] @ u)
+    for f in range(len(flow.watch)):
+        if f == ACCELERATION or flow.steady:
+            assert np.all(np.abs(away[:, f]).max(axis=0) <= flow.look(f, work)[SWAYING] + TIGHT * scale[f])
+
+
+def test_rush_bounds_the_slope_of_the_fastest_pairs_for_ever(flow):
+    """Of another number of pairs in each lane, all of them oscillating modes."""
+    deepest = min(int(flow.ringing), flow.count // 2 - 1)
+    if deepest == 0:
+        pytest.skip("knows no oscillating modes")
+    x, u = flow.starts()
+    levels = np.arange(WIDTH) % (deepest + 1)
+    homogeneous = x - flow.origin[0] @ u
+    states = flow.trajectory(homogeneous, 0.0 * u, 100.0 / flow.pace)
+    y = flow.coordinates.T @ states * both(np.arange(flow.count // 2)[:, None] < levels)
+    scale = np.abs(flow.functionals) @ flow.scale(*states) * flow.pace
+    for f in range(len(flow.watch)):
+        slope = np.abs(flow.watch[f, : flow.count, SLOPE] @ y).max(axis=0)
+        bound = flow.look(f, flow.enter_lanes(x, u), levels, deepest)[RUSHING]
+        assert np.all(slope <= bound + TIGHT * scale[f])
+        assert np.all(bound[levels == 0] == 0.0)
+
+
+def test_the_fastest_pairs_are_left_out_as_if_they_were_zero(flow):
+    """Another number of them in each lane; those and the next one are told apart."""
+    work, deepest = flow.enter_lanes(*flow.starts()), flow.count // 2 - 1
+    levels, pairs = np.arange(WIDTH) % (deepest + 1), np.arange(flow.count // 2)[:, None]
+    fast, following = pairs < levels, (pairs == levels) & (levels < deepest)
+    for f in range(len(flow.watch)):
+        found = flow.look(f, work, levels, deepest)
+        slow, left_out, alone = (
+            flow.look(f, work * np.vstack((both(kept), kept))) for kept in (~fast, fast, following)
+        )
+        assert np.array_equal(found[:4], slow[:4])
+        assert np.array_equal(found[GLANCED], slow[:3])
+        assert found[4] == pytest.approx(left_out[SWAYING], rel=1e-14)
+        assert np.array_equal(found[5:10], np.vstack((alone[:4], alone[SWAYING])))
+        assert found[10] == pytest.approx(flow.look(f, work)[SWAYING], rel=1e-14)
 
 
 def test_located_extremes_are_those_of_dense_samples(flow):
     """Over thirty radians of the fastest mode; a sample misses a peak by its curvature times h²/8, here 1e-4 of it."""
-    length = 30.0 / flow.pace
-    longest = int(np.flatnonzero(flow.span <= length)[-1]) if flow.span[0] <= length else -1
-    longest = longest if flow.is_modal else min(longest, 0)
-    count = flow.coordinates.shape[1]
-    for x, u in flow.starts(2):
-        y, rest = flow.enter(x, u), flow.output_origin(u, 0.0)
-        states = flow.trajectory(x, u, length, 1000)
-        for f in range(len(flow.watch)):
-            samples = states @ flow.functionals[f] + flow.feedthrough[f] @ u
-            work = work_for(count)
-            high, low = extremes(
-                flow.span, flow.propagator, flow.power, flow.generator, flow.watch[f], flow.series[f], flow.is_modal,
-                work, y, rest[:, f].copy(), length, longest, samples[-1], samples[-1],
+    (x, u), length = flow.starts(RUNS), 30.0 / flow.pace
+    states = flow.trajectory(x, u, length, 1000)
+    scale = np.abs(flow.functionals) @ flow.scale(*states)
+    for f in range(len(flow.watch)):
+        samples = flow.output(states, u)[:, f]
+        high, low, numbers = flow.search(
+            f, queues.EXTREMES + flow.which, rows.EXTREMES_TASK, x, u, np.full(RUNS, length),
+            top=samples[-1], bottom=samples[-1], signs=np.ones(RUNS), shifts=np.zeros(RUNS),
+        )  # fmt: skip
+        assert np.array_equal(numbers[:, [rows.HIGH, rows.LOW]].T, [high, low])
+        for one, other in ((high, samples.max(axis=0)), (-low, -samples.min(axis=0))):
+            beyond = one - other
+            assert np.all(beyond >= -TIGHT * scale[f])
+            assert np.all(beyond <= 1e-3 * np.ptp(samples, axis=0) + TIGHT * scale[f])
+
+
+@pytest.mark.parametrize("g", [0, 1])
+def test_the_lowest_turn_is_that_of_dense_samples(flow, g):
+    """Of those from falling to rising; over thirty radians again, then of those after the lowest only."""
+    (x, u), length, samples = flow.starts(RUNS), 30.0 / flow.pace, np.arange(1001)[:, None]
+    states = flow.trajectory(x, u, length, 1000)
+    scale = np.abs(flow.functionals) @ flow.scale(*states)
+    signs, shifts = np.resize([1.0, -1.0], RUNS), np.linspace(-1.0, 1.0, RUNS)
+    for f in range(len(flow.watch)):
+        guard, rounding = signs * flow.output(states, u)[:, f] + shifts, TIGHT * (scale[f] + 1.0)
+        at, least = guard[1:-1], np.minimum(guard[:-2], guard[2:])
+        turns = np.pad(at < least - rounding, ((1, 1), (0, 0)))
+        first, counts = np.zeros(RUNS, int), np.full(RUNS, np.inf)
+        for _ in range(2):
+            lowest, _, _ = flow.search(
+                f, queues.TURN + 2 * flow.which + g, rows.TURN_TASK + g, x, u, np.full(RUNS, length),
+                top=np.inf, bottom=np.inf, signs=signs, shifts=shifts, counts=counts,
             )  # fmt: skip
-            swing, scale = np.ptp(samples), np.abs(flow.functionals[f]) @ flow.scale(*states, flow.origin[0] @ u)
-            for one, other in ((high, samples.max()), (-low, -samples.min())):
-                assert -TIGHT * scale <= one - other <= 1e-3 * swing + TIGHT * scale
+            dips = np.where(turns & (samples > first), guard, np.inf)
+            assert np.all(lowest <= dips.min(axis=0) + rounding)
+            counting = np.where(samples >= first, guard, np.inf)
+            around = np.pad(counting, ((1, 1), (0, 0)), constant_values=np.inf)  # it may turn beside the first or last
+            beside = np.where(counting <= np.minimum(around[:-2], around[2:]), counting, np.inf).min(axis=0)
+            swing, turned = np.ptp(guard, axis=0), np.isfinite(lowest)
+            assert np.all((lowest >= beside - 1e-3 * swing - rounding)[turned])
+            first = np.minimum(np.argmin(dips, axis=0) + 2, 999)
+            counts = length * (1.0 - first / 1000.0)
+
+
+def test_the_depth_of_a_dive_is_that_of_dense_samples(flow):
+    """From where a functional begins to fall, to where it first turns back."""
+    (x, u), length = flow.starts(RUNS), 30.0 / flow.pace
+    states = flow.trajectory(x, u, length, 1000)
+    scale = np.abs(flow.functionals) @ flow.scale(*states)
+    for f in range(len(flow.watch)):
+        samples = flow.output(states, u)[:, f]
+        signs = np.where(samples[1] > samples[0], -1.0, 1.0)
+        guard, rounding = signs * (samples - samples[0]), TIGHT * scale[f]
+        _, depth, _ = flow.search(
+            f, queues.DEPTH + 2 * flow.which, rows.DEPTH_TASK, x, u, np.full(RUNS, 1000.0),
+            top=np.inf, bottom=0.0, signs=signs, shifts=-signs * samples[0],
+        )  # fmt: skip
+        rises = np.diff(guard, axis=0) > 0.0
+        turned = rises.any(axis=0) & (np.ptp(samples, axis=0) > 1e3 * rounding)
+        deepest = -guard[np.argmax(rises, axis=0), np.arange(RUNS)]
+        assert np.all((depth >= deepest - rounding)[turned])
+        assert np.all((depth <= deepest + 1e-3 * np.ptp(samples, axis=0) + rounding)[turned])
+
+
+def random_guards(random):
+    """(4, W): value, slope, curvature and a bound of the third derivative; in every fourth lane, the value is zero."""
+    least = [[-2.0], [-6.0], [-10.0], [-14.0]]
+    guard = random.choice([-1.0, 1.0], (4, WIDTH)) * 10.0 ** random.uniform(least, 2.0, (4, WIDTH))
+    guard[[0, 3]] = np.abs(guard[[0, 3]])
+    guard[0, ::4] = 0.0
+    return guard
+
+
+def test_where_low_is_positive_a_guard_stays_so():
+    """Its third derivative jumps from one bound to the other on the way."""
+    random, kept = np.random.default_rng(1), 0
+    for _ in range(200):
+        guard, h, found = random_guards(random), 10.0 ** random.uniform(-2.0, 4.0, WIDTH), np.zeros((1, WIDTH))
+        find_low(guard, h, found)
+        positive = found[0] > 0.0
+        kept += np.count_nonzero(positive)
+        third, jumps_at = guard[3] * random.choice([-1.0, 1.0], WIDTH), h * random.uniform(0.0, 1.0, WIDTH)
+        for t in np.linspace(0.0, h, 20):
+            late = np.maximum(t - jumps_at, 0.0)
+            bent = (t**3 / 6.0 - late**3 / 3.0) * third
+            terms = np.array([guard[0], t * guard[1], t**2 / 2.0 * guard[2], bent])
+            value, least = terms.sum(axis=0), np.minimum(guard[0], found[0])
+            assert np.all((value >= least - 1e-14 * np.abs(terms).sum(axis=0))[positive])
+    assert kept > 500
+
+
+def test_the_longest_span_is_that_of_a_plain_search():
+    """Every span of the ladder, and none, is the longest in some lanes."""
+    random, shortest = np.random.default_rng(1), 0.25
+    ladder = shortest * np.repeat(2.0 ** np.arange(SPANS // 2), 2) * np.tile([1.0, 1.5], SPANS // 2)
+    met = set()
+    for _ in range(200):
+        guards = np.vstack((random_guards(random), random_guards(random)))
+        if random.uniform() < 0.5:
+            guards[[1, 2, 5, 6]] = np.abs(guards[[1, 2, 5, 6]])
+        rest = shortest * 2.0 ** random.uniform(-1.0, 18.0, WIDTH)
+        found = np.zeros((2, WIDTH))
+        find_longest(shortest, guards, rest, found)
+        passes = []
+        for h in ladder:
+            lows = np.zeros((2, WIDTH))
+            find_low(guards[:4], np.full(WIDTH, h), lows[:1])
+            find_low(guards[4:], np.full(WIDTH, h), lows[1:])
+            passes.append(np.all(lows > 0.0, axis=0) & (h <= rest))
+        expected = np.where(np.any(passes, axis=0), SPANS - 1 - np.argmax(passes[::-1], axis=0), -1)
+        assert np.array_equal(found[1], expected)
+        assert np.array_equal(found[0][expected >= 0], ladder[expected[expected >= 0]])
+        met |= set(expected)
+    assert met == set(range(-1, SPANS))
+
+
+def random_series(random):
+    """(TERMS, W), mostly monotone within (0, 1); from the third on, terms may be tiny."""
+    c = random.normal(size=(TERMS, WIDTH)) * 10.0 ** (random.uniform(-2.0, 0.0, WIDTH) * np.arange(TERMS)[:, None])
+    steepness = np.arange(2, TERMS) @ np.abs(c[2:])
+    c[1] = -steepness * random.choice([0.3, 0.7, 1.001, 1.5, 5.0], WIDTH)
+    c[0] = np.abs(c[1]) * random.uniform(-0.1, 1.5, WIDTH)
+    return c
+
+
+def random_lengths(random, c):
+    """(W,): within (0, 1); in every other lane, a zero is just before or behind it."""
+    length = random.uniform(0.1, 1.0, WIDTH)
+    for lane in range(0, WIDTH, 2):
+        near = zeros(c[:, lane], 0.99)
+        if near.size:
+            length[lane] = near[0] * (1.0 + 1e-6 * random.choice([-1.0, 1.0]))
+    return length
+
+
+def zeros(c, length):
+    """Where a series changes sign within (0, length), by the companion matrix."""
+    roots = np.roots(c[::-1])
+    real = roots[np.abs(roots.imag) < 1e-9].real
+    return real[(real > 0.0) & (real < length)]
+
+
+def test_a_series_and_its_derivatives_are_evaluated():
+    random = np.random.default_rng(1)
+    c, s, found = random.normal(size=(TERMS, WIDTH)), random.uniform(0.0, 1.0, WIDTH), np.zeros((4, WIDTH))
+    evaluate(c, s, found)
+    for lane in range(WIDTH):
+        series = c[:, lane]
+        exact = [polyval(s[lane], each) for each in (series, polyder(series), polyder(series, 2) / 2.0, series)]
+        assert found[:, lane] == pytest.approx(exact, rel=1e-13, abs=1e-12)
+
+
+def test_a_crossing_is_a_zero_of_the_companion_matrix():
+    """Wherever one is claimed, and most are found; where none is claimed, there is none."""
+    random = np.random.default_rng(1)
+    claimed, there = 0, 0
+    for _ in range(200):
+        c, results = random_series(random), np.zeros((3, WIDTH))
+        length = random_lengths(random, c)
+        found, none = (holds(bits) for bits in cross(c, length, results))
+        assert not np.any(found & none)
+        for lane in range(WIDTH):
+            series, s = c[:, lane], results[0, lane]
+            exact = zeros(series, length[lane])
+            falls = -series[1] > np.arange(2, TERMS) @ np.abs(series[2:])
+            there += falls and series[0] > 0.0 and exact.size > 0
+            claimed += found[lane]
+            if none[lane]:
+                assert exact.size == 0
+            if found[lane]:
+                assert exact == pytest.approx([s], rel=1e-10)
+                slope, half = polyval(s, polyder(series)), polyval(s, polyder(series, 2)) / 2.0
+                assert results[1:, lane] == pytest.approx([slope, half], rel=1e-2, abs=1e-3 * np.abs(series).max())
+    assert there > 400
+    assert claimed > 0.8 * there
+
+
+def test_a_turning_point_is_a_zero_of_the_slope():
+    """Wherever one is claimed, and most are found; where none is claimed, there is none."""
+    random = np.random.default_rng(2)
+    claimed, there = 0, 0
+    for _ in range(200):
+        slopes, results = random_series(random)[:-1], np.zeros((1, WIDTH))
+        length = random_lengths(random, slopes)
+        slopes *= random.choice([-1.0, 1.0], WIDTH)
+        found, none = (holds(bits) for bits in turn(polyint(slopes, k=random.normal()), length, results))
+        assert not np.any(found & none)
+        for lane in range(WIDTH):
+            exact, series = zeros(slopes[:, lane], length[lane]), np.abs(slopes[:, lane])
+            monotone = series[1] > np.arange(2, TERMS - 1) @ series[2:]
+            there += monotone and slopes[0, lane] * slopes[1, lane] < 0.0 and exact.size > 0
+            claimed += found[lane]
+            if none[lane]:
+                assert exact.size == 0
+            if found[lane]:
+                assert exact == pytest.approx([results[0, lane]], rel=1e-10)
+    assert there > 400
+    assert claimed > 0.8 * there
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from clunk.core.polynomial import (
     bisect,
     evaluate,
     extremes,
-    extremes_of,
     first_negative,
     first_negative_of,
     sign_changes,
@@ -222,6 +221,14 @@ def ladder(c):
     return np.zeros((len(c), len(c)))
 
 
+def extremes_of(c, length):
+    """The largest and the smallest value, by the turning points."""
+    points = room(c)
+    turns = turning_points(c, length, points, ladder(c))
+    values = [value_of(c, len(c), s) for s in (0.0, length, *points[:turns])]
+    return max(values), min(values)
+
+
 def inner_zeros(c, length):
     """Zeros in (0, length) at which the polynomial changes sign, by the companion matrix, where those are clear."""
     roots = np.roots(np.trim_zeros(np.asarray(c)[::-1], "f"))
@@ -280,7 +287,7 @@ def test_the_first_crossing_of_any_degree_is_that_of_the_companion_matrix(coeffi
 @given(MANY, LENGTH)
 def test_extremes_of_any_degree_bound_every_sample_and_are_taken(coefficients, length):
     c = np.array(coefficients)
-    high, low = extremes_of(c, length, room(c), ladder(c))
+    high, low = extremes_of(c, length)
     samples = value(c, np.linspace(0.0, length, 2001))
     slack = 8 * rounding(c, length)
     assert high >= samples.max() - slack
@@ -334,11 +341,11 @@ def test_a_zero_at_the_very_end_is_no_crossing(count):
 def test_no_length_and_no_terms_hold_nothing():
     c = np.array([1.0, -1.0, 0.0])
     assert first_negative_of(c, 0.0, room(c), ladder(c)) == -1.0
-    assert extremes_of(c, 0.0, room(c), ladder(c)) == (1.0, 1.0)
+    assert extremes_of(c, 0.0) == (1.0, 1.0)
     assert sign_changes(c, c.size, 0.0, room(c), ladder(c)) == 0
     nothing = np.zeros(8)
     assert first_negative_of(nothing, 1.0, room(nothing), ladder(nothing)) == -1.0
-    assert extremes_of(nothing, 1.0, room(nothing), ladder(nothing)) == (0.0, 0.0)
+    assert extremes_of(nothing, 1.0) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("degree", range(2, 8))
@@ -350,7 +357,7 @@ def test_chebyshev_waves_have_all_their_extremes_and_zeros(degree):
     assert sign_changes(c, c.size, 1.0, found, ladder(c)) == degree
     exact = 0.5 * (1.0 - np.cos(np.pi * (np.arange(degree) + 0.5) / degree))
     assert found[:degree] == pytest.approx(exact, abs=1e-9)
-    assert extremes_of(c, 1.0, room(c), ladder(c)) == pytest.approx((1.0, -1.0), abs=1e-15 * np.abs(c).sum())
+    assert extremes_of(c, 1.0) == pytest.approx((1.0, -1.0), abs=1e-15 * np.abs(c).sum())
     turns = turning_points(c, 1.0, found, ladder(c))
     assert turns == degree - 1
     assert found[:turns] == pytest.approx(0.5 * (1.0 - np.cos(np.pi * np.arange(1, degree) / degree)), abs=1e-9)

@@ -6,6 +6,8 @@ methods, and `events` (what a run leaves behind), `sequence` and `severity` (lab
 (how all of it is compiled).
 
 By rk4: `steps` (full steps as matrices), `step` and `polynomial` (one short step with everything in it located), `rk4`
-(a run from preload to end), `settling` (when a run is over). Exactly: `flows` (the regimes' modes, as tables), `modal`
-(moving along them) by `lanes` (eight numbers at a time), `polynomial` again, `exact` (a run).
+(a run from preload to end), `settling` (when a run is over). Exactly: `flows` (the regimes' modes, as tables), `exact`
+(a run, and what it does at an event), `stride` (its steps) and `search` (what it looks for within one), many runs of a
+`pool` side by side: `rows` (their numbers) and `queues` (what they wait for), `abreast` (moving along the modes) by
+`lanes`, and `polynomial` again where one of them needs its own way.
 """

@@ -18,19 +18,19 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.lanes import WIDTH
+from clunk.core.lanes import ROW
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
 SPANS = 32  # two an octave
-BLOCK = WIDTH // 2  # pairs: their number is filled up to a multiple
+BLOCK = ROW // 2  # pairs: their number is filled up to a multiple
 TERMS = 12  # of a Taylor series over the shortest span
-LONG = 2 * WIDTH  # room for its terms: two rows of lanes
+LONG = 2 * ROW  # room for its terms: two rows of lanes
 # lanes of `Flows.watch`: a functional less its origin, its slope and curvature; what bounds its third derivative from
-# now on, and its value less its origin
-VALUE, SLOPE, CURVATURE, JERK, SWAY = range(5)
+# now on, its value less its origin, and its slope
+VALUE, SLOPE, CURVATURE, JERK, SWAY, RUSH = range(6)
 _BOUNDED = 3  # the order that JERK bounds
 OWN, CROSS, DECAY = range(3)  # of a 2 x 2 block: what multiplies a coordinate itself, and its partner
 _SHORTEST = 1.0 / 4.0  # |λ| times the shortest span: TERMS terms are then exact to rounding
@@ -53,7 +53,7 @@ class Flows(NamedTuple):
     propagator: FloatArray  # (2, SPANS, B, 3, 8)  over a span: each coordinate's OWN and CROSS share, and its DECAY
     power: FloatArray  # (2, TERMS, B, 2, 8)  OWN and CROSS of (Λ times the shortest span)^k / k!, for modes
     generator: FloatArray  # (2, C, C)  Λ times the shortest span
-    watch: FloatArray  # (2, F, 2C, 8)  coordinates, then amplitudes -> VALUE, SLOPE, CURVATURE, JERK, SWAY
+    watch: FloatArray  # (2, F, 2C, 8)  coordinates, then amplitudes -> VALUE, SLOPE, CURVATURE, JERK, SWAY, RUSH
     series: FloatArray  # (2, F, C, LONG)  y -> a functional's Taylor coefficients over the shortest span
     steady: IntArray  # (2,)  whether the origin does not move
 
@@ -88,8 +88,8 @@ def build_flows(
     """
     flows, states = rates.shape[:2]
     count = functionals.shape[1]
-    blocks = -(-states // WIDTH)
-    size = blocks * WIDTH
+    blocks = -(-states // ROW)
+    size = blocks * ROW
     tables = Flows(
         origin=np.zeros((flows, 3, 2, size)),
         origin_output=np.zeros((flows, 3, count, 2)),
@@ -98,10 +98,10 @@ def build_flows(
         modal=np.zeros(flows, np.int64),
         ringing=np.zeros(flows, np.int64),
         span=np.zeros((flows, SPANS)),
-        propagator=np.zeros((flows, SPANS, blocks, 3, WIDTH)),
-        power=np.zeros((flows, TERMS, blocks, 2, WIDTH)),
+        propagator=np.zeros((flows, SPANS, blocks, 3, ROW)),
+        power=np.zeros((flows, TERMS, blocks, 2, ROW)),
         generator=np.zeros((flows, size, size)),
-        watch=np.zeros((flows, count, 2 * size, WIDTH)),
+        watch=np.zeros((flows, count, 2 * size, ROW)),
         series=np.zeros((flows, count, size, LONG)),
         steady=np.zeros(flows, np.int64),
     )
@@ -172,9 +172,9 @@ def _fill(
         np.matmul(derivatives[j - 1], generator, out=derivatives[j])
     tables.series[k][:, :, :TERMS] = (_TAYLOR[:, None, None] * derivatives).transpose(1, 2, 0)
     slow = derivatives[: _BOUNDED + 1] / (shortest ** np.arange(_BOUNDED + 1))[:, None, None]
-    watch = tables.watch[k].reshape(functionals.shape[0], 2, -1, 2, BLOCK, WIDTH)
+    watch = tables.watch[k].reshape(functionals.shape[0], 2, -1, 2, BLOCK, ROW)
     watch[:, 0, ..., VALUE : CURVATURE + 1] = _halves(slow[: CURVATURE + 1]).transpose(1, 2, 3, 4, 0)
-    watch[:, 1, :, 0, :, JERK : SWAY + 1] = _reach(slow[[_BOUNDED, 0]], modes is not None).transpose(1, 2, 3, 0)
+    watch[:, 1, :, 0, :, JERK : RUSH + 1] = _reach(slow[[_BOUNDED, 0, 1]], modes is not None).transpose(1, 2, 3, 0)
 
 
 @functools.cache

@@ -27,10 +27,10 @@ def _configure() -> None:
     )
 
 
-def is_cold(kernel: str) -> bool:
-    """Whether no kernel of this core whose name begins so, "rk4.run" for example, has been compiled and kept yet."""
+def is_cold(method: str) -> bool:
+    """Whether the kernels of a method, "rk4" or "exact", are yet to be compiled and kept."""
     directory = Path(numba.config.CACHE_DIR)  # type: ignore[attr-defined]
-    return not any(directory.glob(f"**/{kernel}*-*.nbi"))
+    return not any(directory.glob(f"**/tile.by_{method}-*.nbi"))
 
 
 def _digest() -> str:

@@ -1,29 +1,33 @@
-"""Eight floats side by side, in one register where the processor has such: what a compiler does not find by itself.
+"""Floats of as many runs side by side, in a processor's wide registers: what a compiler does not find by itself.
 
-The exact method's sums run over the few coordinates of one driveline, too short for a compiler's vector loops. No
-operation here rounds otherwise than its eight scalar ones, or reorders a sum: every processor gives the same bits.
+A lane is added to a lane, compared with it, and so on, by the operators, and with a number as if all lanes had it. A
+comparison is an int, whose bits are the lanes where it holds. No operation here rounds otherwise than its scalar ones,
+and no sum is reordered: a run has the same bits on every processor, in any lane, beside any others.
 
-Lanes are loaded from, and stored to, rows of eight numbers of a contiguous array.
+Lanes are loaded from, and stored to, rows of a contiguous array.
 """
 
+import operator
 from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic, models, register_model
+from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
 
-WIDTH = 8
+WIDTH = 16  # two of the widest registers: while one waits for its result, the other works
+ROW = 8  # numbers of a run that `gather` and `scatter` take at a time
 Lanes = Any  # what mypy is told of them
 
 _ROW = ir.VectorType(ir.DoubleType(), WIDTH)
 _ANY = ir.Constant(_ROW, ir.Undefined)
+_EIGHT = ir.VectorType(ir.DoubleType(), ROW)
 _INT = ir.IntType(64)
 
 
 class LanesType(types.Type):
-    """numba's type of eight lanes."""
+    """numba's type of lanes."""
 
     def __init__(self) -> None:
         super().__init__(name="Lanes")
@@ -51,10 +55,10 @@ def _splat(builder: Any, x: Any) -> Any:
     return builder.shuffle_vector(builder.insert_element(_ANY, x, ir.IntType(32)(0)), _ANY, _index(*[0] * WIDTH))
 
 
-def _at(context: Any, builder: Any, array: Any, value: Any, first: Any) -> Any:
-    """A pointer to eight numbers of an array."""
+def _at(context: Any, builder: Any, array: Any, value: Any, first: Any, kind: Any = _ROW) -> Any:
+    """A pointer into an array, to as many numbers as its kind has."""
     data = context.make_array(array)(context, builder, value).data
-    return builder.bitcast(builder.gep(data, [first]), _ROW.as_pointer())
+    return builder.bitcast(builder.gep(data, [first]), kind.as_pointer())
 
 
 def _loaded(builder: Any, pointer: Any) -> Any:
@@ -70,16 +74,6 @@ def load(typing: Any, array: Any, row: Any) -> Any:
     def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         first = builder.mul(values[1], _INT(WIDTH))
         return _loaded(builder, _at(context, builder, signature.args[0], values[0], first))
-
-    return _LANES(array, types.intp), emit
-
-
-@_operation
-def load_from(typing: Any, array: Any, first: Any) -> Any:
-    """Eight numbers of an array, from any one on."""
-
-    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        return _loaded(builder, _at(context, builder, signature.args[0], *values))
 
     return _LANES(array, types.intp), emit
 
@@ -113,58 +107,27 @@ def splat(typing: Any, x: Any) -> Any:
     return _LANES(types.float64), lambda context, builder, signature, values: _splat(builder, values[0])
 
 
-@_operation
-def plus(typing: Any, a: Any, b: Any) -> Any:
-    """a + b."""
-    return _LANES(_LANES, _LANES), lambda context, builder, signature, values: builder.fadd(*values)
-
-
-@_operation
-def times(typing: Any, a: Any, b: Any) -> Any:
-    """a b, lane by lane."""
-    return _LANES(_LANES, _LANES), lambda context, builder, signature, values: builder.fmul(*values)
-
-
-@_operation
-def plus_times(typing: Any, a: Any, b: Any, x: Any) -> Any:
-    """a + b x with one number x."""
-
-    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        return builder.fadd(values[0], builder.fmul(values[1], _splat(builder, values[2])))
-
-    return _LANES(_LANES, _LANES, types.float64), emit
-
-
-@_operation
-def swapped(typing: Any, a: Any) -> Any:
-    """The first four lanes after the last four."""
-    half = [*range(WIDTH // 2, WIDTH), *range(WIDTH // 2)]
-    return _LANES(_LANES), lambda context, builder, signature, values: builder.shuffle_vector(
-        values[0], _ANY, _index(*half)
-    )
-
-
-@_operation
-def root(typing: Any, a: Any) -> Any:
-    """Square roots."""
+def _by_llvm(name: str) -> Any:
+    """An operation on one row of lanes that LLVM has."""
 
     def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         kind = ir.FunctionType(_ROW, [_ROW])
-        name = f"llvm.sqrt.v{WIDTH}f64"
-        function = cgutils.get_or_insert_function(builder.module, kind, name)  # type: ignore[no-untyped-call]
-        return builder.call(function, values)
+        module, full = builder.module, f"llvm.{name}.v{WIDTH}f64"
+        return builder.call(cgutils.get_or_insert_function(module, kind, full), values)  # type: ignore[no-untyped-call]
 
     return _LANES(_LANES), emit
 
 
 @_operation
-def lane(typing: Any, a: Any, k: Any) -> Any:
-    """One lane."""
+def root(typing: Any, a: Any) -> Any:
+    """Square roots."""
+    return _by_llvm("sqrt")
 
-    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        return builder.extract_element(*values)
 
-    return types.float64(_LANES, types.intp), emit
+@_operation
+def magnitude(typing: Any, a: Any) -> Any:
+    """Absolute values."""
+    return _by_llvm("fabs")
 
 
 @_operation
@@ -187,32 +150,156 @@ def smaller(typing: Any, a: Any, b: Any) -> Any:
     return _LANES(_LANES, _LANES), emit
 
 
-def _leading(builder: Any, mask: Any) -> Any:
-    """How many lanes from the first on are true."""
-    failing = builder.zext(builder.not_(builder.bitcast(mask, ir.IntType(WIDTH))), _INT)
-    return builder.cttz(builder.or_(failing, _INT(1 << WIDTH)), ir.IntType(1)(1))
+def _as_lanes(builder: Any, kind: Any, value: Any) -> Any:
+    return value if kind == _LANES else _splat(builder, value)
+
+
+def _binary(operations: tuple[Any, ...], result: Any, emit: Callable[..., Any]) -> None:
+    """Give lanes an operator, by all its names."""
+
+    def typed(context: Any) -> Any:
+        def types_of(a: Any, b: Any) -> Any:
+            if _LANES in (a, b) and all(kind in (_LANES, types.float64) for kind in (a, b)):
+                return result
+            return None
+
+        return types_of
+
+    def lower(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        return emit(
+            builder, *(_as_lanes(builder, kind, value) for kind, value in zip(signature.args, values, strict=True))
+        )
+
+    for operation in operations:
+        type_callable(operation)(typed)
+        for pair in ((_LANES, _LANES), (_LANES, types.float64), (types.float64, _LANES)):
+            lower_builtin(operation, *pair)(lower)  # type: ignore[no-untyped-call]
+
+
+def _bits(builder: Any, mask: Any) -> Any:
+    return builder.zext(builder.bitcast(mask, ir.IntType(WIDTH)), _INT)
+
+
+def _comparison(sign: str) -> Callable[..., Any]:
+    return lambda builder, a, b: _bits(builder, builder.fcmp_ordered(sign, a, b))
+
+
+_binary((operator.add, operator.iadd), _LANES, lambda builder, a, b: builder.fadd(a, b))
+_binary((operator.sub, operator.isub), _LANES, lambda builder, a, b: builder.fsub(a, b))
+_binary((operator.mul, operator.imul), _LANES, lambda builder, a, b: builder.fmul(a, b))
+_binary((operator.truediv,), _LANES, lambda builder, a, b: builder.fdiv(a, b))
+_binary((operator.gt,), types.int64, _comparison(">"))
+_binary((operator.ge,), types.int64, _comparison(">="))
+_binary((operator.lt,), types.int64, _comparison("<"))
+_binary((operator.le,), types.int64, _comparison("<="))
+_binary((operator.eq,), types.int64, _comparison("=="))
+
+
+@type_callable(operator.neg)
+def _negated(context: Any) -> Any:
+    return lambda a: _LANES if a == _LANES else None
+
+
+@lower_builtin(operator.neg, _LANES)  # type: ignore[no-untyped-call, untyped-decorator]
+def _negate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    return builder.fneg(values[0])
 
 
 @_operation
-def both_positive(typing: Any, a: Any, b: Any, h: Any, rest: Any) -> Any:
-    """How many lanes from the first on have a > 0, b > 0 and h <= rest."""
+def choose(typing: Any, bits: Any, a: Any, b: Any) -> Any:
+    """The lanes of a whose bits are set, and those of b elsewhere; both may be numbers."""
 
     def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        zero = ir.Constant(_ROW, [0.0] * WIDTH)
-        within = builder.fcmp_ordered("<=", values[2], _splat(builder, values[3]))
-        first, second = (builder.fcmp_ordered(">", value, zero) for value in values[:2])
-        return _leading(builder, builder.and_(builder.and_(first, second), within))
+        mask = builder.bitcast(builder.trunc(values[0], ir.IntType(WIDTH)), ir.VectorType(ir.IntType(1), WIDTH))
+        sides = (_as_lanes(builder, *side) for side in zip(signature.args[1:], values[1:], strict=True))
+        return builder.select(mask, *sides)
 
-    return types.int64(_LANES, _LANES, _LANES, types.float64), emit
+    return _LANES(types.int64, a, b), emit
 
 
 @_operation
-def either_below(typing: Any, a: Any, b: Any) -> Any:
-    """How many lanes from the first on have a <= 0 or b < 0."""
+def first_of(typing: Any, bits: Any) -> Any:
+    """The number of the lowest bit that is set; 64 for none."""
+    return types.int64(types.int64), lambda context, builder, signature, values: builder.cttz(
+        values[0], ir.IntType(1)(0)
+    )
+
+
+@_operation
+def append(typing: Any, array: Any, first: Any, of: Any, bits: Any) -> Any:
+    """Write those ints of WIDTH whose bits are set to an array, from `first` on; one more place may be overwritten.
+
+    Returns where they end. Nothing branches on the bits, which no processor could predict.
+    """
 
     def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        zero = ir.Constant(_ROW, [0.0] * WIDTH)
-        either = (builder.fcmp_ordered(sign, value, zero) for sign, value in zip(("<=", "<"), values, strict=True))
-        return _leading(builder, builder.or_(*either))
+        to = context.make_array(signature.args[0])(context, builder, values[0]).data
+        own = context.make_array(signature.args[2])(context, builder, values[2]).data
+        end = values[1]
+        for k in range(WIDTH):
+            builder.store(builder.load(builder.gep(own, [_INT(k)])), builder.gep(to, [end]))
+            end = builder.add(end, builder.and_(builder.lshr(values[3], _INT(k)), _INT(1)))
+        return end
 
-    return types.int64(_LANES, _LANES), emit
+    return types.int64(array, types.int64, of, types.int64), emit
+
+
+def _transposed(builder: Any, rows: list[Any]) -> list[Any]:
+    """The columns of ROW rows of ROW: swapped within pairs, then between pairs, then between fours."""
+    for step in (1, 2, 4):
+        mixed = list(rows)
+        for k in range(ROW):
+            if k & step:
+                continue
+            a, b = rows[k], rows[k + step]
+            low = [lane if not lane & step else lane - step + ROW for lane in range(ROW)]
+            high = [lane + step if not lane & step else lane + ROW for lane in range(ROW)]
+            mixed[k] = builder.shuffle_vector(a, b, _index(*low))
+            mixed[k + step] = builder.shuffle_vector(a, b, _index(*high))
+        rows = mixed
+    return rows
+
+
+def _pointers(context: Any, builder: Any, array: Any, value: Any, offsets: Any, offsets_value: Any, first: Any) -> Any:
+    data = context.make_array(array)(context, builder, value).data
+    own = context.make_array(offsets)(context, builder, offsets_value).data
+    for k in range(WIDTH):
+        at = builder.add(builder.load(builder.gep(own, [_INT(k)])), first)
+        yield builder.bitcast(builder.gep(data, [at]), _EIGHT.as_pointer())
+
+
+@_operation
+def gather(typing: Any, array: Any, offsets: Any, first: Any, to: Any, row: Any) -> Any:
+    """ROW numbers of an array from each of the places offsets[k] + first, into lane k of rows of `to`."""
+
+    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        places = _pointers(context, builder, signature.args[0], values[0], signature.args[1], values[1], values[2])
+        pointers, begin = list(places), builder.mul(values[4], _INT(WIDTH))
+        for lane in range(0, WIDTH, ROW):
+            columns = _transposed(builder, [_loaded(builder, pointer) for pointer in pointers[lane : lane + ROW]])
+            for k in range(ROW):
+                at = builder.add(begin, _INT(k * WIDTH + lane))
+                builder.store(columns[k], _at(context, builder, signature.args[3], values[3], at, _EIGHT)).align = 8
+        return context.get_dummy_value()
+
+    return types.void(array, offsets, types.intp, to, types.intp), emit
+
+
+@_operation
+def scatter(typing: Any, of: Any, row: Any, array: Any, offsets: Any, first: Any) -> Any:
+    """The other way round: lane k of rows of `of` to the places offsets[k] + first of an array."""
+
+    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        begin = builder.mul(values[1], _INT(WIDTH))
+        places = _pointers(context, builder, signature.args[2], values[2], signature.args[3], values[3], values[4])
+        pointers = list(places)
+        for lane in range(0, WIDTH, ROW):
+            rows = []
+            for k in range(ROW):
+                at = builder.add(begin, _INT(k * WIDTH + lane))
+                rows.append(_loaded(builder, _at(context, builder, signature.args[0], values[0], at, _EIGHT)))
+            for column, pointer in zip(_transposed(builder, rows), pointers[lane : lane + ROW], strict=True):
+                builder.store(column, pointer).align = 8
+        return context.get_dummy_value()
+
+    return types.void(of, types.intp, array, offsets, types.intp), emit

@@ -242,14 +242,3 @@ def first_negative_of(c: FloatArray, length: float, found: FloatArray, ladder: F
             return zero_between(c, c.size, low, high, before, after)
         low, before = high, after
     return -1.0
-
-
-@unowned
-def extremes_of(c: FloatArray, length: float, found: FloatArray, ladder: FloatArray) -> tuple[float, float]:
-    """The largest and the smallest value of a polynomial on [0, length], both ends included."""
-    end = value_of(c, c.size, length)
-    largest, smallest = max(c[0], end), min(c[0], end)
-    for piece in range(turning_points(c, length, found, ladder)):
-        value = value_of(c, c.size, found[piece])
-        largest, smallest = max(largest, value), min(smallest, value)
-    return largest, smallest

@@ -1,0 +1,215 @@
+"""Each operation of the lanes against numpy's, with NaN, infinities and zeros of either sign among the numbers."""
+
+import operator
+
+import numpy as np
+import pytest
+
+from clunk.core import lanes
+from clunk.core.jit import compiled, inlined
+from clunk.core.lanes import ROW, WIDTH
+
+ARITHMETIC = (operator.add, operator.sub, operator.mul, operator.truediv)
+COMPARISONS = (operator.gt, operator.ge, operator.lt, operator.le, operator.eq)
+SIDES = ("lanes and lanes", "lanes and a number", "a number and lanes")
+RANDOM = np.random.default_rng(1)
+NAN, INF = np.nan, np.inf
+A = np.array([[*RANDOM.normal(size=7), 1.0, 2.0, NAN, 3.0, NAN, INF, -INF, 0.0, -0.0]])
+B = np.array([[*RANDOM.normal(size=7), 1.0, NAN, 2.0, INF, NAN, INF, INF, -0.0, 2.0]])
+ALL = (1 << WIDTH) - 1
+BITS = (0, 1, ALL, 1 << WIDTH - 1, 0b1010_0110_0000_1001)
+NUMBERS = (0.7, 1.0, 0.0, NAN)
+
+
+@inlined
+def fill(p, q, results, first):
+    lanes.store(results, first, p + q)
+    lanes.store(results, first + 1, p - q)
+    lanes.store(results, first + 2, p * q)
+    lanes.store(results, first + 3, p / q)
+
+
+@inlined
+def compare(p, q):
+    return p > q, p >= q, p < q, p <= q, p == q
+
+
+@compiled
+def calculate(a, b, x, results):
+    p, q = lanes.load(a, 0), lanes.load(b, 0)
+    fill(p, q, results, 0)
+    fill(p, x, results, 4)
+    fill(x, q, results, 8)
+    return compare(p, q), compare(p, x), compare(x, q)
+
+
+@compiled
+def calculate_in_place(a, b, results):
+    total, rest, product = lanes.load(a, 0), lanes.load(a, 0), lanes.load(a, 0)
+    total += lanes.load(b, 0)
+    rest -= lanes.load(b, 0)
+    product *= lanes.load(b, 0)
+    lanes.store(results, 0, total)
+    lanes.store(results, 1, rest)
+    lanes.store(results, 2, product)
+
+
+@compiled
+def apply(a, b, x, results):
+    p, q = lanes.load(a, 0), lanes.load(b, 0)
+    lanes.store(results, 0, lanes.larger(p, q))
+    lanes.store(results, 1, lanes.smaller(p, q))
+    lanes.store(results, 2, lanes.magnitude(p))
+    lanes.store(results, 3, lanes.root(p))
+    lanes.store(results, 4, -p)
+    lanes.store(results, 5, lanes.splat(x))
+
+
+@compiled
+def select(bits, a, b, x, results):
+    p, q = lanes.load(a, 0), lanes.load(b, 0)
+    lanes.store(results, 0, lanes.choose(bits, p, q))
+    lanes.store(results, 1, lanes.choose(bits, p, x))
+    lanes.store(results, 2, lanes.choose(bits, x, q))
+    lanes.store(results, 3, lanes.choose(bits, x, -x))
+
+
+@compiled
+def copy(array, row, to, to_row):
+    lanes.store(to, to_row, lanes.load(array, row))
+    return lanes.number(array, row * WIDTH + 3)
+
+
+@compiled
+def gather(array, offsets, first, to, row):
+    lanes.gather(array, offsets, first, to, row)
+
+
+@compiled
+def scatter(of, row, array, offsets, first):
+    lanes.scatter(of, row, array, offsets, first)
+
+
+@compiled
+def append(array, first, of, bits):
+    return lanes.append(array, first, of, bits)
+
+
+@compiled
+def first_of(bits):
+    return lanes.first_of(bits)
+
+
+def holds(bits):
+    """(WIDTH,): of each lane its bit."""
+    return np.array([bits >> k & 1 for k in range(WIDTH)], bool)
+
+
+def same(found, expected):
+    """Bit by bit, but for the kind of NaN."""
+    return np.array_equal(found, expected, equal_nan=True) and np.array_equal(
+        np.signbit(found[~np.isnan(found)]), np.signbit(expected[~np.isnan(expected)])
+    )
+
+
+def either(sides, x):
+    """The two sides of an operator, as numpy takes them."""
+    return (x if sides == SIDES[2] else A[0]), (x if sides == SIDES[1] else B[0])
+
+
+@pytest.mark.parametrize("sides", SIDES)
+@pytest.mark.parametrize("which", range(len(ARITHMETIC)), ids=lambda k: ARITHMETIC[k].__name__)
+def test_arithmetic_is_that_of_each_lane(which, sides):
+    for x in NUMBERS:
+        results = np.zeros((len(SIDES) * len(ARITHMETIC), WIDTH))
+        calculate(A, B, x, results)
+        with np.errstate(all="ignore"):
+            expected = ARITHMETIC[which](*either(sides, x))
+        assert same(results[len(ARITHMETIC) * SIDES.index(sides) + which], expected)
+
+
+def test_so_is_arithmetic_in_place():
+    results = np.zeros((3, WIDTH))
+    calculate_in_place(A, B, results)
+    with np.errstate(all="ignore"):
+        expected = [A[0] + B[0], A[0] - B[0], A[0] * B[0]]
+    assert all(same(*pair) for pair in zip(results, expected, strict=True))
+
+
+@pytest.mark.parametrize("sides", SIDES)
+@pytest.mark.parametrize("which", range(len(COMPARISONS)), ids=lambda k: COMPARISONS[k].__name__)
+def test_a_comparison_has_the_bits_of_the_lanes_where_it_holds(which, sides):
+    for x in NUMBERS:
+        found = calculate(A, B, x, np.zeros((len(SIDES) * len(ARITHMETIC), WIDTH)))[SIDES.index(sides)][which]
+        assert 0 <= found <= ALL
+        assert np.array_equal(holds(found), COMPARISONS[which](*either(sides, x)))
+
+
+def test_of_two_the_second_is_larger_and_smaller_where_either_is_nan():
+    results = np.zeros((6, WIDTH))
+    apply(A, B, 0.7, results)
+    assert same(results[0], np.where(A[0] > B[0], A[0], B[0]))
+    assert same(results[1], np.where(A[0] < B[0], A[0], B[0]))
+
+
+def test_magnitude_root_sign_and_splat_are_those_of_each_lane():
+    results = np.zeros((6, WIDTH))
+    apply(A, B, 0.7, results)
+    with np.errstate(invalid="ignore"):
+        expected = [np.abs(A[0]), np.sqrt(A[0]), -A[0], np.full(WIDTH, 0.7)]
+    assert all(same(*pair) for pair in zip(results[2:], expected, strict=True))
+
+
+@pytest.mark.parametrize("bits", [*BITS, ~BITS[-1], -1, 1 << WIDTH])  # what is beyond the lanes does not matter
+def test_bits_choose_between_lanes_and_numbers(bits):
+    results = np.zeros((4, WIDTH))
+    select(bits, A, B, 0.7, results)
+    sides = ((A[0], B[0]), (A[0], 0.7), (0.7, B[0]), (0.7, -0.7))
+    assert all(same(row, np.where(holds(bits), *pair)) for row, pair in zip(results, sides, strict=True))
+
+
+def test_rows_are_loaded_and_stored_and_elements_read():
+    array, to = RANDOM.normal(size=(3, WIDTH)), np.zeros((4, WIDTH))
+    assert copy(array, 2, to, 1) == array[2, 3]
+    assert np.array_equal(to[1], array[2])
+    assert not to[[0, 2, 3]].any()
+
+
+@pytest.mark.parametrize(("first", "row"), [(0, 0), (5, 2)])
+def test_gathering_is_to_transpose(first, row):
+    array, to = RANDOM.normal(size=(20, 3 * ROW)), np.zeros((ROW + 3, WIDTH))
+    offsets = RANDOM.integers(0, array.size - ROW - first, WIDTH)  # anywhere, overlapping too
+    offsets[1] = offsets[0]
+    gather(array, offsets, first, to, row)
+    expected = np.zeros_like(to)
+    expected[row : row + ROW] = array.ravel()[offsets + first + np.arange(ROW)[:, None]]
+    assert np.array_equal(to, expected)
+
+
+@pytest.mark.parametrize(("first", "row"), [(0, 0), (5, 2)])
+def test_scattering_is_the_other_way_round(first, row):
+    array, of = RANDOM.normal(size=(2 * WIDTH, 2 * ROW)), RANDOM.normal(size=(ROW + 3, WIDTH))
+    offsets = RANDOM.permutation(2 * WIDTH - 1)[:WIDTH] * array.shape[1] + 1
+    expected = array.copy()
+    expected.ravel()[offsets + first + np.arange(ROW)[:, None]] = of[row : row + ROW]
+    scatter(of, row, array, offsets, first)
+    assert np.array_equal(array, expected)
+    back = np.zeros_like(of)
+    gather(array, offsets, first, back, row)
+    assert np.array_equal(back[row : row + ROW], of[row : row + ROW])
+
+
+@pytest.mark.parametrize("bits", BITS)
+@pytest.mark.parametrize("first", [0, 3])
+def test_those_set_are_appended_in_order(bits, first):
+    array, of = np.full(WIDTH + 8, -1), RANDOM.integers(0, 1000, WIDTH)
+    end, chosen = append(array, first, of, bits), of[holds(bits)]
+    assert end == first + chosen.size
+    assert np.array_equal(array[first:end], chosen)
+    assert np.all(array[:first] == -1)
+    assert np.all(array[end + 1 :] == -1)  # one more place may be overwritten
+
+
+@pytest.mark.parametrize(("bits", "lowest"), [(0, 64), (1, 0), (0b1010_0000, 5), (ALL, 0), (1 << 40, 40), (-1, 0)])
+def test_the_first_of_the_bits_is_the_lowest_that_is_set(bits, lowest):
+    assert first_of(bits) == lowest
