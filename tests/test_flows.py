@@ -300,9 +300,8 @@ class Flow:
         return np.array(values)
 
     def search(self, f, queue, task, x, u, lengths, *, top, bottom, signs, shifts, counts=None):
-        """What `search` finds in a functional, which stands for every other: TOP, BOTTOM, and the pool."""
-        runs, task_of = x.shape[1], (slice(x.shape[1]), task)
-        everywhere = [f] * len(self.watch)
+        """What `search` finds in a functional, put in the place of all: TOP and BOTTOM, and the runs' numbers."""
+        runs, everywhere = x.shape[1], [f] * len(self.watch)
         flows = self.flows._replace(
             watch=np.ascontiguousarray(self.flows.watch[:, everywhere]),
             series=np.ascontiguousarray(self.flows.series[:, everywhere]),
@@ -310,8 +309,8 @@ class Flow:
         pool = make_pool(self.system, flows, np.zeros((runs, 1), EVENT), np.zeros((runs, 0, self.size)))
         field, y = fields(self.count), self.enter(x, u)
         pool.numbers[:runs, :field] = np.vstack((y, sizes(y))).T
-        asked = pool.asked.reshape(runs + 1, rows.TASKS, -1)
-        asked[*task_of, field + rows.TOP], asked[*task_of, field + rows.BOTTOM] = top, bottom
+        asked = pool.asked.reshape(runs + 1, rows.TASKS, -1)[:runs, task]
+        asked[:, field + rows.TOP], asked[:, field + rows.BOTTOM] = top, bottom
         origins, counts = self.output_origin(u, 0.0)[:, f], np.full(runs, np.inf) if counts is None else counts
         found = search_all(pool, flows, queue, task, lengths, origins, signs, shifts, counts)
         assert sorted(pool.waiting[queues.FOLLOW, : pool.length[queues.FOLLOW]]) == list(range(runs))
