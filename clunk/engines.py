@@ -81,7 +81,7 @@ class Threads:
 
 
 def tile_size(cells: int, grid: Grid, workers: int) -> int:
-    """Cells of a tile: eight tiles a worker, but none larger than the grid's; or few, where they were far smaller."""
+    """Cells of a tile: eight tiles a worker, none larger than the grid's; fewer tiles where they would be too small."""
     least = min(grid.tile_cells // 8, -(-cells // workers))
     return min(max(-(-cells // (8 * workers)), least, 1), grid.tile_cells)
 

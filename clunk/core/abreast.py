@@ -143,7 +143,7 @@ def origin(
 
 @unowned_inlined
 def low(value: Lanes, slope: Lanes, curvature: Lanes, jerk: Lanes, h: Lanes) -> Lanes:
-    """What a guard does not go below within a time h, where that is positive: it is concave in h."""
+    """A bound, concave in h: a guard that is positive stays so within a time h for which this is."""
     bent = 0.5 * lanes.smaller(curvature, lanes.splat(0.0)) - h * (jerk * SIXTH)
     return value + h * (slope + h * bent)
 

@@ -318,10 +318,8 @@ def _switch(pool: Pool, system: System, slot: int, field: int) -> None:
         event_kind = events[k].kind
         if event_kind == TOUCH:
             if events[k].side != own.last_side or own.from_sticking != 0:
-                numbers[field + rows.HIGH], numbers[field + rows.LOW] = (
-                    CLOSED,
-                    -CLOSED,
-                )  # a primary impact: a new window
+                # a primary impact: a new window
+                numbers[field + rows.HIGH], numbers[field + rows.LOW] = CLOSED, -CLOSED
             own.last_side, own.began, own.from_sticking = events[k].side, time, 0
         elif event_kind == LOCK:
             own.began = time

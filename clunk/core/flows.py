@@ -5,7 +5,7 @@ the flow can drift, and y' = Λ y. Λ is real and made of 2 x 2 blocks: [[σ, ω
 eigenvalues, diagonal for two real ones, [[0, 1], [0, 0]] for an undamped drift. The amplitudes of the modes never grow,
 so a functional's third derivative stays within the sum of |c Λ³| times the amplitudes at any earlier time.
 
-The pairs lie in lanes: four pairs are eight coordinates, first the one member of each, then the other.
+Four pairs of coordinates lie together: first the one member of each, then the other.
 
 A flow without a well-conditioned eigenbasis (critical damping, for example) keeps coordinates in which |y|² is twice
 the energy; that never grows either. It can take the shortest span only, by its Taylor series.
@@ -27,8 +27,8 @@ BoolArray = npt.NDArray[np.bool_]
 SPANS = 32  # two an octave
 BLOCK = ROW // 2  # pairs: their number is filled up to a multiple
 TERMS = 12  # of a Taylor series over the shortest span
-LONG = 2 * ROW  # room for its terms: two rows of lanes
-# lanes of `Flows.watch`: a functional less its origin, its slope and curvature; what bounds its third derivative from
+LONG = 2 * ROW  # room for its terms
+# columns of `Flows.watch`: a functional less its origin, its slope and curvature; what bounds its third derivative from
 # now on, its value less its origin, and its slope
 VALUE, SLOPE, CURVATURE, JERK, SWAY, RUSH = range(6)
 _BOUNDED = 3  # the order that JERK bounds
@@ -157,7 +157,7 @@ def _fill(
     tables.span[k] = shortest * _LADDER
 
     states, size = tables.coordinates.shape[1:]
-    place = _lanes(size)[: into.shape[0]]
+    place = _places(size)[: into.shape[0]]
     generator, basis = tables.generator[k], tables.basis[k]
     tables.coordinates[k][:, place], basis[place, :states] = into.T, back.T
     generator[place[:, None], place] = shortest * block
@@ -178,7 +178,7 @@ def _fill(
 
 
 @functools.cache
-def _lanes(size: int) -> IntArray:
+def _places(size: int) -> IntArray:
     """Where the coordinates 0, 1, 2, … lie, of which 2p and 2p + 1 are a pair."""
     return np.ascontiguousarray(_halves(np.arange(size)).transpose(0, 2, 1)).ravel()
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from clunk.core import lanes, queues, rows
 from clunk.core.flows import TERMS, Flows
 from clunk.core.jit import compiled, unowned_inlined
-from clunk.core.lanes import ROW, WIDTH
+from clunk.core.lanes import ROW, WIDTH, Lanes
 from clunk.core.regimes import CLOSED_FLOW, CLOSED_POSITIVE, GAP, System
 
 FloatArray = npt.NDArray[np.float64]
@@ -170,7 +170,7 @@ def fields(size: int) -> int:
 
 @compiled
 def _whole(count: int) -> int:
-    """So many, filled up to whole rows of lanes' gathering."""
+    """So many numbers, filled up to what `gather` takes at a time."""
     return -(-count // ROW) * ROW
 
 
@@ -230,6 +230,12 @@ def put_back(pool: Pool, array: FloatArray, count: int, bits: int) -> None:
         pool.places[lane] = pool.places[lane] if (bits >> lane) & 1 else nowhere
     for row in range(0, count, ROW):
         lanes.scatter(pool.work, row, array, pool.places, row)
+
+
+@unowned_inlined
+def row_of(pool: Pool, row: int) -> Lanes:
+    """One number of each of those that take a step."""
+    return lanes.load(pool.work, row)
 
 
 @unowned_inlined

@@ -11,7 +11,7 @@ from clunk.core import abreast, lanes, polynomial, queues, rows
 from clunk.core.flows import TERMS, Flows
 from clunk.core.jit import unowned_inlined
 from clunk.core.lanes import WIDTH, Lanes
-from clunk.core.pool import Pool, fields, gather_spans, push, push_all, put_back, scale_of
+from clunk.core.pool import Pool, fields, gather_spans, push, push_all, put_back, row_of, scale_of
 from clunk.core.regimes import ACCELERATION
 from clunk.core.status import QUALITY_GRAZING
 from clunk.core.stride import GRAZING
@@ -23,8 +23,8 @@ FloatArray = npt.NDArray[np.float64]
 def search(pool: Pool, flows: Flows, queue: int, count: int) -> None:
     """Take one span of what `count` runs look for that have been taken from one of the queues EXTREMES, TURN, DEPTH.
 
-    TOP and BOTTOM are the extremes that are known. A turn counts below TOP, and is then both. A depth is BOTTOM, and
-    need not be known beyond TOP.
+    TOP and BOTTOM are the extremes that are known. A turn counts below TOP, and is then both. A depth, of a guard that
+    falls, is BOTTOM, and need not be known beyond TOP.
     """
     turn, depth = queues.TURN <= queue < queues.DEPTH, queue >= queues.DEPTH
     at = queue - queues.DEPTH if depth else (queue - queues.TURN if turn else 2 * (queue - queues.EXTREMES))
@@ -34,12 +34,20 @@ def search(pool: Pool, flows: Flows, queue: int, count: int) -> None:
     watch, modes, steady = flows.watch[flow, f], flows.modal[flow] != 0, flows.steady[flow] != 0
     field, shortest, none, present = fields(size), flows.span[flow, 0], lanes.splat(0.0), (1 << count) - 1
 
-    rest, sign, shift = _row(pool, field + rows.REST), _row(pool, field + rows.SIGN), _row(pool, field + rows.SHIFT)
-    o, p, q = _row(pool, field + rows.AT), _row(pool, field + rows.AT_SLOPE), _row(pool, field + rows.AT_CURVATURE)
+    rest, sign, shift = (
+        row_of(pool, field + rows.REST),
+        row_of(pool, field + rows.SIGN),
+        row_of(pool, field + rows.SHIFT),
+    )
+    o, p, q = (
+        row_of(pool, field + rows.AT),
+        row_of(pool, field + rows.AT_SLOPE),
+        row_of(pool, field + rows.AT_CURVATURE),
+    )
     top, bottom, counts = (
-        _row(pool, field + rows.TOP),
-        _row(pool, field + rows.BOTTOM),
-        _row(pool, field + rows.COUNTS),
+        row_of(pool, field + rows.TOP),
+        row_of(pool, field + rows.BOTTOM),
+        row_of(pool, field + rows.COUNTS),
     )
     v, d, e = abreast.glance(watch, work, size, none, 0)
     most, _ = abreast.bounds(watch, work, size)
@@ -122,11 +130,6 @@ def search(pool: Pool, flows: Flows, queue: int, count: int) -> None:
         lane = lanes.first_of(done)
         done &= done - 1
         _conclude(pool, kind, turn, depth, lane, field)
-
-
-@unowned_inlined
-def _row(pool: Pool, row: int) -> Lanes:
-    return lanes.load(pool.work, row)
 
 
 @unowned_inlined

@@ -23,6 +23,7 @@ from clunk.core.pool import (
     gather_spans,
     push_all,
     put_back,
+    row_of,
 )
 from clunk.core.regimes import ACCELERATION
 from clunk.core.status import QUALITY_GRAZING
@@ -51,18 +52,22 @@ def stride(pool: Pool, flows: Flows, queue: int, count: int) -> None:
     deepest = min(flows.ringing[flow], size // 2 - 1)
 
     elapsed, level, zero = (
-        _row(pool, field + rows.ELAPSED),
-        _row(pool, field + rows.LEVEL),
-        _row(pool, field + rows.ZERO),
+        row_of(pool, field + rows.ELAPSED),
+        row_of(pool, field + rows.LEVEL),
+        row_of(pool, field + rows.ZERO),
     )
-    high, low, margin = _row(pool, field + rows.HIGH), _row(pool, field + rows.LOW), _row(pool, field + rows.MARGIN)
+    high, low, margin = (
+        row_of(pool, field + rows.HIGH),
+        row_of(pool, field + rows.LOW),
+        row_of(pool, field + rows.MARGIN),
+    )
     torque, half_gap, side = (
-        _row(pool, field + rows.TORQUE),
-        _row(pool, field + rows.HALF_GAP),
-        _row(pool, field + rows.SIDE),
+        row_of(pool, field + rows.TORQUE),
+        row_of(pool, field + rows.HALF_GAP),
+        row_of(pool, field + rows.SIDE),
     )
-    static, held_from = _row(pool, field + rows.STATIC), _row(pool, field + rows.HELD_FROM)
-    rest, gap_input = _row(pool, field + rows.LIMIT) - elapsed, side * half_gap
+    static, held_from = row_of(pool, field + rows.STATIC), row_of(pool, field + rows.HELD_FROM)
+    rest, gap_input = row_of(pool, field + rows.LIMIT) - elapsed, side * half_gap
     sign1 = side * guard1.sign if guard1.sided != 0 else lanes.splat(guard1.sign)
     sign2 = side * guard2.sign if guard2.sided != 0 else lanes.splat(guard2.sign)
     shift1, shift2 = half_gap * guard1.offset, half_gap * guard2.offset
@@ -229,11 +234,6 @@ def stride(pool: Pool, flows: Flows, queue: int, count: int) -> None:
 
 
 @unowned_inlined
-def _row(pool: Pool, row: int) -> Lanes:
-    return lanes.load(pool.work, row)
-
-
-@unowned_inlined
 def _crossing(
     pool: Pool, near: int, order: Lanes, noise: Lanes, scale: Lanes, part: Lanes
 ) -> tuple[int, int, int, Lanes]:
@@ -308,22 +308,22 @@ def _accelerate(pool: Pool, watch: FloatArray, origin: Lanes, jerk: Lanes, h: La
     """
     work, notes, field = pool.work, pool.notes, fields(size)
     before, slope, curvature = (
-        _row(pool, field + rows.SEEN),
-        _row(pool, field + rows.SEEN_SLOPE),
-        _row(pool, field + rows.SEEN_CURVATURE),
+        row_of(pool, field + rows.SEEN),
+        row_of(pool, field + rows.SEEN_SLOPE),
+        row_of(pool, field + rows.SEEN_CURVATURE),
     )
     bend = 0.125 * h * h * (lanes.magnitude(curvature) + h * jerk)
     away = lanes.choose(slope > 0.0, -curvature, curvature)
     monotone = lanes.magnitude(slope) > h * (away + 0.5 * h * jerk)
     last, slope, curvature = abreast.glance(watch, work, size, lanes.splat(0.0), 0)
     last += origin
-    high, low = lanes.larger(_row(pool, field + rows.HIGH), last), lanes.smaller(_row(pool, field + rows.LOW), last)
+    high, low = lanes.larger(row_of(pool, field + rows.HIGH), last), lanes.smaller(row_of(pool, field + rows.LOW), last)
     turns = (lanes.larger(before, last) + bend > high) | (lanes.smaller(before, last) - bend < low)
     turns &= beaten & ~monotone
     lanes.store(work, field + rows.HIGH, high)
     lanes.store(work, field + rows.LOW, low)
-    lanes.store(work, field + rows.LARGEST, lanes.larger(_row(pool, field + rows.LARGEST), last))
-    lanes.store(work, field + rows.SMALLEST, lanes.smaller(_row(pool, field + rows.SMALLEST), last))
+    lanes.store(work, field + rows.LARGEST, lanes.larger(row_of(pool, field + rows.LARGEST), last))
+    lanes.store(work, field + rows.SMALLEST, lanes.smaller(row_of(pool, field + rows.SMALLEST), last))
     lanes.store(work, field + rows.SEEN, last)
     lanes.store(work, field + rows.SEEN_SLOPE, slope)
     lanes.store(work, field + rows.SEEN_CURVATURE, curvature)
