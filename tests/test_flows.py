@@ -16,11 +16,11 @@ from clunk import driveline
 from clunk.config import study_from_text
 from clunk.core import abreast, lanes, queues, rows
 from clunk.core.events import EVENT
-from clunk.core.flows import BLOCK, CROSS, SLOPE, SPANS, TERMS
+from clunk.core.flows import BLOCK, CROSS, SLOPE, SPANS, TERMS, VALUE
 from clunk.core.jit import compiled
 from clunk.core.lanes import WIDTH
 from clunk.core.pool import ask, fields, make_pool, push, take
-from clunk.core.regimes import ACCELERATION
+from clunk.core.regimes import ACCELERATION, GAP
 from clunk.core.search import search
 
 # Rounding of a few products of tables that are each good to some 1e-15; |λ| T reaches 1e3 in the longest span compared,
@@ -171,6 +171,10 @@ PLANTS = {
     "free chain, undamped": plant((0.02, 0.01, 0.03), ((1, 2, 30.0, 0.0), (3, "ground", 5.0, 0.1)), (2, 3)),
     "free chain, damped inside": plant((0.02, 0.01, 0.03), ((1, 2, 30.0, 0.1), (3, "ground", 5.0, 0.1)), (2, 3)),
     "drifting against a damper": plant((0.02, 0.01), ((1, "ground", 0.0, 0.3), (2, "ground", 30.0, 0.1)), (1, 2)),
+    "drifting against a weak damper": plant((0.02, 0.01), ((1, "ground", 0.0, 3e-4), (2, "ground", 30.0, 0.1)), (1, 2)),
+    "both sides drifting": plant(
+        (0.02, 0.01, 0.03), ((1, "ground", 0.0, 0.3), (2, 3, 30.0, 0.2), (3, "ground", 0.0, 0.02)), (1, 2)
+    ),
     "both sides free": plant((0.02, 0.01), (), (1, 2)),
     "both sides free, one damped": plant((0.02, 0.01), ((1, "ground", 0.0, 0.3),), (1, 2)),
     "overdamped": plant((0.02, 0.01), ((1, "ground", 2.0, 3.0), (2, "ground", 3.0, 5.0)), (1, 2), 80.0),
@@ -393,6 +397,17 @@ def drifts(flow):
     """(C/2, 1) whether a pair is a drift, whose displacement has no bound."""
     cross = flow.propagator[SPANS - 1, :, CROSS].reshape(-1, 2, BLOCK)
     return ((cross[:, 0] != 0.0) & (cross[:, 1] == 0.0) & flow.is_modal).reshape(-1, 1)
+
+
+def test_the_gap_coordinate_is_no_difference_of_large_numbers(flow):
+    """But a sum like displacements, and velocities over the fastest rate: no drift is divided by its slow decay."""
+    if not flow.is_modal:
+        pytest.skip("knows no modes")
+    x, _ = flow.starts()
+    y = flow.coordinates.T @ x
+    terms = np.abs(flow.watch[GAP, : flow.count, VALUE, None] * y).sum(axis=0)
+    sizes = np.abs(x) * np.repeat([1.0, 1.0 / flow.pace], flow.size // 2)[:, None]
+    assert np.all(terms <= 3.0 * sizes.sum(axis=0))
 
 
 def test_amplitudes_are_those_of_the_pairs(flow):
@@ -692,6 +707,8 @@ def test_a_turning_point_is_a_zero_of_the_slope():
         ("nominal", OPEN, True, False),  # the motor and its shafts drift against a damper
         ("nominal", CLOSED, True, True),
         ("locked", CLOSED, True, True),
+        ("drifting against a weak damper", OPEN, True, False),
+        ("both sides drifting", OPEN, True, False),
         ("free and undamped when open", OPEN, True, False),
         ("free chain, damped inside", OPEN, True, False),
         ("both sides free", CLOSED, True, False),

@@ -2,8 +2,10 @@
 
 Within a regime x(t) = origin(t) + basis y(t), where origin is a particular solution of x' = A x + B u, constant unless
 the flow can drift, and y' = Λ y. Λ is real and made of 2 x 2 blocks: [[σ, ω], [-ω, σ]] for a complex pair of
-eigenvalues, diagonal for two real ones, [[0, 1], [0, 0]] for an undamped drift. The amplitudes of the modes never grow,
-so a functional's third derivative stays within the sum of |c Λ³| times the amplitudes at any earlier time.
+eigenvalues, diagonal for two real ones, and [[0, ω], [0, σ]] for a displacement without stiffness and its velocity,
+σ = 0 without damping either: their difference, were they modes, would be one of large numbers where σ is small. Of a
+pair nothing but such a displacement ever grows, and on that no derivative depends. So a functional's third derivative
+stays within the sum of |c Λ³| times the amplitudes at any earlier time.
 
 Four pairs of coordinates lie together: first the one member of each, then the other.
 
@@ -37,6 +39,7 @@ _SHORTEST = 1.0 / 4.0  # |λ| times the shortest span: TERMS terms are then exac
 _LADDER = np.ldexp(np.tile([1.0, 1.5], SPANS // 2), np.repeat(np.arange(SPANS // 2), 2))
 _TAYLOR = np.array([1.0 / math.factorial(k) for k in range(TERMS)])
 _MAX_CONDITION = 1e4  # of an eigenbasis in energy coordinates: beyond it, more than four digits are lost
+_APART = 1e-2  # of unit vectors that may make a basis
 _ROUNDING = 1e-12  # relative to the largest of its kind
 
 
@@ -243,7 +246,7 @@ def _particular(scaled: _Scaled, forcing: FloatArray) -> FloatArray:
 def _modes(scaled: _Scaled) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """A real eigenbasis, its inverse, and the generator in it; None where it is badly conditioned.
 
-    Oscillating modes first, fastest first; then undamped drifts, then what is overdamped, then damped drifts.
+    Oscillating modes first, fastest first; then drifts, undamped and damped, then what is overdamped.
     """
     generator, drift = scaled.generator, scaled.drift
     size = generator.shape[0]
@@ -273,13 +276,21 @@ def _modes(scaled: _Scaled) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         block[end, end + 1] = 1.0
         basis[:, end], basis[:, end + 1] = unit[k] * generator[k, k + size // 2], unit[k + size // 2]
         end += 2
+    damped = np.setdiff1d(displacement, velocity)
+    slowest = _velocities_of(damped, vectors, decays)
+    if slowest.size:
+        far = np.zeros((size, slowest.size))  # the displacement that is left to go while such a velocity decays
+        far[damped] = vectors[damped][:, slowest].real
+        near = vectors[:, slowest].real - far
+        lengths, speeds = np.linalg.norm(far, axis=0), np.linalg.norm(near, axis=0)
+        at = np.arange(end, end + 2 * slowest.size, 2)
+        basis[:, at], basis[:, at + 1] = far / lengths, near / speeds
+        block[at, at + 1], block[at + 1, at + 1] = sigma[slowest] * lengths / speeds, sigma[slowest]
+        end += 2 * slowest.size
+        decays, damped = decays[: -slowest.size], damped[:0]
     at = np.arange(end, end + decays.size)
     basis[:, at], block[at, at] = vectors[:, decays].real, sigma[decays]
-    end += decays.size
-    for k in displacement:
-        if k not in velocity:
-            basis[:, end] = unit[k]
-            end += 1
+    basis[damped, np.arange(end + decays.size, size)] = 1.0
     try:
         inverse = np.linalg.inv(basis)
     except np.linalg.LinAlgError:
@@ -291,13 +302,27 @@ def _modes(scaled: _Scaled) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     return basis, inverse @ (2.0 * unit - basis @ inverse), block
 
 
+def _velocities_of(damped: IntArray, vectors: npt.NDArray[Any], decays: IntArray) -> IntArray:
+    """The slowest decaying modes, as many as there are damped drifts, if it is these that they move, and no fewer."""
+    if not 0 < damped.size <= decays.size:
+        return decays[:0]
+    slowest = decays[-damped.size :]
+    moved = np.linalg.svd(_normalised(vectors[damped][:, slowest].real), compute_uv=False)
+    return slowest if moved[-1] > _APART else slowest[:0]
+
+
+def _normalised(columns: FloatArray) -> FloatArray:
+    lengths = np.linalg.norm(columns, axis=0)
+    return np.asarray(columns / np.where(lengths > 0.0, lengths, 1.0))
+
+
 @functools.cache
 def _unit(size: int) -> FloatArray:
     return np.eye(size)
 
 
 class _Pairs(NamedTuple):
-    """A block-diagonal generator: of each pair its block [[σ1, ω], [-ω, σ2]], or [[0, ω], [0, 0]] for a drift."""
+    """A block-diagonal generator: of each pair its block [[σ1, ω], [-ω, σ2]], or [[0, ω], [0, σ2]] for a drift."""
 
     sigma: FloatArray  # (B, 2, 4)
     omega: FloatArray  # (B, 4)
@@ -323,7 +348,10 @@ def _propagate(pairs: _Pairs, result: FloatArray) -> None:
     halves[:, :, CROSS, 0], halves[:, :, CROSS, 1] = decay[:, :, 0] * sine, -decay[:, :, 1] * sine
     halves[:, :, DECAY] = decay.max(axis=2)[:, :, None]
     if drifting:
-        halves[:, :, CROSS, 0] += np.where(pairs.drift, angle, 0.0)
+        speed = _LADDER[:, None, None] * pairs.sigma[:, 1]
+        with np.errstate(invalid="ignore"):
+            share = np.where(speed != 0.0, np.expm1(speed) / speed, 1.0)
+        halves[:, :, CROSS, 0] += np.where(pairs.drift, angle * share, 0.0)
 
 
 def _expand(pairs: _Pairs, result: FloatArray) -> None:
@@ -339,4 +367,6 @@ def _expand(pairs: _Pairs, result: FloatArray) -> None:
     halves[:, :, OWN] = power.real
     halves[:, :, CROSS, 0], halves[:, :, CROSS, 1] = power.imag[:, :, 0], -power.imag[:, :, 1]
     if pairs.drift.any():
-        halves[1, :, CROSS, 0] += np.where(pairs.drift, pairs.omega, 0.0)
+        # ω σ^(k-1) / k!
+        going = halves[:-1, :, OWN, 1] * pairs.omega / np.arange(1, TERMS)[:, None, None]
+        halves[1:, :, CROSS, 0] += np.where(pairs.drift, going, 0.0)
