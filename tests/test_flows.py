@@ -678,6 +678,32 @@ def test_a_crossing_is_a_zero_of_the_companion_matrix():
     assert claimed > 0.8 * there
 
 
+def nearly_tangent_series(random):
+    """(TERMS, W), falling less and less towards a zero in (0.2, 1)."""
+    c, lengths = random_series(random), random.uniform(0.2, 1.0, WIDTH)
+    c[2] = np.abs(c[2]) * 10.0 ** random.uniform(0.0, 1.5, WIDTH)
+    c[1] = -(np.arange(2, TERMS) @ np.abs(c[2:])) * (1.0 + 10.0 ** random.uniform(-6.0, 1.0, WIDTH))
+    c[0] = 0.0
+    c[0] = -np.array([polyval(s, series) for s, series in zip(lengths, c.T, strict=True)])
+    return c
+
+
+def test_a_crossing_is_exact_to_rounding_close_to_a_tangency():
+    """To that of the series' value there, and 2e-13 more."""
+    random, claimed = np.random.default_rng(5), 0
+    for _ in range(500):
+        c, results = nearly_tangent_series(random), np.zeros((3, WIDTH))
+        for lane in np.flatnonzero(holds(cross(c, np.ones(WIDTH), results)[0])):
+            series = c[:, lane].astype(np.longdouble)
+            s = np.longdouble(results[0, lane])
+            for _ in range(5):
+                s -= polyval(s, series) / polyval(s, polyder(series))
+            rounding = 1e-15 * np.abs(series).sum() / np.abs(polyval(s, polyder(series)))
+            assert abs(s - results[0, lane]) <= 2e-13 + rounding
+            claimed += 1
+    assert claimed > 0.8 * 500 * WIDTH
+
+
 def test_a_turning_point_is_a_zero_of_the_slope():
     """Wherever one is claimed, and most are found; where none is claimed, there is none."""
     random = np.random.default_rng(2)

@@ -330,8 +330,10 @@ def crossing(c: FloatArray, length: Lanes) -> tuple[int, int, Lanes, Lanes, Lane
         moved = s - value * slope_here / (slope_here * slope_here - value * half_here)
         s = lanes.choose(alive, moved, s)
         slope, half = lanes.choose(alive, slope_here, slope), lanes.choose(alive, half_here, half)
-        # the error is the cube of this step's
-        here = alive & (lanes.magnitude(value) <= 1e-4 * lanes.magnitude(slope_here)) & (s >= 0.0) & (s <= length)
+        # what is left of the error is the square of how much the slope changed in this step, as a share of the step
+        steady = lanes.magnitude(value * half_here) <= 2e-5 * (slope_here * slope_here)
+        steady &= lanes.magnitude(value) <= 2e-5 * lanes.magnitude(slope_here)
+        here = alive & steady & (s >= 0.0) & (s <= length)
         found |= here
         alive &= ~here
     return found, positive, s, slope, half
