@@ -4,19 +4,37 @@ Of each run there are modal coordinates, C of them, and the amplitudes of their 
 each of these numbers, coordinates first. The other arrays are those of `flows.Flows`, for one flow and one functional.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
 from clunk.core import lanes
-from clunk.core.flows import BLOCK, CROSS, CURVATURE, DECAY, JERK, OWN, RUSH, SLOPE, SWAY, TERMS, VALUE
+from clunk.core.flows import BLOCK, CROSS, CURVATURE, DECAY, JERK, OWN, RUSH, SIXTH, SLOPE, SWAY, TERMS, VALUE
 from clunk.core.jit import unowned_inlined
-from clunk.core.lanes import ROW, Lanes
+from clunk.core.lanes import ROW, Lanes, fused
 
 FloatArray = npt.NDArray[np.float64]
 
-SIXTH = 1.0 / 6.0 * (1.0 + 1e-15)  # a product is quicker than a division
+A_SIXTH = 1.0 / 6.0 * (1.0 + 1e-15)  # a product is quicker than a division
+# How far a function may be from the polynomial with its values, slopes and curvatures at both ends, at most, by its
+# sixth derivative over (0, 1): by the middle one of seven Bernstein coefficients, as a slope, and as a curvature
+_PARTS = 1.0 / 14400.0 * (1.0 + 1e-15)
+_SLOPE_PARTS = 7.45355992499930e-5  # √5 / 30000: Birkhoff & Priver 1967, as the next
+_CURVATURE_PARTS = 1.0 / 1920.0 * (1.0 + 1e-15)
+# What makes a guess of how long a guard stays positive: of the bounds of its derivatives, so much
+_OF_THE_JERK = 0.2 / 6.0
+_OF_THE_SIXTH = 1.5 / 14400.0
 
-Look = tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]
+
+class Curve(NamedTuple):
+    """A function of time in each lane, as it is now, and what bounds two of its derivatives from now on."""
+
+    value: Lanes
+    slope: Lanes
+    curvature: Lanes
+    jerk: Lanes  # of the third
+    sixth: Lanes
 
 
 @unowned_inlined
@@ -26,7 +44,9 @@ def weight(array: FloatArray, row: int, lane: int) -> float:
 
 
 @unowned_inlined
-def look(watch: FloatArray, work: FloatArray, size: int, level: Lanes, deepest: int) -> Look:
+def look(
+    watch: FloatArray, work: FloatArray, size: int, level: Lanes, deepest: int
+) -> tuple[Curve, Lanes, Curve, Lanes, Lanes]:
     """A functional less its origin, and without its fastest pairs.
 
     size : of the coordinates
@@ -34,47 +54,43 @@ def look(watch: FloatArray, work: FloatArray, size: int, level: Lanes, deepest: 
 
     Returns
     -------
-    value, slope, curvature, jerk : Lanes
-        Without the first `level` pairs; the last is the bound of its third derivative.
+    slower : Curve
+        Without the first `level` pairs.
     ringing : Lanes
         The sway of those pairs.
-    value, slope, curvature, jerk, sway : Lanes
-        Of the next pair alone.
+    pair, sway : Curve, Lanes
+        The next pair alone.
     sway : Lanes
         Of all of it.
     """
     none = lanes.splat(0.0)
-    value, slope, curvature, jerk, sway, ringing = none, none, none, none, none, none
-    next_value, next_slope, next_curvature, next_jerk, next_sway = none, none, none, none, none
+    value, slope, curvature, jerk, sixth, sway, ringing = none, none, none, none, none, none, none
+    next_value, next_slope, next_curvature, next_jerk, next_sixth, next_sway = none, none, none, none, none, none
     for begin in range(0, size, ROW):
-        v1, v2, d1, d2, e1, e2 = none, none, none, none, none, none
-        j, w = none, none
         for k in range(BLOCK):
-            p, pair = begin + k, begin // 2 + k
+            p, number = begin + k, begin // 2 + k
             one, other = lanes.load(work, p), lanes.load(work, p + BLOCK)
-            amplitude = lanes.load(work, size + pair)
-            a1, a2 = one * weight(watch, p, VALUE), other * weight(watch, p + BLOCK, VALUE)
-            b1, b2 = one * weight(watch, p, SLOPE), other * weight(watch, p + BLOCK, SLOPE)
-            c1, c2 = one * weight(watch, p, CURVATURE), other * weight(watch, p + BLOCK, CURVATURE)
+            amplitude = lanes.load(work, size + number)
+            a = fused(other, weight(watch, p + BLOCK, VALUE), one * weight(watch, p, VALUE))
+            b = fused(other, weight(watch, p + BLOCK, SLOPE), one * weight(watch, p, SLOPE))
+            c = fused(other, weight(watch, p + BLOCK, CURVATURE), one * weight(watch, p, CURVATURE))
             jerking, swing = amplitude * weight(watch, size + p, JERK), amplitude * weight(watch, size + p, SWAY)
-            if pair < deepest:
-                slow, at = level <= float(pair), level == float(pair)
-                next_value, next_slope = lanes.choose(at, a1 + a2, next_value), lanes.choose(at, b1 + b2, next_slope)
-                next_curvature = lanes.choose(at, c1 + c2, next_curvature)
+            highest = amplitude * weight(watch, size + p, SIXTH)
+            if number < deepest:
+                slow, at = level <= float(number), level == float(number)
+                next_value, next_slope = lanes.choose(at, a, next_value), lanes.choose(at, b, next_slope)
+                next_curvature = lanes.choose(at, c, next_curvature)
                 next_jerk, next_sway = lanes.choose(at, jerking, next_jerk), lanes.choose(at, swing, next_sway)
+                next_sixth = lanes.choose(at, highest, next_sixth)
                 ringing += lanes.choose(slow, 0.0, swing)
-                a1, a2 = lanes.choose(slow, a1, 0.0), lanes.choose(slow, a2, 0.0)
-                b1, b2 = lanes.choose(slow, b1, 0.0), lanes.choose(slow, b2, 0.0)
-                c1, c2 = lanes.choose(slow, c1, 0.0), lanes.choose(slow, c2, 0.0)
+                a, b, c = lanes.choose(slow, a, 0.0), lanes.choose(slow, b, 0.0), lanes.choose(slow, c, 0.0)
                 jerking, swing = lanes.choose(slow, jerking, 0.0), lanes.choose(slow, swing, 0.0)
-            v1, v2, d1, d2, e1, e2 = v1 + a1, v2 + a2, d1 + b1, d2 + b2, e1 + c1, e2 + c2
-            j, w = j + jerking, w + swing
-        value, slope, curvature = value + (v1 + v2), slope + (d1 + d2), curvature + (e1 + e2)
-        jerk, sway = jerk + j, sway + w
-    return (
-        value, slope, curvature, jerk, ringing, next_value, next_slope, next_curvature, next_jerk, next_sway,
-        ringing + sway,
-    )  # fmt: skip
+                highest = lanes.choose(slow, highest, 0.0)
+            value, slope, curvature = value + a, slope + b, curvature + c
+            jerk, sixth, sway = jerk + jerking, sixth + highest, sway + swing
+    slower = Curve(value, slope, curvature, jerk, sixth)
+    pair = Curve(next_value, next_slope, next_curvature, next_jerk, next_sixth)
+    return slower, ringing, pair, next_sway, ringing + sway
 
 
 @unowned_inlined
@@ -89,38 +105,35 @@ def rush(watch: FloatArray, work: FloatArray, size: int, level: Lanes, deepest: 
 
 
 @unowned_inlined
-def glance(watch: FloatArray, work: FloatArray, size: int, level: Lanes, deepest: int) -> tuple[Lanes, Lanes, Lanes]:
-    """The first three of `look`."""
+def glance(watch: FloatArray, work: FloatArray, size: int, level: Lanes, deepest: int, before: Curve) -> Curve:
+    """The first of `look`, with the bounds that were found `before`."""
     none = lanes.splat(0.0)
     value, slope, curvature = none, none, none
     for begin in range(0, size, ROW):
-        v1, v2, d1, d2, e1, e2 = none, none, none, none, none, none
         for k in range(BLOCK):
             p, pair = begin + k, begin // 2 + k
             one, other = lanes.load(work, p), lanes.load(work, p + BLOCK)
             if pair < deepest:
                 slow = level <= float(pair)
                 one, other = lanes.choose(slow, one, 0.0), lanes.choose(slow, other, 0.0)
-            v1, v2 = v1 + one * weight(watch, p, VALUE), v2 + other * weight(watch, p + BLOCK, VALUE)
-            d1, d2 = d1 + one * weight(watch, p, SLOPE), d2 + other * weight(watch, p + BLOCK, SLOPE)
-            e1, e2 = e1 + one * weight(watch, p, CURVATURE), e2 + other * weight(watch, p + BLOCK, CURVATURE)
-        value, slope, curvature = value + (v1 + v2), slope + (d1 + d2), curvature + (e1 + e2)
-    return value, slope, curvature
+            value += fused(other, weight(watch, p + BLOCK, VALUE), one * weight(watch, p, VALUE))
+            slope += fused(other, weight(watch, p + BLOCK, SLOPE), one * weight(watch, p, SLOPE))
+            curvature += fused(other, weight(watch, p + BLOCK, CURVATURE), one * weight(watch, p, CURVATURE))
+    return Curve(value, slope, curvature, before.jerk, before.sixth)
 
 
 @unowned_inlined
-def bounds(watch: FloatArray, work: FloatArray, size: int) -> tuple[Lanes, Lanes]:
-    """What bounds a functional's third derivative, and its value less its origin, from now on."""
+def bounds(watch: FloatArray, work: FloatArray, size: int) -> tuple[Lanes, Lanes, Lanes]:
+    """What bounds from now on a functional's third and sixth derivatives, and its value less its origin."""
     none = lanes.splat(0.0)
-    jerk, sway = none, none
+    jerk, sixth, sway = none, none, none
     for begin in range(0, size, ROW):
-        j, w = none, none
         for k in range(BLOCK):
             amplitude = lanes.load(work, size + begin // 2 + k)
-            j += amplitude * weight(watch, size + begin + k, JERK)
-            w += amplitude * weight(watch, size + begin + k, SWAY)
-        jerk, sway = jerk + j, sway + w
-    return jerk, sway
+            jerk = fused(amplitude, weight(watch, size + begin + k, JERK), jerk)
+            sixth = fused(amplitude, weight(watch, size + begin + k, SIXTH), sixth)
+            sway = fused(amplitude, weight(watch, size + begin + k, SWAY), sway)
+    return jerk, sixth, sway
 
 
 @unowned_inlined
@@ -131,7 +144,7 @@ def origin(
 
     output : (3, F, 2) float64
     """
-    value = torque * output[0, f, 0] + gap_input * output[0, f, 1]
+    value = fused(gap_input, output[0, f, 1], torque * output[0, f, 0])
     slope = curvature = lanes.splat(0.0)
     if not steady:
         slope = torque * output[1, f, 0] + gap_input * output[1, f, 1]
@@ -142,50 +155,128 @@ def origin(
 
 
 @unowned_inlined
-def low(value: Lanes, slope: Lanes, curvature: Lanes, jerk: Lanes, h: Lanes) -> Lanes:
-    """A bound, concave in h: a guard that is positive stays so within a time h for which this is."""
-    bent = 0.5 * lanes.smaller(curvature, lanes.splat(0.0)) - h * (jerk * SIXTH)
-    return value + h * (slope + h * bent)
+def as_guard(curve: Curve, origin: tuple[Lanes, Lanes, Lanes], sign: Lanes, shift: Lanes) -> Curve:
+    """sign times a functional, its origin included, plus shift."""
+    value, slope, curvature = origin
+    return Curve(
+        fused(sign, curve.value + value, shift),
+        sign * (curve.slope + slope),
+        sign * (curve.curvature + curvature),
+        curve.jerk,
+        curve.sixth,
+    )
 
 
 @unowned_inlined
-def longest(
-    shortest: float,
-    g1: Lanes,
-    d1: Lanes,
-    e1: Lanes,
-    j1: Lanes,
-    g2: Lanes,
-    d2: Lanes,
-    e2: Lanes,
-    j2: Lanes,
-    rest: Lanes,
-) -> tuple[Lanes, Lanes]:
-    """The longest span of the ladder that keeps two guards positive by `low`, and is not beyond `rest`; and its number.
+def without(guard: Curve, pair: Curve, sign: Lanes, sway: Lanes) -> Curve:
+    """A guard without a pair of its modes, lower by that pair's sway."""
+    return Curve(
+        guard.value - sign * pair.value - sway,
+        guard.slope - sign * pair.slope,
+        guard.curvature - sign * pair.curvature,
+        guard.jerk - pair.jerk,
+        guard.sixth - pair.sixth,
+    )
 
-    Where there is none, the number is -1. A span passes where any longer one does.
+
+@unowned_inlined
+def either(bits: int, one: Curve, other: Curve) -> Curve:
+    """One in the lanes whose bits are set, and the other elsewhere."""
+    return Curve(
+        lanes.choose(bits, one.value, other.value),
+        lanes.choose(bits, one.slope, other.slope),
+        lanes.choose(bits, one.curvature, other.curvature),
+        lanes.choose(bits, one.jerk, other.jerk),
+        lanes.choose(bits, one.sixth, other.sixth),
+    )
+
+
+@unowned_inlined
+def low(guard: Curve, h: Lanes) -> Lanes:
+    """A bound, concave in h: a guard that is positive stays so within a time h for which this is."""
+    bent = fused(guard.jerk * -A_SIXTH, h, 0.5 * lanes.smaller(guard.curvature, lanes.splat(0.0)))
+    return fused(fused(bent, h, guard.slope), h, guard.value)
+
+
+@unowned_inlined
+def guess(guard: Curve, h: Lanes) -> Lanes:
+    """What is positive as long as a guard will probably stay so, and as that can probably be proved by `between`."""
+    square = h * h
+    bent = fused(guard.jerk * -_OF_THE_JERK, h, 0.5 * guard.curvature)
+    expected = fused(fused(bent, h, guard.slope), h, guard.value)
+    return fused(guard.sixth * -_OF_THE_SIXTH, square * square * square, expected)
+
+
+@unowned_inlined
+def longest(shortest: float, one: Curve, other: Curve, rest: Lanes) -> tuple[Lanes, Lanes]:
+    """The longest span of the ladder, not beyond `rest`, up to which two guards stay positive by `guess`; its number.
+
+    Where there is none, the number is -1.
     """
     h, k = lanes.splat(shortest), lanes.splat(0.0)
-    none = ~_passes(g1, d1, e1, j1, g2, d2, e2, j2, h, rest)
+    none = ~_passes(one, other, h, rest)
     for octaves in (4, 1):  # the octave, of 16, in base 4: three at once, since each takes long to be known
         a, b, c = h * float(1 << octaves), h * float(1 << 2 * octaves), h * float(1 << 3 * octaves)
-        first = _passes(g1, d1, e1, j1, g2, d2, e2, j2, a, rest)
-        second = _passes(g1, d1, e1, j1, g2, d2, e2, j2, b, rest)
-        third = _passes(g1, d1, e1, j1, g2, d2, e2, j2, c, rest)
+        first = _passes(one, other, a, rest)
+        second = _passes(one, other, b, rest) & first
+        third = _passes(one, other, c, rest) & second
         h = lanes.choose(third, c, lanes.choose(second, b, lanes.choose(first, a, h)))
         step = 2.0 * octaves
         k += lanes.choose(third, 3.0 * step, lanes.choose(second, 2.0 * step, lanes.choose(first, step, 0.0)))
     half = h * 1.5
-    passes = _passes(g1, d1, e1, j1, g2, d2, e2, j2, half, rest)
+    passes = _passes(one, other, half, rest)
     h, k = lanes.choose(passes, half, h), lanes.choose(passes, k + 1.0, k)
     return h, lanes.choose(none, -1.0, k)
 
 
 @unowned_inlined
-def _passes(
-    g1: Lanes, d1: Lanes, e1: Lanes, j1: Lanes, g2: Lanes, d2: Lanes, e2: Lanes, j2: Lanes, h: Lanes, rest: Lanes
-) -> int:
-    return int((low(g1, d1, e1, j1, h) > 0.0) & (low(g2, d2, e2, j2, h) > 0.0) & (h <= rest))
+def _passes(one: Curve, other: Curve, h: Lanes, rest: Lanes) -> int:
+    return int((guess(one, h) > 0.0) & (guess(other, h) > 0.0) & (h <= rest))
+
+
+@unowned_inlined
+def between(start: Curve, end: Curve, h: Lanes) -> tuple[Lanes, Lanes, Lanes]:
+    """What a function does within a time h, by its value, slope and curvature at both ends.
+
+    It is a polynomial of degree six but for the sixth derivative's part, and so within its Bernstein coefficients, of
+    which that part moves the middle one. The ends are the outer two: with them, the inner five bound it.
+
+    Returns
+    -------
+    least, greatest : Lanes
+        Of the inner five coefficients.
+    parts : Lanes
+        The sixth derivative's bound times h⁶.
+    """
+    square = h * h
+    parts = start.sixth * (square * square * square)
+    s0, q0, s1, q1 = start.slope * h, start.curvature * square, end.slope * h, end.curvature * square
+    a, b = fused(s0, A_SIXTH, start.value), fused(s1, -A_SIXTH, end.value)
+    c = fused(q0, 1.0 / 30.0, fused(s0, 1.0 / 3.0, start.value))
+    d = fused(q1, 1.0 / 30.0, fused(s1, -1.0 / 3.0, end.value))
+    middle = 0.5 * (fused(q0, 0.05, fused(s0, 0.4, start.value)) + fused(q1, 0.05, fused(s1, -0.4, end.value)))
+    least = lanes.smaller(lanes.smaller(a, b), lanes.smaller(c, d))
+    greatest = lanes.larger(lanes.larger(a, b), lanes.larger(c, d))
+    away = parts * _PARTS
+    return lanes.smaller(least, middle - away), lanes.larger(greatest, middle + away), parts
+
+
+@unowned_inlined
+def turns_not(start: Curve, end: Curve, parts: Lanes, rush: Lanes, h: Lanes) -> tuple[int, int]:
+    """Where a function is monotone within a time h; and where it bends down all the way.
+
+    parts : as `between` has them; rush : what else is in its slope at most
+    """
+    square = h * h
+    s0, q0, s1, q1 = start.slope * h, start.curvature * square, end.slope * h, end.curvature * square
+    a, b = fused(q0, 0.25, s0), fused(q1, -0.25, s1)
+    middle = 5.0 * (fused(q1, 0.05, fused(s1, -0.4, end.value)) - fused(q0, 0.05, fused(s0, 0.4, start.value)))
+    away = fused(parts, _SLOPE_PARTS, rush * h)
+    least = lanes.smaller(lanes.smaller(s0, s1), lanes.smaller(lanes.smaller(a, b), middle))
+    greatest = lanes.larger(lanes.larger(s0, s1), lanes.larger(lanes.larger(a, b), middle))
+    bend = 4.0 * lanes.larger(middle - a, b - middle)
+    bent = lanes.larger(lanes.larger(q0, q1), bend) < -(parts * _CURVATURE_PARTS)
+    return (least > away) | (greatest < -away), bent
 
 
 @unowned_inlined
@@ -201,10 +292,10 @@ def jump(propagated: FloatArray, work: FloatArray, size: int) -> None:
             p, q, pair = begin + k, begin + k + BLOCK, size + begin // 2 + k
             one, other = lanes.load(work, p), lanes.load(work, q)
             own, cross, decay = at + OWN * ROW + k, at + CROSS * ROW + k, at + DECAY * ROW + k
-            lanes.store(work, p, lanes.load(propagated, own) * one + lanes.load(propagated, cross) * other)
-            lanes.store(
-                work, q, lanes.load(propagated, own + BLOCK) * other + lanes.load(propagated, cross + BLOCK) * one
-            )
+            moved = fused(lanes.load(propagated, own), one, lanes.load(propagated, cross) * other)
+            partner = fused(lanes.load(propagated, own + BLOCK), other, lanes.load(propagated, cross + BLOCK) * one)
+            lanes.store(work, p, moved)
+            lanes.store(work, q, partner)
             lanes.store(work, pair, lanes.load(propagated, decay) * lanes.load(work, pair))
 
 
@@ -214,7 +305,7 @@ def measure(work: FloatArray, size: int) -> None:
     for begin in range(0, size, ROW):
         for k in range(BLOCK):
             one, other = lanes.load(work, begin + k), lanes.load(work, begin + k + BLOCK)
-            lanes.store(work, size + begin // 2 + k, lanes.root(one * one + other * other))
+            lanes.store(work, size + begin // 2 + k, lanes.root(fused(one, one, other * other)))
 
 
 @unowned_inlined
@@ -230,9 +321,9 @@ def move(
                 for j in range(TERMS - 1, -1, -1):
                     first = (j * (size // ROW) + begin // ROW) * 2
                     own, cross = first + OWN, first + CROSS
-                    term1 = one * weight(power, own, k) + other * weight(power, cross, k)
-                    term2 = other * weight(power, own, k + BLOCK) + one * weight(power, cross, k + BLOCK)
-                    total1, total2 = term1 + total1 * part, term2 + total2 * part
+                    term1 = fused(other, weight(power, cross, k), one * weight(power, own, k))
+                    term2 = fused(one, weight(power, cross, k + BLOCK), other * weight(power, own, k + BLOCK))
+                    total1, total2 = fused(total1, part, term1), fused(total2, part, term2)
                 lanes.store(work, begin + k, total1)
                 lanes.store(work, begin + k + BLOCK, total2)
         return
@@ -242,7 +333,7 @@ def move(
         for r in range(size):
             total = lanes.splat(0.0)
             for c in range(size):
-                total += lanes.load(work, c) * lanes.number(generator, r * size + c)
+                total = fused(lanes.load(work, c), lanes.number(generator, r * size + c), total)
             lanes.store(moved, size + r, lanes.load(moved, r) + part / float(k) * total)
         for r in range(size):
             lanes.store(work, r, lanes.load(moved, size + r))
@@ -256,22 +347,21 @@ def expand(
     shortest: float,
     sign: Lanes,
     shift: Lanes,
-    value: Lanes,
-    slope: Lanes,
-    curvature: Lanes,
+    origin: tuple[Lanes, Lanes, Lanes],
     c: FloatArray,
 ) -> None:
     """The Taylor coefficients over the shortest span of sign times a functional plus shift.
 
     shortest : the span  [s]
-    value, slope, curvature : of the functional's origin
+    origin : the functional's: value, slope and curvature
     c : (TERMS, WIDTH) float64
         Output.
     """
+    value, slope, curvature = origin
     for j in range(TERMS):
         total = lanes.splat(0.0)
         for k in range(size):
-            total += lanes.load(work, k) * weight(series, 2 * k, j)
+            total = fused(lanes.load(work, k), weight(series, 2 * k, j), total)
         if j == 0:
             total += value
         elif j == 1:
@@ -289,20 +379,21 @@ def derivatives(c: FloatArray, s: Lanes) -> tuple[Lanes, Lanes, Lanes]:
     square = s * s
     even, odd, even_slope, odd_slope, even_half, odd_half = none, none, none, none, none, none  # by s²
     for k in range(TERMS // 2 - 1, -1, -1):
-        even_half, odd_half = even_half * square + even_slope, odd_half * square + odd_slope
-        even_slope, odd_slope = even_slope * square + even, odd_slope * square + odd
-        even, odd = even * square + lanes.load(c, 2 * k), odd * square + lanes.load(c, 2 * k + 1)
-    value = even + s * odd
-    slope = odd + 2.0 * (s * even_slope + square * odd_slope)
-    half = even_slope + 3.0 * s * odd_slope + 4.0 * square * (even_half + s * odd_half)
+        even_half, odd_half = fused(even_half, square, even_slope), fused(odd_half, square, odd_slope)
+        even_slope, odd_slope = fused(even_slope, square, even), fused(odd_slope, square, odd)
+        even, odd = fused(even, square, lanes.load(c, 2 * k)), fused(odd, square, lanes.load(c, 2 * k + 1))
+    value = fused(s, odd, even)
+    slope = fused(2.0, fused(s, even_slope, square * odd_slope), odd)
+    half = fused(4.0 * square, fused(s, odd_half, even_half), fused(3.0 * s, odd_slope, even_slope))
     return value, slope, half
 
 
 @unowned_inlined
-def crossing(c: FloatArray, length: Lanes) -> tuple[int, int, Lanes, Lanes, Lanes]:
-    """The zero of a series that does nothing but fall, its slope and half its curvature there.
+def crossing(c: FloatArray, length: Lanes, only: bool) -> tuple[int, int, Lanes, Lanes, Lanes]:
+    """The first zero of a series that is positive at first, where it falls, or is concave, all the way to it.
 
     length : at most 1
+    only : whether it is to fall, or be concave, all the length, so that there is no other zero
 
     Returns
     -------
@@ -311,17 +402,14 @@ def crossing(c: FloatArray, length: Lanes) -> tuple[int, int, Lanes, Lanes, Lane
     none : int
         The lanes where the series stays positive.
     s, slope, half : Lanes
+        The zero, the slope there, and half the curvature.
     """
     none = lanes.splat(0.0)
-    even, odd, total = none, none, none
-    for k in range(2, TERMS, 2):
-        one, other = lanes.magnitude(lanes.load(c, k)), lanes.magnitude(lanes.load(c, k + 1))
-        even, odd, total = even + one * float(k), odd + other * float(k + 1), total + (one + other)
     c0, c1, c2 = lanes.load(c, 0), lanes.load(c, 1), lanes.load(c, 2)
-    steep = c1 * c1 - c0 * c2
-    alive = (c0 > 0.0) & (-c1 > even + odd) & (steep > 0.0)
-    positive = c0 > total + lanes.magnitude(c1)
-    s, slope, half, found = -c0 * c1 / steep, none, none, 0
+    # of its first three terms
+    root = lanes.root(lanes.larger(c1 * c1 - 4.0 * c0 * c2, none))
+    s = lanes.choose(c1 < 0.0, 2.0 * c0 / (root - c1), -0.5 * (c1 + root) / c2)
+    slope, half, found, alive = none, none, 0, (c0 > 0.0) & (s >= 0.0)
     for _ in range(3):
         alive &= s <= length
         if alive == 0:
@@ -336,7 +424,16 @@ def crossing(c: FloatArray, length: Lanes) -> tuple[int, int, Lanes, Lanes, Lane
         here = alive & steady & (s >= 0.0) & (s <= length)
         found |= here
         alive &= ~here
-    return found, positive, s, slope, half
+    end, rise, bend, fall = length if only else s, none, none, none
+    for k in range(TERMS - 1, 1, -1):
+        term = lanes.load(c, k)
+        up = lanes.larger(term, none)
+        fall += term - up
+        rise = fused(rise, end, float(k) * up)
+        if k > 2:
+            bend = fused(bend, end, float(k * (k - 1)) * up)
+    found &= (c1 + rise * end < 0.0) | (2.0 * c2 + bend * end < 0.0)
+    return found, c0 + lanes.smaller(c1, none) + fall > 0.0, s, slope, half
 
 
 @unowned_inlined
@@ -344,13 +441,13 @@ def value(c: FloatArray, s: Lanes) -> Lanes:
     """The first of `derivatives`."""
     even, odd, square = lanes.splat(0.0), lanes.splat(0.0), s * s
     for k in range(TERMS // 2 - 1, -1, -1):
-        even, odd = even * square + lanes.load(c, 2 * k), odd * square + lanes.load(c, 2 * k + 1)
-    return even + s * odd
+        even, odd = fused(even, square, lanes.load(c, 2 * k)), fused(odd, square, lanes.load(c, 2 * k + 1))
+    return fused(s, odd, even)
 
 
 @unowned_inlined
 def turning(c: FloatArray, slopes: FloatArray, length: Lanes) -> tuple[int, int, Lanes]:
-    """The turning point of a series whose slope does nothing but fall, or rise.
+    """The turning point of a series that has but one.
 
     slopes : (TERMS, WIDTH) float64
         Scratch.
@@ -368,5 +465,5 @@ def turning(c: FloatArray, slopes: FloatArray, length: Lanes) -> tuple[int, int,
         term = lanes.load(c, k + 1) * float(k + 1)
         lanes.store(slopes, k, lanes.choose(falls, -term, term))
     lanes.store(slopes, TERMS - 1, lanes.splat(0.0))
-    found, none, s, _, _ = crossing(slopes, length)
+    found, none, s, _, _ = crossing(slopes, length, True)
     return found, none, s

@@ -1,9 +1,9 @@
 """The exact method: through the regimes by their modes, over spans in which no guard can turn negative.
 
-From a guard's value, slope and curvature and a bound on its third derivative follows the longest tabulated span that
-cannot hold a zero of it. Where not even the shortest can be passed so, the guard is expanded there into its Taylor
-series, exact to rounding, and the series' first zero, if it has one, is the event. So no event is skipped, to
-rounding, for this model.
+A span is chosen by guess, and counts only if it is then proved that no guard turned negative within it: from a guard's
+value, slope and curvature at both its ends, and a bound of its sixth derivative. Where not even the shortest can be
+expected to pass so, the guard is expanded there into its Taylor series, exact to rounding, and the series' first zero,
+if it has one, is the event. So no event is skipped, to rounding, for this model.
 
 The severity's extremes are located by the same means, where the acceleration could exceed what the window holds; and
 so are the near misses, which give the run's margin: how near it came to another label. It is the smallest of
@@ -28,6 +28,7 @@ from clunk.core.lanes import WIDTH
 from clunk.core.pool import (
     AT_END,
     LOST,
+    NEARS,
     SETTLED,
     Pool,
     ask,
@@ -173,26 +174,31 @@ def _enter(pool: Pool, flows: Flows, kind: int, count: int) -> None:
     torque, half_gap = lanes.load(work, field + rows.TORQUE), lanes.load(work, field + rows.HALF_GAP)
     gap_input = lanes.load(work, field + rows.SIDE) * half_gap
     for k in range(states):
-        origin = torque * lanes.number(origins, k) + gap_input * lanes.number(origins, size + k)
+        origin = lanes.fused(gap_input, lanes.number(origins, size + k), torque * lanes.number(origins, k))
         lanes.store(left, k, lanes.load(work, k) - origin)
     for c in range(size):
         total = lanes.splat(0.0)
         for k in range(states):
-            total += lanes.load(left, k) * lanes.number(coordinates, k * size + c)
+            total = lanes.fused(lanes.load(left, k), lanes.number(coordinates, k * size + c), total)
         lanes.store(work, c, total)
     abreast.measure(work, size)
     none = lanes.splat(0.0)
-    seen, slope, curvature = abreast.glance(flows.watch[flow, ACCELERATION], work, size, none, 0)
-    seen += abreast.origin(flows.origin_output[flow], ACCELERATION, True, torque, gap_input, none)[0]
+    acceleration = abreast.glance(
+        flows.watch[flow, ACCELERATION], work, size, none, 0, abreast.Curve(none, none, none, none, none)
+    )
+    seen = (
+        acceleration.value + abreast.origin(flows.origin_output[flow], ACCELERATION, True, torque, gap_input, none)[0]
+    )
     lanes.store(work, field + rows.ELAPSED, none)
     lanes.store(work, field + rows.LEVEL, none)
+    lanes.store(work, field + rows.TRY, none + np.inf)
     lanes.store(work, field + rows.HIGH, lanes.larger(lanes.load(work, field + rows.HIGH), seen))
     lanes.store(work, field + rows.LOW, lanes.smaller(lanes.load(work, field + rows.LOW), seen))
     lanes.store(work, field + rows.LARGEST, seen)
     lanes.store(work, field + rows.SMALLEST, seen)
     lanes.store(work, field + rows.SEEN, seen)
-    lanes.store(work, field + rows.SEEN_SLOPE, slope)
-    lanes.store(work, field + rows.SEEN_CURVATURE, curvature)
+    lanes.store(work, field + rows.SEEN_SLOPE, acceleration.slope)
+    lanes.store(work, field + rows.SEEN_CURVATURE, acceleration.curvature)
     everybody = (1 << count) - 1
     put_back(pool, pool.numbers, field + rows.CHANGING, everybody)
     push_all(pool, queues.SPAN + kind if flows.modal[flow] != 0 else queues.PART + kind, everybody)
@@ -244,7 +250,8 @@ def _follow(pool: Pool, system: System, flows: Flows, slot: int) -> None:
     elif own.ended == LOST:
         _end(pool, slot, field, _NON_FINITE, now)
     else:
-        push(pool, queues.SPAN + kind if flows.modal[pool.kinds[kind].flow] != 0 else queues.PART + kind, slot)
+        near = own.ended == NEARS or flows.modal[pool.kinds[kind].flow] == 0
+        push(pool, queues.PART + kind if near else queues.SPAN + kind, slot)
 
 
 @unowned_inlined

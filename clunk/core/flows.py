@@ -4,8 +4,8 @@ Within a regime x(t) = origin(t) + basis y(t), where origin is a particular solu
 the flow can drift, and y' = Λ y. Λ is real and made of 2 x 2 blocks: [[σ, ω], [-ω, σ]] for a complex pair of
 eigenvalues, diagonal for two real ones, and [[0, ω], [0, σ]] for a displacement without stiffness and its velocity,
 σ = 0 without damping either: their difference, were they modes, would be one of large numbers where σ is small. Of a
-pair nothing but such a displacement ever grows, and on that no derivative depends. So a functional's third derivative
-stays within the sum of |c Λ³| times the amplitudes at any earlier time.
+pair nothing but such a displacement ever grows, and on that no derivative depends. So a functional's nth derivative
+stays within the sum of |c Λⁿ| times the amplitudes at any earlier time.
 
 Four pairs of coordinates lie together: first the one member of each, then the other.
 
@@ -30,10 +30,10 @@ SPANS = 32  # two an octave
 BLOCK = ROW // 2  # pairs: their number is filled up to a multiple
 TERMS = 12  # of a Taylor series over the shortest span
 LONG = 2 * ROW  # room for its terms
-# columns of `Flows.watch`: a functional less its origin, its slope and curvature; what bounds its third derivative from
-# now on, its value less its origin, and its slope
-VALUE, SLOPE, CURVATURE, JERK, SWAY, RUSH = range(6)
-_BOUNDED = 3  # the order that JERK bounds
+# columns of `Flows.watch`: a functional less its origin, its slope and curvature; what bounds from now on its third
+# derivative, its value less its origin, its slope and its sixth derivative
+VALUE, SLOPE, CURVATURE, JERK, SWAY, RUSH, SIXTH = range(7)
+_BOUNDED = (3, 0, 1, 6)  # the orders that JERK and what follows it bound
 OWN, CROSS, DECAY = range(3)  # of a 2 x 2 block: what multiplies a coordinate itself, and its partner
 _SHORTEST = 1.0 / 4.0  # |λ| times the shortest span: TERMS terms are then exact to rounding
 _LADDER = np.ldexp(np.tile([1.0, 1.5], SPANS // 2), np.repeat(np.arange(SPANS // 2), 2))
@@ -56,7 +56,7 @@ class Flows(NamedTuple):
     propagator: FloatArray  # (2, SPANS, B, 3, 8)  over a span: each coordinate's OWN and CROSS share, and its DECAY
     power: FloatArray  # (2, TERMS, B, 2, 8)  OWN and CROSS of (Λ times the shortest span)^k / k!, for modes
     generator: FloatArray  # (2, C, C)  Λ times the shortest span
-    watch: FloatArray  # (2, F, 2C, 8)  coordinates, then amplitudes -> VALUE, SLOPE, CURVATURE, JERK, SWAY, RUSH
+    watch: FloatArray  # (2, F, 2C, 8)  coordinates, then amplitudes -> VALUE, SLOPE, CURVATURE; JERK, SWAY, RUSH, SIXTH
     series: FloatArray  # (2, F, C, LONG)  y -> a functional's Taylor coefficients over the shortest span
     steady: IntArray  # (2,)  whether the origin does not move
 
@@ -174,10 +174,10 @@ def _fill(
     for j in range(1, TERMS):
         np.matmul(derivatives[j - 1], generator, out=derivatives[j])
     tables.series[k][:, :, :TERMS] = (_TAYLOR[:, None, None] * derivatives).transpose(1, 2, 0)
-    slow = derivatives[: _BOUNDED + 1] / (shortest ** np.arange(_BOUNDED + 1))[:, None, None]
+    slow = derivatives / (shortest ** np.arange(TERMS))[:, None, None]
     watch = tables.watch[k].reshape(functionals.shape[0], 2, -1, 2, BLOCK, ROW)
     watch[:, 0, ..., VALUE : CURVATURE + 1] = _halves(slow[: CURVATURE + 1]).transpose(1, 2, 3, 4, 0)
-    watch[:, 1, :, 0, :, JERK : RUSH + 1] = _reach(slow[[_BOUNDED, 0, 1]], modes is not None).transpose(1, 2, 3, 0)
+    watch[:, 1, :, 0, :, JERK : SIXTH + 1] = _reach(slow[list(_BOUNDED)], modes is not None).transpose(1, 2, 3, 0)
 
 
 @functools.cache
@@ -271,12 +271,11 @@ def _modes(scaled: _Scaled) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     at = np.arange(0, end, 2)
     block[at, at] = block[at + 1, at + 1] = sigma[rings]
     block[at, at + 1], block[at + 1, at] = omega[rings], -omega[rings]
-    displacement, velocity = np.flatnonzero(drift[: size // 2]), np.flatnonzero(drift[size // 2 :])
-    for k in velocity:
+    for k in np.flatnonzero(drift[size // 2 :]):
         block[end, end + 1] = 1.0
         basis[:, end], basis[:, end + 1] = unit[k] * generator[k, k + size // 2], unit[k + size // 2]
         end += 2
-    damped = np.setdiff1d(displacement, velocity)
+    damped = np.flatnonzero(drift[: size // 2] & ~drift[size // 2 :])
     slowest = _velocities_of(damped, vectors, decays)
     if slowest.size:
         far = np.zeros((size, slowest.size))  # the displacement that is left to go while such a velocity decays

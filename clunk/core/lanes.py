@@ -119,6 +119,18 @@ def _by_llvm(name: str) -> Any:
 
 
 @_operation
+def fused(typing: Any, a: Any, b: Any, c: Any) -> Any:
+    """a b + c, rounded once; numbers stand for the same in all lanes."""
+
+    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        sides = [_as_lanes(builder, *side) for side in zip(signature.args, values, strict=True)]
+        kind, name = ir.FunctionType(_ROW, [_ROW] * 3), f"llvm.fma.v{WIDTH}f64"
+        return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), sides)  # type: ignore[no-untyped-call]
+
+    return _LANES(a, b, c), emit
+
+
+@_operation
 def root(typing: Any, a: Any) -> Any:
     """Square roots."""
     return _by_llvm("sqrt")

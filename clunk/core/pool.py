@@ -20,7 +20,7 @@ IntArray = npt.NDArray[np.int64]
 
 ABREAST = 8 * WIDTH  # runs under way that let nearly every step be of as many runs as there are lanes
 NOTES = 12
-GOES_ON, AT_END, SETTLED, LOST = -1, -2, -3, -4  # how a step ends, if not by a guard
+GOES_ON, NEARS, AT_END, SETTLED, LOST = -1, -2, -3, -4, -5  # how a step ends, if not by a guard
 
 RUN = np.dtype(
     [
@@ -32,7 +32,7 @@ RUN = np.dtype(
         ("last_side", np.int64),
         ("from_sticking", np.int64),
         ("pending", np.int64),  # bits of what is to be looked for
-        ("ended", np.int64),  # the guard that ended the phase, or GOES_ON, AT_END, SETTLED, LOST
+        ("ended", np.int64),  # the guard that ended the phase, or GOES_ON, NEARS, AT_END, SETTLED, LOST
         ("measured", np.int64),  # whether its depth is known
         ("time", np.float64),  # s, when the phase began; after the end, when the run did
         ("began", np.float64),  # s, of the last contact

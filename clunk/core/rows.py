@@ -5,12 +5,12 @@ A row begins with the modal coordinates, C of them, and the amplitudes of their 
 
 # Of a run. The first are those that change within a phase: how many of the fastest pairs are left out of its guards;
 # its margin; the extremes of its window and of its phase; which guard is zero, +n the first with n - 1 derivatives, -n
-# the second; the acceleration and its derivatives.
+# the second; the acceleration and its derivatives; how long a span may be that is tried next.
 (
-    ELAPSED, LEVEL, MARGIN, HIGH, LOW, LARGEST, SMALLEST, ZERO, SEEN, SEEN_SLOPE, SEEN_CURVATURE,
+    ELAPSED, LEVEL, MARGIN, HIGH, LOW, LARGEST, SMALLEST, ZERO, SEEN, SEEN_SLOPE, SEEN_CURVATURE, TRY,
     TORQUE, HALF_GAP, SIDE, LIMIT, HELD_FROM, STATIC,
-) = range(17)  # fmt: skip
-CHANGING, OF_A_RUN = 11, 17
+) = range(18)  # fmt: skip
+CHANGING, OF_A_RUN = 12, 18
 
 # Of what a run looks for within a step: the time left, the origin's value, slope and curvature, the bars, the sign and
 # shift that make a guard of the functional, and within which of the time left a turn counts.

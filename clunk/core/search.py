@@ -49,9 +49,9 @@ def search(pool: Pool, flows: Flows, queue: int, count: int) -> None:
         row_of(pool, field + rows.BOTTOM),
         row_of(pool, field + rows.COUNTS),
     )
-    v, d, e = abreast.glance(watch, work, size, none, 0)
-    most, _ = abreast.bounds(watch, work, size)
-    v, d, e = sign * (v + o) + shift, sign * (d + p), sign * (e + q)
+    most, sixth, _ = abreast.bounds(watch, work, size)
+    seen = abreast.glance(watch, work, size, none, 0, abreast.Curve(none, none, none, most, sixth))
+    v, d, e = sign * (seen.value + o) + shift, sign * (seen.slope + p), sign * (seen.curvature + q)
     done = 0
     if depth:
         bottom = -v
@@ -76,7 +76,7 @@ def search(pool: Pool, flows: Flows, queue: int, count: int) -> None:
         h, k = lanes.choose(near, shortest, h), lanes.choose(near, 0.0, k)
     near &= present & ~done
     if near != 0:
-        abreast.expand(flows.series[flow, f], work, size, shortest, sign, shift, o, p, q, c)
+        abreast.expand(flows.series[flow, f], work, size, shortest, sign, shift, (o, p, q), c)
         falls = lanes.load(c, 1) < 0.0
         if depth:
             done |= near & ~falls
@@ -152,7 +152,7 @@ def _passes(
     if depth:
         return int(-d > h * (e + h * (0.5 * most)))
     none = lanes.splat(0.0)
-    bend = h * (0.5 * lanes.magnitude(e) + h * (most * abreast.SIXTH))  # how far it may part from its tangent, over h
+    bend = h * (0.5 * lanes.magnitude(e) + h * (most * abreast.A_SIXTH))  # how far it may part from its tangent, over h
     away = lanes.choose(d > 0.0, -e, e)
     monotone = h * (away + h * (0.5 * most)) < lanes.magnitude(d)
     if turn:

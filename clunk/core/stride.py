@@ -1,4 +1,7 @@
-"""A step of runs side by side: a span in which no guard can turn negative, or a part of the shortest one to an event.
+"""A step of runs side by side: a span in which no guard turns negative, or a part of the shortest one to an event.
+
+A span is first tried: whoever's guards are not proved positive all through it stays where it was, and tries a shorter
+one next.
 
 The fastest pairs of modes, LEVEL of them, are taken out of the guards and bounded by their sway instead, as soon as
 that lets a longer span pass: what rings less than a guard is away from zero need not be resolved.
@@ -15,6 +18,7 @@ from clunk.core.pool import (
     AT_END,
     GOES_ON,
     LOST,
+    NEARS,
     SETTLED,
     Pool,
     ask,
@@ -32,7 +36,7 @@ from clunk.core.switching import ROUNDING
 FloatArray = npt.NDArray[np.float64]
 
 GRAZING = 1e-12  # a guard that turns back within this share of its scale has not turned negative
-_MOST_DIP = 4.0 / 27.0 * (1.0 + 1e-15)  # of a Hermite cubic below both its ends, in (0, 1), for a slope of 1
+_NEXT_TRY = 0.4  # of a span within which a guard was not proved positive
 
 
 @unowned_inlined
@@ -46,6 +50,7 @@ def stride(pool: Pool, flows: Flows, queue: int, count: int) -> None:
     f1, f2 = guard1.functional, guard2.functional
     size, work, notes = flows.basis.shape[1], pool.work, pool.notes
     field, present, none = fields(size), (1 << count) - 1, lanes.splat(0.0)
+    alone = -1 if guards == 1 else 0  # bits of all lanes, where the second ends nothing
     output, steady, modes = flows.origin_output[flow], flows.steady[flow] != 0, flows.modal[flow] != 0
     watch, series, shortest = flows.watch[flow], flows.series[flow], flows.span[flow, 0]
     first, second, accelerating = watch[f1], watch[f2], watch[ACCELERATION]
@@ -75,127 +80,123 @@ def stride(pool: Pool, flows: Flows, queue: int, count: int) -> None:
     scale2 = half_gap * guard2.of_gap + static * guard2.of_rest
     bar1, bar2 = lanes.magnitude(margin) * scale1, lanes.magnitude(margin) * scale2
 
-    # the guards: n, m, l, q, r are value, slope, curvature, jerk and sway of the fastest pair that is still in them
-    v1, d1, e1, j1, ring1, n1, m1, l1, q1, r1, sway1 = abreast.look(first, work, size, level, deepest)
-    o1, p1, c1 = abreast.origin(output, f1, steady, torque, gap_input, elapsed)
+    # the guards: without the pairs that are left out already, and the fastest pair that is still in them
+    slower1, ring1, pair1, sways1, sway1 = abreast.look(first, work, size, level, deepest)
+    at1 = abreast.origin(output, f1, steady, torque, gap_input, elapsed)
+    slower2, ring2, pair2, sways2, sway2, at2 = slower1, ring1, pair1, sways1, sway1, at1  # itself or its mirror image
     if two:
-        v2, d2, e2, j2, ring2, n2, m2, l2, q2, r2, sway2 = abreast.look(second, work, size, level, deepest)
-        o2, p2, c2 = abreast.origin(output, f2, steady, torque, gap_input, elapsed)
-    else:  # the same, or its mirror image
-        v2, d2, e2, j2, ring2, n2, m2, l2, q2, r2, sway2 = v1, d1, e1, j1, ring1, n1, m1, l1, q1, r1, sway1
-        o2, p2, c2 = o1, p1, c1
-    g1, d1, e1 = sign1 * (v1 + o1) + shift1 - ring1, sign1 * (d1 + p1), sign1 * (e1 + c1)
-    g2, d2, e2 = sign2 * (v2 + o2) + shift2 - ring2, sign2 * (d2 + p2), sign2 * (e2 + c2)
+        slower2, ring2, pair2, sways2, sway2 = abreast.look(second, work, size, level, deepest)
+        at2 = abreast.origin(output, f2, steady, torque, gap_input, elapsed)
+    start1 = abreast.as_guard(slower1, at1, sign1, shift1 - ring1)
+    start2 = abreast.as_guard(slower2, at2, sign2, shift2 - ring2)
 
     # what can follow
     acceleration, _, _ = abreast.origin(output, ACCELERATION, True, torque, gap_input, none)
-    jerk, swing = abreast.bounds(accelerating, work, size)
+    _, sixth, swing = abreast.bounds(accelerating, work, size)
     beaten = (acceleration + swing > high) | (acceleration - swing < low)
     settled = 0
     if steady:
-        calm1, calm2 = sign1 * o1 + shift1 - sway1, sign2 * o2 + shift2 - sway2
+        calm1, calm2 = sign1 * at1[0] + shift1 - sway1, sign2 * at2[0] + shift2 - sway2
         settled = (calm1 > 0.0) & (calm2 > 0.0) & (calm1 >= bar1) & (calm2 >= bar2) & ~beaten & present
     there = present & ~settled
 
-    # the longest span in which no guard can turn negative, or the part of the shortest up to an event
-    g1, g2 = lanes.choose(zero == 1.0, 0.0, g1), lanes.choose(zero == -1.0, 0.0, g2)
+    # a span in which no guard will probably turn negative, or the part of the shortest up to an event
+    start1, start2 = _from_zero(start1, zero == 1.0), _from_zero(start2, zero == -1.0)
     event, ends, lost, grazing, dig = none - 1.0, 0, 0, 0, 0
     if short:
         k, whole, part = none - 1.0, none + shortest, lanes.smaller(rest / shortest, none + 1.0)
         ends = (rest <= shortest) & there
-        for g in range(guards):
-            order = lanes.larger(zero if g == 0 else -zero, none)
-            bound = abreast.low(g1, d1, e1, j1, whole) if g == 0 else abreast.low(g2, d2, e2, j2, whole)
-            near = (~(bound > 0.0) | (order >= 2.0)) & there
+        near1 = (~(abreast.low(start1, whole) > 0.0) | (zero >= 2.0)) & there
+        near2 = (~(abreast.low(start2, whole) > 0.0) | (zero <= -2.0)) & there & ~alone
+        for g in range(2):
+            # a guard and its mirror image are seldom both near: each in its lanes, all at once
+            near, other = (near1, 0) if g == 0 else (near2, near2)
+            if not two:
+                near, other = (near1 | near2, near2 & ~near1) if g == 0 else (near1 & near2, near2)
             if near == 0:
                 continue
-            if g == 0:
-                abreast.expand(series[f1], work, size, shortest, sign1, shift1, o1, p1, c1, pool.series)
-            else:
-                abreast.expand(series[f2], work, size, shortest, sign2, shift2, o2, p2, c2, pool.series)
-            value, sway, shift, scale = (o1, sway1, shift1, scale1) if g == 0 else (o2, sway2, shift2, scale2)
-            noise = ROUNDING * (lanes.magnitude(value) + lanes.magnitude(shift) + sway)
-            found, bad, grazed, s = _crossing(pool, near, order, noise, scale, part)
+            sign, shift = lanes.choose(other, sign2, sign1), lanes.choose(other, shift2, shift1)
+            at, sway = (at2, sway2) if two and g == 1 else (at1, sway1)
+            abreast.expand(series[f2 if g == 1 else f1], work, size, shortest, sign, shift, at, pool.series)
+            order = lanes.larger(lanes.choose(other, -zero, zero), none)
+            noise = ROUNDING * (lanes.magnitude(at[0]) + lanes.magnitude(shift) + sway)
+            found, bad, grazed, s = _crossing(pool, near, order, noise, lanes.choose(other, scale2, scale1), part)
             lost |= bad
             grazing |= grazed
             found &= (event < 0.0) | (s < part)
-            event, part = lanes.choose(found, float(g), event), lanes.choose(found, s, part)
+            event, part = lanes.choose(found, lanes.choose(other, 1.0, 0.0), event), lanes.choose(found, s, part)
         h = whole * part
     else:
-        h, k = abreast.longest(shortest, g1, d1, e1, j1, g2, d2, e2, j2, rest)
+        longest = row_of(pool, field + rows.TRY)
+        h, k = _longest(shortest, start1, start2, alone, longest)
         level_guard = lanes.magnitude(zero) > 1.0  # it is zero with its slope: its series decides
         k = lanes.choose(level_guard, -1.0, k)
-        slower1, slower2 = g1 - sign1 * n1, g2 - sign2 * n2
-        deeper = (level < float(deepest)) & (slower1 > r1) & (slower2 > r2) & ~level_guard
+        slower1, slower2 = abreast.without(start1, pair1, sign1, sways1), abreast.without(start2, pair2, sign2, sways2)
+        deeper = (level < float(deepest)) & (slower1.value > 0.0) & ((slower2.value > 0.0) | alone) & ~level_guard
         deeper &= (k >= 0.0) | (level == 0.0)
         if deeper != 0:
-            slower1, slower2, slow_jerk1, slow_jerk2 = slower1 - r1, slower2 - r2, j1 - q1, j2 - q2
-            slope1, bent1, slope2, bent2 = d1 - sign1 * m1, e1 - sign1 * l1, d2 - sign2 * m2, e2 - sign2 * l2
-            longer, number = abreast.longest(
-                shortest, slower1, slope1, bent1, slow_jerk1, slower2, slope2, bent2, slow_jerk2, rest
-            )
+            longer, number = _longest(shortest, slower1, slower2, alone, longest)
             deeper &= number > k
             k, h = lanes.choose(deeper, number, k), lanes.choose(deeper, longer, h)
             level = lanes.choose(deeper, level + 1.0, level)
-            g1, d1 = lanes.choose(deeper, slower1, g1), lanes.choose(deeper, slope1, d1)
-            g2, d2 = lanes.choose(deeper, slower2, g2), lanes.choose(deeper, slope2, d2)
-            e1, j1 = lanes.choose(deeper, bent1, e1), lanes.choose(deeper, slow_jerk1, j1)
-            e2, j2 = lanes.choose(deeper, bent2, e2), lanes.choose(deeper, slow_jerk2, j2)
-            ring1, ring2 = lanes.choose(deeper, ring1 + r1, ring1), lanes.choose(deeper, ring2 + r2, ring2)
-        dig, part, whole = (k < 0.0) & there, none, h
+            start1, start2 = abreast.either(deeper, slower1, start1), abreast.either(deeper, slower2, start2)
+            ring1, ring2 = ring1 + lanes.choose(deeper, sways1, 0.0), ring2 + lanes.choose(deeper, sways2, 0.0)
+        dig, part = (~((k >= 0.0) & (start1.value >= 0.0) & ((start2.value >= 0.0) | alone))) & there, none
     moving = there & ~dig & ~lost
-    # between the slope of a guard's slower part and the line through its ends lies at most its bow, h²/8 of the
-    # jerk; between that part and the Hermite cubic of its ends h³/16 of it, since they part with a third derivative
-    # of twice the jerk and meet, with their slopes, at both ends
-    bow1, bow2 = whole * whole * j1 * 0.125, whole * whole * j2 * 0.125
     rush1 = rush2 = abreast.rush(first, work, size, level, deepest)
-    if watched == 2 and two:
+    if two:
         rush2 = abreast.rush(second, work, size, level, deepest)
 
     # go there
     lanes.store(notes, 0, k)
     if short:
         abreast.move(flows.power[flow], flows.generator[flow], modes, part, work, size, pool.moved)
-        abreast.measure(work, size)
+        if not modes:
+            abreast.measure(work, size)  # amplitudes never grow: of modes, the old ones will do for so short a time
     else:
         gather_spans(pool, flows.propagator[flow], size)
         abreast.jump(pool.moved, work, size)
     elapsed += h
     lanes.store(work, field + rows.ELAPSED, elapsed)
     lanes.store(work, field + rows.ZERO, none)
-    turns = _accelerate(pool, accelerating, acceleration, jerk, h, beaten & moving, size)
+    lanes.store(work, field + rows.TRY, none + np.inf)
 
-    # how the guards got on
-    v1, u1, b1 = abreast.glance(first, work, size, level, deepest)
-    o1, p1, c1 = abreast.origin(output, f1, steady, torque, gap_input, elapsed)
-    v2, u2, b2, o2, p2, c2 = v1, u1, b1, o1, p1, c1
-    if two:
-        v2, u2, b2 = abreast.glance(second, work, size, level, deepest)
-        o2, p2, c2 = abreast.origin(output, f2, steady, torque, gap_input, elapsed)
-    counts, misses, close = moving & (elapsed > held_from), 0, 0
+    # how the guards got on: whether they stayed positive, and whether not even the shortest span will pass
+    slower1 = abreast.glance(first, work, size, level, deepest, start1)
+    slower2, at1 = slower1, abreast.origin(output, f1, steady, torque, gap_input, elapsed)
+    at2, end1 = at1, abreast.as_guard(slower1, at1, sign1, shift1 - ring1)
+    least1, _, parts1 = abreast.between(start1, end1, h)
+    close = abreast.guess(end1, none + shortest) <= 0.0
+    sunk, failed = (end1.value < 0.0) | close, ~(lanes.smaller(least1, end1.value) > 0.0)
+    end2, least2, parts2 = end1, least1, parts1
+    if watched == 2:
+        if two:
+            slower2 = abreast.glance(second, work, size, level, deepest, start2)
+            at2 = abreast.origin(output, f2, steady, torque, gap_input, elapsed)
+        end2 = abreast.as_guard(slower2, at2, sign2, shift2 - ring2)
+        least2, _, parts2 = abreast.between(start2, end2, h)
+        close |= (abreast.guess(end2, none + shortest) <= 0.0) & ~alone
+        sunk |= close | (end2.value < 0.0) & ~alone
+        failed |= ~(lanes.smaller(least2, end2.value) > 0.0) & ~alone
+    # whoever tries a span beyond the end goes on like those that will have failed: so no event depends on where that is
+    failed = 0 if short else (failed | (h > rest)) & moving
+    moving &= ~failed
+    turns = _accelerate(pool, accelerating, acceleration, sixth, h, beaten & moving, size)
+    counts, misses = moving & (elapsed > held_from), 0
     for g in range(watched):
-        begins, fell, bent, jerk, ring = (g1, d1, e1, j1, ring1) if g == 0 else (g2, d2, e2, j2, ring2)
-        sign, shift, scale, bar = (sign1, shift1, scale1, bar1) if g == 0 else (sign2, shift2, scale2, bar2)
-        bow, rush = (bow1, rush1) if g == 0 else (bow2, rush2)
-        if g == 0:
-            ends_at, rises, bends = sign * (v1 + o1) + shift, sign * (u1 + p1), sign * (b1 + c1)
-        else:
-            ends_at, rises, bends = sign * (v2 + o2) + shift, sign * (u2 + p2), sign * (b2 + c2)
-        if g < guards:  # not even the shortest span will pass
-            close |= abreast.low(ends_at - ring, rises, bends, jerk, none + shortest) <= 0.0
         # what turned back on the way is a near miss; but a guard that was level, rounding would have turn
+        start, end, least, parts = (start1, end1, least1, parts1) if g == 0 else (start2, end2, least2, parts2)
+        rush, scale, bar = (rush1, scale1, bar1) if g == 0 else (rush2, scale2, bar2)
         fresh = (zero > 1.0 if g == 0 else zero < -1.0) & (held_from <= 0.0)
         may = counts & (scale > 0.0) & ~(event == float(g)) & ~fresh
-        # whether it falls all the way, rises, or is bent down
-        loose = bow + rush
-        may &= ~((lanes.larger(fell, rises) < -loose) | (lanes.smaller(fell, rises) > loose))
-        may &= ~(((bent + bends) * h < -8.0 * bow) & (level == 0.0))
-        drop = h * _MOST_DIP * (lanes.larger(rises, none) - lanes.smaller(fell, none))
-        may &= lanes.smaller(begins + ring, ends_at) - drop < bar + ring + 0.5 * h * bow
+        may &= lanes.smaller(lanes.smaller(start.value, end.value), least) < bar
+        monotone, crest = abreast.turns_not(start, end, parts, rush, h)
+        may &= ~monotone & ~(crest & (level == 0.0))
         if may != 0:
-            noted = (h, begins + ring, fell, ends_at, rises, bow, ring, sign, shift, scale, elapsed)
-            misses |= _misses(pool, flows, flow, f1 if g == 0 else f2, g, may, noted) << (g * WIDTH)
-    lanes.store(work, field + rows.LEVEL, lanes.choose(close, 0.0, level))
+            sign, shift = (sign1, shift1) if g == 0 else (sign2, shift2)
+            misses |= may << (g * WIDTH)
+            _seek_turns(pool, flows, flow, f1 if g == 0 else f2, g, may, h, sign, shift, elapsed)
+    lanes.store(work, field + rows.LEVEL, lanes.choose(sunk, 0.0, level))
 
     # who moved is put back; who met an event, with its state
     happened = (event >= 0.0) & moving
@@ -208,10 +209,17 @@ def stride(pool: Pool, flows: Flows, queue: int, count: int) -> None:
         lane = lanes.first_of(bits)
         bits &= bits - 1
         pool.numbers[pool.who[lane], field + rows.LEVEL] = 0.0
+    if failed != 0:
+        lanes.store(notes, 1, _NEXT_TRY * h)
+        bits = failed
+        while bits != 0:
+            lane = lanes.first_of(bits)
+            bits &= bits - 1
+            pool.numbers[pool.who[lane], field + rows.TRY] = notes[1, lane]
     special = (settled | lost | ends | grazing | happened | turns | misses | misses >> WIDTH) & present
     if modes:
         push_all(pool, queues.PART + kind, (dig | close & moving) & ~special)
-        push_all(pool, queues.SPAN + kind, moving & ~close & ~special)
+        push_all(pool, queues.SPAN + kind, (moving & ~close | failed) & ~special)
     else:
         push_all(pool, queues.PART + kind, moving & ~special)
     push_all(pool, queues.FOLLOW, special)
@@ -230,7 +238,7 @@ def stride(pool: Pool, flows: Flows, queue: int, count: int) -> None:
         elif happened & bit:
             run.ended = int(lanes.number(notes, lane))
         else:
-            run.ended = AT_END if ends & bit else GOES_ON
+            run.ended = AT_END if ends & bit else (NEARS if close & bit else GOES_ON)
 
 
 @unowned_inlined
@@ -264,7 +272,7 @@ def _crossing(
         for j in range(TERMS - 1):
             lanes.store(c, j, lanes.choose(shifted, lanes.load(c, j + 1), lanes.load(c, j)))
         lanes.store(c, TERMS - 1, lanes.choose(shifted, 0.0, lanes.load(c, TERMS - 1)))
-    found, positive, s, fall, half = abreast.crossing(c, part)
+    found, positive, s, fall, half = abreast.crossing(c, part, False)
     unclear = near & ~found & ~positive
     if unclear != 0:
         lanes.store(pool.notes, 0, s)
@@ -301,32 +309,35 @@ def _cross_alone(pool: Pool, bits: int) -> int:
 
 
 @unowned_inlined
-def _accelerate(pool: Pool, watch: FloatArray, origin: Lanes, jerk: Lanes, h: Lanes, beaten: int, size: int) -> int:
+def _accelerate(pool: Pool, watch: FloatArray, origin: Lanes, sixth: Lanes, h: Lanes, beaten: int, size: int) -> int:
     """See what the acceleration did within a time h; in which lanes it may have had an extreme that counts.
 
     beaten : the lanes where it can exceed what its window holds
     """
     work, notes, field = pool.work, pool.notes, fields(size)
-    before, slope, curvature = (
+    none = lanes.splat(0.0)
+    start = abreast.Curve(
         row_of(pool, field + rows.SEEN),
         row_of(pool, field + rows.SEEN_SLOPE),
         row_of(pool, field + rows.SEEN_CURVATURE),
+        none,
+        sixth,
     )
-    bend = 0.125 * h * h * (lanes.magnitude(curvature) + h * jerk)
-    away = lanes.choose(slope > 0.0, -curvature, curvature)
-    monotone = lanes.magnitude(slope) > h * (away + 0.5 * h * jerk)
-    last, slope, curvature = abreast.glance(watch, work, size, lanes.splat(0.0), 0)
-    last += origin
+    seen = abreast.glance(watch, work, size, none, 0, start)
+    last = seen.value + origin
+    end = abreast.Curve(last, seen.slope, seen.curvature, none, sixth)
+    least, greatest, parts = abreast.between(start, end, h)
+    monotone, _ = abreast.turns_not(start, end, parts, none, h)
     high, low = lanes.larger(row_of(pool, field + rows.HIGH), last), lanes.smaller(row_of(pool, field + rows.LOW), last)
-    turns = (lanes.larger(before, last) + bend > high) | (lanes.smaller(before, last) - bend < low)
+    turns = (greatest > high) | (least < low)
     turns &= beaten & ~monotone
     lanes.store(work, field + rows.HIGH, high)
     lanes.store(work, field + rows.LOW, low)
     lanes.store(work, field + rows.LARGEST, lanes.larger(row_of(pool, field + rows.LARGEST), last))
     lanes.store(work, field + rows.SMALLEST, lanes.smaller(row_of(pool, field + rows.SMALLEST), last))
     lanes.store(work, field + rows.SEEN, last)
-    lanes.store(work, field + rows.SEEN_SLOPE, slope)
-    lanes.store(work, field + rows.SEEN_CURVATURE, curvature)
+    lanes.store(work, field + rows.SEEN_SLOPE, seen.slope)
+    lanes.store(work, field + rows.SEEN_CURVATURE, seen.curvature)
     if turns != 0:
         lanes.store(notes, 1, h)
         lanes.store(notes, 2, origin)
@@ -340,49 +351,53 @@ def _accelerate(pool: Pool, watch: FloatArray, origin: Lanes, jerk: Lanes, h: La
 
 
 @unowned_inlined
-def _misses(
+def _seek_turns(
     pool: Pool,
     flows: Flows,
     flow: int,
     f: int,
     g: int,
     bits: int,
-    noted: tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes],
-) -> int:
-    """In which of some lanes the lowest turn of a guard within the step is to be looked for."""
-    notes, numbers, size, found = pool.notes, pool.numbers, flows.basis.shape[1], 0
+    h: Lanes,
+    sign: Lanes,
+    shift: Lanes,
+    elapsed: Lanes,
+) -> None:
+    """In some lanes, let the lowest turn of a guard within the step be looked for."""
+    notes, numbers, size = pool.notes, pool.numbers, flows.basis.shape[1]
     field = fields(size)
-    for k, noted_row in enumerate(noted):
-        lanes.store(notes, k + 1, noted_row)
+    lanes.store(notes, 1, h)
+    lanes.store(notes, 2, sign)
+    lanes.store(notes, 3, shift)
+    lanes.store(notes, 4, elapsed)
     while bits != 0:
         lane = lanes.first_of(bits)
         bits &= bits - 1
-        h, bow, slot = notes[1, lane], notes[6, lane], pool.who[lane]
-        least = _dip(notes[2, lane], notes[4, lane], notes[3, lane], notes[5, lane], h) - 0.5 * h * bow - notes[7, lane]
-        if least >= abs(numbers[slot, field + rows.MARGIN]) * notes[10, lane]:
-            continue
+        slot = pool.who[lane]
         torque, gap_input = (
             numbers[slot, field + rows.TORQUE],
             numbers[slot, field + rows.SIDE] * numbers[slot, field + rows.HALF_GAP],
         )
         find_origin(pool, flows, flow, f, torque, gap_input, numbers[slot, field + rows.ELAPSED])
-        ask(pool, slot, rows.TURN_TASK + g, size, h, notes[8, lane], notes[9, lane])
+        ask(pool, slot, rows.TURN_TASK + g, size, notes[1, lane], notes[2, lane], notes[3, lane])
         pool.asked[slot * rows.TASKS + rows.TURN_TASK + g, field + rows.COUNTS] = (
-            notes[11, lane] - numbers[slot, field + rows.HELD_FROM]
+            notes[4, lane] - numbers[slot, field + rows.HELD_FROM]
         )
-        found |= 1 << lane
-    return found
 
 
 @unowned_inlined
-def _dip(begins: float, ends: float, fell: float, rises: float, h: float) -> float:
-    """The least value in (0, h) of the cubic with these values and slopes at its ends, falling and then rising."""
-    secant = (ends - begins) / h
-    cube, square = fell + rises - 2.0 * secant, 3.0 * secant - 2.0 * fell - rises  # over s = t/h in (0, 1), times h
-    root = np.sqrt(max(square * square - 3.0 * cube * fell, 0.0))
-    s = -fell / (square + root) if square + root > 0.0 else 1.0
-    s = min(max(s, 0.0), 1.0)
-    return min(begins, ends, begins + h * s * (fell + s * (square + s * cube)))
+def _longest(shortest: float, one: abreast.Curve, other: abreast.Curve, alone: int, rest: Lanes) -> tuple[Lanes, Lanes]:
+    """`abreast.longest`; a single guard is not looked at twice."""
+    if alone != 0:
+        return abreast.longest(shortest, one, one, rest)
+    return abreast.longest(shortest, one, other, rest)
+
+
+@unowned_inlined
+def _from_zero(guard: abreast.Curve, bits: int) -> abreast.Curve:
+    """A guard that is known to be zero in some lanes."""
+    value = lanes.choose(bits, 0.0, guard.value)
+    return abreast.Curve(value, guard.slope, guard.curvature, guard.jerk, guard.sixth)
 
 
 @unowned_inlined
@@ -391,7 +406,7 @@ def _leave(pool: Pool, flows: Flows, flow: int, torque: Lanes, gap_input: Lanes,
     origins, basis, left, size = flows.origin[flow], flows.basis[flow], pool.left, flows.basis.shape[1]
     half = 0.5 * elapsed * elapsed
     for n in range(flows.coordinates.shape[1]):
-        origin = torque * lanes.number(origins, n) + gap_input * lanes.number(origins, size + n)
+        origin = lanes.fused(gap_input, lanes.number(origins, size + n), torque * lanes.number(origins, n))
         if flows.steady[flow] == 0:
             slope = torque * lanes.number(origins, 2 * size + n) + gap_input * lanes.number(origins, 3 * size + n)
             bend = torque * lanes.number(origins, 4 * size + n) + gap_input * lanes.number(origins, 5 * size + n)
@@ -399,7 +414,7 @@ def _leave(pool: Pool, flows: Flows, flow: int, torque: Lanes, gap_input: Lanes,
             origin += bend * half
         away = lanes.splat(0.0)
         for j in range(size):
-            away += lanes.load(pool.work, j) * lanes.number(basis, j * size + n)
+            away = lanes.fused(lanes.load(pool.work, j), lanes.number(basis, j * size + n), away)
         lanes.store(left, n, origin + away)
     nobody = pool.state.shape[0] - 1
     for lane in range(WIDTH):
