@@ -138,11 +138,14 @@ class Grid:
             Set by another thread, it ends the work within a run; the tile then has the cells that are done.
         """
         before, after, half_gap = self.drive(self.design.at(cells), cells.size)
+        impacts: list[npt.NDArray[np.void]] = [np.zeros(0, IMPACT)]
+        buffer = self.impact_buffer(cells.size)
+        if not self.structural:
+            records, pieces = self.run_group({}, (before, after, half_gap), buffer, stop)
+            return Tile(cells[: records.size], records, np.concatenate(impacts + pieces))
         records = np.zeros(cells.size, CELL)
         known = np.zeros(cells.size, bool)
-        impacts: list[npt.NDArray[np.void]] = [np.zeros(0, IMPACT)]
         owners: list[npt.NDArray[np.int64]] = [np.zeros(0, np.int64)]
-        buffer = self.impact_buffer(cells.size)
         for values, mine in self.groups(cells):
             if stop[0]:
                 break

@@ -36,7 +36,6 @@ from clunk.core.pool import (
     find_origin,
     make_pool,
     push,
-    push_all,
     put_back,
     scale_of,
     separates_by_force,
@@ -154,10 +153,13 @@ def advance(pool: Pool, system: System, flows: Flows, stop: npt.NDArray[np.uint8
             queue = int(np.argmax(pool.length[: queues.OVER]))
             if pool.length[queue] == 0:
                 break
-        if queue < queues.ENTER:
-            stride(pool, flows, queue, take(pool, queue, pool.numbers))
-        elif queue < queues.EXTREMES:
-            _enter(pool, flows, queue - queues.ENTER, take(pool, queue, pool.numbers))
+        if queue < queues.EXTREMES:
+            count = take(pool, queue, pool.numbers)
+            if queue >= queues.ENTER:  # and take the first step at once
+                kind = queue - queues.ENTER
+                _enter(pool, flows, kind, count)
+                queue = queues.SPAN + kind if flows.modal[pool.kinds[kind].flow] != 0 else queues.PART + kind
+            stride(pool, flows, queue, count)
         else:
             search(pool, flows, queue, take(pool, queue, pool.asked))
         for k in range(pool.length[queues.FOLLOW]):
@@ -199,9 +201,7 @@ def _enter(pool: Pool, flows: Flows, kind: int, count: int) -> None:
     lanes.store(work, field + rows.SEEN, seen)
     lanes.store(work, field + rows.SEEN_SLOPE, acceleration.slope)
     lanes.store(work, field + rows.SEEN_CURVATURE, acceleration.curvature)
-    everybody = (1 << count) - 1
-    put_back(pool, pool.numbers, field + rows.CHANGING, everybody)
-    push_all(pool, queues.SPAN + kind if flows.modal[flow] != 0 else queues.PART + kind, everybody)
+    put_back(pool, pool.numbers, field + rows.CHANGING, (1 << count) - 1)
 
 
 @unowned_inlined
