@@ -136,9 +136,10 @@ class Assembly:
 
     def _codes_of(self, records: npt.NDArray[np.void], flanks: npt.NDArray[np.int8]) -> npt.NDArray[np.int32]:
         """Each record's code; flanks : (N,), of all of their impacts."""
-        patterns, inverse = np.unique(records["pattern"], return_inverse=True)
+        own = np.ascontiguousarray(records["pattern"])
+        patterns = np.unique(own)
         known = [self._code(_flanks(pattern)) if pattern else FAILED_CODE for pattern in patterns.tolist()]
-        codes: npt.NDArray[np.int32] = np.array(known, np.int32)[inverse.reshape(-1)]
+        codes: npt.NDArray[np.int32] = np.array(known, np.int32)[np.searchsorted(patterns, own)]
         # sequences too long for a pattern are told from their flanks
         long = np.flatnonzero((records["pattern"] == 0) & (records["status"] == Status.OK))
         if long.size:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import os
 import platform
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Protocol
@@ -56,9 +56,7 @@ class Threads:
     def run(self, grid: Grid, cells: Cells) -> Generator[Tile, None, None]:
         """See `Engine`."""
         stop = np.zeros(1, np.uint8)
-        size = tile_size(cells.size, grid, self._workers)
-        cells = grid.ordered(cells)
-        waiting = (cells[start : start + size] for start in range(0, cells.size, size))
+        waiting = _tiles(grid.ordered(cells), grid, self._workers)
         with ThreadPoolExecutor(self._workers, thread_name_prefix="clunk") as pool:
             running: set[Future[Tile]] = set()
             try:
@@ -82,8 +80,22 @@ class Threads:
 
 def tile_size(cells: int, grid: Grid, workers: int) -> int:
     """Cells of a tile: eight tiles a worker, none larger than the grid's; fewer tiles where they would be too small."""
-    least = min(grid.tile_cells // 8, -(-cells // workers))
-    return min(max(-(-cells // (8 * workers)), least, 1), grid.tile_cells)
+    return min(max(-(-cells // (8 * workers)), _least(cells, grid, workers)), grid.tile_cells)
+
+
+def _tiles(cells: Cells, grid: Grid, workers: int) -> Iterator[Cells]:
+    """Cells cut into tiles: each half of what a worker's share of the rest is, so that all workers end together."""
+    least, begin = _least(cells.size, grid, workers), 0
+    while begin < cells.size:
+        share = -(-(cells.size - begin) // (2 * workers))
+        end = begin + min(max(share, least), grid.tile_cells)
+        yield cells[begin:end]
+        begin = end
+
+
+def _least(cells: int, grid: Grid, workers: int) -> int:
+    """Cells of the smallest tile that is worth while; fewer only where some worker would have nothing to do."""
+    return max(min(grid.tile_cells // 8, -(-cells // workers)), 1)
 
 
 def available_cores() -> int:

@@ -12,9 +12,10 @@ A row begins with the modal coordinates, C of them, and the amplitudes of their 
 ) = range(18)  # fmt: skip
 CHANGING, OF_A_RUN = 12, 18
 
-# Of what a run looks for within a step: the time left, the origin's value, slope and curvature, the bars, the sign and
-# shift that make a guard of the functional, and within which of the time left a turn counts.
-REST, AT, AT_SLOPE, AT_CURVATURE, TOP, BOTTOM, SIGN, SHIFT, COUNTS = range(9)
+# Of what a run looks for within a step, what changes most often first: the time left, the bars, the origin's value,
+# slope and curvature, the sign and shift that make a guard of the functional, and within which of the time left a turn
+# counts.
+REST, TOP, BOTTOM, AT, AT_SLOPE, AT_CURVATURE, SIGN, SHIFT, COUNTS = range(9)
 OF_A_SEARCH = 9
 # Which of a run's rows that is: of the extremes of the acceleration, of the lowest turn of either guard, and of how
 # deep a guard would go after an event.

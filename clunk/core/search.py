@@ -124,7 +124,7 @@ def search(pool: Pool, flows: Flows, queue: int, count: int) -> None:
     lanes.store(work, field + rows.REST, rest)
     lanes.store(work, field + rows.TOP, top)
     lanes.store(work, field + rows.BOTTOM, bottom)
-    put_back(pool, pool.asked, pool.asked.shape[1], present & ~done)
+    put_back(pool, pool.asked, field + (rows.AT if steady else rows.AT_CURVATURE), present & ~done)
     push_all(pool, queue, present & ~done)
     while done != 0:
         lane = lanes.first_of(done)

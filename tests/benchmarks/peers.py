@@ -2,15 +2,17 @@
 
 Run by hand: python tests/benchmarks/peers.py [--quick] [--json] [--repeats N] [--patience S]    (clunk's extra `bench`)
 
-The runs are those of `events_table`: 20 x 20 cells, 1.5 s after the load step, every touch and separation located. Each
-row is timed on one core and on two, in interleaved repeats, compilation before the clock starts; the table has the
+The runs are those of `events_table`: 20 x 20 cells, 1.5 s after the load step, every touch and separation located. One
+row is a sweep of the same axes at 401 x 401 cells, as large as maps are: a sweep has milliseconds of its own, which
+400 runs notice. heyoka is given the 400 runs ten times over at a time, since it has some of its own as well.
+
+Each row is timed on one core and on two, in interleaved repeats, compilation before the clock starts; the table has the
 medians, half the range of the repeats, and the ratio to heyoka's eight lanes. On a machine with other users each
 measurement waits up to S seconds for it to be idle, and those during which others took 5 % of it or more do not count;
-a rate with no other measurement than such is marked *. clunk's rows are whole calls of
-`clunk.sweep` with as many threads as cores; the other rows are processes that already wait for work, timed until every
-run's events are in this process. Errors are against the stored table of `reference_events.py`: the largest |time error|
-of any event in the runs that have the right number of them, and how many runs have another number of events, or
-another label.
+a rate with no other measurement than such is marked *. clunk's rows are whole calls of `clunk.sweep` with as many
+threads as cores; the other rows are processes that already wait for work, timed until every run's events are in this
+process. Errors are against the stored table of `reference_events.py`: the largest |time error| of any event in the runs
+that have the right number of them, and how many runs have another number of events, or another label.
 """
 
 import argparse
@@ -33,13 +35,14 @@ from machine import Watch
 
 import clunk
 from clunk import sweeping
-from clunk.config import replace_values
+from clunk.config import replace_values, study_from_text
 from clunk.core.events import EVENT
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.driveline import Driveline
 from clunk.engines import cpu_model
 
 CELLS = np.arange(events_table.RATIOS.size * events_table.BACKLASHES_DEG.size)
+FINE = 401  # cells a side of the large sweep
 CORES = (1, 2)
 SAMPLE = CELLS[::7]  # of the rows that take half a minute for all: 58 runs from all over the map
 YARDSTICK = "heyoka, tolerance 1e-9"
@@ -91,9 +94,10 @@ class Row:
 class Clunk:
     """A method of clunk's, by the public sweep and, for the times of the events, by the public simulate."""
 
-    def __init__(self, name: str, method: str, whole: bool = False) -> None:
+    def __init__(self, name: str, method: str, whole: bool = False, fine: bool = False) -> None:
         self.row = Row(name)
         self.study = events_table.study(method)
+        self.timed = fine_study(method) if fine else self.study
         self.whole = whole
         began = time.perf_counter()
         sweeping.warm_up(self.study)
@@ -103,7 +107,7 @@ class Clunk:
 
     def work(self, cores: int) -> tuple[int, float]:
         """Runs and seconds of one sweep."""
-        return CELLS.size, figure.timed(self.study, cores, not self.whole)
+        return sweeping.cell_count(self.timed), figure.timed(self.timed, cores, not self.whole)
 
     def check(self, _: bool) -> None:
         """Fill in the errors."""
@@ -118,6 +122,18 @@ class Clunk:
 
     def close(self) -> None:
         """Nothing is kept."""
+
+
+def fine_study(method: str) -> clunk.Study:
+    """The same axes, from end to end, in smaller steps."""
+    ratios, backlashes = (
+        np.linspace(values[0], values[-1], FINE).tolist()
+        for values in (events_table.RATIOS, events_table.BACKLASHES_DEG)
+    )
+    text = events_table.CONFIG.format(
+        method=method, end_time=events_table.END_TIME, ratios=ratios, backlashes=backlashes
+    )
+    return study_from_text(text)
 
 
 class Peer:
@@ -156,7 +172,7 @@ class Peer:
 
     def check(self, all_cells: bool) -> None:
         """Fill in the errors, of all runs or of those that are timed."""
-        cells = CELLS if all_cells else self.timed
+        cells = CELLS if all_cells else np.unique(self.timed)
         found = self.solve(cells, max(CORES))
         driveline = Driveline.from_study(events_table.study())
         _, _, sides = events_table.preload(events_table.study(), driveline)
@@ -213,7 +229,7 @@ def contestants() -> dict[str, Callable[[str], Clunk | Peer]]:
     """What makes each row, by its name."""
 
     def heyoka(tolerance: float) -> Callable[[str], Peer]:
-        return lambda name: Peer(name, "peer_heyoka", CELLS, tolerance=tolerance)
+        return lambda name: Peer(name, "peer_heyoka", np.tile(CELLS, 10), tolerance=tolerance)
 
     def solve_ivp(**options: object) -> Callable[[str], Peer]:
         return lambda name: Peer(name, "peer_scipy", SAMPLE, **options)
@@ -222,6 +238,7 @@ def contestants() -> dict[str, Callable[[str], Clunk | Peer]]:
         YARDSTICK: heyoka(1e-9),
         "heyoka, tolerance 1e-12": heyoka(1e-12),
         "clunk exact": lambda name: Clunk(name, "exact"),
+        f"clunk exact, {FINE} x {FINE}": lambda name: Clunk(name, "exact", fine=True),
         "clunk rk4": lambda name: Clunk(name, "rk4"),
         "clunk rk4, full length": lambda name: Clunk(name, "rk4", whole=True),
         "solve_ivp RK45, 1e-6": solve_ivp(method="RK45", rtol=1e-6, atol=1e-9, first_step=1e-6),
