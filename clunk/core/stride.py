@@ -36,6 +36,7 @@ from clunk.core.switching import ROUNDING
 FloatArray = npt.NDArray[np.float64]
 
 GRAZING = 1e-12  # a guard that turns back within this share of its scale has not turned negative
+_WORTH = 1.0 / 3.0  # of what bounds a guard's jerk: a pair that makes less of it is no obstacle to a longer span
 _NEXT_TRY = 0.4  # of a span within which a guard was not proved positive
 
 
@@ -134,6 +135,7 @@ def stride(pool: Pool, flows: Flows, queue: int, count: int) -> None:
         slower1, slower2 = abreast.without(start1, pair1, sign1, sways1), abreast.without(start2, pair2, sign2, sways2)
         deeper = (level < float(deepest)) & (slower1.value > 0.0) & ((slower2.value > 0.0) | alone) & ~level_guard
         deeper &= (k >= 0.0) | (level == 0.0)
+        deeper &= (pair1.jerk > _WORTH * start1.jerk) | (pair2.jerk > _WORTH * start2.jerk)
         if deeper != 0:
             longer, number = _longest(shortest, slower1, slower2, alone, longest)
             deeper &= number > k
@@ -326,11 +328,12 @@ def _accelerate(pool: Pool, watch: FloatArray, origin: Lanes, sixth: Lanes, h: L
     seen = abreast.glance(watch, work, size, none, 0, start)
     last = seen.value + origin
     end = abreast.Curve(last, seen.slope, seen.curvature, none, sixth)
-    least, greatest, parts = abreast.between(start, end, h)
-    monotone, _ = abreast.turns_not(start, end, parts, none, h)
     high, low = lanes.larger(row_of(pool, field + rows.HIGH), last), lanes.smaller(row_of(pool, field + rows.LOW), last)
-    turns = (greatest > high) | (least < low)
-    turns &= beaten & ~monotone
+    turns = 0
+    if beaten != 0:
+        least, greatest, parts = abreast.between(start, end, h)
+        monotone, _ = abreast.turns_not(start, end, parts, none, h)
+        turns = ((greatest > high) | (least < low)) & beaten & ~monotone
     lanes.store(work, field + rows.HIGH, high)
     lanes.store(work, field + rows.LOW, low)
     lanes.store(work, field + rows.LARGEST, lanes.larger(row_of(pool, field + rows.LARGEST), last))
