@@ -19,6 +19,8 @@ from clunk.tiles import Tile
 
 Cells = npt.NDArray[np.int64]
 
+_SHORT = 1 << 12  # patterns below it, of up to eleven primaries, are looked up in a table
+_UNSEEN = -2  # the code there of a pattern that has not turned up yet
 # Of a cell that was not run: nothing is interpolated.
 _UNKNOWN_VALUES = {"severity": np.nan, "approach_velocity": np.nan, "last_event_time": np.nan, "touches": -1}
 
@@ -38,6 +40,8 @@ class Assembly:
         self.done = 0
         self._scratch = scratch or Scratch()
         self._sequences: dict[tuple[int, ...], int] = {}  # the primaries' flanks -> code, in the order they turned up
+        self._code_of = np.full(_SHORT + 1, _UNSEEN, np.int32)  # of a pattern; the last is of all longer ones
+        self._code_of[0] = FAILED_CODE
         self._codes: npt.NDArray[np.int32] = self._scratch.zeros(cells, np.int32)
         self._codes.fill(FAILED_CODE)
         self._known = np.zeros(cells, bool)
@@ -139,10 +143,14 @@ class Assembly:
     def _codes_of(self, records: npt.NDArray[np.void], flanks: npt.NDArray[np.int8]) -> npt.NDArray[np.int32]:
         """Each record's code; flanks : (N,), of all of their impacts."""
         own = np.ascontiguousarray(records["pattern"])
-        ordered = np.sort(own)
-        patterns = ordered[np.append(True, ordered[1:] != ordered[:-1])] if own.size else own
-        known = [self._code(_flanks(pattern)) if pattern else FAILED_CODE for pattern in patterns.tolist()]
-        codes: npt.NDArray[np.int32] = np.array(known, np.int32)[np.searchsorted(patterns, own)]
+        codes: npt.NDArray[np.int32] = self._code_of[np.minimum(own, _SHORT)]
+        others = np.flatnonzero(codes == _UNSEEN)
+        if others.size:
+            patterns, inverse = np.unique(own[others], return_inverse=True)
+            found = np.array([self._code(_flanks(pattern)) for pattern in patterns.tolist()], np.int32)
+            codes[others] = found[inverse.reshape(-1)]
+            short = patterns < _SHORT
+            self._code_of[patterns[short]] = found[short]
         # sequences too long for a pattern are told from their flanks
         long = np.flatnonzero((records["pattern"] == 0) & (records["status"] == Status.OK))
         if long.size:
