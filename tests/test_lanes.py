@@ -1,6 +1,7 @@
 """Each operation of the lanes against numpy's, with NaN, infinities and zeros of either sign among the numbers."""
 
 import operator
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -52,6 +53,15 @@ def calculate_in_place(a, b, results):
     lanes.store(results, 0, total)
     lanes.store(results, 1, rest)
     lanes.store(results, 2, product)
+
+
+@compiled
+def fuse(a, b, c, x, results):
+    p, q, r = lanes.load(a, 0), lanes.load(b, 0), lanes.load(c, 0)
+    lanes.store(results, 0, lanes.fused(p, q, r))
+    lanes.store(results, 1, lanes.fused(x, q, r))
+    lanes.store(results, 2, lanes.fused(p, x, r))
+    lanes.store(results, 3, lanes.fused(p, q, x))
 
 
 @compiled
@@ -158,6 +168,18 @@ def test_magnitude_root_sign_and_splat_are_those_of_each_lane():
     with np.errstate(invalid="ignore"):
         expected = [np.abs(A[0]), np.sqrt(A[0]), -A[0], np.full(WIDTH, 0.7)]
     assert all(same(*pair) for pair in zip(results[2:], expected, strict=True))
+
+
+def test_a_product_and_a_sum_are_rounded_once():
+    """Where all but the rounding of the product cancels, as elsewhere; one of the three may be a number."""
+    p, q = RANDOM.normal(size=(2, 1, WIDTH))
+    for r in (RANDOM.normal(size=(1, WIDTH)), -p * q):
+        results, x = np.zeros((4, WIDTH)), 0.7
+        fuse(p, q, r, x, results)
+        for found, sides in zip(results, ((p, q, r), (x, q, r), (p, x, r), (p, q, x)), strict=True):
+            numbers = [map(Fraction, np.broadcast_to(side, (1, WIDTH))[0].tolist()) for side in sides]
+            assert found.tolist() == [float(a * b + c) for a, b, c in zip(*numbers, strict=True)]
+    assert np.any(results[0] != 0.0)  # as the product rounded by itself, less that, would be
 
 
 @pytest.mark.parametrize("bits", [*BITS, ~BITS[-1], -1, 1 << WIDTH])  # what is beyond the lanes does not matter
