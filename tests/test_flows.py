@@ -699,7 +699,8 @@ def test_what_is_left_between_the_ends_is_as_much_as_can_be(h):
     """±t³(1 - t)³ has neither value, slope nor curvature at 0 and 1, and a sixth derivative of 720 throughout.
 
     Its slope is 720 √5/30000 at most, where t (1 - t) = 1/5, and its curvature 720/1920, at 1/2. So a straight line,
-    and a parabola, of more than that can be told to be monotone, and bent, whatever their sixth derivative does.
+    and a parabola, of more than that can be told to be monotone, and bent, whatever their sixth derivative does. Its
+    value is 1/64 at most: what moves the middle one of seven Bernstein coefficients, whose polynomial is 20/64 there.
     """
     most = 720.0 * np.array([np.sqrt(5.0) / 30000.0, 1.0 / 1920.0])
     shares, results = np.resize([1.001, 0.999], WIDTH), np.zeros((2, WIDTH))
@@ -713,6 +714,8 @@ def test_what_is_left_between_the_ends_is_as_much_as_can_be(h):
     ends = ends_of(parabola, h, 720.0 / h**6)
     _, bent = find_between(ends, np.zeros(WIDTH), np.full(WIDTH, h), results)
     assert np.array_equal(holds(bent), shares > 1.0)
+    find_between(ends_of(0.0 * parabola, h, 720.0 / h**6), np.zeros(WIDTH), np.full(WIDTH, h), results)
+    assert results * 20.0 / 64.0 == pytest.approx(np.outer([-1.0, 1.0], np.full(WIDTH, 1.0 / 64.0)), rel=1e-12)
 
 
 def random_series(random):

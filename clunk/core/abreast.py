@@ -208,30 +208,30 @@ def guess(guard: Curve, h: Lanes) -> Lanes:
 
 
 @unowned_inlined
-def longest(shortest: float, one: Curve, other: Curve, rest: Lanes) -> tuple[Lanes, Lanes]:
-    """The longest span of the ladder, not beyond `rest`, up to which two guards stay positive by `guess`; its number.
+def longest(shortest: float, one: Curve, other: Curve, at_most: Lanes) -> tuple[Lanes, Lanes]:
+    """The longest span of the ladder, at most `at_most`, up to which two guards stay positive by `guess`; its number.
 
     Where there is none, the number is -1.
     """
     h, k = lanes.splat(shortest), lanes.splat(0.0)
-    none = ~_passes(one, other, h, rest)
+    none = ~_passes(one, other, h, at_most)
     for octaves in (4, 1):  # the octave, of 16, in base 4: three at once, since each takes long to be known
         a, b, c = h * float(1 << octaves), h * float(1 << 2 * octaves), h * float(1 << 3 * octaves)
-        first = _passes(one, other, a, rest)
-        second = _passes(one, other, b, rest) & first
-        third = _passes(one, other, c, rest) & second
+        first = _passes(one, other, a, at_most)
+        second = _passes(one, other, b, at_most) & first
+        third = _passes(one, other, c, at_most) & second
         h = lanes.choose(third, c, lanes.choose(second, b, lanes.choose(first, a, h)))
         step = 2.0 * octaves
         k += lanes.choose(third, 3.0 * step, lanes.choose(second, 2.0 * step, lanes.choose(first, step, 0.0)))
     half = h * 1.5
-    passes = _passes(one, other, half, rest)
+    passes = _passes(one, other, half, at_most)
     h, k = lanes.choose(passes, half, h), lanes.choose(passes, k + 1.0, k)
     return h, lanes.choose(none, -1.0, k)
 
 
 @unowned_inlined
-def _passes(one: Curve, other: Curve, h: Lanes, rest: Lanes) -> int:
-    return int((guess(one, h) > 0.0) & (guess(other, h) > 0.0) & (h <= rest))
+def _passes(one: Curve, other: Curve, h: Lanes, at_most: Lanes) -> int:
+    return int((guess(one, h) > 0.0) & (guess(other, h) > 0.0) & (h <= at_most))
 
 
 @unowned_inlined

@@ -1,7 +1,7 @@
 """A step of runs side by side: a span in which no guard turns negative, or a part of the shortest one to an event.
 
-A span is first tried: whoever's guards are not proved positive all through it stays where it was, and tries a shorter
-one next.
+A span is first tried: a run whose guards are not proved positive all through it stays where it was, and tries a
+shorter one next.
 
 The fastest pairs of modes, LEVEL of them, are taken out of the guards and bounded by their sway instead, as soon as
 that lets a longer span pass: what rings less than a guard is away from zero need not be resolved.
@@ -128,8 +128,8 @@ def stride(pool: Pool, flows: Flows, queue: int, count: int) -> None:
             event, part = lanes.choose(found, lanes.choose(other, 1.0, 0.0), event), lanes.choose(found, s, part)
         h = whole * part
     else:
-        longest = row_of(pool, field + rows.TRY)
-        h, k = _longest(shortest, start1, start2, alone, longest)
+        at_most = row_of(pool, field + rows.TRY)
+        h, k = _longest(shortest, start1, start2, alone, at_most)
         level_guard = lanes.magnitude(zero) > 1.0  # it is zero with its slope: its series decides
         k = lanes.choose(level_guard, -1.0, k)
         slower1, slower2 = abreast.without(start1, pair1, sign1, sways1), abreast.without(start2, pair2, sign2, sways2)
@@ -137,7 +137,7 @@ def stride(pool: Pool, flows: Flows, queue: int, count: int) -> None:
         deeper &= (k >= 0.0) | (level == 0.0)
         deeper &= (pair1.jerk > _WORTH * start1.jerk) | (pair2.jerk > _WORTH * start2.jerk)
         if deeper != 0:
-            longer, number = _longest(shortest, slower1, slower2, alone, longest)
+            longer, number = _longest(shortest, slower1, slower2, alone, at_most)
             deeper &= number > k
             k, h = lanes.choose(deeper, number, k), lanes.choose(deeper, longer, h)
             level = lanes.choose(deeper, level + 1.0, level)
@@ -180,7 +180,7 @@ def stride(pool: Pool, flows: Flows, queue: int, count: int) -> None:
         close |= (abreast.guess(end2, none + shortest) <= 0.0) & ~alone
         sunk |= close | (end2.value < 0.0) & ~alone
         failed |= ~(lanes.smaller(least2, end2.value) > 0.0) & ~alone
-    # whoever tries a span beyond the end goes on like those that will have failed: so no event depends on where that is
+    # a span beyond the end of the run counts as failed, so that no event depends on where that end is
     failed = 0 if short else (failed | (h > rest)) & moving
     moving &= ~failed
     turns = _accelerate(pool, accelerating, acceleration, sixth, h, beaten & moving, size)
@@ -389,11 +389,13 @@ def _seek_turns(
 
 
 @unowned_inlined
-def _longest(shortest: float, one: abreast.Curve, other: abreast.Curve, alone: int, rest: Lanes) -> tuple[Lanes, Lanes]:
+def _longest(
+    shortest: float, one: abreast.Curve, other: abreast.Curve, alone: int, at_most: Lanes
+) -> tuple[Lanes, Lanes]:
     """`abreast.longest`; a single guard is not looked at twice."""
     if alone != 0:
-        return abreast.longest(shortest, one, one, rest)
-    return abreast.longest(shortest, one, other, rest)
+        return abreast.longest(shortest, one, one, at_most)
+    return abreast.longest(shortest, one, other, at_most)
 
 
 @unowned_inlined
