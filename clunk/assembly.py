@@ -9,10 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.config import Study, digest, to_toml
+from clunk.core.jit import compiled
 from clunk.core.sequence import OPPOSITE, label
 from clunk.core.status import QUALITY_GRAZING, QUALITY_INFERRED, QUALITY_UNDECIDED, Status
 from clunk.designs import design_of
-from clunk.refinement import DOUBTFUL, UNKNOWN
+from clunk.refinement import DOUBTFUL
 from clunk.results import CELL_FIELDS, FAILED_CODE, IMPACT_FIELDS, Results
 from clunk.scratch import Scratch
 from clunk.tiles import Tile
@@ -21,8 +22,16 @@ Cells = npt.NDArray[np.int64]
 
 _SHORT = 1 << 12  # patterns below it, of up to eleven primaries, are looked up in a table
 _UNSEEN = -2  # the code there of a pattern that has not turned up yet
-# Of a cell that was not run: nothing is interpolated.
-_UNKNOWN_VALUES = {"severity": np.nan, "approach_velocity": np.nan, "last_event_time": np.nan, "touches": -1}
+# Of a cell that was not run, what is that of its regime; of the rest, nothing is interpolated.
+_OF_REGIME = ("primary_impacts", "initial_side")
+_UNKNOWN_VALUES: dict[str, float] = {
+    "severity": np.nan,
+    "approach_velocity": np.nan,
+    "last_event_time": np.nan,
+    "margin": np.nan,
+    "touches": -1,
+    "quality": QUALITY_INFERRED,
+}
 
 
 class Assembly:
@@ -83,40 +92,39 @@ class Assembly:
         owned = np.repeat(sequence != FAILED_CODE, np.diff(first))
         self._take(cells, cells, {name: getattr(results, name)[owned] for name in IMPACT_FIELDS})
 
+    def known(self) -> Cells:
+        """The cells that have been run, in ascending order."""
+        return np.flatnonzero(self._known).astype(np.int64, copy=False)
+
     def missing(self) -> Cells:
         """The cells that have not been run, in ascending order."""
         return np.flatnonzero(~self._known).astype(np.int64, copy=False)
 
-    def kinds(self) -> npt.NDArray[np.int32]:
-        """What refinement compares: shape, int32; equal where the flanks of the impacts and the initial flank are."""
-        kinds: npt.NDArray[np.int32] = 3 * self._codes + 1 + self._fields["initial_side"]
-        vague = (self._fields["quality"] & (QUALITY_UNDECIDED | QUALITY_GRAZING)) != 0
-        kinds[(self._codes == FAILED_CODE) | vague] = DOUBTFUL
-        kinds[~self._known] = UNKNOWN
-        return kinds.reshape(self.shape)
+    def kinds(self, cells: Cells) -> npt.NDArray[np.int32]:
+        """What refinement compares of cells that have been run: int32, equal where flanks and initial flank are."""
+        codes = self._codes[cells]
+        kinds: npt.NDArray[np.int32] = 3 * codes + 1 + self._fields["initial_side"][cells]
+        vague = (self._fields["quality"][cells] & (QUALITY_UNDECIDED | QUALITY_GRAZING)) != 0
+        kinds[(codes == FAILED_CODE) | vague] = DOUBTFUL
+        return kinds
 
-    def touches(self) -> npt.NDArray[np.int32]:
-        """The number of touches, shape; `UNKNOWN` where it is."""
-        touches: npt.NDArray[np.int32] = np.where(self._known, self._fields["touches"], UNKNOWN).astype(np.int32)
-        return touches.reshape(self.shape)
+    def touches(self, cells: Cells) -> npt.NDArray[np.int32]:
+        """The number of touches of cells that have been run."""
+        touches: npt.NDArray[np.int32] = self._fields["touches"][cells]
+        return touches
 
-    def infer(self, cells: Cells, sources: Cells) -> None:
-        """Give cells that have not been run the regime of others: label, flanks, initial flank and no quantity."""
-        self._codes[cells] = self._codes[sources]
-        for name in ("primary_impacts", "initial_side"):
-            self._fields[name][cells] = self._fields[name][sources]
+    def infer(self, sources: Cells) -> None:
+        """Give cells that have not been run the regime of others: label, flanks, initial flank and no quantity.
+
+        sources : (cells,), for each cell the one whose regime it has
+        """
+        inferred = ~self._known
+        self._codes[:] = self._codes[sources]
+        for name in _OF_REGIME:
+            self._fields[name][:] = self._fields[name][sources]
         for name, value in _UNKNOWN_VALUES.items():
-            self._fields[name][cells] = value
-        self._fields["quality"][cells] = QUALITY_INFERRED
-        counts = self._fields["primary_impacts"][cells]
-        columns = {name: np.full(int(counts.sum()), np.nan, dtype) for name, dtype in _FLOATING.items()}
-        flanks = np.zeros(int(counts.sum()), np.int8)
-        codes, ends = self._codes[cells], np.cumsum(counts)
-        for sequence, code in self._sequences.items():
-            starts = (ends - counts)[codes == code]
-            for k, flank in enumerate(sequence):
-                flanks[starts + k] = flank
-        self._take(cells, cells, {**columns, "impact_flank": flanks})
+            self._fields[name][inferred] = value
+        self._known[:] = True
 
     def results(self, attributes: dict[str, str]) -> Results:
         """The finished map; every cell has been run or inferred.
@@ -170,12 +178,15 @@ class Assembly:
         self.done += cells.size
 
     def _flat_impacts(self) -> dict[str, npt.NDArray[Any]]:
-        """Every tile's impacts where their cells are in C order."""
+        """Every cell's impacts where they are in C order."""
         counts = self._fields["primary_impacts"]
-        first = np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
+        first = np.zeros(counts.size + 1, np.int64)
+        np.cumsum(counts, out=first[1:])
         flat: dict[str, npt.NDArray[Any]] = {
             name: self._scratch.zeros(int(first[-1]), dtype) for name, dtype in IMPACT_FIELDS.items()
         }
+        if self.done < counts.size:
+            self._fill_inferred(flat, first)
         for cells, impacts in self._impacts:
             own = _where(cells)
             position: slice | npt.NDArray[np.int64]
@@ -189,15 +200,34 @@ class Assembly:
                 flat[name][position] = values
         return flat
 
+    def _fill_inferred(self, flat: dict[str, npt.NDArray[Any]], first: Cells) -> None:
+        """What the impacts of cells that have not been run are: their regime's flanks, and no quantity."""
+        for values in flat.values():
+            if values.dtype.kind == "f":
+                values.fill(np.nan)
+        of_sequence = np.zeros((len(self._sequences), max(map(len, self._sequences))), np.int8)
+        for sequence, code in self._sequences.items():
+            of_sequence[code, : len(sequence)] = sequence
+        _write_flanks(self._codes, first, of_sequence, flat["impact_flank"])
+
+
+@compiled
+def _write_flanks(
+    codes: npt.NDArray[np.int32], first: Cells, of_sequence: npt.NDArray[np.int8], flanks: npt.NDArray[np.int8]
+) -> None:
+    """Write each cell's flanks behind those of the cell before it; of failed cells none are written."""
+    for cell, code in enumerate(codes):
+        if code != FAILED_CODE:
+            begin = first[cell]
+            for k in range(first[cell + 1] - begin):
+                flanks[begin + k] = of_sequence[code, k]
+
 
 def _where(cells: Cells) -> slice | Cells:
     """These cells as an index; where they follow one another, as a slice, which is quicker."""
     if cells.size and np.all(cells[1:] - cells[:-1] == 1):
         return slice(int(cells[0]), int(cells[-1]) + 1)
     return cells
-
-
-_FLOATING = {name: dtype for name, dtype in IMPACT_FIELDS.items() if issubclass(dtype, np.floating)}
 
 
 def _flanks(pattern: int) -> tuple[int, ...]:

@@ -5,8 +5,9 @@ A block's edges belong to it, so that what a neighbour's refinement finds on a s
 and the corners of its halves are run, where
 
 - known cells in it differ in kind (regime and initial flank), or one is doubtful: it failed, or was decided by a hair;
-- known cells differ in the number of touches; in a block of up to four cells, by two touches or more;
-- a known cell is on a crest of the number of touches: there are fewer on either side of it.
+- known cells in it differ by two touches or more;
+- a known cell is on a crest of the number of touches: there are fewer on either side of it. What is beside it is run
+  as well.
 
 The last two are for regimes thinner than a cell, single cells of OS(1)DS(1) within DS(1) on the report's map. Such a
 regime is a touch more than its neighbours have, just hard or late enough to be primary: it lies on a crest, or where
@@ -23,24 +24,28 @@ meets.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from itertools import pairwise, product
+from collections.abc import Sequence
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-UNKNOWN = -1  # kind and touches of a cell that has not been run; _extremes relies on it
+from clunk.core.jit import unowned
+
+UNKNOWN = -1  # kind and touches of a cell that has not been run, and of a block without one that has
 DOUBTFUL = -2  # kind of one whose neighbours must be run whatever they are
+_HALVED = -3  # in the place of a block's kind
 
 COARSE_INTERVALS = 60  # of an axis, at least: every 16th of 1001 cells
-# With these, 63,075 cells are run, and none of that map is missed, nor of 20 cuttings of it. Crests over 2 cells only
-# missed one in 4 of the 20. Following every change of touches down to single cells would run 115,000. Without the gaps,
-# 20 of 78,961 were missed where an inertia is swept instead, and 12 with the inertias as printed; with them, none.
-_WIDE = 4  # cells; what the number of touches does within such a block is followed only where it jumps or has a crest
-_CREST = 5  # cells to either side
-_GAP = 4  # cells between the dashes of a thin regime
-
-_HIGHEST = np.iinfo(np.int32).max
+# Chosen on 34 cuttings of 9 maps, 31,000,000 cells: of the report's driveline by force and by restitution, for large,
+# small and negative load ratios, with each inertia swept, and with those as printed. There, all labels are those of the
+# dense sweep. With 4 cells of gap 23 are not, with 5 one or two; with crests over 3 cells lines are followed in many
+# more rounds. Where touches that differ by one are followed, too, twice as many cells are run.
+_TOUCHES = 2  # by which cells of a block differ where something may be hidden between them
+_CREST = 4  # cells to either side
+_BESIDE = 2  # cells around one on a crest, so that the next one is seen
+_GAP = 6  # cells between the dashes of a thin regime
 
 Integers = npt.NDArray[np.int32]
 Cells = npt.NDArray[np.int64]
@@ -60,160 +65,294 @@ def spacings(axes: Sequence[npt.NDArray[np.float64]], intervals: int = COARSE_IN
     return tuple(found)
 
 
-def wanted(kinds: Integers, touches: Integers, spacing: Sequence[int]) -> Cells:
-    """The cells to run next, in ascending order; none where all others can be inferred.
+class _Map(NamedTuple):
+    """What is known, cells and blocks in C order; the blocks of all levels behind one another, coarsest first.
 
-    Parameters
-    ----------
-    kinds : shape, int32
-        What a cell was found to be (a number from 0), `UNKNOWN` or `DOUBTFUL`.
-    touches : shape, int32
-        Its number of touches, or `UNKNOWN`.
-    spacing : a power of two for each axis
+    shape, strides : (axes,), in cells
+    position, origin : (axes,), room for a cell's indices, and for those of a block's first cell
+    kinds, touches : (cells,) int32, `UNKNOWN` where they are
+    crest, asked : (cells,) bool, whether a cell is known to lie on one; whether it is known or has been asked for
+    shifts : (levels, axes), log2 of a block's width in cells; the last level is of single cells, and has no blocks
+    blocks, hops : (levels, axes), how many, and from one to the next in their numbers
+    first : (levels,), where a level's blocks begin
+    kind : (all blocks,) int32, of a block's known cells; `UNKNOWN` without any, `_HALVED` where they differ
+    fewest, most : (all blocks,) int32, touches of its known cells
+    directions : (n, axes), of two opposite ones one; along : (n,), a step of each in cells
+    ahead, behind : (n,), room for how far the map goes on
+    beside_crest, beside_thin : (n, axes), offsets of what is run around a cell on a crest, or of a thin regime
     """
-    levels = _levels(kinds.shape, spacing)
-    mask = np.zeros(kinds.shape, bool)
-    mask[np.ix_(*levels[0])] = True
-    for (coarse, fine), blocks in zip(pairwise(levels), _mixed(kinds, touches, spacing), strict=True):
-        halved = blocks
-        for axis, (ends, points) in enumerate(zip(coarse, fine, strict=True)):
-            last = max(0, len(ends) - 2)
-            left = np.clip(np.searchsorted(ends, points, side="left") - 1, 0, last)
-            right = np.clip(np.searchsorted(ends, points, side="right") - 1, 0, last)
-            halved = halved.take(left, axis) | halved.take(right, axis)
-        if halved.shape == mask.shape:
-            mask |= halved
-        else:
-            mask[np.ix_(*fine)] |= halved
-    _mark_around(mask, _thin(kinds, spacing), spacing)
-    mask &= kinds == UNKNOWN
-    return np.flatnonzero(mask).astype(np.int64)
+
+    shape: Cells
+    strides: Cells
+    position: Cells
+    origin: Cells
+    kinds: Integers
+    touches: Integers
+    crest: Mask
+    asked: Mask
+    shifts: Cells
+    blocks: Cells
+    hops: Cells
+    first: Cells
+    kind: Integers
+    fewest: Integers
+    most: Integers
+    directions: Cells
+    along: Cells
+    ahead: Cells
+    behind: Cells
+    beside_crest: Cells
+    beside_thin: Cells
 
 
-def inferred(kinds: Integers, touches: Integers, spacing: Sequence[int]) -> tuple[Cells, Cells]:
-    """The unknown cells, in ascending order, and for each a known one of its block, whose kind it has.
+class Refinement:
+    """What has to be run of a map, as more and more of it gets known.
 
-    Only where nothing is `wanted` any more.
+    shape : length of each axis
+    spacing : of the coarse grid, a power of two for each axis
     """
-    levels = _levels(kinds.shape, spacing)
-    source = np.full(kinds.shape, UNKNOWN, np.int64)
-    flat = np.arange(kinds.size, dtype=np.int64).reshape(kinds.shape)
-    for ends, mixed in zip(levels, _mixed(kinds, touches, spacing), strict=False):
-        block = [
-            np.clip(np.searchsorted(axis_ends, np.arange(count), side="right") - 1, 0, max(0, len(axis_ends) - 2))
-            for axis_ends, count in zip(ends, kinds.shape, strict=True)
-        ]
-        agreed = (source == UNKNOWN) & ~mixed[np.ix_(*block)]
-        corner = flat[np.ix_(*(axis_ends[index] for axis_ends, index in zip(ends, block, strict=True)))]
-        source[agreed] = corner[agreed]
-    cells = np.flatnonzero(kinds == UNKNOWN).astype(np.int64)
-    return cells, source.ravel()[cells]
+
+    def __init__(self, shape: Sequence[int], spacing: Sequence[int]) -> None:
+        cells, counts = math.prod(shape), np.array(shape, np.int64)
+        strides = _strides(shape)
+        widest = np.array([own.bit_length() - 1 for own in spacing], np.int64)
+        shifts = np.minimum.outer(np.arange(widest.max(), -1, -1), widest)
+        blocks = np.maximum(1, -(-(counts - 1) >> shifts[:-1]))
+        ends = np.cumsum(blocks.prod(axis=1))
+        every = int(ends[-1]) if ends.size else 0
+        ways = [(-1, 0, 1) if own > 1 else (0,) for own in spacing]
+        half = list(product(*ways))[: math.prod(map(len, ways)) // 2]
+        directions = np.array(half, np.int64).reshape(-1, len(shape))
+        self._map = _Map(
+            counts,
+            strides,
+            np.zeros(len(shape), np.int64),
+            np.zeros(len(shape), np.int64),
+            np.full(cells, UNKNOWN, np.int32),
+            np.full(cells, UNKNOWN, np.int32),
+            np.zeros(cells, bool),
+            np.zeros(cells, bool),
+            shifts,
+            blocks,
+            np.array([_strides(own) for own in blocks.tolist()], np.int64).reshape(blocks.shape),
+            np.concatenate(([0], ends))[:-1].astype(np.int64),
+            np.full(every, UNKNOWN, np.int32),
+            np.full(every, np.iinfo(np.int32).max, np.int32),
+            np.full(every, UNKNOWN, np.int32),
+            directions,
+            directions @ strides,
+            np.zeros(len(directions), np.int64),
+            np.zeros(len(directions), np.int64),
+            _cube(spacing, _BESIDE),
+            _cube(spacing, _GAP),
+        )
+        edges = (np.append(np.arange(0, count, own), count - 1) for count, own in zip(shape, spacing, strict=True))
+        self._coarse = np.unique(np.ravel_multi_index(np.meshgrid(*edges, indexing="ij"), tuple(shape)))
+
+    def take(self, cells: Cells, kinds: Integers, touches: Integers) -> Cells:
+        """Learn what cells were found to be.
+
+        Parameters
+        ----------
+        cells : (n,) int64, numbers in C order, in any order; none at first
+        kinds : (n,) int32, a number from 0, equal where the kinds are; or `DOUBTFUL`
+        touches : (n,) int32
+
+        Returns
+        -------
+        cells : (m,) int64
+            What to run besides what has been asked for already, in ascending order.
+        """
+        known = self._map
+        known.kinds[cells], known.touches[cells], known.asked[cells] = kinds, touches, True
+        coarse = self._coarse[~known.asked[self._coarse]]
+        known.asked[coarse] = True
+        found = np.empty(known.kinds.size, np.int64)  # what is not written to takes no memory
+        count = _take(known, cells, found)
+        return np.sort(np.concatenate((coarse, found[:count])))
+
+    def sources(self) -> Cells:
+        """For each cell one whose kind it has: itself where it is known, else a known one of its block.
+
+        Only when all that was asked for is known.
+        """
+        sources = np.arange(self._map.kinds.size)
+        _infer(self._map, sources)
+        return sources
 
 
-def _levels(shape: Sequence[int], spacing: Sequence[int]) -> list[tuple[Cells, ...]]:
-    """For each level, coarsest first, each axis's positions between which its blocks lie; the last has every cell."""
-    steps = [1 << k for k in range(int(math.log2(max(spacing))), -1, -1)]
-    return [
-        tuple(_positions(count, min(step, widest)) for count, widest in zip(shape, spacing, strict=True))
-        for step in steps
-    ]
+def _cube(spacing: Sequence[int], reach: int) -> Cells:
+    """Offsets, (n, axes), to all cells within this many along each axis that is refined."""
+    return np.array(list(product(*(range(-reach, reach + 1) if own > 1 else (0,) for own in spacing))), np.int64)
 
 
-def _positions(count: int, step: int) -> Cells:
-    """Every `step`-th of `count` cells, and the last."""
-    return np.unique(np.append(np.arange(0, count, step, dtype=np.int64), count - 1))
+def _strides(counts: Sequence[int]) -> Cells:
+    """From one to the next along each axis, in numbers in C order."""
+    return np.array([math.prod(counts[axis + 1 :]) for axis in range(len(counts))], np.int64)
 
 
-def _mixed(kinds: Integers, touches: Integers, spacing: Sequence[int]) -> list[Mask]:
-    """For each level but the last, which of its blocks are to be halved."""
-    doubtful = np.flatnonzero((kinds == DOUBTFUL) | _crest(touches, spacing))
-    low, high = kinds.copy(), kinds.copy()
-    low.flat[doubtful], high.flat[doubtful] = 0, _HIGHEST
-    found = [low < high for low, high in _extremes(low, high, spacing)]
-    for k, (low, high) in enumerate(_extremes(touches, touches, spacing)):
-        found[k] |= high - low >= (2 if 2 << k <= _WIDE else 1)
-    return found[::-1]
+@unowned
+def _take(known: _Map, cells: Cells, found: Cells) -> int:
+    """Write to `found` what is to be run for the sake of these cells, which are known; returns how many."""
+    count = 0
+    for cell in cells:
+        count = _join(known, cell, found, count)
+        _look_around(known, cell)
+        for way, step in enumerate(known.along):
+            ahead, behind = known.ahead[way], known.behind[way]
+            for k in range(-min(behind, _CREST), min(ahead, _CREST) + 1):
+                own = cell + k * step
+                # of the others, only what has more touches than this cell has become a crest by it
+                if (
+                    (k == 0 or known.touches[own] > known.touches[cell])
+                    and not known.crest[own]
+                    and _has_fewer(known.touches, own, step, ahead - k)
+                    and _has_fewer(known.touches, own, -step, behind + k)
+                ):
+                    known.crest[own] = True
+                    count = _join(known, own, found, count)
+                    count = _ask_around(known, own, known.beside_crest, found, count)
+            for k in range(-min(behind - 1, 1), min(ahead - 1, 1) + 1):
+                if _is_thin(known.kinds, cell + k * step, step):
+                    count = _ask_around(known, cell + k * step, known.beside_thin, found, count)
+    return count
 
 
-def _crest(touches: Integers, spacing: Sequence[int]) -> Mask:
-    """Where a cell has more touches than some known cell on either side of it, along an axis or a diagonal."""
-    padded = np.pad(touches, _CREST, constant_values=_HIGHEST)
-    padded[padded == UNKNOWN] = _HIGHEST
-    values, strides = padded.ravel(), [stride // padded.itemsize for stride in padded.strides]
-    known = np.flatnonzero(values != _HIGHEST)
-    own = values[known]
-    crest = np.zeros(known.size, bool)
-    for direction in product(*((-1, 0, 1) if widest > 1 else (0,) for widest in spacing)):
-        offset = sum(step * stride for step, stride in zip(direction, strides, strict=True))
-        if offset > 0:
-            rest = np.flatnonzero(~crest)
-            for sign in (1, -1):
-                rest = rest[_is_lower(values, known[rest], own[rest], sign * offset)]
-            crest[rest] = True
-    mask = np.zeros(values.size, bool)
-    mask[known[crest]] = True
-    return mask.reshape(padded.shape)[(slice(_CREST, -_CREST),) * touches.ndim]
+@unowned
+def _join(known: _Map, cell: int, found: Cells, count: int) -> int:
+    """Let a cell count in the blocks that it is in, halving those that it makes differ; returns how many are found."""
+    axes, doubtful = len(known.shape), known.crest[cell] or known.kinds[cell] == DOUBTFUL
+    _unravel(known, cell)
+    for level in range(len(known.first)):
+        last, edges = known.first[level], 0  # of its blocks, the last; the axes on which it lies between two
+        for axis in range(axes):
+            own, shift = known.position[axis], known.shifts[level, axis]
+            at = min(own >> shift, known.blocks[level, axis] - 1)
+            last += at * known.hops[level, axis]
+            if at > 0 and at << shift == own:
+                edges |= 1 << axis
+        for before in range(edges + 1):
+            if before & ~edges:
+                continue
+            block = last
+            for axis in range(axes):
+                if before >> axis & 1:
+                    block -= known.hops[level, axis]
+            if known.kind[block] == _HALVED:
+                continue
+            known.fewest[block] = min(known.fewest[block], known.touches[cell])
+            known.most[block] = max(known.most[block], known.touches[cell])
+            if known.kind[block] == UNKNOWN:
+                known.kind[block] = known.kinds[cell]
+            if (
+                doubtful
+                or known.kind[block] != known.kinds[cell]
+                or known.most[block] - known.fewest[block] >= _TOUCHES
+            ):
+                known.kind[block] = _HALVED
+                count = _halve(known, level, block, found, count)
+    return count
 
 
-def _is_lower(values: Integers, places: Cells, own: Integers, offset: int) -> Mask:
-    """Whether any of the next values along an offset is below a place's own."""
-    least = values[places + offset]
-    for k in range(2, _CREST + 1):
-        np.minimum(least, values[places + k * offset], out=least)
-    return least < own
+@unowned
+def _halve(known: _Map, level: int, block: int, found: Cells, count: int) -> int:
+    """Ask for the corners of a block's halves; returns how many are found."""
+    block -= known.first[level]
+    for axis in range(len(known.shape)):
+        known.origin[axis] = block // known.hops[level, axis] << known.shifts[level, axis]
+        block %= known.hops[level, axis]
+    for corner in range(3 ** len(known.shape)):
+        cell, which = 0, corner
+        for axis in range(len(known.shape)):
+            at = known.origin[axis]
+            if which % 3:
+                at += 1 << known.shifts[level + which % 3 - 1, axis]
+            cell += min(at, known.shape[axis] - 1) * known.strides[axis]
+            which //= 3
+        count = _ask(known.asked, cell, found, count)
+    return count
 
 
-def _thin(kinds: Integers, spacing: Sequence[int]) -> Cells:
-    """Positions, (cells, axes), of cells that differ in kind from both neighbours along an axis or a diagonal."""
-    padded = np.pad(kinds, 1, constant_values=UNKNOWN)
-    values, strides = padded.ravel(), [stride // padded.itemsize for stride in padded.strides]
-    known = np.flatnonzero(values >= 0)
-    own = values[known]
-    thin = np.zeros(known.size, bool)
-    for direction in product(*((-1, 0, 1) if widest > 1 else (0,) for widest in spacing)):
-        offset = sum(step * stride for step, stride in zip(direction, strides, strict=True))
-        if offset > 0:
-            above, below = values[known + offset], values[known - offset]
-            thin |= (above != UNKNOWN) & (below != UNKNOWN) & (above != own) & (below != own)
-    return np.stack(np.unravel_index(known[thin], padded.shape), axis=1).astype(np.int64) - 1
+@unowned
+def _ask_around(known: _Map, cell: int, offsets: Cells, found: Cells, count: int) -> int:
+    """Ask for all cells at these offsets from one; returns how many are found."""
+    _unravel(known, cell)
+    for offset in offsets:
+        other = 0
+        for axis in range(len(known.shape)):
+            at = min(max(known.position[axis] + offset[axis], 0), known.shape[axis] - 1)
+            other += at * known.strides[axis]
+        count = _ask(known.asked, other, found, count)
+    return count
 
 
-def _mark_around(mask: Mask, cells: Cells, spacing: Sequence[int]) -> None:
-    """Set all within `_GAP` of these cells."""
-    reach = (range(-_GAP, _GAP + 1) if widest > 1 else (0,) for widest in spacing)
-    for offset in product(*reach):
-        at = np.clip(cells + offset, 0, np.array(mask.shape) - 1)
-        mask[tuple(at.T)] = True
+@unowned
+def _ask(asked: Mask, cell: int, found: Cells, count: int) -> int:
+    """Ask for a cell unless that has been done; returns how many are found."""
+    if not asked[cell]:
+        asked[cell] = True
+        found[count] = cell
+        count += 1
+    return count
 
 
-def _extremes(low: Integers, high: Integers, spacing: Sequence[int]) -> Iterator[tuple[Integers, Integers]]:
-    """The least and the greatest value in each block, edges included, from blocks two cells wide to the coarsest.
-
-    `UNKNOWN` where a block has no other: as it is the greatest of all unsigned, and the least of all signed numbers, it
-    takes part in neither.
-    """
-    low = low.view(np.uint32)
-    for axis, count in enumerate(low.shape):
-        if count > 1:  # between neighbouring cells
-            low = np.minimum(_part(low, axis, slice(-1)), _part(low, axis, slice(1, None)))
-            high = np.maximum(_part(high, axis, slice(-1)), _part(high, axis, slice(1, None)))
-    step = 2
-    while step <= max(spacing):
-        for axis, widest in enumerate(spacing):
-            if step <= widest:
-                low, high = _joined(np.minimum, low, axis), _joined(np.maximum, high, axis)
-        yield low.view(np.int32), high
-        step *= 2
+@unowned
+def _has_fewer(touches: Integers, cell: int, step: int, reach: int) -> bool:
+    """Whether one of the next known cells along a direction has fewer touches than this one."""
+    found = False
+    for k in range(1, min(reach, _CREST) + 1):
+        found |= UNKNOWN < touches[cell + k * step] < touches[cell]
+    return found
 
 
-def _joined(extreme: np.ufunc, values: Integers, axis: int) -> Integers:
-    """Each two neighbouring blocks as one; the last may be left over. (np.ufunc.reduceat takes five times as long.)"""
-    first, second = _part(values, axis, slice(None, None, 2)), _part(values, axis, slice(1, None, 2))
-    joined = first.copy()
-    pairs = _part(joined, axis, slice(second.shape[axis]))
-    extreme(pairs, second, out=pairs)
-    return joined
+@unowned
+def _is_thin(kinds: Integers, cell: int, step: int) -> bool:
+    """Whether a cell differs in kind from both of its neighbours, all three known."""
+    own, above, below = kinds[cell], kinds[cell + step], kinds[cell - step]
+    return bool(own >= 0 and above != UNKNOWN and below != UNKNOWN and above != own and below != own)
 
 
-def _part(values: Integers, axis: int, part: slice) -> Integers:
-    return values[(slice(None),) * axis + (part,)]
+@unowned
+def _look_around(known: _Map, cell: int) -> None:
+    """Put in `ahead` and `behind` how many steps the map goes on from a cell, along each direction and against it."""
+    _unravel(known, cell)
+    for way in range(len(known.along)):
+        ahead = behind = len(known.kinds)
+        for axis in range(len(known.shape)):
+            before, after = known.position[axis], known.shape[axis] - 1 - known.position[axis]
+            if known.directions[way, axis] > 0:
+                ahead, behind = min(ahead, after), min(behind, before)
+            elif known.directions[way, axis] < 0:
+                ahead, behind = min(ahead, before), min(behind, after)
+        known.ahead[way], known.behind[way] = ahead, behind
+
+
+@unowned
+def _infer(known: _Map, sources: Cells) -> None:
+    """Give each unknown cell the first corner of the coarsest block with it that is not halved."""
+    last = known.shape[-1]
+    for row in range(0, len(sources), last):
+        _unravel(known, row)
+        before, coarser = 0, 0  # the first block of this row, and its width, a level before
+        for level in range(len(known.first)):
+            blocks, shift = known.blocks[level, -1], known.shifts[level, -1]
+            first, corner = known.first[level], 0
+            for axis in range(len(known.shape) - 1):
+                at = min(known.position[axis] >> known.shifts[level, axis], known.blocks[level, axis] - 1)
+                first += at * known.hops[level, axis]
+                corner += (at << known.shifts[level, axis]) * known.strides[axis]
+            for k in range(blocks):
+                is_part = level == 0 or known.kind[before + (k << shift >> coarser)] == _HALVED
+                if is_part and known.kind[first + k] != _HALVED:
+                    begin, end = k << shift, (k + 1) << shift if k + 1 < blocks else last
+                    for cell in range(row + begin, row + end):
+                        if known.kinds[cell] == UNKNOWN:
+                            sources[cell] = corner + begin
+            before, coarser = first, shift
+
+
+@unowned
+def _unravel(known: _Map, cell: int) -> None:
+    """Put a cell's indices in `position`."""
+    for axis in range(len(known.shape)):
+        known.position[axis], cell = cell // known.strides[axis], cell % known.strides[axis]

@@ -20,7 +20,6 @@ import numpy as np
 import numpy.typing as npt
 
 import clunk
-from clunk import refinement
 from clunk.assembly import Assembly
 from clunk.cells import Grid, warm_up
 from clunk.config import Study, content, digest, study_from_text
@@ -28,6 +27,7 @@ from clunk.designs import design_of, has_tolerances
 from clunk.engines import Engine, EngineError, Threads
 from clunk.parts import Parts, WorkingDirectory
 from clunk.progress import Progress
+from clunk.refinement import Refinement
 from clunk.results import FAILED_CODE, Results
 from clunk.scratch import Scratch
 from clunk.tolerancemap import ToleranceMap
@@ -109,11 +109,11 @@ def sweep(
     if not refine:
         _run(grid, assembly, iter([None]), engine, progress, parts)
         return assembly.results(provenance(engine))
-    spacing = grid.design.spacing
-    _run(grid, assembly, _refinements(assembly, spacing), engine, progress, parts)
-    ran = assembly.done
-    assembly.infer(*refinement.inferred(assembly.kinds(), assembly.touches(), spacing))
-    return assembly.results({**provenance(engine), "refinement": _refinement_note(ran, grid.cells, spacing)})
+    refinement = Refinement(grid.shape, grid.design.spacing)
+    _run(grid, assembly, _refinements(assembly, refinement), engine, progress, parts)
+    assembly.infer(refinement.sources())
+    note = _refinement_note(assembly.done, grid.cells, grid.design.spacing)
+    return assembly.results({**provenance(engine), "refinement": note})
 
 
 def tolerance_map(
@@ -265,9 +265,10 @@ def _run(
         parts.flush()
 
 
-def _refinements(assembly: Assembly, spacing: tuple[int, ...]) -> Iterator[Cells]:
+def _refinements(assembly: Assembly, refinement: Refinement) -> Iterator[Cells]:
+    cells = assembly.known()
     while True:
-        cells = refinement.wanted(assembly.kinds(), assembly.touches(), spacing)
+        cells = refinement.take(cells, assembly.kinds(cells), assembly.touches(cells))
         if not cells.size:
             return
         yield cells

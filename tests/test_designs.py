@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import xarray
 from matplotlib.collections import QuadMesh
+from test_refinement import refined
 from test_store import assert_same
 from test_sweeping import equal, regimes, same_as_single_run
 
@@ -15,7 +16,6 @@ from clunk.comparison import ComparisonError, as_record, compare, report
 from clunk.config import replace_values, study_from_text
 from clunk.core.status import QUALITY_INFERRED
 from clunk.designs import design_of
-from clunk.refinement import inferred, wanted
 from clunk.results import CELL_FIELDS, IMPACT_FIELDS, RUN
 from clunk.store import read, read_header, write
 from clunk.sweeping import cell_count, retry_failed, sweep
@@ -153,13 +153,9 @@ class TestRefinement:
         assert spacing == (4, 1)  # as an axis, 250 runs would have 4 too
         truth = np.broadcast_to(np.arange(250, dtype=np.int32) // 3, (241, 250)).copy()
         truth[100:137, 7::2] = 1000
-        kinds, touches = np.full_like(truth, -1), np.full_like(truth, -1)
-        while (cells := wanted(kinds, touches, spacing)).size:
-            kinds.flat[cells], touches.flat[cells] = truth.flat[cells], 0
-        cells, sources = inferred(kinds, touches, spacing)
-        assert cells.size > 1000
-        kinds.flat[cells] = kinds.flat[sources]
-        assert np.array_equal(kinds, truth)
+        found, ran, _ = refined(truth, spacing)
+        assert np.count_nonzero(~ran) > 1000
+        assert np.array_equal(found, truth)
 
     def test_a_sample_along_a_fine_axis_has_the_labels_of_the_dense_sweep(self):
         axis = '[[sweep.axes]]\nparameter = "load.ratio"\nstart = 0\nstop = 10\ncount = 241\n'

@@ -5,25 +5,32 @@ import pytest
 from test_sweeping import equal, figure_3_4, regimes, study
 
 from clunk.core.status import QUALITY_INFERRED
-from clunk.refinement import DOUBTFUL, UNKNOWN, inferred, spacings, wanted
+from clunk.refinement import DOUBTFUL, Refinement, spacings
 from clunk.store import read, write
 from clunk.sweeping import sweep
 
 
 def refined(truth, spacing, touches=None, at_once=10**9):
-    """The map as refinement has it, which cells it ran, and how many times it asked."""
+    """The map as refinement has it, which cells it ran, and how many times it asked.
+
+    at_once : how many cells are run before it is interrupted, and taken up again from what has been run by then
+    """
     touches = np.zeros_like(truth) if touches is None else touches
-    kinds, known = np.full_like(truth, UNKNOWN), np.full_like(truth, UNKNOWN)
+    ran = np.zeros(truth.shape, bool)
     asked = 0
-    while (cells := wanted(kinds, known, spacing)).size:
-        cells = cells[:at_once]
-        kinds.flat[cells], known.flat[cells] = truth.flat[cells], touches.flat[cells]
-        asked += 1
-    ran = kinds != UNKNOWN
-    cells, sources = inferred(kinds, known, spacing)
-    assert np.array_equal(cells, np.flatnonzero(~ran))
-    kinds.flat[cells] = kinds.flat[sources]
-    return kinds, ran, asked
+    interrupted = True
+    while interrupted:
+        refinement, cells, interrupted = Refinement(truth.shape, spacing), np.flatnonzero(ran), False
+        while (cells := refinement.take(cells, truth.flat[cells], touches.flat[cells])).size and not interrupted:
+            assert np.all(np.diff(cells) > 0)
+            assert not ran.flat[cells].any()
+            interrupted, cells = cells.size > at_once, cells[:at_once]
+            ran.flat[cells] = True
+            asked += 1
+    sources = refinement.sources()
+    assert np.array_equal(sources[ran.ravel()], np.flatnonzero(ran))
+    assert ran.flat[sources].all()
+    return truth.flat[sources].reshape(truth.shape), ran, asked
 
 
 def plane(rows=101, columns=131):
@@ -87,17 +94,24 @@ class TestWhichCellsAreRun:
         assert ran[31:34, 15:18].all()
         assert ran.mean() < 0.1
 
-    def test_a_single_cell_on_a_crest_of_touches_is_found(self):
-        """A line of one touch more, seen where it crosses the coarse grid, leads to a cell of another kind on it."""
+    def test_a_single_cell_where_touches_accumulate_is_found(self):
+        """Along the line where there are two more."""
         i, j = plane(129, 129)
-        crest = np.abs(j - 16 - i // 2) <= 0
-        touches = int32(7 + crest)
-        touches[i + j > 190] = 6
+        touches = int32(7 + 2 * (j > 20 + i // 2))
         truth = np.zeros((129, 129), np.int32)
-        truth[75, 16 + 37] = 1
-        assert crest[75, 16 + 37]
-        assert not refined(truth, (16, 16))[0].any()
+        truth[75, 20 + 37] = 1
+        assert not refined(truth, (16, 16), touches // 2)[0].any()
         assert np.array_equal(refined(truth, (16, 16), touches)[0], truth)
+
+    def test_a_single_cell_on_a_crest_of_touches_is_found(self):
+        """A line of one touch more, seen where it meets another regime, leads to a single cell of a third one on it."""
+        i, j = plane(129, 129)
+        crest = j == 16 + i // 2
+        truth = int32(i > 120)
+        truth[75, 16 + 37] = 2
+        assert crest[75, 16 + 37]
+        assert refined(truth, (16, 16))[0].max() == 1
+        assert np.array_equal(refined(truth, (16, 16), int32(7 + crest))[0], truth)
 
     def test_the_cells_do_not_depend_on_where_it_was_interrupted(self):
         i, j = plane()
