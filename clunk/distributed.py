@@ -34,7 +34,7 @@ from distributed import Client, Future, KilledWorker, LocalCluster
 
 from clunk.cells import Grid
 from clunk.core.jit import is_cold
-from clunk.engines import Cells, EngineError, available_cores, cpu_model, tile_size
+from clunk.engines import Cells, EngineError, Work, available_cores, cpu_model, tile_size
 from clunk.files import reason
 from clunk.parts import versions
 from clunk.tiles import Tile, from_bytes, to_pieces
@@ -86,29 +86,26 @@ class _Answer:
 class _Tiles:
     """The cells that wait, cut into tiles: so long that this process has the time to look after all workers.
 
-    cells : to be run
     size : of the first tiles, and the least
     largest : of all
     """
 
-    def __init__(self, cells: Cells, size: int, largest: int) -> None:
-        self._cells = cells
+    def __init__(self, work: Work, size: int, largest: int) -> None:
+        self._work = work
         self._least = size
         self._largest = largest
-        self._begin = 0
         self._number = 0
         self._pace = math.inf  # s a cell
 
     def next(self, tiles: int, threads: int) -> dict[int, Cells | tuple[int, int]]:
         """Up to so many tiles by number, for so many threads: consecutive cells as the range that they are."""
         found: dict[int, Cells | tuple[int, int]] = {}
-        while len(found) < tiles and self._begin < self._cells.size:
+        while len(found) < tiles and self._work.size:
             wanted = int(max(_SHORTEST, _ATTENTION * threads) / self._pace)
-            share = (self._cells.size - self._begin) // (4 * threads)  # so that all end together
-            part = self._cells[self._begin :][: max(self._least, min(wanted, share, self._largest))]
+            share = self._work.size // (4 * threads)  # so that all end together
+            part = self._work.take(max(self._least, min(wanted, share, self._largest)))
             first, last = int(part[0]), int(part[-1])
             found[self._number] = (first, last + 1) if last - first + 1 == part.size else part
-            self._begin += part.size
             self._number += 1
         return found
 
@@ -168,20 +165,20 @@ class Cluster:
         """The models of the processors that ran cells; where there are several, see `run`."""
         return "; ".join(sorted(self._processors)) or cpu_model()
 
-    def run(self, grid: Grid, cells: Cells) -> Generator[Tile, None, None]:
+    def run(self, grid: Grid, work: Work) -> Generator[Tile, None, None]:
         """See `clunk.engines.Engine`.
 
         A system that all cells share is prepared here. Those of structural axes are prepared where they are needed, by
         LAPACK, which on a processor of another type may round differently.
         """
-        if not cells.size:
+        if not work.size:
             return
         job = _Job(secrets.token_hex(8), grid.study.solver.method, versions())
         threads, asked = self._threads(), time.monotonic()
         self._check_workers(job)
         # A task of its own: it goes to each worker once, and to those that come later as well.
         study = self._client.submit(bytes, _pickled(*grid.recipe()), key=f"clunk-study-{job.name}")
-        tiles = _Tiles(grid.ordered(cells), tile_size(cells.size, grid, threads), max(1, _LARGEST // grid.runs))
+        tiles = _Tiles(work, tile_size(work.size, grid, threads), max(1, _LARGEST // grid.runs))
         running: set[Future[Any]] = set()
         done: SimpleQueue[Future[Any]] = SimpleQueue()
         try:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import os
 import platform
-from collections.abc import Generator, Iterator
+from collections.abc import Generator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Protocol
@@ -22,18 +22,53 @@ from clunk.tiles import Tile
 
 Cells = npt.NDArray[np.int64]
 
-_AHEAD = 8  # tiles handed to each worker: they go on while a part is written to the disk, 0.3 s
+_AHEAD = 2  # tiles handed to each worker; by the time that it could get to more, others may be there to go with them
+_AHEAD_OF_WHOLE = 8  # of the largest: they go on while a part is written to the disk, 0.3 s
 
 
 class EngineError(Exception):
     """An engine that cannot start or go on; its text is one sentence for the user."""
 
 
+class Work:
+    """Cells of a grid that wait to be run. While some are running, others may turn up.
+
+    size : how many wait
+    known : how many there have been
+    """
+
+    def __init__(self, grid: Grid, cells: Cells) -> None:
+        self._grid = grid
+        self._waiting = grid.ordered(cells)
+        self._begin = 0
+        self._added: list[Cells] = []
+        self.size = self.known = cells.size
+
+    def add(self, cells: Cells) -> None:
+        """There are more."""
+        if cells.size:
+            self._added.append(cells)
+            self.size += cells.size
+            self.known += cells.size
+
+    def take(self, most: int) -> Cells:
+        """Up to so many of them, those that are best run together."""
+        if self._added:
+            every = np.sort(np.concatenate([self._waiting[self._begin :], *self._added]))
+            self._waiting, self._begin, self._added = self._grid.ordered(every), 0, []
+        part = self._waiting[self._begin :][:most]
+        self._begin += part.size
+        self.size -= part.size
+        return part
+
+
 class Engine(Protocol):
     """Runs cells of a grid."""
 
-    def run(self, grid: Grid, cells: Cells) -> Generator[Tile, None, None]:
-        """Finished tiles in the order in which they finish. Leaving the generator early abandons the running cells.
+    def run(self, grid: Grid, work: Work) -> Generator[Tile, None, None]:
+        """Finished tiles in the order in which they finish, until neither any cells wait nor any are running.
+
+        Leaving the generator early abandons the running cells.
 
         Raises EngineError where it cannot go on.
         """
@@ -53,16 +88,15 @@ class Threads:
     def __init__(self, workers: int | None = None) -> None:
         self._workers = workers or available_cores()
 
-    def run(self, grid: Grid, cells: Cells) -> Generator[Tile, None, None]:
+    def run(self, grid: Grid, work: Work) -> Generator[Tile, None, None]:
         """See `Engine`."""
         stop = np.zeros(1, np.uint8)
-        waiting = _tiles(grid.ordered(cells), grid, self._workers)
         with ThreadPoolExecutor(self._workers, thread_name_prefix="clunk") as pool:
             running: set[Future[Tile]] = set()
             try:
                 while True:
-                    while len(running) < _AHEAD * self._workers and (part := next(waiting, None)) is not None:
-                        running.add(pool.submit(grid.run, part, stop))
+                    while most := self._next(len(running), work.size, grid):
+                        running.add(pool.submit(grid.run, work.take(most), stop))
                     if not running:
                         return
                     finished, running = wait(running, timeout=0.2, return_when=FIRST_COMPLETED)
@@ -73,6 +107,15 @@ class Threads:
                 for future in running:
                     future.cancel()
 
+    def _next(self, running: int, waiting: int, grid: Grid) -> int:
+        """Cells of the next tile: half of what a worker's share of the rest is, so that all workers end together.
+
+        None where enough tiles are handed out.
+        """
+        most = min(max(-(-waiting // (2 * self._workers)), _least(waiting, grid, self._workers)), grid.tile_cells)
+        enough = self._workers * (_AHEAD_OF_WHOLE if most == grid.tile_cells else _AHEAD)
+        return most if waiting and running < enough else 0
+
     def processors(self) -> str:
         """This machine's."""
         return cpu_model()
@@ -81,16 +124,6 @@ class Threads:
 def tile_size(cells: int, grid: Grid, workers: int) -> int:
     """Cells of a tile: eight tiles a worker, none larger than the grid's; fewer tiles where they would be too small."""
     return min(max(-(-cells // (8 * workers)), _least(cells, grid, workers)), grid.tile_cells)
-
-
-def _tiles(cells: Cells, grid: Grid, workers: int) -> Iterator[Cells]:
-    """Cells cut into tiles: each half of what a worker's share of the rest is, so that all workers end together."""
-    least, begin = _least(cells.size, grid, workers), 0
-    while begin < cells.size:
-        share = -(-(cells.size - begin) // (2 * workers))
-        end = begin + min(max(share, least), grid.tile_cells)
-        yield cells[begin:end]
-        begin = end
 
 
 def _least(cells: int, grid: Grid, workers: int) -> int:

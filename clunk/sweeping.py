@@ -9,7 +9,7 @@ import functools
 import math
 import os
 import platform
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -24,7 +24,7 @@ from clunk.assembly import Assembly
 from clunk.cells import Grid, warm_up
 from clunk.config import Study, content, digest, study_from_text
 from clunk.designs import design_of, has_tolerances
-from clunk.engines import Engine, EngineError, Threads
+from clunk.engines import Engine, EngineError, Threads, Work
 from clunk.parts import Parts, WorkingDirectory
 from clunk.progress import Progress
 from clunk.refinement import Refinement
@@ -106,11 +106,16 @@ def sweep(
     grid = _checked(Grid(study), workers, parts)
     engine = engine or Threads(workers)
     assembly = Assembly(study, _scratch(grid, parts))
+    _take_up(grid, assembly, progress, parts)
     if not refine:
-        _run(grid, assembly, iter([None]), engine, progress, parts)
+        _run(grid, assembly, assembly.missing(), engine, progress, parts)
         return assembly.results(provenance(engine))
     refinement = Refinement(grid.shape, grid.design.spacing)
-    _run(grid, assembly, _refinements(assembly, refinement), engine, progress, parts)
+
+    def wanted(cells: Cells) -> Cells:
+        return refinement.take(cells, assembly.kinds(cells), assembly.touches(cells))
+
+    _run(grid, assembly, wanted(assembly.known()), engine, progress, parts, wanted)
     assembly.infer(refinement.sources())
     note = _refinement_note(assembly.done, grid.cells, grid.design.spacing)
     return assembly.results({**provenance(engine), "refinement": note})
@@ -133,7 +138,8 @@ def tolerance_map(
     grid = _checked(ToleranceGrid(study), workers, parts)
     engine = engine or Threads(workers)
     assembly = ToleranceAssembly(study, grid)
-    _run(grid, assembly, iter([None]), engine, progress, parts)
+    _take_up(grid, assembly, progress, parts)
+    _run(grid, assembly, assembly.missing(), engine, progress, parts)
     return assembly.results(provenance(engine))
 
 
@@ -160,7 +166,8 @@ def retry_failed(
     assembly = Assembly(study, _scratch(grid, parts))
     assembly.add_results(results)
     failed = assembly.missing()
-    _run(grid, assembly, iter([None]), engine, progress, parts)
+    _take_up(grid, assembly, progress, parts)
+    _run(grid, assembly, assembly.missing(), engine, progress, parts)
     found = assembly.results(provenance(engine))
     still = int(np.count_nonzero(found.sequence.ravel()[failed] == FAILED_CODE))
     changes = [
@@ -233,45 +240,43 @@ def _checked(grid: AnyGrid, workers: int | None, parts: Parts | None) -> AnyGrid
     return grid
 
 
-def _run(
-    grid: Grid,
-    assembly: Assembly | ToleranceAssembly,
-    batches: Iterator[Cells | None],
-    engine: Engine,
-    progress: Progress | None,
-    parts: Parts | None,
+def _take_up(
+    grid: Grid, assembly: Assembly | ToleranceAssembly, progress: Progress | None, parts: Parts | None
 ) -> None:
-    """Run batches of cells, each asked for when those before it are assembled; None stands for all that is missing."""
+    """Put together what there is of a sweep that was interrupted."""
     for tile in parts.read() if parts is not None else ():
         assembly.add(tile)
     if progress is not None and parts is not None and parts.taken_up:
         progress(assembly.done, max(assembly.done, grid.cells))
+
+
+def _run(
+    grid: Grid,
+    assembly: Assembly | ToleranceAssembly,
+    cells: Cells,
+    engine: Engine,
+    progress: Progress | None,
+    parts: Parts | None,
+    wanted: Callable[[Cells], Cells] | None = None,
+) -> None:
+    """Run cells, and what is `wanted` for the sake of each tile."""
+    work, before = Work(grid, cells), assembly.done
     try:
-        for batch in batches:
-            cells = assembly.missing() if batch is None else batch
-            total = assembly.done + cells.size
-            with closing(engine.run(grid, cells)) as tiles:  # an interrupt anywhere abandons the running cells
-                for tile in tiles:
-                    assembly.add(tile)
-                    if parts is not None:
-                        parts.add(tile)
-                    if progress is not None:
-                        progress(assembly.done, total)
+        with closing(engine.run(grid, work)) as tiles:  # an interrupt anywhere abandons the running cells
+            for tile in tiles:
+                assembly.add(tile)
+                if wanted is not None:
+                    work.add(wanted(tile.cells))
+                if parts is not None:
+                    parts.add(tile)
+                if progress is not None:
+                    progress(assembly.done, before + work.known)
     except (KeyboardInterrupt, SystemExit, EngineError):  # SIGINT, SIGTERM, workers gone: keep what is done
         if parts is not None:
             parts.flush()
         raise
     if parts is not None and parts.on_disk:  # a sweep shorter than the first part is not worth a file
         parts.flush()
-
-
-def _refinements(assembly: Assembly, refinement: Refinement) -> Iterator[Cells]:
-    cells = assembly.known()
-    while True:
-        cells = refinement.take(cells, assembly.kinds(cells), assembly.touches(cells))
-        if not cells.size:
-            return
-        yield cells
 
 
 def _refinement_note(ran: int, cells: int, spacing: tuple[int, ...]) -> str:

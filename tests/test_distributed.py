@@ -14,9 +14,10 @@ from test_parts import CONFIG, posix, resumed, stopped
 from test_sweeping import equal, figure_3_4, study
 
 from clunk import distributed
+from clunk.cells import Grid
 from clunk.config import load_study
 from clunk.distributed import Cluster
-from clunk.engines import EngineError
+from clunk.engines import EngineError, Work
 from clunk.parts import WorkingDirectory
 from clunk.store import read_header
 from clunk.sweeping import parts_of, sweep, tolerance_map
@@ -101,7 +102,10 @@ def whole(map_17):
 
 
 def test_tiles_grow_until_the_client_has_time_for_all_workers_and_shrink_towards_the_end():
-    tiles = distributed._Tiles(np.arange(10_000_000), 128, 1 << 18)
+    def tiles_of(cells, least):
+        return distributed._Tiles(Work(Grid(figure_3_4(17)), np.asarray(cells)), least, 1 << 18)
+
+    tiles = tiles_of(np.arange(10_000_000), 128)
     assert tiles.next(2, 1000) == {0: (0, 128), 1: (128, 256)}
     tiles.took(0.01, 100)
     begin, end = tiles.next(1, 1000)[2]
@@ -111,7 +115,7 @@ def test_tiles_grow_until_the_client_has_time_for_all_workers_and_shrink_towards
     cells = [cell for part in tiles.next(10**6, 20).values() for cell in part]
     assert cells[-1] == 10_000_000
     assert min(np.diff(np.reshape(cells, (-1, 2)), axis=1)[:-1]) == 128
-    scattered = distributed._Tiles(np.array([3, 5, 6]), 2, 1 << 18)
+    scattered = tiles_of([3, 5, 6], 2)
     first, second = scattered.next(5, 1).values()
     assert (list(first), second) == ([3, 5], (6, 7))
 

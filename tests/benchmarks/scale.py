@@ -153,11 +153,12 @@ def measure_tasks(count: float, workers: int) -> None:
                 time.sleep(0.1)
         engine = ending.enter_context(distributed.Cluster(json.loads(file.read_text())["address"], say=print))
         for size in (32, 512, 4096):
-            engines._TILE_CELLS["exact"] = size
+            cells._TILE_CELLS["exact"] = size
             part = np.arange(min(sweeping.cell_count(study), 1000 * size))
             for timed in (False, True):
                 began, tiles, process_began = time.perf_counter(), 0, time.process_time()
-                for _tile in engine.run(cells.Grid(study), part):
+                grid = cells.Grid(study)
+                for _tile in engine.run(grid, engines.Work(grid, part)):
                     tiles += 1
                 seconds, here = time.perf_counter() - began, time.process_time() - process_began
                 if timed:
