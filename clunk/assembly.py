@@ -71,11 +71,8 @@ class Assembly:
         self._codes[where] = self._codes_of(tile.records, flanks)
         for name, field in self._fields.items():
             field[where] = tile.records[name]
-        columns = {
-            name: np.ascontiguousarray(tile.impacts[name.removeprefix("impact_")], dtype)
-            for name, dtype in IMPACT_FIELDS.items()
-        }
-        self._take(tile.cells, where, columns)
+        impacts = {name: tile.impacts[name.removeprefix("impact_")] for name in IMPACT_FIELDS}
+        self._take(tile.cells, where, impacts)
 
     def add_results(self, results: Results) -> None:
         """Take over all cells of finished results that have not failed."""

@@ -142,7 +142,8 @@ class Grid:
         buffer = self.impact_buffer(cells.size)
         if not self.structural:
             records, pieces = self.run_group({}, (before, after, half_gap), buffer, stop)
-            return Tile(cells[: records.size], records, np.concatenate(impacts + pieces))
+            whole = pieces[0] if len(pieces) == 1 else np.concatenate(impacts + pieces)
+            return Tile(cells[: records.size], records, whole)
         records = np.zeros(cells.size, CELL)
         known = np.zeros(cells.size, bool)
         owners: list[npt.NDArray[np.int64]] = [np.zeros(0, np.int64)]

@@ -180,6 +180,12 @@ def without(guard: Curve, pair: Curve, sign: Lanes, sway: Lanes) -> Curve:
 
 
 @unowned_inlined
+def less(guard: Curve, by: Lanes) -> Curve:
+    """A guard, lower by so much."""
+    return Curve(guard.value - by, guard.slope, guard.curvature, guard.jerk, guard.sixth)
+
+
+@unowned_inlined
 def either(bits: int, one: Curve, other: Curve) -> Curve:
     """One in the lanes whose bits are set, and the other elsewhere."""
     return Curve(
@@ -232,6 +238,18 @@ def longest(shortest: float, one: Curve, other: Curve, at_most: Lanes) -> tuple[
 @unowned_inlined
 def _passes(one: Curve, other: Curve, h: Lanes, at_most: Lanes) -> int:
     return int((guess(one, h) > 0.0) & (guess(other, h) > 0.0) & (h <= at_most))
+
+
+@unowned_inlined
+def falls_by(guard: Curve) -> Lanes:
+    """How far at least a guard will go on falling before it turns back; 0 if it rises, and NaN for very far.
+
+    By what bounds its third derivative, it falls for a time at least. Nearly all of that is looked at, so that rounding
+    does not matter.
+    """
+    fall, bend = lanes.larger(-guard.slope, lanes.splat(0.0)), guard.curvature
+    h = 1.8 * fall / (bend + lanes.root(fused(bend, bend, 2.0 * guard.jerk * fall)))
+    return h * (fall - h * fused(guard.jerk * A_SIXTH, h, 0.5 * bend))
 
 
 @unowned_inlined

@@ -145,21 +145,23 @@ def begin(
 def advance(pool: Pool, system: System, flows: Flows, stop: npt.NDArray[np.uint8]) -> None:
     """Take steps until some runs of the pool are over, or `stop` is set. They wait in the queue OVER.
 
-    What most wait for is done first, if no step could be of as many runs as there are lanes.
+    It is the turn of what most wait for, for as long as there are as many as there are lanes.
     """
+    lanes.align_stack()
+    queue = queues.SPAN
     while pool.length[queues.OVER] < WIDTH and stop[0] == 0:
-        queue = lanes.first_of(pool.full[0])
-        if queue >= queues.OVER:
+        if pool.length[queue] < WIDTH:
             queue = int(np.argmax(pool.length[: queues.OVER]))
             if pool.length[queue] == 0:
                 break
         if queue < queues.EXTREMES:
             count = take(pool, queue, pool.numbers)
+            step = queue
             if queue >= queues.ENTER:  # and take the first step at once
                 kind = queue - queues.ENTER
                 _enter(pool, flows, kind, count)
-                queue = queues.SPAN + kind if flows.modal[pool.kinds[kind].flow] != 0 else queues.PART + kind
-            stride(pool, flows, queue, count)
+                step = queues.SPAN + kind if flows.modal[pool.kinds[kind].flow] != 0 else queues.PART + kind
+            stride(pool, flows, step, count)
         else:
             search(pool, flows, queue, take(pool, queue, pool.asked))
         for k in range(pool.length[queues.FOLLOW]):

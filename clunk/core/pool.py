@@ -18,7 +18,7 @@ from clunk.core.regimes import CLOSED_FLOW, CLOSED_POSITIVE, GAP, System
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-ABREAST = 8 * WIDTH  # runs under way that let nearly every step be of as many runs as there are lanes
+ABREAST = 16 * WIDTH  # runs under way: many wait for the same, and its code is at hand for several steps on end
 NOTES = 12
 GOES_ON, NEARS, AT_END, SETTLED, LOST = -1, -2, -3, -4, -5  # how a step ends, if not by a guard
 
@@ -73,7 +73,6 @@ class Pool(NamedTuple):
     states: FloatArray  # (S, capacity, N), or (S, 0, N)
     waiting: IntArray  # (queues.FOLLOW + 1, S + 1)  by what they wait for: runs, or rows of `asked`
     length: IntArray  # (queues.FOLLOW + 1,)  how many
-    full: IntArray  # (1,)  bits of what W runs at least wait for
     kinds: npt.NDArray[np.void]  # (queues.KINDS,) _KIND
     guards: npt.NDArray[np.void]  # (queues.KINDS, 2) _GUARD
     work: FloatArray  # (…, W)  the runs that take a step
@@ -109,7 +108,6 @@ def make_pool(system: System, flows: Flows, events: npt.NDArray[np.void], states
         states=states,
         waiting=np.zeros((queues.FOLLOW + 1, slots + 1), np.int64),
         length=np.zeros(queues.FOLLOW + 1, np.int64),
-        full=np.zeros(1, np.int64),
         kinds=kinds,
         guards=guards,
         work=_aligned(_whole(fields(size) + rows.OF_A_RUN), WIDTH),
@@ -195,15 +193,12 @@ def push(pool: Pool, queue: int, who: int) -> None:
     length = pool.length[queue]
     pool.waiting[queue, length] = who
     pool.length[queue] = length + 1
-    pool.full[0] |= min((length + 1) // WIDTH, 1) << queue
 
 
 @unowned_inlined
 def push_all(pool: Pool, queue: int, bits: int) -> None:
     """Let some of those wait that take a step now."""
-    length = lanes.append(pool.waiting[queue], pool.length[queue], pool.who, bits)
-    pool.length[queue] = length
-    pool.full[0] |= min(length // WIDTH, 1) << queue
+    pool.length[queue] = lanes.append(pool.waiting[queue], pool.length[queue], pool.who, bits)
 
 
 @unowned_inlined
@@ -212,8 +207,6 @@ def take(pool: Pool, queue: int, array: FloatArray) -> int:
     count, length, nobody = min(pool.length[queue], WIDTH), array.shape[1], array.shape[0] - 1
     first = pool.length[queue] - count
     pool.length[queue] = first
-    if first < WIDTH:
-        pool.full[0] &= ~(1 << queue)
     for k in range(WIDTH):
         who = pool.waiting[queue, first + k] if k < count else nobody
         pool.places[k], pool.who[k] = who * length, who

@@ -4,7 +4,7 @@ A span is first tried: a run whose guards are not proved positive all through it
 shorter one next.
 
 The fastest pairs of modes, LEVEL of them, are taken out of the guards and bounded by their sway instead, as soon as
-that lets a longer span pass: what rings less than a guard is away from zero need not be resolved.
+that lets a longer span pass: what rings less than a guard is away from where it counts need not be resolved.
 """
 
 import numpy as np
@@ -37,6 +37,7 @@ FloatArray = npt.NDArray[np.float64]
 
 GRAZING = 1e-12  # a guard that turns back within this share of its scale has not turned negative
 _WORTH = 1.0 / 3.0  # of what bounds a guard's jerk: a pair that makes less of it is no obstacle to a longer span
+_CLEAR = 0.5  # of what misses count below: what is left of a guard after a span in which a pair is left out
 _NEXT_TRY = 0.4  # of a span within which a guard was not proved positive
 
 
@@ -133,11 +134,13 @@ def stride(pool: Pool, flows: Flows, queue: int, count: int) -> None:
         level_guard = lanes.magnitude(zero) > 1.0  # it is zero with its slope: its series decides
         k = lanes.choose(level_guard, -1.0, k)
         slower1, slower2 = abreast.without(start1, pair1, sign1, sways1), abreast.without(start2, pair2, sign2, sways2)
-        deeper = (level < float(deepest)) & (slower1.value > 0.0) & ((slower2.value > 0.0) | alone) & ~level_guard
+        # nothing is left out where it would not tell a miss that counts from one that does not
+        deeper = (level < float(deepest)) & (slower1.value > bar1) & ((slower2.value > bar2) | alone) & ~level_guard
         deeper &= (k >= 0.0) | (level == 0.0)
         deeper &= (pair1.jerk > _WORTH * start1.jerk) | (pair2.jerk > _WORTH * start2.jerk)
         if deeper != 0:
-            longer, number = _longest(shortest, slower1, slower2, alone, at_most)
+            clear1, clear2 = abreast.less(slower1, _CLEAR * bar1), abreast.less(slower2, _CLEAR * bar2)
+            longer, number = _longest(shortest, clear1, clear2, alone, at_most)
             deeper &= number > k
             k, h = lanes.choose(deeper, number, k), lanes.choose(deeper, longer, h)
             level = lanes.choose(deeper, level + 1.0, level)
@@ -201,8 +204,10 @@ def stride(pool: Pool, flows: Flows, queue: int, count: int) -> None:
     lanes.store(work, field + rows.LEVEL, lanes.choose(sunk, 0.0, level))
 
     # who moved is put back; who met an event, with its state
-    happened = (event >= 0.0) & moving
+    happened, deep = (event >= 0.0) & moving, 0
     if happened != 0:
+        # a margin is made by how deep the guard goes, unless that is certainly more than the margin is
+        deep = lanes.choose(event == 0.0, abreast.falls_by(end1) - bar1, abreast.falls_by(end2) - bar2) >= 0.0
         _leave(pool, flows, flow, torque, gap_input, elapsed, happened)
         lanes.store(notes, 0, event)
     put_back(pool, pool.numbers, field + rows.CHANGING, moving)
@@ -230,7 +235,7 @@ def stride(pool: Pool, flows: Flows, queue: int, count: int) -> None:
         special &= special - 1
         run, bit = pool.runs[pool.who[lane]], 1 << lane
         run.pending = (turns >> lane & 1) | (misses >> lane & 1) << 1 | (misses >> (lane + WIDTH) & 1) << 2
-        run.measured = 0
+        run.measured = deep >> lane & 1
         if grazing & bit:
             run.quality |= QUALITY_GRAZING
         if settled & bit:
