@@ -3,6 +3,7 @@
 import operator
 from fractions import Fraction
 
+import numba
 import numpy as np
 import pytest
 
@@ -235,3 +236,16 @@ def test_those_set_are_appended_in_order(bits, first):
 @pytest.mark.parametrize(("bits", "lowest"), [(0, 64), (1, 0), (0b1010_0000, 5), (ALL, 0), (1 << 40, 40), (-1, 0)])
 def test_the_first_of_the_bits_is_the_lowest_that_is_set(bits, lowest):
     assert first_of(bits) == lowest
+
+
+def test_a_stack_is_made_to_begin_where_a_register_does():
+    """Else what does not fit into the registers would lie across two lines of the cache, in three of four processes."""
+
+    @numba.njit
+    def aligned(array):
+        lanes.align_stack()
+        lanes.store(array, 0, lanes.load(array, 1))
+
+    aligned(np.zeros((2, WIDTH)))
+    (code,) = aligned.inspect_llvm().values()
+    assert f"alignstack({8 * ROW})" in code
