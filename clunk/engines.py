@@ -95,7 +95,7 @@ class Threads:
             running: set[Future[Tile]] = set()
             try:
                 while True:
-                    while most := self._next(len(running), work.size, grid):
+                    while most := self._next(len(running), work, grid):
                         running.add(pool.submit(grid.run, work.take(most), stop))
                     if not running:
                         return
@@ -107,14 +107,15 @@ class Threads:
                 for future in running:
                     future.cancel()
 
-    def _next(self, running: int, waiting: int, grid: Grid) -> int:
+    def _next(self, running: int, work: Work, grid: Grid) -> int:
         """Cells of the next tile: half of what a worker's share of the rest is, so that all workers end together.
 
         None where enough tiles are handed out.
         """
-        most = min(max(-(-waiting // (2 * self._workers)), _least(waiting, grid, self._workers)), grid.tile_cells)
+        share = -(-work.size // (2 * self._workers))
+        most = min(max(share, _least(work.known, grid, self._workers)), grid.tile_cells)
         enough = self._workers * (_AHEAD_OF_WHOLE if most == grid.tile_cells else _AHEAD)
-        return most if waiting and running < enough else 0
+        return most if work.size and running < enough else 0
 
     def processors(self) -> str:
         """This machine's."""
