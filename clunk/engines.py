@@ -31,13 +31,15 @@ class EngineError(Exception):
 
 
 class Work:
-    """Cells of a grid that wait to be run. While some are running, others may turn up.
+    """Cells of a grid that wait to be run.
 
     size : how many wait
     known : how many there have been
+    may_grow : whether others may turn up while some are running
     """
 
-    def __init__(self, grid: Grid, cells: Cells) -> None:
+    def __init__(self, grid: Grid, cells: Cells, may_grow: bool = False) -> None:
+        self.may_grow = may_grow
         self._grid = grid
         self._waiting = grid.ordered(cells)
         self._begin = 0
@@ -108,12 +110,17 @@ class Threads:
                     future.cancel()
 
     def _next(self, running: int, work: Work, grid: Grid) -> int:
-        """Cells of the next tile: half of what a worker's share of the rest is, so that all workers end together.
+        """Cells of the next tile; 0 where enough tiles are handed out.
 
-        None where enough tiles are handed out.
+        Half of what a worker's share of the rest is, so that all workers end together; of work that may grow, half of
+        the most, since there will be others.
         """
-        share = -(-work.size // (2 * self._workers))
-        most = min(max(share, _least(work.known, grid, self._workers)), grid.tile_cells)
+        most = grid.tile_cells
+        if work.may_grow:
+            most = max(1, min(most // 2, -(-work.known // self._workers)))
+        else:
+            share = -(-work.size // (2 * self._workers))
+            most = min(max(share, _least(work.known, grid, self._workers)), most)
         enough = self._workers * (_AHEAD_OF_WHOLE if most == grid.tile_cells else _AHEAD)
         return most if work.size and running < enough else 0
 
