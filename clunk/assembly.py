@@ -71,8 +71,11 @@ class Assembly:
         self._codes[where] = self._codes_of(tile.records, flanks)
         for name, field in self._fields.items():
             field[where] = tile.records[name]
-        impacts = {name: tile.impacts[name.removeprefix("impact_")] for name in IMPACT_FIELDS}
-        self._take(tile.cells, where, impacts)
+        columns = {
+            name: np.ascontiguousarray(tile.impacts[name.removeprefix("impact_")], dtype)
+            for name, dtype in IMPACT_FIELDS.items()
+        }
+        self._take(tile.cells, where, columns)
 
     def add_results(self, results: Results) -> None:
         """Take over all cells of finished results that have not failed."""
@@ -214,7 +217,7 @@ def _write_flanks(
 ) -> None:
     """Write each cell's flanks behind those of the cell before it; of failed cells none are written."""
     for cell, code in enumerate(codes):
-        if code != FAILED_CODE:
+        if code >= 0:
             begin = first[cell]
             for k in range(first[cell + 1] - begin):
                 flanks[begin + k] = of_sequence[code, k]

@@ -86,13 +86,13 @@ class _Answer:
 class _Tiles:
     """The cells that wait, cut into tiles: so long that this process has the time to look after all workers.
 
-    size : of the first tiles, and the least
+    least : cells of the first tiles, and the least of any
     largest : of all
     """
 
-    def __init__(self, work: Work, size: int, largest: int) -> None:
+    def __init__(self, work: Work, least: int, largest: int) -> None:
         self._work = work
-        self._least = size
+        self.least = least
         self._largest = largest
         self._number = 0
         self._pace = math.inf  # s a cell
@@ -103,9 +103,8 @@ class _Tiles:
         while len(found) < tiles and self._work.size:
             wanted = int(max(_SHORTEST, _ATTENTION * threads) / self._pace)
             share = self._work.size // (4 * threads)  # so that all end together
-            part = self._work.take(max(self._least, min(wanted, share, self._largest)))
-            first, last = int(part[0]), int(part[-1])
-            found[self._number] = (first, last + 1) if last - first + 1 == part.size else part
+            part = self._work.take(max(self.least, min(wanted, share, self._largest)))
+            found[self._number] = (int(part[0]), int(part[-1]) + 1) if np.all(np.diff(part) == 1) else part
             self._number += 1
         return found
 
@@ -185,13 +184,15 @@ class Cluster:
             while True:
                 if time.monotonic() - asked > _ASKING:
                     threads, asked = self._threads(), time.monotonic()
+                if work.may_grow:
+                    tiles.least = tile_size(work.known, grid, threads)
                 parts = tiles.next(_IN_FLIGHT * threads - len(running), threads)
                 if parts:
                     keys = [f"clunk-tile-{job.name}-{number}" for number in parts]
                     for future in self._client.map(_run_tile, list(parts.values()), study=study, job=job, key=keys):
                         running.add(future)
                         future.add_done_callback(done.put)
-                if not running:
+                if not running:  # nor does anything wait, which may have come while tiles were yielded
                     return
                 futures = _those_in(done)
                 for answer in self._fetched(futures, job):

@@ -23,7 +23,7 @@ from clunk.tiles import Tile
 Cells = npt.NDArray[np.int64]
 
 _AHEAD = 2  # tiles handed to each worker; by the time that it could get to more, others may be there to go with them
-_AHEAD_OF_WHOLE = 8  # of the largest: they go on while a part is written to the disk, 0.3 s
+_AHEAD_OF_WHOLE = 8  # of tiles of the largest size: they go on while a part is written to the disk, 0.3 s
 
 
 class EngineError(Exception):
@@ -55,10 +55,10 @@ class Work:
 
     def take(self, most: int) -> Cells:
         """Up to so many of them, those that are best run together."""
-        if self._added:
+        if self._added and self._waiting.size - self._begin < most:
             every = np.sort(np.concatenate([self._waiting[self._begin :], *self._added]))
             self._waiting, self._begin, self._added = self._grid.ordered(every), 0, []
-        part = self._waiting[self._begin :][:most]
+        part = self._waiting[self._begin :][:most].copy()  # it may be kept, and the rest need not
         self._begin += part.size
         self.size -= part.size
         return part
@@ -112,8 +112,8 @@ class Threads:
     def _next(self, running: int, work: Work, grid: Grid) -> int:
         """Cells of the next tile; 0 where enough tiles are handed out.
 
-        Half of what a worker's share of the rest is, so that all workers end together; of work that may grow, half of
-        the most, since there will be others.
+        Half of what a worker's share of the rest is, so that all workers end together. Of work that may grow, a
+        worker's share of all, or half of the most that a tile may have: there will be others.
         """
         most = grid.tile_cells
         if work.may_grow:

@@ -12,7 +12,7 @@ and the corners of its halves are run, where
 The last two are for regimes thinner than a cell, single cells of OS(1)DS(1) within DS(1) on the report's map. Such a
 regime is a touch more than its neighbours have, just hard or late enough to be primary: it lies on a crest, or where
 touches accumulate, and these lines are much longer than it and are followed along their whole length. On the grid it is
-a dashed line; so all within a few cells of a cell that differs from both neighbours is run, too.
+a dashed line; so everything within a few cells of one that differs from both neighbours is run, too.
 
 Every cell that is left then lies in a block whose known cells are of one kind. The cells run are the smallest set
 closed under these rules, so that they depend neither on the order of the runs nor on where they were interrupted.
@@ -33,15 +33,15 @@ import numpy.typing as npt
 
 from clunk.core.jit import unowned
 
-UNKNOWN = -1  # kind and touches of a cell that has not been run, and of a block without one that has
+UNKNOWN = -1  # kind and touches of a cell that has not been run, and kind of a block in which none has
 DOUBTFUL = -2  # kind of one whose neighbours must be run whatever they are
 _HALVED = -3  # in the place of a block's kind
 
 COARSE_INTERVALS = 60  # of an axis, at least: every 16th of 1001 cells
 # Chosen on 34 cuttings of 9 maps, 31,000,000 cells: of the report's driveline by force and by restitution, for large,
 # small and negative load ratios, with each inertia swept, and with those as printed. There, all labels are those of the
-# dense sweep. With 4 cells of gap 23 are not, with 5 one or two; with crests over 3 cells lines are followed in many
-# more rounds. Where touches that differ by one are followed, too, twice as many cells are run.
+# dense sweep. With a gap of 4 cells 23 labels differ, of 5 one or two; with crests over 3 cells, lines are followed in
+# many more steps. Where touches that differ by one are followed, too, twice as many cells are run.
 _TOUCHES = 2  # by which cells of a block differ where something may be hidden between them
 _CREST = 4  # cells to either side
 _BESIDE = 2  # cells around one on a crest, so that the next one is seen
@@ -72,11 +72,11 @@ class _Map(NamedTuple):
     position, origin : (axes,), room for a cell's indices, and for those of a block's first cell
     kinds, touches : (cells,) int32, `UNKNOWN` where they are
     crest, asked : (cells,) bool, whether a cell is known to lie on one; whether it is known or has been asked for
-    shifts : (levels, axes), log2 of a block's width in cells; the last level is of single cells, and has no blocks
+    shifts : (levels + 1, axes), log2 of a block's width in cells; the last row is of single cells, which are no blocks
     blocks, hops : (levels, axes), how many, and from one to the next in their numbers
     first : (levels,), where a level's blocks begin
-    kind : (all blocks,) int32, of a block's known cells; `UNKNOWN` without any, `_HALVED` where they differ
-    fewest, most : (all blocks,) int32, touches of its known cells
+    kind : (all blocks,) int32, of a block's known cells; `UNKNOWN` without any, `_HALVED` where it is
+    fewest, most : (all blocks,) int32, touches of its known cells; without any, the most there can be and `UNKNOWN`
     directions : (n, axes), of two opposite ones one; along : (n,), a step of each in cells
     ahead, behind : (n,), room for how far the map goes on
     beside_crest, beside_thin : (n, axes), offsets of what is run around a cell on a crest, or of a thin regime
@@ -124,27 +124,27 @@ class Refinement:
         half = list(product(*ways))[: math.prod(map(len, ways)) // 2]
         directions = np.array(half, np.int64).reshape(-1, len(shape))
         self._map = _Map(
-            counts,
-            strides,
-            np.zeros(len(shape), np.int64),
-            np.zeros(len(shape), np.int64),
-            np.full(cells, UNKNOWN, np.int32),
-            np.full(cells, UNKNOWN, np.int32),
-            np.zeros(cells, bool),
-            np.zeros(cells, bool),
-            shifts,
-            blocks,
-            np.array([_strides(own) for own in blocks.tolist()], np.int64).reshape(blocks.shape),
-            np.concatenate(([0], ends))[:-1].astype(np.int64),
-            np.full(every, UNKNOWN, np.int32),
-            np.full(every, np.iinfo(np.int32).max, np.int32),
-            np.full(every, UNKNOWN, np.int32),
-            directions,
-            directions @ strides,
-            np.zeros(len(directions), np.int64),
-            np.zeros(len(directions), np.int64),
-            _cube(spacing, _BESIDE),
-            _cube(spacing, _GAP),
+            shape=counts,
+            strides=strides,
+            position=np.zeros(len(shape), np.int64),
+            origin=np.zeros(len(shape), np.int64),
+            kinds=np.full(cells, UNKNOWN, np.int32),
+            touches=np.full(cells, UNKNOWN, np.int32),
+            crest=np.zeros(cells, bool),
+            asked=np.zeros(cells, bool),
+            shifts=shifts,
+            blocks=blocks,
+            hops=np.array([_strides(own) for own in blocks.tolist()], np.int64).reshape(blocks.shape),
+            first=np.concatenate(([0], ends))[:-1].astype(np.int64),
+            kind=np.full(every, UNKNOWN, np.int32),
+            fewest=np.full(every, np.iinfo(np.int32).max, np.int32),
+            most=np.full(every, UNKNOWN, np.int32),
+            directions=directions,
+            along=directions @ strides,
+            ahead=np.zeros(len(directions), np.int64),
+            behind=np.zeros(len(directions), np.int64),
+            beside_crest=_cube(spacing, _BESIDE),
+            beside_thin=_cube(spacing, _GAP),
         )
         edges = (np.append(np.arange(0, count, own), count - 1) for count, own in zip(shape, spacing, strict=True))
         self._coarse = np.unique(np.ravel_multi_index(np.meshgrid(*edges, indexing="ij"), tuple(shape)))
@@ -165,7 +165,7 @@ class Refinement:
         """
         known = self._map
         known.kinds[cells], known.touches[cells], known.asked[cells] = kinds, touches, True
-        coarse = self._coarse[~known.asked[self._coarse]]
+        coarse, self._coarse = self._coarse[~known.asked[self._coarse]], self._coarse[:0]  # once
         known.asked[coarse] = True
         found = np.empty(known.kinds.size, np.int64)  # what is not written to takes no memory
         count = _take(known, cells, found)
@@ -202,7 +202,7 @@ def _take(known: _Map, cells: Cells, found: Cells) -> int:
             ahead, behind = known.ahead[way], known.behind[way]
             for k in range(-min(behind, _CREST), min(ahead, _CREST) + 1):
                 own = cell + k * step
-                # of the others, only what has more touches than this cell has become a crest by it
+                # of the others, only what has more touches than this cell can have become a crest by it
                 if (
                     (k == 0 or known.touches[own] > known.touches[cell])
                     and not known.crest[own]

@@ -265,10 +265,10 @@ def _run(
         with closing(engine.run(grid, work)) as tiles:  # an interrupt anywhere abandons the running cells
             for tile in tiles:
                 assembly.add(tile)
-                if wanted is not None:
-                    work.add(wanted(tile.cells))
                 if parts is not None:
                     parts.add(tile)
+                if wanted is not None:
+                    work.add(wanted(tile.cells))
                 if progress is not None:
                     progress(assembly.done, before + work.known)
     except (KeyboardInterrupt, SystemExit, EngineError):  # SIGINT, SIGTERM, workers gone: keep what is done

@@ -118,6 +118,8 @@ def test_tiles_grow_until_the_client_has_time_for_all_workers_and_shrink_towards
     scattered = tiles_of([3, 5, 6], 2)
     first, second = scattered.next(5, 1).values()
     assert (list(first), second) == ([3, 5], (6, 7))
+    (mixed,) = tiles_of([0, 2, 1, 3], 4).next(1, 1).values()
+    assert list(mixed) == [0, 2, 1, 3]  # and not the range from its first to its last
 
 
 def clunk(directory, *arguments, before="pass"):

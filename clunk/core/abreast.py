@@ -242,7 +242,9 @@ def _passes(one: Curve, other: Curve, h: Lanes, at_most: Lanes) -> int:
 
 @unowned_inlined
 def falls_by(guard: Curve) -> Lanes:
-    """How far at least a guard will go on falling before it turns back; 0 if it rises, and NaN for very far.
+    """How far at least a guard will go on falling before it turns back.
+
+    0 if it rises. NaN or -inf where that is so far that rounding hides it.
 
     By what bounds its third derivative, it falls for a time at least. Nearly all of that is looked at, so that rounding
     does not matter.

@@ -1,7 +1,8 @@
-"""How the core's functions are compiled, and where compiled kernels are kept between processes.
+"""How functions are compiled, and where compiled kernels are kept between processes.
 
 numba's own cache notices a change only in the file that defines a function, not in the helpers it calls, and would run
-stale machine code after such an edit. So the directory is named by a digest of every source file of the core.
+stale machine code after such an edit. So the directory is named by a digest of every source file of the core. A
+compiled function elsewhere may use nothing of yet another file.
 """
 
 import contextlib

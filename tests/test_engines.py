@@ -1,0 +1,45 @@
+"""Work that grows while it is done."""
+
+import numpy as np
+import pytest
+from test_sweeping import figure_3_4
+
+from clunk.cells import Grid
+from clunk.engines import Threads, Work
+
+
+@pytest.fixture(scope="module")
+def grid():
+    return Grid(figure_3_4(17, step=2e-4))
+
+
+def test_what_has_been_added_goes_with_the_rest_in_order(grid):
+    work = Work(grid, np.arange(0, 20, 2))
+    assert list(work.take(3)) == [0, 2, 4]
+    work.add(np.array([5, 17]))
+    work.add(np.array([9], np.int64))
+    assert (work.size, work.known) == (10, 13)
+    assert list(work.take(8)) == [5, 6, 8, 9, 10, 12, 14, 16]
+    assert list(work.take(8)) == [17, 18]
+    assert (work.size, work.known) == (0, 13)
+    assert work.take(8).size == 0
+
+
+def test_the_rest_is_not_put_in_order_before_it_is_needed(grid):
+    """Else adding a little to much would take long."""
+    work = Work(grid, np.arange(10, 20))
+    work.add(np.array([1]))
+    assert list(work.take(10)) == list(range(10, 20))
+    assert list(work.take(10)) == [1]
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+@pytest.mark.parametrize("may_grow", [False, True])
+def test_threads_go_on_until_nothing_waits_or_runs(grid, workers, may_grow):
+    """Each cell of the first row asks for the cell below it, and so on, when it is done."""
+    work, ran = Work(grid, np.arange(17), may_grow), []
+    for tile in Threads(workers).run(grid, work):
+        ran += tile.cells.tolist()
+        below = tile.cells + 17
+        work.add(below[below < grid.cells])
+    assert sorted(ran) == list(range(grid.cells))
