@@ -168,7 +168,7 @@ class TestSweeps:
         assert 0.4 < inferred.mean() < 0.7
         for name in ("severity", "approach_velocity", "last_event_time", "touches", "quality"):
             assert np.array_equal(getattr(dense, name)[~inferred], getattr(refined, name)[~inferred], equal_nan=True)
-        for name in ("severity", "approach_velocity", "last_event_time"):
+        for name in ("severity", "approach_velocity", "last_event_time", "margin"):
             assert np.isnan(getattr(refined, name)[inferred]).all(), name
         assert np.all(refined.touches[inferred] == -1)
         owned = np.repeat(inferred.ravel(), refined.primary_impacts.ravel())
