@@ -38,7 +38,7 @@ class Work:
     may_grow : whether others may turn up while some are running
     """
 
-    def __init__(self, grid: Grid, cells: Cells, may_grow: bool = False) -> None:
+    def __init__(self, grid: Grid, cells: Cells, *, may_grow: bool = False) -> None:
         self.may_grow = may_grow
         self._grid = grid
         self._waiting = grid.ordered(cells)

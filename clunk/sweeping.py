@@ -260,7 +260,7 @@ def _run(
     wanted: Callable[[Cells], Cells] | None = None,
 ) -> None:
     """Run cells, and what is `wanted` for the sake of each tile."""
-    work, before = Work(grid, cells, wanted is not None), assembly.done
+    work, before = Work(grid, cells, may_grow=wanted is not None), assembly.done
     try:
         with closing(engine.run(grid, work)) as tiles:  # an interrupt anywhere abandons the running cells
             for tile in tiles:

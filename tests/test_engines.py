@@ -34,10 +34,9 @@ def test_the_rest_is_not_put_in_order_before_it_is_needed(grid):
 
 
 @pytest.mark.parametrize("workers", [1, 3])
-@pytest.mark.parametrize("may_grow", [False, True])
-def test_threads_go_on_until_nothing_waits_or_runs(grid, workers, may_grow):
+def test_threads_go_on_until_nothing_waits_or_runs(grid, workers):
     """Each cell of the first row asks for the cell below it, and so on, when it is done."""
-    work, ran = Work(grid, np.arange(17), may_grow), []
+    work, ran = Work(grid, np.arange(17), may_grow=True), []
     for tile in Threads(workers).run(grid, work):
         ran += tile.cells.tolist()
         below = tile.cells + 17

@@ -33,7 +33,7 @@ RUN = np.dtype(
         ("from_sticking", np.int64),
         ("pending", np.int64),  # bits of what is to be looked for
         ("ended", np.int64),  # the guard that ended the phase, or GOES_ON, NEARS, AT_END, SETTLED, LOST
-        ("measured", np.int64),  # whether its depth is known
+        ("measured", np.int64),  # whether its depth is known, or known to be no concern of the margin
         ("time", np.float64),  # s, when the phase began; after the end, when the run did
         ("began", np.float64),  # s, of the last contact
         ("fastest", np.float64),  # rad/s, of the touches so far
