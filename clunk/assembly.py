@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -22,8 +23,7 @@ Cells = npt.NDArray[np.int64]
 
 _SHORT = 1 << 12  # patterns below it, of up to eleven primaries, are looked up in a table
 _UNSEEN = -2  # the code there of a pattern that has not turned up yet
-# Of a cell that was not run, what is that of its regime; of the rest, nothing is interpolated.
-_OF_REGIME = ("primary_impacts", "initial_side")
+# Of a cell that was not run; what is not here, it has of its regime.
 _UNKNOWN_VALUES: dict[str, float] = {
     "severity": np.nan,
     "approach_velocity": np.nan,
@@ -31,6 +31,7 @@ _UNKNOWN_VALUES: dict[str, float] = {
     "margin": np.nan,
     "touches": -1,
     "quality": QUALITY_INFERRED,
+    "status": Status.OK,
 }
 
 
@@ -38,24 +39,25 @@ class Assembly:
     """The results' arrays, filled tile by tile.
 
     scratch : where they are made; by default in memory
+    threads : how many may make the finished arrays
     done : cells that are known
     """
 
-    def __init__(self, study: Study, scratch: Scratch | None = None) -> None:
+    def __init__(self, study: Study, scratch: Scratch | None = None, *, threads: int = 1) -> None:
         self._study = study
         self._design = design_of(study)
         self.shape = self._design.shape
         cells = self._design.cells
         self.done = 0
         self._scratch = scratch or Scratch()
+        self._threads = threads
         self._sequences: dict[tuple[int, ...], int] = {}  # the primaries' flanks -> code, in the order they turned up
         self._code_of = np.full(_SHORT + 1, _UNSEEN, np.int32)  # of a pattern; the last is of all longer ones
         self._code_of[0] = FAILED_CODE
-        self._codes: npt.NDArray[np.int32] = self._scratch.zeros(cells, np.int32)
-        self._codes.fill(FAILED_CODE)
+        self._codes: npt.NDArray[np.int32] = self._scratch.empty(cells, np.int32)
         self._known = np.zeros(cells, bool)
         self._fields = {
-            name: self._scratch.zeros(cells, dtype) for name, dtype in CELL_FIELDS.items() if name != "sequence"
+            name: self._scratch.empty(cells, dtype) for name, dtype in CELL_FIELDS.items() if name != "sequence"
         }
         self._impacts: list[tuple[Cells, dict[str, npt.NDArray[np.generic]]]] = []
 
@@ -103,7 +105,7 @@ class Assembly:
     def kinds(self, cells: Cells) -> npt.NDArray[np.int32]:
         """What refinement compares of cells that have been run: int32, equal where flanks and initial flank are."""
         codes = self._codes[cells]
-        kinds: npt.NDArray[np.int32] = 3 * codes + 1 + self._fields["initial_side"][cells]
+        kinds: npt.NDArray[np.int32] = 3 * codes + 2 + self._fields["initial_side"][cells]
         vague = (self._fields["quality"][cells] & (QUALITY_UNDECIDED | QUALITY_GRAZING)) != 0
         kinds[(codes == FAILED_CODE) | vague] = DOUBTFUL
         return kinds
@@ -119,11 +121,14 @@ class Assembly:
         sources : (cells,), for each cell the one whose regime it has
         """
         inferred = ~self._known
-        self._codes[:] = self._codes[sources]
-        for name in _OF_REGIME:
-            self._fields[name][:] = self._fields[name][sources]
-        for name, value in _UNKNOWN_VALUES.items():
-            self._fields[name][inferred] = value
+
+        def finish(name: str) -> None:
+            if name in _UNKNOWN_VALUES:
+                np.copyto(self._fields[name], _UNKNOWN_VALUES[name], where=inferred, casting="unsafe")
+            else:
+                _spread(self._codes if name == "sequence" else self._fields[name], sources)
+
+        self._each(finish, list(CELL_FIELDS))
         self._known[:] = True
 
     def results(self, attributes: dict[str, str]) -> Results:
@@ -135,14 +140,30 @@ class Assembly:
         names = {label(flanks): len(flanks) for flanks in self._sequences}
         labels = tuple(sorted(names, key=lambda text: (names[text], text)))
         code = np.array([labels.index(label(flanks)) for flanks in self._sequences] + [FAILED_CODE], np.int16)
+        counts = self._fields["primary_impacts"]
+        first = np.zeros(counts.size + 1, np.int64)
+        _add_up(counts, first)
+
+        def finished(name: str) -> npt.NDArray[Any]:
+            if name == "sequence":
+                values = self._scratch.empty(self._codes.size, np.int16)
+                return np.take(code, self._codes, out=values, mode="wrap")  # -1 is the last
+            values = self._scratch.empty(int(first[-1]), IMPACT_FIELDS[name])
+            if self.done < counts.size:
+                self._fill_inferred(values, first)
+            for cells, impacts in self._impacts:
+                _put(values, first, cells, impacts[name])
+            return values
+
+        made = self._each(finished, ("sequence", *IMPACT_FIELDS))
+        fields = {**self._fields, "sequence": made.pop("sequence")}
         return Results(
             title=self._study.title,
             axes=self._design.axes,
             coordinates=self._design.coordinates,
             labels=labels,
-            sequence=self._scratch.keep(code[self._codes]).reshape(self.shape),
-            **{name: field.reshape(self.shape) for name, field in self._fields.items()},
-            **self._flat_impacts(),
+            **{name: field.reshape(self.shape) for name, field in fields.items()},
+            **made,
             config=to_toml(self._study),
             config_digest=digest(self._study),
             attributes=attributes,
@@ -177,38 +198,44 @@ class Assembly:
         self._known[where] = True
         self.done += cells.size
 
-    def _flat_impacts(self) -> dict[str, npt.NDArray[Any]]:
-        """Every cell's impacts where they are in C order."""
-        counts = self._fields["primary_impacts"]
-        first = np.zeros(counts.size + 1, np.int64)
-        np.cumsum(counts, out=first[1:])
-        flat: dict[str, npt.NDArray[Any]] = {
-            name: self._scratch.zeros(int(first[-1]), dtype) for name, dtype in IMPACT_FIELDS.items()
-        }
-        if self.done < counts.size:
-            self._fill_inferred(flat, first)
-        for cells, impacts in self._impacts:
-            own = _where(cells)
-            position: slice | npt.NDArray[np.int64]
-            if isinstance(own, slice):
-                position = slice(first[own.start], first[own.stop])
-            else:
-                mine = counts[cells]
-                begin = np.cumsum(mine, dtype=np.int64) - mine  # of each cell within the tile
-                position = np.arange(mine.sum()) + np.repeat(first[cells] - begin, mine)
-            for name, values in impacts.items():
-                flat[name][position] = values
-        return flat
-
-    def _fill_inferred(self, flat: dict[str, npt.NDArray[Any]], first: Cells) -> None:
+    def _fill_inferred(self, values: npt.NDArray[Any], first: Cells) -> None:
         """What the impacts of cells that have not been run are: their regime's flanks, and no quantity."""
-        for values in flat.values():
-            if values.dtype.kind == "f":
-                values.fill(np.nan)
+        if values.dtype.kind == "f":
+            values.fill(np.nan)
+            return
         of_sequence = np.zeros((len(self._sequences), max(map(len, self._sequences))), np.int8)
         for sequence, code in self._sequences.items():
             of_sequence[code, : len(sequence)] = sequence
-        _write_flanks(self._codes, first, of_sequence, flat["impact_flank"])
+        _write_flanks(self._codes, first, of_sequence, values)
+
+    def _each(self, function: Callable[[str], Any], names: Sequence[str]) -> dict[str, Any]:
+        """What a function gives for each name."""
+        with ThreadPoolExecutor(self._threads) as pool:
+            return dict(zip(names, pool.map(function, names), strict=True))
+
+
+@compiled
+def _add_up(counts: npt.NDArray[np.int32], first: Cells) -> None:
+    """Put in `first`, after its 0, the sum of the counts up to and with each."""
+    for cell, count in enumerate(counts):
+        first[cell + 1] = first[cell] + count
+
+
+@compiled
+def _put(values: npt.NDArray[Any], first: Cells, cells: Cells, impacts: npt.NDArray[Any]) -> None:
+    """Put these cells' impacts, one's behind the other's, where they are in C order."""
+    done = 0
+    for cell in cells:
+        for at in range(first[cell], first[cell + 1]):
+            values[at] = impacts[done]
+            done += 1
+
+
+@compiled
+def _spread(values: npt.NDArray[Any], sources: Cells) -> None:
+    """Give every cell the value of its source, which is its own."""
+    for cell, source in enumerate(sources):
+        values[cell] = values[source]
 
 
 @compiled

@@ -117,7 +117,7 @@ class Threads:
         """
         most = grid.tile_cells
         if work.may_grow:
-            most = max(1, min(most // 2, -(-work.known // self._workers)))
+            most = max(1, min(most // 2, -(-work.known // (2 * self._workers))))
         else:
             share = -(-work.size // (2 * self._workers))
             most = min(max(share, _least(work.known, grid, self._workers)), most)

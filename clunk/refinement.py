@@ -1,21 +1,22 @@
 """Which cells of a map have to be run, where the others follow from their neighbours: index logic and no physics.
 
 The grid is cut into blocks between every `spacing`-th cell of each axis, and these into halves, down to single cells.
-A block's edges belong to it, so that what a neighbour's refinement finds on a shared edge counts too. It is halved,
-and the corners of its halves are run, where
+A block's edges belong to it, so that what a neighbour's refinement finds on a shared edge counts too. One is halved if
 
-- known cells in it differ in kind (regime and initial flank), or one is doubtful: it failed, or was decided by a hair;
-- known cells in it differ by two touches or more;
-- a known cell is on a crest of the number of touches: there are fewer on either side of it. What is beside it is run
-  as well.
+- known cells in it differ in kind (regime and initial flank), or one is doubtful: it failed, or was decided by a hair.
+  Then its corners are run, and of the corners of its halves those beside known ones that differ, or a doubtful one;
+- known cells in it differ by two touches or more. Then all corners of its halves are run.
 
-The last two are for regimes thinner than a cell, single cells of OS(1)DS(1) within DS(1) on the report's map. Such a
+What is beside a known cell on a crest of the number of touches, with fewer on either side of it, is run as well.
+
+Touches are for regimes thinner than a cell, single cells of OS(1)DS(1) within DS(1) on the report's map. Such a
 regime is a touch more than its neighbours have, just hard or late enough to be primary: it lies on a crest, or where
 touches accumulate, and these lines are much longer than it and are followed along their whole length. On the grid it is
 a dashed line; so everything within a few cells of one that differs from both neighbours is run, too.
 
-Every cell that is left then lies in a block whose known cells are of one kind. The cells run are the smallest set
-closed under these rules, so that they depend neither on the order of the runs nor on where they were interrupted.
+Every cell that is left then lies in a block, or between cells, where all that are known are of one kind. The cells run
+are the smallest set closed under these rules, so that they depend neither on the order of the runs nor on where they
+were interrupted.
 
 What is nowhere seen from that set is missed: an island between the cells of the coarse grid that none of these lines
 meets.
@@ -31,17 +32,18 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.jit import unowned
+from clunk.core.jit import unowned, unowned_inlined
 
-UNKNOWN = -1  # kind and touches of a cell that has not been run, and kind of a block in which none has
-DOUBTFUL = -2  # kind of one whose neighbours must be run whatever they are
-_HALVED = -3  # in the place of a block's kind
+UNKNOWN = 0  # kind of a cell that has not been run, and of a block in which none has
+DOUBTFUL = -1  # kind of one whose neighbours must be run whatever they are
+_HALVED = -2  # in the place of a block's kind, where known cells differ in that
+_RUN = -3  # or in touches, so that there is no more to ask for
 
 COARSE_INTERVALS = 60  # of an axis, at least: every 16th of 1001 cells
 # Chosen on 34 cuttings of 9 maps, 31,000,000 cells: of the report's driveline by force and by restitution, for large,
 # small and negative load ratios, with each inertia swept, and with those as printed. There, all labels are those of the
-# dense sweep. With a gap of 4 cells 23 labels differ, of 5 one or two; with crests over 3 cells, lines are followed in
-# many more steps. Where touches that differ by one are followed, too, twice as many cells are run.
+# dense sweep. With a gap of 5 cells 4 labels differ, and with crests over 2 cells 16. Where touches that differ by one
+# are followed, too, twice as many cells are run.
 _TOUCHES = 2  # by which cells of a block differ where something may be hidden between them
 _CREST = 4  # cells to either side
 _BESIDE = 2  # cells around one on a crest, so that the next one is seen
@@ -70,13 +72,14 @@ class _Map(NamedTuple):
 
     shape, strides : (axes,), in cells
     position, origin : (axes,), room for a cell's indices, and for those of a block's first cell
-    kinds, touches : (cells,) int32, `UNKNOWN` where they are
+    corners : (3**axes,), room for the corners of a block's halves
+    kinds, touches : (cells,) int32, of touches one more than there are; `UNKNOWN` where they are
     crest, asked : (cells,) bool, whether a cell is known to lie on one; whether it is known or has been asked for
     shifts : (levels + 1, axes), log2 of a block's width in cells; the last row is of single cells, which are no blocks
     blocks, hops : (levels, axes), how many, and from one to the next in their numbers
     first : (levels,), where a level's blocks begin
-    kind : (all blocks,) int32, of a block's known cells; `UNKNOWN` without any, `_HALVED` where it is
-    fewest, most : (all blocks,) int32, touches of its known cells; without any, the most there can be and `UNKNOWN`
+    kind : (all blocks,) int32, of a block's known cells; `UNKNOWN` without any, `_HALVED` or `_RUN` where it is halved
+    fewest, most : (all blocks,) int32, touches of its known cells, if there are any
     directions : (n, axes), of two opposite ones one; along : (n,), a step of each in cells
     ahead, behind : (n,), room for how far the map goes on
     beside_crest, beside_thin : (n, axes), offsets of what is run around a cell on a crest, or of a thin regime
@@ -86,6 +89,7 @@ class _Map(NamedTuple):
     strides: Cells
     position: Cells
     origin: Cells
+    corners: Cells
     kinds: Integers
     touches: Integers
     crest: Mask
@@ -123,22 +127,24 @@ class Refinement:
         ways = [(-1, 0, 1) if own > 1 else (0,) for own in spacing]
         half = list(product(*ways))[: math.prod(map(len, ways)) // 2]
         directions = np.array(half, np.int64).reshape(-1, len(shape))
+        kinds, touches = np.zeros((2, cells), np.int32)
         self._map = _Map(
             shape=counts,
             strides=strides,
             position=np.zeros(len(shape), np.int64),
             origin=np.zeros(len(shape), np.int64),
-            kinds=np.full(cells, UNKNOWN, np.int32),
-            touches=np.full(cells, UNKNOWN, np.int32),
+            corners=np.zeros(3 ** len(shape), np.int64),
+            kinds=kinds,
+            touches=touches,
             crest=np.zeros(cells, bool),
             asked=np.zeros(cells, bool),
             shifts=shifts,
             blocks=blocks,
             hops=np.array([_strides(own) for own in blocks.tolist()], np.int64).reshape(blocks.shape),
             first=np.concatenate(([0], ends))[:-1].astype(np.int64),
-            kind=np.full(every, UNKNOWN, np.int32),
-            fewest=np.full(every, np.iinfo(np.int32).max, np.int32),
-            most=np.full(every, UNKNOWN, np.int32),
+            kind=np.zeros(every, np.int32),
+            fewest=np.empty(every, np.int32),
+            most=np.empty(every, np.int32),
             directions=directions,
             along=directions @ strides,
             ahead=np.zeros(len(directions), np.int64),
@@ -155,7 +161,7 @@ class Refinement:
         Parameters
         ----------
         cells : (n,) int64, numbers in C order, in any order; none at first
-        kinds : (n,) int32, a number from 0, equal where the kinds are; or `DOUBTFUL`
+        kinds : (n,) int32, a number from 1, equal where the kinds are; or `DOUBTFUL`
         touches : (n,) int32
 
         Returns
@@ -164,7 +170,7 @@ class Refinement:
             What to run besides what has been asked for already, in ascending order.
         """
         known = self._map
-        known.kinds[cells], known.touches[cells], known.asked[cells] = kinds, touches, True
+        known.kinds[cells], known.touches[cells], known.asked[cells] = kinds, touches + 1, True
         coarse, self._coarse = self._coarse[~known.asked[self._coarse]], self._coarse[:0]  # once
         known.asked[coarse] = True
         found = np.empty(known.kinds.size, np.int64)  # what is not written to takes no memory
@@ -176,7 +182,7 @@ class Refinement:
 
         Only when all that was asked for is known.
         """
-        sources = np.arange(self._map.kinds.size)
+        sources = np.empty(self._map.kinds.size, np.int64)
         _infer(self._map, sources)
         return sources
 
@@ -196,8 +202,9 @@ def _take(known: _Map, cells: Cells, found: Cells) -> int:
     """Write to `found` what is to be run for the sake of these cells, which are known; returns how many."""
     count = 0
     for cell in cells:
+        _unravel(known, cell)
+        _look_around(known)
         count = _join(known, cell, found, count)
-        _look_around(known, cell)
         for way, step in enumerate(known.along):
             ahead, behind = known.ahead[way], known.behind[way]
             for k in range(-min(behind, _CREST), min(ahead, _CREST) + 1):
@@ -206,11 +213,10 @@ def _take(known: _Map, cells: Cells, found: Cells) -> int:
                 if (
                     (k == 0 or known.touches[own] > known.touches[cell])
                     and not known.crest[own]
-                    and _has_fewer(known.touches, own, step, ahead - k)
-                    and _has_fewer(known.touches, own, -step, behind + k)
+                    and (k < 0 or _has_fewer(known.touches, own, step, ahead - k))
+                    and (k > 0 or _has_fewer(known.touches, own, -step, behind + k))
                 ):
                     known.crest[own] = True
-                    count = _join(known, own, found, count)
                     count = _ask_around(known, own, known.beside_crest, found, count)
             for k in range(-min(behind - 1, 1), min(ahead - 1, 1) + 1):
                 if _is_thin(known.kinds, cell + k * step, step):
@@ -218,19 +224,21 @@ def _take(known: _Map, cells: Cells, found: Cells) -> int:
     return count
 
 
-@unowned
+@unowned_inlined
 def _join(known: _Map, cell: int, found: Cells, count: int) -> int:
-    """Let a cell count in the blocks that it is in, halving those that it makes differ; returns how many are found."""
-    axes, doubtful = len(known.shape), known.crest[cell] or known.kinds[cell] == DOUBTFUL
-    _unravel(known, cell)
+    """Let a cell, whose indices are in `position`, count in its blocks; returns how many are found."""
+    axes, doubtful = len(known.shape), known.kinds[cell] == DOUBTFUL
     for level in range(len(known.first)):
         last, edges = known.first[level], 0  # of its blocks, the last; the axes on which it lies between two
+        is_corner = True  # of halves of these blocks
         for axis in range(axes):
             own, shift = known.position[axis], known.shifts[level, axis]
             at = min(own >> shift, known.blocks[level, axis] - 1)
             last += at * known.hops[level, axis]
             if at > 0 and at << shift == own:
                 edges |= 1 << axis
+            half = known.shifts[level + 1, axis]
+            is_corner &= own >> half << half == own or own == known.shape[axis] - 1
         for before in range(edges + 1):
             if before & ~edges:
                 continue
@@ -238,39 +246,88 @@ def _join(known: _Map, cell: int, found: Cells, count: int) -> int:
             for axis in range(axes):
                 if before >> axis & 1:
                     block -= known.hops[level, axis]
-            if known.kind[block] == _HALVED:
+            kind, touches = known.kind[block], known.touches[cell]
+            if kind == _RUN:
                 continue
-            known.fewest[block] = min(known.fewest[block], known.touches[cell])
-            known.most[block] = max(known.most[block], known.touches[cell])
-            if known.kind[block] == UNKNOWN:
-                known.kind[block] = known.kinds[cell]
-            if (
-                doubtful
-                or known.kind[block] != known.kinds[cell]
-                or known.most[block] - known.fewest[block] >= _TOUCHES
-            ):
-                known.kind[block] = _HALVED
+            fewest = touches if kind == UNKNOWN else min(known.fewest[block], touches)
+            most = touches if kind == UNKNOWN else max(known.most[block], touches)
+            known.fewest[block], known.most[block] = fewest, most
+            if most - fewest >= _TOUCHES:
+                known.kind[block] = _RUN
                 count = _halve(known, level, block, found, count)
+            elif kind == UNKNOWN and not doubtful:
+                known.kind[block] = known.kinds[cell]
+            elif kind != known.kinds[cell] or doubtful:
+                known.kind[block] = _HALVED
+                if is_corner or kind != _HALVED:
+                    count = _ask_between(known, level, block, found, count)
     return count
 
 
 @unowned
 def _halve(known: _Map, level: int, block: int, found: Cells, count: int) -> int:
     """Ask for the corners of a block's halves; returns how many are found."""
+    _find_corners(known, level, block)
+    for cell in known.corners:
+        count = _ask(known.asked, cell, found, count)
+    return count
+
+
+@unowned
+def _ask_between(known: _Map, level: int, block: int, found: Cells, count: int) -> int:
+    """Ask for a block's corners, and those of its halves beside known ones that differ; returns how many are found."""
+    _find_corners(known, level, block)
+    for between, cell in enumerate(known.corners):
+        if known.asked[cell]:
+            continue
+        differ, kind = _is_whole(between), UNKNOWN  # of those beside it
+        for corner, other in enumerate(known.corners):
+            if differ:
+                break
+            own = known.kinds[other] if _is_beside(between, corner) else UNKNOWN
+            differ = own == DOUBTFUL or (own != UNKNOWN and kind not in (UNKNOWN, own))
+            kind = kind if own == UNKNOWN else own
+        if differ:
+            count = _ask(known.asked, cell, found, count)
+    return count
+
+
+@unowned
+def _find_corners(known: _Map, level: int, block: int) -> None:
+    """Put in `corners` those of a block's halves: by digits of base 3, at its begin, middle or end along each axis."""
     block -= known.first[level]
     for axis in range(len(known.shape)):
         known.origin[axis] = block // known.hops[level, axis] << known.shifts[level, axis]
         block %= known.hops[level, axis]
-    for corner in range(3 ** len(known.shape)):
-        cell, which = 0, corner
+    for number in range(len(known.corners)):
+        cell, digits = 0, number
         for axis in range(len(known.shape)):
-            at = known.origin[axis]
-            if which % 3:
-                at += 1 << known.shifts[level + which % 3 - 1, axis]
+            at, which = known.origin[axis], digits % 3
+            if which > 0:
+                at += 1 << known.shifts[level + 2 - which, axis]
             cell += min(at, known.shape[axis] - 1) * known.strides[axis]
-            which //= 3
-        count = _ask(known.asked, cell, found, count)
-    return count
+            digits //= 3
+        known.corners[number] = cell
+
+
+@unowned
+def _is_whole(corner: int) -> bool:
+    """Whether one of a block's `corners` is a corner of the block, and not only of its halves."""
+    while corner:
+        if corner % 3 == 1:
+            return False
+        corner //= 3
+    return True
+
+
+@unowned
+def _is_beside(one: int, other: int) -> bool:
+    """Whether two of a block's `corners` are next to each other, or the same."""
+    while one != other:
+        if abs(one % 3 - other % 3) > 1:
+            return False
+        one, other = one // 3, other // 3
+    return True
 
 
 @unowned
@@ -309,13 +366,12 @@ def _has_fewer(touches: Integers, cell: int, step: int, reach: int) -> bool:
 def _is_thin(kinds: Integers, cell: int, step: int) -> bool:
     """Whether a cell differs in kind from both of its neighbours, all three known."""
     own, above, below = kinds[cell], kinds[cell + step], kinds[cell - step]
-    return bool(own >= 0 and above != UNKNOWN and below != UNKNOWN and above != own and below != own)
+    return bool(own > UNKNOWN and above != UNKNOWN and below != UNKNOWN and above != own and below != own)
 
 
-@unowned
-def _look_around(known: _Map, cell: int) -> None:
-    """Put in `ahead` and `behind` how many steps the map goes on from a cell, along each direction and against it."""
-    _unravel(known, cell)
+@unowned_inlined
+def _look_around(known: _Map) -> None:
+    """Put in `ahead` and `behind` how far the map goes on from `position`, along each direction and against it."""
     for way in range(len(known.along)):
         ahead = behind = len(known.kinds)
         for axis in range(len(known.shape)):
@@ -329,29 +385,40 @@ def _look_around(known: _Map, cell: int) -> None:
 
 @unowned
 def _infer(known: _Map, sources: Cells) -> None:
-    """Give each unknown cell the first corner of the coarsest block with it that is not halved."""
-    last = known.shape[-1]
-    for row in range(0, len(sources), last):
+    """Give each unknown cell a known one: of the largest block with it that is not halved, or beside it.
+
+    That is the corner of what was halved before.
+    """
+    levels, last = len(known.first), known.shape[-1] - 1
+    for row in range(0, len(sources), last + 1):
         _unravel(known, row)
-        before, coarser = 0, 0  # the first block of this row, and its width, a level before
-        for level in range(len(known.first)):
-            blocks, shift = known.blocks[level, -1], known.shifts[level, -1]
-            first, corner = known.first[level], 0
+        before, coarser, beyond = 0, 0, 0  # the first block of this row a level before, its width, and the last one
+        for level in range(levels + 1):  # at last that of single cells
+            shift = known.shifts[level, -1]
+            first, blocks, corner = 0, last + 1, 0
+            if level < levels:
+                first, blocks = known.first[level], known.blocks[level, -1]
             for axis in range(len(known.shape) - 1):
-                at = min(known.position[axis] >> known.shifts[level, axis], known.blocks[level, axis] - 1)
-                first += at * known.hops[level, axis]
-                corner += (at << known.shifts[level, axis]) * known.strides[axis]
+                own, at = known.shifts[level, axis], known.position[axis]
+                block = at >> own
+                if level < levels:
+                    block = min(block, known.blocks[level, axis] - 1)
+                    first += block * known.hops[level, axis]
+                ahead = block & 1 if level > 0 and known.shifts[level - 1, axis] > own else 0
+                corner += min((block + ahead) << own, known.shape[axis] - 1) * known.strides[axis]
             for k in range(blocks):
-                is_part = level == 0 or known.kind[before + (k << shift >> coarser)] == _HALVED
-                if is_part and known.kind[first + k] != _HALVED:
-                    begin, end = k << shift, (k + 1) << shift if k + 1 < blocks else last
-                    for cell in range(row + begin, row + end):
-                        if known.kinds[cell] == UNKNOWN:
-                            sources[cell] = corner + begin
-            before, coarser = first, shift
+                if level > 0 and known.kind[before + min(k << shift >> coarser, beyond)] > _HALVED:
+                    continue  # as a part of that
+                if level < levels and known.kind[first + k] <= _HALVED:
+                    continue  # by its parts
+                ahead = k & 1 if coarser > shift else 0
+                source = corner + min((k + ahead) << shift, last)
+                for at in range(k << shift, (k + 1) << shift if k + 1 < blocks else last + 1):
+                    sources[row + at] = row + at if known.kinds[row + at] != UNKNOWN else source
+            before, coarser, beyond = first, shift, blocks - 1
 
 
-@unowned
+@unowned_inlined
 def _unravel(known: _Map, cell: int) -> None:
     """Put a cell's indices in `position`."""
     for axis in range(len(known.shape)):

@@ -31,10 +31,10 @@ class Scratch:
         self._directory = directory
         self._free = np.zeros(0, np.uint8)
 
-    def zeros(self, count: int, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
-        """An array of zeros."""
+    def empty(self, count: int, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+        """An array of whatever."""
         if self._directory is None:
-            return np.zeros(count, dtype)
+            return np.empty(count, dtype)
         return self._mapped(count * np.dtype(dtype).itemsize).view(dtype)[:count]
 
     def keep(self, array: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -24,7 +24,7 @@ from clunk.assembly import Assembly
 from clunk.cells import Grid, warm_up
 from clunk.config import Study, content, digest, study_from_text
 from clunk.designs import design_of, has_tolerances
-from clunk.engines import Engine, EngineError, Threads, Work
+from clunk.engines import Engine, EngineError, Threads, Work, available_cores
 from clunk.parts import Parts, WorkingDirectory
 from clunk.progress import Progress
 from clunk.refinement import Refinement
@@ -105,7 +105,7 @@ def sweep(
         raise SweepError(HAS_TOLERANCES)
     grid = _checked(Grid(study), workers, parts)
     engine = engine or Threads(workers)
-    assembly = Assembly(study, _scratch(grid, parts))
+    assembly = Assembly(study, _scratch(grid, parts), threads=workers or available_cores())
     _take_up(grid, assembly, progress, parts)
     if not refine:
         _run(grid, assembly, assembly.missing(), engine, progress, parts)
@@ -163,7 +163,7 @@ def retry_failed(
     before = study_from_text(results.config, source="the results' config")
     if digest(before.model_copy(update={"solver": study.solver})) != digest(study):
         raise SweepError("The failed cells of another config cannot be run again: only [solver] may differ.")
-    assembly = Assembly(study, _scratch(grid, parts))
+    assembly = Assembly(study, _scratch(grid, parts), threads=workers or available_cores())
     assembly.add_results(results)
     failed = assembly.missing()
     _take_up(grid, assembly, progress, parts)

@@ -15,13 +15,14 @@ def refined(truth, spacing, touches=None, at_once=10**9):
 
     at_once : how many cells are run before it is interrupted, and taken up again from what has been run by then
     """
+    kinds = np.where(truth == DOUBTFUL, DOUBTFUL, truth + 1)
     touches = np.zeros_like(truth) if touches is None else touches
     ran = np.zeros(truth.shape, bool)
     asked = 0
     interrupted = True
     while interrupted:
         refinement, cells, interrupted = Refinement(truth.shape, spacing), np.flatnonzero(ran), False
-        while (cells := refinement.take(cells, truth.flat[cells], touches.flat[cells])).size and not interrupted:
+        while (cells := refinement.take(cells, kinds.flat[cells], touches.flat[cells])).size and not interrupted:
             assert np.all(np.diff(cells) > 0)
             assert not ran.flat[cells].any()
             interrupted, cells = cells.size > at_once, cells[:at_once]
@@ -59,6 +60,19 @@ class TestWhichCellsAreRun:
         found, ran, _ = refined(truth, (16, 16))
         assert np.array_equal(found, truth)
         assert ran.mean() < 0.12
+
+    @pytest.mark.parametrize("angle", np.linspace(0.0, np.pi, 13))
+    @pytest.mark.parametrize("shape", [(48, 65), (65, 50)])
+    def test_a_straight_edge_is_found_to_the_last_row_and_column(self, shape, angle):
+        """By running, besides the coarse grid, at most six cells for each row, or column, that it crosses."""
+        i, j = plane(*shape)
+        coarse = refined(np.zeros(shape, np.int32), (8, 8))[1].sum()
+        for at in np.linspace(-30.0, 30.0, 25):
+            truth = int32((i - shape[0] / 2) * np.cos(angle) + (j - shape[1] / 2) * np.sin(angle) > at)
+            found, ran, _ = refined(truth, (8, 8))
+            assert np.array_equal(found, truth)
+            crossed = [np.count_nonzero(np.diff(truth, axis=axis).any(axis=axis)) for axis in (0, 1)]
+            assert ran.sum() <= coarse + 6 * max(crossed)
 
     @pytest.mark.parametrize("slope", [0.0, 0.37, 1.0, 2.9])
     def test_a_tongue_one_cell_wide_is_followed_along_its_length(self, slope):
