@@ -64,7 +64,7 @@ _OWN_ATTRIBUTES = {"title", "Conventions", "schema_version", "kind", "config", "
 TOLERANCE_MAP = "tolerance map"  # the attribute `kind` of one; a regime map has none
 
 
-_LARGE = 1 << 22  # cells, about 400 MB: more is assembled on the disk
+_LARGE = 1 << 22  # cells, about 270 MB: more is assembled on the disk
 
 
 class StoreError(Exception):
@@ -216,7 +216,7 @@ def _write(file: Image, results: Results) -> None:
             digest.add(values)
         for name, dtype in IMPACT_FIELDS.items():
             shape = (*results.shape, results.max_impacts)
-            variable = create_variable(file, name, shape, dtype, _MEANING[name], [*scales, impact])
+            variable = create_variable(file, name, shape, dtype, _MEANING[name], [*scales, impact], apart=1)
             describe(variable, name, results)
             digest.begin(name, shape, dtype)
             # Padded a block of rows at a time: padded whole, the impacts would be most of a large map's memory.

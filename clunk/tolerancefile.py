@@ -122,7 +122,8 @@ def _write(file: Image, found: ToleranceMap) -> None:
     further = {"probability": [label], "severity_quantiles": [quantile]}
     with ChunkWriter(file) as chunks:
         for name, (shape, dtype) in _layout(found.shape, len(found.labels)).items():
-            variable = create_variable(file, name, shape, dtype, _MEANING[name], [*scales, *further.get(name, [])])
+            more = further.get(name, [])
+            variable = create_variable(file, name, shape, dtype, _MEANING[name], [*scales, *more], apart=len(more))
             describe(variable, name, found)
             values = np.ascontiguousarray(getattr(found, name))
             digest.begin(name, shape, dtype)
