@@ -392,7 +392,11 @@ def _infer(known: _Map, sources: Cells) -> None:
     levels, last = len(known.first), known.shape[-1] - 1
     for row in range(0, len(sources), last + 1):
         _unravel(known, row)
-        before, coarser, beyond = 0, 0, 0  # the first block of this row a level before, its width, and the last one
+        before, wholes, coarser = (
+            0,
+            0,
+            known.shifts[0, -1],
+        )  # a level before: this row's first block, how many, how wide
         for level in range(levels + 1):  # at last that of single cells
             shift = known.shifts[level, -1]
             first, blocks, corner = 0, last + 1, 0
@@ -406,16 +410,17 @@ def _infer(known: _Map, sources: Cells) -> None:
                     first += block * known.hops[level, axis]
                 ahead = block & 1 if level > 0 and known.shifts[level - 1, axis] > own else 0
                 corner += min((block + ahead) << own, known.shape[axis] - 1) * known.strides[axis]
-            for k in range(blocks):
-                if level > 0 and known.kind[before + min(k << shift >> coarser, beyond)] > _HALVED:
-                    continue  # as a part of that
-                if level < levels and known.kind[first + k] <= _HALVED:
-                    continue  # by its parts
-                ahead = k & 1 if coarser > shift else 0
-                source = corner + min((k + ahead) << shift, last)
-                for at in range(k << shift, (k + 1) << shift if k + 1 < blocks else last + 1):
-                    sources[row + at] = row + at if known.kinds[row + at] != UNKNOWN else source
-            before, coarser, beyond = first, shift, blocks - 1
+            wholes, parts = blocks if level == 0 else wholes, 1 << (coarser - shift)
+            for whole in range(wholes):
+                if level > 0 and known.kind[before + whole] > _HALVED:
+                    continue
+                for k in range(whole * parts, (whole + 1) * parts if whole + 1 < wholes else blocks):
+                    if level < levels and known.kind[first + k] <= _HALVED:
+                        continue
+                    source = corner + min((k + (k & parts - 1)) << shift, last)
+                    for at in range(k << shift, (k + 1) << shift if k + 1 < blocks else last + 1):
+                        sources[row + at] = row + at if known.kinds[row + at] != UNKNOWN else source
+            before, wholes, coarser = first, blocks, shift
 
 
 @unowned_inlined
