@@ -8,6 +8,7 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+import numpy.typing as npt
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
@@ -206,6 +207,14 @@ def test_the_second_part_of_a_label_is_labelled_too(nine: Results) -> None:
     assert_labels_are_where_they_belong(results, figure.axes[0])
 
 
+def margin_of(regions: Regions, code: int) -> npt.NDArray[np.float32]:
+    """By how much a label wins at every fine point; where it has no cells, it does not."""
+    margin = np.full(regions.label.shape, -1.0, np.float32)
+    window, part = regions.margin(code)
+    margin[window] = part
+    return margin
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_smoothing_hands_no_sample_to_another_label(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -216,15 +225,24 @@ def test_smoothing_hands_no_sample_to_another_label(seed: int) -> None:
         fx, fy = regions.factor
         np.testing.assert_array_equal(regions.label[::fx, ::fy], codes)
         for code in regions.present:
-            won = regions.margin(code)[::fx, ::fy] > 0.0
-            np.testing.assert_array_equal(won, codes == code)
+            np.testing.assert_array_equal(margin_of(regions, code)[::fx, ::fy] > 0.0, codes == code)
+
+
+def test_what_the_picture_cannot_show_finer_is_not_smoothed() -> None:
+    x, y = np.meshgrid(np.arange(60.0), np.arange(60.0), indexing="ij")
+    codes = (y > 5.25 + 0.3 * x).astype(np.int16)
+    codes[40, 50] = -1
+    regions = Regions(codes, points=60)
+    np.testing.assert_array_equal(regions.label, codes)
+    for code in (-1, 0, 1):
+        np.testing.assert_array_equal(margin_of(regions, code), np.where(codes == code, 1.0, -1.0))
 
 
 def test_smoothing_straightens_a_slanted_boundary() -> None:
     x, y = np.meshgrid(np.arange(60.0), np.arange(60.0), indexing="ij")
     regions = Regions((y > 5.25 + 0.3 * x).astype(np.int16))
     fx, fy = regions.factor
-    middle = regions.margin(1)[10 * fx : -10 * fx]
+    middle = margin_of(regions, 1)[10 * fx : -10 * fx]
     crossing = np.argmax(middle > 0.0, axis=1) / fy
     straight = 5.25 + 0.3 * (10 + np.arange(len(middle)) / fx)
     assert np.abs(crossing - straight).max() < 0.4  # of a cell; the bare cells are off by 0.5 and more

@@ -22,7 +22,7 @@ from clunk.core.status import QUALITY_UNDECIDED
 from clunk.plot.labelling import label_and_note, region_swatch
 from clunk.plot.plane import View, cell_edges, scale_axes, scale_axis, value_text, x_axis
 from clunk.plot.raster import Raster, corners_that_fit
-from clunk.plot.regions import Regions, draw_boundaries, fill_regions, hatch_failed
+from clunk.plot.regions import Regions, draw_boundaries, fill_regions, hatch_failed, regions_of
 from clunk.plot.style import (
     FAILED_FILL,
     FAILED_HATCH,
@@ -98,7 +98,7 @@ def regime_map(results: Results, thresholds: Sequence[float] = ()) -> Figure:
         map_titles(figure, ax, results, view)
         scale_axes(ax, view)
         codes = view.arrange(results.sequence)
-        regions = Regions(codes)
+        regions = regions_of(codes)
         paint_regimes(ax, view, regions, results.labels)
         if view.x.parameter in _WITH_THRESHOLDS and view.y.parameter == "lash.backlash_deg":
             _mark_thresholds(ax, thresholds)
@@ -138,7 +138,7 @@ def quantity_map(results: Results, name: str) -> Figure:
         ax = figure.add_subplot()
         map_titles(figure, ax, results, view, boundaries_note(name))
         scale_axes(ax, view)
-        mesh = paint_quantity(ax, view, Regions(codes), values, name, quantity_norm(values, name))
+        mesh = paint_quantity(ax, view, regions_of(codes), values, name, quantity_norm(values, name))
         bar = figure.colorbar(mesh, ax=ax, pad=0.02, aspect=28)
         finish_bar(bar, name)
         notes = failed_notes(codes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -18,6 +19,7 @@ Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 Codes = npt.NDArray[np.int16]
 Scores = npt.NDArray[np.float32]
+Window = tuple[slice, slice]
 
 
 class Regions:
@@ -26,28 +28,27 @@ class Regions:
     Each label has a score at each sample, the smoothed indicator of its cells; between samples scores are interpolated
     and the highest wins. A sample that smoothing would hand to another label pushes its own score up until it does not;
     where that is not enough, and on lines and specks, nothing is smoothed. So a boundary never leaves the gap between
-    two samples: what the data leave open is all that is smoothed.
+    two samples: what the data leave open is all that is smoothed. Where the samples are as fine as the picture can
+    show, nothing is.
     """
 
     _BLUR = 2.0  # standard deviation in cells
     _REACH = 0.8  # likewise, of a push: how far a boundary gives way for a sample on its wrong side
+    _CUT = 3.0  # standard deviations: a label's score is zero further away from its cells
     _LEAD = 0.02  # score by which a pushed sample's own label wins
     _TIP_LEAD = 0.05  # and more on lines and tips, or they would shrink to nothing between their neighbours
 
     def __init__(self, codes: Codes, points: int = 700) -> None:
         self.codes = codes  # (nx, ny)
         self.present: list[int] = [int(code) for code in np.unique(codes)]
+        boxes = ndimage.find_objects(codes.astype(np.int32) - self.present[0] + 1)
+        self._boxes: dict[int, Window] = {code: boxes[code - self.present[0]] for code in self.present}
         # As fine as the picture can show, at least the samples themselves.
         self.factor = tuple(int(np.clip(math.ceil(points / count), 1, 8)) for count in codes.shape)
         self._push = np.zeros(codes.shape, np.float32)
-        specks, tips = self._specks()
-        self._bare = specks | ndimage.binary_dilation(codes == FAILED_CODE)
-        for _ in range(8):
-            deficit = self._deficit() + np.where(tips, self._TIP_LEAD, 0.0)
-            if deficit.max() <= 0.0:
-                break
-            self._push += np.where(deficit > 0.0, deficit + self._LEAD, 0.0)
-        self._bare |= self._deficit() > 0.0
+        self._bare = np.ones(codes.shape, np.bool_)
+        if self.factor != (1, 1):
+            self._smooth()
         self.label, self._best, self._second = self._compete()
         for _ in range(8):
             wrong = self._wrong()
@@ -59,11 +60,13 @@ class Regions:
             self._bare[:] = True
             self.label, self._best, self._second = self._compete()
 
-    def margin(self, code: int) -> Scores:
-        """By how much a label wins (positive) or loses at each fine point."""
-        score = self._score(code)
-        margin: Scores = score - np.where(self.label == code, self._second, self._best)
-        return margin
+    def margin(self, code: int) -> tuple[Window, Scores]:
+        """The fine points among which a label's cells are, and by how much it wins (positive) or loses at each."""
+        around = self._around(code, 1)
+        window = self._fine(around)
+        score = self._score(code, around)
+        margin: Scores = score - np.where(self.label[window] == code, self._second[window], self._best[window])
+        return window, margin
 
     def fine_values(self, view: View) -> tuple[Floats, ...]:
         """The parameter at the fine points, along each axis."""
@@ -75,61 +78,102 @@ class Regions:
             values.append(back(np.interp(fine, np.arange(count), to(axis.values))))
         return tuple(values)
 
+    def _smooth(self) -> None:
+        """Find where samples have to push, and how hard, and where nothing can be smoothed."""
+        specks, tips = self._specks()
+        self._bare = specks | ndimage.binary_dilation(self.codes == FAILED_CODE)
+        for _ in range(8):
+            deficit = self._deficit() + np.where(tips, self._TIP_LEAD, 0.0)
+            if deficit.max() <= 0.0:
+                break
+            self._push += np.where(deficit > 0.0, deficit + self._LEAD, 0.0)
+        self._bare |= self._deficit() > 0.0
+
+    def _around(self, code: int, cells: int) -> Window:
+        """The samples within so many cells of a label's bounding box."""
+        rows, columns = (
+            slice(max(own.start - cells, 0), min(own.stop + cells, count))
+            for own, count in zip(self._boxes[code], self.codes.shape, strict=True)
+        )
+        return rows, columns
+
+    def _fine(self, window: Window) -> Window:
+        """The fine points from the first of these samples to the last."""
+        rows, columns = (
+            slice(own.start * factor, (own.stop - 1) * factor + 1)
+            for own, factor in zip(window, self.factor, strict=True)
+        )
+        return rows, columns
+
     def _specks(self) -> tuple[Bools, Bools]:
         """Cells in no 2 x 2 block of their label: of regions without any block, and of the others' lines and tips."""
         specks = np.zeros(self.codes.shape, np.bool_)
         tips = np.zeros(self.codes.shape, np.bool_)
         for code in self.present:
-            own = self.codes == code
+            window = self._around(code, 2)
+            own = self.codes[window] == code
             block = ndimage.binary_opening(own, np.ones((2, 2)))
             parts, count = ndimage.label(own, np.ones((3, 3)))
             thick = np.zeros(count + 1, np.bool_)
             thick[parts[block]] = True
-            specks |= own & ~thick[parts]
-            tips |= own & thick[parts] & ~block
+            specks[window] |= own & ~thick[parts]
+            tips[window] |= own & thick[parts] & ~block
         return specks, tips
 
-    def _sample_score(self, code: int) -> Scores:
-        own: Scores = (self.codes == code).astype(np.float32)
-        if self._bare.all():
-            return own
-        score = ndimage.gaussian_filter(own, self._BLUR, mode="nearest", truncate=3.0)
-        push = own * self._push
+    def _sample_score(self, code: int) -> tuple[Window, Scores]:
+        """A label's score at the samples of a window; on its border and beyond it is zero."""
+        window = self._around(code, int(self._CUT * self._BLUR + 0.5) + 1)
+        own: Scores = (self.codes[window] == code).astype(np.float32)
+        bare = self._bare[window]
+        if bare.all():
+            return window, own
+        score = ndimage.gaussian_filter(own, self._BLUR, mode="nearest", truncate=self._CUT)
+        push = own * self._push[window]
         if push.any():
             peak = 1.0 / (2.0 * math.pi * self._REACH**2)  # of the kernel
-            score += ndimage.gaussian_filter(push, self._REACH, mode="constant", truncate=3.0) / peak
-        chosen: Scores = np.where(self._bare, own, score)
-        return chosen
+            score += ndimage.gaussian_filter(push, self._REACH, mode="constant", truncate=self._CUT) / peak
+        chosen: Scores = np.where(bare, own, score)
+        return window, chosen
 
     def _deficit(self) -> Scores:
         """By how much each sample's own label falls short of another's score there."""
-        mine = np.empty(self.codes.shape, np.float32)
-        other = np.full(self.codes.shape, -np.inf, np.float32)
+        mine = np.zeros(self.codes.shape, np.float32)
+        other = np.zeros(self.codes.shape, np.float32)
         for code in self.present:
-            score = self._sample_score(code)
-            own = self.codes == code
-            mine[own] = score[own]
-            other[~own] = np.maximum(other, score)[~own]
+            window, score = self._sample_score(code)
+            own = self.codes[window] == code
+            np.copyto(mine[window], score, where=own)
+            np.maximum(other[window], score, out=other[window], where=~own)
         deficit: Scores = other - mine
         return deficit
 
-    def _score(self, code: int) -> Scores:
-        score: Scores = self._sample_score(code)
+    def _score(self, code: int, around: Window) -> Scores:
+        """A label's score at the fine points between the samples of a window."""
+        window, known = self._sample_score(code)
+        score = np.zeros([own.stop - own.start for own in around], np.float32)
+        shared = [slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(window, around, strict=True)]
+        to, there = (
+            tuple(slice(own.start - base.start, own.stop - base.start) for own, base in zip(shared, bases, strict=True))
+            for bases in (around, window)
+        )
+        score[to] = known[there]
         for axis, factor in enumerate(self.factor):
             score = _refine(score, factor, axis)
         return score
 
     def _compete(self) -> tuple[Codes, Scores, Scores]:
+        """At each fine point the label that wins, its score and the next one's."""
         shape = tuple((count - 1) * factor + 1 for count, factor in zip(self.codes.shape, self.factor, strict=True))
         label = np.full(shape, self.present[0], np.int16)
-        best = np.full(shape, -1.0, np.float32)
-        second = np.full(shape, -1.0, np.float32)
+        best, second = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         for code in self.present:
-            score = self._score(code)
-            wins = score > best
-            second = np.where(wins, best, np.maximum(second, score))
-            label[wins] = code
-            best = np.maximum(best, score)
+            around, _ = self._sample_score(code)
+            window = self._fine(around)
+            score, former = self._score(code, around), best[window]
+            wins = score > former
+            second[window] = np.where(wins, former, np.maximum(second[window], score))
+            label[window][wins] = code
+            best[window] = np.maximum(former, score)
         return label, best, second
 
     def _wrong(self) -> Bools:
@@ -152,6 +196,16 @@ class Regions:
         return wrong
 
 
+def regions_of(codes: Codes, points: int = 700) -> Regions:
+    """The regions of some codes; those of the last ones are kept, for another picture of the same map."""
+    return _regions(codes.tobytes(), codes.shape, points)
+
+
+@functools.lru_cache(maxsize=1)
+def _regions(raw: bytes, shape: tuple[int, ...], points: int) -> Regions:
+    return Regions(np.frombuffer(raw, np.int16).reshape(shape), points)
+
+
 def _refine(samples: Scores, factor: int, axis: int) -> Scores:
     """Linear interpolation at `factor` points per cell along one axis; the samples themselves are among them."""
     if factor == 1 or samples.shape[axis] == 1:
@@ -170,9 +224,8 @@ def fill_regions(ax: Axes, view: View, regions: Regions, labels: tuple[str, ...]
     """Each region in its label's colour, failed cells hatched."""
     hatch_failed(ax, view, regions)
     palette = palette_of(labels)
-    x, y = regions.fine_values(view)
     for code in regions.present:
-        margin = regions.margin(code).T
+        x, y, margin = _part(regions, view, code)
         if code != FAILED_CODE and margin.max() > 0.0:
             ax.contourf(x, y, margin, levels=[0.0, np.inf], colors=[palette[labels[code]]], zorder=1)
 
@@ -182,8 +235,7 @@ def hatch_failed(ax: Axes, view: View, regions: Regions) -> None:
     if FAILED_CODE not in regions.present:
         return
     look: dict[str, Any] = {"colors": [FAILED_FILL], "hatches": ["//////"], "zorder": 1}
-    x, y = regions.fine_values(view)
-    filled = ax.contourf(x, y, regions.margin(FAILED_CODE).T, levels=[0.0, np.inf], **look)
+    filled = ax.contourf(*_part(regions, view, FAILED_CODE), levels=[0.0, np.inf], **look)
     filled.set_edgecolor(FAILED_HATCH)
     filled.set_linewidth(0.0)
 
@@ -192,8 +244,14 @@ def draw_boundaries(ax: Axes, view: View, regions: Regions, *, color: str, linew
     """Lines between the regions."""
     if len(regions.present) == 1:
         return
-    x, y = regions.fine_values(view)
     for code in regions.present:
-        margin = regions.margin(code).T
+        x, y, margin = _part(regions, view, code)
         if margin.min() < 0.0 < margin.max():
             ax.contour(x, y, margin, levels=[0.0], colors=[color], linewidths=linewidth, zorder=3)
+
+
+def _part(regions: Regions, view: View, code: int) -> tuple[Floats, Floats, Scores]:
+    """The fine points among which a label's cells are, and its margin there, rows along y."""
+    (columns, rows), margin = regions.margin(code)
+    x, y = regions.fine_values(view)
+    return x[columns], y[rows], margin.T
