@@ -328,10 +328,14 @@ def plot(
     if at:
         results = results.at(_nearest_values(results.axes, results.coordinates, at))
     look: dict[str, Any] = {"facets": facets, "x": x, "y": y}
-    for name in [quantity] if quantity else plots.default_quantities(results, **look):
+    names = [quantity] if quantity else plots.default_quantities(results, **look)
+    for name in names:
         target = base if output and quantity else base.with_name(f"{base.stem}-{name}{base.suffix}")
         plots.save(plots.draw(results, name, plots.thresholds_of(results), **look), target)
         click.echo(str(target))
+    if quantity is None and names == ["regimes"]:
+        ran, total = int((~results.inferred).sum()), results.inferred.size
+        terminal.complain(f"{ran:,} of {total:,} cells were run: --quantity draws what else is known of those")
     for axis in results.axes:
         shown = len(plots.shown_values(axis, len(facets))) if axis.parameter in facets else len(axis.values)
         if shown < len(axis.values):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.status import QUALITY_MEANINGS, Status
+from clunk.core.status import QUALITY_INFERRED, QUALITY_MEANINGS, Status
 from clunk.summaries import Rows, as_html, as_text, html_table
 
 RUN = "run"  # the dimension of what is walked or drawn together
@@ -185,6 +185,12 @@ class Results(OverAxes):
         for name, dtype in IMPACT_FIELDS.items():
             require(name, getattr(self, name), impacts, dtype)
         check_labels(self.labels, self.sequence)
+
+    @cached_property
+    def inferred(self) -> npt.NDArray[np.bool_]:
+        """Which cells a refined sweep did not run: shape, bool."""
+        inferred: npt.NDArray[np.bool_] = (self.quality & QUALITY_INFERRED) != 0
+        return inferred
 
     @cached_property
     def max_impacts(self) -> int:

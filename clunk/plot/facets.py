@@ -23,6 +23,7 @@ from clunk.plot.maps import (
     boundaries_note,
     finish_bar,
     known_values,
+    line_color,
     mark_undecided,
     paint_quantity,
     paint_regimes,
@@ -32,7 +33,7 @@ from clunk.plot.maps import (
     subtitle_of,
     title_of,
     undecided_notes,
-    undefined_note,
+    undefined_notes,
 )
 from clunk.plot.plane import View, at_option, axis_label, drawn_axes, scale_axes, value_text
 from clunk.plot.raster import Raster
@@ -95,7 +96,7 @@ def facet_map(results: Results, facets: Sequence[str], quantity: str = "regimes"
         _name_panels(grid, axes, values)
         inner.supxlabel(axis_label(views[0].x), fontsize=10.0)
         inner.supylabel(axis_label(views[0].y), fontsize=10.0)
-        notes = _paint_regimes(panels) if quantity == "regimes" else _paint_quantity(inner, panels, quantity)
+        notes = _paint_regimes(panels) if quantity == "regimes" else _paint_quantity(inner, panels, results, quantity)
         line = _subtitle(results, axes, views[0], quantity, figure.get_figwidth())
         subtitle = inner.suptitle(line, fontsize=9.0, color=FAINT_INK, ha="left", parse_math=False)
         set_notes(figure, notes)
@@ -173,7 +174,7 @@ def _subtitle(results: Results, axes: Sequence[ResultAxis], view: View, quantity
         varying |= {axis.parameter for axis in results.coordinates}
     more = [f"each map at one {' and '.join(map(_full_name, axes))}"]
     if quantity != "regimes":
-        more.append(boundaries_note(quantity))
+        more.append(boundaries_note(results, quantity))
     return subtitle_of(results, [axis for axis in view.fixed if axis.parameter not in varying], more, width)
 
 
@@ -244,16 +245,15 @@ def _paint_regimes(panels: Sequence[_Panel]) -> list[Artist]:
     return [*swatches, *failed_notes(codes), *undecided_notes(undecided)]
 
 
-def _paint_quantity(inner: SubFigure, panels: Sequence[_Panel], name: str) -> list[Artist]:
+def _paint_quantity(inner: SubFigure, panels: Sequence[_Panel], results: Results, name: str) -> list[Artist]:
     """A quantity of all panels, its colour bar, and their notes."""
     values = np.stack([panel.view.arrange(known_values(panel.results, name)) for panel in panels])
     require_some(values, name)
-    norm = quantity_norm(values, name)
+    norm, color = quantity_norm(values, name), line_color(results, name)
     for panel, own in zip(panels, values, strict=True):
-        mesh = paint_quantity(panel.ax, panel.view, panel.regions, own, name, norm, linewidth=0.4)
+        mesh = paint_quantity(panel.ax, panel.view, panel.regions, own, name, norm, color, linewidth=0.4)
     finish_bar(inner.colorbar(mesh, ax=[panel.ax for panel in panels], pad=0.02, aspect=40), name)
     codes = np.stack([panel.regions.codes for panel in panels])
     notes: list[Artist] = [*failed_notes(codes)]
-    if np.isnan(values[codes != FAILED_CODE]).any():
-        notes.append(undefined_note(name))
-    return notes
+    inferred = np.stack([panel.view.arrange(panel.results.inferred) for panel in panels])
+    return [*notes, *undefined_notes(name, np.isnan(values) & (codes != FAILED_CODE), inferred)]

@@ -22,7 +22,7 @@ from clunk.core.status import QUALITY_UNDECIDED
 from clunk.plot.labelling import label_and_note, region_swatch
 from clunk.plot.plane import View, cell_edges, scale_axes, scale_axis, value_text, x_axis
 from clunk.plot.raster import Raster, corners_that_fit
-from clunk.plot.regions import Regions, draw_boundaries, fill_regions, hatch_failed, regions_of
+from clunk.plot.regions import Bools, Regions, draw_boundaries, fill_regions, hatch_failed, regions_of
 from clunk.plot.style import (
     FAILED_FILL,
     FAILED_HATCH,
@@ -125,7 +125,8 @@ def severity_map(results: Results) -> Figure:
 def quantity_map(results: Results, name: str) -> Figure:
     """A quantity of every cell as colour, under the regimes' boundaries; for the severity also its ridge.
 
-    The margin's colours diverge from zero, where a run is as near to one label as to another.
+    The margin's colours diverge from zero, where a run is as near to one label as to another. A refined sweep's map has
+    the values of the cells that were run, and no ridge.
 
     Raises PlotError unless two axes were swept, `name` is a quantity and it is defined in some cell.
     """
@@ -136,15 +137,16 @@ def quantity_map(results: Results, name: str) -> Figure:
     with styled():
         figure = new_figure()
         ax = figure.add_subplot()
-        map_titles(figure, ax, results, view, boundaries_note(name))
+        map_titles(figure, ax, results, view, boundaries_note(results, name))
         scale_axes(ax, view)
-        mesh = paint_quantity(ax, view, regions_of(codes), values, name, quantity_norm(values, name))
+        norm = quantity_norm(values, name)
+        mesh = paint_quantity(ax, view, regions_of(codes), values, name, norm, line_color(results, name))
         bar = figure.colorbar(mesh, ax=ax, pad=0.02, aspect=28)
         finish_bar(bar, name)
-        notes = failed_notes(codes)
-        if np.isnan(values[codes != FAILED_CODE]).any():
-            notes.append(undefined_note(name))
-        ridge = ridge_of(values) if name == "severity" else np.full(len(view.x.values), np.nan)
+        inferred = view.arrange(results.inferred)
+        notes = [*failed_notes(codes), *undefined_notes(name, np.isnan(values) & (codes != FAILED_CODE), inferred)]
+        has_ridge = name == "severity" and not inferred.any()
+        ridge = ridge_of(values) if has_ridge else np.full(len(view.x.values), np.nan)
         if np.isfinite(ridge).any():
             _draw_ridge(ax, view, ridge)
         set_notes(figure, notes)
@@ -239,10 +241,10 @@ def paint_quantity(
     values: Floats,
     name: str,
     norm: colors.Normalize,
+    color: str,
     linewidth: float = 0.6,
 ) -> QuadMesh:
     """A quantity as colour under the regimes' boundaries; values : (nx, ny)."""
-    diverging = name == "margin"
     ax.set_facecolor(_UNDEFINED)
     mesh = ax.pcolormesh(
         cell_edges(view.x),
@@ -254,18 +256,28 @@ def paint_quantity(
         zorder=0.5,
     )
     hatch_failed(ax, view, regions)
-    draw_boundaries(ax, view, regions, color=INK if diverging else "white", linewidth=linewidth)
+    draw_boundaries(ax, view, regions, color=color, linewidth=linewidth)
     return mesh
 
 
-def boundaries_note(name: str) -> str:
+def boundaries_note(results: Results, name: str) -> str:
     """What the lines on a quantity's map are."""
-    return f"{'dark' if name == 'margin' else 'light'} lines: boundaries of the regimes"
+    return f"{'dark' if line_color(results, name) == INK else 'light'} lines: boundaries of the regimes"
 
 
-def undefined_note(name: str) -> Patch:
-    """What a cell without a value looks like, and why it has none."""
-    return region_swatch("not known" if name == "margin" else "not defined (no events)", _UNDEFINED)
+def line_color(results: Results, name: str) -> str:
+    """In which the boundaries are seen on a quantity's map: dark on diverging colours, and where few cells have one."""
+    return INK if name == "margin" or results.inferred.any() else "white"
+
+
+def undefined_notes(name: str, undefined: Bools, inferred: Bools) -> list[Patch]:
+    """What a cell without a value looks like, if there is any, and why it has none."""
+    reasons = []
+    if (undefined & ~inferred).any():
+        reasons.append("not known" if name == "margin" else "not defined (no events)")
+    if (undefined & inferred).any():
+        reasons.append(f"not run: {np.count_nonzero(undefined & inferred):,} cells")
+    return [region_swatch("; ".join(reasons), _UNDEFINED)] if reasons else []
 
 
 def mark_undecided(ax: Axes, view: View, results: Results) -> int:
@@ -296,8 +308,11 @@ def quantity_values(results: Results, name: str) -> Floats:
 
 
 def known_values(results: Results, name: str) -> Floats:
-    """A quantity of every cell, NaN where it failed."""
-    values: Floats = np.where(results.sequence == FAILED_CODE, np.nan, getattr(results, name).astype(np.float64))
+    """A quantity of every cell, NaN where it failed, or was inferred, which tells only how many impacts there are."""
+    unknown = results.sequence == FAILED_CODE
+    if name != "primary_impacts":
+        unknown |= results.inferred
+    values: Floats = np.where(unknown, np.nan, getattr(results, name).astype(np.float64))
     return values
 
 
