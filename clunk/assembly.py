@@ -23,7 +23,7 @@ Cells = npt.NDArray[np.int64]
 
 _SHORT = 1 << 12  # patterns below it, of up to eleven primaries, are looked up in a table
 _UNSEEN = -2  # the code there of a pattern that has not turned up yet
-# Of a cell that was not run; what is not here, it has of its regime.
+# Of a cell that was not run; what is not here, its kind tells.
 _UNKNOWN_VALUES: dict[str, float] = {
     "severity": np.nan,
     "approach_velocity": np.nan,
@@ -103,7 +103,7 @@ class Assembly:
         return np.flatnonzero(~self._known).astype(np.int64, copy=False)
 
     def kinds(self, cells: Cells) -> npt.NDArray[np.int32]:
-        """What refinement compares of cells that have been run: int32, equal where flanks and initial flank are."""
+        """What refinement compares of cells that have been run: int32, alike where flanks and initial flank are."""
         codes = self._codes[cells]
         kinds: npt.NDArray[np.int32] = 3 * codes + 2 + self._fields["initial_side"][cells]
         vague = (self._fields["quality"][cells] & (QUALITY_UNDECIDED | QUALITY_GRAZING)) != 0
@@ -115,18 +115,22 @@ class Assembly:
         touches: npt.NDArray[np.int32] = self._fields["touches"][cells]
         return touches
 
-    def infer(self, sources: Cells) -> None:
-        """Give cells that have not been run the regime of others: label, flanks, initial flank and no quantity.
+    def infer(self, kinds: npt.NDArray[np.int32]) -> None:
+        """Give cells that have not been run what their kind tells: label, flanks, initial flank and no quantity.
 
-        sources : (cells,), for each cell the one whose regime it has
+        kinds : (cells,), as `kinds` has them
         """
         inferred = ~self._known
+        codes, sides = np.divmod(np.arange(3 * len(self._sequences)), 3)
+        lengths = np.array([len(sequence) for sequence in self._sequences])
+        of_kind = {"sequence": codes, "initial_side": sides - 1, "primary_impacts": lengths[codes]}
 
         def finish(name: str) -> None:
-            if name in _UNKNOWN_VALUES:
-                np.copyto(self._fields[name], _UNKNOWN_VALUES[name], where=inferred, casting="unsafe")
+            values = self._codes if name == "sequence" else self._fields[name]
+            if name in of_kind:
+                _fill(values, inferred, kinds, of_kind[name].astype(values.dtype))
             else:
-                _spread(self._codes if name == "sequence" else self._fields[name], sources)
+                np.copyto(values, _UNKNOWN_VALUES[name], where=inferred, casting="unsafe")
 
         self._each(finish, list(CELL_FIELDS))
         self._known[:] = True
@@ -232,10 +236,13 @@ def _put(values: npt.NDArray[Any], first: Cells, cells: Cells, impacts: npt.NDAr
 
 
 @compiled
-def _spread(values: npt.NDArray[Any], sources: Cells) -> None:
-    """Give every cell the value of its source, which is its own."""
-    for cell, source in enumerate(sources):
-        values[cell] = values[source]
+def _fill(
+    values: npt.NDArray[Any], inferred: npt.NDArray[np.bool_], kinds: npt.NDArray[np.int32], of_kind: npt.NDArray[Any]
+) -> None:
+    """Give cells that were inferred what there is of their kind, from 1."""
+    for cell, kind in enumerate(kinds):
+        if inferred[cell]:
+            values[cell] = of_kind[kind - 1]
 
 
 @compiled

@@ -177,14 +177,13 @@ class Refinement:
         count = _take(known, cells, found)
         return np.sort(np.concatenate((coarse, found[:count])))
 
-    def sources(self) -> Cells:
-        """For each cell one whose kind it has: itself where it is known, else a known one of its block.
+    def kinds(self) -> Integers:
+        """Each cell's kind, (cells,) int32: what it was found to be, else that of its block, or of what is beside it.
 
-        Only when all that was asked for is known.
+        Only when all that was asked for is known; there is nothing to learn after that.
         """
-        sources = np.empty(self._map.kinds.size, np.int64)
-        _infer(self._map, sources)
-        return sources
+        _infer(self._map)
+        return self._map.kinds
 
 
 def _cube(spacing: Sequence[int], reach: int) -> Cells:
@@ -384,42 +383,37 @@ def _look_around(known: _Map) -> None:
 
 
 @unowned
-def _infer(known: _Map, sources: Cells) -> None:
-    """Give each unknown cell a known one: of the largest block with it that is not halved, or beside it.
-
-    That is the corner of what was halved before.
-    """
+def _infer(known: _Map) -> None:
+    """Give each unknown cell the kind of the largest block with it that is not halved, or of a known one beside it."""
     levels, last = len(known.first), known.shape[-1] - 1
-    for row in range(0, len(sources), last + 1):
+    for row in range(0, len(known.kinds), last + 1):
         _unravel(known, row)
         before, wholes, coarser = (
             0,
             0,
             known.shifts[0, -1],
-        )  # a level before: this row's first block, how many, how wide
-        for level in range(levels + 1):  # at last that of single cells
-            shift = known.shifts[level, -1]
-            first, blocks, corner = 0, last + 1, 0
-            if level < levels:
-                first, blocks = known.first[level], known.blocks[level, -1]
+        )  # of a level before, this row's blocks: first, count, width
+        for level in range(levels):
+            shift, blocks, first = known.shifts[level, -1], known.blocks[level, -1], known.first[level]
+            corner = 0  # of the blocks of single cells, the one beside this row's first cell
             for axis in range(len(known.shape) - 1):
                 own, at = known.shifts[level, axis], known.position[axis]
-                block = at >> own
-                if level < levels:
-                    block = min(block, known.blocks[level, axis] - 1)
-                    first += block * known.hops[level, axis]
-                ahead = block & 1 if level > 0 and known.shifts[level - 1, axis] > own else 0
-                corner += min((block + ahead) << own, known.shape[axis] - 1) * known.strides[axis]
+                first += min(at >> own, known.blocks[level, axis] - 1) * known.hops[level, axis]
+                corner += (at if at == known.shape[axis] - 1 else at >> own << own) * known.strides[axis]
             wholes, parts = blocks if level == 0 else wholes, 1 << (coarser - shift)
             for whole in range(wholes):
                 if level > 0 and known.kind[before + whole] > _HALVED:
                     continue
                 for k in range(whole * parts, (whole + 1) * parts if whole + 1 < wholes else blocks):
-                    if level < levels and known.kind[first + k] <= _HALVED:
-                        continue
-                    source = corner + min((k + (k & parts - 1)) << shift, last)
-                    for at in range(k << shift, (k + 1) << shift if k + 1 < blocks else last + 1):
-                        sources[row + at] = row + at if known.kinds[row + at] != UNKNOWN else source
+                    begin, end = k << shift, (k + 1) << shift if k + 1 < blocks else last + 1
+                    if known.kind[first + k] > _HALVED:
+                        for cell in range(row + begin, row + end):
+                            if known.kinds[cell] == UNKNOWN:
+                                known.kinds[cell] = known.kind[first + k]
+                    elif level == levels - 1:
+                        for at in range(begin, end):
+                            if known.kinds[row + at] == UNKNOWN:
+                                known.kinds[row + at] = known.kinds[corner + (at if at == last else begin)]
             before, wholes, coarser = first, blocks, shift
 
 

@@ -116,7 +116,7 @@ def sweep(
         return refinement.take(cells, assembly.kinds(cells), assembly.touches(cells))
 
     _run(grid, assembly, wanted(assembly.known()), engine, progress, parts, wanted)
-    assembly.infer(refinement.sources())
+    assembly.infer(refinement.kinds())
     note = _refinement_note(assembly.done, grid.cells, grid.design.spacing)
     return assembly.results({**provenance(engine), "refinement": note})
 

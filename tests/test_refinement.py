@@ -28,10 +28,10 @@ def refined(truth, spacing, touches=None, at_once=10**9):
             interrupted, cells = cells.size > at_once, cells[:at_once]
             ran.flat[cells] = True
             asked += 1
-    sources = refinement.sources()
-    assert np.array_equal(sources[ran.ravel()], np.flatnonzero(ran))
-    assert ran.flat[sources].all()
-    return truth.flat[sources].reshape(truth.shape), ran, asked
+    found = refinement.kinds().reshape(truth.shape)
+    assert np.array_equal(found[ran], kinds[ran])
+    assert np.isin(found, kinds[ran]).all()
+    return np.where(found == DOUBTFUL, DOUBTFUL, found - 1), ran, asked
 
 
 def plane(rows=101, columns=131):
