@@ -388,11 +388,8 @@ def _infer(known: _Map) -> None:
     levels, last = len(known.first), known.shape[-1] - 1
     for row in range(0, len(known.kinds), last + 1):
         _unravel(known, row)
-        before, wholes, coarser = (
-            0,
-            0,
-            known.shifts[0, -1],
-        )  # of a level before, this row's blocks: first, count, width
+        # of the level before, this row's first block, how many there are, and log2 of their width
+        before, wholes, coarser = 0, 0, known.shifts[0, -1]
         for level in range(levels):
             shift, blocks, first = known.shifts[level, -1], known.blocks[level, -1], known.first[level]
             corner = 0  # of the blocks of single cells, the one beside this row's first cell
