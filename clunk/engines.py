@@ -112,12 +112,12 @@ class Threads:
     def _next(self, running: int, work: Work, grid: Grid) -> int:
         """Cells of the next tile; 0 where enough tiles are handed out.
 
-        Half of what a worker's share of the rest is, so that all workers end together. Of work that may grow, a
-        worker's share of all, or half of the most that a tile may have: there will be others.
+        Half of what a worker's share of the rest is, so that all workers end together. Of work that may grow,
+        half of a worker's share of all, or of the most that a tile may have: there will be others.
         """
         most = grid.tile_cells
         if work.may_grow:
-            most = max(1, min(most // 2, -(-work.known // (2 * self._workers))))
+            most = max(1, min(most, -(-work.known // self._workers)) // 2)
         else:
             share = -(-work.size // (2 * self._workers))
             most = min(max(share, _least(work.known, grid, self._workers)), most)

@@ -13,27 +13,11 @@ import time
 from pathlib import Path
 
 import numpy as np
+from scale import CONFIG
 
 import clunk
 from clunk.engines import available_cores, cpu_model
 
-CONFIG = """
-title = "1001 x 1001"
-[driveline]
-preset = "boere-2008"
-[solver]
-method = "exact"
-[[sweep.axes]]
-parameter = "load.ratio"
-start = 0.0
-stop = 10.0
-count = 1001
-[[sweep.axes]]
-parameter = "lash.backlash_deg"
-start = 0.0
-stop = 20.0
-count = 1001
-"""
 ROUNDS = 3  # of a process
 REFINED = 4  # sweeps a round, to one dense
 CLUNK = [sys.executable, "-c", "from clunk.cli import main; main()"]
@@ -43,7 +27,7 @@ def main(processes: int) -> None:
     """Print the table."""
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder) / "map.toml"
-        config.write_text(CONFIG)
+        config.write_text(CONFIG.format(rows=1001, columns=1001))
         inside, outside = [], []
         for _ in range(processes):
             child = subprocess.run([sys.executable, __file__, "--child", config], capture_output=True, check=True)
