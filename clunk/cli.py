@@ -289,7 +289,8 @@ def plot(
     """Draw the maps of a results file: the regimes and their severity.
 
     A map has two axes: of more, --at takes a slice, and --facet draws a map for each value. Of a
-    tolerance map: the most likely regimes, where they are uncertain, and how probable double-sided impacts are.
+    refined sweep: the regimes. Of a tolerance map: the most likely regimes, where they are uncertain, and
+    how probable double-sided impacts are.
 
     \b
     Examples:

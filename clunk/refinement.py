@@ -253,7 +253,7 @@ def _join(known: _Map, cell: int, found: Cells, count: int) -> int:
             known.fewest[block], known.most[block] = fewest, most
             if most - fewest >= _TOUCHES:
                 known.kind[block] = _RUN
-                count = _halve(known, level, block, found, count)
+                count = _ask_all(known, level, block, found, count)
             elif kind == UNKNOWN and not doubtful:
                 known.kind[block] = known.kinds[cell]
             elif kind != known.kinds[cell] or doubtful:
@@ -264,7 +264,7 @@ def _join(known: _Map, cell: int, found: Cells, count: int) -> int:
 
 
 @unowned
-def _halve(known: _Map, level: int, block: int, found: Cells, count: int) -> int:
+def _ask_all(known: _Map, level: int, block: int, found: Cells, count: int) -> int:
     """Ask for the corners of a block's halves; returns how many are found."""
     _find_corners(known, level, block)
     for cell in known.corners:

@@ -73,7 +73,7 @@ def default_quantities(
     """What to draw of some results: the regimes, and how hard the impacts are.
 
     Where one parameter is drawn from left to right and a quantity upwards, the labels are in the same picture. Q is not
-    defined for the restitution model, V is. Of a map by refinement, only the regimes: most cells have nothing else.
+    defined for the restitution model, V is. Of a refined map, only the regimes: most cells have nothing else.
     """
     keep = drawn_axes(results)
     if _has_runs(results) and not facets:
@@ -81,9 +81,9 @@ def default_quantities(
         two = sample and (y is not None or (x is None and len(parameter_choice(results)) > 1))
     else:
         two = len(keep) > 1
-    if two and results.inferred.any():
-        return ["regimes"]
-    return ["regimes", _hardness(results)] if two else [_hardness(results)]
+    if not two:
+        return [_hardness(results)]
+    return ["regimes"] if results.inferred.any() else ["regimes", _hardness(results)]
 
 
 def _has_runs(results: Results) -> bool:

@@ -23,7 +23,7 @@ from clunk.plot.maps import (
     boundaries_note,
     finish_bar,
     known_values,
-    line_color,
+    line_colour,
     mark_undecided,
     paint_quantity,
     paint_regimes,
@@ -249,11 +249,10 @@ def _paint_quantity(inner: SubFigure, panels: Sequence[_Panel], results: Results
     """A quantity of all panels, its colour bar, and their notes."""
     values = np.stack([panel.view.arrange(known_values(panel.results, name)) for panel in panels])
     require_some(values, name)
-    norm, color = quantity_norm(values, name), line_color(results, name)
+    norm, color = quantity_norm(values, name), line_colour(results, name)
     for panel, own in zip(panels, values, strict=True):
         mesh = paint_quantity(panel.ax, panel.view, panel.regions, own, name, norm, color, linewidth=0.4)
     finish_bar(inner.colorbar(mesh, ax=[panel.ax for panel in panels], pad=0.02, aspect=40), name)
     codes = np.stack([panel.regions.codes for panel in panels])
-    notes: list[Artist] = [*failed_notes(codes)]
     inferred = np.stack([panel.view.arrange(panel.results.inferred) for panel in panels])
-    return [*notes, *undefined_notes(name, np.isnan(values) & (codes != FAILED_CODE), inferred)]
+    return [*failed_notes(codes), *undefined_notes(name, np.isnan(values) & (codes != FAILED_CODE), inferred)]

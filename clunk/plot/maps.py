@@ -140,7 +140,7 @@ def quantity_map(results: Results, name: str) -> Figure:
         map_titles(figure, ax, results, view, boundaries_note(results, name))
         scale_axes(ax, view)
         norm = quantity_norm(values, name)
-        mesh = paint_quantity(ax, view, regions_of(codes), values, name, norm, line_color(results, name))
+        mesh = paint_quantity(ax, view, regions_of(codes), values, name, norm, line_colour(results, name))
         bar = figure.colorbar(mesh, ax=ax, pad=0.02, aspect=28)
         finish_bar(bar, name)
         inferred = view.arrange(results.inferred)
@@ -262,10 +262,10 @@ def paint_quantity(
 
 def boundaries_note(results: Results, name: str) -> str:
     """What the lines on a quantity's map are."""
-    return f"{'dark' if line_color(results, name) == INK else 'light'} lines: boundaries of the regimes"
+    return f"{'dark' if line_colour(results, name) == INK else 'light'} lines: boundaries of the regimes"
 
 
-def line_color(results: Results, name: str) -> str:
+def line_colour(results: Results, name: str) -> str:
     """In which the boundaries are seen on a quantity's map: dark on diverging colours, and where few cells have one."""
     return INK if name == "margin" or results.inferred.any() else "white"
 

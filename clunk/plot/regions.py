@@ -120,27 +120,31 @@ class Regions:
             tips[window] |= own & thick[parts] & ~block
         return specks, tips
 
-    def _sample_score(self, code: int) -> tuple[Window, Scores]:
-        """A label's score at the samples of a window; on its border and beyond it is zero."""
-        window = self._around(code, int(self._CUT * self._BLUR + 0.5) + 1)
+    def _support(self, code: int) -> Window:
+        """The samples on whose border, and beyond, a label's score is zero."""
+        return self._around(code, int(self._CUT * self._BLUR + 0.5) + 1)
+
+    def _sample_score(self, code: int) -> Scores:
+        """A label's score at the samples of its support."""
+        window = self._support(code)
         own: Scores = (self.codes[window] == code).astype(np.float32)
         bare = self._bare[window]
         if bare.all():
-            return window, own
+            return own
         score = ndimage.gaussian_filter(own, self._BLUR, mode="nearest", truncate=self._CUT)
         push = own * self._push[window]
         if push.any():
             peak = 1.0 / (2.0 * math.pi * self._REACH**2)  # of the kernel
             score += ndimage.gaussian_filter(push, self._REACH, mode="constant", truncate=self._CUT) / peak
         chosen: Scores = np.where(bare, own, score)
-        return window, chosen
+        return chosen
 
     def _deficit(self) -> Scores:
         """By how much each sample's own label falls short of another's score there."""
         mine = np.zeros(self.codes.shape, np.float32)
         other = np.zeros(self.codes.shape, np.float32)
         for code in self.present:
-            window, score = self._sample_score(code)
+            window, score = self._support(code), self._sample_score(code)
             own = self.codes[window] == code
             np.copyto(mine[window], score, where=own)
             np.maximum(other[window], score, out=other[window], where=~own)
@@ -149,7 +153,7 @@ class Regions:
 
     def _score(self, code: int, around: Window) -> Scores:
         """A label's score at the fine points between the samples of a window."""
-        window, known = self._sample_score(code)
+        window, known = self._support(code), self._sample_score(code)
         score = np.zeros([own.stop - own.start for own in around], np.float32)
         shared = [slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(window, around, strict=True)]
         to, there = (
@@ -167,7 +171,7 @@ class Regions:
         label = np.full(shape, self.present[0], np.int16)
         best, second = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         for code in self.present:
-            around, _ = self._sample_score(code)
+            around = self._support(code)
             window = self._fine(around)
             score, former = self._score(code, around), best[window]
             wins = score > former
