@@ -12,25 +12,27 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from clunk import plot
+    from clunk.analysis.sobol import Sensitivity, SensitivityError, sensitivity
+    from clunk.analysis.verification import Verification
     from clunk.api import draw, sweep, tolerance_map, verify
-    from clunk.config import ConfigError, Study, load_study, replace_values, study_from_text
-    from clunk.datasets import open_results, to_dataset
-    from clunk.engines import EngineError
-    from clunk.parts import PartsError
     from clunk.plot import PlotError
-    from clunk.results import Results
-    from clunk.simulation import SimulationError, Trajectory, simulate
-    from clunk.sobol import Sensitivity, SensitivityError, sensitivity
-    from clunk.store import StoreError
-    from clunk.store import read as read_results
-    from clunk.store import write as write_results
-    from clunk.sweeping import SweepError
-    from clunk.targets import TargetError
-    from clunk.tolerancefile import read as read_tolerance_map
-    from clunk.tolerancemap import ToleranceMap
-    from clunk.verification import Verification
+    from clunk.results.datasets import open_results, to_dataset
+    from clunk.results.results import Results
+    from clunk.results.store import StoreError
+    from clunk.results.store import read as read_results
+    from clunk.results.store import write as write_results
+    from clunk.results.targets import TargetError
+    from clunk.results.tolerancefile import read as read_tolerance_map
+    from clunk.results.tolerancemap import ToleranceMap
+    from clunk.simulation.trajectory import SimulationError, Trajectory, simulate
+    from clunk.study.config import ConfigError, Study, load_study, replace_values, study_from_text
+    from clunk.study.errors import ClunkError
+    from clunk.sweeping.engines import EngineError
+    from clunk.sweeping.parts import PartsError
+    from clunk.sweeping.sweep import SweepError
 
 __all__ = [
+    "ClunkError",
     "ConfigError",
     "EngineError",
     "PartsError",
@@ -65,35 +67,36 @@ __all__ = [
 
 # Public name -> where it is: its module, and its name there if that is another.
 _HOME = {
-    "ConfigError": "config",
-    "EngineError": "engines",
-    "PartsError": "parts",
+    "ClunkError": "study.errors",
+    "ConfigError": "study.config",
+    "EngineError": "sweeping.engines",
+    "PartsError": "sweeping.parts",
     "PlotError": "plot",
-    "Results": "results",
-    "Sensitivity": "sobol",
-    "SensitivityError": "sobol",
-    "SimulationError": "simulation",
-    "StoreError": "store",
-    "Study": "config",
-    "SweepError": "sweeping",
-    "TargetError": "targets",
-    "ToleranceMap": "tolerancemap",
-    "Trajectory": "simulation",
-    "Verification": "verification",
+    "Results": "results.results",
+    "Sensitivity": "analysis.sobol",
+    "SensitivityError": "analysis.sobol",
+    "SimulationError": "simulation.trajectory",
+    "StoreError": "results.store",
+    "Study": "study.config",
+    "SweepError": "sweeping.sweep",
+    "TargetError": "results.targets",
+    "ToleranceMap": "results.tolerancemap",
+    "Trajectory": "simulation.trajectory",
+    "Verification": "analysis.verification",
     "draw": "api",
-    "load_study": "config",
-    "open_results": "datasets",
-    "read_results": "store:read",
-    "read_tolerance_map": "tolerancefile:read",
-    "replace_values": "config",
-    "sensitivity": "sobol",
-    "simulate": "simulation",
-    "study_from_text": "config",
+    "load_study": "study.config",
+    "open_results": "results.datasets",
+    "read_results": "results.store:read",
+    "read_tolerance_map": "results.tolerancefile:read",
+    "replace_values": "study.config",
+    "sensitivity": "analysis.sobol",
+    "simulate": "simulation.trajectory",
+    "study_from_text": "study.config",
     "sweep": "api",
-    "to_dataset": "datasets",
+    "to_dataset": "results.datasets",
     "tolerance_map": "api",
     "verify": "api",
-    "write_results": "store:write",
+    "write_results": "results.store:write",
 }
 
 

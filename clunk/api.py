@@ -9,19 +9,21 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clunk import sweeping, targets, tolerancefile, verification
-from clunk.cells import compiling_note, warm_up
-from clunk.config import Study
-from clunk.designs import has_tolerances
-from clunk.engines import Engine, EngineError
-from clunk.output import engine_of, opened
-from clunk.progress import Progress, shown
-from clunk.results import Results
-from clunk.simulation import Trajectory
-from clunk.store import read
-from clunk.sweeping import HAS_TOLERANCES, NO_TOLERANCES, SweepError
-from clunk.tolerancemap import ToleranceMap
-from clunk.verification import METHODS, Verification, by
+from clunk.analysis import verification
+from clunk.analysis.verification import METHODS, Verification, by
+from clunk.results import targets, tolerancefile
+from clunk.results.results import Results
+from clunk.results.store import read
+from clunk.results.tolerancemap import ToleranceMap
+from clunk.simulation.trajectory import Trajectory
+from clunk.study.config import Study
+from clunk.study.designs import has_tolerances
+from clunk.sweeping import sweep as sweeping
+from clunk.sweeping.cells import compiling_note, warm_up
+from clunk.sweeping.engines import Engine, EngineError
+from clunk.sweeping.output import engine_of, opened
+from clunk.sweeping.progress import Progress, shown
+from clunk.sweeping.sweep import HAS_TOLERANCES, NO_TOLERANCES, SweepError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -209,8 +211,8 @@ def draw(what: Results | ToleranceMap | Trajectory, quantity: str = "regimes") -
     if not isinstance(what, Trajectory):
         kind = type(what).__name__
         raise TypeError(f"draw takes Results or a Trajectory, not a {kind}; clunk.read_results(path) gives Results.")
-    from clunk.history import sample
     from clunk.plot.histories import simulation_figure
+    from clunk.simulation.history import sample
 
     return simulation_figure([(what.study.title, what, sample(what))])
 

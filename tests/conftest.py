@@ -3,8 +3,8 @@
 import pytest
 from hypothesis import settings
 
-from clunk.cells import compiling_note, warm_up
-from clunk.config import Study, study_from_text
+from clunk.study.config import Study, study_from_text
+from clunk.sweeping.cells import compiling_note, warm_up
 
 # The first call of a kernel compiles it, which takes longer than any deadline; the same examples on every machine.
 settings.register_profile("clunk", deadline=None, derandomize=True)

@@ -18,9 +18,10 @@ import xarray
 from test_store import BACKLASH, RATIO, assert_same, example
 
 import clunk
-from clunk import progress
-from clunk.config import digest
-from clunk.results import CELL_FIELDS, IMPACT_FIELDS, RUN, ResultAxis
+from clunk.results.results import CELL_FIELDS, IMPACT_FIELDS
+from clunk.study.axes import RUN, ResultAxis
+from clunk.study.config import digest
+from clunk.sweeping import progress
 
 ROOT = Path(__file__).parent.parent
 TITLE = '<script>alert("x")</script> & co'

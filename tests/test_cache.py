@@ -17,7 +17,13 @@ import pytest
 import clunk.core.jit  # noqa: F401  # points numba at its cache, which a test then moves
 
 ROOT = Path(__file__).parent.parent
-COMMAND = [sys.executable, "-c", "from clunk.cli import main; main()", "simulate", str(ROOT / "configs/nominal.toml")]
+COMMAND = [
+    sys.executable,
+    "-c",
+    "from clunk.cli import main; main()",
+    "simulate",
+    str(ROOT / "configs/nominal.toml"),
+]
 
 
 def simulate(variable, directory):

@@ -8,16 +8,17 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from clunk import claims, cli, reproduction
-from clunk.claims import Claim, Evidence, Verdict, run_maps
-from clunk.config import replace_values, study_from_text
-from clunk.linear import (
+from clunk import cli
+from clunk.report import claims, reproduction
+from clunk.report.claims import Claim, Evidence, Verdict, run_maps
+from clunk.simulation.linear import (
     levels_of_excursions,
     one_mode_thresholds,
     periods_in_envelope,
     rigid_contact_thresholds,
     thresholds_on,
 )
+from clunk.study.config import replace_values, study_from_text
 
 COARSE = 10  # 21 x 21 and 11 x 11: every region of Figure 3.4 has cells
 
@@ -132,7 +133,7 @@ def test_impacts_are_counted_as_excursions_and_not_as_minima(extremes, levels):
 
 
 def test_thresholds_of_random_chains_are_where_the_locked_model_gains_an_impact():
-    from clunk.simulation import simulate
+    from clunk.simulation.trajectory import simulate
 
     rng = np.random.default_rng(5)
     checked = 0
@@ -182,7 +183,7 @@ def test_a_driveline_whose_load_does_not_reach_the_lash_has_no_thresholds():
 
 
 def test_an_impact_appears_at_the_exact_threshold_as_the_gap_vanishes(nominal):
-    from clunk.simulation import simulate
+    from clunk.simulation.trajectory import simulate
 
     (first, second, *_) = rigid_contact_thresholds(nominal)
     study = study_from_text('[driveline]\npreset = "boere-2008"\n[lash.contact]\nmodel = "restitution"\n')

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from clunk.cli import main
-from clunk.results import CELL_FIELDS, IMPACT_FIELDS
-from clunk.store import read
+from clunk.results.results import CELL_FIELDS, IMPACT_FIELDS
+from clunk.results.store import read
 
 ROOT = Path(__file__).parent.parent
 SMALL = """
@@ -368,7 +368,13 @@ def test_an_axis_that_changes_nothing_is_noted(clunk, small):
 
 
 def test_a_terminal_without_greek_letters_gets_question_marks():
-    command = [sys.executable, "-c", "from clunk.cli import main; main()", "modes", str(ROOT / "configs/nominal.toml")]
+    command = [
+        sys.executable,
+        "-c",
+        "from clunk.cli import main; main()",
+        "modes",
+        str(ROOT / "configs/nominal.toml"),
+    ]
     environment = os.environ | {"PYTHONIOENCODING": "ascii"}
     done = subprocess.run(command, capture_output=True, env=environment, check=False)
     assert done.returncode == 0
@@ -580,7 +586,7 @@ def test_help_and_version_import_neither_numba_nor_matplotlib(option):
 
 
 def test_every_command_has_help_with_an_example(clunk):
-    from clunk.cli import cli
+    from clunk.cli.commands import cli
 
     for name in cli.commands:
         code, out, _ = clunk(name, "--help")

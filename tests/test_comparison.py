@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from clunk.comparison import (
+from clunk.analysis.comparison import (
     ComparisonError,
     DifferingCell,
     ExperimentComparison,
@@ -24,7 +24,7 @@ from clunk.comparison import (
     compare_experiment,
     report,
 )
-from clunk.experiments import (
+from clunk.analysis.experiments import (
     CAVEAT,
     Experiment,
     ExperimentError,
@@ -33,10 +33,11 @@ from clunk.experiments import (
     is_experiment,
     read_experiment,
 )
-from clunk.labels import normalised_label
 from clunk.plot import PlotError, save
 from clunk.plot.comparisons import difference_map, experiment_map
-from clunk.results import ResultAxis, Results
+from clunk.results.labels import normalised_label
+from clunk.results.results import Results
+from clunk.study.axes import ResultAxis
 
 RATIO = ResultAxis("load.ratio", np.linspace(0.0, 10.0, 41), "load ratio", "σr = Td/Ts", "1")
 BACKLASH = ResultAxis("lash.backlash_deg", np.linspace(0.0, 20.0, 31), "backlash", "φθ", "degrees")

@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from clunk.config import (
+from clunk.study.config import (
     PRESETS,
     Axis,
     ConfigError,
@@ -38,11 +38,11 @@ from clunk.config import (
     study_from_text,
     to_toml,
 )
-from clunk.configfile import KeyLines, dotted, parse_place
-from clunk.designs import design_of
+from clunk.study.configfile import KeyLines, dotted, parse_place
+from clunk.study.designs import design_of
 
 CONFIGS = sorted((Path(__file__).parent.parent / "configs").glob("*.toml"))
-STARTER = files("clunk.presets").joinpath("starter.toml").read_text(encoding="utf-8")
+STARTER = files("clunk.study.presets").joinpath("starter.toml").read_text(encoding="utf-8")
 PRESET = '[driveline]\npreset = "boere-2008"\n'
 
 # Numbered, so that a broken line can be named by its number.

@@ -11,14 +11,15 @@ from test_store import assert_same
 from test_sweeping import equal, regimes, same_as_single_run
 
 from clunk import plot
+from clunk.analysis.comparison import ComparisonError, as_record, compare, report
 from clunk.cli import main
-from clunk.comparison import ComparisonError, as_record, compare, report
-from clunk.config import replace_values, study_from_text
 from clunk.core.status import QUALITY_INFERRED
-from clunk.designs import design_of
-from clunk.results import CELL_FIELDS, IMPACT_FIELDS, RUN
-from clunk.store import read, read_header, write
-from clunk.sweeping import cell_count, retry_failed, sweep
+from clunk.results.results import CELL_FIELDS, IMPACT_FIELDS
+from clunk.results.store import read, read_header, write
+from clunk.study.axes import RUN
+from clunk.study.config import replace_values, study_from_text
+from clunk.study.designs import design_of
+from clunk.sweeping.sweep import cell_count, retry_failed, sweep
 
 BASE = '[driveline]\npreset = "boere-2008"\n[solver]\nmethod = "exact"\n'
 ZIP = f"""{BASE}

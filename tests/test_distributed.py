@@ -13,14 +13,14 @@ import pytest
 from test_parts import CONFIG, posix, resumed, stopped
 from test_sweeping import equal, figure_3_4, study
 
-from clunk import distributed
-from clunk.cells import Grid
-from clunk.config import load_study
-from clunk.distributed import Cluster
-from clunk.engines import EngineError, Work
-from clunk.parts import WorkingDirectory
-from clunk.store import read_header
-from clunk.sweeping import parts_of, sweep, tolerance_map
+from clunk.results.store import read_header
+from clunk.study.config import load_study
+from clunk.sweeping import distributed
+from clunk.sweeping.cells import Grid
+from clunk.sweeping.distributed import Cluster
+from clunk.sweeping.engines import EngineError, Work
+from clunk.sweeping.parts import WorkingDirectory
+from clunk.sweeping.sweep import parts_of, sweep, tolerance_map
 
 ROOT = Path(__file__).parent.parent
 
@@ -311,7 +311,8 @@ class TestAnEndBeforeTheEnd:
     def test_cells_that_kill_every_worker_end_in_a_sentence(self, alone, map_17):
         for _ in range(2):
             alone.worker(
-                preload="import clunk.distributed, os; clunk.distributed._grid = lambda _: os._exit(1)", nanny=True
+                preload="import clunk.sweeping.distributed, os; clunk.distributed._grid = lambda _: os._exit(1)",
+                nanny=True,
             )
         with Cluster(alone.address) as engine, pytest.raises(EngineError, match="run by 4 workers that died"):
             sweep(map_17, engine=engine)

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-import reference
+from helpers import reference
 
-from clunk.config import replace_values, study_from_text
-from clunk.driveline import Driveline
-from clunk.linear import one_mode_thresholds, rigid_contact_thresholds
-from clunk.simulation import SimulationError, simulate
+from clunk.simulation.driveline import Driveline
+from clunk.simulation.linear import one_mode_thresholds, rigid_contact_thresholds
+from clunk.simulation.trajectory import SimulationError, simulate
+from clunk.study.config import replace_values, study_from_text
 
 
 def test_the_matrices_are_those_of_equation_2_6(nominal):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from test_sweeping import figure_3_4
 
-from clunk.cells import Grid
-from clunk.engines import Threads, Work
+from clunk.sweeping.cells import Grid
+from clunk.sweeping.engines import Threads, Work
 
 
 @pytest.fixture(scope="module")

@@ -8,21 +8,19 @@ tenth of what lies between those.
 
 from dataclasses import replace
 
-import general
-import margins
 import numpy as np
 import pytest
-import reference
+from helpers import general, margins, reference
+from helpers.randomplants import END_TIME, nudged, plants
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
-from randomplants import END_TIME, nudged, plants
 
-from clunk import driveline
-from clunk.config import study_from_text
 from clunk.core import switching, tile
 from clunk.core.events import EVENT, TOUCH
 from clunk.core.status import QUALITY_GRAZING
-from clunk.simulation import simulate
+from clunk.simulation import driveline
+from clunk.simulation.trajectory import simulate
+from clunk.study.config import study_from_text
 
 NUDGE = 1e-10
 FLOOR = 2e-11  # s, between two codes that are exact to rounding

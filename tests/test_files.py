@@ -2,7 +2,7 @@
 
 import pytest
 
-from clunk.files import reason, write_whole
+from clunk.results.files import reason, write_whole
 
 
 def test_a_file_is_replaced_by_what_was_written(tmp_path):

@@ -8,12 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import reference
+from helpers import reference
 from numpy.polynomial.polynomial import polyder, polyint, polyval
 from scipy.linalg import expm
 
-from clunk import driveline
-from clunk.config import study_from_text
 from clunk.core import abreast, lanes, queues, rows
 from clunk.core.events import EVENT
 from clunk.core.flows import BLOCK, CROSS, SLOPE, SPANS, TERMS, VALUE
@@ -22,6 +20,8 @@ from clunk.core.lanes import WIDTH
 from clunk.core.pool import ask, fields, make_pool, push, take
 from clunk.core.regimes import ACCELERATION, GAP
 from clunk.core.search import search
+from clunk.simulation import driveline
+from clunk.study.config import study_from_text
 
 # Rounding of a few products of tables that are each good to some 1e-15; |λ| T reaches 1e3 in the longest span compared,
 # and an angle that large is known to 1e3 eps, a modal basis to its condition (up to 1e4) times eps.

@@ -19,9 +19,9 @@ from hypothesis import strategies as st
 from test_config import ONE_RUN, PRESET, STARTER, WHOLE
 
 from clunk.cli import main
-from clunk.config import ConfigError, load_study
 from clunk.core.status import Status
-from clunk.simulation import simulate
+from clunk.simulation.trajectory import simulate
+from clunk.study.config import ConfigError, load_study
 
 # Sizes at the edge of double precision may overflow on the way to the answer; it is the answer that counts.
 pytestmark = [

@@ -10,11 +10,11 @@ from typing import get_args
 
 import numpy as np
 import pytest
-import reference
+from helpers import reference
 
-from clunk.config import Solver, study_from_text
 from clunk.core.sequence import OPPOSITE
-from clunk.simulation import simulate
+from clunk.simulation.trajectory import simulate
+from clunk.study.config import Solver, study_from_text
 
 METHODS = [*get_args(Solver.model_fields["method"].annotation), "reference"]
 BACKLASHES = [3.0, 6.0, 10.0]

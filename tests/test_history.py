@@ -7,12 +7,13 @@ import pytest
 from matplotlib.text import Text
 from scipy.integrate import solve_ivp
 
-from clunk.config import Study, digest, study_from_text
 from clunk.core.events import KIND_NAMES, LOCK, TOUCH
-from clunk.history import HistoryError, sample, save_csv, save_hdf5, shown_until
 from clunk.plot import PlotError, histories, save
 from clunk.plot.small_gap import SmallGap, small_gap
-from clunk.simulation import simulate
+from clunk.results.historyfile import save_csv, save_hdf5
+from clunk.simulation.history import HistoryError, sample, shown_until
+from clunk.simulation.trajectory import simulate
+from clunk.study.config import Study, digest, study_from_text
 
 xarray = pytest.importorskip("xarray")
 

@@ -4,11 +4,11 @@ from typing import get_args
 
 import numpy as np
 import pytest
-import reference
-from running import core_run, prepared, unproved
+from helpers import reference
+from helpers.running import core_run, prepared, unproved
 
-from clunk.config import Solver, get_value, replace_values
-from clunk.simulation import SimulationError, simulate
+from clunk.simulation.trajectory import SimulationError, simulate
+from clunk.study.config import Solver, get_value, replace_values
 
 POINTS = [(2.0, 6.0), (5.0, 6.0), (10.0, 10.0), (7.0, 0.0), (-2.5, 3.0)]
 

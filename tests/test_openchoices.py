@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clunk.config import replace_values
-from clunk.driveline import Driveline
-from clunk.history import sample
-from clunk.openchoices import base_study, by_force, contact_damping, main, markdown, measure, tension
-from clunk.simulation import simulate
+from clunk.report.openchoices import base_study, by_force, contact_damping, main, markdown, measure, tension
+from clunk.simulation.driveline import Driveline
+from clunk.simulation.history import sample
+from clunk.simulation.trajectory import simulate
+from clunk.study.config import replace_values
 
 
 @pytest.fixture(scope="module")

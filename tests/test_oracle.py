@@ -8,10 +8,10 @@ over an episode.
 
 import numpy as np
 import pytest
-import reference
+from helpers import reference
 
-from clunk.config import replace_values, study_from_text
-from clunk.simulation import simulate
+from clunk.simulation.trajectory import simulate
+from clunk.study.config import replace_values, study_from_text
 
 TIME = 1e-6  # s
 AMPLITUDE = 2e-5  # relative

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from clunk.config import study_from_text
-from clunk.results import CELL_FIELDS, IMPACT_FIELDS
-from clunk.sweeping import sweep
+from clunk.results.results import CELL_FIELDS, IMPACT_FIELDS
+from clunk.study.config import study_from_text
+from clunk.sweeping.sweep import sweep
 
 RATIOS, BACKLASHES = np.linspace(0.0, 10.0, 29), np.linspace(0.0, 20.0, 23)
 CONTACTS = ['separation = "gap"', 'separation = "force"', 'model = "restitution"']

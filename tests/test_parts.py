@@ -14,12 +14,13 @@ import numpy as np
 import pytest
 from test_sweeping import equal, figure_3_4
 
-from clunk import parts as keeping
-from clunk import scratch, sweeping
-from clunk.config import replace_values
-from clunk.parts import PartsError, WorkingDirectory
-from clunk.store import read_header
-from clunk.sweeping import parts_of, sweep
+from clunk.results.store import read_header
+from clunk.study.config import replace_values
+from clunk.sweeping import parts as keeping
+from clunk.sweeping import scratch
+from clunk.sweeping import sweep as sweeping
+from clunk.sweeping.parts import PartsError, WorkingDirectory
+from clunk.sweeping.sweep import parts_of, sweep
 
 CONFIG = """
 [driveline]
@@ -236,7 +237,7 @@ def _written(parts, now):
 
 
 def _tiles(study):
-    from clunk.cells import Grid
+    from clunk.sweeping.cells import Grid
 
     yield Grid(study).run(np.arange(5), np.zeros(1, np.uint8))
 
@@ -287,7 +288,8 @@ def test_no_room_for_results_on_the_disk_is_a_sentence(study, whole, target, oft
 
 RUN = """
 import os, signal, sys, time
-from clunk import parts, store
+from clunk.sweeping import parts
+from clunk.results import store
 parts._FIRST_PART = parts._PART = parts._SHARE = 0.0
 moment = sys.argv.pop(1)
 die = lambda: os.kill(os.getpid(), signal.SIGKILL)
@@ -313,7 +315,7 @@ elif moment == "assembly":
 elif moment == "file on disk":
     at(store, "write_file", 1, False)
 elif moment == "trailer":
-    from clunk import netcdf
+    from clunk.results import netcdf
     at(netcdf, "trailer", 1, False)
 from clunk.cli import main
 sys.argv[0] = "clunk"

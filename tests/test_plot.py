@@ -19,7 +19,8 @@ from clunk import plot
 from clunk.core.status import QUALITY_INFERRED, QUALITY_UNDECIDED
 from clunk.plot.regions import Regions
 from clunk.plot.style import INK, palette_of
-from clunk.results import ResultAxis, Results
+from clunk.results.results import Results
+from clunk.study.axes import ResultAxis
 
 LABELS = ("NI", "SS(1)", "DS(1)", "SS(2)", "DS(1)SS(1)", "DS(1)SS(2)", "DS(2)", "DS(2)SS(1)", "DS(3)")
 PRIMARIES = np.array([0, 1, 2, 2, 3, 4, 4, 5, 6])

@@ -5,9 +5,9 @@ import pytest
 from test_sweeping import equal, figure_3_4, regimes, study
 
 from clunk.core.status import QUALITY_INFERRED
-from clunk.refinement import DOUBTFUL, Refinement, spacings
-from clunk.store import read, write
-from clunk.sweeping import sweep
+from clunk.results.store import read, write
+from clunk.sweeping.refinement import DOUBTFUL, Refinement, spacings
+from clunk.sweeping.sweep import sweep
 
 
 def refined(truth, spacing, touches=None, at_once=10**9):

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from clunk import driveline
-from clunk.config import replace_values, study_from_text
 from clunk.core.events import LOCK, OPENING, SEPARATION, TOUCH
-from clunk.simulation import SimulationError, simulate
-from clunk.sweeping import sweep
+from clunk.simulation import driveline
+from clunk.simulation.trajectory import SimulationError, simulate
+from clunk.study.config import replace_values, study_from_text
+from clunk.sweeping.sweep import sweep
 
 NOMINAL = '[driveline]\npreset = "boere-2008"\n[lash.contact]\nmodel = "restitution"\n'
 MAP = """

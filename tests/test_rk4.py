@@ -4,16 +4,16 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-import reference
-from running import core_run, prepared, unproved
+from helpers import reference
+from helpers.running import core_run, prepared, unproved
 
-from clunk import driveline
-from clunk.config import study_from_text
 from clunk.core import rk4, switching
 from clunk.core.events import EVENT
 from clunk.core.regimes import CLOSED_NEGATIVE, CLOSED_POSITIVE, OPEN, PARTED_POSITIVE
 from clunk.core.status import INTERRUPTED, Status
 from clunk.core.steps import rk4_growth
+from clunk.simulation import driveline
+from clunk.study.config import study_from_text
 
 # An error that goes with h⁴ falls sixteenfold when the step halves. The next order leaves 16 ± 16 hλ, which is 0.6 for
 # the contact mode (λ = 1640 1/s) at h = 2.5e-5 s, and an event's place on the time grid moves the error by less.

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 import clunk
-from clunk.config import study_from_text
-from clunk.configmodels import schema
+from clunk.study.config import study_from_text
+from clunk.study.configmodels import schema
 
 PACKAGE = Path(clunk.__file__).parent
 SOURCES = sorted(PACKAGE.rglob("*.py"))
@@ -18,7 +18,7 @@ MODULES = {
     *("dask", "distributed", "subprocess", "pty", "webbrowser", "ctypes", "cffi", "multiprocessing"),
 }
 # A scheduler that the user names is trusted: dask's own messages are pickles, and so is what a worker gets of a study.
-ALLOWED = {PACKAGE / "distributed.py": {"dask", "distributed", "pickle"}}
+ALLOWED = {PACKAGE / "sweeping" / "distributed.py": {"dask", "distributed", "pickle"}}
 CALLS = {"eval", "exec", "compile", "__import__", "breakpoint", "input"}
 OF_OS = {"system", "popen", "execv", "execve", "execvp", "spawnv", "spawnl", "startfile", "fork"}
 KEYWORDS = {"allow_pickle", "shell"}
@@ -75,7 +75,7 @@ def test_a_title_names_no_file(tmp_path, monkeypatch, title):
     """Sweeps, runs and pictures are named by the file of the config and by -o."""
     from click.testing import CliRunner
 
-    from clunk.cli import cli
+    from clunk.cli.commands import cli
 
     inside = tmp_path / "a" / "b"
     inside.mkdir(parents=True)

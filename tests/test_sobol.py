@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import clunk
+from clunk.analysis.sobol import SensitivityError, first_and_total, saltelli_sample, sensitivity
 from clunk.cli import main
-from clunk.config import replace_values, study_from_text
 from clunk.plot.indices import sobol_bars
 from clunk.plot.style import PlotError
-from clunk.simulation import simulate
-from clunk.sobol import SensitivityError, first_and_total, saltelli_sample, sensitivity
+from clunk.simulation.trajectory import simulate
+from clunk.study.config import replace_values, study_from_text
 
 POINT = """
 title = "σr = 5, φθ = 6°"

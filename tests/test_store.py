@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 import xarray
 
-from clunk import netcdf, store
 from clunk.core.status import Status
-from clunk.results import CELL_FIELDS, IMPACT_FIELDS, ResultAxis, Results
+from clunk.results import netcdf, store
+from clunk.results.results import CELL_FIELDS, IMPACT_FIELDS, Results
+from clunk.study.axes import ResultAxis
 
-ROOT = Path(store.__file__).parents[1]
+ROOT = Path(__file__).parents[1]
 RATIO = ResultAxis("load.ratio", np.linspace(0.0, 10.0, 5), "load ratio", "σr = Td/Ts", "1")
 BACKLASH = ResultAxis("lash.backlash_deg", np.geomspace(0.5, 20.0, 4), "backlash", "φθ", "degrees")
 INERTIA = ResultAxis("driveline.inertias[4]", np.array([0.001, 0.002, 0.005]), "inertia 4", "J4", "kg m2")

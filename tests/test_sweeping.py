@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from clunk.cells import compiling_note, warm_up
-from clunk.config import replace_values, study_from_text
 from clunk.core.status import Status
-from clunk.results import CELL_FIELDS, IMPACT_FIELDS
-from clunk.simulation import simulate
-from clunk.sweeping import SweepError, sweep
+from clunk.results.results import CELL_FIELDS, IMPACT_FIELDS
+from clunk.simulation.trajectory import simulate
+from clunk.study.config import replace_values, study_from_text
+from clunk.sweeping.cells import compiling_note, warm_up
+from clunk.sweeping.sweep import SweepError, sweep
 
 FIGURE_3_4 = {"NI", "SS(1)", "SS(2)", "DS(1)", "DS(1)SS(1)", "DS(1)SS(2)", "DS(2)", "DS(2)SS(1)", "DS(3)"}
 

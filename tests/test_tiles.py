@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from test_sweeping import equal, figure_3_4
 
-from clunk.assembly import Assembly
-from clunk.cells import CELL, IMPACT, Grid
-from clunk.sweeping import sweep
-from clunk.tiles import from_bytes, to_pieces
+from clunk.sweeping.assembly import Assembly
+from clunk.sweeping.cells import CELL, IMPACT, Grid
+from clunk.sweeping.sweep import sweep
+from clunk.sweeping.tiles import from_bytes, to_pieces
 
 ORIGIN = bytes(range(32))
 

@@ -11,20 +11,21 @@ from matplotlib.colors import to_rgb
 from test_cli import clunk, here  # noqa: F401  fixtures
 
 import clunk as clunk_api
-from clunk import parts as keeping
-from clunk import store, tolerancefile, tolerances
-from clunk.config import Axis, get_value, replace_values, study_from_text, to_toml
+from clunk.analysis.verification import verify
 from clunk.core.status import Status
-from clunk.designs import drawn_numbers, nominal
-from clunk.labels import double_sided, excursions
-from clunk.parts import PartsError, WorkingDirectory
 from clunk.plot import PlotError, certainty, save
 from clunk.plot.style import palette_of
-from clunk.simulation import SimulationError, simulate
-from clunk.store import StoreError, read, read_header
-from clunk.sweeping import SweepError, parts_of, sweep, tolerance_map
-from clunk.tolerancemap import QUANTILES
-from clunk.verification import verify
+from clunk.results import store, tolerancefile
+from clunk.results.labels import double_sided, excursions
+from clunk.results.store import StoreError, read, read_header
+from clunk.results.tolerancemap import QUANTILES
+from clunk.simulation.trajectory import SimulationError, simulate
+from clunk.study.config import Axis, get_value, replace_values, study_from_text, to_toml
+from clunk.study.designs import drawn_numbers, nominal
+from clunk.sweeping import parts as keeping
+from clunk.sweeping import tolerances
+from clunk.sweeping.parts import PartsError, WorkingDirectory
+from clunk.sweeping.sweep import SweepError, parts_of, sweep, tolerance_map
 
 DRIVELINE = """
 title = "Small"

@@ -6,10 +6,10 @@ import sys
 import numpy as np
 import pytest
 
+from clunk.analysis.verification import GUARDED, METHODS, by, pair_events, verify
 from clunk.cli import main
-from clunk.config import study_from_text
 from clunk.core.status import QUALITY_COMPLETE
-from clunk.verification import GUARDED, METHODS, by, pair_events, verify
+from clunk.study.config import study_from_text
 
 NOMINAL = """
 title = "Small"
@@ -179,7 +179,7 @@ def test_a_rebound_that_one_method_lacks_leaves_the_others_in_pairs():
 
 
 def test_a_run_is_its_own_pair():
-    from clunk.simulation import simulate
+    from clunk.simulation.trajectory import simulate
 
     run = simulate(study())
     pairs = pair_events(run, run)

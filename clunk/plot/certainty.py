@@ -36,8 +36,8 @@ from clunk.plot.style import (
     styled,
     tidy,
 )
-from clunk.results import FAILED, FAILED_CODE
-from clunk.tolerancemap import CERTAIN, QUANTILES, ToleranceMap
+from clunk.results.results import FAILED, FAILED_CODE
+from clunk.results.tolerancemap import CERTAIN, QUANTILES, ToleranceMap
 
 Floats = npt.NDArray[np.float64]
 

@@ -17,16 +17,16 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from clunk.comparison import Comparison, ExperimentComparison, Point
-from clunk.comparison.reporting import percent
-from clunk.configfile import shorten
+from clunk.analysis.comparison import Comparison, ExperimentComparison, Point
+from clunk.analysis.comparison.reporting import percent
 from clunk.plot.labelling import present, region_swatch, settle
 from clunk.plot.maps import map_titles
 from clunk.plot.plane import View, scale_axes
 from clunk.plot.raster import Raster
 from clunk.plot.regions import Regions, draw_boundaries, fill_regions, hatch_failed
 from clunk.plot.style import FAINT_INK, INK, PlotError, cells_phrase, failed_notes, new_figure, palette_of, styled
-from clunk.results import FAILED, Results
+from clunk.results.results import FAILED, Results
+from clunk.study.configfile import shorten
 
 Bools = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]

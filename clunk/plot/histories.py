@@ -14,10 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from clunk.config import Study
 from clunk.core.events import TOUCH
-from clunk.history import History
-from clunk.load import load_step
 from clunk.plot.history_panels import (
     Runs,
     draw_acceleration,
@@ -43,7 +40,10 @@ from clunk.plot.style import (
     symbol_text,
     tidy,
 )
-from clunk.simulation import Trajectory
+from clunk.simulation.history import History
+from clunk.simulation.load import load_step
+from clunk.simulation.trajectory import Trajectory
+from clunk.study.config import Study
 
 _LINE = 1.3  # points
 _PATTERNS: tuple[Any, ...] = ("solid", DASHED, (0, (1.2, 1.2)), (0, (6.0, 1.2, 1.2, 1.2)))

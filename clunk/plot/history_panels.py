@@ -9,11 +9,11 @@ from matplotlib import patheffects, ticker
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from clunk.config import Study
 from clunk.core.events import TOUCH
-from clunk.history import History
 from clunk.plot.style import FAINT_INK, INK, LINE_COLOURS, plain, symbol_text
-from clunk.simulation import Trajectory
+from clunk.simulation.history import History
+from clunk.simulation.trajectory import Trajectory
+from clunk.study.config import Study
 
 Runs = Sequence[tuple[str, Trajectory, History]]
 Looks = Sequence[dict[str, Any]]

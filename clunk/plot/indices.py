@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from clunk.config import quantity
+from clunk.analysis.sobol import CONFIDENCE, Indices, Sensitivity
 from clunk.plot.style import (
     INK,
     LINE_COLOURS,
@@ -25,7 +25,7 @@ from clunk.plot.style import (
     styled,
     symbol_text,
 )
-from clunk.sobol import CONFIDENCE, Indices, Sensitivity
+from clunk.study.config import quantity
 
 _ABREAST = 3  # panels
 _BAR = 0.36  # of the distance from one parameter to the next

@@ -43,8 +43,9 @@ from clunk.plot.style import (
     symbol_text,
     tidy,
 )
-from clunk.results import FAILED_CODE, ResultAxis, Results
-from clunk.tolerancemap import ToleranceMap
+from clunk.results.results import FAILED_CODE, Results
+from clunk.results.tolerancemap import ToleranceMap
+from clunk.study.axes import ResultAxis
 
 Floats = npt.NDArray[np.float64]
 
@@ -74,8 +75,8 @@ def thresholds_of(results: Results) -> list[float]:
     parameter = x_axis(results).parameter
     if not parameter.startswith("load."):
         return []
-    from clunk.config import replace_values, study_from_text
-    from clunk.linear import one_mode_thresholds, thresholds_on
+    from clunk.simulation.linear import one_mode_thresholds, thresholds_on
+    from clunk.study.config import replace_values, study_from_text
 
     study = study_from_text(results.config, source="the results file's config")
     fixed = {axis.parameter: float(axis.values[0]) for axis in results.parameters if len(axis.values) == 1}

@@ -15,8 +15,9 @@ from matplotlib import ticker
 from matplotlib.axes import Axes
 
 from clunk.plot.style import MINUS, PlotError, plain, symbol_text
-from clunk.results import RUN, ResultAxis, Results
-from clunk.tolerancemap import ToleranceMap
+from clunk.results.results import Results
+from clunk.results.tolerancemap import ToleranceMap
+from clunk.study.axes import RUN, ResultAxis
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]

@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from clunk.plot.plane import View, ruler
 from clunk.plot.regions import Regions
-from clunk.results import ResultAxis
+from clunk.study.axes import ResultAxis
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]

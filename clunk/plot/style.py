@@ -21,9 +21,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.text import Text
 
-from clunk.files import reason, write_whole
-from clunk.labels import double_sided, excursions
-from clunk.results import FAILED, FAILED_CODE
+from clunk.results.files import reason, write_whole
+from clunk.results.labels import double_sided, excursions
+from clunk.results.results import FAILED, FAILED_CODE
+from clunk.study.errors import ClunkError
 
 _FORMATS = ("png", "svg", "pdf")
 SIZE = (7.0, 5.2)  # inches
@@ -58,7 +59,7 @@ _STYLE: dict[str, Any] = {
 }
 
 
-class PlotError(Exception):
+class PlotError(ClunkError):
     """Results that cannot be drawn as asked; its text is one sentence for the user."""
 
 

@@ -16,8 +16,9 @@ import time
 
 import numpy as np
 
-from clunk import driveline, sweeping
-from clunk.claims import report_map
+from clunk.report.claims import report_map
+from clunk.simulation import driveline
+from clunk.sweeping import sweep as sweeping
 
 STEPS = 20_000  # of a full-length run
 
@@ -72,7 +73,7 @@ def peak(count: int) -> int:
     """Peak resident memory of one sweep and its file  [bytes]."""
     import tempfile
 
-    from clunk.store import write
+    from clunk.results.store import write
 
     with tempfile.TemporaryDirectory() as directory:
         write(f"{directory}/map.h5", sweeping.sweep(report_map(count)))

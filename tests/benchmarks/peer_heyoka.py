@@ -14,8 +14,8 @@ import events_table
 import heyoka as hy
 import numpy as np
 
-from clunk.driveline import Driveline
-from clunk.load import load_step
+from clunk.simulation.driveline import Driveline
+from clunk.simulation.load import load_step
 
 LANES = 8
 TOUCH, SEPARATION = 1, 2

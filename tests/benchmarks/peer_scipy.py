@@ -4,8 +4,8 @@ import events_table
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from clunk.driveline import Driveline
-from clunk.load import load_step
+from clunk.simulation.driveline import Driveline
+from clunk.simulation.load import load_step
 
 TOUCH, SEPARATION = 1, 2
 MOST_EVENTS = 400  # a run that has more has gone astray

@@ -34,12 +34,12 @@ import numpy as np
 from machine import Watch
 
 import clunk
-from clunk import sweeping
-from clunk.config import replace_values, study_from_text
 from clunk.core.events import EVENT
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
-from clunk.driveline import Driveline
-from clunk.engines import cpu_model
+from clunk.simulation.driveline import Driveline
+from clunk.study.config import replace_values, study_from_text
+from clunk.sweeping import sweep as sweeping
+from clunk.sweeping.engines import cpu_model
 
 CELLS = np.arange(events_table.RATIOS.size * events_table.BACKLASHES_DEG.size)
 FINE = 401  # cells a side of the large sweep

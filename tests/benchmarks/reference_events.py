@@ -33,7 +33,7 @@ import numpy as np
 from events_table import END_TIME, EventTable
 from mpmath import mp, mpc, mpf
 
-from clunk.driveline import Driveline
+from clunk.simulation.driveline import Driveline
 
 TOUCH, SEPARATION = 1, 2
 LONGEST = 0.02  # s, of a step

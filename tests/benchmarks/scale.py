@@ -21,11 +21,13 @@ from pathlib import Path
 
 import numpy as np
 
-from clunk import cells, engines, store, sweeping
-from clunk.assembly import Assembly
-from clunk.config import Study, study_from_text, to_toml
-from clunk.parts import Parts, WorkingDirectory
-from clunk.tiles import Tile
+from clunk.results import store
+from clunk.study.config import Study, study_from_text, to_toml
+from clunk.sweeping import cells, engines
+from clunk.sweeping import sweep as sweeping
+from clunk.sweeping.assembly import Assembly
+from clunk.sweeping.parts import Parts, WorkingDirectory
+from clunk.sweeping.tiles import Tile
 
 CONFIG = """
 [driveline]
@@ -132,7 +134,7 @@ def measure(count: float) -> dict[str, object]:
 
 def measure_tasks(count: float, workers: int) -> None:
     """The same tiles by the workers of a scheduler: what a tile costs on its way, and how much of that here."""
-    from clunk import distributed
+    from clunk.sweeping import distributed
 
     distributed._Tiles.took = lambda *_: None  # they would grow
     study = study_of(count)

@@ -1,0 +1,1 @@
+"""What maps say: differences between them, agreement with measurements and between methods, sensitivity."""

@@ -1,0 +1,322 @@
+"""Two regime maps of the same grid, cell by cell: which labels differ, and by how much the severities do."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.results.results import CELL_FIELDS, FAILED_CODE, IMPACT_FIELDS, Results, parameters_of, values_at
+from clunk.study.axes import ResultAxis
+from clunk.study.configfile import dotted
+from clunk.study.errors import ClunkError
+
+Bools = npt.NDArray[np.bool_]
+Codes = npt.NDArray[np.intp]
+
+_SAME_AXIS = 1e-9  # of an axis's smallest step: the same values computed in another way differ by rounding
+_ROUNDING = 1e-14  # of a value itself: drawn ones may lie as near to each other as that
+
+
+class ComparisonError(ClunkError):
+    """Results that cannot be compared; its text is one sentence for the user."""
+
+
+@dataclass(frozen=True)
+class Transition:
+    """A label of A that is another one in B, and in how many cells."""
+
+    a: str
+    b: str
+    cells: int
+
+
+@dataclass(frozen=True)
+class DifferingCell:
+    """A cell with two labels; `values` are those of the comparison's parameters, in their units."""
+
+    values: tuple[float, ...]
+    a: str
+    b: str
+
+
+@dataclass(frozen=True)
+class Extreme:
+    """A quantity in the cell where A and B are furthest apart; `values` are those of the comparison's parameters."""
+
+    values: tuple[float, ...]
+    a: float
+    b: float
+
+    @property
+    def ratio(self) -> float:
+        """B over A."""
+        return self.b / self.a
+
+    @property
+    def difference(self) -> float:
+        """B less A, in the quantity's unit."""
+        return self.b - self.a
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """How a quantity of B compares with A's, over the cells where it is positive in both.
+
+    quantity : `severity` [rad/s²] or `approach_velocity` [rad/s]
+    cells : how many cells that are
+    zero_in_one : cells where it is zero in one of the two only, and there is no ratio
+    median, low, high : of the ratio B/A; low and high are its 5 and 95 % quantiles
+    largest_ratio : where the ratio is furthest from 1; 1/2 is as far as 2
+    largest_difference : where the difference is largest
+    """
+
+    quantity: str
+    cells: int
+    zero_in_one: int
+    median: float
+    low: float
+    high: float
+    largest_ratio: Extreme
+    largest_difference: Extreme
+
+
+@dataclass(frozen=True)
+class ConfigDifference:
+    """A key that the two configs do not agree on; None where one has no such key."""
+
+    key: str
+    a: Any
+    b: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Two maps of the same grid.
+
+    titles : of A and of B
+    axes, coordinates : A's; B's are the same
+    labels : of both, A's first
+    differs : shape, bool: both have a label, and not the same
+    failed_a, failed_b : shape, bool
+    codes_a, codes_b : shape, int: the label in `labels`, or -1 where the cell failed
+    transitions : the most frequent first
+    deviation : of the severity or, where one map has none, of the approach velocity; None where nothing can be compared
+    identical : whether every array of the two is the same, bit for bit
+    configs_equal : whether the two digests are, that is everything that decides the results
+    config_differences : keys of the two configs that differ, those that decide nothing (a title) among them
+    provenance_differences : versions and machines that differ, by name
+    """
+
+    titles: tuple[str, str]
+    axes: tuple[ResultAxis, ...]
+    labels: tuple[str, ...]
+    differs: Bools
+    failed_a: Bools
+    failed_b: Bools
+    codes_a: Codes
+    codes_b: Codes
+    transitions: tuple[Transition, ...]
+    deviation: Deviation | None
+    identical: bool
+    configs_equal: bool
+    config_differences: tuple[ConfigDifference, ...]
+    provenance_differences: dict[str, tuple[str, str]]
+    coordinates: tuple[ResultAxis, ...] = ()
+
+    @property
+    def parameters(self) -> tuple[ResultAxis, ...]:
+        """What the maps sweep: the axes, and in the place of `run` its coordinates."""
+        return parameters_of(self.axes, self.coordinates)
+
+    @property
+    def cells(self) -> int:
+        """Cells that have a label in both maps; only these are compared."""
+        return int(np.count_nonzero(~(self.failed_a | self.failed_b)))
+
+    @property
+    def differing(self) -> int:
+        """Cells of these whose labels differ."""
+        return int(np.count_nonzero(self.differs))
+
+    @property
+    def share(self) -> float:
+        """Differing cells over compared cells; NaN where no cell could be compared."""
+        return self.differing / self.cells if self.cells else math.nan
+
+    @property
+    def failed_in_a_only(self) -> int:
+        """Cells that have no label in A and one in B."""
+        return int(np.count_nonzero(self.failed_a & ~self.failed_b))
+
+    @property
+    def failed_in_b_only(self) -> int:
+        """Cells that have no label in B and one in A."""
+        return int(np.count_nonzero(self.failed_b & ~self.failed_a))
+
+    @property
+    def failed_in_both(self) -> int:
+        """Cells that have no label in either."""
+        return int(np.count_nonzero(self.failed_a & self.failed_b))
+
+    @property
+    def same_regimes(self) -> bool:
+        """Whether the two agree in every cell: the same label, or failed in both; never if nothing was compared."""
+        return self.cells > 0 and not (self.differing or self.failed_in_a_only or self.failed_in_b_only)
+
+    def differing_cells(self) -> Iterator[DifferingCell]:
+        """The cells whose labels differ, in the grid's order."""
+        for cell in np.argwhere(self.differs):
+            at = tuple(int(k) for k in cell)
+            values = values_at(self.axes, at, self.coordinates)
+            yield DifferingCell(values, self.labels[self.codes_a[at]], self.labels[self.codes_b[at]])
+
+
+def compare(a: Results, b: Results) -> Comparison:
+    """Compare two maps of the same grid, by their labels' text: codes depend on what else is in a file.
+
+    Raises
+    ------
+    ComparisonError
+        Where the axes are not the same, or a config cannot be read.
+    """
+    _require_same_axes(a.parameters, b.parameters)
+    _require_same_axes(a.axes, b.axes)
+    labels = tuple(dict.fromkeys((*a.labels, *b.labels)))
+    codes_a, codes_b = (_codes(results, labels) for results in (a, b))
+    failed_a, failed_b = codes_a == FAILED_CODE, codes_b == FAILED_CODE
+    differs = (codes_a != codes_b) & ~failed_a & ~failed_b
+    configs = _flat_config(a, "A"), _flat_config(b, "B")
+    return Comparison(
+        titles=(a.title, b.title),
+        axes=a.axes,
+        labels=labels,
+        differs=differs,
+        failed_a=failed_a,
+        failed_b=failed_b,
+        codes_a=codes_a,
+        codes_b=codes_b,
+        transitions=_transitions(labels, codes_a[differs], codes_b[differs]),
+        deviation=_deviation(a, b),
+        identical=_identical(a, b),
+        configs_equal=a.config_digest == b.config_digest,
+        config_differences=tuple(
+            ConfigDifference(key, configs[0].get(key), configs[1].get(key))
+            for key in dict.fromkeys((*configs[0], *configs[1]))
+            if configs[0].get(key) != configs[1].get(key)
+        ),
+        provenance_differences={
+            name: (a.attributes.get(name, ""), b.attributes.get(name, ""))
+            for name in dict.fromkeys((*a.attributes, *b.attributes))
+            if name != "created" and a.attributes.get(name) != b.attributes.get(name)
+        },
+        coordinates=a.coordinates,
+    )
+
+
+def _require_same_axes(a: tuple[ResultAxis, ...], b: tuple[ResultAxis, ...]) -> None:
+    names = [", ".join(axis.parameter for axis in axes) for axes in (a, b)]
+    if names[0] != names[1]:
+        same = {axis.parameter for axis in a} == {axis.parameter for axis in b}
+        what = "in another order" if same else "other parameters"
+        raise ComparisonError(
+            f"The maps cannot be compared because they sweep {what}: {names[0]} in A and {names[1]} in B."
+        )
+    for mine, theirs in zip(a, b, strict=True):
+        if len(mine.values) != len(theirs.values):
+            raise ComparisonError(
+                f"The maps cannot be compared because their grids differ: {mine.parameter} takes {_span(mine)} in A "
+                f"and {_span(theirs)} in B."
+            )
+        steps = np.diff(np.unique(mine.values))
+        smallest = steps.min() if steps.size else abs(mine.values[0])
+        tolerance = np.maximum(_SAME_AXIS * smallest, _ROUNDING * np.abs(mine.values))
+        apart = np.abs(mine.values - theirs.values) > tolerance
+        if apart.any():
+            k = int(np.argmax(apart))
+            raise ComparisonError(
+                f"The maps cannot be compared because their grids differ: value {k + 1} of {mine.parameter} is "
+                f"{mine.values[k]:.10g} in A and {theirs.values[k]:.10g} in B."
+            )
+
+
+def _span(axis: ResultAxis) -> str:
+    count = len(axis.values)
+    return f"{count} value{'' if count == 1 else 's'} from {axis.values[0]:g} to {axis.values[-1]:g}"
+
+
+def _codes(results: Results, labels: tuple[str, ...]) -> Codes:
+    # the code of a failed cell, -1, finds the last entry
+    code = np.array([*(labels.index(label) for label in results.labels), FAILED_CODE], np.intp)
+    codes: Codes = code[results.sequence]
+    return codes
+
+
+def _transitions(labels: tuple[str, ...], a: Codes, b: Codes) -> tuple[Transition, ...]:
+    pairs, counts = np.unique(a * len(labels) + b, return_counts=True)
+    found = [
+        Transition(labels[pair // len(labels)], labels[pair % len(labels)], count)
+        for pair, count in zip(pairs.tolist(), counts.tolist(), strict=True)
+    ]
+    return tuple(sorted(found, key=lambda transition: -transition.cells))  # a stable sort: ties in the labels' order
+
+
+def _deviation(a: Results, b: Results) -> Deviation | None:
+    ok = (a.sequence != FAILED_CODE) & (b.sequence != FAILED_CODE)
+    for name in ("severity", "approach_velocity"):
+        mine, theirs = getattr(a, name), getattr(b, name)
+        if np.isfinite(mine[ok]).any() and np.isfinite(theirs[ok]).any():
+            break
+    else:
+        return None
+    known = ok & np.isfinite(mine) & np.isfinite(theirs)
+    both = known & (mine > 0.0) & (theirs > 0.0)
+    if not both.any():
+        return None
+    cells = np.argwhere(both)
+    ratio = theirs[both] / mine[both]
+    low, median, high = np.quantile(ratio, (0.05, 0.5, 0.95))
+
+    def extreme(k: np.intp) -> Extreme:
+        at = tuple(int(index) for index in cells[k])
+        return Extreme(values_at(a.axes, at, a.coordinates), float(mine[at]), float(theirs[at]))
+
+    return Deviation(
+        quantity=name,
+        cells=len(cells),
+        zero_in_one=int(np.count_nonzero(known & ((mine > 0.0) != (theirs > 0.0)))),
+        median=float(median),
+        low=float(low),
+        high=float(high),
+        largest_ratio=extreme(np.argmax(np.abs(np.log(ratio)))),
+        largest_difference=extreme(np.argmax(np.abs(theirs[both] - mine[both]))),
+    )
+
+
+def _identical(a: Results, b: Results) -> bool:
+    names = [*CELL_FIELDS, *IMPACT_FIELDS]
+    axes = all(np.array_equal(one.values, other.values) for one, other in zip(a.parameters, b.parameters, strict=True))
+    # bytes, so that NaN is equal to itself
+    return axes and a.labels == b.labels and all(getattr(a, n).tobytes() == getattr(b, n).tobytes() for n in names)
+
+
+def _flat_config(results: Results, which: str) -> dict[str, Any]:
+    """Dotted key -> value."""
+    try:
+        document = tomllib.loads(results.config)
+    except tomllib.TOMLDecodeError as error:
+        raise ComparisonError(f"The config that {which} carries cannot be read as TOML ({error}).") from error
+    return dict(_leaves(document, ()))
+
+
+def _leaves(node: Any, place: tuple[str | int, ...]) -> Iterator[tuple[str, Any]]:
+    if isinstance(node, dict | list) and node:
+        for step, value in node.items() if isinstance(node, dict) else enumerate(node):
+            yield from _leaves(value, (*place, step))
+    else:
+        yield dotted(place), node

@@ -1,0 +1,236 @@
+"""Measured sequences of impacts against a map: the labels of the nearest cells, and the trends."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import cast
+
+import numpy as np
+
+from clunk.analysis.experiments import Experiment, ExperimentError, Measurement
+from clunk.results.labels import double_sided
+from clunk.results.results import FAILED, FAILED_CODE, Results, values_at
+from clunk.study.axes import ResultAxis
+
+
+@dataclass(frozen=True)
+class Point:
+    """A measured point and the cell nearest to it.
+
+    values : of the measurement, in the results' axes' order and units; NaN on an axis of one value that has no column
+    measured : label
+    computed : label of the nearest cell, ``failed``, or None where the point lies outside the swept range
+    cell : the nearest cell's values, None outside
+    """
+
+    values: tuple[float, ...]
+    measured: str
+    computed: str | None
+    cell: tuple[float, ...] | None
+
+    @property
+    def counts(self) -> bool:
+        """Whether there is something to compare with."""
+        return self.computed is not None and self.computed != FAILED
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the labels are the same."""
+        return self.counts and self.measured == self.computed
+
+
+@dataclass(frozen=True)
+class Tally:
+    """Between how many neighbouring points the number of double-sided impacts rises, stays the same or falls."""
+
+    rises: int
+    same: int
+    falls: int
+
+    @property
+    def direction(self) -> str:
+        """In one word."""
+        if self.rises and self.falls:
+            return "varies"
+        return "rises" if self.rises else "falls" if self.falls else "constant"
+
+
+@dataclass(frozen=True)
+class Trend:
+    """How the number of double-sided impacts changes along one parameter, from each point to its neighbour.
+
+    parameter, name, symbol : of the axis
+    measured, computed : over the same pairs of neighbours
+    alike : pairs in which both rise, both stay or both fall
+    opposed : pairs in which one rises and the other falls
+    """
+
+    parameter: str
+    name: str
+    symbol: str
+    measured: Tally
+    computed: Tally
+    alike: int
+    opposed: int
+
+    @property
+    def pairs(self) -> int:
+        """Neighbours that have a computed label."""
+        return self.measured.rises + self.measured.same + self.measured.falls
+
+    @property
+    def share(self) -> float:
+        """Pairs that are ordered alike over all; NaN without any."""
+        return self.alike / self.pairs if self.pairs else math.nan
+
+
+@dataclass(frozen=True, eq=False)
+class ExperimentComparison:
+    """Measurements against a map.
+
+    title : of the results
+    experiment : what was measured
+    axes : the results'
+    points : in the file's order
+    trends : one for each axis of more than one value
+    """
+
+    title: str
+    experiment: Experiment
+    axes: tuple[ResultAxis, ...]
+    points: tuple[Point, ...]
+    trends: tuple[Trend, ...]
+
+    @property
+    def counted(self) -> int:
+        """Points with a computed label."""
+        return sum(point.counts for point in self.points)
+
+    @property
+    def agreeing(self) -> int:
+        """Points whose labels are the same."""
+        return sum(point.agrees for point in self.points)
+
+    @property
+    def share(self) -> float:
+        """Agreeing points over counted ones; NaN without any."""
+        return self.agreeing / self.counted if self.counted else math.nan
+
+    @property
+    def same_double_sided(self) -> int:
+        """Counted points with the same number of double-sided impacts."""
+        return sum(
+            point.counts and double_sided(point.measured) == double_sided(str(point.computed)) for point in self.points
+        )
+
+    @property
+    def outside(self) -> int:
+        """Points more than half a cell outside the swept range."""
+        return sum(point.computed is None for point in self.points)
+
+    @property
+    def failed(self) -> int:
+        """Points whose nearest cell failed."""
+        return sum(point.computed == FAILED for point in self.points)
+
+    @property
+    def same_regimes(self) -> bool:
+        """Whether every point inside the swept range agrees; never if there is none."""
+        return self.counted > 0 and self.agreeing == self.counted and not self.failed
+
+
+def compare_experiment(results: Results, experiment: Experiment) -> ExperimentComparison:
+    """Compare each measurement with the nearest cell of a map, and the two trends.
+
+    Raises
+    ------
+    ExperimentError
+        Where the measurements' columns are not the results' axes; an axis of one value needs no column.
+    """
+    variables = [axis.variable for axis in results.axes]
+    swept = ", ".join(variables)
+    for column in experiment.columns:
+        if column not in variables:
+            raise ExperimentError(
+                f"The column {column} of {experiment.name} is no axis of the results, which sweep {swept}."
+            )
+    for axis in results.axes:
+        if axis.variable not in experiment.columns and len(axis.values) > 1:
+            raise ExperimentError(f"The results sweep {axis.parameter}, and {experiment.name} has no column for it.")
+    points = tuple(_point(results, experiment.columns, found) for found in experiment.measurements)
+    trends = tuple(_trend(axis, position, points) for position, axis in enumerate(results.axes) if len(axis.values) > 1)
+    return ExperimentComparison(results.title, experiment, results.axes, points, trends)
+
+
+def _point(results: Results, columns: tuple[str, ...], found: Measurement) -> Point:
+    given = dict(zip(columns, found.values, strict=True))
+    values = tuple(given.get(axis.variable, math.nan) for axis in results.axes)
+    at = [
+        _nearest(axis, value) if axis.variable in given else 0 for axis, value in zip(results.axes, values, strict=True)
+    ]
+    if None in at:
+        return Point(values, found.label, None, None)
+    cell = cast("tuple[int, ...]", tuple(at))
+    code = int(results.sequence[cell])
+    computed = FAILED if code == FAILED_CODE else results.labels[code]
+    return Point(values, found.label, computed, values_at(results.axes, cell))
+
+
+def _nearest(axis: ResultAxis, value: float) -> int | None:
+    """Index of the nearest of an axis's values, in any order; None more than half a cell beyond the outermost.
+
+    Near is meant on the axis's own scale, the logarithm where that is how the values are spaced.
+    """
+    values = axis.values
+    ascending = np.sort(values)
+    if len(values) == 1:  # no cell to be half of
+        return 0 if math.isclose(value, values[0], rel_tol=1e-6, abs_tol=1e-12) else None
+    if axis.is_geometric:
+        if value <= 0.0:
+            return None
+        ascending, values, value = np.log(ascending), np.log(values), math.log(value)
+    room = 1e-9 * (ascending[-1] - ascending[0])  # exactly half a cell is inside, whatever the rounding
+    low = ascending[0] - 0.5 * (ascending[1] - ascending[0]) - room
+    high = ascending[-1] + 0.5 * (ascending[-1] - ascending[-2]) + room
+    return int(np.argmin(np.abs(values - value))) if low <= value <= high else None
+
+
+def _trend(axis: ResultAxis, position: int, points: tuple[Point, ...]) -> Trend:
+    """Neighbours are points that differ in this parameter only, with no measured point between them."""
+    lines: dict[tuple[str, ...], dict[float, list[Point]]] = defaultdict(lambda: defaultdict(list))
+    for point in points:
+        # as text, so that NaN, a parameter that was not measured, is equal to itself
+        others = tuple(repr(value) for k, value in enumerate(point.values) if k != position)
+        lines[others][point.values[position]].append(point)
+    changes = [
+        (
+            double_sided(second.measured) - double_sided(first.measured),
+            double_sided(str(second.computed)) - double_sided(str(first.computed)),
+        )
+        for line in lines.values()
+        for here, there in pairwise(sorted(line))
+        for first in line[here]
+        for second in line[there]
+        if first.counts and second.counts
+    ]
+    signs = [(_sign(measured), _sign(computed)) for measured, computed in changes]
+    return Trend(
+        parameter=axis.parameter,
+        name=axis.name,
+        symbol=axis.symbol,
+        measured=_tally([measured for measured, _ in signs]),
+        computed=_tally([computed for _, computed in signs]),
+        alike=sum(measured == computed for measured, computed in signs),
+        opposed=sum(measured * computed < 0 for measured, computed in signs),
+    )
+
+
+def _sign(change: int) -> int:
+    return (change > 0) - (change < 0)
+
+
+def _tally(signs: list[int]) -> Tally:
+    return Tally(signs.count(1), signs.count(0), signs.count(-1))

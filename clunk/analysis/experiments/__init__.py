@@ -1,0 +1,197 @@
+"""Measured sequences of impacts, read from CSV; published ones come with clunk, for example the report's Table 4.1."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+import re
+from collections import Counter
+from dataclasses import dataclass
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+
+import numpy as np
+
+from clunk.results.labels import normalised_label
+from clunk.study.axes import ResultAxis
+from clunk.study.configfile import nearest, shorten
+from clunk.study.configmodels import schema
+from clunk.study.configrules import parameters
+from clunk.study.errors import ClunkError
+
+CAVEAT = "trend comparison, unless the rig's parameters are the model's"
+
+
+class ExperimentError(ClunkError):
+    """Measurements that cannot be read or compared; its text is one sentence for the user."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One measured point.
+
+    line : of the file, from 1
+    values : in the order of the experiment's columns, in the parameters' units
+    label : in clunk's notation, for example DS(1)SS(1)
+    """
+
+    line: int
+    values: tuple[float, ...]
+    label: str
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Measured sequences of impacts.
+
+    name : of the file
+    columns : names of the parameters as they are in results files, for example load_ratio
+    measurements : one or more
+    remarks : the file's comment lines without their #
+    caveat : what keeps the measurements from being a test of the model; from a comment that begins with "caveat:"
+    """
+
+    name: str
+    columns: tuple[str, ...]
+    measurements: tuple[Measurement, ...]
+    remarks: tuple[str, ...] = ()
+    caveat: str = CAVEAT
+
+
+def bundled_experiments() -> dict[str, Traversable]:
+    """The experiments that come with clunk, by name."""
+    folder = files("clunk.analysis.experiments")
+    found = {item.name.removesuffix(".csv"): item for item in folder.iterdir() if item.name.endswith(".csv")}
+    return dict(sorted(found.items()))
+
+
+def is_experiment(path: str | os.PathLike[str]) -> bool:
+    """Whether a path names measurements rather than a results file: a .csv, or one of the bundled experiments."""
+    return Path(path).suffix.lower() == ".csv" or (not Path(path).exists() and os.fspath(path) in bundled_experiments())
+
+
+def read_experiment(path: str | os.PathLike[str]) -> Experiment:
+    """Read measurements from a CSV file in UTF-8, or those of a bundled experiment by its name, ``table_4_1``.
+
+    The first line that is no comment (#) names the columns: one for each parameter, as in a results file
+    (``load_ratio``) or in a config (``load.ratio``), in the parameter's unit, and ``label``.
+
+    Raises
+    ------
+    ExperimentError
+        Where the file cannot be read, with the number of the line that is wrong.
+    """
+    lines = _read_lines(path)
+    remarks = tuple(line.lstrip().lstrip("#").strip() for line in lines if line.lstrip().startswith("#"))
+    # Blank in place of a comment, so that the reader's count of lines is the file's.
+    reader = csv.reader(("\n" if line.lstrip().startswith("#") else line for line in lines), strict=True)
+    columns: list[str] = []
+    measurements = []
+    try:
+        for row in reader:
+            cells = [cell.strip() for cell in row]
+            if not any(cells):
+                continue
+            where = f"{path}, line {reader.line_num}"
+            if not columns:
+                columns = _columns(cells, where)
+            else:
+                measurements.append(_measurement(columns, cells, where, reader.line_num))
+    except csv.Error as error:
+        raise ExperimentError(f"{path}, line {reader.line_num}: this is not CSV ({error}).") from error
+    if not measurements:
+        what = "no measurements, only column names" if columns else "no measurements"
+        raise ExperimentError(f"{path} holds {what}.")
+    caveats = [remark.split(":", 1)[1].strip() for remark in remarks if remark.lower().startswith("caveat:")]
+    return Experiment(
+        name=Path(path).name,
+        columns=tuple(column for column in columns if column != "label"),
+        measurements=tuple(measurements),
+        remarks=tuple(remark for remark in remarks if remark and not remark.lower().startswith("caveat:")),
+        caveat=caveats[0] if caveats and caveats[0] else CAVEAT,
+    )
+
+
+def _read_lines(path: str | os.PathLike[str]) -> list[str]:
+    bundled = bundled_experiments()
+    if os.fspath(path) in bundled and not Path(path).exists():
+        raw = bundled[os.fspath(path)].read_bytes()
+    else:
+        try:
+            raw = Path(path).read_bytes()
+        except FileNotFoundError:
+            known = ", ".join(bundled)
+            raise ExperimentError(
+                f"{path} does not exist; the experiments that come with clunk are: {known}."
+            ) from None
+        except IsADirectoryError:
+            raise ExperimentError(f"{path} is a directory; an experiment is a CSV file.") from None
+        except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+            reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+            raise ExperimentError(f"{path} cannot be read: {reason}.") from error
+    try:
+        text = raw.decode("utf-8-sig")  # spreadsheets write a byte order mark
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise ExperimentError(
+            f"{path}, line {line}: this is not text in UTF-8, as an experiment's CSV must be."
+        ) from error
+    return text.replace("\r\n", "\n").replace("\r", "\n").splitlines(keepends=True)
+
+
+def _columns(cells: list[str], where: str) -> list[str]:
+    """The names of the columns as they are in results files, "label" among them."""
+    if len(cells) == 1 and ";" in cells[0]:
+        raise ExperimentError(f"{where}: columns must be separated by commas, and numbers written with points.")
+    columns = [cell if cell == "label" else _variable(cell, where) for cell in cells]
+    if "label" not in columns:
+        raise ExperimentError(f"{where}: there is no column named label.")
+    if len(columns) == 1:
+        raise ExperimentError(f"{where}: there is no column of a parameter, for example load_ratio.")
+    twice = [name for name, count in Counter(columns).items() if count > 1]
+    if twice:
+        raise ExperimentError(f"{where}: there is more than one column {twice[0]}.")
+    return columns
+
+
+def _variable(column: str, where: str) -> str:
+    """The variable that a column means, given as such or as the parameter's dotted key."""
+    known = parameters(schema(), {"driveline": {"inertias": [1.0], "shafts": [{}]}})
+    spellings = {spelling for name in known for spelling in (name, _variable_of(name))}
+    if re.sub(r"(?<=[\[_])[1-9]\d*(?=[\]_]|$)", "1", column) in spellings:  # whichever inertia or shaft
+        return _variable_of(column)
+    variables = [*(_variable_of(name) for name in known), "label"]
+    likely = nearest(column, variables) or nearest(column, known)
+    hint = f"did you mean {likely}?" if likely else "a column is a parameter, for example load_ratio, or the label."
+    raise ExperimentError(f"{where}: there is no parameter {shorten(column)}; {hint}")
+
+
+def _variable_of(parameter: str) -> str:
+    """The parameter's name in a results file; a variable's own name stays what it is."""
+    return ResultAxis(parameter, np.zeros(1), "", "", "").variable
+
+
+def _measurement(columns: list[str], cells: list[str], where: str, line: int) -> Measurement:
+    if len(cells) != len(columns):
+        raise ExperimentError(f"{where}: there are {len(cells)} columns here and {len(columns)} names of columns.")
+    values = []
+    label = ""
+    for column, cell in zip(columns, cells, strict=True):
+        if column == "label":
+            try:
+                label = normalised_label(cell)
+            except ValueError:
+                raise ExperimentError(
+                    f"{where}: {shorten(cell)} is no label; labels are written like NI, SS(1), DS(1)SS(1) or D(1)+S(1)."
+                ) from None
+            continue
+        try:
+            value = float(cell)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise ExperimentError(f"{where}: {column} must be a finite number, not {shorten(cell)}.")
+        values.append(value)
+    return Measurement(line, tuple(values), label)

@@ -1,0 +1,476 @@
+"""Sobol indices: which toleranced parameters the spread of an outcome comes from, at one operating point.
+
+The variance of an outcome Y over independent parameters divides into shares. Parameter i alone has the first-order
+index S_i = Var(E(Y | x_i)) / Var(Y); its total index has what it does together with others besides,
+ST_i = 1 - Var(E(Y | x_~i)) / Var(Y). Both are estimated from n samples A and B and the samples AB_i, A with column i
+from B, n (d + 2) runs for d parameters (Saltelli et al. 2010, doi:10.1016/j.cpc.2009.09.018).
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.core.status import Status
+from clunk.results.labels import double_sided, normalised_label
+from clunk.results.results import Results
+from clunk.simulation.trajectory import Trajectory, simulate
+from clunk.study.config import Axis, ConfigError, Draw, Study, Sweep, digest, get_value, quantity, replace_values
+from clunk.study.configfile import nearest, shorten
+from clunk.study.designs import own_value
+from clunk.study.distributions import BOUNDS, NEEDS
+from clunk.study.errors import ClunkError
+from clunk.sweeping.progress import Progress
+from clunk.sweeping.sweep import sweep
+
+FloatArray = npt.NDArray[np.float64]
+
+CONFIDENCE = 0.95  # of the intervals
+QUANTILES = (0.05, 0.5, 0.95)
+MEASURED = {  # quantity -> its name, symbol and unit
+    "severity": ("severity", "Q", "rad/s²"),
+    "approach_velocity": ("approach velocity", "V", "rad/s"),
+    "primary_impacts": ("primary impacts", "", ""),
+    "touches": ("touches, chatter included", "", ""),
+    "last_event_time": ("time of the last event", "", "s"),
+}
+INDICATORS = ("nominal_label", "double_sided")
+_LABEL = "label="
+
+_RESAMPLES = 999
+_BATCH = 2**22  # indices that are resampled at once
+_FEWEST = 16
+
+
+class SensitivityError(ClunkError):
+    """What has no Sobol indices; its text is one sentence for the user."""
+
+
+@dataclass(frozen=True, eq=False)
+class Indices:
+    """How the variance of one quantity divides among d parameters.
+
+    quantity : its name, see `sensitivity`
+    heading : the same for people, with symbol and unit
+    nominal : float, without tolerances
+    mean, std : float, over the 2 n runs of A and B; the mean of an indicator is its probability
+    quantiles : (3,) float64, at `QUANTILES`
+    first, total : (d,) float64, NaN where the quantity is the same in all of those runs
+    first_interval, total_interval : (2, d) float64, their percentile bootstrap intervals, low and high
+    """
+
+    quantity: str
+    heading: str
+    nominal: float
+    mean: float
+    std: float
+    quantiles: FloatArray
+    first: FloatArray
+    total: FloatArray
+    first_interval: FloatArray
+    total_interval: FloatArray
+
+    @property
+    def varies(self) -> bool:
+        """Whether there is any variance to divide."""
+        return self.std > 0.0
+
+    @property
+    def is_indicator(self) -> bool:
+        """Whether the quantity is 1 where something holds and else 0."""
+        return self.quantity not in MEASURED
+
+    @property
+    def order(self) -> npt.NDArray[np.intp]:
+        """The parameters' numbers by falling total index."""
+        return np.argsort(-self.total, kind="stable")
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """The Sobol indices of some quantities at one operating point.
+
+    study : Study, at that point, with its tolerances
+    parameters : (d,) str, dotted keys
+    samples : int, n
+    runs : int, n (d + 2)
+    label, severity, approach_velocity : of the run without tolerances
+    labels : each label's share of the 2 n runs of A and B, the most frequent first
+    indices : of each quantity
+    """
+
+    study: Study
+    parameters: tuple[str, ...]
+    samples: int
+    runs: int
+    label: str
+    severity: float
+    approach_velocity: float
+    labels: dict[str, float]
+    indices: tuple[Indices, ...]
+
+    @property
+    def draws(self) -> tuple[Draw, ...]:
+        """How each parameter is drawn."""
+        assert self.study.sweep is not None
+        return self.study.sweep.tolerances
+
+    @property
+    def at(self) -> dict[str, float]:
+        """The operating point: load and backlash, by parameter, in their units."""
+        torques = ("load.ratio", "load.initial_torque", "load.final_torque")
+        keys = [key for key in torques if getattr(self.study.load, key.removeprefix("load.")) is not None]
+        return {key: get_value(self.study, key) for key in (*keys, "lash.backlash_deg")}
+
+    def record(self) -> dict[str, Any]:
+        """Everything for JSON; null where something is not defined."""
+        assert self.study.sweep is not None
+        drawn = [draw.model_dump(exclude_none=True) for draw in self.draws]
+        return {
+            "title": self.study.title,
+            "config_digest": digest(self.study),
+            "at": self.at,
+            "parameters": [
+                {**numbers, "nominal": _or_none(own_value(self.study, draw.parameter))}
+                for draw, numbers in zip(self.draws, drawn, strict=True)
+            ],
+            "samples": self.samples,
+            "sampling": self.study.sweep.sampling.method,
+            "seed": self.study.sweep.sampling.seed,
+            "runs": self.runs,
+            "nominal": {
+                "label": self.label,
+                "severity": _or_none(self.severity),
+                "approach_velocity": self.approach_velocity,
+            },
+            "labels": self.labels,
+            "confidence": CONFIDENCE,
+            "quantities": {found.quantity: self._record(found) for found in self.indices},
+        }
+
+    def _record(self, found: Indices) -> dict[str, Any]:
+        quantiles = {f"{q:g}": float(value) for q, value in zip(QUANTILES, found.quantiles, strict=True)}
+        record: dict[str, Any] = {
+            "nominal": _or_none(found.nominal),
+            "mean": found.mean,
+            "std": found.std,
+            "quantiles": quantiles,
+        }
+        if not found.varies:
+            return {**record, "indices": None}
+        return {
+            **record,
+            "indices": {
+                parameter: {
+                    "first": float(found.first[k]),
+                    "first_interval": found.first_interval[:, k].tolist(),
+                    "total": float(found.total[k]),
+                    "total_interval": found.total_interval[:, k].tolist(),
+                }
+                for k, parameter in enumerate(self.parameters)
+            },
+        }
+
+
+def sensitivity(
+    study: Study, *, of: Sequence[str] = (), workers: int | None = None, progress: Progress | None = None
+) -> Sensitivity:
+    """The first-order and total Sobol indices of an operating point's outcome.
+
+    Parameters
+    ----------
+    study : Study
+        With two tolerances or more, whose draws are independent; its axes are ignored. The sampling's count is n, a
+        power of two.
+    of : sequence of str, optional
+        Quantities: a key of `MEASURED`; or what is 1 where something holds and else 0, `nominal_label` (the label is
+        that without tolerances), `double_sided` (it has a DS) and `label=DS(1)SS(1)` (it is this one). By default
+        severity and `nominal_label`; for the restitution model, which has no severity, `approach_velocity` instead.
+    workers, progress
+        As `clunk.sweep` takes them.
+
+    Raises
+    ------
+    SensitivityError
+        Where there is nothing to divide, a draw is not allowed, or a run of the sample failed or has no such quantity.
+    SimulationError
+        Where the run without tolerances failed.
+    SweepError, KeyboardInterrupt
+        As `clunk.sweep`.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> study = clunk.load_study("configs/tolerance.toml", ["sweep.sampling.count=64"])
+    >>> found = clunk.sensitivity(study, of=["severity"])
+    >>> found.label, found.runs
+    ('DS(1)SS(1)', 384)
+    >>> severity = found.indices[0]
+    >>> found.parameters[severity.order[0]]
+    'lash.contact.stiffness'
+    """
+    point = operating_point(study)
+    quantities = tuple(dict.fromkeys(_checked_quantity(point, name) for name in of)) or default_quantities(point)
+    nominal = simulate(point)
+    sample = saltelli_sample(point)
+    _refuse_forbidden_draws(point, sample)
+    results = sweep(_runs(point, sample), workers=workers, progress=progress)
+    _refuse_failures(results)
+    n, pages, _ = sample.shape
+    assert point.sweep is not None
+    found = []
+    for name in quantities:
+        values = _values(name, results, nominal.label)
+        _refuse_undefined(name, values)
+        heading = _heading(name, nominal.label)
+        own = _nominal_value(name, nominal)
+        found.append(_indices(name, heading, own, values.reshape(n, pages), point.sweep.sampling.seed))
+    base = results.sequence.reshape(n, pages)[:, :2]
+    counts = np.bincount(base.ravel(), minlength=len(results.labels))
+    frequent = sorted(zip(counts.tolist(), results.labels, strict=True), key=lambda pair: (-pair[0], pair[1]))
+    return Sensitivity(
+        study=point,
+        parameters=tuple(draw.parameter for draw in point.sweep.tolerances),
+        samples=n,
+        runs=results.sequence.size,
+        label=nominal.label,
+        severity=nominal.severity,
+        approach_velocity=nominal.approach_velocity,
+        labels={label: count / base.size for count, label in frequent if count},
+        indices=tuple(found),
+    )
+
+
+def operating_point(study: Study) -> Study:
+    """The study with its tolerances and without axes. Raises SensitivityError where they have no Sobol indices."""
+    swept = study.sweep
+    if swept is None or not swept.tolerances:
+        raise SensitivityError(
+            "There is nothing whose share could be told: the config has no [[sweep.tolerances]], one for each "
+            "parameter that is drawn."
+        )
+    if len(swept.tolerances) == 1:
+        raise SensitivityError(
+            f"{swept.tolerances[0].parameter} is the only parameter with a tolerance, and all of the variance is "
+            "its own; Sobol indices need two or more."
+        )
+    count = swept.sampling.count
+    if count < _FEWEST or count & (count - 1):
+        power = max(_FEWEST, 2 ** math.floor(math.log2(count)))
+        raise SensitivityError(
+            f"sweep.sampling.count = {count}: Sobol indices need a power of two, {_FEWEST} or more; take {power} or "
+            f"{2 * power}."
+        )
+    return study.model_copy(update={"sweep": swept.model_copy(update={"axes": (), "design": "grid"})})
+
+
+def run_count(point: Study) -> int:
+    """How many runs the indices of an operating point take."""
+    assert point.sweep is not None
+    return point.sweep.sampling.count * (len(point.sweep.tolerances) + 2)
+
+
+def default_quantities(study: Study) -> tuple[str, ...]:
+    """The severity, or what stands for it, and whether the label stays."""
+    hardness = "approach_velocity" if study.lash.contact.model == "restitution" else "severity"
+    return hardness, "nominal_label"
+
+
+def distribution_phrase(study: Study, draw: Draw) -> str:
+    """How a parameter is drawn, for example 409200 N/m times normal (mean 1, std 0.05)."""
+    nominal = own_value(study, draw.parameter)
+    distribution = draw.distributed(nominal)
+    names = dict.fromkeys((*NEEDS[draw.distribution], *BOUNDS))
+    numbers = [(name, getattr(distribution, name)) for name in names]
+    listed = ", ".join(f"{name} {value:g}" for name, value in numbers if value is not None)
+    unit = quantity(draw.parameter).unit
+    suffix = "" if unit == "1" else f" {unit}"
+    drawn = f"{draw.distribution} ({listed})"
+    if draw.draws == "value":
+        return drawn + suffix
+    return f"{nominal:g}{suffix} {'times' if draw.draws == 'factor' else 'plus'} {drawn}"
+
+
+def saltelli_sample(study: Study) -> FloatArray:
+    """(n, d + 2, d) float64: for each of n samples the parameters of A, of B, and of A with each column from B."""
+    assert study.sweep is not None
+    draws = study.sweep.tolerances
+    d = len(draws)
+    points = study.sweep.sampling.points(2 * d)
+    sample = np.empty((len(points), d + 2, d))
+    for k, draw in enumerate(draws):
+        nominal = own_value(study, draw.parameter)
+        a, b = (draw.applied(draw.distributed(nominal).ppf(points[:, j]), nominal) for j in (k, k + d))
+        sample[:, :, k] = a[:, None]
+        sample[:, 1, k] = sample[:, 2 + k, k] = b
+    return sample
+
+
+def first_and_total(values: FloatArray, seed: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """First-order and total indices, (d,) each, and their intervals, (2, d) each.
+
+    The intervals are those of the percentile bootstrap, which takes the samples as independent: those of Sobol points
+    scatter less. BCa intervals are not defined for a parameter that changes nothing.
+
+    Parameters
+    ----------
+    values : (n, d + 2) float64
+        The quantity at each of the rows of `saltelli_sample`; n a power of two, d at least 2, not all equal.
+    seed : int
+        Of the bootstrap.
+    """
+    from scipy.stats import bootstrap, sobol_indices  # most of a second
+
+    def estimate(rows: npt.NDArray[np.intp]) -> FloatArray:
+        f_a, f_b, *f_ab = values[rows].T[:, None, :]
+        found = sobol_indices(func={"f_A": f_a, "f_B": f_b, "f_AB": np.array(f_ab)}, n=rows.size)
+        return np.array([found.first_order, found.total_order])
+
+    rows = np.arange(len(values))
+    seeded = "rng" if "rng" in inspect.signature(bootstrap).parameters else "random_state"  # before SciPy 1.15
+    interval = bootstrap(
+        (rows,),
+        estimate,
+        vectorized=False,
+        n_resamples=_RESAMPLES,
+        batch=max(1, _BATCH // rows.size),
+        confidence_level=CONFIDENCE,
+        method="percentile",
+        **{seeded: np.random.default_rng([seed, 1])},  # not the stream that scrambled the points
+    ).confidence_interval
+    first, total = estimate(rows)
+    first_interval, total_interval = np.stack([interval.low, interval.high], axis=1)
+    return first, total, first_interval, total_interval
+
+
+def _checked_quantity(study: Study, name: str) -> str:
+    if name == "severity" and study.lash.contact.model == "restitution":
+        raise SensitivityError("severity is not defined for the restitution model; approach_velocity is.")
+    if name in MEASURED or name in INDICATORS:
+        return name
+    if name.startswith(_LABEL):
+        try:
+            return _LABEL + normalised_label(name.removeprefix(_LABEL))
+        except ValueError:
+            example = f"{_LABEL}DS(1)SS(1)"
+            raise SensitivityError(f"{shorten(name)} names no label; an example is {example!r}.") from None
+    known = [*MEASURED, *INDICATORS, f"{_LABEL}LABEL"]
+    likely = nearest(name, known)
+    hint = f"; did you mean {likely}?" if likely else "."
+    raise SensitivityError(f"There is no quantity {shorten(name)}; there are {', '.join(known)}{hint}")
+
+
+def _refuse_forbidden_draws(study: Study, sample: FloatArray) -> None:
+    """The config was checked with other draws of the same distributions."""
+    assert study.sweep is not None
+    for k, draw in enumerate(study.sweep.tolerances):
+        for value in (float(sample[:, :, k].min()), float(sample[:, :, k].max())):
+            try:
+                replace_values(study, {draw.parameter: value})
+            except ConfigError as error:
+                raise SensitivityError(
+                    f"A draw makes {draw.parameter} {value:.6g}: {error.problems[0].message}; bound its distribution "
+                    "with low and high."
+                ) from None
+
+
+def _runs(study: Study, sample: FloatArray) -> Study:
+    """The sample as a sweep, its rows in order: runs that share a system are next to each other."""
+    assert study.sweep is not None
+    columns = sample.reshape(-1, sample.shape[2]).T
+    axes = [
+        Axis(parameter=draw.parameter, values=tuple(column.tolist()))
+        for draw, column in zip(study.sweep.tolerances, columns, strict=True)
+    ]
+    return study.model_copy(update={"sweep": Sweep(design="zip", axes=tuple(axes))})
+
+
+def _refuse_failures(results: Results) -> None:
+    failed = np.flatnonzero(results.status != Status.OK)
+    if not failed.size:
+        return
+    causes = [
+        f"{np.count_nonzero(results.status == status):,} because of {status.sentence}"
+        for status in Status
+        if status != Status.OK and (results.status == status).any()
+    ]
+    where = ", ".join(f"{axis.parameter} = {axis.values[failed[0]]:.6g}" for axis in results.coordinates)
+    raise SensitivityError(
+        f"{failed.size:,} of {results.status.size:,} runs failed, and the indices need all of them: "
+        f"{'; '.join(causes)}. The first is at {where}."
+    )
+
+
+def _refuse_undefined(name: str, values: FloatArray) -> None:
+    undefined = int(np.count_nonzero(np.isnan(values)))
+    if undefined:
+        raise SensitivityError(
+            f"{name} is not defined in {undefined:,} of {values.size:,} runs, in which nothing happens; "
+            "ask for another quantity."
+        )
+
+
+def _values(name: str, results: Results, nominal_label: str) -> FloatArray:
+    """(runs,) float64, a quantity of every run."""
+    if name in MEASURED:
+        return np.asarray(getattr(results, name), np.float64)
+    holds = np.array([_holds(name, label, nominal_label) for label in results.labels], np.float64)
+    return holds[results.sequence]
+
+
+def _nominal_value(name: str, nominal: Trajectory) -> float:
+    if name == "primary_impacts":
+        return float(nominal.primaries.size)
+    if name == "last_event_time":
+        return float(nominal.events["time"][-1]) if len(nominal.events) > 1 else math.nan
+    return float(getattr(nominal, name) if name in MEASURED else _holds(name, nominal.label, nominal.label))
+
+
+def _holds(name: str, label: str, nominal_label: str) -> bool:
+    """Whether an indicator holds for a label."""
+    if name == "double_sided":
+        return double_sided(label) > 0
+    return label == (nominal_label if name == "nominal_label" else name.removeprefix(_LABEL))
+
+
+def _heading(name: str, nominal_label: str) -> str:
+    if name in MEASURED:
+        title, symbol, unit = MEASURED[name]
+        return " ".join(part for part in (title, symbol, f"[{unit}]" if unit else "") if part)
+    if name == "double_sided":
+        return "the label has a double-sided impact"
+    if name == "nominal_label":
+        return f"the label is the nominal {nominal_label}"
+    return f"the label is {name.removeprefix(_LABEL)}"
+
+
+def _indices(name: str, heading: str, nominal: float, values: FloatArray, seed: int) -> Indices:
+    """values : (n, d + 2)"""
+    base = values[:, :2]
+    d = values.shape[1] - 2
+    varies = bool(np.ptp(base) > 0.0)
+    none = np.full(d, np.nan), np.full(d, np.nan), np.full((2, d), np.nan), np.full((2, d), np.nan)
+    first, total, first_interval, total_interval = first_and_total(values, seed) if varies else none
+    return Indices(
+        quantity=name,
+        heading=heading,
+        nominal=nominal,
+        mean=float(base.mean()),
+        std=float(base.std()) if varies else 0.0,  # the rounding of a mean is no variance
+        quantiles=np.quantile(base, QUANTILES),
+        first=first,
+        total=total,
+        first_interval=first_interval,
+        total_interval=total_interval,
+    )
+
+
+def _or_none(value: float) -> float | None:
+    """JSON has neither NaN nor infinities."""
+    return value if math.isfinite(value) else None

@@ -1,0 +1,131 @@
+"""A run's history as a file: comma-separated values, or HDF5 laid out as netCDF-4."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import BinaryIO
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from clunk import __version__
+from clunk.core.events import KIND_NAMES, TOUCH
+from clunk.results.files import reason, write_whole
+from clunk.results.netcdf import CONVENTIONS, create_scale, create_variable, set_flags, set_text, write_file
+from clunk.simulation.history import INITIAL, NONE, OPPOSITE, History, HistoryError
+from clunk.simulation.trajectory import Trajectory
+from clunk.study.config import digest, to_toml
+
+SCHEMA_VERSION = 1
+_ROWS = 4096  # of a CSV file, written at once
+
+
+def save_csv(path: str | os.PathLike[str], history: History, trajectory: Trajectory) -> None:
+    """Write a history as comma-separated values, to full precision, with the units in the names of the columns.
+
+    The last two columns are text, empty but in the row that follows an event: what it is, and its flank. Raises
+    HistoryError.
+    """
+    n = history.angle.shape[1]
+    names = ["time_s", "after_step_s"]
+    for quantity, unit in (("theta", "rad"), ("theta_dot", "rad_per_s"), ("theta_ddot", "rad_per_s2")):
+        names += [f"{quantity}_{inertia}_{unit}" for inertia in range(1, n + 1)]
+    names += ["torque_Nm", "backlash_coordinate_m", "contact", "event", "flank"]
+    columns = (history.time, history.after_step, history.angle, history.velocity, history.acceleration)
+    numbers = np.column_stack((*columns, history.torque, history.backlash_coordinate))
+
+    def write(target: BinaryIO) -> None:
+        target.write((",".join(names) + "\n").encode())
+        for start in range(0, history.time.size, _ROWS):
+            rows = slice(start, start + _ROWS)
+            lines = []
+            for row, contact, event in zip(
+                numbers[rows].tolist(), history.contact[rows].tolist(), history.event[rows].tolist(), strict=True
+            ):
+                what = f"{event_name(trajectory, event)},{trajectory.flank_name(event)}" if event >= 0 else ","
+                lines.append(f"{','.join(map(repr, row))},{contact},{what}\n")  # repr: shortest that reads back equal
+            target.write("".join(lines).encode())
+
+    _save(path, lambda path: write_whole(path, write))
+
+
+def event_name(trajectory: Trajectory, k: int) -> str:
+    """What event `k` is, a touch with its rank: primary touch or secondary touch."""
+    name = trajectory.kind_name(k)
+    if trajectory.events["kind"][k] != TOUCH:
+        return name
+    return f"{'primary' if k in trajectory.primaries else 'secondary'} {name}"
+
+
+def save_hdf5(path: str | os.PathLike[str], history: History, trajectory: Trajectory) -> None:
+    """Write a history as HDF5 laid out as netCDF-4, with the run's events and its config. Raises HistoryError.
+
+    In xarray: ``open_dataset(path, engine="h5netcdf")``. Events have two rows each, so a time need not be unique.
+    """
+    _save(path, lambda path: write_file(path, lambda file: _write_hdf5(file, history, trajectory)))
+
+
+def _write_hdf5(file: h5py.File, history: History, trajectory: Trajectory) -> None:
+    study = trajectory.study
+    set_text(file, "title", study.title)
+    set_text(file, "Conventions", CONVENTIONS)
+    file.attrs["schema_version"] = np.int32(SCHEMA_VERSION)
+    set_text(file, "clunk_version", __version__)
+    set_text(file, "label", trajectory.label)
+    file.attrs["severity"] = trajectory.severity
+    file.attrs["config"] = to_toml(study)  # variable length: it may be longer than an object header allows
+    set_text(file, "config_digest", digest(study))
+
+    def put(name: str, values: npt.NDArray[np.generic], unit: str, long_name: str, scales: list[h5py.Dataset]) -> None:
+        variable = create_variable(file, name, values.shape, values.dtype.type, (unit, long_name), scales)
+        variable[...] = values
+        if name in _FLAGS:
+            set_flags(variable, _FLAGS[name])
+
+    time = create_scale(file, "time", history.time, ("s", "time"))
+    numbers = np.arange(1, history.angle.shape[1] + 1, dtype=np.int32)
+    inertia = create_scale(file, "inertia", numbers, ("1", "number of the inertia"))
+    if study.driveline.names:
+        set_text(inertia, "names", ", ".join(study.driveline.names))
+    put("after_step", history.after_step, "s", "time after the load step", [time])
+    put("theta", history.angle, "rad", "angle", [time, inertia])
+    put("theta_dot", history.velocity, "rad s-1", "angular velocity", [time, inertia])
+    put("theta_ddot", history.acceleration, "rad s-2", "angular acceleration", [time, inertia])
+    put("torque", history.torque, "N m", "load torque", [time])
+    put("backlash_coordinate", history.backlash_coordinate, "m", "backlash coordinate: radius times gap angle", [time])
+    put("contact", history.contact, "1", "flank in contact", [time])
+
+    events = trajectory.events
+    numbers = np.arange(events.size, dtype=np.int32)
+    event = create_scale(file, "event", numbers, ("1", "number of the event, 0 the load step"))
+    flank = np.where(events["side"] == trajectory.initial_side, INITIAL, OPPOSITE)
+    rank, severity = np.zeros(events.size, np.int8), np.full(events.size, np.nan)
+    rank[events["kind"] == TOUCH] = 2
+    rank[trajectory.primaries] = 1
+    severity[trajectory.primaries] = trajectory.impact_severity
+    put("event_time", events["time"], "s", "time of the event after the load step", [event])
+    put("event_kind", events["kind"].astype(np.int8), "1", "what happens", [event])
+    put("event_flank", np.where(events["side"] == 0, NONE, flank).astype(np.int8), "1", "flank of the event", [event])
+    put("event_speed", events["speed"], "rad s-1", "relative velocity across the lash just before", [event])
+    put("event_impact", rank, "1", "whether the event is an impact", [event])
+    put("event_severity", severity, "rad s-2", "peak-to-peak acceleration until the next primary impact", [event])
+
+
+_FLANKS = {INITIAL: "initial", NONE: "none", OPPOSITE: "opposite"}
+_FLAGS = {
+    "contact": _FLANKS,
+    "event_flank": _FLANKS,
+    "event_kind": {kind: name.replace(" ", "_") for kind, name in enumerate(KIND_NAMES)},
+    "event_impact": {0: "none", 1: "primary", 2: "secondary"},
+}
+
+
+def _save(path: str | os.PathLike[str], write: Callable[[Path], None]) -> None:
+    """Write a file, its directory made where it is missing. Raises HistoryError."""
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(path)
+    except OSError as error:
+        raise HistoryError(f"{path} cannot be written: {reason(error)}.") from error

@@ -1,0 +1,50 @@
+"""Where a command may write: found out before the work, not after it."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from clunk.results.files import reason
+from clunk.study.errors import ClunkError
+
+PICTURES = (".png", ".svg", ".pdf")
+DATA = (".csv", ".h5")
+RESULTS = (".h5",)
+
+
+class TargetError(ClunkError):
+    """A file that a command must not or cannot write; its text is one sentence for the user."""
+
+
+def check(target: Path, suffixes: Sequence[str], *, reads: Path | None = None) -> None:
+    """Refuse a target of another kind, one that is being read, a directory, or one in a place that takes no files.
+
+    Missing parent directories are made. Raises TargetError.
+    """
+    if target.is_dir():
+        raise TargetError(f"{target} is a directory; name a file in it.")
+    if target.suffix.lower() not in suffixes:
+        raise TargetError(f"{target} cannot be written: its name must end in {', '.join(suffixes)}.")
+    if reads is not None and target.resolve() == reads.resolve():
+        raise TargetError(f"{target} is what the command reads; -o must name another file.")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=target.parent):
+            pass
+    except OSError as error:
+        raise TargetError(f"{target} cannot be written: {reason(error)}.") from error
+
+
+def spare_a_sweep(target: Path) -> None:
+    """Refuse to put something else over a sweep's results. Raises TargetError."""
+    if target.suffix.lower() not in RESULTS or not target.exists():
+        return
+    from clunk.results.store import StoreError, read_header
+
+    try:
+        title = read_header(target).title
+    except StoreError:
+        return
+    raise TargetError(f"{target} holds a sweep's results ({title!r}); -o must name another file.")

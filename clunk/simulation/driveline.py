@@ -1,0 +1,193 @@
+"""A driveline: inertias joined by linear shafts, to each other or to ground, with one lash.
+
+M θ'' + C θ' + K θ = b T (report Eq. 2.6), where closing the lash adds a spring and a damper across it (Eq. 2.12).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.core.flows import Chain, Flows, build_flows
+from clunk.core.regimes import System, build_system, chain, constrained, unconstrained
+from clunk.core.status import Status
+from clunk.core.steps import Steps, build_steps
+from clunk.study.config import Study
+
+FloatArray = npt.NDArray[np.float64]
+End = int | Literal["ground"]
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """Oscillating modes of a driveline, lowest frequency first.
+
+    frequency : (k,) float64  [Hz], undamped natural frequency |λ|/2π
+    damping_ratio : (k,) float64, ζ = -Re λ/|λ|
+    overdamped : (m,) float64  [1/s], the decay rates of what does not oscillate (a rigid-body drift has 0)
+    """
+
+    frequency: FloatArray
+    damping_ratio: FloatArray
+    overdamped: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Driveline:
+    """The matrices of a driveline; n inertias.
+
+    inertia : (n,) float64  [kg m2]
+    damping, stiffness : (n, n) float64  [N m s/rad], [N m/rad], with the lash open
+    lash : (n,) float64, q = lash · θ = θi - θj
+    load : (n,) float64, 1 at the loaded inertia
+    contact_stiffness, contact_damping : float  [N m/rad], [N m s/rad], of the closed lash: r² k34 and r² c34
+    grounded : bool, whether every inertia has a path of stiffness to ground while the lash is closed
+    """
+
+    inertia: FloatArray
+    damping: FloatArray
+    stiffness: FloatArray
+    lash: FloatArray
+    load: FloatArray
+    contact_stiffness: float
+    contact_damping: float
+    grounded: bool
+
+    @classmethod
+    def from_study(cls, study: Study) -> "Driveline":
+        """The driveline that a study's config spells out."""
+        n = len(study.driveline.inertias)
+        shafts = study.driveline.shafts
+        twist = _incidence([shaft.between for shaft in shafts], n)
+        contact = study.lash.contact
+        load = np.zeros(n)
+        load[int(study.load.on) - 1] = 1.0
+        springs = [shaft.between for shaft in shafts if shaft.stiffness > 0.0]
+        return cls(
+            inertia=np.array(study.driveline.inertias, dtype=np.float64),
+            damping=(twist.T * [shaft.damping for shaft in shafts]) @ twist,
+            stiffness=(twist.T * [shaft.stiffness for shaft in shafts]) @ twist,
+            lash=_incidence([study.lash.between], n)[0],
+            load=load,
+            contact_stiffness=study.lash.radius**2 * contact.stiffness,
+            contact_damping=study.lash.radius**2 * contact.damping,
+            grounded=_all_grounded(n, [*springs, study.lash.between]),
+        )
+
+    @property
+    def contact_period(self) -> float:
+        """T_c = 2π sqrt(J_red/k), with the two inertias at the lash in series, or the one at a lash to ground  [s]."""
+        mobility = float(np.sum(self.lash**2 / self.inertia))
+        return float(2.0 * np.pi / np.sqrt(self.contact_stiffness * mobility))
+
+    def modes(self, *, closed: bool) -> Modes:
+        """Natural frequencies and damping ratios with the lash closed or open."""
+        coupling = np.outer(self.lash, self.lash) * float(closed)
+        damping = self.damping + self.contact_damping * coupling
+        stiffness = self.stiffness + self.contact_stiffness * coupling
+        rates, _ = chain(self.inertia, damping, stiffness, self.load)
+        eigenvalues = np.linalg.eigvals(rates)
+        rounding = 1e-7 * np.abs(eigenvalues).max()  # a double zero, an undamped drift, is found to half the digits
+        oscillating = eigenvalues[eigenvalues.imag > rounding]
+        oscillating = oscillating[np.argsort(np.abs(oscillating))]
+        monotone = eigenvalues[np.abs(eigenvalues.imag) <= rounding]
+        monotone[np.abs(monotone) <= rounding] = 0.0
+        return Modes(
+            frequency=np.abs(oscillating) / (2.0 * np.pi),
+            damping_ratio=-oscillating.real / np.abs(oscillating),
+            overdamped=np.sort(np.abs(monotone.real)),
+        )
+
+
+def prepare(study: Study) -> tuple[System, Steps | Flows]:
+    """The switched linear system of a study, and the tables of its method: ready to run."""
+    driveline = Driveline.from_study(study)
+    system = _build(study, driveline)
+    if study.solver.method == "exact":
+        return system, _flows(study, driveline, system)
+    steps = build_steps(system, study.solver.step)
+    return (system if steps.stable else system._replace(status=int(Status.UNSTABLE_STEP))), steps
+
+
+def build(study: Study) -> System:
+    """The switched linear system of a study."""
+    return _build(study, Driveline.from_study(study))
+
+
+def _build(study: Study, driveline: Driveline) -> System:
+    contact = study.lash.contact
+    restitution = contact.model == "restitution"
+    sticking_time = study.impacts.sticking_time
+    if restitution:
+        sticking_time = 0.0  # the locked state itself is sticking
+    elif sticking_time is None:
+        sticking_time = driveline.contact_period
+    assert study.impacts.acceleration_of is not None  # resolved by the config
+    return build_system(
+        inertia=driveline.inertia,
+        damping=driveline.damping,
+        stiffness=driveline.stiffness,
+        load=driveline.load,
+        lash=driveline.lash,
+        contact_stiffness=driveline.contact_stiffness,
+        contact_damping=driveline.contact_damping,
+        separation_by_force=contact.separation == "force",
+        acceleration_of=int(study.impacts.acceleration_of) - 1,
+        end_time=study.solver.end_time,
+        sticking_time=sticking_time,
+        grounded=driveline.grounded,
+        restitution=contact.restitution if restitution else None,
+        locking_speed=contact.locking_speed,
+    )
+
+
+def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
+    inertia, damping, stiffness = driveline.inertia, driveline.damping, driveline.stiffness
+    n = inertia.size
+    opened = Chain(inertia, damping, stiffness, *unconstrained(2 * n))
+    if study.lash.contact.model == "restitution":
+        locked = constrained(driveline.lash)
+        basis = locked.expand[:n, : n - 1]  # each row has at most one entry: the inertias' matrix stays diagonal
+        closed = Chain(inertia @ basis**2, basis.T @ damping @ basis, basis.T @ stiffness @ basis, *locked)
+    else:
+        coupling = driveline.lash[:, None] * driveline.lash
+        closed = Chain(
+            inertia,
+            damping + driveline.contact_damping * coupling,
+            stiffness + driveline.contact_stiffness * coupling,
+            *unconstrained(2 * n),
+        )
+    return build_flows(system.rates, system.inputs, system.functionals, system.feedthrough, [opened, closed])
+
+
+def steps_a_period(study: Study) -> float:
+    """How many of the solver's steps resolve a period of the fastest oscillation; infinite where nothing oscillates.
+
+    RK4 is stable down to about 2 to 3, but below about 10 it damps the contact's own oscillation, and weak rebounds
+    are lost. The restitution model has no such oscillation.
+    """
+    system = build(study)
+    fastest = float(np.abs(np.linalg.eigvals(system.rates).imag).max())
+    return 2.0 * np.pi / (fastest * study.solver.step) if fastest > 0.0 else float("inf")
+
+
+def _incidence(joints: Sequence[Sequence[End]], n: int) -> FloatArray:
+    """(joints, n), +1 at the first end of each, -1 at the second; ground takes no part."""
+    rows = np.zeros((len(joints), n))
+    for row, between in zip(rows, joints, strict=True):
+        for end, sign in zip(between, (1.0, -1.0), strict=True):
+            if end != "ground":
+                row[int(end) - 1] += sign
+    return rows
+
+
+def _all_grounded(n: int, springs: Sequence[Sequence[End]]) -> bool:
+    """Whether the springs connect every inertia to ground; exact, where a rank would need a tolerance."""
+    reached: set[End] = {"ground"}
+    while True:
+        more = {end for spring in springs if reached & set(spring) for end in spring} - reached
+        if not more:
+            return len(reached) == n + 1
+        reached |= more

@@ -1,0 +1,83 @@
+"""The response of a driveline as its backlash vanishes (report §3.1, Figure 3.5)."""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.core import switching
+from clunk.core.regimes import CLOSED_FLOW, FORCE
+from clunk.simulation import driveline
+from clunk.simulation.history import Phases
+from clunk.simulation.load import load_step
+from clunk.study.config import Study
+from clunk.study.errors import ClunkError
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class SmallGapError(ClunkError):
+    """A driveline without such a response; its text is one sentence for the user."""
+
+
+class SmallGap(NamedTuple):
+    """The torque across a lash without a gap, on the plot's time axis, signed like q = θi - θj."""
+
+    time: FloatArray  # s
+    torque: FloatArray  # N m
+    start: float  # N m, before the load step
+    end: float  # N m, at rest after it
+    decay: float  # 1/s, ζ1 ω1
+    frequency: float  # Hz, of the lowest mode
+    damping_ratio: float  # ζ1
+    step_time: float  # s
+
+    @property
+    def ratio(self) -> float:
+        """σr = (F before - F after) / F after."""
+        return (self.start - self.end) / self.end if self.end != 0.0 else np.inf
+
+    @property
+    def periods(self) -> float:
+        """n_c = ln(σr) / (2π ζ1); not a number where the envelope never crosses zero."""
+        return float(np.log(self.ratio) / (2.0 * np.pi * self.damping_ratio)) if self.ratio > 0.0 else np.nan
+
+    @property
+    def characteristic_time(self) -> float:
+        """t_c after the load step, where σr exp(-ζ1 ω1 t) = 1  [s]."""
+        return float(np.log(self.ratio) / self.decay) if self.ratio > 0.0 else np.nan
+
+    @classmethod
+    def of(cls, study: Study) -> "SmallGap":
+        """The response of a study's driveline to its load. Raises SmallGapError where there is none:
+        without static equilibrium or oscillation, or with a load that does not reach the lash."""
+        system = driveline.build(study)
+        plant = driveline.Driveline.from_study(study)
+        modes = plant.modes(closed=True)
+        if not plant.grounded:
+            raise SmallGapError("There is no response to draw: some inertia has no path of stiffness to ground.")
+        if modes.frequency.size == 0 or modes.damping_ratio[0] <= 0.0:
+            raise SmallGapError("There is no decay to draw: the driveline has no damped oscillation in contact.")
+        load = load_step(study.load)
+        before, after = float(load.before), float(load.after)
+        x = np.empty(system.lash.size)
+        side = switching.preload(system, before, 0.0, x)
+        if side == 0:
+            raise SmallGapError("There is no response to draw: the lash carries no static torque before the load step.")
+        frequency, damping_ratio = float(modes.frequency[0]), float(modes.damping_ratio[0])
+        decay = 2.0 * np.pi * frequency * damping_ratio
+        start, end = (float(system.contact_torque[0]) * torque for torque in (before, after))
+        crossing = np.log(abs((start - end) / end)) / decay if end != 0.0 and start != end else 0.0
+        duration = max(1.35 * crossing, 3.0 / frequency)
+        step = min(1.0 / (200.0 * frequency), study.solver.step * max(1.0, duration / study.solver.step / 20_000))
+        time = step * np.arange(int(duration / step) + 1)
+        # without a gap no flank has an offset, and which one is closed does not matter
+        state = Phases(system, after, 0.0, step).flow(switching.closed_on(side), x, 0.0, time.size)
+        if system.impulsive:
+            torque = state @ system.functionals[CLOSED_FLOW, FORCE] + system.feedthrough[CLOSED_FLOW, FORCE, 0] * after
+        else:
+            n = plant.inertia.size
+            angle, velocity = state[:, :n] @ plant.lash, state[:, n:] @ plant.lash
+            torque = plant.contact_stiffness * angle + plant.contact_damping * velocity
+        time += study.load.step_time
+        return cls(np.asarray(time), torque, start, end, decay, frequency, damping_ratio, study.load.step_time)

@@ -1,0 +1,231 @@
+"""One run: Study -> Trajectory."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.core import switching, tile
+from clunk.core.events import EVENT, KIND_NAMES, TOUCH
+from clunk.core.exact import MOST
+from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
+from clunk.core.severity import peak_to_peak, root_of_squares
+from clunk.core.status import QUALITY_COMPLETE, Status
+from clunk.simulation import driveline
+from clunk.simulation.load import load_step
+from clunk.study.config import Study
+from clunk.study.errors import ClunkError
+from clunk.study.summaries import Rows, as_html, as_text, html_table
+
+FloatArray = npt.NDArray[np.float64]
+
+EVENT_COLUMNS = ("time [s]", "event", "flank", "q' [rad/s]", "impact", "Qi [rad/s²]")
+_SHOWN_EVENTS = 40  # in a notebook
+
+
+class SimulationError(ClunkError):
+    """A run that cannot start or did not finish; its text is one sentence for the user."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """What one run leaves behind; n inertias, E events (the load step included).
+
+    study : Study
+    initial_side : int, sign of q = θi - θj on the initial flank
+    events : (E,) clunk.core.events.EVENT, times in s after the load step
+    states : (E, 2n) float64, θ and θ' at each event  [rad, rad/s]
+    primaries : (P,) int64, indices of the primary impacts in `events`
+    impact_severity : (P,) float64, Q_i  [rad/s2]
+    complete : bool, whether it was proved that nothing follows
+    margin : float, how near the run came to another label (see clunk.core.exact); NaN where the method knows none
+    end : float, where the run stopped  [s after the load step]
+    """
+
+    study: Study
+    initial_side: int
+    events: npt.NDArray[np.void]
+    states: FloatArray
+    primaries: npt.NDArray[np.int64]
+    impact_severity: FloatArray
+    complete: bool
+    margin: float
+    end: float
+
+    @cached_property
+    def flanks(self) -> npt.NDArray[np.int64]:
+        """(P,) int64, +1 for a primary impact on the opposite flank, -1 on the initial one."""
+        return np.where(self.events["side"][self.primaries] == self.initial_side, INITIAL, OPPOSITE)
+
+    @property
+    def label(self) -> str:
+        """The label of the sequence, for example DS(1)SS(1)."""
+        return label(self.flanks)
+
+    @property
+    def letters(self) -> str:
+        """The primary impacts as letters, O opposite and I initial, for example O I I."""
+        return " ".join("O" if flank == OPPOSITE else "I" for flank in self.flanks)
+
+    @property
+    def touches(self) -> int:
+        """How often the gap closed, chatter included."""
+        return int(np.count_nonzero(self.events["kind"] == TOUCH))
+
+    @property
+    def severity(self) -> float:
+        """Q = sqrt(sum Q_i²)  [rad/s2] (report Eq. 3.3); not defined for the restitution model (NaN)."""
+        if self.study.lash.contact.model == "restitution":
+            return float("nan")
+        return root_of_squares(self.impact_severity, self.impact_severity.size)
+
+    @property
+    def approach_velocity(self) -> float:
+        """V = sqrt(sum v_i²), v_i the relative velocity just before primary impact i  [rad/s]."""
+        return root_of_squares(self.events["speed"][self.primaries], self.primaries.size)
+
+    def kind_name(self, k: int) -> str:
+        """What event `k` is: load step, touch, separation, rejoin or opening."""
+        return KIND_NAMES[self.events["kind"][k]]
+
+    def flank_name(self, k: int) -> str:
+        """The flank of event `k`."""
+        side = self.events["side"][k]
+        return "none" if side == 0 else ("initial" if side == self.initial_side else "opposite")
+
+    @property
+    def ending(self) -> str:
+        """Why the run stopped."""
+        return "nothing can follow" if self.complete else "the end time; more may follow"
+
+    def summary(self) -> Rows:
+        """What the run amounts to, for people: (name, value) pairs."""
+        rows = [
+            ("events", f"{len(self.events) - 1}, {self.touches} of them touches"),
+            ("primary impacts", self.letters or "none"),
+            ("label", self.label),
+            ("severity Q", _severity(self.severity, " rad/s²")),
+            ("approach velocity V", f"{self.approach_velocity:.5f} rad/s"),
+        ]
+        if not np.isnan(self.margin):
+            rows.append(("margin", f"{MOST:g} or more" if self.margin >= MOST else f"{self.margin:+.3g}"))
+        return rows
+
+    def event_table(self) -> list[tuple[str, ...]]:
+        """The events after the load step as texts, by `EVENT_COLUMNS`."""
+        number = {int(k): i for i, k in enumerate(self.primaries)}
+        rows: list[tuple[str, ...]] = []
+        for k, event in enumerate(self.events[1:], 1):
+            impact = "primary" if k in number else "secondary" if event["kind"] == TOUCH else ""
+            severity = _severity(self.impact_severity[number[k]]) if k in number else ""
+            texts = f"{event['time']:.7f}", self.kind_name(k), self.flank_name(k), f"{event['speed']:+.6f}"
+            rows.append((*texts, impact, severity))
+        return rows
+
+    def __repr__(self) -> str:
+        ended = ("ended", f"{self.end:.4g} s after the load step: {self.ending}")
+        return as_text(f"clunk.Trajectory of {self.study.title!r}", [*self.summary(), ended])
+
+    def _repr_html_(self) -> str:
+        events = self.event_table()
+        shown = events[:_SHOWN_EVENTS]
+        if len(events) > len(shown):
+            shown.append((f"… {len(events) - len(shown)} more", *[""] * (len(EVENT_COLUMNS) - 1)))
+        shown.append((f"{self.end:.7f}", f"end: {self.ending}", *[""] * (len(EVENT_COLUMNS) - 2)))
+        return as_html(self.study.title, html_table(self.summary()), html_table(shown, EVENT_COLUMNS))
+
+
+def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Trajectory:
+    """Run one load step.
+
+    Parameters
+    ----------
+    study : Study
+        Its axes, if any, are ignored.
+    initial_state : (2n,) array of float, optional  [rad, rad/s]
+        θ and θ' at the load step, instead of static equilibrium in contact under the torque before. The initial flank
+        is then the one that this state touches; in the gap, the nearer one.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    SimulationError
+        Where there is no static equilibrium or no initial flank, or the run fails.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> run = clunk.simulate(clunk.load_study("configs/nominal.toml"))
+    >>> run
+    <clunk.Trajectory of 'Nominal tip-out: σr = 5, φθ = 6°'>
+      events               18, 9 of them touches
+      primary impacts      O I I
+      label                DS(1)SS(1)
+      severity Q           9299.7 rad/s²
+      approach velocity V  10.96922 rad/s
+      ended                0.6818 s after the load step: nothing can follow
+    >>> run.events["time"][run.primaries].round(4)  # s after the load step
+    array([0.1191, 0.2613, 0.565 ])
+    """
+    system, tables = driveline.prepare(study)
+    size = system.lash.size
+    before, after = (float(torque) for torque in load_step(study.load))
+    half_gap = float(np.deg2rad(study.lash.backlash_deg) / 2)
+    x = np.empty(size)
+    status = Status(system.status)
+    if initial_state is None:
+        if status == Status.OK:
+            side = switching.preload(system, before, half_gap, x)
+            status = Status.OK if side != 0 else Status.NO_INITIAL_FLANK
+        if status != Status.OK:
+            raise SimulationError(_sentence(status))
+        regime = switching.closed_on(side)
+    else:
+        if status == Status.UNSTABLE_STEP:
+            raise SimulationError(_sentence(status))
+        given = np.asarray(initial_state, dtype=np.float64)
+        if given.shape != (size,) or not np.all(np.isfinite(given)):
+            raise SimulationError(f"The initial state must be {size} finite numbers, θ in rad and then θ' in rad/s.")
+        x[:] = given
+        if system.impulsive and abs(x @ np.roll(system.lash, size // 2)) > half_gap * (1.0 + 1e-12):
+            raise SimulationError("The initial state overlaps a flank, which the restitution model does not allow.")
+        regime = switching.regime_of(system, x, half_gap)
+        side = 1 if x[: size // 2] @ system.lash[size // 2 :] >= 0.0 else -1
+
+    capacity = study.solver.max_events + 1
+    events, states = np.zeros(capacity, EVENT), np.zeros((capacity, size))
+    code, count, quality, margin, end = tile.run(
+        system, tables, x, regime, after, half_gap, events, states, np.zeros(1, np.uint8)
+    )
+    if code != Status.OK:
+        raise SimulationError(_sentence(Status(code)))
+    primaries = np.zeros(capacity, np.int64)
+    found = find_primaries(events, count, system.sticking_time, primaries)
+    severity = np.zeros(capacity)
+    peak_to_peak(events, count, primaries, found, severity)
+    if system.impulsive:  # the acceleration of an impulsive touch is not a number
+        severity[:found] = np.nan
+    return Trajectory(
+        study=study,
+        initial_side=side,
+        events=events[:count].copy(),
+        states=states[:count].copy(),
+        primaries=primaries[:found].copy(),
+        impact_severity=severity[:found].copy(),
+        complete=bool(quality & QUALITY_COMPLETE),
+        margin=float(margin),
+        end=float(end),
+    )
+
+
+def _sentence(status: Status) -> str:
+    text = status.sentence
+    return text[0].upper() + text[1:] + "."
+
+
+def _severity(value: float, unit: str = "") -> str:
+    return "undefined" if np.isnan(value) else f"{value:.1f}{unit}"

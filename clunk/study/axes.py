@@ -1,0 +1,59 @@
+"""An axis of a sweep: a parameter, and the values that it takes."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+RUN = "run"  # the dimension of what is walked or drawn together
+
+
+@dataclass(frozen=True, eq=False)
+class ResultAxis:
+    """One swept parameter and the values it took; or the dimension `run`, with the runs' numbers from 1.
+
+    parameter : dotted key of the config, e.g. ``load.ratio`` or ``driveline.inertias[4]``; or ``run``
+    values : (count,) float64  [unit]
+    name, symbol, unit : for people, e.g. ``load ratio``, ``σr = Td/Ts``, ``1``
+    """
+
+    parameter: str
+    values: npt.NDArray[np.float64]
+    name: str
+    symbol: str
+    unit: str
+
+    def __post_init__(self) -> None:
+        if self.values.dtype != np.float64 or self.values.ndim != 1 or not self.values.size:
+            raise ValueError(f"the values of axis {self.parameter} must be a non-empty 1-D float64 array")
+
+    @property
+    def variable(self) -> str:
+        """Name of the axis in the results file: ``load_ratio``, ``driveline_inertias_4``."""
+        return re.sub(r"[.\[\]]", "_", self.parameter).rstrip("_")
+
+    @property
+    def spread(self) -> str:
+        """Least and largest value, unit and count, for people: ``0 to 20 degrees, 21 values``."""
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"{self.values.min():g} to {self.values.max():g}{unit}, {len(self.values)} values"
+
+    def nearest(self, value: float) -> int:
+        """Index of the value nearest to this one; of two as near, the first. Raises ValueError beyond the axis."""
+        lowest, highest = self.values.min(), self.values.max()
+        if not lowest <= value <= highest:  # also where it is not a number
+            raise ValueError(f"{self.parameter} is swept from {lowest:g} to {highest:g}; {value:g} is not on it.")
+        return int(np.argmin(np.abs(self.values - value)))
+
+    @cached_property
+    def is_geometric(self) -> bool:
+        """Whether the values, put in order, are spaced evenly in their logarithm, and not in themselves."""
+        ascending = np.sort(self.values)
+        if len(ascending) < 3 or ascending[0] <= 0.0:
+            return False
+        steps = np.diff(np.log(ascending))
+        return bool(np.allclose(steps, steps.mean(), rtol=1e-6) and ascending[-1] / ascending[0] > 3.0)

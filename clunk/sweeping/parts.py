@@ -1,0 +1,274 @@
+"""Finished cells on their way to the results file: a working directory beside it, NAME.h5.partial.
+
+    lock             held by the one process that writes; it dies with that process
+    manifest.json    what is being computed, by which versions
+    part-000001      the cells that finished in the first seconds; and so on
+
+Whatever is there was complete before it got its name, and is checked when it is read. The results file is assembled
+once, beside the parts, and moved into its place; then the directory goes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from importlib.metadata import version
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Self
+
+import numpy as np
+
+from clunk.results.files import reason, write_whole
+from clunk.study.errors import ClunkError
+from clunk.sweeping.tiles import Tile, from_bytes, to_pieces
+
+_FIRST_PART = 2.0  # s: what is done sooner is as soon done again
+_PART = 1.5  # s, at least; a part of 20,000 cells is 3 MB and takes 25 ms
+_LONGEST_PART = 30.0  # s
+_LARGEST_PART = 1 << 20  # cells, about 120 MB: many workers are faster than any clock
+_SHARE = 0.02  # of the time so far: what may be lost, so that a day's sweep is not 50,000 files
+
+
+class PartsError(ClunkError):
+    """Finished cells that cannot be kept or taken up again; its text is one sentence for the user."""
+
+
+class WorkingDirectory:
+    """The directory of one target, locked while this is open.
+
+    target : the results file; through a symbolic link, what it points to
+    """
+
+    def __init__(self, target: str | os.PathLike[str]) -> None:
+        self.target = Path(os.path.realpath(target))
+        self.path = self.target.with_name(self.target.name + ".partial")
+        self._lock: BinaryIO | None = None
+
+    def __enter__(self) -> Self:
+        """Take the lock. Raises PartsError where another process has it."""
+        try:
+            while self._lock is None:
+                self.path.mkdir(exist_ok=True)
+                with suppress(FileNotFoundError):  # removed in between by the process that has just finished
+                    self._lock = self._locked()
+        except OSError as error:
+            raise PartsError(f"{self.path} cannot be used: {reason(error)}.") from error
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Let go of the lock; the directory stays if there are parts in it."""
+        if not self.parts():
+            self.remove()
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
+
+    def parts(self) -> list[Path]:
+        """The parts, in the order in which they were written."""
+        return sorted(self.path.glob("part-*"))
+
+    def clear(self) -> None:
+        """Remove everything but the lock."""
+        try:
+            for path in self.path.iterdir():
+                if path.name != "lock":
+                    path.unlink()
+        except OSError as error:
+            raise PartsError(f"{self.path} cannot be emptied: {reason(error)}.") from error
+
+    def remove(self) -> None:
+        """Remove the directory, unless someone has put something else there."""
+        with suppress(OSError):
+            for path in [*self.parts(), *self.path.glob(".*.tmp"), self.path / "manifest.json", self.path / "lock"]:
+                if path.name == "lock" and os.name == "nt" and self._lock is not None:
+                    self._lock.close()  # Windows removes no open file
+                path.unlink(missing_ok=True)
+            self.path.rmdir()
+
+    def _locked(self) -> BinaryIO | None:
+        """The lock, or None where its file was removed before we had it."""
+        path = self.path / "lock"
+        lock = path.open("ab")
+        try:
+            _lock(lock)
+            if os.name == "nt" or os.path.samestat(os.fstat(lock.fileno()), path.stat()):
+                return lock
+        except BlockingIOError:
+            lock.close()
+            raise PartsError(f"{self.target} is being written by another sweep that still runs.") from None
+        except BaseException:
+            lock.close()
+            raise
+        lock.close()
+        return None
+
+
+class Parts:
+    """The finished cells of one sweep in a working directory.
+
+    directory : open, that is locked
+    study : what decides the results, by dotted key; parts of another one are refused
+    config_digest : of it
+    plan : which cells are run, for people: "every cell"
+    record, impact : the dtypes of a tile's arrays
+
+    Raises PartsError where the directory holds parts of another study or plan.
+    """
+
+    def __init__(
+        self,
+        directory: WorkingDirectory,
+        study: Mapping[str, Any],
+        config_digest: str,
+        plan: str,
+        record: np.dtype[np.void],
+        impact: np.dtype[np.void],
+    ) -> None:
+        self.directory = directory
+        self.discarded = 0  # parts of other versions, or damaged
+        self.taken_up = 0  # cells that were there
+        self.kept = 0  # cells that are there now
+        self._manifest = {
+            "plan": plan,
+            "config_digest": config_digest,
+            "versions": versions(),
+            "arrays": [str(record.descr), str(impact.descr)],
+            "study": dict(study),
+        }
+        decisive = {key: value for key, value in self._manifest.items() if key != "study"}  # the digest stands for it
+        self._origin = hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).digest()
+        self._types = record, impact
+        self._waiting: list[Tile] = []
+        self._cells_waiting = 0
+        self._number = max((int(path.name.removeprefix("part-")) for path in directory.parts()), default=0)
+        self._began = self._written = time.monotonic()
+        self._refuse_others()
+
+    def read(self) -> Iterator[Tile]:
+        """The parts that are whole and of this sweep; what else is there is removed."""
+        for path in self.directory.parts():
+            try:
+                tile = from_bytes(path.read_bytes(), self._origin, *self._types)
+            except (OSError, ValueError):
+                self.discarded += 1
+                with suppress(OSError):
+                    path.unlink()
+                continue
+            self.taken_up += tile.cells.size
+            self.kept += tile.cells.size
+            yield tile
+        for path in self.directory.path.glob(".*.tmp"):  # of a process that was killed while it wrote
+            with suppress(OSError):
+                path.unlink()
+
+    def add(self, tile: Tile) -> None:
+        """Keep a tile: now and then, what has accumulated is written. Raises PartsError."""
+        self._waiting.append(tile)
+        self._cells_waiting += tile.cells.size
+        now = time.monotonic()
+        pause = min(max(_PART, _SHARE * (now - self._began)), _LONGEST_PART)
+        due = now - self._written >= (pause if self._number else _FIRST_PART)
+        if due or self._cells_waiting >= _LARGEST_PART:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what has accumulated. Raises PartsError."""
+        if not self._waiting:
+            return
+        try:
+            manifest = self.directory.path / "manifest.json"
+            text = json.dumps(self._manifest, indent=1, ensure_ascii=False, default=str)
+            if not manifest.exists():
+                write_whole(manifest, lambda file: file.write(text.encode()))
+            pieces = to_pieces(self._waiting, self._origin)
+            write_whole(self.directory.path / f"part-{self._number + 1:06}", lambda file: file.writelines(pieces))
+        except OSError as error:
+            raise PartsError(
+                f"{self.directory.path} cannot take the finished cells: {reason(error)}; "
+                "the same command goes on from what is there."
+            ) from error
+        self._number += 1
+        self.kept += self._cells_waiting
+        self._cells_waiting = 0
+        self._waiting.clear()  # after it is on the disk; written twice, a cell is read once
+        self._written = time.monotonic()
+
+    @property
+    def on_disk(self) -> bool:
+        """Whether any part has been written."""
+        return self._number > 0
+
+    def _refuse_others(self) -> None:
+        """Compare with the manifest that is there; one that cannot be read is of no use, and its parts tell it too."""
+        path = self.directory.path / "manifest.json"
+        try:
+            found = json.loads(path.read_bytes())
+            plan, digest, study, its_versions = (found[key] for key in ("plan", "config_digest", "study", "versions"))
+            differences = _differences(study, json.loads(json.dumps(self._manifest["study"], default=str)))
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+            return
+        if digest != self._manifest["config_digest"]:
+            what = "; ".join(differences) or "the config"
+            raise PartsError(
+                f"{self.directory.path} holds an unfinished sweep of another config ({what}): finish that one, "
+                "or begin anew with --restart (in Python, restart=True)."
+            )
+        if plan != self._manifest["plan"]:
+            raise PartsError(
+                f"{self.directory.path} holds an unfinished sweep that runs {plan}, not {self._manifest['plan']}: "
+                "finish that one, or begin anew with --restart (in Python, restart=True)."
+            )
+        if its_versions != self._manifest["versions"]:
+            path.unlink()
+
+
+def _differences(there: Mapping[str, Any], here: Mapping[str, Any], most: int = 3) -> list[str]:
+    """The first few keys in which two studies differ, with both values."""
+    keys = [key for key in {**there, **here} if there.get(key) != here.get(key)]
+    lines = [f"{key} = {_shown(there.get(key))} there, {_shown(here.get(key))} here" for key in keys[:most]]
+    return [*lines, f"and {len(keys) - most} more"] if len(keys) > most else lines
+
+
+def _shown(value: Any) -> str:
+    text = "nothing" if value is None else json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= 40 else text[:37] + "…"
+
+
+# The rooms whose sources decide the bits of a cell; an edit elsewhere, of a picture or a table, discards nothing.
+_DECISIVE = ("core", "study", "simulation", "sweeping")
+
+
+def versions() -> dict[str, str]:
+    """Everything of the program that could change a bit of a cell's results: sources, Python, numpy, scipy, numba."""
+    sources = hashlib.sha256()
+    root = Path(__file__).parents[1]
+    for path in sorted(path for room in _DECISIVE for path in (root / room).rglob("*.py")):
+        sources.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes() + b"\0")
+    packages = {name: version(name) for name in ("numpy", "scipy", "numba")}
+    return {"python": platform.python_version(), **packages, "sources of clunk": sources.hexdigest()}
+
+
+def _lock(file: BinaryIO) -> None:
+    """Take a lock that dies with its process, or raise BlockingIOError."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        try:
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        except OSError as error:
+            raise BlockingIOError from error
+    else:
+        import fcntl
+
+        fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,0 +1,428 @@
+"""Which cells of a map have to be run, where the others follow from their neighbours: index logic and no physics.
+
+The grid is cut into blocks between every `spacing`-th cell of each axis, and these into halves, down to single cells.
+A block's edges belong to it, so that what a neighbour's refinement finds on a shared edge counts too. One is halved if
+
+- known cells in it differ in kind (regime and initial flank), or one is doubtful: it failed, or was decided by a hair.
+  Then its corners are run, and of the corners of its halves those beside known ones that differ, or a doubtful one;
+- known cells in it differ by two touches or more. Then all corners of its halves are run.
+
+What is beside a known cell on a crest of the number of touches, with fewer on either side of it, is run as well.
+
+Touches are for regimes thinner than a cell, single cells of OS(1)DS(1) within DS(1) on the report's map. Such a
+regime is a touch more than its neighbours have, just hard or late enough to be primary: it lies on a crest, or where
+touches accumulate, and these lines are much longer than it and are followed along their whole length. On the grid it is
+a dashed line; so everything within a few cells of one that differs from both neighbours is run, too.
+
+Every cell that is left then lies in a block, or between cells, where all that are known are of one kind. The cells run
+are the smallest set closed under these rules, so that they depend neither on the order of the runs nor on where they
+were interrupted.
+
+What is nowhere seen from that set is missed: an island between the cells of the coarse grid that none of these lines
+meets.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.core.jit import unowned, unowned_inlined
+from clunk.study.designs import Design
+
+UNKNOWN = 0  # kind of a cell that has not been run, and of a block in which none has
+DOUBTFUL = -1  # kind of one whose neighbours must be run whatever they are
+_HALVED = -2  # in the place of a block's kind, where known cells differ in that
+_RUN = -3  # or in touches, so that there is no more to ask for
+
+COARSE_INTERVALS = 60  # of an axis, at least: every 16th of 1001 cells
+# Chosen on 34 cuttings of 9 maps, 31,000,000 cells: of the report's driveline by force and by restitution, for large,
+# small and negative load ratios, with each inertia swept, and with those as printed. There, all labels are those of the
+# dense sweep. With a gap of 5 cells 4 labels differ, and with crests over 2 cells 16. Where touches that differ by one
+# are followed, too, twice as many cells are run.
+_TOUCHES = 2  # by which cells of a block differ where something may be hidden between them
+_CREST = 4  # cells to either side
+_BESIDE = 2  # cells around one on a crest, so that the next one is seen
+_GAP = 6  # cells between the dashes of a thin regime
+
+Integers = npt.NDArray[np.int32]
+Cells = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
+
+
+def spacings(axes: Sequence[npt.NDArray[np.float64]], intervals: int = COARSE_INTERVALS) -> tuple[int, ...]:
+    """The coarse spacing of each axis: the largest power of two that leaves so many intervals, or 1.
+
+    axes : each (count,), the values; where they neither rise nor fall throughout, neighbours tell nothing: 1
+    """
+    found = []
+    for values in axes:
+        steps = np.diff(values)
+        room = (len(values) - 1) // intervals if np.all(steps > 0.0) or np.all(steps < 0.0) else 0
+        found.append(1 << max(0, room.bit_length() - 1))
+    return tuple(found)
+
+
+def coarse_spacing(design: Design) -> tuple[int, ...]:
+    """The spacing of a refined sweep's coarse grid; 1 along `run`, where a run tells nothing of the next."""
+    spacing = spacings([axis.values for axis in design.axes])
+    return tuple(1 if k == design.run else step for k, step in enumerate(spacing))
+
+
+class _Map(NamedTuple):
+    """What is known, cells and blocks in C order; the blocks of all levels behind one another, coarsest first.
+
+    shape, strides : (axes,), in cells
+    position, origin : (axes,), room for a cell's indices, and for those of a block's first cell
+    corners : (3**axes,), room for the corners of a block's halves
+    kinds, touches : (cells,) int32, of touches one more than there are; `UNKNOWN` where they are
+    crest, asked : (cells,) bool, whether a cell is known to lie on one; whether it is known or has been asked for
+    shifts : (levels + 1, axes), log2 of a block's width in cells; the last row is of single cells, which are no blocks
+    blocks, hops : (levels, axes), how many, and from one to the next in their numbers
+    first : (levels,), where a level's blocks begin
+    kind : (all blocks,) int32, of a block's known cells; `UNKNOWN` without any, `_HALVED` or `_RUN` where it is halved
+    fewest, most : (all blocks,) int32, touches of its known cells, if there are any
+    directions : (n, axes), of two opposite ones one; along : (n,), a step of each in cells
+    ahead, behind : (n,), room for how far the map goes on
+    beside_crest, beside_thin : (n, axes), offsets of what is run around a cell on a crest, or of a thin regime
+    """
+
+    shape: Cells
+    strides: Cells
+    position: Cells
+    origin: Cells
+    corners: Cells
+    kinds: Integers
+    touches: Integers
+    crest: Mask
+    asked: Mask
+    shifts: Cells
+    blocks: Cells
+    hops: Cells
+    first: Cells
+    kind: Integers
+    fewest: Integers
+    most: Integers
+    directions: Cells
+    along: Cells
+    ahead: Cells
+    behind: Cells
+    beside_crest: Cells
+    beside_thin: Cells
+
+
+class Refinement:
+    """What has to be run of a map, as more and more of it gets known.
+
+    shape : length of each axis
+    spacing : of the coarse grid, a power of two for each axis
+    """
+
+    def __init__(self, shape: Sequence[int], spacing: Sequence[int]) -> None:
+        cells, counts = math.prod(shape), np.array(shape, np.int64)
+        strides = _strides(shape)
+        widest = np.array([own.bit_length() - 1 for own in spacing], np.int64)
+        shifts = np.minimum.outer(np.arange(widest.max(), -1, -1), widest)
+        blocks = np.maximum(1, -(-(counts - 1) >> shifts[:-1]))
+        ends = np.cumsum(blocks.prod(axis=1))
+        every = int(ends[-1]) if ends.size else 0
+        ways = [(-1, 0, 1) if own > 1 else (0,) for own in spacing]
+        half = list(product(*ways))[: math.prod(map(len, ways)) // 2]
+        directions = np.array(half, np.int64).reshape(-1, len(shape))
+        kinds, touches = np.zeros((2, cells), np.int32)
+        self._map = _Map(
+            shape=counts,
+            strides=strides,
+            position=np.zeros(len(shape), np.int64),
+            origin=np.zeros(len(shape), np.int64),
+            corners=np.zeros(3 ** len(shape), np.int64),
+            kinds=kinds,
+            touches=touches,
+            crest=np.zeros(cells, bool),
+            asked=np.zeros(cells, bool),
+            shifts=shifts,
+            blocks=blocks,
+            hops=np.array([_strides(own) for own in blocks.tolist()], np.int64).reshape(blocks.shape),
+            first=np.concatenate(([0], ends))[:-1].astype(np.int64),
+            kind=np.zeros(every, np.int32),
+            fewest=np.empty(every, np.int32),
+            most=np.empty(every, np.int32),
+            directions=directions,
+            along=directions @ strides,
+            ahead=np.zeros(len(directions), np.int64),
+            behind=np.zeros(len(directions), np.int64),
+            beside_crest=_cube(spacing, _BESIDE),
+            beside_thin=_cube(spacing, _GAP),
+        )
+        edges = (np.append(np.arange(0, count, own), count - 1) for count, own in zip(shape, spacing, strict=True))
+        self._coarse = np.unique(np.ravel_multi_index(np.meshgrid(*edges, indexing="ij"), tuple(shape)))
+
+    def take(self, cells: Cells, kinds: Integers, touches: Integers) -> Cells:
+        """Learn what cells were found to be.
+
+        Parameters
+        ----------
+        cells : (n,) int64, numbers in C order, in any order; none at first
+        kinds : (n,) int32, a number from 1, equal where the kinds are; or `DOUBTFUL`
+        touches : (n,) int32
+
+        Returns
+        -------
+        cells : (m,) int64
+            What to run besides what has been asked for already, in ascending order.
+        """
+        known = self._map
+        known.kinds[cells], known.touches[cells], known.asked[cells] = kinds, touches + 1, True
+        coarse, self._coarse = self._coarse[~known.asked[self._coarse]], self._coarse[:0]  # once
+        known.asked[coarse] = True
+        found = np.empty(known.kinds.size, np.int64)  # what is not written to takes no memory
+        count = _take(known, cells, found)
+        return np.sort(np.concatenate((coarse, found[:count])))
+
+    def kinds(self) -> Integers:
+        """Each cell's kind, (cells,) int32: what it was found to be, else that of its block, or of what is beside it.
+
+        Only when all that was asked for is known; there is nothing to learn after that.
+        """
+        _infer(self._map)
+        return self._map.kinds
+
+
+def _cube(spacing: Sequence[int], reach: int) -> Cells:
+    """Offsets, (n, axes), to all cells within this many along each axis that is refined."""
+    return np.array(list(product(*(range(-reach, reach + 1) if own > 1 else (0,) for own in spacing))), np.int64)
+
+
+def _strides(counts: Sequence[int]) -> Cells:
+    """From one to the next along each axis, in numbers in C order."""
+    return np.array([math.prod(counts[axis + 1 :]) for axis in range(len(counts))], np.int64)
+
+
+@unowned
+def _take(known: _Map, cells: Cells, found: Cells) -> int:
+    """Write to `found` what is to be run for the sake of these cells, which are known; returns how many."""
+    count = 0
+    for cell in cells:
+        _unravel(known, cell)
+        _look_around(known)
+        count = _join(known, cell, found, count)
+        for way, step in enumerate(known.along):
+            ahead, behind = known.ahead[way], known.behind[way]
+            for k in range(-min(behind, _CREST), min(ahead, _CREST) + 1):
+                own = cell + k * step
+                # of the others, only what has more touches than this cell can have become a crest by it
+                if (
+                    (k == 0 or known.touches[own] > known.touches[cell])
+                    and not known.crest[own]
+                    and (k < 0 or _has_fewer(known.touches, own, step, ahead - k))
+                    and (k > 0 or _has_fewer(known.touches, own, -step, behind + k))
+                ):
+                    known.crest[own] = True
+                    count = _ask_around(known, own, known.beside_crest, found, count)
+            for k in range(-min(behind - 1, 1), min(ahead - 1, 1) + 1):
+                if _is_thin(known.kinds, cell + k * step, step):
+                    count = _ask_around(known, cell + k * step, known.beside_thin, found, count)
+    return count
+
+
+@unowned_inlined
+def _join(known: _Map, cell: int, found: Cells, count: int) -> int:
+    """Let a cell, whose indices are in `position`, count in its blocks; returns how many are found."""
+    axes, doubtful = len(known.shape), known.kinds[cell] == DOUBTFUL
+    for level in range(len(known.first)):
+        last, edges = known.first[level], 0  # of its blocks, the last; the axes on which it lies between two
+        is_corner = True  # of halves of these blocks
+        for axis in range(axes):
+            own, shift = known.position[axis], known.shifts[level, axis]
+            at = min(own >> shift, known.blocks[level, axis] - 1)
+            last += at * known.hops[level, axis]
+            if at > 0 and at << shift == own:
+                edges |= 1 << axis
+            half = known.shifts[level + 1, axis]
+            is_corner &= own >> half << half == own or own == known.shape[axis] - 1
+        for before in range(edges + 1):
+            if before & ~edges:
+                continue
+            block = last
+            for axis in range(axes):
+                if before >> axis & 1:
+                    block -= known.hops[level, axis]
+            kind, touches = known.kind[block], known.touches[cell]
+            if kind == _RUN:
+                continue
+            fewest = touches if kind == UNKNOWN else min(known.fewest[block], touches)
+            most = touches if kind == UNKNOWN else max(known.most[block], touches)
+            known.fewest[block], known.most[block] = fewest, most
+            if most - fewest >= _TOUCHES:
+                known.kind[block] = _RUN
+                count = _ask_all(known, level, block, found, count)
+            elif kind == UNKNOWN and not doubtful:
+                known.kind[block] = known.kinds[cell]
+            elif kind != known.kinds[cell] or doubtful:
+                known.kind[block] = _HALVED
+                if is_corner or kind != _HALVED:
+                    count = _ask_between(known, level, block, found, count)
+    return count
+
+
+@unowned
+def _ask_all(known: _Map, level: int, block: int, found: Cells, count: int) -> int:
+    """Ask for the corners of a block's halves; returns how many are found."""
+    _find_corners(known, level, block)
+    for cell in known.corners:
+        count = _ask(known.asked, cell, found, count)
+    return count
+
+
+@unowned
+def _ask_between(known: _Map, level: int, block: int, found: Cells, count: int) -> int:
+    """Ask for a block's corners, and those of its halves beside known ones that differ; returns how many are found."""
+    _find_corners(known, level, block)
+    for between, cell in enumerate(known.corners):
+        if known.asked[cell]:
+            continue
+        differ, kind = _is_whole(between), UNKNOWN  # of those beside it
+        for corner, other in enumerate(known.corners):
+            if differ:
+                break
+            own = known.kinds[other] if _is_beside(between, corner) else UNKNOWN
+            differ = own == DOUBTFUL or (own != UNKNOWN and kind not in (UNKNOWN, own))
+            kind = kind if own == UNKNOWN else own
+        if differ:
+            count = _ask(known.asked, cell, found, count)
+    return count
+
+
+@unowned
+def _find_corners(known: _Map, level: int, block: int) -> None:
+    """Put in `corners` those of a block's halves: by digits of base 3, at its begin, middle or end along each axis."""
+    block -= known.first[level]
+    for axis in range(len(known.shape)):
+        known.origin[axis] = block // known.hops[level, axis] << known.shifts[level, axis]
+        block %= known.hops[level, axis]
+    for number in range(len(known.corners)):
+        cell, digits = 0, number
+        for axis in range(len(known.shape)):
+            at, which = known.origin[axis], digits % 3
+            if which > 0:
+                at += 1 << known.shifts[level + 2 - which, axis]
+            cell += min(at, known.shape[axis] - 1) * known.strides[axis]
+            digits //= 3
+        known.corners[number] = cell
+
+
+@unowned
+def _is_whole(corner: int) -> bool:
+    """Whether one of a block's `corners` is a corner of the block, and not only of its halves."""
+    while corner:
+        if corner % 3 == 1:
+            return False
+        corner //= 3
+    return True
+
+
+@unowned
+def _is_beside(one: int, other: int) -> bool:
+    """Whether two of a block's `corners` are next to each other, or the same."""
+    while one != other:
+        if abs(one % 3 - other % 3) > 1:
+            return False
+        one, other = one // 3, other // 3
+    return True
+
+
+@unowned
+def _ask_around(known: _Map, cell: int, offsets: Cells, found: Cells, count: int) -> int:
+    """Ask for all cells at these offsets from one; returns how many are found."""
+    _unravel(known, cell)
+    for offset in offsets:
+        other = 0
+        for axis in range(len(known.shape)):
+            at = min(max(known.position[axis] + offset[axis], 0), known.shape[axis] - 1)
+            other += at * known.strides[axis]
+        count = _ask(known.asked, other, found, count)
+    return count
+
+
+@unowned
+def _ask(asked: Mask, cell: int, found: Cells, count: int) -> int:
+    """Ask for a cell unless that has been done; returns how many are found."""
+    if not asked[cell]:
+        asked[cell] = True
+        found[count] = cell
+        count += 1
+    return count
+
+
+@unowned
+def _has_fewer(touches: Integers, cell: int, step: int, reach: int) -> bool:
+    """Whether one of the next known cells along a direction has fewer touches than this one."""
+    found = False
+    for k in range(1, min(reach, _CREST) + 1):
+        found |= UNKNOWN < touches[cell + k * step] < touches[cell]
+    return found
+
+
+@unowned
+def _is_thin(kinds: Integers, cell: int, step: int) -> bool:
+    """Whether a cell differs in kind from both of its neighbours, all three known."""
+    own, above, below = kinds[cell], kinds[cell + step], kinds[cell - step]
+    return bool(own > UNKNOWN and above != UNKNOWN and below != UNKNOWN and above != own and below != own)
+
+
+@unowned_inlined
+def _look_around(known: _Map) -> None:
+    """Put in `ahead` and `behind` how far the map goes on from `position`, along each direction and against it."""
+    for way in range(len(known.along)):
+        ahead = behind = len(known.kinds)
+        for axis in range(len(known.shape)):
+            before, after = known.position[axis], known.shape[axis] - 1 - known.position[axis]
+            if known.directions[way, axis] > 0:
+                ahead, behind = min(ahead, after), min(behind, before)
+            elif known.directions[way, axis] < 0:
+                ahead, behind = min(ahead, before), min(behind, after)
+        known.ahead[way], known.behind[way] = ahead, behind
+
+
+@unowned
+def _infer(known: _Map) -> None:
+    """Give each unknown cell the kind of the largest block with it that is not halved, or of a known one beside it."""
+    levels, last = len(known.first), known.shape[-1] - 1
+    for row in range(0, len(known.kinds), last + 1):
+        _unravel(known, row)
+        # of the level before, this row's first block, how many there are, and log2 of their width
+        before, wholes, coarser = 0, 0, known.shifts[0, -1]
+        for level in range(levels):
+            shift, blocks, first = known.shifts[level, -1], known.blocks[level, -1], known.first[level]
+            corner = 0  # of the blocks of single cells, the one beside this row's first cell
+            for axis in range(len(known.shape) - 1):
+                own, at = known.shifts[level, axis], known.position[axis]
+                first += min(at >> own, known.blocks[level, axis] - 1) * known.hops[level, axis]
+                corner += (at if at == known.shape[axis] - 1 else at >> own << own) * known.strides[axis]
+            wholes, parts = blocks if level == 0 else wholes, 1 << (coarser - shift)
+            for whole in range(wholes):
+                if level > 0 and known.kind[before + whole] > _HALVED:
+                    continue
+                for k in range(whole * parts, (whole + 1) * parts if whole + 1 < wholes else blocks):
+                    begin, end = k << shift, (k + 1) << shift if k + 1 < blocks else last + 1
+                    if known.kind[first + k] > _HALVED:
+                        for cell in range(row + begin, row + end):
+                            if known.kinds[cell] == UNKNOWN:
+                                known.kinds[cell] = known.kind[first + k]
+                    elif level == levels - 1:
+                        for at in range(begin, end):
+                            if known.kinds[row + at] == UNKNOWN:
+                                known.kinds[row + at] = known.kinds[corner + (at if at == last else begin)]
+            before, wholes, coarser = first, blocks, shift
+
+
+@unowned_inlined
+def _unravel(known: _Map, cell: int) -> None:
+    """Put a cell's indices in `position`."""
+    for axis in range(len(known.shape)):
+        known.position[axis], cell = cell // known.strides[axis], cell % known.strides[axis]

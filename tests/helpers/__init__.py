@@ -1,0 +1,1 @@
+"""What several tests use: an independent reference, random drivelines, running the command."""

@@ -1,0 +1,94 @@
+"""Running clunk's core on the reference's plants, without a config in between."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from clunk.core import rk4, switching
+from clunk.core.events import EVENT, KIND_NAMES
+from clunk.core.regimes import System, build_system
+from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
+from clunk.core.severity import peak_to_peak
+from clunk.core.status import QUALITY_COMPLETE
+from clunk.core.steps import Steps, build_steps
+from helpers.reference import Plant
+
+
+class Prepared(NamedTuple):
+    """A system and RK4's tables for it."""
+
+    system: System
+    steps: Steps
+
+
+class CoreRun(NamedTuple):
+    """What the core leaves behind of one run."""
+
+    status: int
+    complete: bool
+    end: float
+    events: np.ndarray
+    states: np.ndarray
+    final_state: np.ndarray
+    primaries: np.ndarray
+    impact_severity: np.ndarray
+    severity: float
+
+    @property
+    def kinds(self):
+        """Kind and side of every event."""
+        return [(KIND_NAMES[event["kind"]], int(event["side"])) for event in self.events]
+
+    @property
+    def label(self):
+        initial = self.events["side"][0]
+        return label(INITIAL if side == initial else OPPOSITE for side in self.events["side"][self.primaries])
+
+
+def prepared(plant: Plant, step: float = 1e-4, end_time: float = 2.0, sticking_time: float | None = None) -> Prepared:
+    """The core's system for a plant, given the matrices that the reference uses."""
+    damping, stiffness = plant.open_matrices()
+    system = build_system(
+        inertia=np.array(plant.inertias),
+        damping=damping,
+        stiffness=stiffness,
+        load=plant.load,
+        lash=plant.twist,
+        contact_stiffness=plant.contact_stiffness,
+        contact_damping=plant.contact_damping,
+        separation_by_force=plant.separation == "force",
+        acceleration_of=plant.acceleration_of - 1,
+        end_time=end_time,
+        sticking_time=plant.contact_period() if sticking_time is None else sticking_time,
+        grounded=True,
+    )
+    return Prepared(system, build_steps(system, step))
+
+
+def unproved(run: Prepared) -> Prepared:
+    """The same without a bound on what can follow: it runs to its end time."""
+    return run._replace(steps=run.steps._replace(provable=np.zeros_like(run.steps.provable)))
+
+
+def core_run(
+    run: Prepared, plant: Plant, state: np.ndarray | None = None, regime: int | None = None, capacity: int = 4096
+) -> CoreRun:
+    """One run of the core, from preload unless a state is given."""
+    system, half_gap = run.system, plant.backlash / 2
+    x = np.zeros(2 * plant.n)
+    if state is None:
+        side = switching.preload(system, plant.before, half_gap, x)
+        assert side != 0
+        regime = switching.closed_on(side)
+    else:
+        x[:] = state
+        regime = switching.regime_of(system, x, half_gap) if regime is None else regime
+    events, states = np.zeros(capacity, EVENT), np.zeros((capacity, x.size))
+    status, count, quality, _, end = rk4.run(
+        system, run.steps, x, regime, float(plant.after), half_gap, events, states, np.zeros(1, np.uint8)
+    )
+    complete = bool(quality & QUALITY_COMPLETE)
+    primaries, severity = np.zeros(capacity, np.int64), np.zeros(capacity)
+    found = find_primaries(events, count, system.sticking_time, primaries)
+    total = peak_to_peak(events, count, primaries, found, severity)
+    return CoreRun(status, complete, end, events[:count], states[:count], x, primaries[:found], severity[:found], total)
