@@ -586,9 +586,9 @@ def test_help_and_version_import_neither_numba_nor_matplotlib(option):
 
 
 def test_every_command_has_help_with_an_example(clunk):
-    from clunk.cli.commands import cli
+    from clunk.cli import cli
 
-    for name in cli.commands:
+    for name in cli.list_commands(None):
         code, out, _ = clunk(name, "--help")
         assert code == 0
         assert f"clunk {name}" in out.split("Options")[0].split("\n", 2)[2]

@@ -75,7 +75,7 @@ def test_a_title_names_no_file(tmp_path, monkeypatch, title):
     """Sweeps, runs and pictures are named by the file of the config and by -o."""
     from click.testing import CliRunner
 
-    from clunk.cli.commands import cli
+    from clunk.cli import cli
 
     inside = tmp_path / "a" / "b"
     inside.mkdir(parents=True)

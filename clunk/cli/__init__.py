@@ -1,5 +1,87 @@
-"""The command line: commands, tables, JSON records and exit codes."""
+"""The command line: parse, call the library, print. Data goes to stdout, everything else to stderr.
 
-from clunk.cli.commands import main
+Each command is a module of its own, imported when it is asked for; what it needs of the library is imported inside it,
+so that `--help` and `--version` wait for neither numba nor matplotlib.
+"""
 
-__all__ = ["main"]
+from __future__ import annotations
+
+import io
+import os
+import signal
+import sys
+from importlib import import_module
+from typing import NoReturn
+
+import click
+
+from clunk import __version__
+from clunk.cli import terminal
+from clunk.cli.options import EXIT_INTERNAL, EXIT_INTERRUPTED, EXIT_TERMINATED, EXIT_USAGE
+from clunk.study.errors import ClunkError
+
+_COMMANDS = (
+    *("sweep", "plot", "simulate", "modes", "info", "init"),
+    *("compare", "verify", "sensitivity", "reproduce"),
+)
+
+
+class _Commands(click.Group):
+    """Commands of the modules that have their names."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names of all commands, sorted."""
+        return sorted(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import a command's module and return the command."""
+        if cmd_name not in _COMMANDS:
+            return None
+        command: click.Command = getattr(import_module(f"clunk.cli.{cmd_name}"), cmd_name)
+        return command
+
+
+def main() -> NoReturn:
+    """Entry point: runs the command and turns what a user can cause into one message and an exit code."""
+    signal.signal(signal.SIGTERM, _terminate)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without σ shows a ? instead of a traceback
+    try:
+        cli.main(standalone_mode=False)
+    except click.exceptions.Exit as error:
+        sys.exit(error.exit_code)
+    except click.UsageError as error:
+        command = error.ctx.command_path if error.ctx else "clunk"
+        terminal.complain(f"{error.format_message()}\nTry '{command} --help'.")
+        sys.exit(EXIT_USAGE)
+    except click.ClickException as error:
+        terminal.complain(error.format_message())
+        sys.exit(EXIT_USAGE)
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("interrupted", err=True)
+        sys.exit(EXIT_INTERRUPTED)
+    except BrokenPipeError:  # the reader of our output has gone, for example `| head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(EXIT_INTERNAL)
+    except ClunkError as error:
+        terminal.complain(str(error))
+        sys.exit(EXIT_USAGE)
+    sys.exit(0)
+
+
+def _terminate(_signal: int, _frame: object) -> NoReturn:
+    click.echo("terminated", err=True)
+    sys.exit(EXIT_TERMINATED)
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 80})
+@click.version_option(__version__, prog_name="clunk")
+def cli() -> None:
+    """Impact regime maps of drivelines with backlash.
+
+    \b
+    clunk init study.toml                     write a commented starter config
+    clunk sweep configs/figure_3_4.toml       run its grid
+    clunk plot results/figure_3_4.h5          draw the regime and severity maps
+    """

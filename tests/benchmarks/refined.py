@@ -20,7 +20,7 @@ from clunk.sweeping.engines import available_cores, cpu_model
 
 ROUNDS = 3  # of a process
 REFINED = 4  # sweeps a round, to one dense
-CLUNK = [sys.executable, "-c", "from clunk.cli.commands import main; main()"]
+CLUNK = [sys.executable, "-c", "from clunk.cli import main; main()"]
 
 
 def main(processes: int) -> None:

@@ -1,0 +1,78 @@
+"""Cells of a sweep named by --at."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import click
+
+from clunk.cli import terminal
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from clunk.study.axes import ResultAxis
+    from clunk.study.config import Study
+
+
+def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[str, float]:
+    """The swept keys' values that --at names, of `run` those of its coordinates.
+
+    Where not all are needed, what is not named keeps the config's own value.
+    """
+    import shlex
+
+    from clunk.study.axes import RUN
+    from clunk.study.config import get_value
+    from clunk.study.designs import design_of
+
+    design = design_of(study)
+    named = nearest_values(design.axes, design.coordinates, at)
+    missing = [axis for axis in design.axes if axis.parameter not in named]
+    if missing and all_needed:
+        options = (shlex.quote(f"{axis.parameter}={axis.values[len(axis.values) // 2]:.6g}") for axis in missing)
+        raise click.UsageError(f"Which cell? Also name {' '.join(f'--at {each}' for each in options)}, for example.")
+    own = [axis.parameter for axis in missing if axis.parameter != RUN]
+    own += [axis.parameter for axis in design.coordinates] if any(axis.parameter == RUN for axis in missing) else []
+    if own:
+        listed = ", ".join(f"{key} = {get_value(study, key):g}" for key in own)
+        terminal.complain(f"swept keys at the config's own values: {listed}; --at names others")
+    run = named.pop(RUN, None)
+    if run is not None:
+        named |= {axis.parameter: float(axis.values[int(run) - 1]) for axis in design.coordinates}
+    return named
+
+
+def nearest_values(
+    axes: Sequence[ResultAxis], coordinates: Sequence[ResultAxis], at: tuple[str, ...]
+) -> dict[str, float]:
+    """The axes' values that --at names, each taken to the nearest one of its axis."""
+    import numpy as np
+
+    known = {axis.parameter: axis for axis in axes}
+    values: dict[str, float] = {}
+    for assignment in at:
+        key, _, text = assignment.partition("=")
+        key = key.strip()
+        along_run = next((axis for axis in coordinates if axis.parameter == key), None)
+        if key not in known and along_run is None:
+            swept = ", ".join([*known, *(axis.parameter for axis in coordinates)]) or "nothing"
+            raise click.UsageError(f"--at {assignment}: {key!r} is not swept; swept here: {swept}.")
+        axis = along_run or known[key]
+        lowest, highest = float(axis.values.min()), float(axis.values.max())
+        try:
+            wanted = float(text)
+        except ValueError:
+            raise click.UsageError(f"--at {assignment}: {text!r} is not a number.") from None
+        if not lowest <= wanted <= highest:  # also when not a number
+            raise click.UsageError(f"--at {assignment}: {key} is swept from {lowest:g} to {highest:g}.")
+        nearest = float(axis.values[axis.nearest(wanted)])
+        if along_run is not None:
+            raise click.UsageError(
+                f"--at {assignment}: {key} changes together with the other keys of its run; name the run, --at "
+                f"run={axis.nearest(wanted) + 1}, where it is {nearest:.6g}."
+            )
+        values[key] = nearest
+        if not np.isclose(nearest, wanted, rtol=1e-9, atol=0.0):
+            terminal.complain(f"{key} = {nearest:.6g} is the nearest value of its axis")
+    return values

@@ -1,0 +1,57 @@
+"""`clunk compare`: two results files cell by cell, or one with measurements."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from clunk.cli.options import EXIT_MISMATCH, json_option
+
+
+@click.command()
+@click.argument("a", type=click.Path(path_type=Path))
+@click.argument("b", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Also draw where they differ: .png .svg .pdf.")
+@click.option("--expect-equal", is_flag=True, help="Exit with 4 where any label differs.")
+@json_option
+def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: bool) -> None:
+    """Compare the results file A with another, B, cell by cell; or with measurements.
+
+    B is a results file of the same grid, a CSV file of measured labels, or table_4_1, the report's experiment.
+
+    \b
+    Examples:
+      clunk compare results/rk4.h5 results/force.h5 --expect-equal
+      clunk compare results/figure_3_4.h5 table_4_1 -o experiment.png
+    """
+    from clunk.analysis import comparison as comparing
+    from clunk.results import targets
+    from clunk.results.store import read
+
+    if output is not None:
+        targets.check(output, targets.PICTURES)
+    results = read(a)
+    found: Any
+    other = None
+    if comparing.is_experiment(b):
+        found = comparing.compare_experiment(results, comparing.read_experiment(b))
+    else:
+        other = read(b)
+        found = comparing.compare(results, other)
+    if as_json:
+        click.echo(json.dumps(comparing.as_record(found), ensure_ascii=False))
+    else:
+        click.echo(comparing.report(found, (str(a), str(b))), nl=False)
+    if output is not None:
+        from clunk import plot as plots
+        from clunk.plot.comparisons import difference_map, experiment_map
+
+        figure = experiment_map(results, found) if other is None else difference_map(results, other, found)
+        plots.save(figure, output)
+        click.echo(f"-> {output}", err=True)
+    if expect_equal and not found.same_regimes:
+        sys.exit(EXIT_MISMATCH)

@@ -1,0 +1,33 @@
+"""`clunk init`: write a starter config."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command()
+@click.argument("path", type=click.Path(path_type=Path), default="clunk.toml")
+@click.option("--force", is_flag=True, help="Overwrite an existing file.")
+def init(path: Path, force: bool) -> None:
+    """Write a commented starter config to PATH [clunk.toml]; - prints it.
+
+    Example: clunk init study.toml
+    """
+    from importlib.resources import files
+
+    text = files("clunk.study.presets").joinpath("starter.toml").read_text(encoding="utf-8")
+    if str(path) == "-":
+        click.echo(text, nl=False)
+        return
+    if path.is_dir():
+        raise click.ClickException(f"{path} is a directory; name a file in it.")
+    if path.exists() and not force:
+        raise click.ClickException(f"{path} exists; --force overwrites it.")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise click.ClickException(f"{path} cannot be written: {error.strerror}.") from error
+    click.echo(f"wrote {path}; next: clunk sweep {path}", err=True)

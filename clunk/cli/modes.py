@@ -1,0 +1,60 @@
+"""`clunk modes`: natural frequencies, damping ratios and small-gap thresholds."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from clunk.cli.options import json_option, set_option
+
+
+@click.command()
+@click.argument("config", type=click.Path(path_type=Path))
+@set_option
+@json_option
+def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
+    """Print natural frequencies, damping ratios and small-gap thresholds.
+
+    Example: clunk modes configs/nominal.toml
+    """
+    from clunk.simulation.driveline import Driveline, steps_a_period
+    from clunk.simulation.linear import one_mode_thresholds, rigid_contact_thresholds
+    from clunk.study.config import load_study
+
+    study = load_study(config, overrides)
+    driveline = Driveline.from_study(study)
+    lash_states = {"closed": driveline.modes(closed=True), "open": driveline.modes(closed=False)}
+    thresholds = {"lowest mode": one_mode_thresholds(study), "all modes": rigid_contact_thresholds(study)}
+    if as_json:
+        record: dict[str, Any] = {
+            state: {
+                "frequency_hz": found.frequency.tolist(),
+                "damping_ratio": found.damping_ratio.tolist(),
+                "decay_rate_per_s": found.overdamped.tolist(),
+            }
+            for state, found in lash_states.items()
+        }
+        record["thresholds"] = {name: ratios.tolist() for name, ratios in thresholds.items()}
+        click.echo(json.dumps(record | {"contact_period": driveline.contact_period}))
+        return
+    for state, found in lash_states.items():
+        click.echo(f"lash {state}")
+        click.echo("  mode  frequency [Hz]  damping ratio ζ [-]")
+        for k, (frequency, ratio) in enumerate(zip(found.frequency, found.damping_ratio, strict=True), 1):
+            click.echo(f"  {k:>4}  {frequency:>14.1f}  {ratio:>19.3f}")
+        for rate in found.overdamped:
+            click.echo(f"     -  does not oscillate; {f'decays at {rate:.4g} 1/s' if rate > 0.0 else 'drifts'}")
+        click.echo()
+    click.echo(f"contact period T_c  {1e3 * driveline.contact_period:.2f} ms")
+    click.echo(
+        f"solver.step         {study.solver.step:g} s, {steps_a_period(study):.1f} steps a period of the fastest mode"
+    )
+    click.echo()
+    click.echo("load ratio σr above which one more impact appears as the backlash vanishes")
+    click.echo("  impacts       " + "".join(f"{n:>8}" for n in range(1, 5)))
+    for name, ratios in thresholds.items():
+        click.echo(f"  {name:<14}" + ("".join(f"{ratio:>8.2f}" for ratio in ratios) or "    none"))
+    click.echo("(lowest mode: σr = exp(2π ζ1 (n - 1/2)); all modes: with the lash locked)")

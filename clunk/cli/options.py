@@ -1,0 +1,27 @@
+"""Options that several commands share, and the exit codes."""
+
+from __future__ import annotations
+
+import click
+
+EXIT_INTERNAL = 1
+EXIT_USAGE = 2
+EXIT_FAILED_CELLS = 3
+EXIT_MISMATCH = 4
+EXIT_INTERRUPTED = 130
+EXIT_TERMINATED = 143
+set_option = click.option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Override a key of the config, for example --set load.ratio=7. May be repeated.",
+)
+
+
+at_option = click.option(
+    "--at", "at", multiple=True, metavar="KEY=VALUE", help="Value of a swept key. May be repeated."
+)
+
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for scripts.")

@@ -1,0 +1,87 @@
+"""`clunk plot`: draw the maps of a results file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from clunk.cli import cells, terminal
+from clunk.cli.options import at_option
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Picture: .png, .svg or .pdf [FILE.png].")
+@click.option(
+    "--quantity", metavar="NAME", help="One picture only: regimes, severity, approach_velocity, touches, margin, …"
+)
+@at_option
+@click.option("--facet", "facets", multiple=True, metavar="KEY", help="A map for each value; twice: rows, columns.")
+@click.option("--x", metavar="KEY", help="From left to right, of axes walked together or of a sample.")
+@click.option("--y", metavar="KEY", help="Upwards, of a sample; without it a quantity over --x.")
+def plot(
+    file: Path,
+    output: Path | None,
+    quantity: str | None,
+    at: tuple[str, ...],
+    facets: tuple[str, ...],
+    x: str | None,
+    y: str | None,
+) -> None:
+    """Draw the maps of a results file: the regimes and their severity.
+
+    A map has two axes: of more, --at takes a slice, and --facet draws a map for each value. Of a
+    refined sweep: the regimes. Of a tolerance map: the most likely regimes, where they are uncertain, and
+    how probable double-sided impacts are.
+
+    \b
+    Examples:
+      clunk plot results/figure_3_4.h5 -o figure.svg
+      clunk plot results/four_axes.h5 --at lash.contact.stiffness=4e5 \\
+          --facet 'driveline.shafts[1].damping'
+      clunk plot results/sample.h5 --x load.ratio --y lash.backlash_deg
+      clunk plot results/tolerance.h5 --quantity severity_95
+    """
+    from clunk import plot as plots
+    from clunk.plot import certainty
+    from clunk.results import targets
+    from clunk.results.store import read, read_header
+
+    base = output or file.with_suffix(".png")
+    if not base.suffix:
+        base = base.with_name(base.name + ".png")
+    if output is not None:
+        targets.check(base, targets.PICTURES, reads=file)
+    if read_header(file).tolerance_map:
+        from clunk.results import tolerancefile
+
+        if facets or x is not None or y is not None:
+            raise click.UsageError(
+                f"--facet, --x and --y do not go with a tolerance map, which {file} holds; --at does."
+            )
+        found = tolerancefile.read(file)
+        if at:
+            found = found.at(cells.nearest_values(found.axes, found.coordinates, at))
+        for name in [quantity] if quantity else certainty.default_quantities(found):
+            target = base if output and quantity else base.with_name(f"{base.stem}-{name}{base.suffix}")
+            plots.save(certainty.draw(found, name), target)
+            click.echo(str(target))
+        return
+    results = read(file)
+    if at:
+        results = results.at(cells.nearest_values(results.axes, results.coordinates, at))
+    look: dict[str, Any] = {"facets": facets, "x": x, "y": y}
+    names = [quantity] if quantity else plots.default_quantities(results, **look)
+    for name in names:
+        target = base if output and quantity else base.with_name(f"{base.stem}-{name}{base.suffix}")
+        plots.save(plots.draw(results, name, plots.thresholds_of(results), **look), target)
+        click.echo(str(target))
+    if quantity is None and names == ["regimes"]:
+        ran, total = int((~results.inferred).sum()), results.inferred.size
+        terminal.complain(f"{ran:,} of {total:,} cells were run: --quantity draws what else is known of those")
+    for axis in results.axes:
+        shown = len(plots.shown_values(axis, len(facets))) if axis.parameter in facets else len(axis.values)
+        if shown < len(axis.values):
+            terminal.complain(f"{shown} of the {len(axis.values)} values of {axis.parameter} are drawn, evenly spaced")

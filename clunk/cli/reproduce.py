@@ -1,0 +1,75 @@
+"""`clunk reproduce`: the report of 2008 recomputed."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from clunk.cli import terminal
+from clunk.cli.options import EXIT_MISMATCH, json_option
+from clunk.sweeping import progress
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from clunk.report.claims import Claim
+
+
+@click.command()
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), default="results/reproduction", help="Directory of the figures."
+)
+@click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")
+@click.option("--coarsen", type=click.IntRange(1, 20), default=1, help="About every n-th value of the maps' axes [1].")
+@json_option
+def reproduce(output: Path, workers: int | None, coarsen: int, as_json: bool) -> None:
+    """Recompute the report: every number and claim beside ours, every figure redrawn.
+
+    Exits with 4 where a claim that is known to agree no longer does.
+
+    Example: clunk reproduce
+    """
+    from clunk.report import claims as claiming
+    from clunk.report import reproduction
+    from clunk.results import targets
+    from clunk.sweeping.sweep import cell_count
+
+    targets.check(output / "figure_3_1.png", targets.PICTURES)
+    terminal.say_if_compiling("rk4")
+    total = sum(cell_count(study) for study in claiming.map_studies(coarsen).values())
+    with progress.shown(total) as show:
+        maps = claiming.run_maps(coarsen, workers, show)
+    evidence = claiming.Evidence(maps)
+    found = claiming.claims(evidence)
+    jobs = reproduction.figures(evidence)
+    with progress.shown(len(jobs), "figures") as show:
+        written = reproduction.save_all(jobs, evidence, found, output, show)
+    if as_json:
+        click.echo(json.dumps([claim.record() for claim in found], ensure_ascii=False))
+    else:
+        print_claims(found)
+    click.echo(f"{len(written)} files -> {output}", err=True)
+    failed = [claim for claim in found if claim.failed]
+    if failed:
+        click.echo(f"{len(failed)} of {len(found)} claims no longer agree (!)", err=True)
+        sys.exit(EXIT_MISMATCH)
+
+
+def print_claims(claims: Sequence[Claim]) -> None:
+    """The report's claims beside ours."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1), show_lines=False, leading=1)
+    table.add_column("where", max_width=10)
+    table.add_column("the report", ratio=2)
+    table.add_column("clunk", ratio=3)
+    table.add_column("verdict", max_width=11)
+    for claim in claims:
+        table.add_row(claim.where, claim.report, claim.ours, claim.verdict.value + (" (!)" if claim.failed else ""))
+    Console(highlight=False, markup=False).print(table)

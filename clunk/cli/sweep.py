@@ -1,0 +1,138 @@
+"""`clunk sweep`: run a grid and write a results file."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from clunk.cli import tables, terminal
+from clunk.cli.options import EXIT_FAILED_CELLS, EXIT_INTERRUPTED, EXIT_USAGE, json_option, set_option
+from clunk.sweeping import progress
+
+if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
+    from clunk.sweeping.engines import Engine
+    from clunk.sweeping.output import Output
+
+
+@click.command()
+@click.argument("config", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Results file [results/CONFIG.h5].")
+@set_option
+@click.option("--workers", type=click.IntRange(1, 1024), help="Threads, or local processes [one for each core].")
+@click.option("--scheduler", metavar="ADDRESS", help="Run on dask workers: tcp://HOST:8786, or local.")
+@click.option("--force", is_flag=True, help="Overwrite a results file of another config.")
+@click.option("--restart", is_flag=True, help="Begin anew: neither go on with a stopped sweep nor keep a finished one.")
+@click.option("--refine", is_flag=True, help="Run only where labels change, and infer the other cells' labels.")
+@click.option(
+    "--retry-failed", is_flag=True, help="Run the failed cells of the finished file again; [solver] may differ."
+)
+@json_option
+def sweep(
+    config: Path,
+    output: Path | None,
+    overrides: tuple[str, ...],
+    workers: int | None,
+    scheduler: str | None,
+    force: bool,
+    restart: bool,
+    refine: bool,
+    retry_failed: bool,
+    as_json: bool,
+) -> None:
+    """Run the grid of CONFIG in parallel and write a results file.
+
+    Stopped by whatever, the same command goes on where it was.
+
+    \b
+    Examples:
+      clunk sweep configs/figure_3_4.toml --set solver.step=5e-5
+      clunk sweep configs/figure_3_4.toml --refine -o refined.h5
+      clunk sweep configs/figure_3_4.toml --retry-failed --set solver.max_events=4096
+      clunk sweep configs/figure_3_4.toml --scheduler tcp://localhost:8786
+    """
+    if retry_failed and (refine or force):
+        raise click.UsageError("--retry-failed goes with neither --refine nor --force.")
+    from clunk.results import targets
+    from clunk.study.config import load_study
+
+    study = load_study(config, overrides)
+    tolerances = study.sweep is not None and bool(study.sweep.tolerances)
+    if tolerances and (refine or retry_failed):
+        option = "--refine" if refine else "--retry-failed"
+        raise click.UsageError(f"{option} does not go with [[sweep.tolerances]]: every cell has its own probabilities.")
+    target = output or Path("results") / f"{config.stem}.h5"
+    targets.check(target, targets.RESULTS, reads=config)
+    from clunk.sweeping.output import engine_of, opened
+
+    opening = engine_of(scheduler, workers, say=lambda text: click.echo(text, err=True))
+    with opened(target, study, refine=refine, retry=retry_failed, restart=restart, force=force) as output_file:
+        counts = output_file.counts
+        if counts is not None:
+            click.echo(f"{target} {'has no failed cells' if retry_failed else 'is already complete'}.", err=True)
+            if tolerances:
+                from clunk.results import tolerancefile
+
+                failed = tables.report_tolerances(tolerancefile.read(target), target, 0.0, as_json)
+            else:
+                failed = tables.report_counts(counts, target, 0.0, as_json)
+        else:
+            failed = _sweep_into(output_file, opening, as_json)
+    if failed:
+        sys.exit(EXIT_FAILED_CELLS)
+
+
+def _sweep_into(output: Output, opening: AbstractContextManager[Engine], as_json: bool) -> int:
+    """Run, write, report; how many cells, or runs of a tolerance map, have failed."""
+    import clunk.sweeping.sweep as sweeping
+    from clunk.results.tolerancemap import ToleranceMap
+    from clunk.sweeping.engines import EngineError
+
+    study, target, parts, earlier = output.study, output.path, output.parts, output.earlier
+    total = sweeping.cell_count(study)
+    terminal.warn_of_coarse_step(study, study.solver.method)
+    for parameter in sweeping.unused_parameters(study):
+        click.echo(f"note: {parameter} is swept, but changes nothing in this model", err=True)
+    terminal.say_if_compiling(study.solver.method)
+    sweeping.warm_up(study)
+    known, ran = 0 if earlier is None else total - earlier.counts()["failed"], 0
+    told = False
+    try:
+        with opening as engine, progress.shown(total) as show:
+            began = time.perf_counter()
+
+            def tell(done: int, total: int) -> None:
+                nonlocal ran, told
+                if not told:
+                    terminal.report_resumed(parts.taken_up, parts.discarded)
+                told, ran = True, done - known
+                show(done, total)
+
+            results = output.run(engine=engine, progress=tell)
+    except (KeyboardInterrupt, SystemExit, EngineError) as stopped:
+        if isinstance(stopped, EngineError):
+            terminal.complain(str(stopped))
+        terminal.complain(f"stopped: {output.kept}")
+        if isinstance(stopped, SystemExit):
+            raise
+        if isinstance(stopped, EngineError):
+            sys.exit(EXIT_USAGE)
+        click.echo("interrupted", err=True)
+        sys.exit(EXIT_INTERRUPTED)
+    seconds = time.perf_counter() - began
+    output.save(results)
+    if isinstance(results, ToleranceMap):
+        failed = tables.report_tolerances(results, target, seconds, as_json)
+        terminal.report_speed(total, ran, parts.taken_up, seconds, target, draws=results.draws)
+        terminal.report_failures(results, " for some draws")
+        return failed
+    failed = tables.report_counts(results.counts(), target, seconds, as_json)
+    terminal.report_speed(total, ran, parts.taken_up, seconds, target, inferred=output.refine)
+    if failed:
+        terminal.report_failures(results)
+    return failed

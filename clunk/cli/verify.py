@@ -1,0 +1,173 @@
+"""`clunk verify`: one study by both methods."""
+
+from __future__ import annotations
+
+import json
+import sys
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from clunk.cli import phrases, terminal
+from clunk.cli.options import EXIT_FAILED_CELLS, EXIT_MISMATCH, json_option, set_option
+from clunk.sweeping import progress
+
+if TYPE_CHECKING:
+    from clunk.analysis.verification import Verification
+
+
+@click.command()
+@click.argument("config", type=click.Path(path_type=Path))
+@set_option
+@click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")
+@json_option
+def verify(config: Path, overrides: tuple[str, ...], workers: int | None, as_json: bool) -> None:
+    """Run CONFIG by both methods, rk4 and exact, and compare labels, events and severity.
+
+    Exact is guarded: it cannot skip an event, to rounding, for this model. Where labels differ in a cell that it does
+    not flag (undecided or grazing), the exit code is 4. A config without axes is compared event by event.
+
+    \b
+    Examples:
+      clunk verify configs/smoke.toml
+      clunk verify configs/figure_3_4.toml --set solver.step=5e-5
+    """
+    from clunk.analysis import verification
+    from clunk.study.config import load_study
+    from clunk.sweeping.sweep import cell_count
+
+    study = load_study(config, overrides)
+    terminal.warn_of_coarse_step(study, "rk4")
+    terminal.say_if_compiling(*verification.METHODS)
+    with progress.shown(len(verification.METHODS) * max(cell_count(study), 1)) as show:
+        found = verification.verify(study, workers=workers, progress=show)
+    if as_json:
+        click.echo(json.dumps(found.record(), ensure_ascii=False))
+    else:
+        print_verification(found)
+    for method, results in zip(verification.METHODS, (found.rk4, found.exact), strict=True):
+        terminal.report_failures(results, f" by {method}")
+    if found.differing_elsewhere:
+        sys.exit(EXIT_MISMATCH)
+    if found.failed:
+        sys.exit(EXIT_FAILED_CELLS)
+
+
+_QUANTITIES = {
+    "impact_time": ("time of a primary impact", "s"),
+    "last_event_time": ("time of the last event", "s"),
+    "severity": ("severity Q", "rad/s²"),
+    "impact_severity": ("an impact's Qi", "rad/s²"),
+    "approach_velocity": ("approach velocity V", "rad/s"),
+}
+
+
+_MOST_DISAGREEMENTS = 8
+
+
+def print_verification(found: Verification) -> None:
+    """What two methods agree on and what not, and last of all the verdict."""
+    from clunk.analysis.verification import GUARDED
+
+    rates = ["" if found.events else f"; {found.cells / max(seconds, 1e-9):,.0f} runs/s" for seconds in found.seconds]
+    click.echo(f"rk4    a fixed step of {found.study.solver.step:g} s{rates[0]}")
+    click.echo(f"exact  {GUARDED}{rates[1]}")
+    click.echo()
+    if found.events:
+        _print_event_pairs(found)
+    else:
+        _print_cell_counts(found)
+    _print_largest(found)
+    if not found.events:
+        for flagged, count in ((False, found.differing_elsewhere), (True, found.differing_flagged)):
+            _print_disagreements(found, flagged, count)
+    click.echo()
+    click.echo(textwrap.fill(found.verdict, phrases.WIDTH))
+
+
+def _print_cell_counts(found: Verification) -> None:
+    from clunk.core.status import QUALITY_COMPLETE, QUALITY_GRAZING, QUALITY_UNDECIDED
+
+    tolerance = found.study.solver.margin_tolerance
+    rows = [
+        ("cells", found.cells),
+        ("failed", found.failed),
+        ("labels equal", found.equal),
+        ("labels differ in flagged cells", found.differing_flagged),
+        ("labels differ elsewhere", found.differing_elsewhere),
+        ("number of touches equal", found.equal_touches),
+        (f"flagged: undecided, |margin| < {tolerance:g}", found.count("exact", QUALITY_UNDECIDED)),
+        ("flagged: grazing", found.count("exact", QUALITY_GRAZING)),
+        ("complete by exact", found.count("exact", QUALITY_COMPLETE)),
+        ("complete by rk4", found.count("rk4", QUALITY_COMPLETE)),
+    ]
+    for what, count in rows:
+        if count or what != "failed":
+            click.echo(f"{what:<40}{count:>11,}  {phrases.share_of(count, found.cells):>10}")
+
+
+def _print_event_pairs(found: Verification) -> None:
+    happened = [pair for pair in found.events if pair.kind != "load step"]
+    click.echo("    rk4 [s]   exact [s]  difference  event       flank" if happened else "no events")
+    for pair in happened:
+        times = f"{phrases.number(pair.rk4, '.7f'):>11} {phrases.number(pair.exact, '.7f'):>11}"
+        difference = phrases.number(pair.rk4 - pair.exact, "+.1e")
+        click.echo(f"{times}  {difference:>10}  {pair.kind:<10}  {pair.flank}")
+    click.echo()
+    click.echo(f"{'':<12}{'rk4':<24}exact")
+    labels = [results.labels[int(results.sequence.flat[0])] for results in (found.rk4, found.exact)]
+    click.echo(f"{'label':<12}{labels[0]:<24}{labels[1]}")
+    click.echo(f"{'touches':<12}{found.rk4.touches.flat[0]:<24}{found.exact.touches.flat[0]}")
+    flag = "flagged" if found.flagged.any() else f"solver.margin_tolerance is {found.study.solver.margin_tolerance:g}"
+    click.echo(f"{'margin':<12}{'-':<24}{phrases.number(float(found.exact.margin.flat[0]), '+.3g')}; {flag}")
+
+
+def _print_largest(found: Verification) -> None:
+    from clunk.analysis.verification import SMALL
+
+    if not found.largest:
+        return
+    click.echo()
+    where = "" if found.events else " in cells with equal labels"
+    of_largest = "" if found.events else "over largest"
+    click.echo(f"{'largest difference' + where:<50}{of_largest:>13}{'over own':>12}")
+    for each in found.largest:
+        name, unit = _QUANTITIES[each.quantity]
+        line = f"  {name:<26}{f'{each.difference:.1e} {unit}':>22}"
+        if unit != "s":
+            line += (
+                f"{'' if found.events else format(each.of_largest, '.1e'):>13}{phrases.number(each.of_own, '.1e'):>12}"
+            )
+        click.echo(line)
+        if not found.events and each.difference > 0.0:
+            click.echo(phrases.at_cell(found.comparison.parameters, each.values, indent=4))
+            if each.touches[0] != each.touches[1]:
+                click.echo(f"    with {each.touches[0]} touches by rk4 and {each.touches[1]} by exact")
+    if not found.events:
+        click.echo(f"  (largest: of the map; own: the value itself, where it is {100 * SMALL:g} % of that or more)")
+    if found.study.lash.contact.model == "restitution":
+        click.echo("  (Q and Qi are not defined for the restitution model)")
+
+
+def _print_disagreements(found: Verification, flagged: bool, count: int) -> None:
+    from itertools import islice
+
+    if not count:
+        return
+    shown = list(islice(found.disagreements(flagged=flagged), _MOST_DISAGREEMENTS))
+    click.echo()
+    what = "labels differ in flagged cells" if flagged else "labels differ elsewhere"
+    click.echo(what + (f", the first {len(shown)} of {count:,}" if count > len(shown) else ""))
+    parameters = found.comparison.parameters
+    if len(parameters) > 2:  # a table of more would be too wide
+        for each in shown:
+            click.echo(f"  {each.rk4} by rk4, {each.exact} by exact; margin {each.margin:+.2g}")
+            click.echo(phrases.at_cell(parameters, each.values, indent=4))
+        return
+    rows = [[*(axis.parameter for axis in parameters), "rk4", "exact", "margin"]]
+    rows += [[*(f"{v:.6g}" for v in each.values), each.rk4, each.exact, f"{each.margin:+.2g}"] for each in shown]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        click.echo("  " + "  ".join(f"{text:<{width}}" for text, width in zip(row, widths, strict=True)).rstrip())
