@@ -26,12 +26,12 @@ def at_cell(parameters: Sequence[ResultAxis], values: Sequence[float], indent: i
     return fill(f"at {named}", blank, blank + "   ")
 
 
-def cells_phrase(count: int) -> str:
+def cells(count: int) -> str:
     """A number of cells, for example 1,024 cells."""
     return f"{count:,} {'cell' if count == 1 else 'cells'}"
 
 
-def share_of(count: int, of: int) -> str:
+def share(count: int, of: int) -> str:
     """A share that never says none or all where that is not so."""
     share = count / of
     return "> 99.99 %" if 0.9999 < share < 1.0 else "< 0.01 %" if 0.0 < share < 0.0001 else f"{100.0 * share:.2f} %"

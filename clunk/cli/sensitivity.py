@@ -105,7 +105,7 @@ def print_sensitivity(found: Sensitivity) -> None:
     for k, (label, share) in enumerate(found.labels.items()):
         count = round(share * 2 * found.samples)
         click.echo(
-            f"{'with tolerances' if k == 0 else '':<18}  {label:<{wide}}  {phrases.share_of(count, 2 * found.samples):>10}"
+            f"{'with tolerances' if k == 0 else '':<18}  {label:<{wide}}  {phrases.share(count, 2 * found.samples):>10}"
         )
     for indices in found.indices:
         click.echo()

@@ -53,17 +53,15 @@ def print_tolerances(found: ToleranceMap) -> None:
     click.echo(f"{'':<{width}}  {'most likely in':>15}  {'of all runs':>19}")
     for label, count in counts.items():
         if label != "failed" or shares[label]:
-            click.echo(
-                f"{label:<{width}}  {phrases.cells_phrase(count):>15}  {count / cells:6.1%}  {shares[label]:11.4%}"
-            )
+            click.echo(f"{label:<{width}}  {phrases.cells(count):>15}  {count / cells:6.1%}  {shares[label]:11.4%}")
     click.echo()
-    uncertain = f"{phrases.cells_phrase(found.uncertain)} of {cells:,}, {found.uncertain / cells:.1%}"
+    uncertain = f"{phrases.cells(found.uncertain)} of {cells:,}, {found.uncertain / cells:.1%}"
     click.echo(f"uncertain (no label has {CERTAIN:.0%} of the {found.draws:,} draws): {uncertain}")
     moved = int((found.sequence != found.nominal_sequence).sum())
-    click.echo(f"another most likely label than without tolerances: {phrases.cells_phrase(moved)} of {cells:,}")
+    click.echo(f"another most likely label than without tolerances: {phrases.cells(moved)} of {cells:,}")
     if found.failed:
         runs = cells * found.draws
-        affected = phrases.cells_phrase(int((found.runs[..., -1] > 0).sum()))
+        affected = phrases.cells(int((found.runs[..., -1] > 0).sum()))
         terminal.complain(f"{found.failed:,} of {runs:,} runs failed, in {affected}")
 
 

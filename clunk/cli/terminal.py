@@ -48,7 +48,7 @@ def say_if_compiling(*methods: str) -> None:
 def report_resumed(taken_up: int, discarded: int) -> None:
     """What a stopped sweep had left."""
     if taken_up:
-        click.echo(f"{phrases.cells_phrase(taken_up)} were finished before; going on from there", err=True)
+        click.echo(f"{phrases.cells(taken_up)} were finished before; going on from there", err=True)
     if discarded:
         what = "part" if discarded == 1 else "parts"
         click.echo(f"{discarded:,} {what} of other versions, or damaged: their cells are run again", err=True)
@@ -61,7 +61,7 @@ def report_speed(
     runs = (ran - taken_up) * (draws + 1)  # and nominally
     rate = f" ({runs / seconds:,.0f} runs/s)" if ran > taken_up and seconds > 0.0 else ""
     each = f" x {draws:,} draws" if draws else ""
-    click.echo(f"{phrases.cells_phrase(total)}{each} in {seconds:.1f} s{rate} -> {target}", err=True)
+    click.echo(f"{phrases.cells(total)}{each} in {seconds:.1f} s{rate} -> {target}", err=True)
     if inferred:
         click.echo(f"{ran:,} of them were run; the others are inferred from their neighbours", err=True)
 
@@ -77,7 +77,7 @@ def report_failures(results: Results | ToleranceMap, how: str = "") -> None:
         cells = np.argwhere(results.status == status)
         if status == Status.OK or cells.size == 0:
             continue
-        complain(f"{phrases.cells_phrase(len(cells))} failed{how}: {status.sentence}")
+        complain(f"{phrases.cells(len(cells))} failed{how}: {status.sentence}")
         for cell in cells[:3]:
             values = values_at(results.axes, cell, results.coordinates)
             click.echo(phrases.at_cell(results.parameters, values), err=True)

@@ -105,7 +105,7 @@ def _print_cell_counts(found: Verification) -> None:
     ]
     for what, count in rows:
         if count or what != "failed":
-            click.echo(f"{what:<40}{count:>11,}  {phrases.share_of(count, found.cells):>10}")
+            click.echo(f"{what:<40}{count:>11,}  {phrases.share(count, found.cells):>10}")
 
 
 def _print_event_pairs(found: Verification) -> None:
