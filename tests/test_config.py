@@ -39,7 +39,7 @@ from clunk.study.config import (
     to_toml,
 )
 from clunk.study.configfile import KeyLines, dotted, parse_place
-from clunk.study.designs import design_of
+from clunk.study.designs import design_of, design_of_points
 
 CONFIGS = sorted((Path(__file__).parent.parent / "configs").glob("*.toml"))
 STARTER = files("clunk.study.presets").joinpath("starter.toml").read_text(encoding="utf-8")
@@ -1070,3 +1070,55 @@ def test_truncation_holds_in_the_far_tail():
     assert values.min() >= 4.4e5
     assert values.max() <= 4.41e5
     assert np.unique(values).size == values.size
+
+
+# --- Arbitrary points ------------------------------------------------------------------------------------------------
+
+
+def test_points_are_the_cells_of_their_design():
+    points = {"load.ratio": [5.0, 1.0, 5], "lash.backlash_deg": np.array([6.0, 6.0, 0.0])}
+    design = design_of_points(study_from_text(WHOLE), points)
+    assert (design.shape, design.run) == ((3,), 0)
+    at = design.at(np.array([2, 0]))
+    assert {parameter: values.tolist() for parameter, values in at.items()} == {
+        "load.ratio": [5.0, 5.0],
+        "lash.backlash_deg": [0.0, 6.0],
+    }
+
+
+def test_points_may_give_keys_that_the_study_leaves_out_and_name_inertias():
+    points = {"impacts.sticking_time": [1e-3, 2e-3], "driveline.inertias[ring]": [0.002, 0.003], "load.on": [1, 2]}
+    design = design_of_points(study_from_text(PRESET), points)
+    assert [column.parameter for column in design.columns] == [
+        "impacts.sticking_time",
+        "driveline.inertias[4]",
+        "load.on",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("points", "key", "message"),
+    [
+        ({}, "", "no parameter is given"),
+        ({"load.ration": [1.0]}, "load.ration", 'did you mean "load.ratio"?'),
+        ({"driveline.inertias[5]": [1.0]}, "driveline.inertias[5]", "has 4 items"),
+        ({"lash.backlash_deg": [1.0, 361.0, -1.0]}, "lash.backlash_deg", "found 361 at point 2; must be a number from"),
+        ({"lash.radius": [1.0, 0.0]}, "lash.radius", "found 0 at point 2; must be a number greater than 0 (m)"),
+        ({"load.ratio": [1.0, math.nan]}, "load.ratio", "found nan at point 2; must be a finite number"),
+        ({"load.on": [1.0, 2.5]}, "load.on", "found 2.5 at point 2; must be an inertia's number"),
+        ({"load.on": [1.0, 5.0]}, "load.on", "there are 4"),
+        ({"load.ratio": [[1.0]]}, "load.ratio", "one-dimensional"),
+        ({"load.ratio": []}, "load.ratio", "not empty"),
+        ({"load.ratio": ["a"]}, "load.ratio", "must be an array of numbers"),
+        ({"load.ratio": [1.0], "lash.radius": [0.1, 0.2]}, "lash.radius", "found 2 values, and load.ratio has 1"),
+        ({"load.final_torque": [1.0]}, "load.final_torque", "does not apply"),
+        ({"load.ratio": [1.0], "solver.step": [3.0]}, "solver.step", "longer than the run"),
+        ({"driveline.inertias[4]": [1e-3, 1e11]}, "driveline.inertias[4]", "lost in rounding"),
+    ],
+)
+def test_points_obey_the_rules_of_a_file(points, key, message):
+    with pytest.raises(ConfigError) as caught:
+        design_of_points(study_from_text(PRESET), points)
+    (problem,) = caught.value.problems
+    assert problem.key == key
+    assert message in problem.message

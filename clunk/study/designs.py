@@ -7,14 +7,25 @@ sampled one) lie along one dimension, `run`, each a coordinate on it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from clunk.study.axes import RUN, ResultAxis
-from clunk.study.config import ConfigError, Draw, Study, get_value, quantity
+from clunk.study.config import Axis, ConfigError, Draw, Problem, Study, Sweep, get_value, quantity
+from clunk.study.configfile import dotted, report
+from clunk.study.configmodels import schema
+from clunk.study.configrules import (
+    findings,
+    key_at,
+    parameter_complaint,
+    place_of,
+    sweep_findings,
+    value_at,
+    with_value,
+)
 
 FloatArray = npt.NDArray[np.float64]
 Cells = npt.NDArray[np.int64]
@@ -94,6 +105,70 @@ def design_of(study: Study) -> Design:
     for draw, drawn in zip(sweep.samples, drawn_numbers(study, sweep.samples), strict=True):
         columns.append(Column(draw.parameter, len(shape), draw.applied(drawn, _nominal(study, draw))))
     return Design((*shape, sweep.sampling.count), tuple(columns), run=len(shape))
+
+
+def design_of_points(study: Study, points: Mapping[str, npt.ArrayLike]) -> Design:
+    """Design of arbitrary points of a study: one dimension, `run`, and a column for each parameter.
+
+    Parameters
+    ----------
+    study : Study
+        Its sweep is left aside.
+    points : parameter -> (n,) float, in the key's unit
+        As ``{"load.ratio": ratios, "lash.backlash_deg": gaps}``; n is 1 or more, and of all columns the same.
+
+    Raises
+    ------
+    ConfigError
+        Where a value is not one that a config may hold.
+    """
+    document = study.model_dump() | {"sweep": None}
+    columns: list[Column] = []
+    problems: list[Problem] = []
+    for parameter, values in points.items():
+        place = place_of(parameter, document)
+        key = None if place is None else key_at(schema(), place)
+        complaint = parameter_complaint(parameter, schema(), document)
+        if complaint is not None or place is None or key is None:
+            problems.append(Problem(parameter, None, complaint or "is no quantity"))
+            continue
+        try:
+            column = np.array(values, np.float64)
+        except (TypeError, ValueError):
+            problems.append(Problem(parameter, None, "must be an array of numbers"))
+            continue
+        if column.ndim != 1 or not column.size:
+            problems.append(Problem(parameter, None, f"found shape {column.shape}; must be one-dimensional, not empty"))
+            continue
+        allowed = np.isfinite(column) & (column >= key.lowest) & (column <= key.highest)
+        allowed &= (column > key.lowest) if key.above else True
+        allowed &= (column == np.floor(column)) if key.whole else True
+        if not allowed.all():
+            first = int(np.argmin(allowed))
+            must_be = key.must_be if np.isfinite(column[first]) else "a finite number"
+            problems.append(
+                Problem(parameter, None, f"found {column[first]:g} at point {first + 1}; must be {must_be}")
+            )
+        elif columns and column.size != columns[0].values.size:
+            words = f"found {column.size} values, and {columns[0].parameter} has {columns[0].values.size}"
+            problems.append(Problem(parameter, None, f"{words}; the columns must be equally long"))
+        else:
+            columns.append(Column(dotted(place), 0, column + 0.0))
+            if value_at(document, place) is None and place[0] != "load":
+                document = with_value(document, place, float(column[0]))
+    if not points:
+        problems.append(Problem("", None, "no parameter is given; give one or more, such as load.ratio"))
+    if not problems:
+        # rules that tie keys together look at the ends of an axis: here at each column's least and largest value
+        ends = [(column.parameter, (float(column.values.min()), float(column.values.max()))) for column in columns]
+        axes = tuple(Axis(parameter=parameter, values=values) for parameter, values in ends)
+        document["sweep"] = Sweep(design="zip", axes=axes).model_dump()
+        for place, message in [*sweep_findings(document, schema()), *findings(document)]:
+            parameter = columns[int(place[2])].parameter if place[:2] == ("sweep", "axes") else dotted(place)
+            problems.append(Problem(parameter, None, message))
+    if problems:
+        raise report("this set of points", problems)
+    return Design((columns[0].values.size,), tuple(columns), run=0)
 
 
 def has_tolerances(study: Study) -> bool:
