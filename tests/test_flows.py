@@ -12,14 +12,15 @@ from helpers import reference
 from numpy.polynomial.polynomial import polyder, polyint, polyval
 from scipy.linalg import expm
 
-from clunk.core import abreast, lanes, queues, rows
 from clunk.core.events import EVENT
-from clunk.core.flows import BLOCK, CROSS, SLOPE, SPANS, TERMS, VALUE
+from clunk.core.exact import curves, rows
+from clunk.core.exact.flows import BLOCK, CROSS, SLOPE, SPANS, TERMS, VALUE
+from clunk.core.exact.search import search
 from clunk.core.jit import compiled
-from clunk.core.lanes import WIDTH
-from clunk.core.pool import ask, fields, make_pool, push, take
+from clunk.core.lanes import queues, vectors
+from clunk.core.lanes.pool import ask, fields, make_pool, push, take
+from clunk.core.lanes.vectors import WIDTH
 from clunk.core.regimes import ACCELERATION, GAP
-from clunk.core.search import search
 from clunk.simulation import driveline
 from clunk.study.config import study_from_text
 
@@ -32,46 +33,46 @@ RUNS = 24  # that are looked through together: more than there are lanes
 
 @compiled
 def move(power, generator, modes, parts, work, size):
-    abreast.move(power, generator, modes, lanes.load(parts, 0), work, size, np.zeros((2 * size, WIDTH)))
+    curves.move(power, generator, modes, vectors.load(parts, 0), work, size, np.zeros((2 * size, WIDTH)))
 
 
 @compiled
 def observe(watch, output, f, steady, work, size, inputs, times, results):
     """Value, slope and curvature of a functional, its origin included."""
-    none = lanes.splat(0.0)
-    seen = abreast.glance(watch, work, size, none, 0, abreast.Curve(none, none, none, none, none))
-    torque, gap_input, elapsed = lanes.load(inputs, 0), lanes.load(inputs, 1), lanes.load(times, 0)
-    value0, slope0, curvature0 = abreast.origin(output, f, steady, torque, gap_input, elapsed)
-    lanes.store(results, 0, seen.value + value0)
-    lanes.store(results, 1, seen.slope + slope0)
-    lanes.store(results, 2, seen.curvature + curvature0)
+    none = vectors.splat(0.0)
+    seen = curves.glance(watch, work, size, none, 0, curves.Curve(none, none, none, none, none))
+    torque, gap_input, elapsed = vectors.load(inputs, 0), vectors.load(inputs, 1), vectors.load(times, 0)
+    value0, slope0, curvature0 = curves.origin(output, f, steady, torque, gap_input, elapsed)
+    vectors.store(results, 0, seen.value + value0)
+    vectors.store(results, 1, seen.slope + slope0)
+    vectors.store(results, 2, seen.curvature + curvature0)
 
 
 @compiled
 def keep(curve, results, first):
-    lanes.store(results, first, curve.value)
-    lanes.store(results, first + 1, curve.slope)
-    lanes.store(results, first + 2, curve.curvature)
-    lanes.store(results, first + 3, curve.jerk)
-    lanes.store(results, first + 4, curve.sixth)
+    vectors.store(results, first, curve.value)
+    vectors.store(results, first + 1, curve.slope)
+    vectors.store(results, first + 2, curve.curvature)
+    vectors.store(results, first + 3, curve.jerk)
+    vectors.store(results, first + 4, curve.sixth)
 
 
 @compiled
 def look(watch, work, size, levels, deepest, results):
-    """What `abreast.look` returns, and then `glance`, `bounds` and `rush`."""
-    level = lanes.load(levels, 0)
-    slower, ringing, pair, sways, sway = abreast.look(watch, work, size, level, deepest)
+    """What `curves.look` returns, and then `glance`, `bounds` and `rush`."""
+    level = vectors.load(levels, 0)
+    slower, ringing, pair, sways, sway = curves.look(watch, work, size, level, deepest)
     keep(slower, results, 0)
-    lanes.store(results, 5, ringing)
+    vectors.store(results, 5, ringing)
     keep(pair, results, 6)
-    lanes.store(results, 11, sways)
-    lanes.store(results, 12, sway)
-    keep(abreast.glance(watch, work, size, level, deepest, slower), results, 13)
-    jerk, sixth, sway = abreast.bounds(watch, work, size)
-    lanes.store(results, 18, jerk)
-    lanes.store(results, 19, sixth)
-    lanes.store(results, 20, sway)
-    lanes.store(results, 21, abreast.rush(watch, work, size, level, deepest))
+    vectors.store(results, 11, sways)
+    vectors.store(results, 12, sway)
+    keep(curves.glance(watch, work, size, level, deepest, slower), results, 13)
+    jerk, sixth, sway = curves.bounds(watch, work, size)
+    vectors.store(results, 18, jerk)
+    vectors.store(results, 19, sixth)
+    vectors.store(results, 20, sway)
+    vectors.store(results, 21, curves.rush(watch, work, size, level, deepest))
 
 
 LOOKS = 22
@@ -80,72 +81,72 @@ GLANCED, JERKING, SIXTHS, SWAYING, RUSHING = slice(13, 18), 18, 19, 20, 21
 
 @compiled
 def expand(series, work, size, shortest, sides, rest, c):
-    sign, shift = lanes.load(sides, 0), lanes.load(sides, 1)
-    origin = lanes.load(rest, 0), lanes.load(rest, 1), lanes.load(rest, 2)
-    abreast.expand(series, work, size, shortest, sign, shift, origin, c)
+    sign, shift = vectors.load(sides, 0), vectors.load(sides, 1)
+    origin = vectors.load(rest, 0), vectors.load(rest, 1), vectors.load(rest, 2)
+    curves.expand(series, work, size, shortest, sign, shift, origin, c)
 
 
 @compiled
 def curve_of(numbers, first):
-    return abreast.Curve(
-        lanes.load(numbers, first),
-        lanes.load(numbers, first + 1),
-        lanes.load(numbers, first + 2),
-        lanes.load(numbers, first + 3),
-        lanes.load(numbers, first + 4),
+    return curves.Curve(
+        vectors.load(numbers, first),
+        vectors.load(numbers, first + 1),
+        vectors.load(numbers, first + 2),
+        vectors.load(numbers, first + 3),
+        vectors.load(numbers, first + 4),
     )
 
 
 @compiled
 def find_longest(shortest, guards, rest, results):
-    h, k = abreast.longest(shortest, curve_of(guards, 0), curve_of(guards, 5), lanes.load(rest, 0))
-    lanes.store(results, 0, h)
-    lanes.store(results, 1, k)
+    h, k = curves.longest(shortest, curve_of(guards, 0), curve_of(guards, 5), vectors.load(rest, 0))
+    vectors.store(results, 0, h)
+    vectors.store(results, 1, k)
 
 
 @compiled
 def find_low(guard, h, results):
-    lanes.store(results, 0, abreast.low(curve_of(guard, 0), lanes.load(h, 0)))
-    lanes.store(results, 1, abreast.guess(curve_of(guard, 0), lanes.load(h, 0)))
+    vectors.store(results, 0, curves.low(curve_of(guard, 0), vectors.load(h, 0)))
+    vectors.store(results, 1, curves.guess(curve_of(guard, 0), vectors.load(h, 0)))
 
 
 @compiled
 def find_between(ends, rush, h, results):
-    start, end, length = curve_of(ends, 0), curve_of(ends, 5), lanes.load(h, 0)
-    least, greatest, parts = abreast.between(start, end, length)
-    lanes.store(results, 0, least)
-    lanes.store(results, 1, greatest)
-    return abreast.turns_not(start, end, parts, lanes.load(rush, 0), length)
+    start, end, length = curve_of(ends, 0), curve_of(ends, 5), vectors.load(h, 0)
+    least, greatest, parts = curves.between(start, end, length)
+    vectors.store(results, 0, least)
+    vectors.store(results, 1, greatest)
+    return curves.turns_not(start, end, parts, vectors.load(rush, 0), length)
 
 
 @compiled
 def find_fall(guard, results):
-    lanes.store(results, 0, abreast.falls_by(curve_of(guard, 0)))
+    vectors.store(results, 0, curves.falls_by(curve_of(guard, 0)))
 
 
 @compiled
 def evaluate(c, at, results):
-    s = lanes.load(at, 0)
-    value, slope, half = abreast.derivatives(c, s)
-    lanes.store(results, 0, value)
-    lanes.store(results, 1, slope)
-    lanes.store(results, 2, half)
-    lanes.store(results, 3, abreast.value(c, s))
+    s = vectors.load(at, 0)
+    value, slope, half = curves.derivatives(c, s)
+    vectors.store(results, 0, value)
+    vectors.store(results, 1, slope)
+    vectors.store(results, 2, half)
+    vectors.store(results, 3, curves.value(c, s))
 
 
 @compiled
 def cross(c, length, results):
-    found, none, s, slope, half = abreast.crossing(c, lanes.load(length, 0), False)
-    lanes.store(results, 0, s)
-    lanes.store(results, 1, slope)
-    lanes.store(results, 2, half)
+    found, none, s, slope, half = curves.crossing(c, vectors.load(length, 0), False)
+    vectors.store(results, 0, s)
+    vectors.store(results, 1, slope)
+    vectors.store(results, 2, half)
     return found, none
 
 
 @compiled
 def turn(c, length, results):
-    found, none, s = abreast.turning(c, np.zeros((TERMS, WIDTH)), lanes.load(length, 0))
-    lanes.store(results, 0, s)
+    found, none, s = curves.turning(c, np.zeros((TERMS, WIDTH)), vectors.load(length, 0))
+    vectors.store(results, 0, s)
     return found, none
 
 
@@ -285,7 +286,7 @@ class Flow:
     def enter_lanes(self, x, u):
         """(3C/2, W): coordinates and amplitudes."""
         work = np.vstack((self.enter(x, u), np.zeros((self.count // 2, WIDTH))))
-        abreast.measure(work, self.count)
+        curves.measure(work, self.count)
         return work
 
     def move(self, work, parts):
@@ -293,7 +294,7 @@ class Flow:
 
     def jump(self, work, k):
         """Each lane by another span."""
-        abreast.jump(np.ascontiguousarray(self.propagator[k].reshape(WIDTH, -1).T), work, self.count)
+        curves.jump(np.ascontiguousarray(self.propagator[k].reshape(WIDTH, -1).T), work, self.count)
 
     def leave(self, work, u, times):
         value, slope, curvature = self.origin @ u

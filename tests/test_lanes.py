@@ -7,9 +7,9 @@ import numba
 import numpy as np
 import pytest
 
-from clunk.core import lanes
 from clunk.core.jit import compiled, inlined
-from clunk.core.lanes import ROW, WIDTH
+from clunk.core.lanes import vectors
+from clunk.core.lanes.vectors import ROW, WIDTH
 
 ARITHMETIC = (operator.add, operator.sub, operator.mul, operator.truediv)
 COMPARISONS = (operator.gt, operator.ge, operator.lt, operator.le, operator.eq)
@@ -25,10 +25,10 @@ NUMBERS = (0.7, 1.0, 0.0, NAN)
 
 @inlined
 def fill(p, q, results, first):
-    lanes.store(results, first, p + q)
-    lanes.store(results, first + 1, p - q)
-    lanes.store(results, first + 2, p * q)
-    lanes.store(results, first + 3, p / q)
+    vectors.store(results, first, p + q)
+    vectors.store(results, first + 1, p - q)
+    vectors.store(results, first + 2, p * q)
+    vectors.store(results, first + 3, p / q)
 
 
 @inlined
@@ -38,7 +38,7 @@ def compare(p, q):
 
 @compiled
 def calculate(a, b, x, results):
-    p, q = lanes.load(a, 0), lanes.load(b, 0)
+    p, q = vectors.load(a, 0), vectors.load(b, 0)
     fill(p, q, results, 0)
     fill(p, x, results, 4)
     fill(x, q, results, 8)
@@ -47,68 +47,68 @@ def calculate(a, b, x, results):
 
 @compiled
 def calculate_in_place(a, b, results):
-    total, rest, product = lanes.load(a, 0), lanes.load(a, 0), lanes.load(a, 0)
-    total += lanes.load(b, 0)
-    rest -= lanes.load(b, 0)
-    product *= lanes.load(b, 0)
-    lanes.store(results, 0, total)
-    lanes.store(results, 1, rest)
-    lanes.store(results, 2, product)
+    total, rest, product = vectors.load(a, 0), vectors.load(a, 0), vectors.load(a, 0)
+    total += vectors.load(b, 0)
+    rest -= vectors.load(b, 0)
+    product *= vectors.load(b, 0)
+    vectors.store(results, 0, total)
+    vectors.store(results, 1, rest)
+    vectors.store(results, 2, product)
 
 
 @compiled
 def fuse(a, b, c, x, results):
-    p, q, r = lanes.load(a, 0), lanes.load(b, 0), lanes.load(c, 0)
-    lanes.store(results, 0, lanes.fused(p, q, r))
-    lanes.store(results, 1, lanes.fused(x, q, r))
-    lanes.store(results, 2, lanes.fused(p, x, r))
-    lanes.store(results, 3, lanes.fused(p, q, x))
+    p, q, r = vectors.load(a, 0), vectors.load(b, 0), vectors.load(c, 0)
+    vectors.store(results, 0, vectors.fused(p, q, r))
+    vectors.store(results, 1, vectors.fused(x, q, r))
+    vectors.store(results, 2, vectors.fused(p, x, r))
+    vectors.store(results, 3, vectors.fused(p, q, x))
 
 
 @compiled
 def apply(a, b, x, results):
-    p, q = lanes.load(a, 0), lanes.load(b, 0)
-    lanes.store(results, 0, lanes.larger(p, q))
-    lanes.store(results, 1, lanes.smaller(p, q))
-    lanes.store(results, 2, lanes.magnitude(p))
-    lanes.store(results, 3, lanes.root(p))
-    lanes.store(results, 4, -p)
-    lanes.store(results, 5, lanes.splat(x))
+    p, q = vectors.load(a, 0), vectors.load(b, 0)
+    vectors.store(results, 0, vectors.larger(p, q))
+    vectors.store(results, 1, vectors.smaller(p, q))
+    vectors.store(results, 2, vectors.magnitude(p))
+    vectors.store(results, 3, vectors.root(p))
+    vectors.store(results, 4, -p)
+    vectors.store(results, 5, vectors.splat(x))
 
 
 @compiled
 def select(bits, a, b, x, results):
-    p, q = lanes.load(a, 0), lanes.load(b, 0)
-    lanes.store(results, 0, lanes.choose(bits, p, q))
-    lanes.store(results, 1, lanes.choose(bits, p, x))
-    lanes.store(results, 2, lanes.choose(bits, x, q))
-    lanes.store(results, 3, lanes.choose(bits, x, -x))
+    p, q = vectors.load(a, 0), vectors.load(b, 0)
+    vectors.store(results, 0, vectors.choose(bits, p, q))
+    vectors.store(results, 1, vectors.choose(bits, p, x))
+    vectors.store(results, 2, vectors.choose(bits, x, q))
+    vectors.store(results, 3, vectors.choose(bits, x, -x))
 
 
 @compiled
 def copy(array, row, to, to_row):
-    lanes.store(to, to_row, lanes.load(array, row))
-    return lanes.number(array, row * WIDTH + 3)
+    vectors.store(to, to_row, vectors.load(array, row))
+    return vectors.number(array, row * WIDTH + 3)
 
 
 @compiled
 def gather(array, offsets, first, to, row):
-    lanes.gather(array, offsets, first, to, row)
+    vectors.gather(array, offsets, first, to, row)
 
 
 @compiled
 def scatter(of, row, array, offsets, first):
-    lanes.scatter(of, row, array, offsets, first)
+    vectors.scatter(of, row, array, offsets, first)
 
 
 @compiled
 def append(array, first, of, bits):
-    return lanes.append(array, first, of, bits)
+    return vectors.append(array, first, of, bits)
 
 
 @compiled
 def first_of(bits):
-    return lanes.first_of(bits)
+    return vectors.first_of(bits)
 
 
 def holds(bits):
@@ -243,8 +243,8 @@ def test_a_stack_is_made_to_begin_where_a_register_does():
 
     @numba.njit
     def aligned(array):
-        lanes.align_stack()
-        lanes.store(array, 0, lanes.load(array, 1))
+        vectors.align_stack()
+        vectors.store(array, 0, vectors.load(array, 1))
 
     aligned(np.zeros((2, WIDTH)))
     (code,) = aligned.inspect_llvm().values()

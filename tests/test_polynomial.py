@@ -9,18 +9,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from clunk.core.polynomial import (
-    bisect,
-    evaluate,
-    extremes,
-    first_negative,
-    first_negative_of,
-    sign_changes,
-    stationary_points,
-    turning_points,
-    value_of,
-    zero_between,
-)
+from clunk.core.exact.polynomial import first_negative_of, sign_changes, turning_points, value_of, zero_between
+from clunk.core.rk4.quartic import bisect, evaluate, extremes, first_negative, stationary_points
 
 APART = 1e-3
 COEFFICIENT = st.floats(-1.0, 1.0).map(lambda c: round(c, 6))  # no denormals: their products underflow

@@ -7,11 +7,12 @@ import pytest
 from helpers import reference
 from helpers.running import core_run, prepared, unproved
 
-from clunk.core import rk4, switching
+from clunk.core import switching
 from clunk.core.events import EVENT
 from clunk.core.regimes import CLOSED_NEGATIVE, CLOSED_POSITIVE, OPEN, PARTED_POSITIVE
+from clunk.core.rk4 import run as rk4
+from clunk.core.rk4.propagator import rk4_growth
 from clunk.core.status import INTERRUPTED, Status
-from clunk.core.steps import rk4_growth
 from clunk.simulation import driveline
 from clunk.study.config import study_from_text
 

@@ -5,9 +5,8 @@ in reading order: `regimes` (the system as data), `switching` (preload, and what
 methods, and `events` (what a run leaves behind), `sequence` and `severity` (label, Q and V), `tile` (many runs), `jit`
 (how all of it is compiled).
 
-By rk4: `steps` (full steps as matrices), `step` and `polynomial` (one short step with everything in it located), `rk4`
-(a run from preload to end), `settling` (when a run is over). Exactly: `flows` (the regimes' modes, as tables), `exact`
-(a run, and what it does at an event), `stride` (its steps) and `search` (what it looks for within one), many runs of a
-`pool` side by side: `rows` (their numbers) and `queues` (what they wait for), `abreast` (moving along the modes) by
-`lanes`, and `polynomial` again where one of them needs its own way.
+`rk4`: `propagator` (full steps as matrices), `step` and `quartic` (one short step with everything in it located), `run`
+(from preload to end), `settling` (when a run is over). `exact`: `flows` (the regimes' modes, as tables), `run` (and
+what it does at an event), `stride` (its steps) and `search` (what it looks for within one), by `rows` (of numbers),
+`curves` (moving along the modes) and `polynomial`. `lanes`: `pool` and `queues` of the runs under way, in `vectors`.
 """

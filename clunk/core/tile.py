@@ -6,16 +6,20 @@ import numpy as np
 import numpy.typing as npt
 from numba.extending import overload
 
-from clunk.core import exact, queues, rk4, rows, switching
+from clunk.core import switching
 from clunk.core.events import EVENT, TOUCH
-from clunk.core.flows import Flows
+from clunk.core.exact import rows
+from clunk.core.exact import run as exact
+from clunk.core.exact.flows import Flows
 from clunk.core.jit import compiled, unowned
-from clunk.core.pool import ABREAST, fields, make_pool
+from clunk.core.lanes import queues
+from clunk.core.lanes.pool import ABREAST, fields, make_pool
 from clunk.core.regimes import System
+from clunk.core.rk4 import run as rk4
+from clunk.core.rk4.propagator import Steps
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries
 from clunk.core.severity import approach_velocity, peak_to_peak
 from clunk.core.status import INTERRUPTED, QUALITY_UNDECIDED, Status
-from clunk.core.steps import Steps
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -31,7 +35,7 @@ CELL = np.dtype(
         ("severity", np.float64),  # Q, rad/s2
         ("approach_velocity", np.float64),  # V, rad/s
         ("last_event_time", np.float64),  # s after the load step, NaN without events
-        ("margin", np.float64),  # see clunk.core.exact; NaN where the method knows none
+        ("margin", np.float64),  # see clunk.core.exact.run; NaN where the method knows none
         ("primary_impacts", np.int32),
         ("touches", np.int32),
         ("status", np.uint8),

@@ -10,10 +10,10 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.flows import Chain, Flows, build_flows
+from clunk.core.exact.flows import Chain, Flows, build_flows
 from clunk.core.regimes import System, build_system, chain, constrained, unconstrained
+from clunk.core.rk4.propagator import Steps, build_steps
 from clunk.core.status import Status
-from clunk.core.steps import Steps, build_steps
 from clunk.study.config import Study
 
 FloatArray = npt.NDArray[np.float64]

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from clunk.core import switching, tile
 from clunk.core.events import EVENT, KIND_NAMES, TOUCH
-from clunk.core.exact import MOST
+from clunk.core.exact.run import MOST
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.core.severity import peak_to_peak, root_of_squares
 from clunk.core.status import QUALITY_COMPLETE, Status
@@ -39,7 +39,7 @@ class Trajectory:
     primaries : (P,) int64, indices of the primary impacts in `events`
     impact_severity : (P,) float64, Q_i  [rad/s2]
     complete : bool, whether it was proved that nothing follows
-    margin : float, how near the run came to another label (see clunk.core.exact); NaN where the method knows none
+    margin : float, how near the run came to another label (see clunk.core.exact.run); NaN where the method knows none
     end : float, where the run stopped  [s after the load step]
     """
 

@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core import tile as kernel
-from clunk.core.flows import Flows
+from clunk.core.exact.flows import Flows
 from clunk.core.jit import is_cold
 from clunk.core.regimes import System
+from clunk.core.rk4.propagator import Steps
 from clunk.core.status import Status
-from clunk.core.steps import Steps
 from clunk.simulation import driveline
 from clunk.simulation.load import load_step
 from clunk.study.config import Study, replace_values

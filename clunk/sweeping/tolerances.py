@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.flows import Flows
+from clunk.core.exact.flows import Flows
 from clunk.core.regimes import System
+from clunk.core.rk4.propagator import Steps
 from clunk.core.sequence import INITIAL, OPPOSITE, label
 from clunk.core.status import Status
-from clunk.core.steps import Steps
 from clunk.core.tile import LONGEST_PATTERN
 from clunk.results.results import FAILED_CODE
 from clunk.results.tolerancemap import QUANTILES, ToleranceMap

@@ -4,13 +4,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from clunk.core import rk4, switching
+from clunk.core import switching
 from clunk.core.events import EVENT, KIND_NAMES
 from clunk.core.regimes import System, build_system
+from clunk.core.rk4 import run as rk4
+from clunk.core.rk4.propagator import Steps, build_steps
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.core.severity import peak_to_peak
 from clunk.core.status import QUALITY_COMPLETE
-from clunk.core.steps import Steps, build_steps
 from helpers.reference import Plant
 
 

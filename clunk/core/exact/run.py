@@ -20,12 +20,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core import abreast, lanes, queues, rows
 from clunk.core.events import LOAD_STEP, LOCK, OPENING, REJOIN, SEPARATION, TOUCH
-from clunk.core.flows import Flows
+from clunk.core.exact import curves, rows
+from clunk.core.exact.flows import Flows
+from clunk.core.exact.search import search
+from clunk.core.exact.stride import stride
 from clunk.core.jit import compiled, unowned, unowned_inlined
-from clunk.core.lanes import WIDTH
-from clunk.core.pool import (
+from clunk.core.lanes import queues, vectors
+from clunk.core.lanes.pool import (
     AT_END,
     LOST,
     NEARS,
@@ -41,10 +43,9 @@ from clunk.core.pool import (
     separates_by_force,
     take,
 )
+from clunk.core.lanes.vectors import WIDTH
 from clunk.core.regimes import ACCELERATION, CLOSED_FLOW, FORCE, GAP, System
-from clunk.core.search import search
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
-from clunk.core.stride import stride
 from clunk.core.switching import pass_on, record, room_for_a_switch, strike
 
 FloatArray = npt.NDArray[np.float64]
@@ -147,7 +148,7 @@ def advance(pool: Pool, system: System, flows: Flows, stop: npt.NDArray[np.uint8
 
     It is the turn of what most wait for, for as long as there are as many as there are lanes.
     """
-    lanes.align_stack()
+    vectors.align_stack()
     queue = queues.SPAN
     while pool.length[queues.OVER] < WIDTH and stop[0] == 0:
         if pool.length[queue] < WIDTH:
@@ -175,34 +176,32 @@ def _enter(pool: Pool, flows: Flows, kind: int, count: int) -> None:
     flow, size, work, left = pool.kinds[kind].flow, flows.basis.shape[1], pool.work, pool.left
     origins, coordinates, states = flows.origin[flow], flows.coordinates[flow], flows.coordinates.shape[1]
     field = fields(size)
-    torque, half_gap = lanes.load(work, field + rows.TORQUE), lanes.load(work, field + rows.HALF_GAP)
-    gap_input = lanes.load(work, field + rows.SIDE) * half_gap
+    torque, half_gap = vectors.load(work, field + rows.TORQUE), vectors.load(work, field + rows.HALF_GAP)
+    gap_input = vectors.load(work, field + rows.SIDE) * half_gap
     for k in range(states):
-        origin = lanes.fused(gap_input, lanes.number(origins, size + k), torque * lanes.number(origins, k))
-        lanes.store(left, k, lanes.load(work, k) - origin)
+        origin = vectors.fused(gap_input, vectors.number(origins, size + k), torque * vectors.number(origins, k))
+        vectors.store(left, k, vectors.load(work, k) - origin)
     for c in range(size):
-        total = lanes.splat(0.0)
+        total = vectors.splat(0.0)
         for k in range(states):
-            total = lanes.fused(lanes.load(left, k), lanes.number(coordinates, k * size + c), total)
-        lanes.store(work, c, total)
-    abreast.measure(work, size)
-    none = lanes.splat(0.0)
-    acceleration = abreast.glance(
-        flows.watch[flow, ACCELERATION], work, size, none, 0, abreast.Curve(none, none, none, none, none)
+            total = vectors.fused(vectors.load(left, k), vectors.number(coordinates, k * size + c), total)
+        vectors.store(work, c, total)
+    curves.measure(work, size)
+    none = vectors.splat(0.0)
+    acceleration = curves.glance(
+        flows.watch[flow, ACCELERATION], work, size, none, 0, curves.Curve(none, none, none, none, none)
     )
-    seen = (
-        acceleration.value + abreast.origin(flows.origin_output[flow], ACCELERATION, True, torque, gap_input, none)[0]
-    )
-    lanes.store(work, field + rows.ELAPSED, none)
-    lanes.store(work, field + rows.LEVEL, none)
-    lanes.store(work, field + rows.TRY, none + np.inf)
-    lanes.store(work, field + rows.HIGH, lanes.larger(lanes.load(work, field + rows.HIGH), seen))
-    lanes.store(work, field + rows.LOW, lanes.smaller(lanes.load(work, field + rows.LOW), seen))
-    lanes.store(work, field + rows.LARGEST, seen)
-    lanes.store(work, field + rows.SMALLEST, seen)
-    lanes.store(work, field + rows.SEEN, seen)
-    lanes.store(work, field + rows.SEEN_SLOPE, acceleration.slope)
-    lanes.store(work, field + rows.SEEN_CURVATURE, acceleration.curvature)
+    seen = acceleration.value + curves.origin(flows.origin_output[flow], ACCELERATION, True, torque, gap_input, none)[0]
+    vectors.store(work, field + rows.ELAPSED, none)
+    vectors.store(work, field + rows.LEVEL, none)
+    vectors.store(work, field + rows.TRY, none + np.inf)
+    vectors.store(work, field + rows.HIGH, vectors.larger(vectors.load(work, field + rows.HIGH), seen))
+    vectors.store(work, field + rows.LOW, vectors.smaller(vectors.load(work, field + rows.LOW), seen))
+    vectors.store(work, field + rows.LARGEST, seen)
+    vectors.store(work, field + rows.SMALLEST, seen)
+    vectors.store(work, field + rows.SEEN, seen)
+    vectors.store(work, field + rows.SEEN_SLOPE, acceleration.slope)
+    vectors.store(work, field + rows.SEEN_CURVATURE, acceleration.curvature)
     put_back(pool, pool.numbers, field + rows.CHANGING, (1 << count) - 1)
 
 

@@ -4,7 +4,7 @@ A lane is added to a lane, compared with it, and so on, by the operators, and wi
 comparison is an int, whose bits are the lanes where it holds. No operation here rounds otherwise than its scalar ones,
 and no sum is reordered: a run has the same bits on every processor, in any lane, beside any others.
 
-Lanes are loaded from, and stored to, rows of a contiguous array.
+Vector are loaded from, and stored to, rows of a contiguous array.
 """
 
 import operator
@@ -18,7 +18,7 @@ from numba.extending import intrinsic, lower_builtin, models, register_model, ty
 
 WIDTH = 16  # two of the widest registers: while one waits for its result, the other works
 ROW = 8  # numbers of a run that `gather` and `scatter` take at a time
-Lanes = Any  # what mypy is told of them
+Vector = Any  # what mypy is told of them
 
 _ROW = ir.VectorType(ir.DoubleType(), WIDTH)
 _ANY = ir.Constant(_ROW, ir.Undefined)
@@ -30,7 +30,7 @@ class LanesType(types.Type):
     """numba's type of lanes."""
 
     def __init__(self) -> None:
-        super().__init__(name="Lanes")
+        super().__init__(name="Vector")
 
 
 @register_model(LanesType)

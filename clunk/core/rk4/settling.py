@@ -5,9 +5,9 @@ import numpy.typing as npt
 
 from clunk.core.jit import compiled
 from clunk.core.regimes import ACCELERATION, System
+from clunk.core.rk4.propagator import Steps
 from clunk.core.sequence import find_primaries
 from clunk.core.severity import window_extremes
-from clunk.core.steps import Steps
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -9,10 +9,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core import lanes, queues, rows
-from clunk.core.flows import TERMS, Flows
+from clunk.core.exact import rows
+from clunk.core.exact.flows import TERMS, Flows
 from clunk.core.jit import compiled, unowned_inlined
-from clunk.core.lanes import ROW, WIDTH, Lanes
+from clunk.core.lanes import queues, vectors
+from clunk.core.lanes.vectors import ROW, WIDTH, Vector
 from clunk.core.regimes import CLOSED_FLOW, CLOSED_POSITIVE, GAP, System
 
 FloatArray = npt.NDArray[np.float64]
@@ -198,7 +199,7 @@ def push(pool: Pool, queue: int, who: int) -> None:
 @unowned_inlined
 def push_all(pool: Pool, queue: int, bits: int) -> None:
     """Let some of those wait that take a step now."""
-    pool.length[queue] = lanes.append(pool.waiting[queue], pool.length[queue], pool.who, bits)
+    pool.length[queue] = vectors.append(pool.waiting[queue], pool.length[queue], pool.who, bits)
 
 
 @unowned_inlined
@@ -211,7 +212,7 @@ def take(pool: Pool, queue: int, array: FloatArray) -> int:
         who = pool.waiting[queue, first + k] if k < count else nobody
         pool.places[k], pool.who[k] = who * length, who
     for row in range(0, length, ROW):
-        lanes.gather(array, pool.places, row, pool.work, row)
+        vectors.gather(array, pool.places, row, pool.work, row)
     return int(count)
 
 
@@ -222,22 +223,22 @@ def put_back(pool: Pool, array: FloatArray, count: int, bits: int) -> None:
     for lane in range(WIDTH):
         pool.places[lane] = pool.places[lane] if (bits >> lane) & 1 else nowhere
     for row in range(0, count, ROW):
-        lanes.scatter(pool.work, row, array, pool.places, row)
+        vectors.scatter(pool.work, row, array, pool.places, row)
 
 
 @unowned_inlined
-def row_of(pool: Pool, row: int) -> Lanes:
+def row_of(pool: Pool, row: int) -> Vector:
     """One number of each of those that take a step."""
-    return lanes.load(pool.work, row)
+    return vectors.load(pool.work, row)
 
 
 @unowned_inlined
 def gather_spans(pool: Pool, propagator: FloatArray, size: int) -> None:
     """The propagators of the spans whose numbers are in the first of the notes."""
     for lane in range(WIDTH):
-        pool.others[lane] = int(max(lanes.number(pool.notes, lane), 0.0)) * 3 * size
+        pool.others[lane] = int(max(vectors.number(pool.notes, lane), 0.0)) * 3 * size
     for row in range(0, 3 * size, ROW):
-        lanes.gather(propagator, pool.others, row, pool.moved, row)
+        vectors.gather(propagator, pool.others, row, pool.moved, row)
 
 
 @unowned_inlined

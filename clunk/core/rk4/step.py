@@ -6,9 +6,9 @@ The step is expanded into its Taylor polynomial of degree 4 in time. Guards and 
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core import polynomial
 from clunk.core.jit import compiled
 from clunk.core.regimes import ACCELERATION, System
+from clunk.core.rk4 import quartic
 from clunk.core.switching import ROUNDING
 
 FloatArray = npt.NDArray[np.float64]
@@ -58,7 +58,7 @@ def first_event(
             order = 1
         for _ in range(order):
             c0, c1, c2, c3, c4 = c1, c2, c3, c4, 0.0
-        s = polynomial.first_negative(c0, c1, c2, c3, c4, length)
+        s = quartic.first_negative(c0, c1, c2, c3, c4, length)
         if s >= 0.0 and (which < 0 or s < earliest):
             earliest, which = s, guard
     return earliest, which
@@ -70,7 +70,7 @@ def acceleration_extremes(
 ) -> tuple[float, float]:
     """The largest and the smallest acceleration on the step, both ends included  [rad/s2]."""
     c0, c1, c2, c3, c4, _ = _quartic(system, flow, ACCELERATION, torque, gap_input, taylor)
-    return polynomial.extremes(c0, c1, c2, c3, c4, length)
+    return quartic.extremes(c0, c1, c2, c3, c4, length)
 
 
 @compiled
@@ -78,7 +78,7 @@ def finish(taylor: FloatArray, s: float, x: FloatArray) -> bool:
     """Set `x` to the state after time `s` of the expanded step; return whether it is finite."""
     finite = True
     for k in range(x.size):
-        x[k] = polynomial.evaluate(taylor[0, k], taylor[1, k], taylor[2, k], taylor[3, k], taylor[4, k], s)
+        x[k] = quartic.evaluate(taylor[0, k], taylor[1, k], taylor[2, k], taylor[3, k], taylor[4, k], s)
         finite = finite and np.isfinite(x[k])
     return finite
 

@@ -9,14 +9,14 @@ and the rest of the step is finished in the successor regime, so that the time g
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core import polynomial
 from clunk.core.events import LOAD_STEP
 from clunk.core.jit import compiled, inlined
 from clunk.core.regimes import ACCELERATION, System
-from clunk.core.settling import settled
+from clunk.core.rk4 import quartic
+from clunk.core.rk4.propagator import BEND, BLOCK, Steps
+from clunk.core.rk4.settling import settled
+from clunk.core.rk4.step import acceleration_extremes, expand, finish, first_event
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
-from clunk.core.step import acceleration_extremes, expand, finish, first_event
-from clunk.core.steps import BEND, BLOCK, Steps
 from clunk.core.switching import record, room_for_a_switch, switch
 
 FloatArray = npt.NDArray[np.float64]
@@ -313,6 +313,6 @@ def _watch(
     bend = _bend(before, here)
     if max(a, next_a) + bend > largest or min(a, next_a) - bend < smallest:
         c2, c3, c4 = before[here + 1] / BEND[1], before[here + 2] / BEND[2], before[here + 3] / BEND[3]
-        high, low = polynomial.extremes(a, next_a - a - c2 - c3 - c4, c2, c3, c4, 1.0)
+        high, low = quartic.extremes(a, next_a - a - c2 - c3 - c4, c2, c3, c4, 1.0)
         largest, smallest = max(largest, high), min(smallest, low)
     return largest, smallest

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core import lanes
-from clunk.core.flows import BLOCK, CROSS, CURVATURE, DECAY, JERK, OWN, RUSH, SIXTH, SLOPE, SWAY, TERMS, VALUE
+from clunk.core.exact.flows import BLOCK, CROSS, CURVATURE, DECAY, JERK, OWN, RUSH, SIXTH, SLOPE, SWAY, TERMS, VALUE
 from clunk.core.jit import unowned_inlined
-from clunk.core.lanes import ROW, Lanes, fused
+from clunk.core.lanes import vectors
+from clunk.core.lanes.vectors import ROW, Vector, fused
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -30,23 +30,23 @@ _OF_THE_SIXTH = 1.5 / 14400.0
 class Curve(NamedTuple):
     """A function of time in each lane, as it is now, and what bounds two of its derivatives from now on."""
 
-    value: Lanes
-    slope: Lanes
-    curvature: Lanes
-    jerk: Lanes  # of the third
-    sixth: Lanes
+    value: Vector
+    slope: Vector
+    curvature: Vector
+    jerk: Vector  # of the third
+    sixth: Vector
 
 
 @unowned_inlined
 def weight(array: FloatArray, row: int, lane: int) -> float:
     """A number of a table whose rows have eight."""
-    return float(lanes.number(array, row * ROW + lane))
+    return float(vectors.number(array, row * ROW + lane))
 
 
 @unowned_inlined
 def look(
-    watch: FloatArray, work: FloatArray, size: int, level: Lanes, deepest: int
-) -> tuple[Curve, Lanes, Curve, Lanes, Lanes]:
+    watch: FloatArray, work: FloatArray, size: int, level: Vector, deepest: int
+) -> tuple[Curve, Vector, Curve, Vector, Vector]:
     """A functional less its origin, and without its fastest pairs.
 
     size : of the coordinates
@@ -56,21 +56,21 @@ def look(
     -------
     slower : Curve
         Without the first `level` pairs.
-    ringing : Lanes
+    ringing : Vector
         The sway of those pairs.
-    pair, sway : Curve, Lanes
+    pair, sway : Curve, Vector
         The next pair alone.
-    sway : Lanes
+    sway : Vector
         Of all of it.
     """
-    none = lanes.splat(0.0)
+    none = vectors.splat(0.0)
     value, slope, curvature, jerk, sixth, sway, ringing = none, none, none, none, none, none, none
     next_value, next_slope, next_curvature, next_jerk, next_sixth, next_sway = none, none, none, none, none, none
     for begin in range(0, size, ROW):
         for k in range(BLOCK):
             p, number = begin + k, begin // 2 + k
-            one, other = lanes.load(work, p), lanes.load(work, p + BLOCK)
-            amplitude = lanes.load(work, size + number)
+            one, other = vectors.load(work, p), vectors.load(work, p + BLOCK)
+            amplitude = vectors.load(work, size + number)
             a = fused(other, weight(watch, p + BLOCK, VALUE), one * weight(watch, p, VALUE))
             b = fused(other, weight(watch, p + BLOCK, SLOPE), one * weight(watch, p, SLOPE))
             c = fused(other, weight(watch, p + BLOCK, CURVATURE), one * weight(watch, p, CURVATURE))
@@ -78,14 +78,14 @@ def look(
             highest = amplitude * weight(watch, size + p, SIXTH)
             if number < deepest:
                 slow, at = level <= float(number), level == float(number)
-                next_value, next_slope = lanes.choose(at, a, next_value), lanes.choose(at, b, next_slope)
-                next_curvature = lanes.choose(at, c, next_curvature)
-                next_jerk, next_sway = lanes.choose(at, jerking, next_jerk), lanes.choose(at, swing, next_sway)
-                next_sixth = lanes.choose(at, highest, next_sixth)
-                ringing += lanes.choose(slow, 0.0, swing)
-                a, b, c = lanes.choose(slow, a, 0.0), lanes.choose(slow, b, 0.0), lanes.choose(slow, c, 0.0)
-                jerking, swing = lanes.choose(slow, jerking, 0.0), lanes.choose(slow, swing, 0.0)
-                highest = lanes.choose(slow, highest, 0.0)
+                next_value, next_slope = vectors.choose(at, a, next_value), vectors.choose(at, b, next_slope)
+                next_curvature = vectors.choose(at, c, next_curvature)
+                next_jerk, next_sway = vectors.choose(at, jerking, next_jerk), vectors.choose(at, swing, next_sway)
+                next_sixth = vectors.choose(at, highest, next_sixth)
+                ringing += vectors.choose(slow, 0.0, swing)
+                a, b, c = vectors.choose(slow, a, 0.0), vectors.choose(slow, b, 0.0), vectors.choose(slow, c, 0.0)
+                jerking, swing = vectors.choose(slow, jerking, 0.0), vectors.choose(slow, swing, 0.0)
+                highest = vectors.choose(slow, highest, 0.0)
             value, slope, curvature = value + a, slope + b, curvature + c
             jerk, sixth, sway = jerk + jerking, sixth + highest, sway + swing
     slower = Curve(value, slope, curvature, jerk, sixth)
@@ -94,28 +94,28 @@ def look(
 
 
 @unowned_inlined
-def rush(watch: FloatArray, work: FloatArray, size: int, level: Lanes, deepest: int) -> Lanes:
+def rush(watch: FloatArray, work: FloatArray, size: int, level: Vector, deepest: int) -> Vector:
     """What the fastest pairs of a functional add to its slope at most from now on."""
-    total = lanes.splat(0.0)
+    total = vectors.splat(0.0)
     for pair in range(deepest):
         p = pair + pair // BLOCK * BLOCK
-        fast = lanes.load(work, size + pair) * weight(watch, size + p, RUSH)
-        total += lanes.choose(level > float(pair), fast, 0.0)
+        fast = vectors.load(work, size + pair) * weight(watch, size + p, RUSH)
+        total += vectors.choose(level > float(pair), fast, 0.0)
     return total
 
 
 @unowned_inlined
-def glance(watch: FloatArray, work: FloatArray, size: int, level: Lanes, deepest: int, before: Curve) -> Curve:
+def glance(watch: FloatArray, work: FloatArray, size: int, level: Vector, deepest: int, before: Curve) -> Curve:
     """The first of `look`, with the bounds that were found `before`."""
-    none = lanes.splat(0.0)
+    none = vectors.splat(0.0)
     value, slope, curvature = none, none, none
     for begin in range(0, size, ROW):
         for k in range(BLOCK):
             p, pair = begin + k, begin // 2 + k
-            one, other = lanes.load(work, p), lanes.load(work, p + BLOCK)
+            one, other = vectors.load(work, p), vectors.load(work, p + BLOCK)
             if pair < deepest:
                 slow = level <= float(pair)
-                one, other = lanes.choose(slow, one, 0.0), lanes.choose(slow, other, 0.0)
+                one, other = vectors.choose(slow, one, 0.0), vectors.choose(slow, other, 0.0)
             value += fused(other, weight(watch, p + BLOCK, VALUE), one * weight(watch, p, VALUE))
             slope += fused(other, weight(watch, p + BLOCK, SLOPE), one * weight(watch, p, SLOPE))
             curvature += fused(other, weight(watch, p + BLOCK, CURVATURE), one * weight(watch, p, CURVATURE))
@@ -123,13 +123,13 @@ def glance(watch: FloatArray, work: FloatArray, size: int, level: Lanes, deepest
 
 
 @unowned_inlined
-def bounds(watch: FloatArray, work: FloatArray, size: int) -> tuple[Lanes, Lanes, Lanes]:
+def bounds(watch: FloatArray, work: FloatArray, size: int) -> tuple[Vector, Vector, Vector]:
     """What bounds from now on a functional's third and sixth derivatives, and its value less its origin."""
-    none = lanes.splat(0.0)
+    none = vectors.splat(0.0)
     jerk, sixth, sway = none, none, none
     for begin in range(0, size, ROW):
         for k in range(BLOCK):
-            amplitude = lanes.load(work, size + begin // 2 + k)
+            amplitude = vectors.load(work, size + begin // 2 + k)
             jerk = fused(amplitude, weight(watch, size + begin + k, JERK), jerk)
             sixth = fused(amplitude, weight(watch, size + begin + k, SIXTH), sixth)
             sway = fused(amplitude, weight(watch, size + begin + k, SWAY), sway)
@@ -138,14 +138,14 @@ def bounds(watch: FloatArray, work: FloatArray, size: int) -> tuple[Lanes, Lanes
 
 @unowned_inlined
 def origin(
-    output: FloatArray, f: int, steady: bool, torque: Lanes, gap_input: Lanes, elapsed: Lanes
-) -> tuple[Lanes, Lanes, Lanes]:
+    output: FloatArray, f: int, steady: bool, torque: Vector, gap_input: Vector, elapsed: Vector
+) -> tuple[Vector, Vector, Vector]:
     """Value, slope and curvature of a functional's origin after a time.
 
     output : (3, F, 2) float64
     """
     value = fused(gap_input, output[0, f, 1], torque * output[0, f, 0])
-    slope = curvature = lanes.splat(0.0)
+    slope = curvature = vectors.splat(0.0)
     if not steady:
         slope = torque * output[1, f, 0] + gap_input * output[1, f, 1]
         curvature = torque * output[2, f, 0] + gap_input * output[2, f, 1]
@@ -155,7 +155,7 @@ def origin(
 
 
 @unowned_inlined
-def as_guard(curve: Curve, origin: tuple[Lanes, Lanes, Lanes], sign: Lanes, shift: Lanes) -> Curve:
+def as_guard(curve: Curve, origin: tuple[Vector, Vector, Vector], sign: Vector, shift: Vector) -> Curve:
     """sign times a functional, its origin included, plus shift."""
     value, slope, curvature = origin
     return Curve(
@@ -168,7 +168,7 @@ def as_guard(curve: Curve, origin: tuple[Lanes, Lanes, Lanes], sign: Lanes, shif
 
 
 @unowned_inlined
-def without(guard: Curve, pair: Curve, sign: Lanes, sway: Lanes) -> Curve:
+def without(guard: Curve, pair: Curve, sign: Vector, sway: Vector) -> Curve:
     """A guard without a pair of its modes, lower by that pair's sway."""
     return Curve(
         guard.value - sign * pair.value - sway,
@@ -180,7 +180,7 @@ def without(guard: Curve, pair: Curve, sign: Lanes, sway: Lanes) -> Curve:
 
 
 @unowned_inlined
-def less(guard: Curve, by: Lanes) -> Curve:
+def less(guard: Curve, by: Vector) -> Curve:
     """A guard, lower by so much."""
     return Curve(guard.value - by, guard.slope, guard.curvature, guard.jerk, guard.sixth)
 
@@ -189,23 +189,23 @@ def less(guard: Curve, by: Lanes) -> Curve:
 def either(bits: int, one: Curve, other: Curve) -> Curve:
     """One in the lanes whose bits are set, and the other elsewhere."""
     return Curve(
-        lanes.choose(bits, one.value, other.value),
-        lanes.choose(bits, one.slope, other.slope),
-        lanes.choose(bits, one.curvature, other.curvature),
-        lanes.choose(bits, one.jerk, other.jerk),
-        lanes.choose(bits, one.sixth, other.sixth),
+        vectors.choose(bits, one.value, other.value),
+        vectors.choose(bits, one.slope, other.slope),
+        vectors.choose(bits, one.curvature, other.curvature),
+        vectors.choose(bits, one.jerk, other.jerk),
+        vectors.choose(bits, one.sixth, other.sixth),
     )
 
 
 @unowned_inlined
-def low(guard: Curve, h: Lanes) -> Lanes:
+def low(guard: Curve, h: Vector) -> Vector:
     """A bound, concave in h: a guard that is positive stays so within a time h for which this is."""
-    bent = fused(guard.jerk * -A_SIXTH, h, 0.5 * lanes.smaller(guard.curvature, lanes.splat(0.0)))
+    bent = fused(guard.jerk * -A_SIXTH, h, 0.5 * vectors.smaller(guard.curvature, vectors.splat(0.0)))
     return fused(fused(bent, h, guard.slope), h, guard.value)
 
 
 @unowned_inlined
-def guess(guard: Curve, h: Lanes) -> Lanes:
+def guess(guard: Curve, h: Vector) -> Vector:
     """What is positive as long as a guard will probably stay so, and as that can probably be proved by `between`."""
     square = h * h
     bent = fused(guard.jerk * -_OF_THE_JERK, h, 0.5 * guard.curvature)
@@ -214,34 +214,34 @@ def guess(guard: Curve, h: Lanes) -> Lanes:
 
 
 @unowned_inlined
-def longest(shortest: float, one: Curve, other: Curve, at_most: Lanes) -> tuple[Lanes, Lanes]:
+def longest(shortest: float, one: Curve, other: Curve, at_most: Vector) -> tuple[Vector, Vector]:
     """The longest span of the ladder, at most `at_most`, up to which two guards stay positive by `guess`; its number.
 
     Where there is none, the number is -1.
     """
-    h, k = lanes.splat(shortest), lanes.splat(0.0)
+    h, k = vectors.splat(shortest), vectors.splat(0.0)
     none = ~_passes(one, other, h, at_most)
     for octaves in (4, 1):  # the octave, of 16, in base 4: three at once, since each takes long to be known
         a, b, c = h * float(1 << octaves), h * float(1 << 2 * octaves), h * float(1 << 3 * octaves)
         first = _passes(one, other, a, at_most)
         second = _passes(one, other, b, at_most) & first
         third = _passes(one, other, c, at_most) & second
-        h = lanes.choose(third, c, lanes.choose(second, b, lanes.choose(first, a, h)))
+        h = vectors.choose(third, c, vectors.choose(second, b, vectors.choose(first, a, h)))
         step = 2.0 * octaves
-        k += lanes.choose(third, 3.0 * step, lanes.choose(second, 2.0 * step, lanes.choose(first, step, 0.0)))
+        k += vectors.choose(third, 3.0 * step, vectors.choose(second, 2.0 * step, vectors.choose(first, step, 0.0)))
     half = h * 1.5
     passes = _passes(one, other, half, at_most)
-    h, k = lanes.choose(passes, half, h), lanes.choose(passes, k + 1.0, k)
-    return h, lanes.choose(none, -1.0, k)
+    h, k = vectors.choose(passes, half, h), vectors.choose(passes, k + 1.0, k)
+    return h, vectors.choose(none, -1.0, k)
 
 
 @unowned_inlined
-def _passes(one: Curve, other: Curve, h: Lanes, at_most: Lanes) -> int:
+def _passes(one: Curve, other: Curve, h: Vector, at_most: Vector) -> int:
     return int((guess(one, h) > 0.0) & (guess(other, h) > 0.0) & (h <= at_most))
 
 
 @unowned_inlined
-def falls_by(guard: Curve) -> Lanes:
+def falls_by(guard: Curve) -> Vector:
     """How far at least a guard will go on falling before it turns back.
 
     0 if it rises. NaN or -inf where that is so far that rounding hides it.
@@ -249,13 +249,13 @@ def falls_by(guard: Curve) -> Lanes:
     By what bounds its third derivative, it falls for a time at least. Nearly all of that is looked at, so that rounding
     does not matter.
     """
-    fall, bend = lanes.larger(-guard.slope, lanes.splat(0.0)), guard.curvature
-    h = 1.8 * fall / (bend + lanes.root(fused(bend, bend, 2.0 * guard.jerk * fall)))
+    fall, bend = vectors.larger(-guard.slope, vectors.splat(0.0)), guard.curvature
+    h = 1.8 * fall / (bend + vectors.root(fused(bend, bend, 2.0 * guard.jerk * fall)))
     return h * (fall - h * fused(guard.jerk * A_SIXTH, h, 0.5 * bend))
 
 
 @unowned_inlined
-def between(start: Curve, end: Curve, h: Lanes) -> tuple[Lanes, Lanes, Lanes]:
+def between(start: Curve, end: Curve, h: Vector) -> tuple[Vector, Vector, Vector]:
     """What a function does within a time h, by its value, slope and curvature at both ends.
 
     It is a polynomial of degree six but for the sixth derivative's part, and so within its Bernstein coefficients, of
@@ -263,9 +263,9 @@ def between(start: Curve, end: Curve, h: Lanes) -> tuple[Lanes, Lanes, Lanes]:
 
     Returns
     -------
-    least, greatest : Lanes
+    least, greatest : Vector
         Of the inner five coefficients.
-    parts : Lanes
+    parts : Vector
         The sixth derivative's bound times h⁶.
     """
     square = h * h
@@ -275,14 +275,14 @@ def between(start: Curve, end: Curve, h: Lanes) -> tuple[Lanes, Lanes, Lanes]:
     c = fused(q0, 1.0 / 30.0, fused(s0, 1.0 / 3.0, start.value))
     d = fused(q1, 1.0 / 30.0, fused(s1, -1.0 / 3.0, end.value))
     middle = 0.5 * (fused(q0, 0.05, fused(s0, 0.4, start.value)) + fused(q1, 0.05, fused(s1, -0.4, end.value)))
-    least = lanes.smaller(lanes.smaller(a, b), lanes.smaller(c, d))
-    greatest = lanes.larger(lanes.larger(a, b), lanes.larger(c, d))
+    least = vectors.smaller(vectors.smaller(a, b), vectors.smaller(c, d))
+    greatest = vectors.larger(vectors.larger(a, b), vectors.larger(c, d))
     away = parts * _PARTS
-    return lanes.smaller(least, middle - away), lanes.larger(greatest, middle + away), parts
+    return vectors.smaller(least, middle - away), vectors.larger(greatest, middle + away), parts
 
 
 @unowned_inlined
-def turns_not(start: Curve, end: Curve, parts: Lanes, rush: Lanes, h: Lanes) -> tuple[int, int]:
+def turns_not(start: Curve, end: Curve, parts: Vector, rush: Vector, h: Vector) -> tuple[int, int]:
     """Where a function is monotone within a time h; and where it bends down all the way.
 
     parts : as `between` has them; rush : what else is in its slope at most
@@ -292,10 +292,10 @@ def turns_not(start: Curve, end: Curve, parts: Lanes, rush: Lanes, h: Lanes) -> 
     a, b = fused(q0, 0.25, s0), fused(q1, -0.25, s1)
     middle = 5.0 * (fused(q1, 0.05, fused(s1, -0.4, end.value)) - fused(q0, 0.05, fused(s0, 0.4, start.value)))
     away = fused(parts, _SLOPE_PARTS, rush * h)
-    least = lanes.smaller(lanes.smaller(s0, s1), lanes.smaller(lanes.smaller(a, b), middle))
-    greatest = lanes.larger(lanes.larger(s0, s1), lanes.larger(lanes.larger(a, b), middle))
-    bend = 4.0 * lanes.larger(middle - a, b - middle)
-    bent = lanes.larger(lanes.larger(q0, q1), bend) < -(parts * _CURVATURE_PARTS)
+    least = vectors.smaller(vectors.smaller(s0, s1), vectors.smaller(vectors.smaller(a, b), middle))
+    greatest = vectors.larger(vectors.larger(s0, s1), vectors.larger(vectors.larger(a, b), middle))
+    bend = 4.0 * vectors.larger(middle - a, b - middle)
+    bent = vectors.larger(vectors.larger(q0, q1), bend) < -(parts * _CURVATURE_PARTS)
     return (least > away) | (greatest < -away), bent
 
 
@@ -310,13 +310,13 @@ def jump(propagated: FloatArray, work: FloatArray, size: int) -> None:
         at = 3 * begin
         for k in range(BLOCK):
             p, q, pair = begin + k, begin + k + BLOCK, size + begin // 2 + k
-            one, other = lanes.load(work, p), lanes.load(work, q)
+            one, other = vectors.load(work, p), vectors.load(work, q)
             own, cross, decay = at + OWN * ROW + k, at + CROSS * ROW + k, at + DECAY * ROW + k
-            moved = fused(lanes.load(propagated, own), one, lanes.load(propagated, cross) * other)
-            partner = fused(lanes.load(propagated, own + BLOCK), other, lanes.load(propagated, cross + BLOCK) * one)
-            lanes.store(work, p, moved)
-            lanes.store(work, q, partner)
-            lanes.store(work, pair, lanes.load(propagated, decay) * lanes.load(work, pair))
+            moved = fused(vectors.load(propagated, own), one, vectors.load(propagated, cross) * other)
+            partner = fused(vectors.load(propagated, own + BLOCK), other, vectors.load(propagated, cross + BLOCK) * one)
+            vectors.store(work, p, moved)
+            vectors.store(work, q, partner)
+            vectors.store(work, pair, vectors.load(propagated, decay) * vectors.load(work, pair))
 
 
 @unowned_inlined
@@ -324,39 +324,39 @@ def measure(work: FloatArray, size: int) -> None:
     """The amplitudes of the pairs."""
     for begin in range(0, size, ROW):
         for k in range(BLOCK):
-            one, other = lanes.load(work, begin + k), lanes.load(work, begin + k + BLOCK)
-            lanes.store(work, size + begin // 2 + k, lanes.root(fused(one, one, other * other)))
+            one, other = vectors.load(work, begin + k), vectors.load(work, begin + k + BLOCK)
+            vectors.store(work, size + begin // 2 + k, vectors.root(fused(one, one, other * other)))
 
 
 @unowned_inlined
 def move(
-    power: FloatArray, generator: FloatArray, modes: bool, part: Lanes, work: FloatArray, size: int, moved: FloatArray
+    power: FloatArray, generator: FloatArray, modes: bool, part: Vector, work: FloatArray, size: int, moved: FloatArray
 ) -> None:
     """Move by a part of the shortest span, by the Taylor series of the exponential. `moved` is scratch, 2C rows."""
     if modes:
         for begin in range(0, size, ROW):
             for k in range(BLOCK):
-                one, other = lanes.load(work, begin + k), lanes.load(work, begin + k + BLOCK)
-                total1, total2 = lanes.splat(0.0), lanes.splat(0.0)
+                one, other = vectors.load(work, begin + k), vectors.load(work, begin + k + BLOCK)
+                total1, total2 = vectors.splat(0.0), vectors.splat(0.0)
                 for j in range(TERMS - 1, -1, -1):
                     first = (j * (size // ROW) + begin // ROW) * 2
                     own, cross = first + OWN, first + CROSS
                     term1 = fused(other, weight(power, cross, k), one * weight(power, own, k))
                     term2 = fused(one, weight(power, cross, k + BLOCK), other * weight(power, own, k + BLOCK))
                     total1, total2 = fused(total1, part, term1), fused(total2, part, term2)
-                lanes.store(work, begin + k, total1)
-                lanes.store(work, begin + k + BLOCK, total2)
+                vectors.store(work, begin + k, total1)
+                vectors.store(work, begin + k + BLOCK, total2)
         return
     for r in range(size):
-        lanes.store(moved, r, lanes.load(work, r))
+        vectors.store(moved, r, vectors.load(work, r))
     for k in range(TERMS - 1, 0, -1):
         for r in range(size):
-            total = lanes.splat(0.0)
+            total = vectors.splat(0.0)
             for c in range(size):
-                total = fused(lanes.load(work, c), lanes.number(generator, r * size + c), total)
-            lanes.store(moved, size + r, lanes.load(moved, r) + part / float(k) * total)
+                total = fused(vectors.load(work, c), vectors.number(generator, r * size + c), total)
+            vectors.store(moved, size + r, vectors.load(moved, r) + part / float(k) * total)
         for r in range(size):
-            lanes.store(work, r, lanes.load(moved, size + r))
+            vectors.store(work, r, vectors.load(moved, size + r))
 
 
 @unowned_inlined
@@ -365,9 +365,9 @@ def expand(
     work: FloatArray,
     size: int,
     shortest: float,
-    sign: Lanes,
-    shift: Lanes,
-    origin: tuple[Lanes, Lanes, Lanes],
+    sign: Vector,
+    shift: Vector,
+    origin: tuple[Vector, Vector, Vector],
     c: FloatArray,
 ) -> None:
     """The Taylor coefficients over the shortest span of sign times a functional plus shift.
@@ -379,29 +379,29 @@ def expand(
     """
     value, slope, curvature = origin
     for j in range(TERMS):
-        total = lanes.splat(0.0)
+        total = vectors.splat(0.0)
         for k in range(size):
-            total = fused(lanes.load(work, k), weight(series, 2 * k, j), total)
+            total = fused(vectors.load(work, k), weight(series, 2 * k, j), total)
         if j == 0:
             total += value
         elif j == 1:
             total += shortest * slope
         elif j == 2:
             total += 0.5 * shortest * shortest * curvature
-        lanes.store(c, j, sign * total)
-    lanes.store(c, 0, lanes.load(c, 0) + shift)
+        vectors.store(c, j, sign * total)
+    vectors.store(c, 0, vectors.load(c, 0) + shift)
 
 
 @unowned_inlined
-def derivatives(c: FloatArray, s: Lanes) -> tuple[Lanes, Lanes, Lanes]:
+def derivatives(c: FloatArray, s: Vector) -> tuple[Vector, Vector, Vector]:
     """Value, slope and half the second derivative of a series: Horner's rule, even and odd powers side by side."""
-    none = lanes.splat(0.0)
+    none = vectors.splat(0.0)
     square = s * s
     even, odd, even_slope, odd_slope, even_half, odd_half = none, none, none, none, none, none  # by s²
     for k in range(TERMS // 2 - 1, -1, -1):
         even_half, odd_half = fused(even_half, square, even_slope), fused(odd_half, square, odd_slope)
         even_slope, odd_slope = fused(even_slope, square, even), fused(odd_slope, square, odd)
-        even, odd = fused(even, square, lanes.load(c, 2 * k)), fused(odd, square, lanes.load(c, 2 * k + 1))
+        even, odd = fused(even, square, vectors.load(c, 2 * k)), fused(odd, square, vectors.load(c, 2 * k + 1))
     value = fused(s, odd, even)
     slope = fused(2.0, fused(s, even_slope, square * odd_slope), odd)
     half = fused(4.0 * square, fused(s, odd_half, even_half), fused(3.0 * s, odd_slope, even_slope))
@@ -409,7 +409,7 @@ def derivatives(c: FloatArray, s: Lanes) -> tuple[Lanes, Lanes, Lanes]:
 
 
 @unowned_inlined
-def crossing(c: FloatArray, length: Lanes, only: bool) -> tuple[int, int, Lanes, Lanes, Lanes]:
+def crossing(c: FloatArray, length: Vector, only: bool) -> tuple[int, int, Vector, Vector, Vector]:
     """The first zero of a series that is positive at first, where it falls, or is concave, all the way to it.
 
     length : at most 1
@@ -421,14 +421,14 @@ def crossing(c: FloatArray, length: Lanes, only: bool) -> tuple[int, int, Lanes,
         The lanes where such a zero is.
     none : int
         The lanes where the series stays positive.
-    s, slope, half : Lanes
+    s, slope, half : Vector
         The zero, the slope there, and half the curvature.
     """
-    none = lanes.splat(0.0)
-    c0, c1, c2 = lanes.load(c, 0), lanes.load(c, 1), lanes.load(c, 2)
+    none = vectors.splat(0.0)
+    c0, c1, c2 = vectors.load(c, 0), vectors.load(c, 1), vectors.load(c, 2)
     # of its first three terms
-    root = lanes.root(lanes.larger(c1 * c1 - 4.0 * c0 * c2, none))
-    s = lanes.choose(c1 < 0.0, 2.0 * c0 / (root - c1), -0.5 * (c1 + root) / c2)
+    root = vectors.root(vectors.larger(c1 * c1 - 4.0 * c0 * c2, none))
+    s = vectors.choose(c1 < 0.0, 2.0 * c0 / (root - c1), -0.5 * (c1 + root) / c2)
     slope, half, found, alive = none, none, 0, (c0 > 0.0) & (s >= 0.0)
     for _ in range(3):
         alive &= s <= length
@@ -436,37 +436,37 @@ def crossing(c: FloatArray, length: Lanes, only: bool) -> tuple[int, int, Lanes,
             break
         value, slope_here, half_here = derivatives(c, s)
         moved = s - value * slope_here / (slope_here * slope_here - value * half_here)
-        s = lanes.choose(alive, moved, s)
-        slope, half = lanes.choose(alive, slope_here, slope), lanes.choose(alive, half_here, half)
+        s = vectors.choose(alive, moved, s)
+        slope, half = vectors.choose(alive, slope_here, slope), vectors.choose(alive, half_here, half)
         # what is left of the error is the square of how much the slope changed in this step, as a share of the step
-        steady = lanes.magnitude(value * half_here) <= 2e-5 * (slope_here * slope_here)
-        steady &= lanes.magnitude(value) <= 2e-5 * lanes.magnitude(slope_here)
+        steady = vectors.magnitude(value * half_here) <= 2e-5 * (slope_here * slope_here)
+        steady &= vectors.magnitude(value) <= 2e-5 * vectors.magnitude(slope_here)
         here = alive & steady & (s >= 0.0) & (s <= length)
         found |= here
         alive &= ~here
     end, rise, bend, fall = length if only else s, none, none, none
     for k in range(TERMS - 1, 1, -1):
-        term = lanes.load(c, k)
-        up = lanes.larger(term, none)
+        term = vectors.load(c, k)
+        up = vectors.larger(term, none)
         fall += term - up
         rise = fused(rise, end, float(k) * up)
         if k > 2:
             bend = fused(bend, end, float(k * (k - 1)) * up)
     found &= (c1 + rise * end < 0.0) | (2.0 * c2 + bend * end < 0.0)
-    return found, c0 + lanes.smaller(c1, none) + fall > 0.0, s, slope, half
+    return found, c0 + vectors.smaller(c1, none) + fall > 0.0, s, slope, half
 
 
 @unowned_inlined
-def value(c: FloatArray, s: Lanes) -> Lanes:
+def value(c: FloatArray, s: Vector) -> Vector:
     """The first of `derivatives`."""
-    even, odd, square = lanes.splat(0.0), lanes.splat(0.0), s * s
+    even, odd, square = vectors.splat(0.0), vectors.splat(0.0), s * s
     for k in range(TERMS // 2 - 1, -1, -1):
-        even, odd = fused(even, square, lanes.load(c, 2 * k)), fused(odd, square, lanes.load(c, 2 * k + 1))
+        even, odd = fused(even, square, vectors.load(c, 2 * k)), fused(odd, square, vectors.load(c, 2 * k + 1))
     return fused(s, odd, even)
 
 
 @unowned_inlined
-def turning(c: FloatArray, slopes: FloatArray, length: Lanes) -> tuple[int, int, Lanes]:
+def turning(c: FloatArray, slopes: FloatArray, length: Vector) -> tuple[int, int, Vector]:
     """The turning point of a series that has but one.
 
     slopes : (TERMS, WIDTH) float64
@@ -478,12 +478,12 @@ def turning(c: FloatArray, slopes: FloatArray, length: Lanes) -> tuple[int, int,
         The lanes where such a turning point is.
     none : int
         The lanes where the series has none.
-    s : Lanes
+    s : Vector
     """
-    falls = lanes.load(c, 1) < 0.0
+    falls = vectors.load(c, 1) < 0.0
     for k in range(TERMS - 1):
-        term = lanes.load(c, k + 1) * float(k + 1)
-        lanes.store(slopes, k, lanes.choose(falls, -term, term))
-    lanes.store(slopes, TERMS - 1, lanes.splat(0.0))
+        term = vectors.load(c, k + 1) * float(k + 1)
+        vectors.store(slopes, k, vectors.choose(falls, -term, term))
+    vectors.store(slopes, TERMS - 1, vectors.splat(0.0))
     found, none, s, _, _ = crossing(slopes, length, True)
     return found, none, s

@@ -7,14 +7,15 @@ what is known. Elsewhere the shortest span is expanded into its Taylor series an
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core import abreast, lanes, polynomial, queues, rows
-from clunk.core.flows import TERMS, Flows
+from clunk.core.exact import curves, polynomial, rows
+from clunk.core.exact.flows import TERMS, Flows
+from clunk.core.exact.stride import GRAZING
 from clunk.core.jit import unowned_inlined
-from clunk.core.lanes import WIDTH, Lanes
-from clunk.core.pool import Pool, fields, gather_spans, push, push_all, put_back, row_of, scale_of
+from clunk.core.lanes import queues, vectors
+from clunk.core.lanes.pool import Pool, fields, gather_spans, push, push_all, put_back, row_of, scale_of
+from clunk.core.lanes.vectors import WIDTH, Vector
 from clunk.core.regimes import ACCELERATION
 from clunk.core.status import QUALITY_GRAZING
-from clunk.core.stride import GRAZING
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -32,7 +33,7 @@ def search(pool: Pool, flows: Flows, queue: int, count: int) -> None:
     flow, f = pool.kinds[kind].flow, pool.guards[kind, g].functional if turn or depth else ACCELERATION
     size, work, c, notes = flows.basis.shape[1], pool.work, pool.series, pool.notes
     watch, modes, steady = flows.watch[flow, f], flows.modal[flow] != 0, flows.steady[flow] != 0
-    field, shortest, none, present = fields(size), flows.span[flow, 0], lanes.splat(0.0), (1 << count) - 1
+    field, shortest, none, present = fields(size), flows.span[flow, 0], vectors.splat(0.0), (1 << count) - 1
 
     rest, sign, shift = (
         row_of(pool, field + rows.REST),
@@ -49,15 +50,15 @@ def search(pool: Pool, flows: Flows, queue: int, count: int) -> None:
         row_of(pool, field + rows.BOTTOM),
         row_of(pool, field + rows.COUNTS),
     )
-    most, sixth, _ = abreast.bounds(watch, work, size)
-    seen = abreast.glance(watch, work, size, none, 0, abreast.Curve(none, none, none, most, sixth))
+    most, sixth, _ = curves.bounds(watch, work, size)
+    seen = curves.glance(watch, work, size, none, 0, curves.Curve(none, none, none, most, sixth))
     v, d, e = sign * (seen.value + o) + shift, sign * (seen.slope + p), sign * (seen.curvature + q)
     done = 0
     if depth:
         bottom = -v
         done = bottom >= top
     elif not turn:
-        top, bottom = lanes.larger(top, v), lanes.smaller(bottom, v)
+        top, bottom = vectors.larger(top, v), vectors.smaller(bottom, v)
 
     # the longest span that passes
     idle = rest - counts  # before what counts
@@ -68,39 +69,39 @@ def search(pool: Pool, flows: Flows, queue: int, count: int) -> None:
         while step > 0:
             longer = h * float(1 << step)
             passes = _passes(turn, depth, v, d, e, most, top, bottom, idle, longer)
-            h, k = lanes.choose(passes, longer, h), lanes.choose(passes, k + 2.0 * step, k)
+            h, k = vectors.choose(passes, longer, h), vectors.choose(passes, k + 2.0 * step, k)
             step //= 2
         longer = h * 1.5
         passes = _passes(turn, depth, v, d, e, most, top, bottom, idle, longer) & ~near
-        h, k = lanes.choose(passes, longer, h), lanes.choose(passes, k + 1.0, k)
-        h, k = lanes.choose(near, shortest, h), lanes.choose(near, 0.0, k)
+        h, k = vectors.choose(passes, longer, h), vectors.choose(passes, k + 1.0, k)
+        h, k = vectors.choose(near, shortest, h), vectors.choose(near, 0.0, k)
     near &= present & ~done
     if near != 0:
-        abreast.expand(flows.series[flow, f], work, size, shortest, sign, shift, (o, p, q), c)
-        falls = lanes.load(c, 1) < 0.0
+        curves.expand(flows.series[flow, f], work, size, shortest, sign, shift, (o, p, q), c)
+        falls = vectors.load(c, 1) < 0.0
         if depth:
             done |= near & ~falls
             near &= falls
-        length = none + 1.0 if depth else lanes.smaller(rest / shortest, none + 1.0)
-        found, straight, s = abreast.turning(c, pool.moved, length)
-        value, unclear = abreast.value(c, s), near & ~found & ~straight
+        length = none + 1.0 if depth else vectors.smaller(rest / shortest, none + 1.0)
+        found, straight, s = curves.turning(c, pool.moved, length)
+        value, unclear = curves.value(c, s), near & ~found & ~straight
         found &= near
         if turn:
             found &= falls & (value < top) & (rest - s * shortest <= counts)
-            top, bottom = lanes.choose(found, value, top), lanes.choose(found, value, bottom)
+            top, bottom = vectors.choose(found, value, top), vectors.choose(found, value, bottom)
         elif depth:
-            bottom = lanes.choose(found, -value, bottom)
+            bottom = vectors.choose(found, -value, bottom)
             done |= found
         else:
-            top = lanes.choose(found, lanes.larger(top, value), top)
-            bottom = lanes.choose(found, lanes.smaller(bottom, value), bottom)
+            top = vectors.choose(found, vectors.larger(top, value), top)
+            bottom = vectors.choose(found, vectors.smaller(bottom, value), bottom)
         if unclear != 0:
-            lanes.store(notes, 0, top)
-            lanes.store(notes, 1, bottom)
-            lanes.store(notes, 2, length)
-            lanes.store(notes, 3, idle / shortest)
+            vectors.store(notes, 0, top)
+            vectors.store(notes, 1, bottom)
+            vectors.store(notes, 2, length)
+            vectors.store(notes, 3, idle / shortest)
             done |= _turn_alone(pool, turn, depth, unclear)
-            top, bottom = lanes.load(notes, 0), lanes.load(notes, 1)
+            top, bottom = vectors.load(notes, 0), vectors.load(notes, 1)
 
     # go there
     if depth:
@@ -112,22 +113,22 @@ def search(pool: Pool, flows: Flows, queue: int, count: int) -> None:
     done &= present
     if done != present:
         if modes:
-            lanes.store(notes, 0, k)
+            vectors.store(notes, 0, k)
             gather_spans(pool, flows.propagator[flow], size)
-            abreast.jump(pool.moved, work, size)
+            curves.jump(pool.moved, work, size)
         else:
-            abreast.move(flows.power[flow], flows.generator[flow], modes, none + 1.0, work, size, pool.moved)
-            abreast.measure(work, size)
+            curves.move(flows.power[flow], flows.generator[flow], modes, none + 1.0, work, size, pool.moved)
+            curves.measure(work, size)
         if not steady:
-            lanes.store(work, field + rows.AT, o + h * (p + 0.5 * h * q))
-            lanes.store(work, field + rows.AT_SLOPE, p + h * q)
-    lanes.store(work, field + rows.REST, rest)
-    lanes.store(work, field + rows.TOP, top)
-    lanes.store(work, field + rows.BOTTOM, bottom)
+            vectors.store(work, field + rows.AT, o + h * (p + 0.5 * h * q))
+            vectors.store(work, field + rows.AT_SLOPE, p + h * q)
+    vectors.store(work, field + rows.REST, rest)
+    vectors.store(work, field + rows.TOP, top)
+    vectors.store(work, field + rows.BOTTOM, bottom)
     put_back(pool, pool.asked, field + (rows.AT if steady else rows.AT_CURVATURE), present & ~done)
     push_all(pool, queue, present & ~done)
     while done != 0:
-        lane = lanes.first_of(done)
+        lane = vectors.first_of(done)
         done &= done - 1
         _conclude(pool, kind, turn, depth, lane, field)
 
@@ -136,14 +137,14 @@ def search(pool: Pool, flows: Flows, queue: int, count: int) -> None:
 def _passes(
     turn: bool,
     depth: bool,
-    v: Lanes,
-    d: Lanes,
-    e: Lanes,
-    most: Lanes,
-    top: Lanes,
-    bottom: Lanes,
-    idle: Lanes,
-    h: Lanes,
+    v: Vector,
+    d: Vector,
+    e: Vector,
+    most: Vector,
+    top: Vector,
+    bottom: Vector,
+    idle: Vector,
+    h: Vector,
 ) -> int:
     """Where there is nothing to be found within times h; if so, not within shorter ones either.
 
@@ -151,15 +152,15 @@ def _passes(
     """
     if depth:
         return int(-d > h * (e + h * (0.5 * most)))
-    none = lanes.splat(0.0)
-    bend = h * (0.5 * lanes.magnitude(e) + h * (most * abreast.A_SIXTH))  # how far it may part from its tangent, over h
-    away = lanes.choose(d > 0.0, -e, e)
-    monotone = h * (away + h * (0.5 * most)) < lanes.magnitude(d)
+    none = vectors.splat(0.0)
+    bend = h * (0.5 * vectors.magnitude(e) + h * (most * curves.A_SIXTH))  # off its tangent, over h
+    away = vectors.choose(d > 0.0, -e, e)
+    monotone = h * (away + h * (0.5 * most)) < vectors.magnitude(d)
     if turn:
-        above = top - v + h * (lanes.larger(-d, none) + bend) <= 0.0
+        above = top - v + h * (vectors.larger(-d, none) + bend) <= 0.0
         return int(above | monotone | (e + h * most < 0.0) | (h <= idle))
-    within = v - top + h * (lanes.larger(d, none) + bend) <= 0.0
-    within &= bottom - v + h * (lanes.larger(-d, none) + bend) <= 0.0
+    within = v - top + h * (vectors.larger(d, none) + bend) <= 0.0
+    within &= bottom - v + h * (vectors.larger(-d, none) + bend) <= 0.0
     return int(within | monotone)
 
 
@@ -168,10 +169,10 @@ def _turn_alone(pool: Pool, turn: bool, depth: bool, bits: int) -> int:
     """The turning points of some lanes' series, one by one; into the first two notes. Whose depth is known now."""
     notes, c, found, known = pool.notes, pool.single[0], pool.single[1], 0
     while bits != 0:
-        lane = lanes.first_of(bits)
+        lane = vectors.first_of(bits)
         bits &= bits - 1
         for j in range(TERMS):
-            c[j] = lanes.number(pool.series, j * WIDTH + lane)
+            c[j] = vectors.number(pool.series, j * WIDTH + lane)
         falls = c[1] < 0.0
         for k in range(polynomial.turning_points(c, notes[2, lane], found, pool.ladder)):
             value = polynomial.value_of(c, TERMS, found[k])

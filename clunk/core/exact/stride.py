@@ -10,11 +10,11 @@ that lets a longer span pass: what rings less than a guard is away from where it
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core import abreast, lanes, polynomial, queues, rows
-from clunk.core.flows import TERMS, Flows
+from clunk.core.exact import curves, polynomial, rows
+from clunk.core.exact.flows import TERMS, Flows
 from clunk.core.jit import unowned_inlined
-from clunk.core.lanes import ROW, WIDTH, Lanes
-from clunk.core.pool import (
+from clunk.core.lanes import queues, vectors
+from clunk.core.lanes.pool import (
     AT_END,
     GOES_ON,
     LOST,
@@ -29,6 +29,7 @@ from clunk.core.pool import (
     put_back,
     row_of,
 )
+from clunk.core.lanes.vectors import ROW, WIDTH, Vector
 from clunk.core.regimes import ACCELERATION
 from clunk.core.status import QUALITY_GRAZING
 from clunk.core.switching import ROUNDING
@@ -51,7 +52,7 @@ def stride(pool: Pool, flows: Flows, queue: int, count: int) -> None:
     guard1, guard2 = pool.guards[kind, 0], pool.guards[kind, 1]
     f1, f2 = guard1.functional, guard2.functional
     size, work, notes = flows.basis.shape[1], pool.work, pool.notes
-    field, present, none = fields(size), (1 << count) - 1, lanes.splat(0.0)
+    field, present, none = fields(size), (1 << count) - 1, vectors.splat(0.0)
     alone = -1 if guards == 1 else 0  # bits of all lanes, where the second ends nothing
     output, steady, modes = flows.origin_output[flow], flows.steady[flow] != 0, flows.modal[flow] != 0
     watch, series, shortest = flows.watch[flow], flows.series[flow], flows.span[flow, 0]
@@ -75,26 +76,26 @@ def stride(pool: Pool, flows: Flows, queue: int, count: int) -> None:
     )
     static, held_from = row_of(pool, field + rows.STATIC), row_of(pool, field + rows.HELD_FROM)
     rest, gap_input = row_of(pool, field + rows.LIMIT) - elapsed, side * half_gap
-    sign1 = side * guard1.sign if guard1.sided != 0 else lanes.splat(guard1.sign)
-    sign2 = side * guard2.sign if guard2.sided != 0 else lanes.splat(guard2.sign)
+    sign1 = side * guard1.sign if guard1.sided != 0 else vectors.splat(guard1.sign)
+    sign2 = side * guard2.sign if guard2.sided != 0 else vectors.splat(guard2.sign)
     shift1, shift2 = half_gap * guard1.offset, half_gap * guard2.offset
     scale1 = half_gap * guard1.of_gap + static * guard1.of_rest
     scale2 = half_gap * guard2.of_gap + static * guard2.of_rest
-    bar1, bar2 = lanes.magnitude(margin) * scale1, lanes.magnitude(margin) * scale2
+    bar1, bar2 = vectors.magnitude(margin) * scale1, vectors.magnitude(margin) * scale2
 
     # the guards: without the pairs that are left out already, and the fastest pair that is still in them
-    slower1, ring1, pair1, sways1, sway1 = abreast.look(first, work, size, level, deepest)
-    at1 = abreast.origin(output, f1, steady, torque, gap_input, elapsed)
+    slower1, ring1, pair1, sways1, sway1 = curves.look(first, work, size, level, deepest)
+    at1 = curves.origin(output, f1, steady, torque, gap_input, elapsed)
     slower2, ring2, pair2, sways2, sway2, at2 = slower1, ring1, pair1, sways1, sway1, at1  # itself or its mirror image
     if two:
-        slower2, ring2, pair2, sways2, sway2 = abreast.look(second, work, size, level, deepest)
-        at2 = abreast.origin(output, f2, steady, torque, gap_input, elapsed)
-    start1 = abreast.as_guard(slower1, at1, sign1, shift1 - ring1)
-    start2 = abreast.as_guard(slower2, at2, sign2, shift2 - ring2)
+        slower2, ring2, pair2, sways2, sway2 = curves.look(second, work, size, level, deepest)
+        at2 = curves.origin(output, f2, steady, torque, gap_input, elapsed)
+    start1 = curves.as_guard(slower1, at1, sign1, shift1 - ring1)
+    start2 = curves.as_guard(slower2, at2, sign2, shift2 - ring2)
 
     # what can follow
-    acceleration, _, _ = abreast.origin(output, ACCELERATION, True, torque, gap_input, none)
-    _, sixth, swing = abreast.bounds(accelerating, work, size)
+    acceleration, _, _ = curves.origin(output, ACCELERATION, True, torque, gap_input, none)
+    _, sixth, swing = curves.bounds(accelerating, work, size)
     beaten = (acceleration + swing > high) | (acceleration - swing < low)
     settled = 0
     if steady:
@@ -106,10 +107,10 @@ def stride(pool: Pool, flows: Flows, queue: int, count: int) -> None:
     start1, start2 = _from_zero(start1, zero == 1.0), _from_zero(start2, zero == -1.0)
     event, ends, lost, grazing, dig = none - 1.0, 0, 0, 0, 0
     if short:
-        k, whole, part = none - 1.0, none + shortest, lanes.smaller(rest / shortest, none + 1.0)
+        k, whole, part = none - 1.0, none + shortest, vectors.smaller(rest / shortest, none + 1.0)
         ends = (rest <= shortest) & there
-        near1 = (~(abreast.low(start1, whole) > 0.0) | (zero >= 2.0)) & there
-        near2 = (~(abreast.low(start2, whole) > 0.0) | (zero <= -2.0)) & there & ~alone
+        near1 = (~(curves.low(start1, whole) > 0.0) | (zero >= 2.0)) & there
+        near2 = (~(curves.low(start2, whole) > 0.0) | (zero <= -2.0)) & there & ~alone
         for g in range(2):
             # a guard and its mirror image are seldom both near: each in its lanes, all at once
             near, other = (near1, 0) if g == 0 else (near2, near2)
@@ -117,72 +118,72 @@ def stride(pool: Pool, flows: Flows, queue: int, count: int) -> None:
                 near, other = (near1 | near2, near2 & ~near1) if g == 0 else (near1 & near2, near2)
             if near == 0:
                 continue
-            sign, shift = lanes.choose(other, sign2, sign1), lanes.choose(other, shift2, shift1)
+            sign, shift = vectors.choose(other, sign2, sign1), vectors.choose(other, shift2, shift1)
             at, sway = (at2, sway2) if two and g == 1 else (at1, sway1)
-            abreast.expand(series[f2 if g == 1 else f1], work, size, shortest, sign, shift, at, pool.series)
-            order = lanes.larger(lanes.choose(other, -zero, zero), none)
-            noise = ROUNDING * (lanes.magnitude(at[0]) + lanes.magnitude(shift) + sway)
-            found, bad, grazed, s = _crossing(pool, near, order, noise, lanes.choose(other, scale2, scale1), part)
+            curves.expand(series[f2 if g == 1 else f1], work, size, shortest, sign, shift, at, pool.series)
+            order = vectors.larger(vectors.choose(other, -zero, zero), none)
+            noise = ROUNDING * (vectors.magnitude(at[0]) + vectors.magnitude(shift) + sway)
+            found, bad, grazed, s = _crossing(pool, near, order, noise, vectors.choose(other, scale2, scale1), part)
             lost |= bad
             grazing |= grazed
             found &= (event < 0.0) | (s < part)
-            event, part = lanes.choose(found, lanes.choose(other, 1.0, 0.0), event), lanes.choose(found, s, part)
+            event, part = vectors.choose(found, vectors.choose(other, 1.0, 0.0), event), vectors.choose(found, s, part)
         h = whole * part
     else:
         at_most = row_of(pool, field + rows.TRY)
         h, k = _longest(shortest, start1, start2, alone, at_most)
-        level_guard = lanes.magnitude(zero) > 1.0  # it is zero with its slope: its series decides
-        k = lanes.choose(level_guard, -1.0, k)
-        slower1, slower2 = abreast.without(start1, pair1, sign1, sways1), abreast.without(start2, pair2, sign2, sways2)
+        level_guard = vectors.magnitude(zero) > 1.0  # it is zero with its slope: its series decides
+        k = vectors.choose(level_guard, -1.0, k)
+        slower1, slower2 = curves.without(start1, pair1, sign1, sways1), curves.without(start2, pair2, sign2, sways2)
         # nothing is left out where it would not tell a miss that counts from one that does not
         deeper = (level < float(deepest)) & (slower1.value > bar1) & ((slower2.value > bar2) | alone) & ~level_guard
         deeper &= (k >= 0.0) | (level == 0.0)
         deeper &= (pair1.jerk > _WORTH * start1.jerk) | (pair2.jerk > _WORTH * start2.jerk)
         if deeper != 0:
-            clear1, clear2 = abreast.less(slower1, _CLEAR * bar1), abreast.less(slower2, _CLEAR * bar2)
+            clear1, clear2 = curves.less(slower1, _CLEAR * bar1), curves.less(slower2, _CLEAR * bar2)
             longer, number = _longest(shortest, clear1, clear2, alone, at_most)
             deeper &= number > k
-            k, h = lanes.choose(deeper, number, k), lanes.choose(deeper, longer, h)
-            level = lanes.choose(deeper, level + 1.0, level)
-            start1, start2 = abreast.either(deeper, slower1, start1), abreast.either(deeper, slower2, start2)
-            ring1, ring2 = ring1 + lanes.choose(deeper, sways1, 0.0), ring2 + lanes.choose(deeper, sways2, 0.0)
+            k, h = vectors.choose(deeper, number, k), vectors.choose(deeper, longer, h)
+            level = vectors.choose(deeper, level + 1.0, level)
+            start1, start2 = curves.either(deeper, slower1, start1), curves.either(deeper, slower2, start2)
+            ring1, ring2 = ring1 + vectors.choose(deeper, sways1, 0.0), ring2 + vectors.choose(deeper, sways2, 0.0)
         dig, part = (~((k >= 0.0) & (start1.value >= 0.0) & ((start2.value >= 0.0) | alone))) & there, none
     moving = there & ~dig & ~lost
-    rush1 = rush2 = abreast.rush(first, work, size, level, deepest)
+    rush1 = rush2 = curves.rush(first, work, size, level, deepest)
     if two:
-        rush2 = abreast.rush(second, work, size, level, deepest)
+        rush2 = curves.rush(second, work, size, level, deepest)
 
     # go there
-    lanes.store(notes, 0, k)
+    vectors.store(notes, 0, k)
     if short:
-        abreast.move(flows.power[flow], flows.generator[flow], modes, part, work, size, pool.moved)
+        curves.move(flows.power[flow], flows.generator[flow], modes, part, work, size, pool.moved)
         if not modes:
-            abreast.measure(work, size)  # amplitudes never grow: of modes, the old ones will do for so short a time
+            curves.measure(work, size)  # amplitudes never grow: of modes, the old ones will do for so short a time
     else:
         gather_spans(pool, flows.propagator[flow], size)
-        abreast.jump(pool.moved, work, size)
+        curves.jump(pool.moved, work, size)
     elapsed += h
-    lanes.store(work, field + rows.ELAPSED, elapsed)
-    lanes.store(work, field + rows.ZERO, none)
-    lanes.store(work, field + rows.TRY, none + np.inf)
+    vectors.store(work, field + rows.ELAPSED, elapsed)
+    vectors.store(work, field + rows.ZERO, none)
+    vectors.store(work, field + rows.TRY, none + np.inf)
 
     # how the guards got on: whether they stayed positive, and whether not even the shortest span will pass
-    slower1 = abreast.glance(first, work, size, level, deepest, start1)
-    slower2, at1 = slower1, abreast.origin(output, f1, steady, torque, gap_input, elapsed)
-    at2, end1 = at1, abreast.as_guard(slower1, at1, sign1, shift1 - ring1)
-    least1, _, parts1 = abreast.between(start1, end1, h)
-    close = abreast.guess(end1, none + shortest) <= 0.0
-    sunk, failed = (end1.value < 0.0) | close, ~(lanes.smaller(least1, end1.value) > 0.0)
+    slower1 = curves.glance(first, work, size, level, deepest, start1)
+    slower2, at1 = slower1, curves.origin(output, f1, steady, torque, gap_input, elapsed)
+    at2, end1 = at1, curves.as_guard(slower1, at1, sign1, shift1 - ring1)
+    least1, _, parts1 = curves.between(start1, end1, h)
+    close = curves.guess(end1, none + shortest) <= 0.0
+    sunk, failed = (end1.value < 0.0) | close, ~(vectors.smaller(least1, end1.value) > 0.0)
     end2, least2, parts2 = end1, least1, parts1
     if watched == 2:
         if two:
-            slower2 = abreast.glance(second, work, size, level, deepest, start2)
-            at2 = abreast.origin(output, f2, steady, torque, gap_input, elapsed)
-        end2 = abreast.as_guard(slower2, at2, sign2, shift2 - ring2)
-        least2, _, parts2 = abreast.between(start2, end2, h)
-        close |= (abreast.guess(end2, none + shortest) <= 0.0) & ~alone
+            slower2 = curves.glance(second, work, size, level, deepest, start2)
+            at2 = curves.origin(output, f2, steady, torque, gap_input, elapsed)
+        end2 = curves.as_guard(slower2, at2, sign2, shift2 - ring2)
+        least2, _, parts2 = curves.between(start2, end2, h)
+        close |= (curves.guess(end2, none + shortest) <= 0.0) & ~alone
         sunk |= close | (end2.value < 0.0) & ~alone
-        failed |= ~(lanes.smaller(least2, end2.value) > 0.0) & ~alone
+        failed |= ~(vectors.smaller(least2, end2.value) > 0.0) & ~alone
     # a span beyond the end of the run counts as failed, so that no event depends on where that end is
     failed = 0 if short else (failed | (h > rest)) & moving
     moving &= ~failed
@@ -194,33 +195,33 @@ def stride(pool: Pool, flows: Flows, queue: int, count: int) -> None:
         rush, scale, bar = (rush1, scale1, bar1) if g == 0 else (rush2, scale2, bar2)
         fresh = (zero > 1.0 if g == 0 else zero < -1.0) & (held_from <= 0.0)
         may = counts & (scale > 0.0) & ~(event == float(g)) & ~fresh
-        may &= lanes.smaller(lanes.smaller(start.value, end.value), least) < bar
-        monotone, crest = abreast.turns_not(start, end, parts, rush, h)
+        may &= vectors.smaller(vectors.smaller(start.value, end.value), least) < bar
+        monotone, crest = curves.turns_not(start, end, parts, rush, h)
         may &= ~monotone & ~(crest & (level == 0.0))
         if may != 0:
             sign, shift = (sign1, shift1) if g == 0 else (sign2, shift2)
             misses |= may << (g * WIDTH)
             _seek_turns(pool, flows, flow, f1 if g == 0 else f2, g, may, h, sign, shift, elapsed)
-    lanes.store(work, field + rows.LEVEL, lanes.choose(sunk, 0.0, level))
+    vectors.store(work, field + rows.LEVEL, vectors.choose(sunk, 0.0, level))
 
     # who moved is put back; who met an event, with its state
     happened, deep = (event >= 0.0) & moving, 0
     if happened != 0:
         # a margin is made by how deep the guard goes, unless that is certainly more than the margin is
-        deep = lanes.choose(event == 0.0, abreast.falls_by(end1) - bar1, abreast.falls_by(end2) - bar2) >= 0.0
+        deep = vectors.choose(event == 0.0, curves.falls_by(end1) - bar1, curves.falls_by(end2) - bar2) >= 0.0
         _leave(pool, flows, flow, torque, gap_input, elapsed, happened)
-        lanes.store(notes, 0, event)
+        vectors.store(notes, 0, event)
     put_back(pool, pool.numbers, field + rows.CHANGING, moving)
     bits = dig
     while bits != 0:
-        lane = lanes.first_of(bits)
+        lane = vectors.first_of(bits)
         bits &= bits - 1
         pool.numbers[pool.who[lane], field + rows.LEVEL] = 0.0
     if failed != 0:
-        lanes.store(notes, 1, _NEXT_TRY * h)
+        vectors.store(notes, 1, _NEXT_TRY * h)
         bits = failed
         while bits != 0:
-            lane = lanes.first_of(bits)
+            lane = vectors.first_of(bits)
             bits &= bits - 1
             pool.numbers[pool.who[lane], field + rows.TRY] = notes[1, lane]
     special = (settled | lost | ends | grazing | happened | turns | misses | misses >> WIDTH) & present
@@ -231,7 +232,7 @@ def stride(pool: Pool, flows: Flows, queue: int, count: int) -> None:
         push_all(pool, queues.PART + kind, moving & ~special)
     push_all(pool, queues.FOLLOW, special)
     while special != 0:
-        lane = lanes.first_of(special)
+        lane = vectors.first_of(special)
         special &= special - 1
         run, bit = pool.runs[pool.who[lane]], 1 << lane
         run.pending = (turns >> lane & 1) | (misses >> lane & 1) << 1 | (misses >> (lane + WIDTH) & 1) << 2
@@ -243,15 +244,15 @@ def stride(pool: Pool, flows: Flows, queue: int, count: int) -> None:
         elif lost & bit:
             run.ended = LOST
         elif happened & bit:
-            run.ended = int(lanes.number(notes, lane))
+            run.ended = int(vectors.number(notes, lane))
         else:
             run.ended = AT_END if ends & bit else (NEARS if close & bit else GOES_ON)
 
 
 @unowned_inlined
 def _crossing(
-    pool: Pool, near: int, order: Lanes, noise: Lanes, scale: Lanes, part: Lanes
-) -> tuple[int, int, int, Lanes]:
+    pool: Pool, near: int, order: Vector, noise: Vector, scale: Vector, part: Vector
+) -> tuple[int, int, int, Vector]:
     """Where the guards whose series are `pool.series` turn negative first, within a part of the shortest span.
 
     near : the lanes that are concerned
@@ -263,35 +264,35 @@ def _crossing(
     found, lost, grazed : int
         The lanes where it does, where nothing is finite, and where it does not turn negative, but turns back within
         GRAZING.
-    s : Lanes
+    s : Vector
         In shares of the shortest span.
     """
     c = pool.series
-    start = lanes.load(c, 0)
+    start = vectors.load(c, 0)
     lost = near & ~(start - start == 0.0)
     near &= ~lost
-    within = lanes.larger(noise, GRAZING * scale)
-    order = lanes.choose((order == 0.0) & (start <= noise) & (start >= -within), 1.0, order)
+    within = vectors.larger(noise, GRAZING * scale)
+    order = vectors.choose((order == 0.0) & (start <= noise) & (start >= -within), 1.0, order)
     for n in range(3):  # zeros at the beginning are divided out
         shifted = order > float(n)
         if shifted == 0:
             break
         for j in range(TERMS - 1):
-            lanes.store(c, j, lanes.choose(shifted, lanes.load(c, j + 1), lanes.load(c, j)))
-        lanes.store(c, TERMS - 1, lanes.choose(shifted, 0.0, lanes.load(c, TERMS - 1)))
-    found, positive, s, fall, half = abreast.crossing(c, part, False)
+            vectors.store(c, j, vectors.choose(shifted, vectors.load(c, j + 1), vectors.load(c, j)))
+        vectors.store(c, TERMS - 1, vectors.choose(shifted, 0.0, vectors.load(c, TERMS - 1)))
+    found, positive, s, fall, half = curves.crossing(c, part, False)
     unclear = near & ~found & ~positive
     if unclear != 0:
-        lanes.store(pool.notes, 0, s)
-        lanes.store(pool.notes, 1, fall)
-        lanes.store(pool.notes, 2, half)
-        lanes.store(pool.notes, 3, part)
+        vectors.store(pool.notes, 0, s)
+        vectors.store(pool.notes, 1, fall)
+        vectors.store(pool.notes, 2, half)
+        vectors.store(pool.notes, 3, part)
         found |= _cross_alone(pool, unclear)
-        s, fall, half = lanes.load(pool.notes, 0), lanes.load(pool.notes, 1), lanes.load(pool.notes, 2)
+        s, fall, half = vectors.load(pool.notes, 0), vectors.load(pool.notes, 1), vectors.load(pool.notes, 2)
     # only where it falls at once can it turn back within rounding
-    start = lanes.load(c, 0)
-    fall = lanes.choose(order > 0.0, start, fall)
-    bend = lanes.choose(order > 0.0, 2.0 * lanes.load(c, 1), 2.0 * half)
+    start = vectors.load(c, 0)
+    fall = vectors.choose(order > 0.0, start, fall)
+    bend = vectors.choose(order > 0.0, 2.0 * vectors.load(c, 1), 2.0 * half)
     tangent = (s > 0.0) | (order > 0.0) | (start >= -within)
     tangent &= (bend > 0.0) & (order < 2.0) & (fall * fall <= 2.0 * bend * GRAZING * scale)
     found &= near
@@ -303,10 +304,10 @@ def _cross_alone(pool: Pool, bits: int) -> int:
     """Zero, slope and half the curvature of some lanes' series, one by one, into the first notes; whose has a zero."""
     notes, c, found = pool.notes, pool.single[0], 0
     while bits != 0:
-        lane = lanes.first_of(bits)
+        lane = vectors.first_of(bits)
         bits &= bits - 1
         for j in range(TERMS):
-            c[j] = lanes.number(pool.series, j * WIDTH + lane)
+            c[j] = vectors.number(pool.series, j * WIDTH + lane)
         zero = polynomial.first_negative_of(c, notes[3, lane], pool.single[1], pool.ladder)
         if zero >= 0.0:
             found |= 1 << lane
@@ -316,42 +317,45 @@ def _cross_alone(pool: Pool, bits: int) -> int:
 
 
 @unowned_inlined
-def _accelerate(pool: Pool, watch: FloatArray, origin: Lanes, sixth: Lanes, h: Lanes, beaten: int, size: int) -> int:
+def _accelerate(pool: Pool, watch: FloatArray, origin: Vector, sixth: Vector, h: Vector, beaten: int, size: int) -> int:
     """See what the acceleration did within a time h; in which lanes it may have had an extreme that counts.
 
     beaten : the lanes where it can exceed what its window holds
     """
     work, notes, field = pool.work, pool.notes, fields(size)
-    none = lanes.splat(0.0)
-    start = abreast.Curve(
+    none = vectors.splat(0.0)
+    start = curves.Curve(
         row_of(pool, field + rows.SEEN),
         row_of(pool, field + rows.SEEN_SLOPE),
         row_of(pool, field + rows.SEEN_CURVATURE),
         none,
         sixth,
     )
-    seen = abreast.glance(watch, work, size, none, 0, start)
+    seen = curves.glance(watch, work, size, none, 0, start)
     last = seen.value + origin
-    end = abreast.Curve(last, seen.slope, seen.curvature, none, sixth)
-    high, low = lanes.larger(row_of(pool, field + rows.HIGH), last), lanes.smaller(row_of(pool, field + rows.LOW), last)
+    end = curves.Curve(last, seen.slope, seen.curvature, none, sixth)
+    high, low = (
+        vectors.larger(row_of(pool, field + rows.HIGH), last),
+        vectors.smaller(row_of(pool, field + rows.LOW), last),
+    )
     turns = 0
     if beaten != 0:
-        least, greatest, parts = abreast.between(start, end, h)
-        monotone, _ = abreast.turns_not(start, end, parts, none, h)
+        least, greatest, parts = curves.between(start, end, h)
+        monotone, _ = curves.turns_not(start, end, parts, none, h)
         turns = ((greatest > high) | (least < low)) & beaten & ~monotone
-    lanes.store(work, field + rows.HIGH, high)
-    lanes.store(work, field + rows.LOW, low)
-    lanes.store(work, field + rows.LARGEST, lanes.larger(row_of(pool, field + rows.LARGEST), last))
-    lanes.store(work, field + rows.SMALLEST, lanes.smaller(row_of(pool, field + rows.SMALLEST), last))
-    lanes.store(work, field + rows.SEEN, last)
-    lanes.store(work, field + rows.SEEN_SLOPE, seen.slope)
-    lanes.store(work, field + rows.SEEN_CURVATURE, seen.curvature)
+    vectors.store(work, field + rows.HIGH, high)
+    vectors.store(work, field + rows.LOW, low)
+    vectors.store(work, field + rows.LARGEST, vectors.larger(row_of(pool, field + rows.LARGEST), last))
+    vectors.store(work, field + rows.SMALLEST, vectors.smaller(row_of(pool, field + rows.SMALLEST), last))
+    vectors.store(work, field + rows.SEEN, last)
+    vectors.store(work, field + rows.SEEN_SLOPE, seen.slope)
+    vectors.store(work, field + rows.SEEN_CURVATURE, seen.curvature)
     if turns != 0:
-        lanes.store(notes, 1, h)
-        lanes.store(notes, 2, origin)
+        vectors.store(notes, 1, h)
+        vectors.store(notes, 2, origin)
         bits = turns
         while bits != 0:
-            lane = lanes.first_of(bits)
+            lane = vectors.first_of(bits)
             bits &= bits - 1
             pool.here[0], pool.here[1], pool.here[2] = notes[2, lane], 0.0, 0.0
             ask(pool, pool.who[lane], rows.EXTREMES_TASK, size, notes[1, lane], 1.0, 0.0)
@@ -366,20 +370,20 @@ def _seek_turns(
     f: int,
     g: int,
     bits: int,
-    h: Lanes,
-    sign: Lanes,
-    shift: Lanes,
-    elapsed: Lanes,
+    h: Vector,
+    sign: Vector,
+    shift: Vector,
+    elapsed: Vector,
 ) -> None:
     """In some lanes, let the lowest turn of a guard within the step be looked for."""
     notes, numbers, size = pool.notes, pool.numbers, flows.basis.shape[1]
     field = fields(size)
-    lanes.store(notes, 1, h)
-    lanes.store(notes, 2, sign)
-    lanes.store(notes, 3, shift)
-    lanes.store(notes, 4, elapsed)
+    vectors.store(notes, 1, h)
+    vectors.store(notes, 2, sign)
+    vectors.store(notes, 3, shift)
+    vectors.store(notes, 4, elapsed)
     while bits != 0:
-        lane = lanes.first_of(bits)
+        lane = vectors.first_of(bits)
         bits &= bits - 1
         slot = pool.who[lane]
         torque, gap_input = (
@@ -395,39 +399,39 @@ def _seek_turns(
 
 @unowned_inlined
 def _longest(
-    shortest: float, one: abreast.Curve, other: abreast.Curve, alone: int, at_most: Lanes
-) -> tuple[Lanes, Lanes]:
-    """`abreast.longest`; a single guard is not looked at twice."""
+    shortest: float, one: curves.Curve, other: curves.Curve, alone: int, at_most: Vector
+) -> tuple[Vector, Vector]:
+    """`curves.longest`; a single guard is not looked at twice."""
     if alone != 0:
-        return abreast.longest(shortest, one, one, at_most)
-    return abreast.longest(shortest, one, other, at_most)
+        return curves.longest(shortest, one, one, at_most)
+    return curves.longest(shortest, one, other, at_most)
 
 
 @unowned_inlined
-def _from_zero(guard: abreast.Curve, bits: int) -> abreast.Curve:
+def _from_zero(guard: curves.Curve, bits: int) -> curves.Curve:
     """A guard that is known to be zero in some lanes."""
-    value = lanes.choose(bits, 0.0, guard.value)
-    return abreast.Curve(value, guard.slope, guard.curvature, guard.jerk, guard.sixth)
+    value = vectors.choose(bits, 0.0, guard.value)
+    return curves.Curve(value, guard.slope, guard.curvature, guard.jerk, guard.sixth)
 
 
 @unowned_inlined
-def _leave(pool: Pool, flows: Flows, flow: int, torque: Lanes, gap_input: Lanes, elapsed: Lanes, bits: int) -> None:
+def _leave(pool: Pool, flows: Flows, flow: int, torque: Vector, gap_input: Vector, elapsed: Vector, bits: int) -> None:
     """The states of some lanes, into `pool.state`."""
     origins, basis, left, size = flows.origin[flow], flows.basis[flow], pool.left, flows.basis.shape[1]
     half = 0.5 * elapsed * elapsed
     for n in range(flows.coordinates.shape[1]):
-        origin = lanes.fused(gap_input, lanes.number(origins, size + n), torque * lanes.number(origins, n))
+        origin = vectors.fused(gap_input, vectors.number(origins, size + n), torque * vectors.number(origins, n))
         if flows.steady[flow] == 0:
-            slope = torque * lanes.number(origins, 2 * size + n) + gap_input * lanes.number(origins, 3 * size + n)
-            bend = torque * lanes.number(origins, 4 * size + n) + gap_input * lanes.number(origins, 5 * size + n)
+            slope = torque * vectors.number(origins, 2 * size + n) + gap_input * vectors.number(origins, 3 * size + n)
+            bend = torque * vectors.number(origins, 4 * size + n) + gap_input * vectors.number(origins, 5 * size + n)
             origin += slope * elapsed
             origin += bend * half
-        away = lanes.splat(0.0)
+        away = vectors.splat(0.0)
         for j in range(size):
-            away = lanes.fused(lanes.load(pool.work, j), lanes.number(basis, j * size + n), away)
-        lanes.store(left, n, origin + away)
+            away = vectors.fused(vectors.load(pool.work, j), vectors.number(basis, j * size + n), away)
+        vectors.store(left, n, origin + away)
     nobody = pool.state.shape[0] - 1
     for lane in range(WIDTH):
         pool.others[lane] = (pool.who[lane] if (bits >> lane) & 1 else nobody) * size
     for row in range(0, size, ROW):
-        lanes.scatter(left, row, pool.state, pool.others, row)
+        vectors.scatter(left, row, pool.state, pool.others, row)

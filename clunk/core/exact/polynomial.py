@@ -1,0 +1,124 @@
+"""The zeros and turning points of one polynomial of any degree: the Taylor series of a functional over a short span."""
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.core.jit import unowned, unowned_inlined
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@unowned
+def value_of(c: FloatArray, count: int, s: float) -> float:
+    """c[0] + c[1] s + ... + c[count - 1] s^(count - 1): Horner's rule, even and odd powers side by side."""
+    square = s * s
+    even, odd = c[count - 1] if count % 2 else 0.0, 0.0
+    for k in range(count // 2 - 1, -1, -1):
+        even = even * square + c[2 * k]
+        odd = odd * square + c[2 * k + 1]
+    return even + s * odd
+
+
+@unowned_inlined
+def derivatives(c: FloatArray, count: int, s: float) -> tuple[float, float, float]:
+    """The same, with its first and half its second derivative."""
+    square = s * s
+    even, odd = c[count - 1] if count % 2 else 0.0, 0.0
+    even_slope, odd_slope, even_half, odd_half = 0.0, 0.0, 0.0, 0.0  # by s²
+    for k in range(count // 2 - 1, -1, -1):
+        even_half = even_half * square + even_slope
+        odd_half = odd_half * square + odd_slope
+        even_slope = even_slope * square + even
+        odd_slope = odd_slope * square + odd
+        even = even * square + c[2 * k]
+        odd = odd * square + c[2 * k + 1]
+    value = even + s * odd
+    slope = odd + 2.0 * (s * even_slope + square * odd_slope)
+    half = even_slope + 3.0 * s * odd_slope + 4.0 * square * (even_half + s * odd_half)
+    return value, slope, half
+
+
+@unowned
+def zero_between(c: FloatArray, count: int, low: float, high: float, first: float, last: float) -> float:
+    """The zero where a polynomial changes sign between `low` and `high`: Newton's steps, kept within the bracket.
+
+    first, last : its values there
+    """
+    s = low + (high - low) * first / (first - last)
+    for _ in range(200):
+        value, slope, _ = derivatives(c, count, s)
+        if (value >= 0.0) == (first >= 0.0):
+            low = s
+        else:
+            high = s
+        moved = s - value / slope if slope != 0.0 else low
+        if low <= moved <= high:
+            if abs(moved - s) <= 1e-8:  # squared by the step just made
+                return moved
+        else:
+            moved = 0.5 * (low + high)
+            if high - low <= 1e-16:
+                return moved
+        s = moved
+    return s
+
+
+@unowned
+def sign_changes(c: FloatArray, count: int, length: float, found: FloatArray, ladder: FloatArray) -> int:
+    """Write the points of (0, length) at which a polynomial changes sign to `found`, in order; return their number.
+
+    Between the sign changes of its derivative it is monotone; where its lowest term outweighs all others it has none.
+    The derivatives' coefficients go into `ladder`, (count, count) at least.
+    """
+    others, power = 0.0, 1.0
+    for k in range(1, count):
+        power *= length
+        others += abs(c[k]) * power
+    if abs(c[0]) > others or count < 2:
+        return 0
+    derivative = ladder[count - 1]
+    for k in range(count - 1):
+        derivative[k] = (k + 1) * c[k + 1]
+    pieces = sign_changes(derivative, count - 1, length, found, ladder) + 1
+    kept, low, before = 0, 0.0, c[0]
+    for piece in range(pieces):
+        high = found[piece] if piece < pieces - 1 else length
+        after = value_of(c, count, high)
+        if (before < 0.0) != (after < 0.0):
+            found[kept] = zero_between(
+                c, count, low, high, before, after
+            )  # kept <= piece: nothing unread is overwritten
+            kept += 1
+        low, before = high, after
+    return kept
+
+
+@unowned
+def turning_points(c: FloatArray, length: float, found: FloatArray, ladder: FloatArray) -> int:
+    """Write the points of (0, length) at which the slope changes sign to `found`, in order; return their number."""
+    others, power = 0.0, 1.0
+    for k in range(2, c.size):
+        power *= length
+        others += k * abs(c[k]) * power
+    if abs(c[1]) > others:
+        return 0
+    derivative = ladder[c.size - 1]
+    for k in range(c.size - 1):
+        derivative[k] = (k + 1) * c[k + 1]
+    return sign_changes(derivative, c.size - 1, length, found, ladder)
+
+
+@unowned
+def first_negative_of(c: FloatArray, length: float, found: FloatArray, ladder: FloatArray) -> float:
+    """The first s of [0, length] from which on a polynomial is negative, or -1 where there is none."""
+    if c[0] < 0.0:
+        return 0.0
+    turns = turning_points(c, length, found, ladder)
+    low, before = 0.0, c[0]
+    for piece in range(turns + 1):
+        high = found[piece] if piece < turns else length
+        after = value_of(c, c.size, high)
+        if after < 0.0:
+            return zero_between(c, c.size, low, high, before, after)
+        low, before = high, after
+    return -1.0
