@@ -11,8 +11,9 @@ from test_store import assert_same
 from test_sweeping import equal, regimes, same_as_single_run
 
 from clunk import plot
-from clunk.analysis.comparison import ComparisonError, as_record, compare, report
+from clunk.analysis.comparison import ComparisonError, compare
 from clunk.cli import main
+from clunk.cli.compare_report import as_record, report
 from clunk.core.status import QUALITY_INFERRED
 from clunk.results.results import CELL_FIELDS, IMPACT_FIELDS
 from clunk.results.store import read, read_header, write

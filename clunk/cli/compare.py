@@ -28,7 +28,9 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: 
       clunk compare results/rk4.h5 results/force.h5 --expect-equal
       clunk compare results/figure_3_4.h5 table_4_1 -o experiment.png
     """
-    from clunk.analysis import comparison as comparing
+    from clunk.analysis import comparison, measurements, trends
+    from clunk.cli.compare_report import as_record, report
+    from clunk.report.tables import TABLES
     from clunk.results import targets
     from clunk.results.store import read
 
@@ -37,15 +39,15 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: 
     results = read(a)
     found: Any
     other = None
-    if comparing.is_experiment(b):
-        found = comparing.compare_experiment(results, comparing.read_experiment(b))
+    if measurements.is_experiment(b, TABLES):
+        found = trends.compare_experiment(results, measurements.read_experiment(b, TABLES))
     else:
         other = read(b)
-        found = comparing.compare(results, other)
+        found = comparison.compare(results, other)
     if as_json:
-        click.echo(json.dumps(comparing.as_record(found), ensure_ascii=False))
+        click.echo(json.dumps(as_record(found), ensure_ascii=False))
     else:
-        click.echo(comparing.report(found, (str(a), str(b))), nl=False)
+        click.echo(report(found, (str(a), str(b))), nl=False)
     if output is not None:
         from clunk import plot as plots
         from clunk.plot.comparisons import difference_map, experiment_map

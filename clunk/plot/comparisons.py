@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from clunk.analysis.comparison import Comparison, ExperimentComparison, Point
-from clunk.analysis.comparison.reporting import percent
+from clunk.analysis.comparison import Comparison
+from clunk.analysis.trends import ExperimentComparison, Point
 from clunk.plot.labelling import present, region_swatch, settle
 from clunk.plot.maps import map_titles
 from clunk.plot.plane import View, scale_axes
@@ -27,6 +27,7 @@ from clunk.plot.regions import Regions, draw_boundaries, fill_regions, hatch_fai
 from clunk.plot.style import FAINT_INK, INK, PlotError, cells_phrase, failed_notes, new_figure, palette_of, styled
 from clunk.results.results import FAILED, Results
 from clunk.study.configfile import shorten
+from clunk.study.summaries import percent
 
 Bools = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]

@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.comparison import compare_experiment
-from clunk.analysis.experiments import read_experiment
+from clunk.analysis.measurements import read_experiment
+from clunk.analysis.trends import compare_experiment
 from clunk.core.events import TOUCH
 from clunk.plot.maps import ridge_of
+from clunk.report.tables import TABLES
 from clunk.results.labels import double_sided
 from clunk.results.results import Results
 from clunk.simulation.driveline import Driveline, Modes
@@ -406,7 +407,7 @@ def _severity(e: Evidence) -> list[Claim]:
 
 def _experiment(e: Evidence) -> list[Claim]:
     letters = e.nominal.letters
-    measured = compare_experiment(e.maps.indentation, read_experiment("table_4_1"))
+    measured = compare_experiment(e.maps.indentation, read_experiment("table_4_1", TABLES))
     alike = ", ".join(f"{trend.alike} of {trend.pairs} along {trend.symbol.split()[0]}" for trend in measured.trends)
     opposed = sum(trend.opposed for trend in measured.trends)
     single_from = _least_backlash(e.maps.indentation, 2.5, "SS(1)")

@@ -7,10 +7,13 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from clunk import plot
-from clunk.analysis.comparison import compare, compare_experiment, read_experiment
+from clunk.analysis.comparison import compare
+from clunk.analysis.measurements import read_experiment
+from clunk.analysis.trends import compare_experiment
 from clunk.plot import comparisons, histories, profiles
 from clunk.plot.small_gap import small_gap
 from clunk.report.claims import MAPS, NOMINAL_RATIO, RATIOS, Claim, Evidence
+from clunk.report.tables import TABLES
 from clunk.results.files import reason, write_whole
 from clunk.results.store import StoreError, write
 from clunk.simulation.history import History, sample
@@ -59,7 +62,7 @@ def figures(e: Evidence) -> list[Job]:
     all_runs = [
         _drawn(e.runs[model][ratio], f"{name}, σr = {ratio:g}") for ratio in RATIOS for model, name in _NAMES.items()
     ]
-    measured = compare_experiment(maps.indentation, read_experiment("table_4_1"))
+    measured = compare_experiment(maps.indentation, read_experiment("table_4_1", TABLES))
     between = compare(maps.indentation, maps.restitution)
     return [
         ("figure_3_1", lambda: histories.angles([_drawn(nominal, "IFM")])),

@@ -31,5 +31,15 @@ def html_table(rows: Iterable[Sequence[str]], header: Sequence[str] = ()) -> str
     return f"<table>{f'<thead><tr>{head}</tr></thead>' if head else ''}<tbody>{body}</tbody></table>"
 
 
+def percent(part: int, whole: int) -> str:
+    """A share in percent, which never reads as none or all where it is not."""
+    share = 100.0 * part / whole
+    if 0 < share < 0.01:
+        return "less than 0.01 %"
+    if 99.99 < share < 100:
+        return "more than 99.99 %"
+    return f"{share:.2g} %" if share < 10 else f"{share:.4g} %" if share > 99 else f"{share:.3g} %"
+
+
 def _cut(text: str, width: int) -> str:
     return text if len(text) <= width else text[: width - 1] + "…"

@@ -10,7 +10,7 @@ from typing import cast
 
 import numpy as np
 
-from clunk.analysis.experiments import Experiment, ExperimentError, Measurement
+from clunk.analysis.measurements import Experiment, ExperimentError, Measurement
 from clunk.results.labels import double_sided
 from clunk.results.results import FAILED, FAILED_CODE, Results, values_at
 from clunk.study.axes import ResultAxis

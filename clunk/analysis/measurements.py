@@ -1,4 +1,4 @@
-"""Measured sequences of impacts, read from CSV; published ones come with clunk, for example the report's Table 4.1."""
+"""Measured sequences of impacts, read from CSV files."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import math
 import os
 import re
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 
@@ -60,30 +60,32 @@ class Experiment:
     caveat: str = CAVEAT
 
 
-def bundled_experiments() -> dict[str, Traversable]:
-    """The experiments that come with clunk, by name."""
-    folder = files("clunk.analysis.experiments")
-    found = {item.name.removesuffix(".csv"): item for item in folder.iterdir() if item.name.endswith(".csv")}
-    return dict(sorted(found.items()))
+Tables = Mapping[str, Traversable]  # by name: CSV files that come with a package
 
 
-def is_experiment(path: str | os.PathLike[str]) -> bool:
-    """Whether a path names measurements rather than a results file: a .csv, or one of the bundled experiments."""
-    return Path(path).suffix.lower() == ".csv" or (not Path(path).exists() and os.fspath(path) in bundled_experiments())
+def is_experiment(path: str | os.PathLike[str], tables: Tables | None = None) -> bool:
+    """Whether a path names measurements rather than a results file: a .csv, or the name of a table."""
+    return Path(path).suffix.lower() == ".csv" or (not Path(path).exists() and os.fspath(path) in (tables or {}))
 
 
-def read_experiment(path: str | os.PathLike[str]) -> Experiment:
-    """Read measurements from a CSV file in UTF-8, or those of a bundled experiment by its name, ``table_4_1``.
+def read_experiment(path: str | os.PathLike[str], tables: Tables | None = None) -> Experiment:
+    """Read measurements from a CSV file in UTF-8, or from one of `tables` by its name.
 
     The first line that is no comment (#) names the columns: one for each parameter, as in a results file
     (``load_ratio``) or in a config (``load.ratio``), in the parameter's unit, and ``label``.
+
+    Parameters
+    ----------
+    path : str or path
+    tables : mapping of str to Traversable, optional
+        Packaged tables by name, for example `clunk.report.tables.TABLES`. A file of that name comes first.
 
     Raises
     ------
     ExperimentError
         Where the file cannot be read, with the number of the line that is wrong.
     """
-    lines = _read_lines(path)
+    lines = _read_lines(path, tables or {})
     remarks = tuple(line.lstrip().lstrip("#").strip() for line in lines if line.lstrip().startswith("#"))
     # Blank in place of a comment, so that the reader's count of lines is the file's.
     reader = csv.reader(("\n" if line.lstrip().startswith("#") else line for line in lines), strict=True)
@@ -114,18 +116,15 @@ def read_experiment(path: str | os.PathLike[str]) -> Experiment:
     )
 
 
-def _read_lines(path: str | os.PathLike[str]) -> list[str]:
-    bundled = bundled_experiments()
-    if os.fspath(path) in bundled and not Path(path).exists():
-        raw = bundled[os.fspath(path)].read_bytes()
+def _read_lines(path: str | os.PathLike[str], tables: Tables) -> list[str]:
+    if os.fspath(path) in tables and not Path(path).exists():
+        raw = tables[os.fspath(path)].read_bytes()
     else:
         try:
             raw = Path(path).read_bytes()
         except FileNotFoundError:
-            known = ", ".join(bundled)
-            raise ExperimentError(
-                f"{path} does not exist; the experiments that come with clunk are: {known}."
-            ) from None
+            known = f"; the experiments that come with clunk are: {', '.join(tables)}" if tables else ""
+            raise ExperimentError(f"{path} does not exist{known}.") from None
         except IsADirectoryError:
             raise ExperimentError(f"{path} is a directory; an experiment is a CSV file.") from None
         except (OSError, ValueError) as error:  # ValueError: a NUL in the name
