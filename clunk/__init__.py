@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from clunk.api import draw, sweep, tolerance_map, verify
     from clunk.plot import PlotError
     from clunk.results.datasets import open_results, to_dataset
-    from clunk.results.results import Results
+    from clunk.results.regimemap import Results
     from clunk.results.store import StoreError
     from clunk.results.store import read as read_results
     from clunk.results.store import write as write_results
@@ -72,7 +72,7 @@ _HOME = {
     "EngineError": "sweeping.engines",
     "PartsError": "sweeping.parts",
     "PlotError": "plot",
-    "Results": "results.results",
+    "Results": "results.regimemap",
     "Sensitivity": "analysis.sobol",
     "SensitivityError": "analysis.sobol",
     "SimulationError": "simulation.trajectory",

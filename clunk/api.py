@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from clunk.analysis import verification
 from clunk.analysis.verification import METHODS, Verification, by
 from clunk.results import targets, tolerancefile
-from clunk.results.results import Results
+from clunk.results.regimemap import Results
 from clunk.results.store import read
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.simulation.trajectory import Trajectory

@@ -18,7 +18,7 @@ import xarray
 from test_store import BACKLASH, RATIO, assert_same, example
 
 import clunk
-from clunk.results.results import CELL_FIELDS, IMPACT_FIELDS
+from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.study.axes import RUN, ResultAxis
 from clunk.study.config import digest
 from clunk.sweeping import progress
@@ -160,10 +160,10 @@ def test_a_dataset_is_what_is_in_the_file_with_labels_as_text(tmp_path):
     found = clunk.open_results(tmp_path / "map.h5")
     assert isinstance(found, xarray.Dataset)
     (tmp_path / "map.h5").unlink()  # it is in memory
-    assert set(found.data_vars) == {"label", *CELL_FIELDS, *IMPACT_FIELDS}
-    for name in CELL_FIELDS:
+    assert set(found.data_vars) == {"label", *CELL_QUANTITIES, *IMPACT_QUANTITIES}
+    for name in CELL_QUANTITIES:
         np.testing.assert_array_equal(found[name], getattr(results, name), strict=False)
-    for name in IMPACT_FIELDS:
+    for name in IMPACT_QUANTITIES:
         np.testing.assert_array_equal(found[name], results.padded(name))
     assert found.label.dims == found.sequence.dims == ("load_ratio", "lash_backlash_deg")
     np.testing.assert_array_equal(found.label, results.label_map)
@@ -228,7 +228,7 @@ def test_a_cell_has_all_that_its_own_run_finds(small, results):
     assert cell["status"] == "ok"
     assert cell["quality"] == ["complete"]
     np.testing.assert_array_equal(cell["impact_time"], run.events["time"][run.primaries])
-    assert set(cell) == {*values, "label", *CELL_FIELDS, *IMPACT_FIELDS}
+    assert set(cell) == {*values, "label", *CELL_QUANTITIES, *IMPACT_QUANTITIES}
 
 
 def test_a_failed_cell_says_so():

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from clunk.cli import main
-from clunk.results.results import CELL_FIELDS, IMPACT_FIELDS
+from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.results.store import read
 
 ROOT = Path(__file__).parent.parent
@@ -208,7 +208,7 @@ def test_failed_cells_are_run_again_and_the_file_says_so(clunk, small, here):
     clunk("sweep", small, "-o", "dense.h5")
     dense = read("dense.h5")
     assert after.labels == dense.labels
-    for name in (*CELL_FIELDS, *IMPACT_FIELDS):
+    for name in (*CELL_QUANTITIES, *IMPACT_QUANTITIES):
         assert np.array_equal(getattr(after, name), getattr(dense, name), equal_nan=True), name
 
 

@@ -33,7 +33,7 @@ from clunk.plot import PlotError, save
 from clunk.plot.comparisons import difference_map, experiment_map
 from clunk.report.tables import TABLES
 from clunk.results.labels import normalised_label
-from clunk.results.results import Results
+from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
 
 RATIO = ResultAxis("load.ratio", np.linspace(0.0, 10.0, 41), "load ratio", "σr = Td/Ts", "1")

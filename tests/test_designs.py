@@ -15,7 +15,7 @@ from clunk.analysis.comparison import ComparisonError, compare
 from clunk.cli import main
 from clunk.cli.compare_report import as_record, report
 from clunk.core.status import QUALITY_INFERRED
-from clunk.results.results import CELL_FIELDS, IMPACT_FIELDS
+from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.results.store import read, read_header, write
 from clunk.study.axes import RUN
 from clunk.study.config import replace_values, study_from_text
@@ -131,11 +131,11 @@ class TestCells:
                 whole, part = sweep(replace_values(two, fixed)), four.at(fixed)
                 assert part.shape == (6, 4, 1, 1)
                 assert np.array_equal(regimes(part)[:, :, 0, 0], regimes(whole))
-                for name in CELL_FIELDS:
+                for name in CELL_QUANTITIES:
                     if name != "sequence":  # codes depend on what else is in a file
                         mine = getattr(part, name)[:, :, 0, 0]
                         np.testing.assert_array_equal(mine, getattr(whole, name), strict=True, err_msg=name)
-                for name in IMPACT_FIELDS:
+                for name in IMPACT_QUANTITIES:
                     np.testing.assert_array_equal(getattr(part, name), getattr(whole, name), strict=True, err_msg=name)
 
     def test_failed_cells_are_run_again(self):
@@ -189,7 +189,7 @@ class TestSlices:
             for j in range(3):
                 whole = np.ravel_multi_index((i, 2, j, 1), four.shape)
                 own = np.ravel_multi_index((i, 0, j, 0), part.shape)
-                for name in IMPACT_FIELDS:
+                for name in IMPACT_QUANTITIES:
                     mine = getattr(part, name)[part.first_impact[own] : part.first_impact[own + 1]]
                     assert np.array_equal(mine, getattr(four, name)[first[whole] : first[whole + 1]])
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clunk.results.results import CELL_FIELDS, IMPACT_FIELDS
+from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.study.config import study_from_text
 from clunk.sweeping.sweep import sweep
 
@@ -26,8 +26,8 @@ def cells(results, backlash_first=False):
         k = np.ravel_multi_index(at, results.shape)
         mine = slice(results.first_impact[k], results.first_impact[k + 1])
         code = int(results.sequence[at])
-        fields = [getattr(results, name)[at].tobytes() for name in CELL_FIELDS if name != "sequence"]
-        fields += [getattr(results, name)[mine].tobytes() for name in IMPACT_FIELDS if name != "first_impact"]
+        fields = [getattr(results, name)[at].tobytes() for name in CELL_QUANTITIES if name != "sequence"]
+        fields += [getattr(results, name)[mine].tobytes() for name in IMPACT_QUANTITIES if name != "first_impact"]
         values = tuple(float(axis.values[i]) for axis, i in zip(results.axes, at, strict=True))
         content[values[::-1] if backlash_first else values] = (results.labels[code] if code >= 0 else "failed", *fields)
     return content

@@ -19,7 +19,7 @@ from clunk import plot
 from clunk.core.status import QUALITY_INFERRED, QUALITY_UNDECIDED
 from clunk.plot.regions import Regions
 from clunk.plot.style import INK, palette_of
-from clunk.results.results import Results
+from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
 
 LABELS = ("NI", "SS(1)", "DS(1)", "SS(2)", "DS(1)SS(1)", "DS(1)SS(2)", "DS(2)", "DS(2)SS(1)", "DS(3)")

@@ -15,7 +15,8 @@ import xarray
 
 from clunk.core.status import Status
 from clunk.results import netcdf, store
-from clunk.results.results import CELL_FIELDS, IMPACT_FIELDS, Results
+from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
+from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
 
 ROOT = Path(__file__).parents[1]
@@ -64,7 +65,7 @@ def example(*axes: ResultAxis, impacts: bool = True) -> Results:
 
 
 def assert_same(left: Results, right: Results) -> None:
-    for name in (*CELL_FIELDS, *IMPACT_FIELDS):
+    for name in (*CELL_QUANTITIES, *IMPACT_QUANTITIES):
         np.testing.assert_array_equal(getattr(left, name), getattr(right, name), strict=True, err_msg=name)
     for name in ("title", "labels", "config", "config_digest", "attributes"):
         assert getattr(left, name) == getattr(right, name)
@@ -160,7 +161,7 @@ def test_xarray_sees_named_dimensions_and_coordinates(tmp_path: Path, axes: tupl
             np.testing.assert_array_equal(dataset.coords[axis.variable], axis.values)
             assert dataset[axis.variable].attrs["units"] == axis.unit
             assert dataset[axis.variable].attrs["parameter"] == axis.parameter
-        assert set(dataset.data_vars) == {*CELL_FIELDS, *IMPACT_FIELDS}
+        assert set(dataset.data_vars) == {*CELL_QUANTITIES, *IMPACT_QUANTITIES}
         for name, variable in dataset.variables.items():
             assert variable.attrs["units"], name
             assert variable.attrs["long_name"], name
@@ -244,8 +245,8 @@ def test_content_digest_depends_on_the_data_and_nothing_else(tmp_path: Path) -> 
 def test_a_file_without_margins_is_still_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     results = example(RATIO, BACKLASH)
     with monkeypatch.context() as first_schema:
-        fields = {name: dtype for name, dtype in CELL_FIELDS.items() if name != "margin"}
-        first_schema.setattr(store, "CELL_FIELDS", fields)
+        fields = {name: dtype for name, dtype in CELL_QUANTITIES.items() if name != "margin"}
+        first_schema.setattr(store, "CELL_QUANTITIES", fields)
         first_schema.setattr(store, "SCHEMA_VERSION", 1)
         store.write(tmp_path / "map.h5", results)
     with h5py.File(tmp_path / "map.h5") as file:
@@ -258,7 +259,7 @@ def test_a_file_without_margins_is_still_read(tmp_path: Path, monkeypatch: pytes
 
 
 def test_store_brings_in_no_plotting() -> None:
-    code = "import sys, clunk.store; print({'matplotlib'} & set(sys.modules))"
+    code = "import sys, clunk.results.store; print({'matplotlib'} & set(sys.modules))"
     answer = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "set()"
 
@@ -339,9 +340,9 @@ from test_store import RATIO, example, netcdf, store
 store._LARGE, netcdf._AHEAD = 0, 1 << 22
 small = example(RATIO)
 count = 400_000
-fields = {{name: np.resize(getattr(small, name), count) for name in store.CELL_FIELDS}}
+fields = {{name: np.resize(getattr(small, name), count) for name in store.CELL_QUANTITIES}}
 fields |= {{"primary_impacts": np.zeros(count, np.int32), "severity": np.random.default_rng(1).normal(size=count)}}
-fields |= {{name: getattr(small, name)[:0] for name in store.IMPACT_FIELDS}}
+fields |= {{name: getattr(small, name)[:0] for name in store.IMPACT_QUANTITIES}}
 fields |= {{name: np.random.default_rng(2).normal(size=count) for name in ("margin", "approach_velocity")}}
 large = replace(small, axes=(replace(small.axes[0], values=np.arange(float(count))),), **fields)
 resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))

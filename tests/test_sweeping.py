@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clunk.core.status import Status
-from clunk.results.results import CELL_FIELDS, IMPACT_FIELDS
+from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import replace_values, study_from_text
 from clunk.sweeping.cells import compiling_note, warm_up
@@ -42,7 +42,7 @@ def equal(one, other):
     """Whether two results agree to the last bit; NaN equals NaN."""
     return one.labels == other.labels and all(
         np.array_equal(getattr(one, name), getattr(other, name), equal_nan=name not in ("sequence",))
-        for name in [*CELL_FIELDS, *IMPACT_FIELDS]
+        for name in [*CELL_QUANTITIES, *IMPACT_QUANTITIES]
     )
 
 
@@ -158,7 +158,7 @@ class TestCells:
         axes = [("driveline.inertias[4]", [0.001, 0.002, 0.02]), ("load.ratio", np.linspace(1.0, 9.0, 9))]
         one, other = sweep(study(*axes)), sweep(study(*axes[::-1]))
         assert one.labels == other.labels
-        for name in CELL_FIELDS:
+        for name in CELL_QUANTITIES:
             assert np.array_equal(getattr(one, name), getattr(other, name).T, equal_nan=True), name
 
     @pytest.mark.parametrize(

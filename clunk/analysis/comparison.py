@@ -11,7 +11,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clunk.results.results import CELL_FIELDS, FAILED_CODE, IMPACT_FIELDS, Results, parameters_of, values_at
+from clunk.results.labels import FAILED_CODE
+from clunk.results.maps import parameters_of, values_at
+from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
+from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
 from clunk.study.configfile import dotted
 from clunk.study.errors import ClunkError
@@ -299,7 +302,7 @@ def _deviation(a: Results, b: Results) -> Deviation | None:
 
 
 def _identical(a: Results, b: Results) -> bool:
-    names = [*CELL_FIELDS, *IMPACT_FIELDS]
+    names = [*CELL_QUANTITIES, *IMPACT_QUANTITIES]
     axes = all(np.array_equal(one.values, other.values) for one, other in zip(a.parameters, b.parameters, strict=True))
     # bytes, so that NaN is equal to itself
     return axes and a.labels == b.labels and all(getattr(a, n).tobytes() == getattr(b, n).tobytes() for n in names)

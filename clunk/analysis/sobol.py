@@ -19,7 +19,8 @@ import numpy.typing as npt
 
 from clunk.core.status import Status
 from clunk.results.labels import double_sided, normalised_label
-from clunk.results.results import Results
+from clunk.results.quantities import CELL_QUANTITIES
+from clunk.results.regimemap import Results
 from clunk.simulation.trajectory import Trajectory, simulate
 from clunk.study.config import Axis, ConfigError, Draw, Study, Sweep, digest, get_value, quantity, replace_values
 from clunk.study.configfile import nearest, shorten
@@ -33,13 +34,7 @@ FloatArray = npt.NDArray[np.float64]
 
 CONFIDENCE = 0.95  # of the intervals
 QUANTILES = (0.05, 0.5, 0.95)
-MEASURED = {  # quantity -> its name, symbol and unit
-    "severity": ("severity", "Q", "rad/s²"),
-    "approach_velocity": ("approach velocity", "V", "rad/s"),
-    "primary_impacts": ("primary impacts", "", ""),
-    "touches": ("touches, chatter included", "", ""),
-    "last_event_time": ("time of the last event", "", "s"),
-}
+MEASURED = ("severity", "approach_velocity", "primary_impacts", "touches", "last_event_time")
 INDICATORS = ("nominal_label", "double_sided")
 _LABEL = "label="
 
@@ -189,7 +184,7 @@ def sensitivity(
         With two tolerances or more, whose draws are independent; its axes are ignored. The sampling's count is n, a
         power of two.
     of : sequence of str, optional
-        Quantities: a key of `MEASURED`; or what is 1 where something holds and else 0, `nominal_label` (the label is
+        Quantities: one of `MEASURED`; or what is 1 where something holds and else 0, `nominal_label` (the label is
         that without tolerances), `double_sided` (it has a DS) and `label=DS(1)SS(1)` (it is this one). By default
         severity and `nominal_label`; for the restitution model, which has no severity, `approach_velocity` instead.
     workers, progress
@@ -441,8 +436,7 @@ def _holds(name: str, label: str, nominal_label: str) -> bool:
 
 def _heading(name: str, nominal_label: str) -> str:
     if name in MEASURED:
-        title, symbol, unit = MEASURED[name]
-        return " ".join(part for part in (title, symbol, f"[{unit}]" if unit else "") if part)
+        return CELL_QUANTITIES[name].heading_with_unit
     if name == "double_sided":
         return "the label has a double-sided impact"
     if name == "nominal_label":

@@ -11,8 +11,9 @@ from typing import cast
 import numpy as np
 
 from clunk.analysis.measurements import Experiment, ExperimentError, Measurement
-from clunk.results.labels import double_sided
-from clunk.results.results import FAILED, FAILED_CODE, Results, values_at
+from clunk.results.labels import FAILED, FAILED_CODE, double_sided
+from clunk.results.maps import values_at
+from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
 
 

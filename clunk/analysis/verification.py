@@ -18,7 +18,8 @@ import numpy.typing as npt
 
 from clunk.analysis.comparison import Comparison, compare
 from clunk.core.status import QUALITY_COMPLETE, QUALITY_GRAZING, QUALITY_UNDECIDED, Status
-from clunk.results.results import Results, values_at
+from clunk.results.maps import values_at
+from clunk.results.regimemap import Results
 from clunk.simulation.trajectory import Trajectory, simulate
 from clunk.study.config import Axis, Study, Sweep
 from clunk.study.designs import nominal

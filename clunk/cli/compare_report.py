@@ -11,6 +11,7 @@ from typing import Any, cast
 from clunk.analysis.comparison import Comparison, Deviation, Extreme
 from clunk.analysis.measurements import CAVEAT
 from clunk.analysis.trends import ExperimentComparison, Trend
+from clunk.results.quantities import CELL_QUANTITIES
 from clunk.study.axes import ResultAxis
 from clunk.study.configfile import shorten
 from clunk.study.summaries import percent
@@ -18,7 +19,6 @@ from clunk.study.summaries import percent
 _WIDTH = 80  # characters
 _MOST_TRANSITIONS = 12
 _MOST_CELLS = 12
-_SYMBOL = {"severity": ("Severity Q", "rad/s²"), "approach_velocity": ("Approach velocity V", "rad/s")}
 
 
 def report(comparison: Comparison | ExperimentComparison, names: tuple[str, str] | None = None) -> str:
@@ -90,7 +90,8 @@ def _transition_report(comparison: Comparison) -> Iterator[str]:
 
 
 def _deviation_report(axes: tuple[ResultAxis, ...], found: Deviation) -> Iterator[str]:
-    name, unit = _SYMBOL[found.quantity]
+    quantity = CELL_QUANTITIES[found.quantity]
+    name, unit = quantity.heading[:1].upper() + quantity.heading[1:], quantity.unit_symbol
     cells = "cell" if found.cells == 1 else "cells"
     yield f"{name}, B over A, in {found.cells:,} {cells} where neither is zero"
     if found.quantity != "severity":

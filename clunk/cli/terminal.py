@@ -10,7 +10,7 @@ import click
 from clunk.cli import phrases
 
 if TYPE_CHECKING:
-    from clunk.results.results import Results
+    from clunk.results.regimemap import Results
     from clunk.results.tolerancemap import ToleranceMap
     from clunk.study.config import Study
 
@@ -71,7 +71,7 @@ def report_failures(results: Results | ToleranceMap, how: str = "") -> None:
     import numpy as np
 
     from clunk.core.status import Status
-    from clunk.results.results import values_at
+    from clunk.results.maps import values_at
 
     for status in Status:
         cells = np.argwhere(results.status == status)

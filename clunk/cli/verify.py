@@ -55,15 +55,6 @@ def verify(config: Path, overrides: tuple[str, ...], workers: int | None, as_jso
         sys.exit(EXIT_FAILED_CELLS)
 
 
-_QUANTITIES = {
-    "impact_time": ("time of a primary impact", "s"),
-    "last_event_time": ("time of the last event", "s"),
-    "severity": ("severity Q", "rad/s²"),
-    "impact_severity": ("an impact's Qi", "rad/s²"),
-    "approach_velocity": ("approach velocity V", "rad/s"),
-}
-
-
 _MOST_DISAGREEMENTS = 8
 
 
@@ -126,6 +117,7 @@ def _print_event_pairs(found: Verification) -> None:
 
 def _print_largest(found: Verification) -> None:
     from clunk.analysis.verification import SMALL
+    from clunk.results.quantities import REGIME_QUANTITIES
 
     if not found.largest:
         return
@@ -134,8 +126,9 @@ def _print_largest(found: Verification) -> None:
     of_largest = "" if found.events else "over largest"
     click.echo(f"{'largest difference' + where:<50}{of_largest:>13}{'over own':>12}")
     for each in found.largest:
-        name, unit = _QUANTITIES[each.quantity]
-        line = f"  {name:<26}{f'{each.difference:.1e} {unit}':>22}"
+        quantity = REGIME_QUANTITIES[each.quantity]
+        unit = quantity.unit_symbol
+        line = f"  {quantity.heading:<26}{f'{each.difference:.1e} {unit}':>22}"
         if unit != "s":
             line += (
                 f"{'' if found.events else format(each.of_largest, '.1e'):>13}{phrases.number(each.of_own, '.1e'):>12}"

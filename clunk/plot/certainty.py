@@ -36,13 +36,15 @@ from clunk.plot.style import (
     styled,
     tidy,
 )
-from clunk.results.results import FAILED, FAILED_CODE
+from clunk.results.labels import FAILED, FAILED_CODE
+from clunk.results.quantities import CELL_QUANTITIES, TOLERANCE_QUANTITIES
 from clunk.results.tolerancemap import CERTAIN, QUANTILES, ToleranceMap
 
 Floats = npt.NDArray[np.float64]
 
-_SEVERITIES = {"severity": "Mean severity Q [rad/s²]"} | {
-    f"severity_{100 * level:g}": f"{100 * level:g} % quantile of the severity Q [rad/s²]" for level in QUANTILES
+_SEVERITIES = {"severity": TOLERANCE_QUANTITIES["severity_mean"].plot_label} | {
+    f"severity_{100 * level:g}": f"{100 * level:g} % {TOLERANCE_QUANTITIES['severity_quantiles'].heading_with_unit}"
+    for level in QUANTILES
 }
 QUANTITIES = ("regimes", "double_sided", *_SEVERITIES)
 
@@ -160,7 +162,7 @@ def likelihood_curves(found: ToleranceMap) -> Figure:
             notes += [line, band, dashed]
         else:
             ax.text(0.5, 0.5, "not defined", transform=ax.transAxes, ha="center", color=FAINT_INK)
-        ax.set_ylabel("Severity Q [rad/s²]")
+        ax.set_ylabel(CELL_QUANTITIES["severity"].plot_label)
         scale_axis(ax, "x", view.x)
         if len(x) > 1:
             ax.set_xlim(x[0], x[-1])

@@ -25,7 +25,8 @@ from clunk.plot.plane import View, scale_axes
 from clunk.plot.raster import Raster
 from clunk.plot.regions import Regions, draw_boundaries, fill_regions, hatch_failed
 from clunk.plot.style import FAINT_INK, INK, PlotError, cells_phrase, failed_notes, new_figure, palette_of, styled
-from clunk.results.results import FAILED, Results
+from clunk.results.labels import FAILED
+from clunk.results.regimemap import Results
 from clunk.study.configfile import shorten
 from clunk.study.summaries import percent
 

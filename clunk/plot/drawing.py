@@ -14,7 +14,7 @@ from clunk.plot.maps import QUANTITIES, quantity_map, regime_map, strip
 from clunk.plot.plane import axis_span, drawn_axes
 from clunk.plot.scatter import parameter_choice, scatter_curve, scatter_map
 from clunk.plot.style import PlotError
-from clunk.results.results import Results
+from clunk.results.regimemap import Results
 from clunk.study.axes import RUN
 
 

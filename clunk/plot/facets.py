@@ -51,7 +51,8 @@ from clunk.plot.style import (
     symbol_text,
     wrap,
 )
-from clunk.results.results import FAILED_CODE, Results
+from clunk.results.labels import FAILED_CODE
+from clunk.results.regimemap import Results
 from clunk.study.axes import RUN, ResultAxis
 
 Floats = npt.NDArray[np.float64]

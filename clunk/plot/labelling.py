@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from clunk.plot.raster import Place, Raster, corners_that_fit, rotate
 from clunk.plot.style import INK, cells_phrase, failed_notes, freeze_layout, palette_of, set_notes
-from clunk.results.results import FAILED_CODE
+from clunk.results.labels import FAILED_CODE
 
 Bools = npt.NDArray[np.bool_]
 Codes = npt.NDArray[np.int16]

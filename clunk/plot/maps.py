@@ -43,23 +43,17 @@ from clunk.plot.style import (
     symbol_text,
     tidy,
 )
-from clunk.results.results import FAILED_CODE, Results
+from clunk.results.labels import FAILED_CODE
+from clunk.results.quantities import CELL_QUANTITIES
+from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.study.axes import ResultAxis
 
 Floats = npt.NDArray[np.float64]
 
 
-# Quantity of a cell -> (name, symbol, unit); "regimes" is the map of labels.
-_QUANTITY = {
-    "severity": ("Severity", "Q", "rad/s²"),
-    "approach_velocity": ("Approach velocity", "V", "rad/s"),
-    "primary_impacts": ("Primary impacts", "", ""),
-    "touches": ("Touches, chatter included", "", ""),
-    "last_event_time": ("Last event after the load step", "", "s"),
-    "margin": ("Margin to another label: + not reached, \N{MINUS SIGN} passed", "", ""),
-}
-QUANTITIES: list[str] = ["regimes", *_QUANTITY]
+_DRAWN = [name for name, quantity in CELL_QUANTITIES.items() if quantity.words]
+QUANTITIES = ["regimes", *_DRAWN]  # "regimes" is the map of labels
 _WHOLE = ("primary_impacts", "touches")
 
 _WITH_THRESHOLDS = ("load.ratio", "load.initial_torque", "load.final_torque")
@@ -330,10 +324,9 @@ def require_some(values: Floats, name: str) -> None:
 
 def quantity_label(name: str) -> str:
     """A quantity's name, symbol and unit. Raises PlotError where it is none."""
-    if name not in _QUANTITY:
-        raise PlotError(f"There is no quantity {name!r} to draw; there are {', '.join(_QUANTITY)}.")
-    title, symbol, unit = _QUANTITY[name]
-    return " ".join(part for part in (title, symbol, f"[{unit}]" if unit else "") if part)
+    if name not in _DRAWN:
+        raise PlotError(f"There is no quantity {name!r} to draw; there are {', '.join(_DRAWN)}.")
+    return CELL_QUANTITIES[name].plot_label
 
 
 def map_titles(figure: Figure, ax: Axes, results: Results | ToleranceMap, view: View, more: str = "") -> None:

@@ -15,7 +15,7 @@ from matplotlib import ticker
 from matplotlib.axes import Axes
 
 from clunk.plot.style import MINUS, PlotError, plain, symbol_text
-from clunk.results.results import Results
+from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.study.axes import RUN, ResultAxis
 

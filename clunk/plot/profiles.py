@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from clunk.plot.maps import quantity_label
 from clunk.plot.plane import axis_label
 from clunk.plot.style import INK, PlotError, new_figure, styled, symbol_text
-from clunk.results.results import Results
+from clunk.results.regimemap import Results
 
 _COLOURS = ("#d9b310", "#1f9e83", "#2f7fc1", "#7d55a8", "#b8447c", "#dd6b1f")
 

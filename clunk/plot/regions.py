@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from clunk.plot.plane import View, ruler
 from clunk.plot.style import FAILED_FILL, FAILED_HATCH, palette_of
-from clunk.results.results import FAILED_CODE
+from clunk.results.labels import FAILED_CODE
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]

@@ -38,7 +38,8 @@ from clunk.plot.style import (
     set_titles,
     styled,
 )
-from clunk.results.results import FAILED, FAILED_CODE, Results
+from clunk.results.labels import FAILED, FAILED_CODE
+from clunk.results.regimemap import Results
 from clunk.study.axes import RUN, ResultAxis
 
 Floats = npt.NDArray[np.float64]

@@ -22,8 +22,7 @@ from matplotlib.patches import Patch
 from matplotlib.text import Text
 
 from clunk.results.files import reason, write_whole
-from clunk.results.labels import double_sided, excursions
-from clunk.results.results import FAILED, FAILED_CODE
+from clunk.results.labels import FAILED, FAILED_CODE, double_sided, excursions
 from clunk.study.errors import ClunkError
 
 _FORMATS = ("png", "svg", "pdf")

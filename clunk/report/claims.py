@@ -20,7 +20,7 @@ from clunk.core.events import TOUCH
 from clunk.plot.maps import ridge_of
 from clunk.report.tables import TABLES
 from clunk.results.labels import double_sided
-from clunk.results.results import Results
+from clunk.results.regimemap import Results
 from clunk.simulation.driveline import Driveline, Modes
 from clunk.simulation.linear import one_mode_thresholds, periods_in_envelope, rigid_contact_thresholds
 from clunk.simulation.load import load_step

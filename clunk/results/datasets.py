@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 
 from clunk.results import tolerancefile
-from clunk.results.results import FAILED_CODE, Results
+from clunk.results.labels import FAILED_CODE
+from clunk.results.regimemap import Results
 from clunk.results.store import check, read, read_header, to_image
 from clunk.results.tolerancemap import ToleranceMap
 

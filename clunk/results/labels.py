@@ -5,21 +5,24 @@ from __future__ import annotations
 import re
 from itertools import groupby
 
+FAILED = "failed"  # in the place of the label of a run that failed
+FAILED_CODE = -1
+
 
 def double_sided(label: str) -> int:
-    """How many double-sided impacts a label has."""
+    """Number of double-sided impacts in a label."""
     return sum(int(count) for count in re.findall(r"DS\((\d+)\)", label))
 
 
 def excursions(label: str) -> int:
-    """How many excursions from a flank a label has, of whatever kind."""
+    """Number of excursions from a flank in a label, of whatever type."""
     return sum(int(count) for count in re.findall(r"\((\d+)\)", label))
 
 
 def normalised_label(text: str) -> str:
-    """A label in clunk's notation: "D(1)+S(1)" and "DS(1) SS(1)" are DS(1)SS(1), "S(1)+S(1)" is SS(2).
+    """Label in clunk's notation: "D(1)+S(1)" and "DS(1) SS(1)" are DS(1)SS(1), "S(1)+S(1)" is SS(2).
 
-    Raises ValueError where it is none.
+    Raises ValueError where the text is no label.
     """
     bare = re.sub(r"\s", "", text).upper()
     if bare == "NI":
@@ -28,6 +31,6 @@ def normalised_label(text: str) -> str:
     if not re.fullmatch(rf"{term}(?:\+?{term})*", bare):
         raise ValueError(f"{text!r} is no label")
     full = {"D": "DS", "S": "SS"}
-    terms = [(full.get(kind, kind), int(count)) for kind, count in re.findall(term, bare)]
+    terms = [(full.get(name, name), int(count)) for name, count in re.findall(term, bare)]
     runs = groupby(terms, key=lambda run: run[0])
-    return "".join(f"{kind}({sum(count for _, count in run)})" for kind, run in runs)
+    return "".join(f"{name}({sum(count for _, count in run)})" for name, run in runs)

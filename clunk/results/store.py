@@ -20,9 +20,10 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.status import QUALITY_MEANINGS, Status
 from clunk.results.checksum import verify
 from clunk.results.files import reason
+from clunk.results.labels import FAILED_CODE
+from clunk.results.maps import count_labels
 from clunk.results.netcdf import (
     CONVENTIONS,
     ChunkWriter,
@@ -35,32 +36,15 @@ from clunk.results.netcdf import (
     set_text,
     write_file,
 )
-from clunk.results.results import CELL_FIELDS, FAILED, FAILED_CODE, IMPACT_FIELDS, Results, count_labels
+from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES, Quantity
+from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.study.axes import RUN, ResultAxis
 from clunk.study.errors import ClunkError
 
 SCHEMA_VERSION = 2  # of a regime map
 NEWEST_VERSION = 3  # of any file that is read: tolerance maps have it, which came with it
-_SINCE = {"margin": 2}  # schema version that brought a variable; in older files it is NaN, and not in their digest
 
-# Variable -> (unit, long name).
-_MEANING = {
-    "sequence": ("1", "sequence of impact excursions (regime label)"),
-    "severity": ("rad s-2", "severity Q: root of the summed squares of the primary impacts' severities"),
-    "approach_velocity": ("rad s-1", "approach velocity V: root of the summed squares of the closing speeds"),
-    "primary_impacts": ("1", "number of primary impacts"),
-    "touches": ("1", "number of touches, chatter included; -1 where inferred"),
-    "last_event_time": ("s", "time of the last event after the load step"),
-    "status": ("1", "how the run ended"),
-    "quality": ("1", "what is known about the run's sequence"),
-    "initial_side": ("1", "sign of the gap coordinate on the initial flank, 0 without one"),
-    "margin": ("1", "margin: how near the run came to another label; positive: not reached, negative: passed"),
-    "impact_time": ("s", "time of the primary impact after the load step"),
-    "impact_flank": ("1", "flank of the primary impact"),
-    "impact_closing_speed": ("rad s-1", "closing speed just before the primary impact"),
-    "impact_severity": ("rad s-2", "severity of the primary impact: peak-to-peak acceleration until the next"),
-}
 # Root attributes that are fields of Results (or this module's own); all others are Results.attributes.
 _OWN_ATTRIBUTES = {"title", "Conventions", "schema_version", "kind", "config", "config_digest", "content_digest"}
 TOLERANCE_MAP = "tolerance map"  # the attribute `kind` of one; a regime map has none
@@ -148,8 +132,9 @@ def read(path: str | os.PathLike[str]) -> Results:
         shape = tuple(len(axis.values) for axis in header.axes)
         digest = Digest(header.axes + header.coordinates, header.labels)
         fields: dict[str, npt.NDArray[Any]] = {}
-        for name, dtype in CELL_FIELDS.items():
-            if int(file.attrs["schema_version"]) < _SINCE.get(name, 1):
+        for name, quantity in CELL_QUANTITIES.items():
+            dtype = quantity.dtype
+            if int(file.attrs["schema_version"]) < quantity.since:
                 fields[name] = np.full(shape, np.nan, dtype)
                 continue
             fields[name] = variable_of(file, name, shape, dtype)[()]
@@ -160,7 +145,8 @@ def read(path: str | os.PathLike[str]) -> Results:
         if counts.min() < 0 or longest > 1 << 20:
             raise ValueError("primary_impacts is out of range")
         first = np.concatenate(([0], np.cumsum(counts.reshape(shape[0], -1).sum(axis=1, dtype=np.int64))))
-        for name, dtype in IMPACT_FIELDS.items():
+        for name, quantity in IMPACT_QUANTITIES.items():
+            dtype = quantity.dtype
             variable = variable_of(file, name, (*shape, longest), dtype)
             digest.begin(name, variable.shape, dtype)
             flat = np.empty(int(first[-1]), dtype)
@@ -208,22 +194,25 @@ def _write(file: Image, results: Results) -> None:
 
     digest = Digest(results.axes + results.coordinates, results.labels)
     with ChunkWriter(file) as chunks:
-        for name, dtype in CELL_FIELDS.items():
-            variable = create_variable(file, name, results.shape, dtype, _MEANING[name], scales)
-            describe(variable, name, results)
+        for name, quantity in CELL_QUANTITIES.items():
+            dtype = quantity.dtype
+            variable = create_variable(file, name, results.shape, dtype, (quantity.unit, quantity.long_name), scales)
+            describe(variable, quantity, results)
             values = np.ascontiguousarray(getattr(results, name))
             digest.begin(name, results.shape, dtype)
             for start, stop in row_blocks(variable):
                 chunks.write(variable, start, values[start:stop])
             digest.add(values)
-        for name, dtype in IMPACT_FIELDS.items():
+        for name, quantity in IMPACT_QUANTITIES.items():
+            dtype = quantity.dtype
             shape = (*results.shape, results.max_impacts)
-            variable = create_variable(file, name, shape, dtype, _MEANING[name], [*scales, impact], apart=1)
-            describe(variable, name, results)
+            meaning = (quantity.unit, quantity.long_name)
+            variable = create_variable(file, name, shape, dtype, meaning, [*scales, impact], apart=1)
+            describe(variable, quantity, results)
             digest.begin(name, shape, dtype)
             # Padded a block of rows at a time: padded whole, the impacts would be most of a large map's memory.
             for start, stop in row_blocks(variable):
-                block = results.padded_rows(name, start, stop)
+                block = results.rows(name, start, stop)
                 chunks.write(variable, start, block)
                 digest.add(block)
     set_text(file, "content_digest", digest.hexdigest())
@@ -247,12 +236,14 @@ def write_head(file: h5py.File, results: Results | ToleranceMap, version: int) -
     return scales
 
 
-def describe(variable: h5py.Dataset, name: str, results: Results | ToleranceMap) -> None:
-    """A variable's coordinates besides its own dimensions, and what its integers mean, where they are codes."""
+def describe(variable: h5py.Dataset, quantity: Quantity, results: Results | ToleranceMap) -> None:
+    """Name a variable's coordinates besides its dimensions, and the meanings of its codes or bits."""
     along_run = " ".join(axis.variable for axis in results.coordinates)
     if along_run:
         set_text(variable, "coordinates", along_run)
-    _write_flags(variable, name, results.labels)
+    meanings = quantity.meanings(results.labels)
+    if meanings:
+        set_flags(variable, meanings, masks=quantity.coded == "quality")
 
 
 def _write_axis(file: h5py.File, axis: ResultAxis) -> h5py.Dataset:
@@ -266,19 +257,6 @@ def write_coordinate(file: h5py.File, name: str, axis: ResultAxis, scales: list[
     variable[:] = axis.values
     for key, text in (("symbol", axis.symbol), ("parameter", axis.parameter)):
         set_text(variable, key, text)
-
-
-def _write_flags(variable: h5py.Dataset, name: str, labels: tuple[str, ...]) -> None:
-    """What the integers of a variable mean, where they are codes."""
-    if name in ("sequence", "nominal_sequence"):
-        # The failed code last: flag_meanings.split()[code] is then right for -1 too.
-        set_flags(variable, {**dict(enumerate(labels)), FAILED_CODE: FAILED})
-    elif name == "status":
-        set_flags(variable, {status.value: status.name.lower() for status in Status})
-    elif name == "quality":
-        set_flags(variable, QUALITY_MEANINGS, masks=True)
-    elif name == "impact_flank":
-        set_flags(variable, {-1: "initial", 0: "none", 1: "opposite"})
 
 
 def row_blocks(variable: h5py.Dataset) -> Iterator[tuple[int, int]]:

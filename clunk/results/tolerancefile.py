@@ -17,8 +17,9 @@ import h5py
 import numpy as np
 
 from clunk.results.checksum import verify
+from clunk.results.labels import FAILED
 from clunk.results.netcdf import ChunkWriter, Image, create_scale, create_variable, get_text, set_text
-from clunk.results.results import FAILED
+from clunk.results.quantities import TOLERANCE_QUANTITIES
 from clunk.results.store import (
     NEWEST_VERSION,
     TOLERANCE_MAP,
@@ -36,15 +37,6 @@ from clunk.results.store import (
 )
 from clunk.results.tolerancemap import QUANTILES, ToleranceMap
 
-# Variable -> (unit, long name).
-_MEANING = {
-    "probability": ("1", "probability of each label: its share of the runs of the sample"),
-    "sequence": ("1", "most likely sequence of impact excursions (regime label)"),
-    "nominal_sequence": ("1", "sequence of impact excursions (regime label) without tolerances"),
-    "severity_mean": ("rad s-2", "mean severity Q of the runs of the sample that did not fail; 0 without impacts"),
-    "severity_quantiles": ("rad s-2", "quantiles of the severity Q of the runs of the sample that did not fail"),
-    "status": ("1", "how the first run of the sample that failed ended"),
-}
 _DRAWN = "drawn_"
 
 
@@ -73,7 +65,9 @@ def read(path: str | os.PathLike[str]) -> ToleranceMap:
         sample = tuple(read_axis(file[name]) for name in get_text(file["draw"], "sample").split())
         digest = Digest(header.axes + header.coordinates + sample, header.labels)
         fields = {}
-        for name, (own, dtype) in _layout(shape, len(header.labels)).items():
+        behind = {"": (), "label": (len(header.labels) + 1,), "quantile": (len(QUANTILES),)}
+        for name, quantity in TOLERANCE_QUANTITIES.items():
+            own, dtype = (*shape, *behind[quantity.dimension]), quantity.dtype
             fields[name] = variable_of(file, name, own, dtype)[()]
             digest.begin(name, own, dtype)
             digest.add(fields[name])
@@ -121,25 +115,14 @@ def _write(file: Image, found: ToleranceMap) -> None:
     digest = Digest(found.axes + found.coordinates + found.sample, found.labels)
     further = {"probability": [label], "severity_quantiles": [quantile]}
     with ChunkWriter(file) as chunks:
-        for name, (shape, dtype) in _layout(found.shape, len(found.labels)).items():
-            more = further.get(name, [])
-            variable = create_variable(file, name, shape, dtype, _MEANING[name], [*scales, *more], apart=len(more))
-            describe(variable, name, found)
+        for name, quantity in TOLERANCE_QUANTITIES.items():
+            more, shape, dtype = further.get(name, []), found.stored_shape(name), quantity.dtype
+            meaning = (quantity.unit, quantity.long_name)
+            variable = create_variable(file, name, shape, dtype, meaning, [*scales, *more], apart=len(more))
+            describe(variable, quantity, found)
             values = np.ascontiguousarray(getattr(found, name))
             digest.begin(name, shape, dtype)
             for start, stop in row_blocks(variable):
                 chunks.write(variable, start, values[start:stop])
             digest.add(values)
     set_text(file, "content_digest", digest.hexdigest())
-
-
-def _layout(shape: tuple[int, ...], labels: int) -> dict[str, tuple[tuple[int, ...], type[np.generic]]]:
-    """The variables of the cells, with shape and dtype, in the order of the file and of its digest."""
-    return {
-        "probability": ((*shape, labels + 1), np.float64),
-        "sequence": (shape, np.int16),
-        "nominal_sequence": (shape, np.int16),
-        "severity_mean": (shape, np.float64),
-        "severity_quantiles": ((*shape, len(QUANTILES)), np.float64),
-        "status": (shape, np.uint8),
-    }

@@ -1,33 +1,32 @@
-"""What tolerances do to a map: how probable each label is in a cell, and how severe its impacts then are."""
+"""A tolerance map: the probability of each label in a cell, and the severity of its impacts."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from clunk.results.labels import double_sided
-from clunk.results.results import FAILED, FAILED_CODE, OverAxes, check_axes, check_labels, count_labels, require, share
-from clunk.study.axes import RUN, ResultAxis
-from clunk.study.summaries import Rows, as_html, as_text, html_table
+from clunk.results.labels import FAILED, FAILED_CODE, double_sided
+from clunk.results.maps import Index, Map, count_labels, require_array, require_codes, share
+from clunk.results.quantities import TOLERANCE_QUANTITIES, Quantity
+from clunk.study.axes import ResultAxis
+from clunk.study.summaries import Rows
 
 QUANTILES = (0.05, 0.5, 0.95)
 CERTAIN = 0.95  # a cell whose most likely label is less probable lies in the band between regimes
 
 
-@dataclass(frozen=True, eq=False)
-class ToleranceMap(OverAxes):
-    """Every cell of a grid, run for the same sample of the toleranced parameters.
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class ToleranceMap(Map):
+    """A map whose every cell was run for the same sample of the toleranced parameters.
 
     "Shape" is the axes' counts in order, N the size of the sample.
 
-    title : str
-    axes, coordinates : as those of `Results`
-    labels : code -> label; the code -1 is a failed run
+    title, axes, coordinates, labels, config, config_digest, attributes : as those of `Map`
     sample : one `ResultAxis` for each toleranced parameter; its values are what was drawn, (N,): the parameter's
         values, factors on its nominal value or offsets from it
     runs : shape + (labels + 1,), int32: of the N runs of a cell, those with each label, and last those that failed
@@ -37,82 +36,78 @@ class ToleranceMap(OverAxes):
     severity_quantiles : shape + (3,), the `QUANTILES` of the same Q, linear between order statistics (type 7 of
         Hyndman and Fan, doi:10.2307/2684934)
     status : shape, uint8, how the first run that failed ended (see `clunk.core.status`), 0 where none did
-    config, config_digest, attributes : as those of `Results`
 
     Raises ValueError where an array's shape or dtype is not the one above, a code has no label, or a cell's runs are
     not N.
     """
 
-    title: str
-    axes: tuple[ResultAxis, ...]
-    labels: tuple[str, ...]
+    quantities: ClassVar[Mapping[str, Quantity]] = TOLERANCE_QUANTITIES
+    measure: ClassVar[str] = "probability"
+
     sample: tuple[ResultAxis, ...]
     runs: npt.NDArray[np.int32]
     nominal_sequence: npt.NDArray[np.int16]
     severity_mean: npt.NDArray[np.float64]
     severity_quantiles: npt.NDArray[np.float64]
     status: npt.NDArray[np.uint8]
-    config: str
-    config_digest: str
-    attributes: dict[str, str]
-    coordinates: tuple[ResultAxis, ...] = ()
 
     def __post_init__(self) -> None:
-        check_axes(self.axes, self.coordinates)
-        check_labels(self.labels, self.nominal_sequence)
+        super().__post_init__()
         if not self.sample or len({len(each.values) for each in self.sample}) > 1:
             raise ValueError("the toleranced parameters need one sample")
-        require("runs", self.runs, (*self.shape, len(self.labels) + 1), np.int32)
-        require("nominal_sequence", self.nominal_sequence, self.shape, np.int16)
-        require("severity_mean", self.severity_mean, self.shape, np.float64)
-        require("severity_quantiles", self.severity_quantiles, (*self.shape, len(QUANTILES)), np.float64)
-        require("status", self.status, self.shape, np.uint8)
+        require_array("runs", self.runs, (*self.shape, len(self.labels) + 1), np.int32)
+        for name in ("nominal_sequence", "severity_mean", "severity_quantiles", "status"):
+            require_array(name, getattr(self, name), self.stored_shape(name), self.quantities[name].dtype)
+        require_codes(self.labels, self.nominal_sequence)
         if self.runs.min() < 0 or (self.runs.sum(axis=-1) != self.draws).any():
             raise ValueError("the runs of a cell are not as many as the sample")
 
-    def at(self, values: Mapping[str, float]) -> ToleranceMap:
-        """The slice at some axes' values, the nearest of each; as `Results.at`."""
-        part, along = self._part(values)
+    def arrays_at(self, index: Index) -> dict[str, Any]:
+        """Arrays of the slice at these positions on the axes, by field."""
         names = ("runs", "nominal_sequence", "severity_mean", "severity_quantiles", "status")
-        fields: dict[str, Any] = {name: np.ascontiguousarray(getattr(self, name)[part]) for name in names}
-        return replace(self, **along, **fields)
+        return {name: np.ascontiguousarray(getattr(self, name)[index]) for name in names}
+
+    @property
+    def dimensions(self) -> dict[str, int]:
+        """Length of each dimension behind the axes that a quantity of the map's file has."""
+        return {"label": len(self.labels) + 1, "quantile": len(QUANTILES)}
 
     @property
     def draws(self) -> int:
-        """The size of the sample, N."""
+        """Size of the sample, N."""
         return len(self.sample[0].values)
 
-    @property
+    @cached_property
     def probability(self) -> npt.NDArray[np.float64]:
-        """Shape + (labels + 1,): each label's share of a cell's runs, and last that of the failed ones."""
+        """Share of each label in the runs of a cell, and last of the failed ones: shape + (labels + 1,)."""
         return self.runs / self.draws
 
     @cached_property
     def sequence(self) -> npt.NDArray[np.int16]:
-        """Shape, int16 codes of the most likely labels; of equally likely ones the first in the labels' order."""
+        """Codes of the most likely labels, shape, int16; of equally likely ones the first in the labels' order."""
         return most_likely(self.runs)
 
     @property
     def certainty(self) -> npt.NDArray[np.float64]:
-        """Shape: the probability of the most likely label."""
+        """Probability of the most likely label, shape."""
         certainty: npt.NDArray[np.float64] = self.runs.max(axis=-1) / self.draws
         return certainty
 
     @property
     def double_sided(self) -> npt.NDArray[np.float64]:
-        """Shape: the probability of a label with a double-sided impact."""
+        """Probability of a label with a double-sided impact, shape."""
         crossing = [code for code, label in enumerate(self.labels) if double_sided(label)]
         probability: npt.NDArray[np.float64] = self.runs[..., crossing].sum(axis=-1) / self.draws
         return probability
 
     @property
     def failed(self) -> int:
-        """How many of all runs failed."""
+        """Number of runs that failed, of all cells."""
         return int(self.runs[..., FAILED_CODE].sum(dtype=np.int64))
 
     @property
     def uncertain(self) -> int:
-        """In how many cells the most likely label is less probable than `CERTAIN`."""
+        """Number of cells whose most likely label is less probable than `CERTAIN`."""
         return int(np.count_nonzero(self.certainty < CERTAIN))
 
     def counts(self) -> dict[str, int]:
@@ -120,32 +115,24 @@ class ToleranceMap(OverAxes):
         return count_labels(self.labels, self.sequence)
 
     def shares(self) -> dict[str, float]:
-        """Each label's share of all runs; last that of ``failed``."""
+        """Share of each label in all runs; last that of ``failed``."""
         total = self.runs.reshape(-1, self.runs.shape[-1]).sum(axis=0, dtype=np.int64)
         names = (*self.labels, FAILED)
         return {name: int(count) / int(total.sum()) for name, count in zip(names, total, strict=True)}
 
     def summary(self) -> Rows:
-        """What was found, for people: (name, value) pairs."""
-        rows = [(axis.parameter, axis.spread) for axis in self.axes]
-        rows += [(axis.parameter, f"{axis.spread}, along {RUN}") for axis in self.coordinates]
-        rows += [(each.parameter, f"drawn {each.spread}") for each in self.sample]
-        rows.append((f"below {CERTAIN:.0%}", share(self.uncertain, self.sequence.size)))
-        return rows
+        """Pairs of a name and a value that describe the map, for people."""
+        drawn = [(each.parameter, f"drawn {each.spread}") for each in self.sample]
+        return [*super().summary(), *drawn, (f"below {CERTAIN:.0%}", share(self.uncertain, self.sequence.size))]
 
-    def _label_rows(self) -> Rows:
+    def label_rows(self) -> Rows:
+        """Pairs of a label and its share of all runs, for people."""
         shares = self.shares().items()
         return [(label, f"{part:.4%} of all runs") for label, part in shares if part or label != FAILED]
 
-    def __repr__(self) -> str:
-        return as_text(f"clunk.ToleranceMap {self.title!r}", [*self.summary(), *self._label_rows()])
-
-    def _repr_html_(self) -> str:
-        return as_html(self.title, html_table(self.summary()), html_table(self._label_rows(), ("label", "probability")))
-
 
 def most_likely(runs: npt.NDArray[np.int32]) -> npt.NDArray[np.int16]:
-    """The codes of the labels with the most runs; of several, of the first; -1 where most failed."""
+    """Codes of the labels with the most runs; of several, of the first; -1 where most failed."""
     code: npt.NDArray[np.int16] = np.argmax(runs, axis=-1).astype(np.int16)
     code[code == runs.shape[-1] - 1] = FAILED_CODE
     return code

@@ -11,8 +11,10 @@ import numpy.typing as npt
 
 from clunk.core.jit import compiled
 from clunk.core.sequence import OPPOSITE, label
-from clunk.core.status import QUALITY_GRAZING, QUALITY_INFERRED, QUALITY_UNDECIDED, Status
-from clunk.results.results import CELL_FIELDS, FAILED_CODE, IMPACT_FIELDS, Results
+from clunk.core.status import QUALITY_GRAZING, QUALITY_UNDECIDED, Status
+from clunk.results.labels import FAILED_CODE
+from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
+from clunk.results.regimemap import Results
 from clunk.study.config import Study, digest, to_toml
 from clunk.study.designs import design_of
 from clunk.sweeping.refinement import DOUBTFUL
@@ -23,16 +25,6 @@ Cells = npt.NDArray[np.int64]
 
 _SHORT = 1 << 12  # patterns below it, of up to eleven primaries, are looked up in a table
 _UNSEEN = -2  # the code there of a pattern that has not turned up yet
-# Of a cell that was not run; what is not here, its kind tells.
-_UNKNOWN_VALUES: dict[str, float] = {
-    "severity": np.nan,
-    "approach_velocity": np.nan,
-    "last_event_time": np.nan,
-    "margin": np.nan,
-    "touches": -1,
-    "quality": QUALITY_INFERRED,
-    "status": Status.OK,
-}
 
 
 class Assembly:
@@ -57,7 +49,7 @@ class Assembly:
         self._codes: npt.NDArray[np.int32] = self._scratch.empty(cells, np.int32)
         self._known = np.zeros(cells, bool)
         self._fields = {
-            name: self._scratch.empty(cells, dtype) for name, dtype in CELL_FIELDS.items() if name != "sequence"
+            name: self._scratch.empty(cells, each.dtype) for name, each in CELL_QUANTITIES.items() if name != "sequence"
         }
         self._impacts: list[tuple[Cells, dict[str, npt.NDArray[np.generic]]]] = []
 
@@ -74,8 +66,8 @@ class Assembly:
         for name, field in self._fields.items():
             field[where] = tile.records[name]
         columns = {
-            name: np.ascontiguousarray(tile.impacts[name.removeprefix("impact_")], dtype)
-            for name, dtype in IMPACT_FIELDS.items()
+            name: np.ascontiguousarray(tile.impacts[name.removeprefix("impact_")], each.dtype)
+            for name, each in IMPACT_QUANTITIES.items()
         }
         self._take(tile.cells, where, columns)
 
@@ -92,7 +84,7 @@ class Assembly:
         for name, field in self._fields.items():
             field[cells] = getattr(results, name).ravel()[cells]
         owned = np.repeat(sequence != FAILED_CODE, np.diff(first))
-        self._take(cells, cells, {name: getattr(results, name)[owned] for name in IMPACT_FIELDS})
+        self._take(cells, cells, {name: getattr(results, name)[owned] for name in IMPACT_QUANTITIES})
 
     def known(self) -> Cells:
         """The cells that have been run, in ascending order."""
@@ -127,12 +119,13 @@ class Assembly:
 
         def finish(name: str) -> None:
             values = self._codes if name == "sequence" else self._fields[name]
-            if name in of_kind:
+            value = CELL_QUANTITIES[name].inferred
+            if value is None:
                 _fill(values, inferred, kinds, of_kind[name].astype(values.dtype))
             else:
-                np.copyto(values, _UNKNOWN_VALUES[name], where=inferred, casting="unsafe")
+                np.copyto(values, value, where=inferred, casting="unsafe")
 
-        self._each(finish, list(CELL_FIELDS))
+        self._each(finish, list(CELL_QUANTITIES))
         self._known[:] = True
 
     def results(self, attributes: dict[str, str]) -> Results:
@@ -152,14 +145,14 @@ class Assembly:
             if name == "sequence":
                 values = self._scratch.empty(self._codes.size, np.int16)
                 return np.take(code, self._codes, out=values, mode="wrap")  # -1 is the last
-            values = self._scratch.empty(int(first[-1]), IMPACT_FIELDS[name])
+            values = self._scratch.empty(int(first[-1]), IMPACT_QUANTITIES[name].dtype)
             if self.done < counts.size:
                 self._fill_inferred(values, first)
             for cells, impacts in self._impacts:
                 _put(values, first, cells, impacts[name])
             return values
 
-        made = self._each(finished, ("sequence", *IMPACT_FIELDS))
+        made = self._each(finished, ("sequence", *IMPACT_QUANTITIES))
         fields = {**self._fields, "sequence": made.pop("sequence")}
         return Results(
             title=self._study.title,

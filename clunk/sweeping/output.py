@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 
 from clunk.results import tolerancefile
-from clunk.results.results import Results
+from clunk.results.regimemap import Results
 from clunk.results.store import StoreError, read, read_header, write
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.study.config import Study, digest

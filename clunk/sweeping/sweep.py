@@ -20,7 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 import clunk
-from clunk.results.results import FAILED_CODE, Results
+from clunk.results.labels import FAILED_CODE
+from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.study.config import Study, content, digest, study_from_text
 from clunk.study.designs import design_of, has_tolerances

@@ -18,7 +18,7 @@ from clunk.core.rk4.propagator import Steps
 from clunk.core.sequence import INITIAL, OPPOSITE, label
 from clunk.core.status import Status
 from clunk.core.tile import LONGEST_PATTERN
-from clunk.results.results import FAILED_CODE
+from clunk.results.labels import FAILED_CODE
 from clunk.results.tolerancemap import QUANTILES, ToleranceMap
 from clunk.study.axes import ResultAxis
 from clunk.study.config import Study, digest, quantity, to_toml

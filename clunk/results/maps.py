@@ -1,0 +1,170 @@
+"""Maps over swept parameters: what regime maps and tolerance maps have in common."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.results.labels import FAILED, FAILED_CODE
+from clunk.results.quantities import Quantity
+from clunk.study.axes import RUN, ResultAxis
+from clunk.study.summaries import Rows, as_html, as_text, html_table
+
+Index = tuple[slice, ...]
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Map(ABC):
+    """A map over one or more swept parameters, base of `Results` and `ToleranceMap`.
+
+    "Shape" is the axes' counts in order.
+
+    title : str
+    axes : one or more `ResultAxis`
+    coordinates : the parameters that change together along the axis `run`, if there is one; each as long as it
+    labels : code -> label; the code -1 is a failed cell
+    config, config_digest : the resolved TOML and its digest
+    attributes : versions, date and machine, by name
+
+    Raises ValueError where these do not belong together, or an array has not the shape or dtype of its quantity.
+    """
+
+    quantities: ClassVar[Mapping[str, Quantity]]  # those that its file has
+    measure: ClassVar[str]  # heading of what `label_rows` says of each label
+
+    title: str
+    axes: tuple[ResultAxis, ...]
+    labels: tuple[str, ...]
+    config: str
+    config_digest: str
+    attributes: dict[str, str]
+    coordinates: tuple[ResultAxis, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.axes:
+            raise ValueError("results need at least one axis")
+        if len({axis.variable for axis in self.parameters}) != len(self.parameters):
+            raise ValueError("two axes have the same name")
+        run = {len(axis.values) for axis in self.axes if axis.parameter == RUN}
+        if {len(axis.values) for axis in self.coordinates} - run:
+            raise ValueError("a coordinate is not as long as the axis run")
+        if any(not label or label.split() != [label] or label == FAILED for label in self.labels):
+            raise ValueError("a label must be one word, and not 'failed'")
+        if len(set(self.labels)) != len(self.labels):
+            raise ValueError("labels must differ from each other")
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The axes' counts in order."""
+        return tuple(len(axis.values) for axis in self.axes)
+
+    @property
+    def parameters(self) -> tuple[ResultAxis, ...]:
+        """The swept parameters: the axes, and in the place of `run` its coordinates."""
+        return parameters_of(self.axes, self.coordinates)
+
+    def at(self, values: Mapping[str, float]) -> Self:
+        """Slice at some axes' values, the nearest of each: ``results.at({"lash.contact.stiffness": 4e5})``.
+
+        Those axes stay, with one value; of `run` a run's number, and its coordinates stay with theirs. Labels and codes
+        are those of the whole.
+
+        Raises ValueError where a name is not an axis, or a value lies beyond it.
+        """
+        names = [axis.parameter for axis in self.axes]
+        index = [slice(None)] * len(names)
+        for parameter, value in values.items():
+            if parameter not in names:
+                raise ValueError(f"{parameter!r} is no axis of these results; their axes are {', '.join(names)}")
+            k = names.index(parameter)
+            position = self.axes[k].nearest(value)
+            index[k] = slice(position, position + 1)
+        run = index[names.index(RUN)] if RUN in names else slice(None)
+        return replace(
+            self,
+            axes=tuple(replace(axis, values=axis.values[part]) for axis, part in zip(self.axes, index, strict=True)),
+            coordinates=tuple(replace(axis, values=axis.values[run]) for axis in self.coordinates),
+            **self.arrays_at(tuple(index)),
+        )
+
+    @abstractmethod
+    def arrays_at(self, index: Index) -> dict[str, Any]:
+        """Arrays of the slice at these positions on the axes, by field."""
+
+    @abstractmethod
+    def counts(self) -> dict[str, int]:
+        """Number of cells of each label, in the labels' order, and last of ``failed`` (also where it is 0)."""
+
+    @abstractmethod
+    def label_rows(self) -> Rows:
+        """Pairs of a label and how much of the map it takes, for people."""
+
+    @property
+    def dimensions(self) -> dict[str, int]:
+        """Length of each dimension behind the axes that a quantity of the map's file has."""
+        return {}
+
+    def stored_shape(self, name: str) -> tuple[int, ...]:
+        """Shape of a quantity in the map's file."""
+        dimension = self.quantities[name].dimension
+        return (*self.shape, self.dimensions[dimension]) if dimension else self.shape
+
+    def rows(self, name: str, start: int, stop: int) -> npt.NDArray[Any]:
+        """Values of a quantity in the rows `start` to `stop` of the first axis, as the file has them."""
+        values: npt.NDArray[Any] = getattr(self, name)[start:stop]
+        return values
+
+    def summary(self) -> Rows:
+        """Pairs of a name and a value that describe the map, for people."""
+        rows = [(axis.parameter, axis.spread) for axis in self.axes]
+        return rows + [(axis.parameter, f"{axis.spread}, along {RUN}") for axis in self.coordinates]
+
+    def __repr__(self) -> str:
+        return as_text(f"clunk.{type(self).__name__} {self.title!r}", [*self.summary(), *self.label_rows()])
+
+    def _repr_html_(self) -> str:
+        return as_html(self.title, html_table(self.summary()), html_table(self.label_rows(), ("label", self.measure)))
+
+
+def parameters_of(axes: Sequence[ResultAxis], coordinates: Sequence[ResultAxis]) -> tuple[ResultAxis, ...]:
+    """The swept parameters: the axes, and in the place of `run` its coordinates."""
+    return tuple(each for axis in axes for each in (coordinates if axis.parameter == RUN else [axis]))
+
+
+def values_at(
+    axes: Sequence[ResultAxis], cell: Sequence[int], coordinates: Sequence[ResultAxis] = ()
+) -> tuple[float, ...]:
+    """Values of the parameters in a cell, in the order of `parameters_of`; of `run` its number without coordinates."""
+    return tuple(
+        float(each.values[k])
+        for axis, k in zip(axes, cell, strict=True)
+        for each in (coordinates if axis.parameter == RUN and coordinates else [axis])
+    )
+
+
+def share(count: int, cells: int) -> str:
+    """A number of cells and their part of all cells, for people: ``21 cells, 4.8 %``."""
+    return f"{count:,} {'cell' if count == 1 else 'cells'}, {100.0 * count / cells:.1f} %"
+
+
+def count_labels(labels: tuple[str, ...], sequence: npt.NDArray[np.int16]) -> dict[str, int]:
+    """Number of cells of each label, in the labels' order, and last of ``failed``."""
+    cells = np.bincount(sequence.ravel().astype(np.intp) - FAILED_CODE, minlength=len(labels) + 1)
+    return {label: int(cells[code - FAILED_CODE]) for code, label in enumerate(labels)} | {FAILED: int(cells[0])}
+
+
+def require_codes(labels: tuple[str, ...], sequence: npt.NDArray[np.int16]) -> None:
+    """Raise ValueError where a code has no label."""
+    if sequence.min() < FAILED_CODE or sequence.max() >= len(labels):
+        raise ValueError("sequence holds a code without a label")
+
+
+def require_array(name: str, array: npt.NDArray[Any], shape: tuple[int, ...], dtype: type[np.generic]) -> None:
+    """Raise ValueError where an array has another shape or dtype."""
+    if array.shape != shape or array.dtype != dtype:
+        raise ValueError(f"{name} must be {np.dtype(dtype)} {shape}, not {array.dtype} {array.shape}")

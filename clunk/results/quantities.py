@@ -1,0 +1,96 @@
+"""The quantities of maps, described once, in quantities.csv: what files, plots and tables say of each."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+
+import numpy as np
+
+from clunk.core.status import QUALITY_MEANINGS, Status
+from clunk.results.labels import FAILED, FAILED_CODE
+
+_UNIT_SYMBOLS = {"1": "", "s": "s", "rad s-1": "rad/s", "rad s-2": "rad/s²"}
+_WORDS: dict[str, Mapping[int, str]] = {  # integer -> word
+    "": {},
+    "labels": {FAILED_CODE: FAILED},  # of a map's own labels, and of what failed
+    "status": {status.value: status.name.lower() for status in Status},
+    "quality": QUALITY_MEANINGS,
+    "flank": {-1: "initial", 0: "none", 1: "opposite"},
+}
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity of each cell of a map, or of each primary impact, label or quantile of a cell.
+
+    name : of the attribute of `Results` or `ToleranceMap` and of the variable in the file
+    dtype : numpy scalar type
+    unit : in the notation of UDUNITS, ``1`` where there is none
+    dimension : the dimension behind the map's axes: ``impact``, ``label``, ``quantile``; empty where there is none
+    coded : ``labels``, ``status``, ``quality`` or ``flank``, where the integers are codes or bits of these
+    inferred : value in a cell that a refined sweep inferred; None where the cell's regime gives it
+    since : first schema version of files that have it; read from an older one, it is NaN
+    words, symbol : name and symbol for people; empty where the values are not drawn or printed as numbers
+    title : name in plots, where that is not `words`
+    long_name : description in the file
+    """
+
+    name: str
+    dtype: type[np.generic]
+    unit: str
+    dimension: str
+    coded: str
+    inferred: float | None
+    since: int
+    words: str
+    symbol: str
+    title: str
+    long_name: str
+
+    @property
+    def unit_symbol(self) -> str:
+        """The unit as people write it, e.g. ``rad/s²``; empty where there is none."""
+        return _UNIT_SYMBOLS[self.unit]
+
+    @property
+    def heading(self) -> str:
+        """Name and symbol, e.g. ``severity Q``."""
+        return f"{self.words} {self.symbol}".rstrip()
+
+    @property
+    def heading_with_unit(self) -> str:
+        """Name, symbol and unit, e.g. ``severity Q [rad/s²]``."""
+        return self.heading + (f" [{self.unit_symbol}]" if self.unit_symbol else "")
+
+    @property
+    def plot_label(self) -> str:
+        """Name, symbol and unit beside an axis or a colour bar, e.g. ``Severity Q [rad/s²]``."""
+        title = self.title or self.words[:1].upper() + self.words[1:]
+        return title + self.heading_with_unit.removeprefix(self.words)
+
+    def meanings(self, labels: Sequence[str]) -> dict[int, str]:
+        """Word of each code or bit, in a map with these labels; empty where the values are numbers."""
+        # The failed code comes last: flag_meanings.split()[code] is then right for -1, too.
+        return (dict(enumerate(labels)) if self.coded == "labels" else {}) | dict(_WORDS[self.coded])
+
+
+def _read() -> dict[str, dict[str, Quantity]]:
+    """Read the table: map -> name -> quantity, in the order of the variables in a file and in its digest."""
+    maps: dict[str, dict[str, Quantity]] = {}
+    text = files(__package__).joinpath("quantities.csv").read_text("utf-8")
+    for row in csv.DictReader(text.splitlines()):
+        quantities = maps.setdefault(row.pop("map"), {})
+        dtype, inferred, since = np.dtype(row.pop("dtype")).type, row.pop("inferred"), int(row.pop("since"))
+        value = float(inferred) if inferred else None
+        quantities[row["name"]] = Quantity(dtype=dtype, inferred=value, since=since, **row)
+    return maps
+
+
+_MAPS = _read()
+REGIME_QUANTITIES = _MAPS["regimes"]
+CELL_QUANTITIES = {name: each for name, each in REGIME_QUANTITIES.items() if not each.dimension}
+IMPACT_QUANTITIES = {name: each for name, each in REGIME_QUANTITIES.items() if each.dimension == "impact"}
+TOLERANCE_QUANTITIES = _MAPS["tolerances"]

@@ -1,0 +1,190 @@
+"""A regime map: label, severity and outcome of every cell, and every primary impact."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.core.status import QUALITY_INFERRED, QUALITY_MEANINGS, Status
+from clunk.results.labels import FAILED
+from clunk.results.maps import Index, Map, count_labels, require_array, require_codes, share, values_at
+from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES, REGIME_QUANTITIES, Quantity
+from clunk.study.summaries import Rows
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Results(Map):
+    """A regime map: a label for each cell, its quantities and its primary impacts.
+
+    "Shape" is the axes' counts in order; N counts the primary impacts of all cells.
+
+    title, axes, coordinates, labels, config, config_digest, attributes : as those of `Map`
+    sequence : shape, int16 codes into `labels`
+    severity : shape, Q  [rad/s²], NaN where it is not defined
+    approach_velocity : shape, V  [rad/s]
+    last_event_time : shape  [s after the load step], NaN where nothing happened
+    primary_impacts, touches : shape, int32; touches -1 where the cell was inferred
+    status, quality : shape, uint8; see `clunk.core.status`
+    initial_side : shape, int8, sign of θ_i - θ_j on the initial flank (0: none)
+    margin : shape, dimensionless: how near the run came to another label, positive for what did not happen and negative
+        for what did (see `clunk.core.exact.run`); NaN where the method knows none
+    impact_time : (N,)  [s after the load step]; cells in C order, cell k owns `primary_impacts[k]` consecutive entries
+    impact_flank : (N,) int8, +1 opposite, -1 initial
+    impact_closing_speed : (N,)  [rad/s]
+    impact_severity : (N,) Q_i  [rad/s²]
+
+    A cell that a refined sweep inferred (`QUALITY_INFERRED`) has what its regime tells: code, primary_impacts,
+    initial_side and the flanks of its impacts, which have their places in the flat arrays; its floats are NaN.
+
+    Raises ValueError where an array's shape or dtype is not the one above, or a code has no label.
+    """
+
+    quantities: ClassVar[Mapping[str, Quantity]] = REGIME_QUANTITIES
+    measure: ClassVar[str] = "cells"
+
+    sequence: npt.NDArray[np.int16]
+    severity: npt.NDArray[np.float64]
+    approach_velocity: npt.NDArray[np.float64]
+    last_event_time: npt.NDArray[np.float64]
+    primary_impacts: npt.NDArray[np.int32]
+    touches: npt.NDArray[np.int32]
+    status: npt.NDArray[np.uint8]
+    quality: npt.NDArray[np.uint8]
+    initial_side: npt.NDArray[np.int8]
+    margin: npt.NDArray[np.float64]
+    impact_time: npt.NDArray[np.float64]
+    impact_flank: npt.NDArray[np.int8]
+    impact_closing_speed: npt.NDArray[np.float64]
+    impact_severity: npt.NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, quantity in CELL_QUANTITIES.items():
+            require_array(name, getattr(self, name), self.shape, quantity.dtype)
+        if self.primary_impacts.min() < 0:
+            raise ValueError("primary_impacts must not be negative")
+        impacts = (int(self.primary_impacts.sum(dtype=np.int64)),)
+        for name, quantity in IMPACT_QUANTITIES.items():
+            require_array(name, getattr(self, name), impacts, quantity.dtype)
+        require_codes(self.labels, self.sequence)
+
+    @cached_property
+    def inferred(self) -> npt.NDArray[np.bool_]:
+        """Mask of the cells that a refined sweep did not run: shape, bool."""
+        inferred: npt.NDArray[np.bool_] = (self.quality & QUALITY_INFERRED) != 0
+        return inferred
+
+    @cached_property
+    def max_impacts(self) -> int:
+        """Length of the file's `impact` dimension: the most primary impacts of any cell, at least 1."""
+        return max(1, int(self.primary_impacts.max()))
+
+    @cached_property
+    def first_impact(self) -> npt.NDArray[np.int64]:
+        """Position of each cell's first impact in the flat arrays, and last their length: (cells + 1,), in C order."""
+        first = np.zeros(self.primary_impacts.size + 1, np.int64)
+        np.cumsum(self.primary_impacts.ravel(), out=first[1:])
+        return first
+
+    def arrays_at(self, index: Index) -> dict[str, Any]:
+        """Arrays of the slice at these positions on the axes, by field."""
+        cells = np.arange(self.sequence.size).reshape(self.shape)[index].ravel()
+        count, first = np.diff(self.first_impact)[cells], self.first_impact[cells]
+        begin = np.cumsum(count) - count  # of each cell's impacts in the slice
+        impacts = np.arange(count.sum()) + np.repeat(first - begin, count)
+        arrays = {name: np.ascontiguousarray(getattr(self, name)[index]) for name in CELL_QUANTITIES}
+        return arrays | {name: getattr(self, name)[impacts] for name in IMPACT_QUANTITIES}
+
+    def counts(self) -> dict[str, int]:
+        """Number of cells of each label, in the labels' order, and last of ``failed`` (also where it is 0)."""
+        return count_labels(self.labels, self.sequence)
+
+    @property
+    def label_map(self) -> npt.NDArray[np.str_]:
+        """Label of each cell, shape; ``failed`` where the run failed."""
+        return np.array([*self.labels, FAILED])[self.sequence]  # the code -1 is the last
+
+    def cell(self, values: Mapping[str, float]) -> dict[str, Any]:
+        """All that is known about the cell nearest to these values.
+
+        Parameters
+        ----------
+        values : by parameter, for every axis, in its unit
+
+        Returns
+        -------
+        dict
+            The value of each parameter in this cell; its `label`; each quantity of a cell, by name; the names of its
+            `status` and `quality` in the place of their codes; and each quantity of its primary impacts, in arrays.
+
+        Raises
+        ------
+        ValueError
+            Where an axis is not named, or something that is none; or a value lies beyond an axis.
+
+        Examples
+        --------
+        >>> import clunk
+        >>> results = clunk.sweep(clunk.load_study("configs/smoke.toml"))
+        >>> cell = results.cell({"load.ratio": 5.0, "lash.backlash_deg": 6.0})
+        >>> cell["label"], cell["touches"], cell["quality"]
+        ('DS(1)SS(1)', 9, ['complete'])
+        >>> cell["impact_time"].round(4)  # s after the load step
+        array([0.1191, 0.2613, 0.565 ])
+        """
+        names = [axis.parameter for axis in self.axes]
+        if set(values) != set(names):
+            raise ValueError(f"A cell is named by {' and '.join(names)}, not by {', '.join(values) or 'nothing'}.")
+        at = tuple(axis.nearest(values[axis.parameter]) for axis in self.axes)
+        number = int(np.ravel_multi_index(at, self.shape))
+        impacts = slice(*self.first_impact[number : number + 2])
+        cell: dict[str, Any] = dict(zip(names, values_at(self.axes, at), strict=True))
+        swept = values_at(self.axes, at, self.coordinates)
+        cell |= {axis.parameter: value for axis, value in zip(self.parameters, swept, strict=True)}
+        cell["label"] = [*self.labels, FAILED][self.sequence[at]]
+        cell |= {name: getattr(self, name)[at].item() for name in CELL_QUANTITIES}
+        cell["status"] = Status(cell["status"]).name.lower()
+        cell["quality"] = [name for bit, name in QUALITY_MEANINGS.items() if cell["quality"] & bit]
+        return cell | {name: getattr(self, name)[impacts] for name in IMPACT_QUANTITIES}
+
+    def summary(self) -> Rows:
+        """Pairs of a name and a value that describe the map, for people."""
+        rows = [*super().summary()]
+        if np.isfinite(self.severity).any():
+            quantity = CELL_QUANTITIES["severity"]
+            spread = f"{np.nanmin(self.severity):.0f} to {np.nanmax(self.severity):.0f} {quantity.unit_symbol}"
+            rows.append((quantity.heading, spread))
+        counts = {name: int(np.count_nonzero(self.quality & bit)) for bit, name in QUALITY_MEANINGS.items()}
+        return rows + [(name, share(count, self.sequence.size)) for name, count in counts.items() if count]
+
+    def label_rows(self) -> Rows:
+        """Pairs of a label and its number and share of cells, for people."""
+        cells = self.sequence.size
+        return [(label, share(n, cells)) for label, n in self.counts().items() if n or label != FAILED]
+
+    @property
+    def dimensions(self) -> dict[str, int]:
+        """Length of each dimension behind the axes that a quantity of the map's file has."""
+        return {"impact": self.max_impacts}
+
+    def rows(self, name: str, start: int, stop: int) -> npt.NDArray[Any]:
+        """Values of a quantity in the rows `start` to `stop` of the first axis, impacts padded as in the file."""
+        return self.padded(name, start, stop) if name in IMPACT_QUANTITIES else super().rows(name, start, stop)
+
+    def padded(self, name: str, start: int = 0, stop: int | None = None) -> npt.NDArray[Any]:
+        """Array of an `impact_…` quantity as shape + (max_impacts,), padded with NaN (floats) or 0 (integers).
+
+        start, stop : rows of the first axis, to which the array and the memory are limited
+        """
+        dtype = np.dtype(IMPACT_QUANTITIES[name].dtype)
+        count = self.primary_impacts[start:stop]
+        begin = start * int(np.prod(self.shape[1:], dtype=np.int64))
+        flat = getattr(self, name)[self.first_impact[begin] : self.first_impact[begin + count.size]]
+        block = np.full((*count.shape, self.max_impacts), np.nan if dtype.kind == "f" else 0, dtype)
+        block[np.arange(self.max_impacts) < count[..., None]] = flat
+        return block
