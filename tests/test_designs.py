@@ -20,6 +20,7 @@ from clunk.results.store import read, read_header, write
 from clunk.study.axes import RUN
 from clunk.study.config import replace_values, study_from_text
 from clunk.study.designs import design_of
+from clunk.sweeping.refinement import coarse_spacing
 from clunk.sweeping.sweep import cell_count, retry_failed, sweep
 
 BASE = '[driveline]\npreset = "boere-2008"\n[solver]\nmethod = "exact"\n'
@@ -151,7 +152,7 @@ class TestRefinement:
     def test_nothing_is_inferred_from_another_run(self):
         """Each run has a regime of its own, which a region of another one cuts into: only its own cells tell where."""
         axis = '[[sweep.axes]]\nparameter = "load.ratio"\nstart=0\nstop=10\ncount=241\n'
-        spacing = design_of(study_from_text(BASE + DRAWS.format(count=250) + axis)).spacing
+        spacing = coarse_spacing(design_of(study_from_text(BASE + DRAWS.format(count=250) + axis)))
         assert spacing == (4, 1)  # as an axis, 250 runs would have 4 too
         truth = np.broadcast_to(np.arange(250, dtype=np.int32) // 3, (241, 250)).copy()
         truth[100:137, 7::2] = 1000

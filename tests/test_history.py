@@ -9,9 +9,10 @@ from scipy.integrate import solve_ivp
 
 from clunk.core.events import KIND_NAMES, LOCK, TOUCH
 from clunk.plot import PlotError, histories, save
-from clunk.plot.small_gap import SmallGap, small_gap
+from clunk.plot.small_gap import small_gap
 from clunk.results.historyfile import save_csv, save_hdf5
 from clunk.simulation.history import HistoryError, sample, shown_until
+from clunk.simulation.small_gap import SmallGap
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import Study, digest, study_from_text
 
@@ -22,6 +23,10 @@ MODELS = ("gap", "force", "restitution")
 INERTIA = np.array([0.024, 0.002, 0.002, 0.002])
 RADIUS, HALF_GAP = 0.08, np.deg2rad(6.0) / 2
 CONTACT_STIFFNESS, CONTACT_DAMPING = RADIUS**2 * 4.092e5, RADIUS**2 * 94.0
+
+
+def small_gap_of(study: Study):
+    return small_gap(study.title, SmallGap.of(study))
 
 
 def nominal(model: str = "gap", *overrides: str) -> Study:
@@ -491,13 +496,13 @@ def test_small_gap_response_swings_within_its_envelope(model):
     assert 0.99 < outside.max() < 1.1  # the other modes add little
     maxima = np.count_nonzero(np.diff(np.sign(response.torque)) > 0)
     assert maxima == 2 == round(response.periods)  # DS(2) as the backlash vanishes
-    (ax,) = small_gap(nominal(model)).axes
+    (ax,) = small_gap_of(nominal(model)).axes
     (crossing,) = [line for line in ax.lines if line.get_gid() == "tc"]
     assert crossing.get_xdata()[0] == pytest.approx(0.1 + np.log(5.0) / response.decay)
 
 
 def test_small_gap_without_a_crossing_says_so():
-    (ax,) = small_gap(nominal("gap", "load.ratio=0.8")).axes
+    (ax,) = small_gap_of(nominal("gap", "load.ratio=0.8")).axes
     assert "never crosses zero" in ax.get_title(loc="left")
 
 
@@ -511,7 +516,7 @@ def test_text_is_large_enough_to_read():
     for figure in (
         histories.simulation_figure([triple("IFM")]),
         histories.closeup([triple("IFM")]),
-        small_gap(nominal()),
+        small_gap_of(nominal()),
     ):
         figure.draw_without_rendering()
         assert min(text.get_fontsize() for text in figure.findobj(Text) if text.get_text()) >= 8.0

@@ -12,7 +12,7 @@ from clunk.cli import main
 from clunk.plot.indices import sobol_bars
 from clunk.plot.style import PlotError
 from clunk.simulation.trajectory import simulate
-from clunk.study.config import replace_values, study_from_text
+from clunk.study.config import get_value, replace_values, study_from_text
 
 POINT = """
 title = "σr = 5, φθ = 6°"
@@ -117,7 +117,7 @@ def test_the_indices_of_small_tolerances_are_those_of_error_propagation():
     found = sensitivity(point).indices[0]
     step, contributions = 1e-3, []
     for key in STRUCTURAL:
-        own = clunk.config.get_value(point, key)
+        own = get_value(point, key)
         above, below = (simulate(replace_values(point, {key: own * (1.0 + s)})).severity for s in (step, -step))
         contributions.append((above - below) ** 2)
     shares = np.array(contributions) / sum(contributions)

@@ -15,6 +15,7 @@ import numpy as np
 from helpers import reference
 
 MOST = 0.25
+ROUNDING = 2e-14  # rad, N m: of a sum of terms of up to 1 by matrices with an exponential's rounding
 BEYOND = 3.0  # s, how long a guard that does not act is followed
 
 
@@ -89,8 +90,8 @@ def candidates(plant, events, end, sticking):
             for guard in regime.guards if name == "open" else [_holding(regimes, int(name[-2:]))]:
                 for after, value in _turning_points(regime, guard.row, z, until - event.time):
                     time = event.time + after
-                    if after < 2.0 * regime.cell and abs(value) <= 1e-12 * scale:
-                        continue  # the zero that a release begins with, to rounding
+                    if after < 2.0 * regime.cell and abs(value) <= max(1e-12 * scale, ROUNDING):
+                        continue  # the zero that a release begins with
                     if name == "open" or time > began + sticking:
                         found.append(Candidate(value / scale, f"near miss, {name}, {guard.side:+d}", time))
         if k + 1 == len(events):
