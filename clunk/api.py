@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clunk.analysis import verification
+from clunk.analysis.thresholds import thresholds_of
 from clunk.analysis.verification import METHODS, Verification, by
 from clunk.results import targets, tolerancefile
 from clunk.results.regimemap import Results
@@ -203,7 +204,7 @@ def draw(what: Results | ToleranceMap | Trajectory, quantity: str = "regimes") -
     from clunk import plot
 
     if isinstance(what, Results):
-        return plot.draw(what, quantity, plot.thresholds_of(what))
+        return plot.draw(what, quantity, thresholds_of(what))
     if isinstance(what, ToleranceMap):
         from clunk.plot import certainty
 
@@ -213,8 +214,9 @@ def draw(what: Results | ToleranceMap | Trajectory, quantity: str = "regimes") -
         raise TypeError(f"draw takes Results or a Trajectory, not a {kind}; clunk.read_results(path) gives Results.")
     from clunk.plot.histories import simulation_figure
     from clunk.simulation.history import sample
+    from clunk.simulation.recording import Recording
 
-    return simulation_figure([(what.study.title, what, sample(what))])
+    return simulation_figure([Recording(what.study.title, what, sample(what))])
 
 
 def _found(

@@ -12,6 +12,7 @@ from test_sweeping import equal, regimes, same_as_single_run
 
 from clunk import plot
 from clunk.analysis.comparison import ComparisonError, compare
+from clunk.analysis.thresholds import thresholds_of
 from clunk.cli import main
 from clunk.cli.compare_report import as_record, report
 from clunk.core.status import QUALITY_INFERRED
@@ -513,7 +514,7 @@ class TestFigures:
 
     def test_thresholds_are_those_of_the_slices_driveline(self, four):
         """σr = exp(2π ζ1 (n - 1/2)): more damping, higher thresholds."""
-        light, heavy = (plot.thresholds_of(four.at({"driveline.shafts[1].damping": c})) for c in (0.04, 0.16))
+        light, heavy = (thresholds_of(four.at({"driveline.shafts[1].damping": c})) for c in (0.04, 0.16))
         assert len(light) == len(heavy) > 2
         assert all(b > 1.02 * a for a, b in zip(light, heavy, strict=True))
 

@@ -12,6 +12,7 @@ from clunk.plot import PlotError, histories, save
 from clunk.plot.small_gap import small_gap
 from clunk.results.historyfile import save_csv, save_hdf5
 from clunk.simulation.history import HistoryError, sample, shown_until
+from clunk.simulation.recording import Recording
 from clunk.simulation.small_gap import SmallGap
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import Study, digest, study_from_text
@@ -384,8 +385,8 @@ def test_unwritable_path_is_an_error_in_one_sentence(tmp_path, write):
 # --- Figures
 
 
-def triple(label, model="gap", *overrides):
-    return label, run(model, *overrides), history(model, *overrides, until=1.0)
+def recording(label, model="gap", *overrides):
+    return Recording(label, run(model, *overrides), history(model, *overrides, until=1.0))
 
 
 def marks(figure, gid):
@@ -394,7 +395,7 @@ def marks(figure, gid):
 
 def test_backlash_panels_are_those_of_figure_3_2():
     runs = [
-        triple(f"load.ratio={ratio}, {label}", model, f"load.ratio={ratio}")
+        recording(f"load.ratio={ratio}, {label}", model, f"load.ratio={ratio}")
         for ratio in (1, 2, 5)
         for label, model in (("IFM", "gap"), ("RCM", "restitution"))
     ]
@@ -415,7 +416,7 @@ def test_backlash_panels_are_those_of_figure_3_2():
 
 def test_every_touch_is_marked_at_its_flank():
     trajectory = run()
-    figure = histories.backlash([triple("IFM")])
+    figure = histories.backlash([recording("IFM")])
     assert len(marks(figure, "primary")) == trajectory.primaries.size
     assert len(marks(figure, "secondary")) == trajectory.touches - trajectory.primaries.size
     assert {line.get_markerfacecolor() for line in marks(figure, "secondary")} == {"white"}
@@ -429,32 +430,31 @@ def test_every_touch_is_marked_at_its_flank():
 
 
 def test_closeup_shows_the_first_impact_as_figure_3_3():
-    (ax,) = histories.closeup([triple("IFM"), triple("RCM", "restitution")]).axes
+    (ax,) = histories.closeup([recording("IFM"), recording("RCM", "restitution")]).axes
     np.testing.assert_allclose(ax.get_xlim(), (0.18, 0.28), atol=1e-12)
     np.testing.assert_allclose(ax.get_ylim(), (3.0, 4.8), atol=0.05)
 
 
 def test_closeup_of_the_initial_flank_is_around_it():
-    (ax,) = histories.closeup([triple("IFM")], around=0.361, width=0.05).axes
+    (ax,) = histories.closeup([recording("IFM")], around=0.361, width=0.05).axes
     assert -4.8 < ax.get_ylim()[0] < -1e3 * RADIUS * HALF_GAP < ax.get_ylim()[1] < -3.0
 
 
 def test_closeup_without_a_touch_says_so():
     with pytest.raises(PlotError, match="no primary impact happens"):
-        histories.closeup([triple("IFM", "gap", "load.ratio=1")])
+        histories.closeup([recording("IFM", "gap", "load.ratio=1")])
     with pytest.raises(PlotError, match=r"no touch to look at closely between 0.86 s and 0.96 s"):
-        histories.closeup([triple("IFM")], around=0.9)
-    label, trajectory, _ = triple("IFM")
+        histories.closeup([recording("IFM")], around=0.9)
     with pytest.raises(PlotError, match="no touch to look at closely"):  # it was not sampled for so long
-        histories.closeup([(label, trajectory, sample(trajectory, until=0.15))])
+        histories.closeup([Recording("IFM", run(), sample(run(), until=0.15))])
     with pytest.raises(PlotError, match="wider than 0 s"):
-        histories.closeup([triple("IFM")], width=0.0)
+        histories.closeup([recording("IFM")], width=0.0)
 
 
 @pytest.mark.parametrize("overrides", [(), ("load.ratio=10", "lash.backlash_deg=1")])
 def test_arrows_span_the_peak_to_peak_accelerations(overrides):
     trajectory = run("gap", *overrides)
-    (ax,) = histories.acceleration([triple("IFM", "gap", *overrides)]).axes
+    (ax,) = histories.acceleration([recording("IFM", "gap", *overrides)]).axes
     arrows = [text for text in ax.texts if getattr(text, "arrow_patch", None) is not None]
     spans = [arrow.xy[1] - arrow.xyann[1] for arrow in arrows]
     np.testing.assert_allclose(spans, trajectory.impact_severity, rtol=1e-12)
@@ -463,14 +463,14 @@ def test_arrows_span_the_peak_to_peak_accelerations(overrides):
 
 
 def test_restitution_model_is_given_no_severity():
-    figure = histories.simulation_figure([triple("RCM", "restitution")])
+    figure = histories.simulation_figure([recording("RCM", "restitution")])
     texts = [text.get_text() for text in figure.findobj(Text)]
     assert any("Q is not defined" in text for text in texts)
     assert not any(text.startswith("Q$") for text in texts)
 
 
 def test_several_runs_are_explained_once():
-    runs = [triple("five"), triple("ten $10", "gap", "load.ratio=10", "lash.backlash_deg=10")]
+    runs = [recording("five"), recording("ten $10", "gap", "load.ratio=10", "lash.backlash_deg=10")]
     figure = histories.simulation_figure(runs)
     texts = [text.get_text() for text in figure.legends[0].get_texts()]
     assert texts[0].startswith("five: DS(1)SS(1), Q = 9300")
@@ -508,14 +508,14 @@ def test_small_gap_without_a_crossing_says_so():
 
 @pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
 def test_pictures_are_written(tmp_path, suffix):
-    save(histories.angles([triple("IFM")]), tmp_path / f"angles.{suffix}")
+    save(histories.angles([recording("IFM")]), tmp_path / f"angles.{suffix}")
     assert (tmp_path / f"angles.{suffix}").stat().st_size > 5000
 
 
 def test_text_is_large_enough_to_read():
     for figure in (
-        histories.simulation_figure([triple("IFM")]),
-        histories.closeup([triple("IFM")]),
+        histories.simulation_figure([recording("IFM")]),
+        histories.closeup([recording("IFM")]),
         small_gap_of(nominal()),
     ):
         figure.draw_without_rendering()

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Annotation, Text
 
 from clunk import plot
+from clunk.analysis.ridge import ridge_of
 from clunk.core.status import QUALITY_INFERRED, QUALITY_UNDECIDED
 from clunk.plot.regions import Regions
 from clunk.plot.style import INK, palette_of
@@ -452,7 +453,7 @@ def test_any_labels_have_colours_of_their_own_that_text_can_be_read_on() -> None
 
 
 def test_the_ridge_is_the_largest_severity_of_each_load_ratio(nine: Results) -> None:
-    ridge = plot.ridge_of(nine.severity)
+    ridge = ridge_of(nine.severity)
     known = np.isfinite(ridge)
     assert known.sum() > 30
     np.testing.assert_array_equal(ridge[known], np.argmax(nine.severity, axis=1)[known])
@@ -477,7 +478,7 @@ def test_the_ridge_is_the_largest_severity_of_each_load_ratio(nine: Results) -> 
     ],
 )
 def test_a_ridge_is_only_where_the_largest_value_is_known_to_be_inside(column: list[float], index: float) -> None:
-    np.testing.assert_equal(plot.ridge_of(np.array([column])), [index])
+    np.testing.assert_equal(ridge_of(np.array([column])), [index])
 
 
 def test_the_colours_of_the_severity_map_are_the_severity(nine: Results) -> None:

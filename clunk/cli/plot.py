@@ -45,6 +45,7 @@ def plot(
       clunk plot results/tolerance.h5 --quantity severity_95
     """
     from clunk import plot as plots
+    from clunk.analysis.thresholds import thresholds_of
     from clunk.plot import certainty
     from clunk.results import targets
     from clunk.results.store import read, read_header
@@ -76,7 +77,7 @@ def plot(
     names = [quantity] if quantity else plots.default_quantities(results, **look)
     for name in names:
         target = base if output and quantity else base.with_name(f"{base.stem}-{name}{base.suffix}")
-        plots.save(plots.draw(results, name, plots.thresholds_of(results), **look), target)
+        plots.save(plots.draw(results, name, thresholds_of(results), **look), target)
         click.echo(str(target))
     if quantity is None and names == ["regimes"]:
         ran, total = int((~results.inferred).sum()), results.inferred.size

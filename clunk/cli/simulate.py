@@ -160,12 +160,13 @@ def _save_runs(
     from clunk import plot as plots
     from clunk.plot import histories as figures
     from clunk.plot.small_gap import small_gap
+    from clunk.simulation.recording import Recording
     from clunk.simulation.small_gap import SmallGap
 
     end = until if until is not None else max(histories.shown_until(trajectory) for _, trajectory in runs)
     if figure == "closeup" and around is not None:
         end = max(end, around + 0.6 * width)
-    drawn = [(name, trajectory, histories.sample(trajectory, step, end)) for name, trajectory in runs]
+    drawn = [Recording(name, trajectory, histories.sample(trajectory, step, end)) for name, trajectory in runs]
     draw = {
         "everything": lambda: figures.simulation_figure(drawn),
         "angles": lambda: figures.angles(drawn),

@@ -10,7 +10,7 @@ they draw takes longer to import than the maps do.
 
 from clunk.plot.drawing import default_quantities, draw
 from clunk.plot.facets import MOST_VALUES, facet_map, shown_values
-from clunk.plot.maps import QUANTITIES, quantity_map, regime_map, ridge_of, severity_map, strip, thresholds_of
+from clunk.plot.maps import QUANTITIES, quantity_map, regime_map, severity_map, strip
 from clunk.plot.plane import x_axis
 from clunk.plot.scatter import scatter_curve, scatter_map
 from clunk.plot.style import PlotError, save
@@ -24,13 +24,11 @@ __all__ = [
     "facet_map",
     "quantity_map",
     "regime_map",
-    "ridge_of",
     "save",
     "scatter_curve",
     "scatter_map",
     "severity_map",
     "shown_values",
     "strip",
-    "thresholds_of",
     "x_axis",
 ]

@@ -1,75 +1,41 @@
-"""Runs as figures for people: time histories like the report's Figures 3.1, 3.2, 3.3 and 3.6.
+"""Time histories of runs, like the report's Figures 3.1, 3.2, 3.3 and 3.6.
 
-A run comes as (label, trajectory, history); several are drawn over each other, told apart by colour and dashes, those
-of the indentation model the more solid.
+Several runs are drawn over each other, told apart by colour and dashes, those of the indentation model the more solid.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib import ticker
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from clunk.core.events import TOUCH
-from clunk.plot.history_panels import (
-    Runs,
-    draw_acceleration,
-    draw_angles,
-    draw_backlash,
-    draw_torque,
-    half_gap,
-    is_restitution,
-)
-from clunk.plot.style import (
-    DASHED,
-    FAINT_INK,
-    HISTORY_WIDTH,
-    INK,
-    LINE_COLOURS,
-    MINUS,
-    PlotError,
-    freeze_layout,
-    new_figure,
-    plain,
-    set_titles,
-    styled,
-    symbol_text,
-    tidy,
-)
-from clunk.simulation.history import History
-from clunk.simulation.load import load_step
-from clunk.simulation.trajectory import Trajectory
-from clunk.study.config import Study
+from clunk.plot import style
+from clunk.plot.history_panels import Curve, draw_acceleration, draw_angles, draw_backlash, draw_torque
+from clunk.plot.style import FAINT_INK, HISTORY_WIDTH, INK, MINUS, PlotError
+from clunk.simulation.recording import Recording
+
+Runs = Sequence[Recording]
 
 _LINE = 1.3  # points
-_PATTERNS: tuple[Any, ...] = ("solid", DASHED, (0, (1.2, 1.2)), (0, (6.0, 1.2, 1.2, 1.2)))
-_BEFORE = 0.4  # of a close-up's width lies before the moment that it is around
+_PATTERNS: tuple[Any, ...] = ("solid", style.DASHED, (0, (1.2, 1.2)), (0, (6.0, 1.2, 1.2, 1.2)))
+_BEFORE = 0.4  # share of a close-up's width before the moment that it is around
 
 
 def simulation_figure(runs: Runs) -> Figure:
-    """Everything about a run on one time axis: angles, load, backlash coordinate and acceleration."""
-    with styled():
-        figure, axes = _frame(runs, (3.0, 0.9, 2.4, 2.6), 9.2)
-        looks = _looks(runs)
-        draw_angles(axes[0], runs, looks)
-        draw_torque(axes[1], runs, looks)
-        draw_backlash(axes[2], runs, looks)
-        draw_acceleration(axes[3], runs, looks)
-        return _finished(figure, axes, runs, marks=True)
+    """Angles, load, backlash coordinate and acceleration of runs on one time axis."""
+    panels = (draw_angles, 3.0), (draw_torque, 0.9), (draw_backlash, 2.4), (draw_acceleration, 2.6)
+    return _stacked(runs, panels, 9.2, marks=True)
 
 
 def angles(runs: Runs) -> Figure:
     """The angle of every inertia over the load (Figure 3.1)."""
-    with styled():
-        figure, axes = _frame(runs, (4.0, 1.0), 5.2)
-        looks = _looks(runs)
-        draw_angles(axes[0], runs, looks)
-        draw_torque(axes[1], runs, looks)
-        return _finished(figure, axes, runs)
+    return _stacked(runs, ((draw_angles, 4.0), (draw_torque, 1.0)), 5.2)
 
 
 def backlash(runs: Runs) -> Figure:
@@ -78,22 +44,22 @@ def backlash(runs: Runs) -> Figure:
     Runs that differ in their contact alone share a panel; every other one has its own.
     """
     panels = _panels(runs)
-    if len(panels) > 1:  # what a panel's runs have in common is said by its title, and runs alike look alike
-        panels = [_told_apart(panel) for panel in panels]
+    if len(panels) > 1:  # a panel's title says what its runs have in common, and runs alike look alike
+        panels = [_shortened(panel) for panel in panels]
         runs = [run for panel in panels for run in panel]
-    with styled():
+    with style.styled():
         figure, axes = _frame(runs, (1.0,) * len(panels), 1.5 + (3.4 if len(panels) == 1 else 2.3 * len(panels)))
-        looks = dict(zip((label for label, _, _ in runs), _looks(runs), strict=True))
+        looks = {run.name: look for run, look in _curves(runs)}
         for ax, panel in zip(axes, panels, strict=True):
-            draw_backlash(ax, panel, [looks[label] for label, _, _ in panel])
+            draw_backlash(ax, [(run, looks[run.name]) for run in panel])
             if len(panels) > 1:
-                outcomes = dict.fromkeys(trajectory.label for _, trajectory, _ in panel)
-                ax.set_title(f"{_case(panel[0][1].study)}: {', '.join(outcomes)}", loc="right", fontsize=9.0)
+                labels = dict.fromkeys(run.trajectory.label for run in panel)
+                ax.set_title(f"{_case(panel[0])}: {', '.join(labels)}", loc="right", fontsize=9.0)
         return _finished(figure, axes, runs, marks=True)
 
 
 def closeup(runs: Runs, around: float | None = None, width: float = 0.1) -> Figure:
-    """One flank from near, every touch marked (Figure 3.3).
+    """The backlash coordinate near one flank for a short time, every touch marked (Figure 3.3).
 
     around : float, optional  [s], on the plot's axis; by default the first primary impact
     width : float  [s], of the time axis
@@ -101,177 +67,175 @@ def closeup(runs: Runs, around: float | None = None, width: float = 0.1) -> Figu
     Raises PlotError where no run touches a flank in that time.
     """
     if around is None:
-        first = [t.events["time"][t.primaries[0]] + t.study.load.step_time for _, t, _ in runs if t.primaries.size]
-        if not first:
+        around = min((run.impacts[0].begin for run in runs if run.impacts), default=None)
+        if around is None:
             raise PlotError("There is no impact to look at closely: no primary impact happens.")
-        around = float(min(first))
     if not width > 0.0:
         raise PlotError(f"A close-up must be wider than {width:g} s.")
     begin = 0.1 * width * np.round((around - _BEFORE * width) / (0.1 * width))  # so that the axis begins at a tick
     end = begin + width
-    touches = [_touches_within(trajectory, begin, min(end, history.time[-1])) for _, trajectory, history in runs]
-    nearest = _nearest_side(runs, touches, around)
-    if nearest == 0:
+    touches = [_touches_within(run, begin, end) for run in runs]
+    distances = [
+        (abs(run.history.time[row] - around), int(side))
+        for run, (rows, sides, _) in zip(runs, touches, strict=True)
+        for row, side in zip(rows, sides, strict=True)
+    ]
+    if not distances:
         raise PlotError(f"There is no touch to look at closely between {begin:g} s and {end:g} s.")
-    with styled():
+    limits = _closeup_range(runs, touches, min(distances)[1])
+    with style.styled():
         figure, (ax,) = _frame(runs, (1.0,), 4.6)
-        draw_backlash(ax, runs, _looks(runs), _closeup_range(runs, touches, nearest))
+        draw_backlash(ax, _curves(runs), limits)
         ax.set_xlim(begin, end)
         return _finished(figure, [ax], runs, marks=True)
 
 
 def acceleration(runs: Runs) -> Figure:
     """The acceleration behind the severity, with each impact's peak-to-peak value Q_i (Figure 3.6); a panel per run."""
-    with styled():
+    with style.styled():
         figure, axes = _frame(runs, (1.0,) * len(runs), 1.6 + (3.2 if len(runs) == 1 else 2.6) * len(runs))
-        for ax, run, look in zip(axes, runs, _looks(runs), strict=True):
+        for ax, (run, look) in zip(axes, _curves(runs), strict=True):
             if ax is not axes[0]:
                 ax.sharey(axes[0])
-            draw_acceleration(ax, [run], [look | {"linestyle": "solid"}])
+            draw_acceleration(ax, [(run, look | {"linestyle": "solid"})])
             if len(runs) > 1:
-                ax.set_title(f"{plain(run[0])}: {run[1].label}", loc="right", fontsize=9.0)
+                ax.set_title(f"{style.plain(run.name)}: {run.trajectory.label}", loc="right", fontsize=9.0)
         return _finished(figure, axes, runs, legend=False)  # each panel names its run
 
 
-def _touches_within(trajectory: Trajectory, begin: float, end: float) -> npt.NDArray[np.int64]:
-    """Indices of the touches between two times of the plot's axis."""
-    time = trajectory.study.load.step_time + trajectory.events["time"]
-    return np.flatnonzero((trajectory.events["kind"] == TOUCH) & (time >= begin) & (time <= end))
+_Touches = tuple[npt.NDArray[np.intp], npt.NDArray[np.int64], npt.NDArray[np.float64]]
 
 
-def _nearest_side(runs: Runs, touches: Sequence[npt.NDArray[np.int64]], around: float) -> int:
-    """The side of the touch that is nearest to a moment; 0 without any."""
-    found = [
-        (abs(t.study.load.step_time + t.events["time"][k] - around), int(t.events["side"][k]))
-        for (_, t, _), indices in zip(runs, touches, strict=True)
-        for k in indices
-    ]
-    return min(found)[1] if found else 0
+def _touches_within(run: Recording, begin: float, end: float) -> _Touches:
+    """Rows, sides and following events of the touches between two times of the plot's axis."""
+    touches, time = run.touches, run.history.time[run.touches.row]
+    within = (time >= begin) & (time <= end)
+    return touches.row[within], touches.side[within], touches.until[within]
 
 
-def _closeup_range(runs: Runs, touches: Sequence[npt.NDArray[np.int64]], side: int) -> tuple[float, float]:
+def _closeup_range(runs: Runs, touches: Iterable[_Touches], side: int) -> tuple[float, float]:
     """Limits of the backlash coordinate that show the rebounds and the indentation on one flank  [mm]."""
     lowest, highest = np.inf, -np.inf
-    for (_, trajectory, history), indices in zip(runs, touches, strict=True):
-        on_flank = indices[trajectory.events["side"][indices] == side]
-        if on_flank.size == 0:
+    for run, (rows, sides, until) in zip(runs, touches, strict=True):
+        if not (sides == side).any():
             continue
-        rows = np.flatnonzero(np.isin(history.event, on_flank))
-        if rows.size == 0:
-            continue
-        after = trajectory.events["time"][min(on_flank[-1] + 1, trajectory.events.size - 1)]
-        stop = max(rows[-1] + 1, int(np.searchsorted(history.after_step, after, side="right")))
-        rebounds = side * 1e3 * history.backlash_coordinate[rows[0] : rows[-1] + 1]
-        pressed = side * 1e3 * history.backlash_coordinate[rows[0] : stop]
-        lowest, highest = min(lowest, rebounds.min()), max(highest, pressed.max())
-    smallest = 0.02 * max(1e3 * half_gap(trajectory.study) for _, trajectory, _ in runs)
+        first, last = rows[sides == side][[0, -1]]
+        after = until[sides == side][-1]
+        stop = max(last + 1, int(np.searchsorted(run.history.after_step, after, side="right")))
+        coordinate = side * 1e3 * run.history.backlash_coordinate
+        lowest, highest = min(lowest, coordinate[first : last + 1].min()), max(highest, coordinate[first:stop].max())
+    smallest = 0.02 * max(1e3 * run.half_gap for run in runs)
     height = max(highest - lowest, smallest, 1e-9)
     low, high = lowest - 0.2 * height, highest + 0.22 * height
     return (low, high) if side > 0 else (-high, -low)
+
+
+def _stacked(runs: Runs, panels: Sequence[tuple[Any, float]], height: float, *, marks: bool = False) -> Figure:
+    """Panels over one time axis, each a function that draws it and its share of the height."""
+    with style.styled():
+        figure, axes = _frame(runs, [share for _, share in panels], height)
+        for ax, (draw, _) in zip(axes, panels, strict=True):
+            draw(ax, _curves(runs))
+        return _finished(figure, axes, runs, marks=marks)
 
 
 def _frame(runs: Runs, heights: Sequence[float], height: float) -> tuple[Figure, list[Axes]]:
     """A column of axes over one time axis."""
     if not runs:
         raise PlotError("There is no run to draw.")
-    figure = new_figure((HISTORY_WIDTH, height))
+    figure = style.new_figure((HISTORY_WIDTH, height))
     axes = list(figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0])
     axes[-1].set_xlabel("Time [s]")
-    begin = min(float(history.time[0]) for _, _, history in runs)
-    end = max(float(history.time[-1]) for _, _, history in runs)
+    begin = min(float(run.history.time[0]) for run in runs)
+    end = max(float(run.history.time[-1]) for run in runs)
     axes[0].set_xlim(begin, end if end > begin else begin + 1.0)
     axes[0].xaxis.set_major_locator(ticker.MaxNLocator(11, steps=[1, 2, 5, 10]))
     for ax in axes:
-        tidy(ax)
-        for step_time in {trajectory.study.load.step_time for _, trajectory, _ in runs}:
+        style.tidy(ax)
+        for step_time in {run.step_time for run in runs}:
             ax.axvline(step_time, color=FAINT_INK, linewidth=0.7, linestyle=(0, (1.0, 2.0)), zorder=1)
     return figure, axes
 
 
 def _finished(figure: Figure, axes: Sequence[Axes], runs: Runs, *, marks: bool = False, legend: bool = True) -> Figure:
-    """Titles above, the runs and the marks explained below."""
-    titles = {trajectory.study.title for _, trajectory, _ in runs}
-    cases = {_case(trajectory.study) for _, trajectory, _ in runs}
+    """The figure with titles above, and below a legend of the runs and of the marks."""
+    titles, cases = {run.title for run in runs}, {_case(run) for run in runs}
     title = titles.pop() if len(titles) == len(cases) == 1 else "Runs compared"
     line = "ideal torque step (tip-out)" + (f", {cases.pop()}" if len(cases) == 1 else "")
     if len(runs) == 1:
-        line = f"{line}: {_outcome(runs[0][1])}"
-    set_titles(figure, axes[0], title, line, parse_math=True)
-    handles: list[Line2D] = []
-    labels = [label for label, _, _ in runs]
-    for k, (label, look) in enumerate(zip(labels, _looks(runs), strict=True)):
-        if legend and len(runs) > 1 and label not in labels[:k]:
-            outcome = f": {_outcome(runs[k][1])}" if labels.count(label) == 1 else ""
-            handles.append(Line2D([], [], **look, label=plain(label) + outcome))
-    if marks and any(trajectory.touches for _, trajectory, _ in runs):
-        common: dict[str, Any] = {"linestyle": "none", "markeredgewidth": 0.7, "color": FAINT_INK}
-        handles.append(
-            Line2D([], [], marker="^", markersize=6.5, markeredgecolor=INK, label="primary impact", **common)
-        )
-        handles.append(
-            Line2D(
-                [],
-                [],
-                marker="^",
-                markersize=4.0,
-                markerfacecolor="white",
-                label="secondary impact (chatter)",
-                **common,
-            )
-        )
+        line = f"{line}: {_outcome(runs[0])}"
+    style.set_titles(figure, axes[0], title, line, parse_math=True)
+    handles: list[Artist] = []
+    if legend and len(runs) > 1:
+        names = [run.name for run in runs]
+        for name, (run, look) in {run.name: (run, look) for run, look in _curves(runs)}.items():
+            outcome = f": {_outcome(run)}" if names.count(name) == 1 else ""
+            handles.append(Line2D([], [], **look, label=style.plain(name) + outcome))
+    if marks and any(run.touches.row.size for run in runs):
+        handles += _mark_handles()
     if handles:
         widest = max(len(str(handle.get_label())) for handle in handles)
         columns = max(1, min(len(handles), int((HISTORY_WIDTH - 0.4) / (0.45 + 0.07 * widest))))
         figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False)
-    freeze_layout(figure, axes[0])
+    style.freeze_layout(figure, axes[0])
     return figure
 
 
-def _looks(runs: Runs) -> list[dict[str, Any]]:
-    """How each run is drawn; runs of one label alike. Indentation takes the first dash patterns, as in Figure 3.2."""
-    models: dict[str, bool] = {}
-    for label, trajectory, _ in runs:
-        models.setdefault(label, is_restitution(trajectory))
-    order = sorted(models, key=lambda label: models[label])  # stable: False, the indentation model, first
+def _mark_handles() -> list[Artist]:
+    """Legend entries of the marks at touches."""
+    look: dict[str, Any] = {"linestyle": "none", "marker": "^", "markeredgewidth": 0.7, "color": FAINT_INK}
+    chatter: dict[str, Any] = {"markersize": 4.0, "markerfacecolor": "white", "label": "secondary impact (chatter)"}
     return [
-        {
-            "color": LINE_COLOURS[list(models).index(label) % len(LINE_COLOURS)],
-            "linestyle": _PATTERNS[order.index(label) % len(_PATTERNS)],
-            "linewidth": _LINE,
-        }
-        for label, _, _ in runs
+        Line2D([], [], **look, markersize=6.5, markeredgecolor=INK, label="primary impact"),
+        Line2D([], [], **look, **chatter),
     ]
 
 
-def _case(study: Study) -> str:
+def _curves(runs: Runs) -> list[Curve]:
+    """Runs with their colours and dashes, alike for one name; indentation takes the first dashes, as in Figure 3.2."""
+    models: dict[str, bool] = {}
+    for run in runs:
+        models.setdefault(run.name, run.is_restitution)
+    order = sorted(models, key=lambda name: models[name])  # stable: False, the indentation model, first
+    return [
+        (
+            run,
+            {
+                "color": style.LINE_COLOURS[list(models).index(run.name) % len(style.LINE_COLOURS)],
+                "linestyle": _PATTERNS[order.index(run.name) % len(_PATTERNS)],
+                "linewidth": _LINE,
+            },
+        )
+        for run in runs
+    ]
+
+
+def _case(run: Recording) -> str:
     """The load and the gap of a run, in symbols."""
-    load = load_step(study.load)
-    ratio = f"{symbol_text('σr')} = {study.load.ratio:g}".replace("-", MINUS) if study.load.ratio is not None else ""
-    torque = f"T = {load.before:g} → {load.after:g} N m".replace("-", MINUS)
-    gap = f"{symbol_text('φθ')} = {study.lash.backlash_deg:g}°"
-    return f"{ratio or torque}, {gap}"
+    if run.load_ratio is not None:
+        load = f"{style.symbol_text('σr')} = {run.load_ratio:g}"
+    else:
+        load = f"T = {run.load.before:g} → {run.load.after:g} N m"
+    return f"{load.replace('-', MINUS)}, {style.symbol_text('φθ')} = {run.backlash_deg:g}°"
 
 
-def _outcome(trajectory: Trajectory) -> str:
-    severity = trajectory.severity
-    return trajectory.label + (f", Q = {severity:.0f} rad/s²" if severity > 0.0 else "")
+def _outcome(run: Recording) -> str:
+    """The label of a run, and its severity where it has one."""
+    severity = run.trajectory.severity
+    return run.trajectory.label + (f", Q = {severity:.0f} rad/s²" if severity > 0.0 else "")
 
 
-def _told_apart(runs: Runs) -> Runs:
-    """The runs without the parts of their labels, "KEY=VALUE, KEY=VALUE", that are the same for all."""
-    parts = [label.split(", ") for label, _, _ in runs]
+def _shortened(runs: Runs) -> Runs:
+    """The runs without the parts of their names, "KEY=VALUE, KEY=VALUE", that are the same for all."""
+    parts = [run.name.split(", ") for run in runs]
     common = set(parts[0]).intersection(*parts[1:])
-    labels = [", ".join(part for part in own if part not in common) for own in parts]
-    if not all(labels):
-        return runs
-    return [(label, trajectory, history) for label, (_, trajectory, history) in zip(labels, runs, strict=True)]
+    names = [", ".join(part for part in words if part not in common) for words in parts]
+    return [replace(run, name=name) for run, name in zip(runs, names, strict=True)] if all(names) else runs
 
 
 def _panels(runs: Runs) -> list[Runs]:
-    """Runs that differ in nothing but their contact, and in how they are computed, together; in order."""
-    panels: dict[str, list[tuple[str, Trajectory, History]]] = {}
+    """Runs of the same setup together, in order."""
+    panels: dict[str, list[Recording]] = {}
     for run in runs:
-        study = run[1].study
-        lash = study.lash.model_dump(exclude={"contact"})
-        panels.setdefault(repr((study.driveline, lash, study.load)), []).append(run)
+        panels.setdefault(run.setup, []).append(run)
     return list(panels.values())

@@ -1,54 +1,50 @@
 """The panels of time histories: angles, load, backlash coordinate and acceleration over time."""
 
 from collections.abc import Sequence
-from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib import patheffects, ticker
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from clunk.core.events import TOUCH
 from clunk.plot.style import FAINT_INK, INK, LINE_COLOURS, plain, symbol_text
-from clunk.simulation.history import History
-from clunk.simulation.trajectory import Trajectory
-from clunk.study.config import Study
+from clunk.simulation.recording import Impact, Recording
 
-Runs = Sequence[tuple[str, Trajectory, History]]
-Looks = Sequence[dict[str, Any]]
+Curve = tuple[Recording, dict[str, Any]]  # a run and its colour, dashes and width
 
 _GAP_FILL = "#e4e4e4"
 _LABELLED = 12  # impacts; more arrows than these would hide the curve
 _LISTED = 6  # of their values, beside it
+_LONGEST_NAME = 12  # characters of an inertia's name in the legend
 _HALO = [patheffects.withStroke(linewidth=2.4, foreground="white")]
 
 
-def draw_angles(ax: Axes, runs: Runs, looks: Looks) -> None:
-    """A colour for each inertia, each run's dashes."""
-    for (_, _, history), look in zip(runs, looks, strict=True):
-        for inertia in range(history.angle.shape[1]):
-            colour = {"color": LINE_COLOURS[inertia % len(LINE_COLOURS)]}
-            ax.plot(history.time, history.angle[:, inertia], zorder=3, **look | colour)
+def draw_angles(ax: Axes, curves: Sequence[Curve]) -> None:
+    """Angle of every inertia in its colour, each run in its dashes."""
+    count = 0
+    for run, look in curves:
+        count = max(count, run.history.angle.shape[1])
+        for inertia, angle in enumerate(run.history.angle.T):
+            ax.plot(run.history.time, angle, zorder=3, **look | {"color": LINE_COLOURS[inertia % len(LINE_COLOURS)]})
     ax.set_ylabel("Rotation [rad]")
-    names = runs[0][1].study.driveline.names
+    names = curves[0][0].inertia_names
     handles = []
-    for inertia in range(max(history.angle.shape[1] for _, _, history in runs)):
-        name = f" {names[inertia]}" if names and inertia < len(names) and len(names[inertia]) <= 12 else ""
-        text = plain(name)
-        handles.append(
-            Line2D([], [], color=LINE_COLOURS[inertia % len(LINE_COLOURS)], label=f"θ{_index(inertia + 1)}{text}")
-        )
-    _margin_legend(ax, handles[:16])
+    for inertia in range(min(count, 16)):
+        name = names[inertia] if inertia < len(names) and len(names[inertia]) <= _LONGEST_NAME else ""
+        label = f"θ{_index(inertia + 1)} {plain(name)}".rstrip()
+        handles.append(Line2D([], [], color=LINE_COLOURS[inertia % len(LINE_COLOURS)], label=label))
+    place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.03), "borderaxespad": 0.2}
+    ax.legend(handles=handles, handlelength=1.4, frameon=False, **place)
 
 
-def draw_torque(ax: Axes, runs: Runs, looks: Looks) -> None:
-    """The load."""
+def draw_torque(ax: Axes, curves: Sequence[Curve]) -> None:
+    """Torque of the load."""
     values: set[float] = set()
-    for (_, _, history), look in zip(runs, looks, strict=True):
-        alone = {"color": INK} if len(runs) == 1 else {}  # the first inertia has the first run's colour
-        ax.plot(history.time, history.torque, zorder=3, **look | alone)
-        values |= set(history.torque.tolist())
+    for run, look in curves:
+        single = {"color": INK} if len(curves) == 1 else {}  # the first inertia has the first run's colour
+        ax.plot(run.history.time, run.history.torque, zorder=3, **look | single)
+        values |= set(run.history.torque.tolist())
     ax.set_ylabel("Torque\n[N m]")
     if len(values) <= 2:
         ax.set_yticks(sorted(values))
@@ -57,179 +53,115 @@ def draw_torque(ax: Axes, runs: Runs, looks: Looks) -> None:
     ax.margins(y=0.25)
 
 
-def draw_backlash(ax: Axes, runs: Runs, looks: Looks, limits: tuple[float, float] | None = None) -> None:
-    """x_b in millimetres, the widest gap in grey, touches filled where primary."""
-    half_gaps = sorted({1e3 * half_gap(trajectory.study) for _, trajectory, _ in runs})
+def draw_backlash(ax: Axes, curves: Sequence[Curve], limits: tuple[float, float] | None = None) -> None:
+    """Backlash coordinate x_b in millimetres, the widest gap in grey, touches filled where primary."""
+    runs = [run for run, _ in curves]
+    half_gaps = sorted({1e3 * run.half_gap for run in runs})
     widest = half_gaps[-1]
     ax.axhspan(-widest, widest, color=_GAP_FILL, linewidth=0.0, zorder=0)
     for edge in half_gaps[:-1]:
         for side in (-1.0, 1.0):
             ax.axhline(side * edge, color="0.7", linewidth=0.7, zorder=0.5)
     size = 6.5
-    for (_, trajectory, history), look in zip(runs, looks, strict=True):
-        ax.plot(history.time, 1e3 * history.backlash_coordinate, zorder=3, **look)
-        _mark_touches(ax, trajectory, history, look["color"], size)
+    for run, look in curves:
+        ax.plot(run.history.time, 1e3 * run.history.backlash_coordinate, zorder=3, **look)
+        _mark_touches(ax, run, look["color"], size)
         size *= 0.8  # so that of impacts in one place all can be seen
     ax.set_ylabel(f"Backlash coordinate\n{symbol_text('xb')} [mm]")
     if limits is None:
-        reach = max(1.2 * widest, *(1.05e3 * np.abs(history.backlash_coordinate).max() for _, _, history in runs))
+        reach = max(1.2 * widest, *(1.05e3 * np.abs(run.history.backlash_coordinate).max() for run in runs))
         # locked flanks without a gap stay together but for rounding, which is nothing to look at
-        limits = (-reach, reach) if reach > 1e-9 * max(t.study.lash.radius for _, t, _ in runs) else (-1.0, 1.0)
+        limits = (-reach, reach) if reach > 1e-9 * max(run.radius for run in runs) else (-1.0, 1.0)
     ax.set_ylim(*limits)
-    low, high = ax.get_ylim()
-    sides = {trajectory.initial_side for _, trajectory, _ in runs}
+    _name_flanks(ax, widest, {run.trajectory.initial_side for run in runs})
+
+
+def _name_flanks(ax: Axes, widest: float, initial_sides: set[int]) -> None:
+    """Names of the gap and of its flanks in the right margin, those that are within the panel."""
     names = {0.0: "gap" if widest > 0.0 else "no gap"}
     for side in (-1, 1) if widest > 0.0 else ():
-        names[side * widest] = ("initial flank" if side in sides else "opposite flank") if len(sides) == 1 else "flank"
+        flank = "initial flank" if side in initial_sides else "opposite flank"
+        names[side * widest] = flank if len(initial_sides) == 1 else "flank"
+    low, high = ax.get_ylim()
     for at, name in names.items():
         if low <= at <= high:
-            _margin_text(ax, at, name)
+            place = ax.get_yaxis_transform()
+            ax.text(1.015, at, name, transform=place, va="center", fontsize=8.5, color=FAINT_INK)
 
 
-def _mark_touches(ax: Axes, trajectory: Trajectory, history: History, colour: Any, size: float) -> None:
+def _mark_touches(ax: Axes, run: Recording, colour: Any, size: float) -> None:
     """Every touch at its flank, pointing at it; primary impacts filled, chatter small and open."""
-    shown = np.flatnonzero(history.event >= 0)
-    for row in shown[trajectory.events["kind"][history.event[shown]] == TOUCH]:
-        k = int(history.event[row])
-        primary = k in trajectory.primaries
+    primary: dict[str, Any] = {"markersize": size, "markerfacecolor": colour, "markeredgecolor": INK, "zorder": 5}
+    chatter: dict[str, Any] = {"markersize": 4.0, "markerfacecolor": "white", "markeredgecolor": colour, "zorder": 4}
+    for row, side, is_primary in zip(run.touches.row, run.touches.side, run.touches.primary, strict=True):
         ax.plot(
-            history.time[row],
-            1e3 * history.backlash_coordinate[row],
-            marker="^" if trajectory.events["side"][k] > 0 else "v",
+            run.history.time[row],
+            1e3 * run.history.backlash_coordinate[row],
+            marker="^" if side > 0 else "v",
             color=colour,
-            markersize=size if primary else 4.0,
-            markerfacecolor=colour if primary else "white",
-            markeredgecolor=INK if primary else colour,
             markeredgewidth=0.7,
             linestyle="none",
-            zorder=5 if primary else 4,
-            gid="primary" if primary else "secondary",
+            gid="primary" if is_primary else "secondary",
+            **primary if is_primary else chatter,
         )
 
 
-def draw_acceleration(ax: Axes, runs: Runs, looks: Looks) -> None:
-    """The acceleration of the watched inertia, and where Q is defined what it is made of."""
-    watched = {int(trajectory.study.impacts.acceleration_of) for _, trajectory, _ in runs}
-    for (_, trajectory, history), look in zip(runs, looks, strict=True):
-        inertia = int(trajectory.study.impacts.acceleration_of) - 1
-        ax.plot(history.time, history.acceleration[:, inertia], zorder=3, **look | {"linewidth": 1.0})
+def draw_acceleration(ax: Axes, curves: Sequence[Curve]) -> None:
+    """Acceleration of the watched inertia, and of a single run the peak-to-peak values that Q is made of."""
+    for run, look in curves:
+        curve = run.history.acceleration[:, run.watched - 1]
+        ax.plot(run.history.time, curve, zorder=3, **look | {"linewidth": 1.0})
+    watched = {run.watched for run, _ in curves}
     index = _index(watched.pop()) if len(watched) == 1 else ""
-    ax.set_ylabel(rf"Acceleration$\n$\mathregular{{\ddot{{\theta}}}}${index} [rad/s²]".replace(r"$\n$", "\n$"))
-    if any(is_restitution(trajectory) for _, trajectory, _ in runs):
+    ax.set_ylabel("Acceleration\n" + rf"$\mathregular{{\ddot{{\theta}}}}${index} [rad/s²]")
+    if any(run.is_restitution for run, _ in curves):
         low, high = ax.get_ylim()
         ax.set_ylim(low, high + 0.2 * (high - low))
-        _corner_text(ax, "restitution model: between the touches only, where velocities jump; Q is not defined")
-    elif len(runs) == 1:
-        _mark_severity(ax, *runs[0][1:])
+        text = "restitution model: between the touches only, where velocities jump; Q is not defined"
+        place: dict[str, Any] = {"transform": ax.transAxes, "ha": "right", "va": "top"}
+        ax.text(0.99, 0.97, text, fontsize=8.5, zorder=7, path_effects=_HALO, **place)
+    elif len(curves) == 1:
+        _mark_severity(ax, curves[0][0])
 
 
-def _mark_severity(ax: Axes, trajectory: Trajectory, history: History) -> None:
-    """A double arrow over each impact's peak-to-peak acceleration, from its smallest to its largest value."""
-    windows = [window for window in _windows(trajectory, history) if window.stop > window.start]
-    begin, end = history.time[0], history.time[-1]
+def _mark_severity(ax: Axes, run: Recording) -> None:
+    """A double arrow over each impact's peak-to-peak acceleration, and the list of their values."""
+    sampled = [impact for impact in run.impacts if impact.rows.stop > impact.rows.start]
+    if not sampled:
+        return
+    for impact in sampled if len(sampled) <= _LABELLED else []:
+        _draw_arrow(ax, run, impact)
+    ax.margins(y=0.12)
+    lines = [f"Q{_index(impact.number)} = {impact.severity:.0f}" for impact in run.impacts[:_LISTED]]
+    if len(run.impacts) > _LISTED:
+        lines.append("…")
+    text = "\n".join(["[rad/s²]", *lines, f"Q = {run.trajectory.severity:.0f}"])
+    ax.text(1.015, 1.0, text, transform=ax.transAxes, va="top", fontsize=8.5, linespacing=1.5)
+
+
+def _draw_arrow(ax: Axes, run: Recording, impact: Impact) -> None:
+    """A double arrow from the smallest to the largest acceleration after an impact, and lines to where they are."""
+    begin, end = run.history.time[0], run.history.time[-1]
     offset = 0.028 * (end - begin)
-    for window in windows if len(windows) <= _LABELLED else []:
-        x = min(window.begin + offset, 0.5 * (window.begin + min(window.end, end)))
-        inertia = int(trajectory.study.impacts.acceleration_of) - 1
-        curve = history.acceleration[window.start : window.stop, inertia]
-        times = history.time[window.start : window.stop]
-        for value, at in ((window.largest, times[np.argmax(curve)]), (window.smallest, times[np.argmin(curve)])):
-            ax.plot([at, x + 0.35 * offset], [value, value], color=INK, linewidth=0.6, zorder=4)
-        ax.annotate(
-            "",
-            xy=(x, window.largest),
-            xytext=(x, window.smallest),
-            arrowprops={"arrowstyle": "<->", "color": INK, "linewidth": 0.9, "shrinkA": 0.0, "shrinkB": 0.0},
-            zorder=6,
-        )
-        ax.annotate(
-            f"Q{_index(window.number)}",
-            (x, window.largest),
-            (0.0, 2.0),
-            textcoords="offset points",
-            ha="center" if x < end - offset else "right",
-            va="bottom",
-            fontsize=9.0,
-            zorder=7,
-            path_effects=_HALO,
-            gid="severity",
-        )
-    if windows:
-        ax.margins(y=0.12)
-        lines = [f"Q{_index(i)} = {value:.0f}" for i, value in enumerate(trajectory.impact_severity[:_LISTED], 1)]
-        if trajectory.impact_severity.size > _LISTED:
-            lines.append("…")
-        ax.text(
-            1.015,
-            1.0,
-            "\n".join(["[rad/s²]", *lines, f"Q = {trajectory.severity:.0f}"]),
-            transform=ax.transAxes,
-            va="top",
-            fontsize=8.5,
-            linespacing=1.5,
-        )
-
-
-class _Window(NamedTuple):
-    """From a primary impact to the next one, or to the end."""
-
-    number: int  # from 1
-    begin: float  # s, on the plot's axis
-    end: float
-    start: int  # rows of the history
-    stop: int
-    largest: float  # rad/s2
-    smallest: float
-
-
-def _windows(trajectory: Trajectory, history: History) -> list[_Window]:
-    events, step_time = trajectory.events, trajectory.study.load.step_time
-    row = np.full(events.size + 1, history.time.size)
-    shown = np.flatnonzero(history.event >= 0)
-    row[history.event[shown]] = shown
-    limits = [*trajectory.primaries.tolist(), events.size]
-    return [
-        _Window(
-            number=i,
-            begin=float(step_time + events["time"][k]),
-            end=float(step_time + events["time"][following]) if following < events.size else np.inf,
-            start=int(row[k]),
-            stop=int(row[following]),
-            largest=float(events["max_acceleration"][k:following].max()),
-            smallest=float(events["min_acceleration"][k:following].min()),
-        )
-        for i, (k, following) in enumerate(pairwise(limits), 1)
-    ]
-
-
-def _margin_legend(ax: Axes, handles: list[Line2D]) -> None:
-    ax.legend(
-        handles=handles,
-        loc="upper left",
-        bbox_to_anchor=(1.0, 1.03),
-        frameon=False,
-        handlelength=1.4,
-        borderaxespad=0.2,
+    x = min(impact.begin + offset, 0.5 * (impact.begin + min(impact.end, end)))
+    curve, times = run.history.acceleration[impact.rows, run.watched - 1], run.history.time[impact.rows]
+    for value, at in ((impact.largest, times[np.argmax(curve)]), (impact.smallest, times[np.argmin(curve)])):
+        ax.plot([at, x + 0.35 * offset], [value, value], color=INK, linewidth=0.6, zorder=4)
+    arrow = {"arrowstyle": "<->", "color": INK, "linewidth": 0.9, "shrinkA": 0.0, "shrinkB": 0.0}
+    ax.annotate("", xy=(x, impact.largest), xytext=(x, impact.smallest), arrowprops=arrow, zorder=6)
+    ax.annotate(
+        f"Q{_index(impact.number)}",
+        (x, impact.largest),
+        (0.0, 2.0),
+        textcoords="offset points",
+        ha="center" if x < end - offset else "right",
+        va="bottom",
+        fontsize=9.0,
+        zorder=7,
+        path_effects=_HALO,
+        gid="severity",
     )
-
-
-def _margin_text(ax: Axes, y: float, text: str) -> None:
-    ax.text(1.015, y, text, transform=ax.get_yaxis_transform(), va="center", fontsize=8.5, color=FAINT_INK)
-
-
-def _corner_text(ax: Axes, text: str) -> None:
-    ax.text(0.99, 0.97, text, transform=ax.transAxes, ha="right", va="top", fontsize=8.5, zorder=7, path_effects=_HALO)
 
 
 def _index(number: int) -> str:
     return rf"$_\mathregular{{{number}}}$"
-
-
-def is_restitution(trajectory: Trajectory) -> bool:
-    """Whether a run's contact is an impulse, in which accelerations are not defined."""
-    return trajectory.study.lash.contact.model == "restitution"
-
-
-def half_gap(study: Study) -> float:
-    """r φ/2  [m]."""
-    return float(study.lash.radius * np.deg2rad(study.lash.backlash_deg) / 2)

@@ -18,9 +18,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from scipy import ndimage
 
+from clunk.analysis.ridge import ridge_of
 from clunk.core.status import QUALITY_UNDECIDED
 from clunk.plot.labelling import label_and_note, region_swatch
-from clunk.plot.plane import View, cell_edges, scale_axes, scale_axis, value_text, x_axis
+from clunk.plot.plane import View, cell_edges, scale_axes, scale_axis, value_text
 from clunk.plot.raster import Raster, corners_that_fit
 from clunk.plot.regions import Bools, Regions, draw_boundaries, fill_regions, hatch_failed, regions_of
 from clunk.plot.style import (
@@ -62,20 +63,6 @@ _UNDEFINED = "#efefec"
 _STRIP_DOT = 0.12  # of a strip's height: undecided cells are marked under their labels
 _DOT: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": INK, "markeredgewidth": 0.0}
 _DIGIT = 0.0114  # width of a threshold's digit over the map's
-
-
-def thresholds_of(results: Results) -> list[float]:
-    """Where along the x axis one more impact appears as the backlash vanishes, if that depends on the load alone."""
-    parameter = x_axis(results).parameter
-    if not parameter.startswith("load."):
-        return []
-    from clunk.simulation.linear import one_mode_thresholds, thresholds_on
-    from clunk.study.config import replace_values, study_from_text
-
-    study = study_from_text(results.config, source="the results file's config")
-    fixed = {axis.parameter: float(axis.values[0]) for axis in results.parameters if len(axis.values) == 1}
-    study = replace_values(study, fixed)
-    return [float(value) for value in thresholds_on(study, parameter, one_mode_thresholds(study))]
 
 
 def regime_map(results: Results, thresholds: Sequence[float] = ()) -> Figure:
@@ -204,23 +191,6 @@ def strip(results: Results, quantity: str = "severity", more: str = "") -> Figur
             more=undecided_notes(mark_undecided(band, view, results)),
         )
         return figure
-
-
-def ridge_of(values: Floats) -> Floats:
-    """Index along the second axis of the largest value in each row of the first, where that is an interior maximum.
-
-    values : (nx, ny); returns (nx,) float, NaN where the largest value is not positive, lies on the border of the map,
-    beside a value that is not known, or within 0.1 % of either end's: on a plateau rounding would choose the place.
-    """
-    ridge = np.full(len(values), np.nan)
-    for row, column in enumerate(values):
-        if np.isnan(column).all():
-            continue
-        top = int(np.nanargmax(column))
-        interior = 0 < top < len(column) - 1 and np.isfinite(column[[top - 1, top + 1]]).all()
-        if interior and column[top] > 0.0 and not (column[[0, -1]] > 0.999 * column[top]).any():
-            ridge[row] = top
-    return ridge
 
 
 def paint_regimes(ax: Axes, view: View, regions: Regions, labels: tuple[str, ...], linewidth: float = 0.9) -> None:

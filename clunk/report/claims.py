@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.analysis.measurements import read_experiment
+from clunk.analysis.ridge import ridge_of
 from clunk.analysis.trends import compare_experiment
 from clunk.core.events import TOUCH
-from clunk.plot.maps import ridge_of
 from clunk.report.tables import TABLES
 from clunk.results.labels import double_sided
 from clunk.results.regimemap import Results
@@ -472,7 +472,7 @@ def _contradiction(where: str, report: str, ours: str, shown: bool) -> Claim:
 
 
 def ridge(results: Results) -> FloatArray:
-    """The backlash of largest Q for each load ratio, NaN where `clunk.plot.ridge_of` has none."""
+    """The backlash of largest Q for each load ratio, NaN where `ridge_of` has none."""
     at = ridge_of(results.severity)
     known = np.isfinite(at)
     return np.where(known, results.axes[1].values[np.where(known, at, 0.0).astype(np.intp)], np.nan)

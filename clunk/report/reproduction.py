@@ -16,8 +16,9 @@ from clunk.report.claims import MAPS, NOMINAL_RATIO, RATIOS, Claim, Evidence
 from clunk.report.tables import TABLES
 from clunk.results.files import reason, write_whole
 from clunk.results.store import StoreError, write
-from clunk.simulation.history import History, sample
+from clunk.simulation.history import sample
 from clunk.simulation.linear import one_mode_thresholds
+from clunk.simulation.recording import Recording
 from clunk.simulation.small_gap import SmallGap
 from clunk.simulation.trajectory import Trajectory
 
@@ -86,5 +87,5 @@ def figures(e: Evidence) -> list[Job]:
     ]
 
 
-def _drawn(run: Trajectory, name: str, until: float = 1.0) -> tuple[str, Trajectory, History]:
-    return name, run, sample(run, until=until)
+def _drawn(run: Trajectory, name: str, until: float = 1.0) -> Recording:
+    return Recording(name, run, sample(run, until=until))
