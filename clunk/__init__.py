@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from clunk import plot
     from clunk.analysis.sobol import Sensitivity, SensitivityError, sensitivity
     from clunk.analysis.verification import Verification
-    from clunk.api import draw, sweep, tolerance_map, verify
+    from clunk.api import draw, run_points, sweep, tolerance_map, verify
     from clunk.plot import PlotError
     from clunk.results.datasets import open_results, to_dataset
     from clunk.results.regimemap import Results
@@ -55,6 +55,7 @@ __all__ = [
     "read_results",
     "read_tolerance_map",
     "replace_values",
+    "run_points",
     "sensitivity",
     "simulate",
     "study_from_text",
@@ -89,6 +90,7 @@ _HOME = {
     "read_results": "results.store:read",
     "read_tolerance_map": "results.tolerancefile:read",
     "replace_values": "study.config",
+    "run_points": "api",
     "sensitivity": "analysis.sobol",
     "simulate": "simulation.trajectory",
     "study_from_text": "study.config",

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy.typing as npt
 
 from clunk.analysis import verification
 from clunk.analysis.thresholds import thresholds_of
@@ -18,7 +22,7 @@ from clunk.results.store import read
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.config import Study
-from clunk.study.designs import has_tolerances
+from clunk.study.designs import design_of_points, has_tolerances
 from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.cells import compiling_note, warm_up
 from clunk.sweeping.engines import Engine, EngineError
@@ -143,6 +147,57 @@ def tolerance_map(
     found = _found(study, output, progress, engine_of(scheduler, workers), refine=False, restart=restart, force=force)
     assert isinstance(found, ToleranceMap)
     return found
+
+
+def run_points(
+    study: Study,
+    points: Mapping[str, npt.ArrayLike],
+    *,
+    progress: bool | Progress = False,
+    workers: int | None = None,
+    scheduler: str | None = None,
+) -> Results:
+    """Run a study at arbitrary points of its parameters, in parallel.
+
+    Parameters
+    ----------
+    study : Study
+        Whatever `points` does not name is as it is there; its sweep, if any, is left aside.
+    points : parameter -> (n,) array of float, in the parameter's unit
+        Any numeric keys of the config, of equal length: the k-th values together are the k-th run.
+    progress, workers, scheduler
+        As of `sweep`.
+
+    Returns
+    -------
+    Results
+        Along one axis, `run`, with the parameters as coordinates on it: the same bits as cells of a sweep.
+
+    Raises
+    ------
+    ConfigError
+        Where a key or a value is not one that a config may hold, or the arrays are not equally long.
+    SweepError, EngineError, KeyboardInterrupt
+        As of `sweep`.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> study = clunk.load_study("configs/nominal.toml")
+    >>> runs = clunk.run_points(study, {"load.ratio": [1.0, 2.0, 5.0], "lash.backlash_deg": [6.0, 2.0, 6.0]})
+    >>> [str(label) for label in runs.label_map]
+    ['NI', 'DS(1)', 'DS(1)SS(1)']
+    >>> runs.severity.round(1)  # rad/s²
+    array([   0. , 2184.9, 9299.7])
+    """
+    design = design_of_points(study, points)
+    base = study.model_copy(update={"sweep": None})
+    with engine_of(scheduler, workers) as engine, _telling(progress, design.cells, base) as tell:
+        results = sweeping.sweep(base, engine=engine, progress=tell, design=design)
+    values = hashlib.sha256(results.config_digest.encode())
+    for axis in sorted(results.coordinates, key=lambda axis: axis.parameter):
+        values.update(axis.parameter.encode() + b"\0" + axis.values.tobytes())
+    return replace(results, config_digest=values.hexdigest())
 
 
 def verify(study: Study, *, progress: bool | Progress = False, workers: int | None = None) -> Verification:

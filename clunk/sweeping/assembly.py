@@ -16,7 +16,7 @@ from clunk.results.labels import FAILED_CODE
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.study.config import Study, digest, to_toml
-from clunk.study.designs import design_of
+from clunk.study.designs import Design, design_of
 from clunk.sweeping.refinement import DOUBTFUL
 from clunk.sweeping.scratch import Scratch
 from clunk.sweeping.tiles import Tile
@@ -31,13 +31,16 @@ class Assembly:
     """The results' arrays, filled tile by tile.
 
     scratch : where they are made; by default in memory
+    design : of the cells; by default the study's
     threads : how many may make the finished arrays
     done : cells that are known
     """
 
-    def __init__(self, study: Study, scratch: Scratch | None = None, *, threads: int = 1) -> None:
+    def __init__(
+        self, study: Study, scratch: Scratch | None = None, design: Design | None = None, *, threads: int = 1
+    ) -> None:
         self._study = study
-        self._design = design_of(study)
+        self._design = design or design_of(study)
         self.shape = self._design.shape
         cells = self._design.cells
         self.done = 0

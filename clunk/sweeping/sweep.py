@@ -24,7 +24,7 @@ from clunk.results.labels import FAILED_CODE
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.study.config import Study, content, digest, study_from_text
-from clunk.study.designs import design_of, has_tolerances
+from clunk.study.designs import Design, design_of, has_tolerances
 from clunk.study.errors import ClunkError
 from clunk.sweeping.assembly import Assembly
 from clunk.sweeping.cells import Grid, warm_up
@@ -70,6 +70,7 @@ def sweep(
     progress: Progress | None = None,
     refine: bool = False,
     parts: Parts | None = None,
+    design: Design | None = None,
 ) -> Results:
     """Run the grid of a study.
 
@@ -88,6 +89,8 @@ def sweep(
         They have the label, flanks and initial flank of their neighbours, and of no quantity a value: NaN, -1 touches.
     parts : Parts, optional
         Where finished cells are kept as the sweep goes on, and taken up from; see `parts_of`.
+    design : Design, optional
+        Cells to run instead of those of the study's own sweep.
 
     Raises
     ------
@@ -105,9 +108,9 @@ def sweep(
     """
     if has_tolerances(study):
         raise SweepError(HAS_TOLERANCES)
-    grid = _checked(Grid(study), workers, parts)
+    grid = _checked(Grid(study, design), workers, parts)
     engine = engine or Threads(workers)
-    assembly = Assembly(study, _scratch(grid, parts), threads=workers or available_cores())
+    assembly = Assembly(study, _scratch(grid, parts), grid.design, threads=workers or available_cores())
     _take_up(grid, assembly, progress, parts)
     if not refine:
         _run(grid, assembly, assembly.missing(), engine, progress, parts)
