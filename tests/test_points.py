@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import clunk
-from clunk.results.results import CELL_FIELDS, IMPACT_FIELDS
+from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.study.axes import RUN
 
 CONFIG = """
@@ -41,9 +41,9 @@ def test_points_of_a_grid_are_the_bits_of_its_cells(parameter, values):
     assert [axis.parameter for axis in runs.axes] == [RUN]
     assert [axis.parameter for axis in runs.coordinates] == ["load.ratio", parameter]
     assert runs.labels == grid.labels
-    for name in CELL_FIELDS:
+    for name in CELL_QUANTITIES:
         assert getattr(runs, name).tobytes() == getattr(grid, name).tobytes(), name
-    for name in IMPACT_FIELDS:
+    for name in IMPACT_QUANTITIES:
         assert getattr(runs, name).tobytes() == getattr(grid, name).tobytes(), name
 
 
