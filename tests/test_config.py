@@ -4,16 +4,15 @@ import itertools
 import math
 import pickle
 import re
-import time
 import tomllib
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 import tomli_w
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -38,8 +37,8 @@ from clunk.study.config import (
     study_from_text,
     to_toml,
 )
-from clunk.study.configfile import KeyLines, dotted, parse_place
 from clunk.study.designs import design_of, design_of_points
+from clunk.study.document import KeyLines, dotted, parse_place
 
 CONFIGS = sorted((Path(__file__).parent.parent / "configs").glob("*.toml"))
 STARTER = files("clunk.study.presets").joinpath("starter.toml").read_text(encoding="utf-8")
@@ -223,7 +222,7 @@ def test_starter_spells_the_preset_out():
 
 def test_starter_names_every_key():
     keys = set(re.findall(r"^(?:# )?([a-z_]+) = ", STARTER, re.MULTILINE))
-    models = (Study, DrivelineConfig, Shaft, Lash, Load, Impacts, Axis, Sweep, Sampling, Draw)
+    models = (Study, DrivelineConfig, Shaft, Lash, Load, Impacts, Axis, Sweep, Sampling, *get_args(Draw))
     models += tuple(Study.model_fields[name].annotation for name in ("solver",))
     models += (Lash.model_fields["contact"].annotation,)
     tables = {"driveline", "lash", "load", "solver", "impacts", "sweep", "shafts", "contact"}
@@ -376,13 +375,13 @@ def test_all_errors_are_reported_at_once_in_the_order_of_their_lines():
     text = WHOLE
     for old, new in {
         "title =": "titel =",
-        "between = [2, 3]": "between = [2, 9]",
+        "between = [2, 3]": 'between = [2, "gear"]',
         "backlash_deg = 6.0": "backlash_deg = -6.0",
         'separation = "gap"': 'separation = "force!"',
         "on = 1": 'on = "moter"',
-        "ratio = 5.0\n": "ratio = 5.0\ninitial_torque = 3.0\n",
         "step = 1e-4": 'step = "small"',
         "acceleration_of = 3": "acceleration_of = 3.5",
+        '"lash.backlash_deg"\n': '"lash.backlsh_deg"\n',
         "count = 11": "count = -1",
     }.items():
         assert text.count(old) == 1
@@ -393,15 +392,36 @@ def test_all_errors_are_reported_at_once_in_the_order_of_their_lines():
         (10, "driveline.shafts[2].between[2]"),
         (19, "lash.backlash_deg"),
         (25, "lash.contact.separation"),
-        (27, "load"),
         (29, "load.on"),
-        (36, "solver.step"),
-        (41, "impacts.acceleration_of"),
-        (46, "sweep.axes[1].count"),
+        (35, "solver.step"),
+        (40, "impacts.acceleration_of"),
+        (45, "sweep.axes[1].count"),
+        (47, "sweep.axes[2].parameter"),
         (None, "solver.max_events"),
         (None, '"nonsense"'),
     ]
     assert str(error).startswith("study.toml has 11 errors:\n  line 1, titel: unknown key")
+
+
+def test_errors_of_keys_that_contradict_each_other_are_reported_at_once():
+    text = WHOLE
+    for old, new in {
+        "between = [2, 3]": "between = [2, 9]",
+        "on = 1": "on = 7",
+        "step = 1e-4": "step = 3.0",
+        "1.0, 2.0, 5.0": "1.0, 500.0",
+        "inertias = [0.024": "inertias = [1e11",
+    }.items():
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    assert [(problem.line, problem.key) for problem in errors_of(text, "impacts.acceleration_of=5").problems] == [
+        (3, "driveline.inertias[1]"),
+        (10, "driveline.shafts[2].between[2]"),
+        (29, "load.on"),
+        (35, "solver.step"),
+        (48, "sweep.axes[2].values[2]"),
+        (None, "impacts.acceleration_of"),
+    ]
 
 
 def test_report_fits_eighty_columns():
@@ -576,6 +596,7 @@ def test_axis_of_one_value_needs_no_stop():
 def test_axis_stays_between_its_ends(start, stop, count, log):
     if log:
         start, stop = max(abs(start), 1e-6), max(abs(stop), 1e-6)
+    assume(start != stop)
     grid = Axis(parameter="x", start=start, stop=stop, count=count, scale="log" if log else "linear").grid
     assert grid.size == count
     assert (grid[0], grid[-1]) == (start, stop)
@@ -633,14 +654,12 @@ def test_absurd_grids_are_refused_before_anything_is_allocated():
         f'[[sweep.axes]]\nparameter = "{parameter}"\nstart = 1\nstop = 2\ncount = 10000\n'
         for parameter in ("load.ratio", "lash.backlash_deg", "lash.radius")
     )
-    began = time.perf_counter()
     error = errors_of(PRESET + three)
     assert [problem.key for problem in error.problems] == ["sweep.axes"]
     assert "1,000,000,000,000 cells" in error.problems[0].message
     longest = study_from_text(axis('parameter = "load.ratio"\nstart = 1\nstop = 2\ncount = 10000000'))
     assert longest.sweep is not None
-    assert "grid" not in longest.sweep.axes[0].__dict__
-    assert time.perf_counter() - began < 5.0
+    assert longest.sweep.axes[0].count_of_values == 10_000_000
 
 
 @pytest.mark.parametrize("values", ["[1, 2, 3]", "[1.0, 4.0]"])
@@ -727,17 +746,6 @@ def test_replaced_values_obey_the_rules_of_a_file(values, message):
     with pytest.raises(ConfigError) as caught:
         replace_values(study_from_text(WHOLE), values)
     assert message in str(caught.value).replace("\n    ", " ")
-
-
-def test_replacing_is_quick():
-    """The sweep does it once for each structural cell; the bound is ten times what it takes."""
-    study = study_from_text(WHOLE)
-    seconds = []
-    for k in range(50):
-        began = time.perf_counter()
-        replace_values(study, {"driveline.inertias[4]": 0.002 + 1e-5 * k})
-        seconds.append(time.perf_counter() - began)
-    assert min(seconds) < 1.3e-3
 
 
 def test_value_that_is_not_set_is_an_error():
@@ -935,9 +943,9 @@ WRONG_DESIGNS = {
                         'did you mean "high"?'),
     "misspelt key": (drawn(sample("lash.contact.stifness", "normal", std=1.0)), "sweep.samples[1].parameter",
                      'did you mean "lash.contact.stiffness"?'),
-    "missing number": (drawn(sample(STIFFNESS, "uniform", low=1.0)), "sweep.samples[1]",
-                       "missing high; a uniform distribution is given by low and high"),
-    "missing spread": (drawn(sample(STIFFNESS, "lognormal")), "sweep.samples[1]", "missing sigma"),
+    "missing number": (drawn(sample(STIFFNESS, "uniform", low=1.0)), "sweep.samples[1].high",
+                       "missing; a uniform distribution is given by low and high"),
+    "missing spread": (drawn(sample(STIFFNESS, "lognormal")), "sweep.samples[1].sigma", "missing"),
     "superfluous number": (drawn(sample(STIFFNESS, "triangular", low=1.0, mode=2.0, high=3.0, std=1.0)),
                            "sweep.samples[1].std", "a triangular distribution has no std"),
     "low above high": (drawn(sample(STIFFNESS, "uniform", low=2.0, high=1.0)), "sweep.samples[1].high",

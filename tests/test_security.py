@@ -7,7 +7,7 @@ import pytest
 
 import clunk
 from clunk.study.config import study_from_text
-from clunk.study.configmodels import schema
+from clunk.study.keys import keys
 
 PACKAGE = Path(clunk.__file__).parent
 SOURCES = sorted(PACKAGE.rglob("*.py"))
@@ -66,7 +66,7 @@ def test_the_search_finds_what_it_looks_for(source):
 
 def test_no_key_of_a_config_is_a_path():
     """Its texts are a title, names of inertias, parameters of axes, and words to choose from."""
-    free = {place for place, key in schema().items() if key.must_be == "text on one line"}
+    free = {place for place, key in keys().items() if key.must_be == "text on one line"}
     assert free == {("title",), ("driveline", "names", "#")}
 
 

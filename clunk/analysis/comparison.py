@@ -16,7 +16,7 @@ from clunk.results.maps import parameters_of, values_at
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
-from clunk.study.configfile import dotted
+from clunk.study.document import dotted
 from clunk.study.errors import ClunkError
 
 Bools = npt.NDArray[np.bool_]

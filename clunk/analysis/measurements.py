@@ -16,10 +16,9 @@ import numpy as np
 
 from clunk.results.labels import normalised_label
 from clunk.study.axes import ResultAxis
-from clunk.study.configfile import nearest, shorten
-from clunk.study.configmodels import schema
-from clunk.study.configrules import parameters
 from clunk.study.errors import ClunkError
+from clunk.study.parameters import parameters
+from clunk.study.problems import nearest, shorten
 
 CAVEAT = "trend comparison, unless the rig's parameters are the model's"
 
@@ -157,7 +156,7 @@ def _columns(cells: list[str], where: str) -> list[str]:
 
 def _variable(column: str, where: str) -> str:
     """The variable that a column means, given as such or as the parameter's dotted key."""
-    known = parameters(schema(), {"driveline": {"inertias": [1.0], "shafts": [{}]}})
+    known = parameters({"driveline": {"inertias": [1.0], "shafts": [{}]}})
     spellings = {spelling for name in known for spelling in (name, _variable_of(name))}
     if re.sub(r"(?<=[\[_])[1-9]\d*(?=[\]_]|$)", "1", column) in spellings:  # whichever inertia or shaft
         return _variable_of(column)

@@ -22,11 +22,20 @@ from clunk.results.labels import double_sided, normalised_label
 from clunk.results.quantities import CELL_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.simulation.trajectory import Trajectory, simulate
-from clunk.study.config import Axis, ConfigError, Draw, Study, Sweep, digest, get_value, quantity, replace_values
-from clunk.study.configfile import nearest, shorten
-from clunk.study.designs import own_value
-from clunk.study.distributions import BOUNDS, NEEDS
+from clunk.study.config import (
+    Axis,
+    ConfigError,
+    Draw,
+    Study,
+    Sweep,
+    digest,
+    get_value,
+    nominal_value,
+    quantity,
+    replace_values,
+)
 from clunk.study.errors import ClunkError
+from clunk.study.problems import nearest, shorten
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.sweep import sweep
 
@@ -132,7 +141,7 @@ class Sensitivity:
             "config_digest": digest(self.study),
             "at": self.at,
             "parameters": [
-                {**numbers, "nominal": _or_none(own_value(self.study, draw.parameter))}
+                {**numbers, "nominal": _or_none(nominal_value(self.study, draw.parameter))}
                 for draw, numbers in zip(self.draws, drawn, strict=True)
             ],
             "samples": self.samples,
@@ -279,11 +288,8 @@ def default_quantities(study: Study) -> tuple[str, ...]:
 
 def distribution_phrase(study: Study, draw: Draw) -> str:
     """How a parameter is drawn, for example 409200 N/m times normal (mean 1, std 0.05)."""
-    nominal = own_value(study, draw.parameter)
-    distribution = draw.distributed(nominal)
-    names = dict.fromkeys((*NEEDS[draw.distribution], *BOUNDS))
-    numbers = [(name, getattr(distribution, name)) for name in names]
-    listed = ", ".join(f"{name} {value:g}" for name, value in numbers if value is not None)
+    nominal = nominal_value(study, draw.parameter)
+    listed = ", ".join(f"{name} {value:g}" for name, value in draw.numbers(nominal).items())
     unit = quantity(draw.parameter).unit
     suffix = "" if unit == "1" else f" {unit}"
     drawn = f"{draw.distribution} ({listed})"
@@ -300,8 +306,8 @@ def saltelli_sample(study: Study) -> FloatArray:
     points = study.sweep.sampling.points(2 * d)
     sample = np.empty((len(points), d + 2, d))
     for k, draw in enumerate(draws):
-        nominal = own_value(study, draw.parameter)
-        a, b = (draw.applied(draw.distributed(nominal).ppf(points[:, j]), nominal) for j in (k, k + d))
+        nominal = nominal_value(study, draw.parameter)
+        a, b = (draw.applied(draw.quantiles(points[:, j], nominal), nominal) for j in (k, k + d))
         sample[:, :, k] = a[:, None]
         sample[:, 1, k] = sample[:, 2 + k, k] = b
     return sample

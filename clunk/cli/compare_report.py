@@ -13,7 +13,7 @@ from clunk.analysis.measurements import CAVEAT
 from clunk.analysis.trends import ExperimentComparison, Trend
 from clunk.results.quantities import CELL_QUANTITIES
 from clunk.study.axes import ResultAxis
-from clunk.study.configfile import shorten
+from clunk.study.problems import shorten
 from clunk.study.summaries import percent
 
 _WIDTH = 80  # characters

@@ -112,7 +112,7 @@ def _studies_to_simulate(
     from itertools import product
 
     from clunk.study.config import replace_values, study_from_text
-    from clunk.study.configfile import read_text
+    from clunk.study.document import read_text
 
     if source.suffix == ".h5":
         from clunk.results.store import read_header

@@ -27,7 +27,7 @@ from clunk.plot.regions import Regions, draw_boundaries, fill_regions, hatch_fai
 from clunk.plot.style import FAINT_INK, INK, PlotError, cells_phrase, failed_notes, new_figure, palette_of, styled
 from clunk.results.labels import FAILED
 from clunk.results.regimemap import Results
-from clunk.study.configfile import shorten
+from clunk.study.problems import shorten
 from clunk.study.summaries import percent
 
 Bools = npt.NDArray[np.bool_]

@@ -1,4 +1,4 @@
-"""What a sweep runs: its dimensions, and the parameters that change along each.
+"""Designs: the dimensions of a sweep, and the parameters that change along each.
 
 A grid has a dimension for each axis. Axes that are walked together (a zip design) and keys that are drawn together (a
 sampled one) lie along one dimension, `run`, each a coordinate on it.
@@ -14,18 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.study.axes import RUN, ResultAxis
-from clunk.study.config import Axis, ConfigError, Draw, Problem, Study, Sweep, get_value, quantity
-from clunk.study.configfile import dotted, report
-from clunk.study.configmodels import schema
-from clunk.study.configrules import (
-    findings,
-    key_at,
-    parameter_complaint,
-    place_of,
-    sweep_findings,
-    value_at,
-    with_value,
-)
+from clunk.study.document import dotted
+from clunk.study.keys import Key
+from clunk.study.parameters import located, nominal_value, quantity
+from clunk.study.problems import ConfigError, Problem, report
+from clunk.study.rules import broken_rules
+from clunk.study.study import Study
+from clunk.study.sweeps import Axis, Draw, Sweep
 
 FloatArray = npt.NDArray[np.float64]
 Cells = npt.NDArray[np.int64]
@@ -72,10 +67,10 @@ class Design:
     @property
     def axes(self) -> tuple[ResultAxis, ...]:
         """One for each dimension; along `run` the runs' numbers from 1."""
-        own = {column.dimension: column for column in self.columns}
+        columns = {column.dimension: column for column in self.columns}
         numbers = [np.arange(1.0, length + 1.0) for length in self.shape]
         return tuple(
-            ResultAxis(RUN, numbers[k], "run", "", "1") if k == self.run else own[k].axis
+            ResultAxis(RUN, numbers[k], "run", "", "1") if k == self.run else columns[k].axis
             for k in range(len(self.shape))
         )
 
@@ -103,7 +98,7 @@ def design_of(study: Study) -> Design:
     if not sweep.samples:
         return Design(shape, tuple(columns))
     for draw, drawn in zip(sweep.samples, drawn_numbers(study, sweep.samples), strict=True):
-        columns.append(Column(draw.parameter, len(shape), draw.applied(drawn, _nominal(study, draw))))
+        columns.append(Column(draw.parameter, len(shape), draw.applied(drawn, _unswept_value(study, draw.parameter))))
     return Design((*shape, sweep.sampling.count), tuple(columns), run=len(shape))
 
 
@@ -122,53 +117,49 @@ def design_of_points(study: Study, points: Mapping[str, npt.ArrayLike]) -> Desig
     ConfigError
         Where a value is not one that a config may hold.
     """
-    document = study.model_dump() | {"sweep": None}
+    if not points:
+        raise report("this set of points", [Problem("", None, "no parameter is given; give one, such as load.ratio")])
     columns: list[Column] = []
     problems: list[Problem] = []
     for parameter, values in points.items():
-        place = place_of(parameter, document)
-        key = None if place is None else key_at(schema(), place)
-        complaint = parameter_complaint(parameter, schema(), document)
-        if complaint is not None or place is None or key is None:
-            problems.append(Problem(parameter, None, complaint or "is no quantity"))
-            continue
         try:
-            column = np.array(values, np.float64)
+            place, key, _ = located(study, parameter)
+            column = np.array(values, np.float64) + 0.0
+        except ConfigError as error:
+            problems += error.problems
         except (TypeError, ValueError):
             problems.append(Problem(parameter, None, "must be an array of numbers"))
-            continue
-        if column.ndim != 1 or not column.size:
-            problems.append(Problem(parameter, None, f"found shape {column.shape}; must be one-dimensional, not empty"))
-            continue
-        allowed = np.isfinite(column) & (column >= key.lowest) & (column <= key.highest)
-        allowed &= (column > key.lowest) if key.above else True
-        allowed &= (column == np.floor(column)) if key.whole else True
-        if not allowed.all():
-            first = int(np.argmin(allowed))
-            must_be = key.must_be if np.isfinite(column[first]) else "a finite number"
-            problems.append(
-                Problem(parameter, None, f"found {column[first]:g} at point {first + 1}; must be {must_be}")
-            )
-        elif columns and column.size != columns[0].values.size:
-            words = f"found {column.size} values, and {columns[0].parameter} has {columns[0].values.size}"
-            problems.append(Problem(parameter, None, f"{words}; the columns must be equally long"))
         else:
-            columns.append(Column(dotted(place), 0, column + 0.0))
-            if value_at(document, place) is None and place[0] != "load":
-                document = with_value(document, place, float(column[0]))
-    if not points:
-        problems.append(Problem("", None, "no parameter is given; give one or more, such as load.ratio"))
+            columns.append(Column(dotted(place), 0, column))
+            message = _column_complaint(columns, key)
+            problems += [] if message is None else [Problem(parameter, None, message)]
     if not problems:
         # rules that tie keys together look at the ends of an axis: here at each column's least and largest value
-        ends = [(column.parameter, (float(column.values.min()), float(column.values.max()))) for column in columns]
-        axes = tuple(Axis(parameter=parameter, values=values) for parameter, values in ends)
-        document["sweep"] = Sweep(design="zip", axes=axes).model_dump()
-        for place, message in [*sweep_findings(document, schema()), *findings(document)]:
-            parameter = columns[int(place[2])].parameter if place[:2] == ("sweep", "axes") else dotted(place)
+        axes = [Axis(parameter=c.parameter, values=(float(c.values.min()), float(c.values.max()))) for c in columns]
+        ends = study.model_copy(update={"sweep": Sweep(design="zip", axes=tuple(axes))})
+        for at, message in broken_rules(ends):
+            parameter = columns[int(at[2])].parameter if at[:2] == ("sweep", "axes") else dotted(at)
             problems.append(Problem(parameter, None, message))
     if problems:
         raise report("this set of points", problems)
     return Design((columns[0].values.size,), tuple(columns), run=0)
+
+
+def _column_complaint(columns: Sequence[Column], key: Key) -> str | None:
+    """Reason why the last of these columns holds no values of its key; None where it does."""
+    first, values = columns[0], columns[-1].values
+    if values.ndim != 1 or not values.size:
+        return f"found an array of shape {values.shape}; must be one-dimensional, and not empty"
+    if values.size != first.values.size:
+        return f"found {values.size} values, and {first.parameter} has {first.values.size}; columns are equally long"
+    allowed = np.isfinite(values) & (values >= key.lowest) & (values <= key.highest)
+    allowed &= (values > key.lowest) if key.above else True
+    allowed &= (values % 1.0 == 0.0) if key.whole else True
+    if allowed.all():
+        return None
+    at = int(np.argmin(allowed))
+    must_be = key.must_be if np.isfinite(values[at]) else "a finite number"
+    return f"found {values[at]:g} at point {at + 1}; must be {must_be}"
 
 
 def has_tolerances(study: Study) -> bool:
@@ -184,22 +175,14 @@ def nominal(study: Study) -> Study:
 
 
 def drawn_numbers(study: Study, draws: Sequence[Draw]) -> list[FloatArray]:
-    """What the study's sampling draws for each of these, (count,) each: a value, a factor or an offset."""
+    """Numbers that the study's sampling draws for each of these, (count,) each: values, factors or offsets."""
     assert study.sweep is not None
     points = study.sweep.sampling.points(len(draws))
-    return [draw.distributed(_nominal(study, draw)).ppf(points[:, k]) for k, draw in enumerate(draws)]
+    return [draw.quantiles(points[:, k], _unswept_value(study, draw.parameter)) for k, draw in enumerate(draws)]
 
 
-def _nominal(study: Study, draw: Draw) -> float:
-    """The study's own value; NaN for a key that has none, or that is swept: nothing is drawn around it then."""
-    if study.sweep is not None and any(axis.parameter == draw.parameter for axis in study.sweep.axes):
-        return math.nan
-    return own_value(study, draw.parameter)
-
-
-def own_value(study: Study, parameter: str) -> float:
-    """A parameter's value in its own unit, tolerances aside; NaN where it has none."""
-    try:
-        return get_value(study, parameter)
-    except ConfigError:
-        return math.nan
+def _unswept_value(study: Study, parameter: str) -> float:
+    """The nominal value of a parameter; NaN for one that has none, or is swept: nothing is drawn around it then."""
+    assert study.sweep is not None
+    is_swept = any(axis.parameter == parameter for axis in study.sweep.axes)
+    return math.nan if is_swept else nominal_value(study, parameter)

@@ -21,8 +21,8 @@ from clunk.core.tile import LONGEST_PATTERN
 from clunk.results.labels import FAILED_CODE
 from clunk.results.tolerancemap import QUANTILES, ToleranceMap
 from clunk.study.axes import ResultAxis
-from clunk.study.config import Study, digest, quantity, to_toml
-from clunk.study.designs import design_of, drawn_numbers, own_value
+from clunk.study.config import Study, digest, nominal_value, quantity, to_toml
+from clunk.study.designs import design_of, drawn_numbers
 from clunk.sweeping.cells import DRIVING, KEPT_SYSTEMS, Grid
 from clunk.sweeping.tiles import Tile
 
@@ -126,9 +126,11 @@ class ToleranceGrid(Grid):
         for own in self._tolerances:
             parameter, drawn = own.parameter, self.drawn[own.parameter][draw]
             if parameter in DRIVING:
-                cells[parameter] = own.applied(drawn, cells.get(parameter, own_value(self.study, parameter)))
+                cells[parameter] = own.applied(drawn, cells.get(parameter, nominal_value(self.study, parameter)))
             else:
-                system[parameter] = float(own.applied(drawn, system.get(parameter, own_value(self.study, parameter))))
+                system[parameter] = float(
+                    own.applied(drawn, system.get(parameter, nominal_value(self.study, parameter)))
+                )
         return system, cells
 
 

@@ -1,96 +1,35 @@
-"""A config as text: TOML and `key=value` overrides in, the lines on which keys stand, the report of what is wrong.
+"""A config as plain tables, lists and values: TOML and `key=value` overrides read, and the lines on which keys stand.
 
 A place in a config is a tuple of keys and of list positions from 0, ``("driveline", "shafts", 2, "damping")``; people
 read and write it with items from 1, ``driveline.shafts[3].damping``.
 """
 
+import bisect
 import contextlib
-import difflib
 import json
 import re
-import textwrap
 import tomllib
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from clunk.study.errors import ClunkError
+from clunk.study.problems import ConfigError, Problem, nearest, shorten
 
 Place = tuple[str | int, ...]
 
 _LARGEST_FILE = 64 * 2**20  # bytes; a device or a results file must not fill the memory before it is refused
 _DEEPEST = 32  # levels; a config has four, and walking one must not exhaust the stack
-_WIDTH = 80
 _SEGMENT = re.compile(r"([A-Za-z0-9_-]+)((?:\[[^\[\]]+\])*)")
 _ITEM_NUMBER = re.compile(r"[0-9]{1,9}")
 _PLAIN_WORD = re.compile(r"[^\W\d][\w-]*")
 
 
-@dataclass(frozen=True)
-class Problem:
-    """One thing that is wrong.
-
-    key : dotted key, items by number from 1; empty where the file as a whole is meant
-    line : number from 1 of the line in the file, None where there is none
-    message : what was found and what is allowed
-    override : whether the key was set on the command line
-    """
-
-    key: str
-    line: int | None
-    message: str
-    override: bool = False
-
-    def __str__(self) -> str:
-        where = f"--set {self.key}" if self.override else self.key
-        if self.line is not None:
-            where = f"line {self.line}, {where}" if where else f"line {self.line}"
-        return f"{where}: {self.message}" if where else self.message
-
-
-class ConfigError(ClunkError):
-    """A config that cannot be used; its text reports everything that is wrong with it, ready to print.
-
-    problems : tuple of Problem
-    """
-
-    def __init__(self, text: str, problems: Iterable[Problem] = ()) -> None:
-        # what came from a command line may hold bytes that no terminal can print
-        super().__init__(text.encode("utf-8", "backslashreplace").decode("utf-8"))
-        self.problems = tuple(problems)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (str(self), self.problems)
-
-
-def report(subject: str, problems: Sequence[Problem]) -> ConfigError:
-    """The error that lists all of a subject's problems, in the order of their lines."""
-    ordered = sorted(problems, key=lambda p: (p.override, p.line is None, p.line or 0))
-    count = "1 error" if len(ordered) == 1 else f"{len(ordered)} errors"
-    lines = [
-        textwrap.fill(
-            str(problem),
-            _WIDTH,
-            initial_indent="  ",
-            subsequent_indent="    ",
-            break_long_words=False,
-            break_on_hyphens=False,
-        )
-        for problem in ordered
-    ]
-    return ConfigError("\n".join([f"{subject} has {count}:", *lines]), ordered)
+# --- Text -> tables --------------------------------------------------------------------------------------------------
 
 
 def read_text(path: str | PathLike[str]) -> str:
-    """The text of a config file.
-
-    Raises
-    ------
-    ConfigError
-        Where there is no such file, or it is no text.
-    """
+    """Read the text of a config file; raise ConfigError where there is no such file, or it is no text."""
     try:
         with Path(path).open("rb") as file:
             data = file.read(_LARGEST_FILE + 1)
@@ -113,20 +52,14 @@ def read_text(path: str | PathLike[str]) -> str:
 
 
 def parse_toml(text: str, source: str) -> dict[str, Any]:
-    """The tables of a TOML text.
-
-    Raises
-    ------
-    ConfigError
-        Where it is no TOML.
-    """
+    """Parse TOML into tables; raise ConfigError where it is none."""
     try:
         document = tomllib.loads(text)
     except RecursionError:
         raise _refusal(f"{source} is nested too deeply for a config.") from None
     except tomllib.TOMLDecodeError as error:
-        found = re.search(r"at line (\d+)", str(error))
-        raise _refusal(f"{source} is not valid TOML: {error}.", int(found[1]) if found else None) from None
+        line = re.search(r"at line (\d+)", str(error))
+        raise _refusal(f"{source} is not valid TOML: {error}.", int(line[1]) if line else None) from None
     except ValueError:  # Python refuses to read integers of more than 4300 digits
         raise _refusal(f"{source} holds an integer of thousands of digits.") from None
     if _is_too_deep(document):
@@ -135,7 +68,7 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
 
 
 def parse_override(text: str) -> tuple[Place, Any]:
-    """The place and the value of `key=value`; the value is TOML, or a plain word without its quotes.
+    """Place and value of `key=value`; the value is TOML, or a plain word without its quotes.
 
     Raises
     ------
@@ -143,29 +76,48 @@ def parse_override(text: str) -> tuple[Place, Any]:
         With a sentence on what is malformed.
     """
     key, equals, value = text.partition("=")
+    place, value = parse_place(key.strip()), value.strip()
     if not equals:
         raise ValueError("must be KEY=VALUE, for example load.ratio=7")
-    place = parse_place(key.strip())
     if place is None:
         raise ValueError(
             "must be KEY=VALUE with a dotted key, list items by number from 1, for example driveline.inertias[4]=0.003"
         )
-    value = value.strip()
     try:
         parsed = tomllib.loads(f"value = {value}")
     except (ValueError, RecursionError):
-        if not _PLAIN_WORD.fullmatch(value):
-            raise ValueError(
-                f"{shorten(value)} is no TOML value; text needs double quotes inside the shell's own"
-            ) from None
-        return place, value
+        if _PLAIN_WORD.fullmatch(value):
+            return place, value
+        hint = "text needs double quotes inside the shell's own"
+        raise ValueError(f"{shorten(value)} is no TOML value; {hint}") from None
     if parsed.keys() != {"value"} or _is_too_deep(parsed):
         raise ValueError(f"{shorten(value)} is not one TOML value")
     return place, parsed["value"]
 
 
+def _refusal(sentence: str, line: int | None = None) -> ConfigError:
+    return ConfigError(sentence, [Problem("", line, sentence)])
+
+
+def _nearest_file(path: Path) -> str:
+    try:
+        names = [entry.name for entry in path.parent.iterdir() if entry.suffix == ".toml"]
+    except OSError:
+        return "."
+    name = nearest(path.name, names)
+    return f"; did you mean {path.with_name(name)}?" if name else "."
+
+
+def _is_too_deep(node: object, room: int = _DEEPEST) -> bool:
+    children = node.values() if isinstance(node, dict) else node if isinstance(node, list) else ()
+    return room < 0 or any(_is_too_deep(child, room - 1) for child in children)
+
+
+# --- Places ----------------------------------------------------------------------------------------------------------
+
+
 def parse_place(key: str) -> Place | None:
-    """The place that a dotted key names, items by number from 1; None where it is malformed.
+    """Place that a dotted key names, items by number from 1; None where it is malformed.
 
     An item may have a name instead, ``driveline.inertias[ring]``; it comes back as ``"[ring]"``.
     """
@@ -176,10 +128,10 @@ def parse_place(key: str) -> Place | None:
             return None
         place.append(match[1])
         for item in re.findall(r"\[([^\[\]]+)\]", match[2]):
-            number = _ITEM_NUMBER.fullmatch(item)
-            if number and int(item) == 0:
+            is_number = _ITEM_NUMBER.fullmatch(item)
+            if is_number and int(item) == 0:
                 return None
-            place.append(int(item) - 1 if number else f"[{item}]")
+            place.append(int(item) - 1 if is_number else f"[{item}]")
     return tuple(place)
 
 
@@ -197,54 +149,72 @@ def dotted(place: Place) -> str:
     return text
 
 
-def shorten(value: object, width: int = 40) -> str:
-    """A value as TOML writes it, cut to a width."""
-    if isinstance(value, bool):
-        text = "true" if value else "false"
-    elif isinstance(value, str):
-        if len(value) > width:
-            value = value[: width - 1] + "…"
-        return json.dumps(value, ensure_ascii=False)
-    elif isinstance(value, dict):
-        return "a table"
-    elif isinstance(value, list | tuple):
-        if value and all(isinstance(item, dict) for item in value):
-            return "an array of tables"
-        text = "[" + ", ".join(shorten(item, width) for item in value[:width]) + "]"
-    elif isinstance(value, int) and abs(value) >= 2**63:
-        return "an integer beyond 64 bits"
-    else:
-        text = str(value)
-    return text if len(text) <= width else text[: width - 1] + "…"
+def items_of(value: Any) -> Sequence[Any]:
+    """The items of a list; none of anything else."""
+    return value if isinstance(value, list | tuple) else ()
 
 
-def nearest(name: str, known: Iterable[str]) -> str | None:
-    """The known name that `name` most likely means, if any."""
-    found = difflib.get_close_matches(name[:100].lower(), list(known), n=1, cutoff=0.6)
-    return found[0] if found else None
+def value_at(document: Any, place: Place) -> Any:
+    """The value at a place of a document that may hold anything; None where there is none."""
+    for step in place:
+        if isinstance(step, int):
+            items = items_of(document)
+            document = items[step] if step < len(items) else None
+        else:
+            document = document.get(step) if isinstance(document, Mapping) else None
+    return document
+
+
+def with_value(node: Any, place: Place, value: Any) -> Any:
+    """A copy of a document with another value at a place; items of lists must be there."""
+    if not place:
+        return value
+    step = place[0]
+    if isinstance(step, int):
+        return (*node[:step], with_value(node[step], place[1:], value), *node[step + 1 :])
+    return {**node, step: with_value(node.get(step), place[1:], value)}
+
+
+def assign(document: dict[str, Any], place: Place, value: Any) -> str | None:
+    """Put a value at a place of a document, with the tables around it; or say why there is no such place."""
+    node: Any = document
+    for k, step in enumerate(place):
+        if isinstance(step, str) != isinstance(node, dict) or (isinstance(step, int) and step >= len(items_of(node))):
+            name = dotted(place[:k])
+            if isinstance(node, list) and isinstance(step, int):
+                return f"there is no {dotted(place[: k + 1])}; {name} has {len(node)} items"
+            if isinstance(node, list):
+                return f"{name} is a list; its items are {name}[1] and so on"
+            return f"{name} is no {'list' if isinstance(step, int) else 'table'}"
+        if k == len(place) - 1:
+            node[step] = value
+        elif isinstance(step, str):
+            node = node.setdefault(step, {})
+        else:
+            node = node[step]
+    return None
+
+
+# --- Lines -----------------------------------------------------------------------------------------------------------
 
 
 class KeyLines:
-    """The lines on which the keys of a TOML text stand, found by a small scanner (tomllib tells none).
+    """Lines on which the keys of a TOML text stand, found by a small scanner (tomllib tells none).
 
     Meant for a text that has been parsed. In any other it finds what it can, and never raises.
     """
 
     def __init__(self, text: str) -> None:
         self._text = text
+        self._ends = [match.start() for match in re.finditer("\n", text)]
         self._lines: dict[Place, int] = {}
         self._arrays: dict[Place, int] = {}
-        self._counted = (0, 1)  # up to this offset: this line
         with contextlib.suppress(ValueError, IndexError, RecursionError):
             self._scan()
 
     def find(self, place: Place) -> int | None:
         """The line of a place, from 1; failing that, of the nearest table or list around it."""
-        while place:
-            if place in self._lines:
-                return self._lines[place]
-            place = place[:-1]
-        return None
+        return next((self._lines[place[:k]] for k in range(len(place), 0, -1) if place[:k] in self._lines), None)
 
     def _scan(self) -> None:
         table: Place = ()
@@ -271,18 +241,14 @@ class KeyLines:
                 self._note(table, at)
         return table
 
-    def _assignment(self, table: Place, at: int) -> int:
-        start = at
-        keys, at = self._keys(at)
+    def _assignment(self, table: Place, start: int) -> int:
+        keys, at = self._keys(start)
         for k in range(len(keys)):
             self._note(table + keys[: k + 1], start)
         return self._value(table + keys, at + 1)
 
     def _note(self, place: Place, at: int) -> None:
-        offset, line = self._counted
-        line += self._text.count("\n", offset, at)
-        self._counted = (at, line)
-        self._lines.setdefault(place, line)
+        self._lines.setdefault(place, bisect.bisect_left(self._ends, at) + 1)
 
     _BLANK = re.compile(r"(?:\s|#[^\n]*)*")
     _KEY = re.compile(r"""[ \t]*(?:([A-Za-z0-9_-]+)|"((?:[^"\\\n]|\\.)*)"|'([^'\n]*)')[ \t]*""")
@@ -328,31 +294,3 @@ class KeyLines:
             if self._text[at] == ",":
                 at = self._skip(at + 1)
         return at + 1
-
-
-def _refusal(sentence: str, line: int | None = None) -> ConfigError:
-    return ConfigError(sentence, [Problem("", line, sentence)])
-
-
-def _nearest_file(path: Path) -> str:
-    try:
-        names = [entry.name for entry in path.parent.iterdir() if entry.suffix == ".toml"]
-    except OSError:
-        return "."
-    name = nearest(path.name, names)
-    return f"; did you mean {path.with_name(name)}?" if name else "."
-
-
-def _is_too_deep(document: object) -> bool:
-    level, depth = [document], 0
-    while level:
-        if depth > _DEEPEST:
-            return True
-        depth += 1
-        level = [
-            child
-            for node in level
-            if isinstance(node, dict | list)
-            for child in (node.values() if isinstance(node, dict) else node)
-        ]
-    return False

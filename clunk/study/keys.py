@@ -1,0 +1,135 @@
+"""Keys of a config, as the models describe them: JSON Schema of a file, and each key's bounds, words and unit."""
+
+import copy
+import functools
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from clunk.study.document import Place, dotted
+from clunk.study.models import Config
+from clunk.study.problems import listing, shorten
+from clunk.study.tables import Quantity
+
+PRESETS = ("boere-2008", "boere-2008-as-printed")
+ITEM = "#"  # stands in a pattern for any position in a list
+
+# What a preset or an axis may give can be left out of a file.
+_REQUIRED: dict[str, list[str]] = {"Config": ["driveline"], "Shaft": ["between"]}
+_REQUIRED |= {table: [] for table in ("DrivelineConfig", "Lash", "Contact", "Load", "Impacts")}
+
+
+@dataclass(frozen=True)
+class Key:
+    """The values that one place of a config allows.
+
+    must_be : what is allowed, to follow "must be"
+    children : the keys of a table
+    choices : the words that are allowed, if only some are
+    word : the key of a table whose word decides which other keys it has, if there is one
+    variants : of such a table, word -> keys
+    quantity : of a number that may be swept
+    whole : whether only integers are allowed
+    lowest, highest : bounds of a number, which it may reach unless `above` says otherwise
+    above : whether the lowest bound itself is excluded
+    """
+
+    must_be: str
+    children: tuple[str, ...] = ()
+    choices: tuple[str, ...] = ()
+    word: str = ""
+    variants: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    quantity: Quantity | None = None
+    whole: bool = False
+    lowest: float = -math.inf
+    highest: float = math.inf
+    above: bool = False
+
+    def allows(self, value: float) -> bool:
+        """Whether a number lies within the bounds."""
+        return (self.lowest < value if self.above else self.lowest <= value) and value <= self.highest
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON Schema of config files."""
+    return copy.deepcopy(_schema())
+
+
+@functools.cache
+def _schema() -> dict[str, Any]:
+    schema = Config.model_json_schema()
+    for name, table in [("Config", schema), *schema["$defs"].items()]:
+        table["required"] = _REQUIRED.get(name, table.get("required", []))
+    words = "fills in whatever the file leaves out"
+    driveline = schema["$defs"]["DrivelineConfig"]["properties"]
+    schema["$defs"]["DrivelineConfig"]["properties"] = {
+        "preset": {"enum": list(PRESETS), "description": words},
+        **driveline,
+    }
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "Config of clunk"}
+
+
+@functools.cache
+def keys() -> dict[Place, Key]:
+    """All keys by their pattern: a place with `ITEM` for positions in lists."""
+    return dict(_keys((), _schema()))
+
+
+def key_at(place: Place) -> Key | None:
+    """The key at a place, if there is one."""
+    return keys().get(tuple(ITEM if isinstance(step, int) else step for step in place))
+
+
+def _keys(place: Place, node: Mapping[str, Any]) -> Iterator[tuple[Place, Key]]:
+    node = _resolved(node)
+    properties, variants, word = node.get("properties"), {}, ""
+    if "oneOf" in node:
+        word = node["discriminator"]["propertyName"]
+        tables = [_resolved(table)["properties"] for table in node["oneOf"]]
+        variants = {table[word]["const"]: tuple(table) for table in tables}
+        properties = {name: child for table in tables for name, child in table.items()} | {word: {"enum": [*variants]}}
+    if properties is not None:
+        yield place, Key("a table", children=tuple(properties), word=word, variants=variants)
+        for name, child in properties.items():
+            yield from _keys((*place, name), child)
+    elif node.get("type") == "array":
+        items = dict(_keys((*place, ITEM), node["items"]))
+        item = items[(*place, ITEM)]
+        plural = item.must_be.replace("a number", "numbers").replace("a finite number", "finite numbers")
+        must_be = f"an array of tables, [[{dotted(place)}]]" if item.children else f"a list of {plural}"
+        yield place, Key(node.get("description", must_be))
+        yield from items.items()
+    else:
+        yield place, _leaf(node)
+
+
+def _resolved(node: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A node with what it refers to, and without null: in a config, that means that the key is left out."""
+    inner = [each for each in node.get("anyOf", node.get("allOf", ())) if each.get("type") != "null"]
+    if "$ref" in node:
+        inner = [_schema()["$defs"][node["$ref"].rsplit("/", 1)[-1]]]
+    return {**_resolved(inner[0]), **node} if len(inner) == 1 else node
+
+
+def _leaf(node: Mapping[str, Any]) -> Key:
+    choices = tuple(node.get("enum", [node["const"]] if "const" in node else ()))
+    if choices:
+        return Key(listing([shorten(choice) for choice in choices], "or"), choices=choices)
+    if node["type"] == "string":
+        return Key(node.get("description", "text on one line"))
+    above = "exclusiveMinimum" in node
+    lowest = node.get("exclusiveMinimum", node.get("minimum", -math.inf))
+    highest = node.get("maximum", math.inf)
+    whole = "integer" in node["type"]
+    noun = "a whole number" if whole else "a number"
+    if above:
+        must_be = f"{noun} greater than {lowest:g}"
+    elif highest < math.inf:
+        must_be = f"{noun} from {lowest:g} to {highest:.12g}"
+    else:
+        must_be = f"{noun}, {lowest:g} or greater" if lowest > -math.inf else "a finite number"
+    quantity = Quantity(node["quantity"], node["symbol"], node["unit"]) if "quantity" in node else None
+    unit = f" ({quantity.unit})" if quantity is not None and quantity.unit != "1" else ""
+    must_be = node.get("description", must_be + unit)
+    return Key(must_be, quantity=quantity, whole=whole, lowest=lowest, highest=highest, above=above)

@@ -1,0 +1,165 @@
+"""Tables of a config as frozen, typed values: the type, range and unit of every key.
+
+The units are the config's (degrees, N/m at a radius); `clunk.simulation` converts. Inertias are numbered from 1. A
+validator here looks at one table; the rules that tie tables to one another are in `clunk.study.rules`.
+"""
+
+from collections.abc import Iterator
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from clunk.study.problems import shorten
+from clunk.study.sweeps import Sweep
+from clunk.study.tables import Ends, Finding, Inertia, NotNegative, Positive, Quantity, Table, Text, refusal
+
+# The torque of the load is given by both of the first, or by both of the second.
+TORQUES = (("static_torque", "ratio"), ("initial_torque", "final_torque"))
+
+
+class Shaft(Table):
+    """A massless linear spring and damper between two inertias, or between one and ground.
+
+    between : two of an inertia's number from 1 and "ground"
+    stiffness : float  [N m/rad]
+    damping : float  [N m s/rad]
+    """
+
+    between: Ends
+    stiffness: Annotated[NotNegative, Quantity("stiffness of shaft {}", "k{}", "N m/rad")]
+    damping: Annotated[NotNegative, Quantity("damping of shaft {}", "c{}", "N m s/rad")]
+
+
+class DrivelineConfig(Table):
+    """Inertias and the shafts that join them.
+
+    inertias : (n,) float  [kg m2]
+    names : (n,) str, optional
+    """
+
+    inertias: Annotated[tuple[Annotated[Positive, Quantity("inertia {}", "J{}", "kg m2")], ...], Field(min_length=1)]
+    names: Annotated[tuple[Text, ...], Field(description="a list of names, one for each inertia")] | None = None
+    shafts: tuple[Shaft, ...]
+
+    @model_validator(mode="after")
+    def _check_names(self) -> Self:
+        findings = list(self._findings(self.names or ()))
+        if findings:
+            raise refusal(*findings)
+        return self
+
+    def _findings(self, names: tuple[str, ...]) -> Iterator[Finding]:
+        for k, name in enumerate(names):
+            if name == "ground":
+                yield ("names", k), 'found "ground"; that name is kept for the ground itself'
+            elif not name or name.isdigit() or set(name) & set("[]"):
+                yield ("names", k), f"found {shorten(name)}; a name must not be empty, a number, or have brackets in it"
+            elif name in names[:k]:
+                yield ("names", k), f"the name {shorten(name)} is taken by inertia {names.index(name) + 1}"
+
+
+class Contact(Table):
+    """What happens where the flanks touch. Keys that the model does not use are checked all the same.
+
+    stiffness : float  [N/m], at the radius
+    damping : float  [N s/m], at the radius
+    separation : the flanks part when the gap opens, or when the contact force would turn tensile
+    restitution : float, speed after an impact over the speed before; the indentation model does not use it
+    locking_speed : float or None  [rad/s], a slower rebound locks; the indentation model does not use it
+    """
+
+    model: Literal["indentation", "restitution"] = "indentation"
+    stiffness: Annotated[Positive, Quantity("contact stiffness", "k", "N/m")]
+    damping: Annotated[NotNegative, Quantity("contact damping", "c", "N s/m")]
+    separation: Literal["gap", "force"] = "gap"
+    restitution: Annotated[float, Field(ge=0, le=1), Quantity("coefficient of restitution", "e", "1")] = 0.5
+    locking_speed: Annotated[Positive | None, Quantity("locking speed", "v", "rad/s")] = None
+
+
+class Lash(Table):
+    """The backlash, between two inertias or between one and ground.
+
+    backlash_deg : float  [degrees], the whole gap
+    radius : float  [m], at which the flanks touch
+    """
+
+    between: Ends
+    backlash_deg: Annotated[float, Field(ge=0, le=360), Quantity("backlash", "φθ", "degrees")]
+    radius: Annotated[Positive, Quantity("radius of the flanks", "r", "m")]
+    contact: Contact
+
+
+class Load(Table):
+    """The torque on one inertia: an ideal step (report Eqs. 2.2 and 2.4).
+
+    Either static_torque Ts and ratio σr, for Ts (1 + σr) before the load step and Ts after it; or the two torques.
+
+    on : int, number from 1 of the loaded inertia
+    static_torque, initial_torque, final_torque : float or None  [N m]
+    ratio : float or None
+    step_time : float  [s], of the load step on the time axis of plots
+    """
+
+    profile: Literal["tip-out"] = "tip-out"
+    on: Annotated[Inertia, Quantity("loaded inertia", "i", "1")]
+    static_torque: Annotated[float | None, Quantity("static torque", "Ts", "N m")] = None
+    ratio: Annotated[float | None, Quantity("load ratio", "σr = Td/Ts", "1")] = None
+    initial_torque: Annotated[float | None, Quantity("torque before the load step", "T(0⁻)", "N m")] = None
+    final_torque: Annotated[float | None, Quantity("torque after the load step", "T(0⁺)", "N m")] = None
+    step_time: Annotated[NotNegative, Quantity("time of the load step", "t0", "s")] = 0.1
+
+    @model_validator(mode="after")
+    def _check_torques(self) -> Self:
+        """The torque is given once: by what stays and a ratio, or by what it is before and after."""
+        by_ratio, by_step = ([key for key in pair if getattr(self, key) is not None] for pair in TORQUES)
+        pairs = "static_torque and ratio, or initial_torque and final_torque"
+        if by_ratio and by_step:
+            raise refusal(((), f"{' and '.join(by_ratio + by_step)} are given together; give either {pairs}"))
+        if not by_ratio and not by_step:
+            raise refusal(((), f"no torque is given; give {pairs} (N m)"))
+        for key in (*by_ratio, *by_step):
+            pair = TORQUES[0] if by_ratio else TORQUES[1]
+            other = pair[1 - pair.index(key)]
+            if getattr(self, other) is None:
+                raise refusal(((other,), f"missing; {key} needs {other} beside it"))
+        return self
+
+
+class Solver(Table):
+    """How a run is computed. Keys that the method does not use are checked all the same.
+
+    method : "rk4", fixed-step with bisection, or "exact", by the modes of each regime
+    step : float  [s], of rk4; the exact method does not use it
+    end_time : float  [s after the load step]
+    margin_tolerance : float, a run of the exact method that came nearer than this to another label is undecided
+    max_events : int, touches and separations
+    """
+
+    method: Literal["rk4", "exact"] = "rk4"
+    step: Annotated[Positive, Quantity("time step", "h", "s")] = 1e-4
+    end_time: Annotated[Positive, Quantity("end time", "t_end", "s")] = 2.0
+    max_events: Annotated[int, Field(ge=1, le=100_000)] = 512
+    margin_tolerance: Annotated[float, Field(ge=0, le=0.25)] = 1e-4
+
+
+class Impacts(Table):
+    """How impacts are told apart and measured.
+
+    sticking_time : float or None  [s], a longer contact is sticking; None stands for the contact period
+    acceleration_of : int, number from 1 of the inertia whose acceleration gives the severity
+    """
+
+    sticking_time: Annotated[Positive | None, Quantity("sticking time", "t_s", "s")] = None
+    acceleration_of: Annotated[Inertia, Quantity("inertia of the severity", "i", "1")]
+
+
+class Config(Table):
+    """All tables of a config, each sound by itself."""
+
+    title: Annotated[Text, Field(min_length=1)] = "Untitled"
+    driveline: DrivelineConfig
+    lash: Lash
+    load: Load
+    solver: Solver = Solver()
+    impacts: Impacts
+    sweep: Sweep | None = None

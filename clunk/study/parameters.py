@@ -1,0 +1,129 @@
+"""Parameters: the keys that measure something, by their dotted names; they can be swept, drawn, read and replaced.
+
+Items of a list go by number from 1, an inertia also by its name: ``driveline.inertias[ring]``. The loaded inertia and
+the inertia of the severity are among them, by number. ``solver.max_events`` is not: it is a limit, not physics. Neither
+are the ends of shafts and lash: another topology is another study.
+"""
+
+import functools
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from clunk.study.document import Place, dotted, items_of, parse_place, value_at
+from clunk.study.keys import ITEM, Key, key_at, keys
+from clunk.study.models import Config
+from clunk.study.problems import ConfigError, Problem, nearest, shorten
+from clunk.study.tables import Quantity
+
+
+def place_of(parameter: str, names: Sequence[Any]) -> Place | None:
+    """Place that a dotted key names, an inertia's name in brackets resolved; None where it is malformed."""
+    place = parse_place(parameter)
+    for k, step in enumerate(place or ()):
+        if isinstance(step, str) and step.startswith("["):
+            assert place is not None
+            if place[:k] != ("driveline", "inertias") or step[1:-1] not in names:
+                return None
+            place = (*place[:k], list(names).index(step[1:-1]), *place[k + 1 :])
+    return place
+
+
+def names_of(document: Mapping[str, Any]) -> Sequence[Any]:
+    """The names of a document's inertias."""
+    return items_of(value_at(document, ("driveline", "names")))
+
+
+def parameters(document: Mapping[str, Any]) -> list[str]:
+    """The parameters of a document."""
+    known: list[str] = []
+    for pattern, key in keys().items():
+        if key.quantity is not None:
+            at = pattern.index(ITEM) if ITEM in pattern else 0
+            items = range(len(items_of(value_at(document, pattern[:at])))) if at else [ITEM]
+            known += [dotted(tuple(item if step == ITEM else step for step in pattern)) for item in items]
+    return known
+
+
+def complaint(parameter: str, document: Mapping[str, Any]) -> str | None:
+    """Reason why a key cannot be swept in a document; None where it can."""
+    place = place_of(parameter, names_of(document))
+    key = None if place is None else key_at(place)
+    if place is not None and key is not None and key.quantity is not None:
+        for k, step in enumerate(place):
+            count = len(items_of(value_at(document, place[:k])))
+            if isinstance(step, int) and step >= count:
+                return f"there is no {parameter}; {dotted(place[:k])} has {count} items" if count else None
+        return None
+    known = parameters(document)
+    leaf = parameter.rsplit(".", 1)[-1]
+    same_leaf = [name for name in known if name.rsplit(".", 1)[-1] == leaf or name.startswith(f"{parameter}[")]
+    likely = same_leaf[0] if same_leaf else nearest(parameter, known)
+    hint = f"; did you mean {shorten(likely)}?" if likely else "; a key such as load.ratio or driveline.inertias[4] can"
+    if key is not None:
+        return f"{shorten(parameter)} is no quantity that can be swept{hint}"
+    return f"the config has no key {shorten(parameter)}{'' if likely else ' that can be swept'}{hint}"
+
+
+_place_of = functools.lru_cache(maxsize=1024)(place_of)
+
+
+def located(config: Config, parameter: str) -> tuple[Place, Key, float]:
+    """Place, key and value of a parameter; the value is NaN where the config has none.
+
+    Raises
+    ------
+    ConfigError
+        Where there is no such parameter.
+    """
+    place = _place_of(parameter, config.driveline.names or ())
+    key = None if place is None else key_at(place)
+    value: Any = config if key is not None and key.quantity is not None else None
+    for step in place or ():
+        if isinstance(step, int):
+            value = value[step] if value is not None and step < len(value) else None
+        else:
+            value = getattr(value, step, None)
+    if place is None or key is None or (value is None and complaint(parameter, config.model_dump()) is not None):
+        raise _refusal(parameter, complaint(parameter, config.model_dump()))
+    return place, key, math.nan if value is None else float(value)
+
+
+def nominal_value(config: Config, parameter: str) -> float:
+    """The value of a parameter in its own unit, as `get_value`, but NaN where it has none."""
+    return located(config, parameter)[2]
+
+
+def get_value(config: Config, parameter: str) -> float:
+    """The value of a parameter, in its own unit.
+
+    Raises
+    ------
+    ConfigError
+        Where there is no such parameter, or it has no value in this study.
+    """
+    value = nominal_value(config, parameter)
+    if math.isnan(value):
+        raise _refusal(parameter, "has no value in this study")
+    return value
+
+
+def quantity(parameter: str) -> Quantity:
+    """What a parameter measures; the unit is one that udunits reads.
+
+    Raises
+    ------
+    ConfigError
+        Where there is no such parameter.
+    """
+    place = place_of(parameter, ())
+    key = None if place is None else key_at(place)
+    if place is None or key is None or key.quantity is None:
+        raise _refusal(parameter, complaint(parameter, {"driveline": {"inertias": [1.0], "shafts": [{}]}}))
+    item = next((step + 1 for step in place if isinstance(step, int)), "")
+    return Quantity(key.quantity.name.format(item), key.quantity.symbol.format(item), key.quantity.unit)
+
+
+def _refusal(parameter: str, message: str | None) -> ConfigError:
+    message = message or "is no quantity"
+    return ConfigError(f"{parameter}: {message}", [Problem(parameter, None, message)])

@@ -1,0 +1,230 @@
+"""Rules that tie keys of different tables to one another, for configs whose tables are sound by themselves."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from clunk.study.document import Place, dotted
+from clunk.study.models import TORQUES, Config
+from clunk.study.parameters import complaint, located
+from clunk.study.problems import listing, shorten
+from clunk.study.sweeps import Axis, Draw
+from clunk.study.tables import Finding, allowed_inertias
+
+MOST_STEPS = 1e9  # of one run; about ten seconds of nothing but stepping
+LARGEST_SIZE = 1e30  # of inertias, stiffnesses, dampings and the radius, and the smallest is its inverse
+WIDEST_SPREAD = 1e12  # of the inertias and of the springs of one driveline: four digits are left where they add up
+FASTEST_RATE = 1e12  # 1/s, of stiffness or damping on an inertia; atoms swing ten times faster
+
+Sizes = Sequence[tuple[float, Place]]  # positive numbers, each with its place
+
+
+def broken_rules(config: Config) -> list[Finding]:
+    """Everything in a config that contradicts itself; whatever is drawn is looked at where nothing else is wrong."""
+    findings = [finding for rule in (_inertias, _steps, _sizes, _swept) for finding in rule(config)]
+    return findings or list(_drawn(config))
+
+
+def torque_complaint(parameter: str, config: Config) -> str | None:
+    """Reason why a torque cannot be swept: the load is given by the other two."""
+    for pair, other in (TORQUES, TORQUES[::-1]):
+        if parameter in {f"load.{key}" for key in pair} and getattr(config.load, other[0]) is not None:
+            return (
+                f"{parameter} does not apply: the load is given by {listing(other)}; give load.{pair[0]} and "
+                f"load.{pair[1]} instead, or sweep one of the former"
+            )
+    return None
+
+
+# --- Inertias, steps, sizes ------------------------------------------------------------------------------------------
+
+
+def _inertias(config: Config) -> Iterator[Finding]:
+    """Each inertia has a name or none has, and shafts, lash, load and severity refer to inertias that exist."""
+    pairs: list[tuple[Place, tuple[int | str, ...]]] = [(("lash", "between"), config.lash.between)]
+    pairs += [(("driveline", "shafts", k, "between"), s.between) for k, s in enumerate(config.driveline.shafts)]
+    references = [((*place, k), end, True) for place, ends in pairs for k, end in enumerate(ends)]
+    references.append((("load", "on"), config.load.on, False))
+    references.append((("impacts", "acceleration_of"), config.impacts.acceleration_of, False))
+    count, names = len(config.driveline.inertias), config.driveline.names
+    if names is not None and len(names) != count:
+        text = f"found {len(names)} names for {count} inertias; give each its name, or leave names out"
+        yield ("driveline", "names"), text
+    for place, number, ground in references:
+        if isinstance(number, int) and not 1 <= number <= count:
+            allowed = allowed_inertias(count, names or (), ground)
+            yield place, f"there is no inertia {shorten(number)}; must be {allowed}"
+
+
+def _steps(config: Config) -> Iterator[Finding]:
+    """A run is at least one step long and not absurdly many, at every value that an axis gives either."""
+    steps, ends = (list(_extent(config, ("solver", key))) for key in ("step", "end_time"))
+    (longest, at_longest), (shortest, at_shortest) = max(steps), min(steps)
+    (earliest, at_earliest), (latest, at_latest) = min(ends), max(ends)
+    if longest > earliest:
+        text = f"a step of {longest:g} s is longer than the run, end_time = {earliest:g} s"
+        yield _axis_first(at_longest, at_earliest), text
+    elif latest / shortest > MOST_STEPS:
+        text = f"a run of {latest:g} s in steps of {shortest:g} s has {latest / shortest:.2g} of them"
+        yield _axis_first(at_shortest, at_latest), f"{text}; at most {MOST_STEPS:g} are allowed"
+
+
+def _sizes(config: Config) -> Iterator[Finding]:
+    """Inertias, springs and dampers are of sizes that double precision can multiply, and add to one another."""
+    inertias, shafts = range(len(config.driveline.inertias)), range(len(config.driveline.shafts))
+    masses = [size for k in inertias for size in _extent(config, ("driveline", "inertias", k))]
+    springs, dampers = (
+        [size for k in shafts for size in _extent(config, ("driveline", "shafts", k, key))]
+        for key in ("stiffness", "damping")
+    )
+    radii = list(_extent(config, ("lash", "radius")))
+    stiffnesses, dampings = (list(_extent(config, ("lash", "contact", key))) for key in ("stiffness", "damping"))
+    absurd = [
+        (place, f"found {size:g}; must be from {1.0 / LARGEST_SIZE:g} to {LARGEST_SIZE:g}")
+        for size, place in [*masses, *springs, *dampers, *radii, *stiffnesses, *dampings]
+        if not 1.0 / LARGEST_SIZE <= size <= LARGEST_SIZE
+    ]
+    yield from absurd
+    if absurd:
+        return
+    springs += _torsional(stiffnesses, radii)
+    dampers += _torsional(dampings, radii)
+    for sizes, unit in ((masses, "kg m2"), (springs, "N m/rad")):
+        (smallest, at_smallest), (largest, at_largest) = min(sizes), max(sizes)
+        if largest > WIDEST_SPREAD * smallest:
+            yield (
+                _axis_first(at_largest, at_smallest),
+                f"{largest:g} {unit} here and {smallest:g} {unit} at {dotted(at_smallest)} are more than a factor of "
+                f"{WIDEST_SPREAD:g} apart; the smaller one is lost in rounding",
+            )
+            return
+    lightest, at_lightest = min(masses)
+    for sizes, power, unit in ((springs, 0.5, "N m/rad"), (dampers, 1.0, "N m s/rad")):
+        largest, at_largest = max(sizes, default=(0.0, ()))
+        rate = (largest / lightest) ** power
+        if rate > FASTEST_RATE:
+            text = f"{largest:g} {unit} on the {lightest:g} kg m2 of {dotted(at_lightest)} is a rate of {rate:.2g} 1/s"
+            yield at_largest, f"{text}; at most {FASTEST_RATE:g} 1/s is allowed"
+
+
+def _torsional(sizes: Sizes, radii: Sizes) -> Sizes:
+    """r² times a stiffness or damping at the radius, at the place of whichever of the two is further from 1."""
+    return [
+        (radius**2 * size, at if abs(math.log(size)) > abs(2.0 * math.log(radius)) else at_radius)
+        for size, at in sizes
+        for radius, at_radius in radii
+    ]
+
+
+def _axis_first(*places: Place) -> Place:
+    """Whichever of these places lies on an axis, since that is the less obvious one."""
+    return next((place for place in places if place[0] == "sweep"), places[0])
+
+
+def _extent(config: Config, place: Place) -> Iterator[tuple[float, Place]]:
+    """A key's own value and those at the ends of an axis over it, each with its place; positive ones only."""
+    parameter = dotted(place)
+    value = located(config, parameter)[2]
+    if value > 0.0:
+        yield value, place
+    for k, axis in enumerate(config.sweep.axes if config.sweep is not None else ()):
+        if axis.parameter == parameter:
+            yield from ((end, ("sweep", "axes", k, *where)) for where, end in axis.ends if end > 0.0)
+
+
+# --- Swept and drawn keys --------------------------------------------------------------------------------------------
+
+
+def _swept(config: Config) -> Iterator[Finding]:
+    """Every swept or drawn key is a parameter, in one place only, and gets values that it allows."""
+    if config.sweep is None:
+        return
+    document = config.model_dump(exclude={"sweep"})
+    swept: dict[str, Place] = {}
+    for k, axis in enumerate(config.sweep.axes):
+        at: Place = ("sweep", "axes", k)
+        text = complaint(axis.parameter, document) or torque_complaint(axis.parameter, config)
+        if text is None and axis.parameter in swept:
+            text = f"{axis.parameter} is swept by {dotted(swept[axis.parameter])} already"
+        if text is not None:
+            yield (*at, "parameter"), text
+            continue
+        swept[axis.parameter] = at
+        yield from (((*at, *where), message) for where, message in _range(axis, config))
+    drawn: dict[str, Place] = {}
+    for table, draws in (("samples", config.sweep.samples), ("tolerances", config.sweep.tolerances)):
+        for k, draw in enumerate(draws):
+            at = ("sweep", table, k)
+            text = complaint(draw.parameter, document) or torque_complaint(draw.parameter, config)
+            text = text or _undrawable(draw, table, swept, config)
+            if text is None and draw.parameter in drawn:
+                text = f"{draw.parameter} is drawn by {dotted(drawn[draw.parameter])} already"
+            if text is not None:
+                yield (*at, "parameter"), text
+            drawn.setdefault(draw.parameter, at)
+
+
+def _range(axis: Axis, config: Config) -> Iterator[Finding]:
+    """The values of an axis lie in the swept key's own range."""
+    _, key, _ = located(config, axis.parameter)
+    inertias = len(config.driveline.inertias)
+    for where, end in axis.ends:
+        if not key.allows(end):
+            yield where, f"found {end:g}; {axis.parameter} must be {key.must_be}"
+        elif key.whole and end > inertias:
+            yield where, f"found {end:g}; {axis.parameter} is an inertia's number, and there are {inertias}"
+    if key.whole and np.any(axis.grid % 1.0):
+        yield (), f"{axis.parameter} must be {key.must_be} at every value of the axis"
+
+
+def _undrawable(draw: Draw, table: str, swept: Mapping[str, Place], config: Config) -> str | None:
+    parameter = draw.parameter
+    _, key, value = located(config, parameter)
+    if key.whole:
+        return f"{parameter} is an inertia's number, which cannot be drawn"
+    if parameter in swept and table == "samples":
+        return f"{parameter} is swept by {dotted(swept[parameter])} already"
+    if parameter in swept and draw.draws == "value":
+        return f'{parameter} is swept: its tolerance must be around the swept value; set draws = "factor" or "offset"'
+    needs_nominal = draw.draws != "value" or any(map(math.isnan, draw.numbers(math.nan).values()))
+    if parameter not in swept and math.isnan(value) and needs_nominal:
+        return f"{parameter} has no value in this config that its distribution could be around"
+    return None
+
+
+def _drawn(config: Config) -> Iterator[Finding]:
+    """Whatever is drawn is allowed: the sample is known beforehand, and its least and largest values are looked at."""
+    sweep = config.sweep
+    if sweep is None or not (sweep.samples or sweep.tolerances):
+        return
+    table, draws = ("samples", sweep.samples) if sweep.samples else ("tolerances", sweep.tolerances)
+    points = sweep.sampling.points(len(draws))
+    axes = {axis.parameter: axis.grid for axis in sweep.axes}
+    for k, draw in enumerate(draws):
+        place, key, own = located(config, draw.parameter)
+        nominal = axes.get(draw.parameter, np.array([own]))
+        drawn = draw.quantiles(points[:, k], float(nominal[0]))  # around a swept value it does not use this
+        values = draw.applied(drawn[:, None], np.array([nominal.min(), nominal.max()]))
+        for value in (float(values.min()), float(values.max())):
+            number = int(np.nonzero(values == value)[0][0]) + 1 if math.isfinite(value) else 1
+            text = f"draw {number} of {len(drawn)} makes {draw.parameter} {value:.6g}"
+            if not math.isfinite(value) or not key.allows(value):
+                bound = "; bound the distribution with low and high" if draw.distribution != "uniform" else ""
+                yield ("sweep", table, k), f"{text}; it must be {key.must_be}{bound}"
+                break
+            broken = next((f for rule in (_steps, _sizes) for f in rule(_replaced(config, place, value))), None)
+            if broken is not None:
+                yield ("sweep", table, k), f"{text}; {broken[1]}"
+                break
+
+
+def _replaced(node: Any, place: Place, value: Any) -> Any:
+    """A copy of a config with another value at a place, which is not validated."""
+    if not place:
+        return value
+    step = place[0]
+    if isinstance(step, int):
+        return (*node[:step], _replaced(node[step], place[1:], value), *node[step + 1 :])
+    return node.model_copy(update={step: _replaced(getattr(node, step), place[1:], value)})

@@ -1,0 +1,145 @@
+"""A study: a validated config, the values in it, its whole text and its digest."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any, Self
+
+import tomli_w
+from pydantic import model_validator
+
+from clunk.study.document import dotted, with_value
+from clunk.study.models import TORQUES, Config
+from clunk.study.parameters import located
+from clunk.study.problems import Problem, report
+from clunk.study.rules import broken_rules
+from clunk.study.summaries import Rows, as_html, as_text, html_table
+from clunk.study.tables import Finding, refusal
+from clunk.study.validation import validated
+
+
+class Study(Config):
+    """Everything that decides what a run or a sweep computes.
+
+    Made by `load_study`, `study_from_text` and `replace_values`; built by hand, it is held to the same rules.
+    """
+
+    @model_validator(mode="after")
+    def _hold_to_rules(self) -> Self:
+        findings = broken_rules(self)
+        if findings:
+            raise refusal(*findings)
+        return self
+
+    def summary(self) -> Rows:
+        """What is computed, for people: (name, value) pairs."""
+        lash, load, solver, contact = self.lash, self.load, self.solver, self.lash.contact
+        model = f"restitution, e = {contact.restitution:g}"
+        if contact.model == "indentation":
+            model = f"indentation, separation by {contact.separation}"
+        axes = self.sweep.axes if self.sweep is not None else ()
+        swept = {axis.parameter for axis in axes}
+        gap = "swept" if "lash.backlash_deg" in swept else f"{lash.backlash_deg:g} degrees"
+        torques = []
+        for symbol, key in zip(("Ts", "σr", "T(0⁻)", "T(0⁺)"), TORQUES[0] + TORQUES[1], strict=True):
+            value, unit = getattr(load, key), "" if key == "ratio" else " N m"
+            if value is not None:
+                torques.append(f"{symbol} swept" if f"load.{key}" in swept else f"{symbol} = {value:g}{unit}")
+        step = f", step {solver.step:g} s" if solver.method == "rk4" else ""
+        rows = [
+            ("driveline", f"{len(self.driveline.inertias)} inertias, {len(self.driveline.shafts)} shafts"),
+            ("backlash", f"between {lash.between[0]} and {lash.between[1]}: {gap}"),
+            ("contact", model),
+            ("load", f"{load.profile} on inertia {load.on}: {', '.join(torques)}"),
+            ("solver", f"{solver.method}{step}, to {solver.end_time:g} s"),
+        ]
+        for axis in axes:
+            spread = f"{axis.grid[0]:g} to {axis.grid[-1]:g}, {axis.count_of_values} values"
+            rows.append(("swept", f"{axis.parameter}: {spread}"))
+        if self.sweep is not None:
+            for draw in (*self.sweep.samples, *self.sweep.tolerances):
+                rows.append(("drawn", f"{draw.parameter}: {draw.distribution}, {self.sweep.sampling.count} draws"))
+        return rows
+
+    def __repr__(self) -> str:
+        return as_text(f"clunk.Study {self.title!r}", self.summary())
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        return as_html(self.title, html_table(self.summary()))
+
+
+def replace_values(study: Study, values: Mapping[str, float]) -> Study:
+    """The study with other values, each in its parameter's unit; its sweep is left alone.
+
+    Raises
+    ------
+    ConfigError
+        Where a value is not allowed, by the rules of a config file.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> study = clunk.load_study("configs/nominal.toml")
+    >>> [clunk.simulate(clunk.replace_values(study, {"load.ratio": ratio})).label for ratio in (1.0, 2.0, 5.0)]
+    ['NI', 'SS(1)', 'DS(1)SS(1)']
+    """
+    tables: dict[str, Any] = {}
+    for parameter, value in values.items():
+        place, key, _ = located(study, parameter)
+        name = str(place[0])
+        table = tables[name] if name in tables else getattr(study, name).model_dump()
+        plain = value.item() if hasattr(value, "item") else value
+        is_whole = key.whole and isinstance(plain, float) and plain.is_integer()
+        tables[name] = with_value(table, place[1:], int(plain) if is_whole else plain)
+    models: dict[str, Any] = {"sweep": None}
+    findings: list[Finding] = []
+    for name, table in tables.items():
+        models[name], wrong = validated(type(getattr(study, name)), table, at=(name,))
+        findings += wrong
+    if not findings:
+        findings = broken_rules(study.model_copy(update=models))
+    if findings:
+        raise report("the study with these values", [Problem(dotted(place), None, text) for place, text in findings])
+    return study.model_copy(update={**models, "sweep": study.sweep})
+
+
+def content(study: Study) -> dict[str, Any]:
+    """A study as plain tables, lists and values, without what is left out."""
+    plain = study.model_dump(exclude_none=True)
+    if study.sweep is not None:
+        sweep = {key: value for key, value in plain["sweep"].items() if value != ()}
+        if not {"samples", "tolerances"} & set(sweep):
+            sweep.pop("sampling")
+        plain["sweep"] = sweep
+    return plain
+
+
+def to_toml(study: Study) -> str:
+    """The whole config: preset expanded, names resolved, defaults filled in. Loading it gives an equal study."""
+    return tomli_w.dumps(content(study))
+
+
+def digest(study: Study) -> str:
+    """SHA-256 of everything that decides the results: physics, solver and sweep; neither the title nor names.
+
+    A swept key's own value does not count, since no cell has it.
+    """
+    decisive = content(study)
+    del decisive["title"]
+    decisive["driveline"].pop("names", None)
+    if study.sweep is not None and study.sweep.design == "grid":
+        del decisive["sweep"]["design"]  # sweeps of earlier versions know no other
+    for axis in study.sweep.axes if study.sweep is not None else ():
+        decisive = with_value(decisive, located(study, axis.parameter)[0], None)
+    canonical = json.dumps(_without_signed_zeros(decisive), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(canonical.encode("utf-8")).hexdigest()
+
+
+def _without_signed_zeros(node: Any) -> Any:
+    if isinstance(node, dict):
+        return {key: _without_signed_zeros(value) for key, value in node.items()}
+    if isinstance(node, list | tuple):
+        return [_without_signed_zeros(item) for item in node]
+    return node + 0.0 if isinstance(node, float) else node

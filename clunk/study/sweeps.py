@@ -1,0 +1,298 @@
+"""Tables of a sweep: axes, drawn keys with their distributions, and how these are sampled.
+
+Points of a space-filling design in the unit cube go through each distribution's quantile function: the marginals are
+exact, and the same seed gives the same sample.
+"""
+
+import functools
+import math
+import warnings
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, model_validator
+
+from clunk.study.document import Place
+from clunk.study.tables import LONGEST_AXIS, MOST_DRAWS, Finding, Positive, Table, refusal
+
+FloatArray = npt.NDArray[np.float64]
+
+LARGEST_GRID = 2**31  # cells
+_NEAREST_TO_EDGE = 2.0**-54  # a point at 0 or 1 itself would be an infinite normal value
+
+
+class Axis(Table):
+    """One swept key and the values that it takes, in the key's unit: evenly spaced, or listed.
+
+    parameter : str, dotted key
+    start, stop, count, scale : float, float, int, "linear" or "log"; or else
+    values : (count,) float
+    """
+
+    parameter: Annotated[str, Field(description='a dotted numeric key, for example "load.ratio"')]
+    start: float | None = None
+    stop: float | None = None
+    count: Annotated[int, Field(ge=1, le=LONGEST_AXIS)] | None = None
+    scale: Literal["linear", "log"] | None = None
+    values: Annotated[tuple[float, ...], Field(min_length=1, max_length=LONGEST_AXIS)] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in(cls, axis: Any) -> Any:
+        if not isinstance(axis, dict) or axis.get("values") is not None or axis.get("start") is None:
+            return axis
+        stop = {"stop": axis["start"]} if axis.get("count") == 1 else {}
+        return {"scale": "linear", **stop, **{key: value for key, value in axis.items() if value is not None}}
+
+    @model_validator(mode="after")
+    def _span(self) -> Self:
+        findings = list(self._findings())
+        if findings:
+            raise refusal(*findings)
+        return self
+
+    def _findings(self) -> Iterator[Finding]:
+        start, stop, count = self.start, self.stop, self.count
+        spans = [key for key in ("start", "stop", "count", "scale") if getattr(self, key) is not None]
+        if self.values is not None:
+            if spans:
+                text = f"values and {', '.join(spans)} are given together"
+                yield (), f"{text}; give either values, or start, stop and count"
+        elif start is None or stop is None or count is None:
+            missing = [key for key in ("start", "stop", "count") if getattr(self, key) is None]
+            text = f"missing {' and '.join(missing)}" if spans else "no values are given"
+            yield (), f"{text}; give start, stop and count, or values"
+        elif self.scale == "log" and min(start, stop) <= 0.0:
+            for key, end in (("start", start), ("stop", stop)):
+                if end <= 0.0:
+                    yield (key,), f'found {end:g}; must be greater than 0 on an axis of scale "log"'
+        elif count == 1 and start != stop:
+            yield ("count",), f"one value cannot span {start:g} to {stop:g}; count must be 2 or greater"
+        elif count > 1 and start == stop:
+            yield (), f"start and stop are both {start:g}; give count = 1, or a stop other than the start"
+        elif not math.isfinite((stop - start) * count) or (self.scale == "log" and stop / start == math.inf):
+            yield (), f"the span from {start:g} to {stop:g} is beyond the range of numbers"
+
+    @property
+    def count_of_values(self) -> int:
+        """How many values the axis has."""
+        if self.values is not None:
+            return len(self.values)
+        assert self.count is not None
+        return self.count
+
+    @property
+    def ends(self) -> list[tuple[Place, float]]:
+        """Least and greatest value, each with its place in the axis."""
+        if self.values is not None:
+            at = (self.values.index(min(self.values)), self.values.index(max(self.values)))
+            return [(("values", k), self.values[k]) for k in at]
+        return [((key,), value) for key in ("start", "stop") if (value := getattr(self, key)) is not None]
+
+    @property
+    def grid(self) -> FloatArray:
+        """(count,) float64, the values in order; read-only."""
+        return _grid(self)
+
+
+@functools.lru_cache(maxsize=16)  # not kept in the axis itself, where it would count when two are compared
+def _grid(axis: Axis) -> FloatArray:
+    if axis.values is not None:
+        grid = np.array(axis.values, dtype=np.float64)
+    else:
+        assert axis.start is not None
+        assert axis.stop is not None
+        k, last = np.arange(axis.count_of_values), max(axis.count_of_values - 1, 1)
+        if axis.scale == "log":
+            grid = axis.start * (axis.stop / axis.start) ** (k / last)
+        else:  # multiplied before divided: 0 to 10 in 201 values has 0.15 in it, not 0.15000000000000002
+            grid = axis.start + (axis.stop - axis.start) * k / last
+        # rounding must not carry a value out of a range that allows both ends
+        grid = np.clip(grid, min(axis.start, axis.stop), max(axis.start, axis.stop))
+        grid[-1] = axis.stop
+    grid += 0.0  # no negative zeros, which are equal to positive ones and would share their place
+    grid.flags.writeable = False
+    return grid
+
+
+# --- Drawn keys ------------------------------------------------------------------------------------------------------
+
+
+class _Drawn(Table):
+    """A key that is drawn at random, in the key's unit.
+
+    parameter : str, dotted key
+    draws : what the number is: the key's value, a factor on its nominal value, or an offset from that
+    """
+
+    parameter: Annotated[str, Field(description='a dotted numeric key, for example "lash.contact.stiffness"')]
+    distribution: str
+    draws: Literal["value", "factor", "offset"] = "value"
+
+    @model_validator(mode="after")
+    def _order(self) -> Self:
+        low, mode, high = (getattr(self, name, None) for name in ("low", "mode", "high"))
+        if low is not None and high is not None and not low < high:
+            raise refusal((("high",), f"found {high:g}; must be greater than low = {low:g}"))
+        if mode is not None and not low <= mode <= high:
+            raise refusal((("mode",), f"found {mode:g}; must be from low to high"))
+        if self.distribution == "lognormal" and high is not None and high <= 0.0:
+            raise refusal((("high",), f"found {high:g}; a lognormal number is greater than 0"))
+        return self
+
+    def numbers(self, nominal: float) -> dict[str, float]:
+        """The numbers that give the distribution; a mean or median that is left out is the nominal value."""
+        numbers = {name: getattr(self, name) for name in type(self).model_fields if name not in _Drawn.model_fields}
+        for middle in {"mean", "median"} & numbers.keys():
+            if numbers[middle] is None:
+                numbers[middle] = {"value": nominal, "factor": 1.0, "offset": 0.0}[self.draws]
+        return {name: value for name, value in numbers.items() if value is not None}
+
+    def quantiles(self, probability: npt.ArrayLike, nominal: float) -> FloatArray:
+        """The values below which the drawn number lies with these probabilities, where the key's nominal is this."""
+        numbers = self.numbers(nominal)
+        low, high = numbers.get("low"), numbers.get("high")
+        distribution = _distribution(self.distribution, numbers)
+        u = np.clip(np.asarray(probability, np.float64), _NEAREST_TO_EDGE, 1.0 - 2.0 * _NEAREST_TO_EDGE)
+        below = 0.0 if low is None else float(distribution.cdf(low))
+        above = 0.0 if high is None else float(distribution.sf(high))
+        values: FloatArray = np.asarray(distribution.ppf(below + u * (1.0 - below - above)), np.float64)
+        # the inverse of a distribution function is rounded: no value may leave the bounds for that
+        return np.clip(values, low, high) if (low, high) != (None, None) else values
+
+    def applied(self, drawn: npt.ArrayLike, nominal: npt.ArrayLike) -> FloatArray:
+        """The key's values, from what was drawn and its nominal value."""
+        drawn, nominal = np.asarray(drawn, np.float64), np.asarray(nominal, np.float64)
+        if self.draws == "factor":
+            values = nominal * drawn
+        elif self.draws == "offset":
+            values = nominal + drawn
+        else:
+            values = drawn + np.zeros_like(nominal)
+        return np.asarray(values, np.float64)
+
+
+class Uniform(_Drawn):
+    """A number that is equally likely anywhere from low to high."""
+
+    distribution: Literal["uniform"]
+    low: float
+    high: float
+
+
+class Normal(_Drawn):
+    """A normal number, by its mean and standard deviation; low and high truncate it."""
+
+    distribution: Literal["normal"]
+    mean: float | None = None
+    std: Positive
+    low: float | None = None
+    high: float | None = None
+
+
+class Lognormal(_Drawn):
+    """A lognormal number, by its median and its logarithm's standard deviation, sigma; low and high truncate it."""
+
+    distribution: Literal["lognormal"]
+    median: Positive | None = None
+    sigma: Positive
+    low: float | None = None
+    high: float | None = None
+
+
+class Triangular(_Drawn):
+    """A number from low to high whose density rises to its peak at mode, and falls from there."""
+
+    distribution: Literal["triangular"]
+    low: float
+    mode: float
+    high: float
+
+
+def _distribution(name: str, n: Mapping[str, float]) -> Any:
+    """The distribution of this name by these numbers, not truncated, as scipy has it."""
+    from scipy import stats  # most of a second: only where something is drawn
+
+    if name == "uniform":
+        return stats.uniform(n["low"], n["high"] - n["low"])
+    if name == "normal":
+        return stats.norm(n["mean"], n["std"])
+    if name == "lognormal":
+        return stats.lognorm(n["sigma"], scale=n["median"])
+    return stats.triang((n["mode"] - n["low"]) / (n["high"] - n["low"]), n["low"], n["high"] - n["low"])
+
+
+Draw = Uniform | Normal | Lognormal | Triangular
+_Draws = Annotated[tuple[Annotated[Draw, Field(discriminator="distribution")], ...], Field(min_length=1)]
+
+
+class Sampling(Table):
+    """How the drawn keys are drawn, all together.
+
+    method : scrambled Sobol points, best in powers of two, or a Latin hypercube
+    count : int, of the sample
+    seed : int, the same one gives the same sample
+    """
+
+    method: Literal["sobol", "latin-hypercube"] = "sobol"
+    count: Annotated[int, Field(ge=1, le=MOST_DRAWS)] = 256
+    seed: Annotated[int, Field(ge=0)] = 0
+
+    def points(self, dimensions: int) -> FloatArray:
+        """(count, dimensions) float64 in [0, 1)."""
+        from scipy.stats import qmc
+
+        generator = np.random.default_rng(self.seed)
+        sampler = {"sobol": qmc.Sobol, "latin-hypercube": qmc.LatinHypercube}[self.method]
+        with warnings.catch_warnings():
+            # Sobol points of other counts than powers of two
+            warnings.filterwarnings("ignore", "The balance properties of Sobol", UserWarning)
+            return np.asarray(sampler(dimensions, seed=generator).random(self.count), np.float64)
+
+
+class Sweep(Table):
+    """What is run.
+
+    design : the product of the axes, or ("zip") the axes of equal length walked together
+    axes : in order
+    samples : keys drawn together, a further dimension of the results
+    tolerances : keys drawn for every cell, of which a cell gets the outcome's statistics
+    sampling : of samples or tolerances
+    """
+
+    design: Literal["grid", "zip"] = "grid"
+    axes: Annotated[tuple[Axis, ...], Field(min_length=1)] = ()
+    samples: _Draws = ()
+    tolerances: _Draws = ()
+    sampling: Sampling = Sampling()
+
+    @model_validator(mode="after")
+    def _fit(self) -> Self:
+        findings = list(self._findings())
+        if findings:
+            raise refusal(*findings)
+        return self
+
+    def _findings(self) -> Iterator[Finding]:
+        if not (self.axes or self.samples or self.tolerances):
+            yield ("axes",), "missing; must be an array of tables, [[sweep.axes]], or else [[sweep.samples]]"
+        counts = [axis.count_of_values for axis in self.axes]
+        for k, count in enumerate(counts):
+            if self.design == "zip" and count != counts[0]:
+                text = f"found {count} values, and sweep.axes[1] has {counts[0]}"
+                yield ("axes", k), f"{text}; the axes of a zip design are walked together and must be equally long"
+            values = self.axes[k].values
+            if self.design == "grid" and values is not None and len(set(values)) < count:
+                first = {value: at for at, value in reversed(list(enumerate(values)))}
+                again = next(at for at, value in enumerate(values) if first[value] != at)
+                yield ("axes", k, "values", again), f"the value {values[again]:g} occurs twice"
+        if self.samples and self.tolerances:
+            yield ("samples",), "samples and tolerances are given together; give one of the two"
+        elif self.samples and self.design == "zip":
+            yield ("samples",), 'samples do not go with design = "zip"; give one of the two'
+        cells = math.prod(counts if self.design == "grid" else counts[:1])
+        cells *= self.sampling.count if self.samples else 1
+        if cells > LARGEST_GRID:
+            yield ("axes",), f"the grid has {cells:,} cells; at most {LARGEST_GRID:,} are allowed"

@@ -1,0 +1,104 @@
+"""Building blocks of a config's tables: their base class, quantities with units, and types of texts and inertias."""
+
+import unicodedata
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, ValidationInfo, WithJsonSchema
+from pydantic_core import PydanticCustomError
+
+from clunk.study.document import Place, dotted, items_of
+from clunk.study.problems import nearest, shorten
+
+Finding = tuple[Place, str]  # a place, and what is wrong there
+LONGEST_AXIS = 10_000_000  # values; known before any array is made
+MOST_DRAWS = 1_000_000  # of a sample
+
+
+class Table(BaseModel):
+    """A table of a config: frozen, strict, without unknown keys, NaN or infinities."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What a numeric key measures; only such keys can be swept, drawn or replaced.
+
+    name, symbol : for people, e.g. ``load ratio`` and ``σr = Td/Ts``; ``{}`` stands for an item's number
+    unit : as udunits reads it, ``1`` for none
+    """
+
+    name: str
+    symbol: str
+    unit: str
+
+    def __get_pydantic_json_schema__(self, core_schema: Any, handler: Any) -> dict[str, Any]:
+        """JSON Schema of the key, with its quantity as further keywords."""
+        return {**handler(core_schema), "quantity": self.name, "symbol": self.symbol, "unit": self.unit}
+
+
+def refusal(*findings: Finding) -> PydanticCustomError:
+    """Error of a validator, with what is wrong at places below the one that is validated."""
+    text = "; ".join(f"{dotted(place)}: {message}" if place else message for place, message in findings)
+    return PydanticCustomError("clunk", "{text}", {"text": text, "findings": findings})
+
+
+def _one_line(text: str) -> str:
+    # control characters and broken Unicode can be written neither to a terminal nor to a results file
+    if any(unicodedata.category(character) in {"Cc", "Cs"} for character in text):
+        raise refusal(((), f"found {shorten(text)}; must be text on one line"))
+    return text
+
+
+def allowed_inertias(count: int, names: Sequence[Any], ground: bool) -> str:
+    """Phrase for the inertias that a key may name; a count of 0 where it is not known."""
+    choices = [f"an inertia's number from 1 to {count}" if count else "an inertia's number"]
+    if names:
+        choices.append(f"its name ({', '.join(shorten(name) for name in names[:8])}{', …' * (len(names) > 8)})")
+    if ground:
+        choices.append('"ground"')
+    return " or ".join([", ".join(choices[:-1]), choices[-1]] if len(choices) > 1 else choices)
+
+
+def _numbered(value: Any, info: ValidationInfo, ground: bool) -> Any:
+    """Number of an inertia that is given by number or name; names and inertias are in the context of validation."""
+    driveline = info.context if isinstance(info.context, Mapping) else {}
+    names = [name for name in items_of(driveline.get("names")) if isinstance(name, str)]
+    if type(value) is int or (ground and value == "ground"):
+        return value
+    if isinstance(value, str) and value in names:
+        return items_of(driveline["names"]).index(value) + 1
+    allowed = allowed_inertias(len(items_of(driveline.get("inertias"))), names, ground)
+    if not isinstance(value, str):
+        raise refusal(((), f"found {shorten(value)}; must be {allowed}"))
+    likely = nearest(value, [*names, "ground"] if ground else names)
+    hint = f"did you mean {shorten(likely)}? It" if likely else "it"
+    raise refusal(((), f"no inertia is named {shorten(value)}; {hint} must be {allowed}"))
+
+
+def _two(ends: tuple[Any, ...]) -> tuple[Any, ...]:
+    if ends[0] == ends[1]:
+        raise refusal(((), f'both ends are {shorten(ends[0])}; must be two inertias, or one and "ground"'))
+    return ends
+
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Text = Annotated[str, AfterValidator(_one_line)]
+Inertia = Annotated[
+    int,
+    PlainValidator(lambda value, info: _numbered(value, info, ground=False)),
+    WithJsonSchema({"type": ["integer", "string"], "minimum": 1, "description": "an inertia's number or name"}),
+]
+End = Annotated[
+    int | Literal["ground"],
+    PlainValidator(lambda value, info: _numbered(value, info, ground=True)),
+    WithJsonSchema({"type": ["integer", "string"]}),
+]
+Ends = Annotated[
+    tuple[End, ...],
+    Field(min_length=2, max_length=2, description='two inertias, or one and "ground", for example [1, 2]'),
+    AfterValidator(_two),
+]

@@ -1,0 +1,123 @@
+"""Validation of tables by their models, with every error as a sentence at its place."""
+
+import difflib
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from clunk.study.document import Place, dotted
+from clunk.study.keys import ITEM, PRESETS, key_at, keys
+from clunk.study.problems import listing, nearest, shorten
+from clunk.study.tables import Finding
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def validated(
+    model: type[Model], table: Any, driveline: Any = None, at: Place = ()
+) -> tuple[Model | None, list[Finding]]:
+    """The model of a table, or what is wrong with it.
+
+    driveline : the table of the inertias and their names, which `table` may refer to by name
+    at : place of the table in the config
+    """
+    try:
+        return model.model_validate(_with_tuples(table), context=driveline), []
+    except ValidationError as error:
+        errors = [(*_place((*at, *detail["loc"])), detail) for detail in error.errors(include_url=False)]
+    unknown = {place: _likely_key(place) for place, _, detail in errors if detail["type"] == "extra_forbidden"}
+    findings: list[Finding] = []
+    for place, variant, detail in errors:
+        # one mistake, one error: a misspelt key is not missing too, nor a list of wrong items too short
+        is_list_of_wrong = detail["type"] == "too_short" and any(place in _around(other) for other, _, _ in errors)
+        if detail["type"] == "clunk":
+            findings += [((*place, *below), message) for below, message in detail["ctx"]["findings"]]
+        elif place in unknown:
+            findings.append((place, _unknown_key(place, variant, unknown[place])))
+        elif place not in unknown.values() and not is_list_of_wrong:
+            findings.append(_wrong_value(place, variant, detail))
+    return None, sorted(findings, key=lambda finding: finding[0] not in unknown)
+
+
+def _around(place: Place) -> list[Place]:
+    return [place[:k] for k in range(len(place))]
+
+
+def _with_tuples(node: Any) -> Any:
+    """A table with lists as tuples: strict models take no lists for tuples."""
+    if isinstance(node, dict):
+        return {key: _with_tuples(value) for key, value in node.items()}
+    return tuple(_with_tuples(item) for item in node) if isinstance(node, list | tuple) else node
+
+
+def _place(location: Place) -> tuple[Place, str]:
+    """Place of an error, and the word of the variant of the table around it, which pydantic has among the keys."""
+    place: Place = ()
+    variant = ""
+    for step in location:
+        key = key_at(place)
+        if key is not None and step in key.variants and not variant:
+            variant = str(step)
+        else:
+            place = (*place, step)
+    return place, variant
+
+
+def _likely_key(place: Place) -> Place | None:
+    """The key that an unknown one was meant to be: a neighbour, or one of that name in another table."""
+    name, table = str(place[-1]), place[:-1]
+    around = key_at(table)
+    near = nearest(name, around.children) if around is not None else None
+    homes = [pattern for pattern in keys() if len(pattern) > 1 and pattern[-1] != ITEM]
+    far = nearest(name, [str(pattern[-1]) for pattern in homes])
+    if far is not None and _likeness(name, far) > max(0.75, _likeness(name, near or "")):
+        # of several tables that have such a key, the one below this table
+        return max((home for home in homes if home[-1] == far), key=lambda home: home[: len(table)] == table)
+    return None if near is None else (*table, near)
+
+
+def _likeness(name: str, other: str) -> float:
+    return difflib.SequenceMatcher(None, name[:100], other).ratio()
+
+
+def _unknown_key(place: Place, variant: str, likely: Place | None) -> str:
+    around = key_at(place[:-1])
+    if variant and around is not None and place[-1] in around.children:
+        return f"a {variant} {around.word} has no {place[-1]}; {_keys_of(place, variant)}"
+    if likely is None:
+        return f"unknown key; allowed here: {', '.join(around.children) if around is not None else 'none'}"
+    if likely[:-1] == place[:-1]:
+        return f"unknown key; did you mean {shorten(likely[-1])}?"
+    table = dotted(tuple(step for step in likely[:-1] if step != ITEM))
+    return f"unknown key; did you mean {shorten(likely[-1])} in {f'[[{table}]]' if ITEM in likely else f'[{table}]'}?"
+
+
+def _keys_of(place: Place, variant: str) -> str:
+    """Sentence on the keys that a variant of the table around a place has for itself."""
+    around = key_at(place[:-1])
+    assert around is not None
+    shared = [len(set(keys)) == 1 for keys in zip(*around.variants.values(), strict=False)].index(False)
+    return f"a {variant} {around.word} is given by {listing(around.variants[variant][shared:])}"  # the rest is the base class's
+
+
+def _wrong_value(place: Place, variant: str, detail: ErrorDetails) -> Finding:
+    key, value = key_at(place), detail["input"]
+    if key is not None and detail["type"] in {"union_tag_invalid", "union_tag_not_found"}:
+        value = value.get(key.word)
+        place = (*place, key.word)
+        key = key_at(place)
+    must_be = key.must_be if key is not None else detail["msg"].lower()
+    if detail["type"] in {"missing", "union_tag_not_found"}:
+        if place == ("driveline",):
+            return place, f"missing; give driveline.preset ({' or '.join(PRESETS)}), or inertias and shafts"
+        if key is not None and key.children:
+            return place, f"missing; a config needs the table [{dotted(place)}]"
+        return place, f"missing; {_keys_of(place, variant)}" if variant else f"missing; must be {must_be}"
+    if place == ("lash",) and isinstance(value, tuple):
+        return place, "several lashes are not supported yet; write one, [lash] instead of [[lash]]"
+    if detail["type"] == "finite_number":
+        must_be = must_be.replace("a number", "a finite number")
+    likely = nearest(value, key.choices) if key is not None and isinstance(value, str) else None
+    hint = f"; did you mean {shorten(likely)}?" if likely else ""
+    return place, f"found {shorten(value)}; must be {must_be}{hint}"
