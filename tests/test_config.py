@@ -1,6 +1,7 @@
 import contextlib
 import hashlib
 import itertools
+import json
 import math
 import pickle
 import re
@@ -12,10 +13,14 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 import tomli_w
+from click.testing import CliRunner
 from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
+from jsonschema.protocols import Validator
 from scipy import stats
 
+from clunk.cli import cli
 from clunk.study.config import (
     PRESETS,
     Axis,
@@ -31,6 +36,7 @@ from clunk.study.config import (
     Sweep,
     digest,
     get_value,
+    json_schema,
     load_study,
     quantity,
     replace_values,
@@ -228,6 +234,62 @@ def test_starter_names_every_key():
     tables = {"driveline", "lash", "load", "solver", "impacts", "sweep", "shafts", "contact"}
     tables |= {"axes", "samples", "tolerances", "sampling"}
     assert keys == {name for model in models for name in model.model_fields} - tables | {"preset"}
+
+
+# --- The JSON Schema -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def schema() -> Validator:
+    Draft202012Validator.check_schema(json_schema())
+    return Draft202012Validator(json_schema())
+
+
+TEXTS = {
+    "whole": WHOLE,
+    "starter": STARTER,
+    "preset": PRESET,
+    **{path.stem: path.read_text("utf-8") for path in CONFIGS},
+}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_schema_allows_what_a_config_may_hold(schema, name):
+    schema.validate(tomllib.loads(TEXTS[name]))
+    schema.validate(tomllib.loads(to_toml(study_from_text(TEXTS[name]))))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        with_line(1, 'titel = "x"'),
+        with_line(3, "inertias = [0.024, 0.0, 0.002, 0.002]"),
+        with_line(14, "between = [1]"),
+        with_line(20, 'radius = "x"'),
+        with_line(22, 'model = "hertz"'),
+        with_line(26, "restitution = 1.1"),
+        with_line(37, "max_events = 0"),
+        with_line(42, "parameter = 1"),
+        f"{ONE_RUN}[[sweep.tolerances]]\nparameter = 'lash.radius'\ndistribution = 'uniform'\nlow = 1\nstd = 2\n",
+        '[driveline]\npreset = "boere"\n',
+        "",
+    ],
+)
+def test_schema_refuses_what_a_config_may_not_hold(schema, text):
+    assert not schema.is_valid(tomllib.loads(text))
+    errors_of(text)
+
+
+def test_init_prints_the_schema_that_the_starter_names():
+    assert STARTER.startswith("#:schema ./clunk.schema.json\n")
+    printed = CliRunner().invoke(cli, ["init", "--schema"])
+    assert printed.exit_code == 0
+    assert json.loads(printed.output) == json_schema()
+
+
+def test_every_quantity_of_the_schema_has_its_name_and_unit():
+    stiffness = json_schema()["$defs"]["Contact"]["properties"]["stiffness"]
+    assert {"quantity": "contact stiffness", "symbol": "k", "unit": "N/m"}.items() <= stiffness.items()
 
 
 # --- What is wrong ---------------------------------------------------------------------------------------------------

@@ -10,13 +10,23 @@ import click
 @click.command()
 @click.argument("path", type=click.Path(path_type=Path), default="clunk.toml")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
-def init(path: Path, force: bool) -> None:
+@click.option("--schema", is_flag=True, help="Print the JSON Schema by which editors check configs.")
+def init(path: Path, force: bool, schema: bool) -> None:
     """Write a commented starter config to PATH [clunk.toml]; - prints it.
 
     Example: clunk init study.toml
+
+    Example: clunk init --schema > clunk.schema.json
     """
     from importlib.resources import files
 
+    if schema:
+        import json
+
+        from clunk.study.config import json_schema
+
+        click.echo(json.dumps(json_schema(), indent=2, ensure_ascii=False))
+        return
     text = files("clunk.study.presets").joinpath("starter.toml").read_text(encoding="utf-8")
     if str(path) == "-":
         click.echo(text, nl=False)

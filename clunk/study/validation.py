@@ -97,8 +97,9 @@ def _keys_of(place: Place, variant: str) -> str:
     """Sentence on the keys that a variant of the table around a place has for itself."""
     around = key_at(place[:-1])
     assert around is not None
+    # those of the base class come first in every variant
     shared = [len(set(keys)) == 1 for keys in zip(*around.variants.values(), strict=False)].index(False)
-    return f"a {variant} {around.word} is given by {listing(around.variants[variant][shared:])}"  # the rest is the base class's
+    return f"a {variant} {around.word} is given by {listing(around.variants[variant][shared:])}"
 
 
 def _wrong_value(place: Place, variant: str, detail: ErrorDetails) -> Finding:
