@@ -1,0 +1,119 @@
+"""Problems of others, with answers that nobody here wrote: closed forms and stored results, each with its source."""
+
+import math
+
+import pytest
+
+import clunk
+from clunk.core.events import OPENING, SEPARATION, TOUCH
+
+# Event times of the exact method are good to 1e-12 s; RK4 at a step h of these problems (|λ| <= 320 1/s) is off by some
+# (|λ| h)^4 / 120 of a time scale of 10 ms: 1e-12 s at 1e-5 s, which its sums of rounding over 4,000 steps exceed.
+METHODS = {"exact": 1e-12, "rk4": 1e-10}
+
+
+@pytest.fixture(params=METHODS)
+def method(request):
+    return request.param
+
+
+def events_of(run, kind):
+    """Time and speed of a run's events of one kind."""
+    events = run.events[run.events["kind"] == kind]
+    return list(zip(events["time"].tolist(), events["speed"].tolist(), strict=True))
+
+
+def test_backlash_to_ground_with_spring_and_damper(method):
+    """Modelica Standard Library 4.1, Mechanics.Rotational.Examples.Backlash: J = 5, c = 2e4, d = 50, b = π/4 whole.
+
+    From φ = π/2 at rest, no load: the flank's torque c (φ - b/2) + d φ' vanishes at the first zero of an oscillation
+    started at the overlap 3π/8; from there on the inertia coasts. The stored trajectory (tolerance 1e-6) has the speed
+    -66.196495 rad/s and the other flank at 0.038023866 s.
+    """
+    inertia, stiffness, damping, gap = 5.0, 2.0e4, 50.0, math.pi / 4
+    study = clunk.study_from_text(f"""
+        [driveline]
+        inertias = [{inertia}]
+        shafts = []
+        [lash]
+        between = [1, "ground"]
+        backlash_deg = 45.0
+        radius = 1.0
+        [lash.contact]
+        stiffness = {stiffness}
+        damping = {damping}
+        separation = "force"
+        [load]
+        on = 1
+        initial_torque = 0.0
+        final_torque = 0.0
+        [solver]
+        method = "{method}"
+        step = 1e-5
+        end_time = 0.04
+    """)
+    run = clunk.simulate(study, initial_state=[math.pi / 2, 0.0])
+    decay, overlap = damping / (2.0 * inertia), math.pi / 2 - gap / 2
+    omega = math.sqrt(stiffness / inertia - decay**2)
+    # overlap e^(-σt) (cos ωt + σ/ω sin ωt), its slope, and c x + d x' = 0: tan ωt = -c ω / (c σ - d (σ² + ω²))
+    leaves = math.atan2(stiffness * omega, damping * (decay**2 + omega**2) - stiffness * decay) / omega
+    damped = overlap * math.exp(-decay * leaves)
+    left = damped * (math.cos(omega * leaves) + decay / omega * math.sin(omega * leaves))
+    speed = -damped * (omega + decay**2 / omega) * math.sin(omega * leaves)
+    assert (leaves, speed) == pytest.approx((0.02365921584, -66.19661798), rel=1e-9)  # as published, to its digits
+
+    within = {"abs": METHODS[method], "rel": METHODS[method]}
+    ((time, closing),) = events_of(run, SEPARATION)
+    assert (time, closing) == pytest.approx((leaves, speed), **within)
+    ((opens, _),) = events_of(run, OPENING)
+    assert opens == pytest.approx(leaves - left / speed, **within)
+    assert opens == pytest.approx(0.02615921584, abs=5e-12)
+    ((touches, closing), *_) = events_of(run, TOUCH)
+    assert touches == pytest.approx(0.03802384258, abs=5e-12 + METHODS[method])
+    assert closing == pytest.approx(speed, **within)
+
+
+def test_spring_under_gravity_on_a_floor(method):
+    """Siconos tutorials, BouncingBallEventDriven/LinearOscillatorED: m = 1e-3, k = 100, g = 9.81, e = 0.9, x = 1.
+
+    x = (1 + g/ω²) cos ωt - g/ω² reaches the floor x = 0 at cos ωt = (g/ω²) / (1 + g/ω²). Here the floor is the lower
+    flank of a gap of 2 rad, q = x - 1, so that the load also holds the spring's other end up.
+    """
+    mass, stiffness, gravity, restitution = 1e-3, 100.0, 9.81, 0.9
+    study = clunk.study_from_text(f"""
+        [driveline]
+        inertias = [{mass}]
+        [[driveline.shafts]]
+        between = [1, "ground"]
+        stiffness = {stiffness}
+        damping = 0.0
+        [lash]
+        between = [1, "ground"]
+        backlash_deg = {math.degrees(2.0)!r}
+        radius = 1.0
+        [lash.contact]
+        model = "restitution"
+        restitution = {restitution}
+        stiffness = 1e6
+        damping = 0.0
+        [load]
+        on = 1
+        initial_torque = -200.0
+        final_torque = {-(mass * gravity + stiffness * 1.0)!r}
+        [solver]
+        method = "{method}"
+        step = 1e-5
+        end_time = 0.012
+    """)
+    run = clunk.simulate(study, initial_state=[0.0, 0.0])
+    omega = math.sqrt(stiffness / mass)
+    sag = gravity / omega**2
+    impact = math.acos(sag / (1.0 + sag)) / omega
+    speed = -omega * (1.0 + sag) * math.sin(omega * impact)
+    assert (impact, speed) == pytest.approx((0.0049669839438886, -316.2587864392), rel=1e-12)
+
+    times, speeds = zip(*events_of(run, TOUCH), strict=True)
+    assert times[0] == pytest.approx(impact, abs=METHODS[method])
+    assert speeds[0] == pytest.approx(speed, rel=METHODS[method])
+    after = run.states[run.events["kind"] == TOUCH][0]
+    assert after[1] == pytest.approx(284.6329077953, rel=1e-12 + METHODS[method])  # -e times the speed before
