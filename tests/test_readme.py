@@ -1,52 +1,81 @@
-"""Every clunk command and Python example of the README runs as printed, from a copy of what they need."""
+"""Every clunk command and Python example of the README and the pages beside it runs as printed."""
 
 import doctest
 import io
 import re
 import shlex
 import shutil
-import subprocess
+import signal
 import sys
 from pathlib import Path
 
 import pytest
 
+from clunk.cli import main
+from clunk.core.status import Status
+from clunk.results.quantities import REGIME_QUANTITIES, TOLERANCE_QUANTITIES
+
 ROOT = Path(__file__).parent.parent
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", README, flags=re.MULTILINE | re.DOTALL)
+TOPICS = sorted((ROOT / "clunk/cli/help").glob("*.md"))
+PAGES = [ROOT / "README.md", *TOPICS, ROOT / "results/README.md", ROOT / "tests/benchmarks/README.md"]
 
 
-@pytest.fixture(scope="module")
-def here(tmp_path_factory):
-    directory = tmp_path_factory.mktemp("readme")
-    shutil.copytree(ROOT / "configs", directory / "configs")
-    return directory
+def blocks(page, language):
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
 
 
-def commands():
-    for language, block in BLOCKS:
-        if language == "sh":
-            for line in block.replace("\\\n", " ").splitlines():
-                command = line.split("#")[0].strip()
-                if command.startswith("clunk "):
-                    yield command
+def commands(page):
+    for block in blocks(page, "sh"):
+        for line in block.replace("\\\n", " ").splitlines():
+            command = line.split("#")[0].strip()
+            if command.startswith("clunk "):
+                yield command
 
 
-def test_the_readme_s_commands_run(here):
-    found = list(commands())
-    assert len(found) >= 8
-    for command in found:
-        run = [sys.executable, "-c", "from clunk.cli import main; main()", *shlex.split(command)[1:]]
-        done = subprocess.run(run, cwd=here, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, f"{command}\n{done.stderr}"
+def named(pages):
+    return [pytest.param(page, id=str(page.relative_to(ROOT))) for page in pages]
 
 
-def test_the_readme_s_python_says_what_is_printed(here, monkeypatch):
-    monkeypatch.chdir(here)
-    blocks = [block for language, block in BLOCKS if language == "python"]
-    assert blocks
-    examples = doctest.DocTestParser().get_doctest("\n".join(blocks), {}, "README.md", "README.md", 0)
+@pytest.mark.parametrize("page", named(page for page in PAGES if any(commands(page)) or blocks(page, "python")))
+def test_the_commands_and_then_the_python_of_a_page_do_as_printed(page, tmp_path, monkeypatch, capsys):
+    shutil.copytree(ROOT / "configs", tmp_path / "configs")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # main's handler must not outlive a test
+    for command in commands(page):
+        monkeypatch.setattr(sys, "argv", shlex.split(command))
+        with pytest.raises(SystemExit) as stopped:
+            main()
+        assert stopped.value.code == 0, f"{command}\n{capsys.readouterr().err}"
+    source = "\n".join(blocks(page, "python"))
+    examples = doctest.DocTestParser().get_doctest(source, {}, page.name, str(page), 0)
     report = io.StringIO()
-    failed, tried = doctest.DocTestRunner(verbose=False).run(examples, out=report.write)
-    assert tried >= 10
+    failed, _ = doctest.DocTestRunner(verbose=False).run(examples, out=report.write)
     assert not failed, report.getvalue()
+
+
+@pytest.mark.parametrize("page", named(PAGES))
+def test_the_links_of_a_page_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8")):
+        assert (page.parent / target).exists(), target
+
+
+def test_the_readme_is_short_and_names_every_topic():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(text.encode()) <= 8 * 1024
+    assert set(re.findall(r"\(clunk/cli/help/([\w-]+)\.md\)", text)) == {page.stem for page in TOPICS}
+
+
+def test_enough_is_run_to_notice_a_fence_that_is_not_found():
+    assert sum(len(list(commands(page))) for page in PAGES) >= 35
+    assert sum(block.count(">>>") for page in PAGES for block in blocks(page, "python")) >= 15
+
+
+def test_the_file_format_has_every_variable_with_its_type_unit_and_dimension():
+    text = (ROOT / "clunk/cli/help/file-format.md").read_text(encoding="utf-8")
+    regimes, tolerances = text[text.index("## Variables of a regime") :].split("## Variables of a tolerance map")
+    described = re.findall(r"^\| `(\w+)` \| (\w+) \| (.*?) ?\| ", regimes, flags=re.MULTILINE)
+    assert described == [(each.name, each.dtype.__name__, each.unit.lstrip("1")) for each in REGIME_QUANTITIES.values()]
+    described = re.findall(r"^\| `(\w+)` \| `?(.*?)`? ?\| (.*?) ?\| ", tolerances, flags=re.MULTILINE)
+    assert described == [(each.name, each.dimension, each.unit.lstrip("1")) for each in TOLERANCE_QUANTITIES.values()]
+    statuses = re.findall(r"^\| (\d+) \| `(\w+)` \| ", regimes, flags=re.MULTILINE)
+    assert statuses == [(str(status.value), status.name.lower()) for status in Status]

@@ -1,0 +1,35 @@
+"""`clunk help`: topics, the Markdown files beside this module."""
+
+from __future__ import annotations
+
+import sys
+from importlib.resources import files
+
+import click
+
+
+@click.command()
+@click.argument("topic", required=False)
+def help(topic: str | None) -> None:  # noqa: A001  # as the command is named
+    """Explain a TOPIC; without one, list the topics.
+
+    Example: clunk help designs
+    """
+    topics = {
+        entry.name.removesuffix(".md"): entry.read_text(encoding="utf-8")
+        for entry in sorted(files(__package__).iterdir(), key=lambda entry: entry.name)
+        if entry.name.endswith(".md")
+    }
+    if topic is None:
+        width = max(map(len, topics))
+        for name, text in topics.items():
+            click.echo(f"{name:<{width}}  {text.splitlines()[0].partition(': ')[2]}")
+    elif topic not in topics:
+        raise click.UsageError(f"no topic {topic!r}; there are {', '.join(topics)}.")
+    elif sys.stdout.isatty():
+        from rich.console import Console
+        from rich.markdown import Markdown
+
+        Console().print(Markdown(topics[topic]))
+    else:
+        click.echo(topics[topic], nl=False)
