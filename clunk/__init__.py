@@ -18,11 +18,10 @@ if TYPE_CHECKING:
     from clunk.plot import PlotError
     from clunk.results.datasets import open_results, to_dataset
     from clunk.results.regimemap import Results
-    from clunk.results.store import StoreError
+    from clunk.results.store import StoreError, read_tolerance_map
     from clunk.results.store import read as read_results
     from clunk.results.store import write as write_results
     from clunk.results.targets import TargetError
-    from clunk.results.tolerancefile import read as read_tolerance_map
     from clunk.results.tolerancemap import ToleranceMap
     from clunk.simulation.trajectory import SimulationError, Trajectory, simulate
     from clunk.study.config import ConfigError, Study, load_study, replace_values, study_from_text
@@ -88,7 +87,7 @@ _HOME = {
     "load_study": "study.config",
     "open_results": "results.datasets",
     "read_results": "results.store:read",
-    "read_tolerance_map": "results.tolerancefile:read",
+    "read_tolerance_map": "results.store",
     "replace_values": "study.config",
     "run_points": "api",
     "sensitivity": "analysis.sobol",

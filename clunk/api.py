@@ -16,9 +16,9 @@ import numpy.typing as npt
 from clunk.analysis import verification
 from clunk.analysis.thresholds import thresholds_of
 from clunk.analysis.verification import METHODS, Verification, by
-from clunk.results import targets, tolerancefile
+from clunk.results import targets
 from clunk.results.regimemap import Results
-from clunk.results.store import read
+from clunk.results.store import read_map
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.config import Study
@@ -295,7 +295,7 @@ def _found(
     targets.check(path, targets.RESULTS)
     with opened(path, study, refine=refine, restart=restart, force=force) as file:
         if file.counts is not None:
-            return tolerancefile.read(path) if tolerances else read(path)
+            return read_map(path)
         try:
             with opening as engine, _telling(progress, sweeping.cell_count(study), study) as tell:
                 found = file.run(engine=engine, progress=tell)

@@ -15,7 +15,7 @@ import xarray
 
 from clunk.core.status import Status
 from clunk.results import netcdf, store
-from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
+from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES, REGIME_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
 
@@ -245,8 +245,7 @@ def test_content_digest_depends_on_the_data_and_nothing_else(tmp_path: Path) -> 
 def test_a_file_without_margins_is_still_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     results = example(RATIO, BACKLASH)
     with monkeypatch.context() as first_schema:
-        fields = {name: dtype for name, dtype in CELL_QUANTITIES.items() if name != "margin"}
-        first_schema.setattr(store, "CELL_QUANTITIES", fields)
+        first_schema.setattr(Results, "quantities", {k: v for k, v in REGIME_QUANTITIES.items() if k != "margin"})
         first_schema.setattr(store, "SCHEMA_VERSION", 1)
         store.write(tmp_path / "map.h5", results)
     with h5py.File(tmp_path / "map.h5") as file:
@@ -323,7 +322,7 @@ def test_a_large_file_is_assembled_on_the_disk_to_the_same_bytes(
         if int(time.time()) == began:
             break
     assert (tmp_path / "disk.h5").read_bytes() == (tmp_path / "memory.h5").read_bytes()
-    assert store.check(tmp_path / "disk.h5")
+    assert store.check(tmp_path / "disk.h5").checksum
 
 
 @pytest.mark.parametrize("limit", [60_000, 6_000_000])
@@ -336,13 +335,13 @@ import resource, sys
 from dataclasses import replace
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 import numpy as np
-from test_store import RATIO, example, netcdf, store
+from test_store import CELL_QUANTITIES, IMPACT_QUANTITIES, RATIO, example, netcdf, store
 store._LARGE, netcdf._AHEAD = 0, 1 << 22
 small = example(RATIO)
 count = 400_000
-fields = {{name: np.resize(getattr(small, name), count) for name in store.CELL_QUANTITIES}}
+fields = {{name: np.resize(getattr(small, name), count) for name in CELL_QUANTITIES}}
 fields |= {{"primary_impacts": np.zeros(count, np.int32), "severity": np.random.default_rng(1).normal(size=count)}}
-fields |= {{name: getattr(small, name)[:0] for name in store.IMPACT_QUANTITIES}}
+fields |= {{name: getattr(small, name)[:0] for name in IMPACT_QUANTITIES}}
 fields |= {{name: np.random.default_rng(2).normal(size=count) for name in ("margin", "approach_velocity")}}
 large = replace(small, axes=(replace(small.axes[0], values=np.arange(float(count))),), **fields)
 resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
@@ -494,7 +493,7 @@ def test_hdf5_and_netcdf_readers_do_not_mind_the_checksum(tmp_path: Path) -> Non
     store.write(path, example(RATIO, BACKLASH))
     raw = path.read_bytes()
     assert raw[-78:] == b"clunk-sha256:" + hashlib.sha256(raw[:-78]).hexdigest().encode() + b"\n"
-    assert store.check(path)
+    assert store.check(path).checksum
     with h5py.File(path) as file:
         assert file["severity"].shape == (5, 4)
     with xarray.open_dataset(path, engine="h5netcdf") as dataset:
@@ -506,7 +505,7 @@ def test_a_file_that_another_program_has_changed_has_no_checksum_and_is_read_by_
     store.write(path, example(RATIO, BACKLASH))
     with h5py.File(path, "r+") as file:
         file.attrs["comment"] = "looked at"
-    assert not store.check(path)
+    assert not store.check(path).checksum
     assert store.read(path).attributes["comment"] == "looked at"
     with h5py.File(path, "r+") as file:
         file["severity"][0, 0] = 1.0

@@ -15,7 +15,7 @@ from clunk.analysis.verification import verify
 from clunk.core.status import Status
 from clunk.plot import PlotError, certainty, save
 from clunk.plot.style import palette_of
-from clunk.results import store, tolerancefile
+from clunk.results import store
 from clunk.results.labels import double_sided, excursions
 from clunk.results.store import StoreError, read, read_header
 from clunk.results.tolerancemap import QUANTILES
@@ -322,13 +322,13 @@ class TestTiles:
 @pytest.fixture(scope="module")
 def path(found, tmp_path_factory):
     path = tmp_path_factory.mktemp("file") / "map.h5"
-    tolerancefile.write(path, found)
+    store.write(path, found)
     return path
 
 
 class TestFile:
     def test_what_was_written_is_read(self, found, path):
-        again = tolerancefile.read(path)
+        again = store.read_tolerance_map(path)
         assert equal(found, again)
         assert again.config == found.config
         for one, other in zip((*found.axes, *found.sample), (*again.axes, *again.sample), strict=True):
@@ -339,7 +339,7 @@ class TestFile:
                 other.unit,
             )
             assert np.array_equal(one.values, other.values)
-        assert tolerancefile.check(path)
+        assert store.check(path).checksum
         header = read_header(path)
         assert header.tolerance_map
         assert header.counts == found.counts()
@@ -374,14 +374,14 @@ class TestFile:
             values.flat[5] += 1
             file[name][()] = values
         with pytest.raises(StoreError, match="damaged"):
-            tolerancefile.read(changed)
+            store.read_tolerance_map(changed)
 
     def test_neither_kind_is_read_as_the_other(self, path, toleranced, tmp_path):
         with pytest.raises(StoreError, match="holds a tolerance map, where a regime map is needed"):
             read(path)
         store.write(tmp_path / "plain.h5", sweep(nominal(toleranced)))
         with pytest.raises(StoreError, match="holds a regime map, where a tolerance map is needed"):
-            tolerancefile.read(tmp_path / "plain.h5")
+            store.read_tolerance_map(tmp_path / "plain.h5")
 
     def test_a_map_whose_runs_do_not_add_up_is_none(self, found):
         runs = found.runs.copy()
@@ -439,7 +439,7 @@ class TestCommands:
         ],
     )
     def test_what_does_not_go_is_a_sentence(self, config, clunk, found, arguments, sentence):  # noqa: F811
-        tolerancefile.write("small.h5", found)
+        store.write("small.h5", found)
         code, out, err = clunk(*arguments)
         assert (code, out) == (2, "")
         assert sentence in " ".join(err.split())

@@ -22,11 +22,10 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
 
     Example: clunk info results/figure_3_4.h5 --check
     """
-    from clunk.results import store, tolerancefile
+    from clunk.results import store
 
-    header = store.read_header(file)
-    found = tolerancefile.read(file) if header.tolerance_map else None
-    bytes_checked = (store.check if found is None else tolerancefile.check)(file) if check else None
+    header = store.check(file) if check else store.read_header(file)
+    found = store.read_tolerance_map(file) if header.tolerance_map else None
     if show_config:
         click.echo(header.config, nl=not header.config.endswith("\n"))
         return
@@ -45,7 +44,7 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
             ]
         record |= {"counts": header.counts} if found is None else tables.tolerance_record(found)
         record |= {"config_digest": header.config_digest}
-        checked: dict[str, Any] = {"checked": {"data": True, "bytes": bytes_checked}} if check else {}
+        checked: dict[str, Any] = {"checked": {"data": True, "bytes": header.checksum}} if check else {}
         click.echo(json.dumps(record | header.attributes | checked, ensure_ascii=False))
         return
     click.echo(header.title)
@@ -54,18 +53,18 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
         click.echo(f"axis      {axis.parameter}: {axis.spread}")
     for axis in header.coordinates:
         click.echo(f"along run {axis.parameter}: {axis.spread}")
-    for each in found.sample if found is not None else ():
+    for each in header.sample:
         unit = "" if each.unit == "1" else f" {each.unit}"
         click.echo(f"drawn     {each.name}, {each.values.min():.4g} to {each.values.max():.4g}{unit}")
     click.echo(f"config    {header.config_digest[:16]}…")
     for name, value in header.attributes.items():
         click.echo(f"{name.removesuffix('_version'):<9} {value}")
-    if bytes_checked is not None:
+    if check:
         data = "the data match their digest"
         click.echo(
-            f"checked   {data}{', the bytes their checksum' if bytes_checked else '; the bytes have no checksum:'}"
+            f"checked   {data}{', the bytes their checksum' if header.checksum else '; the bytes have no checksum:'}"
         )
-        if not bytes_checked:
+        if not header.checksum:
             click.echo("          another program has changed the file")
     click.echo()
     if found is None:

@@ -48,29 +48,27 @@ def plot(
     from clunk.analysis.thresholds import thresholds_of
     from clunk.plot import certainty
     from clunk.results import targets
-    from clunk.results.store import read, read_header
+    from clunk.results.store import read_map
+    from clunk.results.tolerancemap import ToleranceMap
 
     base = output or file.with_suffix(".png")
     if not base.suffix:
         base = base.with_name(base.name + ".png")
     if output is not None:
         targets.check(base, targets.PICTURES, reads=file)
-    if read_header(file).tolerance_map:
-        from clunk.results import tolerancefile
-
+    results = read_map(file)
+    if isinstance(results, ToleranceMap):
         if facets or x is not None or y is not None:
             raise click.UsageError(
                 f"--facet, --x and --y do not go with a tolerance map, which {file} holds; --at does."
             )
-        found = tolerancefile.read(file)
         if at:
-            found = found.at(cells.nearest_values(found.axes, found.coordinates, at))
-        for name in [quantity] if quantity else certainty.default_quantities(found):
+            results = results.at(cells.nearest_values(results.axes, results.coordinates, at))
+        for name in [quantity] if quantity else certainty.default_quantities(results):
             target = base if output and quantity else base.with_name(f"{base.stem}-{name}{base.suffix}")
-            plots.save(certainty.draw(found, name), target)
+            plots.save(certainty.draw(results, name), target)
             click.echo(str(target))
         return
-    results = read(file)
     if at:
         results = results.at(cells.nearest_values(results.axes, results.coordinates, at))
     look: dict[str, Any] = {"facets": facets, "x": x, "y": y}

@@ -76,9 +76,9 @@ def sweep(
         if counts is not None:
             click.echo(f"{target} {'has no failed cells' if retry_failed else 'is already complete'}.", err=True)
             if tolerances:
-                from clunk.results import tolerancefile
+                from clunk.results.store import read_tolerance_map
 
-                failed = tables.report_tolerances(tolerancefile.read(target), target, 0.0, as_json)
+                failed = tables.report_tolerances(read_tolerance_map(target), target, 0.0, as_json)
             else:
                 failed = tables.report_counts(counts, target, 0.0, as_json)
         else:

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 
-from clunk.results import tolerancefile
 from clunk.results.labels import FAILED_CODE
 from clunk.results.regimemap import Results
-from clunk.results.store import check, read, read_header, to_image
+from clunk.results.store import map_of, opened, to_image
 from clunk.results.tolerancemap import ToleranceMap
 
 if TYPE_CHECKING:
@@ -55,11 +54,8 @@ def open_results(path: str | os.PathLike[str]) -> Dataset | Results | ToleranceM
     >>> found.severity.where(found.label == "SS(1)").max().item() < found.severity.max().item()
     True
     """
-    tolerances = read_header(path).tolerance_map
-    if not _has_xarray():
-        return tolerancefile.read(path) if tolerances else read(path)
-    (tolerancefile.check if tolerances else check)(path)
-    return _dataset(path)
+    with opened(path) as (file, header, source):
+        return _dataset(source) if _has_xarray() else map_of(file, header)
 
 
 def to_dataset(results: Results) -> Dataset:

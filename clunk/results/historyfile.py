@@ -83,9 +83,9 @@ def _write_hdf5(file: h5py.File, history: History, trajectory: Trajectory) -> No
         if name in _FLAGS:
             set_flags(variable, _FLAGS[name])
 
-    time = create_scale(file, "time", history.time, ("s", "time"))
+    time = create_scale(file, "time", history.time, "time", "s")
     numbers = np.arange(1, history.angle.shape[1] + 1, dtype=np.int32)
-    inertia = create_scale(file, "inertia", numbers, ("1", "number of the inertia"))
+    inertia = create_scale(file, "inertia", numbers, "number of the inertia")
     if study.driveline.names:
         set_text(inertia, "names", ", ".join(study.driveline.names))
     put("after_step", history.after_step, "s", "time after the load step", [time])
@@ -98,7 +98,7 @@ def _write_hdf5(file: h5py.File, history: History, trajectory: Trajectory) -> No
 
     events = trajectory.events
     numbers = np.arange(events.size, dtype=np.int32)
-    event = create_scale(file, "event", numbers, ("1", "number of the event, 0 the load step"))
+    event = create_scale(file, "event", numbers, "number of the event, 0 the load step")
     flank = np.where(events["side"] == trajectory.initial_side, INITIAL, OPPOSITE)
     rank, severity = np.zeros(events.size, np.int8), np.full(events.size, np.nan)
     rank[events["kind"] == TOUCH] = 2

@@ -105,14 +105,14 @@ class Map(ABC):
         """Pairs of a label and how much of the map it takes, for people."""
 
     @property
-    def dimensions(self) -> dict[str, int]:
-        """Length of each dimension behind the axes that a quantity of the map's file has."""
-        return {}
+    @abstractmethod
+    def dimensions(self) -> dict[str, npt.NDArray[Any]]:
+        """Coordinates of the dimensions that the map's file has besides the axes."""
 
     def stored_shape(self, name: str) -> tuple[int, ...]:
         """Shape of a quantity in the map's file."""
         dimension = self.quantities[name].dimension
-        return (*self.shape, self.dimensions[dimension]) if dimension else self.shape
+        return (*self.shape, len(self.dimensions[dimension])) if dimension else self.shape
 
     def rows(self, name: str, start: int, stop: int) -> npt.NDArray[Any]:
         """Values of a quantity in the rows `start` to `stop` of the first axis, as the file has them."""

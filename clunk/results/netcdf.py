@@ -6,7 +6,7 @@ import io
 import os
 import zlib
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import product
 from pathlib import Path
@@ -90,17 +90,11 @@ class _Room:
             self._reserved = self.end + _AHEAD
             reserve(self._file, self._reserved)
 
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
+
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         return self._file.seek(self.end + offset) if whence == os.SEEK_END else self._file.seek(offset, whence)
-
-    def tell(self) -> int:
-        return self._file.tell()
-
-    def readinto(self, buffer: memoryview) -> int:
-        return self._file.readinto(buffer)  # type: ignore[attr-defined, no-any-return]
-
-    def read(self, size: int = -1) -> bytes:
-        return self._file.read(size)
 
     def write(self, data: bytes | memoryview) -> int:
         written = self._file.write(data)
@@ -110,9 +104,6 @@ class _Room:
     def truncate(self, size: int) -> int:
         self.end = size
         return size
-
-    def flush(self) -> None:
-        self._file.flush()
 
 
 class ChunkWriter:
@@ -170,22 +161,15 @@ def _deflated(part: npt.NDArray[Any], shape: tuple[int, ...]) -> bytes:
     return deflate.compress(np.ascontiguousarray(planes).data) + deflate.flush()
 
 
-def create_scale(
-    file: h5py.File,
-    name: str,
-    values: npt.NDArray[Any],
-    meaning: tuple[str, str],
-    texts: Mapping[str, str] | None = None,
-) -> h5py.Dataset:
-    """A dimension with its values, the coordinate of the variables along it.
-
-    meaning : (unit, long name)
-    texts : further attributes
-    """
-    scale = create_variable(file, name, values.shape, values.dtype.type, meaning)
-    scale[:] = values
-    for key, text in (texts or {}).items():
-        set_text(scale, key, text)
+def create_scale(file: h5py.File, name: str, values: npt.NDArray[Any], long_name: str, unit: str = "1") -> h5py.Dataset:
+    """Write a dimension with its coordinates, numbers or texts."""
+    if values.dtype.kind == "U":
+        # Of variable length: xarray takes fixed-length strings for bytes, and none would be found by its name.
+        scale = file.create_dataset(name, data=values.astype(object), dtype=h5py.string_dtype(), track_order=True)
+        set_text(scale, "long_name", long_name)
+    else:
+        scale = create_variable(file, name, values.shape, values.dtype.type, (unit, long_name))
+        scale[:] = values
     scale.make_scale(name)
     return scale
 
@@ -221,8 +205,18 @@ def create_variable(
     return variable
 
 
+def row_blocks(variable: h5py.Dataset) -> Iterator[tuple[int, int]]:
+    """Ranges of the first axis that cover whole chunks."""
+    rows = variable.shape[0]
+    step = variable.chunks[0] if variable.chunks else rows
+    for start in range(0, rows, step):
+        yield start, min(start + step, rows)
+
+
 def set_flags(variable: h5py.Dataset, meanings: Mapping[int, str], *, masks: bool = False) -> None:
-    """CF's flag attributes: what the integers of a variable mean, or with `masks` their bits."""
+    """Write CF's flag attributes, the meanings of a variable's integers or, with `masks`, of their bits, if any."""
+    if not meanings:
+        return
     variable.attrs["flag_masks" if masks else "flag_values"] = np.array(list(meanings), variable.dtype)
     set_text(variable, "flag_meanings", " ".join(meanings.values()))
 

@@ -168,9 +168,9 @@ class Results(Map):
         return [(label, share(n, cells)) for label, n in self.counts().items() if n or label != FAILED]
 
     @property
-    def dimensions(self) -> dict[str, int]:
-        """Length of each dimension behind the axes that a quantity of the map's file has."""
-        return {"impact": self.max_impacts}
+    def dimensions(self) -> dict[str, npt.NDArray[Any]]:
+        """Coordinates of the dimensions that the map's file has besides the axes."""
+        return {"impact": np.arange(1, self.max_impacts + 1, dtype=np.int32)}
 
     def rows(self, name: str, start: int, stop: int) -> npt.NDArray[Any]:
         """Values of a quantity in the rows `start` to `stop` of the first axis, impacts padded as in the file."""

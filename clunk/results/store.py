@@ -1,7 +1,7 @@
 """The results file, both ways: HDF5 laid out as netCDF-4, so that xarray, MATLAB and ncdump read it too.
 
-Nothing of a file is believed on reading: what is missing, foreign, newer or damaged ends in a `StoreError` whose text
-is one sentence.
+The variables of a file are the quantities of its map, see `clunk.results.quantities`. Nothing of a file is believed on
+reading: what is missing, foreign, newer or damaged ends in a `StoreError` whose text is one sentence.
 """
 
 from __future__ import annotations
@@ -9,21 +9,19 @@ from __future__ import annotations
 import hashlib
 import io
 import os
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, NamedTuple
 
 import h5py
 import numpy as np
 import numpy.typing as npt
 
-from clunk.results.checksum import verify
+from clunk.results.checksum import matches_checksum
 from clunk.results.files import reason
-from clunk.results.labels import FAILED_CODE
-from clunk.results.maps import count_labels
+from clunk.results.maps import count_labels, require_array, require_codes
 from clunk.results.netcdf import (
     CONVENTIONS,
     ChunkWriter,
@@ -32,11 +30,12 @@ from clunk.results.netcdf import (
     create_variable,
     get_text,
     image_of,
+    row_blocks,
     set_flags,
     set_text,
     write_file,
 )
-from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES, Quantity
+from clunk.results.quantities import REGIME_QUANTITIES, TOLERANCE_QUANTITIES, Quantity
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.study.axes import RUN, ResultAxis
@@ -44,13 +43,20 @@ from clunk.study.errors import ClunkError
 
 SCHEMA_VERSION = 2  # of a regime map
 NEWEST_VERSION = 3  # of any file that is read: tolerance maps have it, which came with it
-
-# Root attributes that are fields of Results (or this module's own); all others are Results.attributes.
-_OWN_ATTRIBUTES = {"title", "Conventions", "schema_version", "kind", "config", "config_digest", "content_digest"}
-TOLERANCE_MAP = "tolerance map"  # the attribute `kind` of one; a regime map has none
-
+_KIND = "kind"  # root attribute of a tolerance map; a regime map has none
+_TOLERANCE_MAP = "tolerance map"
+# Root attributes that are not among the `attributes` of a map.
+_RESERVED = {"title", "Conventions", "schema_version", _KIND, "config", "config_digest", "content_digest"}
+_DIMENSIONS = {  # behind a map's axes -> long name
+    "impact": "number of the primary impact",
+    "label": "sequence of impact excursions (regime label)",
+    "quantile": "quantile of the runs of the sample",
+    "draw": "number of the draw",
+}
+_DRAWN = "drawn_"  # begins the names of the sample's variables
 
 _LARGE = 1 << 22  # cells, about 270 MB: more is assembled on the disk
+_LARGE_FILE = 1 << 28  # bytes: more is read from the disk twice, for the checksum and by HDF5, and not held in memory
 
 
 class StoreError(ClunkError):
@@ -59,29 +65,33 @@ class StoreError(ClunkError):
 
 @dataclass(frozen=True, eq=False)
 class Header:
-    """What a results file says about itself, without its large arrays.
+    """Description of a results file, without its large arrays.
 
     title, config, config_digest, content_digest : str
-    axes, coordinates : the swept parameters, as those of `Results`
+    axes, coordinates : the swept parameters, as those of `Map`
     labels : code -> label
     counts : label -> number of cells, ``failed`` last; of a tolerance map, cells in which it is the most likely one
     attributes : versions, date and machine
-    tolerance_map : whether it is one, which `clunk.results.tolerancefile` reads
+    tolerance_map : whether the file holds a tolerance map
+    sample : of a tolerance map, as that of `ToleranceMap`; else empty
+    checksum : whether the file has a checksum, which its bytes match: another program that changes it takes it away
     """
 
     title: str
     axes: tuple[ResultAxis, ...]
+    coordinates: tuple[ResultAxis, ...]
     labels: tuple[str, ...]
     counts: dict[str, int]
     config: str
     config_digest: str
     content_digest: str
     attributes: dict[str, str]
-    coordinates: tuple[ResultAxis, ...] = ()
-    tolerance_map: bool = False
+    tolerance_map: bool
+    sample: tuple[ResultAxis, ...]
+    checksum: bool
 
 
-def write(path: str | os.PathLike[str], results: Results, scratch: Path | None = None) -> None:
+def write(path: str | os.PathLike[str], results: Results | ToleranceMap, scratch: Path | None = None) -> None:
     """Write a results file so that at every moment `path` is either the old file or the complete new one.
 
     Missing parent directories are made. What is not complete yet is in `scratch`, by default in the same directory.
@@ -93,28 +103,23 @@ def write(path: str | os.PathLike[str], results: Results, scratch: Path | None =
     >>> results = clunk.sweep(clunk.load_study("configs/smoke.toml"))
     >>> clunk.write_results("results/copy.h5", results)
     """
-    write_filled(path, lambda file: _write(file, results), scratch, large=results.sequence.size > _LARGE)
-
-
-def write_filled(
-    path: str | os.PathLike[str], fill: Callable[[Image], None], scratch: Path | None = None, *, large: bool = False
-) -> None:
-    """Write the results file that `fill` fills, as `write` does. Raises StoreError."""
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_file(path, fill, scratch, large=large)
+        write_file(path, lambda file: _fill(file, results), scratch, large=results.sequence.size > _LARGE)
     except OSError as error:
         raise StoreError(f"{path} cannot be written: {reason(error)}.") from error
 
 
-def to_image(results: Results) -> io.BytesIO:
-    """A results file in memory."""
-    return image_of(lambda file: _write(file, results))
+def to_image(results: Results | ToleranceMap) -> io.BytesIO:
+    """Write a results file in memory."""
+    return image_of(lambda file: _fill(file, results))
 
 
 def read(path: str | os.PathLike[str]) -> Results:
-    """Read a results file whole and check it against its checksum and digest. Raises StoreError.
+    """Read a regime map whole, its bytes compared with their checksum, or its data with their digest.
+
+    Raises StoreError.
 
     Examples
     --------
@@ -123,94 +128,98 @@ def read(path: str | os.PathLike[str]) -> Results:
     >>> clunk.read_results("results/smoke.h5").label_map[10, 6]
     np.str_('DS(1)SS(1)')
     """
-    with opened(path) as file:
-        header = header_of(file)
-        if header.tolerance_map:
-            raise StoreError(
-                f"{path} holds a tolerance map, where a regime map is needed: sweep without [[sweep.tolerances]]."
-            )
-        shape = tuple(len(axis.values) for axis in header.axes)
-        digest = Digest(header.axes + header.coordinates, header.labels)
-        fields: dict[str, npt.NDArray[Any]] = {}
-        for name, quantity in CELL_QUANTITIES.items():
-            dtype = quantity.dtype
-            if int(file.attrs["schema_version"]) < quantity.since:
-                fields[name] = np.full(shape, np.nan, dtype)
-                continue
-            fields[name] = variable_of(file, name, shape, dtype)[()]
-            digest.begin(name, shape, dtype)
-            digest.add(fields[name])
-        counts = fields["primary_impacts"]
-        longest = max(1, int(counts.max()))
-        if counts.min() < 0 or longest > 1 << 20:
-            raise ValueError("primary_impacts is out of range")
-        first = np.concatenate(([0], np.cumsum(counts.reshape(shape[0], -1).sum(axis=1, dtype=np.int64))))
-        for name, quantity in IMPACT_QUANTITIES.items():
-            dtype = quantity.dtype
-            variable = variable_of(file, name, (*shape, longest), dtype)
-            digest.begin(name, variable.shape, dtype)
-            flat = np.empty(int(first[-1]), dtype)
-            for start, stop in row_blocks(variable):
-                block = variable[start:stop]
-                digest.add(block)
-                flat[first[start] : first[stop]] = block[np.arange(longest) < counts[start:stop, ..., None]]
-            fields[name] = flat
-        if digest.hexdigest() != header.content_digest:
-            raise ValueError("its data do not match its content_digest")
-        return Results(
-            title=header.title,
-            axes=header.axes,
-            coordinates=header.coordinates,
-            labels=header.labels,
-            config=header.config,
-            config_digest=header.config_digest,
-            attributes=header.attributes,
-            **fields,
+    results = read_map(path)
+    if not isinstance(results, Results):
+        raise StoreError(
+            f"{path} holds a tolerance map, where a regime map is needed: sweep without [[sweep.tolerances]]."
         )
+    return results
+
+
+def read_tolerance_map(path: str | os.PathLike[str]) -> ToleranceMap:
+    """Read a tolerance map whole, its bytes compared with their checksum, or its data with their digest.
+
+    Raises StoreError.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> fewer = ["sweep.sampling.count=4", "sweep.axes[1].count=3", "sweep.axes[2].count=3"]
+    >>> study = clunk.load_study("configs/tolerance.toml", fewer)
+    >>> tolerances = clunk.tolerance_map(study, "results/tolerance.h5")
+    >>> clunk.read_tolerance_map("results/tolerance.h5").draws
+    4
+    """
+    results = read_map(path)
+    if not isinstance(results, ToleranceMap):
+        raise StoreError(f"{path} holds a regime map, where a tolerance map is needed.")
+    return results
+
+
+def read_map(path: str | os.PathLike[str]) -> Results | ToleranceMap:
+    """Read whichever map a results file holds, as `read` and `read_tolerance_map`. Raises StoreError."""
+    with opened(path) as (file, header, _):
+        return map_of(file, header)
 
 
 def read_header(path: str | os.PathLike[str]) -> Header:
-    """Read what `Header` holds; of the arrays only the axes and `sequence` (2 bytes a cell). Raises StoreError."""
-    with opened(path) as file:
-        return header_of(file)
+    """Read the header of a results file; of the arrays only the axes and `sequence`. Raises StoreError."""
+    with _opened(path) as (file, _, checksum):
+        return _header_of(file, checksum)
 
 
-def check(path: str | os.PathLike[str]) -> bool:
-    """Check a results file: its data against their digest, and its bytes against their checksum.
+def check(path: str | os.PathLike[str]) -> Header:
+    """Compare a results file's bytes with their checksum, if they have one, and its data with their digest.
 
-    Returns whether the bytes have a checksum: another program that changes the file takes it away. Raises StoreError.
+    Raises StoreError.
     """
-    read(path)
-    return verify(path)
+    with _opened(path) as (file, _, checksum):
+        header = _header_of(file, checksum)
+        _check_digest(file, header)
+        return header
 
 
 # --- writing
 
 
-def _write(file: Image, results: Results) -> None:
-    scales = write_head(file, results, SCHEMA_VERSION)
-    numbers = np.arange(1, results.max_impacts + 1, dtype=np.int32)
-    impact = create_scale(file, "impact", numbers, ("1", "number of the primary impact"))
+def _fill(file: Image, results: Results | ToleranceMap) -> None:
+    sample = results.sample if isinstance(results, ToleranceMap) else ()
+    set_text(file, "title", results.title)
+    set_text(file, "Conventions", CONVENTIONS)
+    file.attrs["schema_version"] = np.int32(NEWEST_VERSION if sample else SCHEMA_VERSION)
+    for name, value in results.attributes.items():
+        if name in _RESERVED:
+            raise ValueError(f"{name} is written from the results' own fields, not from attributes")
+        set_text(file, name, value)
+    file.attrs["config"] = results.config  # variable length: it may be longer than an object header allows
+    set_text(file, "config_digest", results.config_digest)
+    if sample:
+        set_text(file, _KIND, _TOLERANCE_MAP)
 
-    digest = Digest(results.axes + results.coordinates, results.labels)
+    axes = [_write_axis(file, axis.variable, axis) for axis in results.axes]
+    run = [scale for axis, scale in zip(results.axes, axes, strict=True) if axis.parameter == RUN]
+    for axis in results.coordinates:
+        _write_axis(file, axis.variable, axis, run)
+    coordinates = " ".join(axis.variable for axis in results.coordinates)
+    scales = {name: create_scale(file, name, values, _DIMENSIONS[name]) for name, values in results.dimensions.items()}
+    if sample:
+        set_text(scales["draw"], "sample", " ".join(_DRAWN + axis.variable for axis in sample))
+    for axis in sample:
+        _write_axis(file, _DRAWN + axis.variable, axis, [scales["draw"]])
+
+    digest = Digest((*results.axes, *results.coordinates, *sample), results.labels)
     with ChunkWriter(file) as chunks:
-        for name, quantity in CELL_QUANTITIES.items():
-            dtype = quantity.dtype
-            variable = create_variable(file, name, results.shape, dtype, (quantity.unit, quantity.long_name), scales)
-            describe(variable, quantity, results)
-            values = np.ascontiguousarray(getattr(results, name))
-            digest.begin(name, results.shape, dtype)
-            for start, stop in row_blocks(variable):
-                chunks.write(variable, start, values[start:stop])
-            digest.add(values)
-        for name, quantity in IMPACT_QUANTITIES.items():
-            dtype = quantity.dtype
-            shape = (*results.shape, results.max_impacts)
-            meaning = (quantity.unit, quantity.long_name)
-            variable = create_variable(file, name, shape, dtype, meaning, [*scales, impact], apart=1)
-            describe(variable, quantity, results)
-            digest.begin(name, shape, dtype)
-            # Padded a block of rows at a time: padded whole, the impacts would be most of a large map's memory.
+        for name, quantity in results.quantities.items():
+            further = [scales[quantity.dimension]] if quantity.dimension else []
+            shape, meaning = results.stored_shape(name), (quantity.unit, quantity.long_name)
+            variable = create_variable(
+                file, name, shape, quantity.dtype, meaning, [*axes, *further], apart=len(further)
+            )
+            if coordinates:
+                set_text(variable, "coordinates", coordinates)
+            set_flags(variable, quantity.meanings(results.labels), masks=quantity.coded == "quality")
+            digest.begin(variable)
+            # A block of rows at a time: padded whole, the impacts would be most of a large map's memory.
             for start, stop in row_blocks(variable):
                 block = results.rows(name, start, stop)
                 chunks.write(variable, start, block)
@@ -218,153 +227,156 @@ def _write(file: Image, results: Results) -> None:
     set_text(file, "content_digest", digest.hexdigest())
 
 
-def write_head(file: h5py.File, results: Results | ToleranceMap, version: int) -> list[h5py.Dataset]:
-    """Write the root attributes and the axes; returns the axes' scales."""
-    set_text(file, "title", results.title)
-    set_text(file, "Conventions", CONVENTIONS)
-    file.attrs["schema_version"] = np.int32(version)
-    for name, value in results.attributes.items():
-        if name in _OWN_ATTRIBUTES:
-            raise ValueError(f"{name} is written from the results' own fields, not from attributes")
-        set_text(file, name, value)
-    file.attrs["config"] = results.config  # variable length: it may be longer than an object header allows
-    set_text(file, "config_digest", results.config_digest)
-    scales = [_write_axis(file, axis) for axis in results.axes]
-    run = [scale for axis, scale in zip(results.axes, scales, strict=True) if axis.parameter == RUN]
-    for axis in results.coordinates:
-        write_coordinate(file, axis.variable, axis, run)
-    return scales
-
-
-def describe(variable: h5py.Dataset, quantity: Quantity, results: Results | ToleranceMap) -> None:
-    """Name a variable's coordinates besides its dimensions, and the meanings of its codes or bits."""
-    along_run = " ".join(axis.variable for axis in results.coordinates)
-    if along_run:
-        set_text(variable, "coordinates", along_run)
-    meanings = quantity.meanings(results.labels)
-    if meanings:
-        set_flags(variable, meanings, masks=quantity.coded == "quality")
-
-
-def _write_axis(file: h5py.File, axis: ResultAxis) -> h5py.Dataset:
-    texts = {"symbol": axis.symbol, "parameter": axis.parameter}
-    return create_scale(file, axis.variable, axis.values, (axis.unit, axis.name), texts)
-
-
-def write_coordinate(file: h5py.File, name: str, axis: ResultAxis, scales: list[h5py.Dataset]) -> None:
-    """Write a parameter's values along a dimension that has another one's name."""
+def _write_axis(file: Image, name: str, axis: ResultAxis, scales: Sequence[h5py.Dataset] = ()) -> h5py.Dataset:
+    """Write a parameter's values, along another dimension or, without `scales`, as a dimension."""
     variable = create_variable(file, name, axis.values.shape, np.float64, (axis.unit, axis.name), scales)
     variable[:] = axis.values
-    for key, text in (("symbol", axis.symbol), ("parameter", axis.parameter)):
-        set_text(variable, key, text)
-
-
-def row_blocks(variable: h5py.Dataset) -> Iterator[tuple[int, int]]:
-    """Ranges of the first axis that cover whole chunks."""
-    rows = variable.shape[0]
-    step = variable.chunks[0] if variable.chunks else rows
-    for start in range(0, rows, step):
-        yield start, min(start + step, rows)
+    set_text(variable, "symbol", axis.symbol)
+    set_text(variable, "parameter", axis.parameter)
+    if not scales:
+        variable.make_scale(name)
+    return variable
 
 
 class Digest:
-    """SHA-256 over the axes, the labels and then each variable's name, shape, dtype and little-endian values.
+    """SHA-256 over the axes, the labels and then each variable's name, shape, dtype and little-endian values."""
 
-    A thread of its own computes it, while the next values are made ready; those added must not be changed any more.
-    """
-
-    def __init__(self, axes: tuple[ResultAxis, ...], labels: tuple[str, ...]) -> None:
+    def __init__(self, axes: Sequence[ResultAxis], labels: Sequence[str]) -> None:
         self._sha = hashlib.sha256("\n".join(labels).encode())
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="clunk-sha256")
-        self._running: Future[None] | None = None
         for axis in axes:
-            self.begin(axis.variable, axis.values.shape, np.float64)
+            self._begin(axis.variable, axis.values)
             self.add(axis.values)
 
-    def begin(self, name: str, shape: tuple[int, ...], dtype: type[np.generic]) -> None:
-        """Begin a variable, whose values are then added."""
-        self._update(f"\n{name} {shape} {np.dtype(dtype).name}\n".encode())
+    def begin(self, variable: h5py.Dataset) -> None:
+        """Begin a variable of a file, whose values are then added."""
+        self._begin(variable.name.removeprefix("/"), variable)
 
     def add(self, values: npt.NDArray[Any]) -> None:
         """Add values, in C order."""
-        little = values.astype(values.dtype.newbyteorder("<"), copy=False)
-        self._update(np.ascontiguousarray(little).data)
+        self._sha.update(np.ascontiguousarray(values.astype(values.dtype.newbyteorder("<"), copy=False)).data)
 
     def hexdigest(self) -> str:
         """The digest of all that was added."""
-        self._thread.shutdown()
         return self._sha.hexdigest()
 
-    def _update(self, raw: bytes | memoryview) -> None:
-        if self._running is not None:
-            self._running.result()
-        self._running = self._thread.submit(self._sha.update, raw)
+    def _begin(self, name: str, values: h5py.Dataset | npt.NDArray[Any]) -> None:
+        self._sha.update(f"\n{name} {values.shape} {values.dtype.name}\n".encode())
 
 
 # --- reading
 
 
+class Content(NamedTuple):
+    """An open results file: as HDF5, its header, and its bytes."""
+
+    file: h5py.File
+    header: Header
+    source: BinaryIO
+
+
 @contextmanager
-def opened(path: str | os.PathLike[str]) -> Iterator[h5py.File]:
-    """The open file; whatever is wrong with it leaves here as a StoreError."""
+def opened(path: str | os.PathLike[str]) -> Iterator[Content]:
+    """Open a results file whose bytes match their checksum or, where they have none, its data their digest.
+
+    The bytes are read once, HDF5 takes them from memory; those of a large file twice. Whatever is wrong with the file,
+    also while it is open, is raised as a StoreError.
+    """
+    with _opened(path) as (file, source, checksum):
+        header = _header_of(file, checksum)
+        if not checksum:
+            _check_digest(file, header)
+        yield Content(file, header, source)
+
+
+def map_of(file: h5py.File, header: Header) -> Results | ToleranceMap:
+    """Read the map of an open file. Raises ValueError where it cannot be one."""
+    common = ("title", "axes", "coordinates", "labels", "config", "config_digest", "attributes")
+    fields: dict[str, Any] = {name: getattr(header, name) for name in common}
+    for name, quantity in _quantities(file).items():
+        if quantity.dimension == "impact":
+            fields[name] = _unpadded(file[name], fields["primary_impacts"])
+        else:
+            fields[name] = file[name][()]
+    if not header.tolerance_map:
+        fields |= {name: np.full(fields["sequence"].shape, np.nan) for name in REGIME_QUANTITIES if name not in fields}
+        return Results(**fields)
+    probability, sequence = fields.pop("probability"), fields.pop("sequence")
+    runs = np.rint(probability * len(header.sample[0].values)).astype(np.int32)
+    tolerances = ToleranceMap(sample=header.sample, runs=runs, **fields)
+    if not np.array_equal(tolerances.sequence, sequence):
+        raise ValueError("sequence is not what is most probable")
+    return tolerances
+
+
+def _unpadded(variable: h5py.Dataset, counts: npt.NDArray[np.int32]) -> npt.NDArray[Any]:
+    """Values of all cells' impacts in C order, read a block of rows at a time; counts : of each cell."""
+    first = np.concatenate(([0], np.cumsum(counts.reshape(len(counts), -1).sum(axis=1, dtype=np.int64))))
+    flat = np.empty(int(first[-1]), variable.dtype)
+    for start, stop in row_blocks(variable):
+        mask = np.arange(variable.shape[-1]) < counts[start:stop, ..., None]
+        flat[first[start] : first[stop]] = variable[start:stop][mask]
+    return flat
+
+
+@contextmanager
+def _opened(path: str | os.PathLike[str]) -> Iterator[tuple[h5py.File, BinaryIO, bool]]:
+    """Open a file whose bytes match their checksum, if they have one: as HDF5, its bytes, whether they have one."""
     path = Path(path)
     try:
-        with path.open("rb") as raw:  # Python's own errors are clearer than HDF5's
-            signature = raw.read(8)
+        stored = path.open("rb")  # Python's own errors are clearer than HDF5's
     except OSError as error:
         raise StoreError(f"{path} cannot be read: {reason(error)}.") from error
-    if signature != b"\x89HDF\r\n\x1a\n":
-        raise StoreError(f"{path} is not a results file of clunk: it is not HDF5.")
     try:
-        verify(path)  # before HDF5 sees it
-        with h5py.File(path, "r") as file:
-            if "schema_version" not in file.attrs or "sequence" not in file:
-                raise StoreError(f"{path} is not a results file of clunk, although it is HDF5.")
-            version = int(file.attrs["schema_version"])
-            if version > NEWEST_VERSION:
-                raise StoreError(
-                    f"{path} has schema version {version} and this clunk reads up to {NEWEST_VERSION}: "
-                    "a newer clunk is needed to read it."
-                )
-            yield file
+        with stored:
+            source = stored if os.fstat(stored.fileno()).st_size > _LARGE_FILE else io.BytesIO(stored.read())
+            if source.read(8) != b"\x89HDF\r\n\x1a\n":
+                raise StoreError(f"{path} is not a results file of clunk: it is not HDF5.")
+            checksum = matches_checksum(source)  # before HDF5 sees it
+            with h5py.File(source, "r") as file:
+                if "schema_version" not in file.attrs or "sequence" not in file:
+                    raise StoreError(f"{path} is not a results file of clunk, although it is HDF5.")
+                version = int(file.attrs["schema_version"])
+                if version > NEWEST_VERSION:
+                    raise StoreError(
+                        f"{path} has schema version {version} and this clunk reads up to {NEWEST_VERSION}: "
+                        "a newer clunk is needed to read it."
+                    )
+                yield file, source, checksum
     except (OSError, KeyError, ValueError, TypeError, RuntimeError, MemoryError) as error:
         raise StoreError(f"{path} is damaged ({reason(error)}): run the sweep again.") from error
 
 
-def header_of(file: h5py.File) -> Header:
-    """The header of an open file."""
+def _header_of(file: h5py.File, checksum: bool) -> Header:
     sequence = file["sequence"]
-    axes = tuple(read_axis(dimension[0]) for dimension in sequence.dims)
-    coordinates = (
-        tuple(read_axis(file[name]) for name in get_text(sequence, "coordinates").split())
-        if ("coordinates" in sequence.attrs)
-        else ()
-    )
-    labels = _labels(sequence)
-    codes = variable_of(file, "sequence", tuple(len(axis.values) for axis in axes), np.int16)[()]
-    if codes.min() < FAILED_CODE or codes.max() >= len(labels):
-        raise ValueError("sequence holds a code without a label")
+    axes = tuple(_axis_of(dimension[0]) for dimension in sequence.dims)
+    coordinates = get_text(sequence, "coordinates").split() if "coordinates" in sequence.attrs else []
+    sample = get_text(file["draw"], "sample").split() if _is_tolerance_map(file) else []
+    words = get_text(sequence, "flag_meanings").split()
+    meanings = dict(zip(sequence.attrs["flag_values"].tolist(), words, strict=True))
+    labels = tuple(meanings[code] for code in range(len(meanings) - 1))
+    codes = sequence[()]
+    require_array("sequence", codes, tuple(len(axis.values) for axis in axes), np.int16)
+    require_codes(labels, codes)
     return Header(
         title=get_text(file, "title"),
         axes=axes,
-        coordinates=coordinates,
+        coordinates=tuple(_axis_of(file[name]) for name in coordinates),
         labels=labels,
         counts=count_labels(labels, codes),
         config=get_text(file, "config"),
         config_digest=get_text(file, "config_digest"),
         content_digest=get_text(file, "content_digest"),
-        tolerance_map="kind" in file.attrs and get_text(file, "kind") == TOLERANCE_MAP,
         # Names that begin with _ are netCDF's own, left by its tools.
         attributes={
-            name: get_text(file, name)
-            for name in file.attrs
-            if name not in _OWN_ATTRIBUTES and not name.startswith("_")
+            name: get_text(file, name) for name in file.attrs if name not in _RESERVED and not name.startswith("_")
         },
+        tolerance_map=_is_tolerance_map(file),
+        sample=tuple(_axis_of(file[name]) for name in sample),
+        checksum=checksum,
     )
 
 
-def read_axis(scale: h5py.Dataset) -> ResultAxis:
-    """A parameter's values with their meaning."""
+def _axis_of(scale: h5py.Dataset) -> ResultAxis:
     return ResultAxis(
         parameter=get_text(scale, "parameter"),
         values=np.asarray(scale[()], np.float64),
@@ -374,16 +386,23 @@ def read_axis(scale: h5py.Dataset) -> ResultAxis:
     )
 
 
-def _labels(sequence: h5py.Dataset) -> tuple[str, ...]:
-    meaning = dict(
-        zip(sequence.attrs["flag_values"].tolist(), get_text(sequence, "flag_meanings").split(), strict=True)
-    )
-    return tuple(meaning[code] for code in range(len(meaning) - 1))
+def _is_tolerance_map(file: h5py.File) -> bool:
+    return _KIND in file.attrs and get_text(file, _KIND) == _TOLERANCE_MAP
 
 
-def variable_of(file: h5py.File, name: str, shape: tuple[int, ...], dtype: type[np.generic]) -> h5py.Dataset:
-    """A variable of this shape and dtype; ValueError where it has others."""
-    variable = file[name]
-    if variable.shape != shape or variable.dtype != dtype:
-        raise ValueError(f"{name} is {variable.dtype} {variable.shape} instead of {np.dtype(dtype)} {shape}")
-    return variable
+def _quantities(file: h5py.File) -> dict[str, Quantity]:
+    """The quantities that a file of its schema version has."""
+    version = int(file.attrs["schema_version"])
+    quantities = TOLERANCE_QUANTITIES if _is_tolerance_map(file) else REGIME_QUANTITIES
+    return {name: quantity for name, quantity in quantities.items() if quantity.since <= version}
+
+
+def _check_digest(file: h5py.File, header: Header) -> None:
+    """Raise ValueError where a file's data do not match their digest."""
+    digest = Digest((*header.axes, *header.coordinates, *header.sample), header.labels)
+    for name in _quantities(file):
+        digest.begin(file[name])
+        for start, stop in row_blocks(file[name]):
+            digest.add(file[name][start:stop])
+    if digest.hexdigest() != header.content_digest:
+        raise ValueError("its data do not match its content_digest")

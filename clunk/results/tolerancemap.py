@@ -68,9 +68,10 @@ class ToleranceMap(Map):
         return {name: np.ascontiguousarray(getattr(self, name)[index]) for name in names}
 
     @property
-    def dimensions(self) -> dict[str, int]:
-        """Length of each dimension behind the axes that a quantity of the map's file has."""
-        return {"label": len(self.labels) + 1, "quantile": len(QUANTILES)}
+    def dimensions(self) -> dict[str, npt.NDArray[Any]]:
+        """Coordinates of the dimensions that the map's file has besides the axes."""
+        draws = np.arange(1, self.draws + 1, dtype=np.int32)
+        return {"label": np.array([*self.labels, FAILED]), "quantile": np.array(QUANTILES), "draw": draws}
 
     @property
     def draws(self) -> int:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from clunk.results import tolerancefile
 from clunk.results.regimemap import Results
 from clunk.results.store import StoreError, read, read_header, write
 from clunk.results.tolerancemap import ToleranceMap
@@ -71,10 +70,7 @@ class Output:
 
     def save(self, results: Results | ToleranceMap) -> None:
         """Put the results into their place, and remove the parts. Raises StoreError."""
-        if isinstance(results, ToleranceMap):
-            tolerancefile.write(self.path, results, self.directory.path)
-        else:
-            write(self.path, results, self.directory.path)
+        write(self.path, results, self.directory.path)
         self.directory.remove()
 
 
