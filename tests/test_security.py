@@ -1,67 +1,16 @@
-"""A config or a results file is data: nothing in it is run, fetched, or turned into a path."""
+"""A config or a results file is data: nothing in it is run, fetched, or turned into a path.
 
-import ast
+ruff's S rules and a contract of import-linter hold the package to it; these tests state what a user sees.
+"""
+
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
-import clunk
-from clunk.study.config import study_from_text
+from clunk.cli import cli
+from clunk.study.config import ConfigError, study_from_text
 from clunk.study.keys import keys
-
-PACKAGE = Path(clunk.__file__).parent
-SOURCES = sorted(PACKAGE.rglob("*.py"))
-# What runs text or bytes as code, and what talks to other machines or starts other programs.
-MODULES = {
-    *("pickle", "cPickle", "dill", "cloudpickle", "marshal", "shelve", "joblib", "code", "codeop", "runpy", "yaml"),
-    *("socket", "ssl", "http", "urllib", "ftplib", "smtplib", "telnetlib", "xmlrpc", "requests", "httpx", "aiohttp"),
-    *("dask", "distributed", "subprocess", "pty", "webbrowser", "ctypes", "cffi", "multiprocessing"),
-}
-# A scheduler that the user names is trusted: dask's own messages are pickles, and so is what a worker gets of a study.
-ALLOWED = {PACKAGE / "sweeping" / "distributed.py": {"dask", "distributed", "pickle"}}
-CALLS = {"eval", "exec", "compile", "__import__", "breakpoint", "input"}
-OF_OS = {"system", "popen", "execv", "execve", "execvp", "spawnv", "spawnl", "startfile", "fork"}
-KEYWORDS = {"allow_pickle", "shell"}
-
-
-def offences(source):
-    """Line and name of everything in a source that runs data, starts a program or opens a connection."""
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Import):
-            names = {alias.name.split(".")[0] for alias in node.names} & MODULES
-        elif isinstance(node, ast.ImportFrom):
-            names = {(node.module or "").split(".")[0]} & MODULES
-        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-            names = {node.func.id} & CALLS
-        elif isinstance(node, ast.Attribute):
-            names = {node.attr} & OF_OS if isinstance(node.value, ast.Name) and node.value.id == "os" else set()
-        elif isinstance(node, ast.keyword):
-            names = {node.arg} & KEYWORDS
-        else:
-            continue
-        yield from ((getattr(node, "lineno", 0), name) for name in names)
-
-
-@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_nothing_in_the_package_runs_data_or_opens_a_connection(path):
-    found = {name for _, name in offences(path.read_text(encoding="utf-8"))}
-    assert found == ALLOWED.get(path, set())
-
-
-@pytest.mark.parametrize(
-    "source",
-    [
-        "import pickle",
-        "from urllib.request import urlopen",
-        "import os.path, socket",
-        "eval('1')",
-        "os.system('ls')",
-        "np.load(file, allow_pickle=True)",
-        "def f():\n    from subprocess import run",
-    ],
-)
-def test_the_search_finds_what_it_looks_for(source):
-    assert list(offences(source))
 
 
 def test_no_key_of_a_config_is_a_path():
@@ -70,13 +19,28 @@ def test_no_key_of_a_config_is_a_path():
     assert free == {("title",), ("driveline", "names", "#")}
 
 
+@pytest.mark.parametrize(
+    "value",
+    [
+        "__import__('pathlib').Path('run').touch()",
+        "$(touch run)",
+        "`touch run`",
+        "!!python/object/apply:os.system ['x']",
+    ],
+)
+def test_what_looks_like_a_program_is_refused_and_not_run(value, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for override in (f"load.ratio={value}", f"{value}=1"):
+        with pytest.raises(ConfigError):
+            study_from_text('[driveline]\npreset = "boere-2008"\n', overrides=[override])
+    with pytest.raises(ConfigError):
+        study_from_text(f'[driveline]\npreset = "boere-2008"\n[load]\nratio = {value}\n')
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("title", ["../../escaped", "/tmp/escaped", "C:\\escaped", "a/b", "$(touch escaped)", "~"])
 def test_a_title_names_no_file(tmp_path, monkeypatch, title):
     """Sweeps, runs and pictures are named by the file of the config and by -o."""
-    from click.testing import CliRunner
-
-    from clunk.cli import cli
-
     inside = tmp_path / "a" / "b"
     inside.mkdir(parents=True)
     monkeypatch.chdir(inside)
