@@ -1,16 +1,21 @@
 """The report against the computation: every claim has the verdict that it is known to deserve, and can lose it."""
 
 import json
+import re
 import signal
 import sys
+from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from clunk import cli
 from clunk.report import claims, reproduction
-from clunk.report.claims import Claim, Evidence, Verdict, run_maps
+from clunk.report.claims import Claim, Verdict
+from clunk.report.evidence import Evidence, run_maps
+from clunk.results.store import StoreError
 from clunk.simulation.linear import (
     levels_of_excursions,
     one_mode_thresholds,
@@ -18,6 +23,7 @@ from clunk.simulation.linear import (
     rigid_contact_thresholds,
     thresholds_on,
 )
+from clunk.simulation.trajectory import simulate
 from clunk.study.config import replace_values, study_from_text
 
 COARSE = 10  # 21 x 21 and 11 x 11: every region of Figure 3.4 has cells
@@ -56,20 +62,83 @@ def test_every_figure_table_and_erratum_of_the_report_has_a_claim(found):
 )
 def test_a_map_without_its_severity_fails_the_claims_about_it(evidence, field, value, place):
     flat = getattr(evidence.maps.indentation, field) * 0.0 + value
-    from dataclasses import replace
-
     maps = replace(evidence.maps, indentation=replace(evidence.maps.indentation, **{field: flat}))
     failed = [claim for claim in claims.claims(Evidence(maps)) if claim.failed]
     assert failed
     assert any(place in claim.where for claim in failed)
 
 
-def test_swapped_models_fail_the_claim_about_their_chatter(evidence, monkeypatch):
+def test_swapped_models_fail_the_claim_about_their_chatter(evidence):
     swapped = Evidence(evidence.maps)
     swapped.runs = {"indentation": evidence.runs["restitution"], "restitution": evidence.runs["indentation"]}
-    monkeypatch.setattr(claims, "run_of", lambda *_: evidence.nominal)
     failed = [claim for claim in claims._time_histories(swapped) if claim.failed]
     assert any("delay" in claim.report for claim in failed)
+
+
+@pytest.mark.parametrize(
+    ("preset", "reports"),
+    [
+        ("boere-2008", ["c34 acts in the gap", "stiffness in N/m", "unit m/s²", "text: from D(1)+S(1) to"]),
+        ("boere-2008-as-printed", ["n_c = ln(σr)/ζ", "0.5 < n_c > 1.5"]),
+    ],
+)
+def test_errors_of_the_report_are_computed_and_not_asserted(evidence, preset, reports):
+    """Other evidence does not show them: a lash at 1 m, no damping in the gap, another table, other inertias."""
+    at_one_metre = ["lash.radius=1.0", "lash.contact.stiffness=2618.88", "lash.contact.damping=0.6016"]
+    run = simulate(study_from_text(f'[driveline]\npreset = "{preset}"\n', overrides=at_one_metre))
+    wrong = Evidence(evidence.maps)
+    wrong.runs["indentation"][claims.NOMINAL_RATIO] = wrong.damped_in_the_gap = run
+    points = evidence.measured.points
+    wrong.measured = replace(evidence.measured, points=tuple(replace(point, measured="NI") for point in points))
+    by_evidence = zip(claims.claims(evidence), claims.claims(wrong), strict=True)
+    lost = [claim.report for claim, other in by_evidence if (claim.verdict, other.verdict) == (CONTRADICTS, DIFFERS)]
+    for report in reports:
+        assert any(each.startswith(report) for each in lost), report
+
+
+CONTRADICTS, DIFFERS = Verdict.CONTRADICTS, Verdict.DIFFERS
+README = Path(__file__).parent.parent / "results" / "README.md"
+
+
+def rows(path):
+    return re.findall(r"^\| (.+) \| (.+) \| (.+) \|$", path.read_text("utf-8"), flags=re.MULTILINE)
+
+
+def test_the_tables_of_the_results_have_every_claim_of_the_report(found, tmp_path):
+    copy = tmp_path / "README.md"
+    copy.write_text(README.read_text("utf-8"), "utf-8")
+    reproduction.write_tables(copy, found)
+    written = {(where, report): ours for where, report, ours in rows(copy)}
+    assert {(claim.where, claim.report): claim.ours for claim in found}.items() <= written.items()
+    assert written.keys() == {(where, report) for where, report, _ in rows(README)}
+
+
+@pytest.mark.slow
+def test_the_tables_of_the_results_are_what_reproduce_computes(tmp_path):
+    copy = tmp_path / "README.md"
+    copy.write_text(README.read_text("utf-8"), "utf-8")
+    reproduction.write_tables(copy, claims.claims(Evidence(run_maps())))
+    assert copy.read_text("utf-8") == README.read_text("utf-8")
+
+
+def test_tables_are_written_between_the_marks_and_a_file_without_them_is_refused(tmp_path):
+    path = tmp_path / "page.md"
+    path.write_text("before\n<!-- claims: errors -->\nold\n<!-- end -->\n\n<!-- claims: agrees -->\n<!-- end -->\n")
+    broken = Claim("§0", "two and two make four", "five", Verdict.DIFFERS)
+    reproduction.write_tables(path, [broken, replace(broken, report="odd", known=Verdict.DIFFERS)])
+    once = path.read_text()
+    assert [row for row in rows(path) if row[0] == "§0"] == [
+        ("§0", "odd", "five"),
+        ("§0", "two and two make four", "five (no longer agrees)"),
+    ]
+    assert "old" not in once
+    assert once.startswith("before\n<!-- claims: errors -->\n| where")
+    reproduction.write_tables(path, [broken, replace(broken, report="odd", known=Verdict.DIFFERS)])
+    assert path.read_text() == once
+    path.write_text("no marks")
+    for wrong, sentence in ((path, "has no place for the claims"), (tmp_path / "none.md", "cannot be read")):
+        with pytest.raises(StoreError, match=sentence):
+            reproduction.write_tables(wrong, [broken])
 
 
 def test_reproduce_writes_every_figure_and_exits_4_when_a_claim_stops_agreeing(tmp_path, monkeypatch, capsys):
@@ -133,8 +202,6 @@ def test_impacts_are_counted_as_excursions_and_not_as_minima(extremes, levels):
 
 
 def test_thresholds_of_random_chains_are_where_the_locked_model_gains_an_impact():
-    from clunk.simulation.trajectory import simulate
-
     rng = np.random.default_rng(5)
     checked = 0
     for _ in range(12):
@@ -183,8 +250,6 @@ def test_a_driveline_whose_load_does_not_reach_the_lash_has_no_thresholds():
 
 
 def test_an_impact_appears_at_the_exact_threshold_as_the_gap_vanishes(nominal):
-    from clunk.simulation.trajectory import simulate
-
     (first, second, *_) = rigid_contact_thresholds(nominal)
     study = study_from_text('[driveline]\npreset = "boere-2008"\n[lash.contact]\nmodel = "restitution"\n')
     for ratio, below, above in ((first, "NI", "DS(1)"), (second, "DS(1)", "DS(2)")):

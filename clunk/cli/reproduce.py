@@ -25,37 +25,44 @@ if TYPE_CHECKING:
 )
 @click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")
 @click.option("--coarsen", type=click.IntRange(1, 20), default=1, help="About every n-th value of the maps' axes [1].")
+@click.option("--table", type=click.Path(path_type=Path), help="Also write the claims into this Markdown file.")
 @json_option
-def reproduce(output: Path, workers: int | None, coarsen: int, as_json: bool) -> None:
+def reproduce(output: Path, workers: int | None, coarsen: int, table: Path | None, as_json: bool) -> None:
     """Recompute the report: every number and claim beside ours, every figure redrawn.
 
-    Exits with 4 where a claim that is known to agree no longer does.
+    Exits with 4 where a claim that is known to agree no longer does. The file of --table has the comments
+    <!-- claims: errors --> and <!-- claims: agrees -->, each with an <!-- end --> after it; the tables go between.
 
-    Example: clunk reproduce
+    \b
+    Examples:
+      clunk reproduce
+      clunk reproduce --table results/README.md
     """
     from clunk.report import claims as claiming
-    from clunk.report import reproduction
+    from clunk.report import evidence, reproduction
     from clunk.results import targets
     from clunk.sweeping.sweep import cell_count
 
     targets.check(output / "figure_3_1.png", targets.PICTURES)
     terminal.say_if_compiling("rk4")
-    total = sum(cell_count(study) for study in claiming.map_studies(coarsen).values())
+    total = sum(cell_count(study) for study in evidence.map_studies(coarsen).values())
     with progress.shown(total) as show:
-        maps = claiming.run_maps(coarsen, workers, show)
-    evidence = claiming.Evidence(maps)
-    found = claiming.claims(evidence)
-    jobs = reproduction.figures(evidence)
+        maps = evidence.run_maps(coarsen, workers, show)
+    found = evidence.Evidence(maps)
+    claims = claiming.claims(found)
+    jobs = reproduction.figures(found)
     with progress.shown(len(jobs), "figures") as show:
-        written = reproduction.save_all(jobs, evidence, found, output, show)
+        written = reproduction.save_all(jobs, found, claims, output, show)
+    if table is not None:
+        reproduction.write_tables(table, claims)
     if as_json:
-        click.echo(json.dumps([claim.record() for claim in found], ensure_ascii=False))
+        click.echo(json.dumps([claim.record() for claim in claims], ensure_ascii=False))
     else:
-        print_claims(found)
+        print_claims(claims)
     click.echo(f"{len(written)} files -> {output}", err=True)
-    failed = [claim for claim in found if claim.failed]
+    failed = [claim for claim in claims if claim.failed]
     if failed:
-        click.echo(f"{len(failed)} of {len(found)} claims no longer agree (!)", err=True)
+        click.echo(f"{len(failed)} of {len(claims)} claims no longer agree (!)", err=True)
         sys.exit(EXIT_MISMATCH)
 
 

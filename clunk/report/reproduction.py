@@ -1,6 +1,7 @@
-"""What `clunk reproduce` leaves behind: the report's figures and tables, redrawn, and its claims as data."""
+"""The report's figures redrawn, and its claims written as JSON and as Markdown tables."""
 
 import json
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -8,31 +9,25 @@ from matplotlib.figure import Figure
 
 from clunk import plot
 from clunk.analysis.comparison import compare
-from clunk.analysis.measurements import read_experiment
-from clunk.analysis.trends import compare_experiment
 from clunk.plot import comparisons, histories, profiles
 from clunk.plot.small_gap import small_gap
-from clunk.report.claims import MAPS, NOMINAL_RATIO, RATIOS, Claim, Evidence
-from clunk.report.tables import TABLES
+from clunk.report.claims import Claim, Verdict
+from clunk.report.evidence import MAPS, NOMINAL_RATIO, RATIOS, Evidence
 from clunk.results.files import reason, write_whole
 from clunk.results.store import StoreError, write
 from clunk.simulation.history import sample
 from clunk.simulation.linear import one_mode_thresholds
 from clunk.simulation.recording import Recording
 from clunk.simulation.small_gap import SmallGap
-from clunk.simulation.trajectory import Trajectory
 
 Job = tuple[str, Callable[[], Figure]]
+Progress = Callable[[int, int], None]
 
 _NAMES = {"indentation": "IFM", "restitution": "RCM"}
 
 
 def save_all(
-    jobs: Sequence[Job],
-    evidence: Evidence,
-    found: Sequence[Claim],
-    directory: Path,
-    progress: Callable[[int, int], None] | None = None,
+    jobs: Sequence[Job], evidence: Evidence, claims: Sequence[Claim], directory: Path, progress: Progress | None = None
 ) -> list[Path]:
     """Write the figures, the results files behind them and the claims into `directory`; return their paths."""
     directory.mkdir(parents=True, exist_ok=True)
@@ -46,46 +41,67 @@ def save_all(
         written.append(directory / f"{name}.h5")
         write(written[-1], getattr(evidence.maps, name))
     written.append(directory / "claims.json")
-    records = [claim.record() for claim in found]
-    text = json.dumps(records, indent=1, ensure_ascii=False) + "\n"
-    try:
-        write_whole(written[-1], lambda file: file.write(text.encode()))
-    except OSError as error:
-        raise StoreError(f"{written[-1]} cannot be written: {reason(error)}.") from error
+    _write_text(written[-1], json.dumps([claim.record() for claim in claims], indent=1, ensure_ascii=False) + "\n")
     return written
+
+
+def write_tables(path: Path, claims: Sequence[Claim]) -> None:
+    """Write the claims into a Markdown file, between its comments ``<!-- claims: errors -->`` … ``<!-- end -->``.
+
+    The table ``errors`` has the claims that are known not to hold, ``agrees`` the others. Raises StoreError.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise StoreError(f"{path} cannot be read: {reason(error) if isinstance(error, OSError) else error}.") from error
+    for name, agrees in (("errors", False), ("agrees", True)):
+        begin = f"<!-- claims: {name} -->\n"
+        rows = ["| where | the report | clunk |", "| --- | --- | --- |"]
+        rows += [
+            f"| {claim.where} | {claim.report} | {claim.ours}{' (no longer agrees)' if claim.failed else ''} |"
+            for claim in claims
+            if (claim.known == Verdict.AGREES) == agrees
+        ]
+        table = begin + "\n".join(rows) + "\n<!-- end -->"
+        place = re.search(f"{re.escape(begin)}.*?<!-- end -->", text, flags=re.DOTALL)
+        if place is None:
+            raise StoreError(f"{path} has no place for the claims: a line {begin.strip()}, and <!-- end --> after it.")
+        text = text[: place.start()] + table + text[place.end() :]
+    _write_text(path, text)
+
+
+def _write_text(path: Path, text: str) -> None:
+    try:
+        write_whole(path, lambda file: file.write(text.encode()))
+    except OSError as error:
+        raise StoreError(f"{path} cannot be written: {reason(error)}.") from error
 
 
 def figures(e: Evidence) -> list[Job]:
     """Every figure of the report and of what bears on it: a file name's stem, and how to draw it."""
     thresholds = [float(ratio) for ratio in one_mode_thresholds(e.study)]
-    maps, nominal = e.maps, e.runs["indentation"][NOMINAL_RATIO]
-    both = [_drawn(e.runs[model][NOMINAL_RATIO], name) for model, name in _NAMES.items()]
-    all_runs = [
-        _drawn(e.runs[model][ratio], f"{name}, σr = {ratio:g}") for ratio in RATIOS for model, name in _NAMES.items()
-    ]
-    measured = compare_experiment(maps.indentation, read_experiment("table_4_1", TABLES))
+    maps = e.maps
+
+    def run(name: str, ratio: float = NOMINAL_RATIO, title: str = "", until: float = 1.0) -> Recording:
+        return Recording(title or _NAMES[name], e.runs[name][ratio], sample(e.runs[name][ratio], until=until))
+
+    nominal, both = run("indentation"), [run(name) for name in _NAMES]
+    all_runs = [run(name, ratio, f"{_NAMES[name]}, σr = {ratio:g}") for ratio in RATIOS for name in _NAMES]
     between = compare(maps.indentation, maps.restitution)
     return [
-        ("figure_3_1", lambda: histories.angles([_drawn(nominal, "IFM")])),
+        ("figure_3_1", lambda: histories.angles([nominal])),
         ("figure_3_2", lambda: histories.backlash(all_runs)),
         ("figure_3_3", lambda: histories.closeup(both, 0.22, 0.1)),
         ("figure_3_4", lambda: plot.regime_map(maps.indentation, thresholds)),
         ("figure_3_4_restitution", lambda: plot.regime_map(maps.restitution, thresholds)),
-        (
-            "figure_3_4_difference",
-            lambda: comparisons.difference_map(maps.indentation, maps.restitution, between),
-        ),
+        ("figure_3_4_difference", lambda: comparisons.difference_map(maps.indentation, maps.restitution, between)),
         ("figure_3_4_as_printed", lambda: plot.regime_map(maps.as_printed)),
         ("figure_3_5", lambda: small_gap(e.study.title, SmallGap.of(e.study))),
-        ("figure_3_6", lambda: histories.acceleration([_drawn(nominal, "IFM", until=1.5)])),
+        ("figure_3_6", lambda: histories.acceleration([run("indentation", until=1.5)])),
         ("figure_3_7", lambda: plot.severity_map(maps.indentation)),
         ("figure_3_7_by_force", lambda: plot.severity_map(maps.by_force)),
         ("figure_3_7_velocity", lambda: plot.quantity_map(maps.indentation, "approach_velocity")),
         ("figure_3_7_velocity_restitution", lambda: plot.quantity_map(maps.restitution, "approach_velocity")),
         ("figure_4_4_trend", lambda: profiles.severity_profiles(maps.indentation, (2.5, 4.6, 6.7, 8.5, 10.0))),
-        ("table_4_1", lambda: comparisons.experiment_map(maps.indentation, measured)),
+        ("table_4_1", lambda: comparisons.experiment_map(maps.indentation, e.measured)),
     ]
-
-
-def _drawn(run: Trajectory, name: str, until: float = 1.0) -> Recording:
-    return Recording(name, run, sample(run, until=until))

@@ -1,0 +1,142 @@
+"""The maps and runs of the report's driveline that its claims are checked with."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from clunk.analysis.measurements import read_experiment
+from clunk.analysis.trends import ExperimentComparison, compare_experiment
+from clunk.report.tables import TABLES
+from clunk.results.regimemap import Results
+from clunk.simulation.driveline import Driveline, Modes
+from clunk.simulation.trajectory import Trajectory, simulate
+from clunk.study.config import Study, replace_values, study_from_text
+from clunk.sweeping.sweep import cell_count, sweep
+
+RATIOS = (1.0, 2.0, 5.0)  # of Figure 3.2
+NOMINAL_RATIO, NOMINAL_BACKLASH = 5.0, 6.0  # of Figures 3.1, 3.3 and 3.6
+CONTACTS = ("indentation", "restitution")
+
+_DRIVELINE = '[driveline]\npreset = "boere-2008"\n'
+_AXIS = '[[sweep.axes]]\nparameter = "{}"\nstart = 0.0\nstop = {}\ncount = {}\n'
+_BY_RESTITUTION = 'lash.contact.model="restitution"'
+_AS_PRINTED = 'driveline.preset="boere-2008-as-printed"'
+MAPS = {  # by field of `Maps`: title, values an axis, overrides
+    "indentation": ("Indentation Force Model", 201, []),
+    "restitution": ("Restitution Coefficient Model, e = 0.5", 201, [_BY_RESTITUTION]),
+    "by_force": ("Indentation Force Model, separation by force", 101, ['lash.contact.separation="force"']),
+    "as_printed": ("Inertias of Table 2.2 as printed", 101, [_AS_PRINTED]),
+}
+
+
+@dataclass(frozen=True)
+class Maps:
+    """The maps of Figures 3.4 and 3.7 and their variants."""
+
+    indentation: Results
+    restitution: Results
+    by_force: Results
+    as_printed: Results
+
+
+def map_studies(coarsen: int = 1) -> dict[str, Study]:
+    """The studies of `Maps` by field name, on 1/`coarsen` of their values an axis."""
+    studies = {}
+    for name, (title, count, overrides) in MAPS.items():
+        values = (count - 1) // coarsen + 1
+        axes = _AXIS.format("load.ratio", 10.0, values) + _AXIS.format("lash.backlash_deg", 20.0, values)
+        text = f'title = "{title}"\n{_DRIVELINE}{axes}'
+        studies[name] = study_from_text(text, source=f"the config of {title}", overrides=overrides)
+    return studies
+
+
+def run_maps(coarsen: int = 1, workers: int | None = None, progress: Callable[[int, int], None] | None = None) -> Maps:
+    """Run the sweeps of `map_studies`; `progress` gets the cells done and all cells."""
+    studies = map_studies(coarsen)
+    total = sum(cell_count(study) for study in studies.values())
+    done = 0
+    maps: dict[str, Results] = {}
+    for name, study in studies.items():
+
+        def advance(cells: int, _total: int, before: int = done) -> None:
+            if progress is not None:
+                progress(before + cells, total)
+
+        maps[name] = sweep(study, workers=workers, progress=advance)
+        done += cell_count(study)
+    return Maps(**maps)
+
+
+def _run(ratio: float, contact: str) -> Trajectory:
+    text = f'title = "σr = {ratio:g}, φθ = {NOMINAL_BACKLASH:g}°"\n{_DRIVELINE}'
+    overrides = [f"load.ratio={ratio!r}", f"lash.backlash_deg={NOMINAL_BACKLASH!r}", f'lash.contact.model="{contact}"']
+    return simulate(study_from_text(text, source="the nominal config", overrides=overrides))
+
+
+class Evidence:
+    """Maps, runs and modes of the report's driveline, each computed once.
+
+    maps : Maps
+    runs : of Figure 3.2, by contact model and load ratio
+    """
+
+    def __init__(self, maps: Maps) -> None:
+        self.maps = maps
+        self.runs = {contact: {ratio: _run(ratio, contact) for ratio in RATIOS} for contact in CONTACTS}
+
+    @property
+    def nominal(self) -> Trajectory:
+        """The run of Figures 3.1, 3.3 and 3.6, by the indentation model."""
+        return self.runs["indentation"][NOMINAL_RATIO]
+
+    @property
+    def study(self) -> Study:
+        """The study of the nominal run."""
+        return self.nominal.study
+
+    @cached_property
+    def modes(self) -> Modes:
+        """Closed-lash modes of the driveline with the inertias corrected."""
+        return _closed_modes(self.study)
+
+    @cached_property
+    def printed_modes(self) -> Modes:
+        """Closed-lash modes of the driveline with the inertias as printed."""
+        return _closed_modes(study_from_text(_DRIVELINE, overrides=[_AS_PRINTED]))
+
+    @cached_property
+    def modes_of_forces(self) -> Modes:
+        """Closed-lash modes where the shafts' stiffness and damping in N/m and N s/m act at the lash's radius."""
+        scale = self.study.lash.radius**2
+        values = {
+            f"driveline.shafts[{k}].{key}": scale * getattr(shaft, key)
+            for k, shaft in enumerate(self.study.driveline.shafts, 1)
+            for key in ("stiffness", "damping")
+        }
+        return _closed_modes(replace_values(self.study, values))
+
+    @cached_property
+    def damped_in_the_gap(self) -> Trajectory:
+        """The nominal run with the contact's damping in the gap as well (report Eq. 2.5)."""
+        lash, driveline = self.study.lash, self.study.driveline
+        damper = {"between": lash.between, "stiffness": 0.0, "damping": lash.radius**2 * lash.contact.damping}
+        shafts = (*driveline.shafts, driveline.shafts[0].model_copy(update=damper))
+        damped = self.study.model_copy(update={"driveline": driveline.model_copy(update={"shafts": shafts})})
+        return simulate(replace_values(damped, {"lash.contact.damping": 0.0}))
+
+    @cached_property
+    def measured(self) -> ExperimentComparison:
+        """Table 4.1 on the map of the indentation model."""
+        return compare_experiment(self.maps.indentation, read_experiment("table_4_1", TABLES))
+
+
+def _closed_modes(study: Study) -> Modes:
+    return Driveline.from_study(study).modes(closed=True)
+
+
+def acceleration_range(run: Trajectory) -> tuple[float, float]:
+    """Least and largest acceleration after the first primary impact  [rad/s2]."""
+    window = run.events[run.primaries[0] :]
+    return float(np.min(window["min_acceleration"])), float(np.max(window["max_acceleration"]))
