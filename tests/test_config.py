@@ -994,7 +994,7 @@ ZIP = PRESET + (
     '[[sweep.axes]]\nparameter = "lash.backlash_deg"\nstart = 1\nstop = 9\ncount = 3\n'
 )
 WRONG_DESIGNS = {
-    "zip lengths": (ZIP.replace("count = 3", "count = 4"), "sweep.axes[2]", "found 4 values, and sweep.axes[1] has 3"),
+    "zip lengths": (ZIP.replace("count = 3", "count = 4"), "sweep.axes[2]", "found 4 values, and load.ratio has 3"),
     "unknown design": (ZIP.replace('"zip"', '"zipped"'), "sweep.design", 'did you mean "zip"?'),
     "zip with samples": (ZIP + f"[[sweep.samples]]\n{sample(STIFFNESS, 'uniform', low=1.0, high=2.0)}",
                          "sweep.samples", 'do not go with design = "zip"'),
@@ -1169,17 +1169,26 @@ def test_points_may_give_keys_that_the_study_leaves_out_and_name_inertias():
 @pytest.mark.parametrize(
     ("points", "key", "message"),
     [
-        ({}, "", "no parameter is given"),
+        ({}, "sweep.axes", "must be an array of tables"),
         ({"load.ration": [1.0]}, "load.ration", 'did you mean "load.ratio"?'),
         ({"driveline.inertias[5]": [1.0]}, "driveline.inertias[5]", "has 4 items"),
-        ({"lash.backlash_deg": [1.0, 361.0, -1.0]}, "lash.backlash_deg", "found 361 at point 2; must be a number from"),
-        ({"lash.radius": [1.0, 0.0]}, "lash.radius", "found 0 at point 2; must be a number greater than 0 (m)"),
-        ({"load.ratio": [1.0, math.nan]}, "load.ratio", "found nan at point 2; must be a finite number"),
-        ({"load.on": [1.0, 2.5]}, "load.on", "found 2.5 at point 2; must be an inertia's number"),
+        (
+            {"lash.backlash_deg": [1.0, 361.0, 2.0]},
+            "lash.backlash_deg",
+            "point 2: found 361; lash.backlash_deg must",
+        ),
+        (
+            {"lash.radius": [1.0, 0.0]},
+            "lash.radius",
+            "point 2: found 0; lash.radius must be a number greater than 0",
+        ),
+        ({"load.ratio": [1.0, math.nan]}, "load.ratio", "point 2: found nan; must be a finite number"),
+        ({"load.on": [1.0, 2.5]}, "load.on", "must be an inertia's number"),
         ({"load.on": [1.0, 5.0]}, "load.on", "there are 4"),
-        ({"load.ratio": [[1.0]]}, "load.ratio", "one-dimensional"),
-        ({"load.ratio": []}, "load.ratio", "not empty"),
-        ({"load.ratio": ["a"]}, "load.ratio", "must be an array of numbers"),
+        ({"load.ratio": [[1.0]]}, "load.ratio", "point 1: found [1.0]; must be a finite number"),
+        ({"load.ratio": []}, "load.ratio", "found []; must be a list of finite numbers"),
+        ({"load.ratio": 1.0}, "load.ratio", "found 1.0; must be a list of finite numbers"),
+        ({"load.ratio": ["a"]}, "load.ratio", 'point 1: found "a"; must be a finite number'),
         ({"load.ratio": [1.0], "lash.radius": [0.1, 0.2]}, "lash.radius", "found 2 values, and load.ratio has 1"),
         ({"load.final_torque": [1.0]}, "load.final_torque", "does not apply"),
         ({"load.ratio": [1.0], "solver.step": [3.0]}, "solver.step", "longer than the run"),

@@ -247,15 +247,8 @@ def _fill_in(document: dict[str, Any]) -> list[Finding]:
             first = next(iter(items_of(entry.get("values"))), entry.get("start"))
             is_fit = isinstance(first, int | float) and not isinstance(first, bool) and key.allows(first)
             assign(document, place, first if is_fit and not key.whole else 1)
-    impacts = document.setdefault("impacts", {})
-    if isinstance(impacts, dict) and "acceleration_of" not in impacts:
-        ends = items_of(value_at(document, ("lash", "between")))
-        driveline = document.get("driveline")
-        numbers = [number for number in ends if number != "ground" and _is_inertia(number, driveline)]
-        impacts["acceleration_of"] = numbers[0] if numbers else 1
+    names, ends = names_of(document), items_of(value_at(document, ("lash", "between")))
+    inertias = [end for end in ends if type(end) is int or (isinstance(end, str) and end in names)]
+    if isinstance(document.setdefault("impacts", {}), dict):
+        document["impacts"].setdefault("acceleration_of", inertias[0] if inertias else 1)
     return findings
-
-
-def _is_inertia(number: Any, driveline: Any) -> bool:
-    names = items_of(driveline.get("names")) if isinstance(driveline, dict) else ()
-    return number in names if isinstance(number, str) else type(number) is int

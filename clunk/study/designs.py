@@ -15,12 +15,11 @@ import numpy.typing as npt
 
 from clunk.study.axes import RUN, ResultAxis
 from clunk.study.document import dotted
-from clunk.study.keys import Key
 from clunk.study.parameters import located, nominal_value, quantity
-from clunk.study.problems import ConfigError, Problem, report
-from clunk.study.rules import broken_rules
+from clunk.study.problems import Problem, report
 from clunk.study.study import Study
-from clunk.study.sweeps import Axis, Draw, Sweep
+from clunk.study.sweeps import Draw
+from clunk.study.validation import validated
 
 FloatArray = npt.NDArray[np.float64]
 Cells = npt.NDArray[np.int64]
@@ -117,49 +116,19 @@ def design_of_points(study: Study, points: Mapping[str, npt.ArrayLike]) -> Desig
     ConfigError
         Where a value is not one that a config may hold.
     """
-    if not points:
-        raise report("this set of points", [Problem("", None, "no parameter is given; give one, such as load.ratio")])
-    columns: list[Column] = []
-    problems: list[Problem] = []
-    for parameter, values in points.items():
-        try:
-            place, key, _ = located(study, parameter)
-            column = np.array(values, np.float64) + 0.0
-        except ConfigError as error:
-            problems += error.problems
-        except (TypeError, ValueError):
-            problems.append(Problem(parameter, None, "must be an array of numbers"))
-        else:
-            columns.append(Column(dotted(place), 0, column))
-            message = _column_complaint(columns, key)
-            problems += [] if message is None else [Problem(parameter, None, message)]
-    if not problems:
-        # rules that tie keys together look at the ends of an axis: here at each column's least and largest value
-        axes = [Axis(parameter=c.parameter, values=(float(c.values.min()), float(c.values.max()))) for c in columns]
-        ends = study.model_copy(update={"sweep": Sweep(design="zip", axes=tuple(axes))})
-        for at, message in broken_rules(ends):
-            parameter = columns[int(at[2])].parameter if at[:2] == ("sweep", "axes") else dotted(at)
-            problems.append(Problem(parameter, None, message))
-    if problems:
-        raise report("this set of points", problems)
-    return Design((columns[0].values.size,), tuple(columns), run=0)
-
-
-def _column_complaint(columns: Sequence[Column], key: Key) -> str | None:
-    """Reason why the last of these columns holds no values of its key; None where it does."""
-    first, values = columns[0], columns[-1].values
-    if values.ndim != 1 or not values.size:
-        return f"found an array of shape {values.shape}; must be one-dimensional, and not empty"
-    if values.size != first.values.size:
-        return f"found {values.size} values, and {first.parameter} has {first.values.size}; columns are equally long"
-    allowed = np.isfinite(values) & (values >= key.lowest) & (values <= key.highest)
-    allowed &= (values > key.lowest) if key.above else True
-    allowed &= (values % 1.0 == 0.0) if key.whole else True
-    if allowed.all():
-        return None
-    at = int(np.argmin(allowed))
-    must_be = key.must_be if np.isfinite(values[at]) else "a finite number"
-    return f"found {values[at]:g} at point {at + 1}; must be {must_be}"
+    columns = {dotted(located(study, key)[0]): np.asarray(values).tolist() for key, values in points.items()}
+    axes = [{"parameter": parameter, "values": values} for parameter, values in columns.items()]
+    document = {**study.model_dump(exclude={"sweep"}), "sweep": {"design": "zip", "axes": axes}}
+    walked, findings = validated(Study, document)
+    if walked is not None:
+        return design_of(walked)
+    problems = []
+    for place, message in findings:
+        axis, point = (*place[2:3], *place[4:5], None, None)[:2]
+        parameter = axes[axis]["parameter"] if isinstance(axis, int) else dotted(place)
+        at = f"point {point + 1}: " if isinstance(point, int) else ""
+        problems.append(Problem(parameter, None, at + message))
+    raise report("this set of points", problems)
 
 
 def has_tolerances(study: Study) -> bool:

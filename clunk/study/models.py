@@ -5,13 +5,13 @@ validator here looks at one table; the rules that tie tables to one another are 
 """
 
 from collections.abc import Iterator
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from clunk.study.problems import shorten
 from clunk.study.sweeps import Sweep
-from clunk.study.tables import Ends, Finding, Inertia, NotNegative, Positive, Quantity, Table, Text, refusal
+from clunk.study.tables import Ends, Finding, Inertia, NotNegative, Positive, Quantity, Table, Text
 
 # The torque of the load is given by both of the first, or by both of the second.
 TORQUES = (("static_torque", "ratio"), ("initial_torque", "final_torque"))
@@ -41,14 +41,9 @@ class DrivelineConfig(Table):
     names: Annotated[tuple[Text, ...], Field(description="a list of names, one for each inertia")] | None = None
     shafts: tuple[Shaft, ...]
 
-    @model_validator(mode="after")
-    def _check_names(self) -> Self:
-        findings = list(self._findings(self.names or ()))
-        if findings:
-            raise refusal(*findings)
-        return self
-
-    def _findings(self, names: tuple[str, ...]) -> Iterator[Finding]:
+    def contradictions(self) -> Iterator[Finding]:
+        """Every name is one of its own, and can be told from a number."""
+        names = self.names or ()
         for k, name in enumerate(names):
             if name == "ground":
                 yield ("names", k), 'found "ground"; that name is kept for the ground itself'
@@ -108,21 +103,18 @@ class Load(Table):
     final_torque: Annotated[float | None, Quantity("torque after the load step", "T(0⁺)", "N m")] = None
     step_time: Annotated[NotNegative, Quantity("time of the load step", "t0", "s")] = 0.1
 
-    @model_validator(mode="after")
-    def _check_torques(self) -> Self:
+    def contradictions(self) -> Iterator[Finding]:
         """The torque is given once: by what stays and a ratio, or by what it is before and after."""
         by_ratio, by_step = ([key for key in pair if getattr(self, key) is not None] for pair in TORQUES)
         pairs = "static_torque and ratio, or initial_torque and final_torque"
         if by_ratio and by_step:
-            raise refusal(((), f"{' and '.join(by_ratio + by_step)} are given together; give either {pairs}"))
-        if not by_ratio and not by_step:
-            raise refusal(((), f"no torque is given; give {pairs} (N m)"))
-        for key in (*by_ratio, *by_step):
-            pair = TORQUES[0] if by_ratio else TORQUES[1]
-            other = pair[1 - pair.index(key)]
-            if getattr(self, other) is None:
-                raise refusal(((other,), f"missing; {key} needs {other} beside it"))
-        return self
+            yield (), f"{' and '.join(by_ratio + by_step)} are given together; give either {pairs}"
+        elif not by_ratio and not by_step:
+            yield (), f"no torque is given; give {pairs} (N m)"
+        for pair in TORQUES:
+            for key, other in (pair, pair[::-1]):
+                if [key] in (by_ratio, by_step) and not (by_ratio and by_step):
+                    yield (other,), f"missing; {key} needs {other} beside it"
 
 
 class Solver(Table):

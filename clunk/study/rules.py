@@ -2,11 +2,10 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
-from clunk.study.document import Place, dotted
+from clunk.study.document import Place, dotted, with_value
 from clunk.study.models import TORQUES, Config
 from clunk.study.parameters import complaint, located
 from clunk.study.problems import listing, shorten
@@ -202,6 +201,7 @@ def _drawn(config: Config) -> Iterator[Finding]:
     table, draws = ("samples", sweep.samples) if sweep.samples else ("tolerances", sweep.tolerances)
     points = sweep.sampling.points(len(draws))
     axes = {axis.parameter: axis.grid for axis in sweep.axes}
+    document = config.model_dump(exclude={"sweep"})
     for k, draw in enumerate(draws):
         place, key, own = located(config, draw.parameter)
         nominal = axes.get(draw.parameter, np.array([own]))
@@ -214,17 +214,8 @@ def _drawn(config: Config) -> Iterator[Finding]:
                 bound = "; bound the distribution with low and high" if draw.distribution != "uniform" else ""
                 yield ("sweep", table, k), f"{text}; it must be {key.must_be}{bound}"
                 break
-            broken = next((f for rule in (_steps, _sizes) for f in rule(_replaced(config, place, value))), None)
+            drawn_config = Config.model_validate({**with_value(document, place, value), "sweep": sweep})
+            broken = next((f for rule in (_steps, _sizes) for f in rule(drawn_config)), None)
             if broken is not None:
                 yield ("sweep", table, k), f"{text}; {broken[1]}"
                 break
-
-
-def _replaced(node: Any, place: Place, value: Any) -> Any:
-    """A copy of a config with another value at a place, which is not validated."""
-    if not place:
-        return value
-    step = place[0]
-    if isinstance(step, int):
-        return (*node[:step], _replaced(node[step], place[1:], value), *node[step + 1 :])
-    return node.model_copy(update={step: _replaced(getattr(node, step), place[1:], value)})

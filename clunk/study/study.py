@@ -2,11 +2,11 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
-from typing import Any, Self
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import tomli_w
-from pydantic import model_validator
 
 from clunk.study.document import dotted, with_value
 from clunk.study.models import TORQUES, Config
@@ -14,7 +14,7 @@ from clunk.study.parameters import located
 from clunk.study.problems import Problem, report
 from clunk.study.rules import broken_rules
 from clunk.study.summaries import Rows, as_html, as_text, html_table
-from clunk.study.tables import Finding, refusal
+from clunk.study.tables import Finding
 from clunk.study.validation import validated
 
 
@@ -24,12 +24,9 @@ class Study(Config):
     Made by `load_study`, `study_from_text` and `replace_values`; built by hand, it is held to the same rules.
     """
 
-    @model_validator(mode="after")
-    def _hold_to_rules(self) -> Self:
-        findings = broken_rules(self)
-        if findings:
-            raise refusal(*findings)
-        return self
+    def contradictions(self) -> Iterator[Finding]:
+        """The rules that tie tables to one another; see `clunk.study.rules`."""
+        yield from broken_rules(self)
 
     def summary(self) -> Rows:
         """What is computed, for people: (name, value) pairs."""
@@ -85,24 +82,16 @@ def replace_values(study: Study, values: Mapping[str, float]) -> Study:
     >>> [clunk.simulate(clunk.replace_values(study, {"load.ratio": ratio})).label for ratio in (1.0, 2.0, 5.0)]
     ['NI', 'SS(1)', 'DS(1)SS(1)']
     """
-    tables: dict[str, Any] = {}
+    document = study.model_dump(exclude={"sweep"})
     for parameter, value in values.items():
         place, key, _ = located(study, parameter)
-        name = str(place[0])
-        table = tables[name] if name in tables else getattr(study, name).model_dump()
         plain = value.item() if hasattr(value, "item") else value
         is_whole = key.whole and isinstance(plain, float) and plain.is_integer()
-        tables[name] = with_value(table, place[1:], int(plain) if is_whole else plain)
-    models: dict[str, Any] = {"sweep": None}
-    findings: list[Finding] = []
-    for name, table in tables.items():
-        models[name], wrong = validated(type(getattr(study, name)), table, at=(name,))
-        findings += wrong
-    if not findings:
-        findings = broken_rules(study.model_copy(update=models))
-    if findings:
+        document = with_value(document, place, int(plain) if is_whole else plain)
+    replaced, findings = validated(Study, document)
+    if replaced is None:
         raise report("the study with these values", [Problem(dotted(place), None, text) for place, text in findings])
-    return study.model_copy(update={**models, "sweep": study.sweep})
+    return replaced.model_copy(update={"sweep": study.sweep})
 
 
 def content(study: Study) -> dict[str, Any]:
@@ -133,13 +122,6 @@ def digest(study: Study) -> str:
         del decisive["sweep"]["design"]  # sweeps of earlier versions know no other
     for axis in study.sweep.axes if study.sweep is not None else ():
         decisive = with_value(decisive, located(study, axis.parameter)[0], None)
-    canonical = json.dumps(_without_signed_zeros(decisive), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    canonical = json.dumps(decisive, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    canonical = re.sub(r"-0\.0(?=[,\]}])", "0.0", canonical)  # zeros are equal, whatever their signs
     return hashlib.sha256(canonical.encode("utf-8")).hexdigest()
-
-
-def _without_signed_zeros(node: Any) -> Any:
-    if isinstance(node, dict):
-        return {key: _without_signed_zeros(value) for key, value in node.items()}
-    if isinstance(node, list | tuple):
-        return [_without_signed_zeros(item) for item in node]
-    return node + 0.0 if isinstance(node, float) else node

@@ -8,14 +8,14 @@ import functools
 import math
 import warnings
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from clunk.study.document import Place
-from clunk.study.tables import LONGEST_AXIS, MOST_DRAWS, Finding, Positive, Table, refusal
+from clunk.study.tables import LONGEST_AXIS, MOST_DRAWS, Finding, Positive, Table
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -46,14 +46,8 @@ class Axis(Table):
         stop = {"stop": axis["start"]} if axis.get("count") == 1 else {}
         return {"scale": "linear", **stop, **{key: value for key, value in axis.items() if value is not None}}
 
-    @model_validator(mode="after")
-    def _span(self) -> Self:
-        findings = list(self._findings())
-        if findings:
-            raise refusal(*findings)
-        return self
-
-    def _findings(self) -> Iterator[Finding]:
+    def contradictions(self) -> Iterator[Finding]:
+        """Values are given once, and make a span."""
         start, stop, count = self.start, self.stop, self.count
         spans = [key for key in ("start", "stop", "count", "scale") if getattr(self, key) is not None]
         if self.values is not None:
@@ -131,16 +125,15 @@ class _Drawn(Table):
     distribution: str
     draws: Literal["value", "factor", "offset"] = "value"
 
-    @model_validator(mode="after")
-    def _order(self) -> Self:
+    def contradictions(self) -> Iterator[Finding]:
+        """The numbers of a distribution are in their order."""
         low, mode, high = (getattr(self, name, None) for name in ("low", "mode", "high"))
         if low is not None and high is not None and not low < high:
-            raise refusal((("high",), f"found {high:g}; must be greater than low = {low:g}"))
-        if mode is not None and not low <= mode <= high:
-            raise refusal((("mode",), f"found {mode:g}; must be from low to high"))
-        if self.distribution == "lognormal" and high is not None and high <= 0.0:
-            raise refusal((("high",), f"found {high:g}; a lognormal number is greater than 0"))
-        return self
+            yield ("high",), f"found {high:g}; must be greater than low = {low:g}"
+        elif mode is not None and not low <= mode <= high:
+            yield ("mode",), f"found {mode:g}; must be from low to high"
+        elif self.distribution == "lognormal" and high is not None and high <= 0.0:
+            yield ("high",), f"found {high:g}; a lognormal number is greater than 0"
 
     def numbers(self, nominal: float) -> dict[str, float]:
         """The numbers that give the distribution; a mean or median that is left out is the nominal value."""
@@ -268,21 +261,15 @@ class Sweep(Table):
     tolerances: _Draws = ()
     sampling: Sampling = Sampling()
 
-    @model_validator(mode="after")
-    def _fit(self) -> Self:
-        findings = list(self._findings())
-        if findings:
-            raise refusal(*findings)
-        return self
-
-    def _findings(self) -> Iterator[Finding]:
+    def contradictions(self) -> Iterator[Finding]:
+        """There is something to run, its parts go together, and it is not too much."""
         if not (self.axes or self.samples or self.tolerances):
             yield ("axes",), "missing; must be an array of tables, [[sweep.axes]], or else [[sweep.samples]]"
         counts = [axis.count_of_values for axis in self.axes]
         for k, count in enumerate(counts):
             if self.design == "zip" and count != counts[0]:
-                text = f"found {count} values, and sweep.axes[1] has {counts[0]}"
-                yield ("axes", k), f"{text}; the axes of a zip design are walked together and must be equally long"
+                text = f"found {count} values, and {self.axes[0].parameter} has {counts[0]}"
+                yield ("axes", k), f"{text}; what is walked together must be equally long"
             values = self.axes[k].values
             if self.design == "grid" and values is not None and len(set(values)) < count:
                 first = {value: at for at, value in reversed(list(enumerate(values)))}

@@ -1,11 +1,20 @@
 """Building blocks of a config's tables: their base class, quantities with units, and types of texts and inertias."""
 
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, ValidationInfo, WithJsonSchema
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationInfo,
+    WithJsonSchema,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from clunk.study.document import Place, dotted, items_of
@@ -16,10 +25,27 @@ LONGEST_AXIS = 10_000_000  # values; known before any array is made
 MOST_DRAWS = 1_000_000  # of a sample
 
 
+def refusal(*findings: Finding) -> PydanticCustomError:
+    """Error of a validator, with what is wrong at places below the one that is validated."""
+    text = "; ".join(f"{dotted(place)}: {message}" if place else message for place, message in findings)
+    return PydanticCustomError("clunk", "{text}", {"text": text, "findings": findings})
+
+
 class Table(BaseModel):
     """A table of a config: frozen, strict, without unknown keys, NaN or infinities."""
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+    def contradictions(self) -> Iterator[Finding]:
+        """Yield what is wrong between keys that are sound by themselves, at places in this table."""
+        yield from ()
+
+    @model_validator(mode="after")
+    def _refuse_contradictions(self) -> Self:
+        findings = tuple(self.contradictions())
+        if findings:
+            raise refusal(*findings)
+        return self
 
 
 @dataclass(frozen=True)
@@ -37,12 +63,6 @@ class Quantity:
     def __get_pydantic_json_schema__(self, core_schema: Any, handler: Any) -> dict[str, Any]:
         """JSON Schema of the key, with its quantity as further keywords."""
         return {**handler(core_schema), "quantity": self.name, "symbol": self.symbol, "unit": self.unit}
-
-
-def refusal(*findings: Finding) -> PydanticCustomError:
-    """Error of a validator, with what is wrong at places below the one that is validated."""
-    text = "; ".join(f"{dotted(place)}: {message}" if place else message for place, message in findings)
-    return PydanticCustomError("clunk", "{text}", {"text": text, "findings": findings})
 
 
 def _one_line(text: str) -> str:
