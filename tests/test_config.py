@@ -22,16 +22,10 @@ from scipy import stats
 
 from clunk.cli import cli
 from clunk.study.config import (
-    PRESETS,
     Axis,
     ConfigError,
     Draw,
-    DrivelineConfig,
-    Impacts,
-    Lash,
     Load,
-    Sampling,
-    Shaft,
     Study,
     Sweep,
     digest,
@@ -45,6 +39,9 @@ from clunk.study.config import (
 )
 from clunk.study.designs import design_of, design_of_points
 from clunk.study.document import KeyLines, dotted, parse_place
+from clunk.study.keys import PRESETS
+from clunk.study.models import DrivelineConfig, Impacts, Lash, Shaft
+from clunk.study.sweeps import Sampling
 
 CONFIGS = sorted((Path(__file__).parent.parent / "configs").glob("*.toml"))
 STARTER = files("clunk.study.presets").joinpath("starter.toml").read_text(encoding="utf-8")

@@ -3,7 +3,7 @@
     text ──parse──▶ document ──preset, --set, axes──▶ whole document ──models, rules──▶ Study
 
 In a `Study` names are resolved to numbers and every default is filled in, so that `to_toml` writes all there is to know
-about a run. The names that the other rooms use are all here.
+about a run.
 """
 
 import copy
@@ -25,28 +25,19 @@ from clunk.study.document import (
     value_at,
 )
 from clunk.study.keys import PRESETS, json_schema, key_at
-from clunk.study.models import TORQUES, Contact, DrivelineConfig, Impacts, Lash, Load, Shaft, Solver
-from clunk.study.parameters import complaint, get_value, names_of, nominal_value, parameters, place_of, quantity
+from clunk.study.models import TORQUES, Load, Solver
+from clunk.study.parameters import complaint, get_value, names_of, nominal_value, place_of, quantity
 from clunk.study.problems import ConfigError, Problem, nearest, report, shorten
 from clunk.study.study import Study, content, digest, replace_values, to_toml
-from clunk.study.sweeps import Axis, Draw, Sampling, Sweep
-from clunk.study.tables import Finding, Quantity
+from clunk.study.sweeps import Axis, Draw, Sweep
+from clunk.study.tables import Finding
 from clunk.study.validation import validated
 
 __all__ = [
-    "PRESETS",
     "Axis",
     "ConfigError",
-    "Contact",
     "Draw",
-    "DrivelineConfig",
-    "Impacts",
-    "Lash",
     "Load",
-    "Problem",
-    "Quantity",
-    "Sampling",
-    "Shaft",
     "Solver",
     "Study",
     "Sweep",
@@ -56,7 +47,6 @@ __all__ = [
     "json_schema",
     "load_study",
     "nominal_value",
-    "parameters",
     "quantity",
     "replace_values",
     "study_from_text",
@@ -103,36 +93,6 @@ def study_from_text(text: str, source: str = "<text>", overrides: Sequence[str] 
     5.0
     """
     raw = parse_toml(text, source)
-    assignments, malformed = _parsed(overrides)
-    preset_name, preset, findings = _preset(raw, assignments)
-    document = _merged(preset, raw)
-    assigned, unassigned = _assign(document, assignments)
-    if isinstance(document.get("driveline"), dict):
-        document["driveline"].pop("preset", None)
-    findings += unassigned + _refused_assignments(document, assigned) + _fill_in(document)
-    study, wrong = validated(Study, document, document.get("driveline"))
-    findings += wrong
-    if study is not None and not findings and not malformed:
-        return study
-    lines, problems = KeyLines(text), {}
-    for place, finding in findings:
-        if any(place[:k] in problems for k in range(1, len(place) + 1)):
-            continue  # the first finding at a place says what is wrong, a second would follow from it
-        is_set = any(
-            place[: len(target)] == target or (target[: len(place)] == place and value_at(raw, place) is None)
-            for target in (*assignments, *assigned)
-        )
-        is_of_preset = not is_set and value_at(preset, place) is not None and value_at(raw, place) is None
-        message = finding + f" (the value is that of preset {shorten(preset_name)})" * is_of_preset
-        problems[place] = Problem(dotted(place), None if is_set else lines.find(place), message, override=is_set)
-    raise report(source, [*problems.values(), *malformed])
-
-
-# --- Preset, file and overrides -> one document ----------------------------------------------------------------------
-
-
-def _parsed(overrides: Sequence[str]) -> tuple[dict[Place, Any], list[Problem]]:
-    """Values by place, the last one of a place counting and coming last; and what is malformed."""
     assignments: dict[Place, Any] = {}
     malformed = []
     for override in overrides:
@@ -141,9 +101,36 @@ def _parsed(overrides: Sequence[str]) -> tuple[dict[Place, Any], list[Problem]]:
         except ValueError as error:
             malformed.append(Problem(shorten(override), None, str(error), override=True))
         else:
-            assignments.pop(place, None)
+            assignments.pop(place, None)  # the last one of a key counts, and comes last
             assignments[place] = value
-    return assignments, malformed
+    preset_name, preset, findings = _preset(raw, assignments)
+    document = _merged(preset, raw)
+    assigned: list[Place] = []
+    for place, value in assignments.items():
+        resolved = place_of(dotted(place), names_of(document))
+        problem = "no inertia has this name" if resolved is None else assign(document, resolved, value)
+        findings += [(place, problem)] if problem is not None else []
+        assigned.append(resolved or place)
+    if isinstance(document.get("driveline"), dict):
+        document["driveline"].pop("preset", None)
+    findings += _fill_in(document, assigned)
+    study, wrong = validated(Study, document, document.get("driveline"))
+    findings += wrong
+    if study is not None and not findings and not malformed:
+        return study
+    lines, problems = KeyLines(text), {}
+    for place, finding in findings:
+        if any(place[:k] in problems for k in range(1, len(place) + 1)):
+            continue  # the first finding at a place says what is wrong, a second would follow from it
+        is_new = value_at(raw, place) is None
+        is_set = any(
+            place[: len(target)] == target or (is_new and target[: len(place)] == place)
+            for target in (*assignments, *assigned)
+        )
+        is_of_preset = is_new and not is_set and value_at(preset, place) is not None
+        message = finding + f" (the value is that of preset {shorten(preset_name)})" * is_of_preset
+        problems[place] = Problem(dotted(place), None if is_set else lines.find(place), message, override=is_set)
+    raise report(source, [*problems.values(), *malformed])
 
 
 def _preset(raw: dict[str, Any], assignments: Mapping[Place, Any]) -> tuple[str, dict[str, Any], list[Finding]]:
@@ -179,37 +166,6 @@ def _merged(preset: Mapping[str, Any], raw: Mapping[str, Any]) -> dict[str, Any]
     return merged
 
 
-def _assign(document: dict[str, Any], assignments: Mapping[Place, Any]) -> tuple[list[Place], list[Finding]]:
-    """Put values into a document; return the places where they went, names resolved, and what is wrong."""
-    assigned: list[Place] = []
-    findings: list[Finding] = []
-    for place, value in assignments.items():
-        resolved = place_of(dotted(place), names_of(document))
-        if resolved is None:
-            findings.append((place, "no inertia has this name"))
-            continue
-        assigned.append(resolved)
-        problem = assign(document, resolved, value)
-        if problem is not None:
-            findings.append((place, problem))
-    return assigned, findings
-
-
-def _refused_assignments(document: Mapping[str, Any], assigned: Sequence[Place]) -> list[Finding]:
-    """The keys set on the command line that an axis sweeps."""
-    return [
-        (place, f"{dotted(at)} sweeps this key; set the axis instead, for example {dotted(at)}.{key}")
-        for at, axis in _entries(document)
-        for place in assigned
-        if at[1] == "axes" and isinstance(axis.get("parameter"), str)
-        if place_of(axis["parameter"], names_of(document)) == place
-        for key in ["start" if axis.get("values") is None else "values"]
-    ]
-
-
-# --- What is implied -------------------------------------------------------------------------------------------------
-
-
 def _entries(document: Mapping[str, Any]) -> list[tuple[Place, dict[str, Any]]]:
     """The axes, samples and tolerances of a document that are tables, each with its place."""
     return [
@@ -220,10 +176,12 @@ def _entries(document: Mapping[str, Any]) -> list[tuple[Place, dict[str, Any]]]:
     ]
 
 
-def _fill_in(document: dict[str, Any]) -> list[Finding]:
+def _fill_in(document: dict[str, Any], assigned: Sequence[Place]) -> list[Finding]:
     """Fill in what a document implies: swept keys that it leaves out, and the inertia of the severity.
 
-    Inertias' names in the parameters of the sweep become numbers. Returns the parameters that are none.
+    Inertias' names in the parameters of the sweep become numbers. Returns what is wrong with these parameters.
+
+    assigned : keys that were set on the command line, which no axis may sweep
     """
     findings: list[Finding] = []
     load = document.get("load")
@@ -239,6 +197,9 @@ def _fill_in(document: dict[str, Any]) -> list[Finding]:
             findings.append(((*at, "parameter"), problem or "no key has this name"))
             continue
         entry["parameter"] = dotted(place)
+        if at[1] == "axes" and place in assigned:
+            example = f"{dotted(at)}.{'start' if entry.get('values') is None else 'values'}"
+            findings.append((place, f"{dotted(at)} sweeps this key; set the axis instead, for example {example}"))
         is_missing = value_at(document, place) is None
         if place[0] == "load":  # where the load is given by the other two torques, an error of its own says so
             is_missing &= not any(place[-1] in pair and torques & {*other} for pair, other in (TORQUES, TORQUES[::-1]))

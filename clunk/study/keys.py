@@ -1,6 +1,5 @@
 """Keys of a config, as the models describe them: JSON Schema of a file, and each key's bounds, words and unit."""
 
-import copy
 import functools
 import math
 from collections.abc import Iterator, Mapping
@@ -51,29 +50,22 @@ class Key:
         return (self.lowest < value if self.above else self.lowest <= value) and value <= self.highest
 
 
-def json_schema() -> dict[str, Any]:
-    """JSON Schema of config files."""
-    return copy.deepcopy(_schema())
-
-
 @functools.cache
-def _schema() -> dict[str, Any]:
+def json_schema() -> dict[str, Any]:
+    """JSON Schema of config files; not to be changed in place."""
     schema = Config.model_json_schema()
     for name, table in [("Config", schema), *schema["$defs"].items()]:
         table["required"] = _REQUIRED.get(name, table.get("required", []))
-    words = "fills in whatever the file leaves out"
-    driveline = schema["$defs"]["DrivelineConfig"]["properties"]
-    schema["$defs"]["DrivelineConfig"]["properties"] = {
-        "preset": {"enum": list(PRESETS), "description": words},
-        **driveline,
-    }
+    driveline = schema["$defs"]["DrivelineConfig"]
+    preset = {"enum": list(PRESETS), "description": "fills in whatever the file leaves out"}
+    driveline["properties"] = {"preset": preset, **driveline["properties"]}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "Config of clunk"}
 
 
 @functools.cache
 def keys() -> dict[Place, Key]:
     """All keys by their pattern: a place with `ITEM` for positions in lists."""
-    return dict(_keys((), _schema()))
+    return dict(_keys((), json_schema()))
 
 
 def key_at(place: Place) -> Key | None:
@@ -108,7 +100,7 @@ def _resolved(node: Mapping[str, Any]) -> Mapping[str, Any]:
     """A node with what it refers to, and without null: in a config, that means that the key is left out."""
     inner = [each for each in node.get("anyOf", node.get("allOf", ())) if each.get("type") != "null"]
     if "$ref" in node:
-        inner = [_schema()["$defs"][node["$ref"].rsplit("/", 1)[-1]]]
+        inner = [json_schema()["$defs"][node["$ref"].rsplit("/", 1)[-1]]]
     return {**_resolved(inner[0]), **node} if len(inner) == 1 else node
 
 

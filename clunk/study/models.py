@@ -21,8 +21,6 @@ class Shaft(Table):
     """A massless linear spring and damper between two inertias, or between one and ground.
 
     between : two of an inertia's number from 1 and "ground"
-    stiffness : float  [N m/rad]
-    damping : float  [N m s/rad]
     """
 
     between: Ends
@@ -31,11 +29,7 @@ class Shaft(Table):
 
 
 class DrivelineConfig(Table):
-    """Inertias and the shafts that join them.
-
-    inertias : (n,) float  [kg m2]
-    names : (n,) str, optional
-    """
+    """Inertias, with or without names, and the shafts that join them."""
 
     inertias: Annotated[tuple[Annotated[Positive, Quantity("inertia {}", "J{}", "kg m2")], ...], Field(min_length=1)]
     names: Annotated[tuple[Text, ...], Field(description="a list of names, one for each inertia")] | None = None
@@ -56,11 +50,10 @@ class DrivelineConfig(Table):
 class Contact(Table):
     """What happens where the flanks touch. Keys that the model does not use are checked all the same.
 
-    stiffness : float  [N/m], at the radius
-    damping : float  [N s/m], at the radius
+    stiffness, damping : float, at the radius
     separation : the flanks part when the gap opens, or when the contact force would turn tensile
     restitution : float, speed after an impact over the speed before; the indentation model does not use it
-    locking_speed : float or None  [rad/s], a slower rebound locks; the indentation model does not use it
+    locking_speed : float or None, a slower rebound locks; the indentation model does not use it
     """
 
     model: Literal["indentation", "restitution"] = "indentation"
@@ -72,11 +65,7 @@ class Contact(Table):
 
 
 class Lash(Table):
-    """The backlash, between two inertias or between one and ground.
-
-    backlash_deg : float  [degrees], the whole gap
-    radius : float  [m], at which the flanks touch
-    """
+    """The backlash, which is the whole gap, between two inertias or between one and ground."""
 
     between: Ends
     backlash_deg: Annotated[float, Field(ge=0, le=360), Quantity("backlash", "φθ", "degrees")]
@@ -90,9 +79,7 @@ class Load(Table):
     Either static_torque Ts and ratio σr, for Ts (1 + σr) before the load step and Ts after it; or the two torques.
 
     on : int, number from 1 of the loaded inertia
-    static_torque, initial_torque, final_torque : float or None  [N m]
-    ratio : float or None
-    step_time : float  [s], of the load step on the time axis of plots
+    step_time : float, of the load step on the time axis of plots
     """
 
     profile: Literal["tip-out"] = "tip-out"
@@ -121,8 +108,8 @@ class Solver(Table):
     """How a run is computed. Keys that the method does not use are checked all the same.
 
     method : "rk4", fixed-step with bisection, or "exact", by the modes of each regime
-    step : float  [s], of rk4; the exact method does not use it
-    end_time : float  [s after the load step]
+    step : float, of rk4; the exact method does not use it
+    end_time : float, after the load step
     margin_tolerance : float, a run of the exact method that came nearer than this to another label is undecided
     max_events : int, touches and separations
     """
@@ -137,7 +124,7 @@ class Solver(Table):
 class Impacts(Table):
     """How impacts are told apart and measured.
 
-    sticking_time : float or None  [s], a longer contact is sticking; None stands for the contact period
+    sticking_time : float or None, a longer contact is sticking; None stands for the contact period
     acceleration_of : int, number from 1 of the inertia whose acceleration gives the severity
     """
 

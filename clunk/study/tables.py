@@ -18,7 +18,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from clunk.study.document import Place, dotted, items_of
-from clunk.study.problems import nearest, shorten
+from clunk.study.problems import listing, nearest, shorten
 
 Finding = tuple[Place, str]  # a place, and what is wrong there
 LONGEST_AXIS = 10_000_000  # values; known before any array is made
@@ -79,7 +79,7 @@ def allowed_inertias(count: int, names: Sequence[Any], ground: bool) -> str:
         choices.append(f"its name ({', '.join(shorten(name) for name in names[:8])}{', …' * (len(names) > 8)})")
     if ground:
         choices.append('"ground"')
-    return " or ".join([", ".join(choices[:-1]), choices[-1]] if len(choices) > 1 else choices)
+    return listing(choices, "or")
 
 
 def _numbered(value: Any, info: ValidationInfo, ground: bool) -> Any:
