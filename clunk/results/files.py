@@ -1,13 +1,15 @@
-"""Files that appear whole or not at all: whoever reads one finds the old content or the new, never half of it."""
+"""Writing files whole or not at all: a reader gets the old content or the new, never half of it."""
 
 from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
+
+from clunk.study.errors import ClunkError
 
 
 def write_whole(path: str | os.PathLike[str], write: Callable[[BinaryIO], object], scratch: Path | None = None) -> None:
@@ -31,8 +33,19 @@ def write_whole(path: str | os.PathLike[str], write: Callable[[BinaryIO], object
             temporary.unlink(missing_ok=True)
 
 
+@contextmanager
+def writing(path: str | os.PathLike[str], error: type[ClunkError]) -> Iterator[Path]:
+    """Make a file's directory, and raise an OSError of writing the file as a sentence for the user."""
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield path
+    except OSError as problem:
+        raise error(f"{path} cannot be written: {reason(problem)}.") from problem
+
+
 def reserve(file: BinaryIO, size: int) -> None:
-    """See to it that the disk has room for a file to grow to `size` bytes; it has zeros there. Raises OSError."""
+    """Reserve room on the disk for a file to grow to `size` bytes, with zeros behind its content. Raises OSError."""
     if hasattr(os, "posix_fallocate"):
         os.posix_fallocate(file.fileno(), 0, size)
     else:
@@ -45,7 +58,7 @@ def reserve(file: BinaryIO, size: int) -> None:
 
 
 def reason(error: BaseException) -> str:
-    """An error's own words as one phrase, to stand within a sentence."""
+    """Text of an error as one phrase, to stand within a sentence."""
     if isinstance(error, OSError) and error.strerror:
         words = error.strerror
     else:
@@ -55,7 +68,7 @@ def reason(error: BaseException) -> str:
 
 
 def _sync_directory(directory: Path) -> None:
-    """Make the renaming itself survive a power cut, where directories can be opened for that."""
+    """Flush a renaming to the disk, where directories can be opened for that."""
     if os.name == "posix":
         descriptor = os.open(directory, os.O_RDONLY)
         try:

@@ -1,8 +1,6 @@
 """A run's history as a file: comma-separated values, or HDF5 laid out as netCDF-4."""
 
 import os
-from collections.abc import Callable
-from pathlib import Path
 from typing import BinaryIO
 
 import h5py
@@ -11,7 +9,7 @@ import numpy.typing as npt
 
 from clunk import __version__
 from clunk.core.events import KIND_NAMES, TOUCH
-from clunk.results.files import reason, write_whole
+from clunk.results.files import write_whole, writing
 from clunk.results.netcdf import CONVENTIONS, create_scale, create_variable, set_flags, set_text, write_file
 from clunk.simulation.history import INITIAL, NONE, OPPOSITE, History, HistoryError
 from clunk.simulation.trajectory import Trajectory
@@ -35,8 +33,8 @@ def save_csv(path: str | os.PathLike[str], history: History, trajectory: Traject
     columns = (history.time, history.after_step, history.angle, history.velocity, history.acceleration)
     numbers = np.column_stack((*columns, history.torque, history.backlash_coordinate))
 
-    def write(target: BinaryIO) -> None:
-        target.write((",".join(names) + "\n").encode())
+    def write(stream: BinaryIO) -> None:
+        stream.write((",".join(names) + "\n").encode())
         for start in range(0, history.time.size, _ROWS):
             rows = slice(start, start + _ROWS)
             lines = []
@@ -45,9 +43,10 @@ def save_csv(path: str | os.PathLike[str], history: History, trajectory: Traject
             ):
                 what = f"{event_name(trajectory, event)},{trajectory.flank_name(event)}" if event >= 0 else ","
                 lines.append(f"{','.join(map(repr, row))},{contact},{what}\n")  # repr: shortest that reads back equal
-            target.write("".join(lines).encode())
+            stream.write("".join(lines).encode())
 
-    _save(path, lambda path: write_whole(path, write))
+    with writing(path, HistoryError) as target:
+        write_whole(target, write)
 
 
 def event_name(trajectory: Trajectory, k: int) -> str:
@@ -63,7 +62,8 @@ def save_hdf5(path: str | os.PathLike[str], history: History, trajectory: Trajec
 
     In xarray: ``open_dataset(path, engine="h5netcdf")``. Events have two rows each, so a time need not be unique.
     """
-    _save(path, lambda path: write_file(path, lambda file: _write_hdf5(file, history, trajectory)))
+    with writing(path, HistoryError) as target:
+        write_file(target, lambda file: _write_hdf5(file, history, trajectory))
 
 
 def _write_hdf5(file: h5py.File, history: History, trajectory: Trajectory) -> None:
@@ -78,14 +78,13 @@ def _write_hdf5(file: h5py.File, history: History, trajectory: Trajectory) -> No
     set_text(file, "config_digest", digest(study))
 
     def put(name: str, values: npt.NDArray[np.generic], unit: str, long_name: str, scales: list[h5py.Dataset]) -> None:
-        variable = create_variable(file, name, values.shape, values.dtype.type, (unit, long_name), scales)
+        variable = create_variable(file, name, values.dtype, {"units": unit, "long_name": long_name}, scales)
         variable[...] = values
-        if name in _FLAGS:
-            set_flags(variable, _FLAGS[name])
+        set_flags(variable, _FLAGS.get(name, {}))
 
-    time = create_scale(file, "time", history.time, "time", "s")
+    time = create_scale(file, "time", history.time, {"units": "s", "long_name": "time"})
     numbers = np.arange(1, history.angle.shape[1] + 1, dtype=np.int32)
-    inertia = create_scale(file, "inertia", numbers, "number of the inertia")
+    inertia = create_scale(file, "inertia", numbers, {"units": "1", "long_name": "number of the inertia"})
     if study.driveline.names:
         set_text(inertia, "names", ", ".join(study.driveline.names))
     put("after_step", history.after_step, "s", "time after the load step", [time])
@@ -98,7 +97,7 @@ def _write_hdf5(file: h5py.File, history: History, trajectory: Trajectory) -> No
 
     events = trajectory.events
     numbers = np.arange(events.size, dtype=np.int32)
-    event = create_scale(file, "event", numbers, "number of the event, 0 the load step")
+    event = create_scale(file, "event", numbers, {"units": "1", "long_name": "number of the event, 0 the load step"})
     flank = np.where(events["side"] == trajectory.initial_side, INITIAL, OPPOSITE)
     rank, severity = np.zeros(events.size, np.int8), np.full(events.size, np.nan)
     rank[events["kind"] == TOUCH] = 2
@@ -119,13 +118,3 @@ _FLAGS = {
     "event_kind": {kind: name.replace(" ", "_") for kind, name in enumerate(KIND_NAMES)},
     "event_impact": {0: "none", 1: "primary", 2: "secondary"},
 }
-
-
-def _save(path: str | os.PathLike[str], write: Callable[[Path], None]) -> None:
-    """Write a file, its directory made where it is missing. Raises HistoryError."""
-    path = Path(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write(path)
-    except OSError as error:
-        raise HistoryError(f"{path} cannot be written: {reason(error)}.") from error

@@ -109,11 +109,6 @@ class Map(ABC):
     def dimensions(self) -> dict[str, npt.NDArray[Any]]:
         """Coordinates of the dimensions that the map's file has besides the axes."""
 
-    def stored_shape(self, name: str) -> tuple[int, ...]:
-        """Shape of a quantity in the map's file."""
-        dimension = self.quantities[name].dimension
-        return (*self.shape, len(self.dimensions[dimension])) if dimension else self.shape
-
     def rows(self, name: str, start: int, stop: int) -> npt.NDArray[Any]:
         """Values of a quantity in the rows `start` to `stop` of the first axis, as the file has them."""
         values: npt.NDArray[Any] = getattr(self, name)[start:stop]

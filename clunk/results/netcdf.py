@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 import zlib
 from collections import deque
@@ -55,7 +56,7 @@ def write_file(
 
 
 def image_of(fill: Callable[[Image], None]) -> io.BytesIO:
-    """The file that `fill` fills, in memory."""
+    """Write the file that `fill` fills in memory."""
     image = io.BytesIO()
     with Image(image) as file:
         fill(file)
@@ -63,7 +64,7 @@ def image_of(fill: Callable[[Image], None]) -> io.BytesIO:
 
 
 class Image(h5py.File):  # type: ignore[misc]  # h5py has no type information
-    """An HDF5 file while it is filled."""
+    """HDF5 file that is being filled, in memory or in room that is reserved on the disk."""
 
     def __init__(self, target: io.BytesIO | _Room) -> None:
         self._target = target
@@ -72,13 +73,13 @@ class Image(h5py.File):  # type: ignore[misc]  # h5py has no type information
         super().__init__(target, "w", track_order=True)  # netCDF-4 asks for creation order
 
     def reserve(self) -> None:
-        """To be called after each few megabytes: see to it that there is room for as many more. Raises OSError."""
+        """Reserve room on the disk, to be called before each chunk is written. Raises OSError."""
         if isinstance(self._target, _Room):
             self._target.reserve()
 
 
 class _Room:
-    """A file as HDF5 sees it: it ends where HDF5 has written, and the room reserved behind that end is not seen."""
+    """File with room reserved on the disk behind its end, which HDF5 does not see."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
@@ -107,7 +108,7 @@ class _Room:
 
 
 class ChunkWriter:
-    """Fills variables, compressing their chunks on every core; all is written when it is left.
+    """Writer of variables that compresses their chunks on every core; all is written when its context is left.
 
     HDF5 compresses on one thread; zlib lets go of the interpreter lock.
     """
@@ -149,7 +150,7 @@ class ChunkWriter:
 
 
 def _deflated(part: npt.NDArray[Any], shape: tuple[int, ...]) -> bytes:
-    """A chunk through HDF5's filters shuffle and deflate; one over the edge is filled up with zeros.
+    """Shuffle and deflate a chunk as HDF5's filters do; one over the edge is filled up with zeros.
 
     Run-length coding takes 60 % of the time of zlib's search at level 1, and up to 25 % more bytes: shuffled, the high
     bytes of neighbouring numbers are runs, and the low ones are noise.
@@ -161,15 +162,15 @@ def _deflated(part: npt.NDArray[Any], shape: tuple[int, ...]) -> bytes:
     return deflate.compress(np.ascontiguousarray(planes).data) + deflate.flush()
 
 
-def create_scale(file: h5py.File, name: str, values: npt.NDArray[Any], long_name: str, unit: str = "1") -> h5py.Dataset:
-    """Write a dimension with its coordinates, numbers or texts."""
+def create_scale(file: h5py.File, name: str, values: npt.NDArray[Any], attributes: Mapping[str, str]) -> h5py.Dataset:
+    """Write a dimension with its coordinates, numbers or words, and their attributes, such as ``units``."""
     if values.dtype.kind == "U":
         # Of variable length: xarray takes fixed-length strings for bytes, and none would be found by its name.
         scale = file.create_dataset(name, data=values.astype(object), dtype=h5py.string_dtype(), track_order=True)
-        set_text(scale, "long_name", long_name)
     else:
-        scale = create_variable(file, name, values.shape, values.dtype.type, (unit, long_name))
-        scale[:] = values
+        scale = file.create_dataset(name, data=values.astype(values.dtype.newbyteorder("<")), track_order=True)
+    for key, text in attributes.items():
+        set_text(scale, key, text)
     scale.make_scale(name)
     return scale
 
@@ -177,31 +178,28 @@ def create_scale(file: h5py.File, name: str, values: npt.NDArray[Any], long_name
 def create_variable(
     file: h5py.File,
     name: str,
-    shape: tuple[int, ...],
-    dtype: type[np.generic],
-    meaning: tuple[str, str],
-    scales: Sequence[h5py.Dataset] = (),
-    *,
+    dtype: npt.DTypeLike,
+    attributes: Mapping[str, str],
+    scales: Sequence[h5py.Dataset],
     apart: int = 0,
 ) -> h5py.Dataset:
-    """A variable along some dimensions, still without its values, compressed where that pays.
+    """Create a variable along some dimensions, still without its values, compressed where that pays.
 
-    meaning : (unit, long name)
     apart : how many dimensions, the last, are not mixed in a chunk: the first impacts of neighbouring cells are more
         alike than a cell's first and second, and whoever reads the first ones need not read the others
     """
-    itemsize = np.dtype(dtype).itemsize
-    filters: dict[str, Any] = {}
-    if scales and itemsize * int(np.prod(shape)) > 4096:  # a smaller one would only grow
-        together = len(shape) - apart
-        filters = {"chunks": (*_chunks(shape[:together], itemsize), *[1] * apart), **_COMPRESSION}
     # Little-endian whatever the machine, so that the file does not depend on it.
-    variable = file.create_dataset(name, shape, np.dtype(dtype).newbyteorder("<"), track_order=True, **filters)
-    for position, scale in enumerate(scales):
-        variable.dims[position].attach_scale(scale)
-    unit, long_name = meaning
-    set_text(variable, "units", unit)
-    set_text(variable, "long_name", long_name)
+    stored = np.dtype(dtype).newbyteorder("<")
+    shape = tuple(len(scale) for scale in scales)
+    filters: dict[str, Any] = {}
+    if stored.itemsize * math.prod(shape) > 4096:  # a smaller one would only grow
+        together = len(shape) - apart
+        filters = {"chunks": (*_chunks(shape[:together], stored.itemsize), *[1] * apart), **_COMPRESSION}
+    variable = file.create_dataset(name, shape, stored, track_order=True, **filters)
+    for dimension, scale in zip(variable.dims, scales, strict=True):
+        dimension.attach_scale(scale)
+    for key, text in attributes.items():
+        set_text(variable, key, text)
     return variable
 
 
@@ -222,23 +220,23 @@ def set_flags(variable: h5py.Dataset, meanings: Mapping[int, str], *, masks: boo
 
 
 def set_text(target: h5py.File | h5py.Dataset, name: str, text: str) -> None:
-    """A fixed-length string attribute, as netCDF's own `units` are; a long one at variable length."""
+    """Write a string attribute of fixed length, as netCDF's own `units` are; a long one of variable length."""
     raw = text.encode()
     if len(raw) > _LONGEST_FIXED_TEXT:
         target.attrs[name] = text
     else:
-        kind = h5py.string_dtype("ascii" if text.isascii() else "utf-8", max(1, len(raw)))
-        target.attrs.create(name, np.bytes_(raw), dtype=kind)
+        dtype = h5py.string_dtype("ascii" if text.isascii() else "utf-8", max(1, len(raw)))
+        target.attrs.create(name, np.bytes_(raw), dtype=dtype)
 
 
 def get_text(source: h5py.File | h5py.Dataset, name: str) -> str:
-    """A string attribute of either length."""
+    """Read a string attribute, of fixed or variable length."""
     value = source.attrs[name]
     return value.decode() if isinstance(value, bytes) else str(value)
 
 
 def _chunks(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
-    """The longest run of whole trailing dimensions that stays within the chunk cache."""
+    """Shape of chunks: as many whole trailing dimensions as stay within the chunk cache."""
     room = _CHUNK_BYTES // itemsize
     chunk = []
     for count in reversed(shape):

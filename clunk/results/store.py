@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.results.checksum import matches_checksum
-from clunk.results.files import reason
+from clunk.results.files import reason, writing
 from clunk.results.maps import count_labels, require_array, require_codes
 from clunk.results.netcdf import (
     CONVENTIONS,
@@ -47,11 +47,11 @@ _KIND = "kind"  # root attribute of a tolerance map; a regime map has none
 _TOLERANCE_MAP = "tolerance map"
 # Root attributes that are not among the `attributes` of a map.
 _RESERVED = {"title", "Conventions", "schema_version", _KIND, "config", "config_digest", "content_digest"}
-_DIMENSIONS = {  # behind a map's axes -> long name
-    "impact": "number of the primary impact",
-    "label": "sequence of impact excursions (regime label)",
-    "quantile": "quantile of the runs of the sample",
-    "draw": "number of the draw",
+_DIMENSIONS = {  # behind a map's axes -> attributes
+    "impact": {"units": "1", "long_name": "number of the primary impact"},
+    "label": {"long_name": "sequence of impact excursions (regime label)"},
+    "quantile": {"units": "1", "long_name": "quantile of the runs of the sample"},
+    "draw": {"units": "1", "long_name": "number of the draw"},
 }
 _DRAWN = "drawn_"  # begins the names of the sample's variables
 
@@ -103,12 +103,8 @@ def write(path: str | os.PathLike[str], results: Results | ToleranceMap, scratch
     >>> results = clunk.sweep(clunk.load_study("configs/smoke.toml"))
     >>> clunk.write_results("results/copy.h5", results)
     """
-    path = Path(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_file(path, lambda file: _fill(file, results), scratch, large=results.sequence.size > _LARGE)
-    except OSError as error:
-        raise StoreError(f"{path} cannot be written: {reason(error)}.") from error
+    with writing(path, StoreError) as target:
+        write_file(target, lambda file: _fill(file, results), scratch, large=results.sequence.size > _LARGE)
 
 
 def to_image(results: Results | ToleranceMap) -> io.BytesIO:
@@ -164,8 +160,8 @@ def read_map(path: str | os.PathLike[str]) -> Results | ToleranceMap:
 
 def read_header(path: str | os.PathLike[str]) -> Header:
     """Read the header of a results file; of the arrays only the axes and `sequence`. Raises StoreError."""
-    with _opened(path) as (file, _, checksum):
-        return _header_of(file, checksum)
+    with opened(path, header_only=True) as (_, header, _):
+        return header
 
 
 def check(path: str | os.PathLike[str]) -> Header:
@@ -173,9 +169,9 @@ def check(path: str | os.PathLike[str]) -> Header:
 
     Raises StoreError.
     """
-    with _opened(path) as (file, _, checksum):
-        header = _header_of(file, checksum)
-        _check_digest(file, header)
+    with opened(path) as (file, header, _):
+        if header.checksum:
+            _require_digest(file, header)
         return header
 
 
@@ -196,29 +192,27 @@ def _fill(file: Image, results: Results | ToleranceMap) -> None:
     if sample:
         set_text(file, _KIND, _TOLERANCE_MAP)
 
-    axes = [_write_axis(file, axis.variable, axis) for axis in results.axes]
-    run = [scale for axis, scale in zip(results.axes, axes, strict=True) if axis.parameter == RUN]
+    axes = [create_scale(file, axis.variable, axis.values, _attributes(axis)) for axis in results.axes]
+    along = {axis.parameter: [scale] for axis, scale in zip(results.axes, axes, strict=True)}
     for axis in results.coordinates:
-        _write_axis(file, axis.variable, axis, run)
-    coordinates = " ".join(axis.variable for axis in results.coordinates)
+        create_variable(file, axis.variable, np.float64, _attributes(axis), along[RUN])[:] = axis.values
     scales = {name: create_scale(file, name, values, _DIMENSIONS[name]) for name, values in results.dimensions.items()}
     if sample:
         set_text(scales["draw"], "sample", " ".join(_DRAWN + axis.variable for axis in sample))
     for axis in sample:
-        _write_axis(file, _DRAWN + axis.variable, axis, [scales["draw"]])
+        variable = create_variable(file, _DRAWN + axis.variable, np.float64, _attributes(axis), [scales["draw"]])
+        variable[:] = axis.values
 
-    digest = Digest((*results.axes, *results.coordinates, *sample), results.labels)
+    digest = Digest(results.axes + results.coordinates + sample, results.labels)
+    coordinates = " ".join(axis.variable for axis in results.coordinates)
     with ChunkWriter(file) as chunks:
-        for name, quantity in results.quantities.items():
-            further = [scales[quantity.dimension]] if quantity.dimension else []
-            shape, meaning = results.stored_shape(name), (quantity.unit, quantity.long_name)
-            variable = create_variable(
-                file, name, shape, quantity.dtype, meaning, [*axes, *further], apart=len(further)
-            )
-            if coordinates:
-                set_text(variable, "coordinates", coordinates)
-            set_flags(variable, quantity.meanings(results.labels), masks=quantity.coded == "quality")
-            digest.begin(variable)
+        for name, each in results.quantities.items():
+            attributes = {"units": each.unit, "long_name": each.long_name}
+            attributes |= {"coordinates": coordinates} if coordinates else {}
+            further = [scales[each.dimension]] if each.dimension else []
+            variable = create_variable(file, name, each.dtype, attributes, axes + further, apart=len(further))
+            set_flags(variable, each.meanings(results.labels), masks=each.coded == "quality")
+            digest.begin(name, variable)
             # A block of rows at a time: padded whole, the impacts would be most of a large map's memory.
             for start, stop in row_blocks(variable):
                 block = results.rows(name, start, stop)
@@ -227,15 +221,8 @@ def _fill(file: Image, results: Results | ToleranceMap) -> None:
     set_text(file, "content_digest", digest.hexdigest())
 
 
-def _write_axis(file: Image, name: str, axis: ResultAxis, scales: Sequence[h5py.Dataset] = ()) -> h5py.Dataset:
-    """Write a parameter's values, along another dimension or, without `scales`, as a dimension."""
-    variable = create_variable(file, name, axis.values.shape, np.float64, (axis.unit, axis.name), scales)
-    variable[:] = axis.values
-    set_text(variable, "symbol", axis.symbol)
-    set_text(variable, "parameter", axis.parameter)
-    if not scales:
-        variable.make_scale(name)
-    return variable
+def _attributes(axis: ResultAxis) -> dict[str, str]:
+    return {"units": axis.unit, "long_name": axis.name, "symbol": axis.symbol, "parameter": axis.parameter}
 
 
 class Digest:
@@ -243,24 +230,18 @@ class Digest:
 
     def __init__(self, axes: Sequence[ResultAxis], labels: Sequence[str]) -> None:
         self._sha = hashlib.sha256("\n".join(labels).encode())
+        self.hexdigest = self._sha.hexdigest
         for axis in axes:
-            self._begin(axis.variable, axis.values)
+            self.begin(axis.variable, axis.values)
             self.add(axis.values)
 
-    def begin(self, variable: h5py.Dataset) -> None:
-        """Begin a variable of a file, whose values are then added."""
-        self._begin(variable.name.removeprefix("/"), variable)
+    def begin(self, name: str, variable: h5py.Dataset | npt.NDArray[Any]) -> None:
+        """Begin a variable, whose values are then added."""
+        self._sha.update(f"\n{name} {variable.shape} {variable.dtype.name}\n".encode())
 
     def add(self, values: npt.NDArray[Any]) -> None:
         """Add values, in C order."""
         self._sha.update(np.ascontiguousarray(values.astype(values.dtype.newbyteorder("<"), copy=False)).data)
-
-    def hexdigest(self) -> str:
-        """The digest of all that was added."""
-        return self._sha.hexdigest()
-
-    def _begin(self, name: str, values: h5py.Dataset | npt.NDArray[Any]) -> None:
-        self._sha.update(f"\n{name} {values.shape} {values.dtype.name}\n".encode())
 
 
 # --- reading
@@ -275,17 +256,41 @@ class Content(NamedTuple):
 
 
 @contextmanager
-def opened(path: str | os.PathLike[str]) -> Iterator[Content]:
+def opened(path: str | os.PathLike[str], *, header_only: bool = False) -> Iterator[Content]:
     """Open a results file whose bytes match their checksum or, where they have none, its data their digest.
 
-    The bytes are read once, HDF5 takes them from memory; those of a large file twice. Whatever is wrong with the file,
-    also while it is open, is raised as a StoreError.
+    The bytes are read once, and HDF5 takes them from memory; those of a large file twice. Whatever is wrong with the
+    file, also while it is open, is raised as a StoreError.
+
+    header_only : do without the comparison of the data, and without the memory
     """
-    with _opened(path) as (file, source, checksum):
-        header = _header_of(file, checksum)
-        if not checksum:
-            _check_digest(file, header)
-        yield Content(file, header, source)
+    path = Path(path)
+    try:
+        stored = path.open("rb")  # Python's own errors are clearer than HDF5's
+    except OSError as error:
+        raise StoreError(f"{path} cannot be read: {reason(error)}.") from error
+    try:
+        with stored:
+            on_disk = header_only or os.fstat(stored.fileno()).st_size > _LARGE_FILE
+            source = stored if on_disk else io.BytesIO(stored.read())
+            if source.read(8) != b"\x89HDF\r\n\x1a\n":
+                raise StoreError(f"{path} is not a results file of clunk: it is not HDF5.")
+            checksum = matches_checksum(source)  # before HDF5 sees it
+            with h5py.File(source, "r") as file:
+                if "schema_version" not in file.attrs or "sequence" not in file:
+                    raise StoreError(f"{path} is not a results file of clunk, although it is HDF5.")
+                version = int(file.attrs["schema_version"])
+                if version > NEWEST_VERSION:
+                    raise StoreError(
+                        f"{path} has schema version {version} and this clunk reads up to {NEWEST_VERSION}: "
+                        "a newer clunk is needed to read it."
+                    )
+                header = _header_of(file, checksum)
+                if not checksum and not header_only:
+                    _require_digest(file, header)
+                yield Content(file, header, source)
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError, MemoryError) as error:
+        raise StoreError(f"{path} is damaged ({reason(error)}): run the sweep again.") from error
 
 
 def map_of(file: h5py.File, header: Header) -> Results | ToleranceMap:
@@ -316,34 +321,6 @@ def _unpadded(variable: h5py.Dataset, counts: npt.NDArray[np.int32]) -> npt.NDAr
         mask = np.arange(variable.shape[-1]) < counts[start:stop, ..., None]
         flat[first[start] : first[stop]] = variable[start:stop][mask]
     return flat
-
-
-@contextmanager
-def _opened(path: str | os.PathLike[str]) -> Iterator[tuple[h5py.File, BinaryIO, bool]]:
-    """Open a file whose bytes match their checksum, if they have one: as HDF5, its bytes, whether they have one."""
-    path = Path(path)
-    try:
-        stored = path.open("rb")  # Python's own errors are clearer than HDF5's
-    except OSError as error:
-        raise StoreError(f"{path} cannot be read: {reason(error)}.") from error
-    try:
-        with stored:
-            source = stored if os.fstat(stored.fileno()).st_size > _LARGE_FILE else io.BytesIO(stored.read())
-            if source.read(8) != b"\x89HDF\r\n\x1a\n":
-                raise StoreError(f"{path} is not a results file of clunk: it is not HDF5.")
-            checksum = matches_checksum(source)  # before HDF5 sees it
-            with h5py.File(source, "r") as file:
-                if "schema_version" not in file.attrs or "sequence" not in file:
-                    raise StoreError(f"{path} is not a results file of clunk, although it is HDF5.")
-                version = int(file.attrs["schema_version"])
-                if version > NEWEST_VERSION:
-                    raise StoreError(
-                        f"{path} has schema version {version} and this clunk reads up to {NEWEST_VERSION}: "
-                        "a newer clunk is needed to read it."
-                    )
-                yield file, source, checksum
-    except (OSError, KeyError, ValueError, TypeError, RuntimeError, MemoryError) as error:
-        raise StoreError(f"{path} is damaged ({reason(error)}): run the sweep again.") from error
 
 
 def _header_of(file: h5py.File, checksum: bool) -> Header:
@@ -397,11 +374,11 @@ def _quantities(file: h5py.File) -> dict[str, Quantity]:
     return {name: quantity for name, quantity in quantities.items() if quantity.since <= version}
 
 
-def _check_digest(file: h5py.File, header: Header) -> None:
+def _require_digest(file: h5py.File, header: Header) -> None:
     """Raise ValueError where a file's data do not match their digest."""
-    digest = Digest((*header.axes, *header.coordinates, *header.sample), header.labels)
+    digest = Digest(header.axes + header.coordinates + header.sample, header.labels)
     for name in _quantities(file):
-        digest.begin(file[name])
+        digest.begin(name, file[name])
         for start, stop in row_blocks(file[name]):
             digest.add(file[name][start:stop])
     if digest.hexdigest() != header.content_digest:

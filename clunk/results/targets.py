@@ -1,4 +1,4 @@
-"""Where a command may write: found out before the work, not after it."""
+"""Checks of the files that a command is to write, before its work and not after it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from clunk.results.files import reason
+from clunk.results.files import writing
 from clunk.study.errors import ClunkError
 
 PICTURES = (".png", ".svg", ".pdf")
@@ -19,7 +19,7 @@ class TargetError(ClunkError):
 
 
 def check(target: Path, suffixes: Sequence[str], *, reads: Path | None = None) -> None:
-    """Refuse a target of another kind, one that is being read, a directory, or one in a place that takes no files.
+    """Refuse a file name of another suffix, a file that is being read, a directory, and a place that takes no files.
 
     Missing parent directories are made. Raises TargetError.
     """
@@ -29,16 +29,12 @@ def check(target: Path, suffixes: Sequence[str], *, reads: Path | None = None) -
         raise TargetError(f"{target} cannot be written: its name must end in {', '.join(suffixes)}.")
     if reads is not None and target.resolve() == reads.resolve():
         raise TargetError(f"{target} is what the command reads; -o must name another file.")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=target.parent):
-            pass
-    except OSError as error:
-        raise TargetError(f"{target} cannot be written: {reason(error)}.") from error
+    with writing(target, TargetError), tempfile.TemporaryFile(dir=target.parent):
+        pass
 
 
 def spare_a_sweep(target: Path) -> None:
-    """Refuse to put something else over a sweep's results. Raises TargetError."""
+    """Refuse a file that holds the results of a sweep. Raises TargetError."""
     if target.suffix.lower() not in RESULTS or not target.exists():
         return
     from clunk.results.store import StoreError, read_header

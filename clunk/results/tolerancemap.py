@@ -56,8 +56,9 @@ class ToleranceMap(Map):
         if not self.sample or len({len(each.values) for each in self.sample}) > 1:
             raise ValueError("the toleranced parameters need one sample")
         require_array("runs", self.runs, (*self.shape, len(self.labels) + 1), np.int32)
-        for name in ("nominal_sequence", "severity_mean", "severity_quantiles", "status"):
-            require_array(name, getattr(self, name), self.stored_shape(name), self.quantities[name].dtype)
+        for name in ("nominal_sequence", "severity_mean", "status"):
+            require_array(name, getattr(self, name), self.shape, TOLERANCE_QUANTITIES[name].dtype)
+        require_array("severity_quantiles", self.severity_quantiles, (*self.shape, len(QUANTILES)), np.float64)
         require_codes(self.labels, self.nominal_sequence)
         if self.runs.min() < 0 or (self.runs.sum(axis=-1) != self.draws).any():
             raise ValueError("the runs of a cell are not as many as the sample")
