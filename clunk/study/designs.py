@@ -124,10 +124,13 @@ def design_of_points(study: Study, points: Mapping[str, npt.ArrayLike]) -> Desig
         return design_of(walked)
     problems = []
     for place, message in findings:
-        axis, point = (*place[2:3], *place[4:5], None, None)[:2]
-        parameter = axes[axis]["parameter"] if isinstance(axis, int) else dotted(place)
-        at = f"point {point + 1}: " if isinstance(point, int) else ""
-        problems.append(Problem(parameter, None, at + message))
+        match place:
+            case ("sweep", "axes", int(axis), "values", int(point)):
+                problems.append(Problem([*columns][axis], None, f"point {point + 1}: {message}"))
+            case ("sweep", "axes", int(axis), *_):
+                problems.append(Problem([*columns][axis], None, message))
+            case _:
+                problems.append(Problem(dotted(place), None, message))
     raise report("this set of points", problems)
 
 

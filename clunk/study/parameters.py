@@ -36,13 +36,14 @@ def names_of(document: Mapping[str, Any]) -> Sequence[Any]:
 
 def parameters(document: Mapping[str, Any]) -> list[str]:
     """The parameters of a document."""
-    known: list[str] = []
+    known: list[Place] = []
     for pattern, key in keys().items():
-        if key.quantity is not None:
-            at = pattern.index(ITEM) if ITEM in pattern else 0
-            items = range(len(items_of(value_at(document, pattern[:at])))) if at else [ITEM]
-            known += [dotted(tuple(item if step == ITEM else step for step in pattern)) for item in items]
-    return known
+        places: list[Place] = [()] if key.quantity is not None else []
+        for step in pattern:
+            steps = {at: range(len(items_of(value_at(document, at)))) if step == ITEM else [step] for at in places}
+            places = [(*at, each) for at in places for each in steps[at]]
+        known += places
+    return [dotted(place) for place in known]
 
 
 def complaint(parameter: str, document: Mapping[str, Any]) -> str | None:
@@ -120,8 +121,8 @@ def quantity(parameter: str) -> Quantity:
     key = None if place is None else key_at(place)
     if place is None or key is None or key.quantity is None:
         raise _refusal(parameter, complaint(parameter, {"driveline": {"inertias": [1.0], "shafts": [{}]}}))
-    item = next((step + 1 for step in place if isinstance(step, int)), "")
-    return Quantity(key.quantity.name.format(item), key.quantity.symbol.format(item), key.quantity.unit)
+    items = [step + 1 for step in place if isinstance(step, int)]
+    return Quantity(key.quantity.name.format(*items), key.quantity.symbol.format(*items), key.quantity.unit)
 
 
 def _refusal(parameter: str, message: str | None) -> ConfigError:
