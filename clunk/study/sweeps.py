@@ -51,17 +51,15 @@ class Axis(Table):
         start, stop, count = self.start, self.stop, self.count
         spans = [key for key in ("start", "stop", "count", "scale") if getattr(self, key) is not None]
         if self.values is not None:
-            if spans:
-                text = f"values and {', '.join(spans)} are given together"
-                yield (), f"{text}; give either values, or start, stop and count"
+            text = f"values and {', '.join(spans)} are given together; give either values, or start, stop and count"
+            yield from [((), text)] if spans else []
         elif start is None or stop is None or count is None:
             missing = [key for key in ("start", "stop", "count") if getattr(self, key) is None]
             text = f"missing {' and '.join(missing)}" if spans else "no values are given"
             yield (), f"{text}; give start, stop and count, or values"
         elif self.scale == "log" and min(start, stop) <= 0.0:
-            for key, end in (("start", start), ("stop", stop)):
-                if end <= 0.0:
-                    yield (key,), f'found {end:g}; must be greater than 0 on an axis of scale "log"'
+            key, end = ("start", start) if start <= 0.0 else ("stop", stop)
+            yield (key,), f'found {end:g}; must be greater than 0 on an axis of scale "log"'
         elif count == 1 and start != stop:
             yield ("count",), f"one value cannot span {start:g} to {stop:g}; count must be 2 or greater"
         elif count > 1 and start == stop:
@@ -71,19 +69,15 @@ class Axis(Table):
 
     @property
     def count_of_values(self) -> int:
-        """How many values the axis has."""
-        if self.values is not None:
-            return len(self.values)
-        assert self.count is not None
-        return self.count
+        """Number of values that the axis has."""
+        return len(self.values) if self.values is not None else self.count or 0
 
     @property
     def ends(self) -> list[tuple[Place, float]]:
         """Least and greatest value, each with its place in the axis."""
-        if self.values is not None:
-            at = (self.values.index(min(self.values)), self.values.index(max(self.values)))
-            return [(("values", k), self.values[k]) for k in at]
-        return [((key,), value) for key in ("start", "stop") if (value := getattr(self, key)) is not None]
+        if self.values is None:
+            return [((key,), getattr(self, key)) for key in ("start", "stop")]
+        return [(("values", self.values.index(end)), end) for end in (min(self.values), max(self.values))]
 
     @property
     def grid(self) -> FloatArray:

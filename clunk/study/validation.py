@@ -14,23 +14,21 @@ from clunk.study.tables import Finding
 Model = TypeVar("Model", bound=BaseModel)
 
 
-def validated(
-    model: type[Model], table: Any, driveline: Any = None, at: Place = ()
-) -> tuple[Model | None, list[Finding]]:
-    """The model of a table, or what is wrong with it.
+def validated(model: type[Model], table: Any, driveline: Any = None) -> tuple[Model | None, list[Finding]]:
+    """Validate the tables of a config: their model, or what is wrong with them.
 
-    driveline : the table of the inertias and their names, which `table` may refer to by name
-    at : place of the table in the config
+    driveline : the table of the inertias and their names, by which other tables may refer to them
     """
     try:
         return model.model_validate(_with_tuples(table), context=driveline), []
     except ValidationError as error:
-        errors = [(*_place((*at, *detail["loc"])), detail) for detail in error.errors(include_url=False)]
+        errors = [(*_place(detail["loc"]), detail) for detail in error.errors(include_url=False)]
     unknown = {place: _likely_key(place) for place, _, detail in errors if detail["type"] == "extra_forbidden"}
     findings: list[Finding] = []
     for place, variant, detail in errors:
         # one mistake, one error: a misspelt key is not missing too, nor a list of wrong items too short
-        is_list_of_wrong = detail["type"] == "too_short" and any(place in _around(other) for other, _, _ in errors)
+        inner = [other for other, _, _ in errors if len(other) > len(place) and other[: len(place)] == place]
+        is_list_of_wrong = detail["type"] == "too_short" and bool(inner)
         if detail["type"] == "clunk":
             findings += [((*place, *below), message) for below, message in detail["ctx"]["findings"]]
         elif place in unknown:
@@ -38,10 +36,6 @@ def validated(
         elif place not in unknown.values() and not is_list_of_wrong:
             findings.append(_wrong_value(place, variant, detail))
     return None, sorted(findings, key=lambda finding: finding[0] not in unknown)
-
-
-def _around(place: Place) -> list[Place]:
-    return [place[:k] for k in range(len(place))]
 
 
 def _with_tuples(node: Any) -> Any:
