@@ -110,7 +110,7 @@ def get_value(config: Config, parameter: str) -> float:
 
 
 def quantity(parameter: str) -> Quantity:
-    """What a parameter measures; the unit is one that udunits reads.
+    """Name, symbol and unit of what a parameter measures; the unit is one that udunits reads.
 
     Raises
     ------

@@ -142,27 +142,22 @@ def _swept(config: Config) -> Iterator[Finding]:
         return
     document = config.model_dump(exclude={"sweep"})
     swept: dict[str, Place] = {}
-    for k, axis in enumerate(config.sweep.axes):
-        at: Place = ("sweep", "axes", k)
-        text = complaint(axis.parameter, document) or torque_complaint(axis.parameter, config)
-        if text is None and axis.parameter in swept:
-            text = f"{axis.parameter} is swept by {dotted(swept[axis.parameter])} already"
-        if text is not None:
-            yield (*at, "parameter"), text
-            continue
-        swept[axis.parameter] = at
-        yield from (((*at, *where), message) for where, message in _range(axis, config))
     drawn: dict[str, Place] = {}
-    for table, draws in (("samples", config.sweep.samples), ("tolerances", config.sweep.tolerances)):
-        for k, draw in enumerate(draws):
-            at = ("sweep", table, k)
-            text = complaint(draw.parameter, document) or torque_complaint(draw.parameter, config)
-            text = text or _undrawable(draw, table, swept, config)
-            if text is None and draw.parameter in drawn:
-                text = f"{draw.parameter} is drawn by {dotted(drawn[draw.parameter])} already"
+    for name, taken, verb in (("axes", swept, "swept"), ("samples", drawn, "drawn"), ("tolerances", drawn, "drawn")):
+        for k, entry in enumerate(getattr(config.sweep, name)):
+            at: Place = ("sweep", name, k)
+            parameter = entry.parameter
+            text = complaint(parameter, document) or torque_complaint(parameter, config)
+            if text is None and name != "axes":
+                text = _undrawable(entry, name, swept, config)
+            if text is None and parameter in taken:
+                text = f"{parameter} is {verb} by {dotted(taken[parameter])} already"
             if text is not None:
                 yield (*at, "parameter"), text
-            drawn.setdefault(draw.parameter, at)
+                continue
+            taken[parameter] = at
+            if name == "axes":
+                yield from (((*at, *where), message) for where, message in _range(entry, config))
 
 
 def _range(axis: Axis, config: Config) -> Iterator[Finding]:
@@ -194,7 +189,7 @@ def _undrawable(draw: Draw, table: str, swept: Mapping[str, Place], config: Conf
 
 
 def _drawn(config: Config) -> Iterator[Finding]:
-    """Whatever is drawn is allowed: the sample is known beforehand, and its least and largest values are looked at."""
+    """Drawn values are allowed: the sample is known beforehand, and its least and largest values are looked at."""
     sweep = config.sweep
     if sweep is None or not (sweep.samples or sweep.tolerances):
         return
@@ -203,8 +198,8 @@ def _drawn(config: Config) -> Iterator[Finding]:
     axes = {axis.parameter: axis.grid for axis in sweep.axes}
     document = config.model_dump(exclude={"sweep"})
     for k, draw in enumerate(draws):
-        place, key, own = located(config, draw.parameter)
-        nominal = axes.get(draw.parameter, np.array([own]))
+        place, key, value_of_study = located(config, draw.parameter)
+        nominal = axes.get(draw.parameter, np.array([value_of_study]))
         drawn = draw.quantiles(points[:, k], float(nominal[0]))  # around a swept value it does not use this
         values = draw.applied(drawn[:, None], np.array([nominal.min(), nominal.max()]))
         for value in (float(values.min()), float(values.max())):

@@ -29,7 +29,7 @@ class Study(Config):
         yield from broken_rules(self)
 
     def summary(self) -> Rows:
-        """What is computed, for people: (name, value) pairs."""
+        """Summary of the study for people, as (name, value) pairs."""
         lash, load, solver, contact = self.lash, self.load, self.solver, self.lash.contact
         model = f"restitution, e = {contact.restitution:g}"
         if contact.model == "indentation":

@@ -1,4 +1,4 @@
-"""What an object says of itself: a heading and named values, as text for a shell and as HTML for a notebook."""
+"""Summaries of objects: a heading and named values, as text for a shell and as HTML for a notebook."""
 
 from __future__ import annotations
 

@@ -240,7 +240,7 @@ class Sampling(Table):
 
 
 class Sweep(Table):
-    """What is run.
+    """Runs of a sweep: swept keys, and drawn ones.
 
     design : the product of the axes, or ("zip") the axes of equal length walked together
     axes : in order

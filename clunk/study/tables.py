@@ -50,7 +50,7 @@ class Table(BaseModel):
 
 @dataclass(frozen=True)
 class Quantity:
-    """What a numeric key measures; only such keys can be swept, drawn or replaced.
+    """Name, symbol and unit of what a numeric key measures; only such keys can be swept, drawn or replaced.
 
     name, symbol : for people, e.g. ``load ratio`` and ``σr = Td/Ts``; ``{}`` stands for an item's number
     unit : as udunits reads it, ``1`` for none
