@@ -48,7 +48,9 @@ class DrivelineConfig(Table):
 
 
 class Contact(Table):
-    """Contact of the flanks: a spring and damper, or impacts of rigid flanks. Keys that the model does not use are checked all the same.
+    """Contact of the flanks: a spring and damper, or impacts of rigid flanks.
+
+    Keys that the model does not use are checked all the same.
 
     stiffness, damping : float, at the radius
     separation : the flanks part when the gap opens, or when the contact force would turn tensile
