@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.results.labels import FAILED, FAILED_CODE
-from clunk.results.quantities import Quantity
 from clunk.study.axes import RUN, ResultAxis
 from clunk.study.summaries import Rows, as_html, as_text, html_table
 
@@ -19,10 +18,8 @@ Index = tuple[slice, ...]
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Map(ABC):
-    """A map over one or more swept parameters, base of `Results` and `ToleranceMap`.
-
-    "Shape" is the axes' counts in order.
+class Description:
+    """Title, swept parameters, labels, config and provenance of a map: all but its arrays.
 
     title : str
     axes : one or more `ResultAxis`
@@ -31,11 +28,8 @@ class Map(ABC):
     config, config_digest : the resolved TOML and its digest
     attributes : versions, date and machine, by name
 
-    Raises ValueError where these do not belong together, or an array has not the shape or dtype of its quantity.
+    Raises ValueError where these do not belong together.
     """
-
-    quantities: ClassVar[Mapping[str, Quantity]]  # those that its file has
-    measure: ClassVar[str]  # heading of what `label_rows` says of each label
 
     title: str
     axes: tuple[ResultAxis, ...]
@@ -68,6 +62,12 @@ class Map(ABC):
         """The swept parameters: the axes, and in the place of `run` its coordinates."""
         return parameters_of(self.axes, self.coordinates)
 
+
+class Map(Description, ABC):
+    """A map over one or more swept parameters, base of `Results` and `ToleranceMap`."""
+
+    _measure: ClassVar[str]  # heading of the texts of `_label_rows`
+
     def at(self, values: Mapping[str, float]) -> Self:
         """Slice at some axes' values, the nearest of each: ``results.at({"lash.contact.stiffness": 4e5})``.
 
@@ -89,30 +89,16 @@ class Map(ABC):
             self,
             axes=tuple(replace(axis, values=axis.values[part]) for axis, part in zip(self.axes, index, strict=True)),
             coordinates=tuple(replace(axis, values=axis.values[run]) for axis in self.coordinates),
-            **self.arrays_at(tuple(index)),
+            **self._arrays_at(tuple(index)),
         )
 
     @abstractmethod
-    def arrays_at(self, index: Index) -> dict[str, Any]:
+    def _arrays_at(self, index: Index) -> dict[str, Any]:
         """Arrays of the slice at these positions on the axes, by field."""
 
     @abstractmethod
-    def counts(self) -> dict[str, int]:
-        """Number of cells of each label, in the labels' order, and last of ``failed`` (also where it is 0)."""
-
-    @abstractmethod
-    def label_rows(self) -> Rows:
-        """Pairs of a label and how much of the map it takes, for people."""
-
-    @property
-    @abstractmethod
-    def dimensions(self) -> dict[str, npt.NDArray[Any]]:
-        """Coordinates of the dimensions that the map's file has besides the axes."""
-
-    def rows(self, name: str, start: int, stop: int) -> npt.NDArray[Any]:
-        """Values of a quantity in the rows `start` to `stop` of the first axis, as the file has them."""
-        values: npt.NDArray[Any] = getattr(self, name)[start:stop]
-        return values
+    def _label_rows(self) -> Rows:
+        """Pairs of a label and its part of the map, for people."""
 
     def summary(self) -> Rows:
         """Pairs of a name and a value that describe the map, for people."""
@@ -120,10 +106,10 @@ class Map(ABC):
         return rows + [(axis.parameter, f"{axis.spread}, along {RUN}") for axis in self.coordinates]
 
     def __repr__(self) -> str:
-        return as_text(f"clunk.{type(self).__name__} {self.title!r}", [*self.summary(), *self.label_rows()])
+        return as_text(f"clunk.{type(self).__name__} {self.title!r}", [*self.summary(), *self._label_rows()])
 
     def _repr_html_(self) -> str:
-        return as_html(self.title, html_table(self.summary()), html_table(self.label_rows(), ("label", self.measure)))
+        return as_html(self.title, html_table(self.summary()), html_table(self._label_rows(), ("label", self._measure)))
 
 
 def parameters_of(axes: Sequence[ResultAxis], coordinates: Sequence[ResultAxis]) -> tuple[ResultAxis, ...]:

@@ -46,12 +46,12 @@ def write_file(
                 fill(file)
             target.truncate(room.end)
             checksum = trailer(blocks(target, room.end))
-            target.write(checksum)
         else:
-            target.write(image.getbuffer())
-            target.write(trailer([image.getbuffer()]))
+            image = image_of(fill).getbuffer()
+            target.write(image)
+            checksum = trailer([image])
+        target.write(checksum)
 
-    image = io.BytesIO() if large else image_of(fill)
     write_whole(path, write, scratch)
 
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from clunk.core.status import QUALITY_INFERRED, QUALITY_MEANINGS, Status
 from clunk.results.labels import FAILED
 from clunk.results.maps import Index, Map, count_labels, require_array, require_codes, share, values_at
-from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES, REGIME_QUANTITIES, Quantity
+from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.study.summaries import Rows
 
 
@@ -44,8 +44,7 @@ class Results(Map):
     Raises ValueError where an array's shape or dtype is not the one above, or a code has no label.
     """
 
-    quantities: ClassVar[Mapping[str, Quantity]] = REGIME_QUANTITIES
-    measure: ClassVar[str] = "cells"
+    _measure: ClassVar[str] = "cells"
 
     sequence: npt.NDArray[np.int16]
     severity: npt.NDArray[np.float64]
@@ -91,8 +90,7 @@ class Results(Map):
         np.cumsum(self.primary_impacts.ravel(), out=first[1:])
         return first
 
-    def arrays_at(self, index: Index) -> dict[str, Any]:
-        """Arrays of the slice at these positions on the axes, by field."""
+    def _arrays_at(self, index: Index) -> dict[str, Any]:
         cells = np.arange(self.sequence.size).reshape(self.shape)[index].ravel()
         count, first = np.diff(self.first_impact)[cells], self.first_impact[cells]
         begin = np.cumsum(count) - count  # of each cell's impacts in the slice
@@ -162,19 +160,9 @@ class Results(Map):
         counts = {name: int(np.count_nonzero(self.quality & bit)) for bit, name in QUALITY_MEANINGS.items()}
         return rows + [(name, share(count, self.sequence.size)) for name, count in counts.items() if count]
 
-    def label_rows(self) -> Rows:
-        """Pairs of a label and its number and share of cells, for people."""
+    def _label_rows(self) -> Rows:
         cells = self.sequence.size
         return [(label, share(n, cells)) for label, n in self.counts().items() if n or label != FAILED]
-
-    @property
-    def dimensions(self) -> dict[str, npt.NDArray[Any]]:
-        """Coordinates of the dimensions that the map's file has besides the axes."""
-        return {"impact": np.arange(1, self.max_impacts + 1, dtype=np.int32)}
-
-    def rows(self, name: str, start: int, stop: int) -> npt.NDArray[Any]:
-        """Values of a quantity in the rows `start` to `stop` of the first axis, impacts padded as in the file."""
-        return self.padded(name, start, stop) if name in IMPACT_QUANTITIES else super().rows(name, start, stop)
 
     def padded(self, name: str, start: int = 0, stop: int | None = None) -> npt.NDArray[Any]:
         """Array of an `impact_…` quantity as shape + (max_impacts,), padded with NaN (floats) or 0 (integers).

@@ -6,6 +6,7 @@ reading: what is missing, foreign, newer or damaged ends in a `StoreError` whose
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import io
 import os
@@ -21,7 +22,8 @@ import numpy.typing as npt
 
 from clunk.results.checksum import matches_checksum
 from clunk.results.files import reason, writing
-from clunk.results.maps import count_labels, require_array, require_codes
+from clunk.results.labels import FAILED
+from clunk.results.maps import Description, count_labels, require_array, require_codes
 from clunk.results.netcdf import (
     CONVENTIONS,
     ChunkWriter,
@@ -37,7 +39,7 @@ from clunk.results.netcdf import (
 )
 from clunk.results.quantities import REGIME_QUANTITIES, TOLERANCE_QUANTITIES, Quantity
 from clunk.results.regimemap import Results
-from clunk.results.tolerancemap import ToleranceMap
+from clunk.results.tolerancemap import QUANTILES, ToleranceMap
 from clunk.study.axes import RUN, ResultAxis
 from clunk.study.errors import ClunkError
 
@@ -63,29 +65,19 @@ class StoreError(ClunkError):
     """A results file that cannot be read or written; its text is one sentence for the user."""
 
 
-@dataclass(frozen=True, eq=False)
-class Header:
-    """Description of a results file, without its large arrays.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Header(Description):
+    """Description of the map in a results file.
 
-    title, config, config_digest, content_digest : str
-    axes, coordinates : the swept parameters, as those of `Map`
-    labels : code -> label
     counts : label -> number of cells, ``failed`` last; of a tolerance map, cells in which it is the most likely one
-    attributes : versions, date and machine
+    content_digest : SHA-256 of axes, labels and arrays
     tolerance_map : whether the file holds a tolerance map
     sample : of a tolerance map, as that of `ToleranceMap`; else empty
     checksum : whether the file has a checksum, which its bytes match: another program that changes it takes it away
     """
 
-    title: str
-    axes: tuple[ResultAxis, ...]
-    coordinates: tuple[ResultAxis, ...]
-    labels: tuple[str, ...]
     counts: dict[str, int]
-    config: str
-    config_digest: str
     content_digest: str
-    attributes: dict[str, str]
     tolerance_map: bool
     sample: tuple[ResultAxis, ...]
     checksum: bool
@@ -179,7 +171,14 @@ def check(path: str | os.PathLike[str]) -> Header:
 
 
 def _fill(file: Image, results: Results | ToleranceMap) -> None:
-    sample = results.sample if isinstance(results, ToleranceMap) else ()
+    sample: tuple[ResultAxis, ...] = ()
+    if isinstance(results, Results):
+        quantities = REGIME_QUANTITIES
+        dimensions = {"impact": np.arange(1, results.max_impacts + 1, dtype=np.int32)}
+    else:
+        quantities, sample = TOLERANCE_QUANTITIES, results.sample
+        draws = np.arange(1, results.draws + 1, dtype=np.int32)
+        dimensions = {"label": np.array([*results.labels, FAILED]), "quantile": np.array(QUANTILES), "draw": draws}
     set_text(file, "title", results.title)
     set_text(file, "Conventions", CONVENTIONS)
     file.attrs["schema_version"] = np.int32(NEWEST_VERSION if sample else SCHEMA_VERSION)
@@ -196,7 +195,7 @@ def _fill(file: Image, results: Results | ToleranceMap) -> None:
     along = {axis.parameter: [scale] for axis, scale in zip(results.axes, axes, strict=True)}
     for axis in results.coordinates:
         create_variable(file, axis.variable, np.float64, _attributes(axis), along[RUN])[:] = axis.values
-    scales = {name: create_scale(file, name, values, _DIMENSIONS[name]) for name, values in results.dimensions.items()}
+    scales = {name: create_scale(file, name, values, _DIMENSIONS[name]) for name, values in dimensions.items()}
     if sample:
         set_text(scales["draw"], "sample", " ".join(_DRAWN + axis.variable for axis in sample))
     for axis in sample:
@@ -206,7 +205,7 @@ def _fill(file: Image, results: Results | ToleranceMap) -> None:
     digest = Digest(results.axes + results.coordinates + sample, results.labels)
     coordinates = " ".join(axis.variable for axis in results.coordinates)
     with ChunkWriter(file) as chunks:
-        for name, each in results.quantities.items():
+        for name, each in quantities.items():
             attributes = {"units": each.unit, "long_name": each.long_name}
             attributes |= {"coordinates": coordinates} if coordinates else {}
             further = [scales[each.dimension]] if each.dimension else []
@@ -215,7 +214,10 @@ def _fill(file: Image, results: Results | ToleranceMap) -> None:
             digest.begin(name, variable)
             # A block of rows at a time: padded whole, the impacts would be most of a large map's memory.
             for start, stop in row_blocks(variable):
-                block = results.rows(name, start, stop)
+                if isinstance(results, Results) and each.dimension == "impact":
+                    block = results.padded(name, start, stop)
+                else:
+                    block = getattr(results, name)[start:stop]
                 chunks.write(variable, start, block)
                 digest.add(block)
     set_text(file, "content_digest", digest.hexdigest())
@@ -295,19 +297,17 @@ def opened(path: str | os.PathLike[str], *, header_only: bool = False) -> Iterat
 
 def map_of(file: h5py.File, header: Header) -> Results | ToleranceMap:
     """Read the map of an open file. Raises ValueError where it cannot be one."""
-    common = ("title", "axes", "coordinates", "labels", "config", "config_digest", "attributes")
-    fields: dict[str, Any] = {name: getattr(header, name) for name in common}
+    described: dict[str, Any] = {field.name: getattr(header, field.name) for field in dataclasses.fields(Description)}
+    arrays: dict[str, Any] = {}
     for name, quantity in _quantities(file).items():
-        if quantity.dimension == "impact":
-            fields[name] = _unpadded(file[name], fields["primary_impacts"])
-        else:
-            fields[name] = file[name][()]
+        in_impacts = quantity.dimension == "impact"
+        arrays[name] = _unpadded(file[name], arrays["primary_impacts"]) if in_impacts else file[name][()]
     if not header.tolerance_map:
-        fields |= {name: np.full(fields["sequence"].shape, np.nan) for name in REGIME_QUANTITIES if name not in fields}
-        return Results(**fields)
-    probability, sequence = fields.pop("probability"), fields.pop("sequence")
+        arrays |= {name: np.full(header.shape, np.nan) for name in REGIME_QUANTITIES if name not in arrays}
+        return Results(**described, **arrays)
+    probability, sequence = arrays.pop("probability"), arrays.pop("sequence")
     runs = np.rint(probability * len(header.sample[0].values)).astype(np.int32)
-    tolerances = ToleranceMap(sample=header.sample, runs=runs, **fields)
+    tolerances = ToleranceMap(sample=header.sample, runs=runs, **described, **arrays)
     if not np.array_equal(tolerances.sequence, sequence):
         raise ValueError("sequence is not what is most probable")
     return tolerances

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -12,7 +11,7 @@ import numpy.typing as npt
 
 from clunk.results.labels import FAILED, FAILED_CODE, double_sided
 from clunk.results.maps import Index, Map, count_labels, require_array, require_codes, share
-from clunk.results.quantities import TOLERANCE_QUANTITIES, Quantity
+from clunk.results.quantities import TOLERANCE_QUANTITIES
 from clunk.study.axes import ResultAxis
 from clunk.study.summaries import Rows
 
@@ -41,8 +40,7 @@ class ToleranceMap(Map):
     not N.
     """
 
-    quantities: ClassVar[Mapping[str, Quantity]] = TOLERANCE_QUANTITIES
-    measure: ClassVar[str] = "probability"
+    _measure: ClassVar[str] = "probability"
 
     sample: tuple[ResultAxis, ...]
     runs: npt.NDArray[np.int32]
@@ -63,16 +61,9 @@ class ToleranceMap(Map):
         if self.runs.min() < 0 or (self.runs.sum(axis=-1) != self.draws).any():
             raise ValueError("the runs of a cell are not as many as the sample")
 
-    def arrays_at(self, index: Index) -> dict[str, Any]:
-        """Arrays of the slice at these positions on the axes, by field."""
+    def _arrays_at(self, index: Index) -> dict[str, Any]:
         names = ("runs", "nominal_sequence", "severity_mean", "severity_quantiles", "status")
         return {name: np.ascontiguousarray(getattr(self, name)[index]) for name in names}
-
-    @property
-    def dimensions(self) -> dict[str, npt.NDArray[Any]]:
-        """Coordinates of the dimensions that the map's file has besides the axes."""
-        draws = np.arange(1, self.draws + 1, dtype=np.int32)
-        return {"label": np.array([*self.labels, FAILED]), "quantile": np.array(QUANTILES), "draw": draws}
 
     @property
     def draws(self) -> int:
@@ -127,8 +118,7 @@ class ToleranceMap(Map):
         drawn = [(each.parameter, f"drawn {each.spread}") for each in self.sample]
         return [*super().summary(), *drawn, (f"below {CERTAIN:.0%}", share(self.uncertain, self.sequence.size))]
 
-    def label_rows(self) -> Rows:
-        """Pairs of a label and its share of all runs, for people."""
+    def _label_rows(self) -> Rows:
         shares = self.shares().items()
         return [(label, f"{part:.4%} of all runs") for label, part in shares if part or label != FAILED]
 
