@@ -69,14 +69,10 @@ def assert_same(left: Results, right: Results) -> None:
         np.testing.assert_array_equal(getattr(left, name), getattr(right, name), strict=True, err_msg=name)
     for name in ("title", "labels", "config", "config_digest", "attributes"):
         assert getattr(left, name) == getattr(right, name)
-    for mine, theirs in zip(left.axes, right.axes, strict=True):
-        np.testing.assert_array_equal(mine.values, theirs.values, strict=True)
-        assert (mine.parameter, mine.name, mine.symbol, mine.unit) == (
-            theirs.parameter,
-            theirs.name,
-            theirs.symbol,
-            theirs.unit,
-        )
+    for one, other in zip(left.axes, right.axes, strict=True):
+        np.testing.assert_array_equal(one.values, other.values, strict=True)
+        for name in ("parameter", "name", "symbol", "unit"):
+            assert getattr(one, name) == getattr(other, name)
 
 
 AXES = [(RATIO,), (RATIO, BACKLASH), (INERTIA, RATIO, BACKLASH)]
@@ -569,9 +565,9 @@ def test_chunks_are_what_hdf5_would_have_made_of_them(tmp_path: Path) -> None:
 
     def fill(file: netcdf.Image) -> None:
         variable = file.create_dataset("x", values.shape, "<f8", chunks=(2, 3, 2), compression="gzip", shuffle=True)
-        with netcdf.ChunkWriter(file) as chunks:
+        with netcdf.chunk_writer(file) as write:
             for start in range(0, 5, 2):
-                chunks.write(variable, start, values[start : start + 2])
+                write(variable, start, values[start : start + 2])
 
     netcdf.write_file(tmp_path / "x.h5", fill)
     with h5py.File(tmp_path / "x.h5") as file:

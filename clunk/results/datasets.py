@@ -17,16 +17,15 @@ if TYPE_CHECKING:
 
 
 def open_results(path: str | os.PathLike[str]) -> Dataset | Results | ToleranceMap:
-    """The results in a file, for looking at them: an xarray Dataset, or `Results` where xarray is not installed.
+    """Open a results file as an xarray Dataset, or as `Results` or `ToleranceMap` where xarray is not installed.
 
-    The file is read whole, compared with its checksum and digest, and closed again: 45 bytes a cell, and 25 a primary
-    impact for as many of these as the cell that has most. So nothing that happens to it later, like the next sweep into
-    it, can change or break what is in hand.
+    The file is checked and read whole (45 bytes a cell, and 25 a primary impact for as many of these as the cell that
+    has most) and closed again, so that nothing that happens to it later changes the Dataset.
 
-    In the Dataset each variable is an array over the swept parameters, whose dotted names have become ``load_ratio``
-    and the like; ``attrs`` tell units and what is meant. `label` is text and `sequence` its code; ``failed`` and -1
-    stand for a failed cell, whose numbers are NaN and whose `status` tells the cause. Of a tolerance map, `label` is a
-    dimension of `probability`, and `most_likely_label` the text.
+    Each variable is an array over the swept parameters, whose dotted names have become ``load_ratio`` and the like; its
+    ``attrs`` have units and a description. `label` is text and `sequence` its code, ``failed`` and -1 in a cell whose
+    run failed for the cause in `status`; its numbers are NaN. Of a tolerance map, `label` is a dimension of
+    `probability`, and `most_likely_label` the text.
 
     Parameters
     ----------
@@ -46,12 +45,12 @@ def open_results(path: str | os.PathLike[str]) -> Dataset | Results | ToleranceM
     >>> import clunk
     >>> study = clunk.load_study("configs/smoke.toml")
     >>> results = clunk.sweep(study, "results/smoke.h5")
-    >>> found = clunk.open_results("results/smoke.h5")
-    >>> dict(found.sizes)
+    >>> dataset = clunk.open_results("results/smoke.h5")
+    >>> dict(dataset.sizes)
     {'load_ratio': 21, 'lash_backlash_deg': 21, 'impact': 6}
-    >>> found.label.sel(load_ratio=5.0, lash_backlash_deg=6.0).item()
+    >>> dataset.label.sel(load_ratio=5.0, lash_backlash_deg=6.0).item()
     'DS(1)SS(1)'
-    >>> found.severity.where(found.label == "SS(1)").max().item() < found.severity.max().item()
+    >>> dataset.severity.where(dataset.label == "SS(1)").max().item() < dataset.severity.max().item()
     True
     """
     with opened(path) as (file, header, source):
@@ -59,7 +58,7 @@ def open_results(path: str | os.PathLike[str]) -> Dataset | Results | ToleranceM
 
 
 def to_dataset(results: Results) -> Dataset:
-    """The Dataset that `open_results` makes of a file with these results.
+    """Convert results to the xarray Dataset that `open_results` makes of their file.
 
     Raises
     ------
@@ -69,8 +68,8 @@ def to_dataset(results: Results) -> Dataset:
     Examples
     --------
     >>> import clunk
-    >>> found = clunk.to_dataset(clunk.sweep(clunk.load_study("configs/smoke.toml")))
-    >>> found.severity.attrs["units"]
+    >>> dataset = clunk.to_dataset(clunk.sweep(clunk.load_study("configs/smoke.toml")))
+    >>> dataset.severity.attrs["units"]
     'rad s-2'
     """
     if not _has_xarray():
@@ -79,11 +78,10 @@ def to_dataset(results: Results) -> Dataset:
 
 
 def _dataset(source: str | os.PathLike[str] | BinaryIO) -> Dataset:
-    """What xarray makes of a results file, and its labels as text; whatever else a file has comes with it."""
+    """Load a results file with xarray, whatever variables it has, and add its labels as text."""
     import xarray
 
-    with xarray.open_dataset(source, engine="h5netcdf") as opened:
-        dataset = opened.load()
+    dataset = xarray.load_dataset(source, engine="h5netcdf")
     codes = dataset["sequence"]
     words = dict(zip(codes.attrs["flag_values"].tolist(), codes.attrs["flag_meanings"].split(), strict=True))
     ordered = np.array([words[code] for code in sorted(words)])

@@ -15,7 +15,7 @@ from clunk.study.errors import ClunkError
 def write_whole(path: str | os.PathLike[str], write: Callable[[BinaryIO], object], scratch: Path | None = None) -> None:
     """Write a file so that at every moment `path` is either the old file or the complete new one.
 
-    What `write` puts into the file goes to `scratch`, a directory of the same file system (by default the one of
+    The content goes to `scratch`, a directory of the same file system (by default the one of
     `path`), under a temporary name, is flushed to the disk, then renamed.
     Raises OSError; then, and on an interrupt, the temporary file is removed.
     """

@@ -1,4 +1,4 @@
-"""A run's history as a file: comma-separated values, or HDF5 laid out as netCDF-4."""
+"""Files of a run's history: comma-separated values, or HDF5 laid out as netCDF-4."""
 
 import os
 from typing import BinaryIO
@@ -50,7 +50,7 @@ def save_csv(path: str | os.PathLike[str], history: History, trajectory: Traject
 
 
 def event_name(trajectory: Trajectory, k: int) -> str:
-    """What event `k` is, a touch with its rank: primary touch or secondary touch."""
+    """Name of event `k`, of a touch with its rank: primary touch or secondary touch."""
     name = trajectory.kind_name(k)
     if trajectory.events["kind"][k] != TOUCH:
         return name

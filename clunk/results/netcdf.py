@@ -9,9 +9,10 @@ import zlib
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
-from typing import Any, BinaryIO, Self
+from typing import Any, BinaryIO
 
 import h5py
 import numpy as np
@@ -42,7 +43,7 @@ def write_file(
     def write(target: BinaryIO) -> None:
         if large:
             room = _Room(target)
-            with Image(room) as file:
+            with Image(room, room.reserve) as file:
                 fill(file)
             target.truncate(room.end)
             checksum = trailer(blocks(target, room.end))
@@ -64,18 +65,12 @@ def image_of(fill: Callable[[Image], None]) -> io.BytesIO:
 
 
 class Image(h5py.File):  # type: ignore[misc]  # h5py has no type information
-    """HDF5 file that is being filled, in memory or in room that is reserved on the disk."""
+    """HDF5 file that is being filled; reserve : to be called before each chunk, sees to room on the disk."""
 
-    def __init__(self, target: io.BytesIO | _Room) -> None:
-        self._target = target
-        if isinstance(target, _Room):
-            target.reserve()
+    def __init__(self, target: io.BytesIO | _Room, reserve: Callable[[], None] = lambda: None) -> None:
+        reserve()
+        self.reserve = reserve
         super().__init__(target, "w", track_order=True)  # netCDF-4 asks for creation order
-
-    def reserve(self) -> None:
-        """Reserve room on the disk, to be called before each chunk is written. Raises OSError."""
-        if isinstance(self._target, _Room):
-            self._target.reserve()
 
 
 class _Room:
@@ -107,46 +102,39 @@ class _Room:
         return size
 
 
-class ChunkWriter:
-    """Writer of variables that compresses their chunks on every core; all is written when its context is left.
+@contextmanager
+def chunk_writer(file: Image) -> Iterator[Callable[[h5py.Dataset, int, npt.NDArray[Any]], None]]:
+    """Make a function that writes rows, compressing chunks on every core; all are written when the context is left.
 
-    HDF5 compresses on one thread; zlib lets go of the interpreter lock.
+    ``write(variable, start, rows)`` writes from row `start`; where the variable is chunked, `start` and the end are
+    between chunks. HDF5 compresses on one thread; zlib lets go of the interpreter lock.
     """
+    cores = min(os.cpu_count() or 1, 8)
+    running: deque[tuple[h5py.Dataset, tuple[int, ...], Future[bytes]]] = deque()
 
-    def __init__(self, file: Image) -> None:
-        self._file = file
-        cores = os.cpu_count() or 1
-        self._pool = ThreadPoolExecutor(min(cores, 8), thread_name_prefix="clunk-zlib")
-        self._most = 4 * min(cores, 8)  # chunks in memory
-        self._running: deque[tuple[h5py.Dataset, tuple[int, ...], Future[bytes]]] = deque()
+    def drain(left: int) -> None:
+        while len(running) > left:
+            variable, place, chunk = running.popleft()
+            file.reserve()
+            variable.id.write_direct_chunk(place, chunk.result())
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
-        try:
-            if kind is None:
-                self._drain(0)
-        finally:
-            self._pool.shutdown(cancel_futures=True)
-
-    def write(self, variable: h5py.Dataset, start: int, rows: npt.NDArray[Any]) -> None:
-        """Write `rows` to `variable[start:]`; where it is chunked, `start` and the end are between chunks."""
+    def write(variable: h5py.Dataset, start: int, rows: npt.NDArray[Any]) -> None:
         if variable.chunks is None:
             variable[start : start + len(rows)] = rows
             return
         rows = rows.astype(variable.dtype, copy=False)
         for offset in product(*(range(0, n, step) for n, step in zip(rows.shape, variable.chunks, strict=True))):
             part = rows[tuple(slice(at, at + step) for at, step in zip(offset, variable.chunks, strict=True))]
-            place = (start + offset[0], *offset[1:])
-            self._running.append((variable, place, self._pool.submit(_deflated, part, variable.chunks)))
-            self._drain(self._most)
+            chunk = pool.submit(_deflated, part, variable.chunks)
+            running.append((variable, (start + offset[0], *offset[1:]), chunk))
+            drain(4 * cores)
 
-    def _drain(self, left: int) -> None:
-        while len(self._running) > left:
-            variable, place, chunk = self._running.popleft()
-            self._file.reserve()
-            variable.id.write_direct_chunk(place, chunk.result())
+    pool = ThreadPoolExecutor(cores, thread_name_prefix="clunk-zlib")
+    try:
+        yield write
+        drain(0)
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _deflated(part: npt.NDArray[Any], shape: tuple[int, ...]) -> bytes:

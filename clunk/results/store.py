@@ -26,8 +26,8 @@ from clunk.results.labels import FAILED
 from clunk.results.maps import Description, count_labels, require_array, require_codes
 from clunk.results.netcdf import (
     CONVENTIONS,
-    ChunkWriter,
     Image,
+    chunk_writer,
     create_scale,
     create_variable,
     get_text,
@@ -204,7 +204,7 @@ def _fill(file: Image, results: Results | ToleranceMap) -> None:
 
     digest = Digest(results.axes + results.coordinates + sample, results.labels)
     coordinates = " ".join(axis.variable for axis in results.coordinates)
-    with ChunkWriter(file) as chunks:
+    with chunk_writer(file) as write_rows:
         for name, each in quantities.items():
             attributes = {"units": each.unit, "long_name": each.long_name}
             attributes |= {"coordinates": coordinates} if coordinates else {}
@@ -218,7 +218,7 @@ def _fill(file: Image, results: Results | ToleranceMap) -> None:
                     block = results.padded(name, start, stop)
                 else:
                     block = getattr(results, name)[start:stop]
-                chunks.write(variable, start, block)
+                write_rows(variable, start, block)
                 digest.add(block)
     set_text(file, "content_digest", digest.hexdigest())
 
