@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 
 def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[str, float]:
-    """The swept keys' values that --at names, of `run` those of its coordinates.
+    """Values of swept keys that --at names; a `run` stands for the values of its coordinates.
 
-    Where not all are needed, what is not named keeps the config's own value.
+    Where not all are needed, a key that is not named keeps the config's own value.
     """
     import shlex
 
@@ -32,10 +32,10 @@ def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[
     if missing and all_needed:
         options = (shlex.quote(f"{axis.parameter}={axis.values[len(axis.values) // 2]:.6g}") for axis in missing)
         raise click.UsageError(f"Which cell? Also name {' '.join(f'--at {each}' for each in options)}, for example.")
-    own = [axis.parameter for axis in missing if axis.parameter != RUN]
-    own += [axis.parameter for axis in design.coordinates] if any(axis.parameter == RUN for axis in missing) else []
-    if own:
-        listed = ", ".join(f"{key} = {get_value(study, key):g}" for key in own)
+    unnamed = [axis for axis in missing if axis.parameter != RUN]
+    unnamed += design.coordinates if len(unnamed) < len(missing) else ()
+    if unnamed:
+        listed = ", ".join(f"{axis.parameter} = {get_value(study, axis.parameter):g}" for axis in unnamed)
         terminal.complain(f"swept keys at the config's own values: {listed}; --at names others")
     run = named.pop(RUN, None)
     if run is not None:
@@ -46,20 +46,19 @@ def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[
 def nearest_values(
     axes: Sequence[ResultAxis], coordinates: Sequence[ResultAxis], at: tuple[str, ...]
 ) -> dict[str, float]:
-    """The axes' values that --at names, each taken to the nearest one of its axis."""
+    """Values of axes that --at names, each the nearest one of its axis."""
     import numpy as np
 
-    known = {axis.parameter: axis for axis in axes}
+    swept = {axis.parameter: axis for axis in (*axes, *coordinates)}
     values: dict[str, float] = {}
     for assignment in at:
         key, _, text = assignment.partition("=")
         key = key.strip()
-        along_run = next((axis for axis in coordinates if axis.parameter == key), None)
-        if key not in known and along_run is None:
-            swept = ", ".join([*known, *(axis.parameter for axis in coordinates)]) or "nothing"
-            raise click.UsageError(f"--at {assignment}: {key!r} is not swept; swept here: {swept}.")
-        axis = along_run or known[key]
-        lowest, highest = float(axis.values.min()), float(axis.values.max())
+        if key not in swept:
+            listed = ", ".join(swept) or "nothing"
+            raise click.UsageError(f"--at {assignment}: {key!r} is not swept; swept here: {listed}.")
+        axis = swept[key]
+        lowest, highest = axis.values.min(), axis.values.max()
         try:
             wanted = float(text)
         except ValueError:
@@ -67,7 +66,7 @@ def nearest_values(
         if not lowest <= wanted <= highest:  # also when not a number
             raise click.UsageError(f"--at {assignment}: {key} is swept from {lowest:g} to {highest:g}.")
         nearest = float(axis.values[axis.nearest(wanted)])
-        if along_run is not None:
+        if axis in coordinates:
             raise click.UsageError(
                 f"--at {assignment}: {key} changes together with the other keys of its run; name the run, --at "
                 f"run={axis.nearest(wanted) + 1}, where it is {nearest:.6g}."

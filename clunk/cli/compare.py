@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
-from clunk.cli.options import EXIT_MISMATCH, json_option
+from clunk.cli import tables, terminal
+from clunk.cli.options import EXIT_MISMATCH, PATH, json_option
 
 
 @click.command()
-@click.argument("a", type=click.Path(path_type=Path))
-@click.argument("b", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Also draw where they differ: .png .svg .pdf.")
+@click.argument("a", type=PATH)
+@click.argument("b", type=PATH)
+@click.option("-o", "--output", type=PATH, help="Also draw where they differ: .png .svg .pdf.")
 @click.option("--expect-equal", is_flag=True, help="Exit with 4 where any label differs.")
 @json_option
 def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: bool) -> None:
@@ -45,15 +45,13 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: 
         other = read(b)
         found = comparison.compare(results, other)
     if as_json:
-        click.echo(json.dumps(as_record(found), ensure_ascii=False))
+        tables.print_record(as_record(found))
     else:
         click.echo(report(found, (str(a), str(b))), nl=False)
     if output is not None:
-        from clunk import plot as plots
         from clunk.plot.comparisons import difference_map, experiment_map
 
         figure = experiment_map(results, found) if other is None else difference_map(results, other, found)
-        plots.save(figure, output)
-        click.echo(f"-> {output}", err=True)
+        terminal.save_picture(figure, output)
     if expect_equal and not found.same_regimes:
         sys.exit(EXIT_MISMATCH)

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import math
-import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any, cast
 
 from clunk.analysis.comparison import Comparison, Deviation, Extreme
 from clunk.analysis.measurements import CAVEAT
 from clunk.analysis.trends import ExperimentComparison, Trend
+from clunk.cli import phrases
 from clunk.results.quantities import CELL_QUANTITIES
 from clunk.study.axes import ResultAxis
 from clunk.study.problems import shorten
 from clunk.study.summaries import percent
 
-_WIDTH = 80  # characters
 _MOST_TRANSITIONS = 12
 _MOST_CELLS = 12
 
@@ -32,7 +30,7 @@ def report(comparison: Comparison | ExperimentComparison, names: tuple[str, str]
 
 def _map_report(comparison: Comparison, names: tuple[str, str]) -> Iterator[str]:
     for letter, name in zip("AB", names, strict=True):
-        yield f"{letter}  {_cut(name, _WIDTH - 3)}"
+        yield f"{letter}  {phrases.cut(name, phrases.WIDTH - 3)}"
     yield ""
     yield _regimes_sentence(comparison)
     failed = comparison.failed_in_a_only, comparison.failed_in_b_only, comparison.failed_in_both
@@ -55,12 +53,12 @@ def _cell_report(comparison: Comparison) -> Iterator[str]:
     if len(comparison.parameters) > 2:  # a table of more would be too wide
         for cell in comparison.differing_cells():
             yield f"  {cell.a} in A, {cell.b} in B"
-            yield from _where(comparison.parameters, cell.values)
+            yield phrases.at_cell(comparison.parameters, cell.values, indent=4)
         return
-    yield from _table(
+    yield from phrases.table(
         [
             [*(axis.parameter for axis in comparison.parameters), "A", "B"],
-            *([*map(_number, cell.values), cell.a, cell.b] for cell in comparison.differing_cells()),
+            *([*map(phrases.number, cell.values), cell.a, cell.b] for cell in comparison.differing_cells()),
         ]
     )
 
@@ -82,7 +80,7 @@ def _transition_report(comparison: Comparison) -> Iterator[str]:
         return
     shown, rest = comparison.transitions[:_MOST_TRANSITIONS], comparison.transitions[_MOST_TRANSITIONS:]
     yield ""
-    yield from _table(
+    yield from phrases.table(
         [["A", "B", "cells"], *([found.a, found.b, f"{found.cells:,}"] for found in shown)], right=(False, False, True)
     )
     if rest:
@@ -92,8 +90,7 @@ def _transition_report(comparison: Comparison) -> Iterator[str]:
 def _deviation_report(axes: tuple[ResultAxis, ...], found: Deviation) -> Iterator[str]:
     quantity = CELL_QUANTITIES[found.quantity]
     name, unit = quantity.heading[:1].upper() + quantity.heading[1:], quantity.unit_symbol
-    cells = "cell" if found.cells == 1 else "cells"
-    yield f"{name}, B over A, in {found.cells:,} {cells} where neither is zero"
+    yield f"{name}, B over A, in {phrases.cells(found.cells)} where neither is zero"
     if found.quantity != "severity":
         yield "  (in place of the severity Q, which is not defined in both)"
     yield f"  median {found.median:.4g}; 5 % to 95 % of the cells: {found.low:.4g} to {found.high:.4g}"
@@ -102,10 +99,9 @@ def _deviation_report(axes: tuple[ResultAxis, ...], found: Deviation) -> Iterato
         ("largest difference", found.largest_difference, f"{found.largest_difference.difference:+.4g} {unit}"),
     ):
         yield f"  {what} {value}: {extreme.a:.5g} in A, {extreme.b:.5g} in B {unit}"
-        yield from _where(axes, extreme.values)
+        yield phrases.at_cell(axes, extreme.values, indent=4)
     if found.zero_in_one:
-        cells = "cell" if found.zero_in_one == 1 else "cells"
-        yield f"  {found.zero_in_one:,} {cells} more in which one of the two is zero"
+        yield f"  {phrases.cells(found.zero_in_one)} more in which one of the two is zero"
 
 
 def _config_report(comparison: Comparison) -> Iterator[str]:
@@ -121,20 +117,20 @@ def _config_report(comparison: Comparison) -> Iterator[str]:
             [each.key, *(absent if value is None else shorten(value, 60) for value in (each.a, each.b))]
             for each in found
         ]
-        yield from _table([["key", "A", "B"], *rows])
+        yield from phrases.table([["key", "A", "B"], *rows])
     if comparison.provenance_differences:
         yield ""
         yield "Computed with or on other:"
-        yield from _table(
+        yield from phrases.table(
             [["", "A", "B"], *([name, *both] for name, both in comparison.provenance_differences.items())]
         )
 
 
 def _experiment_report(comparison: ExperimentComparison, names: tuple[str, str]) -> Iterator[str]:
     experiment = comparison.experiment
-    yield f"computed  {_cut(names[0], _WIDTH - 10)}"
-    yield f"measured  {_cut(names[1], _WIDTH - 10)}"
-    yield from _wrapped(f"A {experiment.caveat}." if experiment.caveat == CAVEAT else f"{_capital(experiment.caveat)}.")
+    yield f"computed  {phrases.cut(names[0], phrases.WIDTH - 10)}"
+    yield f"measured  {phrases.cut(names[1], phrases.WIDTH - 10)}"
+    yield phrases.fill(f"A {experiment.caveat}." if experiment.caveat == CAVEAT else f"{_capital(experiment.caveat)}.")
     yield ""
     yield _points_sentence(comparison)
     if comparison.counted:
@@ -148,12 +144,12 @@ def _experiment_report(comparison: ExperimentComparison, names: tuple[str, str])
         if count:
             yield f"Not counted: {count:,} point{'' if count == 1 else 's'} {what}."
     yield ""
-    yield from _table(
+    yield from phrases.table(
         [
             [*(axis.variable for axis in comparison.axes), "measured", "computed", ""],
             *(
                 [
-                    *map(_number, point.values),
+                    *map(phrases.number, point.values),
                     point.measured,
                     "outside" if point.computed is None else point.computed,
                     "agrees" if point.agrees else "",
@@ -190,56 +186,18 @@ def _trend_report(trends: tuple[Trend, ...]) -> Iterator[str]:
             for tally in (trend.measured, trend.computed)
         ]
         rows.append([label, str(trend.pairs), *sides, alike, str(trend.opposed)])
-    yield from _table([["along", "pairs", "measured", "computed", "alike", "opposed"], *rows])
+    yield from phrases.table([["along", "pairs", "measured", "computed", "alike", "opposed"], *rows])
     yield "  (in brackets: pairs in which it rises, stays the same, falls)"
-
-
-def _table(rows: list[list[str]], right: Sequence[bool] = ()) -> Iterator[str]:
-    """Rows as columns two blanks apart, indented by two; the widest columns are cut until the table fits."""
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    while 2 + sum(widths) + 2 * (len(widths) - 1) > _WIDTH and max(widths) > 8:
-        widths[widths.index(max(widths))] -= 1
-    for row in rows:
-        cells = [
-            f"{_cut(cell, width):{'>' if k < len(right) and right[k] else '<'}{width}}"
-            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        yield ("  " + "  ".join(cells)).rstrip()
-
-
-def _wrapped(text: str) -> Iterator[str]:
-    line = ""
-    for word in text.split():
-        if line and len(line) + 1 + len(word) > _WIDTH:
-            yield line
-            line = ""
-        line = f"{line} {word}".strip()
-    yield line
-
-
-def _cut(text: str, width: int) -> str:
-    return text if len(text) <= width else text[: width - 1] + "…"
 
 
 def _capital(text: str) -> str:
     return text[:1].upper() + text[1:].rstrip(".")
 
 
-def _number(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:.6g}"
-
-
-def _where(axes: tuple[ResultAxis, ...], values: tuple[float, ...]) -> Iterator[str]:
-    named = ", ".join(f"{axis.parameter} = {_number(value)}" for axis, value in zip(axes, values, strict=True))
-    yield from textwrap.wrap(
-        f"at {named}", _WIDTH, initial_indent="    ", subsequent_indent="       ", break_on_hyphens=False
-    )
-
-
 def as_record(comparison: Comparison | ExperimentComparison) -> dict[str, Any]:
     """A comparison for JSON: numbers, text, lists and dictionaries, null in place of NaN."""
     record = _map_record(comparison) if isinstance(comparison, Comparison) else _experiment_record(comparison)
-    return cast("dict[str, Any]", _plain(record))
+    return cast("dict[str, Any]", phrases.plain(record))
 
 
 def _at(axes: tuple[ResultAxis, ...], values: tuple[float, ...]) -> dict[str, float]:
@@ -311,14 +269,3 @@ def _experiment_record(comparison: ExperimentComparison) -> dict[str, Any]:
             for point in comparison.points
         ],
     }
-
-
-def _plain(value: Any) -> Any:
-    """What JSON can hold: None for NaN and infinities, text for dates and times."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value if value is None or isinstance(value, bool | int | float | str) else str(value)

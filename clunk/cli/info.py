@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import click
 
 from clunk.cli import tables
-from clunk.cli.options import json_option
+from clunk.cli.options import PATH, json_option
 
 
 @click.command()
-@click.argument("file", type=click.Path(path_type=Path))
+@click.argument("file", type=PATH)
 @click.option("--config", "show_config", is_flag=True, help="Print the whole resolved config (TOML) instead.")
 @click.option("--check", is_flag=True, help="Also read it whole and compare it with its checksums.")
 @json_option
@@ -45,7 +44,7 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
         record |= {"counts": header.counts} if found is None else tables.tolerance_record(found)
         record |= {"config_digest": header.config_digest}
         checked: dict[str, Any] = {"checked": {"data": True, "bytes": header.checksum}} if check else {}
-        click.echo(json.dumps(record | header.attributes | checked, ensure_ascii=False))
+        tables.print_record(record | header.attributes | checked)
         return
     click.echo(header.title)
     click.echo()

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import click
 
+from clunk.cli.options import PATH
+
 
 @click.command()
-@click.argument("path", type=click.Path(path_type=Path), default="clunk.toml")
+@click.argument("path", type=PATH, default="clunk.toml")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @click.option("--schema", is_flag=True, help="Print the JSON Schema by which editors check configs.")
 def init(path: Path, force: bool, schema: bool) -> None:

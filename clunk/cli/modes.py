@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import click
 
-from clunk.cli.options import json_option, set_option
+from clunk.cli import tables
+from clunk.cli.options import PATH, json_option, set_option
 
 
 @click.command()
-@click.argument("config", type=click.Path(path_type=Path))
+@click.argument("config", type=PATH)
 @set_option
 @json_option
 def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
@@ -26,32 +26,31 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
 
     study = load_study(config, overrides)
     driveline = Driveline.from_study(study)
-    lash_states = {"closed": driveline.modes(closed=True), "open": driveline.modes(closed=False)}
+    states = {"closed": driveline.modes(closed=True), "open": driveline.modes(closed=False)}
     thresholds = {"lowest mode": one_mode_thresholds(study), "all modes": rigid_contact_thresholds(study)}
     if as_json:
         record: dict[str, Any] = {
             state: {
-                "frequency_hz": found.frequency.tolist(),
-                "damping_ratio": found.damping_ratio.tolist(),
-                "decay_rate_per_s": found.overdamped.tolist(),
+                "frequency_hz": eigen.frequency.tolist(),
+                "damping_ratio": eigen.damping_ratio.tolist(),
+                "decay_rate_per_s": eigen.overdamped.tolist(),
             }
-            for state, found in lash_states.items()
+            for state, eigen in states.items()
         }
         record["thresholds"] = {name: ratios.tolist() for name, ratios in thresholds.items()}
-        click.echo(json.dumps(record | {"contact_period": driveline.contact_period}))
+        tables.print_record(record | {"contact_period": driveline.contact_period})
         return
-    for state, found in lash_states.items():
+    for state, eigen in states.items():
         click.echo(f"lash {state}")
         click.echo("  mode  frequency [Hz]  damping ratio ζ [-]")
-        for k, (frequency, ratio) in enumerate(zip(found.frequency, found.damping_ratio, strict=True), 1):
+        for k, (frequency, ratio) in enumerate(zip(eigen.frequency, eigen.damping_ratio, strict=True), 1):
             click.echo(f"  {k:>4}  {frequency:>14.1f}  {ratio:>19.3f}")
-        for rate in found.overdamped:
+        for rate in eigen.overdamped:
             click.echo(f"     -  does not oscillate; {f'decays at {rate:.4g} 1/s' if rate > 0.0 else 'drifts'}")
         click.echo()
     click.echo(f"contact period T_c  {1e3 * driveline.contact_period:.2f} ms")
-    click.echo(
-        f"solver.step         {study.solver.step:g} s, {steps_a_period(study):.1f} steps a period of the fastest mode"
-    )
+    steps = steps_a_period(study)
+    click.echo(f"solver.step         {study.solver.step:g} s, {steps:.1f} steps a period of the fastest mode")
     click.echo()
     click.echo("load ratio σr above which one more impact appears as the backlash vanishes")
     click.echo("  impacts       " + "".join(f"{n:>8}" for n in range(1, 5)))

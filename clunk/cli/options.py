@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
 
 EXIT_INTERNAL = 1
@@ -10,6 +12,8 @@ EXIT_FAILED_CELLS = 3
 EXIT_MISMATCH = 4
 EXIT_INTERRUPTED = 130
 EXIT_TERMINATED = 143
+PATH = click.Path(path_type=Path)
+
 set_option = click.option(
     "--set",
     "overrides",
@@ -25,3 +29,4 @@ at_option = click.option(
 
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for scripts.")
+workers_option = click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import textwrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from clunk.study.axes import ResultAxis
 
@@ -21,7 +21,7 @@ def fill(text: str, first: str = "", others: str = "") -> str:
 
 def at_cell(parameters: Sequence[ResultAxis], values: Sequence[float], indent: int = 2) -> str:
     """A cell by its parameters, for example at load.ratio = 5, wrapped."""
-    named = ", ".join(f"{axis.parameter} = {value:.6g}" for axis, value in zip(parameters, values, strict=True))
+    named = ", ".join(f"{axis.parameter} = {number(value)}" for axis, value in zip(parameters, values, strict=True))
     blank = " " * indent
     return fill(f"at {named}", blank, blank + "   ")
 
@@ -37,11 +37,35 @@ def share(count: int, of: int) -> str:
     return "> 99.99 %" if 0.9999 < share < 1.0 else "< 0.01 %" if 0.0 < share < 0.0001 else f"{100.0 * share:.2f} %"
 
 
-def number(value: float, form: str) -> str:
+def number(value: float, form: str = ".6g") -> str:
     """A number in a format, - where it is not defined."""
     return "-" if math.isnan(value) else f"{value:{form}}"
 
 
-def or_none(value: float) -> float | None:
-    """JSON has neither NaN nor infinities."""
-    return value if math.isfinite(value) else None
+def table(rows: Sequence[Sequence[str]], right: Sequence[bool] = ()) -> Iterator[str]:
+    """Rows as columns two blanks apart, indented by two; the widest columns are cut until the table fits."""
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    while 2 + sum(widths) + 2 * (len(widths) - 1) > WIDTH and max(widths) > 8:
+        widths[widths.index(max(widths))] -= 1
+    for row in rows:
+        cells = [
+            f"{cut(cell, width):{'>' if k < len(right) and right[k] else '<'}{width}}"
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        yield ("  " + "  ".join(cells)).rstrip()
+
+
+def cut(text: str, width: int) -> str:
+    """A text of at most `width` characters, the last of them … where it was longer."""
+    return text if len(text) <= width else text[: width - 1] + "…"
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON has it: None for NaN and infinities, lists for tuples, text for dates and times."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value if value is None or isinstance(value, bool | int | float | str) else str(value)

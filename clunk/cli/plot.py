@@ -8,12 +8,12 @@ from typing import Any
 import click
 
 from clunk.cli import cells, terminal
-from clunk.cli.options import at_option
+from clunk.cli.options import PATH, at_option
 
 
 @click.command()
-@click.argument("file", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Picture: .png, .svg or .pdf [FILE.png].")
+@click.argument("file", type=PATH)
+@click.option("-o", "--output", type=PATH, help="Picture: .png, .svg or .pdf [FILE.png].")
 @click.option(
     "--quantity", metavar="NAME", help="One picture only: regimes, severity, approach_velocity, touches, margin, …"
 )

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from clunk.cli import terminal
-from clunk.cli.options import EXIT_MISMATCH, json_option
+from clunk.cli import tables, terminal
+from clunk.cli.options import EXIT_MISMATCH, PATH, json_option, workers_option
 from clunk.sweeping import progress
 
 if TYPE_CHECKING:
@@ -20,12 +19,10 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), default="results/reproduction", help="Directory of the figures."
-)
-@click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")
+@click.option("-o", "--output", type=PATH, default="results/reproduction", help="Directory of the figures.")
+@workers_option
 @click.option("--coarsen", type=click.IntRange(1, 20), default=1, help="About every n-th value of the maps' axes [1].")
-@click.option("--table", type=click.Path(path_type=Path), help="Also write the claims into this Markdown file.")
+@click.option("--table", type=PATH, help="Also write the claims into this Markdown file.")
 @json_option
 def reproduce(output: Path, workers: int | None, coarsen: int, table: Path | None, as_json: bool) -> None:
     """Recompute the report: every number and claim beside ours, every figure redrawn.
@@ -56,7 +53,7 @@ def reproduce(output: Path, workers: int | None, coarsen: int, table: Path | Non
     if table is not None:
         reproduction.write_tables(table, claims)
     if as_json:
-        click.echo(json.dumps([claim.record() for claim in claims], ensure_ascii=False))
+        tables.print_record([claim.record() for claim in claims])
     else:
         print_claims(claims)
     click.echo(f"{len(written)} files -> {output}", err=True)

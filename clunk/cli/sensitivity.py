@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from pathlib import Path
@@ -10,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clunk.cli import cells, phrases, terminal
-from clunk.cli.options import json_option, set_option
+from clunk.cli import cells, phrases, tables, terminal
+from clunk.cli.options import PATH, at_option, json_option, set_option, workers_option
 from clunk.sweeping import progress
 
 if TYPE_CHECKING:
@@ -21,9 +20,9 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("config", type=click.Path(path_type=Path))
+@click.argument("config", type=PATH)
 @set_option
-@click.option("--at", "at", multiple=True, metavar="KEY=VALUE", help="Value of a swept key. May be repeated.")
+@at_option
 @click.option(
     "--of",
     "quantities",
@@ -32,8 +31,8 @@ if TYPE_CHECKING:
     help="severity, approach_velocity, primary_impacts, touches, last_event_time, nominal_label, double_sided or "
     "label=DS(1)SS(1), for example [severity and nominal_label]. May be repeated.",
 )
-@click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Also draw the indices: .png .svg .pdf.")
+@workers_option
+@click.option("-o", "--output", type=PATH, help="Also draw the indices: .png .svg .pdf.")
 @json_option
 def sensitivity(
     config: Path,
@@ -73,18 +72,16 @@ def sensitivity(
         found = sobol.sensitivity(point, of=quantities, workers=workers, progress=show)
     seconds = time.perf_counter() - began
     if as_json:
-        click.echo(json.dumps(found.record(), ensure_ascii=False))
+        tables.print_record(found.record())
     else:
         print_sensitivity(found)
     draws = len(found.parameters)
     what = f"{found.runs:,} runs, {found.samples:,} samples x ({draws} parameters + 2), in {seconds:.1f} s"
     click.echo(f"{what} ({found.runs / seconds:,.0f} runs/s)", err=True)
     if output is not None:
-        from clunk import plot as plots
         from clunk.plot.indices import sobol_bars
 
-        plots.save(sobol_bars(found), output)
-        click.echo(f"-> {output}", err=True)
+        terminal.save_picture(sobol_bars(found), output)
 
 
 def print_sensitivity(found: Sensitivity) -> None:

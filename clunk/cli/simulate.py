@@ -2,35 +2,52 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from clunk.cli import cells, phrases, terminal
-from clunk.cli.options import at_option, json_option, set_option
+from clunk.cli import cells, tables, terminal
+from clunk.cli.options import PATH, at_option, json_option, set_option
 
 if TYPE_CHECKING:
     from clunk.simulation.energy import EnergyBalance
     from clunk.simulation.trajectory import Trajectory
     from clunk.study.config import Study
 
-
-_CLOSEUP_WIDTH = 0.1  # s
 _FIGURES = ("everything", "angles", "backlash", "closeup", "acceleration", "small-gap")
 
 
+class Drawing(NamedTuple):
+    """The options of pictures and saved histories; times in s, None where the default depends on the run."""
+
+    around: float | None = None
+    until: float | None = None
+    step: float | None = None
+    figure: str = "everything"
+    width: float = 0.1
+
+    def check(self, output: Path | None) -> None:
+        """Refuse what could not be drawn or saved, before the run and not after it."""
+        changed = [name for name, value in self._asdict().items() if value != self._field_defaults[name]]
+        if output is None and changed:
+            raise click.UsageError(f"--{changed[0]} needs -o, the file to draw or save to.")
+        for name in ("width", "until", "step"):
+            value = getattr(self, name)
+            if value is not None and not value > 0.0:
+                raise click.UsageError(f"--{name} {value:g}: must be greater than 0 (s).")
+
+
 @click.command()
-@click.argument("source", type=click.Path(path_type=Path))
+@click.argument("source", type=PATH)
 @set_option
 @at_option
 @click.option("--overlay", metavar="KEY=V1,V2,…", multiple=True, help="A run for each value. May be repeated.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Picture (.png .svg .pdf), or data (.csv .h5).")
+@click.option("-o", "--output", type=PATH, help="Picture (.png .svg .pdf), or data (.csv .h5).")
 @click.option("--figure", type=click.Choice(_FIGURES), default="everything", help="Which picture [everything].")
 @click.option("--around", type=float, metavar="T", help="Of a close-up: its moment [first impact], s.")
-@click.option("--width", type=float, default=_CLOSEUP_WIDTH, metavar="T", help="Of a close-up: its length [0.1], s.")
+@click.option("--width", type=float, default=0.1, metavar="T", help="Of a close-up: its length [0.1], s.")
 @click.option("--until", type=float, metavar="T", help="End of the time axis [when it has died down], s.")
 @click.option("--step", type=float, metavar="T", help="Between saved or drawn samples [solver.step], s.")
 @json_option
@@ -40,12 +57,8 @@ def simulate(
     at: tuple[str, ...],
     overlay: tuple[str, ...],
     output: Path | None,
-    figure: str,
-    around: float | None,
-    width: float,
-    until: float | None,
-    step: float | None,
     as_json: bool,
+    **drawing: Any,
 ) -> None:
     """Run one load step; print its events, label and energy balance; draw or save it.
 
@@ -62,7 +75,8 @@ def simulate(
     from clunk.simulation.energy import balance
     from clunk.simulation.trajectory import simulate as run
 
-    _check_drawing(output, figure, around, width, until, step)
+    options = Drawing(**drawing)
+    options.check(output)
     studies = _studies_to_simulate(source, overrides, at, overlay)
     if output is not None:
         targets.check(output, (*targets.PICTURES, *targets.DATA), reads=source)
@@ -78,7 +92,7 @@ def simulate(
             {"run": name} | trajectory_record(trajectory) | {"energy": energy_record(balance(trajectory))}
             for name, trajectory in runs
         ]
-        click.echo(json.dumps(records if overlay else records[0], ensure_ascii=False))
+        tables.print_record(records if overlay else records[0])
     else:
         for k, (name, trajectory) in enumerate(runs):
             if overlay:
@@ -87,22 +101,7 @@ def simulate(
             click.echo()
             print_energy(trajectory, balance(trajectory))
     if output is not None:
-        _save_runs(runs, output, figure, around, width, until, step)
-
-
-def _check_drawing(
-    output: Path | None, figure: str, around: float | None, width: float, until: float | None, step: float | None
-) -> None:
-    """Refuse what could not be drawn, before the run and not after it."""
-    given = {"--around": around, "--until": until, "--step": step}
-    if output is None:
-        named = [option for option, value in given.items() if value is not None]
-        named += ["--figure"] * (figure != "everything") + ["--width"] * (width != _CLOSEUP_WIDTH)
-        if named:
-            raise click.UsageError(f"{named[0]} needs -o, the file to draw or save to.")
-    for option, value in {"--width": width, "--until": until, "--step": step}.items():
-        if value is not None and not value > 0.0:
-            raise click.UsageError(f"{option} {value:g}: must be greater than 0 (s).")
+        _save_runs(runs, output, options)
 
 
 def _studies_to_simulate(
@@ -139,44 +138,35 @@ def _studies_to_simulate(
     return studies
 
 
-def _save_runs(
-    runs: list[tuple[str, Trajectory]],
-    output: Path,
-    figure: str,
-    around: float | None,
-    width: float,
-    until: float | None,
-    step: float | None,
-) -> None:
+def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, options: Drawing) -> None:
     from clunk.results import historyfile, targets
     from clunk.simulation import history as histories
 
     if output.suffix.lower() in targets.DATA:
         ((_, trajectory),) = runs
         save = historyfile.save_csv if output.suffix.lower() == ".csv" else historyfile.save_hdf5
-        save(output, histories.sample(trajectory, step, until), trajectory)
-        click.echo(f"-> {output}", err=True)
+        save(output, histories.sample(trajectory, options.step, options.until), trajectory)
+        terminal.say_written(output)
         return
-    from clunk import plot as plots
     from clunk.plot import histories as figures
     from clunk.plot.small_gap import small_gap
     from clunk.simulation.recording import Recording
     from clunk.simulation.small_gap import SmallGap
 
-    end = until if until is not None else max(histories.shown_until(trajectory) for _, trajectory in runs)
-    if figure == "closeup" and around is not None:
-        end = max(end, around + 0.6 * width)
-    drawn = [Recording(name, trajectory, histories.sample(trajectory, step, end)) for name, trajectory in runs]
+    latest = max(histories.shown_until(trajectory) for _, trajectory in runs)
+    end = latest if options.until is None else options.until
+    if options.figure == "closeup" and options.around is not None:
+        end = max(end, options.around + 0.6 * options.width)
+    drawn = [Recording(name, trajectory, histories.sample(trajectory, options.step, end)) for name, trajectory in runs]
     draw = {
         "everything": lambda: figures.simulation_figure(drawn),
         "angles": lambda: figures.angles(drawn),
         "backlash": lambda: figures.backlash(drawn),
-        "closeup": lambda: figures.closeup(drawn, around, width),
+        "closeup": lambda: figures.closeup(drawn, options.around, options.width),
         "acceleration": lambda: figures.acceleration(drawn),
         "small-gap": lambda: small_gap(runs[0][1].study.title, SmallGap.of(runs[0][1].study)),
     }
-    plots.save(draw[figure](), output)
-    click.echo(f"-> {output}", err=True)
+    terminal.save_picture(draw[options.figure](), output)
 
 
 def print_trajectory(trajectory: Trajectory) -> None:
@@ -193,15 +183,15 @@ def print_trajectory(trajectory: Trajectory) -> None:
 
 
 def trajectory_record(trajectory: Trajectory) -> dict[str, Any]:
-    """A run for JSON; what is not defined is null."""
+    """A run for JSON."""
     primaries = set(trajectory.primaries.tolist())
     return {
         "label": trajectory.label,
-        "severity": phrases.or_none(trajectory.severity),
+        "severity": trajectory.severity,
         "approach_velocity": trajectory.approach_velocity,
-        "impact_severity": [phrases.or_none(value) for value in trajectory.impact_severity.tolist()],
+        "impact_severity": trajectory.impact_severity.tolist(),
         "complete": trajectory.complete,
-        "margin": phrases.or_none(trajectory.margin),
+        "margin": trajectory.margin,
         "end": trajectory.end,
         "events": [
             {
@@ -219,46 +209,27 @@ def trajectory_record(trajectory: Trajectory) -> dict[str, Any]:
 
 def print_energy(trajectory: Trajectory, balance: EnergyBalance) -> None:
     """Where a run's energy went: stored before and after, taken by dampers and flanks, and what does not add up."""
-    click.echo(f"{'energy [J]':<20}" + "".join(f"{word:>14}" for word in ("before", "after", "change", "damped")))
-    contact = balance.contact_before, balance.contact_after, balance.damped_in_contact
-    rows = [("inertias", balance.kinetic_before, balance.kinetic_after, 0.0)]
-    rows += zip(
-        (shaft_name(trajectory, k) for k in range(len(balance.shafts_before))),
-        balance.shafts_before,
-        balance.shafts_after,
-        balance.damped_in_shafts,
-        strict=True,
-    )
-    rows.append(("contact", *contact))
-    rows.append(("together", balance.stored_before, balance.stored_after, balance.damped))
+    driveline, contact = trajectory.study.driveline, trajectory.study.lash.contact
+    shafts = [f"shaft {k}, {shaft.between[0]}-{shaft.between[1]}" for k, shaft in enumerate(driveline.shafts, 1)]
+    rows = [
+        ("inertias", balance.kinetic_before, balance.kinetic_after, 0.0),
+        *zip(shafts, balance.shafts_before, balance.shafts_after, balance.damped_in_shafts, strict=True),
+        ("contact", balance.contact_before, balance.contact_after, balance.damped_in_contact),
+        ("together", balance.stored_before, balance.stored_after, balance.damped),
+    ]
+    click.echo(f"{'energy [J]':<20}{'before':>14}{'after':>14}{'change':>14}{'damped':>14}")
     for name, before, after, damped in rows:
-        numbers = "".join(_joule(value) for value in (before, after, after - before, damped))
-        click.echo(f"{name:<20}{numbers}")
-    lines = [("work of the load", balance.work)]
-    if trajectory.study.lash.contact.model == "restitution":
-        lines.append(("lost at impacts", balance.lost_at_impacts))
-    elif trajectory.study.lash.contact.separation == "force":
-        lines += [("dropped at partings", balance.dropped), ("regained at rejoins", balance.regained)]
-    for name, value in lines:
-        click.echo(f"{name:<20}{_joule(value)}")
-    click.echo(f"{'residual':<20}{_joule(balance.residual)}, {balance.relative_residual:.1e} of the largest energy")
-
-
-def shaft_name(trajectory: Trajectory, k: int) -> str:
-    """A shaft by its number and ends, for example shaft 3, 4-ground."""
-    one, other = trajectory.study.driveline.shafts[k].between
-    return f"shaft {k + 1}, {one}-{other}"
-
-
-def _joule(value: float) -> str:
-    return f"{value:>14.6g}"
+        click.echo(f"{name:<20}{before:>14.6g}{after:>14.6g}{after - before:>14.6g}{damped:>14.6g}")
+    click.echo(f"{'work of the load':<20}{balance.work:>14.6g}")
+    if contact.model == "restitution":
+        click.echo(f"{'lost at impacts':<20}{balance.lost_at_impacts:>14.6g}")
+    elif contact.separation == "force":
+        click.echo(f"{'dropped at partings':<20}{balance.dropped:>14.6g}")
+        click.echo(f"{'regained at rejoins':<20}{balance.regained:>14.6g}")
+    residual = f"{balance.residual:>14.6g}, {balance.relative_residual:.1e} of the largest energy"
+    click.echo(f"{'residual':<20}{residual}")
 
 
 def energy_record(balance: EnergyBalance) -> dict[str, Any]:
-    """An energy balance for JSON, in J; what is not defined is null."""
-    record: dict[str, Any] = dict(vars(balance))
-    record |= {name: getattr(balance, name) for name in ("residual", "relative_residual")}
-    return {
-        name: [phrases.or_none(item) for item in value] if isinstance(value, tuple) else phrases.or_none(value)
-        for name, value in record.items()
-    }
+    """An energy balance for JSON, in J."""
+    return vars(balance) | {"residual": balance.residual, "relative_residual": balance.relative_residual}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from clunk.cli import tables, terminal
-from clunk.cli.options import EXIT_FAILED_CELLS, EXIT_INTERRUPTED, EXIT_USAGE, json_option, set_option
+from clunk.cli.options import EXIT_FAILED_CELLS, EXIT_INTERRUPTED, EXIT_USAGE, PATH, json_option, set_option
 from clunk.sweeping import progress
 
 if TYPE_CHECKING:
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("config", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Results file [results/CONFIG.h5].")
+@click.argument("config", type=PATH)
+@click.option("-o", "--output", type=PATH, help="Results file [results/CONFIG.h5].")
 @set_option
 @click.option("--workers", type=click.IntRange(1, 1024), help="Threads, or local processes [one for each core].")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on dask workers: tcp://HOST:8786, or local.")

@@ -14,12 +14,17 @@ if TYPE_CHECKING:
     from clunk.results.tolerancemap import ToleranceMap
 
 
+def print_record(record: object) -> None:
+    """Print a record as one line of JSON; numbers that are not finite are null."""
+    click.echo(json.dumps(phrases.plain(record), ensure_ascii=False))
+
+
 def report_counts(counts: dict[str, int], target: Path, seconds: float, as_json: bool) -> int:
     """Print the counts; returns how many cells have failed."""
     if as_json:
         cells = sum(counts.values())
         summary = {"file": str(target), "cells": cells, "seconds": round(seconds, 3), "counts": counts}
-        click.echo(json.dumps(summary, ensure_ascii=False))
+        print_record(summary)
     else:
         print_counts(counts)
     return counts["failed"]
@@ -29,7 +34,7 @@ def report_tolerances(found: ToleranceMap, target: Path, seconds: float, as_json
     """Print what a tolerance map comes to; returns how many runs have failed."""
     if as_json:
         summary = {"file": str(target), "seconds": round(seconds, 3)} | tolerance_record(found)
-        click.echo(json.dumps(summary, ensure_ascii=False))
+        print_record(summary)
     else:
         print_tolerances(found)
     return found.failed

@@ -10,6 +10,8 @@ import click
 from clunk.cli import phrases
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from clunk.results.regimemap import Results
     from clunk.results.tolerancemap import ToleranceMap
     from clunk.study.config import Study
@@ -83,3 +85,16 @@ def report_failures(results: Results | ToleranceMap, how: str = "") -> None:
             click.echo(phrases.at_cell(results.parameters, values), err=True)
         if len(cells) > 3:
             click.echo(f"  and {len(cells) - 3:,} more", err=True)
+
+
+def say_written(path: Path) -> None:
+    """Name the file that was written."""
+    click.echo(f"-> {path}", err=True)
+
+
+def save_picture(figure: Figure, path: Path) -> None:
+    """Save a figure and name its file."""
+    from clunk import plot
+
+    plot.save(figure, path)
+    say_written(path)

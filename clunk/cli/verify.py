@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import textwrap
 from pathlib import Path
@@ -10,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clunk.cli import phrases, terminal
-from clunk.cli.options import EXIT_FAILED_CELLS, EXIT_MISMATCH, json_option, set_option
+from clunk.cli import phrases, tables, terminal
+from clunk.cli.options import EXIT_FAILED_CELLS, EXIT_MISMATCH, PATH, json_option, set_option, workers_option
 from clunk.sweeping import progress
 
 if TYPE_CHECKING:
@@ -19,9 +18,9 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("config", type=click.Path(path_type=Path))
+@click.argument("config", type=PATH)
 @set_option
-@click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")
+@workers_option
 @json_option
 def verify(config: Path, overrides: tuple[str, ...], workers: int | None, as_json: bool) -> None:
     """Run CONFIG by both methods, rk4 and exact, and compare labels, events and severity.
@@ -44,7 +43,7 @@ def verify(config: Path, overrides: tuple[str, ...], workers: int | None, as_jso
     with progress.shown(len(verification.METHODS) * max(cell_count(study), 1)) as show:
         found = verification.verify(study, workers=workers, progress=show)
     if as_json:
-        click.echo(json.dumps(found.record(), ensure_ascii=False))
+        tables.print_record(found.record())
     else:
         print_verification(found)
     for method, results in zip(verification.METHODS, (found.rk4, found.exact), strict=True):
@@ -160,7 +159,6 @@ def _print_disagreements(found: Verification, flagged: bool, count: int) -> None
             click.echo(phrases.at_cell(parameters, each.values, indent=4))
         return
     rows = [[*(axis.parameter for axis in parameters), "rk4", "exact", "margin"]]
-    rows += [[*(f"{v:.6g}" for v in each.values), each.rk4, each.exact, f"{each.margin:+.2g}"] for each in shown]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        click.echo("  " + "  ".join(f"{text:<{width}}" for text, width in zip(row, widths, strict=True)).rstrip())
+    rows += [[*map(phrases.number, each.values), each.rk4, each.exact, f"{each.margin:+.2g}"] for each in shown]
+    for line in phrases.table(rows):
+        click.echo(line)
