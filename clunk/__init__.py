@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from clunk.study.errors import ClunkError
     from clunk.sweeping.engines import EngineError
     from clunk.sweeping.parts import PartsError
-    from clunk.sweeping.sweep import SweepError
+    from clunk.sweeping.reduction import SweepError
 
 __all__ = [
     "ClunkError",
@@ -78,7 +78,7 @@ _HOME = {
     "SimulationError": "simulation.trajectory",
     "StoreError": "results.store",
     "Study": "study.config",
-    "SweepError": "sweeping.sweep",
+    "SweepError": "sweeping.reduction",
     "TargetError": "results.targets",
     "ToleranceMap": "results.tolerancemap",
     "Trajectory": "simulation.trajectory",

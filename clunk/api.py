@@ -6,6 +6,7 @@ import hashlib
 import os
 import sys
 from collections.abc import Iterator, Mapping
+from concurrent.futures import Executor
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -18,17 +19,15 @@ from clunk.analysis.thresholds import thresholds_of
 from clunk.analysis.verification import METHODS, Verification, by
 from clunk.results import targets
 from clunk.results.regimemap import Results
-from clunk.results.store import read_map
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.config import Study
 from clunk.study.designs import design_of_points, has_tolerances
 from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.cells import compiling_note, warm_up
-from clunk.sweeping.engines import Engine, EngineError
-from clunk.sweeping.output import engine_of, opened
 from clunk.sweeping.progress import Progress, shown
-from clunk.sweeping.sweep import HAS_TOLERANCES, NO_TOLERANCES, SweepError
+from clunk.sweeping.reduction import AnyMap
+from clunk.sweeping.sweep import HAS_TOLERANCES, NO_TOLERANCES, SweepError, cell_count, engine_of, opened
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -98,9 +97,9 @@ def sweep(
     """
     if has_tolerances(study):
         raise SweepError(HAS_TOLERANCES)
-    found = _found(study, output, progress, engine_of(scheduler, workers), refine=refine, restart=restart, force=force)
-    assert isinstance(found, Results)
-    return found
+    results = _run(study, output, progress, engine_of(scheduler, workers), refine=refine, restart=restart, force=force)
+    assert isinstance(results, Results)
+    return results
 
 
 def tolerance_map(
@@ -144,9 +143,9 @@ def tolerance_map(
     """
     if not has_tolerances(study):
         raise SweepError(NO_TOLERANCES)
-    found = _found(study, output, progress, engine_of(scheduler, workers), refine=False, restart=restart, force=force)
-    assert isinstance(found, ToleranceMap)
-    return found
+    result = _run(study, output, progress, engine_of(scheduler, workers), restart=restart, force=force)
+    assert isinstance(result, ToleranceMap)
+    return result
 
 
 def run_points(
@@ -193,7 +192,7 @@ def run_points(
     design = design_of_points(study, points)
     base = study.model_copy(update={"sweep": None})
     with engine_of(scheduler, workers) as engine, _telling(progress, design.cells, base) as tell:
-        results = sweeping.sweep(base, engine=engine, progress=tell, design=design)
+        results = sweeping.sweep(base, design, engine=engine, progress=tell)
     values = hashlib.sha256(results.config_digest.encode())
     for axis in sorted(results.coordinates, key=lambda axis: axis.parameter):
         values.update(axis.parameter.encode() + b"\0" + axis.values.tobytes())
@@ -223,7 +222,7 @@ def verify(study: Study, *, progress: bool | Progress = False, workers: int | No
     (441, 0)
     """
     both = [by(study, method) for method in METHODS]
-    with _telling(progress, len(both) * sweeping.cell_count(study), *both) as tell:
+    with _telling(progress, len(both) * cell_count(study), *both) as tell:
         return verification.verify(study, workers=workers, progress=tell)
 
 
@@ -274,36 +273,25 @@ def draw(what: Results | ToleranceMap | Trajectory, quantity: str = "regimes") -
     return simulation_figure([Recording(what.study.title, what, sample(what))])
 
 
-def _found(
+def _run(
     study: Study,
     output: str | os.PathLike[str] | None,
     progress: bool | Progress,
-    opening: AbstractContextManager[Engine],
+    opening: AbstractContextManager[Executor],
     *,
-    refine: bool,
+    refine: bool = False,
     restart: bool,
     force: bool,
-) -> Results | ToleranceMap:
-    """What a study's sweep finds, or a file that is complete already has."""
-    tolerances = has_tolerances(study)
-    if output is None:
-        with opening as engine, _telling(progress, sweeping.cell_count(study), study) as tell:
-            if tolerances:
-                return sweeping.tolerance_map(study, engine=engine, progress=tell)
-            return sweeping.sweep(study, engine=engine, progress=tell, refine=refine)
-    path = Path(output)
-    targets.check(path, targets.RESULTS)
-    with opened(path, study, refine=refine, restart=restart, force=force) as file:
-        if file.counts is not None:
-            return read_map(path)
-        try:
-            with opening as engine, _telling(progress, sweeping.cell_count(study), study) as tell:
-                found = file.run(engine=engine, progress=tell)
-        except (KeyboardInterrupt, EngineError) as stopped:
-            stopped.add_note(file.kept)
-            raise
-        file.save(found)
-    return found
+) -> AnyMap:
+    """The map of a study's sweep, or the one that its file already has."""
+    path = None if output is None else Path(output)
+    if path is not None:
+        targets.check(path, targets.RESULTS)
+    with opened(path, study, refine=refine, restart=restart, force=force) as job:
+        if job.counts is not None:
+            return job.read()
+        with opening as engine, _telling(progress, cell_count(study), study) as tell:
+            return job.run(engine, progress=tell)
 
 
 @contextmanager

@@ -22,7 +22,7 @@ from clunk.study.axes import RUN
 from clunk.study.config import replace_values, study_from_text
 from clunk.study.designs import design_of
 from clunk.sweeping.refinement import coarse_spacing
-from clunk.sweeping.sweep import cell_count, retry_failed, sweep
+from clunk.sweeping.sweep import Job, cell_count, sweep
 
 BASE = '[driveline]\npreset = "boere-2008"\n[solver]\nmethod = "exact"\n'
 ZIP = f"""{BASE}
@@ -145,7 +145,7 @@ class TestCells:
         results = sweep(study)
         failed = results.counts()["failed"]
         assert 0 < failed < 32
-        mended = retry_failed(results, study.model_copy(update={"solver": study_from_text(SAMPLE).solver}))
+        mended = Job(study.model_copy(update={"solver": study_from_text(SAMPLE).solver}), earlier=results).run()
         assert equal(mended, sweep(study_from_text(SAMPLE)))
 
 

@@ -16,11 +16,10 @@ from test_sweeping import equal, figure_3_4, study
 from clunk.results.store import read_header
 from clunk.study.config import load_study
 from clunk.sweeping import distributed
-from clunk.sweeping.cells import Grid
 from clunk.sweeping.distributed import Cluster
-from clunk.sweeping.engines import EngineError, Work
+from clunk.sweeping.engines import EngineError
 from clunk.sweeping.parts import WorkingDirectory
-from clunk.sweeping.sweep import parts_of, sweep, tolerance_map
+from clunk.sweeping.sweep import Job, sweep, tolerance_map
 
 ROOT = Path(__file__).parent.parent
 
@@ -102,24 +101,12 @@ def whole(map_17):
 
 
 def test_tiles_grow_until_the_client_has_time_for_all_workers_and_shrink_towards_the_end():
-    def tiles_of(cells, least):
-        return distributed._Tiles(Work(Grid(figure_3_4(17)), np.asarray(cells)), least, 1 << 18)
-
-    tiles = tiles_of(np.arange(10_000_000), 128)
-    assert tiles.next(2, 1000) == {0: (0, 128), 1: (128, 256)}
-    tiles.took(0.01, 100)
-    begin, end = tiles.next(1, 1000)[2]
-    assert end - begin == (10_000_000 - 256) // 4000  # and not 40,000, which would take 4 s
-    begin, end = tiles.next(1, 20)[3]
-    assert end - begin == 2000  # 0.2 s
-    cells = [cell for part in tiles.next(10**6, 20).values() for cell in part]
-    assert cells[-1] == 10_000_000
-    assert min(np.diff(np.reshape(cells, (-1, 2)), axis=1)[:-1]) == 128
-    scattered = tiles_of([3, 5, 6], 2)
-    first, second = scattered.next(5, 1).values()
-    assert (list(first), second) == ([3, 5], (6, 7))
-    (mixed,) = tiles_of([0, 2, 1, 3], 4).next(1, 1).values()
-    assert list(mixed) == [0, 2, 1, 3]  # and not the range from its first to its last
+    pace = distributed._Pace(128, 1 << 18)
+    assert pace.cells(10_000_000, 1000) == 128
+    pace.took(0.01, 100)
+    assert pace.cells(10_000_000, 1000) == 2500  # and not 40,000, which would take 4 s
+    assert pace.cells(10_000_000, 20) == 2000  # 0.2 s
+    assert pace.cells(1000, 20) == 128
 
 
 def clunk(directory, *arguments, before="pass"):
@@ -266,7 +253,7 @@ class TestWhatIsRefused:
         with Cluster(two_workers.address) as engine:
             with pytest.raises(EngineError, match=r"Worker tcp://.* has another numba: 0\.[0-9.]* there, 0\.1 here"):
                 sweep(map_17, engine=engine)
-            monkeypatch.setattr(engine, "_check_workers", lambda _job: None)
+            monkeypatch.setattr(engine, "_check_workers", lambda _sweep: None)
             with pytest.raises(EngineError, match=r"Worker tcp://.* has another numba"):
                 sweep(map_17, engine=engine)
 
@@ -311,7 +298,7 @@ class TestAnEndBeforeTheEnd:
     def test_cells_that_kill_every_worker_end_in_a_sentence(self, alone, map_17):
         for _ in range(2):
             alone.worker(
-                preload="import clunk.sweeping.distributed, os; clunk.distributed._grid = lambda _: os._exit(1)",
+                preload="import clunk.sweeping.distributed as there, os; there._runner = lambda _: os._exit(1)",
                 nanny=True,
             )
         with Cluster(alone.address) as engine, pytest.raises(EngineError, match="run by 4 workers that died"):
@@ -327,7 +314,7 @@ class TestAnEndBeforeTheEnd:
         if scheduler == "by hand":
             alone.worker()
             scheduler = alone.address
-        often = "from clunk import parts; parts._FIRST_PART = parts._PART = parts._SHARE = 0.0"
+        often = "from clunk.sweeping import parts; parts._FIRST_PART = parts._PART = parts._SHARE = 0.0"
         slow = ["--set", "solver.step=1e-6", "--scheduler", scheduler]
         process = clunk(directory, *slow, before=often)
         while not (directory / "map.h5.partial" / "part-000001").exists():
@@ -351,7 +338,7 @@ def lost(by_hand, study, target):
             by_hand.scheduler.kill()
 
     with WorkingDirectory(target) as directory, Cluster(by_hand.address) as engine:
-        parts = parts_of(directory, study)
+        job = Job(study, directory=directory)
         with pytest.raises(EngineError, match=f"The scheduler at {by_hand.address} was lost"):
-            sweep(study, engine=engine, progress=progress, parts=parts)
-        return parts.kept
+            job.run(engine, progress=progress)
+        return job.parts.kept

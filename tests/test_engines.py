@@ -1,11 +1,15 @@
-"""Work that grows while it is done."""
+"""Engines: work that grows while it is done, and any executor as an engine."""
+
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
 
 import numpy as np
 import pytest
-from test_sweeping import figure_3_4
+from test_sweeping import equal, figure_3_4
 
 from clunk.sweeping.cells import Grid
-from clunk.sweeping.engines import Threads, Work
+from clunk.sweeping.engines import Work, run_tiles
+from clunk.sweeping.sweep import sweep
 
 
 @pytest.fixture(scope="module")
@@ -37,8 +41,25 @@ def test_the_rest_is_not_put_in_order_before_it_is_needed(grid):
 def test_threads_go_on_until_nothing_waits_or_runs(grid, workers):
     """Each cell of the first row asks for the cell below it, and so on, when it is done."""
     work, ran = Work(grid, np.arange(17), may_grow=True), []
-    for tile in Threads(workers).run(grid, work):
-        ran += tile.cells.tolist()
-        below = tile.cells + 17
-        work.add(below[below < grid.cells])
-    assert sorted(ran) == list(range(grid.cells))
+    with ThreadPoolExecutor(workers) as engine:
+        for tile in run_tiles(engine, grid, work):
+            ran += tile.cells.tolist()
+            below = tile.cells + 17
+            work.add(below[below < grid.design.cells])
+    assert sorted(ran) == list(range(grid.design.cells))
+
+
+class OneAtATime(Executor):
+    """The least that an engine may be."""
+
+    def submit(self, function, /, *arguments):
+        future = Future()
+        future.set_result(function(*arguments))
+        return future
+
+
+@pytest.mark.parametrize("engine", [OneAtATime(), pytest.param("processes", marks=pytest.mark.slow)])
+def test_any_executor_is_an_engine(engine):
+    study = figure_3_4(9, step=2e-4)
+    with ProcessPoolExecutor(2, get_context("spawn")) if engine == "processes" else engine as executor:
+        assert equal(sweep(study, engine=executor), sweep(study))

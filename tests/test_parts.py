@@ -18,9 +18,8 @@ from clunk.results.store import read_header
 from clunk.study.config import replace_values
 from clunk.sweeping import parts as keeping
 from clunk.sweeping import scratch
-from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.parts import PartsError, WorkingDirectory
-from clunk.sweeping.sweep import parts_of, sweep
+from clunk.sweeping.sweep import Job, sweep
 
 CONFIG = """
 [driveline]
@@ -62,7 +61,7 @@ def whole(study):
     return sweep(study)
 
 
-def stopped(study, target, after, error=KeyboardInterrupt, **options):
+def stopped(study, target, after, error=KeyboardInterrupt, *, engine=None, refine=False):
     """Start a sweep and stop it when so many cells are done; how many are kept."""
 
     def progress(done, _total):
@@ -70,20 +69,20 @@ def stopped(study, target, after, error=KeyboardInterrupt, **options):
             raise error
 
     with WorkingDirectory(target) as directory:
-        parts = parts_of(directory, study, refine=options.get("refine", False))
+        job = Job(study, directory=directory, refine=refine)
         with pytest.raises(error):
-            sweep(study, progress=progress, parts=parts, **options)
-        return parts.kept
+            job.run(engine, progress=progress)
+        return job.parts.kept
 
 
-def resumed(study, target, **options):
+def resumed(study, target, *, refine=False, **options):
     """Go on, and the parts; the directory is removed."""
     with WorkingDirectory(target) as directory:
-        parts = parts_of(directory, study, refine=options.get("refine", False))
-        results = sweep(study, parts=parts, **options)
+        job = Job(study, directory=directory, refine=refine)
+        results = job.run(**options)
         directory.remove()
     assert not directory.path.exists()
-    return results, parts
+    return results, job.parts
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])
@@ -110,8 +109,7 @@ def test_a_refined_sweep_goes_on_likewise(target, often):
 
 def test_a_finished_sweep_leaves_no_directory_and_a_short_one_no_parts(study, target):
     with WorkingDirectory(target) as directory:
-        parts = parts_of(directory, study)
-        sweep(study, parts=parts)
+        Job(study, directory=directory).run()
         assert directory.parts() == []
     assert list(target.parent.iterdir()) == []
 
@@ -120,15 +118,15 @@ def test_parts_of_another_config_are_refused_with_what_differs(study, target):
     stopped(study, target, 60)
     other = replace_values(study, {"load.static_torque": -2.0, "solver.end_time": 1.5})
     with WorkingDirectory(target) as directory, pytest.raises(PartsError) as raised:
-        parts_of(directory, other)
+        _ = Job(other, directory=directory).parts
     assert "load.static_torque = -1.0 there, -2.0 here" in str(raised.value)
     assert "solver.end_time = 2.0 there, 1.5 here" in str(raised.value)
     assert "--restart" in str(raised.value)
     with WorkingDirectory(target) as directory, pytest.raises(PartsError, match="runs every cell, not"):
-        parts_of(directory, study, refine=True)
+        _ = Job(study, directory=directory, refine=True).parts
     with WorkingDirectory(target) as directory:
         directory.clear()
-        parts_of(directory, other)
+        _ = Job(other, directory=directory).parts
 
 
 def damage(path, how):
@@ -206,7 +204,7 @@ def test_a_disk_that_is_full_is_a_sentence_and_what_was_kept_stays(study, whole,
     with monkeypatch.context() as patch, WorkingDirectory(target) as directory:
         patch.setattr(os, "fsync", full)
         with pytest.raises(PartsError, match="no space left on device; the same command goes on"):
-            sweep(study, parts=parts_of(directory, study))
+            Job(study, directory=directory).run()
     results, parts = resumed(study, target)
     assert parts.taken_up == kept
     assert equal(results, whole)
@@ -219,7 +217,7 @@ def test_few_parts_are_written_however_long_a_sweep_takes(study, target, monkeyp
     tile = next(iter(_tiles(study)))
     moments = []
     with WorkingDirectory(target) as directory:
-        parts = parts_of(directory, study)
+        parts = Job(study, directory=directory).parts
         monkeypatch.setattr(parts, "flush", lambda: (moments.append(now[0]), _written(parts, now[0])))
         while now[0] < 86400.0:
             parts.add(tile)
@@ -245,13 +243,13 @@ def _tiles(study):
 def test_what_waits_to_be_written_is_bounded_however_fast_cells_finish(study, whole, target, monkeypatch):
     monkeypatch.setattr(keeping, "_LARGEST_PART", 100)
     with WorkingDirectory(target) as directory:
-        assert equal(sweep(study, workers=1, parts=parts_of(directory, study)), whole)
+        assert equal(Job(study, directory=directory).run(workers=1), whole)
         assert len(directory.parts()) == 3  # two of 112, as tiles are of 16 cells here, and the last
 
 
 def test_results_put_together_on_the_disk_are_the_same_bits(study, whole, target, often, monkeypatch):
     """And nothing is left of where they were, nor of a file that a process left when it was killed."""
-    monkeypatch.setattr(sweeping, "_LARGE_SHARE", 0.0)
+    monkeypatch.setattr(scratch, "_LARGE_SHARE", 0.0)
     stopped(study, target, 150)
     assert not list(target.parent.glob("map.h5.partial/.*"))
     results, parts = resumed(study, target)
@@ -275,10 +273,10 @@ def test_no_room_for_results_on_the_disk_is_a_sentence(study, whole, target, oft
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch, WorkingDirectory(target) as directory:
-        patch.setattr(sweeping, "_LARGE_SHARE", 0.0)
+        patch.setattr(scratch, "_LARGE_SHARE", 0.0)
         patch.setattr(scratch, "reserve", full)
         with pytest.raises(scratch.ScratchError, match=r"has no room for the results \(no space left on device\)"):
-            sweep(study, parts=parts_of(directory, study))
+            Job(study, directory=directory).run()
     results, parts = resumed(study, target)
     assert parts.taken_up == kept
     assert equal(results, whole)
@@ -311,7 +309,7 @@ if moment == "first fsync":
 elif moment == "fifth part":
     at(os, "fsync", 10, False)
 elif moment == "assembly":
-    at(store, "_write_flags", 5, False)
+    at(store, "_write_axis", 2, False)
 elif moment == "file on disk":
     at(store, "write_file", 1, False)
 elif moment == "trailer":

@@ -28,7 +28,7 @@ def refined(truth, spacing, touches=None, at_once=10**9):
             interrupted, cells = cells.size > at_once, cells[:at_once]
             ran.flat[cells] = True
             asked += 1
-    found = refinement.kinds().reshape(truth.shape)
+    found = refinement.regimes().reshape(truth.shape)
     assert np.array_equal(found[ran], kinds[ran])
     assert np.isin(found, kinds[ran]).all()
     return np.where(found == DOUBTFUL, DOUBTFUL, found - 1), ran, asked

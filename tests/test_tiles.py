@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from test_sweeping import equal, figure_3_4
 
-from clunk.sweeping.assembly import Assembly
-from clunk.sweeping.cells import CELL, IMPACT, Grid
+from clunk.sweeping.assembly import RegimeReduction
+from clunk.sweeping.cells import Grid
 from clunk.sweeping.sweep import sweep
 from clunk.sweeping.tiles import from_bytes, to_pieces
 
@@ -13,10 +13,10 @@ ORIGIN = bytes(range(32))
 
 
 def assembled(study, batches):
-    grid, assembly, stop = Grid(study), Assembly(study), np.zeros(1, np.uint8)
+    grid, reduction, stop = Grid(study), RegimeReduction(study), np.zeros(1, np.uint8)
     for cells in batches:
-        assembly.add(grid.run(np.asarray(cells, np.int64), stop))
-    return assembly.results({})
+        reduction.add(grid.run(np.asarray(cells, np.int64), stop))
+    return reduction.result({})
 
 
 @pytest.fixture(scope="module")
@@ -43,12 +43,12 @@ def test_cells_that_come_twice_count_once(study):
 
 def test_a_stopped_tile_has_the_cells_that_are_done(study):
     stopped = Grid(study).run(np.arange(20), np.ones(1, np.uint8))
-    assert stopped.cells.size == stopped.records.size == stopped.impacts.size == 0
+    assert stopped.cells.size == stopped.records.size == stopped.details.size == 0
 
 
 def test_bytes_give_the_same_tile_again(tile):
-    again = from_bytes(b"".join(to_pieces([tile, tile], ORIGIN)), ORIGIN, CELL, IMPACT)
-    for name in ("cells", "records", "impacts"):
+    again = from_bytes(b"".join(to_pieces([tile, tile], ORIGIN)), ORIGIN, Grid.layout)
+    for name in ("cells", "records", "details"):
         one, two = getattr(tile, name), getattr(again, name)
         assert one.dtype == two.dtype
         for column in one.dtype.names or (...,):
@@ -58,14 +58,14 @@ def test_bytes_give_the_same_tile_again(tile):
 def test_bytes_of_another_origin_cut_or_changed_are_refused(tile):
     raw = b"".join(to_pieces([tile], ORIGIN))
     with pytest.raises(ValueError, match="another study"):
-        from_bytes(raw, ORIGIN[::-1], CELL, IMPACT)
+        from_bytes(raw, ORIGIN[::-1], Grid.layout)
     for length in [*range(0, len(raw), 97), len(raw) - 1]:
         with pytest.raises(ValueError, match=r"truncated|damaged"):
-            from_bytes(raw[:length], ORIGIN, CELL, IMPACT)
+            from_bytes(raw[:length], ORIGIN, Grid.layout)
     with pytest.raises(ValueError, match="damaged"):
-        from_bytes(raw + b"\0", ORIGIN, CELL, IMPACT)
+        from_bytes(raw + b"\0", ORIGIN, Grid.layout)
     for place in np.random.default_rng(0).integers(0, 8 * len(raw), 300):
         changed = bytearray(raw)
         changed[place // 8] ^= 1 << (place % 8)
         with pytest.raises(ValueError, match=r"another study|damaged"):
-            from_bytes(bytes(changed), ORIGIN, CELL, IMPACT)
+            from_bytes(bytes(changed), ORIGIN, Grid.layout)

@@ -25,7 +25,7 @@ from clunk.study.designs import drawn_numbers, nominal
 from clunk.sweeping import parts as keeping
 from clunk.sweeping import tolerances
 from clunk.sweeping.parts import PartsError, WorkingDirectory
-from clunk.sweeping.sweep import SweepError, parts_of, sweep, tolerance_map
+from clunk.sweeping.sweep import Job, SweepError, sweep, tolerance_map
 
 DRIVELINE = """
 title = "Small"
@@ -302,19 +302,19 @@ class TestTiles:
                 raise KeyboardInterrupt
 
         with WorkingDirectory(tmp_path / "map.h5") as directory:
-            parts = parts_of(directory, toleranced)
+            first = Job(toleranced, directory=directory)
             with pytest.raises(KeyboardInterrupt):
-                tolerance_map(toleranced, progress=stop, parts=parts)
-            assert 50 <= parts.kept < 147
+                first.run(progress=stop)
+            assert 50 <= first.parts.kept < 147
             with pytest.raises(PartsError, match="another config"):
-                parts_of(directory, nominal(toleranced))
-            parts = parts_of(directory, toleranced)
-            again = tolerance_map(toleranced, parts=parts)
-            assert 50 <= parts.taken_up < 147
-            parts = parts_of(directory, toleranced)
+                _ = Job(nominal(toleranced), directory=directory).parts
+            second = Job(toleranced, directory=directory)
+            again = second.run()
+            assert 50 <= second.parts.taken_up < 147
             monkeypatch.setattr(tolerances, "_TILE_RUNS", 1)
-            assert equal(found, tolerance_map(toleranced, parts=parts))  # nothing is left to run
-            assert parts.taken_up == 147
+            third = Job(toleranced, directory=directory)
+            assert equal(found, third.run())  # nothing is left to run
+            assert third.parts.taken_up == 147
             directory.remove()
         assert equal(found, again)
 

@@ -56,7 +56,8 @@ def sensitivity(
     from clunk.analysis import sobol
     from clunk.results import targets
     from clunk.study.config import load_study, replace_values
-    from clunk.sweeping.sweep import unused_parameters, warm_up
+    from clunk.study.designs import unused_parameters
+    from clunk.sweeping.cells import warm_up
 
     study = load_study(config, overrides)
     if output is not None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,10 +13,12 @@ from clunk.cli.options import EXIT_FAILED_CELLS, EXIT_INTERRUPTED, EXIT_USAGE, P
 from clunk.sweeping import progress
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
     from contextlib import AbstractContextManager
 
-    from clunk.sweeping.engines import Engine
-    from clunk.sweeping.output import Output
+    from clunk.results.regimemap import Results
+    from clunk.results.tolerancemap import ToleranceMap
+    from clunk.sweeping.sweep import Job
 
 
 @click.command()
@@ -68,71 +69,73 @@ def sweep(
         raise click.UsageError(f"{option} does not go with [[sweep.tolerances]]: every cell has its own probabilities.")
     target = output or Path("results") / f"{config.stem}.h5"
     targets.check(target, targets.RESULTS, reads=config)
-    from clunk.sweeping.output import engine_of, opened
+    from clunk.sweeping.sweep import engine_of, opened
 
     opening = engine_of(scheduler, workers, say=lambda text: click.echo(text, err=True))
-    with opened(target, study, refine=refine, retry=retry_failed, restart=restart, force=force) as output_file:
-        counts = output_file.counts
-        if counts is not None:
+    with opened(target, study, refine=refine, retry=retry_failed, restart=restart, force=force) as job:
+        if job.counts is None:
+            failed = _report(_run(job, opening), job, as_json)
+        else:
             click.echo(f"{target} {'has no failed cells' if retry_failed else 'is already complete'}.", err=True)
             if tolerances:
                 from clunk.results.store import read_tolerance_map
 
                 failed = tables.report_tolerances(read_tolerance_map(target), target, 0.0, as_json)
             else:
-                failed = tables.report_counts(counts, target, 0.0, as_json)
-        else:
-            failed = _sweep_into(output_file, opening, as_json)
+                failed = tables.report_counts(job.counts, target, 0.0, as_json)
     if failed:
         sys.exit(EXIT_FAILED_CELLS)
 
 
-def _sweep_into(output: Output, opening: AbstractContextManager[Engine], as_json: bool) -> int:
-    """Run, write, report; how many cells, or runs of a tolerance map, have failed."""
-    import clunk.sweeping.sweep as sweeping
-    from clunk.results.tolerancemap import ToleranceMap
+def _run(job: Job, opening: AbstractContextManager[Executor]) -> Results | ToleranceMap:
+    """Run a sweep with a progress bar; say what was found of an earlier one, and what is kept where it is stopped."""
+    from clunk.study.designs import unused_parameters
+    from clunk.sweeping.cells import warm_up
     from clunk.sweeping.engines import EngineError
 
-    study, target, parts, earlier = output.study, output.path, output.parts, output.earlier
-    total = sweeping.cell_count(study)
+    study, parts = job.study, job.parts
     terminal.warn_of_coarse_step(study, study.solver.method)
-    for parameter in sweeping.unused_parameters(study):
+    for parameter in unused_parameters(study):
         click.echo(f"note: {parameter} is swept, but changes nothing in this model", err=True)
     terminal.say_if_compiling(study.solver.method)
-    sweeping.warm_up(study)
-    known, ran = 0 if earlier is None else total - earlier.counts()["failed"], 0
+    warm_up(study)
     told = False
     try:
-        with opening as engine, progress.shown(total) as show:
-            began = time.perf_counter()
+        with opening as engine, progress.shown(job.design.cells) as show:
 
             def tell(done: int, total: int) -> None:
-                nonlocal ran, told
-                if not told:
+                nonlocal told
+                if not told and parts is not None:
                     terminal.report_resumed(parts.taken_up, parts.discarded)
-                told, ran = True, done - known
+                told = True
                 show(done, total)
 
-            results = output.run(engine=engine, progress=tell)
+            return job.run(engine, progress=tell)
     except (KeyboardInterrupt, SystemExit, EngineError) as stopped:
         if isinstance(stopped, EngineError):
             terminal.complain(str(stopped))
-        terminal.complain(f"stopped: {output.kept}")
+        terminal.complain(f"stopped: {job.kept}")
         if isinstance(stopped, SystemExit):
             raise
         if isinstance(stopped, EngineError):
             sys.exit(EXIT_USAGE)
         click.echo("interrupted", err=True)
         sys.exit(EXIT_INTERRUPTED)
-    seconds = time.perf_counter() - began
-    output.save(results)
-    if isinstance(results, ToleranceMap):
-        failed = tables.report_tolerances(results, target, seconds, as_json)
-        terminal.report_speed(total, ran, parts.taken_up, seconds, target, draws=results.draws)
-        terminal.report_failures(results, " for some draws")
-        return failed
-    failed = tables.report_counts(results.counts(), target, seconds, as_json)
-    terminal.report_speed(total, ran, parts.taken_up, seconds, target, inferred=output.refine)
-    if failed:
-        terminal.report_failures(results)
+
+
+def _report(result: Results | ToleranceMap, job: Job, as_json: bool) -> int:
+    """Print a map that has just been run; returns how many cells, or runs of a tolerance map, have failed."""
+    from clunk.results.tolerancemap import ToleranceMap
+
+    assert job.path is not None
+    target, seconds = job.path, job.seconds
+    speed = job.design.cells, job.ran, 0 if job.parts is None else job.parts.taken_up, seconds, target
+    if isinstance(result, ToleranceMap):
+        failed = tables.report_tolerances(result, target, seconds, as_json)
+        terminal.report_speed(*speed, draws=result.draws)
+        terminal.report_failures(result, " for some draws")
+    else:
+        failed = tables.report_counts(result.counts(), target, seconds, as_json)
+        terminal.report_speed(*speed, inferred=job.refine)
+        terminal.report_failures(result)
     return failed

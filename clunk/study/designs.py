@@ -158,3 +158,14 @@ def _unswept_value(study: Study, parameter: str) -> float:
     assert study.sweep is not None
     is_swept = any(axis.parameter == parameter for axis in study.sweep.axes)
     return math.nan if is_swept else nominal_value(study, parameter)
+
+
+def unused_parameters(study: Study) -> list[str]:
+    """The swept or drawn keys that change nothing in the study's contact model."""
+    sweep = study.sweep
+    swept = [each.parameter for each in (*sweep.axes, *sweep.samples, *sweep.tolerances)] if sweep else []
+    if study.lash.contact.model == "restitution":
+        unused = {"lash.contact.stiffness", "lash.contact.damping", "impacts.sticking_time", "impacts.acceleration_of"}
+    else:
+        unused = {"lash.contact.restitution", "lash.contact.locking_speed"}
+    return [parameter for parameter in swept if parameter in unused | {"load.step_time"}]

@@ -8,36 +8,40 @@ no bit of it where all are of the same versions, which every worker is asked.
 from __future__ import annotations
 
 import functools
-import hashlib
 import io
-import json
 import logging
 import math
 import pickle
-import secrets
 import threading
 import time
 import warnings
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
-from types import TracebackType
 from typing import Any, Self
 
 import dask
 import distributed
 import numpy as np
-import numpy.typing as npt
-from distributed import Client, Future, KilledWorker, LocalCluster
+from distributed import Client, KilledWorker, LocalCluster
 
 from clunk.core.jit import is_cold
 from clunk.results.files import reason
-from clunk.sweeping.cells import Grid
-from clunk.sweeping.engines import Cells, EngineError, Work, available_cores, cpu_model, tile_size
-from clunk.sweeping.parts import versions
-from clunk.sweeping.tiles import Tile, from_bytes, to_pieces
+from clunk.sweeping.engines import (
+    EngineError,
+    Runner,
+    Stop,
+    Work,
+    available_cores,
+    cpu_model,
+    run_tile,
+    tile_size,
+)
+from clunk.sweeping.provenance import versions
+from clunk.sweeping.tiles import Cells, Tile
 
 LOCAL = "local"
 
@@ -52,22 +56,8 @@ _ENDING = 3.0  # s that workers have to hear that a sweep is abandoned
 
 
 @dataclass(frozen=True)
-class _Job:
-    """What goes with every tile of a sweep."""
-
-    name: str
-    method: str
-    versions: Mapping[str, str]
-
-    @property
-    def origin(self) -> bytes:
-        """What its tiles are marked with."""
-        return hashlib.sha256(json.dumps([self.name, dict(self.versions)]).encode()).digest()
-
-
-@dataclass(frozen=True)
 class _Worker:
-    """What a worker says of itself."""
+    """A worker's description of itself."""
 
     address: str
     versions: Mapping[str, str]
@@ -76,45 +66,73 @@ class _Worker:
 
 @dataclass(frozen=True)
 class _Answer:
-    """A tile as `clunk.sweeping.tiles` writes it, empty from a worker of other versions; and how long it took."""
+    """A tile, None from a worker of other versions; and how long it took."""
 
     worker: _Worker
     seconds: float
-    tile: bytes
+    tile: Tile | None
 
 
-class _Tiles:
-    """The cells that wait, cut into tiles: so long that this process has the time to look after all workers.
+class _Pace:
+    """Sizes of the next tiles: so long that this process has the time to look after all workers.
 
     least : cells of the first tiles, and the least of any
     largest : of all
     """
 
-    def __init__(self, work: Work, least: int, largest: int) -> None:
-        self._work = work
+    def __init__(self, least: int, largest: int) -> None:
         self.least = least
         self._largest = largest
-        self._number = 0
-        self._pace = math.inf  # s a cell
+        self._seconds = math.inf  # a cell
 
-    def next(self, tiles: int, threads: int) -> dict[int, Cells | tuple[int, int]]:
-        """Up to so many tiles by number, for so many threads: consecutive cells as the range that they are."""
-        found: dict[int, Cells | tuple[int, int]] = {}
-        while len(found) < tiles and self._work.size:
-            wanted = int(max(_SHORTEST, _ATTENTION * threads) / self._pace)
-            share = self._work.size // (4 * threads)  # so that all end together
-            part = self._work.take(max(self.least, min(wanted, share, self._largest)))
-            found[self._number] = (int(part[0]), int(part[-1]) + 1) if np.all(np.diff(part) == 1) else part
-            self._number += 1
-        return found
+    def cells(self, waiting: int, threads: int) -> int:
+        """Cells of the next tile, for so many threads, when so many cells wait."""
+        long_enough = int(max(_SHORTEST, _ATTENTION * threads) / self._seconds)
+        share = waiting // (4 * threads)  # so that all end together
+        return max(self.least, min(long_enough, share, self._largest))
 
     def took(self, seconds: float, cells: int) -> None:
-        """How long a tile took; the first ones of a worker load the program, too."""
+        """Note how long a tile took; the first ones of a worker load the program, too."""
         pace = max(seconds, 1e-6) / max(cells, 1)
-        self._pace = pace if math.isinf(self._pace) else 0.5 * (self._pace + pace)
+        self._seconds = pace if math.isinf(self._seconds) else 0.5 * (self._seconds + pace)
 
 
-class Cluster:
+class _Task(Future[Tile]):
+    """A tile that is run by the workers; to cancel one is to abandon its sweep."""
+
+    def __init__(self, abandon: Callable[[], None]) -> None:
+        super().__init__()
+        self._abandon = abandon
+
+    def cancel(self) -> bool:
+        """Abandon the sweep."""
+        self._abandon()
+        return super().cancel()
+
+
+@dataclass(eq=False)
+class _Sweep:
+    """The tiles of one runner.
+
+    versions : that its workers must have
+    sent : the runner as a task of its own: it goes to each worker once, and to those that come later as well
+    running : by dask's future
+    """
+
+    runner: Runner
+    stop: Stop
+    versions: Mapping[str, str]
+    pace: _Pace
+    sent: Any = None
+    running: dict[Any, _Task] = field(default_factory=dict)
+    done: SimpleQueue[Any] = field(default_factory=SimpleQueue)
+    count: int = 0
+    ended: bool = False  # nothing more comes of it
+    abandoned: bool = False
+    told: bool = False  # that processors are of several types
+
+
+class Cluster(Executor):
     """The workers of a scheduler, while this is open.
 
     Parameters
@@ -125,7 +143,7 @@ class Cluster:
     workers : int, optional
         Processes of `LOCAL`; by default one for each core that this process may use.
     say : callable(text), optional
-        Told what is being waited for.
+        Called with what is being waited for.
 
     Raises EngineError where there is no scheduler, or one of its workers cannot give the bits that this process would.
     """
@@ -135,8 +153,9 @@ class Cluster:
         self._workers = workers or available_cores()
         self._say = say or (lambda _text: None)
         self._processors: set[str] = set()
-        self._told = False
         self._open = ExitStack()
+        self._sweep: _Sweep | None = None  # the latest one
+        self._known_threads, self._asked = 0, -math.inf
 
     def __enter__(self) -> Self:
         with ExitStack() as opened:
@@ -155,94 +174,81 @@ class Cluster:
             self._open = opened.pop_all()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Leave the scheduler; its tasks end with that."""
         self._open.close()
 
     def processors(self) -> str:
-        """The models of the processors that ran cells; where there are several, see `run`."""
-        return "; ".join(sorted(self._processors)) or cpu_model()
-
-    def run(self, grid: Grid, work: Work) -> Generator[Tile, None, None]:
-        """See `clunk.sweeping.engines.Engine`.
+        """The models of the processors that ran cells.
 
         A system that all cells share is prepared here. Those of structural axes are prepared where they are needed, by
         LAPACK, which on a processor of another type may round differently.
         """
+        return "; ".join(sorted(self._processors)) or cpu_model()
+
+    def next_tile(self, running: int, work: Work, runner: Runner) -> int:
+        """Number of cells of the next tile; 0 where enough tiles are running."""
         if not work.size:
-            return
-        job = _Job(secrets.token_hex(8), grid.study.solver.method, versions())
-        threads, asked = self._threads(), time.monotonic()
-        self._check_workers(job)
-        # A task of its own: it goes to each worker once, and to those that come later as well.
-        study = self._client.submit(bytes, _pickled(*grid.recipe()), key=f"clunk-study-{job.name}")
-        tiles = _Tiles(work, tile_size(work.size, grid, threads), max(1, _LARGEST // grid.runs))
-        running: set[Future[Any]] = set()
-        done: SimpleQueue[Future[Any]] = SimpleQueue()
-        try:
-            while True:
-                if time.monotonic() - asked > _ASKING:
-                    threads, asked = self._threads(), time.monotonic()
-                if work.may_grow:
-                    tiles.least = tile_size(work.known, grid, threads)
-                parts = tiles.next(_IN_FLIGHT * threads - len(running), threads)
-                if parts:
-                    keys = [f"clunk-tile-{job.name}-{number}" for number in parts]
-                    for future in self._client.map(_run_tile, list(parts.values()), study=study, job=job, key=keys):
-                        running.add(future)
-                        future.add_done_callback(done.put)
-                if not running:  # nor does anything wait, which may have come while tiles were yielded
-                    return
-                futures = _those_in(done)
-                for answer in self._fetched(futures, job):
-                    tile = from_bytes(answer.tile, job.origin, grid.record, grid.detail)
-                    tiles.took(answer.seconds, tile.cells.size)
-                    yield tile
-                running.difference_update(futures)
-                if grid.shared() is None and len(self._processors) > 1 and not self._told:
-                    self._told = True
-                    self._say(f"note: processors of several types, last bits may depend on them: {self.processors()}")
+            return 0
+        threads, sweep = self._threads(), self._sweep
+        if sweep is None or sweep.runner is not runner or sweep.ended:
+            pace = _Pace(tile_size(work.size, runner, threads), max(1, _LARGEST // runner.runs))
+            sweep = self._sweep = self._begin(runner, pace)
+        if work.may_grow:
+            sweep.pace.least = tile_size(work.known, runner, threads)
+        return sweep.pace.cells(work.size, threads) if running < _IN_FLIGHT * threads else 0
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any, **_options: Any) -> Future[Any]:
+        """Have a tile run; `function` is `clunk.sweeping.engines.run_tile`."""
+        assert function is run_tile
+        runner, cells, stop = arguments
+        sweep = self._sweep
+        assert sweep is not None
+        assert sweep.runner is runner
+        if sweep.sent is None:
+            sweep.stop = stop
+            sweep.sent = self._client.submit(bytes, _pickled(runner), key=f"clunk-study-{stop.name}")
+            threading.Thread(target=self._fetch, args=(sweep,), daemon=True).start()
+        consecutive = cells[-1] - cells[0] + 1 == cells.size and np.all(np.diff(cells) == 1)
+        task = _Task(functools.partial(self._abandon, sweep))
+        future = self._client.submit(
+            _run,
+            (int(cells[0]), int(cells[-1]) + 1) if consecutive else cells,
+            sweep.sent,
+            stop,
+            sweep.versions,
+            key=f"clunk-tile-{stop.name}-{sweep.count}",
+        )
+        sweep.count += 1
+        task.set_running_or_notify_cancel()
+        sweep.running[future] = task
+        future.add_done_callback(sweep.done.put)
+        return task
+
+    def _begin(self, runner: Runner, pace: _Pace) -> _Sweep:
+        sweep = _Sweep(runner, Stop(), versions(), pace)
+        self._check_workers(sweep)
+        return sweep
+
+    def _fetch(self, sweep: _Sweep) -> None:
+        """Bring finished tiles here until the sweep ends; in a thread of its own."""
+        while not sweep.ended:
+            futures = _those_in(sweep.done)
+            try:
+                for future, answer in zip(futures, self._answers(futures, sweep), strict=True):
+                    assert answer.tile is not None
+                    sweep.pace.took(answer.seconds, answer.tile.cells.size)
+                    sweep.running.pop(future).set_result(answer.tile)
                 if self._client.status != "running":
                     raise self._lost()
-        finally:
-            self._abandon(job, [*running, study])
+            except Exception as error:
+                if not sweep.ended:
+                    sweep.ended = True
+                    for task in list(sweep.running.values()):
+                        task.set_exception(error)
 
-    def _threads(self) -> int:
-        """How many threads the workers have; waits for the first."""
-        told = False
-        while True:
-            try:
-                threads = int(sum(self._client.nthreads().values()))
-            except Exception as error:  # whichever of its layers notices first that the scheduler has gone
-                raise self._lost() from error
-            if threads:
-                return threads
-            if not told:
-                self._say(f"waiting for a worker of {self._address} …")
-            told = True
-            time.sleep(_ASKING / 4)
-
-    def _check_workers(self, job: _Job) -> None:
-        """Refuse workers of other versions, or that cannot tell theirs; say where kernels will be compiled."""
-        try:
-            found = self._client.run(_introduced, on_error="return")
-            cold = self._client.run(is_cold, job.method, on_error="ignore")
-        except Exception as error:
-            raise self._lost() from error
-        for address, worker in found.items():
-            if isinstance(worker, OSError):  # it has gone in the meantime
-                continue
-            if not isinstance(worker, _Worker):
-                raise EngineError(
-                    f"Worker {address} cannot run clunk ({reason(worker)}): it needs the same installation as here."
-                )
-            _refuse_other_versions(worker, job)
-        if compiling := sum(cold.values()):
-            self._say(f"{compiling} of {len(found)} workers compile {job.method}, once for an installation …")
-
-    def _fetched(self, futures: Sequence[Future[Any]], job: _Job) -> list[_Answer]:
-        """What came of finished tasks."""
+    def _answers(self, futures: Sequence[Any], sweep: _Sweep) -> list[_Answer]:
+        """Results of finished tasks."""
         if not futures:
             return []
         try:
@@ -255,32 +261,75 @@ class Cluster:
         except Exception as error:
             if self._client.status != "running":
                 raise self._lost() from error
-            self._check_workers(job)  # one that has come since may be why
+            self._check_workers(sweep)  # one that has come since may be why
             raise EngineError(f"A worker could not run its cells: {reason(error)}.") from error
         for answer in answers:
-            _refuse_other_versions(answer.worker, job)
+            _refuse_other_versions(answer.worker, sweep)
             self._processors.add(answer.worker.processor)
+        if len(self._processors) > 1 and not sweep.told and sweep.runner.shared() is None:
+            sweep.told = True
+            self._say(f"note: processors of several types, last bits may depend on them: {self.processors()}")
         return answers
+
+    def _threads(self) -> int:
+        """How many threads the workers have; waits for the first."""
+        if self._known_threads and time.monotonic() - self._asked < _ASKING:
+            return self._known_threads
+        told = False
+        while True:
+            try:
+                threads = int(sum(self._client.nthreads().values()))
+            except Exception as error:  # whichever of its layers notices first that the scheduler has gone
+                raise self._lost() from error
+            if threads:
+                self._known_threads, self._asked = threads, time.monotonic()
+                return threads
+            if not told:
+                self._say(f"waiting for a worker of {self._address} …")
+            told = True
+            time.sleep(_ASKING / 4)
+
+    def _check_workers(self, sweep: _Sweep) -> None:
+        """Refuse workers of other versions, or that cannot tell theirs; say where kernels will be compiled."""
+        method = sweep.runner.method
+        try:
+            workers = self._client.run(_introduced, on_error="return")
+            cold = self._client.run(is_cold, method, on_error="ignore")
+        except Exception as error:
+            raise self._lost() from error
+        for address, worker in workers.items():
+            if isinstance(worker, OSError):  # it has gone in the meantime
+                continue
+            if not isinstance(worker, _Worker):
+                raise EngineError(
+                    f"Worker {address} cannot run clunk ({reason(worker)}): it needs the same installation as here."
+                )
+            _refuse_other_versions(worker, sweep)
+        if compiling := sum(cold.values()):
+            self._say(f"{compiling} of {len(workers)} workers compile {method}, once for an installation …")
 
     def _lost(self) -> EngineError:
         return EngineError(f"The scheduler at {self._address} was lost.")
 
-    def _abandon(self, job: _Job, futures: Sequence[Future[Any]]) -> None:
-        """Let go of tasks, and end those that run."""
-        if len(futures) < 2 or self._client.status != "running":
+    def _abandon(self, sweep: _Sweep) -> None:
+        """Let go of a sweep's tasks, and end those that run."""
+        if sweep.abandoned:
+            return
+        sweep.abandoned = sweep.ended = True
+        if self._client.status != "running":
             return
 
         def tell() -> None:
-            self._client.cancel(list(futures), force=True)
-            self._client.run(_stop, job.name, on_error="ignore")
+            self._client.cancel([*sweep.running, sweep.sent], force=True)
+            self._client.run(Stop.set, sweep.stop, on_error="ignore")
 
         telling = threading.Thread(target=tell, daemon=True)  # a worker may be deaf for as long as it compiles
         telling.start()
         telling.join(_ENDING)
 
 
-def _refuse_other_versions(worker: _Worker, job: _Job) -> None:
-    for name, here in job.versions.items():
+def _refuse_other_versions(worker: _Worker, sweep: _Sweep) -> None:
+    for name, here in sweep.versions.items():
         there = worker.versions.get(name, "none")
         if there != here:
             raise EngineError(
@@ -289,7 +338,7 @@ def _refuse_other_versions(worker: _Worker, job: _Job) -> None:
             )
 
 
-def _those_in(done: SimpleQueue[Future[Any]]) -> list[Future[Any]]:
+def _those_in(done: SimpleQueue[Any]) -> list[Any]:
     """Some of the finished tasks; none where there are none for a while."""
     try:
         futures = [done.get(timeout=0.2)]
@@ -300,14 +349,14 @@ def _those_in(done: SimpleQueue[Future[Any]]) -> list[Future[Any]]:
     return futures
 
 
-def _pickled(*values: object) -> bytes:
+def _pickled(value: object) -> bytes:
     buffer = io.BytesIO()
-    _Pickler(buffer).dump(values)
+    _Pickler(buffer).dump(value)
     return buffer.getvalue()
 
 
 class _Pickler(pickle.Pickler):
-    """Keeps how arrays lie in memory: kernels are compiled for that, and pickle knows only C and Fortran order."""
+    """Pickler that keeps the order of arrays in memory, for which kernels are compiled; pickle knows only C and F."""
 
     def reducer_override(self, value: object) -> Any:
         if not isinstance(value, np.ndarray) or value.flags.forc:
@@ -340,7 +389,7 @@ _DEAF = "import signal ; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without dask's own messages: what a user should know is said by `Cluster`."""
+    """Silence dask's own messages: what a user should know is said by `Cluster`."""
     names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] in ("distributed", "tornado")]
     levels = {name: logging.getLogger(name).level for name in names}
     with warnings.catch_warnings():
@@ -357,38 +406,22 @@ def _quiet() -> Iterator[None]:
 # --- on a worker
 
 
-def _run_tile(cells: Cells | tuple[int, int], study: bytes, job: _Job) -> _Answer:
+def _run(cells: Cells | tuple[int, int], pickled: bytes, stop: Stop, wanted: Mapping[str, str]) -> _Answer:
     worker = _introduced(distributed.get_worker())
-    if worker.versions != job.versions:
-        return _Answer(worker, 0.0, b"")
-    numbers = np.arange(*cells, dtype=np.int64) if isinstance(cells, tuple) else cells
+    if worker.versions != wanted:
+        return _Answer(worker, 0.0, None)
+    numbers = np.arange(*cells, dtype=np.int64) if isinstance(cells, tuple) else np.array(cells)
     began = time.perf_counter()
-    tile = _grid(study).run(numbers, _stop_flag(job.name))
-    return _Answer(worker, time.perf_counter() - began, b"".join(to_pieces([tile], job.origin)))
+    tile = run_tile(_runner(pickled), numbers, stop)
+    return _Answer(worker, time.perf_counter() - began, tile)
 
 
 def _introduced(dask_worker: distributed.Worker) -> _Worker:
-    return _Worker(dask_worker.address, _versions(), cpu_model())
-
-
-@functools.cache
-def _versions() -> dict[str, str]:
-    return versions()
+    return _Worker(dask_worker.address, versions(), cpu_model())
 
 
 @functools.lru_cache(2)
-def _grid(study: bytes) -> Grid:
-    """The grid of a study as `Cluster.run` sends it; kept for other tiles, with the systems that it keeps."""
-    kind, values = pickle.loads(study)  # noqa: S301  # from the command, by a scheduler that its user trusts
-    grid: Grid = kind(*values)
-    return grid
-
-
-@functools.lru_cache(16)
-def _stop_flag(job: str) -> npt.NDArray[np.uint8]:
-    """What ends a sweep's tiles in this process."""
-    return np.zeros(1, np.uint8)
-
-
-def _stop(job: str) -> None:
-    _stop_flag(job)[0] = 1
+def _runner(pickled: bytes) -> Runner:
+    """The runner of a sweep; kept for other tiles, with the systems that it keeps."""
+    runner: Runner = pickle.loads(pickled)  # noqa: S301  # from the command, by a scheduler that its user trusts
+    return runner

@@ -1,7 +1,10 @@
-"""Engines: who runs the cells of a sweep. Here the threads of this process; `clunk.sweeping.distributed` has another.
+"""Engines: who runs the tiles of a sweep.
 
-A cell's result depends on nothing but its parameters, so neither the engine, the cut into tiles, the order nor the
-number of threads can change a bit of it.
+An engine is anything with the shape of `concurrent.futures.Executor`: threads by default, or the workers of a dask
+scheduler (`clunk.sweeping.distributed`). A cell's result depends on nothing but its parameters, so neither the engine,
+the cut into tiles, the order nor the number of workers can change a bit of it.
+
+An engine may have two methods besides: `next_tile(running, work, runner)`, as `next_tile` here, and `processors()`.
 """
 
 from __future__ import annotations
@@ -9,19 +12,18 @@ from __future__ import annotations
 import functools
 import os
 import platform
+import secrets
 from collections.abc import Generator
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.study.errors import ClunkError
-from clunk.sweeping.cells import Grid
-from clunk.sweeping.tiles import Tile
-
-Cells = npt.NDArray[np.int64]
+from clunk.sweeping.cells import Prepared
+from clunk.sweeping.cells import Stop as Flag
+from clunk.sweeping.tiles import Cells, Layout, Tile
 
 _AHEAD = 2  # tiles handed to each worker; by the time that it could get to more, others may be there to go with them
 _AHEAD_OF_WHOLE = 8  # of tiles of the largest size: they go on while a part is written to the disk, 0.3 s
@@ -31,126 +33,162 @@ class EngineError(ClunkError):
     """An engine that cannot start or go on; its text is one sentence for the user."""
 
 
+class Runner(Protocol):
+    """Runs cells to tiles, in any thread or process: it can be pickled.
+
+    layout : of the tiles
+    runs : of each cell
+    """
+
+    layout: Layout
+    runs: int
+
+    @property
+    def method(self) -> str:
+        """The method of the runs."""
+
+    @property
+    def tile_cells(self) -> int:
+        """The most cells of a tile."""
+
+    def ordered(self, cells: Cells) -> Cells:
+        """Cells in the order in which they are best cut into tiles."""
+
+    def shared(self) -> Prepared | None:
+        """The system and tables that all runs share, if they do."""
+
+    def run(self, cells: Cells, stop: Flag) -> Tile:
+        """Run cells; the tile has those that were done before `stop` was set."""
+
+
 class Work:
-    """Cells of a grid that wait to be run.
+    """Queue of cells to run.
 
     size : how many wait
     known : how many there have been
     may_grow : whether others may turn up while some are running
     """
 
-    def __init__(self, grid: Grid, cells: Cells, *, may_grow: bool = False) -> None:
+    def __init__(self, runner: Runner, cells: Cells, *, may_grow: bool = False) -> None:
         self.may_grow = may_grow
-        self._grid = grid
-        self._waiting = grid.ordered(cells)
+        self._runner = runner
+        self._waiting = runner.ordered(cells)
         self._begin = 0
         self._added: list[Cells] = []
         self.size = self.known = cells.size
 
     def add(self, cells: Cells) -> None:
-        """There are more."""
+        """Append cells to the queue."""
         if cells.size:
             self._added.append(cells)
             self.size += cells.size
             self.known += cells.size
 
     def take(self, most: int) -> Cells:
-        """Up to so many of them, those that are best run together."""
+        """Remove up to `most` cells from the queue, those that are best run together."""
         if self._added and self._waiting.size - self._begin < most:
             every = np.sort(np.concatenate([self._waiting[self._begin :], *self._added]))
-            self._waiting, self._begin, self._added = self._grid.ordered(every), 0, []
+            self._waiting, self._begin, self._added = self._runner.ordered(every), 0, []
         part = self._waiting[self._begin :][:most].copy()  # it may be kept, and the rest need not
         self._begin += part.size
         self.size -= part.size
         return part
 
 
-class Engine(Protocol):
-    """Runs cells of a grid."""
+class Stop:
+    """A flag that ends the running tiles of a sweep; in each other process a flag of the same name."""
 
-    def run(self, grid: Grid, work: Work) -> Generator[Tile, None, None]:
-        """Finished tiles in the order in which they finish, until neither any cells wait nor any are running.
+    def __init__(self, name: str | None = None) -> None:
+        self.name = name or secrets.token_hex(8)
+        self.flag: Flag = np.zeros(1, np.uint8)
 
-        Leaving the generator early abandons the running cells.
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _stop_named, (self.name,)
 
-        Raises EngineError where it cannot go on.
-        """
-        ...
-
-    def processors(self) -> str:
-        """The models of the processors that ran cells, for the results' attribute `cpu`."""
-        ...
+    def set(self) -> None:
+        """End the tiles that run in this process."""
+        self.flag[0] = 1
 
 
-class Threads:
-    """The threads of this process, in a kernel without the interpreter lock.
+@functools.lru_cache(16)
+def _stop_named(name: str) -> Stop:
+    return Stop(name)
 
-    workers : how many; by default one for each core that this process may use
+
+def run_tiles(engine: Executor, runner: Runner, work: Work) -> Generator[Tile, None, None]:
+    """Run cells until none wait or run; yield finished tiles in the order in which they finish.
+
+    Leaving the generator early abandons the running cells. Raises EngineError where the engine cannot go on.
     """
-
-    def __init__(self, workers: int | None = None) -> None:
-        self._workers = workers or available_cores()
-
-    def run(self, grid: Grid, work: Work) -> Generator[Tile, None, None]:
-        """See `Engine`."""
-        stop = np.zeros(1, np.uint8)
-        with ThreadPoolExecutor(self._workers, thread_name_prefix="clunk") as pool:
-            running: set[Future[Tile]] = set()
-            try:
-                while True:
-                    while most := self._next(len(running), work, grid):
-                        running.add(pool.submit(grid.run, work.take(most), stop))
-                    if not running:
-                        return
-                    finished, running = wait(running, timeout=0.2, return_when=FIRST_COMPLETED)
-                    for future in finished:
-                        yield future.result()
-            finally:
-                stop[0] = 1
-                for future in running:
-                    future.cancel()
-
-    def _next(self, running: int, work: Work, grid: Grid) -> int:
-        """Cells of the next tile; 0 where enough tiles are handed out.
-
-        Half of what a worker's share of the rest is, so that all workers end together. Of work that may grow,
-        half of a worker's share of all, or of the most that a tile may have: there will be others.
-        """
-        most = grid.tile_cells
-        if work.may_grow:
-            most = max(1, min(most, -(-work.known // self._workers)) // 2)
-        else:
-            share = -(-work.size // (2 * self._workers))
-            most = min(max(share, _least(work.known, grid, self._workers)), most)
-        enough = self._workers * (_AHEAD_OF_WHOLE if most == grid.tile_cells else _AHEAD)
-        return most if work.size and running < enough else 0
-
-    def processors(self) -> str:
-        """This machine's."""
-        return cpu_model()
+    stop = Stop()
+    running: set[Future[Tile]] = set()
+    choose = getattr(engine, "next_tile", functools.partial(next_tile, workers_of(engine)))
+    try:
+        while True:
+            while most := choose(len(running), work, runner):
+                running.add(engine.submit(run_tile, runner, work.take(most), stop))
+            if not running:
+                return
+            finished, running = wait(running, timeout=0.2, return_when=FIRST_COMPLETED)
+            for future in finished:
+                yield future.result()
+    finally:
+        stop.set()
+        for future in running:
+            future.cancel()
 
 
-def tile_size(cells: int, grid: Grid, workers: int) -> int:
-    """Cells of a tile: eight tiles a worker, none larger than the grid's; fewer tiles where they would be too small."""
-    return min(max(-(-cells // (8 * workers)), _least(cells, grid, workers)), grid.tile_cells)
+def run_tile(runner: Runner, cells: Cells, stop: Stop) -> Tile:
+    """Run one tile; the task that engines are given."""
+    return runner.run(cells, stop.flag)
 
 
-def _least(cells: int, grid: Grid, workers: int) -> int:
+def next_tile(workers: int, running: int, work: Work, runner: Runner) -> int:
+    """Number of cells of the next tile; 0 where enough tiles are running.
+
+    Half of a worker's share of the rest, so that all workers end together. Of work that may grow, half of a worker's
+    share of all, or of the most that a tile may have: there will be others.
+    """
+    most = runner.tile_cells
+    if work.may_grow:
+        most = max(1, min(most, -(-work.known // workers)) // 2)
+    else:
+        most = min(max(-(-work.size // (2 * workers)), _least(work.known, runner, workers)), most)
+    enough = workers * (_AHEAD_OF_WHOLE if most == runner.tile_cells else _AHEAD)
+    return most if work.size and running < enough else 0
+
+
+def tile_size(cells: int, runner: Runner, workers: int) -> int:
+    """Number of cells of a tile so that each worker gets eight, if they are neither too large nor too small then."""
+    return min(max(-(-cells // (8 * workers)), _least(cells, runner, workers)), runner.tile_cells)
+
+
+def _least(cells: int, runner: Runner, workers: int) -> int:
     """Cells of the smallest tile that is worth while; fewer only where some worker would have nothing to do."""
-    return max(min(grid.tile_cells // 8, -(-cells // workers)), 1)
+    return max(min(runner.tile_cells // 8, -(-cells // workers)), 1)
+
+
+def workers_of(engine: Executor) -> int:
+    """Number of workers of an engine, which all executors of the standard library keep under this name."""
+    return getattr(engine, "_max_workers", None) or available_cores()
 
 
 def available_cores() -> int:
-    """How many cores this process may use."""
+    """Number of cores that this process may use."""
     try:
         return len(os.sched_getaffinity(0))
     except AttributeError:  # not on macOS and Windows
         return os.cpu_count() or 1
 
 
+def processors_of(engine: Executor | None) -> str:
+    """Models of the processors that ran an engine's tiles, for the results' attribute `cpu`."""
+    return str(getattr(engine, "processors", cpu_model)())
+
+
 @functools.cache
 def cpu_model() -> str:
-    """What this machine's processor calls itself."""
+    """Model of this machine's processor."""
     try:
         with Path("/proc/cpuinfo").open(encoding="utf-8") as lines:
             return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))

@@ -13,20 +13,19 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import platform
 import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
 
-import numpy as np
-
 from clunk.results.files import reason, write_whole
+from clunk.study.config import Study, content, digest
 from clunk.study.errors import ClunkError
+from clunk.sweeping.provenance import versions
+from clunk.sweeping.reduction import AnyMap, Reduction
 from clunk.sweeping.tiles import Tile, from_bytes, to_pieces
 
 _FIRST_PART = 2.0  # s: what is done sooner is as soon done again
@@ -116,37 +115,30 @@ class Parts:
     """The finished cells of one sweep in a working directory.
 
     directory : open, that is locked
-    study : what decides the results, by dotted key; parts of another one are refused
-    config_digest : of it
-    plan : which cells are run, for people: "every cell"
-    record, impact : the dtypes of a tile's arrays
+    study : Study
+    reduction : of the sweep; its plan and the layout of its tiles count
 
     Raises PartsError where the directory holds parts of another study or plan.
     """
 
-    def __init__(
-        self,
-        directory: WorkingDirectory,
-        study: Mapping[str, Any],
-        config_digest: str,
-        plan: str,
-        record: np.dtype[np.void],
-        impact: np.dtype[np.void],
-    ) -> None:
+    def __init__(self, directory: WorkingDirectory, study: Study, reduction: Reduction[AnyMap]) -> None:
         self.directory = directory
         self.discarded = 0  # parts of other versions, or damaged
         self.taken_up = 0  # cells that were there
         self.kept = 0  # cells that are there now
+        decisive = content(study)
+        del decisive["title"]
+        decisive["driveline"].pop("names", None)
+        self._layout = reduction.runner.layout
         self._manifest = {
-            "plan": plan,
-            "config_digest": config_digest,
+            "plan": reduction.plan,
+            "config_digest": digest(study),
             "versions": versions(),
-            "arrays": [str(record.descr), str(impact.descr)],
-            "study": dict(study),
+            "arrays": [str(self._layout.record.descr), str(self._layout.detail.descr)],
         }
-        decisive = {key: value for key, value in self._manifest.items() if key != "study"}  # the digest stands for it
-        self._origin = hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).digest()
-        self._types = record, impact
+        # the digest stands for the study, which is there for the sentence that tells what differs
+        self._origin = hashlib.sha256(json.dumps(self._manifest, sort_keys=True).encode()).digest()
+        self._manifest["study"] = dict(_flat(decisive))
         self._waiting: list[Tile] = []
         self._cells_waiting = 0
         self._number = max((int(path.name.removeprefix("part-")) for path in directory.parts()), default=0)
@@ -157,7 +149,7 @@ class Parts:
         """The parts that are whole and of this sweep; what else is there is removed."""
         for path in self.directory.parts():
             try:
-                tile = from_bytes(path.read_bytes(), self._origin, *self._types)
+                tile = from_bytes(path.read_bytes(), self._origin, self._layout)
             except (OSError, ValueError):
                 self.discarded += 1
                 with suppress(OSError):
@@ -211,26 +203,37 @@ class Parts:
         """Compare with the manifest that is there; one that cannot be read is of no use, and its parts tell it too."""
         path = self.directory.path / "manifest.json"
         try:
-            found = json.loads(path.read_bytes())
-            plan, digest, study, its_versions = (found[key] for key in ("plan", "config_digest", "study", "versions"))
-            differences = _differences(study, json.loads(json.dumps(self._manifest["study"], default=str)))
+            there = json.loads(path.read_bytes())
+            here = json.loads(json.dumps(self._manifest, default=str))
+            differing = [key for key in ("config_digest", "plan", "versions") if there[key] != here[key]]
+            differences = _differences(there["study"], here["study"])
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             with suppress(OSError):
                 path.unlink(missing_ok=True)
             return
-        if digest != self._manifest["config_digest"]:
+        way_out = "finish that one, or begin anew with --restart (in Python, restart=True)."
+        if "config_digest" in differing:
             what = "; ".join(differences) or "the config"
+            raise PartsError(f"{self.directory.path} holds an unfinished sweep of another config ({what}): {way_out}")
+        if "plan" in differing:
             raise PartsError(
-                f"{self.directory.path} holds an unfinished sweep of another config ({what}): finish that one, "
-                "or begin anew with --restart (in Python, restart=True)."
+                f"{self.directory.path} holds an unfinished sweep that runs {there['plan']}, not {here['plan']}: "
+                + way_out
             )
-        if plan != self._manifest["plan"]:
-            raise PartsError(
-                f"{self.directory.path} holds an unfinished sweep that runs {plan}, not {self._manifest['plan']}: "
-                "finish that one, or begin anew with --restart (in Python, restart=True)."
-            )
-        if its_versions != self._manifest["versions"]:
+        if differing:
             path.unlink()
+
+
+def _flat(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """The leaves of a document by dotted key, list items by number from 1."""
+    if isinstance(node, dict):
+        for name, value in node.items():
+            yield from _flat(value, f"{key}.{name}" if key else name)
+    elif isinstance(node, list | tuple) and any(isinstance(item, dict) for item in node):
+        for number, value in enumerate(node, 1):
+            yield from _flat(value, f"{key}[{number}]")
+    else:
+        yield key, list(node) if isinstance(node, tuple) else node
 
 
 def _differences(there: Mapping[str, Any], here: Mapping[str, Any], most: int = 3) -> list[str]:
@@ -243,20 +246,6 @@ def _differences(there: Mapping[str, Any], here: Mapping[str, Any], most: int = 
 def _shown(value: Any) -> str:
     text = "nothing" if value is None else json.dumps(value, ensure_ascii=False)
     return text if len(text) <= 40 else text[:37] + "…"
-
-
-# The rooms whose sources decide the bits of a cell; an edit elsewhere, of a picture or a table, discards nothing.
-_DECISIVE = ("core", "study", "simulation", "sweeping")
-
-
-def versions() -> dict[str, str]:
-    """Everything of the program that could change a bit of a cell's results: sources, Python, numpy, scipy, numba."""
-    sources = hashlib.sha256()
-    root = Path(__file__).parents[1]
-    for path in sorted(path for room in _DECISIVE for path in (root / room).rglob("*.py")):
-        sources.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes() + b"\0")
-    packages = {name: version(name) for name in ("numpy", "scipy", "numba")}
-    return {"python": platform.python_version(), **packages, "sources of clunk": sources.hexdigest()}
 
 
 def _lock(file: BinaryIO) -> None:

@@ -1,9 +1,9 @@
-"""Which cells of a map have to be run, where the others follow from their neighbours: index logic and no physics.
+"""Refined maps: the cells that have to be run where the others follow from their neighbours. No physics.
 
 The grid is cut into blocks between every `spacing`-th cell of each axis, and these into halves, down to single cells.
 A block's edges belong to it, so that what a neighbour's refinement finds on a shared edge counts too. One is halved if
 
-- known cells in it differ in kind (regime and initial flank), or one is doubtful: it failed, or was decided by a hair.
+- known cells in it differ in regime (label and initial flank), or one is doubtful: it failed, or was decided by a hair.
   Then its corners are run, and of the corners of its halves those beside known ones that differ, or a doubtful one;
 - known cells in it differ by two touches or more. Then all corners of its halves are run.
 
@@ -14,9 +14,9 @@ regime is a touch more than its neighbours have, just hard or late enough to be 
 touches accumulate, and these lines are much longer than it and are followed along their whole length. On the grid it is
 a dashed line; so everything within a few cells of one that differs from both neighbours is run, too.
 
-Every cell that is left then lies in a block, or between cells, where all that are known are of one kind. The cells run
-are the smallest set closed under these rules, so that they depend neither on the order of the runs nor on where they
-were interrupted.
+Every cell that is left then lies in a block, or between cells, where all that are known are of one regime. The cells
+run are the smallest set closed under these rules, so that they depend neither on the order of the runs nor on where
+they were interrupted.
 
 What is nowhere seen from that set is missed: an island between the cells of the coarse grid that none of these lines
 meets.
@@ -35,9 +35,9 @@ import numpy.typing as npt
 from clunk.core.jit import unowned, unowned_inlined
 from clunk.study.designs import Design
 
-UNKNOWN = 0  # kind of a cell that has not been run, and of a block in which none has
-DOUBTFUL = -1  # kind of one whose neighbours must be run whatever they are
-_HALVED = -2  # in the place of a block's kind, where known cells differ in that
+UNKNOWN = 0  # regime of a cell that has not been run, and of a block in which none has
+DOUBTFUL = -1  # regime of one whose neighbours must be run whatever they are
+_HALVED = -2  # in the place of a block's regime, where known cells differ in that
 _RUN = -3  # or in touches, so that there is no more to ask for
 
 COARSE_INTERVALS = 60  # of an axis, at least: every 16th of 1001 cells
@@ -60,12 +60,9 @@ def spacings(axes: Sequence[npt.NDArray[np.float64]], intervals: int = COARSE_IN
 
     axes : each (count,), the values; where they neither rise nor fall throughout, neighbours tell nothing: 1
     """
-    found = []
-    for values in axes:
-        steps = np.diff(values)
-        room = (len(values) - 1) // intervals if np.all(steps > 0.0) or np.all(steps < 0.0) else 0
-        found.append(1 << max(0, room.bit_length() - 1))
-    return tuple(found)
+    monotone = [np.all(np.diff(values) > 0.0) or np.all(np.diff(values) < 0.0) for values in axes]
+    rooms = [(len(values) - 1) // intervals * int(is_so) for values, is_so in zip(axes, monotone, strict=True)]
+    return tuple(1 << max(0, room.bit_length() - 1) for room in rooms)
 
 
 def coarse_spacing(design: Design) -> tuple[int, ...]:
@@ -80,12 +77,12 @@ class _Map(NamedTuple):
     shape, strides : (axes,), in cells
     position, origin : (axes,), room for a cell's indices, and for those of a block's first cell
     corners : (3**axes,), room for the corners of a block's halves
-    kinds, touches : (cells,) int32, of touches one more than there are; `UNKNOWN` where they are
+    regimes, touches : (cells,) int32, of touches one more than there are; `UNKNOWN` where they are
     crest, asked : (cells,) bool, whether a cell is known to lie on one; whether it is known or has been asked for
     shifts : (levels + 1, axes), log2 of a block's width in cells; the last row is of single cells, which are no blocks
     blocks, hops : (levels, axes), how many, and from one to the next in their numbers
     first : (levels,), where a level's blocks begin
-    kind : (all blocks,) int32, of a block's known cells; `UNKNOWN` without any, `_HALVED` or `_RUN` where it is halved
+    of_block : (all blocks,) int32, regime of its known cells; `UNKNOWN` without any, `_HALVED` or `_RUN` where halved
     fewest, most : (all blocks,) int32, touches of its known cells, if there are any
     directions : (n, axes), of two opposite ones one; along : (n,), a step of each in cells
     ahead, behind : (n,), room for how far the map goes on
@@ -97,7 +94,7 @@ class _Map(NamedTuple):
     position: Cells
     origin: Cells
     corners: Cells
-    kinds: Integers
+    regimes: Integers
     touches: Integers
     crest: Mask
     asked: Mask
@@ -105,7 +102,7 @@ class _Map(NamedTuple):
     blocks: Cells
     hops: Cells
     first: Cells
-    kind: Integers
+    of_block: Integers
     fewest: Integers
     most: Integers
     directions: Cells
@@ -117,7 +114,7 @@ class _Map(NamedTuple):
 
 
 class Refinement:
-    """What has to be run of a map, as more and more of it gets known.
+    """Chooses the cells of a map that have to be run, as more and more of it gets known.
 
     shape : length of each axis
     spacing : of the coarse grid, a power of two for each axis
@@ -134,14 +131,14 @@ class Refinement:
         ways = [(-1, 0, 1) if own > 1 else (0,) for own in spacing]
         half = list(product(*ways))[: math.prod(map(len, ways)) // 2]
         directions = np.array(half, np.int64).reshape(-1, len(shape))
-        kinds, touches = np.zeros((2, cells), np.int32)
+        regimes, touches = np.zeros((2, cells), np.int32)
         self._map = _Map(
             shape=counts,
             strides=strides,
             position=np.zeros(len(shape), np.int64),
             origin=np.zeros(len(shape), np.int64),
             corners=np.zeros(3 ** len(shape), np.int64),
-            kinds=kinds,
+            regimes=regimes,
             touches=touches,
             crest=np.zeros(cells, bool),
             asked=np.zeros(cells, bool),
@@ -149,7 +146,7 @@ class Refinement:
             blocks=blocks,
             hops=np.array([_strides(own) for own in blocks.tolist()], np.int64).reshape(blocks.shape),
             first=np.concatenate(([0], ends))[:-1].astype(np.int64),
-            kind=np.zeros(every, np.int32),
+            of_block=np.zeros(every, np.int32),
             fewest=np.empty(every, np.int32),
             most=np.empty(every, np.int32),
             directions=directions,
@@ -162,13 +159,13 @@ class Refinement:
         edges = (np.append(np.arange(0, count, own), count - 1) for count, own in zip(shape, spacing, strict=True))
         self._coarse = np.unique(np.ravel_multi_index(np.meshgrid(*edges, indexing="ij"), tuple(shape)))
 
-    def take(self, cells: Cells, kinds: Integers, touches: Integers) -> Cells:
-        """Learn what cells were found to be.
+    def take(self, cells: Cells, regimes: Integers, touches: Integers) -> Cells:
+        """Take the regimes and touches of cells that have been run.
 
         Parameters
         ----------
         cells : (n,) int64, numbers in C order, in any order; none at first
-        kinds : (n,) int32, a number from 1, equal where the kinds are; or `DOUBTFUL`
+        regimes : (n,) int32, a number from 1, equal where the regimes are; or `DOUBTFUL`
         touches : (n,) int32
 
         Returns
@@ -177,20 +174,20 @@ class Refinement:
             What to run besides what has been asked for already, in ascending order.
         """
         known = self._map
-        known.kinds[cells], known.touches[cells], known.asked[cells] = kinds, touches + 1, True
+        known.regimes[cells], known.touches[cells], known.asked[cells] = regimes, touches + 1, True
         coarse, self._coarse = self._coarse[~known.asked[self._coarse]], self._coarse[:0]  # once
         known.asked[coarse] = True
-        found = np.empty(known.kinds.size, np.int64)  # what is not written to takes no memory
-        count = _take(known, cells, found)
-        return np.sort(np.concatenate((coarse, found[:count])))
+        wanted = np.empty(known.regimes.size, np.int64)  # what is not written to takes no memory
+        count = _take(known, cells, wanted)
+        return np.sort(np.concatenate((coarse, wanted[:count])))
 
-    def kinds(self) -> Integers:
-        """Each cell's kind, (cells,) int32: what it was found to be, else that of its block, or of what is beside it.
+    def regimes(self) -> Integers:
+        """Each cell's regime, (cells,) int32: of cells not run, that of their block or of a cell beside them.
 
         Only when all that was asked for is known; there is nothing to learn after that.
         """
         _infer(self._map)
-        return self._map.kinds
+        return self._map.regimes
 
 
 def _cube(spacing: Sequence[int], reach: int) -> Cells:
@@ -204,13 +201,13 @@ def _strides(counts: Sequence[int]) -> Cells:
 
 
 @unowned
-def _take(known: _Map, cells: Cells, found: Cells) -> int:
-    """Write to `found` what is to be run for the sake of these cells, which are known; returns how many."""
+def _take(known: _Map, cells: Cells, wanted: Cells) -> int:
+    """Write to `wanted` what is to be run for the sake of these cells, which are known; returns how many."""
     count = 0
     for cell in cells:
         _unravel(known, cell)
         _look_around(known)
-        count = _join(known, cell, found, count)
+        count = _join(known, cell, wanted, count)
         for way, step in enumerate(known.along):
             ahead, behind = known.ahead[way], known.behind[way]
             for k in range(-min(behind, _CREST), min(ahead, _CREST) + 1):
@@ -223,17 +220,17 @@ def _take(known: _Map, cells: Cells, found: Cells) -> int:
                     and (k > 0 or _has_fewer(known.touches, own, -step, behind + k))
                 ):
                     known.crest[own] = True
-                    count = _ask_around(known, own, known.beside_crest, found, count)
+                    count = _ask_around(known, own, known.beside_crest, wanted, count)
             for k in range(-min(behind - 1, 1), min(ahead - 1, 1) + 1):
-                if _is_thin(known.kinds, cell + k * step, step):
-                    count = _ask_around(known, cell + k * step, known.beside_thin, found, count)
+                if _is_thin(known.regimes, cell + k * step, step):
+                    count = _ask_around(known, cell + k * step, known.beside_thin, wanted, count)
     return count
 
 
 @unowned_inlined
-def _join(known: _Map, cell: int, found: Cells, count: int) -> int:
-    """Let a cell, whose indices are in `position`, count in its blocks; returns how many are found."""
-    axes, doubtful = len(known.shape), known.kinds[cell] == DOUBTFUL
+def _join(known: _Map, cell: int, wanted: Cells, count: int) -> int:
+    """Let a cell, whose indices are in `position`, count in its blocks; returns how many are wanted."""
+    axes, doubtful = len(known.shape), known.regimes[cell] == DOUBTFUL
     for level in range(len(known.first)):
         last, edges = known.first[level], 0  # of its blocks, the last; the axes on which it lies between two
         is_corner = True  # of halves of these blocks
@@ -252,49 +249,49 @@ def _join(known: _Map, cell: int, found: Cells, count: int) -> int:
             for axis in range(axes):
                 if before >> axis & 1:
                     block -= known.hops[level, axis]
-            kind, touches = known.kind[block], known.touches[cell]
-            if kind == _RUN:
+            regime, touches = known.of_block[block], known.touches[cell]
+            if regime == _RUN:
                 continue
-            fewest = touches if kind == UNKNOWN else min(known.fewest[block], touches)
-            most = touches if kind == UNKNOWN else max(known.most[block], touches)
+            fewest = touches if regime == UNKNOWN else min(known.fewest[block], touches)
+            most = touches if regime == UNKNOWN else max(known.most[block], touches)
             known.fewest[block], known.most[block] = fewest, most
             if most - fewest >= _TOUCHES:
-                known.kind[block] = _RUN
-                count = _ask_all(known, level, block, found, count)
-            elif kind == UNKNOWN and not doubtful:
-                known.kind[block] = known.kinds[cell]
-            elif kind != known.kinds[cell] or doubtful:
-                known.kind[block] = _HALVED
-                if is_corner or kind != _HALVED:
-                    count = _ask_between(known, level, block, found, count)
+                known.of_block[block] = _RUN
+                count = _ask_all(known, level, block, wanted, count)
+            elif regime == UNKNOWN and not doubtful:
+                known.of_block[block] = known.regimes[cell]
+            elif regime != known.regimes[cell] or doubtful:
+                known.of_block[block] = _HALVED
+                if is_corner or regime != _HALVED:
+                    count = _ask_between(known, level, block, wanted, count)
     return count
 
 
 @unowned
-def _ask_all(known: _Map, level: int, block: int, found: Cells, count: int) -> int:
-    """Ask for the corners of a block's halves; returns how many are found."""
+def _ask_all(known: _Map, level: int, block: int, wanted: Cells, count: int) -> int:
+    """Ask for the corners of a block's halves; returns how many are wanted."""
     _find_corners(known, level, block)
     for cell in known.corners:
-        count = _ask(known.asked, cell, found, count)
+        count = _ask(known.asked, cell, wanted, count)
     return count
 
 
 @unowned
-def _ask_between(known: _Map, level: int, block: int, found: Cells, count: int) -> int:
-    """Ask for a block's corners, and those of its halves beside known ones that differ; returns how many are found."""
+def _ask_between(known: _Map, level: int, block: int, wanted: Cells, count: int) -> int:
+    """Ask for a block's corners, and those of its halves beside known ones that differ; returns how many are wanted."""
     _find_corners(known, level, block)
     for between, cell in enumerate(known.corners):
         if known.asked[cell]:
             continue
-        differ, kind = _is_whole(between), UNKNOWN  # of those beside it
+        differ, regime = _is_whole(between), UNKNOWN  # of those beside it
         for corner, other in enumerate(known.corners):
             if differ:
                 break
-            own = known.kinds[other] if _is_beside(between, corner) else UNKNOWN
-            differ = own == DOUBTFUL or (own != UNKNOWN and kind not in (UNKNOWN, own))
-            kind = kind if own == UNKNOWN else own
+            own = known.regimes[other] if _is_beside(between, corner) else UNKNOWN
+            differ = own == DOUBTFUL or (own != UNKNOWN and regime not in (UNKNOWN, own))
+            regime = regime if own == UNKNOWN else own
         if differ:
-            count = _ask(known.asked, cell, found, count)
+            count = _ask(known.asked, cell, wanted, count)
     return count
 
 
@@ -337,24 +334,24 @@ def _is_beside(one: int, other: int) -> bool:
 
 
 @unowned
-def _ask_around(known: _Map, cell: int, offsets: Cells, found: Cells, count: int) -> int:
-    """Ask for all cells at these offsets from one; returns how many are found."""
+def _ask_around(known: _Map, cell: int, offsets: Cells, wanted: Cells, count: int) -> int:
+    """Ask for all cells at these offsets from one; returns how many are wanted."""
     _unravel(known, cell)
     for offset in offsets:
         other = 0
         for axis in range(len(known.shape)):
             at = min(max(known.position[axis] + offset[axis], 0), known.shape[axis] - 1)
             other += at * known.strides[axis]
-        count = _ask(known.asked, other, found, count)
+        count = _ask(known.asked, other, wanted, count)
     return count
 
 
 @unowned
-def _ask(asked: Mask, cell: int, found: Cells, count: int) -> int:
-    """Ask for a cell unless that has been done; returns how many are found."""
+def _ask(asked: Mask, cell: int, wanted: Cells, count: int) -> int:
+    """Ask for a cell unless that has been done; returns how many are wanted."""
     if not asked[cell]:
         asked[cell] = True
-        found[count] = cell
+        wanted[count] = cell
         count += 1
     return count
 
@@ -362,16 +359,16 @@ def _ask(asked: Mask, cell: int, found: Cells, count: int) -> int:
 @unowned
 def _has_fewer(touches: Integers, cell: int, step: int, reach: int) -> bool:
     """Whether one of the next known cells along a direction has fewer touches than this one."""
-    found = False
+    fewer = False
     for k in range(1, min(reach, _CREST) + 1):
-        found |= UNKNOWN < touches[cell + k * step] < touches[cell]
-    return found
+        fewer |= UNKNOWN < touches[cell + k * step] < touches[cell]
+    return fewer
 
 
 @unowned
-def _is_thin(kinds: Integers, cell: int, step: int) -> bool:
-    """Whether a cell differs in kind from both of its neighbours, all three known."""
-    own, above, below = kinds[cell], kinds[cell + step], kinds[cell - step]
+def _is_thin(regimes: Integers, cell: int, step: int) -> bool:
+    """Whether a cell differs in regime from both of its neighbours, all three known."""
+    own, above, below = regimes[cell], regimes[cell + step], regimes[cell - step]
     return bool(own > UNKNOWN and above != UNKNOWN and below != UNKNOWN and above != own and below != own)
 
 
@@ -379,7 +376,7 @@ def _is_thin(kinds: Integers, cell: int, step: int) -> bool:
 def _look_around(known: _Map) -> None:
     """Put in `ahead` and `behind` how far the map goes on from `position`, along each direction and against it."""
     for way in range(len(known.along)):
-        ahead = behind = len(known.kinds)
+        ahead = behind = len(known.regimes)
         for axis in range(len(known.shape)):
             before, after = known.position[axis], known.shape[axis] - 1 - known.position[axis]
             if known.directions[way, axis] > 0:
@@ -391,9 +388,9 @@ def _look_around(known: _Map) -> None:
 
 @unowned
 def _infer(known: _Map) -> None:
-    """Give each unknown cell the kind of the largest block with it that is not halved, or of a known one beside it."""
+    """Give each unknown cell the regime of the largest block around it that is not halved, or of a cell beside it."""
     levels, last = len(known.first), known.shape[-1] - 1
-    for row in range(0, len(known.kinds), last + 1):
+    for row in range(0, len(known.regimes), last + 1):
         _unravel(known, row)
         # of the level before, this row's first block, how many there are, and log2 of their width
         before, wholes, coarser = 0, 0, known.shifts[0, -1]
@@ -406,18 +403,18 @@ def _infer(known: _Map) -> None:
                 corner += (at if at == known.shape[axis] - 1 else at >> own << own) * known.strides[axis]
             wholes, parts = blocks if level == 0 else wholes, 1 << (coarser - shift)
             for whole in range(wholes):
-                if level > 0 and known.kind[before + whole] > _HALVED:
+                if level > 0 and known.of_block[before + whole] > _HALVED:
                     continue
                 for k in range(whole * parts, (whole + 1) * parts if whole + 1 < wholes else blocks):
                     begin, end = k << shift, (k + 1) << shift if k + 1 < blocks else last + 1
-                    if known.kind[first + k] > _HALVED:
+                    if known.of_block[first + k] > _HALVED:
                         for cell in range(row + begin, row + end):
-                            if known.kinds[cell] == UNKNOWN:
-                                known.kinds[cell] = known.kind[first + k]
+                            if known.regimes[cell] == UNKNOWN:
+                                known.regimes[cell] = known.of_block[first + k]
                     elif level == levels - 1:
                         for at in range(begin, end):
-                            if known.kinds[row + at] == UNKNOWN:
-                                known.kinds[row + at] = known.kinds[corner + (at if at == last else begin)]
+                            if known.regimes[row + at] == UNKNOWN:
+                                known.regimes[row + at] = known.regimes[corner + (at if at == last else begin)]
             before, wholes, coarser = first, blocks, shift
 
 

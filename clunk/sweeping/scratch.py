@@ -1,8 +1,11 @@
-"""Arrays larger than a machine's memory should hold: in files that the system writes out as it needs memory."""
+"""Arrays of results: in memory, or where they are large in files that the system writes out as it needs memory."""
 
 from __future__ import annotations
 
+import math
 import mmap
+import os
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
@@ -12,8 +15,12 @@ import numpy.typing as npt
 
 from clunk.results.files import reason, reserve
 from clunk.study.errors import ClunkError
+from clunk.sweeping.reduction import SweepError
 
 _BLOCK = 1 << 28  # bytes
+_BYTES_PER_CELL = 400  # the most that a cell's results, their assembly and writing take
+_BYTES_IN_MEMORY = 50  # of them, what has to be in memory where the results are put together on the disk
+_LARGE_SHARE = 0.25  # of the memory
 
 
 class ScratchError(ClunkError):
@@ -21,7 +28,7 @@ class ScratchError(ClunkError):
 
 
 class Scratch:
-    """Where arrays are made.
+    """Maker of arrays, in memory or mapped to temporary files.
 
     directory : for files, without a name where the system allows that, that go with the arrays; None for memory
 
@@ -33,13 +40,13 @@ class Scratch:
         self._free = np.zeros(0, np.uint8)
 
     def empty(self, count: int, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
-        """An array of whatever."""
+        """Uninitialised array, in memory or mapped to a temporary file."""
         if self._directory is None:
             return np.empty(count, dtype)
         return self._mapped(count * np.dtype(dtype).itemsize).view(dtype)[:count]
 
     def keep(self, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """An array, or where memory is short a copy of it."""
+        """The array itself, or a copy of it that is mapped to a temporary file."""
         if self._directory is None:
             return array
         if array.nbytes > self._free.size:
@@ -60,3 +67,27 @@ class Scratch:
                 f"{self._directory} has no room for the results ({reason(error)}); "
                 "the same command goes on from what is there."
             ) from error
+
+
+def scratch_for(cells: int, directory: Path | None) -> Scratch:
+    """Scratch for the results of so many cells: in the directory, if any, where they are a large share of memory."""
+    return Scratch(directory if cells * _BYTES_PER_CELL > _LARGE_SHARE * _memory() else None)
+
+
+def refuse_if_too_large(shape: Sequence[int], directory: Path | None) -> None:
+    """Raise SweepError where results of this shape do not fit in memory, or beside it in a directory."""
+    cells, memory = math.prod(shape), _memory()
+    needed = cells * (_BYTES_PER_CELL if directory is None else _BYTES_IN_MEMORY)
+    if needed > 0.8 * memory:
+        raise SweepError(
+            f"The grid of {' x '.join(str(count) for count in shape)} = {cells:,} cells does not fit in memory: it "
+            f"takes about {needed / 2**30:.0f} GiB, and this machine has {memory / 2**30:.0f} GiB."
+        )
+
+
+def _memory() -> float:
+    """Memory of this machine in bytes; infinite where it does not tell."""
+    try:
+        return float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return math.inf

@@ -1,6 +1,7 @@
-"""A tile: cells of the grid that were run together, what came of them, and the bytes in which that is kept.
+"""Tiles: results of cells that were run together, and the bytes in which they are kept on the disk.
 
-Of a regime map, a cell has a CELL and its impacts; of a tolerance map, a TOLERANCE_CELL and its OUTCOMEs.
+A tile has one record for each cell and any number of details of each: of a regime map the cell's CELL and its impacts,
+of a tolerance map its TOLERANCE_CELL and its OUTCOMEs.
 """
 
 from __future__ import annotations
@@ -13,60 +14,74 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+Cells = npt.NDArray[np.int64]  # numbers of cells in C order of the design
+
 _MAGIC = b"clunk tiles 2\n\0\0"
-_HEADER = struct.Struct("<16sQQ32s32s")  # magic, cells, impacts, origin, SHA-256 of all other bytes
+_HEADER = struct.Struct("<16sQQ32s32s")  # magic, cells, details, origin, SHA-256 of all other bytes
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Types of a tile's arrays.
+
+    record, detail : dtype
+    counted_by : field of a record with the number of its details
+    """
+
+    record: np.dtype[np.void]
+    detail: np.dtype[np.void]
+    counted_by: str
 
 
 @dataclass(frozen=True, eq=False)
 class Tile:
-    """The runs of some cells.
+    """Results of some cells.
 
-    cells : (n,) int64, each one's number in C order of the grid; in any order, consecutive or not
-    records : (n,) CELL or TOLERANCE_CELL
-    impacts : (N,) IMPACT or OUTCOME, those of each cell behind those of the cell before it: as many of them as
-        `records["primary_impacts"]` or `records["outcomes"]` says
+    cells : (n,) int64, in any order, consecutive or not
+    records : (n,) of the layout's record type
+    details : (N,) of its detail type, those of each cell behind those of the cell before it
     """
 
-    cells: npt.NDArray[np.int64]
+    cells: Cells
     records: npt.NDArray[np.void]
-    impacts: npt.NDArray[np.void]
+    details: npt.NDArray[np.void]
 
 
 def to_pieces(tiles: Sequence[Tile], origin: bytes) -> list[bytes | memoryview]:
-    """All tiles' cells, then their records, then their impacts, as they are in memory, behind a checksum.
+    """All tiles' cells, then their records, then their details, as they are in memory, behind a checksum.
 
     The pieces are to be written one after the other; nothing is copied.
 
-    origin : 32 bytes that tell which study and which versions the tiles are of
+    origin : 32 bytes that stand for the study and the versions that the tiles are of
     """
-    counts = sum(tile.cells.size for tile in tiles), sum(tile.impacts.size for tile in tiles)
-    arrays = [getattr(tile, name) for name in ("cells", "records", "impacts") for tile in tiles]
+    counts = sum(tile.cells.size for tile in tiles), sum(tile.details.size for tile in tiles)
+    arrays = [getattr(tile, name) for name in ("cells", "records", "details") for tile in tiles]
     body = [np.ascontiguousarray(array).view(np.uint8).data for array in arrays if array.size]
     return [_HEADER.pack(_MAGIC, *counts, origin, _checksum(*counts, origin, *body)), *body]
 
 
-def from_bytes(raw: bytes, origin: bytes, record: np.dtype[np.void], impact: np.dtype[np.void]) -> Tile:
-    """What `to_pieces` made, put together, as one tile. Raises ValueError where a bit of it differs, or its origin."""
+def from_bytes(raw: bytes, origin: bytes, layout: Layout) -> Tile:
+    """Read the tiles that `to_pieces` wrote, as one. Raises ValueError where a bit differs, or the origin."""
     if len(raw) < _HEADER.size:
         raise ValueError("truncated")
-    magic, cells, impacts, its_origin, checksum = _HEADER.unpack_from(raw)
-    if magic != _MAGIC or its_origin != origin:
+    magic, cells, details, written_origin, checksum = _HEADER.unpack_from(raw)
+    if magic != _MAGIC or written_origin != origin:
         raise ValueError("of another study or version")
     body = memoryview(raw)[_HEADER.size :]
-    width = 8 + record.itemsize
-    if len(body) != width * cells + impact.itemsize * impacts:
+    width = 8 + layout.record.itemsize
+    if len(body) != width * cells + layout.detail.itemsize * details:
         raise ValueError("damaged")
-    if _checksum(cells, impacts, origin, body) != checksum:
+    if _checksum(cells, details, origin, body) != checksum:
         raise ValueError("damaged")
     return Tile(
-        np.frombuffer(body[: 8 * cells], np.int64).copy(),  # of the cells alone; a view would keep all the bytes
-        np.frombuffer(body[8 * cells : width * cells], record),
-        np.frombuffer(body[width * cells :], impact),
+        np.frombuffer(body[: 8 * cells], np.int64).copy(),  # reductions keep the cells; a view would keep all the bytes
+        np.frombuffer(body[8 * cells : width * cells], layout.record),
+        np.frombuffer(body[width * cells :], layout.detail),
     )
 
 
-def _checksum(cells: int, impacts: int, origin: bytes, *body: memoryview) -> bytes:
-    sha = hashlib.sha256(struct.pack("<QQ", cells, impacts) + origin)
+def _checksum(cells: int, details: int, origin: bytes, *body: memoryview) -> bytes:
+    sha = hashlib.sha256(struct.pack("<QQ", cells, details) + origin)
     for piece in body:
         sha.update(piece)
     return sha.digest()

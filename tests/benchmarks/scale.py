@@ -25,7 +25,7 @@ from clunk.results import store
 from clunk.study.config import Study, study_from_text, to_toml
 from clunk.sweeping import cells, engines
 from clunk.sweeping import sweep as sweeping
-from clunk.sweeping.assembly import Assembly
+from clunk.sweeping.assembly import RegimeReduction
 from clunk.sweeping.parts import Parts, WorkingDirectory
 from clunk.sweeping.tiles import Tile
 
@@ -80,7 +80,7 @@ class Stages:
 def real_tile(study_text: str) -> tuple[Tile, np.ndarray]:
     """Some cells of a map, run once, and where the impacts of each begin."""
     grid = cells.Grid(study_from_text(study_text))
-    numbers = np.arange(0, grid.cells, max(1, grid.cells // REAL))[:REAL]
+    numbers = np.arange(0, grid.design.cells, max(1, grid.design.cells // REAL))[:REAL]
     tile = RUN(grid, numbers, np.zeros(1, np.uint8))
     return tile, np.concatenate(([0], np.cumsum(tile.records["primary_impacts"], dtype=np.int64)))
 
@@ -91,9 +91,9 @@ RUN = cells.Grid.run
 def empty_run(grid, wanted, _stop):
     """A stand-in for `Grid.run`: cells that have been run before."""
     real, first = real_tile(to_toml(grid.study))
-    begin = int(wanted[0] * REAL // grid.cells) % max(1, real.cells.size - wanted.size)
+    begin = int(wanted[0] * REAL // grid.design.cells) % max(1, real.cells.size - wanted.size)
     end = begin + wanted.size
-    return Tile(wanted, real.records[begin:end].copy(), real.impacts[first[begin] : first[end]].copy())
+    return Tile(wanted, real.records[begin:end].copy(), real.details[first[begin] : first[end]].copy())
 
 
 def study_of(count: float) -> Study:
@@ -107,12 +107,11 @@ def measure(count: float) -> dict[str, object]:
     study = study_of(count)
     stages = Stages()
     cells.Grid.run = stages.watch("tiles", empty_run)
-    Assembly.add = stages.watch("assembly: tiles", Assembly.add)
-    Assembly.results = stages.watch("assembly: results", Assembly.results)
+    RegimeReduction.add = stages.watch("reduction: tiles", RegimeReduction.add)
+    RegimeReduction.result = stages.watch("reduction: results", RegimeReduction.result)
     Parts.add = stages.watch("parts", Parts.add)
     with tempfile.TemporaryDirectory() as scratch, WorkingDirectory(Path(scratch) / "map.h5") as directory:
-        parts = sweeping.parts_of(directory, study)
-        results = stages.watch("sweep in all", sweeping.sweep)(study, parts=parts)
+        results = stages.watch("sweep in all", sweeping.Job(study, directory=directory).run)()
         kept = sum(path.stat().st_size for path in directory.path.iterdir())
         stages.watch("file", store.write)(directory.target, results, directory.path)
         del results
@@ -136,7 +135,7 @@ def measure_tasks(count: float, workers: int) -> None:
     """The same tiles by the workers of a scheduler: what a tile costs on its way, and how much of that here."""
     from clunk.sweeping import distributed
 
-    distributed._Tiles.took = lambda *_: None  # they would grow
+    distributed._Pace.took = lambda *_: None  # they would grow
     study = study_of(count)
     preload = f"import sys; sys.path[:0] = [{str(Path(__file__).parent)!r}] ; import scale ; scale.make_empty()"
     dask = [sys.executable, "-m", "dask"]
@@ -160,7 +159,7 @@ def measure_tasks(count: float, workers: int) -> None:
             for timed in (False, True):
                 began, tiles, process_began = time.perf_counter(), 0, time.process_time()
                 grid = cells.Grid(study)
-                for _tile in engine.run(grid, engines.Work(grid, part)):
+                for _tile in engines.run_tiles(engine, grid, engines.Work(grid, part)):
                     tiles += 1
                 seconds, here = time.perf_counter() - began, time.process_time() - process_began
                 if timed:

@@ -1,0 +1,120 @@
+"""Reductions: from the finished tiles of a sweep, in whatever order they come, to a map that does not depend on it.
+
+A sweep is a design, the cells of which a runner runs to tiles, and a reduction that makes a map of the tiles. Regime
+maps (`clunk.sweeping.assembly`) and tolerance maps (`clunk.sweeping.tolerances`) differ in these two and in no more.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.core.sequence import label
+from clunk.results.labels import FAILED_CODE
+from clunk.results.regimemap import Results
+from clunk.results.tolerancemap import ToleranceMap
+from clunk.study.config import Study, digest, to_toml
+from clunk.study.designs import Design
+from clunk.study.errors import ClunkError
+from clunk.sweeping.engines import Runner
+from clunk.sweeping.tiles import Cells, Tile
+
+AnyMap = Results | ToleranceMap
+SomeMap = TypeVar("SomeMap", bound=AnyMap, covariant=True)
+Flanks = tuple[int, ...]  # of a run's primary impacts in order, +1 opposite, -1 initial
+
+NO_CELLS: Cells = np.zeros(0, np.int64)
+
+
+class SweepError(ClunkError):
+    """A sweep that cannot start; its text is one sentence for the user."""
+
+
+class Reduction(ABC, Generic[SomeMap]):
+    """The arrays of a map, filled tile by tile.
+
+    study, design : of the cells
+    runner : makes the tiles
+    plan : which cells are run, for people
+    may_grow : whether finished cells may ask for others; see `next`
+    known : (cells,) bool, whether a cell has been added
+    done : how many have
+    """
+
+    plan = "every cell"
+    may_grow = False
+
+    def __init__(self, study: Study, design: Design, runner: Runner) -> None:
+        self.study, self.design, self.runner = study, design, runner
+        self.known: npt.NDArray[np.bool_] = np.zeros(design.cells, bool)
+        self.done = 0
+        self.sequences: dict[Flanks, int] = {}  # flanks -> code, in the order in which they turned up
+
+    def add(self, tile: Tile) -> None:
+        """Add a tile's cells; those that are there already are passed over."""
+        index = as_index(tile.cells)
+        new = ~self.known[index]
+        if not new.all():
+            owned = np.repeat(new, tile.records[self.runner.layout.counted_by])
+            tile = Tile(tile.cells[new], tile.records[new], tile.details[owned])
+            index = as_index(tile.cells)
+        self.fill(tile, index)
+        self.known[index] = True
+        self.done += tile.cells.size
+
+    @abstractmethod
+    def fill(self, tile: Tile, index: slice | Cells) -> None:
+        """Put a tile of new cells into the arrays; `index` is where its cells are in these."""
+
+    def first(self) -> Cells:
+        """Cells to run at first, in ascending order: all that have not been added."""
+        return np.flatnonzero(~self.known).astype(np.int64, copy=False)
+
+    def next(self, cells: Cells) -> Cells:
+        """Cells to run for the sake of some that have just been added: none, unless a map is refined."""
+        return NO_CELLS
+
+    @abstractmethod
+    def result(self, attributes: dict[str, str]) -> SomeMap:
+        """The finished map, with these attributes and perhaps others."""
+
+    def code(self, flanks: Flanks) -> int:
+        """The code of a sequence of primary impacts; a new one where it has not turned up yet."""
+        return self.sequences.setdefault(flanks, len(self.sequences))
+
+    def final_codes(self) -> tuple[tuple[str, ...], npt.NDArray[np.int16]]:
+        """The labels by (number of primaries, label), and each code's number among them; the last is that of -1.
+
+        Final codes do not depend on who finished first.
+        """
+        lengths = {label(flanks): len(flanks) for flanks in self.sequences}
+        labels = tuple(sorted(lengths, key=lambda text: (lengths[text], text)))
+        return labels, np.array([*(labels.index(label(flanks)) for flanks in self.sequences), FAILED_CODE], np.int16)
+
+    def heading(self) -> dict[str, Any]:
+        """What all maps say of themselves, by field."""
+        return {
+            "title": self.study.title,
+            "axes": self.design.axes,
+            "coordinates": self.design.coordinates,
+            "config": to_toml(self.study),
+            "config_digest": digest(self.study),
+        }
+
+
+def as_index(cells: Cells) -> slice | Cells:
+    """Cells as an index; where they follow one another, as a slice, which is quicker."""
+    if cells.size and np.all(cells[1:] - cells[:-1] == 1):
+        return slice(int(cells[0]), int(cells[-1]) + 1)
+    return cells
+
+
+def listed(cells: Iterable[int], most: int = 100) -> str:
+    """Numbers of cells, for people; of many the first ones."""
+    numbers = [str(cell) for cell in cells]
+    shown = ", ".join(numbers[:most])
+    return f"{shown}, … ({len(numbers) - most} more)" if len(numbers) > most else shown
