@@ -24,24 +24,23 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
     from clunk.results import store
 
     header = store.check(file) if check else store.read_header(file)
-    found = store.read_tolerance_map(file) if header.tolerance_map else None
+    tolerances = store.read_tolerance_map(file) if header.tolerance_map else None
     if show_config:
         click.echo(header.config, nl=not header.config.endswith("\n"))
         return
     if as_json:
         axes = [
-            {"parameter": a.parameter, "unit": a.unit, "start": float(a.values[0]), "stop": float(a.values[-1])}
-            | {"count": len(a.values)}
-            for a in header.axes
+            {"parameter": axis.parameter, "unit": axis.unit}
+            | {"start": axis.values[0], "stop": axis.values[-1], "count": len(axis.values)}
+            for axis in header.axes
+        ]
+        coordinates = [
+            {"parameter": axis.parameter, "unit": axis.unit, "lowest": axis.values.min(), "highest": axis.values.max()}
+            for axis in header.coordinates
         ]
         record: dict[str, Any] = {"title": header.title, "axes": axes}
-        if header.coordinates:
-            record["coordinates"] = [
-                {"parameter": a.parameter, "unit": a.unit, "lowest": float(a.values.min())}
-                | {"highest": float(a.values.max())}
-                for a in header.coordinates
-            ]
-        record |= {"counts": header.counts} if found is None else tables.tolerance_record(found)
+        record |= {"coordinates": coordinates} if coordinates else {}
+        record |= {"counts": header.counts} if tolerances is None else tables.tolerance_record(tolerances)
         record |= {"config_digest": header.config_digest}
         checked: dict[str, Any] = {"checked": {"data": True, "bytes": header.checksum}} if check else {}
         tables.print_record(record | header.attributes | checked)
@@ -59,14 +58,12 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
     for name, value in header.attributes.items():
         click.echo(f"{name.removesuffix('_version'):<9} {value}")
     if check:
-        data = "the data match their digest"
-        click.echo(
-            f"checked   {data}{', the bytes their checksum' if header.checksum else '; the bytes have no checksum:'}"
-        )
+        checked_bytes = ", the bytes their checksum" if header.checksum else "; the bytes have no checksum:"
+        click.echo(f"checked   the data match their digest{checked_bytes}")
         if not header.checksum:
             click.echo("          another program has changed the file")
     click.echo()
-    if found is None:
+    if tolerances is None:
         tables.print_counts(header.counts)
     else:
-        tables.print_tolerances(found)
+        tables.print_tolerances(tolerances)

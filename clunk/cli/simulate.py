@@ -107,7 +107,7 @@ def simulate(
 def _studies_to_simulate(
     source: Path, overrides: tuple[str, ...], at: tuple[str, ...], overlay: tuple[str, ...]
 ) -> list[tuple[str, Study]]:
-    """The studies of the runs to make, each with a name to tell it from the others."""
+    """Names and studies of the runs to make: one, or one for each combination of overlaid values."""
     from itertools import product
 
     from clunk.study.config import replace_values, study_from_text
@@ -170,7 +170,7 @@ def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, options: Drawin
 
 
 def print_trajectory(trajectory: Trajectory) -> None:
-    """A run's events, its primary impacts and what they amount to."""
+    """Print the events and the summary of a run."""
     from clunk.simulation.trajectory import EVENT_COLUMNS
 
     widths = "{:>11}  {:<10}  {:<8}  {:>10}  {:<9}  {:>11}"
@@ -208,7 +208,7 @@ def trajectory_record(trajectory: Trajectory) -> dict[str, Any]:
 
 
 def print_energy(trajectory: Trajectory, balance: EnergyBalance) -> None:
-    """Where a run's energy went: stored before and after, taken by dampers and flanks, and what does not add up."""
+    """Print the energy balance of a run: stored before and after, taken by dampers and flanks, and the residual."""
     driveline, contact = trajectory.study.driveline, trajectory.study.lash.contact
     shafts = [f"shaft {k}, {shaft.between[0]}-{shaft.between[1]}" for k, shaft in enumerate(driveline.shafts, 1)]
     rows = [

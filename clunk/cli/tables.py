@@ -1,4 +1,4 @@
-"""Tables and JSON records that several commands print on stdout; numbers as text."""
+"""Tables and JSON records that several commands print on stdout."""
 
 from __future__ import annotations
 
@@ -20,28 +20,26 @@ def print_record(record: object) -> None:
 
 
 def report_counts(counts: dict[str, int], target: Path, seconds: float, as_json: bool) -> int:
-    """Print the counts; returns how many cells have failed."""
+    """Print the number of cells of each label, or a record of it; returns the number of failed cells."""
     if as_json:
         cells = sum(counts.values())
-        summary = {"file": str(target), "cells": cells, "seconds": round(seconds, 3), "counts": counts}
-        print_record(summary)
+        print_record({"file": str(target), "cells": cells, "seconds": round(seconds, 3), "counts": counts})
     else:
         print_counts(counts)
     return counts["failed"]
 
 
-def report_tolerances(found: ToleranceMap, target: Path, seconds: float, as_json: bool) -> int:
-    """Print what a tolerance map comes to; returns how many runs have failed."""
+def report_tolerances(tolerances: ToleranceMap, target: Path, seconds: float, as_json: bool) -> int:
+    """Print the summary of a tolerance map, or a record of it; returns the number of failed runs."""
     if as_json:
-        summary = {"file": str(target), "seconds": round(seconds, 3)} | tolerance_record(found)
-        print_record(summary)
+        print_record({"file": str(target), "seconds": round(seconds, 3)} | tolerance_record(tolerances))
     else:
-        print_tolerances(found)
-    return found.failed
+        print_tolerances(tolerances)
+    return tolerances.failed
 
 
 def print_counts(counts: dict[str, int]) -> None:
-    """How many cells each label has."""
+    """Print the number and the share of cells of each label."""
     total = sum(counts.values())
     width = max(len(label) for label in counts)
     for label, count in counts.items():
@@ -49,35 +47,35 @@ def print_counts(counts: dict[str, int]) -> None:
             click.echo(f"{label:<{width}}  {count:>9,} {'cell ' if count == 1 else 'cells'}  {count / total:6.1%}")
 
 
-def print_tolerances(found: ToleranceMap) -> None:
-    """In how many cells each label is the most likely one, its share of all runs, and how many cells are uncertain."""
+def print_tolerances(tolerances: ToleranceMap) -> None:
+    """Print how often each label is the most likely one, its share of all runs, and the number of uncertain cells."""
     from clunk.results.tolerancemap import CERTAIN
 
-    counts, shares = found.counts(), found.shares()
+    counts, shares = tolerances.counts(), tolerances.shares()
     cells, width = sum(counts.values()), max(len(label) for label in counts)
     click.echo(f"{'':<{width}}  {'most likely in':>15}  {'of all runs':>19}")
     for label, count in counts.items():
         if label != "failed" or shares[label]:
             click.echo(f"{label:<{width}}  {phrases.cells(count):>15}  {count / cells:6.1%}  {shares[label]:11.4%}")
     click.echo()
-    uncertain = f"{phrases.cells(found.uncertain)} of {cells:,}, {found.uncertain / cells:.1%}"
-    click.echo(f"uncertain (no label has {CERTAIN:.0%} of the {found.draws:,} draws): {uncertain}")
-    moved = int((found.sequence != found.nominal_sequence).sum())
+    uncertain = f"{phrases.cells(tolerances.uncertain)} of {cells:,}, {tolerances.uncertain / cells:.1%}"
+    click.echo(f"uncertain (no label has {CERTAIN:.0%} of the {tolerances.draws:,} draws): {uncertain}")
+    moved = int((tolerances.sequence != tolerances.nominal_sequence).sum())
     click.echo(f"another most likely label than without tolerances: {phrases.cells(moved)} of {cells:,}")
-    if found.failed:
-        runs = cells * found.draws
-        affected = phrases.cells(int((found.runs[..., -1] > 0).sum()))
-        terminal.complain(f"{found.failed:,} of {runs:,} runs failed, in {affected}")
+    if tolerances.failed:
+        runs = cells * tolerances.draws
+        affected = phrases.cells(int((tolerances.runs[..., -1] > 0).sum()))
+        terminal.complain(f"{tolerances.failed:,} of {runs:,} runs failed, in {affected}")
 
 
-def tolerance_record(found: ToleranceMap) -> dict[str, Any]:
+def tolerance_record(tolerances: ToleranceMap) -> dict[str, Any]:
     """A tolerance map for JSON."""
-    counts = found.counts()
+    counts = tolerances.counts()
     return {
         "cells": sum(counts.values()),
-        "draws": found.draws,
+        "draws": tolerances.draws,
         "counts": counts,
-        "shares": found.shares(),
-        "uncertain_cells": found.uncertain,
-        "failed_runs": found.failed,
+        "shares": tolerances.shares(),
+        "uncertain_cells": tolerances.uncertain,
+        "failed_runs": tolerances.failed,
     }

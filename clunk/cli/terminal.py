@@ -48,7 +48,7 @@ def say_if_compiling(*methods: str) -> None:
 
 
 def report_resumed(taken_up: int, discarded: int) -> None:
-    """What a stopped sweep had left."""
+    """Print how many finished cells of a stopped sweep are used, and how many parts are not."""
     if taken_up:
         click.echo(f"{phrases.cells(taken_up)} were finished before; going on from there", err=True)
     if discarded:
@@ -59,7 +59,7 @@ def report_resumed(taken_up: int, discarded: int) -> None:
 def report_speed(
     total: int, ran: int, taken_up: int, seconds: float, target: Path, *, inferred: bool = False, draws: int = 0
 ) -> None:
-    """How many cells ran, how many of them were taken up, and how fast; of a tolerance map, each for all draws."""
+    """Print the number of cells, the time and the speed; a cell of a tolerance map has a run for each draw."""
     runs = (ran - taken_up) * (draws + 1)  # and nominally
     rate = f" ({runs / seconds:,.0f} runs/s)" if ran > taken_up and seconds > 0.0 else ""
     each = f" x {draws:,} draws" if draws else ""
@@ -69,7 +69,7 @@ def report_speed(
 
 
 def report_failures(results: Results | ToleranceMap, how: str = "") -> None:
-    """Failed cells by cause, and where the first few are; `how` goes after "failed"."""
+    """Print the failed cells by cause, and where the first few are; `how` goes after "failed"."""
     import numpy as np
 
     from clunk.core.status import Status
