@@ -137,9 +137,9 @@ def test_differing_cells_are_counted_by_transition_and_found_by_their_values() -
     assert comparison.transitions == (Transition("SS(1)", "DS(1)", 2), Transition("DS(2)", "NI", 1))
     np.testing.assert_array_equal(comparison.differs, [[False, True, False], [True, False, True]])
     assert list(comparison.differing_cells()) == [
-        DifferingCell((0.0, 2.0), "SS(1)", "DS(1)"),
-        DifferingCell((1.0, 0.0), "SS(1)", "DS(1)"),
-        DifferingCell((1.0, 4.0), "DS(2)", "NI"),
+        DifferingCell((0, 1), (0.0, 2.0), "SS(1)", "DS(1)"),
+        DifferingCell((1, 0), (1.0, 0.0), "SS(1)", "DS(1)"),
+        DifferingCell((1, 2), (1.0, 4.0), "DS(2)", "NI"),
     ]
     assert not comparison.same_regimes
     assert "3 of 6 cells differ (50 %)" in report(comparison)

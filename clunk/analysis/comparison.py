@@ -41,8 +41,9 @@ class Transition:
 
 @dataclass(frozen=True)
 class DifferingCell:
-    """A cell with two labels; `values` are those of the comparison's parameters, in their units."""
+    """A cell with two labels: its index, its parameters' values in their units, and its label in A and in B."""
 
+    at: tuple[int, ...]
     values: tuple[float, ...]
     a: str
     b: str
@@ -172,12 +173,12 @@ class Comparison:
         """Whether the two agree in every cell: the same label, or failed in both; never if nothing was compared."""
         return self.cells > 0 and not (self.differing or self.failed_in_a_only or self.failed_in_b_only)
 
-    def differing_cells(self) -> Iterator[DifferingCell]:
-        """The cells whose labels differ, in the grid's order."""
-        for cell in np.argwhere(self.differs):
-            at = tuple(int(k) for k in cell)
+    def differing_cells(self, among: Bools | bool = True) -> Iterator[DifferingCell]:
+        """The cells whose labels differ, in the grid's order; with a mask only those among its cells."""
+        for cell in np.argwhere(self.differs & among):
+            at = tuple(cell.tolist())
             values = values_at(self.axes, at, self.coordinates)
-            yield DifferingCell(values, self.labels[self.codes_a[at]], self.labels[self.codes_b[at]])
+            yield DifferingCell(at, values, self.labels[self.codes_a[at]], self.labels[self.codes_b[at]])
 
 
 def compare(a: Results, b: Results) -> Comparison:

@@ -1,8 +1,8 @@
 """Sobol indices: which toleranced parameters the spread of an outcome comes from, at one operating point.
 
-The variance of an outcome Y over independent parameters divides into shares. Parameter i alone has the first-order
-index S_i = Var(E(Y | x_i)) / Var(Y); its total index has what it does together with others besides,
-ST_i = 1 - Var(E(Y | x_~i)) / Var(Y). Both are estimated from n samples A and B and the samples AB_i, A with column i
+The variance of an outcome Y over independent parameters divides into shares. The first-order index of parameter i,
+S_i = Var(E(Y | x_i)) / Var(Y), is its share alone; its total index, ST_i = 1 - Var(E(Y | x_~i)) / Var(Y), includes its
+interactions with the others. Both are estimated from n samples A and B and the samples AB_i, A with column i
 from B, n (d + 2) runs for d parameters (Saltelli et al. 2010, doi:10.1016/j.cpc.2009.09.018).
 """
 
@@ -12,7 +12,6 @@ import inspect
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,10 +27,8 @@ from clunk.study.config import (
     Draw,
     Study,
     Sweep,
-    digest,
     get_value,
     nominal_value,
-    quantity,
     replace_values,
 )
 from clunk.study.errors import ClunkError
@@ -53,7 +50,7 @@ _FEWEST = 16
 
 
 class SensitivityError(ClunkError):
-    """What has no Sobol indices; its text is one sentence for the user."""
+    """A study or an outcome without Sobol indices; its text is one sentence for the user."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +58,7 @@ class Indices:
     """How the variance of one quantity divides among d parameters.
 
     quantity : its name, see `sensitivity`
-    heading : the same for people, with symbol and unit
+    heading : name for people, with symbol and unit
     nominal : float, without tolerances
     mean, std : float, over the 2 n runs of A and B; the mean of an indicator is its probability
     quantiles : (3,) float64, at `QUANTILES`
@@ -121,9 +118,8 @@ class Sensitivity:
 
     @property
     def draws(self) -> tuple[Draw, ...]:
-        """How each parameter is drawn."""
-        assert self.study.sweep is not None
-        return self.study.sweep.tolerances
+        """The distribution of each parameter."""
+        return _sweep(self.study).tolerances
 
     @property
     def at(self) -> dict[str, float]:
@@ -131,55 +127,6 @@ class Sensitivity:
         torques = ("load.ratio", "load.initial_torque", "load.final_torque")
         keys = [key for key in torques if getattr(self.study.load, key.removeprefix("load.")) is not None]
         return {key: get_value(self.study, key) for key in (*keys, "lash.backlash_deg")}
-
-    def record(self) -> dict[str, Any]:
-        """Everything for JSON; null where something is not defined."""
-        assert self.study.sweep is not None
-        drawn = [draw.model_dump(exclude_none=True) for draw in self.draws]
-        return {
-            "title": self.study.title,
-            "config_digest": digest(self.study),
-            "at": self.at,
-            "parameters": [
-                {**numbers, "nominal": _or_none(nominal_value(self.study, draw.parameter))}
-                for draw, numbers in zip(self.draws, drawn, strict=True)
-            ],
-            "samples": self.samples,
-            "sampling": self.study.sweep.sampling.method,
-            "seed": self.study.sweep.sampling.seed,
-            "runs": self.runs,
-            "nominal": {
-                "label": self.label,
-                "severity": _or_none(self.severity),
-                "approach_velocity": self.approach_velocity,
-            },
-            "labels": self.labels,
-            "confidence": CONFIDENCE,
-            "quantities": {found.quantity: self._record(found) for found in self.indices},
-        }
-
-    def _record(self, found: Indices) -> dict[str, Any]:
-        quantiles = {f"{q:g}": float(value) for q, value in zip(QUANTILES, found.quantiles, strict=True)}
-        record: dict[str, Any] = {
-            "nominal": _or_none(found.nominal),
-            "mean": found.mean,
-            "std": found.std,
-            "quantiles": quantiles,
-        }
-        if not found.varies:
-            return {**record, "indices": None}
-        return {
-            **record,
-            "indices": {
-                parameter: {
-                    "first": float(found.first[k]),
-                    "first_interval": found.first_interval[:, k].tolist(),
-                    "total": float(found.total[k]),
-                    "total_interval": found.total_interval[:, k].tolist(),
-                }
-                for k, parameter in enumerate(self.parameters)
-            },
-        }
 
 
 def sensitivity(
@@ -227,27 +174,21 @@ def sensitivity(
     results = sweep(_runs(point, sample), workers=workers, progress=progress)
     _refuse_failures(results)
     n, pages, _ = sample.shape
-    assert point.sweep is not None
-    found = []
-    for name in quantities:
-        values = _values(name, results, nominal.label)
-        _refuse_undefined(name, values)
-        heading = _heading(name, nominal.label)
-        own = _nominal_value(name, nominal)
-        found.append(_indices(name, heading, own, values.reshape(n, pages), point.sweep.sampling.seed))
+    seed = _sweep(point).sampling.seed
+    indices = tuple(_indices(name, nominal, _values(name, results, nominal.label), seed) for name in quantities)
     base = results.sequence.reshape(n, pages)[:, :2]
     counts = np.bincount(base.ravel(), minlength=len(results.labels))
     frequent = sorted(zip(counts.tolist(), results.labels, strict=True), key=lambda pair: (-pair[0], pair[1]))
     return Sensitivity(
         study=point,
-        parameters=tuple(draw.parameter for draw in point.sweep.tolerances),
+        parameters=tuple(draw.parameter for draw in _sweep(point).tolerances),
         samples=n,
         runs=results.sequence.size,
         label=nominal.label,
         severity=nominal.severity,
         approach_velocity=nominal.approach_velocity,
         labels={label: count / base.size for count, label in frequent if count},
-        indices=tuple(found),
+        indices=indices,
     )
 
 
@@ -275,9 +216,13 @@ def operating_point(study: Study) -> Study:
 
 
 def run_count(point: Study) -> int:
-    """How many runs the indices of an operating point take."""
-    assert point.sweep is not None
-    return point.sweep.sampling.count * (len(point.sweep.tolerances) + 2)
+    """Number of runs that the indices of an operating point take."""
+    return _sweep(point).sampling.count * (len(_sweep(point).tolerances) + 2)
+
+
+def _sweep(study: Study) -> Sweep:
+    assert study.sweep is not None  # tolerances are part of it
+    return study.sweep
 
 
 def default_quantities(study: Study) -> tuple[str, ...]:
@@ -286,24 +231,11 @@ def default_quantities(study: Study) -> tuple[str, ...]:
     return hardness, "nominal_label"
 
 
-def distribution_phrase(study: Study, draw: Draw) -> str:
-    """How a parameter is drawn, for example 409200 N/m times normal (mean 1, std 0.05)."""
-    nominal = nominal_value(study, draw.parameter)
-    listed = ", ".join(f"{name} {value:g}" for name, value in draw.numbers(nominal).items())
-    unit = quantity(draw.parameter).unit
-    suffix = "" if unit == "1" else f" {unit}"
-    drawn = f"{draw.distribution} ({listed})"
-    if draw.draws == "value":
-        return drawn + suffix
-    return f"{nominal:g}{suffix} {'times' if draw.draws == 'factor' else 'plus'} {drawn}"
-
-
 def saltelli_sample(study: Study) -> FloatArray:
     """(n, d + 2, d) float64: for each of n samples the parameters of A, of B, and of A with each column from B."""
-    assert study.sweep is not None
-    draws = study.sweep.tolerances
+    draws = _sweep(study).tolerances
     d = len(draws)
-    points = study.sweep.sampling.points(2 * d)
+    points = _sweep(study).sampling.points(2 * d)
     sample = np.empty((len(points), d + 2, d))
     for k, draw in enumerate(draws):
         nominal = nominal_value(study, draw.parameter)
@@ -330,8 +262,8 @@ def first_and_total(values: FloatArray, seed: int) -> tuple[FloatArray, FloatArr
 
     def estimate(rows: npt.NDArray[np.intp]) -> FloatArray:
         f_a, f_b, *f_ab = values[rows].T[:, None, :]
-        found = sobol_indices(func={"f_A": f_a, "f_B": f_b, "f_AB": np.array(f_ab)}, n=rows.size)
-        return np.array([found.first_order, found.total_order])
+        estimates = sobol_indices(func={"f_A": f_a, "f_B": f_b, "f_AB": np.array(f_ab)}, n=rows.size)
+        return np.array([estimates.first_order, estimates.total_order])
 
     rows = np.arange(len(values))
     seeded = "rng" if "rng" in inspect.signature(bootstrap).parameters else "random_state"  # before SciPy 1.15
@@ -369,8 +301,7 @@ def _checked_quantity(study: Study, name: str) -> str:
 
 def _refuse_forbidden_draws(study: Study, sample: FloatArray) -> None:
     """The config was checked with other draws of the same distributions."""
-    assert study.sweep is not None
-    for k, draw in enumerate(study.sweep.tolerances):
+    for k, draw in enumerate(_sweep(study).tolerances):
         for value in (float(sample[:, :, k].min()), float(sample[:, :, k].max())):
             try:
                 replace_values(study, {draw.parameter: value})
@@ -383,11 +314,10 @@ def _refuse_forbidden_draws(study: Study, sample: FloatArray) -> None:
 
 def _runs(study: Study, sample: FloatArray) -> Study:
     """The sample as a sweep, its rows in order: runs that share a system are next to each other."""
-    assert study.sweep is not None
     columns = sample.reshape(-1, sample.shape[2]).T
     axes = [
         Axis(parameter=draw.parameter, values=tuple(column.tolist()))
-        for draw, column in zip(study.sweep.tolerances, columns, strict=True)
+        for draw, column in zip(_sweep(study).tolerances, columns, strict=True)
     ]
     return study.model_copy(update={"sweep": Sweep(design="zip", axes=tuple(axes))})
 
@@ -408,21 +338,21 @@ def _refuse_failures(results: Results) -> None:
     )
 
 
-def _refuse_undefined(name: str, values: FloatArray) -> None:
+def _values(name: str, results: Results, nominal_label: str) -> FloatArray:
+    """(runs,) float64, a quantity of every run. Raises SensitivityError where a run has none."""
+    if name in MEASURED:
+        values = np.asarray(getattr(results, name), np.float64)
+    else:
+        values = np.array([_holds(name, label, nominal_label) for label in results.labels], np.float64)[
+            results.sequence
+        ]
     undefined = int(np.count_nonzero(np.isnan(values)))
     if undefined:
         raise SensitivityError(
             f"{name} is not defined in {undefined:,} of {values.size:,} runs, in which nothing happens; "
             "ask for another quantity."
         )
-
-
-def _values(name: str, results: Results, nominal_label: str) -> FloatArray:
-    """(runs,) float64, a quantity of every run."""
-    if name in MEASURED:
-        return np.asarray(getattr(results, name), np.float64)
-    holds = np.array([_holds(name, label, nominal_label) for label in results.labels], np.float64)
-    return holds[results.sequence]
+    return values
 
 
 def _nominal_value(name: str, nominal: Trajectory) -> float:
@@ -450,17 +380,18 @@ def _heading(name: str, nominal_label: str) -> str:
     return f"the label is {name.removeprefix(_LABEL)}"
 
 
-def _indices(name: str, heading: str, nominal: float, values: FloatArray, seed: int) -> Indices:
-    """values : (n, d + 2)"""
+def _indices(name: str, nominal: Trajectory, values: FloatArray, seed: int) -> Indices:
+    """values : (n (d + 2),) in the order of `saltelli_sample`"""
+    d = len(_sweep(nominal.study).tolerances)
+    values = values.reshape(-1, d + 2)
     base = values[:, :2]
-    d = values.shape[1] - 2
     varies = bool(np.ptp(base) > 0.0)
     none = np.full(d, np.nan), np.full(d, np.nan), np.full((2, d), np.nan), np.full((2, d), np.nan)
     first, total, first_interval, total_interval = first_and_total(values, seed) if varies else none
     return Indices(
         quantity=name,
-        heading=heading,
-        nominal=nominal,
+        heading=_heading(name, nominal.label),
+        nominal=_nominal_value(name, nominal),
         mean=float(base.mean()),
         std=float(base.std()) if varies else 0.0,  # the rounding of a mean is no variance
         quantiles=np.quantile(base, QUANTILES),
@@ -469,8 +400,3 @@ def _indices(name: str, heading: str, nominal: float, values: FloatArray, seed: 
         first_interval=first_interval,
         total_interval=total_interval,
     )
-
-
-def _or_none(value: float) -> float | None:
-    """JSON has neither NaN nor infinities."""
-    return value if math.isfinite(value) else None

@@ -1,6 +1,6 @@
-"""The same grid by both methods: do labels, events and severity agree?
+"""Verification: one study by both methods, whose labels, events and severity must agree.
 
-The two share the model and nothing else: `rk4` steps in time, `exact` follows the modes of each regime. Exact is
+The methods share the model and nothing else: `rk4` steps in time, `exact` follows the modes of each regime. Exact is
 guarded: it cannot skip an event, to rounding, for this model; and it knows how near each run came to another label. So
 labels may differ only in flagged cells, undecided or grazing ones; where they differ elsewhere, the step is too coarse.
 """
@@ -11,14 +11,15 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from clunk.analysis.comparison import Comparison, compare
-from clunk.core.status import QUALITY_COMPLETE, QUALITY_GRAZING, QUALITY_UNDECIDED, Status
+from clunk.core.status import QUALITY_GRAZING, QUALITY_UNDECIDED
 from clunk.results.maps import values_at
+from clunk.results.quantities import IMPACT_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.simulation.trajectory import Trajectory, simulate
 from clunk.study.config import Axis, Study, Sweep
@@ -28,7 +29,6 @@ from clunk.sweeping import sweep as sweeping
 
 Method = Literal["rk4", "exact"]
 Bools = npt.NDArray[np.bool_]
-Floats = npt.NDArray[np.float64]
 
 METHODS: tuple[Method, Method] = ("rk4", "exact")
 GUARDED = "guarded: cannot skip an event, to rounding, for this model"
@@ -59,9 +59,9 @@ class Largest:
     quantity : of `Results`
     difference : in the quantity's unit
     values : the parameters of the cell that has it
-    touches : of that cell, by rk4 and by exact: where they differ, a weak rebound may be all that does
+    touches : of that cell, by rk4 and by exact; where they differ, one method may have lost a weak rebound
     of_largest : the difference over the map's largest value
-    of_own : the largest difference over the value itself, where that is at least `SMALL` of the map's largest; NaN
+    relative : the largest difference over the value itself, where that is at least `SMALL` of the map's largest; NaN
         where none is
     """
 
@@ -70,7 +70,7 @@ class Largest:
     values: tuple[float, ...]
     touches: tuple[int, int]
     of_largest: float
-    of_own: float
+    relative: float
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class EventPair:
 
 @dataclass(frozen=True, eq=False)
 class Verification:
-    """What comparing the two methods over a grid shows; a study without axes is a grid of one cell.
+    """A study run by both methods and compared; a study without axes is a grid of one cell.
 
     study : Study
     rk4, exact : Results
@@ -154,40 +154,6 @@ class Verification:
         """Whether labels differ in flagged cells alone, and there was something to compare."""
         return self.comparison.cells > 0 and not self.differing_elsewhere
 
-    @property
-    def verdict(self) -> str:
-        """The verdict as a sentence."""
-        compared = self.comparison.cells
-        if not compared:
-            return "There is no verdict: no cell has a label by both methods."
-        if self.events:
-            return self._verdict_on_a_run()
-        where = f"all {compared:,} cells" if compared > 1 else "the one cell"
-        if self.failed:
-            where += " that did not fail"
-        if not self.comparison.differing:
-            return f"The methods agree: the same label in {where}."
-        if self.agrees:
-            return (
-                f"The methods agree: the same label in {where} but {self.differing_flagged:,}, "
-                "and exact flags each of those."
-            )
-        count = self.differing_elsewhere
-        return (
-            f"The methods disagree: two labels in {_cells(count)} of {compared:,} "
-            f"that exact does not flag; a smaller solver.step than {self.study.solver.step:g} s may mend it."
-        )
-
-    def _verdict_on_a_run(self) -> str:
-        if not self.comparison.differing:
-            return "The methods agree: the run has the same label."
-        if self.agrees:
-            return "The methods agree: the run has two labels, and exact flags it."
-        return (
-            "The methods disagree: the run has two labels and exact does not flag it; "
-            f"a smaller solver.step than {self.study.solver.step:g} s may mend it."
-        )
-
     def count(self, method: Method, quality: int) -> int:
         """How many cells one method gives a bit of `clunk.core.status`'s quality."""
         results = self.rk4 if method == "rk4" else self.exact
@@ -195,71 +161,8 @@ class Verification:
 
     def disagreements(self, *, flagged: bool) -> Iterator[Disagreement]:
         """The cells with two labels that the exact method flags, or those that it does not, in the grid's order."""
-        found = self.comparison
-        for cell in np.argwhere(found.differs & (self.flagged == flagged)):
-            at = tuple(int(k) for k in cell)
-            yield Disagreement(
-                values=values_at(found.axes, at, found.coordinates),
-                rk4=found.labels[found.codes_a[at]],
-                exact=found.labels[found.codes_b[at]],
-                margin=float(self.exact.margin[at]),
-                flagged=flagged,
-            )
-
-    def record(self) -> dict[str, Any]:
-        """The verification for JSON; null where something is not defined."""
-        parameters = [axis.parameter for axis in self.comparison.parameters] if self.study.sweep else []
-
-        def at(values: tuple[float, ...]) -> dict[str, float]:
-            return dict(zip(parameters, values, strict=False))  # a single run has no parameters
-
-        return {
-            "title": self.study.title,
-            "agrees": self.agrees,
-            "verdict": self.verdict,
-            "exact_is": GUARDED,
-            "step": self.study.solver.step,
-            "margin_tolerance": self.study.solver.margin_tolerance,
-            "cells": self.cells,
-            "failed": {
-                method: int(np.count_nonzero(results.status != Status.OK))
-                for method, results in zip(METHODS, (self.rk4, self.exact), strict=True)
-            },
-            "seconds": dict(zip(METHODS, self.seconds, strict=True)),
-            "labels_equal": self.equal,
-            "labels_differ_flagged": self.differing_flagged,
-            "labels_differ_elsewhere": self.differing_elsewhere,
-            "touches_equal": self.equal_touches,
-            "share_undecided": self.count("exact", QUALITY_UNDECIDED) / self.cells,
-            "share_grazing": self.count("exact", QUALITY_GRAZING) / self.cells,
-            "share_complete": {method: self.count(method, QUALITY_COMPLETE) / self.cells for method in METHODS},
-            "largest_differences": [
-                {
-                    "quantity": found.quantity,
-                    "difference": found.difference,
-                    "over_largest": _or_none(found.of_largest),
-                    "over_own": _or_none(found.of_own),
-                    "at": at(found.values),
-                    "touches": dict(zip(METHODS, found.touches, strict=True)),
-                }
-                for found in self.largest
-            ],
-            "differing_cells": [
-                {
-                    "at": at(cell.values),
-                    "rk4": cell.rk4,
-                    "exact": cell.exact,
-                    "margin": _or_none(cell.margin),
-                    "flagged": cell.flagged,
-                }
-                for flagged in (False, True)
-                for cell in self.disagreements(flagged=flagged)
-            ],
-            "events": [
-                {"event": e.kind, "flank": e.flank, "rk4": _or_none(e.rk4), "exact": _or_none(e.exact)}
-                for e in self.events
-            ],
-        }
+        for cell in self.comparison.differing_cells(among=self.flagged == flagged):
+            yield Disagreement(cell.values, cell.a, cell.b, float(self.exact.margin[cell.at]), flagged)
 
 
 def verify(
@@ -291,7 +194,7 @@ def verify(
         one = Axis(parameter="lash.backlash_deg", values=(study.lash.backlash_deg,))
         grid = study.model_copy(update={"sweep": Sweep(axes=(one,))})
     cells = sweeping.cell_count(grid)
-    found: list[Results] = []
+    results: list[Results] = []
     seconds: list[float] = []
     for k, method in enumerate(METHODS):
         sweeping.warm_up(by(study, method))
@@ -301,9 +204,9 @@ def verify(
                 progress(before + done, len(METHODS) * cells)
 
         began = time.perf_counter()
-        found.append(sweeping.sweep(by(grid, method), workers=workers, progress=advance))
+        results.append(sweeping.sweep(by(grid, method), workers=workers, progress=advance))
         seconds.append(time.perf_counter() - began)
-    rk4, exact = found
+    rk4, exact = results
     comparison = compare(rk4, exact)
     return Verification(
         study=study,
@@ -329,70 +232,48 @@ def pair_events(rk4: Trajectory, exact: Trajectory) -> tuple[EventPair, ...]:
     method lacks does not shift all that follow.
     """
     pairs = []
-    times = [_times_by_kind(run) for run in (rk4, exact)]
+    times = [_times_by_event(run) for run in (rk4, exact)]
     for kind, flank in {**times[0], **times[1]}:
         a, b = (np.array(side.get((kind, flank), [])) for side in times)
-        to_b = np.abs(a[:, None] - b).argmin(axis=1) if b.size else np.full(a.size, -1)
-        to_a = np.abs(b[:, None] - a).argmin(axis=1) if a.size else np.full(b.size, -1)
-        mutual = [k for k in range(a.size) if b.size and to_a[to_b[k]] == k]
-        pairs += [EventPair(kind, flank, float(a[k]), float(b[to_b[k]])) for k in mutual]
-        pairs += [EventPair(kind, flank, float(a[k]), math.nan) for k in range(a.size) if k not in mutual]
-        found = {int(to_b[k]) for k in mutual}
-        pairs += [EventPair(kind, flank, math.nan, float(b[k])) for k in range(b.size) if k not in found]
+        apart = np.abs(a[:, None] - b)
+        nearest = apart.argmin(axis=1) if b.size else np.empty(0, np.intp)  # of b, for each of a
+        matched = [(k, m) for k, m in enumerate(nearest.tolist()) if apart[:, m].argmin() == k]
+        pairs += [EventPair(kind, flank, float(a[k]), float(b[m])) for k, m in matched]
+        pairs += [EventPair(kind, flank, time, math.nan) for time in np.delete(a, [k for k, _ in matched]).tolist()]
+        pairs += [EventPair(kind, flank, math.nan, time) for time in np.delete(b, [m for _, m in matched]).tolist()]
     return tuple(sorted(pairs, key=lambda pair: pair.rk4 if math.isnan(pair.exact) else pair.exact))
 
 
-def _times_by_kind(run: Trajectory) -> dict[tuple[str, str], list[float]]:
+def _times_by_event(run: Trajectory) -> dict[tuple[str, str], list[float]]:
     times: dict[tuple[str, str], list[float]] = {}
-    for k in range(len(run.events)):
-        times.setdefault((run.kind_name(k), run.flank_name(k)), []).append(float(run.events["time"][k]))
+    for k, time_of_event in enumerate(run.events["time"].tolist()):
+        times.setdefault((run.kind_name(k), run.flank_name(k)), []).append(time_of_event)
     return times
 
 
 def _largest(rk4: Results, exact: Results, comparison: Comparison) -> Iterator[Largest]:
     """The largest differences over the cells with equal labels, whose primary impacts correspond one to one."""
-    failed = comparison.failed_a | comparison.failed_b
-    same = np.flatnonzero(~(comparison.differs | failed))
-    counts = exact.primary_impacts.ravel()
-    mine, theirs = (np.repeat(~(comparison.differs | failed).ravel(), r.primary_impacts.ravel()) for r in (rk4, exact))
-    owner = np.repeat(same, counts[same])
+    equal = ~(comparison.differs | comparison.failed_a | comparison.failed_b).ravel()
     for name in ("impact_time", "last_event_time", "severity", "impact_severity", "approach_velocity"):
-        if name.startswith("impact_"):
-            a, b, cells = getattr(rk4, name)[mine], getattr(exact, name)[theirs], owner
-            everywhere = getattr(exact, name)
-        else:
-            everywhere = getattr(exact, name).ravel()
-            a, b, cells = getattr(rk4, name).ravel()[same], everywhere[same], same
-        known = np.isfinite(a) & np.isfinite(b)
-        if not known.any():
+        of_impacts = name in IMPACT_QUANTITIES
+        # of each value its cell, in which both methods have as many
+        cells_rk4, cells_exact = (
+            np.repeat(np.arange(equal.size), each.primary_impacts.ravel() if of_impacts else 1) for each in (rk4, exact)
+        )
+        all_values = getattr(exact, name).ravel()
+        a, b = getattr(rk4, name).ravel()[equal[cells_rk4]], all_values[equal[cells_exact]]
+        defined = np.isfinite(a) & np.isfinite(b)
+        if not defined.any():
             continue
-        a, b, cells = a[known], b[known], cells[known]
-        difference, largest = np.abs(a - b), float(np.nanmax(np.abs(everywhere)))
-        k = int(difference.argmax())
-        at = tuple(int(i) for i in np.unravel_index(cells[k], exact.shape))
+        difference, size = np.abs(a - b)[defined], np.abs(b)[defined]
+        largest, k = float(np.nanmax(np.abs(all_values))), int(difference.argmax())
+        at = np.unravel_index(cells_exact[equal[cells_exact]][defined][k], exact.shape)
+        counted = (size >= SMALL * largest) & (size > 0.0)
         yield Largest(
             quantity=name,
             difference=float(difference[k]),
             values=values_at(exact.axes, at, exact.coordinates),
             touches=(int(rk4.touches[at]), int(exact.touches[at])),
-            of_largest=_over(float(difference[k]), largest),
-            of_own=_relative(difference, np.abs(b), largest),
+            of_largest=float(difference[k]) / largest if largest > 0.0 else 0.0,
+            relative=float(np.max(difference[counted] / size[counted])) if counted.any() else math.nan,
         )
-
-
-def _relative(difference: Floats, value: Floats, largest: float) -> float:
-    counts = (value >= SMALL * largest) & (value > 0.0)
-    return float(np.max(difference[counts] / value[counts])) if counts.any() else math.nan
-
-
-def _over(difference: float, largest: float) -> float:
-    return difference / largest if largest > 0.0 else 0.0
-
-
-def _cells(count: int) -> str:
-    return f"{count:,} cell{'' if count == 1 else 's'}"
-
-
-def _or_none(value: float) -> float | None:
-    """JSON has no NaN."""
-    return value if math.isfinite(value) else None

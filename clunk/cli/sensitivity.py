@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from clunk.analysis.sobol import Indices, Sensitivity
+    from clunk.study.config import Draw, Study
 
 
 @click.command()
@@ -73,7 +74,7 @@ def sensitivity(
         found = sobol.sensitivity(point, of=quantities, workers=workers, progress=show)
     seconds = time.perf_counter() - began
     if as_json:
-        tables.print_record(found.record())
+        tables.print_record(as_record(found))
     else:
         print_sensitivity(found)
     draws = len(found.parameters)
@@ -86,12 +87,10 @@ def sensitivity(
 
 
 def print_sensitivity(found: Sensitivity) -> None:
-    """What is drawn and what came of it, then every quantity's Sobol indices by falling total index."""
-    from clunk.analysis.sobol import distribution_phrase
-
+    """Print the distributions, the labels' shares and every quantity's Sobol indices by falling total index."""
     width = max(len(parameter) for parameter in found.parameters)
     for draw in found.draws:
-        line = f"{draw.parameter:<{width}}  {distribution_phrase(found.study, draw)}"
+        line = f"{draw.parameter:<{width}}  {_distribution(found.study, draw)}"
         click.echo(phrases.fill(line, others=" " * (width + 2)))
     click.echo()
     click.echo(f"operating point     {', '.join(f'{key} = {value:g}' for key, value in found.at.items())}")
@@ -136,3 +135,68 @@ def _print_indices(indices: Indices, parameters: Sequence[str], width: int) -> N
 def _with_interval(value: float, low: float, high: float) -> str:
     value, low, high = (round(number, 3) + 0.0 for number in (value, low, high))  # no -0.000
     return f"{value:6.3f} [{low:.3f}, {high:.3f}]"
+
+
+def _distribution(study: Study, draw: Draw) -> str:
+    """A parameter's distribution, for example 409200 N/m times normal (mean 1, std 0.05)."""
+    from clunk.study.config import nominal_value, quantity
+
+    nominal = nominal_value(study, draw.parameter)
+    listed = ", ".join(f"{name} {value:g}" for name, value in draw.numbers(nominal).items())
+    unit = quantity(draw.parameter).unit
+    suffix = "" if unit == "1" else f" {unit}"
+    drawn = f"{draw.distribution} ({listed})"
+    if draw.draws == "value":
+        return drawn + suffix
+    return f"{nominal:g}{suffix} {'times' if draw.draws == 'factor' else 'plus'} {drawn}"
+
+
+def as_record(found: Sensitivity) -> dict[str, Any]:
+    """Sobol indices for JSON; NaN where something is not defined."""
+    from clunk.analysis.sobol import CONFIDENCE
+    from clunk.study.config import digest, nominal_value
+
+    assert found.study.sweep is not None
+    sampling = found.study.sweep.sampling
+    return {
+        "title": found.study.title,
+        "config_digest": digest(found.study),
+        "at": found.at,
+        "parameters": [
+            draw.model_dump(exclude_none=True) | {"nominal": nominal_value(found.study, draw.parameter)}
+            for draw in found.draws
+        ],
+        "samples": found.samples,
+        "sampling": sampling.method,
+        "seed": sampling.seed,
+        "runs": found.runs,
+        "nominal": {
+            "label": found.label,
+            "severity": found.severity,
+            "approach_velocity": found.approach_velocity,
+        },
+        "labels": found.labels,
+        "confidence": CONFIDENCE,
+        "quantities": {each.quantity: _indices_record(each, found.parameters) for each in found.indices},
+    }
+
+
+def _indices_record(indices: Indices, parameters: Sequence[str]) -> dict[str, Any]:
+    from clunk.analysis.sobol import QUANTILES
+
+    of_parameter = {
+        parameter: {
+            "first": float(indices.first[k]),
+            "first_interval": indices.first_interval[:, k].tolist(),
+            "total": float(indices.total[k]),
+            "total_interval": indices.total_interval[:, k].tolist(),
+        }
+        for k, parameter in enumerate(parameters)
+    }
+    return {
+        "nominal": indices.nominal,
+        "mean": indices.mean,
+        "std": indices.std,
+        "quantiles": {f"{q:g}": float(value) for q, value in zip(QUANTILES, indices.quantiles, strict=True)},
+        "indices": of_parameter if indices.varies else None,
+    }

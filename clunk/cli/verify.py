@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -43,7 +43,7 @@ def verify(config: Path, overrides: tuple[str, ...], workers: int | None, as_jso
     with progress.shown(len(verification.METHODS) * max(cell_count(study), 1)) as show:
         found = verification.verify(study, workers=workers, progress=show)
     if as_json:
-        tables.print_record(found.record())
+        tables.print_record(as_record(found))
     else:
         print_verification(found)
     for method, results in zip(verification.METHODS, (found.rk4, found.exact), strict=True):
@@ -58,7 +58,7 @@ _MOST_DISAGREEMENTS = 8
 
 
 def print_verification(found: Verification) -> None:
-    """What two methods agree on and what not, and last of all the verdict."""
+    """Print the counts, the largest differences, the cells with two labels and the verdict."""
     from clunk.analysis.verification import GUARDED
 
     rates = ["" if found.events else f"; {found.cells / max(seconds, 1e-9):,.0f} runs/s" for seconds in found.seconds]
@@ -74,7 +74,7 @@ def print_verification(found: Verification) -> None:
         for flagged, count in ((False, found.differing_elsewhere), (True, found.differing_flagged)):
             _print_disagreements(found, flagged, count)
     click.echo()
-    click.echo(textwrap.fill(found.verdict, phrases.WIDTH))
+    click.echo(textwrap.fill(verdict(found), phrases.WIDTH))
 
 
 def _print_cell_counts(found: Verification) -> None:
@@ -122,16 +122,14 @@ def _print_largest(found: Verification) -> None:
         return
     click.echo()
     where = "" if found.events else " in cells with equal labels"
-    of_largest = "" if found.events else "over largest"
-    click.echo(f"{'largest difference' + where:<50}{of_largest:>13}{'over own':>12}")
+    click.echo(f"{'largest difference' + where:<50}{'' if found.events else 'over largest':>13}{'over own':>12}")
     for each in found.largest:
         quantity = REGIME_QUANTITIES[each.quantity]
         unit = quantity.unit_symbol
         line = f"  {quantity.heading:<26}{f'{each.difference:.1e} {unit}':>22}"
         if unit != "s":
-            line += (
-                f"{'' if found.events else format(each.of_largest, '.1e'):>13}{phrases.number(each.of_own, '.1e'):>12}"
-            )
+            of_largest = "" if found.events else format(each.of_largest, ".1e")
+            line += f"{of_largest:>13}{phrases.number(each.relative, '.1e'):>12}"
         click.echo(line)
         if not found.events and each.difference > 0.0:
             click.echo(phrases.at_cell(found.comparison.parameters, each.values, indent=4))
@@ -162,3 +160,94 @@ def _print_disagreements(found: Verification, flagged: bool, count: int) -> None
     rows += [[*map(phrases.number, each.values), each.rk4, each.exact, f"{each.margin:+.2g}"] for each in shown]
     for line in phrases.table(rows):
         click.echo(line)
+
+
+def verdict(found: Verification) -> str:
+    """Whether the methods agree, as a sentence."""
+    compared, differing, step = found.comparison.cells, found.differing_elsewhere, found.study.solver.step
+    advice = f"a smaller solver.step than {step:g} s may mend it."
+    if not compared:
+        return "There is no verdict: no cell has a label by both methods."
+    if found.events:
+        if not found.comparison.differing:
+            return "The methods agree: the run has the same label."
+        if found.agrees:
+            return "The methods agree: the run has two labels, and exact flags it."
+        return f"The methods disagree: the run has two labels and exact does not flag it; {advice}"
+    where = f"all {compared:,} cells" if compared > 1 else "the one cell"
+    where += " that did not fail" if found.failed else ""
+    if not found.comparison.differing:
+        return f"The methods agree: the same label in {where}."
+    if found.agrees:
+        return (
+            f"The methods agree: the same label in {where} but {found.differing_flagged:,}, and exact flags each of "
+            "those."
+        )
+    return (
+        f"The methods disagree: two labels in {phrases.cells(differing)} of {compared:,} that exact does not flag; "
+        f"{advice}"
+    )
+
+
+def as_record(found: Verification) -> dict[str, Any]:
+    """A verification for JSON; NaN where something is not defined."""
+    from clunk.analysis.verification import GUARDED, METHODS
+    from clunk.core.status import QUALITY_COMPLETE, QUALITY_GRAZING, QUALITY_UNDECIDED, Status
+
+    parameters = [axis.parameter for axis in found.comparison.parameters] if found.study.sweep else []
+
+    def at(values: tuple[float, ...]) -> dict[str, float]:
+        return dict(zip(parameters, values, strict=False))  # a single run has no parameters
+
+    return {
+        "title": found.study.title,
+        "agrees": found.agrees,
+        "verdict": verdict(found),
+        "exact_is": GUARDED,
+        "step": found.study.solver.step,
+        "margin_tolerance": found.study.solver.margin_tolerance,
+        "cells": found.cells,
+        "failed": {
+            method: int((results.status != Status.OK).sum())
+            for method, results in zip(METHODS, (found.rk4, found.exact), strict=True)
+        },
+        "seconds": dict(zip(METHODS, found.seconds, strict=True)),
+        "labels_equal": found.equal,
+        "labels_differ_flagged": found.differing_flagged,
+        "labels_differ_elsewhere": found.differing_elsewhere,
+        "touches_equal": found.equal_touches,
+        "share_undecided": found.count("exact", QUALITY_UNDECIDED) / found.cells,
+        "share_grazing": found.count("exact", QUALITY_GRAZING) / found.cells,
+        "share_complete": {method: found.count(method, QUALITY_COMPLETE) / found.cells for method in METHODS},
+        "largest_differences": [
+            {
+                "quantity": largest.quantity,
+                "difference": largest.difference,
+                "over_largest": largest.of_largest,
+                "over_own": largest.relative,
+                "at": at(largest.values),
+                "touches": dict(zip(METHODS, largest.touches, strict=True)),
+            }
+            for largest in found.largest
+        ],
+        "differing_cells": [
+            {
+                "at": at(cell.values),
+                "rk4": cell.rk4,
+                "exact": cell.exact,
+                "margin": cell.margin,
+                "flagged": cell.flagged,
+            }
+            for flagged in (False, True)
+            for cell in found.disagreements(flagged=flagged)
+        ],
+        "events": [
+            {
+                "event": event.kind,
+                "flank": event.flank,
+                "rk4": event.rk4,
+                "exact": event.exact,
+            }
+            for event in found.events
+        ],
+    }
