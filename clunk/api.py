@@ -260,9 +260,7 @@ def draw(what: Results | ToleranceMap | Trajectory, quantity: str = "regimes") -
     if isinstance(what, Results):
         return plot.draw(what, quantity, thresholds_of(what))
     if isinstance(what, ToleranceMap):
-        from clunk.plot import certainty
-
-        return certainty.draw(what, quantity)
+        return plot.draw(what, quantity)
     if not isinstance(what, Trajectory):
         kind = type(what).__name__
         raise TypeError(f"draw takes Results or a Trajectory, not a {kind}; clunk.read_results(path) gives Results.")

@@ -5,6 +5,7 @@ The boundary between two regimes is a band: within it, no label is likelier than
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,27 +13,26 @@ import numpy.typing as npt
 from matplotlib import colors, ticker
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from clunk.plot.labelling import label_and_note, region_swatch
-from clunk.plot.maps import map_titles
-from clunk.plot.plane import View, cell_edges, drawn_axes, scale_axes, scale_axis
+from clunk.plot.labelling import label_and_note
+from clunk.plot.layers import Layers
+from clunk.plot.notes import cells_phrase, set_notes, swatch
+from clunk.plot.painting import Colours, new_map, paint_regimes, shaded_map
+from clunk.plot.plane import View, drawn_axes, scale_axis
 from clunk.plot.raster import Raster
-from clunk.plot.regions import Regions, draw_boundaries, fill_regions, hatch_failed
+from clunk.plot.regions import regions_of
 from clunk.plot.style import (
     FAILED_FILL,
     FAINT_INK,
     HUES,
     INK,
     PlotError,
-    cells_phrase,
-    failed_notes,
     freeze_layout,
     new_figure,
     palette_of,
-    set_notes,
+    set_titles,
     styled,
     tidy,
 )
@@ -53,117 +53,70 @@ _FADES = ((CERTAIN, 0.30), (0.8, 0.55), (0.65, 0.80))
 _PROBABLE = colors.LinearSegmentedColormap.from_list("probable", ["#f6f5f1", HUES[1]])
 
 
-def draw(found: ToleranceMap, quantity: str) -> Figure:
+def draw(tolerances: ToleranceMap, quantity: str) -> Figure:
     """The figure of a quantity of `QUANTITIES`: a map for two swept axes; curves for one. Raises PlotError."""
     if quantity not in QUANTITIES:
         raise PlotError(f"A tolerance map has no quantity {quantity!r}; it has {', '.join(QUANTITIES)}.")
-    if len(drawn_axes(found)) == 1:
-        return likelihood_curves(found)
+    if len(drawn_axes(tolerances)) == 1:
+        return likelihood_curves(tolerances)
     if quantity == "regimes":
-        return likely_regimes(found)
-    return double_sided_map(found) if quantity == "double_sided" else severity_map(found, quantity)
+        return likely_regimes(tolerances)
+    return _quantity_map(tolerances, quantity)
 
 
-def default_quantities(found: ToleranceMap) -> list[str]:
-    """What is drawn where nothing is named. Under the restitution model there is no severity."""
-    if len(drawn_axes(found)) == 1:
+def default_quantities(tolerances: ToleranceMap) -> list[str]:
+    """Quantities that are drawn where none is named. Under the restitution model there is no severity."""
+    if len(drawn_axes(tolerances)) == 1:
         return ["regimes"]
-    return ["regimes", "double_sided"] + ["severity"] * bool(np.isfinite(found.severity_mean).any())
+    return ["regimes", "double_sided"] + ["severity"] * bool(np.isfinite(tolerances.severity_mean).any())
 
 
-def likely_regimes(found: ToleranceMap) -> Figure:
+def likely_regimes(tolerances: ToleranceMap) -> Figure:
     """The most likely label of every cell, paler where it is less certain, and the band where it is uncertain.
 
     Raises PlotError unless two axes were swept.
     """
-    view = View.of(found, 2)
+    layers = _present(Layers.of(tolerances, 2))
     with styled():
-        figure = new_figure()
-        ax = figure.add_subplot()
-        map_titles(figure, ax, found, view, f"most likely of {found.draws:,} draws")
-        scale_axes(ax, view)
-        labels, codes = _present(found.labels, view.arrange(found.sequence))
-        regions = Regions(codes)
-        fill_regions(ax, view, regions, labels)
-        _fade(ax, view, view.arrange(found.certainty))
-        draw_boundaries(ax, view, regions, color=INK, linewidth=0.9)
-        label_and_note(
-            figure,
-            ax,
-            labels,
-            codes,
-            lambda: Raster.of(ax, regions, view),
-            leaders=True,
-            more=_fade_notes(found),
-        )
+        figure, ax = new_map(layers, f"most likely of {tolerances.draws:,} draws")
+        regions = regions_of(layers.codes)
+        paint_regimes(ax, layers, regions)
+        _fade(ax, layers.view, layers.view.arrange(tolerances.certainty))
+        more = _fade_notes(tolerances)
+        label_and_note(figure, ax, layers, lambda: Raster.of(ax, regions, layers.view), more=more)
         return figure
 
 
-def double_sided_map(found: ToleranceMap) -> Figure:
-    """How probable a double-sided impact is in every cell. Raises PlotError unless two axes were swept."""
-    view = View.of(found, 2)
-    values = view.arrange(found.double_sided)
+def _quantity_map(tolerances: ToleranceMap, name: str) -> Figure:
+    """A probability or a severity of every cell as colour, under the most likely regimes' boundaries."""
+    values = tolerances.double_sided if name == "double_sided" else _severity(tolerances, name)
+    layers = Layers.of(tolerances, 2, name, values)
+    if name == "double_sided":
+        percent = ticker.PercentFormatter(1.0, symbol=" %")
+        label = "Probability of a double-sided impact"
+        colours = Colours(label, colors.Normalize(0.0, 1.0), _PROBABLE, formatter=percent)
+    else:
+        colours = Colours(_SEVERITIES[name], colors.Normalize(np.nanmin(values), np.nanmax(values)))
     with styled():
-        figure, ax, bar = _value_map(found, view, values, "dark", cmap=_PROBABLE, vmin=0.0, vmax=1.0)
-        bar.set_label("Probability of a double-sided impact")
-        bar.formatter = ticker.PercentFormatter(1.0, symbol=" %")
-        bar.update_ticks()
-        set_notes(figure, failed_notes(view.arrange(found.sequence)))
+        lines = layers.boundaries_note.replace("the regimes", "the most likely regimes")
+        figure, ax = shaded_map(layers, colours, f"{tolerances.draws:,} draws; {lines}")
         freeze_layout(figure, ax)
         return figure
 
 
-def severity_map(found: ToleranceMap, name: str = "severity") -> Figure:
-    """The mean severity of every cell's draws, or a quantile of it, under the most likely regimes' boundaries.
-
-    Raises PlotError unless two axes were swept and Q is defined somewhere.
-    """
-    view = View.of(found, 2)
-    values = view.arrange(_severity(found, name))
-    with styled():
-        figure, ax, bar = _value_map(found, view, values, "light", cmap="viridis")
-        bar.set_label(_SEVERITIES[name])
-        set_notes(figure, failed_notes(view.arrange(found.sequence)))
-        freeze_layout(figure, ax)
-        return figure
-
-
-def likelihood_curves(found: ToleranceMap) -> Figure:
-    """Along one swept axis: how probable each label is, stacked, over the severity's median and 5 to 95 % band.
+def likelihood_curves(tolerances: ToleranceMap) -> Figure:
+    """The probability of each label along one swept axis, stacked, over the severity's median and 5 to 95 % band.
 
     Raises PlotError unless one axis was swept.
     """
-    view = View.of(found, 1)
-    x = view.x.values
-    probability = found.probability.reshape(-1, len(found.labels) + 1)[view.order[0]]
-    palette = palette_of(found.labels) | {FAILED: FAILED_FILL}
-    names = (*found.labels, FAILED)
-    shown = [code for code in range(len(names)) if probability[:, code].any()]
+    layers = Layers.of(tolerances, 1)
+    x = layers.view.x.values
     with styled():
         figure = new_figure()
         share, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 1.3))
-        map_titles(figure, share, found, view, f"{found.draws:,} draws")
-        look: dict[str, Any] = {"colors": [palette[names[code]] for code in shown], "edgecolor": INK, "linewidth": 0.5}
-        share.stackplot(x, probability[:, shown].T, **look)
-        share.set_ylim(0.0, 1.0)
-        share.set_ylabel("Probability")
-        share.yaxis.set_major_formatter(ticker.PercentFormatter(1.0, symbol=" %"))
-        share.tick_params(bottom=False, labelbottom=False)
-        notes: list[Artist] = [region_swatch(names[code], palette[names[code]]) for code in shown]
-        low, median, high = view_quantiles(found, view)
-        if np.isfinite(median).any():
-            band = ax.fill_between(
-                x, low, high, color=HUES[1], alpha=0.25, linewidth=0.0, label="5 to 95 % of the draws"
-            )
-            (line,) = ax.plot(x, median, color=HUES[1], linewidth=1.6, label="median")
-            mean = view.arrange(found.severity_mean)
-            (dashed,) = ax.plot(x, mean, color=INK, linewidth=1.0, linestyle=(0, (4, 2)), label="mean")
-            ax.set_ylim(bottom=0.0)
-            notes += [line, band, dashed]
-        else:
-            ax.text(0.5, 0.5, "not defined", transform=ax.transAxes, ha="center", color=FAINT_INK)
-        ax.set_ylabel(CELL_QUANTITIES["severity"].plot_label)
-        scale_axis(ax, "x", view.x)
+        set_titles(figure, share, layers.title, layers.subtitle(f"{tolerances.draws:,} draws"))
+        notes = [*_stack_labels(share, tolerances, layers.view), *_draw_severity(ax, tolerances, layers.view)]
+        scale_axis(ax, "x", layers.view.x)
         if len(x) > 1:
             ax.set_xlim(x[0], x[-1])
         tidy(ax)
@@ -172,15 +125,41 @@ def likelihood_curves(found: ToleranceMap) -> Figure:
         return figure
 
 
-def view_quantiles(found: ToleranceMap, view: View) -> tuple[Floats, ...]:
-    """The severity's quantiles as a view has them."""
-    return tuple(view.arrange(found.severity_quantiles[..., k]) for k in range(len(QUANTILES)))
+def _stack_labels(ax: Axes, tolerances: ToleranceMap, view: View) -> list[Artist]:
+    """The probability of each label, stacked; returns their notes."""
+    names = (*tolerances.labels, FAILED)
+    palette = palette_of(tolerances.labels) | {FAILED: FAILED_FILL}
+    probability = tolerances.probability.reshape(-1, len(names))[view.order[0]]
+    shown = [code for code in range(len(names)) if probability[:, code].any()]
+    fills = [palette[names[code]] for code in shown]
+    ax.stackplot(view.x.values, probability[:, shown].T, colors=fills, edgecolor=INK, linewidth=0.5)
+    ax.set_ylim(0.0, 1.0)
+    ax.set_ylabel("Probability")
+    ax.yaxis.set_major_formatter(ticker.PercentFormatter(1.0, symbol=" %"))
+    ax.tick_params(bottom=False, labelbottom=False)
+    return [swatch(names[code], fill) for code, fill in zip(shown, fills, strict=True)]
 
 
-def _severity(found: ToleranceMap, name: str) -> Floats:
-    values = found.severity_mean
+def _draw_severity(ax: Axes, tolerances: ToleranceMap, view: View) -> list[Artist]:
+    """Median, mean and 5 to 95 % band of the severity; returns their notes."""
+    ax.set_ylabel(CELL_QUANTITIES["severity"].plot_label)
+    x, mean = view.x.values, view.arrange(tolerances.severity_mean)
+    low, median, high = (view.arrange(tolerances.severity_quantiles[..., k]) for k in range(len(QUANTILES)))
+    if not np.isfinite(median).any():
+        ax.text(0.5, 0.5, "not defined", transform=ax.transAxes, ha="center", color=FAINT_INK)
+        return []
+    band = ax.fill_between(x, low, high, color=HUES[1], alpha=0.25, linewidth=0.0, label="5 to 95 % of the draws")
+    (line,) = ax.plot(x, median, color=HUES[1], linewidth=1.6, label="median")
+    (dashed,) = ax.plot(x, mean, color=INK, linewidth=1.0, linestyle=(0, (4, 2)), label="mean")
+    ax.set_ylim(bottom=0.0)
+    return [line, band, dashed]
+
+
+def _severity(tolerances: ToleranceMap, name: str) -> Floats:
+    """The mean of the severity, or a quantile. Raises PlotError where it is not defined."""
+    values = tolerances.severity_mean
     if name != "severity":
-        values = found.severity_quantiles[..., list(_SEVERITIES).index(name) - 1]
+        values = tolerances.severity_quantiles[..., list(_SEVERITIES).index(name) - 1]
     if np.isnan(values).all():
         raise PlotError(
             f"There is no {name} to draw: it is not defined in any cell; under the restitution model accelerations are "
@@ -189,40 +168,16 @@ def _severity(found: ToleranceMap, name: str) -> Floats:
     return values
 
 
-def _value_map(
-    found: ToleranceMap, view: View, values: Floats, lines: str, **look: Any
-) -> tuple[Figure, Axes, Colorbar]:
-    """A quantity of every cell as colour under dark or light boundaries, and its bar."""
-    figure = new_figure()
-    ax = figure.add_subplot()
-    more = f"{found.draws:,} draws; {lines} lines: boundaries of the most likely regimes"
-    map_titles(figure, ax, found, view, more)
-    scale_axes(ax, view)
-    mesh = ax.pcolormesh(
-        cell_edges(view.x),
-        cell_edges(view.y),
-        values.T,
-        rasterized=True,  # a vector file with a path for every cell would take seconds to show
-        zorder=0.5,
-        **look,
-    )
-    regions = Regions(view.arrange(found.sequence))
-    hatch_failed(ax, view, regions)
-    draw_boundaries(ax, view, regions, color=INK if lines == "dark" else "white", linewidth=0.6)
-    return figure, ax, figure.colorbar(mesh, ax=ax, pad=0.02, aspect=28)
-
-
-def _present(labels: tuple[str, ...], codes: npt.NDArray[np.int16]) -> tuple[tuple[str, ...], npt.NDArray[np.int16]]:
-    """The labels that are the most likely one somewhere, and the codes numbered by them."""
-    present = [code for code in range(len(labels)) if (codes == code).any()]
-    renumbered = np.full(codes.shape, FAILED_CODE, np.int16)
-    for number, code in enumerate(present):
-        renumbered[codes == code] = number
-    return tuple(labels[code] for code in present), renumbered
+def _present(layers: Layers) -> Layers:
+    """Layers with those labels only that are the most likely one somewhere, and codes numbered by them."""
+    codes = np.full(layers.codes.shape, FAILED_CODE, np.int16)
+    for number, label in enumerate(layers.present):
+        codes[layers.codes == layers.labels.index(label)] = number
+    return replace(layers, labels=tuple(layers.present), codes=codes)
 
 
 def _fade(ax: Axes, view: View, certainty: Floats) -> None:
-    """White over what is less certain, the more the less it is, and a line around the band."""
+    """White over the cells, the more the less certain they are, and a line around the band."""
     levels = [-1.0, *(below for below, _ in _FADES[::-1])]
     white = [(1.0, 1.0, 1.0, amount) for _, amount in _FADES[::-1]]
     x, y = view.x.values, view.y.values
@@ -233,13 +188,13 @@ def _fade(ax: Axes, view: View, certainty: Floats) -> None:
             ax.contour(x, y, certainty.T, levels=[CERTAIN], zorder=2, **look)
 
 
-def _fade_notes(found: ToleranceMap) -> list[Artist]:
-    """How many cells the band has, and how certain each shade is."""
+def _fade_notes(tolerances: ToleranceMap) -> list[Artist]:
+    """Number of cells of the band, and how certain each shade is."""
     base = np.array(colors.to_rgb(FAINT_INK))
     ends = [*(below for below, _ in _FADES[1:]), 0.0]
-    text = f"less than {100 * CERTAIN:.0f} % likely: {cells_phrase(found.uncertain)}"
+    text = f"less than {100 * CERTAIN:.0f} % likely: {cells_phrase(tolerances.uncertain)}"
     notes: list[Artist] = [Patch(facecolor="none", edgecolor=FAINT_INK, linewidth=0.5, linestyle="--", label=text)]
     for (below, amount), end in zip(_FADES, ends, strict=True):
         span = f"paler: {100 * end:.0f} to {100 * below:.0f} %" if end else f"below {100 * below:.0f} %"
-        notes.append(region_swatch(span, colors.to_hex(tuple(base + amount * (1.0 - base)))))
+        notes.append(swatch(span, colors.to_hex(tuple(base + amount * (1.0 - base)))))
     return notes

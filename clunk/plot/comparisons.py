@@ -15,16 +15,17 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from clunk.analysis.comparison import Comparison
 from clunk.analysis.trends import ExperimentComparison, Point
-from clunk.plot.labelling import present, region_swatch, settle
-from clunk.plot.maps import map_titles
-from clunk.plot.plane import View, scale_axes
+from clunk.plot.labelling import settle
+from clunk.plot.layers import Layers
+from clunk.plot.notes import cells_phrase, failed_notes, remark, swatch
+from clunk.plot.painting import draw_boundaries, hatch_failed, new_map, paint_regimes
+from clunk.plot.plane import View
 from clunk.plot.raster import Raster
-from clunk.plot.regions import Regions, draw_boundaries, fill_regions, hatch_failed
-from clunk.plot.style import FAINT_INK, INK, PlotError, cells_phrase, failed_notes, new_figure, palette_of, styled
+from clunk.plot.regions import regions_of
+from clunk.plot.style import FAINT_INK, INK, PlotError, palette_of, styled
 from clunk.results.labels import FAILED
 from clunk.results.regimemap import Results
 from clunk.study.problems import shorten
@@ -55,21 +56,17 @@ def difference_map(a: Results, b: Results, comparison: Comparison) -> Figure:
     """
     if a.shape != comparison.differs.shape or b.shape != a.shape:
         raise PlotError("The comparison is of other maps than these two: the grids differ.")
-    view = View.of(a, 2)
-    codes = view.arrange(a.sequence)
+    layers = replace(Layers.of(a, 2), title=_title(comparison))
+    view, regions = layers.view, regions_of(layers.codes)
     marks = _marks(view, comparison)
+    dense = comparison.differing > _DENSE * a.sequence.size
+    line: dict[str, Any] = {"color": INK, "linewidth": 0.7} if dense else {"color": _FAINT_LINE, "linewidth": 0.8}
     with styled():
-        figure = new_figure()
-        ax = figure.add_subplot()
-        map_titles(figure, ax, replace(a, title=_title(comparison)), view, "\n".join(_what_differs(comparison)))
-        scale_axes(ax, view)
-        regions = Regions(codes)
+        figure, ax = new_map(layers, "\n".join(_differences(comparison)))
         hatch_failed(ax, view, regions)
-        dense = comparison.differing > _DENSE * a.sequence.size
-        line: dict[str, Any] = {"color": INK, "linewidth": 0.7} if dense else {"color": _FAINT_LINE, "linewidth": 0.8}
         draw_boundaries(ax, view, regions, **line)
 
-        def look() -> Raster:
+        def rasterise() -> Raster:
             raster = Raster.of(ax, regions, view)
             if not dense:
                 for mark in marks:
@@ -79,8 +76,8 @@ def difference_map(a: Results, b: Results, comparison: Comparison) -> Figure:
 
         notes: list[Artist] = [Line2D([], [], label="regimes of A", **line)]
         notes += [mark.handle() for mark in marks]
-        notes += failed_notes(codes, f"{FAILED} in A")
-        settle(figure, ax, a.labels, look, notes)
+        notes += failed_notes(layers.failed, f"{FAILED} in A")
+        settle(figure, ax, layers, rasterise, notes)
         size = _mark_size(ax, view)
         for mark in sorted(marks, key=lambda mark: mark.colour != _OTHERS_COLOUR):  # the others cover no colour
             mark.draw(ax, size, dense=dense)
@@ -98,55 +95,37 @@ def experiment_map(results: Results, comparison: ExperimentComparison) -> Figure
 
     Raises PlotError unless two axes were swept.
     """
-    view = View.of(results, 2)
-    codes = view.arrange(results.sequence)
+    layers = Layers.of(results, 2)
+    view, regions = layers.view, regions_of(layers.codes)
     points = [point for point in comparison.points if point.computed is not None]
     values = np.array([[point.values[k] for k in view.keep] for point in points]).reshape(-1, 2)
     values = np.clip(values, [axis.values[0] for axis in view.axes], [axis.values[-1] for axis in view.axes])
+    caveat = textwrap.fill(comparison.experiment.caveat, _LINE)
+    caveat = caveat[:1].upper() + caveat[1:]
     with styled():
-        figure = new_figure()
-        ax = figure.add_subplot()
-        caveat = textwrap.fill(comparison.experiment.caveat, _LINE)
-        caveat = caveat[:1].upper() + caveat[1:]
-        map_titles(figure, ax, results, view, f"points: measured, {comparison.experiment.name}\n{caveat}")
-        scale_axes(ax, view)
-        regions = Regions(codes)
-        fill_regions(ax, view, regions, results.labels)
-        draw_boundaries(ax, view, regions, color=INK, linewidth=0.7)
+        figure, ax = new_map(layers, f"points: measured, {comparison.experiment.name}\n{caveat}")
+        paint_regimes(ax, layers, regions, linewidth=0.7)
         placed: list[tuple[Point, float, float]] = []
 
-        def look() -> Raster:
+        def rasterise() -> Raster:
             raster = Raster.of(ax, regions, view)
             placed[:] = _place_points(raster, values, points)
             return raster
 
-        notes = [*_point_handles(comparison), *failed_notes(codes)]
+        notes = [*_point_handles(comparison), *failed_notes(layers.failed)]
         palette = palette_of(results.labels)
         more: list[Artist] = []
         for _ in range(3):  # notes take height from the map, and less of the labels then has room
-            unlabelled = settle(figure, ax, results.labels, look, [*notes, *more])
-            there = present(results.labels, codes)
-            missing: list[Artist] = [region_swatch(label, palette[label]) for label in unlabelled if label in there]
+            unlabelled = settle(figure, ax, layers, rasterise, [*notes, *more])
+            missing: list[Artist] = [swatch(label, palette[label]) for label in unlabelled]
             if len(placed) < len(points):
-                missing.append(Patch(alpha=0.0, label="a point without a label: no room"))
+                missing.append(remark("a point without a label: no room"))
             if len(missing) <= len(more):
                 break
             more = missing
         _draw_points(ax, values, points)
-        for point, x_, y_ in placed:
-            ax.text(
-                x_,
-                y_,
-                point.measured,
-                fontsize=_POINT_TEXT,
-                color=_AGREES_COLOUR if point.agrees else _DIFFERS_COLOUR,
-                ha="center",
-                va="center",
-                parse_math=False,
-                zorder=7,
-                gid="measured",
-                bbox={"boxstyle": "round,pad=0.12", "facecolor": "white", "alpha": 0.85, "edgecolor": "none"},
-            )
+        for point, x, y in placed:
+            _write_measured(ax, point, x, y)
         return figure
 
 
@@ -185,28 +164,24 @@ def _marks(view: View, comparison: Comparison) -> list[_Mark]:
     codes_a, codes_b = view.arrange(comparison.codes_a), view.arrange(comparison.codes_b)
     rest = view.arrange(comparison.differs).copy()
     failed_in_b = view.arrange(comparison.failed_b & ~comparison.failed_a)
-    shown = comparison.transitions
-    if len(shown) > len(_TRANSITION_COLOURS):
-        shown = shown[: len(_TRANSITION_COLOURS)]
     marks = []
-    for transition, colour in zip(shown, _TRANSITION_COLOURS, strict=False):
-        own = codes_a == comparison.labels.index(transition.a)
-        own &= codes_b == comparison.labels.index(transition.b)
-        rest &= ~own
-        label = f"{transition.a} → {transition.b}: {cells_phrase(transition.cells)}"
-        marks.append(_mark(view, own, label, colour, "s"))
-    others = len(comparison.transitions) - len(shown)
+    for transition, colour in zip(comparison.transitions, _TRANSITION_COLOURS, strict=False):
+        cells = codes_a == comparison.labels.index(transition.a)
+        cells &= codes_b == comparison.labels.index(transition.b)
+        rest &= ~cells
+        marks.append(_mark(view, cells, f"{transition.a} → {transition.b}", colour))
+    others = len(comparison.transitions) - len(marks)
     if others:
-        label = f"{others} other transition{'' if others == 1 else 's'}: {cells_phrase(int(rest.sum()))}"
-        marks.append(_mark(view, rest, label, _OTHERS_COLOUR, "s"))
+        marks.append(_mark(view, rest, f"{others} other transition{'' if others == 1 else 's'}", _OTHERS_COLOUR))
     if failed_in_b.any():
-        marks.append(_mark(view, failed_in_b, f"{FAILED} in B only: {cells_phrase(int(failed_in_b.sum()))}", INK, "x"))
+        marks.append(_mark(view, failed_in_b, f"{FAILED} in B only", INK, "x"))
     return marks
 
 
-def _mark(view: View, cells: Bools, label: str, colour: str, marker: str) -> _Mark:
+def _mark(view: View, cells: Bools, text: str, colour: str, marker: str = "s") -> _Mark:
+    """Marks of some cells, with their number behind the text."""
     i, j = np.nonzero(cells)
-    return _Mark(label, view.x.values[i], view.y.values[j], colour, marker)
+    return _Mark(f"{text}: {cells_phrase(i.size)}", view.x.values[i], view.y.values[j], colour, marker)
 
 
 def _mark_size(ax: Axes, view: View) -> float:
@@ -219,12 +194,13 @@ def _mark_size(ax: Axes, view: View) -> float:
 
 
 def _title(comparison: Comparison) -> str:
+    """The title of a difference map."""
     a, b = comparison.titles
     return f"Differences: {a}" if a == b else "Differences between two maps"
 
 
-def _what_differs(comparison: Comparison) -> list[str]:
-    """How many cells, and what was done otherwise; for the line under the title."""
+def _differences(comparison: Comparison) -> list[str]:
+    """Number of differing cells, titles and config of both maps; for the line under the title."""
     number = f"{comparison.differing:,} of {comparison.cells:,} cells differ"
     share = f" ({percent(comparison.differing, comparison.cells)})" if comparison.cells else ""
     lines = [number + share]
@@ -235,18 +211,20 @@ def _what_differs(comparison: Comparison) -> list[str]:
     if comparison.configs_equal:
         lines.append("A and B: the same config")
     elif 0 < len(changes) <= 3:
-        listed = "; ".join(f"{each.key} = {_or_none(each.a)} → {_or_none(each.b)}" for each in changes)
+        listed = "; ".join(f"{each.key} = {_shortened(each.a)} → {_shortened(each.b)}" for each in changes)
         lines += textwrap.wrap(f"A → B: {listed}", _LINE)
     else:
         lines.append(f"A → B: {len(changes)} keys of the config differ")
     return lines
 
 
-def _or_none(value: Any) -> str:
+def _shortened(value: Any) -> str:
+    """A value of the config as text of 30 characters at most."""
     return "(not given)" if value is None else shorten(value, 30)
 
 
 def _point_handles(comparison: ExperimentComparison) -> list[Artist]:
+    """Notes that explain the points, with how many of them agree."""
     agrees = f"measured, agrees: {comparison.agreeing} of {comparison.counted}"
     if comparison.counted:
         agrees += f" ({percent(comparison.agreeing, comparison.counted)})"
@@ -255,22 +233,28 @@ def _point_handles(comparison: ExperimentComparison) -> list[Artist]:
         Line2D([], [], linestyle="none", label="measured, differs", **_look(agrees=False)),
     ]
     if comparison.outside:
-        handles.append(Patch(alpha=0.0, label=f"outside the map, not counted: {comparison.outside}"))
+        handles.append(remark(f"outside the map, not counted: {comparison.outside}"))
     return handles
 
 
 def _look(*, agrees: bool) -> dict[str, Any]:
+    """Marker of a measured point."""
     if agrees:
         return {"marker": "o", "markersize": _POINT, "markerfacecolor": INK, "markeredgecolor": "white"}
-    return {
-        "marker": "$\\otimes$",
-        "markersize": _POINT + 2.0,
-        "markerfacecolor": _DIFFERS_COLOUR,
-        "markeredgecolor": "none",
-    }
+    look = {"marker": "$\\otimes$", "markersize": _POINT + 2.0, "markerfacecolor": _DIFFERS_COLOUR}
+    return look | {"markeredgecolor": "none"}
+
+
+def _write_measured(ax: Axes, point: Point, x: float, y: float) -> None:
+    """Write a measured label beside its point."""
+    box = {"boxstyle": "round,pad=0.12", "facecolor": "white", "alpha": 0.85, "edgecolor": "none"}
+    colour = _AGREES_COLOUR if point.agrees else _DIFFERS_COLOUR
+    look: dict[str, Any] = {"ha": "center", "va": "center", "color": colour, "bbox": box, "zorder": 7}
+    ax.text(x, y, point.measured, fontsize=_POINT_TEXT, parse_math=False, gid="measured", **look)
 
 
 def _draw_points(ax: Axes, values: Floats, points: Sequence[Point]) -> None:
+    """Draw the measured points."""
     common: dict[str, Any] = {"linestyle": "none", "clip_on": False, "zorder": 6}
     for (x, y), point in zip(values, points, strict=True):
         if point.agrees:
@@ -285,34 +269,39 @@ _SIDES = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1))
 
 
 def _place_points(raster: Raster, values: Floats, points: Sequence[Point]) -> list[tuple[Point, float, float]]:
-    """Where each measured label goes; (point, x, y) in data coordinates, without those that find no room.
+    """Places of the measured labels, (point, x, y) in data coordinates, without those that find no room.
 
     The places of points and labels are taken out of the raster's regions, so that no region's label goes there.
     """
     x, y = raster.pixels(values)
     half = raster.block(values[:, 0], values[:, 1], _POINT + 2.0)
-    placed = []
     border = raster.border()
-    height, width = raster.label.shape
+    placed = []
     for column, row, point in zip(x, y, points, strict=True):
-        across, upward = raster.measure(point.measured, _POINT_TEXT)
-        best: tuple[float, float, float] | None = None
-        for rank, (right, up) in enumerate(_SIDES):
-            u = column + right * (half + 1 + 0.5 * across)
-            v = row + up * (half + 1 + 0.5 * upward)
-            left, low = math.floor(u - 0.5 * across), math.floor(v - 0.5 * upward)
-            if left < 0 or low < 0 or left + across > width or low + upward > height:
-                continue
-            window = np.s_[low : low + upward, left : left + across]
-            if raster.taken[window].any():
-                continue
-            cost = rank + 0.02 * np.count_nonzero(border[window])  # a boundary through a text is a little worse
-            if best is None or cost < best[0]:
-                best = cost, u, v
-        if best is not None:
-            _, u, v = best
-            left, low = math.floor(u - 0.5 * across), math.floor(v - 0.5 * upward)
-            raster.taken[low : low + upward, left : left + across] = True
-            placed.append((point, *raster.data(u, v)))
+        centre = _beside(raster, border, (column, row), half + 1, raster.measure(point.measured, _POINT_TEXT))
+        if centre is not None:
+            placed.append((point, *raster.data(*centre)))
     raster.clear_taken()
     return placed
+
+
+def _beside(
+    raster: Raster, border: Bools, place: tuple[float, float], distance: float, size: tuple[int, int]
+) -> tuple[float, float] | None:
+    """Take the best free rectangle beside a point; returns its centre, None where nothing is free.
+
+    place, distance, size : of the point, from it to the rectangle, and of that  [raster pixels]
+    """
+    best, centre, taken = math.inf, None, None
+    for rank, side in enumerate(_SIDES):
+        u, v = (at + way * (distance + 0.5 * extent) for at, way, extent in zip(place, side, size, strict=True))
+        left, low = math.floor(u - 0.5 * size[0]), math.floor(v - 0.5 * size[1])
+        if left < 0 or low < 0 or left + size[0] > border.shape[1] or low + size[1] > border.shape[0]:
+            continue
+        window = np.s_[low : low + size[1], left : left + size[0]]
+        cost = rank + 0.02 * np.count_nonzero(border[window])  # a boundary through a text is a little worse
+        if cost < best and not raster.taken[window].any():
+            best, centre, taken = cost, (u, v), window
+    if taken is not None:
+        raster.taken[taken] = True
+    return centre

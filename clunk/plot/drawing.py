@@ -1,25 +1,28 @@
-"""Which figure shows which results: a map, small multiples of it, a strip along one axis or path, or points."""
+"""The figure of a map's quantity: a map, small multiples of it, a strip along one axis or path, or points."""
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from clunk.plot import certainty
 from clunk.plot.facets import facet_map
-from clunk.plot.maps import QUANTITIES, quantity_map, regime_map, strip
+from clunk.plot.layers import QUANTITIES
+from clunk.plot.maps import quantity_map, regime_map
 from clunk.plot.plane import axis_span, drawn_axes
 from clunk.plot.scatter import parameter_choice, scatter_curve, scatter_map
+from clunk.plot.strips import strip
 from clunk.plot.style import PlotError
 from clunk.results.regimemap import Results
-from clunk.study.axes import RUN
+from clunk.results.tolerancemap import ToleranceMap
+from clunk.study.axes import RUN, ResultAxis
 
 
 def draw(
-    results: Results,
+    drawn: Results | ToleranceMap,
     quantity: str,
     thresholds: Sequence[float] = (),
     *,
@@ -27,10 +30,10 @@ def draw(
     x: str | None = None,
     y: str | None = None,
 ) -> Figure:
-    """The figure of a quantity of `QUANTITIES`.
+    """The figure of a quantity: of a regime map one of `QUANTITIES`, of a tolerance map of `certainty.QUANTITIES`.
 
     A map for two swept axes, a strip for one or for axes that are walked together, points for a sample. More axes are
-    taken by `facets`, or fixed beforehand (`Results.at`).
+    taken by `facets`, or fixed beforehand (`Results.at`). A tolerance map takes neither facets nor x and y.
 
     thresholds : see `regime_map`
     facets : one axis or two, of which each value has its own map
@@ -39,59 +42,64 @@ def draw(
 
     Raises PlotError.
     """
+    if isinstance(drawn, ToleranceMap):
+        return certainty.draw(drawn, quantity)
     if quantity not in QUANTITIES:
         raise PlotError(f"There is no quantity {quantity!r}; there are {', '.join(QUANTITIES)}.")
     if y is not None and x is None:
-        raise PlotError("--y goes with --x, which is missing.")
-    along_run = _has_runs(results)
-    if facets or not along_run:
-        if x is not None:
-            raise PlotError(
-                "--x and --y are for axes that are walked together and for samples; of a map's two axes the load ratio "
-                "or else the first is x."
-            )
-        if facets:
-            return facet_map(results, facets, quantity)
-    elif _is_walked(results) and len(drawn_axes(results)) == 1:
+        raise PlotError("y goes with x, which is missing.")
+    if _has_runs(drawn) and not facets:
+        return _draw_runs(drawn, quantity, x, y)
+    if x is not None:
+        raise PlotError(
+            "x and y are for axes that are walked together and for samples; of a map's two axes the load ratio or else "
+            "the first is x."
+        )
+    if facets:
+        return facet_map(drawn, facets, quantity)
+    if len(drawn_axes(drawn)) == 1:
+        return strip(drawn, _curve_quantity(drawn, quantity))
+    return regime_map(drawn, thresholds) if quantity == "regimes" else quantity_map(drawn, quantity)
+
+
+def _draw_runs(results: Results, quantity: str, x: str | None, y: str | None) -> Figure:
+    """The figure of axes that are walked together, or of a sample."""
+    if _is_path(results):
         if y is not None:
-            raise PlotError("--y is for samples: axes that are walked together are a path, drawn along --x.")
+            raise PlotError("y is for samples: axes that are walked together are a path, drawn along x.")
         return _path(results, _curve_quantity(results, quantity), x)
-    else:
-        chosen = parameter_choice(results) if x is None else (x,) if y is None else (x, y)
-        if len(chosen) == 1:
-            return scatter_curve(results, chosen[0], _curve_quantity(results, quantity))
-        return scatter_map(results, chosen[0], chosen[1], quantity)
-    if len(drawn_axes(results)) == 1:
-        return strip(results, _curve_quantity(results, quantity))
-    if quantity == "regimes":
-        return regime_map(results, thresholds)
-    return quantity_map(results, quantity)
+    chosen = parameter_choice(results) if x is None else (x,) if y is None else (x, y)
+    if len(chosen) == 1:
+        return scatter_curve(results, chosen[0], _curve_quantity(results, quantity))
+    return scatter_map(results, chosen[0], chosen[1], quantity)
 
 
 def default_quantities(
-    results: Results, *, facets: Sequence[str] = (), x: str | None = None, y: str | None = None
+    drawn: Results | ToleranceMap, *, facets: Sequence[str] = (), x: str | None = None, y: str | None = None
 ) -> list[str]:
-    """What to draw of some results: the regimes, and how hard the impacts are.
+    """Quantities that are drawn where none is named: the regimes, and how hard the impacts are.
 
     Where one parameter is drawn from left to right and a quantity upwards, the labels are in the same picture. Q is not
     defined for the restitution model, V is. Of a refined map, only the regimes: most cells have nothing else.
     """
-    keep = drawn_axes(results)
-    if _has_runs(results) and not facets:
-        sample = len(keep) > 1 or not _is_walked(results)
-        two = sample and (y is not None or (x is None and len(parameter_choice(results)) > 1))
+    if isinstance(drawn, ToleranceMap):
+        return certainty.default_quantities(drawn)
+    if _has_runs(drawn) and not facets:
+        has_two = not _is_path(drawn) and (y is not None or (x is None and len(parameter_choice(drawn)) > 1))
     else:
-        two = len(keep) > 1
-    if not two:
-        return [_hardness(results)]
-    return ["regimes"] if results.inferred.any() else ["regimes", _hardness(results)]
+        has_two = len(drawn_axes(drawn)) > 1
+    if not has_two:
+        return [_hardness(drawn)]
+    return ["regimes"] if drawn.inferred.any() else ["regimes", _hardness(drawn)]
 
 
 def _has_runs(results: Results) -> bool:
+    """Whether several runs are walked or drawn together."""
     return any(axis.parameter == RUN and len(axis.values) > 1 for axis in results.axes)
 
 
 def _hardness(results: Results) -> str:
+    """The quantity that tells how hard impacts are."""
     return "severity" if np.isfinite(results.severity).any() else "approach_velocity"
 
 
@@ -100,23 +108,28 @@ def _curve_quantity(results: Results, quantity: str) -> str:
     return _hardness(results) if quantity == "regimes" else quantity
 
 
-def _is_walked(results: Results) -> bool:
-    """Whether the runs are axes that are walked together, and no sample."""
-    return bool(tomllib.loads(results.config)["sweep"]["design"] == "zip")
+def _is_path(results: Results) -> bool:
+    """Whether the runs are axes that are walked together, and nothing else was swept."""
+    return results.setting("sweep.design") == "zip" and len(drawn_axes(results)) == 1
+
+
+def _is_monotonic(axis: ResultAxis) -> bool:
+    """Whether an axis's values rise or fall throughout."""
+    steps = np.diff(axis.values)
+    return bool((steps > 0.0).all() or (steps < 0.0).all())
 
 
 def _path(results: Results, quantity: str, x: str | None) -> Figure:
     """The strip along axes that are walked together."""
-    rising = [
-        axis for axis in results.coordinates if (np.diff(axis.values) > 0.0).all() or (np.diff(axis.values) < 0.0).all()
-    ]
     run = results.axes[drawn_axes(results)[0]]
-    known = {axis.parameter: axis for axis in (*rising, run)}
-    if x is not None and x not in known:
-        if x in {axis.parameter for axis in results.coordinates}:
-            raise PlotError(f"{x} neither rises nor falls throughout the runs; --x may be {' or '.join(known)}.")
-        raise PlotError(f"{x} does not change in these results; --x may be {' or '.join(known)}.")
-    chosen = known[x] if x is not None else next(iter(known.values()))
-    others = [axis_span(axis) for axis in results.coordinates if axis is not chosen]
+    monotonic = [axis for axis in results.coordinates if _is_monotonic(axis)]
+    along = {axis.parameter: axis for axis in (*monotonic, run)}
+    if x is not None and x not in along:
+        choice = f"x may be {' or '.join(along)}"
+        if any(axis.parameter == x for axis in results.coordinates):
+            raise PlotError(f"{x} neither rises nor falls throughout the runs; {choice}.")
+        raise PlotError(f"{x} does not change in these results; {choice}.")
+    chosen = along[x] if x is not None else next(iter(along.values()))
+    spans = [axis_span(axis) for axis in results.coordinates if axis is not chosen]
     axes = tuple(chosen if axis is run else axis for axis in results.axes)
-    return strip(replace(results, axes=axes, coordinates=()), quantity, "; ".join(others))
+    return strip(replace(results, axes=axes, coordinates=()), quantity, "; ".join(spans))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,44 +18,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.text import Text
 
-from clunk.plot.labelling import label_regions, more_labels, present, region_swatch
-from clunk.plot.maps import (
-    boundaries_note,
-    finish_bar,
-    known_values,
-    line_colour,
-    mark_undecided,
-    paint_quantity,
-    paint_regimes,
-    quantity_label,
-    quantity_norm,
-    require_some,
-    subtitle_of,
-    title_of,
-    undecided_notes,
-    undefined_notes,
-)
-from clunk.plot.plane import View, at_option, axis_label, drawn_axes, scale_axes, value_text
+from clunk.plot.labelling import label_regions
+from clunk.plot.layers import Floats, Layers, require_some, stacked, subtitle_of
+from clunk.plot.notes import failed_notes, label_notes, note_columns, set_notes, undecided_notes, undefined_notes
+from clunk.plot.painting import Colours, mark_undecided, paint_quantity, paint_regimes
+from clunk.plot.plane import SurplusAxesError, axis_label, drawn_axes, scale_axes, value_text
 from clunk.plot.raster import Raster
 from clunk.plot.regions import Regions
-from clunk.plot.style import (
-    FAINT_INK,
-    SIZE,
-    PlotError,
-    failed_notes,
-    new_figure,
-    note_columns,
-    palette_of,
-    set_notes,
-    styled,
-    symbol_text,
-    wrap,
-)
-from clunk.results.labels import FAILED_CODE
+from clunk.plot.style import FAINT_INK, SIZE, PlotError, new_figure, styled, symbol_text, wrap
 from clunk.results.regimemap import Results
 from clunk.study.axes import RUN, ResultAxis
-
-Floats = npt.NDArray[np.float64]
 
 MOST_VALUES = (12, 4)  # of one facet, of each of two
 
@@ -69,56 +41,44 @@ _SETTINGS = ((8.5, False), (7.5, False), (7.5, True), (6.5, False), (6.5, True))
 _MARGIN = 0.08  # inches, at the right of the titles
 
 
+_Panel = tuple[Axes, Layers, Regions]
+
+
 def facet_map(results: Results, facets: Sequence[str], quantity: str = "regimes") -> Figure:
     """A map of the regimes or of a quantity for each value of one facet, or of two: rows, then columns.
 
     Of many values those that `shown_values` chooses are drawn. Raises PlotError where a facet is no axis of several
     values, or not two axes are left for the maps.
     """
-    if quantity != "regimes":
-        quantity_label(quantity)  # refuses what is none
     axes = _facet_axes(results, facets)
     values = [shown_values(axis, len(axes)) for axis in axes]
-    parts = [results.at(dict(zip(facets, place, strict=True))) for place in product(*values)]
-    views = [View.of(part, 2) for part in parts]
+    slices = [results.at(dict(zip(facets, place, strict=True))) for place in product(*values)]
+    is_regimes = quantity == "regimes"
+    layers = [Layers.of(each, 2) if is_regimes else Layers.of_quantity(each, 2, quantity) for each in slices]
     columns, rows = _arranged([len(each) for each in values])
     with styled():
         figure = new_figure(_size(columns, rows))
-        title = figure.suptitle(title_of(results), fontsize=11.5, fontweight="bold", ha="left", parse_math=False)
+        title = figure.suptitle(layers[0].title, fontsize=11.5, fontweight="bold", ha="left", parse_math=False)
         inner = figure.add_subfigure(figure.add_gridspec(1, 1)[0])  # for a second title, and names of the axes
         grid = inner.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-        for ax in grid.flat[len(parts) :]:
+        for ax in grid.flat[len(layers) :]:
             ax.remove()
-        panels = [
-            _Panel(ax, part, view, Regions(view.arrange(part.sequence), _POINTS))
-            for ax, part, view in zip(grid.flat, parts, views, strict=False)
-        ]
-        for panel in panels:
-            _scale(panel)
+        panels = [(ax, each, Regions(each.codes, _POINTS)) for ax, each in zip(grid.flat, layers, strict=False)]
+        for ax, each, _ in panels:
+            _scale(ax, each)
         _name_panels(grid, axes, values)
-        inner.supxlabel(axis_label(views[0].x), fontsize=10.0)
-        inner.supylabel(axis_label(views[0].y), fontsize=10.0)
-        notes = _paint_regimes(panels) if quantity == "regimes" else _paint_quantity(inner, panels, results, quantity)
-        line = _subtitle(results, axes, views[0], quantity, figure.get_figwidth())
+        inner.supxlabel(axis_label(layers[0].view.x), fontsize=10.0)
+        inner.supylabel(axis_label(layers[0].view.y), fontsize=10.0)
+        notes = _paint_regimes(panels) if is_regimes else _paint_quantity(inner, panels)
+        line = _subtitle(results, axes, stacked(layers), figure.get_figwidth())
         subtitle = inner.suptitle(line, fontsize=9.0, color=FAINT_INK, ha="left", parse_math=False)
         set_notes(figure, notes)
         if notes:
             figure.set_figheight(figure.get_figheight() + _NOTE * math.ceil(len(notes) / note_columns(figure, notes)))
-        _freeze(figure, panels[0].ax, title, subtitle)
-        if quantity == "regimes":
-            for panel in panels:
-                raster = Raster.of(panel.ax, panel.regions, panel.view)
-                label_regions(raster, results.labels, leaders=False, settings=_SETTINGS)
+        _freeze(figure, panels[0][0], title, subtitle)
+        for ax, each, regions in panels if is_regimes else []:
+            label_regions(Raster.of(ax, regions, each.view), results.labels, leaders=False, settings=_SETTINGS)
         return figure
-
-
-class _Panel(NamedTuple):
-    """One map, and what it shows."""
-
-    ax: Axes
-    results: Results
-    view: View
-    regions: Regions
 
 
 def shown_values(axis: ResultAxis, facets: int) -> Floats:
@@ -130,29 +90,24 @@ def shown_values(axis: ResultAxis, facets: int) -> Floats:
 
 
 def _facet_axes(results: Results, facets: Sequence[str]) -> list[ResultAxis]:
-    """The axes of the facets."""
+    """The axes of the facets. Raises PlotError where no maps can be drawn for each of their values."""
     if len(facets) > len(MOST_VALUES):
-        raise PlotError("Small multiples have one facet, or two for rows and columns; fix other axes with --at.")
-    left = {results.axes[index].parameter: results.axes[index] for index in drawn_axes(results)}
+        raise PlotError("Small multiples have one facet, or two for rows and columns; fix the other axes.")
+    changing = {results.axes[index].parameter: results.axes[index] for index in drawn_axes(results)}
     for facet in facets:
-        if facet not in left:
-            known = ", ".join(left)
-            raise PlotError(f"--facet {facet}: it is no axis of several values; these are {known}.")
+        if facet not in changing:
+            raise PlotError(f"{facet} is no axis of several values; these are {', '.join(changing)}.")
     if len(set(facets)) < len(facets):
-        raise PlotError(f"--facet {facets[0]} is there twice; rows and columns need two axes.")
-    maps = len(left) - len(facets)
-    if maps < 2:
-        raise PlotError(
-            f"Each map of a family needs two axes, and beside the facets {maps or 'none'} of {', '.join(left)} is left."
-        )
-    if maps > 2:
-        others = [name for name in left if name not in facets]
-        also = " ".join(at_option(left[name]) for name in others[2:])
-        raise PlotError(
-            f"Each map of a family shows two axes, and beside the facets {maps} are left ({', '.join(others)}): "
-            f"also give {also}, for example."
-        )
-    return [left[facet] for facet in facets]
+        raise PlotError(f"The facet {facets[0]} is there twice; rows and columns need two axes.")
+    rest = [axis for name, axis in changing.items() if name not in facets]
+    if len(rest) < 2:
+        count, names = len(rest) or "none", ", ".join(changing)
+        raise PlotError(f"Each map of a family needs two axes, and beside the facets {count} of {names} is left.")
+    if len(rest) > 2:
+        names = ", ".join(axis.parameter for axis in rest)
+        text = f"Each map of a family shows two axes, and beside the facets {len(rest)} are left ({names})"
+        raise SurplusAxesError(text, rest[2:])
+    return [changing[facet] for facet in facets]
 
 
 def _arranged(counts: Sequence[int]) -> tuple[int, int]:
@@ -169,21 +124,21 @@ def _size(columns: int, rows: int) -> tuple[float, float]:
     return _AROUND[0] + columns * panel, _AROUND[1] + rows * min(0.85 * panel, _HIGHEST)
 
 
-def _subtitle(results: Results, axes: Sequence[ResultAxis], view: View, quantity: str, width: float) -> str:
-    """What is fixed in all panels, and what is not."""
+def _subtitle(results: Results, axes: Sequence[ResultAxis], layers: Layers, width: float) -> str:
+    """The parameters that are fixed in all panels, those that are not, and what the lines are."""
     varying = {axis.parameter for axis in axes}
     if RUN in varying:
         varying |= {axis.parameter for axis in results.coordinates}
-    more = [f"each map at one {' and '.join(map(_full_name, axes))}"]
-    if quantity != "regimes":
-        more.append(boundaries_note(results, quantity))
-    return subtitle_of(results, [axis for axis in view.fixed if axis.parameter not in varying], more, width)
+    facts = [f"each map at one {' and '.join(map(_full_name, axes))}"]
+    if layers.quantity != "regimes":
+        facts.append(layers.boundaries_note)
+    fixed = [axis for axis in layers.view.fixed if axis.parameter not in varying]
+    return subtitle_of(layers.load, fixed, facts, width)
 
 
-def _scale(panel: _Panel) -> None:
-    """The axes of a panel, which is too small for many numbers."""
-    ax = panel.ax
-    scale_axes(ax, panel.view)
+def _scale(ax: Axes, layers: Layers) -> None:
+    """Scale the axes of a panel, which is too small for many numbers."""
+    scale_axes(ax, layers.view)
     ax.set_xlabel("")
     ax.set_ylabel("")
     ax.tick_params(labelsize=8.0)
@@ -210,11 +165,13 @@ def _name_panels(grid: npt.NDArray[Any], axes: Sequence[ResultAxis], values: Seq
 
 
 def _full_name(axis: ResultAxis) -> str:
+    """Name and symbol of a parameter."""
     symbol = axis.symbol.split("=")[0].strip()
     return f"{axis.name or axis.parameter} ({symbol})" if symbol else axis.name or axis.parameter
 
 
 def _named(axis: ResultAxis, value: float) -> str:
+    """A parameter's symbol and value."""
     return symbol_text(value_text(axis, value, symbol=True))
 
 
@@ -231,30 +188,25 @@ def _freeze(figure: Figure, ax: Axes, title: Text, subtitle: Text) -> None:
 
 
 def _paint_regimes(panels: Sequence[_Panel]) -> list[Artist]:
-    """The regimes of all panels, and their notes."""
-    labels = panels[0].results.labels
-    for panel in panels:
-        paint_regimes(panel.ax, panel.view, panel.regions, labels, linewidth=0.6)
-    undecided = sum(mark_undecided(panel.ax, panel.view, panel.results) for panel in panels)
-    codes = np.stack([panel.regions.codes for panel in panels])
-    palette = palette_of(labels)
-    there = present(labels, codes)
+    """Draw the regimes of all panels; returns their notes."""
+    for ax, layers, regions in panels:
+        paint_regimes(ax, layers, regions, linewidth=0.6)
+        mark_undecided(ax, layers)
+    together = stacked([layers for _, layers, _ in panels])
     # many labels are of few cells each, and hardly seen
-    rare = sorted(there, key=lambda label: -int(np.count_nonzero(codes == labels.index(label))))[_MOST_NOTES:]
-    swatches: list[Artist] = [region_swatch(label, palette[label]) for label in there if label not in rare]
-    if rare:
-        swatches.append(more_labels(len(rare)))
-    return [*swatches, *failed_notes(codes), *undecided_notes(undecided)]
+    frequent = sorted(together.present, key=lambda label: -together.count(label))[:_MOST_NOTES]
+    labels = [label for label in together.present if label in frequent]
+    labels += [label for label in together.present if label not in frequent]
+    notes = label_notes(together, labels, _MOST_NOTES, counted=False)
+    return [*notes, *failed_notes(together.failed), *undecided_notes(together.undecided)]
 
 
-def _paint_quantity(inner: SubFigure, panels: Sequence[_Panel], results: Results, name: str) -> list[Artist]:
-    """A quantity of all panels, its colour bar, and their notes."""
-    values = np.stack([panel.view.arrange(known_values(panel.results, name)) for panel in panels])
-    require_some(values, name)
-    norm, color = quantity_norm(values, name), line_colour(results, name)
-    for panel, own in zip(panels, values, strict=True):
-        mesh = paint_quantity(panel.ax, panel.view, panel.regions, own, name, norm, color, linewidth=0.4)
-    finish_bar(inner.colorbar(mesh, ax=[panel.ax for panel in panels], pad=0.02, aspect=40), name)
-    codes = np.stack([panel.regions.codes for panel in panels])
-    inferred = np.stack([panel.view.arrange(panel.results.inferred) for panel in panels])
-    return [*failed_notes(codes), *undefined_notes(name, np.isnan(values) & (codes != FAILED_CODE), inferred)]
+def _paint_quantity(inner: SubFigure, panels: Sequence[_Panel]) -> list[Artist]:
+    """Draw a quantity of all panels and its colour bar; returns their notes."""
+    together = stacked([layers for _, layers, _ in panels])
+    require_some(together.values, together.quantity)
+    colours, dark = Colours.of(together.quantity, together.values), together.has_dark_lines
+    for ax, layers, regions in panels:
+        mesh = paint_quantity(ax, layers, regions, colours, dark=dark, linewidth=0.4)
+    colours.add_bar(inner, mesh, [ax for ax, _, _ in panels], aspect=40)
+    return [*failed_notes(together.failed), *undefined_notes(together)]

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 from scipy import ndimage
 
+from clunk.plot.layers import Bools, Layers
+from clunk.plot.notes import failed_notes, label_notes, set_notes
 from clunk.plot.raster import Place, Raster, corners_that_fit, rotate
-from clunk.plot.style import INK, cells_phrase, failed_notes, freeze_layout, palette_of, set_notes
-from clunk.results.labels import FAILED_CODE
-
-Bools = npt.NDArray[np.bool_]
-Codes = npt.NDArray[np.int16]
-
+from clunk.plot.style import INK, freeze_layout
 
 # What is tried in turn: size in points, and whether the text may be turned.
 _SETTINGS = ((10.5, False), (9.5, False), (9.5, True), (8.5, False), (8.5, True), (8.0, False), (8.0, True))
@@ -34,36 +30,25 @@ _MOST_NOTES = 24
 def label_and_note(
     figure: Figure,
     ax: Axes,
-    labels: tuple[str, ...],
-    codes: Codes,
-    look: Callable[[], Raster],
+    layers: Layers,
+    rasterise: Callable[[], Raster],
     *,
-    leaders: bool,
+    leaders: bool = True,
     more: Sequence[Artist] = (),
 ) -> None:
     """Write the labels into their regions, and under the axes those that find no room, the failed cells and `more`.
 
     The notes take height from the map, and less of it then fits: laid out again until the notes are the same.
     """
-    palette = palette_of(labels)
 
-    def notes(names: list[str]) -> list[Artist]:
-        swatches: list[Artist] = []
-        for label in names[:_MOST_NOTES]:
-            cells = int(np.count_nonzero(codes == labels.index(label)))
-            swatches.append(region_swatch(f"{label}: {cells_phrase(cells)}", palette[label]))
-        if len(names) > _MOST_NOTES:
-            swatches.append(more_labels(len(names) - _MOST_NOTES))
-        return [*swatches, *failed_notes(codes), *more]
+    def notes(labels: list[str]) -> list[Artist]:
+        return [*label_notes(layers, labels, _MOST_NOTES, counted=True), *failed_notes(layers.failed), *more]
 
-    there = present(labels, codes)
     noted: set[str] = set()
     unlabelled: list[str] = []
     for _ in range(4):
-        unlabelled = settle(
-            figure, ax, labels, look, notes([label for label in labels if label in noted]), leaders=leaders
-        )
-        unlabelled = [label for label in unlabelled if label in there]
+        in_order = [label for label in layers.labels if label in noted]
+        unlabelled = settle(figure, ax, layers, rasterise, notes(in_order), leaders=leaders)
         if noted.issuperset(unlabelled):
             break
         noted.update(unlabelled)
@@ -71,36 +56,25 @@ def label_and_note(
         set_notes(figure, notes(unlabelled))
 
 
-def present(labels: tuple[str, ...], codes: Codes) -> list[str]:
-    """The labels that some cell has: those of a slice may be fewer than the results'."""
-    return [labels[code] for code in np.unique(codes) if code != FAILED_CODE]
-
-
 def settle(
     figure: Figure,
     ax: Axes,
-    labels: tuple[str, ...],
-    look: Callable[[], Raster],
+    layers: Layers,
+    rasterise: Callable[[], Raster],
     notes: Sequence[Artist],
     *,
     leaders: bool = True,
 ) -> list[str]:
-    """Lay the figure out with these notes under the map, then write the regions' labels; returns those without room."""
+    """Lay the figure out with these notes under the map, then write the regions' labels; returns those without room.
+
+    rasterise : the map as pixels, once the figure is laid out
+    """
     for artist in [*ax.texts, *(line for line in ax.lines if line.get_gid() == "leader")]:
         artist.remove()
     set_notes(figure, notes)
     freeze_layout(figure, ax)
-    return label_regions(look(), labels, leaders=leaders)
-
-
-def region_swatch(text: str, colour: str) -> Patch:
-    """A note that begins with a region's colour."""
-    return Patch(facecolor=colour, edgecolor=INK, linewidth=0.6, label=text)
-
-
-def more_labels(count: int) -> Patch:
-    """A note of labels that have none."""
-    return Patch(alpha=0.0, label=f"and {count} label{'' if count == 1 else 's'} more")
+    unlabelled = label_regions(rasterise(), layers.labels, leaders=leaders)
+    return [label for label in unlabelled if label in layers.present]
 
 
 def label_regions(
@@ -142,16 +116,16 @@ def _inside(raster: Raster, mask: Bools, text: str, settings: Sequence[tuple[flo
     x0, y0 = columns.start - 1, rows.start - 1
     for size, turned in settings:
         width, height = raster.measure(text, size)
-        best: tuple[float, Place] | None = None
+        best, place = -math.inf, None
         for angle in _ANGLES if turned else (0.0,):
-            found = _roomiest(crop, width, height, angle)
-            if found is not None:
-                room, x, y = found
+            roomiest = _roomiest(crop, width, height, angle)
+            if roomiest is not None:
+                room, x, y = roomiest
                 score = room - 0.03 * abs(angle)  # a steeper text must be worth it
-                if best is None or score > best[0]:
-                    best = score, Place(x0 + x, y0 + y, size, angle)
-        if best is not None:
-            return best[1]
+                if score > best:
+                    best, place = score, Place(x0 + x, y0 + y, size, angle)
+        if place is not None:
+            return place
     return None
 
 
@@ -184,19 +158,9 @@ def _roomiest(mask: Bools, width: int, height: int, angle: float) -> tuple[float
 
 
 def _write(raster: Raster, text: str, place: Place) -> None:
-    x, y = raster.data(place.x, place.y)
-    raster.ax.text(
-        x,
-        y,
-        text,
-        fontsize=place.size,
-        rotation=place.angle,
-        ha="center",
-        va="center",
-        parse_math=False,
-        clip_on=False,
-        zorder=5,
-    )
+    """Write a text at its place."""
+    look: dict[str, Any] = {"ha": "center", "va": "center", "rotation": place.angle, "clip_on": False, "zorder": 5}
+    raster.ax.text(*raster.data(place.x, place.y), text, fontsize=place.size, parse_math=False, **look)
     raster.take(text, place)
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,8 +14,7 @@ from matplotlib import ticker
 from matplotlib.axes import Axes
 
 from clunk.plot.style import MINUS, PlotError, plain, symbol_text
-from clunk.results.regimemap import Results
-from clunk.results.tolerancemap import ToleranceMap
+from clunk.results.maps import Map
 from clunk.study.axes import RUN, ResultAxis
 
 Array = npt.NDArray[Any]
@@ -28,37 +26,39 @@ _MOST_COORDINATES = 3  # of a run in a title
 
 @dataclass(frozen=True)
 class View:
-    """The swept axes of some results, ascending, and how their arrays are turned to match."""
+    """The swept axes of a map, ascending, and the order of its arrays along them."""
 
-    axes: tuple[ResultAxis, ...]  # x and, for a map, y
-    fixed: tuple[ResultAxis, ...]  # what has one value only, for a title
+    axes: tuple[ResultAxis, ...]  # x and, if there are two, y
+    fixed: tuple[ResultAxis, ...]  # parameters with one value
     keep: tuple[int, ...]
     order: tuple[npt.NDArray[np.intp], ...]
 
     @classmethod
-    def of(cls, results: Results | ToleranceMap, dimensions: int) -> View:
-        """The view of some results that sweep this many axes. Raises PlotError where they sweep others."""
-        keep = drawn_axes(results)
+    def of(cls, drawn: Map, dimensions: int) -> View:
+        """The view of a map over this many axes. Raises PlotError where it has others."""
+        keep = drawn_axes(drawn)
         if len(keep) != dimensions:
-            swept = ", ".join(results.axes[index].parameter for index in keep)
+            swept = ", ".join(drawn.axes[index].parameter for index in keep)
             if len(keep) > 2:
-                raise PlotError(
-                    f"These results sweep {len(keep)} axes ({swept}) and a map shows two. Draw a slice or the family:\n"
-                    f"{ways_to_fewer(results)}"
+                surplus = _surplus([drawn.axes[index] for index in keep])
+                raise SurplusAxesError(
+                    f"These results sweep {len(keep)} axes ({swept}) and a map shows two",
+                    surplus,
+                    [axis.parameter for axis in surplus[:2]],
                 )
-            kind = {1: "one axis", 2: "two axes"}
+            words = {1: "one axis", 2: "two axes"}
             raise PlotError(
-                f"This figure needs {kind[dimensions]} and these results sweep {kind[len(keep)]} ({swept})."
+                f"This figure needs {words[dimensions]} and these results sweep {words[len(keep)]} ({swept})."
             )
-        if dimensions == 2 and any(results.axes[index].parameter == RUN for index in keep):
+        if dimensions == 2 and any(drawn.axes[index].parameter == RUN for index in keep):
             raise PlotError(
-                "Runs that are drawn together have no order that a map could show: clunk plot draws them as points, "
-                "with --x KEY and --y KEY."
+                "Runs that are drawn together have no order that a map could show: they are drawn as points over two "
+                "of their parameters, x and y."
             )
-        order = tuple(np.argsort(results.axes[index].values, kind="stable") for index in keep)
-        drawn = ((results.axes[index], ascending) for index, ascending in zip(keep, order, strict=True))
-        axes = tuple(replace(axis, values=axis.values[ascending]) for axis, ascending in drawn)
-        return cls(axes, fixed_parameters(results), keep, order)
+        order = tuple(np.argsort(drawn.axes[index].values, kind="stable") for index in keep)
+        ascending = ((drawn.axes[index], places) for index, places in zip(keep, order, strict=True))
+        axes = tuple(replace(axis, values=axis.values[places]) for axis, places in ascending)
+        return cls(axes, fixed_parameters(drawn), keep, order)
 
     @property
     def x(self) -> ResultAxis:
@@ -77,46 +77,46 @@ class View:
         return turned[np.ix_(*self.order)]
 
 
-def drawn_axes(results: Results | ToleranceMap) -> tuple[int, ...]:
+class SurplusAxesError(PlotError):
+    """More axes than a figure shows.
+
+    problem : the sentence without what to do about it
+    surplus : axes of which one value may be chosen
+    facets : parameters of which each value may have its own map instead
+    """
+
+    def __init__(self, problem: str, surplus: Sequence[ResultAxis], facets: Sequence[str] = ()) -> None:
+        names = " and ".join(axis.parameter for axis in surplus)
+        maps = f", or draw a map for each value of {' and '.join(facets)}" if facets else ""
+        super().__init__(f"{problem}: choose one value of {names}{maps}.")
+        self.problem, self.surplus, self.facets = problem, tuple(surplus), tuple(facets)
+
+
+def drawn_axes(drawn: Map) -> tuple[int, ...]:
     """Indices of the axes with more than one value, x first; of the first axis if there is none.
 
     Of two, the load ratio is x.
     """
-    drawn = tuple(index for index, axis in enumerate(results.axes) if len(axis.values) > 1) or (0,)
-    if len(drawn) == 2 and results.axes[drawn[1]].parameter == "load.ratio":
-        drawn = drawn[::-1]
-    return drawn
+    keep = tuple(index for index, axis in enumerate(drawn.axes) if len(axis.values) > 1) or (0,)
+    if len(keep) == 2 and drawn.axes[keep[1]].parameter == "load.ratio":
+        keep = keep[::-1]
+    return keep
 
 
-def fixed_parameters(results: Results | ToleranceMap) -> tuple[ResultAxis, ...]:
-    """What has one value in these results: axes, and a single run's coordinates or, if they are many, its number."""
-    keep = drawn_axes(results)
+def fixed_parameters(drawn: Map) -> tuple[ResultAxis, ...]:
+    """Parameters with one value: axes, and a single run's coordinates or, if they are many, its number."""
+    keep = drawn_axes(drawn)
     fixed: list[ResultAxis] = []
-    for index, axis in enumerate(results.axes):
+    for index, axis in enumerate(drawn.axes):
         if index not in keep or (axis.parameter == RUN and len(axis.values) == 1):
-            few = axis.parameter == RUN and len(results.coordinates) <= _MOST_COORDINATES
-            fixed += results.coordinates if few else [axis]
+            few = axis.parameter == RUN and len(drawn.coordinates) <= _MOST_COORDINATES
+            fixed += drawn.coordinates if few else [axis]
     return tuple(fixed)
 
 
-def ways_to_fewer(results: Results | ToleranceMap) -> str:
-    """What to type so that two axes are left, load ratio and backlash if they are there; a line each."""
-    axes = [results.axes[index] for index in drawn_axes(results)]
-    rest = sorted(axes, key=lambda axis: axis.parameter not in _USUAL)[2:]
-    at = " ".join(at_option(axis) for axis in rest)
-    facets = " ".join(f"--facet {shlex.quote(axis.parameter)}" for axis in rest[:2])
-    fixed = "".join(f" {at_option(axis)}" for axis in rest[2:])
-    return f"  clunk plot FILE {at}\n  clunk plot FILE {facets}{fixed}"
-
-
-def at_option(axis: ResultAxis) -> str:
-    """The option that fixes an axis at its middle value."""
-    return f"--at {shlex.quote(f'{axis.parameter}={axis.values[len(axis.values) // 2]:.6g}')}"
-
-
-def x_axis(results: Results) -> ResultAxis:
-    """The axis that a figure of these results draws from left to right."""
-    return results.axes[drawn_axes(results)[0]]
+def _surplus(axes: Sequence[ResultAxis]) -> list[ResultAxis]:
+    """The axes beyond two, load ratio and backlash staying if they are there."""
+    return sorted(axes, key=lambda axis: axis.parameter not in _USUAL)[2:]
 
 
 def ruler(axis: ResultAxis) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from clunk.plot.maps import quantity_label
 from clunk.plot.plane import axis_label
 from clunk.plot.style import INK, PlotError, new_figure, styled, symbol_text
+from clunk.results.quantities import CELL_QUANTITIES
 from clunk.results.regimemap import Results
 
 _COLOURS = ("#d9b310", "#1f9e83", "#2f7fc1", "#7d55a8", "#b8447c", "#dd6b1f")
@@ -38,7 +38,7 @@ def severity_profiles(results: Results, ratios: Sequence[float]) -> Figure:
         ax.set_xlim(backlash[0], backlash[-1])
         ax.set_ylim(bottom=0.0)
         ax.set_xlabel(axis_label(results.axes[1]))
-        ax.set_ylabel(quantity_label("severity"))
+        ax.set_ylabel(CELL_QUANTITIES["severity"].plot_label)
         ax.spines[["top", "right"]].set_visible(False)
         ax.set_title("Severity over backlash: up to a worst gap, then down", loc="left", fontweight="bold")
         return figure

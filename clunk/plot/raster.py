@@ -95,6 +95,13 @@ class Raster:
         u, v = rotate(columns + 0.5 - place.x, rows + 0.5 - place.y, -place.angle)
         self.taken |= (np.abs(u) <= 0.5 * width) & (np.abs(v) <= 0.5 * height)
 
+    def take_line(self, start: tuple[float, float], stop: tuple[float, float]) -> None:
+        """Mark the pixels of a line between two raster positions as taken."""
+        height, width = self.taken.shape
+        column, row = (a + np.linspace(0.0, 1.0, 60) * (b - a) for a, b in zip(start, stop, strict=True))
+        rows, columns = np.clip(row.astype(np.intp), 0, height - 1), np.clip(column.astype(np.intp), 0, width - 1)
+        self.taken[rows, columns] = True
+
     def pixels(self, values: Floats) -> tuple[Floats, Floats]:
         """Raster columns and rows of data coordinates (n, 2)."""
         box = self.ax.get_window_extent()

@@ -1,18 +1,15 @@
-"""Regions between samples: smooth boundaries with every sample on its own side, and how they are drawn."""
+"""Regions between samples: smooth boundaries with every sample on its own side."""
 
 from __future__ import annotations
 
 import functools
 import math
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.axes import Axes
 from scipy import ndimage
 
 from clunk.plot.plane import View, ruler
-from clunk.plot.style import FAILED_FILL, FAILED_HATCH, palette_of
 from clunk.results.labels import FAILED_CODE
 
 Floats = npt.NDArray[np.float64]
@@ -222,40 +219,3 @@ def _refine(samples: Scores, factor: int, axis: int) -> Scores:
     fine[-1] = rows[-1]
     refined: Scores = np.moveaxis(fine, 0, axis)
     return refined
-
-
-def fill_regions(ax: Axes, view: View, regions: Regions, labels: tuple[str, ...]) -> None:
-    """Each region in its label's colour, failed cells hatched."""
-    hatch_failed(ax, view, regions)
-    palette = palette_of(labels)
-    for code in regions.present:
-        x, y, margin = _part(regions, view, code)
-        if code != FAILED_CODE and margin.max() > 0.0:
-            ax.contourf(x, y, margin, levels=[0.0, np.inf], colors=[palette[labels[code]]], zorder=1)
-
-
-def hatch_failed(ax: Axes, view: View, regions: Regions) -> None:
-    """A hatch over the failed cells, if there are any."""
-    if FAILED_CODE not in regions.present:
-        return
-    look: dict[str, Any] = {"colors": [FAILED_FILL], "hatches": ["//////"], "zorder": 1}
-    filled = ax.contourf(*_part(regions, view, FAILED_CODE), levels=[0.0, np.inf], **look)
-    filled.set_edgecolor(FAILED_HATCH)
-    filled.set_linewidth(0.0)
-
-
-def draw_boundaries(ax: Axes, view: View, regions: Regions, *, color: str, linewidth: float) -> None:
-    """Lines between the regions."""
-    if len(regions.present) == 1:
-        return
-    for code in regions.present:
-        x, y, margin = _part(regions, view, code)
-        if margin.min() < 0.0 < margin.max():
-            ax.contour(x, y, margin, levels=[0.0], colors=[color], linewidths=linewidth, zorder=3)
-
-
-def _part(regions: Regions, view: View, code: int) -> tuple[Floats, Floats, Scores]:
-    """The fine points among which a label's cells are, and its margin there, rows along y."""
-    (columns, rows), margin = regions.margin(code)
-    x, y = regions.fine_values(view)
-    return x[columns], y[rows], margin.T

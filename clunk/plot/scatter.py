@@ -1,8 +1,9 @@
-"""Runs of a sample as points: where in two parameters which regime happens, or a quantity against one parameter."""
+"""Runs of a sample as points: the regimes over two parameters, or a quantity over one parameter."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,40 +14,64 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from clunk.core.status import QUALITY_UNDECIDED
-from clunk.plot.labelling import present
-from clunk.plot.maps import (
-    colour_map,
-    finish_bar,
-    quantity_label,
-    quantity_norm,
-    quantity_values,
+from clunk.plot.layers import (
+    Bools,
+    Floats,
+    known_values,
+    load_of,
+    require_quantity,
+    require_some,
     subtitle_of,
     title_of,
-    undecided_notes,
 )
-from clunk.plot.plane import at_option, axis_label, drawn_axes, fixed_parameters, set_log_scale
+from clunk.plot.notes import cells_phrase, set_notes, undecided_notes
+from clunk.plot.painting import Colours
+from clunk.plot.plane import SurplusAxesError, axis_label, drawn_axes, fixed_parameters, set_log_scale
 from clunk.plot.style import (
     FAILED_FILL,
     FAILED_HATCH,
     INK,
     PlotError,
-    cells_phrase,
     freeze_layout,
     new_figure,
     palette_of,
-    set_notes,
     set_titles,
     styled,
 )
 from clunk.results.labels import FAILED, FAILED_CODE
+from clunk.results.quantities import CELL_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.study.axes import RUN, ResultAxis
-
-Floats = npt.NDArray[np.float64]
 
 _ROOM = 0.03  # of an axis's span, beside the outermost points
 _LOG_SPAN = 30.0  # of the largest value over the smallest, from which a scale may be logarithmic
 _NOT_KNOWN = "#ffffff"
+
+
+@dataclass(frozen=True)
+class _Points:
+    """Every cell as a point, in C order."""
+
+    results: Results
+    x: Floats
+    y: Floats
+
+    @property
+    def codes(self) -> npt.NDArray[np.int16]:
+        """Codes of the labels."""
+        return self.results.sequence.ravel()
+
+    @property
+    def failed(self) -> Bools:
+        """The points of failed runs."""
+        failed: Bools = self.codes == FAILED_CODE
+        return failed
+
+    @property
+    def look(self) -> dict[str, Any]:
+        """Markers that are seen one by one in a small sample, and as a cloud in a large one."""
+        size = float(np.clip(6.5 * (256.0 / self.codes.size) ** 0.35, 1.6, 6.5))
+        return {"s": size**2, "edgecolors": INK, "linewidths": 0.5 if size > 3.0 else 0.0}
 
 
 def scatter_map(results: Results, x: str, y: str, quantity: str = "regimes") -> Figure:
@@ -56,22 +81,12 @@ def scatter_map(results: Results, x: str, y: str, quantity: str = "regimes") -> 
     """
     across, upward = _parameter(results, x), _parameter(results, y)
     _require_points_apart(results, (x, y))
-    codes = results.sequence.ravel()
-    values = None if quantity == "regimes" else quantity_values(results, quantity).ravel()
+    points = _Points(results, _values_of(results, across), _values_of(results, upward))
+    values = None if quantity == "regimes" else _quantity_values(results, quantity)
     with styled():
-        figure = new_figure()
-        ax = figure.add_subplot()
-        _titles(figure, ax, results)
-        at = _values_of(results, across), _values_of(results, upward)
-        if values is None:
-            notes = _points_by_label(ax, results, *at)
-        else:
-            shown = np.isfinite(values)
-            colour: dict[str, Any] = {"cmap": colour_map(quantity), "norm": quantity_norm(values, quantity)}
-            points = ax.scatter(at[0][shown], at[1][shown], c=values[shown], **_look(codes.size), **colour, zorder=3)
-            finish_bar(figure.colorbar(points, ax=ax, pad=0.02, aspect=28), quantity)
-            notes = _undefined_points(ax, codes, values, *at)
-        notes += _mark_failed(ax, codes, *at)
+        figure, ax = _new_figure(results)
+        notes = _draw_labels(ax, points) if values is None else _draw_values(figure, ax, points, quantity, values)
+        notes += _mark_failed(ax, points)
         _finish(figure, ax, (across, upward), notes)
         return figure
 
@@ -83,37 +98,34 @@ def scatter_curve(results: Results, x: str, quantity: str) -> Figure:
 
     Raises PlotError where x is not swept, other axes are left, or the quantity is defined nowhere.
     """
-    label = quantity_label(quantity)
     across = _parameter(results, x)
     _require_points_apart(results, (x, RUN))
-    values = quantity_values(results, quantity).ravel()
+    points = _Points(results, _values_of(results, across), _quantity_values(results, quantity))
     with styled():
-        figure = new_figure()
-        ax = figure.add_subplot()
-        _titles(figure, ax, results)
-        notes = _points_by_label(ax, results, _values_of(results, across), values)
-        failed = int(np.count_nonzero(results.sequence == FAILED_CODE))
-        if failed:
-            notes.append(Line2D([], [], linestyle="none", label=f"{FAILED}, not shown: {cells_phrase(failed)}"))
-        ax.set_ylabel(label)
+        figure, ax = _new_figure(results)
+        notes = _draw_labels(ax, points)
+        if points.failed.any():
+            text = f"{FAILED}, not shown: {cells_phrase(int(np.count_nonzero(points.failed)))}"
+            notes.append(Line2D([], [], linestyle="none", label=text))
+        ax.set_ylabel(CELL_QUANTITIES[quantity].plot_label)
         _finish(figure, ax, (across,), notes)
         return figure
 
 
 def parameter_choice(results: Results) -> tuple[str, ...]:
-    """Of what two parameters a sample is drawn by default, or the only one.
+    """The two parameters over which a sample is drawn by default, or the only one.
 
     The grid's axes first, then load ratio and backlash, then the others in order.
     """
     axes = [results.axes[index].parameter for index in drawn_axes(results)]
-    drawn = [axis.parameter for axis in results.coordinates]
-    usual = [name for name in ("load.ratio", "lash.backlash_deg") if name in drawn]
-    names = [name for name in axes if name != RUN] + usual + [name for name in drawn if name not in usual]
+    coordinates = [axis.parameter for axis in results.coordinates]
+    usual = [name for name in ("load.ratio", "lash.backlash_deg") if name in coordinates]
+    names = [name for name in axes if name != RUN] + usual + [name for name in coordinates if name not in usual]
     return tuple(names[:2])
 
 
 def _parameter(results: Results, name: str) -> ResultAxis:
-    """A parameter that changes."""
+    """The axis of a parameter that changes. Raises PlotError where it does not."""
     changing = {axis.parameter: axis for axis in (*results.parameters, *results.axes) if len(axis.values) > 1}
     if name not in changing:
         raise PlotError(f"{name} does not change in these results; what does is {', '.join(changing)}.")
@@ -121,72 +133,83 @@ def _parameter(results: Results, name: str) -> ResultAxis:
 
 
 def _require_points_apart(results: Results, chosen: Sequence[str]) -> None:
-    """Cells that differ in a dimension that is not drawn would lie on each other."""
+    """Raise PlotError where cells that differ in a dimension that is not drawn would lie on each other."""
     if len(set(chosen)) < len(chosen):
-        raise PlotError(f"--x and --y are both {chosen[0]}; name two parameters.")
+        raise PlotError(f"x and y are both {chosen[0]}; name two parameters.")
     axes = {results.axes[index].parameter: results.axes[index] for index in drawn_axes(results)}
     hidden = set(axes) - {name if name in axes else RUN for name in chosen}
     if hidden:
-        others = [axis for name, axis in axes.items() if name in hidden]
-        raise PlotError(
-            f"Points that differ in {', '.join(axis.parameter for axis in others)} would lie on each other: also give "
-            f"{' '.join(map(at_option, others))}, for example{', or --facet run' if hidden == {RUN} else ''}."
-        )
+        surplus = [axis for name, axis in axes.items() if name in hidden]
+        names = ", ".join(axis.parameter for axis in surplus)
+        facets = [RUN] if hidden == {RUN} else []
+        raise SurplusAxesError(f"Points that differ in {names} would lie on each other", surplus, facets)
 
 
 def _values_of(results: Results, axis: ResultAxis) -> Floats:
     """A parameter's value in every cell, in C order."""
-    own = [each.parameter for each in results.axes]
-    dimension = own.index(axis.parameter if axis.parameter in own else RUN)
-    shape = [-1 if k == dimension else 1 for k in range(len(own))]
+    names = [each.parameter for each in results.axes]
+    dimension = names.index(axis.parameter if axis.parameter in names else RUN)
+    shape = [-1 if k == dimension else 1 for k in range(len(names))]
     return np.broadcast_to(axis.values.reshape(shape), results.shape).ravel()
 
 
-def _titles(figure: Figure, ax: Axes, results: Results) -> None:
+def _quantity_values(results: Results, name: str) -> Floats:
+    """A quantity of every cell, in C order. Raises PlotError where it is not defined in any."""
+    require_quantity(name)
+    values = known_values(results, name).ravel()
+    require_some(values, name)
+    return values
+
+
+def _new_figure(results: Results) -> tuple[Figure, Axes]:
+    """A figure with titles and empty axes."""
+    figure = new_figure()
+    ax = figure.add_subplot()
     count = f"{results.sequence.size:,} runs"
-    set_titles(figure, ax, title_of(results), subtitle_of(results, fixed_parameters(results), [count]))
+    set_titles(figure, ax, title_of(results), subtitle_of(load_of(results), fixed_parameters(results), [count]))
+    return figure, ax
 
 
-def _look(count: int) -> dict[str, Any]:
-    """Points that are seen one by one in a small sample, and as a cloud in a large one."""
-    size = float(np.clip(6.5 * (256.0 / count) ** 0.35, 1.6, 6.5))
-    return {"s": size**2, "edgecolors": INK, "linewidths": 0.5 if size > 3.0 else 0.0}
+def _draw_labels(ax: Axes, points: _Points) -> list[Artist]:
+    """Draw points in their labels' colours; returns the notes that name them."""
+    codes, labels, palette = points.codes, points.results.labels, palette_of(points.results.labels)
+    fills = np.array([palette[label] for label in labels] + [FAILED_FILL])
+    known = ~points.failed & np.isfinite(points.y)
+    ax.scatter(points.x[known], points.y[known], c=fills[codes[known]], **points.look, zorder=3)
+    undecided = known & (points.results.quality.ravel() & QUALITY_UNDECIDED != 0)
+    ax.plot(points.x[undecided], points.y[undecided], ".", color=INK, markersize=1.5, zorder=4, gid="undecided")
+    counts = {code: int(np.count_nonzero(codes == code)) for code in np.unique(codes) if code != FAILED_CODE}
+    notes: list[Artist] = [
+        _handle(f"{labels[code]}: {cells_phrase(count)}", palette[labels[code]]) for code, count in counts.items()
+    ]
+    return [*notes, *undecided_notes(undecided)]
 
 
-def _points_by_label(ax: Axes, results: Results, x: Floats, y: Floats) -> list[Artist]:
-    """Points in their labels' colours, and the notes that name them."""
-    codes, palette = results.sequence.ravel(), palette_of(results.labels)
-    look = _look(codes.size)
-    colours = np.array([palette[label] for label in results.labels] + [FAILED_FILL])
-    known = (codes != FAILED_CODE) & np.isfinite(y)
-    ax.scatter(x[known], y[known], c=colours[codes[known]], **look, zorder=3)
-    undecided = known & (results.quality.ravel() & QUALITY_UNDECIDED != 0)
-    ax.plot(x[undecided], y[undecided], ".", color=INK, markersize=1.5, zorder=4, gid="undecided")
-    notes: list[Artist] = []
-    for label in present(results.labels, codes):
-        cells = cells_phrase(int(np.count_nonzero(codes == results.labels.index(label))))
-        notes.append(_handle(f"{label}: {cells}", palette[label]))
-    return [*notes, *undecided_notes(int(np.count_nonzero(undecided)))]
-
-
-def _undefined_points(ax: Axes, codes: npt.NDArray[np.int16], values: Floats, x: Floats, y: Floats) -> list[Artist]:
-    undefined = np.isnan(values) & (codes != FAILED_CODE)
+def _draw_values(figure: Figure, ax: Axes, points: _Points, quantity: str, values: Floats) -> list[Artist]:
+    """Draw points in the colours of a quantity; returns the note of those without one."""
+    shown, colours = np.isfinite(values), Colours.of(quantity, values)
+    look = points.look | {"cmap": colours.cmap, "norm": colours.norm}
+    drawn = ax.scatter(points.x[shown], points.y[shown], c=values[shown], **look, zorder=3)
+    colours.add_bar(figure, drawn, ax)
+    undefined = ~shown & ~points.failed
     if not undefined.any():
         return []
-    ax.scatter(x[undefined], y[undefined], c=_NOT_KNOWN, **_look(codes.size), zorder=2)
+    ax.scatter(points.x[undefined], points.y[undefined], c=_NOT_KNOWN, **points.look, zorder=2)
     return [_handle("not defined (no events)", _NOT_KNOWN)]
 
 
-def _mark_failed(ax: Axes, codes: npt.NDArray[np.int16], x: Floats, y: Floats) -> list[Artist]:
-    failed = codes == FAILED_CODE
+def _mark_failed(ax: Axes, points: _Points) -> list[Artist]:
+    """Draw a cross for each failed run; returns their note."""
+    failed = points.failed
     if not failed.any():
         return []
-    ax.plot(x[failed], y[failed], "x", color=FAILED_HATCH, markersize=4.0, zorder=2, gid="failed")
+    ax.plot(points.x[failed], points.y[failed], "x", color=FAILED_HATCH, markersize=4.0, zorder=2, gid="failed")
     note = f"{FAILED}: {cells_phrase(int(np.count_nonzero(failed)))}"
     return [Line2D([], [], linestyle="none", marker="x", color=FAILED_HATCH, label=note)]
 
 
 def _handle(text: str, fill: str) -> Line2D:
+    """A note that begins with a point."""
     look: dict[str, Any] = {"markerfacecolor": fill, "markeredgecolor": INK}
     return Line2D([], [], linestyle="none", marker="o", markersize=6.0, markeredgewidth=0.5, label=text, **look)
 

@@ -6,23 +6,20 @@ import io
 import os
 import re
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib import colors, style
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 from matplotlib.text import Text
 
 from clunk.results.files import reason, write_whole
-from clunk.results.labels import FAILED, FAILED_CODE, double_sided, excursions
+from clunk.results.labels import double_sided, excursions
 from clunk.study.errors import ClunkError
 
 _FORMATS = ("png", "svg", "pdf")
@@ -33,6 +30,7 @@ _DPI = 150
 INK = "#1c2126"
 FAINT_INK = "#5b646c"
 FAILED_FILL, FAILED_HATCH = "#d5d5d5", "#8a8a8a"
+UNDEFINED = "#efefec"
 # Of lines, in this order; also the colour blind tell them apart, and their lightness differs.
 LINE_COLOURS = ("#2f7fc1", "#dd6b1f", "#1f9e83", "#7d55a8", "#b8447c", "#d9b310", "#7a6a55")
 DASHED = (0, (4.0, 1.6))
@@ -129,35 +127,6 @@ def tidy(ax: Axes) -> None:
     ax.grid(axis="y", color="0.9", linewidth=0.6)
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)
-
-
-def set_notes(figure: Figure, handles: Sequence[Artist]) -> None:
-    """A row of swatches under the axes, in place of one that is there."""
-    for old in list(figure.legends):
-        old.remove()
-    if handles:
-        look: dict[str, Any] = {"ncols": note_columns(figure, handles), "frameon": False, "handlelength": 1.6}
-        figure.legend(handles=list(handles), loc="outside lower center", **look)
-
-
-def note_columns(figure: Figure, handles: Sequence[Artist]) -> int:
-    """How many notes stand side by side."""
-    widest = max(len(str(handle.get_label())) for handle in handles)
-    return max(1, int((figure.get_figwidth() - 0.4) / (0.45 + 0.075 * widest)))  # inches: a swatch, a character
-
-
-def failed_notes(codes: npt.NDArray[np.int16], what: str = FAILED) -> list[Patch]:
-    """How many cells failed, beside their hatch; nothing where none did."""
-    failed = int(np.count_nonzero(codes == FAILED_CODE))
-    if not failed:
-        return []
-    look: dict[str, Any] = {"facecolor": FAILED_FILL, "edgecolor": FAILED_HATCH, "hatch": "//////", "linewidth": 0.6}
-    return [Patch(label=f"{what}: {cells_phrase(failed)}", **look)]
-
-
-def cells_phrase(count: int) -> str:
-    """1 cell, 1,234 cells."""
-    return f"{count:,} cell{'' if count == 1 else 's'}"
 
 
 def plain(text: str) -> str:

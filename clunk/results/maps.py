@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import tomllib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -61,6 +63,20 @@ class Description:
     def parameters(self) -> tuple[ResultAxis, ...]:
         """The swept parameters: the axes, and in the place of `run` its coordinates."""
         return parameters_of(self.axes, self.coordinates)
+
+    def setting(self, key: str) -> Any:
+        """Value of a dotted key of the resolved config; None where it has none."""
+        table: Any = self._settings
+        for name in key.split("."):
+            table = table.get(name) if isinstance(table, dict) else None
+        return table
+
+    @cached_property
+    def _settings(self) -> dict[str, Any]:
+        try:
+            return tomllib.loads(self.config)
+        except tomllib.TOMLDecodeError:
+            return {}
 
 
 class Map(Description, ABC):
