@@ -257,10 +257,8 @@ def draw(what: Results | ToleranceMap | Trajectory, quantity: str = "regimes") -
     """
     from clunk import plot
 
-    if isinstance(what, Results):
+    if isinstance(what, Results | ToleranceMap):
         return plot.draw(what, quantity, thresholds_of(what))
-    if isinstance(what, ToleranceMap):
-        return plot.draw(what, quantity)
     if not isinstance(what, Trajectory):
         kind = type(what).__name__
         raise TypeError(f"draw takes Results or a Trajectory, not a {kind}; clunk.read_results(path) gives Results.")

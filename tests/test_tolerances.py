@@ -516,12 +516,12 @@ class TestFigures:
         assert len(certainty.draw(found.at({"lash.backlash_deg": 9.5}), quantity).axes) == 2
 
     def test_the_map_of_double_sided_impacts_shows_their_probability(self, found):
-        mesh = certainty.double_sided_map(found).axes[0].collections[0]
+        mesh = certainty.draw(found, "double_sided").axes[0].collections[0]
         assert np.array_equal(mesh.get_array(), found.double_sided.T)
         assert mesh.get_clim() == (0.0, 1.0)
 
     def test_a_quantile_of_the_severity_is_drawn_by_its_name(self, found):
-        mesh = certainty.severity_map(found, "severity_95").axes[0].collections[0]
+        mesh = certainty.draw(found, "severity_95").axes[0].collections[0]
         assert np.array_equal(mesh.get_array(), found.severity_quantiles[..., 2].T)
 
     def test_along_one_axis_the_median_is_drawn_within_its_band(self, found):

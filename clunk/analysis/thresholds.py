@@ -1,11 +1,11 @@
 """Thresholds of vanishing backlash on the axes of a map (report Table 3.1)."""
 
-from clunk.results.regimemap import Results
+from clunk.results.maps import Map
 from clunk.simulation.linear import one_mode_thresholds, thresholds_on
 from clunk.study.config import replace_values, study_from_text
 
 
-def thresholds_of(results: Results) -> list[float]:
+def thresholds_of(results: Map) -> list[float]:
     """Values of the swept load at which one more impact appears as the backlash vanishes.
 
     They are those of the first load ratio or torque that changes, for a driveline in which all other keys have the

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import TYPE_CHECKING
 
 import click
@@ -20,8 +21,6 @@ def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[
 
     Where not all are needed, a key that is not named keeps the config's own value.
     """
-    import shlex
-
     from clunk.study.axes import RUN
     from clunk.study.config import get_value
     from clunk.study.designs import design_of
@@ -30,8 +29,7 @@ def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[
     named = nearest_values(design.axes, design.coordinates, at)
     missing = [axis for axis in design.axes if axis.parameter not in named]
     if missing and all_needed:
-        options = (shlex.quote(f"{axis.parameter}={axis.values[len(axis.values) // 2]:.6g}") for axis in missing)
-        raise click.UsageError(f"Which cell? Also name {' '.join(f'--at {each}' for each in options)}, for example.")
+        raise click.UsageError(f"Which cell? Also name {' '.join(map(at_middle, missing))}, for example.")
     unnamed = [axis for axis in missing if axis.parameter != RUN]
     unnamed += design.coordinates if len(unnamed) < len(missing) else ()
     if unnamed:
@@ -41,6 +39,11 @@ def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[
     if run is not None:
         named |= {axis.parameter: float(axis.values[int(run) - 1]) for axis in design.coordinates}
     return named
+
+
+def at_middle(axis: ResultAxis) -> str:
+    """The option that names an axis's middle value."""
+    return f"--at {shlex.quote(f'{axis.parameter}={axis.values[len(axis.values) // 2]:.6g}')}"
 
 
 def nearest_values(

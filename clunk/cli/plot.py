@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from clunk.cli import cells, terminal
 from clunk.cli.options import PATH, at_option
+
+if TYPE_CHECKING:
+    from clunk.plot import SurplusAxesError
 
 
 @click.command()
@@ -46,10 +50,9 @@ def plot(
     """
     from clunk import plot as plots
     from clunk.analysis.thresholds import thresholds_of
-    from clunk.plot import certainty
     from clunk.results import targets
+    from clunk.results.regimemap import Results
     from clunk.results.store import read_map
-    from clunk.results.tolerancemap import ToleranceMap
 
     base = output or file.with_suffix(".png")
     if not base.suffix:
@@ -57,30 +60,34 @@ def plot(
     if output is not None:
         targets.check(base, targets.PICTURES, reads=file)
     results = read_map(file)
-    if isinstance(results, ToleranceMap):
-        if facets or x is not None or y is not None:
-            raise click.UsageError(
-                f"--facet, --x and --y do not go with a tolerance map, which {file} holds; --at does."
-            )
-        if at:
-            results = results.at(cells.nearest_values(results.axes, results.coordinates, at))
-        for name in [quantity] if quantity else certainty.default_quantities(results):
-            target = base if output and quantity else base.with_name(f"{base.stem}-{name}{base.suffix}")
-            plots.save(certainty.draw(results, name), target)
-            click.echo(str(target))
-        return
+    if not isinstance(results, Results) and (facets or x is not None or y is not None):
+        raise click.UsageError(f"--facet, --x and --y do not go with a tolerance map, which {file} holds; --at does.")
     if at:
         results = results.at(cells.nearest_values(results.axes, results.coordinates, at))
     look: dict[str, Any] = {"facets": facets, "x": x, "y": y}
     names = [quantity] if quantity else plots.default_quantities(results, **look)
     for name in names:
         target = base if output and quantity else base.with_name(f"{base.stem}-{name}{base.suffix}")
-        plots.save(plots.draw(results, name, thresholds_of(results), **look), target)
+        try:
+            figure = plots.draw(results, name, thresholds_of(results), **look)
+        except plots.SurplusAxesError as error:
+            raise plots.PlotError(f"{error.problem}: also give {_options(error)}.") from error
+        plots.save(figure, target)
         click.echo(str(target))
-    if quantity is None and names == ["regimes"]:
+    if isinstance(results, Results) and quantity is None and names == ["regimes"]:
         ran, total = int((~results.inferred).sum()), results.inferred.size
         terminal.complain(f"{ran:,} of {total:,} cells were run: --quantity draws what else is known of those")
     for axis in results.axes:
         shown = len(plots.shown_values(axis, len(facets))) if axis.parameter in facets else len(axis.values)
         if shown < len(axis.values):
             terminal.complain(f"{shown} of the {len(axis.values)} values of {axis.parameter} are drawn, evenly spaced")
+
+
+def _options(error: SurplusAxesError) -> str:
+    """Options that leave as many axes as a figure shows, for example."""
+    at = {axis.parameter: cells.at_middle(axis) for axis in error.surplus}
+    text = f"{' '.join(at.values())}, for example"
+    if error.facets:
+        rest = [option for name, option in at.items() if name not in error.facets]
+        text += f", or {' '.join([*(f'--facet {shlex.quote(name)}' for name in error.facets), *rest])}"
+    return text
