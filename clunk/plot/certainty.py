@@ -16,6 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from clunk.plot import style
 from clunk.plot.labelling import label_and_note
 from clunk.plot.layers import Layers
 from clunk.plot.notes import cells_phrase, set_notes, swatch
@@ -23,19 +24,6 @@ from clunk.plot.painting import Colours, new_map, paint_regimes, shaded_map
 from clunk.plot.plane import View, drawn_axes, scale_axis
 from clunk.plot.raster import Raster
 from clunk.plot.regions import regions_of
-from clunk.plot.style import (
-    FAILED_FILL,
-    FAINT_INK,
-    HUES,
-    INK,
-    PlotError,
-    freeze_layout,
-    new_figure,
-    palette_of,
-    set_titles,
-    styled,
-    tidy,
-)
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.quantities import CELL_QUANTITIES, TOLERANCE_QUANTITIES
 from clunk.results.tolerancemap import CERTAIN, QUANTILES, ToleranceMap
@@ -50,13 +38,13 @@ QUANTITIES = ("regimes", "double_sided", *_SEVERITIES)
 
 # A cell's colour is taken towards white where its label is less certain than these, by so much.
 _FADES = ((CERTAIN, 0.30), (0.8, 0.55), (0.65, 0.80))
-_PROBABLE = colors.LinearSegmentedColormap.from_list("probable", ["#f6f5f1", HUES[1]])
+_PROBABLE = colors.LinearSegmentedColormap.from_list("probable", ["#f6f5f1", style.HUES[1]])
 
 
 def draw(tolerances: ToleranceMap, quantity: str) -> Figure:
     """The figure of a quantity of `QUANTITIES`: a map for two swept axes; curves for one. Raises PlotError."""
     if quantity not in QUANTITIES:
-        raise PlotError(f"A tolerance map has no quantity {quantity!r}; it has {', '.join(QUANTITIES)}.")
+        raise style.PlotError(f"A tolerance map has no quantity {quantity!r}; it has {', '.join(QUANTITIES)}.")
     if len(drawn_axes(tolerances)) == 1:
         return likelihood_curves(tolerances)
     if quantity == "regimes":
@@ -77,7 +65,7 @@ def likely_regimes(tolerances: ToleranceMap) -> Figure:
     Raises PlotError unless two axes were swept.
     """
     layers = _present(Layers.of(tolerances, 2))
-    with styled():
+    with style.styled():
         figure, ax = new_map(layers, f"most likely of {tolerances.draws:,} draws")
         regions = regions_of(layers.codes)
         paint_regimes(ax, layers, regions)
@@ -97,10 +85,10 @@ def _quantity_map(tolerances: ToleranceMap, name: str) -> Figure:
         colours = Colours(label, colors.Normalize(0.0, 1.0), _PROBABLE, formatter=percent)
     else:
         colours = Colours(_SEVERITIES[name], colors.Normalize(np.nanmin(values), np.nanmax(values)))
-    with styled():
+    with style.styled():
         lines = layers.boundaries_note.replace("the regimes", "the most likely regimes")
         figure, ax = shaded_map(layers, colours, f"{tolerances.draws:,} draws; {lines}")
-        freeze_layout(figure, ax)
+        style.freeze_layout(figure, ax)
         return figure
 
 
@@ -111,28 +99,28 @@ def likelihood_curves(tolerances: ToleranceMap) -> Figure:
     """
     layers = Layers.of(tolerances, 1)
     x = layers.view.x.values
-    with styled():
-        figure = new_figure()
+    with style.styled():
+        figure = style.new_figure()
         share, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 1.3))
-        set_titles(figure, share, layers.title, layers.subtitle(f"{tolerances.draws:,} draws"))
+        style.set_titles(figure, share, layers.title, layers.subtitle(f"{tolerances.draws:,} draws"))
         notes = [*_stack_labels(share, tolerances, layers.view), *_draw_severity(ax, tolerances, layers.view)]
         scale_axis(ax, "x", layers.view.x)
         if len(x) > 1:
             ax.set_xlim(x[0], x[-1])
-        tidy(ax)
+        style.tidy(ax)
         set_notes(figure, notes)
-        freeze_layout(figure, share)
+        style.freeze_layout(figure, share)
         return figure
 
 
 def _stack_labels(ax: Axes, tolerances: ToleranceMap, view: View) -> list[Artist]:
     """The probability of each label, stacked; returns their notes."""
     names = (*tolerances.labels, FAILED)
-    palette = palette_of(tolerances.labels) | {FAILED: FAILED_FILL}
+    palette = style.palette_of(tolerances.labels) | {FAILED: style.FAILED_FILL}
     probability = tolerances.probability.reshape(-1, len(names))[view.order[0]]
     shown = [code for code in range(len(names)) if probability[:, code].any()]
     fills = [palette[names[code]] for code in shown]
-    ax.stackplot(view.x.values, probability[:, shown].T, colors=fills, edgecolor=INK, linewidth=0.5)
+    ax.stackplot(view.x.values, probability[:, shown].T, colors=fills, edgecolor=style.INK, linewidth=0.5)
     ax.set_ylim(0.0, 1.0)
     ax.set_ylabel("Probability")
     ax.yaxis.set_major_formatter(ticker.PercentFormatter(1.0, symbol=" %"))
@@ -146,11 +134,11 @@ def _draw_severity(ax: Axes, tolerances: ToleranceMap, view: View) -> list[Artis
     x, mean = view.x.values, view.arrange(tolerances.severity_mean)
     low, median, high = (view.arrange(tolerances.severity_quantiles[..., k]) for k in range(len(QUANTILES)))
     if not np.isfinite(median).any():
-        ax.text(0.5, 0.5, "not defined", transform=ax.transAxes, ha="center", color=FAINT_INK)
+        ax.text(0.5, 0.5, "not defined", transform=ax.transAxes, ha="center", color=style.FAINT_INK)
         return []
-    band = ax.fill_between(x, low, high, color=HUES[1], alpha=0.25, linewidth=0.0, label="5 to 95 % of the draws")
-    (line,) = ax.plot(x, median, color=HUES[1], linewidth=1.6, label="median")
-    (dashed,) = ax.plot(x, mean, color=INK, linewidth=1.0, linestyle=(0, (4, 2)), label="mean")
+    band = ax.fill_between(x, low, high, color=style.HUES[1], alpha=0.25, linewidth=0.0, label="5 to 95 % of the draws")
+    (line,) = ax.plot(x, median, color=style.HUES[1], linewidth=1.6, label="median")
+    (dashed,) = ax.plot(x, mean, color=style.INK, linewidth=1.0, linestyle=(0, (4, 2)), label="mean")
     ax.set_ylim(bottom=0.0)
     return [line, band, dashed]
 
@@ -161,7 +149,7 @@ def _severity(tolerances: ToleranceMap, name: str) -> Floats:
     if name != "severity":
         values = tolerances.severity_quantiles[..., list(_SEVERITIES).index(name) - 1]
     if np.isnan(values).all():
-        raise PlotError(
+        raise style.PlotError(
             f"There is no {name} to draw: it is not defined in any cell; under the restitution model accelerations are "
             "impulsive."
         )
@@ -184,16 +172,17 @@ def _fade(ax: Axes, view: View, certainty: Floats) -> None:
     if certainty.min() < CERTAIN:
         ax.contourf(x, y, certainty.T, levels=levels, colors=white, zorder=1.5)
         if certainty.max() > CERTAIN:
-            look: dict[str, Any] = {"colors": [FAINT_INK], "linewidths": 0.5, "linestyles": [(0, (3.0, 2.0))]}
+            look: dict[str, Any] = {"colors": [style.FAINT_INK], "linewidths": 0.5, "linestyles": [(0, (3.0, 2.0))]}
             ax.contour(x, y, certainty.T, levels=[CERTAIN], zorder=2, **look)
 
 
 def _fade_notes(tolerances: ToleranceMap) -> list[Artist]:
     """Number of cells of the band, and how certain each shade is."""
-    base = np.array(colors.to_rgb(FAINT_INK))
+    base = np.array(colors.to_rgb(style.FAINT_INK))
     ends = [*(below for below, _ in _FADES[1:]), 0.0]
     text = f"less than {100 * CERTAIN:.0f} % likely: {cells_phrase(tolerances.uncertain)}"
-    notes: list[Artist] = [Patch(facecolor="none", edgecolor=FAINT_INK, linewidth=0.5, linestyle="--", label=text)]
+    look: dict[str, Any] = {"facecolor": "none", "edgecolor": style.FAINT_INK, "linewidth": 0.5, "linestyle": "--"}
+    notes: list[Artist] = [Patch(label=text, **look)]
     for (below, amount), end in zip(_FADES, ends, strict=True):
         span = f"paler: {100 * end:.0f} to {100 * below:.0f} %" if end else f"below {100 * below:.0f} %"
         notes.append(swatch(span, colors.to_hex(tuple(base + amount * (1.0 - base)))))

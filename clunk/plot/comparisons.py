@@ -34,9 +34,9 @@ from clunk.study.summaries import percent
 Bools = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
 
-# After Okabe and Ito (2008): far apart also for the colour blind, and none of them near the grey of the others.
+# After Okabe and Ito (2008): far apart also for the colour blind, and none of them near the grey of the rare ones.
 _TRANSITION_COLOURS = ("#d55e00", "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9")
-_OTHERS_COLOUR = "#a9adb0"
+_RARE_COLOUR = "#a9adb0"
 _MARK = (4.0, 8.0)  # points: a smaller square is not seen, a larger one hides what is around it
 _DENSE = 0.1  # share of differing cells above which the labels stand on them instead of between them
 _FAINT_LINE = "#8f989f"
@@ -79,7 +79,7 @@ def difference_map(a: Results, b: Results, comparison: Comparison) -> Figure:
         notes += failed_notes(layers.failed, f"{FAILED} in A")
         settle(figure, ax, layers, rasterise, notes)
         size = _mark_size(ax, view)
-        for mark in sorted(marks, key=lambda mark: mark.colour != _OTHERS_COLOUR):  # the others cover no colour
+        for mark in sorted(marks, key=lambda mark: mark.colour != _RARE_COLOUR):  # rare ones cover no colour
             mark.draw(ax, size, dense=dense)
         halo = [patheffects.Stroke(linewidth=2.4, foreground="white"), patheffects.Normal()]
         for text in ax.texts:
@@ -160,7 +160,7 @@ class _Mark(NamedTuple):
 
 
 def _marks(view: View, comparison: Comparison) -> list[_Mark]:
-    """The most frequent transitions, each in its colour, then the others together, then cells that failed in B only."""
+    """The most frequent transitions, each in its colour, then the rest together, then cells that failed in B only."""
     codes_a, codes_b = view.arrange(comparison.codes_a), view.arrange(comparison.codes_b)
     rest = view.arrange(comparison.differs).copy()
     failed_in_b = view.arrange(comparison.failed_b & ~comparison.failed_a)
@@ -170,9 +170,9 @@ def _marks(view: View, comparison: Comparison) -> list[_Mark]:
         cells &= codes_b == comparison.labels.index(transition.b)
         rest &= ~cells
         marks.append(_mark(view, cells, f"{transition.a} → {transition.b}", colour))
-    others = len(comparison.transitions) - len(marks)
-    if others:
-        marks.append(_mark(view, rest, f"{others} other transition{'' if others == 1 else 's'}", _OTHERS_COLOUR))
+    rare = len(comparison.transitions) - len(marks)
+    if rare:
+        marks.append(_mark(view, rest, f"{rare} other transition{'' if rare == 1 else 's'}", _RARE_COLOUR))
     if failed_in_b.any():
         marks.append(_mark(view, failed_in_b, f"{FAILED} in B only", INK, "x"))
     return marks

@@ -1,9 +1,10 @@
-"""Sobol indices as bars: a parameter's own share of the variance beside its share with all of its interactions."""
+"""Sobol indices as bars: the share of the variance of each parameter alone and with all of its interactions."""
 
 from __future__ import annotations
 
 import math
 import textwrap
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,17 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from clunk.analysis.sobol import CONFIDENCE, Indices, Sensitivity
-from clunk.plot.style import (
-    INK,
-    LINE_COLOURS,
-    PlotError,
-    freeze_layout,
-    new_figure,
-    plain,
-    set_titles,
-    styled,
-    symbol_text,
-)
+from clunk.plot import style
 from clunk.study.config import quantity
 
 _ABREAST = 3  # panels
@@ -34,67 +25,63 @@ _NAMES = 2.0  # inches, the parameters' names
 _PANEL = 2.8  # inches
 _ROW = 0.5  # inches, a parameter
 _AROUND = 0.9  # inches, a panel's heading and axis
-_FIRST, _TOTAL = LINE_COLOURS[0], LINE_COLOURS[1]
+_FIRST, _TOTAL = style.LINE_COLOURS[0], style.LINE_COLOURS[1]
 
 
-def sobol_bars(found: Sensitivity) -> Figure:
+def sobol_bars(sensitivity: Sensitivity) -> Figure:
     """First-order and total index of each parameter with their intervals, a panel for each quantity that varies.
 
     The parameters are in the order of the first panel's total indices, the largest on top.
 
     Raises PlotError where no quantity varies.
     """
-    drawn = [indices for indices in found.indices if indices.varies]
+    drawn = [indices for indices in sensitivity.indices if indices.varies]
     if not drawn:
-        raise PlotError("There are no indices to draw: every quantity is the same in all runs.")
+        raise style.PlotError("There are no indices to draw: every quantity is the same in all runs.")
     columns = 2 if len(drawn) == 4 else min(len(drawn), _ABREAST)
     rows = math.ceil(len(drawn) / columns)
     width = _NAMES + max(columns * _PANEL, 5.0)
     order = drawn[0].order
-    with styled():
-        figure = new_figure((width, 0.9 + rows * (_AROUND + _ROW * max(order.size, 3))))
+    with style.styled():
+        figure = style.new_figure((width, 0.9 + rows * (_AROUND + _ROW * max(order.size, 3))))
         panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
         for ax in panels[len(drawn) :]:
             ax.remove()
-        wrapped = int(width * 13.5 / columns) - 12  # characters of a heading
-        headings = [textwrap.fill(_capital(indices.heading), wrapped) for indices in drawn]
-        for ax, indices, heading in zip(panels, drawn, headings, strict=False):
+        characters = int(width * 13.5 / columns) - 12  # of a heading
+        for ax, indices in zip(panels, drawn, strict=False):
             _draw_bars(ax, indices, order)
-            set_titles(figure, ax, f"{found.study.title}: {_point(found)}", heading)
-        names = [_name(found.parameters[k]) for k in order]
-        panels[0].set_yticks(np.arange(order.size), names)
+            heading = textwrap.fill(_capital(indices.heading), characters)
+            style.set_titles(figure, ax, f"{sensitivity.study.title}: {_point(sensitivity)}", heading)
+        panels[0].set_yticks(np.arange(order.size), [_name(sensitivity.parameters[k]) for k in order])
         panels[0].set_ylim(order.size - 0.5, -0.5)
-        ends = np.concatenate([[0.0, 1.0], *(indices.first_interval.ravel() for indices in drawn)])
-        ends = np.concatenate([ends, *(indices.total_interval.ravel() for indices in drawn)])
-        panels[0].set_xlim(ends.min() - _BEYOND, ends.max() + _BEYOND)
+        ends = [each.ravel() for indices in drawn for each in (indices.first_interval, indices.total_interval)]
+        low, high = np.min([0.0, *map(np.min, ends)]), np.max([1.0, *map(np.max, ends)])
+        panels[0].set_xlim(low - _BEYOND, high + _BEYOND)
         for ax in panels[max(0, len(drawn) - columns) : len(drawn)]:
             ax.set_xlabel("Share of the variance")
             ax.xaxis.set_tick_params(labelbottom=True)
-        interval = Line2D(
-            [], [], color=INK, linewidth=1.0, marker="|", markersize=5, label=f"{100 * CONFIDENCE:g} % interval"
-        )
-        bars = [
+        bar: dict[str, Any] = {"color": style.INK, "linewidth": 1.0, "marker": "|", "markersize": 5}
+        notes = [
             Patch(color=_FIRST, label="alone (first-order index)"),
             Patch(color=_TOTAL, label="in all (total index)"),
+            Line2D([], [], **bar, label=f"{100 * CONFIDENCE:g} % interval"),
         ]
-        figure.legend(handles=[*bars, interval], loc="outside lower center", ncols=3, frameon=False, handlelength=1.6)
-        freeze_layout(figure, panels[0])
+        figure.legend(handles=notes, loc="outside lower center", ncols=3, frameon=False, handlelength=1.6)
+        style.freeze_layout(figure, panels[0])
         return figure
 
 
 def _draw_bars(ax: Axes, indices: Indices, order: npt.NDArray[np.intp]) -> None:
+    """Draw both indices of each parameter as bars, and their intervals over them."""
     places = np.arange(order.size)
-    pairs = (
-        (indices.first, indices.first_interval, -0.5, _FIRST),
-        (indices.total, indices.total_interval, 0.5, _TOTAL),
-    )
-    for share, interval, offset, colour in pairs:
+    first, total = (indices.first, indices.first_interval), (indices.total, indices.total_interval)
+    for (share, interval), offset, colour in ((first, -0.5, _FIRST), (total, 0.5, _TOTAL)):
         at = places + offset * _BAR
         ax.barh(at, share[order], _BAR, color=colour, zorder=2)
         low, high = interval[:, order]
-        ax.hlines(at, low, high, color=INK, linewidth=1.0, zorder=3)
-        ax.plot([low, high], [at, at], "|", color=INK, markersize=4.0, markeredgewidth=1.0, zorder=3)
-    ax.axvline(0.0, color=INK, linewidth=0.8, zorder=4)
+        ax.hlines(at, low, high, color=style.INK, linewidth=1.0, zorder=3)
+        ax.plot([low, high], [at, at], "|", color=style.INK, markersize=4.0, markeredgewidth=1.0, zorder=3)
+    ax.axvline(0.0, color=style.INK, linewidth=0.8, zorder=4)
     ax.xaxis.set_major_locator(ticker.MultipleLocator(0.2))
     ax.grid(axis="x", color="0.9", linewidth=0.6)
     ax.set_axisbelow(True)
@@ -102,18 +89,18 @@ def _draw_bars(ax: Axes, indices: Indices, order: npt.NDArray[np.intp]) -> None:
     ax.tick_params(axis="y", length=0)
 
 
-def _point(found: Sensitivity) -> str:
+def _point(sensitivity: Sensitivity) -> str:
     """The operating point, for example load ratio 5, backlash 6 degrees."""
-    known = {parameter: quantity(parameter) for parameter in found.at}
-    values = (f"{known[key].name} {value:g} {known[key].unit.removeprefix('1')}" for key, value in found.at.items())
-    return ", ".join(value.rstrip() for value in values)
+    axes = ((quantity(parameter), value) for parameter, value in sensitivity.at.items())
+    return ", ".join(f"{axis.name} {value:g} {axis.unit.removeprefix('1')}".rstrip() for axis, value in axes)
 
 
 def _name(parameter: str) -> str:
     """A parameter's name and symbol."""
-    known = quantity(parameter)
-    return f"{plain(_capital(known.name))}, {symbol_text(known.symbol)}"
+    axis = quantity(parameter)
+    return f"{style.plain(_capital(axis.name))}, {style.symbol_text(axis.symbol)}"
 
 
 def _capital(text: str) -> str:
+    """A text with a capital first letter."""
     return text[:1].upper() + text[1:]

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.status import QUALITY_UNDECIDED
-from clunk.plot.plane import View, value_text
+from clunk.plot.plane import View, fixed_parameters, value_text
 from clunk.plot.style import SIZE, PlotError
 from clunk.results.labels import FAILED_CODE
 from clunk.results.maps import Map
@@ -84,6 +84,25 @@ class Layers:
         """Layers of a regime map and one of its quantities. Raises PlotError where there is no such quantity."""
         require_quantity(quantity)
         return cls.of(results, dimensions, quantity, known_values(results, quantity))
+
+    @classmethod
+    def of_points(cls, results: Results, quantity: str) -> Layers:
+        """Layers of the cells in C order, whatever the axes. Raises PlotError as `of_quantity` and `require_some`."""
+        values = np.full(results.shape, np.nan)
+        if quantity != "regimes":
+            require_quantity(quantity)
+            require_some(values := known_values(results, quantity), quantity)
+        return cls(
+            title=title_of(results),
+            load=load_of(results),
+            view=View((), fixed_parameters(results), (), ()),
+            labels=results.labels,
+            codes=results.sequence.ravel(),
+            undecided=(results.quality.ravel() & QUALITY_UNDECIDED) != 0,
+            inferred=results.inferred.ravel(),
+            quantity=quantity,
+            values=values.ravel(),
+        )
 
     @property
     def failed(self) -> Bools:

@@ -28,7 +28,7 @@ def set_notes(figure: Figure, handles: Sequence[Artist]) -> None:
 
 
 def note_columns(figure: Figure, handles: Sequence[Artist]) -> int:
-    """How many notes stand side by side."""
+    """Number of notes side by side that the width of the figure takes."""
     widest = max(len(str(handle.get_label())) for handle in handles)
     return max(1, int((figure.get_figwidth() - 0.4) / (0.45 + 0.075 * widest)))  # inches: a swatch, a character
 

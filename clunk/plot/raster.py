@@ -1,4 +1,4 @@
-"""A map as pixels on the page, where it is seen what room a text has."""
+"""A map as pixels on the page: the regions, and the room that texts have taken."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _NOWHERE = -2  # no region, so that no label is written there
 
 
 class Place(NamedTuple):
-    """Where a text goes: centre in raster pixels, and how it is set."""
+    """Place of a text: its centre in raster pixels, its size in points and its angle."""
 
     x: float
     y: float
@@ -35,10 +35,14 @@ class Place(NamedTuple):
 
 @dataclass
 class Raster:
-    """The map as pixels of its axes on the page, rows upwards, where it is seen what room a text has."""
+    """Pixels of a map's axes on the page, rows upwards.
+
+    label : (height, width) code of each pixel
+    taken : (height, width) whether a text, a mark or a line is there
+    """
 
     ax: Axes
-    label: Codes  # (height, width)
+    label: Codes
     taken: Bools = field(init=False)
 
     def __post_init__(self) -> None:
@@ -139,8 +143,8 @@ class Raster:
             area = np.bincount(pieces.ravel(), minlength=count + 1)
             region_of = ndimage.maximum(regions, pieces, np.arange(1, count + 1)).astype(np.intp)
             for region in np.unique(region_of):
-                own = np.flatnonzero(region_of == region) + 1
-                free[pieces == own[np.argmax(area[own])]] = code
+                within = np.flatnonzero(region_of == region) + 1
+                free[pieces == within[np.argmax(area[within])]] = code
         self.label = free
 
 
@@ -159,7 +163,7 @@ def rotate(x: Any, y: Any, degrees: float) -> tuple[Any, Any]:
 
 
 def corners_that_fit(mask: Bools, width: int, height: int) -> Bools:
-    """Where the lower left corner of a rectangle may be so that all of it is in the mask."""
+    """Positions of the lower left corner of a rectangle that lies in the mask as a whole."""
     rows, columns = mask.shape[0] - height + 1, mask.shape[1] - width + 1
     if rows < 1 or columns < 1:
         return np.zeros((1, 1), np.bool_)

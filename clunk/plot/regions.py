@@ -1,9 +1,10 @@
-"""Regions between samples: smooth boundaries with every sample on its own side."""
+"""Regions between samples: smooth boundaries with every sample on the side of its label."""
 
 from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +21,7 @@ Window = tuple[slice, slice]
 
 
 class Regions:
-    """The label between the samples: smooth boundaries, and every sample on its own side of them.
+    """Labels between the samples: smooth boundaries, and every sample on the side of its label.
 
     Each label has a score at each sample, the smoothed indicator of its cells; between samples scores are interpolated
     and the highest wins. A sample that smoothing would hand to another label pushes its own score up until it does not;
@@ -87,34 +88,34 @@ class Regions:
         self._bare |= self._deficit() > 0.0
 
     def _around(self, code: int, cells: int) -> Window:
-        """The samples within so many cells of a label's bounding box."""
+        """The samples within a number of cells of a label's bounding box."""
         rows, columns = (
-            slice(max(own.start - cells, 0), min(own.stop + cells, count))
-            for own, count in zip(self._boxes[code], self.codes.shape, strict=True)
+            slice(max(box.start - cells, 0), min(box.stop + cells, count))
+            for box, count in zip(self._boxes[code], self.codes.shape, strict=True)
         )
         return rows, columns
 
     def _fine(self, window: Window) -> Window:
         """The fine points from the first of these samples to the last."""
         rows, columns = (
-            slice(own.start * factor, (own.stop - 1) * factor + 1)
-            for own, factor in zip(window, self.factor, strict=True)
+            slice(samples.start * factor, (samples.stop - 1) * factor + 1)
+            for samples, factor in zip(window, self.factor, strict=True)
         )
         return rows, columns
 
     def _specks(self) -> tuple[Bools, Bools]:
-        """Cells in no 2 x 2 block of their label: of regions without any block, and of the others' lines and tips."""
+        """Cells in no 2 x 2 block of their label: of regions without one, and of lines and tips of the rest."""
         specks = np.zeros(self.codes.shape, np.bool_)
         tips = np.zeros(self.codes.shape, np.bool_)
         for code in self.present:
             window = self._around(code, 2)
-            own = self.codes[window] == code
-            block = ndimage.binary_opening(own, np.ones((2, 2)))
-            parts, count = ndimage.label(own, np.ones((3, 3)))
+            cells = self.codes[window] == code
+            block = ndimage.binary_opening(cells, np.ones((2, 2)))
+            parts, count = ndimage.label(cells, np.ones((3, 3)))
             thick = np.zeros(count + 1, np.bool_)
             thick[parts[block]] = True
-            specks[window] |= own & ~thick[parts]
-            tips[window] |= own & thick[parts] & ~block
+            specks[window] |= cells & ~thick[parts]
+            tips[window] |= cells & thick[parts] & ~block
         return specks, tips
 
     def _support(self, code: int) -> Window:
@@ -124,46 +125,42 @@ class Regions:
     def _sample_score(self, code: int) -> Scores:
         """A label's score at the samples of its support."""
         window = self._support(code)
-        own: Scores = (self.codes[window] == code).astype(np.float32)
+        indicator: Scores = (self.codes[window] == code).astype(np.float32)
         bare = self._bare[window]
         if bare.all():
-            return own
-        score = ndimage.gaussian_filter(own, self._BLUR, mode="nearest", truncate=self._CUT)
-        push = own * self._push[window]
+            return indicator
+        score = ndimage.gaussian_filter(indicator, self._BLUR, mode="nearest", truncate=self._CUT)
+        push = indicator * self._push[window]
         if push.any():
             peak = 1.0 / (2.0 * math.pi * self._REACH**2)  # of the kernel
             score += ndimage.gaussian_filter(push, self._REACH, mode="constant", truncate=self._CUT) / peak
-        chosen: Scores = np.where(bare, own, score)
+        chosen: Scores = np.where(bare, indicator, score)
         return chosen
 
     def _deficit(self) -> Scores:
-        """By how much each sample's own label falls short of another's score there."""
-        mine = np.zeros(self.codes.shape, np.float32)
-        other = np.zeros(self.codes.shape, np.float32)
+        """Score that each sample's label lacks to reach the highest of the other labels there."""
+        score_of_label = np.zeros(self.codes.shape, np.float32)
+        score_of_rival = np.zeros(self.codes.shape, np.float32)
         for code in self.present:
             window, score = self._support(code), self._sample_score(code)
-            own = self.codes[window] == code
-            np.copyto(mine[window], score, where=own)
-            np.maximum(other[window], score, out=other[window], where=~own)
-        deficit: Scores = other - mine
+            cells = self.codes[window] == code
+            np.copyto(score_of_label[window], score, where=cells)
+            np.maximum(score_of_rival[window], score, out=score_of_rival[window], where=~cells)
+        deficit: Scores = score_of_rival - score_of_label
         return deficit
 
     def _score(self, code: int, around: Window) -> Scores:
         """A label's score at the fine points between the samples of a window."""
         window, known = self._support(code), self._sample_score(code)
-        score = np.zeros([own.stop - own.start for own in around], np.float32)
+        score = np.zeros([samples.stop - samples.start for samples in around], np.float32)
         shared = [slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(window, around, strict=True)]
-        to, there = (
-            tuple(slice(own.start - base.start, own.stop - base.start) for own, base in zip(shared, bases, strict=True))
-            for bases in (around, window)
-        )
-        score[to] = known[there]
+        score[_relative(shared, around)] = known[_relative(shared, window)]
         for axis, factor in enumerate(self.factor):
             score = _refine(score, factor, axis)
         return score
 
     def _compete(self) -> tuple[Codes, Scores, Scores]:
-        """At each fine point the label that wins, its score and the next one's."""
+        """The label with the highest score at each fine point, that score and the next one."""
         shape = tuple((count - 1) * factor + 1 for count, factor in zip(self.codes.shape, self.factor, strict=True))
         label = np.full(shape, self.present[0], np.int16)
         best, second = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
@@ -195,6 +192,12 @@ class Regions:
                 for dy in (0, 1):
                     wrong[corner[0][i] + dx, corner[1][j] + dy] = True
         return wrong
+
+
+def _relative(window: Sequence[slice], base: Window) -> Window:
+    """A window counted from the first samples of another one."""
+    rows, columns = (slice(w.start - b.start, w.stop - b.start) for w, b in zip(window, base, strict=True))
+    return rows, columns
 
 
 def regions_of(codes: Codes, points: int = 700) -> Regions:

@@ -3,42 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from clunk.core.status import QUALITY_UNDECIDED
-from clunk.plot.layers import (
-    Bools,
-    Floats,
-    known_values,
-    load_of,
-    require_quantity,
-    require_some,
-    subtitle_of,
-    title_of,
-)
+from clunk.plot import style
+from clunk.plot.layers import Floats, Layers
 from clunk.plot.notes import cells_phrase, set_notes, undecided_notes
 from clunk.plot.painting import Colours
-from clunk.plot.plane import SurplusAxesError, axis_label, drawn_axes, fixed_parameters, set_log_scale
-from clunk.plot.style import (
-    FAILED_FILL,
-    FAILED_HATCH,
-    INK,
-    PlotError,
-    freeze_layout,
-    new_figure,
-    palette_of,
-    set_titles,
-    styled,
-)
-from clunk.results.labels import FAILED, FAILED_CODE
+from clunk.plot.plane import SurplusAxesError, axis_label, drawn_axes, set_log_scale
+from clunk.results.labels import FAILED
 from clunk.results.quantities import CELL_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.study.axes import RUN, ResultAxis
@@ -48,32 +26,6 @@ _LOG_SPAN = 30.0  # of the largest value over the smallest, from which a scale m
 _NOT_KNOWN = "#ffffff"
 
 
-@dataclass(frozen=True)
-class _Points:
-    """Every cell as a point, in C order."""
-
-    results: Results
-    x: Floats
-    y: Floats
-
-    @property
-    def codes(self) -> npt.NDArray[np.int16]:
-        """Codes of the labels."""
-        return self.results.sequence.ravel()
-
-    @property
-    def failed(self) -> Bools:
-        """The points of failed runs."""
-        failed: Bools = self.codes == FAILED_CODE
-        return failed
-
-    @property
-    def look(self) -> dict[str, Any]:
-        """Markers that are seen one by one in a small sample, and as a cloud in a large one."""
-        size = float(np.clip(6.5 * (256.0 / self.codes.size) ** 0.35, 1.6, 6.5))
-        return {"s": size**2, "edgecolors": INK, "linewidths": 0.5 if size > 3.0 else 0.0}
-
-
 def scatter_map(results: Results, x: str, y: str, quantity: str = "regimes") -> Figure:
     """Every run as a point over two parameters, in the colour of its label or of a quantity.
 
@@ -81,12 +33,15 @@ def scatter_map(results: Results, x: str, y: str, quantity: str = "regimes") -> 
     """
     across, upward = _parameter(results, x), _parameter(results, y)
     _require_points_apart(results, (x, y))
-    points = _Points(results, _values_of(results, across), _values_of(results, upward))
-    values = None if quantity == "regimes" else _quantity_values(results, quantity)
-    with styled():
-        figure, ax = _new_figure(results)
-        notes = _draw_labels(ax, points) if values is None else _draw_values(figure, ax, points, quantity, values)
-        notes += _mark_failed(ax, points)
+    layers = Layers.of_points(results, quantity)
+    place = _values_of(results, across), _values_of(results, upward)
+    with style.styled():
+        figure, ax = _new_figure(layers)
+        notes = _draw_labels(ax, layers, *place) if quantity == "regimes" else _draw_values(figure, ax, layers, *place)
+        if layers.failed.any():
+            crosses = [values[layers.failed] for values in place]
+            ax.plot(*crosses, "x", color=style.FAILED_HATCH, markersize=4.0, zorder=2, gid="failed")
+            notes.append(_failed_note(layers, FAILED, marker="x"))
         _finish(figure, ax, (across, upward), notes)
         return figure
 
@@ -100,13 +55,12 @@ def scatter_curve(results: Results, x: str, quantity: str) -> Figure:
     """
     across = _parameter(results, x)
     _require_points_apart(results, (x, RUN))
-    points = _Points(results, _values_of(results, across), _quantity_values(results, quantity))
-    with styled():
-        figure, ax = _new_figure(results)
-        notes = _draw_labels(ax, points)
-        if points.failed.any():
-            text = f"{FAILED}, not shown: {cells_phrase(int(np.count_nonzero(points.failed)))}"
-            notes.append(Line2D([], [], linestyle="none", label=text))
+    layers = Layers.of_points(results, quantity)
+    with style.styled():
+        figure, ax = _new_figure(layers)
+        notes = _draw_labels(ax, layers, _values_of(results, across), layers.values)
+        if layers.failed.any():
+            notes.append(_failed_note(layers, f"{FAILED}, not shown"))
         ax.set_ylabel(CELL_QUANTITIES[quantity].plot_label)
         _finish(figure, ax, (across,), notes)
         return figure
@@ -128,14 +82,14 @@ def _parameter(results: Results, name: str) -> ResultAxis:
     """The axis of a parameter that changes. Raises PlotError where it does not."""
     changing = {axis.parameter: axis for axis in (*results.parameters, *results.axes) if len(axis.values) > 1}
     if name not in changing:
-        raise PlotError(f"{name} does not change in these results; what does is {', '.join(changing)}.")
+        raise style.PlotError(f"{name} does not change in these results; what does is {', '.join(changing)}.")
     return changing[name]
 
 
 def _require_points_apart(results: Results, chosen: Sequence[str]) -> None:
     """Raise PlotError where cells that differ in a dimension that is not drawn would lie on each other."""
     if len(set(chosen)) < len(chosen):
-        raise PlotError(f"x and y are both {chosen[0]}; name two parameters.")
+        raise style.PlotError(f"x and y are both {chosen[0]}; name two parameters.")
     axes = {results.axes[index].parameter: results.axes[index] for index in drawn_axes(results)}
     hidden = set(axes) - {name if name in axes else RUN for name in chosen}
     if hidden:
@@ -153,64 +107,55 @@ def _values_of(results: Results, axis: ResultAxis) -> Floats:
     return np.broadcast_to(axis.values.reshape(shape), results.shape).ravel()
 
 
-def _quantity_values(results: Results, name: str) -> Floats:
-    """A quantity of every cell, in C order. Raises PlotError where it is not defined in any."""
-    require_quantity(name)
-    values = known_values(results, name).ravel()
-    require_some(values, name)
-    return values
-
-
-def _new_figure(results: Results) -> tuple[Figure, Axes]:
+def _new_figure(layers: Layers) -> tuple[Figure, Axes]:
     """A figure with titles and empty axes."""
-    figure = new_figure()
+    figure = style.new_figure()
     ax = figure.add_subplot()
-    count = f"{results.sequence.size:,} runs"
-    set_titles(figure, ax, title_of(results), subtitle_of(load_of(results), fixed_parameters(results), [count]))
+    style.set_titles(figure, ax, layers.title, layers.subtitle(f"{layers.codes.size:,} runs"))
     return figure, ax
 
 
-def _draw_labels(ax: Axes, points: _Points) -> list[Artist]:
+def _look(count: int) -> dict[str, Any]:
+    """Markers that are seen one by one in a small sample, and as a cloud in a large one."""
+    size = float(np.clip(6.5 * (256.0 / count) ** 0.35, 1.6, 6.5))
+    return {"s": size**2, "edgecolors": style.INK, "linewidths": 0.5 if size > 3.0 else 0.0}
+
+
+def _draw_labels(ax: Axes, layers: Layers, x: Floats, y: Floats) -> list[Artist]:
     """Draw points in their labels' colours; returns the notes that name them."""
-    codes, labels, palette = points.codes, points.results.labels, palette_of(points.results.labels)
-    fills = np.array([palette[label] for label in labels] + [FAILED_FILL])
-    known = ~points.failed & np.isfinite(points.y)
-    ax.scatter(points.x[known], points.y[known], c=fills[codes[known]], **points.look, zorder=3)
-    undecided = known & (points.results.quality.ravel() & QUALITY_UNDECIDED != 0)
-    ax.plot(points.x[undecided], points.y[undecided], ".", color=INK, markersize=1.5, zorder=4, gid="undecided")
-    counts = {code: int(np.count_nonzero(codes == code)) for code in np.unique(codes) if code != FAILED_CODE}
+    palette = style.palette_of(layers.labels)
+    fills = np.array([palette[label] for label in layers.labels] + [style.FAILED_FILL])
+    known = ~layers.failed & np.isfinite(y)
+    ax.scatter(x[known], y[known], c=fills[layers.codes[known]], **_look(x.size), zorder=3)
+    undecided = known & layers.undecided
+    ax.plot(x[undecided], y[undecided], ".", color=style.INK, markersize=1.5, zorder=4, gid="undecided")
     notes: list[Artist] = [
-        _handle(f"{labels[code]}: {cells_phrase(count)}", palette[labels[code]]) for code, count in counts.items()
+        _handle(f"{label}: {cells_phrase(layers.count(label))}", palette[label]) for label in layers.present
     ]
     return [*notes, *undecided_notes(undecided)]
 
 
-def _draw_values(figure: Figure, ax: Axes, points: _Points, quantity: str, values: Floats) -> list[Artist]:
+def _draw_values(figure: Figure, ax: Axes, layers: Layers, x: Floats, y: Floats) -> list[Artist]:
     """Draw points in the colours of a quantity; returns the note of those without one."""
-    shown, colours = np.isfinite(values), Colours.of(quantity, values)
-    look = points.look | {"cmap": colours.cmap, "norm": colours.norm}
-    drawn = ax.scatter(points.x[shown], points.y[shown], c=values[shown], **look, zorder=3)
-    colours.add_bar(figure, drawn, ax)
-    undefined = ~shown & ~points.failed
+    shown, colours = np.isfinite(layers.values), Colours.of(layers.quantity, layers.values)
+    look = _look(x.size) | {"cmap": colours.cmap, "norm": colours.norm}
+    colours.add_bar(figure, ax.scatter(x[shown], y[shown], c=layers.values[shown], **look, zorder=3), ax)
+    undefined = ~shown & ~layers.failed
     if not undefined.any():
         return []
-    ax.scatter(points.x[undefined], points.y[undefined], c=_NOT_KNOWN, **points.look, zorder=2)
+    ax.scatter(x[undefined], y[undefined], c=_NOT_KNOWN, **_look(x.size), zorder=2)
     return [_handle("not defined (no events)", _NOT_KNOWN)]
 
 
-def _mark_failed(ax: Axes, points: _Points) -> list[Artist]:
-    """Draw a cross for each failed run; returns their note."""
-    failed = points.failed
-    if not failed.any():
-        return []
-    ax.plot(points.x[failed], points.y[failed], "x", color=FAILED_HATCH, markersize=4.0, zorder=2, gid="failed")
-    note = f"{FAILED}: {cells_phrase(int(np.count_nonzero(failed)))}"
-    return [Line2D([], [], linestyle="none", marker="x", color=FAILED_HATCH, label=note)]
+def _failed_note(layers: Layers, text: str, marker: str = "") -> Line2D:
+    """The number of failed runs."""
+    label = f"{text}: {cells_phrase(int(np.count_nonzero(layers.failed)))}"
+    return Line2D([], [], linestyle="none", marker=marker, color=style.FAILED_HATCH, label=label)
 
 
 def _handle(text: str, fill: str) -> Line2D:
     """A note that begins with a point."""
-    look: dict[str, Any] = {"markerfacecolor": fill, "markeredgecolor": INK}
+    look: dict[str, Any] = {"markerfacecolor": fill, "markeredgecolor": style.INK}
     return Line2D([], [], linestyle="none", marker="o", markersize=6.0, markeredgewidth=0.5, label=text, **look)
 
 
@@ -226,7 +171,7 @@ def _finish(figure: Figure, ax: Axes, axes: tuple[ResultAxis, ...], notes: list[
     ax.grid(color="0.92", linewidth=0.6)
     ax.set_axisbelow(True)
     set_notes(figure, notes)
-    freeze_layout(figure, ax)
+    style.freeze_layout(figure, ax)
 
 
 def _is_skew(axis: ResultAxis) -> bool:

@@ -9,24 +9,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from clunk.plot import style
 from clunk.plot.labelling import label_and_note
 from clunk.plot.layers import Floats, Layers, require_some
 from clunk.plot.notes import undecided_notes
 from clunk.plot.painting import mark_undecided
 from clunk.plot.plane import cell_edges, scale_axis
 from clunk.plot.raster import Raster
-from clunk.plot.style import (
-    FAILED_FILL,
-    FAILED_HATCH,
-    FAINT_INK,
-    HUES,
-    INK,
-    new_figure,
-    palette_of,
-    set_titles,
-    styled,
-    tidy,
-)
 from clunk.results.labels import FAILED_CODE
 from clunk.results.quantities import CELL_QUANTITIES
 from clunk.results.regimemap import Results
@@ -44,10 +33,10 @@ def strip(results: Results, quantity: str = "severity", more: str = "") -> Figur
     layers = Layers.of_quantity(results, 1, quantity)
     require_some(layers.values, quantity)
     samples, edges = layers.view.x.values, cell_edges(layers.view.x)
-    with styled():
-        figure = new_figure()
+    with style.styled():
+        figure = style.new_figure()
         band, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 4.6))
-        set_titles(figure, band, layers.title, layers.subtitle(more))
+        style.set_titles(figure, band, layers.title, layers.subtitle(more))
         starts = np.concatenate(([0], np.flatnonzero(np.diff(layers.codes)) + 1, [len(samples)]))
         for start, stop in pairwise(starts):
             _draw_regime(band, ax, layers, edges, slice(start, stop))
@@ -55,7 +44,7 @@ def strip(results: Results, quantity: str = "severity", more: str = "") -> Figur
         ax.set_xlim(*((samples[0], samples[-1]) if len(samples) > 1 else edges))
         ax.set_ylabel(CELL_QUANTITIES[quantity].plot_label)
         _limit_upwards(ax, layers.values)
-        tidy(ax)
+        style.tidy(ax)
         band.set_yticks([])
         band.tick_params(bottom=False, labelbottom=False)
         mark_undecided(band, layers)
@@ -73,16 +62,16 @@ def _draw_regime(band: Axes, ax: Axes, layers: Layers, edges: Floats, cells: sli
     left, right = max(edges[cells.start], samples[0]), min(edges[cells.stop], samples[-1])
     if len(samples) == 1:
         left, right = edges
-    fill: dict[str, Any] = {"facecolor": FAILED_FILL, "hatch": "////", "edgecolor": FAILED_HATCH}
+    fill: dict[str, Any] = {"facecolor": style.FAILED_FILL, "hatch": "////", "edgecolor": style.FAILED_HATCH}
     if code != FAILED_CODE:
-        fill = {"facecolor": palette_of(layers.labels)[layers.labels[code]], "edgecolor": "none"}
+        fill = {"facecolor": style.palette_of(layers.labels)[layers.labels[code]], "edgecolor": "none"}
     band.axvspan(left, right, linewidth=0.0, zorder=1, **fill)
     if cells.start:
-        band.axvline(left, color=INK, linewidth=0.9, zorder=2)
-        ax.axvline(left, color=FAINT_INK, linewidth=0.6, linestyle=(0, (4, 3)), zorder=1)
+        band.axvline(left, color=style.INK, linewidth=0.9, zorder=2)
+        ax.axvline(left, color=style.FAINT_INK, linewidth=0.6, linestyle=(0, (4, 3)), zorder=1)
     is_marked = len(samples) <= _FEW or cells.stop - cells.start == 1
     marker: dict[str, Any] = {"marker": "o", "markersize": 3.0} if is_marked else {}
-    look: dict[str, Any] = {"color": HUES[1], "linewidth": 1.5, "clip_on": False, "zorder": 3}
+    look: dict[str, Any] = {"color": style.HUES[1], "linewidth": 1.5, "clip_on": False, "zorder": 3}
     ax.plot(samples[cells], layers.values[cells], **look, **marker)
 
 
@@ -91,4 +80,4 @@ def _limit_upwards(ax: Axes, values: Floats) -> None:
     if not np.nanmin(values) < 0.0:
         ax.set_ylim(bottom=0.0)
     elif np.nanmax(values) > 0.0:
-        ax.axhline(0.0, color=INK, linewidth=0.8, zorder=2)
+        ax.axhline(0.0, color=style.INK, linewidth=0.8, zorder=2)

@@ -1,4 +1,4 @@
-"""How figures look: colours, sizes, titles, notes, and the file they end in."""
+"""Style of all figures: colours, sizes, titles, and how they are saved."""
 
 from __future__ import annotations
 
@@ -62,13 +62,13 @@ class PlotError(ClunkError):
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """The house's look, whatever a user's matplotlibrc says."""
+    """Draw in clunk's style, whatever a user's matplotlibrc says."""
     with style.context(["default", _STYLE]):
         yield
 
 
 class NotebookFigure(Figure):
-    """A figure that a notebook shows, also where no pyplot has told it how."""
+    """A figure that a notebook shows without pyplot."""
 
     def _repr_png_(self) -> bytes:
         picture = io.BytesIO()
