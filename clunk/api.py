@@ -21,7 +21,7 @@ from clunk.results import targets
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.simulation.trajectory import Trajectory
-from clunk.study.config import Study
+from clunk.study.config import ConfigError, Study
 from clunk.study.designs import design_of_points, has_tolerances
 from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.cells import compiling_note, warm_up
@@ -189,6 +189,8 @@ def run_points(
     >>> runs.severity.round(1)  # rad/s²
     array([   0. , 2184.9, 9299.7])
     """
+    if not points:
+        raise ConfigError("There is nothing to run: points names no parameter, such as load.ratio.")
     design = design_of_points(study, points)
     base = study.model_copy(update={"sweep": None})
     with engine_of(scheduler, workers) as engine, _telling(progress, design.cells, base) as tell:

@@ -4,6 +4,7 @@ import contextlib
 import json
 import mmap
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,8 +20,10 @@ from clunk.study.config import replace_values
 from clunk.sweeping import parts as keeping
 from clunk.sweeping import scratch
 from clunk.sweeping.parts import PartsError, WorkingDirectory
+from clunk.sweeping.provenance import versions
 from clunk.sweeping.sweep import Job, sweep
 
+PACKAGE = Path(keeping.__file__).parents[1]
 CONFIG = """
 [driveline]
 preset = "boere-2008"
@@ -161,6 +164,24 @@ def test_parts_of_other_versions_are_run_again(study, whole, target, monkeypatch
     results, parts = resumed(study, target)
     assert (parts.discarded, parts.taken_up) == (1, 0)
     assert equal(results, whole)
+
+
+def test_only_an_edit_of_what_decides_the_numbers_is_another_version(tmp_path):
+    package = tmp_path / "clunk"
+    shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__"))
+    before = versions(package)
+    assert before == versions()
+    for room in ("results", "analysis", "plot", "report", "cli"):
+        source = next((package / room).glob("*.py"))
+        source.write_text(source.read_text() + "# an edit\n")
+        versions.cache_clear()
+        assert versions(package) == before, room
+    for room in ("core", "core/exact", "study", "simulation", "sweeping"):
+        source = next((package / room).glob("[a-z]*.py"))
+        source.write_text(source.read_text() + "# an edit\n")
+        versions.cache_clear()
+        assert versions(package) != before, room
+        before = versions(package)
 
 
 @pytest.mark.parametrize(

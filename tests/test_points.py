@@ -78,16 +78,16 @@ def test_other_points_have_another_digest(single):
     [
         ({"load.ration": [1.0]}, 'load.ration: .*did you mean "load.ratio"'),
         ({"solver.method": [1.0]}, "solver.method: "),
-        ({"load.ratio": [1.0, np.nan]}, "load.ratio: found nan at point 2; must be a finite number"),
-        ({"lash.backlash_deg": [6.0, -1.0]}, "lash.backlash_deg: found -1 at point 2; must be "),
+        ({"load.ratio": [1.0, np.nan]}, "load.ratio: point 2: found nan; must be a finite number"),
+        ({"lash.backlash_deg": [6.0, -1.0]}, "lash.backlash_deg: point 2: found -1; .* must be "),
         ({"load.ratio": [1.0, 2.0], "lash.backlash_deg": [6.0]}, "found 1 values, and load.ratio has 2"),
-        ({"load.ratio": [[1.0]]}, "load.ratio: .*shape"),
-        ({"load.ratio": []}, "load.ratio: .*shape"),
-        ({"load.ratio": ["much"]}, "load.ratio: must be an array of numbers"),
-        ({"load.on": [1.0, 1.5]}, "load.on: found 1.5 at point 2"),
+        ({"load.ratio": [[1.0]]}, "load.ratio: point 1: .*must be a finite number"),
+        ({"load.ratio": []}, "load.ratio: found .*; must be a list of finite numbers"),
+        ({"load.ratio": ["much"]}, 'load.ratio: point 1: found "much"; must be a finite number'),
+        ({"load.on": [1.0, 1.5]}, "load.on: .*must be an inertia's number"),
         ({"load.on": [1.0, 5.0]}, "load.on"),
         ({"load.ratio": [1.0], "load.initial_torque": [1.0]}, "load"),
-        ({}, "no parameter is given"),
+        ({}, "nothing to run: points names no parameter"),
     ],
 )
 def test_what_cannot_be_run_is_one_sentence(single, points, sentence):
