@@ -9,12 +9,13 @@ import shutil
 import stat
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numba
 import pytest
 
-import clunk.core.jit  # noqa: F401  # points numba at its cache, which a test then moves
+from clunk.core import jit  # points numba at its cache, which tests then move
 
 ROOT = Path(__file__).parent.parent
 COMMAND = [
@@ -95,6 +96,23 @@ def test_a_kernel_whose_cache_is_damaged_is_compiled_anew(tmp_path, monkeypatch,
     assert sum(again.stats.cache_hits.values()) == 0
     assert last(1.5) == 3.0
     assert sum(last.stats.cache_hits.values()) == 1
+
+
+def test_kernels_that_nothing_has_used_for_long_are_removed(tmp_path, monkeypatch):
+    """Those of other sources, after a month; neither those of late nor anything else."""
+    cache = tmp_path / "clunk"
+    for name, days in (("kernels-old", 31), ("kernels-late", 29), ("results", 400)):
+        (cache / name).mkdir(parents=True)
+        os.utime(cache / name, (time.time() - days * 86400,) * 2)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    jit._configure()
+    own = Path(numba.config.CACHE_DIR)
+    assert {path.name for path in cache.iterdir()} == {"kernels-late", "results", own.name}
+    os.utime(own, (0, 0))
+    jit._configure()
+    assert own.stat().st_mtime > time.time() - 60
 
 
 @pytest.fixture(scope="module")

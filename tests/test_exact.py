@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from clunk.core import switching, tile
 from clunk.core.events import EVENT, TOUCH
+from clunk.core.runs import Log, Start
 from clunk.core.status import QUALITY_GRAZING
 from clunk.simulation import driveline
 from clunk.simulation.trajectory import simulate
@@ -319,11 +320,14 @@ def quality_of(plant):
     system, tables = driveline.prepare(study)
     x, events = np.zeros(2 * plant.n), np.zeros(512, EVENT)
     half_gap = float(np.deg2rad(study.lash.backlash_deg) / 2)  # the very number that `simulate` takes
-    side = switching.preload(system, plant.before, half_gap, x)
+    side = switching.preload(system, np.array([plant.before, half_gap]), x)
     _, _, quality, margin, _ = tile.run(
-        system, tables, x, switching.closed_on(side), float(plant.after), half_gap, events,
-        np.empty((0, x.size)), np.zeros(1, np.uint8),
-    )  # fmt: skip
+        system,
+        tables,
+        Start(x, switching.closed_on(side), np.array([float(plant.after), half_gap])),
+        Log(events, np.empty((0, x.size))),
+        np.zeros(1, np.uint8),
+    )
     return simulate(study).label, margin, bool(quality & QUALITY_GRAZING)
 
 

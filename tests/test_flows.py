@@ -13,12 +13,13 @@ from numpy.polynomial.polynomial import polyder, polyint, polyval
 from scipy.linalg import expm
 
 from clunk.core.events import EVENT
-from clunk.core.exact import curves, rows
+from clunk.core.exact import curves, moving, rows, taylor
 from clunk.core.exact.flows import BLOCK, CROSS, SLOPE, SPANS, TERMS, VALUE
-from clunk.core.exact.search import search
+from clunk.core.exact.search import DEPTH, EXTREMES, TURN, conclude, search
+from clunk.core.exact.workspace import begin_search, make_workspace, queue_of
 from clunk.core.jit import compiled
-from clunk.core.lanes import queues, vectors
-from clunk.core.lanes.pool import ask, fields, make_pool, push, take
+from clunk.core.lanes import vectors
+from clunk.core.lanes.pool import push, take
 from clunk.core.lanes.vectors import WIDTH
 from clunk.core.regimes import ACCELERATION, GAP
 from clunk.simulation import driveline
@@ -33,7 +34,17 @@ RUNS = 24  # that are looked through together: more than there are lanes
 
 @compiled
 def move(power, generator, modes, parts, work, size):
-    curves.move(power, generator, modes, vectors.load(parts, 0), work, size, np.zeros((2 * size, WIDTH)))
+    moving.move(power, generator, modes, vectors.load(parts, 0), work, size, np.zeros((2 * size, WIDTH)))
+
+
+@compiled
+def measure(work, size):
+    moving.measure(work, size)
+
+
+@compiled
+def jump(propagated, work, size):
+    moving.jump(propagated, work, size)
 
 
 @compiled
@@ -41,20 +52,10 @@ def observe(watch, output, f, steady, work, size, inputs, times, results):
     """Value, slope and curvature of a functional, its origin included."""
     none = vectors.splat(0.0)
     seen = curves.glance(watch, work, size, none, 0, curves.Curve(none, none, none, none, none))
-    torque, gap_input, elapsed = vectors.load(inputs, 0), vectors.load(inputs, 1), vectors.load(times, 0)
-    value0, slope0, curvature0 = curves.origin(output, f, steady, torque, gap_input, elapsed)
+    value0, slope0, curvature0 = curves.origin(output, f, inputs, 0, steady, vectors.load(times, 0))
     vectors.store(results, 0, seen.value + value0)
     vectors.store(results, 1, seen.slope + slope0)
     vectors.store(results, 2, seen.curvature + curvature0)
-
-
-@compiled
-def keep(curve, results, first):
-    vectors.store(results, first, curve.value)
-    vectors.store(results, first + 1, curve.slope)
-    vectors.store(results, first + 2, curve.curvature)
-    vectors.store(results, first + 3, curve.jerk)
-    vectors.store(results, first + 4, curve.sixth)
 
 
 @compiled
@@ -62,12 +63,12 @@ def look(watch, work, size, levels, deepest, results):
     """What `curves.look` returns, and then `glance`, `bounds` and `rush`."""
     level = vectors.load(levels, 0)
     slower, ringing, pair, sways, sway = curves.look(watch, work, size, level, deepest)
-    keep(slower, results, 0)
+    curves.store_curve(results, 0, slower)
     vectors.store(results, 5, ringing)
-    keep(pair, results, 6)
+    curves.store_curve(results, 6, pair)
     vectors.store(results, 11, sways)
     vectors.store(results, 12, sway)
-    keep(curves.glance(watch, work, size, level, deepest, slower), results, 13)
+    curves.store_curve(results, 13, curves.glance(watch, work, size, level, deepest, slower))
     jerk, sixth, sway = curves.bounds(watch, work, size)
     vectors.store(results, 18, jerk)
     vectors.store(results, 19, sixth)
@@ -83,36 +84,25 @@ GLANCED, JERKING, SIXTHS, SWAYING, RUSHING = slice(13, 18), 18, 19, 20, 21
 def expand(series, work, size, shortest, sides, rest, c):
     sign, shift = vectors.load(sides, 0), vectors.load(sides, 1)
     origin = vectors.load(rest, 0), vectors.load(rest, 1), vectors.load(rest, 2)
-    curves.expand(series, work, size, shortest, sign, shift, origin, c)
-
-
-@compiled
-def curve_of(numbers, first):
-    return curves.Curve(
-        vectors.load(numbers, first),
-        vectors.load(numbers, first + 1),
-        vectors.load(numbers, first + 2),
-        vectors.load(numbers, first + 3),
-        vectors.load(numbers, first + 4),
-    )
+    taylor.expand(series, work, size, shortest, sign, shift, origin, c)
 
 
 @compiled
 def find_longest(shortest, guards, rest, results):
-    h, k = curves.longest(shortest, curve_of(guards, 0), curve_of(guards, 5), vectors.load(rest, 0))
+    h, k = curves.longest(shortest, guards, 0, 5, 2, vectors.load(rest, 0))
     vectors.store(results, 0, h)
     vectors.store(results, 1, k)
 
 
 @compiled
 def find_low(guard, h, results):
-    vectors.store(results, 0, curves.low(curve_of(guard, 0), vectors.load(h, 0)))
-    vectors.store(results, 1, curves.guess(curve_of(guard, 0), vectors.load(h, 0)))
+    vectors.store(results, 0, curves.low(curves.load_curve(guard, 0), vectors.load(h, 0)))
+    vectors.store(results, 1, curves.guess(curves.load_curve(guard, 0), vectors.load(h, 0)))
 
 
 @compiled
 def find_between(ends, rush, h, results):
-    start, end, length = curve_of(ends, 0), curve_of(ends, 5), vectors.load(h, 0)
+    start, end, length = curves.load_curve(ends, 0), curves.load_curve(ends, 5), vectors.load(h, 0)
     least, greatest, parts = curves.between(start, end, length)
     vectors.store(results, 0, least)
     vectors.store(results, 1, greatest)
@@ -121,22 +111,22 @@ def find_between(ends, rush, h, results):
 
 @compiled
 def find_fall(guard, results):
-    vectors.store(results, 0, curves.falls_by(curve_of(guard, 0)))
+    vectors.store(results, 0, curves.falls_by(curves.load_curve(guard, 0)))
 
 
 @compiled
 def evaluate(c, at, results):
     s = vectors.load(at, 0)
-    value, slope, half = curves.derivatives(c, s)
+    value, slope, half = taylor.derivatives(c, s)
     vectors.store(results, 0, value)
     vectors.store(results, 1, slope)
     vectors.store(results, 2, half)
-    vectors.store(results, 3, curves.value(c, s))
+    vectors.store(results, 3, taylor.value(c, s))
 
 
 @compiled
 def cross(c, length, results):
-    found, none, s, slope, half = curves.crossing(c, vectors.load(length, 0), False)
+    found, none, s, slope, half = taylor.crossing(c, vectors.load(length, 0), False)
     vectors.store(results, 0, s)
     vectors.store(results, 1, slope)
     vectors.store(results, 2, half)
@@ -145,28 +135,32 @@ def cross(c, length, results):
 
 @compiled
 def turn(c, length, results):
-    found, none, s = curves.turning(c, np.zeros((TERMS, WIDTH)), vectors.load(length, 0))
+    found, none, s = taylor.turning(c, np.zeros((TERMS, WIDTH)), vectors.load(length, 0))
     vectors.store(results, 0, s)
     return found, none
 
 
 @compiled
-def search_all(pool, flows, queue, task, lengths, origins, signs, shifts, counts):
-    """(S, 2): TOP and BOTTOM of all runs of a pool, when what they look for is known."""
-    size = flows.basis.shape[1]
-    field, found = fields(size), np.zeros((lengths.size, 2))
+def search_all(space, sought, flow, f, number, lengths, origins, signs, shifts, counts):
+    """(S, 2): TOP and BOTTOM of all runs, when what they search is known."""
+    first = (space.queues.extremes, space.queues.turn, space.queues.depth)[sought]
+    queue, behind = queue_of(space, first, flow, f), space.behind
+    known = np.zeros((lengths.size, 2))
     for slot in range(lengths.size):
-        pool.here[:] = origins[:, slot]
-        ask(pool, slot, task, size, lengths[slot], signs[slot], shifts[slot])
-        pool.asked[slot * rows.TASKS + task, field + rows.COUNTS] = counts[slot]
-        push(pool, queue, slot * rows.TASKS + task)
-    while pool.length[queue] > 0:
-        count = take(pool, queue, pool.asked)
-        search(pool, flows, queue, count)
+        item = slot * space.searches_each + number
+        space.origin[:] = origins[:, slot]
+        begin_search(space, slot, number, lengths[slot], signs[slot], shifts[slot])
+        space.searches[item, behind + rows.COUNTS] = counts[slot]
+        push(space.pool, queue, item)
+    while space.pool.length[queue] > 0:
+        count = take(space.pool, queue, space.searches)
+        done = search(space, sought, flow, f, count)
         for lane in range(count):
-            found[pool.who[lane] // rows.TASKS, 0] = pool.work[field + rows.TOP, lane]
-            found[pool.who[lane] // rows.TASKS, 1] = pool.work[field + rows.BOTTOM, lane]
-    return found
+            slot = space.pool.items[lane] // space.searches_each
+            known[slot, 0] = space.pool.work[behind + rows.TOP, lane]
+            known[slot, 1] = space.pool.work[behind + rows.BOTTOM, lane]
+        conclude(space, sought, queue, count, done)
+    return known
 
 
 def sizes(y):
@@ -286,7 +280,7 @@ class Flow:
     def enter_lanes(self, x, u):
         """(3C/2, W): coordinates and amplitudes."""
         work = np.vstack((self.enter(x, u), np.zeros((self.count // 2, WIDTH))))
-        curves.measure(work, self.count)
+        measure(work, self.count)
         return work
 
     def move(self, work, parts):
@@ -294,7 +288,7 @@ class Flow:
 
     def jump(self, work, k):
         """Each lane by another span."""
-        curves.jump(np.ascontiguousarray(self.propagator[k].reshape(WIDTH, -1).T), work, self.count)
+        jump(np.ascontiguousarray(self.propagator[k].reshape(WIDTH, -1).T), work, self.count)
 
     def leave(self, work, u, times):
         value, slope, curvature = self.origin @ u
@@ -339,22 +333,19 @@ class Flow:
             rate = self.rates @ rate
         return np.array(values)
 
-    def search(self, f, queue, task, x, u, lengths, *, top, bottom, signs, shifts, counts=None):
-        """What `search` finds in a functional, put in the place of all: TOP and BOTTOM, and the runs' numbers."""
-        runs, everywhere = x.shape[1], [f] * len(self.watch)
-        flows = self.flows._replace(
-            watch=np.ascontiguousarray(self.flows.watch[:, everywhere]),
-            series=np.ascontiguousarray(self.flows.series[:, everywhere]),
-        )
-        pool = make_pool(self.system, flows, np.zeros((runs, 1), EVENT), np.zeros((runs, 0, self.size)))
-        field, y = fields(self.count), self.enter(x, u)
-        pool.numbers[:runs, :field] = np.vstack((y, sizes(y))).T
-        asked = pool.asked.reshape(runs + 1, rows.TASKS, -1)[:runs, task]
-        asked[:, field + rows.TOP], asked[:, field + rows.BOTTOM] = top, bottom
+    def search(self, f, sought, number, x, u, lengths, *, top, bottom, signs, shifts, counts=None):
+        """What a search finds in a functional: TOP and BOTTOM, and the runs' numbers."""
+        runs = x.shape[1]
+        space = make_workspace(self.system, self.flows, np.zeros((runs, 1), EVENT), np.zeros((runs, 0, self.size)))
+        behind, y = space.behind, self.enter(x, u)
+        space.numbers[:runs, :behind] = np.vstack((y, sizes(y))).T
+        searches = space.searches.reshape(runs + 1, space.searches_each, -1)[:runs, number]
+        searches[:, behind + rows.TOP], searches[:, behind + rows.BOTTOM] = top, bottom
         origins, counts = self.output_origin(u, 0.0)[:, f], np.full(runs, np.inf) if counts is None else counts
-        found = search_all(pool, flows, queue, task, lengths, origins, signs, shifts, counts)
-        assert sorted(pool.waiting[queues.FOLLOW, : pool.length[queues.FOLLOW]]) == list(range(runs))
-        return found[:, 0], found[:, 1], pool.numbers[:runs, field:]
+        known = search_all(space, sought, self.which, f, number, lengths, origins, signs, shifts, counts)
+        waiting, length = space.pool.waiting[space.queues.follow], space.pool.length[space.queues.follow]
+        assert sorted(waiting[:length]) == list(range(runs))
+        return known[:, 0], known[:, 1], space.numbers[:runs, behind:]
 
 
 @pytest.fixture(params=[(name, which) for name in PLANTS for which in (OPEN, CLOSED)], ids=lambda p: f"{p[0]}, {p[1]}")
@@ -550,7 +541,7 @@ def test_located_extremes_are_those_of_dense_samples(flow):
     for f in range(len(flow.watch)):
         samples = flow.output(states, u)[:, f]
         high, low, numbers = flow.search(
-            f, queues.EXTREMES + flow.which, rows.EXTREMES_TASK, x, u, np.full(RUNS, length),
+            f, EXTREMES, rows.EXTREMES_SEARCH, x, u, np.full(RUNS, length),
             top=samples[-1], bottom=samples[-1], signs=np.ones(RUNS), shifts=np.zeros(RUNS),
         )  # fmt: skip
         assert np.array_equal(numbers[:, [rows.HIGH, rows.LOW]].T, [high, low])
@@ -574,7 +565,7 @@ def test_the_lowest_turn_is_that_of_dense_samples(flow, g):
         first, counts = np.zeros(RUNS, int), np.full(RUNS, np.inf)
         for _ in range(2):
             lowest, _, _ = flow.search(
-                f, queues.TURN + 2 * flow.which + g, rows.TURN_TASK + g, x, u, np.full(RUNS, length),
+                f, TURN, rows.TURN_SEARCH + g, x, u, np.full(RUNS, length),
                 top=np.inf, bottom=np.inf, signs=signs, shifts=shifts, counts=counts,
             )  # fmt: skip
             dips = np.where(turns & (samples > first), guard, np.inf)
@@ -598,7 +589,7 @@ def test_the_depth_of_a_dive_is_that_of_dense_samples(flow):
         signs = np.where(samples[1] > samples[0], -1.0, 1.0)
         guard, rounding = signs * (samples - samples[0]), TIGHT * scale[f]
         _, depth, _ = flow.search(
-            f, queues.DEPTH + 2 * flow.which, rows.DEPTH_TASK, x, u, np.full(RUNS, 1000.0),
+            f, DEPTH, rows.DEPTH_SEARCH, x, u, np.full(RUNS, 1000.0),
             top=np.inf, bottom=0.0, signs=signs, shifts=-signs * samples[0],
         )  # fmt: skip
         rises = np.diff(guard, axis=0) > 0.0

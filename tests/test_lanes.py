@@ -7,7 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from clunk.core.jit import compiled, inlined
+from clunk.core.jit import compiled, unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, WIDTH
 
@@ -23,7 +23,7 @@ BITS = (0, 1, ALL, 1 << WIDTH - 1, 0b1010_0110_0000_1001)
 NUMBERS = (0.7, 1.0, 0.0, NAN)
 
 
-@inlined
+@unowned_inlined
 def fill(p, q, results, first):
     vectors.store(results, first, p + q)
     vectors.store(results, first + 1, p - q)
@@ -31,7 +31,7 @@ def fill(p, q, results, first):
     vectors.store(results, first + 3, p / q)
 
 
-@inlined
+@unowned_inlined
 def compare(p, q):
     return p > q, p >= q, p < q, p <= q, p == q
 

@@ -12,6 +12,7 @@ from clunk.core.events import EVENT
 from clunk.core.regimes import CLOSED_NEGATIVE, CLOSED_POSITIVE, OPEN, PARTED_POSITIVE
 from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import rk4_growth
+from clunk.core.runs import Log, Start
 from clunk.core.status import INTERRUPTED, Status
 from clunk.simulation import driveline
 from clunk.study.config import study_from_text
@@ -222,7 +223,7 @@ def test_a_given_state_is_in_the_regime_of_its_gap_and_force():
     half = plant.backlash / 2
 
     def regime(system, q, speed):
-        return switching.regime_of(system, np.array([0, 0, q, 0, 0, 0, speed, 0.0]), half)
+        return switching.regime_of(system, np.array([0, 0, q, 0, 0, 0, speed, 0.0]), np.array([-1.0, half]))
 
     for system in (by_gap, by_force):
         assert regime(system, 0.0, 5.0) == OPEN
@@ -287,18 +288,14 @@ class TestHowARunEnds:
         assert run.end == 2.0
 
     def test_a_set_stop_flag_abandons_the_run(self):
-        (system, steps), x = prepared(self.plant), np.zeros(8)
-        side = switching.preload(system, self.plant.before, self.plant.backlash / 2, x)
+        (system, steps), x, half_gap = prepared(self.plant), np.zeros(8), self.plant.backlash / 2
+        side = switching.preload(system, np.array([self.plant.before, half_gap]), x)
         events = np.zeros(64, EVENT)
         status, *_ = rk4.run(
             system,
             steps,
-            x,
-            switching.closed_on(side),
-            -1.0,
-            self.plant.backlash / 2,
-            events,
-            np.empty((0, 8)),
+            Start(x, switching.closed_on(side), np.array([-1.0, half_gap])),
+            Log(events, np.empty((0, 8))),
             np.ones(1, np.uint8),
         )
         assert status == INTERRUPTED

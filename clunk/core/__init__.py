@@ -1,12 +1,38 @@
 """The numerical core: a switched linear system, its flow, its events, and what they amount to.
 
 Nothing here knows files, units of the config or people; it imports numpy, numba and its llvmlite only. One load step,
-in reading order: `regimes` (the system as data), `switching` (preload, and what happens at an event), then one of two
-methods, and `events` (what a run leaves behind), `sequence` and `severity` (label, Q and V), `tile` (many runs), `jit`
-(how all of it is compiled).
+in reading order: `regimes` (the system as data), `switching` (preload, and what happens at an event), `runs` (what a
+run begins with and leaves behind), then one of two methods, and `events`, `sequence` and `severity` (label, Q and V),
+`tile` (many runs), `jit` (how all of it is compiled).
 
-`rk4`: `propagator` (full steps as matrices), `step` and `quartic` (one short step with everything in it located), `run`
-(from preload to end), `settling` (when a run is over). `exact`: `flows` (the regimes' modes, as tables), `run` (and
-what it does at an event), `stride` (its steps) and `search` (what it looks for within one), by `rows` (of numbers),
-`curves` (moving along the modes) and `polynomial`. `lanes`: `pool` and `queues` of the runs under way, in `vectors`.
+`rk4`: `run` (a run from preload to end), `step` and `quartic` (one short step with everything in it located),
+`propagator` (full steps as matrices), `settling` (when a run is over).
+
+`exact`: `run` (a run, and what it does at an event), `step` (propose a span, prove it, or find the event), `search`
+(what is looked for within a step), `curves` (functionals and their bounds), `moving` (along the modes), `taylor` and
+`polynomial` (series over the shortest span), `flows` (the tables of modes), `rows` and `workspace` (a run's numbers).
+
+`lanes`: `vectors` and `pool`, by which many runs take their steps side by side.
+
+Words
+-----
+flow        x' = A x + B u, with its functionals; regimes may share one
+functional  a number that is linear in the state and the inputs: the gap, the contact force, an acceleration
+regime      a flow, the side of the flank in contact, and the guards that end it
+guard       a functional, signed and shifted, that is positive within a regime and ends it where it turns negative
+event       a guard turning negative, with the regime that follows; also the load step itself
+phase       what lies between two events
+inputs      d = (T, φ/2) of a run; u = (T, s φ/2) of a regime
+window      from one primary impact to the next, over which the acceleration's extremes make Q_i
+margin      how near a run came to another label: positive by what did not happen, negative by what did
+turn        a point where a functional turns back; depth: how far a guard would fall beyond zero before it does
+load step   the change of the torque at time zero
+step        rk4: a step of the time grid; exact: a span, or a part of the shortest, that runs take together
+span        one of a ladder of time intervals, two an octave, for which a flow's propagator is tabulated
+origin      a particular solution of a flow, which the modal coordinates are measured from
+pair        two modal coordinates that belong together; its amplitude never grows, its sway is what it adds at most
+level       how many of the fastest pairs are left out of the guards of a step
+group       regimes with one flow and the same functionals, whose runs take steps together
+lane        one of the numbers in a vector register; mask: an int whose bits are lanes
+queue       runs, or searches, that wait for the same; pool: all queues, and the items taken from one of them
 """

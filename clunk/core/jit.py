@@ -8,13 +8,17 @@ compiled function elsewhere may use nothing of yet another file.
 import contextlib
 import hashlib
 import os
+import shutil
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
 from numba.core.caching import FunctionCache
+
+_KEPT_DAYS = 30  # for which kernels are kept that nothing uses
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -23,9 +27,18 @@ def _configure() -> None:
     """Point numba's cache at this core's own directory; a user's `NUMBA_CACHE_DIR` is respected."""
     if os.environ.get("NUMBA_CACHE_DIR"):
         return
-    numba.config.CACHE_DIR = str(  # type: ignore[attr-defined]  # numba makes its settings at run time
-        _writable(_user_cache() / "clunk" / f"kernels-{_digest()}")
-    )
+    directory = _user_cache() / "clunk" / f"kernels-{_digest()}"
+    numba.config.CACHE_DIR = str(_writable(directory))  # type: ignore[attr-defined]  # numba makes it at run time
+    with contextlib.suppress(OSError):
+        os.utime(directory)
+        _remove_unused(directory)
+
+
+def _remove_unused(used: Path) -> None:
+    """Remove the kernels of other digests that were last used `_KEPT_DAYS` ago."""
+    for directory in used.parent.glob("kernels-*"):
+        if directory != used and time.time() - directory.stat().st_mtime > _KEPT_DAYS * 86400:
+            shutil.rmtree(directory, ignore_errors=True)
 
 
 def is_cold(method: str) -> bool:
@@ -75,11 +88,16 @@ class _Cache(FunctionCache):
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
 
 
+def _uncached(**options: Any) -> Callable[[Function], Function]:
+    """numba's njit with the options that all kernels share."""
+    return cast(Callable[[Function], Function], numba.njit(nogil=True, error_model="numpy", **options))
+
+
 def _kept(**options: Any) -> Callable[[Function], Function]:
-    """numba's njit with a cache: what cache=True does, with a class of ours."""
+    """`_uncached` with a cache: what cache=True does, with a class of ours."""
 
     def decorate(function: Function) -> Function:
-        dispatcher = numba.njit(nogil=True, error_model="numpy", **options)(function)
+        dispatcher: Any = _uncached(**options)(function)
         dispatcher._cache = _Cache(function)  # type: ignore[no-untyped-call]
         return cast(Function, dispatcher)
 
@@ -90,8 +108,9 @@ _configure()  # before the first function is decorated
 # No fastmath: the same input gives the same bits, on any number of threads. Division by zero gives an infinity and no
 # exception: kernels never raise.
 compiled = _kept()
-inlined = _kept(forceinline=True)  # in the machine code; by numba itself, arrays would be counted at each use
 # Without reference counts, each change of which is an atomic operation: for what allocates nothing, and is called so
 # often that they would take longer than its work.
 unowned = _kept(_nrt=False)
-unowned_inlined = _kept(_nrt=False, forceinline=True)
+# And in the machine code of their caller; by numba itself, arrays would be counted at each use. Only compiled functions
+# can call these: without the wrappers for others, which unpack all arguments, they compile in a quarter of the time.
+unowned_inlined = _uncached(_nrt=False, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)

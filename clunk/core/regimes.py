@@ -1,9 +1,9 @@
 """A driveline with one lash as a switched linear system: a list of regimes, as data.
 
-Within a regime x' = A x + B u, with x = (θ, θ') and the constant input u = (T, s φ/2): the load torque after the step,
-and the half gap on the side s of the flank in contact (s = 0: none). A regime ends when one of its *guards*, linear
-functionals of x that are positive inside it, turns negative; a table names its successor. For the indentation model
-(report §2.3.2):
+A run has constant inputs d = (T, φ/2): the load torque and the half gap. Within a regime x' = A x + B u, with
+x = (θ, θ') and u = signs · d, each input by the regime's own sign: u = (T, s φ/2), s the side of the flank in contact
+(0: none). A regime ends when one of its *guards*, sign · functional(x, u) + offsets · d, positive inside it, turns
+negative; a table names its successor. For the indentation model (report §2.3.2):
 
     regime      flow     guards                       successor
     open        open     φ/2 - q,  q + φ/2            closed on the flank reached (touch)
@@ -20,7 +20,7 @@ s φ/2, a constraint whose torque is the guard, and a touch *resets* the velocit
 the open regime, or, below the locking speed and under a compressive torque, locks.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +33,8 @@ IntArray = npt.NDArray[np.int64]
 
 OPEN_FLOW, CLOSED_FLOW = 0, 1
 OPEN, CLOSED_POSITIVE, CLOSED_NEGATIVE, PARTED_POSITIVE, PARTED_NEGATIVE = range(5)
+TORQUE, HALF_GAP = range(2)
+INPUTS = 2  # known to the compiler, which unrolls the loops over them
 # The functionals: q, θ'' of one inertia, and, where a guard needs it, the contact torque, signed like q: k q + c q', or
 # the torque that locks q (one output less to step without it).
 GAP, ACCELERATION, FORCE = range(3)
@@ -43,44 +45,55 @@ REGIME = np.dtype(
     [
         ("flow", np.int64),  # OPEN_FLOW or CLOSED_FLOW
         ("side", np.int64),  # s
-        ("guards", np.int64),  # how many
+        ("guards", np.int64),  # how many end it
+        ("watched", np.int64),  # how many rows it has: those that end it, then those that make a margin only
+        ("group", np.int64),  # regimes of a group have one flow and the same functionals: runs in them step together
     ],
     align=True,
 )
 GUARD = np.dtype(
     [
-        ("functional", np.int64),  # guard = sign · functional + offset · φ/2
+        ("functional", np.int64),  # guard = sign · functional + offsets · d
         ("sign", np.float64),
-        ("offset", np.float64),
-        ("successor", np.int64),  # the regime that follows where it turns negative, and the event that this is
-        ("event_kind", np.int64),
+        ("successor", np.int64),  # the regime that follows where it turns negative, or -1
+        ("event_kind", np.int64),  # the event that this is, or -1
+        ("side", np.int64),  # and the flank that the event concerns
         ("zero_guard", np.int64),  # the successor's guard that is zero on entry, or -1
         ("zero_order", np.int64),  # and how many of its derivatives, itself included, are
+        ("of_rest", np.float64),  # its margin is relative to scales · d + of_rest · what is at rest; 0: it makes none
+        ("alike", np.int64),  # the regime's first guard of the same functional
     ],
     align=True,
 )
 
 
 class System(NamedTuple):
-    """One driveline with its lash and contact, ready to run; N states, F functionals, 2 flows, 5 regimes."""
+    """One driveline with its lash and contact, ready to run.
+
+    N states, I inputs, F functionals, L flows, R regimes in U groups, with at most G guards each.
+    """
 
     # the flows
-    rates: FloatArray  # (2, N, N)  A of each flow
-    inputs: FloatArray  # (2, N, 2)  B of each flow, for (T, s φ/2)
-    functionals: FloatArray  # (2, F, N)  C of each flow
-    feedthrough: FloatArray  # (2, F, 2)  D of each flow
+    rates: FloatArray  # (L, N, N)  A of each flow
+    inputs: FloatArray  # (L, N, I)  B of each flow
+    functionals: FloatArray  # (L, F, N)  C of each flow
+    feedthrough: FloatArray  # (L, F, I)  D of each flow
     lash: FloatArray  # (N,)  q' = lash · x
     # the regimes
-    regimes: npt.NDArray[np.void]  # (5,) REGIME
-    guards: npt.NDArray[np.void]  # (5, 2) GUARD
+    regimes: npt.NDArray[np.void]  # (R,) REGIME
+    guards: npt.NDArray[np.void]  # (R, G) GUARD
+    offsets: FloatArray  # (R, G, I)  of each guard
+    scales: FloatArray  # (R, G, I)  of each guard's margin
+    signs: FloatArray  # (R, I)  u = signs · d
+    leaders: IntArray  # (U,)  the first regime of each group
     # touches of the restitution model
     impulsive: int  # whether a touch resets the velocities
     impulse: FloatArray  # (N,)  change of x per unit of q'
     restitution: float  # e
     locking_speed: float  # rad/s; a negative one is relative to the fastest touch of the run so far
     # before the step
-    preload: FloatArray  # (N, 2)  static equilibrium in contact for (T, s φ/2)
-    contact_torque: FloatArray  # (2,)  the static torque across the lash, signed like q, for (T, s φ/2)
+    preload: FloatArray  # (N, I)  static equilibrium in contact, per unit of (T, s φ/2)
+    contact_torque: FloatArray  # (I,)  the static torque across the lash, signed like q
     # scalars
     end_time: float  # s after the load step
     sticking_time: float  # s
@@ -137,7 +150,7 @@ def build_system(
         closed_rates, closed_inputs = chain(
             inertia, damping + contact_damping * coupling, stiffness + contact_stiffness * coupling, load
         )
-        closed_inputs[n:, 1] = contact_stiffness * lash / inertia
+        closed_inputs[n:, HALF_GAP] = contact_stiffness * lash / inertia
     rates, inputs = np.array([open_rates, closed_rates]), np.array([open_inputs, closed_inputs])
 
     with_force = impulsive or separation_by_force
@@ -157,18 +170,16 @@ def build_system(
         table = _restitution_table()
     else:
         table = _indentation_table(contact_stiffness, contact_damping, separation_by_force)
-    preload = np.zeros((2 * n, 2))
+    preload = np.zeros((2 * n, INPUTS))
     if grounded:
         preload[:n] = _preload(stiffness, load, lash, None if impulsive else contact_stiffness)
-    regimes, guards = _tables(table)
     return System(
         rates=rates,
         inputs=inputs,
         functionals=functionals,
         feedthrough=feedthrough,
         lash=np.concatenate([np.zeros(n), lash]),
-        regimes=regimes,
-        guards=guards,
+        **_tables(table),
         impulsive=int(impulsive),
         impulse=np.concatenate([np.zeros(n), lash / inertia / mobility]),
         restitution=restitution if restitution is not None else 0.0,
@@ -187,47 +198,63 @@ class _Guard(NamedTuple):
     functional: int
     sign: float
     offset: float
-    successor: int
-    event_kind: int
+    successor: int = -1
+    event_kind: int = -1
     zero_guard: int = -1
     zero_order: int = 0
+    of_gap: float = 0.0  # its margin is relative to this by φ/2
+    of_rest: float = 0.0  # and this by what is at rest
 
 
-_Regimes = list[tuple[int, int, list[_Guard]]]  # flow, side, guards
+class _Regime(NamedTuple):
+    """A regime, its guards, and those functionals that end nothing, but whose turning back makes a margin."""
+
+    flow: int
+    side: int
+    guards: list[_Guard]
+    watched: tuple[_Guard, ...] = ()
 
 
-def _indentation_table(stiffness: float, damping: float, separation_by_force: bool) -> _Regimes:
-    touch_order = 0 if separation_by_force and damping > 0.0 else 1  # at a touch the force is c q' > 0, the overlap 0
-    rows: _Regimes = [
-        (
-            OPEN_FLOW,
-            0,
-            [
-                _Guard(GAP, -1.0, 1.0, CLOSED_POSITIVE, TOUCH, 0 if touch_order else -1, touch_order),
-                _Guard(GAP, 1.0, 1.0, CLOSED_NEGATIVE, TOUCH, 0 if touch_order else -1, touch_order),
-            ],
-        )
-    ]
+def _indentation_table(stiffness: float, damping: float, separation_by_force: bool) -> list[_Regime]:
+    # at a touch the overlap is zero, but the contact force is c q' > 0, if there is damping
+    order = 0 if separation_by_force and damping > 0.0 else 1
+    regimes = [_open(0 if order else -1, order)]
     for side, parted in ((1, PARTED_POSITIVE), (-1, PARTED_NEGATIVE)):
         if separation_by_force:
-            rows.append((CLOSED_FLOW, side, [_Guard(FORCE, side, -stiffness, parted, SEPARATION, 1, 1)]))
+            # the flanks may press less than nothing on each other; a miss is near where they all but cease to overlap
+            force = _Guard(FORCE, side, -stiffness, parted, SEPARATION, 1, 1)
+            regimes.append(_Regime(CLOSED_FLOW, side, [force], (_Guard(GAP, side, -1.0, of_rest=1.0),)))
         else:
-            rows.append((CLOSED_FLOW, side, [_Guard(GAP, side, -1.0, OPEN, SEPARATION, _reached(side), 1)]))
+            overlap = _Guard(GAP, side, -1.0, OPEN, SEPARATION, _reached(side), 1, of_rest=1.0)
+            regimes.append(_Regime(CLOSED_FLOW, side, [overlap]))
     for side, closed in ((1, CLOSED_POSITIVE), (-1, CLOSED_NEGATIVE)):
-        opening = _Guard(GAP, side, -1.0, OPEN, OPENING, _reached(side), 1)
-        rejoin = _Guard(FORCE, -side, stiffness, closed, REJOIN, 0, 1)
-        rows.append((OPEN_FLOW, side, [opening, rejoin] if separation_by_force else [opening]))
-    return rows
+        if separation_by_force:
+            opening = _Guard(GAP, side, -1.0, OPEN, OPENING, _reached(side), 1, of_rest=1.0)
+            rejoin = _Guard(FORCE, -side, stiffness, closed, REJOIN, 0, 1)
+            regimes.append(_Regime(OPEN_FLOW, side, [opening, rejoin]))
+    return regimes
 
 
-def _restitution_table() -> _Regimes:
+def _restitution_table() -> list[_Regime]:
     # What follows a touch is decided at the touch; a separation leaves with value, slope and curvature of the gap zero.
-    touch = [_Guard(GAP, -1.0, 1.0, OPEN, TOUCH), _Guard(GAP, 1.0, 1.0, OPEN, TOUCH)]
-    closed: _Regimes = [
-        (CLOSED_FLOW, side, [_Guard(FORCE, side, 0.0, OPEN, SEPARATION, _reached(side), 3)]) for side in (1, -1)
+    return [_open(-1, 0)] + [
+        _Regime(
+            CLOSED_FLOW, side, [_Guard(FORCE, side, 0.0, OPEN, SEPARATION, _reached(side), zero_order=3, of_rest=1.0)]
+        )
+        for side in (1, -1)
     ]
-    parted: _Regimes = [(OPEN_FLOW, side, [_Guard(GAP, side, -1.0, OPEN, OPENING)]) for side in (1, -1)]  # not entered
-    return [(OPEN_FLOW, 0, touch), *closed, *parted]
+
+
+def _open(zero_guard: int, zero_order: int) -> _Regime:
+    """The open regime, by the guard of a closed one that is zero at a touch, and its order; margins are of the gap."""
+    return _Regime(
+        OPEN_FLOW,
+        0,
+        [
+            _Guard(GAP, -side, 1.0, closed, TOUCH, zero_guard, zero_order, of_gap=2.0)
+            for side, closed in ((1, CLOSED_POSITIVE), (-1, CLOSED_NEGATIVE))
+        ],
+    )
 
 
 def _reached(side: int) -> int:
@@ -235,13 +262,30 @@ def _reached(side: int) -> int:
     return 0 if side > 0 else 1
 
 
-def _tables(table: _Regimes) -> tuple[npt.NDArray[np.void], npt.NDArray[np.void]]:
-    regimes, guards = np.zeros(len(table), REGIME), np.zeros((len(table), 2), GUARD)
-    for regime, (flow, side, leaving) in enumerate(table):
-        regimes[regime] = (flow, side, len(leaving))
-        for k, guard in enumerate(leaving):
-            guards[regime, k] = tuple(guard)
-    return regimes, guards
+def _tables(table: list[_Regime]) -> dict[str, npt.NDArray[Any]]:
+    """The arrays of `System` for a list of regimes. Those with one flow and the same functionals are a group."""
+    most = max(len(row.guards) + len(row.watched) for row in table)
+    regimes, guards = np.zeros(len(table), REGIME), np.zeros((len(table), most), GUARD)
+    offsets, scales = np.zeros((2, len(table), most, INPUTS))
+    alike = [(row.flow, row.side != 0, [guard.functional for guard in (*row.guards, *row.watched)]) for row in table]
+    leaders = [k for k, key in enumerate(alike) if alike.index(key) == k]
+    for k, row in enumerate(table):
+        rows = [*row.guards, *row.watched]
+        regimes[k] = (row.flow, row.side, len(row.guards), len(rows), leaders.index(alike.index(alike[k])))
+        for g, guard in enumerate(rows):
+            side = row.side or (1 if guard.successor == CLOSED_POSITIVE else -1)
+            first = [other.functional for other in rows].index(guard.functional)
+            guards[k, g] = (*guard[:2], *guard[3:5], side, *guard[5:7], guard.of_rest, first)
+            offsets[k, g, HALF_GAP], scales[k, g, HALF_GAP] = guard.offset, guard.of_gap
+    signs = np.column_stack([np.ones(len(table)), regimes["side"]])
+    return {
+        "regimes": regimes,
+        "guards": guards,
+        "offsets": offsets,
+        "scales": scales,
+        "signs": signs,
+        "leaders": np.array(leaders),
+    }
 
 
 def chain(
@@ -249,11 +293,11 @@ def chain(
 ) -> tuple[FloatArray, FloatArray]:
     """A and B of M θ'' + C θ' + K θ = b T."""
     n = inertia.size
-    rates, inputs = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, 2))
+    rates, inputs = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, INPUTS))
     rates[:n, n:] = np.eye(n)
     rates[n:, :n] = -stiffness / inertia[:, None]
     rates[n:, n:] = -damping / inertia[:, None]
-    inputs[n:, 0] = load / inertia
+    inputs[n:, TORQUE] = load / inertia
     return rates, inputs
 
 

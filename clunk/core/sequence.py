@@ -36,13 +36,13 @@ def find_primaries(
     last_side = events[0].side
     episode_began = -np.inf  # the preloaded contact has lasted for ever
     from_sticking = False
-    found = 0
+    impacts = 0
     for k in range(1, count):
         event = events[k]
         if event.kind == TOUCH:
             if event.side != last_side or from_sticking:
-                primaries[found] = k
-                found += 1
+                primaries[impacts] = k
+                impacts += 1
             last_side = event.side
             episode_began = event.time
             from_sticking = False
@@ -50,7 +50,7 @@ def find_primaries(
             episode_began = event.time
         elif event.kind == SEPARATION:
             from_sticking = event.time - episode_began > sticking_time
-    return found
+    return impacts
 
 
 def label(flanks: Iterable[int]) -> str:
@@ -78,4 +78,4 @@ def label(flanks: Iterable[int]) -> str:
             on_opposite = True
     if on_opposite:
         excursions.append("CR")
-    return "".join(f"{kind}({len(list(run))})" for kind, run in groupby(excursions)) or "NI"
+    return "".join(f"{excursion}({len(list(run))})" for excursion, run in groupby(excursions)) or "NI"

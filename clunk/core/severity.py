@@ -14,7 +14,7 @@ def peak_to_peak(
     events: npt.NDArray[np.void],
     count: int,
     primaries: npt.NDArray[np.int64],
-    found: int,
+    impacts: int,
     severity: npt.NDArray[np.float64],
 ) -> float:
     """Write Q_i of each primary impact to `severity`; return Q = sqrt(sum Q_i^2) (report Eq. 3.3).
@@ -26,20 +26,20 @@ def peak_to_peak(
     ----------
     events : (capacity,) EVENT
     primaries : (capacity,) int64
-        Indices of the `found` primary impacts in `events`.
+        Indices of the primary impacts in `events`.
     severity : (capacity,) float64  [rad/s2]
         Output.
     """
-    for i in range(found):
-        end = primaries[i + 1] if i + 1 < found else count
+    for i in range(impacts):
+        end = primaries[i + 1] if i + 1 < impacts else count
         largest, smallest = window_extremes(events, primaries[i], end)
         severity[i] = largest - smallest
-    return root_of_squares(severity, found)
+    return root_of_squares(severity, impacts)
 
 
 @unowned
 def approach_velocity(
-    events: npt.NDArray[np.void], primaries: npt.NDArray[np.int64], found: int, speeds: npt.NDArray[np.float64]
+    events: npt.NDArray[np.void], primaries: npt.NDArray[np.int64], impacts: int, speeds: npt.NDArray[np.float64]
 ) -> float:
     """Write each primary impact's closing speed to `speeds`; return V = sqrt(sum v_i^2), defined for both models.
 
@@ -48,9 +48,9 @@ def approach_velocity(
     speeds : (capacity,) float64  [rad/s]
         Output, v_i = |q'| just before primary impact i.
     """
-    for i in range(found):
+    for i in range(impacts):
         speeds[i] = abs(events[primaries[i]].speed)
-    return root_of_squares(speeds, found)
+    return root_of_squares(speeds, impacts)
 
 
 @unowned

@@ -135,7 +135,7 @@ def _balance(trajectory: Trajectory) -> EnergyBalance:
     ends = np.append(events["time"][1:], trajectory.end)
     work, damped, x = 0.0, np.zeros(rows.shape[0]), states[0]
     for event, start, end in zip(events, states, ends, strict=True):
-        flow, side, _ = system.regimes[event["regime"]]
+        flow, side = system.regimes[["flow", "side"]][event["regime"]]
         is_closed = np.concatenate([np.ones(len(shafts)), [float(flow == CLOSED_FLOW)]])
         rates = system.rates[flow] @ start + system.inputs[flow] @ [torque, side * half_gap]
         travel, forms = _integrals(system.rates[flow], rows, float(end - event["time"]))

@@ -230,7 +230,7 @@ def _from_equilibrium(trajectory: Trajectory, system: System, torque: float, hal
     if system.status == Status.NO_EQUILIBRIUM:
         return False
     x = np.empty(system.lash.size)
-    side = switching.preload(system, torque, half_gap, x)
+    side = switching.preload(system, np.array([torque, half_gap]), x)
     return side == trajectory.initial_side and np.array_equal(x, trajectory.states[0])
 
 

@@ -61,7 +61,7 @@ class SmallGap(NamedTuple):
         load = load_step(study.load)
         before, after = float(load.before), float(load.after)
         x = np.empty(system.lash.size)
-        side = switching.preload(system, before, 0.0, x)
+        side = switching.preload(system, np.array([before, 0.0]), x)
         if side == 0:
             raise SmallGapError("There is no response to draw: the lash carries no static torque before the load step.")
         frequency, damping_ratio = float(modes.frequency[0]), float(modes.damping_ratio[0])

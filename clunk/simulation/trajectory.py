@@ -9,6 +9,7 @@ import numpy.typing as npt
 from clunk.core import switching, tile
 from clunk.core.events import EVENT, KIND_NAMES, TOUCH
 from clunk.core.exact.run import MOST
+from clunk.core.runs import Log, Start
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.core.severity import peak_to_peak, root_of_squares
 from clunk.core.status import QUALITY_COMPLETE, Status
@@ -175,11 +176,11 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
     size = system.lash.size
     before, after = (float(torque) for torque in load_step(study.load))
     half_gap = float(np.deg2rad(study.lash.backlash_deg) / 2)
-    x = np.empty(size)
+    x, inputs = np.empty(size), np.array([after, half_gap])
     status = Status(system.status)
     if initial_state is None:
         if status == Status.OK:
-            side = switching.preload(system, before, half_gap, x)
+            side = switching.preload(system, np.array([before, half_gap]), x)
             status = Status.OK if side != 0 else Status.NO_INITIAL_FLANK
         if status != Status.OK:
             raise SimulationError(_sentence(status))
@@ -193,13 +194,13 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
         x[:] = given
         if system.impulsive and abs(x @ np.roll(system.lash, size // 2)) > half_gap * (1.0 + 1e-12):
             raise SimulationError("The initial state overlaps a flank, which the restitution model does not allow.")
-        regime = switching.regime_of(system, x, half_gap)
+        regime = switching.regime_of(system, x, inputs)
         side = 1 if x[: size // 2] @ system.lash[size // 2 :] >= 0.0 else -1
 
     capacity = study.solver.max_events + 1
     events, states = np.zeros(capacity, EVENT), np.zeros((capacity, size))
     code, count, quality, margin, end = tile.run(
-        system, tables, x, regime, after, half_gap, events, states, np.zeros(1, np.uint8)
+        system, tables, Start(x, regime, inputs), Log(events, states), np.zeros(1, np.uint8)
     )
     if code != Status.OK:
         raise SimulationError(_sentence(Status(code)))

@@ -173,11 +173,13 @@ class Grid:
         """
         system, tables = self.prepared(values)
         solver = self.study.solver
-        records, done = np.zeros(drive.before.size, CELL), 0
+        cases, done = kernel.cases_of(*drive), 0
+        records = np.zeros(drive.before.size, CELL)
+        output = kernel.Output(records, buffer)
         impacts = []
         while done < records.size and not stop[0]:
             done, written = kernel.run_tile(
-                system, tables, solver.margin_tolerance, *drive, done, solver.max_events, records, buffer, stop
+                system, tables, solver.margin_tolerance, cases, done, solver.max_events, output, stop
             )
             impacts.append(buffer[:written].copy())
         return records[:done], impacts
@@ -202,5 +204,5 @@ def warm_up(study: Study) -> None:
     """Compile the kernel of a study's method, or load it, before a sweep rather than in the middle of it."""
     nothing = np.zeros(0)
     system, tables = driveline.prepare(study)
-    records, impacts, stop = np.zeros(0, CELL), np.zeros(0, IMPACT), np.zeros(1, np.uint8)
-    kernel.run_tile(system, tables, 0.0, nothing, nothing, nothing, 0, 1, records, impacts, stop)
+    cases, output = kernel.cases_of(nothing, nothing, nothing), kernel.Output(np.zeros(0, CELL), np.zeros(0, IMPACT))
+    kernel.run_tile(system, tables, 0.0, cases, 0, 1, output, np.zeros(1, np.uint8))

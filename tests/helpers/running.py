@@ -9,6 +9,7 @@ from clunk.core.events import EVENT, KIND_NAMES
 from clunk.core.regimes import System, build_system
 from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import Steps, build_steps
+from clunk.core.runs import Log, Start
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.core.severity import peak_to_peak
 from clunk.core.status import QUALITY_COMPLETE
@@ -76,17 +77,17 @@ def core_run(
 ) -> CoreRun:
     """One run of the core, from preload unless a state is given."""
     system, half_gap = run.system, plant.backlash / 2
-    x = np.zeros(2 * plant.n)
+    x, inputs = np.zeros(2 * plant.n), np.array([float(plant.after), half_gap])
     if state is None:
-        side = switching.preload(system, plant.before, half_gap, x)
+        side = switching.preload(system, np.array([plant.before, half_gap]), x)
         assert side != 0
         regime = switching.closed_on(side)
     else:
         x[:] = state
-        regime = switching.regime_of(system, x, half_gap) if regime is None else regime
+        regime = switching.regime_of(system, x, inputs) if regime is None else regime
     events, states = np.zeros(capacity, EVENT), np.zeros((capacity, x.size))
     status, count, quality, _, end = rk4.run(
-        system, run.steps, x, regime, float(plant.after), half_gap, events, states, np.zeros(1, np.uint8)
+        system, run.steps, Start(x, regime, inputs), Log(events, states), np.zeros(1, np.uint8)
     )
     complete = bool(quality & QUALITY_COMPLETE)
     primaries, severity = np.zeros(capacity, np.int64), np.zeros(capacity)

@@ -1,1 +1,1 @@
-"""The exact method: by modes, over spans in which it is proved that no guard turns negative."""
+"""The exact method: by modes, over spans for which it is proved that no guard turns negative."""

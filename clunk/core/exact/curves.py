@@ -1,4 +1,4 @@
-"""Runs side by side, one in each lane: their functionals, the spans that they may take, and moving by them.
+"""Functionals of runs side by side, one in each lane: their values, bounds of their derivatives, and what those prove.
 
 Of each run there are modal coordinates, C of them, and the amplitudes of their pairs. `work` has a row of lanes for
 each of these numbers, coordinates first. The other arrays are those of `flows.Flows`, for one flow and one functional.
@@ -9,10 +9,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.exact.flows import BLOCK, CROSS, CURVATURE, DECAY, JERK, OWN, RUSH, SIXTH, SLOPE, SWAY, TERMS, VALUE
+from clunk.core.exact.flows import BLOCK, CURVATURE, JERK, RUSH, SIXTH, SLOPE, SWAY, VALUE
 from clunk.core.jit import unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, Vector, fused
+from clunk.core.regimes import INPUTS
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -106,7 +107,7 @@ def rush(watch: FloatArray, work: FloatArray, size: int, level: Vector, deepest:
 
 @unowned_inlined
 def glance(watch: FloatArray, work: FloatArray, size: int, level: Vector, deepest: int, before: Curve) -> Curve:
-    """The first of `look`, with the bounds that were found `before`."""
+    """The value, slope and curvature of `look`, with the bounds that were known `before`."""
     none = vectors.splat(0.0)
     value, slope, curvature = none, none, none
     for begin in range(0, size, ROW):
@@ -137,21 +138,63 @@ def bounds(watch: FloatArray, work: FloatArray, size: int) -> tuple[Vector, Vect
 
 
 @unowned_inlined
+def weighed(inputs: FloatArray, at: int, weights: FloatArray, first: int, stride: int) -> Vector:
+    """Weights times inputs, which are rows of lanes from `at` on; rounded once a term."""
+    total = vectors.load(inputs, at) * vectors.number(weights, first)
+    for k in range(1, INPUTS):
+        total = fused(vectors.load(inputs, at + k), vectors.number(weights, first + k * stride), total)
+    return total
+
+
+@unowned_inlined
+def weighed_drift(inputs: FloatArray, at: int, weights: FloatArray, first: int, stride: int) -> Vector:
+    """`weighed`, each product rounded: the slopes and curvatures of what drifts."""
+    total = vectors.load(inputs, at) * vectors.number(weights, first)
+    for k in range(1, INPUTS):
+        total = total + vectors.load(inputs, at + k) * vectors.number(weights, first + k * stride)
+    return total
+
+
+@unowned_inlined
 def origin(
-    output: FloatArray, f: int, steady: bool, torque: Vector, gap_input: Vector, elapsed: Vector
+    output: FloatArray, f: int, inputs: FloatArray, at: int, steady: bool, elapsed: Vector
 ) -> tuple[Vector, Vector, Vector]:
     """Value, slope and curvature of a functional's origin after a time.
 
-    output : (3, F, 2) float64
+    output : (3, F, INPUTS) float64
+    inputs : (…, W) float64, from row `at` on
     """
-    value = fused(gap_input, output[0, f, 1], torque * output[0, f, 0])
+    first, order = f * INPUTS, output.shape[1] * INPUTS
+    value = weighed(inputs, at, output, first, 1)
     slope = curvature = vectors.splat(0.0)
     if not steady:
-        slope = torque * output[1, f, 0] + gap_input * output[1, f, 1]
-        curvature = torque * output[2, f, 0] + gap_input * output[2, f, 1]
+        slope = weighed_drift(inputs, at, output, first + order, 1)
+        curvature = weighed_drift(inputs, at, output, first + 2 * order, 1)
         value += elapsed * (slope + 0.5 * elapsed * curvature)
         slope += elapsed * curvature
     return value, slope, curvature
+
+
+@unowned_inlined
+def load_curve(array: FloatArray, row: int) -> Curve:
+    """A curve whose five numbers are rows of an array, from `row` on."""
+    return Curve(
+        vectors.load(array, row),
+        vectors.load(array, row + 1),
+        vectors.load(array, row + 2),
+        vectors.load(array, row + 3),
+        vectors.load(array, row + 4),
+    )
+
+
+@unowned_inlined
+def store_curve(array: FloatArray, row: int, curve: Curve) -> None:
+    """Write a curve to five rows of an array."""
+    vectors.store(array, row, curve.value)
+    vectors.store(array, row + 1, curve.slope)
+    vectors.store(array, row + 2, curve.curvature)
+    vectors.store(array, row + 3, curve.jerk)
+    vectors.store(array, row + 4, curve.sixth)
 
 
 @unowned_inlined
@@ -177,6 +220,12 @@ def without(guard: Curve, pair: Curve, sign: Vector, sway: Vector) -> Curve:
         guard.jerk - pair.jerk,
         guard.sixth - pair.sixth,
     )
+
+
+@unowned_inlined
+def with_bounds(curve: Curve, bounded: Curve) -> Curve:
+    """A curve with the bounds of another one, which hold for it too."""
+    return Curve(curve.value, curve.slope, curve.curvature, bounded.jerk, bounded.sixth)
 
 
 @unowned_inlined
@@ -214,30 +263,38 @@ def guess(guard: Curve, h: Vector) -> Vector:
 
 
 @unowned_inlined
-def longest(shortest: float, one: Curve, other: Curve, at_most: Vector) -> tuple[Vector, Vector]:
-    """The longest span of the ladder, at most `at_most`, up to which two guards stay positive by `guess`; its number.
+def longest(
+    shortest: float, guards: FloatArray, first: int, stride: int, count: int, at_most: Vector
+) -> tuple[Vector, Vector]:
+    """The longest span of the ladder, at most `at_most`, up to which all guards stay positive by `guess`; its number.
 
     Where there is none, the number is -1.
+
+    guards : (…, W) float64
+        `count` curves, the first from row `first` on, each `stride` rows behind the one before it.
     """
     h, k = vectors.splat(shortest), vectors.splat(0.0)
-    none = ~_passes(one, other, h, at_most)
+    none = ~_passes(guards, first, stride, count, h, at_most)
     for octaves in (4, 1):  # the octave, of 16, in base 4: three at once, since each takes long to be known
         a, b, c = h * float(1 << octaves), h * float(1 << 2 * octaves), h * float(1 << 3 * octaves)
-        first = _passes(one, other, a, at_most)
-        second = _passes(one, other, b, at_most) & first
-        third = _passes(one, other, c, at_most) & second
-        h = vectors.choose(third, c, vectors.choose(second, b, vectors.choose(first, a, h)))
+        one = _passes(guards, first, stride, count, a, at_most)
+        two = _passes(guards, first, stride, count, b, at_most) & one
+        three = _passes(guards, first, stride, count, c, at_most) & two
+        h = vectors.choose(three, c, vectors.choose(two, b, vectors.choose(one, a, h)))
         step = 2.0 * octaves
-        k += vectors.choose(third, 3.0 * step, vectors.choose(second, 2.0 * step, vectors.choose(first, step, 0.0)))
+        k += vectors.choose(three, 3.0 * step, vectors.choose(two, 2.0 * step, vectors.choose(one, step, 0.0)))
     half = h * 1.5
-    passes = _passes(one, other, half, at_most)
+    passes = _passes(guards, first, stride, count, half, at_most)
     h, k = vectors.choose(passes, half, h), vectors.choose(passes, k + 1.0, k)
     return h, vectors.choose(none, -1.0, k)
 
 
 @unowned_inlined
-def _passes(one: Curve, other: Curve, h: Vector, at_most: Vector) -> int:
-    return int((guess(one, h) > 0.0) & (guess(other, h) > 0.0) & (h <= at_most))
+def _passes(guards: FloatArray, first: int, stride: int, count: int, h: Vector, at_most: Vector) -> int:
+    passes = int(h <= at_most)
+    for n in range(count):
+        passes &= guess(load_curve(guards, first + n * stride), h) > 0.0
+    return passes
 
 
 @unowned_inlined
@@ -297,193 +354,3 @@ def turns_not(start: Curve, end: Curve, parts: Vector, rush: Vector, h: Vector) 
     bend = 4.0 * vectors.larger(middle - a, b - middle)
     bent = vectors.larger(vectors.larger(q0, q1), bend) < -(parts * _CURVATURE_PARTS)
     return (least > away) | (greatest < -away), bent
-
-
-@unowned_inlined
-def jump(propagated: FloatArray, work: FloatArray, size: int) -> None:
-    """Move by a span.
-
-    propagated : (3C, WIDTH) float64
-        The span's row of `propagator`, of each lane.
-    """
-    for begin in range(0, size, ROW):
-        at = 3 * begin
-        for k in range(BLOCK):
-            p, q, pair = begin + k, begin + k + BLOCK, size + begin // 2 + k
-            one, other = vectors.load(work, p), vectors.load(work, q)
-            own, cross, decay = at + OWN * ROW + k, at + CROSS * ROW + k, at + DECAY * ROW + k
-            moved = fused(vectors.load(propagated, own), one, vectors.load(propagated, cross) * other)
-            partner = fused(vectors.load(propagated, own + BLOCK), other, vectors.load(propagated, cross + BLOCK) * one)
-            vectors.store(work, p, moved)
-            vectors.store(work, q, partner)
-            vectors.store(work, pair, vectors.load(propagated, decay) * vectors.load(work, pair))
-
-
-@unowned_inlined
-def measure(work: FloatArray, size: int) -> None:
-    """The amplitudes of the pairs."""
-    for begin in range(0, size, ROW):
-        for k in range(BLOCK):
-            one, other = vectors.load(work, begin + k), vectors.load(work, begin + k + BLOCK)
-            vectors.store(work, size + begin // 2 + k, vectors.root(fused(one, one, other * other)))
-
-
-@unowned_inlined
-def move(
-    power: FloatArray, generator: FloatArray, modes: bool, part: Vector, work: FloatArray, size: int, moved: FloatArray
-) -> None:
-    """Move by a part of the shortest span, by the Taylor series of the exponential. `moved` is scratch, 2C rows."""
-    if modes:
-        for begin in range(0, size, ROW):
-            for k in range(BLOCK):
-                one, other = vectors.load(work, begin + k), vectors.load(work, begin + k + BLOCK)
-                total1, total2 = vectors.splat(0.0), vectors.splat(0.0)
-                for j in range(TERMS - 1, -1, -1):
-                    first = (j * (size // ROW) + begin // ROW) * 2
-                    own, cross = first + OWN, first + CROSS
-                    term1 = fused(other, weight(power, cross, k), one * weight(power, own, k))
-                    term2 = fused(one, weight(power, cross, k + BLOCK), other * weight(power, own, k + BLOCK))
-                    total1, total2 = fused(total1, part, term1), fused(total2, part, term2)
-                vectors.store(work, begin + k, total1)
-                vectors.store(work, begin + k + BLOCK, total2)
-        return
-    for r in range(size):
-        vectors.store(moved, r, vectors.load(work, r))
-    for k in range(TERMS - 1, 0, -1):
-        for r in range(size):
-            total = vectors.splat(0.0)
-            for c in range(size):
-                total = fused(vectors.load(work, c), vectors.number(generator, r * size + c), total)
-            vectors.store(moved, size + r, vectors.load(moved, r) + part / float(k) * total)
-        for r in range(size):
-            vectors.store(work, r, vectors.load(moved, size + r))
-
-
-@unowned_inlined
-def expand(
-    series: FloatArray,
-    work: FloatArray,
-    size: int,
-    shortest: float,
-    sign: Vector,
-    shift: Vector,
-    origin: tuple[Vector, Vector, Vector],
-    c: FloatArray,
-) -> None:
-    """The Taylor coefficients over the shortest span of sign times a functional plus shift.
-
-    shortest : the span  [s]
-    origin : the functional's: value, slope and curvature
-    c : (TERMS, WIDTH) float64
-        Output.
-    """
-    value, slope, curvature = origin
-    for j in range(TERMS):
-        total = vectors.splat(0.0)
-        for k in range(size):
-            total = fused(vectors.load(work, k), weight(series, 2 * k, j), total)
-        if j == 0:
-            total += value
-        elif j == 1:
-            total += shortest * slope
-        elif j == 2:
-            total += 0.5 * shortest * shortest * curvature
-        vectors.store(c, j, sign * total)
-    vectors.store(c, 0, vectors.load(c, 0) + shift)
-
-
-@unowned_inlined
-def derivatives(c: FloatArray, s: Vector) -> tuple[Vector, Vector, Vector]:
-    """Value, slope and half the second derivative of a series: Horner's rule, even and odd powers side by side."""
-    none = vectors.splat(0.0)
-    square = s * s
-    even, odd, even_slope, odd_slope, even_half, odd_half = none, none, none, none, none, none  # by s²
-    for k in range(TERMS // 2 - 1, -1, -1):
-        even_half, odd_half = fused(even_half, square, even_slope), fused(odd_half, square, odd_slope)
-        even_slope, odd_slope = fused(even_slope, square, even), fused(odd_slope, square, odd)
-        even, odd = fused(even, square, vectors.load(c, 2 * k)), fused(odd, square, vectors.load(c, 2 * k + 1))
-    value = fused(s, odd, even)
-    slope = fused(2.0, fused(s, even_slope, square * odd_slope), odd)
-    half = fused(4.0 * square, fused(s, odd_half, even_half), fused(3.0 * s, odd_slope, even_slope))
-    return value, slope, half
-
-
-@unowned_inlined
-def crossing(c: FloatArray, length: Vector, only: bool) -> tuple[int, int, Vector, Vector, Vector]:
-    """The first zero of a series that is positive at first, where it falls, or is concave, all the way to it.
-
-    length : at most 1
-    only : whether it is to fall, or be concave, all the length, so that there is no other zero
-
-    Returns
-    -------
-    found : int
-        The lanes where such a zero is.
-    none : int
-        The lanes where the series stays positive.
-    s, slope, half : Vector
-        The zero, the slope there, and half the curvature.
-    """
-    none = vectors.splat(0.0)
-    c0, c1, c2 = vectors.load(c, 0), vectors.load(c, 1), vectors.load(c, 2)
-    # of its first three terms
-    root = vectors.root(vectors.larger(c1 * c1 - 4.0 * c0 * c2, none))
-    s = vectors.choose(c1 < 0.0, 2.0 * c0 / (root - c1), -0.5 * (c1 + root) / c2)
-    slope, half, found, alive = none, none, 0, (c0 > 0.0) & (s >= 0.0)
-    for _ in range(3):
-        alive &= s <= length
-        if alive == 0:
-            break
-        value, slope_here, half_here = derivatives(c, s)
-        moved = s - value * slope_here / (slope_here * slope_here - value * half_here)
-        s = vectors.choose(alive, moved, s)
-        slope, half = vectors.choose(alive, slope_here, slope), vectors.choose(alive, half_here, half)
-        # what is left of the error is the square of how much the slope changed in this step, as a share of the step
-        steady = vectors.magnitude(value * half_here) <= 2e-5 * (slope_here * slope_here)
-        steady &= vectors.magnitude(value) <= 2e-5 * vectors.magnitude(slope_here)
-        here = alive & steady & (s >= 0.0) & (s <= length)
-        found |= here
-        alive &= ~here
-    end, rise, bend, fall = length if only else s, none, none, none
-    for k in range(TERMS - 1, 1, -1):
-        term = vectors.load(c, k)
-        up = vectors.larger(term, none)
-        fall += term - up
-        rise = fused(rise, end, float(k) * up)
-        if k > 2:
-            bend = fused(bend, end, float(k * (k - 1)) * up)
-    found &= (c1 + rise * end < 0.0) | (2.0 * c2 + bend * end < 0.0)
-    return found, c0 + vectors.smaller(c1, none) + fall > 0.0, s, slope, half
-
-
-@unowned_inlined
-def value(c: FloatArray, s: Vector) -> Vector:
-    """The first of `derivatives`."""
-    even, odd, square = vectors.splat(0.0), vectors.splat(0.0), s * s
-    for k in range(TERMS // 2 - 1, -1, -1):
-        even, odd = fused(even, square, vectors.load(c, 2 * k)), fused(odd, square, vectors.load(c, 2 * k + 1))
-    return fused(s, odd, even)
-
-
-@unowned_inlined
-def turning(c: FloatArray, slopes: FloatArray, length: Vector) -> tuple[int, int, Vector]:
-    """The turning point of a series that has but one.
-
-    slopes : (TERMS, WIDTH) float64
-        Scratch.
-
-    Returns
-    -------
-    found : int
-        The lanes where such a turning point is.
-    none : int
-        The lanes where the series has none.
-    s : Vector
-    """
-    falls = vectors.load(c, 1) < 0.0
-    for k in range(TERMS - 1):
-        term = vectors.load(c, k + 1) * float(k + 1)
-        vectors.store(slopes, k, vectors.choose(falls, -term, term))
-    vectors.store(slopes, TERMS - 1, vectors.splat(0.0))
-    found, none, s, _, _ = crossing(slopes, length, True)
-    return found, none, s

@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.lanes.vectors import ROW
+from clunk.core.regimes import HALF_GAP
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -34,7 +35,7 @@ LONG = 2 * ROW  # room for its terms
 # derivative, its value less its origin, its slope and its sixth derivative
 VALUE, SLOPE, CURVATURE, JERK, SWAY, RUSH, SIXTH = range(7)
 _BOUNDED = (3, 0, 1, 6)  # the orders that JERK and what follows it bound
-OWN, CROSS, DECAY = range(3)  # of a 2 x 2 block: what multiplies a coordinate itself, and its partner
+SELF, CROSS, DECAY = range(3)  # of a 2 x 2 block: what multiplies a coordinate itself, and its partner
 _SHORTEST = 1.0 / 4.0  # |λ| times the shortest span: TERMS terms are then exact to rounding
 _LADDER = np.ldexp(np.tile([1.0, 1.5], SPANS // 2), np.repeat(np.arange(SPANS // 2), 2))
 _TAYLOR = np.array([1.0 / math.factorial(k) for k in range(TERMS)])
@@ -44,21 +45,21 @@ _ROUNDING = 1e-12  # relative to the largest of its kind
 
 
 class Flows(NamedTuple):
-    """The open and the closed flow: N states, F functionals, C coordinates, a multiple of 8 as L is, B = C/8."""
+    """The flows' tables: K flows, N states, I inputs, F functionals, C coordinates, a multiple of 8, B = C/8."""
 
-    origin: FloatArray  # (2, 3, 2, L)  for (T, s φ/2): value, slope and curvature of the particular solution at t = 0
-    origin_output: FloatArray  # (2, 3, F, 2)  the functionals of it
-    coordinates: FloatArray  # (2, N, C)  x - origin -> y
-    basis: FloatArray  # (2, C, L)  y -> x - origin, filled up to L
-    modal: IntArray  # (2,)  whether the coordinates are modes
-    ringing: IntArray  # (2,)  how many pairs, from the first on and fastest first, are oscillating modes
-    span: FloatArray  # (2, SPANS)  [s]
-    propagator: FloatArray  # (2, SPANS, B, 3, 8)  over a span: each coordinate's OWN and CROSS share, and its DECAY
-    power: FloatArray  # (2, TERMS, B, 2, 8)  OWN and CROSS of (Λ times the shortest span)^k / k!, for modes
-    generator: FloatArray  # (2, C, C)  Λ times the shortest span
-    watch: FloatArray  # (2, F, 2C, 8)  coordinates, then amplitudes -> VALUE, SLOPE, CURVATURE; JERK, SWAY, RUSH, SIXTH
-    series: FloatArray  # (2, F, C, LONG)  y -> a functional's Taylor coefficients over the shortest span
-    steady: IntArray  # (2,)  whether the origin does not move
+    origin: FloatArray  # (K, 3, I, C)  value, slope and curvature of the particular solution at t = 0, per input
+    origin_output: FloatArray  # (K, 3, F, I)  the functionals of it
+    coordinates: FloatArray  # (K, N, C)  x - origin -> y
+    basis: FloatArray  # (K, C, C)  y -> x - origin, filled up
+    modal: IntArray  # (K,)  whether the coordinates are modes
+    ringing: IntArray  # (K,)  how many pairs, from the first on and fastest first, are oscillating modes
+    span: FloatArray  # (K, SPANS)  [s]
+    propagator: FloatArray  # (K, SPANS, B, 3, 8)  over a span: each coordinate's SELF and CROSS share, and its DECAY
+    power: FloatArray  # (K, TERMS, B, 2, 8)  SELF and CROSS of (Λ times the shortest span)^k / k!, for modes
+    generator: FloatArray  # (K, C, C)  Λ times the shortest span
+    watch: FloatArray  # (K, F, 2C, 8)  coordinates, then amplitudes -> VALUE, SLOPE, CURVATURE; JERK, SWAY, RUSH, SIXTH
+    series: FloatArray  # (K, F, C, LONG)  y -> a functional's Taylor coefficients over the shortest span
+    steady: IntArray  # (K,)  whether the origin does not move
 
 
 class Chain(NamedTuple):
@@ -90,12 +91,12 @@ def build_flows(
     Few and whole array operations: a sweep over inertias, stiffnesses or dampings builds these for each of its values.
     """
     flows, states = rates.shape[:2]
-    count = functionals.shape[1]
+    count, driven = functionals.shape[1], inputs.shape[2]
     blocks = -(-states // ROW)
     size = blocks * ROW
     tables = Flows(
-        origin=np.zeros((flows, 3, 2, size)),
-        origin_output=np.zeros((flows, 3, count, 2)),
+        origin=np.zeros((flows, 3, driven, size)),
+        origin_output=np.zeros((flows, 3, count, driven)),
         coordinates=np.zeros((flows, states, size)),
         basis=np.zeros((flows, size, size)),
         modal=np.zeros(flows, np.int64),
@@ -138,9 +139,9 @@ def _fill(
     scaled = _scale(chain)
     into, back = scaled.into @ chain.pick, chain.expand @ scaled.back
     forcing = inputs.copy()
-    forcing[:, 1] += rates @ chain.shift
+    forcing[:, HALF_GAP] += rates @ chain.shift
     origin = back @ _particular(scaled, into @ forcing)
-    origin[0, :, 1] += chain.shift
+    origin[0, :, HALF_GAP] += chain.shift
     tables.origin[k, :, :, : rates.shape[0]] = origin.transpose(0, 2, 1)
     tables.origin_output[k] = functionals @ origin
     tables.origin_output[k, 0] += feedthrough
@@ -213,8 +214,8 @@ def _scale(chain: Chain) -> _Scaled:
     undamped = free
     if drifting:
         stiffness[free], stiffness[:, free] = 0.0, 0.0
-        own = damping.diagonal()
-        undamped = free & (own <= _ROUNDING * own.max(initial=0.0))
+        friction = damping.diagonal()
+        undamped = free & (friction <= _ROUNDING * friction.max(initial=0.0))
         damping[undamped], damping[:, undamped] = 0.0, 0.0
         squared = np.where(free, squared[~free].min(initial=np.inf), squared)
         squared[np.isinf(squared)] = 1.0
@@ -294,7 +295,7 @@ def _modes(scaled: _Scaled) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         inverse = np.linalg.inv(basis)
     except np.linalg.LinAlgError:
         return None
-    # by the Frobenius norms, at most as many times larger as there are coordinates, the condition is found sooner
+    # by the Frobenius norms, at most as many times larger as there are coordinates, the condition is known sooner
     bound = math.sqrt((basis * basis).sum() * (inverse * inverse).sum())
     if not bound <= _MAX_CONDITION and size and not np.linalg.cond(basis) <= _MAX_CONDITION:
         return None
@@ -342,7 +343,7 @@ def _propagate(pairs: _Pairs, result: FloatArray) -> None:
     decay, angle = np.exp(_LADDER[:, None, None, None] * pairs.sigma), _LADDER[:, None, None] * pairs.omega
     halves, drifting = result.reshape(*result.shape[:-1], 2, BLOCK), pairs.drift.any()
     turning = np.where(pairs.drift, 0.0, angle) if drifting else angle
-    halves[:, :, OWN] = decay * np.cos(turning)[:, :, None]
+    halves[:, :, SELF] = decay * np.cos(turning)[:, :, None]
     sine = np.sin(turning)
     halves[:, :, CROSS, 0], halves[:, :, CROSS, 1] = decay[:, :, 0] * sine, -decay[:, :, 1] * sine
     halves[:, :, DECAY] = decay.max(axis=2)[:, :, None]
@@ -363,9 +364,9 @@ def _expand(pairs: _Pairs, result: FloatArray) -> None:
     np.multiply.accumulate(power, axis=0, out=power)
     power *= _TAYLOR[:, None, None, None]
     halves = result.reshape(*result.shape[:-1], 2, BLOCK)
-    halves[:, :, OWN] = power.real
+    halves[:, :, SELF] = power.real
     halves[:, :, CROSS, 0], halves[:, :, CROSS, 1] = power.imag[:, :, 0], -power.imag[:, :, 1]
     if pairs.drift.any():
         # ω σ^(k-1) / k!
-        going = halves[:-1, :, OWN, 1] * pairs.omega / np.arange(1, TERMS)[:, None, None]
+        going = halves[:-1, :, SELF, 1] * pairs.omega / np.arange(1, TERMS)[:, None, None]
         halves[1:, :, CROSS, 0] += np.where(pairs.drift, going, 0.0)

@@ -64,28 +64,28 @@ def zero_between(c: FloatArray, count: int, low: float, high: float, first: floa
 
 
 @unowned
-def sign_changes(c: FloatArray, count: int, length: float, found: FloatArray, ladder: FloatArray) -> int:
-    """Write the points of (0, length) at which a polynomial changes sign to `found`, in order; return their number.
+def sign_changes(c: FloatArray, count: int, length: float, points: FloatArray, ladder: FloatArray) -> int:
+    """Write the points of (0, length) at which a polynomial changes sign to `points`, in order; return their number.
 
-    Between the sign changes of its derivative it is monotone; where its lowest term outweighs all others it has none.
+    Between the sign changes of its derivative it is monotone; where its lowest term outweighs all rest it has none.
     The derivatives' coefficients go into `ladder`, (count, count) at least.
     """
-    others, power = 0.0, 1.0
+    rest, power = 0.0, 1.0
     for k in range(1, count):
         power *= length
-        others += abs(c[k]) * power
-    if abs(c[0]) > others or count < 2:
+        rest += abs(c[k]) * power
+    if abs(c[0]) > rest or count < 2:
         return 0
     derivative = ladder[count - 1]
     for k in range(count - 1):
         derivative[k] = (k + 1) * c[k + 1]
-    pieces = sign_changes(derivative, count - 1, length, found, ladder) + 1
+    pieces = sign_changes(derivative, count - 1, length, points, ladder) + 1
     kept, low, before = 0, 0.0, c[0]
     for piece in range(pieces):
-        high = found[piece] if piece < pieces - 1 else length
+        high = points[piece] if piece < pieces - 1 else length
         after = value_of(c, count, high)
         if (before < 0.0) != (after < 0.0):
-            found[kept] = zero_between(
+            points[kept] = zero_between(
                 c, count, low, high, before, after
             )  # kept <= piece: nothing unread is overwritten
             kept += 1
@@ -94,29 +94,29 @@ def sign_changes(c: FloatArray, count: int, length: float, found: FloatArray, la
 
 
 @unowned
-def turning_points(c: FloatArray, length: float, found: FloatArray, ladder: FloatArray) -> int:
-    """Write the points of (0, length) at which the slope changes sign to `found`, in order; return their number."""
-    others, power = 0.0, 1.0
+def turning_points(c: FloatArray, length: float, points: FloatArray, ladder: FloatArray) -> int:
+    """Write the points of (0, length) at which the slope changes sign to `points`, in order; return their number."""
+    rest, power = 0.0, 1.0
     for k in range(2, c.size):
         power *= length
-        others += k * abs(c[k]) * power
-    if abs(c[1]) > others:
+        rest += k * abs(c[k]) * power
+    if abs(c[1]) > rest:
         return 0
     derivative = ladder[c.size - 1]
     for k in range(c.size - 1):
         derivative[k] = (k + 1) * c[k + 1]
-    return sign_changes(derivative, c.size - 1, length, found, ladder)
+    return sign_changes(derivative, c.size - 1, length, points, ladder)
 
 
 @unowned
-def first_negative_of(c: FloatArray, length: float, found: FloatArray, ladder: FloatArray) -> float:
+def first_negative_of(c: FloatArray, length: float, points: FloatArray, ladder: FloatArray) -> float:
     """The first s of [0, length] from which on a polynomial is negative, or -1 where there is none."""
     if c[0] < 0.0:
         return 0.0
-    turns = turning_points(c, length, found, ladder)
+    turns = turning_points(c, length, points, ladder)
     low, before = 0.0, c[0]
     for piece in range(turns + 1):
-        high = found[piece] if piece < turns else length
+        high = points[piece] if piece < turns else length
         after = value_of(c, c.size, high)
         if after < 0.0:
             return zero_between(c, c.size, low, high, before, after)

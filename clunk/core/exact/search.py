@@ -1,110 +1,72 @@
-"""What runs look for within a step: extremes of the acceleration, the lowest turn of a guard, how deep one would go.
+"""What is searched for within a step: extremes of the acceleration, the lowest turn of a guard, how deep one would go.
 
 Located, not sampled: a span is passed in which there can be nothing, since the functional is monotone, or cannot exceed
 what is known. Elsewhere the shortest span is expanded into its Taylor series and searched.
+
+TOP and BOTTOM are the extremes that are known. A turn counts below TOP, and is then both. A depth, of a guard that
+falls, is BOTTOM, and need not be known beyond TOP.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.exact import curves, polynomial, rows
-from clunk.core.exact.flows import TERMS, Flows
-from clunk.core.exact.stride import GRAZING
+from clunk.core.exact import curves, moving, polynomial, rows, taylor
+from clunk.core.exact.flows import TERMS
+from clunk.core.exact.step import GRAZING
+from clunk.core.exact.workspace import Workspace, field, set_field
 from clunk.core.jit import unowned_inlined
-from clunk.core.lanes import queues, vectors
-from clunk.core.lanes.pool import Pool, fields, gather_spans, push, push_all, put_back, row_of, scale_of
+from clunk.core.lanes import vectors
+from clunk.core.lanes.pool import push, push_all, put_back
 from clunk.core.lanes.vectors import WIDTH, Vector
-from clunk.core.regimes import ACCELERATION
 from clunk.core.status import QUALITY_GRAZING
 
 FloatArray = npt.NDArray[np.float64]
 
+EXTREMES, TURN, DEPTH = range(3)
+
+
+class _Known(NamedTuple):
+    """A functional where a search is, and what is known of what is searched for."""
+
+    curve: curves.Curve  # sign times the functional plus shift
+    top: Vector
+    bottom: Vector
+    idle: Vector  # the time left before a turn counts
+
 
 @unowned_inlined
-def search(pool: Pool, flows: Flows, queue: int, count: int) -> None:
-    """Take one span of what `count` runs look for that have been taken from one of the queues EXTREMES, TURN, DEPTH.
+def search(space: Workspace, sought: int, flow: int, f: int, count: int) -> int:
+    """Take one span of the `count` searches that have been taken; return the lanes of those that are through.
 
-    TOP and BOTTOM are the extremes that are known. A turn counts below TOP, and is then both. A depth, of a guard that
-    falls, is BOTTOM, and need not be known beyond TOP.
+    sought : EXTREMES, TURN or DEPTH
+    flow, f : the flow, and the functional searched in
     """
-    turn, depth = queues.TURN <= queue < queues.DEPTH, queue >= queues.DEPTH
-    at = queue - queues.DEPTH if depth else (queue - queues.TURN if turn else 2 * (queue - queues.EXTREMES))
-    kind, g = at // 2, at % 2
-    flow, f = pool.kinds[kind].flow, pool.guards[kind, g].functional if turn or depth else ACCELERATION
-    size, work, c, notes = flows.basis.shape[1], pool.work, pool.series, pool.notes
-    watch, modes, steady = flows.watch[flow, f], flows.modal[flow] != 0, flows.steady[flow] != 0
-    field, shortest, none, present = fields(size), flows.span[flow, 0], vectors.splat(0.0), (1 << count) - 1
-
-    rest, sign, shift = (
-        row_of(pool, field + rows.REST),
-        row_of(pool, field + rows.SIGN),
-        row_of(pool, field + rows.SHIFT),
-    )
-    o, p, q = (
-        row_of(pool, field + rows.AT),
-        row_of(pool, field + rows.AT_SLOPE),
-        row_of(pool, field + rows.AT_CURVATURE),
-    )
-    top, bottom, counts = (
-        row_of(pool, field + rows.TOP),
-        row_of(pool, field + rows.BOTTOM),
-        row_of(pool, field + rows.COUNTS),
-    )
-    most, sixth, _ = curves.bounds(watch, work, size)
-    seen = curves.glance(watch, work, size, none, 0, curves.Curve(none, none, none, most, sixth))
-    v, d, e = sign * (seen.value + o) + shift, sign * (seen.slope + p), sign * (seen.curvature + q)
-    done = 0
-    if depth:
-        bottom = -v
+    flows, work, series = space.flows, space.pool.work, space.series
+    size, none, present, shortest = flows.basis.shape[1], vectors.splat(0.0), (1 << count) - 1, flows.span[flow, 0]
+    rest, sign, shift = field(space, rows.REST), field(space, rows.BY_SIGN), field(space, rows.BY_SHIFT)
+    origin = field(space, rows.AT), field(space, rows.AT_SLOPE), field(space, rows.AT_CURVATURE)
+    jerk, sixth, _ = curves.bounds(flows.watch[flow, f], work, size)
+    seen = curves.glance(flows.watch[flow, f], work, size, none, 0, curves.Curve(none, none, none, jerk, sixth))
+    value = sign * (seen.value + origin[0]) + shift
+    curve = curves.Curve(value, sign * (seen.slope + origin[1]), sign * (seen.curvature + origin[2]), jerk, sixth)
+    top, bottom, done = field(space, rows.TOP), field(space, rows.BOTTOM), 0
+    if sought == DEPTH:
+        bottom = -value
         done = bottom >= top
-    elif not turn:
-        top, bottom = vectors.larger(top, v), vectors.smaller(bottom, v)
+    elif sought == EXTREMES:
+        top, bottom = vectors.larger(top, value), vectors.smaller(bottom, value)
+    known = _Known(curve, top, bottom, rest - field(space, rows.COUNTS))
 
-    # the longest span that passes
-    idle = rest - counts  # before what counts
-    h, k = none + shortest, none
-    near = ~_passes(turn, depth, v, d, e, most, top, bottom, idle, h)
-    if modes:
-        step = 8
-        while step > 0:
-            longer = h * float(1 << step)
-            passes = _passes(turn, depth, v, d, e, most, top, bottom, idle, longer)
-            h, k = vectors.choose(passes, longer, h), vectors.choose(passes, k + 2.0 * step, k)
-            step //= 2
-        longer = h * 1.5
-        passes = _passes(turn, depth, v, d, e, most, top, bottom, idle, longer) & ~near
-        h, k = vectors.choose(passes, longer, h), vectors.choose(passes, k + 1.0, k)
-        h, k = vectors.choose(near, shortest, h), vectors.choose(near, 0.0, k)
+    h, k, near = _longest_empty(known, sought, shortest, flows.modal[flow] != 0)
     near &= present & ~done
     if near != 0:
-        curves.expand(flows.series[flow, f], work, size, shortest, sign, shift, (o, p, q), c)
-        falls = vectors.load(c, 1) < 0.0
-        if depth:
-            done |= near & ~falls
-            near &= falls
-        length = none + 1.0 if depth else vectors.smaller(rest / shortest, none + 1.0)
-        found, straight, s = curves.turning(c, pool.moved, length)
-        value, unclear = curves.value(c, s), near & ~found & ~straight
-        found &= near
-        if turn:
-            found &= falls & (value < top) & (rest - s * shortest <= counts)
-            top, bottom = vectors.choose(found, value, top), vectors.choose(found, value, bottom)
-        elif depth:
-            bottom = vectors.choose(found, -value, bottom)
-            done |= found
-        else:
-            top = vectors.choose(found, vectors.larger(top, value), top)
-            bottom = vectors.choose(found, vectors.smaller(bottom, value), bottom)
-        if unclear != 0:
-            vectors.store(notes, 0, top)
-            vectors.store(notes, 1, bottom)
-            vectors.store(notes, 2, length)
-            vectors.store(notes, 3, idle / shortest)
-            done |= _turn_alone(pool, turn, depth, unclear)
-            top, bottom = vectors.load(notes, 0), vectors.load(notes, 1)
+        taylor.expand(flows.series[flow, f], work, size, shortest, sign, shift, origin, series)
+        top, bottom, through = _search_series(space, known, sought, shortest, rest, near)
+        done |= through
 
-    # go there
-    if depth:
+    if sought == DEPTH:  # whose spans are counted
         rest -= 1.0
         done |= rest <= 0.0
     else:
@@ -112,107 +74,157 @@ def search(pool: Pool, flows: Flows, queue: int, count: int) -> None:
         rest -= h
     done &= present
     if done != present:
-        if modes:
-            vectors.store(notes, 0, k)
-            gather_spans(pool, flows.propagator[flow], size)
-            curves.jump(pool.moved, work, size)
+        if flows.modal[flow] != 0:
+            moving.move_by_spans(space, flow, k)
         else:
-            curves.move(flows.power[flow], flows.generator[flow], modes, none + 1.0, work, size, pool.moved)
-            curves.measure(work, size)
-        if not steady:
-            vectors.store(work, field + rows.AT, o + h * (p + 0.5 * h * q))
-            vectors.store(work, field + rows.AT_SLOPE, p + h * q)
-    vectors.store(work, field + rows.REST, rest)
-    vectors.store(work, field + rows.TOP, top)
-    vectors.store(work, field + rows.BOTTOM, bottom)
-    put_back(pool, pool.asked, field + (rows.AT if steady else rows.AT_CURVATURE), present & ~done)
-    push_all(pool, queue, present & ~done)
-    while done != 0:
-        lane = vectors.first_of(done)
-        done &= done - 1
-        _conclude(pool, kind, turn, depth, lane, field)
+            moving.move_by_parts(space, flow, none + 1.0)
+            moving.measure(work, size)
+        if flows.steady[flow] == 0:
+            set_field(space, rows.AT, origin[0] + h * (origin[1] + 0.5 * h * origin[2]))
+            set_field(space, rows.AT_SLOPE, origin[1] + h * origin[2])
+    set_field(space, rows.REST, rest)
+    set_field(space, rows.TOP, top)
+    set_field(space, rows.BOTTOM, bottom)
+    changing = rows.AT if flows.steady[flow] != 0 else rows.AT_CURVATURE
+    put_back(space.pool, space.searches, space.behind + changing, present & ~done)
+    return int(done)
 
 
 @unowned_inlined
-def _passes(
-    turn: bool,
-    depth: bool,
-    v: Vector,
-    d: Vector,
-    e: Vector,
-    most: Vector,
-    top: Vector,
-    bottom: Vector,
-    idle: Vector,
-    h: Vector,
-) -> int:
-    """Where there is nothing to be found within times h; if so, not within shorter ones either.
+def _longest_empty(known: _Known, sought: int, shortest: float, modes: bool) -> tuple[Vector, Vector, int]:
+    """The longest span of the ladder with nothing to be found, its number, and the lanes where there is none.
 
-    v, d, e, most : value, slope, curvature and a bound of the third derivative
+    Without modes there is but the shortest span.
     """
-    if depth:
-        return int(-d > h * (e + h * (0.5 * most)))
+    h, k = vectors.splat(shortest), vectors.splat(0.0)
+    near = ~_is_empty(known, sought, h)
+    if modes:
+        step = 8
+        while step > 0:
+            longer = h * float(1 << step)
+            passes = _is_empty(known, sought, longer)
+            h, k = vectors.choose(passes, longer, h), vectors.choose(passes, k + 2.0 * step, k)
+            step //= 2
+        longer = h * 1.5
+        passes = _is_empty(known, sought, longer) & ~near
+        h, k = vectors.choose(passes, longer, h), vectors.choose(passes, k + 1.0, k)
+        h, k = vectors.choose(near, shortest, h), vectors.choose(near, 0.0, k)
+    return h, k, near
+
+
+@unowned_inlined
+def _is_empty(known: _Known, sought: int, h: Vector) -> int:
+    """Where there is nothing to be found within times h; if so, not within shorter ones either."""
+    value, slope, curvature, jerk, _ = known.curve
+    if sought == DEPTH:
+        return int(-slope > h * (curvature + h * (0.5 * jerk)))
     none = vectors.splat(0.0)
-    bend = h * (0.5 * vectors.magnitude(e) + h * (most * curves.A_SIXTH))  # off its tangent, over h
-    away = vectors.choose(d > 0.0, -e, e)
-    monotone = h * (away + h * (0.5 * most)) < vectors.magnitude(d)
-    if turn:
-        above = top - v + h * (vectors.larger(-d, none) + bend) <= 0.0
-        return int(above | monotone | (e + h * most < 0.0) | (h <= idle))
-    within = v - top + h * (vectors.larger(d, none) + bend) <= 0.0
-    within &= bottom - v + h * (vectors.larger(-d, none) + bend) <= 0.0
+    off_tangent = h * (0.5 * vectors.magnitude(curvature) + h * (jerk * curves.A_SIXTH))  # over h
+    against = vectors.choose(slope > 0.0, -curvature, curvature)
+    monotone = h * (against + h * (0.5 * jerk)) < vectors.magnitude(slope)
+    if sought == TURN:
+        above = known.top - value + h * (vectors.larger(-slope, none) + off_tangent) <= 0.0
+        return int(above | monotone | (curvature + h * jerk < 0.0) | (h <= known.idle))
+    within = value - known.top + h * (vectors.larger(slope, none) + off_tangent) <= 0.0
+    within &= known.bottom - value + h * (vectors.larger(-slope, none) + off_tangent) <= 0.0
     return int(within | monotone)
 
 
 @unowned_inlined
-def _turn_alone(pool: Pool, turn: bool, depth: bool, bits: int) -> int:
-    """The turning points of some lanes' series, one by one; into the first two notes. Whose depth is known now."""
-    notes, c, found, known = pool.notes, pool.single[0], pool.single[1], 0
-    while bits != 0:
-        lane = vectors.first_of(bits)
-        bits &= bits - 1
-        for j in range(TERMS):
-            c[j] = vectors.number(pool.series, j * WIDTH + lane)
-        falls = c[1] < 0.0
-        for k in range(polynomial.turning_points(c, notes[2, lane], found, pool.ladder)):
-            value = polynomial.value_of(c, TERMS, found[k])
-            if depth:
-                notes[1, lane] = -value
-                known |= 1 << lane
-                break
-            if not turn:
-                notes[0, lane], notes[1, lane] = max(notes[0, lane], value), min(notes[1, lane], value)
-            elif falls and value < notes[0, lane] and found[k] >= notes[3, lane]:
-                notes[0, lane], notes[1, lane] = value, value
-            falls = not falls
-    return known
+def _search_series(
+    space: Workspace, known: _Known, sought: int, shortest: float, rest: Vector, near: int
+) -> tuple[Vector, Vector, int]:
+    """Search the shortest span, whose series is `space.series`, in some lanes.
+
+    Returns
+    -------
+    top, bottom : Vector
+        What is known now.
+    done : int
+        The lanes whose depth is known.
+    """
+    c, top, bottom, done, none = space.series, known.top, known.bottom, 0, vectors.splat(0.0)
+    falls, length = vectors.load(c, 1) < 0.0, none + 1.0
+    if sought == DEPTH:
+        done = near & ~falls
+        near &= falls
+    else:
+        length = vectors.smaller(rest / shortest, length)
+    turns, straight, s = taylor.turning(c, space.moved, length)
+    value, unclear = taylor.value(c, s), near & ~turns & ~straight
+    turns &= near
+    if sought == TURN:
+        turns &= falls & (value < top) & (rest - s * shortest <= field(space, rows.COUNTS))
+        top, bottom = vectors.choose(turns, value, top), vectors.choose(turns, value, bottom)
+    elif sought == DEPTH:
+        bottom = vectors.choose(turns, -value, bottom)
+        done |= turns
+    else:
+        top = vectors.choose(turns, vectors.larger(top, value), top)
+        bottom = vectors.choose(turns, vectors.smaller(bottom, value), bottom)
+    if unclear != 0:
+        notes = space.notes
+        vectors.store(notes, 0, top)
+        vectors.store(notes, 1, bottom)
+        vectors.store(notes, 2, length)
+        vectors.store(notes, 3, known.idle / shortest)
+        done |= _search_one_by_one(space, sought, unclear)
+        top, bottom = vectors.load(notes, 0), vectors.load(notes, 1)
+    return top, bottom, done
 
 
 @unowned_inlined
-def _conclude(pool: Pool, kind: int, turn: bool, depth: bool, lane: int, field: int) -> None:
-    """What a run has looked for is known."""
-    row, bottom = pool.who[lane], pool.work[field + rows.BOTTOM, lane]
-    slot = row // rows.TASKS
-    numbers, own = pool.numbers[slot], pool.runs[slot]
-    half_gap, static, margin = (
-        numbers[field + rows.HALF_GAP],
-        numbers[field + rows.STATIC],
-        abs(numbers[field + rows.MARGIN]),
-    )
-    if turn:
-        nearest = bottom / scale_of(pool, kind, row - slot * rows.TASKS - rows.TURN_TASK, half_gap, static)
-        if nearest < margin:
-            numbers[field + rows.MARGIN] = max(nearest, 0.0)
-            if nearest <= GRAZING:
-                own.quality |= QUALITY_GRAZING
-    elif depth:
-        scale = scale_of(pool, kind, own.ended, half_gap, static)
-        if max(bottom, 0.0) < margin * scale:
-            numbers[field + rows.MARGIN] = -max(bottom, 0.0) / scale
-        own.measured = 1
-    else:
-        top = pool.work[field + rows.TOP, lane]
-        numbers[field + rows.HIGH], numbers[field + rows.LOW] = top, bottom
-        numbers[field + rows.LARGEST] = max(numbers[field + rows.LARGEST], top)
-        numbers[field + rows.SMALLEST] = min(numbers[field + rows.SMALLEST], bottom)
-    push(pool, queues.FOLLOW, slot)
+def _search_one_by_one(space: Workspace, sought: int, mask: int) -> int:
+    """Search all turning points of some lanes' series; TOP and BOTTOM are in the first two notes.
+
+    The third one says up to where, the fourth from where on a turn counts. Returns the lanes whose depth is known.
+    """
+    notes, c, points, done = space.notes, space.alone[0], space.alone[1], 0
+    while mask != 0:
+        lane = vectors.first_of(mask)
+        mask &= mask - 1
+        for j in range(TERMS):
+            c[j] = vectors.number(space.series, j * WIDTH + lane)
+        falls = c[1] < 0.0
+        for k in range(polynomial.turning_points(c, notes[2, lane], points, space.ladder)):
+            value = polynomial.value_of(c, TERMS, points[k])
+            if sought == DEPTH:
+                notes[1, lane] = -value
+                done |= 1 << lane
+                break
+            if sought == EXTREMES:
+                notes[0, lane], notes[1, lane] = max(notes[0, lane], value), min(notes[1, lane], value)
+            elif falls and value < notes[0, lane] and points[k] >= notes[3, lane]:
+                notes[0, lane], notes[1, lane] = value, value
+            falls = not falls
+    return done
+
+
+@unowned_inlined
+def conclude(space: Workspace, sought: int, queue: int, count: int, done: int) -> None:
+    """Append those that are not through to their queue again, and take over what the others have found."""
+    push_all(space.pool, queue, (1 << count) - 1 & ~done)
+    while done != 0:
+        lane = vectors.first_of(done)
+        done &= done - 1
+        item = space.pool.items[lane]
+        slot = item // space.searches_each
+        numbers, run = space.numbers[slot, space.behind :], space.runs[slot]
+        top, bottom = space.pool.work[space.behind + rows.TOP, lane], space.pool.work[space.behind + rows.BOTTOM, lane]
+        if sought == TURN:
+            guard = item - slot * space.searches_each - rows.TURN_SEARCH
+            nearest = bottom / numbers[rows.of_guard(guard) + rows.SCALE]
+            if nearest < abs(numbers[rows.MARGIN]):
+                numbers[rows.MARGIN] = max(nearest, 0.0)
+                if nearest <= GRAZING:
+                    run.quality |= QUALITY_GRAZING
+        elif sought == DEPTH:
+            scale = numbers[rows.of_guard(run.guard) + rows.SCALE]
+            if max(bottom, 0.0) < abs(numbers[rows.MARGIN]) * scale:
+                numbers[rows.MARGIN] = -max(bottom, 0.0) / scale
+            run.measured = 1
+        else:
+            numbers[rows.HIGH], numbers[rows.LOW] = top, bottom
+            numbers[rows.LARGEST] = max(numbers[rows.LARGEST], top)
+            numbers[rows.SMALLEST] = min(numbers[rows.SMALLEST], bottom)
+        push(space.pool, space.queues.follow, slot)

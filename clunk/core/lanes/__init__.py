@@ -1,1 +1,4 @@
-"""Many runs side by side in a processor's vector registers; this knows no physics."""
+"""Many items side by side in a processor's vector registers: the registers, and the queues that fill them.
+
+Nothing here knows what the items are.
+"""

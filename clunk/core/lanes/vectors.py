@@ -1,4 +1,4 @@
-"""Floats of as many runs side by side, in a processor's wide registers: what a compiler does not find by itself.
+"""Vectors of WIDTH floats in a processor's wide registers, one lane each for as many runs side by side.
 
 A lane is added to a lane, compared with it, and so on, by the operators, and with a number as if all lanes had it. A
 comparison is an int, whose bits are the lanes where it holds. No operation here rounds otherwise than its scalar ones,
@@ -18,7 +18,7 @@ from numba.extending import intrinsic, lower_builtin, models, register_model, ty
 
 WIDTH = 16  # two of the widest registers: while one waits for its result, the other works
 ROW = 8  # numbers of a run that `gather` and `scatter` take at a time
-Vector = Any  # what mypy is told of them
+Vector = Any  # for mypy
 
 _ROW = ir.VectorType(ir.DoubleType(), WIDTH)
 _ANY = ir.Constant(_ROW, ir.Undefined)
@@ -43,7 +43,7 @@ _LANES = LanesType()
 
 
 def _operation(code: Callable[..., Any]) -> Any:
-    """What numba inserts as it stands; its first argument, the typing context, is not the caller's."""
+    """Decorate an intrinsic; its first argument, the typing context, is not the caller's."""
     return intrinsic(code)
 
 
@@ -55,10 +55,10 @@ def _splat(builder: Any, x: Any) -> Any:
     return builder.shuffle_vector(builder.insert_element(_ANY, x, ir.IntType(32)(0)), _ANY, _index(*[0] * WIDTH))
 
 
-def _at(context: Any, builder: Any, array: Any, value: Any, first: Any, kind: Any = _ROW) -> Any:
-    """A pointer into an array, to as many numbers as its kind has."""
+def _at(context: Any, builder: Any, array: Any, value: Any, first: Any, shape: Any = _ROW) -> Any:
+    """A pointer into an array, to as many numbers as its shape has."""
     data = context.make_array(array)(context, builder, value).data
-    return builder.bitcast(builder.gep(data, [first]), kind.as_pointer())
+    return builder.bitcast(builder.gep(data, [first]), shape.as_pointer())
 
 
 def _loaded(builder: Any, pointer: Any) -> Any:
@@ -123,9 +123,9 @@ def _by_llvm(name: str) -> Any:
     """An operation on one row of lanes that LLVM has."""
 
     def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        kind = ir.FunctionType(_ROW, [_ROW])
+        signature_of = ir.FunctionType(_ROW, [_ROW])
         module, full = builder.module, f"llvm.{name}.v{WIDTH}f64"
-        return builder.call(cgutils.get_or_insert_function(module, kind, full), values)  # type: ignore[no-untyped-call]
+        return builder.call(cgutils.get_or_insert_function(module, signature_of, full), values)  # type: ignore[no-untyped-call]
 
     return _LANES(_LANES), emit
 
@@ -136,8 +136,8 @@ def fused(typing: Any, a: Any, b: Any, c: Any) -> Any:
 
     def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         sides = [_as_lanes(builder, *side) for side in zip(signature.args, values, strict=True)]
-        kind, name = ir.FunctionType(_ROW, [_ROW] * 3), f"llvm.fma.v{WIDTH}f64"
-        return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), sides)  # type: ignore[no-untyped-call]
+        signature_of, name = ir.FunctionType(_ROW, [_ROW] * 3), f"llvm.fma.v{WIDTH}f64"
+        return builder.call(cgutils.get_or_insert_function(builder.module, signature_of, name), sides)  # type: ignore[no-untyped-call]
 
     return _LANES(a, b, c), emit
 
@@ -174,8 +174,8 @@ def smaller(typing: Any, a: Any, b: Any) -> Any:
     return _LANES(_LANES, _LANES), emit
 
 
-def _as_lanes(builder: Any, kind: Any, value: Any) -> Any:
-    return value if kind == _LANES else _splat(builder, value)
+def _as_lanes(builder: Any, type_: Any, value: Any) -> Any:
+    return value if type_ == _LANES else _splat(builder, value)
 
 
 def _binary(operations: tuple[Any, ...], result: Any, emit: Callable[..., Any]) -> None:
@@ -183,7 +183,7 @@ def _binary(operations: tuple[Any, ...], result: Any, emit: Callable[..., Any]) 
 
     def typed(context: Any) -> Any:
         def types_of(a: Any, b: Any) -> Any:
-            if _LANES in (a, b) and all(kind in (_LANES, types.float64) for kind in (a, b)):
+            if _LANES in (a, b) and all(type_ in (_LANES, types.float64) for type_ in (a, b)):
                 return result
             return None
 
@@ -191,7 +191,7 @@ def _binary(operations: tuple[Any, ...], result: Any, emit: Callable[..., Any]) 
 
     def lower(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         return emit(
-            builder, *(_as_lanes(builder, kind, value) for kind, value in zip(signature.args, values, strict=True))
+            builder, *(_as_lanes(builder, type_, value) for type_, value in zip(signature.args, values, strict=True))
         )
 
     for operation in operations:
@@ -258,10 +258,10 @@ def append(typing: Any, array: Any, first: Any, of: Any, bits: Any) -> Any:
 
     def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         to = context.make_array(signature.args[0])(context, builder, values[0]).data
-        own = context.make_array(signature.args[2])(context, builder, values[2]).data
+        integers = context.make_array(signature.args[2])(context, builder, values[2]).data
         end = values[1]
         for k in range(WIDTH):
-            builder.store(builder.load(builder.gep(own, [_INT(k)])), builder.gep(to, [end]))
+            builder.store(builder.load(builder.gep(integers, [_INT(k)])), builder.gep(to, [end]))
             end = builder.add(end, builder.and_(builder.lshr(values[3], _INT(k)), _INT(1)))
         return end
 
@@ -286,9 +286,9 @@ def _transposed(builder: Any, rows: list[Any]) -> list[Any]:
 
 def _pointers(context: Any, builder: Any, array: Any, value: Any, offsets: Any, offsets_value: Any, first: Any) -> Any:
     data = context.make_array(array)(context, builder, value).data
-    own = context.make_array(offsets)(context, builder, offsets_value).data
+    integers = context.make_array(offsets)(context, builder, offsets_value).data
     for k in range(WIDTH):
-        at = builder.add(builder.load(builder.gep(own, [_INT(k)])), first)
+        at = builder.add(builder.load(builder.gep(integers, [_INT(k)])), first)
         yield builder.bitcast(builder.gep(data, [at]), _EIGHT.as_pointer())
 
 

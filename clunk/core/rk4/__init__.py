@@ -1,1 +1,1 @@
-"""The method of fixed-step RK4, with zero-crossing bisection."""
+"""Fixed-step RK4 with zero-crossing bisection."""

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.regimes import ACCELERATION, System, constrained, unconstrained
+from clunk.core.regimes import ACCELERATION, HALF_GAP, System, constrained, unconstrained
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -19,25 +19,25 @@ _MAX_CONDITION = 1e8  # of an eigenbasis; beyond it half the digits of the modal
 
 
 class Steps(NamedTuple):
-    """RK4's tables for one system; N states, F functionals, 2 flows."""
+    """RK4's tables for one system; N states, I inputs, F functionals, L flows."""
 
     step: float  # s
     stable: int  # whether RK4 is, with this step
     # one full step, x -> (x, outputs); outputs are each functional's value and its Taylor terms of order 2, 3, 4 over
     # the next step, times BEND
-    transfer: FloatArray  # (2, columns, rows)  rows contiguous
-    transfer_input: FloatArray  # (2, 2, rows)
+    transfer: FloatArray  # (L, columns, rows)  rows contiguous
+    transfer_input: FloatArray  # (L, I, rows)
     # BLOCK full steps at once, x -> (x, outputs at every step)
-    block: FloatArray  # (2, columns, rows)
-    block_input: FloatArray  # (2, 2, rows)
-    observe: FloatArray  # (2, columns, outputs)
-    observe_input: FloatArray  # (2, 2, outputs)
+    block: FloatArray  # (L, columns, rows)
+    block_input: FloatArray  # (L, I, rows)
+    observe: FloatArray  # (L, columns, outputs)
+    observe_input: FloatArray  # (L, I, outputs)
     # a bound on all that can follow: amplitudes of decaying modes
-    provable: IntArray  # (2,)  whether the flow's modes give such a bound
-    mode_rows: FloatArray  # (2, 2, N, N)  real and imaginary part of the left eigenvectors, one of each pair
-    mode_reach: FloatArray  # (2, F, N)  largest change of a functional per unit amplitude of a mode
-    rest_state: FloatArray  # (2, N, 2)  equilibrium for (T, s φ/2)
-    rest_functional: FloatArray  # (2, F, 2)
+    provable: IntArray  # (L,)  whether the flow's modes give such a bound
+    mode_rows: FloatArray  # (L, 2, N, N)  real and imaginary part of the left eigenvectors, one of each pair
+    mode_reach: FloatArray  # (L, F, N)  largest change of a functional per unit amplitude of a mode
+    rest_state: FloatArray  # (L, N, I)  equilibrium per unit of the inputs
+    rest_functional: FloatArray  # (L, F, I)
 
 
 def build_steps(system: System, step: float) -> Steps:
@@ -60,7 +60,7 @@ def _propagator(
 
     The outputs of the next state are appended to it, so that stepping and watching are one product.
     """
-    size = rates.shape[1]
+    (flows, size), driven = rates.shape[:2], inputs.shape[2]
     identity = np.eye(size)
     scaled = step * rates
     integral = identity + scaled / 2 @ (identity + scaled / 3 @ (identity + scaled / 4))
@@ -69,26 +69,26 @@ def _propagator(
 
     orders = (0, 2, 3, 4)
     count = functionals.shape[1]
-    output = np.zeros((2, count, len(orders), size))
-    output_input = np.zeros((2, count, len(orders), 2))
+    output = np.zeros((flows, count, len(orders), size))
+    output_input = np.zeros((flows, count, len(orders), driven))
     for k, order in enumerate(orders):
         row, row_input = functionals, feedthrough
         for derivative in range(1, order + 1):
             row, row_input = step / derivative * row @ rates, step / derivative * row @ inputs
         output[:, :, k], output_input[:, :, k] = BEND[k] * row, BEND[k] * row_input
-    rows: FloatArray = output.reshape(2, -1, size)
-    rows_input: FloatArray = output_input.reshape(2, -1, 2)
+    rows: FloatArray = output.reshape(flows, -1, size)
+    rows_input: FloatArray = output_input.reshape(flows, -1, driven)
 
     columns, outputs = _padded(size), rows.shape[1]
-    observe, observe_input = np.zeros((2, columns, outputs)), np.zeros((2, 2, outputs))
+    observe, observe_input = np.zeros((flows, columns, outputs)), np.zeros((flows, driven, outputs))
     observe[:, :size] = rows.transpose(0, 2, 1)
     observe_input[:] = rows_input.transpose(0, 2, 1)
 
     def product(steps: int) -> tuple[FloatArray, FloatArray]:
         """(x, outputs at every step) after `steps` steps."""
         width = _padded(columns + steps * outputs)
-        transfer, transfer_input = np.zeros((2, columns, width)), np.zeros((2, 2, width))
-        power, power_input = np.broadcast_to(identity, (2, size, size)), np.zeros((2, size, 2))
+        transfer, transfer_input = np.zeros((flows, columns, width)), np.zeros((flows, driven, width))
+        power, power_input = np.broadcast_to(identity, (flows, size, size)), np.zeros((flows, size, driven))
         for k in range(steps):
             power, power_input = across @ power, across @ power_input + across_input
             at = slice(columns + k * outputs, columns + (k + 1) * outputs)
@@ -122,13 +122,13 @@ def _modal_bound(system: System, step: float) -> tuple[dict[str, Any], bool]:
     A flow with a mode at zero (it can drift) or with a badly conditioned eigenbasis has no such bound here.
     """
     rates, inputs, functionals, feedthrough = system.rates, system.inputs, system.functionals, system.feedthrough
-    size = rates.shape[1]
+    (flows, size), driven = rates.shape[:2], inputs.shape[2]
     locked = constrained(system.lash[size // 2 :]) if system.impulsive else unconstrained(size)
-    provable = np.zeros(2, dtype=np.int64)
-    mode_rows = np.zeros((2, 2, size, size))
-    mode_reach = np.zeros((2, functionals.shape[1], size))
-    rest_state = np.zeros((2, size, 2))
-    rest_functional = np.zeros((2, functionals.shape[1], 2))
+    provable = np.zeros(flows, dtype=np.int64)
+    mode_rows = np.zeros((flows, 2, size, size))
+    mode_reach = np.zeros((flows, functionals.shape[1], size))
+    rest_state = np.zeros((flows, size, driven))
+    rest_functional = np.zeros((flows, functionals.shape[1], driven))
     stable = True
     for flow, (expand, pick, shift) in enumerate([unconstrained(size), locked]):
         reduced = pick @ rates[flow] @ expand
@@ -149,9 +149,9 @@ def _modal_bound(system: System, step: float) -> tuple[dict[str, Any], bool]:
         mode_rows[flow, 0, :count], mode_rows[flow, 1, :count] = left.real, left.imag
         mode_reach[flow, :, :count] = weight * np.abs(functionals[flow] @ expand @ right)
         forcing = inputs[flow].copy()
-        forcing[:, 1] += rates[flow] @ shift
+        forcing[:, HALF_GAP] += rates[flow] @ shift
         rest_state[flow] = -expand @ np.linalg.solve(reduced, pick @ forcing)
-        rest_state[flow, :, 1] += shift
+        rest_state[flow, :, HALF_GAP] += shift
         rest_functional[flow] = functionals[flow] @ rest_state[flow] + feedthrough[flow]
     rest_functional[:, ACCELERATION] = 0.0  # at rest by definition; the product above leaves rounding
     bound = {

@@ -8,18 +8,18 @@ step's length. Finding an event is finding a zero of p, without integrating anyt
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.jit import compiled
+from clunk.core.jit import unowned
 
 FloatArray = npt.NDArray[np.float64]
 
 
-@compiled
+@unowned
 def evaluate(c0: float, c1: float, c2: float, c3: float, c4: float, s: float) -> float:
     """p(s) by Horner's rule."""
     return c0 + s * (c1 + s * (c2 + s * (c3 + s * c4)))
 
 
-@compiled
+@unowned
 def bisect(c0: float, c1: float, c2: float, c3: float, c4: float, low: float, high: float) -> float:
     """Bisect a sign change of p between `low` and `high` down to neighbouring floating-point numbers.
 
@@ -39,7 +39,7 @@ def bisect(c0: float, c1: float, c2: float, c3: float, c4: float, low: float, hi
     return low
 
 
-@compiled
+@unowned
 def stationary_points(c1: float, c2: float, c3: float, c4: float, length: float) -> tuple[int, float, float, float]:
     """The points of (0, length) at which p' changes sign, in order.
 
@@ -54,7 +54,7 @@ def stationary_points(c1: float, c2: float, c3: float, c4: float, length: float)
         return 0, length, length, length
     cut1, cut2 = _quadratic_roots(d2, 2.0 * d3, 3.0 * d4, length)
     count = 0
-    found1, found2, found3 = length, length, length
+    s1, s2, s3 = length, length, length
     low = 0.0
     value_low = c1
     for piece in range(3):
@@ -65,17 +65,17 @@ def stationary_points(c1: float, c2: float, c3: float, c4: float, length: float)
         if (value_low < 0.0) != (value_high < 0.0):
             root = bisect(c1, d2, d3, d4, 0.0, low, high)
             if count == 0:
-                found1 = root
+                s1 = root
             elif count == 1:
-                found2 = root
+                s2 = root
             else:
-                found3 = root
+                s3 = root
             count += 1
         low, value_low = high, value_high
-    return count, found1, found2, found3
+    return count, s1, s2, s3
 
 
-@compiled
+@unowned
 def _quadratic_roots(a0: float, a1: float, a2: float, length: float) -> tuple[float, float]:
     """The two zeros of a0 + a1 s + a2 s^2, in order; one that is not in (0, length) is replaced by `length`."""
     first, second = length, length
@@ -97,7 +97,7 @@ def _quadratic_roots(a0: float, a1: float, a2: float, length: float) -> tuple[fl
     return min(first, second), max(first, second)
 
 
-@compiled
+@unowned
 def first_negative(c0: float, c1: float, c2: float, c3: float, c4: float, length: float) -> float:
     """The first s of [0, length] from which on p is negative, or -1 where there is none."""
     if c0 < 0.0:
@@ -116,7 +116,7 @@ def first_negative(c0: float, c1: float, c2: float, c3: float, c4: float, length
     return -1.0
 
 
-@compiled
+@unowned
 def extremes(c0: float, c1: float, c2: float, c3: float, c4: float, length: float) -> tuple[float, float]:
     """The largest and the smallest value of p on [0, length], both ends included."""
     end = evaluate(c0, c1, c2, c3, c4, length)

@@ -4,10 +4,12 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.jit import compiled
-from clunk.core.regimes import ACCELERATION, System
+from clunk.core.regimes import ACCELERATION, INPUTS, System
 from clunk.core.rk4.propagator import Steps
+from clunk.core.rk4.step import Phase
 from clunk.core.sequence import find_primaries
 from clunk.core.severity import window_extremes
+from clunk.core.switching import weigh
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -17,12 +19,10 @@ def settled(
     system: System,
     steps: Steps,
     regime: int,
-    torque: float,
-    half_gap: float,
+    phase: Phase,
     x: FloatArray,
     events: npt.NDArray[np.void],
     count: int,
-    primaries: npt.NDArray[np.int64],
 ) -> bool:
     """Whether it is proved that no event follows, and no acceleration beyond the extremes of the open window.
 
@@ -31,9 +31,25 @@ def settled(
     flow = system.regimes[regime].flow
     if steps.provable[flow] == 0:
         return False
-    size = system.rates.shape[1]
-    gap_input = system.regimes[regime].side * half_gap
-    watched = steps.mode_reach.shape[1]
+    reach = _reach(steps, flow, phase, x)
+    for guard in range(system.regimes[regime].guards):
+        functional = system.guards[regime, guard].functional
+        at_rest = phase.sign[guard] * weigh(steps.rest_functional[flow, functional], phase.inputs)
+        if not at_rest + phase.shift[guard] > (1.0 + 1e-9) * reach[functional]:
+            return False
+    primaries = np.empty(events.size, np.int64)
+    impacts = find_primaries(events, count, system.sticking_time, primaries)
+    if impacts == 0 or system.impulsive != 0:  # nothing is asked of the acceleration
+        return True
+    largest, smallest = window_extremes(events, primaries[impacts - 1], count)
+    swing = (1.0 + 1e-9) * reach[ACCELERATION]
+    return bool(largest >= swing and smallest <= -swing)
+
+
+@compiled
+def _reach(steps: Steps, flow: int, phase: Phase, x: FloatArray) -> FloatArray:
+    """How far each functional can get from its rest value from now on: its modes' amplitudes, summed."""
+    size, watched = steps.mode_reach.shape[2], steps.mode_reach.shape[1]
     reach = np.zeros(watched)
     for mode in range(size):
         widest = 0.0
@@ -43,24 +59,12 @@ def settled(
             continue  # the other one of a complex pair, or without effect on anything that is watched
         real, imaginary = 0.0, 0.0
         for k in range(size):
-            away = x[k] - steps.rest_state[flow, k, 0] * torque - steps.rest_state[flow, k, 1] * gap_input
+            away = x[k]
+            for j in range(INPUTS):
+                away -= steps.rest_state[flow, k, j] * phase.inputs[j]
             real += steps.mode_rows[flow, 0, mode, k] * away
             imaginary += steps.mode_rows[flow, 1, mode, k] * away
         amplitude = np.sqrt(real * real + imaginary * imaginary)
         for functional in range(watched):
             reach[functional] += amplitude * steps.mode_reach[flow, functional, mode]
-    for guard in range(system.regimes[regime].guards):
-        row = system.guards[regime, guard]
-        functional = row.functional
-        at_rest = (
-            steps.rest_functional[flow, functional, 0] * torque + steps.rest_functional[flow, functional, 1] * gap_input
-        )
-        value = row.sign * at_rest + row.offset * half_gap
-        if not value > (1.0 + 1e-9) * reach[functional]:
-            return False
-    found = find_primaries(events, count, system.sticking_time, primaries)
-    if found == 0 or system.impulsive != 0:  # nothing is asked of the acceleration
-        return True
-    largest, smallest = window_extremes(events, primaries[found - 1], count)
-    swing = (1.0 + 1e-9) * reach[ACCELERATION]
-    return bool(largest >= swing and smallest <= -swing)
+    return reach

@@ -3,21 +3,53 @@
 The step is expanded into its Taylor polynomial of degree 4 in time. Guards and acceleration are then quartics.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.jit import compiled
-from clunk.core.regimes import ACCELERATION, System
+from clunk.core.jit import compiled, unowned
+from clunk.core.regimes import ACCELERATION, INPUTS, System
 from clunk.core.rk4 import quartic
-from clunk.core.switching import ROUNDING
+from clunk.core.switching import ROUNDING, weigh
 
 FloatArray = npt.NDArray[np.float64]
 
 
+class Phase(NamedTuple):
+    """A run between two events: what its regime makes of the inputs and the guards, and a step's expansion."""
+
+    inputs: FloatArray  # (INPUTS,)  u of the regime
+    at: npt.NDArray[np.int64]  # (G,)  where a guard's functional is among the outputs of a full step
+    sign: FloatArray  # (G,)
+    shift: FloatArray  # (G,)
+    taylor: FloatArray  # (5, N)  x(s) = sum of taylor[k] s^k
+
+
 @compiled
-def expand(system: System, flow: int, x: FloatArray, torque: float, gap_input: float, taylor: FloatArray) -> None:
-    """The step as a polynomial of its length: x(s) = sum of taylor[k] s^k, RK4's own for a linear regime."""
-    size = x.size
+def make_phase(system: System) -> Phase:
+    """Room for the phases of a run."""
+    most = system.guards.shape[1]
+    return Phase(
+        np.empty(INPUTS), np.empty(most, np.int64), np.empty(most), np.empty(most), np.empty((5, system.lash.size))
+    )
+
+
+@unowned
+def enter(phase: Phase, system: System, regime: int, inputs: FloatArray) -> None:
+    """Begin a phase in a regime; `inputs` are d of the run."""
+    for k in range(INPUTS):
+        phase.inputs[k] = system.signs[regime, k] * inputs[k]
+    for g in range(system.regimes[regime].guards):
+        row = system.guards[regime, g]
+        phase.at[g], phase.sign[g] = 4 * row.functional, row.sign
+        phase.shift[g] = weigh(system.offsets[regime, g], inputs)
+
+
+@unowned
+def expand(system: System, flow: int, x: FloatArray, phase: Phase) -> None:
+    """The step as a polynomial of its length: RK4's own for a linear regime."""
+    taylor, size = phase.taylor, x.size
     for k in range(size):
         taylor[0, k] = x[k]
     for order in range(1, 5):
@@ -26,20 +58,13 @@ def expand(system: System, flow: int, x: FloatArray, torque: float, gap_input: f
             for k in range(size):
                 value += system.rates[flow, row, k] * taylor[order - 1, k]
             if order == 1:
-                value += system.inputs[flow, row, 0] * torque + system.inputs[flow, row, 1] * gap_input
+                value += weigh(system.inputs[flow, row], phase.inputs)
             taylor[order, row] = value / order
 
 
-@compiled
+@unowned
 def first_event(
-    system: System,
-    regime: int,
-    torque: float,
-    half_gap: float,
-    taylor: FloatArray,
-    length: float,
-    zero_guard: int,
-    zero_order: int,
+    system: System, regime: int, phase: Phase, length: float, zero_guard: int, zero_order: int
 ) -> tuple[float, int]:
     """When the first of the regime's guards turns negative within `length`, and which; (length, -1) if none does.
 
@@ -47,11 +72,11 @@ def first_event(
     guard within rounding of zero is taken to be zero, so that its derivatives decide.
     """
     earliest, which = length, -1
-    flow, gap_input = system.regimes[regime].flow, system.regimes[regime].side * half_gap
     for guard in range(system.regimes[regime].guards):
-        row = system.guards[regime, guard]
-        functional, sign, shift = row.functional, row.sign, row.offset * half_gap
-        c0, c1, c2, c3, c4, scale = _quartic(system, flow, functional, torque, gap_input, taylor)
+        sign, shift = phase.sign[guard], phase.shift[guard]
+        c0, c1, c2, c3, c4, scale = _quartic(
+            system, system.regimes[regime].flow, system.guards[regime, guard].functional, phase
+        )
         c0, c1, c2, c3, c4 = sign * c0 + shift, sign * c1, sign * c2, sign * c3, sign * c4
         order = zero_order if guard == zero_guard else 0
         if order == 0 and abs(c0) <= ROUNDING * (scale + abs(shift)):
@@ -64,31 +89,27 @@ def first_event(
     return earliest, which
 
 
-@compiled
-def acceleration_extremes(
-    system: System, flow: int, torque: float, gap_input: float, taylor: FloatArray, length: float
-) -> tuple[float, float]:
+@unowned
+def acceleration_extremes(system: System, flow: int, phase: Phase, length: float) -> tuple[float, float]:
     """The largest and the smallest acceleration on the step, both ends included  [rad/s2]."""
-    c0, c1, c2, c3, c4, _ = _quartic(system, flow, ACCELERATION, torque, gap_input, taylor)
+    c0, c1, c2, c3, c4, _ = _quartic(system, flow, ACCELERATION, phase)
     return quartic.extremes(c0, c1, c2, c3, c4, length)
 
 
-@compiled
-def finish(taylor: FloatArray, s: float, x: FloatArray) -> bool:
+@unowned
+def finish(phase: Phase, s: float, x: FloatArray) -> bool:
     """Set `x` to the state after time `s` of the expanded step; return whether it is finite."""
-    finite = True
+    taylor, finite = phase.taylor, True
     for k in range(x.size):
         x[k] = quartic.evaluate(taylor[0, k], taylor[1, k], taylor[2, k], taylor[3, k], taylor[4, k], s)
         finite = finite and np.isfinite(x[k])
     return finite
 
 
-@compiled
-def _quartic(
-    system: System, flow: int, which: int, torque: float, gap_input: float, taylor: FloatArray
-) -> tuple[float, float, float, float, float, float]:
+@unowned
+def _quartic(system: System, flow: int, which: int, phase: Phase) -> tuple[float, float, float, float, float, float]:
     """A functional over the step: the coefficients of its quartic, and the size of the terms that make the first."""
-    driven = system.feedthrough[flow, which, 0] * torque + system.feedthrough[flow, which, 1] * gap_input
+    driven, taylor = weigh(system.feedthrough[flow, which], phase.inputs), phase.taylor
     c0, c1, c2, c3, c4, scale = driven, 0.0, 0.0, 0.0, 0.0, abs(driven)
     for k in range(taylor.shape[1]):
         weight = system.functionals[flow, which, k]

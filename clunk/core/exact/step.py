@@ -1,0 +1,596 @@
+"""One step of runs side by side: a span in which no guard turns negative, or a part of the shortest one to an event.
+
+A span is proposed by guess, and then moved by. Only where it is proved that the guards stayed positive all through it
+does it count; elsewhere a run stays where it was, and tries a shorter one next. Where not even the shortest span will
+probably pass, the guards are expanded into their Taylor series over it, whose first zero is the event.
+
+The fastest pairs of modes, LEVEL of them, are taken out of the guards and bounded by their sway instead, as soon as
+that lets a longer span pass: what rings less than a guard is away from where it counts need not be resolved.
+
+Between its parts, a step keeps rows of lanes: in `looks` of each functional that a guard is made of, behind that of the
+first such guard, and in `guards` of each guard.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.core.exact import curves, moving, polynomial, rows, taylor
+from clunk.core.exact.curves import load_curve, store_curve
+from clunk.core.exact.flows import TERMS
+from clunk.core.exact.workspace import (
+    LOOK,
+    OF_GUARD,
+    Workspace,
+    begin_acceleration_search,
+    begin_search,
+    field,
+    find_origin,
+    set_field,
+)
+from clunk.core.jit import unowned_inlined
+from clunk.core.lanes import vectors
+from clunk.core.lanes.pool import push_all, put_back
+from clunk.core.lanes.vectors import WIDTH, Vector
+from clunk.core.regimes import ACCELERATION
+from clunk.core.status import QUALITY_GRAZING
+from clunk.core.switching import ROUNDING
+
+FloatArray = npt.NDArray[np.float64]
+
+GRAZING = 1e-12  # a guard that turns back within this share of its scale has not turned negative
+_WORTH = 1.0 / 3.0  # of what bounds a guard's jerk: a pair that makes less of it is no obstacle to a longer span
+_CLEAR = 0.5  # of what misses count below: what is left of a guard after a span in which a pair is left out
+_NEXT_TRY = 0.4  # of a span within which a guard was not proved positive
+
+# Rows of `looks`: the functional less its origin and without the pairs that are left out; their sway; the fastest pair
+# that is still in it, and its sway; the sway of all; the origin's value, slope and curvature; what the pairs that are
+# left out add to the slope at most.
+_SLOWER, _RING, _PAIR, _PAIR_SWAY, _SWAY, _ORIGIN, _RUSH = 0, 5, 6, 11, 12, 13, 16
+# Rows of `guards`: the guard at the step's beginning, at its end, and with a margin; its least value and the sixth
+# derivative's part in between, as `curves.between` has them.
+_START, _END, _CLEARED, _LEAST, _PARTS = 0, 5, 10, 15, 16
+
+
+class _Outcomes(NamedTuple):
+    """The lanes of a step, as masks, by what came of it."""
+
+    settled: int  # nothing can follow
+    lost: int  # nothing is finite any more
+    ends: int  # the end of the run is reached, if nothing happens before
+    close: int  # not even the shortest span will probably pass next
+    grazing: int  # a guard all but turned negative
+    happened: int  # an event, whose guard is in the first of the notes
+    deep: int  # whose guard goes certainly deeper than the margin is
+    turns: int  # the acceleration may have an extreme that counts
+
+
+@unowned_inlined
+def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
+    """Take a step with the `count` runs that have been taken: of a span, or of a part of the shortest one.
+
+    group : of regimes, the one that all these runs are in
+    """
+    system, flows, pool = space.system, space.flows, space.pool
+    regime = system.leaders[group]
+    flow = system.regimes[regime].flow
+    size, none, present = flows.basis.shape[1], vectors.splat(0.0), (1 << count) - 1
+    shortest, deepest = flows.span[flow, 0], min(flows.ringing[flow], size // 2 - 1)
+    elapsed, level = field(space, rows.ELAPSED), field(space, rows.LEVEL)
+    rest = field(space, rows.LIMIT) - elapsed
+
+    _look(space, regime, level, deepest)
+    acceleration, sixth, beaten = _may_beat_window(space, flow)
+    settled = 0
+    if flows.steady[flow] != 0:
+        settled = _stay_positive(space, regime) & ~beaten & present
+    there = present & ~settled
+    _take_zeros(space, regime)
+
+    event, ends, lost, grazing, blocked = none - 1.0, 0, 0, 0, 0
+    if short:
+        k, whole, part = none - 1.0, none + shortest, vectors.smaller(rest / shortest, none + 1.0)
+        ends = (rest <= shortest) & there
+        event, part, lost, grazing = _find_event(space, regime, there, part)
+        h = whole * part
+    else:
+        h, k, level, blocked = _propose_span(space, regime, level, deepest)
+        blocked &= there
+        part = none
+    advancing = there & ~blocked & ~lost
+    _bound_slopes_left_out(space, regime, level, deepest)
+
+    if short:
+        moving.move_by_parts(space, flow, part)
+        if flows.modal[flow] == 0:
+            moving.measure(pool.work, size)  # of modes, the amplitudes of before will do for so short a time
+    else:
+        moving.move_by_spans(space, flow, k)
+    elapsed += h
+    set_field(space, rows.ELAPSED, elapsed)
+
+    failed, close, sunk = _prove(space, regime, level, deepest, h)
+    # a span beyond the end of the run counts as failed, so that no event depends on where that end is
+    failed = 0 if short else (failed | (h > rest)) & advancing
+    advancing &= ~failed
+    turns = _watch_acceleration(space, flow, acceleration, sixth, h, beaten & advancing)
+    misses = _find_misses(space, regime, level, event, h, advancing)
+    set_field(space, rows.LEVEL, vectors.choose(sunk, 0.0, level))
+    set_field(space, rows.ZERO_GUARD, none - 1.0)
+    set_field(space, rows.TRY, none + np.inf)
+
+    happened, deep = (event >= 0.0) & advancing, 0
+    if happened != 0:
+        deep = _certainly_deep(space, regime, event)
+        moving.to_states(space, flow, happened)
+        vectors.store(space.notes, 0, event)
+    put_back(pool, space.numbers, space.behind + rows.CHANGING, advancing)
+    _set_where_they_were(space, rows.LEVEL, none, blocked)
+    _set_where_they_were(space, rows.TRY, _NEXT_TRY * h, failed)
+
+    special = (settled | lost | ends | grazing | happened | turns | misses) & present
+    if flows.modal[flow] != 0:
+        push_all(pool, space.queues.short + group, (blocked | close & advancing) & ~special)
+        push_all(pool, space.queues.span + group, (advancing & ~close | failed) & ~special)
+    else:
+        push_all(pool, space.queues.short + group, advancing & ~special)
+    push_all(pool, space.queues.follow, special)
+    _note_outcomes(space, regime, special, _Outcomes(settled, lost, ends, close, grazing, happened, deep, turns))
+
+
+@unowned_inlined
+def _note_outcomes(space: Workspace, regime: int, special: int, lanes: _Outcomes) -> None:
+    """Write to some runs how the step ended for them, and what is to be searched for within it."""
+    while special != 0:
+        lane = vectors.first_of(special)
+        special &= special - 1
+        run, bit = space.runs[space.pool.items[lane]], 1 << lane
+        run.seeks_extremes, run.seeks_turns = lanes.turns >> lane & 1, 0
+        for n in range(space.system.regimes[regime].watched):
+            run.seeks_turns |= (space.turned[n] >> lane & 1) << n
+        run.measured = lanes.deep >> lane & 1
+        if lanes.grazing & bit:
+            run.quality |= QUALITY_GRAZING
+        if lanes.settled & bit:
+            run.ended = rows.SETTLED
+        elif lanes.lost & bit:
+            run.ended = rows.LOST
+        elif lanes.happened & bit:
+            run.ended, run.guard = rows.BY_EVENT, int(vectors.number(space.notes, lane))
+        else:
+            run.ended = rows.AT_END if lanes.ends & bit else (rows.NEARS if lanes.close & bit else rows.GOES_ON)
+
+
+@unowned_inlined
+def _look(space: Workspace, regime: int, level: Vector, deepest: int) -> None:
+    """The guards at the step's beginning, without the pairs that are left out already."""
+    system, work, looks, size = space.system, space.pool.work, space.looks, space.flows.basis.shape[1]
+    flow = system.regimes[regime].flow
+    for n in range(system.regimes[regime].watched):
+        alike, f = system.guards[regime, n].alike, system.guards[regime, n].functional
+        at = alike * LOOK
+        if alike == n:
+            slower, ring, pair, pair_sway, sway = curves.look(space.flows.watch[flow, f], work, size, level, deepest)
+            store_curve(looks, at + _SLOWER, slower)
+            vectors.store(looks, at + _RING, ring)
+            store_curve(looks, at + _PAIR, pair)
+            vectors.store(looks, at + _PAIR_SWAY, pair_sway)
+            vectors.store(looks, at + _SWAY, sway)
+            _find_origin(space, flow, f, at)
+        store_curve(space.guards, n * OF_GUARD + _START, _guard(space, n, at))
+
+
+@unowned_inlined
+def _find_origin(space: Workspace, flow: int, f: int, at: int) -> None:
+    """Value, slope and curvature of a functional's origin, into `looks`."""
+    first, steady = space.behind + rows.INPUT, space.flows.steady[flow] != 0
+    output, elapsed = space.flows.origin_output[flow], field(space, rows.ELAPSED)
+    value, slope, curvature = curves.origin(output, f, space.pool.work, first, steady, elapsed)
+    vectors.store(space.looks, at + _ORIGIN, value)
+    vectors.store(space.looks, at + _ORIGIN + 1, slope)
+    vectors.store(space.looks, at + _ORIGIN + 2, curvature)
+
+
+@unowned_inlined
+def _guard(space: Workspace, n: int, at: int) -> curves.Curve:
+    """Guard n, less the sway of the pairs that are left out, by the functional that is kept from row `at` on."""
+    looks = space.looks
+    origin = (
+        vectors.load(looks, at + _ORIGIN),
+        vectors.load(looks, at + _ORIGIN + 1),
+        vectors.load(looks, at + _ORIGIN + 2),
+    )
+    shift = field(space, rows.of_guard(n) + rows.SHIFT) - vectors.load(looks, at + _RING)
+    return curves.as_guard(load_curve(looks, at + _SLOWER), origin, field(space, rows.of_guard(n) + rows.SIGN), shift)
+
+
+@unowned_inlined
+def _bar(space: Workspace, n: int) -> Vector:
+    """How low guard n has to turn back to make the margin smaller, or how deep an event's guard may at most go."""
+    return vectors.magnitude(field(space, rows.MARGIN)) * field(space, rows.of_guard(n) + rows.SCALE)
+
+
+@unowned_inlined
+def _zero_order(space: Workspace, n: int) -> Vector:
+    """How many derivatives of guard n are zero at the step's beginning, itself included."""
+    is_zero = field(space, rows.ZERO_GUARD) == float(n)
+    return vectors.choose(is_zero, field(space, rows.ZERO_ORDER), 0.0)
+
+
+@unowned_inlined
+def _may_beat_window(space: Workspace, flow: int) -> tuple[Vector, Vector, int]:
+    """Where the acceleration can come to exceed what its window holds.
+
+    Returns
+    -------
+    origin, sixth : Vector
+        What it is at rest, and a bound of its sixth derivative.
+    beaten : int
+    """
+    flows, work, size = space.flows, space.pool.work, space.flows.basis.shape[1]
+    none, first = vectors.splat(0.0), space.behind + rows.INPUT
+    origin, _, _ = curves.origin(flows.origin_output[flow], ACCELERATION, work, first, True, none)
+    _, sixth, swing = curves.bounds(flows.watch[flow, ACCELERATION], work, size)
+    return origin, sixth, (origin + swing > field(space, rows.HIGH)) | (origin - swing < field(space, rows.LOW))
+
+
+@unowned_inlined
+def _stay_positive(space: Workspace, regime: int) -> int:
+    """Where all guards will stay positive for ever, without a miss that counts."""
+    stay = -1
+    for n in range(space.system.regimes[regime].watched):
+        at = space.system.guards[regime, n].alike * LOOK
+        rest = field(space, rows.of_guard(n) + rows.SIGN) * vectors.load(space.looks, at + _ORIGIN)
+        least = rest + field(space, rows.of_guard(n) + rows.SHIFT) - vectors.load(space.looks, at + _SWAY)
+        stay &= (least > 0.0) & (least >= _bar(space, n))
+    return stay
+
+
+@unowned_inlined
+def _take_zeros(space: Workspace, regime: int) -> None:
+    """Let the value of a guard be zero, to the last bit, where it is known to be."""
+    for n in range(space.system.regimes[regime].guards):
+        row = n * OF_GUARD + _START
+        is_zero = _zero_order(space, n) == 1.0
+        vectors.store(space.guards, row, vectors.choose(is_zero, 0.0, vectors.load(space.guards, row)))
+
+
+@unowned_inlined
+def _propose_span(space: Workspace, regime: int, level: Vector, deepest: int) -> tuple[Vector, Vector, Vector, int]:
+    """The longest span in which, by guess, no guard turns negative; with one more pair left out where that helps.
+
+    Returns
+    -------
+    h, k : Vector
+        The span, and its number on the ladder.
+    level : Vector
+        How many pairs are left out now.
+    blocked : int
+        The lanes where not even the shortest span will probably pass.
+    """
+    system, guards, looks = space.system, space.guards, space.looks
+    count, watched = system.regimes[regime].guards, system.regimes[regime].watched
+    shortest, at_most = space.flows.span[system.regimes[regime].flow, 0], field(space, rows.TRY)
+    h, k = curves.longest(shortest, guards, _START, OF_GUARD, count, at_most)
+    # where a guard is zero with its slope, its series decides
+    is_level = (field(space, rows.ZERO_GUARD) >= 0.0) & (field(space, rows.ZERO_ORDER) > 1.0)
+    k = vectors.choose(is_level, -1.0, k)
+    # nothing is left out where it would not tell a miss that counts from one that does not
+    deeper, worth = (level < float(deepest)) & ~is_level & ((k >= 0.0) | (level == 0.0)), 0
+    for n in range(watched):
+        at = system.guards[regime, n].alike * LOOK
+        start, pair = load_curve(guards, n * OF_GUARD + _START), load_curve(looks, at + _PAIR)
+        worth |= pair.jerk > _WORTH * start.jerk
+        if n < count:
+            slower = start.value - field(space, rows.of_guard(n) + rows.SIGN) * pair.value
+            deeper &= slower - vectors.load(looks, at + _PAIR_SWAY) > _bar(space, n)
+    deeper &= worth
+    if deeper != 0:
+        for n in range(count):
+            cleared = curves.less(_without_pair(space, regime, n), _CLEAR * _bar(space, n))
+            store_curve(guards, n * OF_GUARD + _CLEARED, cleared)
+        longer, number = curves.longest(shortest, guards, _CLEARED, OF_GUARD, count, at_most)
+        deeper &= number > k
+        k, h = vectors.choose(deeper, number, k), vectors.choose(deeper, longer, h)
+        level = vectors.choose(deeper, level + 1.0, level)
+        for n in range(watched):
+            row, alike = n * OF_GUARD + _START, system.guards[regime, n].alike
+            slower = curves.either(deeper, _without_pair(space, regime, n), load_curve(guards, row))
+            store_curve(guards, row, slower)
+            if alike == n:
+                at = alike * LOOK
+                more = vectors.choose(deeper, vectors.load(looks, at + _PAIR_SWAY), 0.0)
+                vectors.store(looks, at + _RING, vectors.load(looks, at + _RING) + more)
+    passes = int(k >= 0.0)
+    for n in range(count):
+        passes &= vectors.load(guards, n * OF_GUARD + _START) >= 0.0
+    return h, k, level, ~passes
+
+
+@unowned_inlined
+def _without_pair(space: Workspace, regime: int, n: int) -> curves.Curve:
+    """Guard n at the step's beginning without the fastest pair that is still in it."""
+    at = space.system.guards[regime, n].alike * LOOK
+    start, pair = load_curve(space.guards, n * OF_GUARD + _START), load_curve(space.looks, at + _PAIR)
+    sway = vectors.load(space.looks, at + _PAIR_SWAY)
+    return curves.without(start, pair, field(space, rows.of_guard(n) + rows.SIGN), sway)
+
+
+@unowned_inlined
+def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tuple[Vector, Vector, int, int]:
+    """The first guard that turns negative within a part of the shortest span.
+
+    Guards of one functional are seldom near in the same lane: their series are expanded together, each lane that of the
+    first one that is near in it.
+
+    Returns
+    -------
+    event, part : Vector
+        The guard, or -1, and up to which part of the shortest span.
+    lost, grazing : int
+        The lanes where nothing is finite any more, and where a guard all but turned negative.
+    """
+    system, flows, looks, series = space.system, space.flows, space.looks, space.series
+    flow, count = system.regimes[regime].flow, system.regimes[regime].guards
+    shortest, size, none = flows.span[flow, 0], flows.basis.shape[1], vectors.splat(0.0)
+    event, lost, grazing = none - 1.0, 0, 0
+    for n in range(count):
+        start = load_curve(space.guards, n * OF_GUARD + _START)
+        near = ~(curves.low(start, none + shortest) > 0.0) | (_zero_order(space, n) >= 2.0)
+        space.turned[n] = near & there
+    for n in range(count):
+        alike, f = system.guards[regime, n].alike, system.guards[regime, n].functional
+        if alike != n:
+            continue
+        for _ in range(count):
+            near, guard, sign, shift, scale, order = 0, none, none, none, none, none
+            for m in range(n, count):
+                if system.guards[regime, m].alike == n:
+                    first = space.turned[m] & ~near
+                    near |= first
+                    space.turned[m] &= ~first
+                    guard = vectors.choose(first, float(m), guard)
+                    sign = vectors.choose(first, field(space, rows.of_guard(m) + rows.SIGN), sign)
+                    shift = vectors.choose(first, field(space, rows.of_guard(m) + rows.SHIFT), shift)
+                    scale = vectors.choose(first, field(space, rows.of_guard(m) + rows.SCALE), scale)
+                    order = vectors.choose(first, _zero_order(space, m), order)
+            if near == 0:
+                break
+            at = n * LOOK
+            origin = (
+                vectors.load(looks, at + _ORIGIN),
+                vectors.load(looks, at + _ORIGIN + 1),
+                vectors.load(looks, at + _ORIGIN + 2),
+            )
+            taylor.expand(flows.series[flow, f], space.pool.work, size, shortest, sign, shift, origin, series)
+            noise = vectors.magnitude(origin[0]) + vectors.magnitude(shift) + vectors.load(looks, at + _SWAY)
+            crosses, bad, grazes, s = _first_zero(space, near, order, ROUNDING * noise, scale, part)
+            lost |= bad
+            grazing |= grazes
+            crosses &= (event < 0.0) | (s < part)
+            event, part = vectors.choose(crosses, guard, event), vectors.choose(crosses, s, part)
+    return event, part, lost, grazing
+
+
+@unowned_inlined
+def _first_zero(
+    space: Workspace, near: int, order: Vector, noise: Vector, scale: Vector, part: Vector
+) -> tuple[int, int, int, Vector]:
+    """The first zero within a part of the shortest span of the guards whose series are `space.series`.
+
+    near : the lanes that are concerned
+    order : how many of a guard's derivatives are zero at the beginning, itself included
+    noise, scale : its rounding, and what its grazing is relative to
+
+    Returns
+    -------
+    crosses, lost, grazes : int
+        The lanes where a guard turns negative, where nothing is finite, and where it does not turn negative, but turns
+        back within GRAZING.
+    s : Vector
+        In shares of the shortest span.
+    """
+    c = space.series
+    start = vectors.load(c, 0)
+    lost = near & ~(start - start == 0.0)
+    near &= ~lost
+    within = vectors.larger(noise, GRAZING * scale)
+    order = vectors.choose((order == 0.0) & (start <= noise) & (start >= -within), 1.0, order)
+    for n in range(3):  # zeros at the beginning are divided out
+        shifted = order > float(n)
+        if shifted == 0:
+            break
+        for j in range(TERMS - 1):
+            vectors.store(c, j, vectors.choose(shifted, vectors.load(c, j + 1), vectors.load(c, j)))
+        vectors.store(c, TERMS - 1, vectors.choose(shifted, 0.0, vectors.load(c, TERMS - 1)))
+    crosses, positive, s, fall, half = taylor.crossing(c, part, False)
+    unclear = near & ~crosses & ~positive
+    if unclear != 0:
+        notes = space.notes
+        vectors.store(notes, 0, s)
+        vectors.store(notes, 1, fall)
+        vectors.store(notes, 2, half)
+        vectors.store(notes, 3, part)
+        crosses |= _first_zeros_one_by_one(space, unclear)
+        s, fall, half = vectors.load(notes, 0), vectors.load(notes, 1), vectors.load(notes, 2)
+    # only where it falls at once can it turn back within rounding
+    start = vectors.load(c, 0)
+    fall = vectors.choose(order > 0.0, start, fall)
+    bend = vectors.choose(order > 0.0, 2.0 * vectors.load(c, 1), 2.0 * half)
+    tangent = (s > 0.0) | (order > 0.0) | (start >= -within)
+    tangent &= (bend > 0.0) & (order < 2.0) & (fall * fall <= 2.0 * bend * GRAZING * scale)
+    crosses &= near
+    return crosses & ~tangent, lost, crosses & tangent, s
+
+
+@unowned_inlined
+def _first_zeros_one_by_one(space: Workspace, mask: int) -> int:
+    """Zero, slope and half the curvature of some lanes' series, into the first notes; the lanes that have a zero.
+
+    The fourth of the notes says up to where.
+    """
+    notes, c, crosses = space.notes, space.alone[0], 0
+    while mask != 0:
+        lane = vectors.first_of(mask)
+        mask &= mask - 1
+        for j in range(TERMS):
+            c[j] = vectors.number(space.series, j * WIDTH + lane)
+        zero = polynomial.first_negative_of(c, notes[3, lane], space.alone[1], space.ladder)
+        if zero >= 0.0:
+            crosses |= 1 << lane
+            notes[0, lane] = zero
+            _, notes[1, lane], notes[2, lane] = polynomial.derivatives(c, TERMS, zero)
+    return crosses
+
+
+@unowned_inlined
+def _bound_slopes_left_out(space: Workspace, regime: int, level: Vector, deepest: int) -> None:
+    """What the pairs that are left out add to the slopes of functionals at most, from the step's beginning on."""
+    system, size = space.system, space.flows.basis.shape[1]
+    for n in range(system.regimes[regime].watched):
+        if system.guards[regime, n].alike == n:
+            watch = space.flows.watch[system.regimes[regime].flow, system.guards[regime, n].functional]
+            bound = curves.rush(watch, space.pool.work, size, level, deepest)
+            vectors.store(space.looks, n * LOOK + _RUSH, bound)
+
+
+@unowned_inlined
+def _prove(space: Workspace, regime: int, level: Vector, deepest: int, h: Vector) -> tuple[int, int, int]:
+    """Look at the guards at the step's end, and prove that they stayed positive over its time h.
+
+    Returns
+    -------
+    failed : int
+        The lanes where that is not proved.
+    close : int
+        The lanes where not even the shortest span will probably pass next.
+    sunk : int
+        The lanes where nothing should be left out of the guards any more.
+    """
+    system, guards, looks = space.system, space.guards, space.looks
+    flow, count = system.regimes[regime].flow, system.regimes[regime].guards
+    shortest, size = vectors.splat(space.flows.span[flow, 0]), space.flows.basis.shape[1]
+    failed, close, sunk = 0, 0, 0
+    for n in range(system.regimes[regime].watched):
+        alike, f = system.guards[regime, n].alike, system.guards[regime, n].functional
+        at, row = alike * LOOK, n * OF_GUARD
+        if alike == n:
+            before = load_curve(looks, at + _SLOWER)
+            seen = curves.glance(space.flows.watch[flow, f], space.pool.work, size, level, deepest, before)
+            store_curve(looks, at + _SLOWER, seen)
+            _find_origin(space, flow, f, at)
+        start = load_curve(guards, row + _START)
+        end = curves.with_bounds(_guard(space, n, at), start)
+        least, _, parts = curves.between(start, end, h)
+        store_curve(guards, row + _END, end)
+        vectors.store(guards, row + _LEAST, least)
+        vectors.store(guards, row + _PARTS, parts)
+        if n < count:
+            near = curves.guess(end, shortest) <= 0.0
+            close |= near
+            sunk |= near | (end.value < 0.0)
+            failed |= ~(vectors.smaller(least, end.value) > 0.0)
+    return failed, close, sunk
+
+
+@unowned_inlined
+def _watch_acceleration(space: Workspace, flow: int, origin: Vector, sixth: Vector, h: Vector, beaten: int) -> int:
+    """See what the acceleration did within a time h, and begin to search its extremes where one may count.
+
+    beaten : the lanes where it can exceed what its window holds; returns those in which to search
+    """
+    work, notes, size, none = space.pool.work, space.notes, space.flows.basis.shape[1], vectors.splat(0.0)
+    start = curves.Curve(
+        field(space, rows.SEEN), field(space, rows.SEEN_SLOPE), field(space, rows.SEEN_CURVATURE), none, sixth
+    )
+    seen = curves.glance(space.flows.watch[flow, ACCELERATION], work, size, none, 0, start)
+    last = seen.value + origin
+    end = curves.Curve(last, seen.slope, seen.curvature, none, sixth)
+    high, low = vectors.larger(field(space, rows.HIGH), last), vectors.smaller(field(space, rows.LOW), last)
+    turns = 0
+    if beaten != 0:
+        least, greatest, parts = curves.between(start, end, h)
+        monotone, _ = curves.turns_not(start, end, parts, none, h)
+        turns = ((greatest > high) | (least < low)) & beaten & ~monotone
+    set_field(space, rows.HIGH, high)
+    set_field(space, rows.LOW, low)
+    set_field(space, rows.LARGEST, vectors.larger(field(space, rows.LARGEST), last))
+    set_field(space, rows.SMALLEST, vectors.smaller(field(space, rows.SMALLEST), last))
+    set_field(space, rows.SEEN, last)
+    set_field(space, rows.SEEN_SLOPE, seen.slope)
+    set_field(space, rows.SEEN_CURVATURE, seen.curvature)
+    if turns != 0:
+        vectors.store(notes, 0, h)
+        vectors.store(notes, 1, origin)
+        mask = turns
+        while mask != 0:
+            lane = vectors.first_of(mask)
+            mask &= mask - 1
+            begin_acceleration_search(space, space.pool.items[lane], notes[0, lane], notes[1, lane])
+    return int(turns)
+
+
+@unowned_inlined
+def _find_misses(space: Workspace, regime: int, level: Vector, event: Vector, h: Vector, advancing: int) -> int:
+    """Begin to search the lowest turn of guards where one may be a near miss; the lanes of each into `turned`.
+
+    A miss is what turned back on the way; but a guard that was level at the beginning, rounding would have turn.
+    """
+    system, guards, looks, elapsed = space.system, space.guards, space.looks, field(space, rows.ELAPSED)
+    held_from, misses = field(space, rows.HELD_FROM), 0
+    counts = advancing & (elapsed > held_from)
+    for n in range(system.regimes[regime].watched):
+        row, at = n * OF_GUARD, system.guards[regime, n].alike * LOOK
+        start, end = load_curve(guards, row + _START), load_curve(guards, row + _END)
+        least, parts = vectors.load(guards, row + _LEAST), vectors.load(guards, row + _PARTS)
+        fresh = (_zero_order(space, n) > 1.0) & (held_from <= 0.0)
+        may = counts & (field(space, rows.of_guard(n) + rows.SCALE) > 0.0) & ~(event == float(n)) & ~fresh
+        may &= vectors.smaller(vectors.smaller(start.value, end.value), least) < _bar(space, n)
+        monotone, crest = curves.turns_not(start, end, parts, vectors.load(looks, at + _RUSH), h)
+        may &= ~monotone & ~(crest & (level == 0.0))
+        space.turned[n] = may
+        misses |= may
+        if may != 0:
+            _begin_turn_searches(space, regime, n, h, elapsed, may)
+    return int(misses)
+
+
+@unowned_inlined
+def _begin_turn_searches(space: Workspace, regime: int, n: int, h: Vector, elapsed: Vector, mask: int) -> None:
+    """Begin to search the lowest turn of guard n within the step, in some lanes."""
+    notes = space.notes
+    vectors.store(notes, 0, h)
+    vectors.store(notes, 1, elapsed)
+    while mask != 0:
+        lane = vectors.first_of(mask)
+        mask &= mask - 1
+        slot = space.pool.items[lane]
+        numbers, at = space.numbers[slot, space.behind :], rows.of_guard(n)
+        find_origin(space, slot, space.system.guards[regime, n].functional)
+        sign, shift = numbers[at + rows.SIGN], numbers[at + rows.SHIFT]
+        begin_search(space, slot, rows.TURN_SEARCH + n, notes[0, lane], sign, shift)
+        wanted = space.searches[slot * space.searches_each + rows.TURN_SEARCH + n, space.behind :]
+        wanted[rows.COUNTS] = notes[1, lane] - numbers[rows.HELD_FROM]
+
+
+@unowned_inlined
+def _certainly_deep(space: Workspace, regime: int, event: Vector) -> int:
+    """Where the guard of an event goes certainly deeper than the margin is, so that it does not make it."""
+    deep = 0
+    for n in range(space.system.regimes[regime].guards):
+        end = load_curve(space.guards, n * OF_GUARD + _END)
+        deep |= (event == float(n)) & (curves.falls_by(end) - _bar(space, n) >= 0.0)
+    return deep
+
+
+@unowned_inlined
+def _set_where_they_were(space: Workspace, name: int, values: Vector, mask: int) -> None:
+    """Set one number of runs that stay where they were."""
+    if mask != 0:
+        vectors.store(space.notes, 1, values)
+        at = space.behind + name
+        while mask != 0:
+            lane = vectors.first_of(mask)
+            mask &= mask - 1
+            space.numbers[space.pool.items[lane], at] = space.notes[1, lane]

@@ -1,0 +1,145 @@
+"""Taylor series over the shortest span, side by side: zeros and turning points where there can be but one.
+
+Elsewhere they are searched one by one, by `polynomial`.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.core.exact.curves import weight
+from clunk.core.exact.flows import TERMS
+from clunk.core.jit import unowned_inlined
+from clunk.core.lanes import vectors
+from clunk.core.lanes.vectors import Vector, fused
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@unowned_inlined
+def expand(
+    series: FloatArray,
+    work: FloatArray,
+    size: int,
+    shortest: float,
+    sign: Vector,
+    shift: Vector,
+    origin: tuple[Vector, Vector, Vector],
+    c: FloatArray,
+) -> None:
+    """The Taylor coefficients over the shortest span of sign times a functional plus shift.
+
+    shortest : the span  [s]
+    origin : the functional's: value, slope and curvature
+    c : (TERMS, WIDTH) float64
+        Output.
+    """
+    value, slope, curvature = origin
+    for j in range(TERMS):
+        total = vectors.splat(0.0)
+        for k in range(size):
+            total = fused(vectors.load(work, k), weight(series, 2 * k, j), total)
+        if j == 0:
+            total += value
+        elif j == 1:
+            total += shortest * slope
+        elif j == 2:
+            total += 0.5 * shortest * shortest * curvature
+        vectors.store(c, j, sign * total)
+    vectors.store(c, 0, vectors.load(c, 0) + shift)
+
+
+@unowned_inlined
+def derivatives(c: FloatArray, s: Vector) -> tuple[Vector, Vector, Vector]:
+    """Value, slope and half the second derivative of a series: Horner's rule, even and odd powers side by side."""
+    none = vectors.splat(0.0)
+    square = s * s
+    even, odd, even_slope, odd_slope, even_half, odd_half = none, none, none, none, none, none  # by s²
+    for k in range(TERMS // 2 - 1, -1, -1):
+        even_half, odd_half = fused(even_half, square, even_slope), fused(odd_half, square, odd_slope)
+        even_slope, odd_slope = fused(even_slope, square, even), fused(odd_slope, square, odd)
+        even, odd = fused(even, square, vectors.load(c, 2 * k)), fused(odd, square, vectors.load(c, 2 * k + 1))
+    value = fused(s, odd, even)
+    slope = fused(2.0, fused(s, even_slope, square * odd_slope), odd)
+    half = fused(4.0 * square, fused(s, odd_half, even_half), fused(3.0 * s, odd_slope, even_slope))
+    return value, slope, half
+
+
+@unowned_inlined
+def crossing(c: FloatArray, length: Vector, only: bool) -> tuple[int, int, Vector, Vector, Vector]:
+    """The first zero of a series that is positive at first, where it falls, or is concave, all the way to it.
+
+    length : at most 1
+    only : whether it is to fall, or be concave, all the length, so that there is no other zero
+
+    Returns
+    -------
+    crosses : int
+        The lanes where such a zero is.
+    none : int
+        The lanes where the series stays positive.
+    s, slope, half : Vector
+        The zero, the slope there, and half the curvature.
+    """
+    none = vectors.splat(0.0)
+    c0, c1, c2 = vectors.load(c, 0), vectors.load(c, 1), vectors.load(c, 2)
+    # of its first three terms
+    root = vectors.root(vectors.larger(c1 * c1 - 4.0 * c0 * c2, none))
+    s = vectors.choose(c1 < 0.0, 2.0 * c0 / (root - c1), -0.5 * (c1 + root) / c2)
+    slope, half, crosses, alive = none, none, 0, (c0 > 0.0) & (s >= 0.0)
+    for _ in range(3):
+        alive &= s <= length
+        if alive == 0:
+            break
+        value, slope_here, half_here = derivatives(c, s)
+        moved = s - value * slope_here / (slope_here * slope_here - value * half_here)
+        s = vectors.choose(alive, moved, s)
+        slope, half = vectors.choose(alive, slope_here, slope), vectors.choose(alive, half_here, half)
+        # what is left of the error is the square of how much the slope changed in this step, as a share of the step
+        steady = vectors.magnitude(value * half_here) <= 2e-5 * (slope_here * slope_here)
+        steady &= vectors.magnitude(value) <= 2e-5 * vectors.magnitude(slope_here)
+        converged = alive & steady & (s >= 0.0) & (s <= length)
+        crosses |= converged
+        alive &= ~converged
+    end, rise, bend, fall = length if only else s, none, none, none
+    for k in range(TERMS - 1, 1, -1):
+        term = vectors.load(c, k)
+        up = vectors.larger(term, none)
+        fall += term - up
+        rise = fused(rise, end, float(k) * up)
+        if k > 2:
+            bend = fused(bend, end, float(k * (k - 1)) * up)
+    crosses &= (c1 + rise * end < 0.0) | (2.0 * c2 + bend * end < 0.0)
+    return crosses, c0 + vectors.smaller(c1, none) + fall > 0.0, s, slope, half
+
+
+@unowned_inlined
+def value(c: FloatArray, s: Vector) -> Vector:
+    """The first of `derivatives`."""
+    even, odd, square = vectors.splat(0.0), vectors.splat(0.0), s * s
+    for k in range(TERMS // 2 - 1, -1, -1):
+        even, odd = fused(even, square, vectors.load(c, 2 * k)), fused(odd, square, vectors.load(c, 2 * k + 1))
+    return fused(s, odd, even)
+
+
+@unowned_inlined
+def turning(c: FloatArray, slopes: FloatArray, length: Vector) -> tuple[int, int, Vector]:
+    """The turning point of a series that has but one.
+
+    slopes : (TERMS, WIDTH) float64
+        Scratch.
+
+    Returns
+    -------
+    turns : int
+        The lanes where such a turning point is.
+    none : int
+        The lanes where the series has none.
+    s : Vector
+    """
+    falls = vectors.load(c, 1) < 0.0
+    for k in range(TERMS - 1):
+        term = vectors.load(c, k + 1) * float(k + 1)
+        vectors.store(slopes, k, vectors.choose(falls, -term, term))
+    vectors.store(slopes, TERMS - 1, vectors.splat(0.0))
+    turns, none, s, _, _ = crossing(slopes, length, True)
+    return turns, none, s

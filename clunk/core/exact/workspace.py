@@ -1,0 +1,207 @@
+"""The runs that are under way by the exact method: their numbers, the searches they wait for, and the queues.
+
+`rows` names these numbers.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.core.exact import rows
+from clunk.core.exact.flows import TERMS, Flows
+from clunk.core.jit import compiled, unowned_inlined
+from clunk.core.lanes import vectors
+from clunk.core.lanes.pool import Pool, aligned, make_pool, push, whole
+from clunk.core.lanes.vectors import WIDTH, Vector
+from clunk.core.regimes import INPUTS, System
+from clunk.core.runs import Log
+from clunk.core.switching import weigh
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+UNDER_WAY = 16 * WIDTH  # runs: many wait for the same, and its code is at hand for several steps on end
+NOTES = 4
+LOOK, OF_GUARD = 17, 17  # rows that a step keeps of a functional, and of a guard
+
+RUN = np.dtype(
+    [
+        ("tag", np.int64),  # the caller's
+        ("status", np.int64),
+        ("quality", np.int64),
+        ("count", np.int64),  # events so far
+        ("regime", np.int64),
+        ("last_side", np.int64),
+        ("from_sticking", np.int64),
+        ("seeks_extremes", np.int64),  # whether the last step's are yet to be searched for
+        ("seeks_turns", np.int64),  # the guards whose turns are, as bits
+        ("ended", np.int64),  # how the last step did, see GOES_ON
+        ("guard", np.int64),  # the one that ended it, by an event
+        ("measured", np.int64),  # whether its depth is known, or known to be no concern of the margin
+        ("time", np.float64),  # s, when the phase began; after the end, when the run did
+        ("began", np.float64),  # s, of the last contact
+        ("fastest", np.float64),  # rad/s, of the touches so far
+        ("static", np.float64),  # what is at rest: overlap, rad, or locking torque
+    ],
+    align=True,
+)
+
+
+class Queues(NamedTuple):
+    """The first queue of each kind: of steps and entries by the regime's group, of searches by flow and functional."""
+
+    span: int  # a step of a span
+    short: int  # a step of a part of the shortest span
+    enter: int  # entering a regime
+    extremes: int  # searching the extremes of the acceleration, after a step
+    turn: int  # searching the lowest turn of a guard, after a step
+    depth: int  # searching how deep a guard would go, after an event
+    over: int  # finished runs
+    follow: int  # those that have taken a step, or found what they searched, and are to be sent on
+
+
+class Workspace(NamedTuple):
+    """Runs under way, S at most, with what one thread needs to take steps with them; N states, G guards, W lanes."""
+
+    system: System
+    flows: Flows
+    pool: Pool
+    queues: Queues
+    numbers: FloatArray  # (S + 1, …)  of each run; the last row is scratch for unused lanes
+    searches: FloatArray  # ((S + 1) (G + 1), …)  of each run's searches; the last row is scratch again
+    searches_each: int  # G + 1
+    behind: int  # where the numbers that `rows` names begin in a row
+    runs: npt.NDArray[np.void]  # (S + 1,) RUN
+    inputs: FloatArray  # (S, INPUTS)  d of each run
+    state: FloatArray  # (S + 1, C)  [rad, rad/s]  of each run at the end of its phase
+    events: npt.NDArray[np.void]  # (S, capacity) EVENT
+    states: FloatArray  # (S, capacity, N), or (S, 0, N)
+    # scratch of a step
+    looks: FloatArray  # (G LOOK, W)  see clunk.core.exact.step
+    guards: FloatArray  # (G OF_GUARD, W)
+    turned: IntArray  # (G,)
+    series: FloatArray  # (TERMS, W)
+    moved: FloatArray  # (3C, W)
+    notes: FloatArray  # (NOTES, W)  for what is done for a lane alone
+    offsets: IntArray  # (W,)
+    origin: FloatArray  # (3,)
+    alone: FloatArray  # (2, TERMS)  a series alone, and its zeros
+    ladder: FloatArray  # (TERMS, TERMS)
+
+
+@compiled
+def make_workspace(system: System, flows: Flows, events: npt.NDArray[np.void], states: FloatArray) -> Workspace:
+    """Room for as many runs as there are rows of events, none of which has begun.
+
+    Parameters
+    ----------
+    events : (S, capacity) EVENT
+    states : (S, capacity or 0, N) float64
+    """
+    slots, size, most = events.shape[0], flows.basis.shape[1], system.guards.shape[1]
+    groups, functionals = system.leaders.size, flows.watch.shape[0] * flows.watch.shape[1]
+    extremes = 3 * groups
+    over = extremes + 3 * functionals
+    queues = Queues(0, groups, 2 * groups, extremes, extremes + functionals, extremes + 2 * functionals, over, over + 1)
+    behind = size * 3 // 2
+    of_a_run = behind + rows.GUARDS + rows.OF_A_GUARD * most
+    return Workspace(
+        system=system,
+        flows=flows,
+        pool=make_pool(over + 2, slots, of_a_run),
+        queues=queues,
+        numbers=aligned(slots + 1, whole(of_a_run)),
+        searches=aligned((slots + 1) * (most + 1), whole(behind + rows.OF_A_SEARCH)),
+        searches_each=most + 1,
+        behind=behind,
+        runs=np.zeros(slots + 1, RUN),
+        inputs=np.zeros((slots, INPUTS)),
+        state=aligned(slots + 1, size),
+        events=events,
+        states=states,
+        looks=aligned(most * LOOK, WIDTH),
+        guards=aligned(most * OF_GUARD, WIDTH),
+        turned=np.zeros(most, np.int64),
+        series=aligned(TERMS, WIDTH),
+        moved=aligned(3 * size, WIDTH),
+        notes=aligned(NOTES, WIDTH),
+        offsets=np.zeros(WIDTH, np.int64),
+        origin=np.zeros(3),
+        alone=np.zeros((2, TERMS)),
+        ladder=np.zeros((TERMS, TERMS)),
+    )
+
+
+@unowned_inlined
+def field(space: Workspace, name: int) -> Vector:
+    """One number of each of the items that have been taken."""
+    return vectors.load(space.pool.work, space.behind + name)
+
+
+@unowned_inlined
+def set_field(space: Workspace, name: int, values: Vector) -> None:
+    """Set one number of each of the items that have been taken."""
+    vectors.store(space.pool.work, space.behind + name, values)
+
+
+@unowned_inlined
+def log_of(space: Workspace, slot: int) -> Log:
+    """The events of a run, and its states."""
+    return Log(space.events[slot], space.states[slot])
+
+
+@unowned_inlined
+def queue_of(space: Workspace, first: int, flow: int, functional: int) -> int:
+    """The queue of searches in a functional, behind the first of their kind."""
+    return int(first + flow * space.flows.watch.shape[1] + functional)
+
+
+@unowned_inlined
+def step_queue(space: Workspace, regime: int, near: bool) -> int:
+    """The queue of the next step of a run: of a part of the shortest span where an event is near, or of a span."""
+    row = space.system.regimes[regime]
+    short = near or space.flows.modal[row.flow] == 0
+    return int((space.queues.short if short else space.queues.span) + row.group)
+
+
+@unowned_inlined
+def begin_search(space: Workspace, slot: int, search: int, length: float, sign: float, shift: float) -> None:
+    """Begin to search from where a run is, for a time `length`, in sign times a functional plus shift.
+
+    The functional's origin is `space.origin`.
+    """
+    wanted = space.searches[slot * space.searches_each + search]
+    for k in range(space.behind):
+        wanted[k] = space.numbers[slot, k]
+    wanted = wanted[space.behind :]
+    wanted[rows.REST], wanted[rows.BY_SIGN], wanted[rows.BY_SHIFT] = length, sign, shift
+    for k in range(3):
+        wanted[rows.AT + k] = space.origin[k]
+    wanted[rows.COUNTS] = np.inf
+
+
+@unowned_inlined
+def find_origin(space: Workspace, slot: int, functional: int) -> None:
+    """Value, slope and curvature of a functional's origin where a run is, into `space.origin`."""
+    output = space.flows.origin_output[space.system.regimes[space.runs[slot].regime].flow]
+    numbers, origin = space.numbers[slot, space.behind :], space.origin
+    inputs, elapsed = numbers[rows.INPUT : rows.INPUT + INPUTS], numbers[rows.ELAPSED]
+    value, slope = weigh(output[0, functional], inputs), weigh(output[1, functional], inputs)
+    curvature = weigh(output[2, functional], inputs)
+    origin[0] = value + elapsed * (slope + 0.5 * elapsed * curvature)
+    origin[1], origin[2] = slope + elapsed * curvature, curvature
+
+
+@unowned_inlined
+def begin_acceleration_search(space: Workspace, slot: int, length: float, value: float) -> None:
+    """Begin to search the extremes of the acceleration, whose origin has a value and rests."""
+    space.origin[0], space.origin[1], space.origin[2] = value, 0.0, 0.0
+    begin_search(space, slot, rows.EXTREMES_SEARCH, length, 1.0, 0.0)
+
+
+@unowned_inlined
+def push_search(space: Workspace, first: int, slot: int, search: int, functional: int) -> None:
+    """Append a run's search in a functional to its queue."""
+    flow = space.system.regimes[space.runs[slot].regime].flow
+    push(space.pool, queue_of(space, first, flow, functional), slot * space.searches_each + search)

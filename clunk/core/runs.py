@@ -1,0 +1,51 @@
+"""What a run begins with, what it writes as it goes, and how it ended: the same for both methods."""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.core.jit import unowned_inlined
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class Start(NamedTuple):
+    """The beginning of a run, at the load step; N states."""
+
+    x: FloatArray  # (N,)  [rad, rad/s]
+    regime: int  # the one that x is in
+    inputs: FloatArray  # (INPUTS,)  d = (T, φ/2) from the load step on  [N m, rad]
+
+
+class Log(NamedTuple):
+    """Buffers for a run's events, of which event 0 is the load step, and for the state at each."""
+
+    events: npt.NDArray[np.void]  # (capacity,) EVENT
+    states: FloatArray  # (capacity, N)  [rad, rad/s]; or no rows at all, and none are kept
+
+
+class Outcome(NamedTuple):
+    """How a run ended."""
+
+    status: int  # see clunk.core.status
+    written: int  # events written, the load step included
+    quality: int  # QUALITY_COMPLETE where it was proved that nothing follows; exact: QUALITY_GRAZING too
+    margin: float  # see clunk.core.exact.run; NaN by rk4, which knows none
+    end: float  # s after the load step
+
+
+@unowned_inlined
+def record(log: Log, k: int, time: float, speed: float, kind: int, regime: int, side: int, x: FloatArray) -> None:
+    """Write event `k`, and the state at it; the extremes of the phase that it opens are still to come."""
+    event = log.events[k]
+    event.time = time
+    event.speed = speed
+    event.kind = kind
+    event.regime = regime
+    event.side = side
+    event.max_acceleration = -np.inf
+    event.min_acceleration = np.inf
+    if log.states.shape[0] > k:
+        for j in range(x.size):
+            log.states[k, j] = x[j]
