@@ -24,8 +24,10 @@ if TYPE_CHECKING:
     from clunk.results.targets import TargetError
     from clunk.results.tolerancemap import ToleranceMap
     from clunk.simulation.trajectory import SimulationError, Trajectory, simulate
-    from clunk.study.config import ConfigError, Study, load_study, replace_values, study_from_text
+    from clunk.study.config import load_study, study_from_text
     from clunk.study.errors import ClunkError
+    from clunk.study.problems import ConfigError
+    from clunk.study.study import Study, replace_values
     from clunk.sweeping.engines import EngineError
     from clunk.sweeping.parts import PartsError
     from clunk.sweeping.reduction import SweepError
@@ -68,7 +70,7 @@ __all__ = [
 # Public name -> where it is: its module, and its name there if that is another.
 _HOME = {
     "ClunkError": "study.errors",
-    "ConfigError": "study.config",
+    "ConfigError": "study.problems",
     "EngineError": "sweeping.engines",
     "PartsError": "sweeping.parts",
     "PlotError": "plot",
@@ -77,7 +79,7 @@ _HOME = {
     "SensitivityError": "analysis.sobol",
     "SimulationError": "simulation.trajectory",
     "StoreError": "results.store",
-    "Study": "study.config",
+    "Study": "study.study",
     "SweepError": "sweeping.reduction",
     "TargetError": "results.targets",
     "ToleranceMap": "results.tolerancemap",
@@ -88,7 +90,7 @@ _HOME = {
     "open_results": "results.datasets",
     "read_results": "results.store:read",
     "read_tolerance_map": "results.store",
-    "replace_values": "study.config",
+    "replace_values": "study.study",
     "run_points": "api",
     "sensitivity": "analysis.sobol",
     "simulate": "simulation.trajectory",

@@ -21,8 +21,9 @@ from clunk.results import targets
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.simulation.trajectory import Trajectory
-from clunk.study.config import ConfigError, Study
 from clunk.study.designs import design_of_points, has_tolerances
+from clunk.study.problems import ConfigError
+from clunk.study.study import Study
 from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.cells import compiling_note, warm_up
 from clunk.sweeping.progress import Progress, shown

@@ -3,7 +3,8 @@
 import pytest
 from hypothesis import settings
 
-from clunk.study.config import Study, study_from_text
+from clunk.study.config import study_from_text
+from clunk.study.study import Study
 from clunk.sweeping.cells import compiling_note, warm_up
 
 # The first call of a kernel compiles it, which takes longer than any deadline; the same examples on every machine.

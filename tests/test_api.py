@@ -20,7 +20,7 @@ from test_store import BACKLASH, RATIO, assert_same, example
 import clunk
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.study.axes import RUN, ResultAxis
-from clunk.study.config import digest
+from clunk.study.study import digest
 from clunk.sweeping import progress
 
 ROOT = Path(__file__).parent.parent

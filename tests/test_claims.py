@@ -24,7 +24,8 @@ from clunk.simulation.linear import (
     thresholds_on,
 )
 from clunk.simulation.trajectory import simulate
-from clunk.study.config import replace_values, study_from_text
+from clunk.study.config import study_from_text
+from clunk.study.study import replace_values
 
 COARSE = 10  # 21 x 21 and 11 x 11: every region of Figure 3.4 has cells
 

@@ -21,27 +21,15 @@ from jsonschema.protocols import Validator
 from scipy import stats
 
 from clunk.cli import cli
-from clunk.study.config import (
-    Axis,
-    ConfigError,
-    Draw,
-    Load,
-    Study,
-    Sweep,
-    digest,
-    get_value,
-    json_schema,
-    load_study,
-    quantity,
-    replace_values,
-    study_from_text,
-    to_toml,
-)
+from clunk.study.config import load_study, study_from_text
 from clunk.study.designs import design_of, design_of_points
 from clunk.study.document import KeyLines, dotted, parse_place
-from clunk.study.keys import PRESETS
-from clunk.study.models import DrivelineConfig, Impacts, Lash, Shaft
-from clunk.study.sweeps import Sampling
+from clunk.study.keys import PRESETS, json_schema
+from clunk.study.models import DrivelineConfig, Impacts, Lash, Load, Shaft
+from clunk.study.parameters import get_value, quantity
+from clunk.study.problems import ConfigError
+from clunk.study.study import Study, digest, replace_values, to_toml
+from clunk.study.sweeps import Axis, Draw, Sampling, Sweep
 
 CONFIGS = sorted((Path(__file__).parent.parent / "configs").glob("*.toml"))
 STARTER = files("clunk.study.presets").joinpath("starter.toml").read_text(encoding="utf-8")

@@ -19,8 +19,9 @@ from clunk.core.status import QUALITY_INFERRED
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.results.store import read, read_header, write
 from clunk.study.axes import RUN
-from clunk.study.config import replace_values, study_from_text
+from clunk.study.config import study_from_text
 from clunk.study.designs import design_of
+from clunk.study.study import replace_values
 from clunk.sweeping.refinement import coarse_spacing
 from clunk.sweeping.sweep import Job, cell_count, sweep
 

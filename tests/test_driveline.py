@@ -7,7 +7,8 @@ from helpers import reference
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.linear import one_mode_thresholds, rigid_contact_thresholds
 from clunk.simulation.trajectory import SimulationError, simulate
-from clunk.study.config import replace_values, study_from_text
+from clunk.study.config import study_from_text
+from clunk.study.study import replace_values
 
 
 def test_the_matrices_are_those_of_equation_2_6(nominal):

@@ -10,7 +10,8 @@ from scipy.integrate import solve_ivp
 from clunk.core.events import REJOIN, TOUCH
 from clunk.simulation.energy import balance
 from clunk.simulation.trajectory import simulate
-from clunk.study.config import Solver, study_from_text
+from clunk.study.config import study_from_text
+from clunk.study.models import Solver
 
 METHODS = get_args(Solver.model_fields["method"].annotation)
 CLOSED = 1e-8  # of the largest term: RK4 at 2e-5 s takes (ωh)⁶/72 = 2e-11 of the contact mode's energy a step

@@ -21,7 +21,8 @@ from test_config import ONE_RUN, PRESET, STARTER, WHOLE
 from clunk.cli import main
 from clunk.core.status import Status
 from clunk.simulation.trajectory import simulate
-from clunk.study.config import ConfigError, load_study
+from clunk.study.config import load_study
+from clunk.study.problems import ConfigError
 
 # Sizes at the edge of double precision may overflow on the way to the answer; it is the answer that counts.
 pytestmark = [

@@ -14,7 +14,8 @@ from helpers import reference
 
 from clunk.core.sequence import OPPOSITE
 from clunk.simulation.trajectory import simulate
-from clunk.study.config import Solver, study_from_text
+from clunk.study.config import study_from_text
+from clunk.study.models import Solver
 
 METHODS = [*get_args(Solver.model_fields["method"].annotation), "reference"]
 BACKLASHES = [3.0, 6.0, 10.0]

@@ -15,7 +15,8 @@ from clunk.simulation.history import HistoryError, sample, shown_until
 from clunk.simulation.recording import Recording
 from clunk.simulation.small_gap import SmallGap
 from clunk.simulation.trajectory import simulate
-from clunk.study.config import Study, digest, study_from_text
+from clunk.study.config import study_from_text
+from clunk.study.study import Study, digest
 
 xarray = pytest.importorskip("xarray")
 

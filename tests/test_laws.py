@@ -8,7 +8,9 @@ from helpers import reference
 from helpers.running import core_run, prepared, unproved
 
 from clunk.simulation.trajectory import SimulationError, simulate
-from clunk.study.config import Solver, get_value, replace_values
+from clunk.study.models import Solver
+from clunk.study.parameters import get_value
+from clunk.study.study import replace_values
 
 POINTS = [(2.0, 6.0), (5.0, 6.0), (10.0, 10.0), (7.0, 0.0), (-2.5, 3.0)]
 

@@ -11,7 +11,8 @@ import pytest
 from helpers import reference
 
 from clunk.simulation.trajectory import simulate
-from clunk.study.config import replace_values, study_from_text
+from clunk.study.config import study_from_text
+from clunk.study.study import replace_values
 
 TIME = 1e-6  # s
 AMPLITUDE = 2e-5  # relative

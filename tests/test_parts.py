@@ -16,7 +16,7 @@ import pytest
 from test_sweeping import equal, figure_3_4
 
 from clunk.results.store import read_header
-from clunk.study.config import replace_values
+from clunk.study.study import replace_values
 from clunk.sweeping import parts as keeping
 from clunk.sweeping import scratch
 from clunk.sweeping.parts import PartsError, WorkingDirectory

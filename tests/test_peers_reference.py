@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from clunk import simulate
-from clunk.study.config import Solver, replace_values
+from clunk.study.models import Solver
+from clunk.study.study import replace_values
 
 TIME_ERROR = {"rk4": 5e-6, "exact": 1e-12}  # s
 SEVERITY_ERROR = {"rk4": 2e-4, "exact": 1e-9}  # of Q_i: half a period of the contact mode at rk4's 2e-5 a radian

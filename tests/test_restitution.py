@@ -6,7 +6,8 @@ import pytest
 from clunk.core.events import LOCK, OPENING, SEPARATION, TOUCH
 from clunk.simulation import driveline
 from clunk.simulation.trajectory import SimulationError, simulate
-from clunk.study.config import replace_values, study_from_text
+from clunk.study.config import study_from_text
+from clunk.study.study import replace_values
 from clunk.sweeping.sweep import sweep
 
 NOMINAL = '[driveline]\npreset = "boere-2008"\n[lash.contact]\nmodel = "restitution"\n'

@@ -9,8 +9,9 @@ import pytest
 from click.testing import CliRunner
 
 from clunk.cli import cli
-from clunk.study.config import ConfigError, study_from_text
+from clunk.study.config import study_from_text
 from clunk.study.keys import keys
+from clunk.study.problems import ConfigError
 
 
 def test_no_key_of_a_config_is_a_path():

@@ -13,7 +13,9 @@ from clunk.cli.sensitivity import as_record
 from clunk.plot.indices import sobol_bars
 from clunk.plot.style import PlotError
 from clunk.simulation.trajectory import simulate
-from clunk.study.config import get_value, replace_values, study_from_text
+from clunk.study.config import study_from_text
+from clunk.study.parameters import get_value
+from clunk.study.study import replace_values
 
 POINT = """
 title = "σr = 5, φθ = 6°"

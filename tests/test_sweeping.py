@@ -6,7 +6,8 @@ import pytest
 from clunk.core.status import Status
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.simulation.trajectory import simulate
-from clunk.study.config import replace_values, study_from_text
+from clunk.study.config import study_from_text
+from clunk.study.study import replace_values
 from clunk.sweeping.cells import compiling_note, warm_up
 from clunk.sweeping.sweep import SweepError, sweep
 

@@ -20,8 +20,11 @@ from clunk.results.labels import double_sided, excursions
 from clunk.results.store import StoreError, read, read_header
 from clunk.results.tolerancemap import QUANTILES
 from clunk.simulation.trajectory import SimulationError, simulate
-from clunk.study.config import Axis, get_value, replace_values, study_from_text, to_toml
+from clunk.study.config import study_from_text
 from clunk.study.designs import drawn_numbers, nominal
+from clunk.study.parameters import get_value
+from clunk.study.study import replace_values, to_toml
+from clunk.study.sweeps import Axis
 from clunk.sweeping import parts as keeping
 from clunk.sweeping import tolerances
 from clunk.sweeping.parts import PartsError, WorkingDirectory

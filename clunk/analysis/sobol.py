@@ -21,18 +21,11 @@ from clunk.results.labels import double_sided, normalised_label
 from clunk.results.quantities import CELL_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.simulation.trajectory import Trajectory, simulate
-from clunk.study.config import (
-    Axis,
-    ConfigError,
-    Draw,
-    Study,
-    Sweep,
-    get_value,
-    nominal_value,
-    replace_values,
-)
 from clunk.study.errors import ClunkError
-from clunk.study.problems import nearest, shorten
+from clunk.study.parameters import get_value, nominal_value
+from clunk.study.problems import ConfigError, nearest, shorten
+from clunk.study.study import Study, replace_values
+from clunk.study.sweeps import Axis, Draw, Sweep
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.sweep import sweep
 

@@ -2,7 +2,8 @@
 
 from clunk.results.maps import Map
 from clunk.simulation.linear import one_mode_thresholds, thresholds_on
-from clunk.study.config import replace_values, study_from_text
+from clunk.study.config import study_from_text
+from clunk.study.study import replace_values
 
 
 def thresholds_of(results: Map) -> list[float]:

@@ -22,9 +22,10 @@ from clunk.results.maps import values_at
 from clunk.results.quantities import IMPACT_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.simulation.trajectory import Trajectory, simulate
-from clunk.study.config import Axis, Study, Sweep
 from clunk.study.designs import nominal
+from clunk.study.study import Study
 from clunk.study.summaries import as_text
+from clunk.study.sweeps import Axis, Sweep
 from clunk.sweeping import sweep as sweeping
 
 Method = Literal["rk4", "exact"]

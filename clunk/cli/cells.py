@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from clunk.study.axes import ResultAxis
-    from clunk.study.config import Study
+    from clunk.study.study import Study
 
 
 def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[str, float]:
@@ -22,8 +22,8 @@ def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[
     Where not all are needed, a key that is not named keeps the config's own value.
     """
     from clunk.study.axes import RUN
-    from clunk.study.config import get_value
     from clunk.study.designs import design_of
+    from clunk.study.parameters import get_value
 
     design = design_of(study)
     named = nearest_values(design.axes, design.coordinates, at)

@@ -25,7 +25,7 @@ def init(path: Path, force: bool, schema: bool) -> None:
     if schema:
         import json
 
-        from clunk.study.config import json_schema
+        from clunk.study.keys import json_schema
 
         click.echo(json.dumps(json_schema(), indent=2, ensure_ascii=False))
         return

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from clunk.analysis.sobol import Indices, Sensitivity
-    from clunk.study.config import Draw, Study
+    from clunk.study.study import Study
+    from clunk.study.sweeps import Draw
 
 
 @click.command()
@@ -56,8 +57,9 @@ def sensitivity(
     """
     from clunk.analysis import sobol
     from clunk.results import targets
-    from clunk.study.config import load_study, replace_values
+    from clunk.study.config import load_study
     from clunk.study.designs import unused_parameters
+    from clunk.study.study import replace_values
     from clunk.sweeping.cells import warm_up
 
     study = load_study(config, overrides)
@@ -139,7 +141,7 @@ def _with_interval(value: float, low: float, high: float) -> str:
 
 def _distribution(study: Study, draw: Draw) -> str:
     """A parameter's distribution, for example 409200 N/m times normal (mean 1, std 0.05)."""
-    from clunk.study.config import nominal_value, quantity
+    from clunk.study.parameters import nominal_value, quantity
 
     nominal = nominal_value(study, draw.parameter)
     listed = ", ".join(f"{name} {value:g}" for name, value in draw.numbers(nominal).items())
@@ -154,7 +156,8 @@ def _distribution(study: Study, draw: Draw) -> str:
 def as_record(found: Sensitivity) -> dict[str, Any]:
     """Sobol indices for JSON; NaN where something is not defined."""
     from clunk.analysis.sobol import CONFIDENCE
-    from clunk.study.config import digest, nominal_value
+    from clunk.study.parameters import nominal_value
+    from clunk.study.study import digest
 
     assert found.study.sweep is not None
     sampling = found.study.sweep.sampling

@@ -14,7 +14,7 @@ from clunk.cli.options import PATH, at_option, json_option, set_option
 if TYPE_CHECKING:
     from clunk.simulation.energy import EnergyBalance
     from clunk.simulation.trajectory import Trajectory
-    from clunk.study.config import Study
+    from clunk.study.study import Study
 
 _FIGURES = ("everything", "angles", "backlash", "closeup", "acceleration", "small-gap")
 
@@ -110,8 +110,9 @@ def _studies_to_simulate(
     """Names and studies of the runs to make: one, or one for each combination of overlaid values."""
     from itertools import product
 
-    from clunk.study.config import replace_values, study_from_text
+    from clunk.study.config import study_from_text
     from clunk.study.document import read_text
+    from clunk.study.study import replace_values
 
     if source.suffix == ".h5":
         from clunk.results.store import read_header

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from clunk.results.regimemap import Results
     from clunk.results.tolerancemap import ToleranceMap
-    from clunk.study.config import Study
+    from clunk.study.study import Study
 
 
 _FEWEST_STEPS = 10  # a period of the fastest oscillation

@@ -16,7 +16,7 @@ from matplotlib.patches import Patch
 
 from clunk.analysis.sobol import CONFIDENCE, Indices, Sensitivity
 from clunk.plot import style
-from clunk.study.config import quantity
+from clunk.study.parameters import quantity
 
 _ABREAST = 3  # panels
 _BAR = 0.36  # of the distance from one parameter to the next

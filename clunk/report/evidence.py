@@ -12,7 +12,8 @@ from clunk.report.tables import TABLES
 from clunk.results.regimemap import Results
 from clunk.simulation.driveline import Driveline, Modes
 from clunk.simulation.trajectory import Trajectory, simulate
-from clunk.study.config import Study, replace_values, study_from_text
+from clunk.study.config import study_from_text
+from clunk.study.study import Study, replace_values
 from clunk.sweeping.sweep import cell_count, sweep
 
 RATIOS = (1.0, 2.0, 5.0)  # of Figure 3.2

@@ -13,7 +13,7 @@ from clunk.results.files import write_whole, writing
 from clunk.results.netcdf import CONVENTIONS, create_scale, create_variable, set_flags, set_text, write_file
 from clunk.simulation.history import INITIAL, NONE, OPPOSITE, History, HistoryError
 from clunk.simulation.trajectory import Trajectory
-from clunk.study.config import digest, to_toml
+from clunk.study.study import digest, to_toml
 
 SCHEMA_VERSION = 1
 _ROWS = 4096  # of a CSV file, written at once

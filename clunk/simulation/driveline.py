@@ -14,7 +14,7 @@ from clunk.core.exact.flows import Chain, Flows, build_flows
 from clunk.core.regimes import System, build_system, chain, constrained, unconstrained
 from clunk.core.rk4.propagator import Steps, build_steps
 from clunk.core.status import Status
-from clunk.study.config import Study
+from clunk.study.study import Study
 
 FloatArray = npt.NDArray[np.float64]
 End = int | Literal["ground"]

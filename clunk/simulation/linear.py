@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from clunk.core.regimes import CLOSED_FLOW, FORCE, System, constrained
 from clunk.simulation import driveline
-from clunk.study.config import Study
+from clunk.study.study import Study
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.study.config import Load
+from clunk.study.models import Load
 
 Torque = float | npt.NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from clunk.core.regimes import CLOSED_FLOW, FORCE
 from clunk.simulation import driveline
 from clunk.simulation.history import Phases
 from clunk.simulation.load import load_step
-from clunk.study.config import Study
 from clunk.study.errors import ClunkError
+from clunk.study.study import Study
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from clunk.core.severity import peak_to_peak, root_of_squares
 from clunk.core.status import QUALITY_COMPLETE, Status
 from clunk.simulation import driveline
 from clunk.simulation.load import load_step
-from clunk.study.config import Study
 from clunk.study.errors import ClunkError
+from clunk.study.study import Study
 from clunk.study.summaries import Rows, as_html, as_text, html_table
 
 FloatArray = npt.NDArray[np.float64]

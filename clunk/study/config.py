@@ -24,34 +24,13 @@ from clunk.study.document import (
     read_text,
     value_at,
 )
-from clunk.study.keys import PRESETS, json_schema, key_at
-from clunk.study.models import TORQUES, Load, Solver
-from clunk.study.parameters import complaint, get_value, names_of, nominal_value, place_of, quantity
-from clunk.study.problems import ConfigError, Problem, nearest, report, shorten
-from clunk.study.study import Study, content, digest, replace_values, to_toml
-from clunk.study.sweeps import Axis, Draw, Sweep
+from clunk.study.keys import PRESETS, key_at
+from clunk.study.models import TORQUES
+from clunk.study.parameters import complaint, names_of, place_of
+from clunk.study.problems import Problem, nearest, report, shorten
+from clunk.study.study import Study
 from clunk.study.tables import Finding
 from clunk.study.validation import validated
-
-__all__ = [
-    "Axis",
-    "ConfigError",
-    "Draw",
-    "Load",
-    "Solver",
-    "Study",
-    "Sweep",
-    "content",
-    "digest",
-    "get_value",
-    "json_schema",
-    "load_study",
-    "nominal_value",
-    "quantity",
-    "replace_values",
-    "study_from_text",
-    "to_toml",
-]
 
 
 def load_study(path: str | PathLike[str], overrides: Sequence[str] = ()) -> Study:

@@ -16,8 +16,9 @@ from clunk.core.status import QUALITY_GRAZING, QUALITY_UNDECIDED, Status
 from clunk.results.labels import FAILED_CODE
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.results.regimemap import Results
-from clunk.study.config import Study, digest, study_from_text
+from clunk.study.config import study_from_text
 from clunk.study.designs import Design
+from clunk.study.study import Study, digest
 from clunk.sweeping.cells import Grid
 from clunk.sweeping.engines import available_cores
 from clunk.sweeping.reduction import Flanks, Reduction, SweepError, listed

@@ -18,8 +18,8 @@ from clunk.core.rk4.propagator import Steps
 from clunk.core.status import Status
 from clunk.simulation import driveline
 from clunk.simulation.load import load_step
-from clunk.study.config import Study, replace_values
 from clunk.study.designs import Design, design_of
+from clunk.study.study import Study, replace_values
 from clunk.sweeping.tiles import Cells, Layout, Tile
 
 FloatArray = npt.NDArray[np.float64]

@@ -22,8 +22,8 @@ from types import TracebackType
 from typing import Any, BinaryIO, Self
 
 from clunk.results.files import reason, write_whole
-from clunk.study.config import Study, content, digest
 from clunk.study.errors import ClunkError
+from clunk.study.study import Study, content, digest
 from clunk.sweeping.provenance import versions
 from clunk.sweeping.reduction import AnyMap, Reduction
 from clunk.sweeping.tiles import Tile, from_bytes, to_pieces

@@ -17,9 +17,9 @@ from clunk.core.sequence import label
 from clunk.results.labels import FAILED_CODE
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
-from clunk.study.config import Study, digest, to_toml
 from clunk.study.designs import Design
 from clunk.study.errors import ClunkError
+from clunk.study.study import Study, digest, to_toml
 from clunk.sweeping.engines import Runner
 from clunk.sweeping.tiles import Cells, Tile
 

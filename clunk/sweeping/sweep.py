@@ -14,8 +14,8 @@ from pathlib import Path
 from clunk.results.regimemap import Results
 from clunk.results.store import StoreError, read, read_header, read_map, write
 from clunk.results.tolerancemap import ToleranceMap
-from clunk.study.config import Study, digest
 from clunk.study.designs import Design, design_of, has_tolerances
+from clunk.study.study import Study, digest
 from clunk.sweeping.assembly import MendedReduction, RefinedReduction, RegimeReduction
 from clunk.sweeping.cells import complaint, warm_up
 from clunk.sweeping.engines import EngineError, Work, available_cores, run_tiles

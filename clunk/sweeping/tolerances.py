@@ -17,8 +17,9 @@ from clunk.core.tile import LONGEST_PATTERN
 from clunk.results.labels import FAILED_CODE
 from clunk.results.tolerancemap import QUANTILES, ToleranceMap
 from clunk.study.axes import ResultAxis
-from clunk.study.config import Study, nominal_value, quantity
 from clunk.study.designs import design_of, drawn_numbers
+from clunk.study.parameters import nominal_value, quantity
+from clunk.study.study import Study
 from clunk.sweeping.assembly import flanks_of
 from clunk.sweeping.cells import DRIVING, KEPT_SYSTEMS, FloatArray, Grid, Prepared, Records, Stop
 from clunk.sweeping.reduction import Flanks, Reduction

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from clunk.simulation.load import load_step
-from clunk.study.config import Study, study_from_text
+from clunk.study.config import study_from_text
+from clunk.study.study import Study
 
 PATH = Path(__file__).with_name("reference_events.npz")
 RATIOS = np.linspace(0.0, 10.0, 20)

@@ -37,7 +37,8 @@ import clunk
 from clunk.core.events import EVENT
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.simulation.driveline import Driveline
-from clunk.study.config import replace_values, study_from_text
+from clunk.study.config import study_from_text
+from clunk.study.study import replace_values
 from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.engines import cpu_model
 

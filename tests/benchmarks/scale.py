@@ -22,7 +22,8 @@ from pathlib import Path
 import numpy as np
 
 from clunk.results import store
-from clunk.study.config import Study, study_from_text, to_toml
+from clunk.study.config import study_from_text
+from clunk.study.study import Study, to_toml
 from clunk.sweeping import cells, engines
 from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.assembly import RegimeReduction
