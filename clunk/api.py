@@ -267,9 +267,8 @@ def draw(what: Results | ToleranceMap | Trajectory, quantity: str = "regimes") -
         raise TypeError(f"draw takes Results or a Trajectory, not a {kind}; clunk.read_results(path) gives Results.")
     from clunk.plot.histories import simulation_figure
     from clunk.simulation.history import sample
-    from clunk.simulation.recording import Recording
 
-    return simulation_figure([Recording(what.study.title, what, sample(what))])
+    return simulation_figure([sample(what)])
 
 
 def _run(

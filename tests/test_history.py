@@ -12,7 +12,6 @@ from clunk.plot import PlotError, histories, save
 from clunk.plot.small_gap import small_gap
 from clunk.results.historyfile import save_csv, save_hdf5
 from clunk.simulation.history import HistoryError, sample, shown_until
-from clunk.simulation.recording import Recording
 from clunk.simulation.small_gap import SmallGap
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
@@ -317,7 +316,7 @@ def test_picture_ends_after_the_last_event_and_within_the_run():
 def test_csv_reads_back_equal(tmp_path, model):
     sampled, trajectory = history(model), run(model)
     path = tmp_path / "new" / "history.csv"
-    save_csv(path, sampled, trajectory)
+    save_csv(path, sampled)
     table = np.genfromtxt(path, delimiter=",", names=True, dtype=None, encoding="utf-8")
     np.testing.assert_array_equal(table["time_s"], sampled.time)
     np.testing.assert_array_equal(table["after_step_s"], sampled.after_step)
@@ -341,7 +340,7 @@ def test_csv_reads_back_equal(tmp_path, model):
 def test_hdf5_reads_back_equal(tmp_path, model):
     sampled, trajectory = history(model), run(model)
     path = tmp_path / "history.h5"
-    save_hdf5(path, sampled, trajectory)
+    save_hdf5(path, sampled)
     with xarray.open_dataset(path, engine="h5netcdf") as data:
         assert data["theta"].dims == ("time", "inertia")
         for name, values in {
@@ -376,10 +375,10 @@ def test_hdf5_reads_back_equal(tmp_path, model):
 def test_unwritable_path_is_an_error_in_one_sentence(tmp_path, write):
     (tmp_path / "file").write_text("")
     with pytest.raises(HistoryError, match="cannot be written: "):
-        write(tmp_path / "file" / "history.csv", history(), run())
+        write(tmp_path / "file" / "history.csv", history())
     (tmp_path / "directory").mkdir()
     with pytest.raises(HistoryError, match="cannot be written: "):
-        write(tmp_path / "directory", history(), run())
+        write(tmp_path / "directory", history())
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["directory", "file"]
 
 
@@ -387,7 +386,7 @@ def test_unwritable_path_is_an_error_in_one_sentence(tmp_path, write):
 
 
 def recording(label, model="gap", *overrides):
-    return Recording(label, run(model, *overrides), history(model, *overrides, until=1.0))
+    return history(model, *overrides, until=1.0, name=label)
 
 
 def marks(figure, gid):
@@ -447,7 +446,7 @@ def test_closeup_without_a_touch_says_so():
     with pytest.raises(PlotError, match=r"no touch to look at closely between 0.86 s and 0.96 s"):
         histories.closeup([recording("IFM")], around=0.9)
     with pytest.raises(PlotError, match="no touch to look at closely"):  # it was not sampled for so long
-        histories.closeup([Recording("IFM", run(), sample(run(), until=0.15))])
+        histories.closeup([sample(run(), until=0.15)])
     with pytest.raises(PlotError, match="wider than 0 s"):
         histories.closeup([recording("IFM")], width=0.0)
 

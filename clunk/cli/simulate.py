@@ -146,19 +146,18 @@ def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, options: Drawin
     if output.suffix.lower() in targets.DATA:
         ((_, trajectory),) = runs
         save = historyfile.save_csv if output.suffix.lower() == ".csv" else historyfile.save_hdf5
-        save(output, histories.sample(trajectory, options.step, options.until), trajectory)
+        save(output, histories.sample(trajectory, options.step, options.until))
         terminal.say_written(output)
         return
     from clunk.plot import histories as figures
     from clunk.plot.small_gap import small_gap
-    from clunk.simulation.recording import Recording
     from clunk.simulation.small_gap import SmallGap
 
     latest = max(histories.shown_until(trajectory) for _, trajectory in runs)
     end = latest if options.until is None else options.until
     if options.figure == "closeup" and options.around is not None:
         end = max(end, options.around + 0.6 * options.width)
-    drawn = [Recording(name, trajectory, histories.sample(trajectory, options.step, end)) for name, trajectory in runs]
+    drawn = [histories.sample(trajectory, options.step, end, name=name) for name, trajectory in runs]
     draw = {
         "everything": lambda: figures.simulation_figure(drawn),
         "angles": lambda: figures.angles(drawn),

@@ -18,9 +18,10 @@ from matplotlib.lines import Line2D
 from clunk.plot import style
 from clunk.plot.history_panels import Curve, draw_acceleration, draw_angles, draw_backlash, draw_torque
 from clunk.plot.style import FAINT_INK, HISTORY_WIDTH, INK, MINUS, PlotError
-from clunk.simulation.recording import Recording
+from clunk.simulation.history import History
+from clunk.simulation.load import load_step
 
-Runs = Sequence[Recording]
+Runs = Sequence[History]
 
 _LINE = 1.3  # points
 _PATTERNS: tuple[Any, ...] = ("solid", style.DASHED, (0, (1.2, 1.2)), (0, (6.0, 1.2, 1.2, 1.2)))
@@ -76,7 +77,7 @@ def closeup(runs: Runs, around: float | None = None, width: float = 0.1) -> Figu
     end = begin + width
     touches = [_touches_within(run, begin, end) for run in runs]
     distances = [
-        (abs(run.history.time[row] - around), int(side))
+        (abs(run.time[row] - around), int(side))
         for run, (rows, sides, _) in zip(runs, touches, strict=True)
         for row, side in zip(rows, sides, strict=True)
     ]
@@ -106,9 +107,9 @@ def acceleration(runs: Runs) -> Figure:
 _Touches = tuple[npt.NDArray[np.intp], npt.NDArray[np.int64], npt.NDArray[np.float64]]
 
 
-def _touches_within(run: Recording, begin: float, end: float) -> _Touches:
+def _touches_within(run: History, begin: float, end: float) -> _Touches:
     """Rows, sides and following events of the touches between two times of the plot's axis."""
-    touches, time = run.touches, run.history.time[run.touches.row]
+    touches, time = run.touches, run.time[run.touches.row]
     within = (time >= begin) & (time <= end)
     return touches.row[within], touches.side[within], touches.until[within]
 
@@ -121,8 +122,8 @@ def _closeup_range(runs: Runs, touches: Iterable[_Touches], side: int) -> tuple[
             continue
         first, last = rows[sides == side][[0, -1]]
         after = until[sides == side][-1]
-        stop = max(last + 1, int(np.searchsorted(run.history.after_step, after, side="right")))
-        coordinate = side * 1e3 * run.history.backlash_coordinate
+        stop = max(last + 1, int(np.searchsorted(run.after_step, after, side="right")))
+        coordinate = side * 1e3 * run.backlash_coordinate
         lowest, highest = min(lowest, coordinate[first : last + 1].min()), max(highest, coordinate[first:stop].max())
     smallest = 0.02 * max(1e3 * run.half_gap for run in runs)
     height = max(highest - lowest, smallest, 1e-9)
@@ -146,20 +147,20 @@ def _frame(runs: Runs, heights: Sequence[float], height: float) -> tuple[Figure,
     figure = style.new_figure((HISTORY_WIDTH, height))
     axes = list(figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0])
     axes[-1].set_xlabel("Time [s]")
-    begin = min(float(run.history.time[0]) for run in runs)
-    end = max(float(run.history.time[-1]) for run in runs)
+    begin = min(float(run.time[0]) for run in runs)
+    end = max(float(run.time[-1]) for run in runs)
     axes[0].set_xlim(begin, end if end > begin else begin + 1.0)
     axes[0].xaxis.set_major_locator(ticker.MaxNLocator(11, steps=[1, 2, 5, 10]))
     for ax in axes:
         style.tidy(ax)
-        for step_time in {run.step_time for run in runs}:
+        for step_time in {run.study.load.step_time for run in runs}:
             ax.axvline(step_time, color=FAINT_INK, linewidth=0.7, linestyle=(0, (1.0, 2.0)), zorder=1)
     return figure, axes
 
 
 def _finished(figure: Figure, axes: Sequence[Axes], runs: Runs, *, marks: bool = False, legend: bool = True) -> Figure:
     """The figure with titles above, and below a legend of the runs and of the marks."""
-    titles, cases = {run.title for run in runs}, {_case(run) for run in runs}
+    titles, cases = {run.study.title for run in runs}, {_case(run) for run in runs}
     title = titles.pop() if len(titles) == len(cases) == 1 else "Runs compared"
     line = "ideal torque step (tip-out)" + (f", {cases.pop()}" if len(cases) == 1 else "")
     if len(runs) == 1:
@@ -210,16 +211,17 @@ def _curves(runs: Runs) -> list[Curve]:
     ]
 
 
-def _case(run: Recording) -> str:
+def _case(run: History) -> str:
     """The load and the gap of a run, in symbols."""
-    if run.load_ratio is not None:
-        load = f"{style.symbol_text('σr')} = {run.load_ratio:g}"
+    if run.study.load.ratio is not None:
+        load = f"{style.symbol_text('σr')} = {run.study.load.ratio:g}"
     else:
-        load = f"T = {run.load.before:g} → {run.load.after:g} N m"
-    return f"{load.replace('-', MINUS)}, {style.symbol_text('φθ')} = {run.backlash_deg:g}°"
+        before, after = load_step(run.study.load)
+        load = f"T = {before:g} → {after:g} N m"
+    return f"{load.replace('-', MINUS)}, {style.symbol_text('φθ')} = {run.study.lash.backlash_deg:g}°"
 
 
-def _outcome(run: Recording) -> str:
+def _outcome(run: History) -> str:
     """The label of a run, and its severity where it has one."""
     severity = run.trajectory.severity
     return run.trajectory.label + (f", Q = {severity:.0f} rad/s²" if severity > 0.0 else "")
@@ -235,7 +237,7 @@ def _shortened(runs: Runs) -> Runs:
 
 def _panels(runs: Runs) -> list[Runs]:
     """Runs of the same setup together, in order."""
-    panels: dict[str, list[Recording]] = {}
+    panels: dict[str, list[History]] = {}
     for run in runs:
         panels.setdefault(run.setup, []).append(run)
     return list(panels.values())

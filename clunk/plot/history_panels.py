@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from clunk.plot.style import FAINT_INK, INK, LINE_COLOURS, plain, symbol_text
-from clunk.simulation.recording import Impact, Recording
+from clunk.simulation.history import History, Impact
 
-Curve = tuple[Recording, dict[str, Any]]  # a run and its colour, dashes and width
+Curve = tuple[History, dict[str, Any]]  # a run and its colour, dashes and width
 
 _GAP_FILL = "#e4e4e4"
 _LABELLED = 12  # impacts; more arrows than these would hide the curve
@@ -24,11 +24,11 @@ def draw_angles(ax: Axes, curves: Sequence[Curve]) -> None:
     """Angle of every inertia in its colour, each run in its dashes."""
     count = 0
     for run, look in curves:
-        count = max(count, run.history.angle.shape[1])
-        for inertia, angle in enumerate(run.history.angle.T):
-            ax.plot(run.history.time, angle, zorder=3, **look | {"color": LINE_COLOURS[inertia % len(LINE_COLOURS)]})
+        count = max(count, run.angle.shape[1])
+        for inertia, angle in enumerate(run.angle.T):
+            ax.plot(run.time, angle, zorder=3, **look | {"color": LINE_COLOURS[inertia % len(LINE_COLOURS)]})
     ax.set_ylabel("Rotation [rad]")
-    names = curves[0][0].inertia_names
+    names = curves[0][0].study.driveline.names or ()
     handles = []
     for inertia in range(min(count, 16)):
         name = names[inertia] if inertia < len(names) and len(names[inertia]) <= _LONGEST_NAME else ""
@@ -43,8 +43,8 @@ def draw_torque(ax: Axes, curves: Sequence[Curve]) -> None:
     values: set[float] = set()
     for run, look in curves:
         single = {"color": INK} if len(curves) == 1 else {}  # the first inertia has the first run's colour
-        ax.plot(run.history.time, run.history.torque, zorder=3, **look | single)
-        values |= set(run.history.torque.tolist())
+        ax.plot(run.time, run.torque, zorder=3, **look | single)
+        values |= set(run.torque.tolist())
     ax.set_ylabel("Torque\n[N m]")
     if len(values) <= 2:
         ax.set_yticks(sorted(values))
@@ -64,14 +64,14 @@ def draw_backlash(ax: Axes, curves: Sequence[Curve], limits: tuple[float, float]
             ax.axhline(side * edge, color="0.7", linewidth=0.7, zorder=0.5)
     size = 6.5
     for run, look in curves:
-        ax.plot(run.history.time, 1e3 * run.history.backlash_coordinate, zorder=3, **look)
+        ax.plot(run.time, 1e3 * run.backlash_coordinate, zorder=3, **look)
         _mark_touches(ax, run, look["color"], size)
         size *= 0.8  # so that of impacts in one place all can be seen
     ax.set_ylabel(f"Backlash coordinate\n{symbol_text('xb')} [mm]")
     if limits is None:
-        reach = max(1.2 * widest, *(1.05e3 * np.abs(run.history.backlash_coordinate).max() for run in runs))
+        reach = max(1.2 * widest, *(1.05e3 * np.abs(run.backlash_coordinate).max() for run in runs))
         # locked flanks without a gap stay together but for rounding, which is nothing to look at
-        limits = (-reach, reach) if reach > 1e-9 * max(run.radius for run in runs) else (-1.0, 1.0)
+        limits = (-reach, reach) if reach > 1e-9 * max(run.study.lash.radius for run in runs) else (-1.0, 1.0)
     ax.set_ylim(*limits)
     _name_flanks(ax, widest, {run.trajectory.initial_side for run in runs})
 
@@ -89,14 +89,14 @@ def _name_flanks(ax: Axes, widest: float, initial_sides: set[int]) -> None:
             ax.text(1.015, at, name, transform=place, va="center", fontsize=8.5, color=FAINT_INK)
 
 
-def _mark_touches(ax: Axes, run: Recording, colour: Any, size: float) -> None:
+def _mark_touches(ax: Axes, run: History, colour: Any, size: float) -> None:
     """Every touch at its flank, pointing at it; primary impacts filled, chatter small and open."""
     primary: dict[str, Any] = {"markersize": size, "markerfacecolor": colour, "markeredgecolor": INK, "zorder": 5}
     chatter: dict[str, Any] = {"markersize": 4.0, "markerfacecolor": "white", "markeredgecolor": colour, "zorder": 4}
     for row, side, is_primary in zip(run.touches.row, run.touches.side, run.touches.primary, strict=True):
         ax.plot(
-            run.history.time[row],
-            1e3 * run.history.backlash_coordinate[row],
+            run.time[row],
+            1e3 * run.backlash_coordinate[row],
             marker="^" if side > 0 else "v",
             color=colour,
             markeredgewidth=0.7,
@@ -109,8 +109,8 @@ def _mark_touches(ax: Axes, run: Recording, colour: Any, size: float) -> None:
 def draw_acceleration(ax: Axes, curves: Sequence[Curve]) -> None:
     """Acceleration of the watched inertia, and of a single run the peak-to-peak values that Q is made of."""
     for run, look in curves:
-        curve = run.history.acceleration[:, run.watched - 1]
-        ax.plot(run.history.time, curve, zorder=3, **look | {"linewidth": 1.0})
+        curve = run.acceleration[:, run.watched - 1]
+        ax.plot(run.time, curve, zorder=3, **look | {"linewidth": 1.0})
     watched = {run.watched for run, _ in curves}
     index = _index(watched.pop()) if len(watched) == 1 else ""
     ax.set_ylabel("Acceleration\n" + rf"$\mathregular{{\ddot{{\theta}}}}${index} [rad/s²]")
@@ -124,7 +124,7 @@ def draw_acceleration(ax: Axes, curves: Sequence[Curve]) -> None:
         _mark_severity(ax, curves[0][0])
 
 
-def _mark_severity(ax: Axes, run: Recording) -> None:
+def _mark_severity(ax: Axes, run: History) -> None:
     """A double arrow over each impact's peak-to-peak acceleration, and the list of their values."""
     sampled = [impact for impact in run.impacts if impact.rows.stop > impact.rows.start]
     if not sampled:
@@ -139,12 +139,12 @@ def _mark_severity(ax: Axes, run: Recording) -> None:
     ax.text(1.015, 1.0, text, transform=ax.transAxes, va="top", fontsize=8.5, linespacing=1.5)
 
 
-def _draw_arrow(ax: Axes, run: Recording, impact: Impact) -> None:
+def _draw_arrow(ax: Axes, run: History, impact: Impact) -> None:
     """A double arrow from the smallest to the largest acceleration after an impact, and lines to where they are."""
-    begin, end = run.history.time[0], run.history.time[-1]
+    begin, end = run.time[0], run.time[-1]
     offset = 0.028 * (end - begin)
     x = min(impact.begin + offset, 0.5 * (impact.begin + min(impact.end, end)))
-    curve, times = run.history.acceleration[impact.rows, run.watched - 1], run.history.time[impact.rows]
+    curve, times = run.acceleration[impact.rows, run.watched - 1], run.time[impact.rows]
     for value, at in ((impact.largest, times[np.argmax(curve)]), (impact.smallest, times[np.argmin(curve)])):
         ax.plot([at, x + 0.35 * offset], [value, value], color=INK, linewidth=0.6, zorder=4)
     arrow = {"arrowstyle": "<->", "color": INK, "linewidth": 0.9, "shrinkA": 0.0, "shrinkB": 0.0}

@@ -15,9 +15,8 @@ from clunk.report.claims import Claim, Verdict
 from clunk.report.evidence import MAPS, NOMINAL_RATIO, RATIOS, Evidence
 from clunk.results.files import reason, write_whole
 from clunk.results.store import StoreError, write
-from clunk.simulation.history import sample
+from clunk.simulation.history import History, sample
 from clunk.simulation.linear import one_mode_thresholds
-from clunk.simulation.recording import Recording
 from clunk.simulation.small_gap import SmallGap
 
 Job = tuple[str, Callable[[], Figure]]
@@ -82,8 +81,8 @@ def figures(e: Evidence) -> list[Job]:
     thresholds = [float(ratio) for ratio in one_mode_thresholds(e.study)]
     maps = e.maps
 
-    def run(name: str, ratio: float = NOMINAL_RATIO, title: str = "", until: float = 1.0) -> Recording:
-        return Recording(title or _NAMES[name], e.runs[name][ratio], sample(e.runs[name][ratio], until=until))
+    def run(name: str, ratio: float = NOMINAL_RATIO, title: str = "", until: float = 1.0) -> History:
+        return sample(e.runs[name][ratio], until=until, name=title or _NAMES[name])
 
     nominal, both = run("indentation"), [run(name) for name in _NAMES]
     all_runs = [run(name, ratio, f"{_NAMES[name]}, σr = {ratio:g}") for ratio in RATIOS for name in _NAMES]

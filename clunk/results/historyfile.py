@@ -19,13 +19,13 @@ SCHEMA_VERSION = 1
 _ROWS = 4096  # of a CSV file, written at once
 
 
-def save_csv(path: str | os.PathLike[str], history: History, trajectory: Trajectory) -> None:
+def save_csv(path: str | os.PathLike[str], history: History) -> None:
     """Write a history as comma-separated values, to full precision, with the units in the names of the columns.
 
     The last two columns are text, empty but in the row that follows an event: what it is, and its flank. Raises
     HistoryError.
     """
-    n = history.angle.shape[1]
+    n, trajectory = history.angle.shape[1], history.trajectory
     names = ["time_s", "after_step_s"]
     for quantity, unit in (("theta", "rad"), ("theta_dot", "rad_per_s"), ("theta_ddot", "rad_per_s2")):
         names += [f"{quantity}_{inertia}_{unit}" for inertia in range(1, n + 1)]
@@ -57,17 +57,17 @@ def event_name(trajectory: Trajectory, k: int) -> str:
     return f"{'primary' if k in trajectory.primaries else 'secondary'} {name}"
 
 
-def save_hdf5(path: str | os.PathLike[str], history: History, trajectory: Trajectory) -> None:
+def save_hdf5(path: str | os.PathLike[str], history: History) -> None:
     """Write a history as HDF5 laid out as netCDF-4, with the run's events and its config. Raises HistoryError.
 
     In xarray: ``open_dataset(path, engine="h5netcdf")``. Events have two rows each, so a time need not be unique.
     """
     with writing(path, HistoryError) as target:
-        write_file(target, lambda file: _write_hdf5(file, history, trajectory))
+        write_file(target, lambda file: _write_hdf5(file, history))
 
 
-def _write_hdf5(file: h5py.File, history: History, trajectory: Trajectory) -> None:
-    study = trajectory.study
+def _write_hdf5(file: h5py.File, history: History) -> None:
+    study, trajectory = history.study, history.trajectory
     set_text(file, "title", study.title)
     set_text(file, "Conventions", CONVENTIONS)
     file.attrs["schema_version"] = np.int32(SCHEMA_VERSION)

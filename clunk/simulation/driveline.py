@@ -5,6 +5,7 @@ M θ'' + C θ' + K θ = b T (report Eq. 2.6), where closing the lash adds a spri
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -22,59 +23,60 @@ End = int | Literal["ground"]
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """Oscillating modes of a driveline, lowest frequency first.
+    """Oscillating modes of a driveline, lowest frequency first, and the rates of what decays without oscillating."""
 
-    frequency : (k,) float64  [Hz], undamped natural frequency |λ|/2π
-    damping_ratio : (k,) float64, ζ = -Re λ/|λ|
-    overdamped : (m,) float64  [1/s], the decay rates of what does not oscillate (a rigid-body drift has 0)
-    """
-
-    frequency: FloatArray
-    damping_ratio: FloatArray
-    overdamped: FloatArray
+    frequency: FloatArray  # (k,)  Hz, undamped natural frequency |λ|/2π
+    damping_ratio: FloatArray  # (k,)  ζ = -Re λ/|λ|
+    overdamped: FloatArray  # (m,)  1/s; a rigid-body drift has 0
 
 
 @dataclass(frozen=True, eq=False)
 class Driveline:
-    """The matrices of a driveline; n inertias.
+    """The matrices of a driveline; n inertias, S shafts."""
 
-    inertia : (n,) float64  [kg m2]
-    damping, stiffness : (n, n) float64  [N m s/rad], [N m/rad], with the lash open
-    lash : (n,) float64, q = lash · θ = θi - θj
-    load : (n,) float64, 1 at the loaded inertia
-    contact_stiffness, contact_damping : float  [N m/rad], [N m s/rad], of the closed lash: r² k34 and r² c34
-    grounded : bool, whether every inertia has a path of stiffness to ground while the lash is closed
-    """
-
-    inertia: FloatArray
-    damping: FloatArray
-    stiffness: FloatArray
-    lash: FloatArray
-    load: FloatArray
-    contact_stiffness: float
-    contact_damping: float
-    grounded: bool
+    inertia: FloatArray  # (n,)  kg m2
+    shafts: FloatArray  # (S, n)  twist of each shaft = row · θ
+    shaft_stiffness: FloatArray  # (S,)  N m/rad
+    shaft_damping: FloatArray  # (S,)  N m s/rad
+    lash: FloatArray  # (n,)  q = lash · θ
+    load: FloatArray  # (n,)  1 at the loaded inertia
+    contact_stiffness: float  # N m/rad, of the closed lash: r² k34
+    contact_damping: float  # N m s/rad, r² c34
+    grounded: bool  # whether every inertia has a path of stiffness to ground while the lash is closed
 
     @classmethod
     def from_study(cls, study: Study) -> "Driveline":
         """The driveline that a study's config spells out."""
-        n = len(study.driveline.inertias)
-        shafts = study.driveline.shafts
-        twist = _incidence([shaft.between for shaft in shafts], n)
-        contact = study.lash.contact
-        load = np.zeros(n)
-        load[int(study.load.on) - 1] = 1.0
+        n, shafts, contact = len(study.driveline.inertias), study.driveline.shafts, study.lash.contact
         springs = [shaft.between for shaft in shafts if shaft.stiffness > 0.0]
         return cls(
             inertia=np.array(study.driveline.inertias, dtype=np.float64),
-            damping=(twist.T * [shaft.damping for shaft in shafts]) @ twist,
-            stiffness=(twist.T * [shaft.stiffness for shaft in shafts]) @ twist,
+            shafts=_incidence([shaft.between for shaft in shafts], n),
+            shaft_stiffness=np.array([shaft.stiffness for shaft in shafts], dtype=np.float64),
+            shaft_damping=np.array([shaft.damping for shaft in shafts], dtype=np.float64),
             lash=_incidence([study.lash.between], n)[0],
-            load=load,
+            load=np.eye(n)[int(study.load.on) - 1],
             contact_stiffness=study.lash.radius**2 * contact.stiffness,
             contact_damping=study.lash.radius**2 * contact.damping,
             grounded=_all_grounded(n, [*springs, study.lash.between]),
         )
+
+    @cached_property
+    def damping(self) -> FloatArray:
+        """(n, n) damping with the lash open  [N m s/rad]."""
+        return np.asarray((self.shafts.T * self.shaft_damping) @ self.shafts)
+
+    @cached_property
+    def stiffness(self) -> FloatArray:
+        """(n, n) stiffness with the lash open  [N m/rad]."""
+        return np.asarray((self.shafts.T * self.shaft_stiffness) @ self.shafts)
+
+    def matrices(self, *, closed: bool) -> tuple[FloatArray, FloatArray]:
+        """Damping and stiffness, (n, n) each, with the spring and damper of the closed lash or without."""
+        if not closed:
+            return self.damping, self.stiffness
+        coupling = np.outer(self.lash, self.lash)
+        return self.damping + self.contact_damping * coupling, self.stiffness + self.contact_stiffness * coupling
 
     @property
     def contact_period(self) -> float:
@@ -84,10 +86,7 @@ class Driveline:
 
     def modes(self, *, closed: bool) -> Modes:
         """Natural frequencies and damping ratios with the lash closed or open."""
-        coupling = np.outer(self.lash, self.lash) * float(closed)
-        damping = self.damping + self.contact_damping * coupling
-        stiffness = self.stiffness + self.contact_stiffness * coupling
-        rates, _ = chain(self.inertia, damping, stiffness, self.load)
+        rates, _ = chain(self.inertia, *self.matrices(closed=closed), self.load)
         eigenvalues = np.linalg.eigvals(rates)
         rounding = 1e-7 * np.abs(eigenvalues).max()  # a double zero, an undamped drift, is found to half the digits
         oscillating = eigenvalues[eigenvalues.imag > rounding]
@@ -144,26 +143,21 @@ def _build(study: Study, driveline: Driveline) -> System:
 
 
 def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
-    inertia, damping, stiffness = driveline.inertia, driveline.damping, driveline.stiffness
-    n = inertia.size
-    opened = Chain(inertia, damping, stiffness, *unconstrained(2 * n))
+    inertia, n = driveline.inertia, driveline.inertia.size
+    damping, stiffness = driveline.matrices(closed=False)
+    open_chain = Chain(inertia, damping, stiffness, *unconstrained(2 * n))
     if study.lash.contact.model == "restitution":
         locked = constrained(driveline.lash)
         basis = locked.expand[:n, : n - 1]  # each row has at most one entry: the inertias' matrix stays diagonal
-        closed = Chain(inertia @ basis**2, basis.T @ damping @ basis, basis.T @ stiffness @ basis, *locked)
+        closed_chain = Chain(inertia @ basis**2, basis.T @ damping @ basis, basis.T @ stiffness @ basis, *locked)
     else:
-        coupling = driveline.lash[:, None] * driveline.lash
-        closed = Chain(
-            inertia,
-            damping + driveline.contact_damping * coupling,
-            stiffness + driveline.contact_stiffness * coupling,
-            *unconstrained(2 * n),
-        )
-    return build_flows(system.rates, system.inputs, system.functionals, system.feedthrough, [opened, closed])
+        closed_chain = Chain(inertia, *driveline.matrices(closed=True), *unconstrained(2 * n))
+    chains = [open_chain, closed_chain]
+    return build_flows(system.rates, system.inputs, system.functionals, system.feedthrough, chains)
 
 
 def steps_a_period(study: Study) -> float:
-    """How many of the solver's steps resolve a period of the fastest oscillation; infinite where nothing oscillates.
+    """Solver steps in a period of the fastest oscillation; infinite where nothing oscillates.
 
     RK4 is stable down to about 2 to 3, but below about 10 it damps the contact's own oscillation, and weak rebounds
     are lost. The restitution model has no such oscillation.

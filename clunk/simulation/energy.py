@@ -1,4 +1,4 @@
-"""The energy balance of a run: what the load put in is stored, damped, or lost where the flanks meet and part.
+"""The energy balance of a run: the work of the load is stored, damped, or lost where the flanks meet and part.
 
     stored before + work of the load = stored after + damped + lost at impacts + dropped by the contact - regained
 
@@ -21,10 +21,10 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.events import REJOIN, SEPARATION, TOUCH
-from clunk.core.regimes import CLOSED_FLOW
-from clunk.simulation import driveline
-from clunk.simulation.driveline import Driveline
-from clunk.simulation.load import load_step
+from clunk.core.regimes import HALF_GAP, TORQUE
+from clunk.simulation.driveline import Driveline, build
+from clunk.simulation.load import run_inputs
+from clunk.simulation.phases import Regime, regimes_of
 from clunk.simulation.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
@@ -34,31 +34,20 @@ _ORDER = 18  # of the power series, up to |A| t = 1/4: (2 |A| t)^18 / 18! is 1e-
 
 @dataclass(frozen=True)
 class EnergyBalance:
-    """Where the energy of a run went, from the load step to its end; S shafts.
+    """Stored, supplied and lost energies of a run, from the load step to its end  [J]; S shafts."""
 
-    work : float  [J], of the load torque
-    kinetic_before, kinetic_after : float  [J]
-    shafts_before, shafts_after : (S,) float  [J], stored in each shaft's spring
-    contact_before, contact_after : float  [J], stored in the indented flanks; 0 for the restitution model
-    damped_in_shafts : (S,) float  [J]
-    damped_in_contact : float  [J]
-    lost_at_impacts : float  [J], of the restitution model
-    dropped : float  [J], left in flanks that overlap as they part, of separation by force
-    regained : float  [J], of it found again where such flanks rejoin before they have opened
-    """
-
-    work: float
+    work: float  # of the load torque
     kinetic_before: float
     kinetic_after: float
-    shafts_before: tuple[float, ...]
+    shafts_before: tuple[float, ...]  # (S,) stored in each shaft's spring
     shafts_after: tuple[float, ...]
-    contact_before: float
+    contact_before: float  # stored in the indented flanks; 0 for the restitution model
     contact_after: float
-    damped_in_shafts: tuple[float, ...]
+    damped_in_shafts: tuple[float, ...]  # (S,)
     damped_in_contact: float
-    lost_at_impacts: float
-    dropped: float
-    regained: float
+    lost_at_impacts: float  # of the restitution model
+    dropped: float  # left in flanks that overlap as they part, of separation by force
+    regained: float  # of it found again where such flanks rejoin before they have opened
 
     @property
     def stored_before(self) -> float:
@@ -67,17 +56,17 @@ class EnergyBalance:
 
     @property
     def stored_after(self) -> float:
-        """The same at the end of the run  [J]."""
+        """Kinetic energy and that of every spring, at the end of the run  [J]."""
         return math.fsum((self.kinetic_after, *self.shafts_after, self.contact_after))
 
     @property
     def damped(self) -> float:
-        """What all dampers have taken  [J]."""
+        """Energy taken by all dampers  [J]."""
         return math.fsum((*self.damped_in_shafts, self.damped_in_contact))
 
     @property
     def residual(self) -> float:
-        """What the terms leave unexplained  [J]."""
+        """Sources less sinks: zero for an exact run  [J]."""
         sources = self.stored_before, self.work, self.regained
         sinks = self.stored_after, self.damped, self.lost_at_impacts, self.dropped
         return math.fsum((*sources, *(-sink for sink in sinks)))
@@ -94,6 +83,7 @@ class EnergyBalance:
         return abs(self.residual) / self.largest if self.largest != 0.0 else abs(self.residual)
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def balance(trajectory: Trajectory) -> EnergyBalance:
     """The energy balance of a run, from the states recorded at its events.
 
@@ -104,72 +94,54 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
 
     A term beyond the range of numbers is infinite or NaN.
     """
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        return _balance(trajectory)
-
-
-def _balance(trajectory: Trajectory) -> EnergyBalance:
-    study = trajectory.study
-    line, system = Driveline.from_study(study), driveline.build(study)
+    study, events, states = trajectory.study, trajectory.events, trajectory.states
+    line, system = Driveline.from_study(study), build(study)
     n, impulsive = line.inertia.size, bool(system.impulsive)
-    torque, half_gap = float(load_step(study.load).after), float(np.deg2rad(study.lash.backlash_deg) / 2)
-    shafts = study.driveline.shafts
-    twists = np.zeros((len(shafts), n))
-    for twist, shaft in zip(twists, shafts, strict=True):
-        for inertia, sign in zip(shaft.between, (1.0, -1.0), strict=True):
-            if inertia != "ground":
-                twist[int(inertia) - 1] = sign
-    dampers = np.array([*(shaft.damping for shaft in shafts), 0.0 if impulsive else line.contact_damping])
-    rows = np.vstack([twists, line.lash])
+    inputs = run_inputs(study)[1]
+    regimes = regimes_of(system, inputs)
+    rows, contact_damping = np.vstack([line.shafts, line.lash]), 0.0 if impulsive else line.contact_damping
 
-    def in_shafts(x: FloatArray) -> FloatArray:
-        return np.array([shaft.stiffness for shaft in shafts]) * (twists @ x[:n]) ** 2 / 2.0
+    def indented(x: FloatArray, side: int) -> float:
+        overlap = side * (line.lash @ x[:n]) - inputs[HALF_GAP]
+        return 0.0 if impulsive else float(line.contact_stiffness * overlap**2 / 2.0)
 
-    def in_contact(x: FloatArray, side: int) -> float:
-        return 0.0 if impulsive else float(line.contact_stiffness * (side * (line.lash @ x[:n]) - half_gap) ** 2 / 2.0)
+    def stored(x: FloatArray, regime: Regime) -> tuple[float, tuple[float, ...], float]:
+        """In the inertias, in each shaft and in the contact."""
+        shafts = line.shaft_stiffness * (line.shafts @ x[:n]) ** 2 / 2.0
+        contact = indented(x, regime.side) if regime.closed else 0.0
+        return float(line.inertia @ x[n:] ** 2 / 2.0), tuple(shafts.tolist()), contact
 
-    def in_inertias(x: FloatArray) -> float:
-        return float(line.inertia @ x[n:] ** 2 / 2.0)
-
-    events, states = trajectory.events, trajectory.states
-    ends = np.append(events["time"][1:], trajectory.end)
     work, damped, x = 0.0, np.zeros(rows.shape[0]), states[0]
-    for event, start, end in zip(events, states, ends, strict=True):
-        flow, side = system.regimes[["flow", "side"]][event["regime"]]
-        is_closed = np.concatenate([np.ones(len(shafts)), [float(flow == CLOSED_FLOW)]])
-        rates = system.rates[flow] @ start + system.inputs[flow] @ [torque, side * half_gap]
-        travel, forms = _integrals(system.rates[flow], rows, float(end - event["time"]))
+    for event, start, end in zip(events, states, np.append(events["time"][1:], trajectory.end), strict=True):
+        regime = regimes[event["regime"]]
+        rates = regime.rates @ start + regime.forcing
+        travel, forms = _integrals(regime.rates, rows, float(end - event["time"]))
         moved = travel @ rates
-        work += torque * float(line.load @ moved[:n])
-        damped += is_closed * dampers * np.einsum("i,kij,j->k", rates, forms, rates)
+        work += float(inputs[TORQUE] * (line.load @ moved[:n]))
+        dampers = np.append(line.shaft_damping, contact_damping * regime.closed)
+        damped += dampers * np.einsum("i,kij,j->k", rates, forms, rates)
         x = start + moved
 
-    touches, partings, rejoins = (np.flatnonzero(events["kind"] == kind) for kind in (TOUCH, SEPARATION, REJOIN))
-    lost = 0.0
+    kinds, lost = events["kind"], 0.0
     if impulsive:
-        speed_after = states[touches] @ system.lash
-        lost = float(np.sum(events["speed"][touches] ** 2 - speed_after**2) / np.sum(line.lash**2 / line.inertia) / 2.0)
-    dropped, regained = 0.0, 0.0
-    if not impulsive and study.lash.contact.separation == "force":
-        dropped, regained = (
-            math.fsum(in_contact(states[k], int(events["side"][k])) for k in found) for found in (partings, rejoins)
-        )
-
-    def contact_at(state: FloatArray, regime: int) -> float:
-        return (
-            in_contact(state, int(system.regimes["side"][regime]))
-            if system.regimes["flow"][regime] == CLOSED_FLOW
-            else 0.0
-        )
-
+        touches = kinds == TOUCH
+        lost_squares = events["speed"][touches] ** 2 - (states[touches] @ system.lash) ** 2
+        lost = float(np.sum(lost_squares) / np.sum(line.lash**2 / line.inertia) / 2.0)
+    by_force = not impulsive and study.lash.contact.separation == "force"
+    dropped, regained = (
+        math.fsum(map(indented, states[kinds == kind], events["side"][kinds == kind])) if by_force else 0.0
+        for kind in (SEPARATION, REJOIN)
+    )
+    kinetic_before, shafts_before, contact_before = stored(states[0], regimes[events["regime"][0]])
+    kinetic_after, shafts_after, contact_after = stored(x, regimes[events["regime"][-1]])
     return EnergyBalance(
         work=work,
-        kinetic_before=in_inertias(states[0]),
-        kinetic_after=in_inertias(x),
-        shafts_before=tuple(in_shafts(states[0]).tolist()),
-        shafts_after=tuple(in_shafts(x).tolist()),
-        contact_before=contact_at(states[0], int(events["regime"][0])),
-        contact_after=contact_at(x, int(events["regime"][-1])),
+        kinetic_before=kinetic_before,
+        kinetic_after=kinetic_after,
+        shafts_before=shafts_before,
+        shafts_after=shafts_after,
+        contact_before=contact_before,
+        contact_after=contact_after,
         damped_in_shafts=tuple(damped[:-1].tolist()),
         damped_in_contact=float(damped[-1]),
         lost_at_impacts=lost,
@@ -186,7 +158,7 @@ def _integrals(rates: FloatArray, rows: FloatArray, length: float) -> tuple[Floa
     rates : (2n, 2n) float64
         A, of x = (θ, θ').
     rows : (m, n) float64
-        What a damper sees of the velocities.
+        Speed of each damper = row · θ'.
     length : float  [s]
 
     Returns

@@ -1,24 +1,27 @@
 """Time histories: the motion between the events of a run, sampled for figures and for other programs.
 
-A run leaves its events behind and the state at each. Between two of them the motion is linear with a constant input,
-x' = A x + B u, so that z = (x, 1) moves by a matrix exponential: z(t) = exp(M t) z(0) with M = [[A, B u], [0, 0]].
-Every phase starts from the state at its event; nothing is integrated again and no event is searched again.
+Every phase starts from the state that the run recorded at its event; nothing is integrated again and no event is
+searched again.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import expm
 
 from clunk.core import switching
 from clunk.core.events import TOUCH
-from clunk.core.regimes import CLOSED_FLOW, System
+from clunk.core.regimes import TORQUE, System
 from clunk.core.status import Status
-from clunk.simulation import driveline
-from clunk.simulation.load import load_step
+from clunk.simulation.driveline import Driveline, build
+from clunk.simulation.load import run_inputs
+from clunk.simulation.phases import Flow, apply, preload, regimes_of
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.errors import ClunkError
+from clunk.study.study import Study
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -33,6 +36,27 @@ class HistoryError(ClunkError):
     """A history that cannot be sampled or written as asked; its text is one sentence for the user."""
 
 
+class Touches(NamedTuple):
+    """The touches within a history, in order; E of them."""
+
+    row: npt.NDArray[np.intp]  # (E,) rows of the history
+    side: npt.NDArray[np.int64]  # (E,) sign of q at the flank
+    primary: npt.NDArray[np.bool_]  # (E,)
+    until: FloatArray  # (E,) s after the load step, of the event that follows
+
+
+class Impact(NamedTuple):
+    """A primary impact and the accelerations until the next one, or until the run's end."""
+
+    number: int  # from 1
+    severity: float  # Q_i, rad/s2; NaN where it is not defined
+    begin: float  # s, on the history's time axis
+    end: float  # likewise; inf for the last one
+    rows: slice  # of the history; empty where it was not sampled for so long
+    largest: float  # rad/s2
+    smallest: float
+
+
 @dataclass(frozen=True, eq=False)
 class History:
     """A run at M samples: multiples of an output step from the load step, both ends, and every event.
@@ -40,31 +64,83 @@ class History:
     An event has two rows of the same time, its limits from before and from after, since accelerations jump there, and
     in the restitution model velocities; `event` tells the second. Of events at one time, only the first has a row
     before.
-
-    time : (M,) float64  [s], the load step at the config's load.step_time
-    after_step : (M,) float64  [s], the load step at 0
-    angle : (M, n) float64  [rad], θ
-    velocity : (M, n) float64  [rad/s], θ'
-    acceleration : (M, n) float64  [rad/s2], θ''; without the impulses of the restitution model
-    torque : (M,) float64  [N m], the load
-    backlash_coordinate : (M,) float64  [m], x_b = r (θi - θj)
-    contact : (M,) int8, the flank that presses: -1 initial, +1 opposite, 0 none
-    event : (M,) int64, the row's index in the trajectory's events, -1 where there is none
     """
 
-    time: FloatArray
-    after_step: FloatArray
-    angle: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-    torque: FloatArray
-    backlash_coordinate: FloatArray
-    contact: npt.NDArray[np.int8]
-    event: npt.NDArray[np.int64]
+    name: str  # for legends
+    trajectory: Trajectory
+    time: FloatArray  # (M,)  s, the load step at the config's load.step_time
+    after_step: FloatArray  # (M,)  s, the load step at 0
+    angle: FloatArray  # (M, n)  rad, θ
+    velocity: FloatArray  # (M, n)  rad/s, θ'
+    acceleration: FloatArray  # (M, n)  rad/s2, θ''; without the impulses of the restitution model
+    torque: FloatArray  # (M,)  N m, the load
+    backlash_coordinate: FloatArray  # (M,)  m, x_b = r q
+    contact: npt.NDArray[np.int8]  # (M,)  the flank that presses: -1 initial, +1 opposite, 0 none
+    event: npt.NDArray[np.int64]  # (M,)  the row's index in the trajectory's events, -1 where there is none
+
+    @property
+    def study(self) -> Study:
+        """The study of the run."""
+        return self.trajectory.study
+
+    @property
+    def half_gap(self) -> float:
+        """Largest backlash coordinate of the open gap, r φ/2  [m]."""
+        return float(self.study.lash.radius * np.deg2rad(self.study.lash.backlash_deg) / 2)
+
+    @property
+    def is_restitution(self) -> bool:
+        """Whether contact is an impulse, in which accelerations are not defined."""
+        return self.study.lash.contact.model == "restitution"
+
+    @property
+    def watched(self) -> int:
+        """The inertia whose acceleration gives the severity, counted from 1."""
+        return int(self.study.impacts.acceleration_of)
+
+    @property
+    def setup(self) -> str:
+        """Driveline, lash and load of the run without its contact, as text to compare."""
+        return repr((self.study.driveline, self.study.lash.model_dump(exclude={"contact"}), self.study.load))
+
+    @cached_property
+    def touches(self) -> Touches:
+        """The touches within the history."""
+        events = self.trajectory.events
+        row = np.flatnonzero(self.event >= 0)
+        row = row[events["kind"][self.event[row]] == TOUCH]
+        k = self.event[row]
+        primary = np.isin(k, self.trajectory.primaries)
+        return Touches(row, events["side"][k], primary, events["time"][np.minimum(k + 1, events.size - 1)])
+
+    @cached_property
+    def impacts(self) -> tuple[Impact, ...]:
+        """The primary impacts, in order."""
+        events, step_time = self.trajectory.events, self.study.load.step_time
+        row = np.full(events.size + 1, self.time.size)
+        sampled = np.flatnonzero(self.event >= 0)
+        row[self.event[sampled]] = sampled
+        limits = [*self.trajectory.primaries.tolist(), events.size]
+        return tuple(
+            Impact(
+                number=number,
+                severity=float(self.trajectory.impact_severity[number - 1]),
+                begin=float(step_time + events["time"][k]),
+                end=float(step_time + events["time"][following]) if following < events.size else np.inf,
+                rows=slice(int(row[k]), int(row[following])),
+                largest=float(events["max_acceleration"][k:following].max()),
+                smallest=float(events["min_acceleration"][k:following].min()),
+            )
+            for number, (k, following) in enumerate(pairwise(limits), 1)
+        )
 
 
 def sample(
-    trajectory: Trajectory, step: float | None = None, until: float | None = None, before: float | None = None
+    trajectory: Trajectory,
+    step: float | None = None,
+    until: float | None = None,
+    before: float | None = None,
+    name: str | None = None,
 ) -> History:
     """The motion of a run at evenly spaced times and at its events.
 
@@ -79,75 +155,67 @@ def sample(
     before : float, optional  [s]
         How much of the equilibrium before the load step to show; by default all from time 0. A run from an initial
         state has none.
+    name : str, optional
+        For legends; by default the study's title.
 
     Raises
     ------
     HistoryError
     """
-    study = trajectory.study
-    system = driveline.build(study)
-    load, half_gap = load_step(study.load), float(np.deg2rad(study.lash.backlash_deg) / 2)
-    equilibrium = _from_equilibrium(trajectory, system, float(load.before), half_gap)
-
+    study, system = trajectory.study, build(trajectory.study)
+    inputs_before, inputs = run_inputs(study)
+    resting = _began_at_rest(trajectory, system, inputs_before)
     step = study.solver.step if step is None else step
     until = study.load.step_time + study.solver.end_time if until is None else until
     if before is None:
-        before = study.load.step_time if equilibrium else 0.0
-    begin, end = _span(trajectory, step, until, before, equilibrium)
+        before = study.load.step_time if resting else 0.0
+    begin, end = _span(trajectory, step, until, before, resting)
 
-    phases = Phases(system, float(load.after), half_gap, step)
-    # of each phase: (m,), (m, 2n), its regime and its first row's event
-    times: list[FloatArray] = []
-    states: list[FloatArray] = []
-    regimes: list[int] = []
-    marks: list[int] = []
-    if equilibrium:
-        last = min(end, 0.0)
-        first = [begin] if begin < last else []
-        times.append(np.concatenate((first, _grid(begin, last, step) * step, [last])))
-        states.append(np.broadcast_to(trajectory.states[0] + 0.0, (times[-1].size, system.lash.size)))  # no -0.0
-        regimes.append(switching.closed_on(trajectory.initial_side))
-        marks.append(-1)
-    rows_before = times[0].size if times else 0
+    regimes = regimes_of(system, inputs)
+    flow = Flow(regimes, step)
+    phases = [_rest(trajectory, begin, min(end, 0.0), step)] if resting else []
+    started = int(np.searchsorted(trajectory.events["time"], end, side="right"))
+    phases += [_after_event(trajectory, system, flow, k, step, end) for k in range(started)]
 
-    for k in range(int(np.searchsorted(trajectory.events["time"], end, side="right"))):
-        time, state_in_phase = phases.after_event(trajectory, k, end)
-        times.append(time)
-        states.append(state_in_phase)
-        regimes.append(int(trajectory.events["regime"][k]))
-        marks.append(k)
-
-    lengths = [part.size for part in times]
-    after_step, state = np.concatenate(times), np.concatenate(states)
-    regime_of = np.repeat(np.array(regimes), lengths)
+    lengths = [phase.time.size for phase in phases]
+    after_step, state = (np.concatenate(parts) for parts in ([p.time for p in phases], [p.state for p in phases]))
+    regime_of = np.repeat([phase.regime for phase in phases], lengths)
     event = np.full(after_step.size, -1)
-    event[np.cumsum([0, *lengths[:-1]])] = marks
-    torque = np.where(np.arange(after_step.size) < rows_before, load.before, load.after)
-    acceleration = phases.accelerations(state, regime_of)
-    acceleration[:rows_before] = 0.0  # at rest by definition; the product leaves rounding
-    n = system.lash.size // 2
-    closed = system.regimes["flow"][regime_of] == CLOSED_FLOW
+    event[np.cumsum([0, *lengths[:-1]])] = [phase.event for phase in phases]
+    angle, velocity = np.hsplit(state, 2)
+    n = angle.shape[1]
+    acceleration = np.empty_like(angle)
+    for number, regime in enumerate(regimes):
+        rows = regime_of == number
+        acceleration[rows] = apply(regime.rates[n:], state[rows]) + regime.forcing[n:]
+    torque = np.full(after_step.size, inputs[TORQUE])
+    if resting:
+        torque[: lengths[0]] = inputs_before[TORQUE]
+        acceleration[: lengths[0]] = 0.0  # at rest by definition; the product leaves rounding
+    pressing = np.array([regime.side * regime.closed for regime in regimes])  # the side of the flank that presses
     return History(
+        name=study.title if name is None else name,
+        trajectory=trajectory,
         time=study.load.step_time + after_step,
         after_step=after_step,
-        angle=state[:, :n],
-        velocity=state[:, n:],
+        angle=angle,
+        velocity=velocity,
         acceleration=acceleration,
         torque=torque,
-        backlash_coordinate=study.lash.radius * _apply(system.lash[None, n:], state[:, :n])[:, 0],
-        contact=np.where(closed, -system.regimes["side"][regime_of] * trajectory.initial_side, NONE).astype(np.int8),
+        backlash_coordinate=study.lash.radius * apply(system.lash[None, n:], angle)[:, 0],
+        contact=(-trajectory.initial_side * pressing[regime_of]).astype(np.int8),
         event=event,
     )
 
 
 def shown_until(trajectory: Trajectory) -> float:
-    """When a picture of the run may end, on the axis of `History.time`  [s].
+    """End of a picture of the run, on the axis of `History.time`  [s].
 
     Half as long again as its events last and not before its slowest oscillation in contact has died down, rounded up to
     0.1 s; but at the run's end time at the latest.
     """
     study = trajectory.study
-    modes = driveline.Driveline.from_study(study).modes(closed=True)
+    modes = Driveline.from_study(study).modes(closed=True)
     rate = float(np.min(2.0 * np.pi * modes.frequency * modes.damping_ratio, initial=np.inf))
     fading = -np.log(_FAINT) / rate if rate > 0.0 else study.solver.end_time
     span = min(max(1.5 * float(trajectory.events["time"][-1]), fading), study.solver.end_time)
@@ -158,89 +226,57 @@ def shown_until(trajectory: Trajectory) -> float:
 # --- Sampling --------------------------------------------------------------------------------------------------------
 
 
-class Phases:
-    """The flow of each regime under the load after the step, by powers of one step's matrix exponential."""
+class _Phase(NamedTuple):
+    """Samples of the motion from one event, or from the start of the history, to the next."""
 
-    def __init__(self, system: System, torque: float, half_gap: float, step: float) -> None:
-        self._system = system
-        self._step = step
-        self._n = system.lash.size // 2
-        size = system.lash.size
-        self._augmented = np.zeros((system.regimes.size, size + 1, size + 1))
-        for regime, row in enumerate(system.regimes):
-            self._augmented[regime, :size, :size] = system.rates[row["flow"]]
-            self._augmented[regime, :size, size] = system.inputs[row["flow"]] @ [torque, row["side"] * half_gap]
-        self._powers: dict[int, list[FloatArray]] = {}
-
-    def after_event(self, trajectory: Trajectory, k: int, end: float) -> tuple[FloatArray, FloatArray]:
-        """(m,) times and (m, 2n) states from event `k`, its right limit, to the left limit of the next, or to `end`."""
-        starts = trajectory.events["time"]
-        start, stop = float(starts[k]), float(starts[k + 1]) if k + 1 < starts.size else np.inf
-        regime, x = int(trajectory.events["regime"][k]), trajectory.states[k]
-        within = _grid(start, min(stop, end), self._step)
-        times, states = [np.array([start]), within * self._step], [x[None]]
-        if within.size:
-            states.append(self.flow(regime, x, within[0] * self._step - start, within.size))
-        if start < stop <= end:
-            times.append(np.array([stop]))
-            states.append(_state_before(trajectory, self._system, k + 1)[None])
-        elif start < end < stop:
-            times.append(np.array([end]))
-            states.append(self.flow(regime, x, end - start, 1))
-        return np.concatenate(times), np.concatenate(states)
-
-    def flow(self, regime: int, x: FloatArray, offset: float, count: int) -> FloatArray:
-        """(count, 2n) the states at offset, offset + step, … after the state `x`  [rad, rad/s]."""
-        augmented = self._augmented[regime]
-        z = np.empty((count, x.size + 1))
-        z[0] = expm(offset * augmented) @ np.append(x, 1.0)
-        filled, doubling = 1, 0
-        while filled < count:  # 2^k rows and the 2^k-th power of a step give the next 2^k rows
-            more = min(filled, count - filled)
-            z[filled : filled + more] = _apply(self._power(regime, doubling), z[:more])
-            filled, doubling = filled + more, doubling + 1
-        return z[:, :-1]
-
-    def accelerations(self, state: FloatArray, regime_of: npt.NDArray[np.int64]) -> FloatArray:
-        """(M, n) θ'' of states in their regimes  [rad/s2]."""
-        acceleration = np.empty((state.shape[0], self._n))
-        for regime in range(self._augmented.shape[0]):
-            rows = regime_of == regime
-            lower = self._augmented[regime, self._n : 2 * self._n]
-            acceleration[rows] = _apply(lower[:, :-1], state[rows]) + lower[:, -1]
-        return acceleration
-
-    def _power(self, regime: int, doubling: int) -> FloatArray:
-        """exp(2^doubling · step · M)."""
-        powers = self._powers.setdefault(regime, [])
-        if not powers:
-            powers.append(np.asarray(expm(self._step * self._augmented[regime])))
-        while len(powers) <= doubling:
-            powers.append(powers[-1] @ powers[-1])
-        return powers[doubling]
+    time: FloatArray  # (m,)  s after the load step
+    state: FloatArray  # (m, 2n)  rad, rad/s
+    regime: int
+    event: int  # that the phase begins with, or -1
 
 
-def _apply(matrix: FloatArray, rows: FloatArray) -> FloatArray:
-    """The matrix times each row; without BLAS, whose threads wait for each other longer than this takes (0.5 ms)."""
-    return np.asarray(np.einsum("kj,ij->ik", matrix, rows))
-
-
-def _from_equilibrium(trajectory: Trajectory, system: System, torque: float, half_gap: float) -> bool:
+def _began_at_rest(trajectory: Trajectory, system: System, inputs: FloatArray) -> bool:
     """Whether the run began at static equilibrium in contact, so that there is something before the load step."""
     if system.status == Status.NO_EQUILIBRIUM:
         return False
-    x = np.empty(system.lash.size)
-    side = switching.preload(system, np.array([torque, half_gap]), x)
+    side, x = preload(system, inputs)
     return side == trajectory.initial_side and np.array_equal(x, trajectory.states[0])
 
 
-def _span(trajectory: Trajectory, step: float, until: float, before: float, equilibrium: bool) -> tuple[float, float]:
+def _rest(trajectory: Trajectory, begin: float, end: float, step: float) -> _Phase:
+    """The equilibrium before the load step."""
+    time = np.concatenate(([begin] if begin < end else [], _grid(begin, end, step) * step, [end]))
+    state = trajectory.states[0] + 0.0  # no -0.0
+    return _Phase(
+        time, np.broadcast_to(state, (time.size, state.size)), switching.closed_on(trajectory.initial_side), -1
+    )
+
+
+def _after_event(trajectory: Trajectory, system: System, flow: Flow, k: int, step: float, end: float) -> _Phase:
+    """The motion from event `k`, its right limit, to the left limit of the next, or to `end`."""
+    starts = trajectory.events["time"]
+    start, stop = float(starts[k]), float(starts[k + 1]) if k + 1 < starts.size else np.inf
+    regime, x = int(trajectory.events["regime"][k]), trajectory.states[k]
+    within = _grid(start, min(stop, end), step)
+    times, states = [np.array([start]), within * step], [x[None]]
+    if within.size:
+        states.append(flow.states(regime, x, within[0] * step - start, within.size))
+    if start < stop <= end:
+        times.append(np.array([stop]))
+        states.append(_state_before(trajectory, system, k + 1)[None])
+    elif start < end < stop:
+        times.append(np.array([end]))
+        states.append(flow.states(regime, x, end - start, 1))
+    return _Phase(np.concatenate(times), np.concatenate(states), regime, k)
+
+
+def _span(trajectory: Trajectory, step: float, until: float, before: float, resting: bool) -> tuple[float, float]:
     """Begin and end of a history  [s after the load step]."""
     if not (np.isfinite(step) and step > 0.0):
         raise HistoryError(f"The output step must be a positive number of seconds, not {step:g}.")
     if not (np.isfinite(before) and before >= 0.0):
         raise HistoryError(f"The time before the load step must be a number of seconds >= 0, not {before:g}.")
-    if before > 0.0 and not equilibrium:
+    if before > 0.0 and not resting:
         raise HistoryError("A run from an initial state has nothing before its load step to sample.")
     step_time = trajectory.study.load.step_time
     begin, end = -before, until - step_time

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.regimes import CLOSED_FLOW, FORCE, System, constrained
-from clunk.simulation import driveline
+from clunk.core.regimes import CLOSED_FLOW, FORCE, TORQUE, constrained
+from clunk.simulation.driveline import Driveline, build
 from clunk.study.study import Study
 
 FloatArray = npt.NDArray[np.float64]
@@ -28,10 +28,10 @@ def periods_in_envelope(study: Study, ratio: float) -> float:
 
     n_c = ln(σr) / (2π ζ1) (report Eq. 3.1, where 2π is missing); NaN where nothing oscillates.
     """
-    damping_ratio = driveline.Driveline.from_study(study).modes(closed=True).damping_ratio
-    if damping_ratio.size == 0 or ratio <= 0.0:
+    damping_ratio = _lowest_damping_ratio(study)
+    if damping_ratio is None or ratio <= 0.0:
         return float("nan")
-    return float(np.log(ratio) / (2.0 * np.pi * damping_ratio[0]))
+    return float(np.log(ratio) / (2.0 * np.pi * damping_ratio))
 
 
 def one_mode_thresholds(study: Study, count: int = 4) -> FloatArray:
@@ -39,14 +39,20 @@ def one_mode_thresholds(study: Study, count: int = 4) -> FloatArray:
 
     σr = exp(2π ζ1 (n - 1/2)), n = 1 … `count` (report Table 3.1). Empty for a driveline that does not oscillate.
     """
-    damping_ratio = driveline.Driveline.from_study(study).modes(closed=True).damping_ratio
-    if damping_ratio.size == 0:
+    damping_ratio = _lowest_damping_ratio(study)
+    if damping_ratio is None:
         return np.empty(0)
-    return np.asarray(np.exp(2.0 * np.pi * damping_ratio[0] * (np.arange(1, count + 1) - 0.5)), np.float64)
+    return np.asarray(np.exp(2.0 * np.pi * damping_ratio * (np.arange(1, count + 1) - 0.5)), np.float64)
+
+
+def _lowest_damping_ratio(study: Study) -> float | None:
+    """ζ1 of the closed lash; None where nothing oscillates."""
+    ratios = Driveline.from_study(study).modes(closed=True).damping_ratio
+    return float(ratios[0]) if ratios.size else None
 
 
 def rigid_contact_thresholds(study: Study, count: int = 4) -> FloatArray:
-    """The same load ratios from all modes of the chain with its lash locked; fewer than `count` where f has fewer."""
+    """Load ratios at which one more impact appears, by all modes of the locked chain; fewer where f has fewer."""
     response = _Response.of(study)
     return np.empty(0) if response is None else levels_of_excursions(response.extremes(), count)
 
@@ -63,14 +69,14 @@ def levels_of_excursions(extremes: FloatArray, count: int) -> FloatArray:
         Minima and maxima of f in turn, a minimum first.
     """
     minima, between = extremes[0::2], extremes[1::2]
-    found: list[float] = []
+    levels: list[float] = []
     for level in np.sort(minima[minima < 0.0]):
         below = minima <= level
         joined = below[:-1] & below[1:] & (between[: minima.size - 1] <= level)
         excursions = int(below.sum()) - int(joined.sum())
-        while len(found) < min(excursions, count):
-            found.append(-1.0 / level)
-    return np.array(found, dtype=np.float64)
+        while len(levels) < min(excursions, count):
+            levels.append(-1.0 / level)
+    return np.array(levels, dtype=np.float64)
 
 
 def thresholds_on(study: Study, parameter: str, ratios: FloatArray) -> FloatArray:
@@ -100,15 +106,15 @@ class _Response:
         """None where there is no static torque across the lash, or no eigenbasis to speak of."""
         contact = study.lash.contact.model_copy(update={"model": "restitution"})
         locked = study.model_copy(update={"lash": study.lash.model_copy(update={"contact": contact})})
-        system: System = driveline.build(locked)
-        carried = system.contact_torque[0]
+        system = build(locked)
+        carried = system.contact_torque[TORQUE]
         if carried == 0.0:
             return None
         expand, pick, _ = constrained(system.lash[system.lash.size // 2 :])
         rate, right = np.linalg.eig(pick @ system.rates[CLOSED_FLOW] @ expand)
         if rate.size == 0 or np.linalg.cond(right) > 1e10:
             return None
-        start = np.linalg.solve(right, pick @ system.preload[:, 0])
+        start = np.linalg.solve(right, pick @ system.preload[:, TORQUE])
         amplitude = (system.functionals[CLOSED_FLOW, FORCE] @ expand @ right) * start / carried
         # the torque released is felt as the missing balance: F = C x + D T with T = 0 from the step on
         keep = np.abs(amplitude) > 1e-12

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.study.models import Load
+from clunk.study.study import Study
 
 Torque = float | npt.NDArray[np.float64]
 
@@ -27,7 +28,14 @@ def load_step(load: Load, **swept: Torque) -> LoadStep:
 
     `swept` values, under the names of the config's keys, take the place of the config's own.
     """
-    given = load.model_dump() | swept
-    if given["ratio"] is not None:
-        return tip_out(given["static_torque"], given["ratio"])
-    return LoadStep(given["initial_torque"], given["final_torque"])
+    values = load.model_dump() | swept
+    if values["ratio"] is not None:
+        return tip_out(values["static_torque"], values["ratio"])
+    return LoadStep(values["initial_torque"], values["final_torque"])
+
+
+def run_inputs(study: Study) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Inputs d = (T, φ/2) of a run before and after its load step  [N m, rad]."""
+    half_gap = np.deg2rad(study.lash.backlash_deg) / 2
+    before, after = (np.array([torque, half_gap], dtype=np.float64) for torque in load_step(study.load))
+    return before, after

@@ -6,10 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core import switching
-from clunk.core.regimes import CLOSED_FLOW, FORCE
-from clunk.simulation import driveline
-from clunk.simulation.history import Phases
-from clunk.simulation.load import load_step
+from clunk.core.regimes import CLOSED_FLOW, FORCE, TORQUE
+from clunk.simulation.driveline import Driveline, build
+from clunk.simulation.load import run_inputs
+from clunk.simulation.phases import Flow, preload, regimes_of
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study
 
@@ -21,7 +21,7 @@ class SmallGapError(ClunkError):
 
 
 class SmallGap(NamedTuple):
-    """The torque across a lash without a gap, on the plot's time axis, signed like q = θi - θj."""
+    """The torque across a lash without a gap, on the plot's time axis, signed like q = lash · θ."""
 
     time: FloatArray  # s
     torque: FloatArray  # N m
@@ -51,33 +51,30 @@ class SmallGap(NamedTuple):
     def of(cls, study: Study) -> "SmallGap":
         """The response of a study's driveline to its load. Raises SmallGapError where there is none:
         without static equilibrium or oscillation, or with a load that does not reach the lash."""
-        system = driveline.build(study)
-        plant = driveline.Driveline.from_study(study)
-        modes = plant.modes(closed=True)
-        if not plant.grounded:
+        driveline, system = Driveline.from_study(study), build(study)
+        modes = driveline.modes(closed=True)
+        if not driveline.grounded:
             raise SmallGapError("There is no response to draw: some inertia has no path of stiffness to ground.")
         if modes.frequency.size == 0 or modes.damping_ratio[0] <= 0.0:
             raise SmallGapError("There is no decay to draw: the driveline has no damped oscillation in contact.")
-        load = load_step(study.load)
-        before, after = float(load.before), float(load.after)
-        x = np.empty(system.lash.size)
-        side = switching.preload(system, np.array([before, 0.0]), x)
+        before, after = (inputs * [1.0, 0.0] for inputs in run_inputs(study))
+        side, x = preload(system, before)
         if side == 0:
             raise SmallGapError("There is no response to draw: the lash carries no static torque before the load step.")
         frequency, damping_ratio = float(modes.frequency[0]), float(modes.damping_ratio[0])
         decay = 2.0 * np.pi * frequency * damping_ratio
-        start, end = (float(system.contact_torque[0]) * torque for torque in (before, after))
+        start, end = (float(system.contact_torque[TORQUE] * inputs[TORQUE]) for inputs in (before, after))
         crossing = np.log(abs((start - end) / end)) / decay if end != 0.0 and start != end else 0.0
         duration = max(1.35 * crossing, 3.0 / frequency)
         step = min(1.0 / (200.0 * frequency), study.solver.step * max(1.0, duration / study.solver.step / 20_000))
         time = step * np.arange(int(duration / step) + 1)
         # without a gap no flank has an offset, and which one is closed does not matter
-        state = Phases(system, after, 0.0, step).flow(switching.closed_on(side), x, 0.0, time.size)
+        state = Flow(regimes_of(system, after), step).states(switching.closed_on(side), x, 0.0, time.size)
         if system.impulsive:
-            torque = state @ system.functionals[CLOSED_FLOW, FORCE] + system.feedthrough[CLOSED_FLOW, FORCE, 0] * after
+            held = system.feedthrough[CLOSED_FLOW, FORCE, TORQUE] * after[TORQUE]
+            torque = state @ system.functionals[CLOSED_FLOW, FORCE] + held
         else:
-            n = plant.inertia.size
-            angle, velocity = state[:, :n] @ plant.lash, state[:, n:] @ plant.lash
-            torque = plant.contact_stiffness * angle + plant.contact_damping * velocity
+            angle, velocity = (half @ driveline.lash for half in np.hsplit(state, 2))
+            torque = driveline.contact_stiffness * angle + driveline.contact_damping * velocity
         time += study.load.step_time
         return cls(np.asarray(time), torque, start, end, decay, frequency, damping_ratio, study.load.step_time)

@@ -1,4 +1,4 @@
-"""One run: Study -> Trajectory."""
+"""A single run of a study: its events, primary impacts and severity."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,12 +9,14 @@ import numpy.typing as npt
 from clunk.core import switching, tile
 from clunk.core.events import EVENT, KIND_NAMES, TOUCH
 from clunk.core.exact.run import MOST
+from clunk.core.regimes import HALF_GAP, System
 from clunk.core.runs import Log, Start
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.core.severity import peak_to_peak, root_of_squares
 from clunk.core.status import QUALITY_COMPLETE, Status
 from clunk.simulation import driveline
-from clunk.simulation.load import load_step
+from clunk.simulation.load import run_inputs
+from clunk.simulation.phases import preload
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study
 from clunk.study.summaries import Rows, as_html, as_text, html_table
@@ -31,7 +33,7 @@ class SimulationError(ClunkError):
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """What one run leaves behind; n inertias, E events (the load step included).
+    """One run: its events, primary impacts and severity; n inertias, E events (the load step included).
 
     study : Study
     initial_side : int, sign of q = θi - θj on the initial flank
@@ -71,7 +73,7 @@ class Trajectory:
 
     @property
     def touches(self) -> int:
-        """How often the gap closed, chatter included."""
+        """Number of times the gap closed, chatter included."""
         return int(np.count_nonzero(self.events["kind"] == TOUCH))
 
     @property
@@ -87,7 +89,7 @@ class Trajectory:
         return root_of_squares(self.events["speed"][self.primaries], self.primaries.size)
 
     def kind_name(self, k: int) -> str:
-        """What event `k` is: load step, touch, separation, rejoin or opening."""
+        """The name of event `k`: load step, touch, separation, rejoin, opening or lock."""
         return KIND_NAMES[self.events["kind"][k]]
 
     def flank_name(self, k: int) -> str:
@@ -97,11 +99,11 @@ class Trajectory:
 
     @property
     def ending(self) -> str:
-        """Why the run stopped."""
+        """The reason why the run stopped."""
         return "nothing can follow" if self.complete else "the end time; more may follow"
 
     def summary(self) -> Rows:
-        """What the run amounts to, for people: (name, value) pairs."""
+        """The run in a few lines for people: (name, value) pairs."""
         rows = [
             ("events", f"{len(self.events) - 1}, {self.touches} of them touches"),
             ("primary impacts", self.letters or "none"),
@@ -115,11 +117,11 @@ class Trajectory:
 
     def event_table(self) -> list[tuple[str, ...]]:
         """The events after the load step as texts, by `EVENT_COLUMNS`."""
-        number = {int(k): i for i, k in enumerate(self.primaries)}
+        ranks = {int(k): rank for rank, k in enumerate(self.primaries)}
         rows: list[tuple[str, ...]] = []
         for k, event in enumerate(self.events[1:], 1):
-            impact = "primary" if k in number else "secondary" if event["kind"] == TOUCH else ""
-            severity = _severity(self.impact_severity[number[k]]) if k in number else ""
+            impact = "primary" if k in ranks else "secondary" if event["kind"] == TOUCH else ""
+            severity = _severity(self.impact_severity[ranks[k]]) if k in ranks else ""
             texts = f"{event['time']:.7f}", self.kind_name(k), self.flank_name(k), f"{event['speed']:+.6f}"
             rows.append((*texts, impact, severity))
         return rows
@@ -173,54 +175,56 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
     array([0.1191, 0.2613, 0.565 ])
     """
     system, tables = driveline.prepare(study)
-    size = system.lash.size
-    before, after = (float(torque) for torque in load_step(study.load))
-    half_gap = float(np.deg2rad(study.lash.backlash_deg) / 2)
-    x, inputs = np.empty(size), np.array([after, half_gap])
-    status = Status(system.status)
+    before, after = run_inputs(study)
     if initial_state is None:
-        if status == Status.OK:
-            side = switching.preload(system, np.array([before, half_gap]), x)
-            status = Status.OK if side != 0 else Status.NO_INITIAL_FLANK
-        if status != Status.OK:
-            raise SimulationError(_sentence(status))
-        regime = switching.closed_on(side)
+        side, start = _preloaded(system, before, after)
     else:
-        if status == Status.UNSTABLE_STEP:
-            raise SimulationError(_sentence(status))
-        given = np.asarray(initial_state, dtype=np.float64)
-        if given.shape != (size,) or not np.all(np.isfinite(given)):
-            raise SimulationError(f"The initial state must be {size} finite numbers, θ in rad and then θ' in rad/s.")
-        x[:] = given
-        if system.impulsive and abs(x @ np.roll(system.lash, size // 2)) > half_gap * (1.0 + 1e-12):
-            raise SimulationError("The initial state overlaps a flank, which the restitution model does not allow.")
-        regime = switching.regime_of(system, x, inputs)
-        side = 1 if x[: size // 2] @ system.lash[size // 2 :] >= 0.0 else -1
-
+        side, start = _started_at(system, after, np.asarray(initial_state, dtype=np.float64))
     capacity = study.solver.max_events + 1
-    events, states = np.zeros(capacity, EVENT), np.zeros((capacity, size))
-    code, count, quality, margin, end = tile.run(
-        system, tables, Start(x, regime, inputs), Log(events, states), np.zeros(1, np.uint8)
-    )
-    if code != Status.OK:
-        raise SimulationError(_sentence(Status(code)))
-    primaries = np.zeros(capacity, np.int64)
-    found = find_primaries(events, count, system.sticking_time, primaries)
-    severity = np.zeros(capacity)
-    peak_to_peak(events, count, primaries, found, severity)
+    log = Log(np.zeros(capacity, EVENT), np.zeros((capacity, system.lash.size)))
+    outcome = tile.run(system, tables, start, log, np.zeros(1, np.uint8))
+    if outcome.status != Status.OK:
+        raise SimulationError(_sentence(Status(outcome.status)))
+    primaries, severity = np.zeros(capacity, np.int64), np.zeros(capacity)
+    impacts = find_primaries(log.events, outcome.written, system.sticking_time, primaries)
+    peak_to_peak(log.events, outcome.written, primaries, impacts, severity)
     if system.impulsive:  # the acceleration of an impulsive touch is not a number
-        severity[:found] = np.nan
+        severity[:impacts] = np.nan
     return Trajectory(
         study=study,
         initial_side=side,
-        events=events[:count].copy(),
-        states=states[:count].copy(),
-        primaries=primaries[:found].copy(),
-        impact_severity=severity[:found].copy(),
-        complete=bool(quality & QUALITY_COMPLETE),
-        margin=float(margin),
-        end=float(end),
+        events=log.events[: outcome.written].copy(),
+        states=log.states[: outcome.written].copy(),
+        primaries=primaries[:impacts].copy(),
+        impact_severity=severity[:impacts].copy(),
+        complete=bool(outcome.quality & QUALITY_COMPLETE),
+        margin=float(outcome.margin),
+        end=float(outcome.end),
     )
+
+
+def _preloaded(system: System, before: FloatArray, after: FloatArray) -> tuple[int, Start]:
+    """The initial side and the start of a run from static equilibrium in contact."""
+    if system.status != Status.OK:
+        raise SimulationError(_sentence(Status(system.status)))
+    side, x = preload(system, before)
+    if side == 0:
+        raise SimulationError(_sentence(Status.NO_INITIAL_FLANK))
+    return side, Start(x, switching.closed_on(side), after)
+
+
+def _started_at(system: System, after: FloatArray, state: FloatArray) -> tuple[int, Start]:
+    """The initial side and the start of a run from a state (θ, θ')."""
+    size = system.lash.size
+    if system.status == Status.UNSTABLE_STEP:
+        raise SimulationError(_sentence(Status.UNSTABLE_STEP))
+    if state.shape != (size,) or not np.all(np.isfinite(state)):
+        raise SimulationError(f"The initial state must be {size} finite numbers, θ in rad and then θ' in rad/s.")
+    gap = float(state[: size // 2] @ system.lash[size // 2 :])
+    if system.impulsive and abs(gap) > after[HALF_GAP] * (1.0 + 1e-12):
+        raise SimulationError("The initial state overlaps a flank, which the restitution model does not allow.")
+    x = state.copy()
+    return 1 if gap >= 0.0 else -1, Start(x, switching.regime_of(system, x, after), after)
 
 
 def _sentence(status: Status) -> str:
