@@ -178,7 +178,7 @@ def test_a_run_without_axes_is_compared_event_by_event():
 def test_a_rebound_that_one_method_lacks_leaves_the_others_in_pairs():
     found = verify(study("", "load.ratio=8.0", "solver.step=1e-3"))
     missing = [pair for pair in found.events if np.isnan(pair.rk4)]
-    assert [(pair.kind, pair.flank) for pair in missing] == [("separation", "opposite"), ("touch", "opposite")]
+    assert [(pair.name, pair.flank) for pair in missing] == [("separation", "opposite"), ("touch", "opposite")]
     assert not any(np.isnan(pair.exact) for pair in found.events)
     paired = [abs(pair.rk4 - pair.exact) for pair in found.events if pair not in missing]
     assert max(paired) < 2e-3  # two of RK4's steps
@@ -190,7 +190,7 @@ def test_a_run_is_its_own_pair():
     run = simulate(study())
     pairs = pair_events(run, run)
     assert [pair.rk4 for pair in pairs] == [pair.exact for pair in pairs] == run.events["time"].tolist()
-    assert [pair.kind for pair in pairs] == [run.kind_name(k) for k in range(len(run.events))]
+    assert [pair.name for pair in pairs] == [run.kind_name(k) for k in range(len(run.events))]
 
 
 # --- whatever the study

@@ -1,1 +1,1 @@
-"""What maps say: differences between them, agreement with measurements and between methods, sensitivity."""
+"""Analysis of maps: differences between two, agreement with measurements and between methods, sensitivity."""

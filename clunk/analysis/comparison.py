@@ -1,4 +1,4 @@
-"""Two regime maps of the same grid, cell by cell: which labels differ, and by how much the severities do."""
+"""Comparison of two regime maps of the same grid, cell by cell: labels that differ, and ratios of the severities."""
 
 from __future__ import annotations
 
@@ -70,14 +70,14 @@ class Extreme:
 
 @dataclass(frozen=True)
 class Deviation:
-    """How a quantity of B compares with A's, over the cells where it is positive in both.
+    """Ratio of a quantity in B to the one in A, over the cells where it is positive in both.
 
     quantity : `severity` [rad/s²] or `approach_velocity` [rad/s]
-    cells : how many cells that are
-    zero_in_one : cells where it is zero in one of the two only, and there is no ratio
+    cells : number of these cells
+    zero_in_one : number of cells where it is zero in one of the two only, and there is no ratio
     median, low, high : of the ratio B/A; low and high are its 5 and 95 % quantiles
-    largest_ratio : where the ratio is furthest from 1; 1/2 is as far as 2
-    largest_difference : where the difference is largest
+    largest_ratio : the cell whose ratio is furthest from 1; 1/2 is as far as 2
+    largest_difference : the cell whose difference is largest
     """
 
     quantity: str
@@ -101,7 +101,7 @@ class ConfigDifference:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Two maps of the same grid.
+    """Differences between two maps of the same grid, A and B.
 
     titles : of A and of B
     axes, coordinates : A's; B's are the same
@@ -135,37 +135,37 @@ class Comparison:
 
     @property
     def parameters(self) -> tuple[ResultAxis, ...]:
-        """What the maps sweep: the axes, and in the place of `run` its coordinates."""
+        """The swept parameters: the axes, and in the place of `run` its coordinates."""
         return parameters_of(self.axes, self.coordinates)
 
     @property
     def cells(self) -> int:
-        """Cells that have a label in both maps; only these are compared."""
+        """Number of cells that have a label in both maps; only these are compared."""
         return int(np.count_nonzero(~(self.failed_a | self.failed_b)))
 
     @property
     def differing(self) -> int:
-        """Cells of these whose labels differ."""
+        """Number of compared cells whose labels differ."""
         return int(np.count_nonzero(self.differs))
 
     @property
     def share(self) -> float:
-        """Differing cells over compared cells; NaN where no cell could be compared."""
+        """Share of the compared cells whose labels differ; NaN where no cell could be compared."""
         return self.differing / self.cells if self.cells else math.nan
 
     @property
     def failed_in_a_only(self) -> int:
-        """Cells that have no label in A and one in B."""
+        """Number of cells that have no label in A and one in B."""
         return int(np.count_nonzero(self.failed_a & ~self.failed_b))
 
     @property
     def failed_in_b_only(self) -> int:
-        """Cells that have no label in B and one in A."""
+        """Number of cells that have no label in B and one in A."""
         return int(np.count_nonzero(self.failed_b & ~self.failed_a))
 
     @property
     def failed_in_both(self) -> int:
-        """Cells that have no label in either."""
+        """Number of cells that have no label in either."""
         return int(np.count_nonzero(self.failed_a & self.failed_b))
 
     @property
@@ -231,21 +231,21 @@ def _require_same_axes(a: tuple[ResultAxis, ...], b: tuple[ResultAxis, ...]) -> 
         raise ComparisonError(
             f"The maps cannot be compared because they sweep {what}: {names[0]} in A and {names[1]} in B."
         )
-    for mine, theirs in zip(a, b, strict=True):
-        if len(mine.values) != len(theirs.values):
+    for axis_a, axis_b in zip(a, b, strict=True):
+        if len(axis_a.values) != len(axis_b.values):
             raise ComparisonError(
-                f"The maps cannot be compared because their grids differ: {mine.parameter} takes {_span(mine)} in A "
-                f"and {_span(theirs)} in B."
+                f"The maps cannot be compared because their grids differ: {axis_a.parameter} takes {_span(axis_a)} "
+                f"in A and {_span(axis_b)} in B."
             )
-        steps = np.diff(np.unique(mine.values))
-        smallest = steps.min() if steps.size else abs(mine.values[0])
-        tolerance = np.maximum(_SAME_AXIS * smallest, _ROUNDING * np.abs(mine.values))
-        apart = np.abs(mine.values - theirs.values) > tolerance
+        steps = np.diff(np.unique(axis_a.values))
+        smallest = steps.min() if steps.size else abs(axis_a.values[0])
+        tolerance = np.maximum(_SAME_AXIS * smallest, _ROUNDING * np.abs(axis_a.values))
+        apart = np.abs(axis_a.values - axis_b.values) > tolerance
         if apart.any():
             k = int(np.argmax(apart))
             raise ComparisonError(
-                f"The maps cannot be compared because their grids differ: value {k + 1} of {mine.parameter} is "
-                f"{mine.values[k]:.10g} in A and {theirs.values[k]:.10g} in B."
+                f"The maps cannot be compared because their grids differ: value {k + 1} of {axis_a.parameter} is "
+                f"{axis_a.values[k]:.10g} in A and {axis_b.values[k]:.10g} in B."
             )
 
 
@@ -255,7 +255,7 @@ def _span(axis: ResultAxis) -> str:
 
 
 def _codes(results: Results, labels: tuple[str, ...]) -> Codes:
-    # the code of a failed cell, -1, finds the last entry
+    # the code of a failed cell, -1, takes the last entry
     code = np.array([*(labels.index(label) for label in results.labels), FAILED_CODE], np.intp)
     codes: Codes = code[results.sequence]
     return codes
@@ -263,42 +263,44 @@ def _codes(results: Results, labels: tuple[str, ...]) -> Codes:
 
 def _transitions(labels: tuple[str, ...], a: Codes, b: Codes) -> tuple[Transition, ...]:
     pairs, counts = np.unique(a * len(labels) + b, return_counts=True)
-    found = [
+    transitions = [
         Transition(labels[pair // len(labels)], labels[pair % len(labels)], count)
         for pair, count in zip(pairs.tolist(), counts.tolist(), strict=True)
     ]
-    return tuple(sorted(found, key=lambda transition: -transition.cells))  # a stable sort: ties in the labels' order
+    return tuple(
+        sorted(transitions, key=lambda transition: -transition.cells)
+    )  # a stable sort: ties in the labels' order
 
 
 def _deviation(a: Results, b: Results) -> Deviation | None:
     ok = (a.sequence != FAILED_CODE) & (b.sequence != FAILED_CODE)
     for name in ("severity", "approach_velocity"):
-        mine, theirs = getattr(a, name), getattr(b, name)
-        if np.isfinite(mine[ok]).any() and np.isfinite(theirs[ok]).any():
+        values_a, values_b = getattr(a, name), getattr(b, name)
+        if np.isfinite(values_a[ok]).any() and np.isfinite(values_b[ok]).any():
             break
     else:
         return None
-    known = ok & np.isfinite(mine) & np.isfinite(theirs)
-    both = known & (mine > 0.0) & (theirs > 0.0)
+    known = ok & np.isfinite(values_a) & np.isfinite(values_b)
+    both = known & (values_a > 0.0) & (values_b > 0.0)
     if not both.any():
         return None
     cells = np.argwhere(both)
-    ratio = theirs[both] / mine[both]
+    ratio = values_b[both] / values_a[both]
     low, median, high = np.quantile(ratio, (0.05, 0.5, 0.95))
 
     def extreme(k: np.intp) -> Extreme:
         at = tuple(int(index) for index in cells[k])
-        return Extreme(values_at(a.axes, at, a.coordinates), float(mine[at]), float(theirs[at]))
+        return Extreme(values_at(a.axes, at, a.coordinates), float(values_a[at]), float(values_b[at]))
 
     return Deviation(
         quantity=name,
         cells=len(cells),
-        zero_in_one=int(np.count_nonzero(known & ((mine > 0.0) != (theirs > 0.0)))),
+        zero_in_one=int(np.count_nonzero(known & ((values_a > 0.0) != (values_b > 0.0)))),
         median=float(median),
         low=float(low),
         high=float(high),
         largest_ratio=extreme(np.argmax(np.abs(np.log(ratio)))),
-        largest_difference=extreme(np.argmax(np.abs(theirs[both] - mine[both]))),
+        largest_difference=extreme(np.argmax(np.abs(values_b[both] - values_a[both]))),
     )
 
 
@@ -310,7 +312,7 @@ def _identical(a: Results, b: Results) -> bool:
 
 
 def _flat_config(results: Results, which: str) -> dict[str, Any]:
-    """Dotted key -> value."""
+    """Values of a map's config by dotted key."""
     try:
         document = tomllib.loads(results.config)
     except tomllib.TOMLDecodeError as error:

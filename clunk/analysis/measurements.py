@@ -16,9 +16,10 @@ import numpy as np
 
 from clunk.results.labels import normalised_label
 from clunk.study.axes import ResultAxis
+from clunk.study.document import read_text
 from clunk.study.errors import ClunkError
 from clunk.study.parameters import parameters
-from clunk.study.problems import nearest, shorten
+from clunk.study.problems import ConfigError, nearest, shorten
 
 CAVEAT = "trend comparison, unless the rig's parameters are the model's"
 
@@ -29,7 +30,7 @@ class ExperimentError(ClunkError):
 
 @dataclass(frozen=True)
 class Measurement:
-    """One measured point.
+    """A measured point: values of the parameters, and the label of its impacts.
 
     line : of the file, from 1
     values : in the order of the experiment's columns, in the parameters' units
@@ -43,7 +44,7 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Measured sequences of impacts.
+    """Measured points of one file.
 
     name : of the file
     columns : names of the parameters as they are in results files, for example load_ratio
@@ -84,7 +85,7 @@ def read_experiment(path: str | os.PathLike[str], tables: Tables | None = None) 
     ExperimentError
         Where the file cannot be read, with the number of the line that is wrong.
     """
-    lines = _read_lines(path, tables or {})
+    lines = _text_of(path, tables or {}).replace("\r\n", "\n").replace("\r", "\n").splitlines(keepends=True)
     remarks = tuple(line.lstrip().lstrip("#").strip() for line in lines if line.lstrip().startswith("#"))
     # Blank in place of a comment, so that the reader's count of lines is the file's.
     reader = csv.reader(("\n" if line.lstrip().startswith("#") else line for line in lines), strict=True)
@@ -115,32 +116,20 @@ def read_experiment(path: str | os.PathLike[str], tables: Tables | None = None) 
     )
 
 
-def _read_lines(path: str | os.PathLike[str], tables: Tables) -> list[str]:
+def _text_of(path: str | os.PathLike[str], tables: Tables) -> str:
     if os.fspath(path) in tables and not Path(path).exists():
-        raw = tables[os.fspath(path)].read_bytes()
-    else:
-        try:
-            raw = Path(path).read_bytes()
-        except FileNotFoundError:
-            known = f"; the experiments that come with clunk are: {', '.join(tables)}" if tables else ""
-            raise ExperimentError(f"{path} does not exist{known}.") from None
-        except IsADirectoryError:
-            raise ExperimentError(f"{path} is a directory; an experiment is a CSV file.") from None
-        except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-            reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-            raise ExperimentError(f"{path} cannot be read: {reason}.") from error
+        return tables[os.fspath(path)].read_text("utf-8")
+    known = f"; the experiments that come with clunk are: {', '.join(tables)}." if tables else "."
     try:
-        text = raw.decode("utf-8-sig")  # spreadsheets write a byte order mark
-    except UnicodeDecodeError as error:
-        line = raw.count(b"\n", 0, error.start) + 1
-        raise ExperimentError(
-            f"{path}, line {line}: this is not text in UTF-8, as an experiment's CSV must be."
-        ) from error
-    return text.replace("\r\n", "\n").replace("\r", "\n").splitlines(keepends=True)
+        return read_text(path, "an experiment", "a CSV file", known)
+    except ConfigError as error:
+        line = error.problems[0].line
+        not_utf8 = f"{path}, line {line}: this is not text in UTF-8, as an experiment's CSV must be."
+        raise ExperimentError(not_utf8 if line is not None else str(error)) from error
 
 
 def _columns(cells: list[str], where: str) -> list[str]:
-    """The names of the columns as they are in results files, "label" among them."""
+    """Names of the columns as they are in results files, "label" among them."""
     if len(cells) == 1 and ";" in cells[0]:
         raise ExperimentError(f"{where}: columns must be separated by commas, and numbers written with points.")
     columns = [cell if cell == "label" else _variable(cell, where) for cell in cells]
@@ -155,7 +144,7 @@ def _columns(cells: list[str], where: str) -> list[str]:
 
 
 def _variable(column: str, where: str) -> str:
-    """The variable that a column means, given as such or as the parameter's dotted key."""
+    """Variable of a results file that a column means, by its name or by the parameter's dotted key."""
     known = parameters({"driveline": {"inertias": [1.0], "shafts": [{}]}})
     spellings = {spelling for name in known for spelling in (name, _variable_of(name))}
     if re.sub(r"(?<=[\[_])[1-9]\d*(?=[\]_]|$)", "1", column) in spellings:  # whichever inertia or shaft
@@ -167,7 +156,7 @@ def _variable(column: str, where: str) -> str:
 
 
 def _variable_of(parameter: str) -> str:
-    """The parameter's name in a results file; a variable's own name stays what it is."""
+    """Variable of a parameter in a results file; the name of a variable stays as it is."""
     return ResultAxis(parameter, np.zeros(1), "", "", "").variable
 
 

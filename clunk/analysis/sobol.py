@@ -48,7 +48,7 @@ class SensitivityError(ClunkError):
 
 @dataclass(frozen=True, eq=False)
 class Indices:
-    """How the variance of one quantity divides among d parameters.
+    """Sobol indices of one quantity: the shares of d parameters in its variance.
 
     quantity : its name, see `sensitivity`
     heading : name for people, with symbol and unit
@@ -152,11 +152,11 @@ def sensitivity(
     --------
     >>> import clunk
     >>> study = clunk.load_study("configs/tolerance.toml", ["sweep.sampling.count=64"])
-    >>> found = clunk.sensitivity(study, of=["severity"])
-    >>> found.label, found.runs
+    >>> sensitivity = clunk.sensitivity(study, of=["severity"])
+    >>> sensitivity.label, sensitivity.runs
     ('DS(1)SS(1)', 384)
-    >>> severity = found.indices[0]
-    >>> found.parameters[severity.order[0]]
+    >>> severity = sensitivity.indices[0]
+    >>> sensitivity.parameters[severity.order[0]]
     'lash.contact.stiffness'
     """
     point = operating_point(study)
@@ -219,13 +219,13 @@ def _sweep(study: Study) -> Sweep:
 
 
 def default_quantities(study: Study) -> tuple[str, ...]:
-    """The severity, or what stands for it, and whether the label stays."""
+    """Quantities whose indices are asked for by default: severity or, for restitution, approach velocity, and label."""
     hardness = "approach_velocity" if study.lash.contact.model == "restitution" else "severity"
     return hardness, "nominal_label"
 
 
 def saltelli_sample(study: Study) -> FloatArray:
-    """(n, d + 2, d) float64: for each of n samples the parameters of A, of B, and of A with each column from B."""
+    """Parameters of the runs, (n, d + 2, d) float64: of each sample A's, B's, and A's with each column from B."""
     draws = _sweep(study).tolerances
     d = len(draws)
     points = _sweep(study).sampling.points(2 * d)
@@ -293,7 +293,7 @@ def _checked_quantity(study: Study, name: str) -> str:
 
 
 def _refuse_forbidden_draws(study: Study, sample: FloatArray) -> None:
-    """The config was checked with other draws of the same distributions."""
+    """Raise SensitivityError where a draw is not allowed: the config was checked with other draws."""
     for k, draw in enumerate(_sweep(study).tolerances):
         for value in (float(sample[:, :, k].min()), float(sample[:, :, k].max())):
             try:
@@ -332,7 +332,7 @@ def _refuse_failures(results: Results) -> None:
 
 
 def _values(name: str, results: Results, nominal_label: str) -> FloatArray:
-    """(runs,) float64, a quantity of every run. Raises SensitivityError where a run has none."""
+    """Values of a quantity, (runs,) float64. Raises SensitivityError where a run has none."""
     if name in MEASURED:
         values = np.asarray(getattr(results, name), np.float64)
     else:
@@ -374,7 +374,7 @@ def _heading(name: str, nominal_label: str) -> str:
 
 
 def _indices(name: str, nominal: Trajectory, values: FloatArray, seed: int) -> Indices:
-    """values : (n (d + 2),) in the order of `saltelli_sample`"""
+    """Sobol indices of a quantity from its values, (n (d + 2),) in the order of `saltelli_sample`."""
     d = len(_sweep(nominal.study).tolerances)
     values = values.reshape(-1, d + 2)
     base = values[:, :2]

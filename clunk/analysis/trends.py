@@ -1,4 +1,4 @@
-"""Measured sequences of impacts against a map: the labels of the nearest cells, and the trends."""
+"""Comparison of measured sequences of impacts with a map: the labels of the nearest cells, and the trends."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Point:
 
     @property
     def counts(self) -> bool:
-        """Whether there is something to compare with."""
+        """Whether the nearest cell has a label to compare with."""
         return self.computed is not None and self.computed != FAILED
 
     @property
@@ -45,7 +45,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Tally:
-    """Between how many neighbouring points the number of double-sided impacts rises, stays the same or falls."""
+    """Numbers of pairs of neighbours between which the number of double-sided impacts rises, stays or falls."""
 
     rises: int
     same: int
@@ -53,7 +53,7 @@ class Tally:
 
     @property
     def direction(self) -> str:
-        """In one word."""
+        """Direction in one word: rises, falls, varies or constant."""
         if self.rises and self.falls:
             return "varies"
         return "rises" if self.rises else "falls" if self.falls else "constant"
@@ -61,7 +61,7 @@ class Tally:
 
 @dataclass(frozen=True)
 class Trend:
-    """How the number of double-sided impacts changes along one parameter, from each point to its neighbour.
+    """Change of the number of double-sided impacts along one parameter, from each point to its neighbour.
 
     parameter, name, symbol : of the axis
     measured, computed : over the same pairs of neighbours
@@ -79,18 +79,18 @@ class Trend:
 
     @property
     def pairs(self) -> int:
-        """Neighbours that have a computed label."""
+        """Number of pairs of neighbours that have computed labels."""
         return self.measured.rises + self.measured.same + self.measured.falls
 
     @property
     def share(self) -> float:
-        """Pairs that are ordered alike over all; NaN without any."""
+        """Share of the pairs that are ordered alike; NaN without any."""
         return self.alike / self.pairs if self.pairs else math.nan
 
 
 @dataclass(frozen=True, eq=False)
 class ExperimentComparison:
-    """Measurements against a map.
+    """Comparison of measurements with a map.
 
     title : of the results
     experiment : what was measured
@@ -107,34 +107,34 @@ class ExperimentComparison:
 
     @property
     def counted(self) -> int:
-        """Points with a computed label."""
+        """Number of points with a computed label."""
         return sum(point.counts for point in self.points)
 
     @property
     def agreeing(self) -> int:
-        """Points whose labels are the same."""
+        """Number of points whose labels are the same."""
         return sum(point.agrees for point in self.points)
 
     @property
     def share(self) -> float:
-        """Agreeing points over counted ones; NaN without any."""
+        """Share of the counted points that agree; NaN without any."""
         return self.agreeing / self.counted if self.counted else math.nan
 
     @property
     def same_double_sided(self) -> int:
-        """Counted points with the same number of double-sided impacts."""
+        """Number of counted points with the same number of double-sided impacts."""
         return sum(
             point.counts and double_sided(point.measured) == double_sided(str(point.computed)) for point in self.points
         )
 
     @property
     def outside(self) -> int:
-        """Points more than half a cell outside the swept range."""
+        """Number of points more than half a cell outside the swept range."""
         return sum(point.computed is None for point in self.points)
 
     @property
     def failed(self) -> int:
-        """Points whose nearest cell failed."""
+        """Number of points whose nearest cell failed."""
         return sum(point.computed == FAILED for point in self.points)
 
     @property
@@ -161,23 +161,24 @@ def compare_experiment(results: Results, experiment: Experiment) -> ExperimentCo
     for axis in results.axes:
         if axis.variable not in experiment.columns and len(axis.values) > 1:
             raise ExperimentError(f"The results sweep {axis.parameter}, and {experiment.name} has no column for it.")
-    points = tuple(_point(results, experiment.columns, found) for found in experiment.measurements)
+    points = tuple(_point(results, experiment.columns, measurement) for measurement in experiment.measurements)
     trends = tuple(_trend(axis, position, points) for position, axis in enumerate(results.axes) if len(axis.values) > 1)
     return ExperimentComparison(results.title, experiment, results.axes, points, trends)
 
 
-def _point(results: Results, columns: tuple[str, ...], found: Measurement) -> Point:
-    given = dict(zip(columns, found.values, strict=True))
-    values = tuple(given.get(axis.variable, math.nan) for axis in results.axes)
+def _point(results: Results, columns: tuple[str, ...], measurement: Measurement) -> Point:
+    measured = dict(zip(columns, measurement.values, strict=True))
+    values = tuple(measured.get(axis.variable, math.nan) for axis in results.axes)
     at = [
-        _nearest(axis, value) if axis.variable in given else 0 for axis, value in zip(results.axes, values, strict=True)
+        _nearest(axis, value) if axis.variable in measured else 0
+        for axis, value in zip(results.axes, values, strict=True)
     ]
     if None in at:
-        return Point(values, found.label, None, None)
+        return Point(values, measurement.label, None, None)
     cell = cast("tuple[int, ...]", tuple(at))
     code = int(results.sequence[cell])
     computed = FAILED if code == FAILED_CODE else results.labels[code]
-    return Point(values, found.label, computed, values_at(results.axes, cell))
+    return Point(values, measurement.label, computed, values_at(results.axes, cell))
 
 
 def _nearest(axis: ResultAxis, value: float) -> int | None:
@@ -200,21 +201,21 @@ def _nearest(axis: ResultAxis, value: float) -> int | None:
 
 
 def _trend(axis: ResultAxis, position: int, points: tuple[Point, ...]) -> Trend:
-    """Neighbours are points that differ in this parameter only, with no measured point between them."""
+    """Trend between neighbours: points that differ in this parameter only, with no measured point between them."""
     lines: dict[tuple[str, ...], dict[float, list[Point]]] = defaultdict(lambda: defaultdict(list))
     for point in points:
         # as text, so that NaN, a parameter that was not measured, is equal to itself
-        others = tuple(repr(value) for k, value in enumerate(point.values) if k != position)
-        lines[others][point.values[position]].append(point)
+        fixed = tuple(repr(value) for k, value in enumerate(point.values) if k != position)
+        lines[fixed][point.values[position]].append(point)
     changes = [
         (
             double_sided(second.measured) - double_sided(first.measured),
             double_sided(str(second.computed)) - double_sided(str(first.computed)),
         )
         for line in lines.values()
-        for here, there in pairwise(sorted(line))
-        for first in line[here]
-        for second in line[there]
+        for lower, upper in pairwise(sorted(line))
+        for first in line[lower]
+        for second in line[upper]
         if first.counts and second.counts
     ]
     signs = [(_sign(measured), _sign(computed)) for measured, computed in changes]

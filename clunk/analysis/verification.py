@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -27,6 +27,7 @@ from clunk.study.study import Study
 from clunk.study.summaries import as_text
 from clunk.study.sweeps import Axis, Sweep
 from clunk.sweeping import sweep as sweeping
+from clunk.sweeping.progress import Progress
 
 Method = Literal["rk4", "exact"]
 Bools = npt.NDArray[np.bool_]
@@ -78,11 +79,11 @@ class Largest:
 class EventPair:
     """An event of a single run by both methods; a time is NaN where that method has no such event.
 
-    kind, flank : as `Trajectory` names them
+    name, flank : as `Trajectory` names them
     rk4, exact : float  [s after the load step]
     """
 
-    kind: str
+    name: str
     flank: str
     rk4: float
     exact: float
@@ -121,32 +122,32 @@ class Verification:
 
     @property
     def cells(self) -> int:
-        """Cells of the grid."""
+        """Number of cells of the grid."""
         return self.flagged.size
 
     @property
     def failed(self) -> int:
-        """Cells that failed by one method or both; they are not compared."""
+        """Number of cells that failed by one method or both; they are not compared."""
         return self.cells - self.comparison.cells
 
     @property
     def equal(self) -> int:
-        """Cells with the same label by both methods."""
+        """Number of cells with the same label by both methods."""
         return self.comparison.cells - self.comparison.differing
 
     @property
     def differing_flagged(self) -> int:
-        """Cells with two labels that the exact method flags."""
+        """Number of cells with two labels that the exact method flags."""
         return int(np.count_nonzero(self.comparison.differs & self.flagged))
 
     @property
     def differing_elsewhere(self) -> int:
-        """Cells with two labels that it does not flag."""
+        """Number of cells with two labels that the exact method does not flag."""
         return int(np.count_nonzero(self.comparison.differs & ~self.flagged))
 
     @property
     def equal_touches(self) -> int:
-        """Cells with as many touches by both methods."""
+        """Number of cells with as many touches by both methods."""
         ran = ~(self.comparison.failed_a | self.comparison.failed_b)
         return int(np.count_nonzero(ran & (self.rk4.touches == self.exact.touches)))
 
@@ -156,7 +157,7 @@ class Verification:
         return self.comparison.cells > 0 and not self.differing_elsewhere
 
     def count(self, method: Method, quality: int) -> int:
-        """How many cells one method gives a bit of `clunk.core.status`'s quality."""
+        """Number of cells to which a method gives a bit of `clunk.core.status`'s quality."""
         results = self.rk4 if method == "rk4" else self.exact
         return int(np.count_nonzero(results.quality & quality))
 
@@ -170,7 +171,7 @@ def verify(
     study: Study,
     *,
     workers: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Verification:
     """Run a study by both methods, whichever its own is, and compare.
 
@@ -229,19 +230,19 @@ def by(study: Study, method: Method) -> Study:
 def pair_events(rk4: Trajectory, exact: Trajectory) -> tuple[EventPair, ...]:
     """The events of a run by both methods, in order of time.
 
-    Two events are the same where they are of one kind and flank and each is the other's nearest: an event that one
+    Two events are the same where they have one name and flank and each is the other's nearest: an event that one
     method lacks does not shift all that follow.
     """
     pairs = []
     times = [_times_by_event(run) for run in (rk4, exact)]
-    for kind, flank in {**times[0], **times[1]}:
-        a, b = (np.array(side.get((kind, flank), [])) for side in times)
+    for name, flank in {**times[0], **times[1]}:
+        a, b = (np.array(by_event.get((name, flank), [])) for by_event in times)
         apart = np.abs(a[:, None] - b)
         nearest = apart.argmin(axis=1) if b.size else np.empty(0, np.intp)  # of b, for each of a
         matched = [(k, m) for k, m in enumerate(nearest.tolist()) if apart[:, m].argmin() == k]
-        pairs += [EventPair(kind, flank, float(a[k]), float(b[m])) for k, m in matched]
-        pairs += [EventPair(kind, flank, time, math.nan) for time in np.delete(a, [k for k, _ in matched]).tolist()]
-        pairs += [EventPair(kind, flank, math.nan, time) for time in np.delete(b, [m for _, m in matched]).tolist()]
+        pairs += [EventPair(name, flank, float(a[k]), float(b[m])) for k, m in matched]
+        pairs += [EventPair(name, flank, time, math.nan) for time in np.delete(a, [k for k, _ in matched]).tolist()]
+        pairs += [EventPair(name, flank, math.nan, time) for time in np.delete(b, [m for _, m in matched]).tolist()]
     return tuple(sorted(pairs, key=lambda pair: pair.rk4 if math.isnan(pair.exact) else pair.exact))
 
 
@@ -257,7 +258,7 @@ def _largest(rk4: Results, exact: Results, comparison: Comparison) -> Iterator[L
     equal = ~(comparison.differs | comparison.failed_a | comparison.failed_b).ravel()
     for name in ("impact_time", "last_event_time", "severity", "impact_severity", "approach_velocity"):
         of_impacts = name in IMPACT_QUANTITIES
-        # of each value its cell, in which both methods have as many
+        # the cell of each value; with equal labels both methods have as many values in it
         cells_rk4, cells_exact = (
             np.repeat(np.arange(equal.size), each.primary_impacts.ravel() if of_impacts else 1) for each in (rk4, exact)
         )

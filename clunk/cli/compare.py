@@ -28,7 +28,9 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: 
       clunk compare results/rk4.h5 results/force.h5 --expect-equal
       clunk compare results/figure_3_4.h5 table_4_1 -o experiment.png
     """
-    from clunk.analysis import comparison, measurements, trends
+    from clunk.analysis.comparison import compare as compare_maps
+    from clunk.analysis.measurements import is_experiment, read_experiment
+    from clunk.analysis.trends import compare_experiment
     from clunk.cli.compare_report import as_record, report
     from clunk.report.tables import TABLES
     from clunk.results import targets
@@ -37,21 +39,20 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: 
     if output is not None:
         targets.check(output, targets.PICTURES)
     results = read(a)
-    found: Any
-    other = None
-    if measurements.is_experiment(b, TABLES):
-        found = trends.compare_experiment(results, measurements.read_experiment(b, TABLES))
+    other = None if is_experiment(b, TABLES) else read(b)
+    comparison: Any  # of two maps, or of a map and measurements
+    if other is None:
+        comparison = compare_experiment(results, read_experiment(b, TABLES))
     else:
-        other = read(b)
-        found = comparison.compare(results, other)
+        comparison = compare_maps(results, other)
     if as_json:
-        tables.print_record(as_record(found))
+        tables.print_record(as_record(comparison))
     else:
-        click.echo(report(found, (str(a), str(b))), nl=False)
+        click.echo(report(comparison, (str(a), str(b))), nl=False)
     if output is not None:
         from clunk.plot.comparisons import difference_map, experiment_map
 
-        figure = experiment_map(results, found) if other is None else difference_map(results, other, found)
+        figure = experiment_map(results, comparison) if other is None else difference_map(results, other, comparison)
         terminal.save_picture(figure, output)
-    if expect_equal and not found.same_regimes:
+    if expect_equal and not comparison.same_regimes:
         sys.exit(EXIT_MISMATCH)

@@ -13,7 +13,7 @@ from clunk.cli import phrases
 from clunk.results.quantities import CELL_QUANTITIES
 from clunk.study.axes import ResultAxis
 from clunk.study.problems import shorten
-from clunk.study.summaries import percent
+from clunk.study.summaries import WIDTH, cut, percent
 
 _MOST_TRANSITIONS = 12
 _MOST_CELLS = 12
@@ -30,7 +30,7 @@ def report(comparison: Comparison | ExperimentComparison, names: tuple[str, str]
 
 def _map_report(comparison: Comparison, names: tuple[str, str]) -> Iterator[str]:
     for letter, name in zip("AB", names, strict=True):
-        yield f"{letter}  {phrases.cut(name, phrases.WIDTH - 3)}"
+        yield f"{letter}  {cut(name, WIDTH - 3)}"
     yield ""
     yield _regimes_sentence(comparison)
     failed = comparison.failed_in_a_only, comparison.failed_in_b_only, comparison.failed_in_both
@@ -81,41 +81,42 @@ def _transition_report(comparison: Comparison) -> Iterator[str]:
     shown, rest = comparison.transitions[:_MOST_TRANSITIONS], comparison.transitions[_MOST_TRANSITIONS:]
     yield ""
     yield from phrases.table(
-        [["A", "B", "cells"], *([found.a, found.b, f"{found.cells:,}"] for found in shown)], right=(False, False, True)
+        [["A", "B", "cells"], *([each.a, each.b, f"{each.cells:,}"] for each in shown)], right=(False, False, True)
     )
     if rest:
-        yield f"  and {len(rest)} transitions more, {sum(found.cells for found in rest):,} cells"
+        yield f"  and {len(rest)} transitions more, {sum(each.cells for each in rest):,} cells"
 
 
-def _deviation_report(axes: tuple[ResultAxis, ...], found: Deviation) -> Iterator[str]:
-    quantity = CELL_QUANTITIES[found.quantity]
+def _deviation_report(axes: tuple[ResultAxis, ...], deviation: Deviation) -> Iterator[str]:
+    quantity = CELL_QUANTITIES[deviation.quantity]
     name, unit = quantity.heading[:1].upper() + quantity.heading[1:], quantity.unit_symbol
-    yield f"{name}, B over A, in {phrases.cells(found.cells)} where neither is zero"
-    if found.quantity != "severity":
+    yield f"{name}, B over A, in {phrases.cells(deviation.cells)} where neither is zero"
+    if deviation.quantity != "severity":
         yield "  (in place of the severity Q, which is not defined in both)"
-    yield f"  median {found.median:.4g}; 5 % to 95 % of the cells: {found.low:.4g} to {found.high:.4g}"
+    yield f"  median {deviation.median:.4g}; 5 % to 95 % of the cells: {deviation.low:.4g} to {deviation.high:.4g}"
+    furthest, largest = deviation.largest_ratio, deviation.largest_difference
     for what, extreme, value in (
-        ("furthest ratio", found.largest_ratio, f"{found.largest_ratio.ratio:.4g}"),
-        ("largest difference", found.largest_difference, f"{found.largest_difference.difference:+.4g} {unit}"),
+        ("furthest ratio", furthest, f"{furthest.ratio:.4g}"),
+        ("largest difference", largest, f"{largest.difference:+.4g} {unit}"),
     ):
         yield f"  {what} {value}: {extreme.a:.5g} in A, {extreme.b:.5g} in B {unit}"
         yield phrases.at_cell(axes, extreme.values, indent=4)
-    if found.zero_in_one:
-        yield f"  {phrases.cells(found.zero_in_one)} more in which one of the two is zero"
+    if deviation.zero_in_one:
+        yield f"  {phrases.cells(deviation.zero_in_one)} more in which one of the two is zero"
 
 
 def _config_report(comparison: Comparison) -> Iterator[str]:
-    found = comparison.config_differences
+    differences = comparison.config_differences
     decides = "The configs' digests are the same" if comparison.configs_equal else "The configs differ"
-    if not found:
+    if not differences:
         yield f"{decides}." if comparison.configs_equal else "The configs' texts are the same, their digests are not."
     else:
-        keys = "1 key" if len(found) == 1 else f"{len(found)} keys"
+        keys = "1 key" if len(differences) == 1 else f"{len(differences)} keys"
         yield f"{decides}, but for {keys} that decide nothing:" if comparison.configs_equal else f"{decides} in {keys}:"
         absent = "(not given)"
         rows = [
             [each.key, *(absent if value is None else shorten(value, 60) for value in (each.a, each.b))]
-            for each in found
+            for each in differences
         ]
         yield from phrases.table([["key", "A", "B"], *rows])
     if comparison.provenance_differences:
@@ -128,8 +129,8 @@ def _config_report(comparison: Comparison) -> Iterator[str]:
 
 def _experiment_report(comparison: ExperimentComparison, names: tuple[str, str]) -> Iterator[str]:
     experiment = comparison.experiment
-    yield f"computed  {phrases.cut(names[0], phrases.WIDTH - 10)}"
-    yield f"measured  {phrases.cut(names[1], phrases.WIDTH - 10)}"
+    yield f"computed  {cut(names[0], WIDTH - 10)}"
+    yield f"measured  {cut(names[1], WIDTH - 10)}"
     yield phrases.fill(f"A {experiment.caveat}." if experiment.caveat == CAVEAT else f"{_capital(experiment.caveat)}.")
     yield ""
     yield _points_sentence(comparison)
@@ -205,14 +206,15 @@ def _at(axes: tuple[ResultAxis, ...], values: tuple[float, ...]) -> dict[str, fl
 
 
 def _map_record(comparison: Comparison) -> dict[str, Any]:
-    axes, found = comparison.parameters, comparison.deviation
-    deviation: dict[str, Any] | None = None
-    if found is not None:
-        deviation = {name: getattr(found, name) for name in ("quantity", "cells", "zero_in_one")}
-        deviation["ratio"] = {"median": found.median, "quantile_5": found.low, "quantile_95": found.high}
+    axes, deviation = comparison.parameters, comparison.deviation
+    deviation_record: dict[str, Any] | None = None
+    if deviation is not None:
+        deviation_record = {name: getattr(deviation, name) for name in ("quantity", "cells", "zero_in_one")}
+        quantiles = {"median": deviation.median, "quantile_5": deviation.low, "quantile_95": deviation.high}
+        deviation_record["ratio"] = quantiles
         for name in ("largest_ratio", "largest_difference"):
-            extreme: Extreme = getattr(found, name)
-            deviation[name] = {
+            extreme: Extreme = getattr(deviation, name)
+            deviation_record[name] = {
                 "at": _at(axes, extreme.values),
                 "a": extreme.a,
                 "b": extreme.b,
@@ -231,8 +233,8 @@ def _map_record(comparison: Comparison) -> dict[str, Any]:
             "b_only": comparison.failed_in_b_only,
             "both": comparison.failed_in_both,
         },
-        "transitions": [asdict(found) for found in comparison.transitions],
-        "deviation": deviation,
+        "transitions": [asdict(transition) for transition in comparison.transitions],
+        "deviation": deviation_record,
         "configs_equal": comparison.configs_equal,
         "config_differences": [asdict(each) for each in comparison.config_differences],
         "provenance_differences": {

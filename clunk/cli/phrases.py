@@ -6,17 +6,17 @@ import math
 import textwrap
 from typing import TYPE_CHECKING, Any
 
+from clunk.study.summaries import WIDTH, cut
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from clunk.study.axes import ResultAxis
 
-WIDTH = 80  # columns of a terminal
 
-
-def fill(text: str, first: str = "", others: str = "") -> str:
-    """Wrap a text to the width of a terminal; the first line and the others begin with these indents."""
-    return textwrap.fill(text, WIDTH, initial_indent=first, subsequent_indent=others, break_on_hyphens=False)
+def fill(text: str, first: str = "", rest: str = "") -> str:
+    """Wrap a text to the width of a terminal, its first line and the rest with these indents."""
+    return textwrap.fill(text, WIDTH, initial_indent=first, subsequent_indent=rest, break_on_hyphens=False)
 
 
 def at_cell(parameters: Sequence[ResultAxis], values: Sequence[float], indent: int = 2) -> str:
@@ -32,7 +32,7 @@ def cells(count: int) -> str:
 
 
 def share(count: int, of: int) -> str:
-    """A share that never says none or all where that is not so."""
+    """A share in percent, which never reads as none or all where it is not."""
     share = count / of
     return "> 99.99 %" if 0.9999 < share < 1.0 else "< 0.01 %" if 0.0 < share < 0.0001 else f"{100.0 * share:.2f} %"
 
@@ -53,11 +53,6 @@ def table(rows: Sequence[Sequence[str]], right: Sequence[bool] = ()) -> Iterator
             for k, (cell, width) in enumerate(zip(row, widths, strict=True))
         ]
         yield ("  " + "  ".join(cells)).rstrip()
-
-
-def cut(text: str, width: int) -> str:
-    """A text of at most `width` characters, the last of them … where it was longer."""
-    return text if len(text) <= width else text[: width - 1] + "…"
 
 
 def plain(value: Any) -> Any:

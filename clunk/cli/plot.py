@@ -84,7 +84,7 @@ def plot(
 
 
 def _options(error: SurplusAxesError) -> str:
-    """Options that leave as many axes as a figure shows, for example."""
+    """Example of options that leave no more axes than a figure shows."""
     at = {axis.parameter: cells.at_middle(axis) for axis in error.surplus}
     text = f"{' '.join(at.values())}, for example"
     if error.facets:

@@ -35,21 +35,22 @@ def reproduce(output: Path, workers: int | None, coarsen: int, table: Path | Non
       clunk reproduce
       clunk reproduce --table results/README.md
     """
-    from clunk.report import claims as claiming
-    from clunk.report import evidence, reproduction
+    from clunk.report import reproduction
+    from clunk.report.claims import claims as claims_of
+    from clunk.report.evidence import Evidence, map_studies, run_maps
     from clunk.results import targets
     from clunk.sweeping.sweep import cell_count
 
     targets.check(output / "figure_3_1.png", targets.PICTURES)
     terminal.say_if_compiling("rk4")
-    total = sum(cell_count(study) for study in evidence.map_studies(coarsen).values())
+    total = sum(cell_count(study) for study in map_studies(coarsen).values())
     with progress.shown(total) as show:
-        maps = evidence.run_maps(coarsen, workers, show)
-    found = evidence.Evidence(maps)
-    claims = claiming.claims(found)
-    jobs = reproduction.figures(found)
+        maps = run_maps(coarsen, workers, show)
+    evidence = Evidence(maps)
+    claims = claims_of(evidence)
+    jobs = reproduction.figures(evidence)
     with progress.shown(len(jobs), "figures") as show:
-        written = reproduction.save_all(jobs, found, claims, output, show)
+        written = reproduction.save_all(jobs, evidence, claims, output, show)
     if table is not None:
         reproduction.write_tables(table, claims)
     if as_json:
@@ -64,7 +65,7 @@ def reproduce(output: Path, workers: int | None, coarsen: int, table: Path | Non
 
 
 def print_claims(claims: Sequence[Claim]) -> None:
-    """The report's claims beside ours."""
+    """Print the report's claims beside clunk's."""
     from rich import box
     from rich.console import Console
     from rich.table import Table

@@ -73,42 +73,41 @@ def sensitivity(
     warm_up(point)
     began = time.perf_counter()
     with progress.shown(sobol.run_count(point), "runs") as show:
-        found = sobol.sensitivity(point, of=quantities, workers=workers, progress=show)
+        result = sobol.sensitivity(point, of=quantities, workers=workers, progress=show)
     seconds = time.perf_counter() - began
     if as_json:
-        tables.print_record(as_record(found))
+        tables.print_record(as_record(result))
     else:
-        print_sensitivity(found)
-    draws = len(found.parameters)
-    what = f"{found.runs:,} runs, {found.samples:,} samples x ({draws} parameters + 2), in {seconds:.1f} s"
-    click.echo(f"{what} ({found.runs / seconds:,.0f} runs/s)", err=True)
+        print_sensitivity(result)
+    draws = len(result.parameters)
+    what = f"{result.runs:,} runs, {result.samples:,} samples x ({draws} parameters + 2), in {seconds:.1f} s"
+    click.echo(f"{what} ({result.runs / seconds:,.0f} runs/s)", err=True)
     if output is not None:
         from clunk.plot.indices import sobol_bars
 
-        terminal.save_picture(sobol_bars(found), output)
+        terminal.save_picture(sobol_bars(result), output)
 
 
-def print_sensitivity(found: Sensitivity) -> None:
+def print_sensitivity(result: Sensitivity) -> None:
     """Print the distributions, the labels' shares and every quantity's Sobol indices by falling total index."""
-    width = max(len(parameter) for parameter in found.parameters)
-    for draw in found.draws:
-        line = f"{draw.parameter:<{width}}  {_distribution(found.study, draw)}"
-        click.echo(phrases.fill(line, others=" " * (width + 2)))
+    width = max(len(parameter) for parameter in result.parameters)
+    for draw in result.draws:
+        line = f"{draw.parameter:<{width}}  {_distribution(result.study, draw)}"
+        click.echo(phrases.fill(line, rest=" " * (width + 2)))
     click.echo()
-    click.echo(f"operating point     {', '.join(f'{key} = {value:g}' for key, value in found.at.items())}")
+    click.echo(f"operating point     {', '.join(f'{key} = {value:g}' for key, value in result.at.items())}")
     hardness = (
-        f"V {found.approach_velocity:.5f} rad/s" if math.isnan(found.severity) else f"Q {found.severity:.1f} rad/s²"
+        f"V {result.approach_velocity:.5f} rad/s" if math.isnan(result.severity) else f"Q {result.severity:.1f} rad/s²"
     )
-    click.echo(f"without tolerances  {found.label}, {hardness}")
-    wide = max(len(label) for label in found.labels)
-    for k, (label, share) in enumerate(found.labels.items()):
-        count = round(share * 2 * found.samples)
-        click.echo(
-            f"{'with tolerances' if k == 0 else '':<18}  {label:<{wide}}  {phrases.share(count, 2 * found.samples):>10}"
-        )
-    for indices in found.indices:
+    click.echo(f"without tolerances  {result.label}, {hardness}")
+    wide = max(len(label) for label in result.labels)
+    runs = 2 * result.samples
+    for k, (label, share) in enumerate(result.labels.items()):
+        part = phrases.share(round(share * runs), runs)
+        click.echo(f"{'with tolerances' if k == 0 else '':<18}  {label:<{wide}}  {part:>10}")
+    for indices in result.indices:
         click.echo()
-        _print_indices(indices, found.parameters, width)
+        _print_indices(indices, result.parameters, width)
 
 
 def _print_indices(indices: Indices, parameters: Sequence[str], width: int) -> None:
@@ -153,34 +152,30 @@ def _distribution(study: Study, draw: Draw) -> str:
     return f"{nominal:g}{suffix} {'times' if draw.draws == 'factor' else 'plus'} {drawn}"
 
 
-def as_record(found: Sensitivity) -> dict[str, Any]:
+def as_record(result: Sensitivity) -> dict[str, Any]:
     """Sobol indices for JSON; NaN where something is not defined."""
     from clunk.analysis.sobol import CONFIDENCE
     from clunk.study.parameters import nominal_value
     from clunk.study.study import digest
 
-    assert found.study.sweep is not None
-    sampling = found.study.sweep.sampling
+    assert result.study.sweep is not None
+    sampling = result.study.sweep.sampling
     return {
-        "title": found.study.title,
-        "config_digest": digest(found.study),
-        "at": found.at,
+        "title": result.study.title,
+        "config_digest": digest(result.study),
+        "at": result.at,
         "parameters": [
-            draw.model_dump(exclude_none=True) | {"nominal": nominal_value(found.study, draw.parameter)}
-            for draw in found.draws
+            draw.model_dump(exclude_none=True) | {"nominal": nominal_value(result.study, draw.parameter)}
+            for draw in result.draws
         ],
-        "samples": found.samples,
+        "samples": result.samples,
         "sampling": sampling.method,
         "seed": sampling.seed,
-        "runs": found.runs,
-        "nominal": {
-            "label": found.label,
-            "severity": found.severity,
-            "approach_velocity": found.approach_velocity,
-        },
-        "labels": found.labels,
+        "runs": result.runs,
+        "nominal": {"label": result.label, "severity": result.severity, "approach_velocity": result.approach_velocity},
+        "labels": result.labels,
         "confidence": CONFIDENCE,
-        "quantities": {each.quantity: _indices_record(each, found.parameters) for each in found.indices},
+        "quantities": {each.quantity: _indices_record(each, result.parameters) for each in result.indices},
     }
 
 

@@ -111,6 +111,7 @@ def _studies_to_simulate(
     from itertools import product
 
     from clunk.study.config import study_from_text
+    from clunk.study.designs import has_tolerances
     from clunk.study.document import read_text
     from clunk.study.study import replace_values
 
@@ -132,7 +133,7 @@ def _studies_to_simulate(
     for chosen in product(*choices.values()):
         study = study_from_text(text, name, [*overrides, *chosen])
         values = cells.cell_values(study, at, all_needed=source.suffix == ".h5")
-        if study.sweep is not None and study.sweep.tolerances and not studies:
+        if has_tolerances(study) and not studies:
             terminal.complain("tolerances are left aside; this is the nominal run")
         single = replace_values(study.model_copy(update={"sweep": None}), values)
         studies.append((", ".join(chosen) or study.title, single))

@@ -61,9 +61,10 @@ def sweep(
         raise click.UsageError("--retry-failed goes with neither --refine nor --force.")
     from clunk.results import targets
     from clunk.study.config import load_study
+    from clunk.study.designs import has_tolerances
 
     study = load_study(config, overrides)
-    tolerances = study.sweep is not None and bool(study.sweep.tolerances)
+    tolerances = has_tolerances(study)
     if tolerances and (refine or retry_failed):
         option = "--refine" if refine else "--retry-failed"
         raise click.UsageError(f"{option} does not go with [[sweep.tolerances]]: every cell has its own probabilities.")
@@ -88,7 +89,7 @@ def sweep(
 
 
 def _run(job: Job, opening: AbstractContextManager[Executor]) -> Results | ToleranceMap:
-    """Run a sweep with a progress bar; say what was found of an earlier one, and what is kept where it is stopped."""
+    """Run a sweep with a progress bar; print what is used of an earlier one, and what is kept where it is stopped."""
     from clunk.study.designs import unused_parameters
     from clunk.sweeping.cells import warm_up
     from clunk.sweeping.engines import EngineError
@@ -99,18 +100,18 @@ def _run(job: Job, opening: AbstractContextManager[Executor]) -> Results | Toler
         click.echo(f"note: {parameter} is swept, but changes nothing in this model", err=True)
     terminal.say_if_compiling(study.solver.method)
     warm_up(study)
-    told = False
+    is_reported = False
     try:
         with opening as engine, progress.shown(job.design.cells) as show:
 
-            def tell(done: int, total: int) -> None:
-                nonlocal told
-                if not told and parts is not None:
+            def advance(done: int, total: int) -> None:
+                nonlocal is_reported
+                if not is_reported and parts is not None:
                     terminal.report_resumed(parts.taken_up, parts.discarded)
-                told = True
+                is_reported = True
                 show(done, total)
 
-            return job.run(engine, progress=tell)
+            return job.run(engine, progress=advance)
     except (KeyboardInterrupt, SystemExit, EngineError) as stopped:
         if isinstance(stopped, EngineError):
             terminal.complain(str(stopped))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from clunk.cli import phrases
+from clunk.study.summaries import WIDTH
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,11 +24,11 @@ _FEWEST_STEPS = 10  # a period of the fastest oscillation
 def complain(message: str) -> None:
     """Print what is wrong, within the width of a terminal; a report that is laid out already stays as it is."""
     for line in message.splitlines():
-        click.echo(line if len(line) <= phrases.WIDTH else phrases.fill(line), err=True)
+        click.echo(line if len(line) <= WIDTH else phrases.fill(line), err=True)
 
 
 def warn_of_coarse_step(study: Study, method: str) -> None:
-    """A step of rk4 that is stable and yet too coarse for the contact gives wrong labels without any other sign."""
+    """Warn of a step of rk4 that is too coarse for the contact: wrong labels have no other sign where it is stable."""
     from clunk.simulation.driveline import steps_a_period
 
     if method == "rk4" and (steps := steps_a_period(study)) < _FEWEST_STEPS:
@@ -39,7 +40,7 @@ def warn_of_coarse_step(study: Study, method: str) -> None:
 
 
 def say_if_compiling(*methods: str) -> None:
-    """Say that kernels are about to be compiled, where they are."""
+    """Print a note where kernels are about to be compiled."""
     from clunk.sweeping.cells import compiling_note
 
     note = compiling_note(*methods)

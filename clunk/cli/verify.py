@@ -11,6 +11,7 @@ import click
 
 from clunk.cli import phrases, tables, terminal
 from clunk.cli.options import EXIT_FAILED_CELLS, EXIT_MISMATCH, PATH, json_option, set_option, workers_option
+from clunk.study.summaries import WIDTH
 from clunk.sweeping import progress
 
 if TYPE_CHECKING:
@@ -33,124 +34,127 @@ def verify(config: Path, overrides: tuple[str, ...], workers: int | None, as_jso
       clunk verify configs/smoke.toml
       clunk verify configs/figure_3_4.toml --set solver.step=5e-5
     """
-    from clunk.analysis import verification
+    from clunk.analysis.verification import METHODS
+    from clunk.analysis.verification import verify as run_both_methods
     from clunk.study.config import load_study
     from clunk.sweeping.sweep import cell_count
 
     study = load_study(config, overrides)
     terminal.warn_of_coarse_step(study, "rk4")
-    terminal.say_if_compiling(*verification.METHODS)
-    with progress.shown(len(verification.METHODS) * max(cell_count(study), 1)) as show:
-        found = verification.verify(study, workers=workers, progress=show)
+    terminal.say_if_compiling(*METHODS)
+    with progress.shown(len(METHODS) * max(cell_count(study), 1)) as show:
+        result = run_both_methods(study, workers=workers, progress=show)
     if as_json:
-        tables.print_record(as_record(found))
+        tables.print_record(as_record(result))
     else:
-        print_verification(found)
-    for method, results in zip(verification.METHODS, (found.rk4, found.exact), strict=True):
+        print_verification(result)
+    for method, results in zip(METHODS, (result.rk4, result.exact), strict=True):
         terminal.report_failures(results, f" by {method}")
-    if found.differing_elsewhere:
+    if result.differing_elsewhere:
         sys.exit(EXIT_MISMATCH)
-    if found.failed:
+    if result.failed:
         sys.exit(EXIT_FAILED_CELLS)
 
 
 _MOST_DISAGREEMENTS = 8
 
 
-def print_verification(found: Verification) -> None:
+def print_verification(result: Verification) -> None:
     """Print the counts, the largest differences, the cells with two labels and the verdict."""
     from clunk.analysis.verification import GUARDED
 
-    rates = ["" if found.events else f"; {found.cells / max(seconds, 1e-9):,.0f} runs/s" for seconds in found.seconds]
-    click.echo(f"rk4    a fixed step of {found.study.solver.step:g} s{rates[0]}")
+    rates = [
+        "" if result.events else f"; {result.cells / max(seconds, 1e-9):,.0f} runs/s" for seconds in result.seconds
+    ]
+    click.echo(f"rk4    a fixed step of {result.study.solver.step:g} s{rates[0]}")
     click.echo(f"exact  {GUARDED}{rates[1]}")
     click.echo()
-    if found.events:
-        _print_event_pairs(found)
+    if result.events:
+        _print_event_pairs(result)
     else:
-        _print_cell_counts(found)
-    _print_largest(found)
-    if not found.events:
-        for flagged, count in ((False, found.differing_elsewhere), (True, found.differing_flagged)):
-            _print_disagreements(found, flagged, count)
+        _print_cell_counts(result)
+    _print_largest(result)
+    if not result.events:
+        for flagged, count in ((False, result.differing_elsewhere), (True, result.differing_flagged)):
+            _print_disagreements(result, flagged, count)
     click.echo()
-    click.echo(textwrap.fill(verdict(found), phrases.WIDTH))
+    click.echo(textwrap.fill(verdict(result), WIDTH))
 
 
-def _print_cell_counts(found: Verification) -> None:
+def _print_cell_counts(result: Verification) -> None:
     from clunk.core.status import QUALITY_COMPLETE, QUALITY_GRAZING, QUALITY_UNDECIDED
 
-    tolerance = found.study.solver.margin_tolerance
+    tolerance = result.study.solver.margin_tolerance
     rows = [
-        ("cells", found.cells),
-        ("failed", found.failed),
-        ("labels equal", found.equal),
-        ("labels differ in flagged cells", found.differing_flagged),
-        ("labels differ elsewhere", found.differing_elsewhere),
-        ("number of touches equal", found.equal_touches),
-        (f"flagged: undecided, |margin| < {tolerance:g}", found.count("exact", QUALITY_UNDECIDED)),
-        ("flagged: grazing", found.count("exact", QUALITY_GRAZING)),
-        ("complete by exact", found.count("exact", QUALITY_COMPLETE)),
-        ("complete by rk4", found.count("rk4", QUALITY_COMPLETE)),
+        ("cells", result.cells),
+        ("failed", result.failed),
+        ("labels equal", result.equal),
+        ("labels differ in flagged cells", result.differing_flagged),
+        ("labels differ elsewhere", result.differing_elsewhere),
+        ("number of touches equal", result.equal_touches),
+        (f"flagged: undecided, |margin| < {tolerance:g}", result.count("exact", QUALITY_UNDECIDED)),
+        ("flagged: grazing", result.count("exact", QUALITY_GRAZING)),
+        ("complete by exact", result.count("exact", QUALITY_COMPLETE)),
+        ("complete by rk4", result.count("rk4", QUALITY_COMPLETE)),
     ]
     for what, count in rows:
         if count or what != "failed":
-            click.echo(f"{what:<40}{count:>11,}  {phrases.share(count, found.cells):>10}")
+            click.echo(f"{what:<40}{count:>11,}  {phrases.share(count, result.cells):>10}")
 
 
-def _print_event_pairs(found: Verification) -> None:
-    happened = [pair for pair in found.events if pair.kind != "load step"]
+def _print_event_pairs(result: Verification) -> None:
+    happened = [pair for pair in result.events if pair.name != "load step"]
     click.echo("    rk4 [s]   exact [s]  difference  event       flank" if happened else "no events")
     for pair in happened:
         times = f"{phrases.number(pair.rk4, '.7f'):>11} {phrases.number(pair.exact, '.7f'):>11}"
         difference = phrases.number(pair.rk4 - pair.exact, "+.1e")
-        click.echo(f"{times}  {difference:>10}  {pair.kind:<10}  {pair.flank}")
+        click.echo(f"{times}  {difference:>10}  {pair.name:<10}  {pair.flank}")
     click.echo()
     click.echo(f"{'':<12}{'rk4':<24}exact")
-    labels = [results.labels[int(results.sequence.flat[0])] for results in (found.rk4, found.exact)]
+    labels = [results.labels[int(results.sequence.flat[0])] for results in (result.rk4, result.exact)]
     click.echo(f"{'label':<12}{labels[0]:<24}{labels[1]}")
-    click.echo(f"{'touches':<12}{found.rk4.touches.flat[0]:<24}{found.exact.touches.flat[0]}")
-    flag = "flagged" if found.flagged.any() else f"solver.margin_tolerance is {found.study.solver.margin_tolerance:g}"
-    click.echo(f"{'margin':<12}{'-':<24}{phrases.number(float(found.exact.margin.flat[0]), '+.3g')}; {flag}")
+    click.echo(f"{'touches':<12}{result.rk4.touches.flat[0]:<24}{result.exact.touches.flat[0]}")
+    flag = "flagged" if result.flagged.any() else f"solver.margin_tolerance is {result.study.solver.margin_tolerance:g}"
+    click.echo(f"{'margin':<12}{'-':<24}{phrases.number(float(result.exact.margin.flat[0]), '+.3g')}; {flag}")
 
 
-def _print_largest(found: Verification) -> None:
+def _print_largest(result: Verification) -> None:
     from clunk.analysis.verification import SMALL
     from clunk.results.quantities import REGIME_QUANTITIES
 
-    if not found.largest:
+    if not result.largest:
         return
     click.echo()
-    where = "" if found.events else " in cells with equal labels"
-    click.echo(f"{'largest difference' + where:<50}{'' if found.events else 'over largest':>13}{'over own':>12}")
-    for each in found.largest:
+    where = "" if result.events else " in cells with equal labels"
+    click.echo(f"{'largest difference' + where:<50}{'' if result.events else 'over largest':>13}{'over own':>12}")
+    for each in result.largest:
         quantity = REGIME_QUANTITIES[each.quantity]
         unit = quantity.unit_symbol
         line = f"  {quantity.heading:<26}{f'{each.difference:.1e} {unit}':>22}"
         if unit != "s":
-            of_largest = "" if found.events else format(each.of_largest, ".1e")
+            of_largest = "" if result.events else format(each.of_largest, ".1e")
             line += f"{of_largest:>13}{phrases.number(each.relative, '.1e'):>12}"
         click.echo(line)
-        if not found.events and each.difference > 0.0:
-            click.echo(phrases.at_cell(found.comparison.parameters, each.values, indent=4))
+        if not result.events and each.difference > 0.0:
+            click.echo(phrases.at_cell(result.comparison.parameters, each.values, indent=4))
             if each.touches[0] != each.touches[1]:
                 click.echo(f"    with {each.touches[0]} touches by rk4 and {each.touches[1]} by exact")
-    if not found.events:
+    if not result.events:
         click.echo(f"  (largest: of the map; own: the value itself, where it is {100 * SMALL:g} % of that or more)")
-    if found.study.lash.contact.model == "restitution":
+    if result.study.lash.contact.model == "restitution":
         click.echo("  (Q and Qi are not defined for the restitution model)")
 
 
-def _print_disagreements(found: Verification, flagged: bool, count: int) -> None:
+def _print_disagreements(result: Verification, flagged: bool, count: int) -> None:
     from itertools import islice
 
     if not count:
         return
-    shown = list(islice(found.disagreements(flagged=flagged), _MOST_DISAGREEMENTS))
+    shown = list(islice(result.disagreements(flagged=flagged), _MOST_DISAGREEMENTS))
     click.echo()
     what = "labels differ in flagged cells" if flagged else "labels differ elsewhere"
     click.echo(what + (f", the first {len(shown)} of {count:,}" if count > len(shown) else ""))
-    parameters = found.comparison.parameters
+    parameters = result.comparison.parameters
     if len(parameters) > 2:  # a table of more would be too wide
         for each in shown:
             click.echo(f"  {each.rk4} by rk4, {each.exact} by exact; margin {each.margin:+.2g}")
@@ -162,25 +166,29 @@ def _print_disagreements(found: Verification, flagged: bool, count: int) -> None
         click.echo(line)
 
 
-def verdict(found: Verification) -> str:
-    """Whether the methods agree, as a sentence."""
-    compared, differing, step = found.comparison.cells, found.differing_elsewhere, found.study.solver.step
+def verdict(result: Verification) -> str:
+    """Sentence on whether the methods agree."""
+    compared, differing, step = (
+        result.comparison.cells,
+        result.differing_elsewhere,
+        result.study.solver.step,
+    )
     advice = f"a smaller solver.step than {step:g} s may mend it."
     if not compared:
         return "There is no verdict: no cell has a label by both methods."
-    if found.events:
-        if not found.comparison.differing:
+    if result.events:
+        if not result.comparison.differing:
             return "The methods agree: the run has the same label."
-        if found.agrees:
+        if result.agrees:
             return "The methods agree: the run has two labels, and exact flags it."
         return f"The methods disagree: the run has two labels and exact does not flag it; {advice}"
     where = f"all {compared:,} cells" if compared > 1 else "the one cell"
-    where += " that did not fail" if found.failed else ""
-    if not found.comparison.differing:
+    where += " that did not fail" if result.failed else ""
+    if not result.comparison.differing:
         return f"The methods agree: the same label in {where}."
-    if found.agrees:
+    if result.agrees:
         return (
-            f"The methods agree: the same label in {where} but {found.differing_flagged:,}, and exact flags each of "
+            f"The methods agree: the same label in {where} but {result.differing_flagged:,}, and exact flags each of "
             "those."
         )
     return (
@@ -189,36 +197,36 @@ def verdict(found: Verification) -> str:
     )
 
 
-def as_record(found: Verification) -> dict[str, Any]:
+def as_record(result: Verification) -> dict[str, Any]:
     """A verification for JSON; NaN where something is not defined."""
     from clunk.analysis.verification import GUARDED, METHODS
     from clunk.core.status import QUALITY_COMPLETE, QUALITY_GRAZING, QUALITY_UNDECIDED, Status
 
-    parameters = [axis.parameter for axis in found.comparison.parameters] if found.study.sweep else []
+    parameters = [axis.parameter for axis in result.comparison.parameters] if result.study.sweep else []
 
     def at(values: tuple[float, ...]) -> dict[str, float]:
         return dict(zip(parameters, values, strict=False))  # a single run has no parameters
 
     return {
-        "title": found.study.title,
-        "agrees": found.agrees,
-        "verdict": verdict(found),
+        "title": result.study.title,
+        "agrees": result.agrees,
+        "verdict": verdict(result),
         "exact_is": GUARDED,
-        "step": found.study.solver.step,
-        "margin_tolerance": found.study.solver.margin_tolerance,
-        "cells": found.cells,
+        "step": result.study.solver.step,
+        "margin_tolerance": result.study.solver.margin_tolerance,
+        "cells": result.cells,
         "failed": {
             method: int((results.status != Status.OK).sum())
-            for method, results in zip(METHODS, (found.rk4, found.exact), strict=True)
+            for method, results in zip(METHODS, (result.rk4, result.exact), strict=True)
         },
-        "seconds": dict(zip(METHODS, found.seconds, strict=True)),
-        "labels_equal": found.equal,
-        "labels_differ_flagged": found.differing_flagged,
-        "labels_differ_elsewhere": found.differing_elsewhere,
-        "touches_equal": found.equal_touches,
-        "share_undecided": found.count("exact", QUALITY_UNDECIDED) / found.cells,
-        "share_grazing": found.count("exact", QUALITY_GRAZING) / found.cells,
-        "share_complete": {method: found.count(method, QUALITY_COMPLETE) / found.cells for method in METHODS},
+        "seconds": dict(zip(METHODS, result.seconds, strict=True)),
+        "labels_equal": result.equal,
+        "labels_differ_flagged": result.differing_flagged,
+        "labels_differ_elsewhere": result.differing_elsewhere,
+        "touches_equal": result.equal_touches,
+        "share_undecided": result.count("exact", QUALITY_UNDECIDED) / result.cells,
+        "share_grazing": result.count("exact", QUALITY_GRAZING) / result.cells,
+        "share_complete": {method: result.count(method, QUALITY_COMPLETE) / result.cells for method in METHODS},
         "largest_differences": [
             {
                 "quantity": largest.quantity,
@@ -228,7 +236,7 @@ def as_record(found: Verification) -> dict[str, Any]:
                 "at": at(largest.values),
                 "touches": dict(zip(METHODS, largest.touches, strict=True)),
             }
-            for largest in found.largest
+            for largest in result.largest
         ],
         "differing_cells": [
             {
@@ -239,15 +247,10 @@ def as_record(found: Verification) -> dict[str, Any]:
                 "flagged": cell.flagged,
             }
             for flagged in (False, True)
-            for cell in found.disagreements(flagged=flagged)
+            for cell in result.disagreements(flagged=flagged)
         ],
         "events": [
-            {
-                "event": event.kind,
-                "flank": event.flank,
-                "rk4": event.rk4,
-                "exact": event.exact,
-            }
-            for event in found.events
+            {"event": event.name, "flank": event.flank, "rk4": event.rk4, "exact": event.exact}
+            for event in result.events
         ],
     }

@@ -1,4 +1,4 @@
-"""Every number and claim of the report, ours beside it, and where the report contradicts itself.
+"""Claims of the report: its numbers and statements, ours beside them, and where the report contradicts itself.
 
 S.W. Boere, *Transient response in torsional systems with backlash*, report DCT 2008.116, TU Eindhoven, 2008.
 
@@ -29,7 +29,7 @@ NINE = ("NI", "SS(1)", "SS(2)", "DS(1)", "DS(1)SS(1)", "DS(1)SS(2)", "DS(2)", "D
 
 
 class Verdict(Enum):
-    """What comparing a claim with the computation shows."""
+    """Outcome of comparing a claim with the computation."""
 
     AGREES = "agrees"
     DIFFERS = "differs"
@@ -70,7 +70,7 @@ class Claim:
 
 
 def claims(evidence: Evidence) -> list[Claim]:
-    """Every claim of the report that can be checked, in its order."""
+    """Check every claim of the report that can be checked, in its order."""
     sections = (_driveline, _models, _time_histories, _linear_view, _regimes, _severity, _experiment)
     return [claim for section in sections for claim in section(evidence)]
 
@@ -243,7 +243,7 @@ def _regimes(e: Evidence) -> Iterator[Claim]:
         f"never fewer in {rising:.1%} of the steps up in σr, never more in {falling:.1%} of the steps up in φθ",
         rising > 0.99 and falling > 0.99,
     )
-    same, nine = float(np.mean(_texts(ours) == _texts(restitution))), set(restitution.labels) == set(NINE)
+    same, nine = float(np.mean(ours.label_map == restitution.label_map)), set(restitution.labels) == set(NINE)
     yield _agrees(
         "§3.1",
         "both models predict the primary impacts equally",
@@ -333,7 +333,7 @@ def _experiment(e: Evidence) -> Iterator[Claim]:
         single_from == 0.0,
     )
     claimed = ["DS(1)SS(1) to SS(1)", "DS(2)SS(1) to DS(1)SS(2)", "DS(3)SS(1) to DS(2)SS(1)"]
-    texts = _texts(ours)
+    texts = ours.label_map
     steps = {f"{before} to {after}" for before, after in zip(texts[:, :-1].flat, texts[:, 1:].flat, strict=True)}
     present = [step for step in claimed if step in steps]
     yield _differs(
@@ -358,7 +358,7 @@ def _experiment(e: Evidence) -> Iterator[Claim]:
 
 
 def _ordered(values: npt.NDArray[Any], axis: int) -> float:
-    """The share of neighbours along an axis that do not fall."""
+    """Share of the steps along an axis in which the values do not fall."""
     return float(np.mean(np.diff(values, axis=axis) >= 0))
 
 
@@ -372,14 +372,10 @@ def _largest_fall(results: Results) -> tuple[float, str]:
 
 def _least_backlash(results: Results, ratio: float, label: str) -> float:
     """The backlash from which on a load ratio has this label; NaN where its largest one has not."""
-    row = _texts(results)[int(np.argmin(np.abs(results.axes[0].values - ratio)))]
+    row = results.label_map[int(np.argmin(np.abs(results.axes[0].values - ratio)))]
     unlike = np.flatnonzero(row != label)
     first = int(unlike[-1]) + 1 if unlike.size else 0
     return float(results.axes[1].values[first]) if first < row.size else float("nan")
-
-
-def _texts(results: Results) -> npt.NDArray[np.str_]:
-    return np.array([*results.labels, "failed"])[results.sequence]
 
 
 def _numbers(values: Any, digits: int = 1) -> str:

@@ -1,6 +1,5 @@
-"""The maps and runs of the report's driveline that its claims are checked with."""
+"""Maps and runs of the report's driveline, by which its claims are checked."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,6 +13,7 @@ from clunk.simulation.driveline import Driveline, Modes
 from clunk.simulation.trajectory import Trajectory, simulate
 from clunk.study.config import study_from_text
 from clunk.study.study import Study, replace_values
+from clunk.sweeping.progress import Progress
 from clunk.sweeping.sweep import cell_count, sweep
 
 RATIOS = (1.0, 2.0, 5.0)  # of Figure 3.2
@@ -53,7 +53,7 @@ def map_studies(coarsen: int = 1) -> dict[str, Study]:
     return studies
 
 
-def run_maps(coarsen: int = 1, workers: int | None = None, progress: Callable[[int, int], None] | None = None) -> Maps:
+def run_maps(coarsen: int = 1, workers: int | None = None, progress: Progress | None = None) -> Maps:
     """Run the sweeps of `map_studies`; `progress` gets the cells done and all cells."""
     studies = map_studies(coarsen)
     total = sum(cell_count(study) for study in studies.values())

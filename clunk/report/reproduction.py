@@ -18,9 +18,9 @@ from clunk.results.store import StoreError, write
 from clunk.simulation.history import History, sample
 from clunk.simulation.linear import one_mode_thresholds
 from clunk.simulation.small_gap import SmallGap
+from clunk.sweeping.progress import Progress
 
 Job = tuple[str, Callable[[], Figure]]
-Progress = Callable[[int, int], None]
 
 _NAMES = {"indentation": "IFM", "restitution": "RCM"}
 

@@ -83,8 +83,8 @@ def _dataset(source: str | os.PathLike[str] | BinaryIO) -> Dataset:
 
     dataset = xarray.load_dataset(source, engine="h5netcdf")
     codes = dataset["sequence"]
-    words = dict(zip(codes.attrs["flag_values"].tolist(), codes.attrs["flag_meanings"].split(), strict=True))
-    ordered = np.array([words[code] for code in sorted(words)])
+    labels = dict(zip(codes.attrs["flag_values"].tolist(), codes.attrs["flag_meanings"].split(), strict=True))
+    ordered = np.array([labels[code] for code in sorted(labels)])
     name = "label" if "label" not in dataset.dims else "most_likely_label"
     label = codes.copy(data=ordered[codes.to_numpy() - FAILED_CODE])
     label.attrs = {"units": "1", "long_name": codes.attrs["long_name"]}

@@ -115,6 +115,6 @@ _FLANKS = {INITIAL: "initial", NONE: "none", OPPOSITE: "opposite"}
 _FLAGS = {
     "contact": _FLANKS,
     "event_flank": _FLANKS,
-    "event_kind": {kind: name.replace(" ", "_") for kind, name in enumerate(KIND_NAMES)},
+    "event_kind": {code: name.replace(" ", "_") for code, name in enumerate(KIND_NAMES)},
     "event_impact": {0: "none", 1: "primary", 2: "secondary"},
 }

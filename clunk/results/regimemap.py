@@ -108,7 +108,7 @@ class Results(Map):
         return np.array([*self.labels, FAILED])[self.sequence]  # the code -1 is the last
 
     def cell(self, values: Mapping[str, float]) -> dict[str, Any]:
-        """All that is known about the cell nearest to these values.
+        """Label, quantities and primary impacts of the cell nearest to these values, by name.
 
         Parameters
         ----------

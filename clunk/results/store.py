@@ -328,8 +328,8 @@ def _header_of(file: h5py.File, checksum: bool) -> Header:
     axes = tuple(_axis_of(dimension[0]) for dimension in sequence.dims)
     coordinates = get_text(sequence, "coordinates").split() if "coordinates" in sequence.attrs else []
     sample = get_text(file["draw"], "sample").split() if _is_tolerance_map(file) else []
-    words = get_text(sequence, "flag_meanings").split()
-    meanings = dict(zip(sequence.attrs["flag_values"].tolist(), words, strict=True))
+    names = get_text(sequence, "flag_meanings").split()
+    meanings = dict(zip(sequence.attrs["flag_values"].tolist(), names, strict=True))
     labels = tuple(meanings[code] for code in range(len(meanings) - 1))
     codes = sequence[()]
     require_array("sequence", codes, tuple(len(axis.values) for axis in axes), np.int16)

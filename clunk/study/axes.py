@@ -14,7 +14,7 @@ RUN = "run"  # the dimension of what is walked or drawn together
 
 @dataclass(frozen=True, eq=False)
 class ResultAxis:
-    """One swept parameter and the values it took; or the dimension `run`, with the runs' numbers from 1.
+    """A swept parameter with the values that it took; or the dimension `run`, with the runs' numbers from 1.
 
     parameter : dotted key of the config, e.g. ``load.ratio`` or ``driveline.inertias[4]``; or ``run``
     values : (count,) float64  [unit]

@@ -65,7 +65,7 @@ class Design:
 
     @property
     def axes(self) -> tuple[ResultAxis, ...]:
-        """One for each dimension; along `run` the runs' numbers from 1."""
+        """Axis of each dimension; along `run` the runs' numbers from 1."""
         columns = {column.dimension: column for column in self.columns}
         numbers = [np.arange(1.0, length + 1.0) for length in self.shape]
         return tuple(
@@ -79,7 +79,7 @@ class Design:
         return tuple(column.axis for column in self.columns if column.dimension == self.run)
 
     def at(self, cells: Cells) -> dict[str, FloatArray]:
-        """Parameter -> its value in each of these cells, which are numbers in C order."""
+        """Values of each parameter in some cells, (n,) float64; cells : their numbers in C order."""
         positions = np.unravel_index(cells, self.shape)
         return {column.parameter: column.values[positions[column.dimension]] for column in self.columns}
 
@@ -161,7 +161,7 @@ def _unswept_value(study: Study, parameter: str) -> float:
 
 
 def unused_parameters(study: Study) -> list[str]:
-    """The swept or drawn keys that change nothing in the study's contact model."""
+    """Swept or drawn keys that change nothing in the study's contact model."""
     sweep = study.sweep
     swept = [each.parameter for each in (*sweep.axes, *sweep.samples, *sweep.tolerances)] if sweep else []
     if study.lash.contact.model == "restitution":

@@ -28,22 +28,28 @@ _PLAIN_WORD = re.compile(r"[^\W\d][\w-]*")
 # --- Text -> tables --------------------------------------------------------------------------------------------------
 
 
-def read_text(path: str | PathLike[str]) -> str:
-    """Read the text of a config file; raise ConfigError where there is no such file, or it is no text."""
+def read_text(
+    path: str | PathLike[str], noun: str = "a config", form: str = "a TOML file", known: str | None = None
+) -> str:
+    """Read a text file in UTF-8; raise ConfigError where there is no such file, or it is no text.
+
+    noun, form : what is to be read, for the error's text
+    known : end of the sentence on a file that does not exist; by default it names the nearest config
+    """
     try:
         with Path(path).open("rb") as file:
             data = file.read(_LARGEST_FILE + 1)
     except FileNotFoundError:
-        raise _refusal(f"{path} does not exist{_nearest_file(Path(path))}") from None
+        raise _refusal(f"{path} does not exist{_nearest_file(Path(path)) if known is None else known}") from None
     except IsADirectoryError:
-        raise _refusal(f"{path} is a directory; a config is a file.") from None
+        raise _refusal(f"{path} is a directory; {noun} is {form}.") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise _refusal(f"{path} cannot be read: {reason}.") from None
     if data.startswith(b"\x89HDF"):
-        raise _refusal(f"{path} is an HDF5 file, not a config; a config is a TOML file.")
+        raise _refusal(f"{path} is an HDF5 file, not {noun}; {noun} is {form}.")
     if len(data) > _LARGEST_FILE:
-        raise _refusal(f"{path} is larger than {_LARGEST_FILE // 2**20} MiB; that is no config.")
+        raise _refusal(f"{path} is larger than {_LARGEST_FILE // 2**20} MiB; that is not {noun}.")
     try:
         return data.decode("utf-8-sig")  # some editors write a byte order mark
     except UnicodeDecodeError as error:
@@ -176,7 +182,7 @@ def with_value(node: Any, place: Place, value: Any) -> Any:
 
 
 def assign(document: dict[str, Any], place: Place, value: Any) -> str | None:
-    """Put a value at a place of a document, with the tables around it; or say why there is no such place."""
+    """Put a value at a place of a document, with the tables around it; returns why, where there is no such place."""
     node: Any = document
     for k, step in enumerate(place):
         if isinstance(step, str) != isinstance(node, dict) or (isinstance(step, int) and step >= len(items_of(node))):

@@ -64,7 +64,7 @@ def json_schema() -> dict[str, Any]:
 
 @functools.cache
 def keys() -> dict[Place, Key]:
-    """All keys by their pattern: a place with `ITEM` for positions in lists."""
+    """Keys of a config by their pattern: a place with `ITEM` for positions in lists."""
     return dict(_keys((), json_schema()))
 
 
@@ -97,7 +97,7 @@ def _keys(place: Place, node: Mapping[str, Any]) -> Iterator[tuple[Place, Key]]:
 
 
 def _resolved(node: Mapping[str, Any]) -> Mapping[str, Any]:
-    """A node with what it refers to, and without null: in a config, that means that the key is left out."""
+    """Node of the schema with references resolved, and without null: such a key is left out of a config."""
     inner = [each for each in node.get("anyOf", node.get("allOf", ())) if each.get("type") != "null"]
     if "$ref" in node:
         inner = [json_schema()["$defs"][node["$ref"].rsplit("/", 1)[-1]]]

@@ -36,7 +36,7 @@ class DrivelineConfig(Table):
     shafts: tuple[Shaft, ...]
 
     def contradictions(self) -> Iterator[Finding]:
-        """Every name is one of its own, and can be told from a number."""
+        """Require names that differ from each other, from numbers and from ground."""
         names = self.names or ()
         for k, name in enumerate(names):
             if name == "ground":
@@ -93,7 +93,7 @@ class Load(Table):
     step_time: Annotated[NotNegative, Quantity("time of the load step", "t0", "s")] = 0.1
 
     def contradictions(self) -> Iterator[Finding]:
-        """The torque is given once: by what stays and a ratio, or by what it is before and after."""
+        """Require one of the two ways to give the torque, whole: a static torque and a ratio, or before and after."""
         by_ratio, by_step = ([key for key in pair if getattr(self, key) is not None] for pair in TORQUES)
         pairs = "static_torque and ratio, or initial_torque and final_torque"
         if by_ratio and by_step:
@@ -107,7 +107,7 @@ class Load(Table):
 
 
 class Solver(Table):
-    """How a run is computed. Keys that the method does not use are checked all the same.
+    """Method, step and limits of a run. Keys that the method does not use are checked all the same.
 
     method : "rk4", fixed-step with bisection, or "exact", by the modes of each regime
     step : float, of rk4; the exact method does not use it
@@ -124,7 +124,7 @@ class Solver(Table):
 
 
 class Impacts(Table):
-    """How impacts are told apart and measured.
+    """Sticking time and inertia by which impacts are told apart and measured.
 
     sticking_time : float or None, a longer contact is sticking; None stands for the contact period
     acceleration_of : int, number from 1 of the inertia whose acceleration gives the severity
@@ -135,7 +135,7 @@ class Impacts(Table):
 
 
 class Config(Table):
-    """All tables of a config, each sound by itself."""
+    """Tables of a config, each sound by itself."""
 
     title: Annotated[Text, Field(min_length=1)] = "Untitled"
     driveline: DrivelineConfig

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from clunk.study.errors import ClunkError
-
-_WIDTH = 80  # columns of a report
+from clunk.study.summaries import WIDTH, cut
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing that is wrong.
+    """An error in a config: its key, its line and a message.
 
     key : dotted key, items by number from 1; empty where the file as a whole is meant
     line : number from 1 of the line in the file, None where there is none
@@ -53,14 +52,14 @@ def report(subject: str, problems: Sequence[Problem]) -> ConfigError:
     """Error that lists all of a subject's problems, in the order of their lines."""
     ordered = sorted(problems, key=lambda p: (p.override, p.line is None, p.line or 0))
     lines = [f"{subject} has {'1 error' if len(ordered) == 1 else f'{len(ordered)} errors'}:"]
-    wrap = textwrap.TextWrapper(_WIDTH, "  ", "    ", break_long_words=False, break_on_hyphens=False)
+    wrap = textwrap.TextWrapper(WIDTH, "  ", "    ", break_long_words=False, break_on_hyphens=False)
     return ConfigError("\n".join([*lines, *(wrap.fill(str(problem)) for problem in ordered)]), ordered)
 
 
 def shorten(value: object, width: int = 40) -> str:
     """A value as TOML writes it, cut to a width."""
     if isinstance(value, str):
-        return json.dumps(value if len(value) <= width else value[: width - 1] + "…", ensure_ascii=False)
+        return json.dumps(cut(value, width), ensure_ascii=False)
     if isinstance(value, bool):
         text = "true" if value else "false"
     elif isinstance(value, dict):
@@ -73,7 +72,7 @@ def shorten(value: object, width: int = 40) -> str:
         text = "an integer beyond 64 bits"
     else:
         text = str(value)
-    return text if len(text) <= width else text[: width - 1] + "…"
+    return cut(text, width)
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:

@@ -21,7 +21,7 @@ Sizes = Sequence[tuple[float, Place]]  # positive numbers, each with its place
 
 
 def broken_rules(config: Config) -> list[Finding]:
-    """Everything in a config that contradicts itself; whatever is drawn is looked at where nothing else is wrong."""
+    """Findings of all rules on a config; draws are only looked at where nothing else is wrong."""
     findings = [finding for rule in (_inertias, _steps, _sizes, _swept) for finding in rule(config)]
     return findings or list(_drawn(config))
 
@@ -41,7 +41,7 @@ def torque_complaint(parameter: str, config: Config) -> str | None:
 
 
 def _inertias(config: Config) -> Iterator[Finding]:
-    """Each inertia has a name or none has, and shafts, lash, load and severity refer to inertias that exist."""
+    """Require a name for each inertia or for none, and that shafts, lash, load and severity refer to inertias."""
     pairs: list[tuple[Place, tuple[int | str, ...]]] = [(("lash", "between"), config.lash.between)]
     pairs += [(("driveline", "shafts", k, "between"), s.between) for k, s in enumerate(config.driveline.shafts)]
     references = [((*place, k), end, True) for place, ends in pairs for k, end in enumerate(ends)]
@@ -58,7 +58,7 @@ def _inertias(config: Config) -> Iterator[Finding]:
 
 
 def _steps(config: Config) -> Iterator[Finding]:
-    """A run is at least one step long and not absurdly many, at every value that an axis gives either."""
+    """Require runs of at least one step and not absurdly many, also at every value that an axis gives."""
     steps, ends = (list(_extent(config, ("solver", key))) for key in ("step", "end_time"))
     (longest, at_longest), (shortest, at_shortest) = max(steps), min(steps)
     (earliest, at_earliest), (latest, at_latest) = min(ends), max(ends)
@@ -71,7 +71,7 @@ def _steps(config: Config) -> Iterator[Finding]:
 
 
 def _sizes(config: Config) -> Iterator[Finding]:
-    """Inertias, springs and dampers are of sizes that double precision can multiply, and add to one another."""
+    """Require inertias, springs and dampers that double precision can multiply, and add to one another."""
     inertias, shafts = range(len(config.driveline.inertias)), range(len(config.driveline.shafts))
     masses = [size for k in inertias for size in _extent(config, ("driveline", "inertias", k))]
     springs, dampers = (
@@ -118,12 +118,12 @@ def _torsional(sizes: Sizes, radii: Sizes) -> Sizes:
 
 
 def _axis_first(*places: Place) -> Place:
-    """Whichever of these places lies on an axis, since that is the less obvious one."""
+    """The first of these places that lies on an axis, as the less obvious one; else the first."""
     return next((place for place in places if place[0] == "sweep"), places[0])
 
 
 def _extent(config: Config, place: Place) -> Iterator[tuple[float, Place]]:
-    """A key's own value and those at the ends of an axis over it, each with its place; positive ones only."""
+    """Value of a key and of the ends of an axis over it, each with its place; positive ones only."""
     parameter = dotted(place)
     value = located(config, parameter)[2]
     if value > 0.0:
@@ -137,7 +137,7 @@ def _extent(config: Config, place: Place) -> Iterator[tuple[float, Place]]:
 
 
 def _swept(config: Config) -> Iterator[Finding]:
-    """Every swept or drawn key is a parameter, in one place only, and gets values that it allows."""
+    """Require that a swept or drawn key is a parameter, in one place only, and gets values that it allows."""
     if config.sweep is None:
         return
     document = config.model_dump(exclude={"sweep"})
@@ -161,7 +161,7 @@ def _swept(config: Config) -> Iterator[Finding]:
 
 
 def _range(axis: Axis, config: Config) -> Iterator[Finding]:
-    """The values of an axis lie in the swept key's own range."""
+    """Require values of an axis that the swept key allows."""
     _, key, _ = located(config, axis.parameter)
     inertias = len(config.driveline.inertias)
     for where, end in axis.ends:
@@ -189,7 +189,7 @@ def _undrawable(draw: Draw, table: str, swept: Mapping[str, Place], config: Conf
 
 
 def _drawn(config: Config) -> Iterator[Finding]:
-    """Drawn values are allowed: the sample is known beforehand, and its least and largest values are looked at."""
+    """Require draws that their keys allow: of the sample, known beforehand, the least and the largest value."""
     sweep = config.sweep
     if sweep is None or not (sweep.samples or sweep.tolerances):
         return

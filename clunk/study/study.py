@@ -19,13 +19,13 @@ from clunk.study.validation import validated
 
 
 class Study(Config):
-    """Everything that decides what a run or a sweep computes.
+    """A config that has passed all rules: everything that decides what a run or a sweep computes.
 
     Made by `load_study`, `study_from_text` and `replace_values`; built by hand, it is held to the same rules.
     """
 
     def contradictions(self) -> Iterator[Finding]:
-        """The rules that tie tables to one another; see `clunk.study.rules`."""
+        """Require the rules that tie tables to one another; see `clunk.study.rules`."""
         yield from broken_rules(self)
 
     def summary(self) -> Rows:
@@ -106,7 +106,7 @@ def content(study: Study) -> dict[str, Any]:
 
 
 def to_toml(study: Study) -> str:
-    """The whole config: preset expanded, names resolved, defaults filled in. Loading it gives an equal study."""
+    """TOML of the whole config: preset expanded, names resolved, defaults filled in. Loaded, it is an equal study."""
     return tomli_w.dumps(content(study))
 
 

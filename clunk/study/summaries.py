@@ -7,7 +7,7 @@ from html import escape
 
 Rows = Sequence[tuple[str, str]]
 
-_WIDTH = 80
+WIDTH = 80  # columns of a terminal
 _LEFT = ' style="text-align: left"'  # notebooks align the cells of tables to the right
 
 
@@ -15,7 +15,7 @@ def as_text(heading: str, rows: Rows) -> str:
     """A heading and a line for each row, none longer than a terminal is wide."""
     width = max((len(name) for name, _ in rows), default=0)
     return "\n".join(
-        [f"<{_cut(heading, _WIDTH - 2)}>", *(_cut(f"  {name:<{width}}  {text}", _WIDTH) for name, text in rows)]
+        [f"<{cut(heading, WIDTH - 2)}>", *(cut(f"  {name:<{width}}  {text}", WIDTH) for name, text in rows)]
     )
 
 
@@ -41,5 +41,6 @@ def percent(part: int, whole: int) -> str:
     return f"{share:.2g} %" if share < 10 else f"{share:.4g} %" if share > 99 else f"{share:.3g} %"
 
 
-def _cut(text: str, width: int) -> str:
+def cut(text: str, width: int) -> str:
+    """A text of at most `width` characters, the last of them … where it was longer."""
     return text if len(text) <= width else text[: width - 1] + "…"

@@ -24,7 +24,7 @@ _NEAREST_TO_EDGE = 2.0**-54  # a point at 0 or 1 itself would be an infinite nor
 
 
 class Axis(Table):
-    """One swept key and the values that it takes, in the key's unit: evenly spaced, or listed.
+    """A swept key with the values that it takes, in the key's unit: evenly spaced, or listed.
 
     parameter : str, dotted key
     start, stop, count, scale : float, float, int, "linear" or "log"; or else
@@ -47,7 +47,7 @@ class Axis(Table):
         return {"scale": "linear", **stop, **{key: value for key, value in axis.items() if value is not None}}
 
     def contradictions(self) -> Iterator[Finding]:
-        """Values are given once, and make a span."""
+        """Require values, or a start, stop and count that make a span."""
         start, stop, count = self.start, self.stop, self.count
         spans = [key for key in ("start", "stop", "count", "scale") if getattr(self, key) is not None]
         if self.values is not None:
@@ -120,7 +120,7 @@ class _Drawn(Table):
     draws: Literal["value", "factor", "offset"] = "value"
 
     def contradictions(self) -> Iterator[Finding]:
-        """The numbers of a distribution are in their order."""
+        """Require low < high, and the mode from low to high."""
         low, mode, high = (getattr(self, name, None) for name in ("low", "mode", "high"))
         if low is not None and high is not None and not low < high:
             yield ("high",), f"found {high:g}; must be greater than low = {low:g}"
@@ -130,7 +130,7 @@ class _Drawn(Table):
             yield ("high",), f"found {high:g}; a lognormal number is greater than 0"
 
     def numbers(self, nominal: float) -> dict[str, float]:
-        """The numbers that give the distribution; a mean or median that is left out is the nominal value."""
+        """Parameters of the distribution, by name; a mean or median that is left out is the nominal value."""
         numbers = {name: getattr(self, name) for name in type(self).model_fields if name not in _Drawn.model_fields}
         for middle in {"mean", "median"} & numbers.keys():
             if numbers[middle] is None:
@@ -138,7 +138,7 @@ class _Drawn(Table):
         return {name: value for name, value in numbers.items() if value is not None}
 
     def quantiles(self, probability: npt.ArrayLike, nominal: float) -> FloatArray:
-        """The values below which the drawn number lies with these probabilities, where the key's nominal is this."""
+        """Quantiles of the drawn number at these probabilities, around the nominal value of its key."""
         numbers = self.numbers(nominal)
         low, high = numbers.get("low"), numbers.get("high")
         distribution = _distribution(self.distribution, numbers)
@@ -150,7 +150,7 @@ class _Drawn(Table):
         return np.clip(values, low, high) if (low, high) != (None, None) else values
 
     def applied(self, drawn: npt.ArrayLike, nominal: npt.ArrayLike) -> FloatArray:
-        """The key's values, from what was drawn and its nominal value."""
+        """Values of the key, from the numbers that were drawn and its nominal value."""
         drawn, nominal = np.asarray(drawn, np.float64), np.asarray(nominal, np.float64)
         if self.draws == "factor":
             values = nominal * drawn
@@ -199,7 +199,7 @@ class Triangular(_Drawn):
 
 
 def _distribution(name: str, n: Mapping[str, float]) -> Any:
-    """The distribution of this name by these numbers, not truncated, as scipy has it."""
+    """Frozen scipy distribution of this name with these parameters, not truncated."""
     from scipy import stats  # most of a second: only where something is drawn
 
     if name == "uniform":
@@ -216,7 +216,7 @@ _Draws = Annotated[tuple[Annotated[Draw, Field(discriminator="distribution")], .
 
 
 class Sampling(Table):
-    """How the drawn keys are drawn, all together.
+    """Sample of the drawn keys, all together: its method, size and seed.
 
     method : scrambled Sobol points, best in powers of two, or a Latin hypercube
     count : int, of the sample
@@ -228,7 +228,7 @@ class Sampling(Table):
     seed: Annotated[int, Field(ge=0)] = 0
 
     def points(self, dimensions: int) -> FloatArray:
-        """(count, dimensions) float64 in [0, 1)."""
+        """Points of the sample in the unit cube, (count, dimensions) float64 in [0, 1)."""
         from scipy.stats import qmc
 
         generator = np.random.default_rng(self.seed)
@@ -256,7 +256,7 @@ class Sweep(Table):
     sampling: Sampling = Sampling()
 
     def contradictions(self) -> Iterator[Finding]:
-        """There is something to run, its parts go together, and it is not too much."""
+        """Require something to run, tables that go together, and no more cells than allowed."""
         if not (self.axes or self.samples or self.tolerances):
             yield ("axes",), "missing; must be an array of tables, [[sweep.axes]], or else [[sweep.samples]]"
         counts = [axis.count_of_values for axis in self.axes]

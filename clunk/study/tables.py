@@ -98,7 +98,7 @@ def _numbered(value: Any, info: ValidationInfo, ground: bool) -> Any:
     raise refusal(((), f"no inertia is named {shorten(value)}; {hint} must be {allowed}"))
 
 
-def _two(ends: tuple[Any, ...]) -> tuple[Any, ...]:
+def _distinct(ends: tuple[Any, ...]) -> tuple[Any, ...]:
     if ends[0] == ends[1]:
         raise refusal(((), f'both ends are {shorten(ends[0])}; must be two inertias, or one and "ground"'))
     return ends
@@ -120,5 +120,5 @@ End = Annotated[
 Ends = Annotated[
     tuple[End, ...],
     Field(min_length=2, max_length=2, description='two inertias, or one and "ground", for example [1, 2]'),
-    AfterValidator(_two),
+    AfterValidator(_distinct),
 ]
