@@ -43,9 +43,9 @@ def run(contact, ratio=5.0, backlash=6.0, *, shafts="", lash="", method="rk4", s
 class TestEnergyIsAccountedFor:
     @pytest.mark.parametrize(("ratio", "backlash"), [(1.0, 6.0), (2.0, 6.0), (5.0, 6.0), (10.0, 10.0), (-2.5, 3.0)])
     def test_over_the_report_s_map(self, contact, method, ratio, backlash):
-        found = balance(run(contact, ratio, backlash, method=method))
-        assert found.relative_residual < CLOSED
-        assert found.damped > 0.0
+        energy = balance(run(contact, ratio, backlash, method=method))
+        assert energy.relative_residual < CLOSED
+        assert energy.damped > 0.0
 
     def test_without_a_gap(self, contact, method):
         assert balance(run(contact, 7.0, 0.0, method=method)).relative_residual < CLOSED
@@ -59,30 +59,30 @@ class TestEnergyIsAccountedFor:
     def test_without_any_damper_none_is_damped(self, contact, method):
         """The contact's oscillation does not die out, and RK4 loses 1e-9 of it a period; 0.3 s are 77 of them."""
         trajectory = run(f"{contact}\ndamping = 0.0", 5.0, 6.0, shafts=UNDAMPED, method=method, end_time=0.3)
-        found = balance(trajectory)
+        energy = balance(trajectory)
         assert trajectory.touches > 0
-        assert found.damped == 0.0
-        assert found.relative_residual < CLOSED
-        assert (found.lost_at_impacts > 0.0) == ("restitution" in contact)
+        assert energy.damped == 0.0
+        assert energy.relative_residual < CLOSED
+        assert (energy.lost_at_impacts > 0.0) == ("restitution" in contact)
 
     def test_from_an_initial_state_in_the_gap(self, contact, method):
         trajectory = run(contact, method=method)
         state = np.array([0.3, 0.2, 0.01, 0.0, -3.0, 2.0, 5.0, -1.0])
         thrown = simulate(trajectory.study, initial_state=state)
         assert thrown.touches > 0
-        found = balance(thrown)
-        assert found.relative_residual < CLOSED
-        assert found.kinetic_before == pytest.approx(0.5 * np.sum([0.024 * 9, 0.002 * 4, 0.002 * 25, 0.002]))
+        energy = balance(thrown)
+        assert energy.relative_residual < CLOSED
+        assert energy.kinetic_before == pytest.approx(0.5 * np.sum([0.024 * 9, 0.002 * 4, 0.002 * 25, 0.002]))
 
 
 @pytest.mark.parametrize(("ratio", "backlash", "damping"), [(5.5, 8.0, 94.0), (2.0, 1.0, 400.0)])
 def test_flanks_that_rejoin_regain_what_their_overlap_stores(ratio, backlash, damping):
     trajectory = run(f'separation = "force"\ndamping = {damping}', ratio, backlash)
-    found = balance(trajectory)
+    energy = balance(trajectory)
     assert np.any(trajectory.events["kind"] == REJOIN)
-    assert 0.0 < found.regained < found.dropped
-    assert found.relative_residual < CLOSED
-    assert max(found.dropped, found.regained) > 100 * CLOSED * found.largest  # the balance would notice
+    assert 0.0 < energy.regained < energy.dropped
+    assert energy.relative_residual < CLOSED
+    assert max(energy.dropped, energy.regained) > 100 * CLOSED * energy.largest  # the balance would notice
 
 
 @pytest.mark.parametrize("contact", CONTACTS.values(), ids=CONTACTS)
@@ -109,19 +109,19 @@ step = 2e-5
 end_time = 10.0
 """
     trajectory = simulate(study_from_text(ball))
-    found = balance(trajectory)
+    energy = balance(trajectory)
     assert trajectory.touches > 0
-    assert found.relative_residual < CLOSED
-    assert found.damped_in_shafts == ()
-    assert found.work > 0.0
+    assert energy.relative_residual < CLOSED
+    assert energy.damped_in_shafts == ()
+    assert energy.work > 0.0
 
 
 def test_a_driveline_at_rest_has_nothing_to_balance():
-    found = balance(run(CONTACTS["separation by gap"], ratio=0.0))
-    assert found.work == pytest.approx(0.0, abs=1e-15)
-    assert found.damped == pytest.approx(0.0, abs=1e-15)
-    assert found.stored_after == pytest.approx(found.stored_before, rel=1e-14)
-    assert found.relative_residual < 1e-14
+    energy = balance(run(CONTACTS["separation by gap"], ratio=0.0))
+    assert energy.work == pytest.approx(0.0, abs=1e-15)
+    assert energy.damped == pytest.approx(0.0, abs=1e-15)
+    assert energy.stored_after == pytest.approx(energy.stored_before, rel=1e-14)
+    assert energy.relative_residual < 1e-14
 
 
 def test_the_terms_are_those_of_an_independent_integration():
@@ -147,8 +147,8 @@ def test_the_terms_are_those_of_an_independent_integration():
         start = np.concatenate([state, np.zeros(6)])
         span = [float(event["time"]), float(end)]
         total += solve_ivp(rates, span, start, method="DOP853", rtol=1e-10, atol=1e-13).y[8:, -1]
-    found = balance(trajectory)
-    computed = [found.work, *found.damped_in_shafts, found.damped_in_contact]
+    energy = balance(trajectory)
+    computed = [energy.work, *energy.damped_in_shafts, energy.damped_in_contact]
     assert computed == pytest.approx(total, rel=1e-8, abs=1e-10)
 
 

@@ -157,8 +157,8 @@ def test_the_reference_itself_agrees_with_a_general_integrator():
 
     exact, _ = reference.run(plant)
     side, x = plant.preload()
-    time, found = 0.0, []
-    while len(found) < 8:
+    time, event_times = 0.0, []
+    while len(event_times) < 8:
         ends = [zero(side)] if side else [zero(1), zero(-1)]
         for end in ends:
             end.direction = -1 if side else 1  # the zero that the last event left behind is not one
@@ -168,8 +168,8 @@ def test_the_reference_itself_agrees_with_a_general_integrator():
         which = next(k for k, times in enumerate(solution.t_events) if times.size)
         time, x = solution.t_events[which][0], solution.y_events[which][0]
         side = 0 if side else (1, -1)[which]
-        found.append(time)
-    assert found == pytest.approx([event.time for event in exact[1:9]], abs=1e-10)
+        event_times.append(time)
+    assert event_times == pytest.approx([event.time for event in exact[1:9]], abs=1e-10)
 
 
 class TestOneInertiaOnASpringContact:

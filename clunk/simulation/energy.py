@@ -122,15 +122,15 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
         damped += dampers * np.einsum("i,kij,j->k", rates, forms, rates)
         x = start + moved
 
-    kinds, lost = events["kind"], 0.0
+    lost = 0.0
     if impulsive:
-        touches = kinds == TOUCH
+        touches = events["kind"] == TOUCH
         lost_squares = events["speed"][touches] ** 2 - (states[touches] @ system.lash) ** 2
         lost = float(np.sum(lost_squares) / np.sum(line.lash**2 / line.inertia) / 2.0)
     by_force = not impulsive and study.lash.contact.separation == "force"
     dropped, regained = (
-        math.fsum(map(indented, states[kinds == kind], events["side"][kinds == kind])) if by_force else 0.0
-        for kind in (SEPARATION, REJOIN)
+        math.fsum(map(indented, states[chosen], events["side"][chosen])) if by_force else 0.0
+        for chosen in (events["kind"] == SEPARATION, events["kind"] == REJOIN)
     )
     kinetic_before, shafts_before, contact_before = stored(states[0], regimes[events["regime"][0]])
     kinetic_after, shafts_after, contact_after = stored(x, regimes[events["regime"][-1]])

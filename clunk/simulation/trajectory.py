@@ -33,7 +33,7 @@ class SimulationError(ClunkError):
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """One run: its events, primary impacts and severity; n inertias, E events (the load step included).
+    """A run of one load step: its events, primary impacts and severity; n inertias, E events (the load step included).
 
     study : Study
     initial_side : int, sign of q = θi - θj on the initial flank
