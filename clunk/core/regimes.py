@@ -12,8 +12,8 @@ negative; a table names its successor. For the indentation model (report §2.3.2
     parted, s   open     s q - φ/2                    open (opening)
                          minus the contact force      closed (rejoin)
 
-where q = θi - θj across the lash, and the contact torque is k (s q - φ/2) + c s q'. *Parted* exists only for separation
-by force: the flanks still overlap, but no longer press on each other.
+where q = lash · θ = θi - ratio θj, and the contact torque is k (s q - φ/2) + c s q'. *Parted* exists only for
+separation by force: the flanks still overlap, but no longer press on each other.
 
 The restitution model (report §2.3.1) has the regimes open and closed too, but closed is the chain with q locked at
 s φ/2, a constraint whose torque is the guard, and a touch *resets* the velocities (report Eq. 2.9): it rebounds into
@@ -304,13 +304,17 @@ def chain(
 def _locked(
     rates: FloatArray, inputs: FloatArray, inertia: FloatArray, lash: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """A and B with q' = 0 as a true constraint: the inertias at the lash share one acceleration, to the last bit."""
+    """A and B with q' = 0 as a true constraint: the inertias at the lash move in the ratio that leaves q as it is.
+
+    Without a gear ratio they share one acceleration, to the last bit.
+    """
     n = inertia.size
     rates, inputs = rates.copy(), inputs.copy()
     ends = np.flatnonzero(lash)
+    motion = constrained(lash).expand[ends, : n - 1].sum(axis=1)  # of the ends, where one of them turns by 1
     for matrix in (rates, inputs):
-        rows = matrix[n + ends]
-        matrix[n + ends] = 0.0 if ends.size == 1 else inertia[ends] @ rows / np.sum(inertia[ends])
+        torques = (inertia[ends] * motion) @ matrix[n + ends]
+        matrix[n + ends] = motion[:, None] * (torques / np.sum(inertia[ends] * motion**2)) if ends.size > 1 else 0.0
     return rates, inputs
 
 
@@ -328,9 +332,14 @@ def unconstrained(size: int) -> Reduction:
 
 
 def constrained(lash: FloatArray) -> Reduction:
-    """Without the last angle at the lash, which q = s φ/2 and q' = 0 give."""
+    """Without the angle of one inertia at the lash, which q = s φ/2 and q' = 0 give.
+
+    It is the last of those that turn as q does, not through the gear ratio: q' is then zero to the last bit.
+    """
     n = lash.size
-    pivot = int(np.flatnonzero(lash)[-1])
+    ends = np.flatnonzero(lash)
+    plain = ends[np.abs(lash[ends]) == 1.0]
+    pivot = int(plain[-1] if plain.size else ends[-1])
     basis: FloatArray = np.eye(n)
     basis[pivot] = -lash / lash[pivot]
     basis = np.delete(basis, pivot, axis=1)
@@ -359,7 +368,7 @@ def _contact_torque(stiffness: FloatArray, load: FloatArray, lash: FloatArray, p
     """The static torque across the lash, signed like q, per unit of (T, s φ/2): what balances one of its inertias."""
     end = int(np.flatnonzero(lash)[0])
     pull = stiffness[end] @ preload
-    torque: FloatArray = lash[end] * (np.array([load[end], 0.0]) - pull)
+    torque: FloatArray = (np.array([load[end], 0.0]) - pull) / lash[end]
     # a load that does not reach the lash, or a gap that does not load it, leaves rounding only
     scale = np.array([1.0, np.abs(stiffness).max(initial=0.0) + 1e-300])
     torque[np.abs(torque) <= 1e-11 * scale] = 0.0

@@ -259,12 +259,13 @@ def _held(system: System, x: FloatArray, torque: float) -> tuple[float, float, f
 def _hold(system: System, x: FloatArray, gap: float) -> None:
     """Make q = `gap` and q' = 0 without moving the centre of mass: by a share of the difference that its inertia sets.
 
-    The last of the inertias at the lash then takes what is left of rounding, so that q' is zero to the last bit.
+    The last of the inertias at the lash that turn as q does, not through the gear ratio, then takes what is left of
+    rounding, so that q' is zero to the last bit.
     """
     n = x.size // 2
     for first, target in ((0, gap), (n, 0.0)):
         excess = -target
-        last = 0
+        last = -1
         for k in range(n):
             excess += system.lash[n + k] * x[first + k]
         rest = -target
@@ -273,6 +274,7 @@ def _hold(system: System, x: FloatArray, gap: float) -> None:
             if weight != 0.0:
                 x[first + k] -= excess * system.impulse[n + k]
                 rest += weight * x[first + k]
-                last = k
+                if last < 0 or abs(weight) == 1.0:
+                    last = k
         rest -= system.lash[n + last] * x[first + last]
         x[first + last] = -rest / system.lash[n + last]

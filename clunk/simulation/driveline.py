@@ -15,6 +15,7 @@ from clunk.core.exact.flows import Chain, Flows, build_flows
 from clunk.core.regimes import System, build_system, chain, constrained, unconstrained
 from clunk.core.rk4.propagator import Steps, build_steps
 from clunk.core.status import Status
+from clunk.study.models import Lash, Shaft
 from clunk.study.study import Study
 
 FloatArray = npt.NDArray[np.float64]
@@ -38,7 +39,7 @@ class Driveline:
     shafts: FloatArray  # (S, n)  twist of each shaft = row · θ
     shaft_stiffness: FloatArray  # (S,)  N m/rad
     shaft_damping: FloatArray  # (S,)  N m s/rad
-    lash: FloatArray  # (n,)  q = lash · θ
+    lash: FloatArray  # (n,)  q = lash · θ = θi - ratio θj
     load: FloatArray  # (n,)  1 at the loaded inertia
     contact_stiffness: float  # N m/rad, of the closed lash: r² k34
     contact_damping: float  # N m s/rad, r² c34
@@ -51,10 +52,10 @@ class Driveline:
         springs = [shaft.between for shaft in shafts if shaft.stiffness > 0.0]
         return cls(
             inertia=np.array(study.driveline.inertias, dtype=np.float64),
-            shafts=_incidence([shaft.between for shaft in shafts], n),
+            shafts=_incidence(shafts, n),
             shaft_stiffness=np.array([shaft.stiffness for shaft in shafts], dtype=np.float64),
             shaft_damping=np.array([shaft.damping for shaft in shafts], dtype=np.float64),
-            lash=_incidence([study.lash.between], n)[0],
+            lash=_incidence([study.lash], n)[0],
             load=np.eye(n)[int(study.load.on) - 1],
             contact_stiffness=study.lash.radius**2 * contact.stiffness,
             contact_damping=study.lash.radius**2 * contact.damping,
@@ -167,13 +168,13 @@ def steps_a_period(study: Study) -> float:
     return 2.0 * np.pi / (fastest * study.solver.step) if fastest > 0.0 else float("inf")
 
 
-def _incidence(joints: Sequence[Sequence[End]], n: int) -> FloatArray:
-    """(joints, n), +1 at the first end of each, -1 at the second; ground takes no part."""
+def _incidence(joints: Sequence[Shaft | Lash], n: int) -> FloatArray:
+    """(joints, n) float64: twist = row · θ, 1 at the first end and minus the ratio at the second, nothing at ground."""
     rows = np.zeros((len(joints), n))
-    for row, between in zip(rows, joints, strict=True):
-        for end, sign in zip(between, (1.0, -1.0), strict=True):
+    for row, joint in zip(rows, joints, strict=True):
+        for end, weight in zip(joint.between, (1.0, -joint.ratio), strict=True):
             if end != "ground":
-                row[int(end) - 1] += sign
+                row[int(end) - 1] += weight
     return rows
 
 

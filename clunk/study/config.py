@@ -113,7 +113,7 @@ def study_from_text(text: str, source: str = "<text>", overrides: Sequence[str] 
 
 
 def _preset(raw: dict[str, Any], assignments: Mapping[Place, Any]) -> tuple[str, dict[str, Any], list[Finding]]:
-    """Name and tables of the preset, without the torques that the file gives otherwise; empty where there is none."""
+    """Name and tables of the preset, without what the file gives in other keys; empty where there is none."""
     place: Place = ("driveline", "preset")
     name: Any = assignments.get(place, value_at(raw, place))
     if name is None:
@@ -132,6 +132,8 @@ def _preset(raw: dict[str, Any], assignments: Mapping[Place, Any]) -> tuple[str,
     ):
         for key in by_ratio:
             del preset["load"][key]
+    if ("lash", "gap_mm") in assignments or value_at(raw, ("lash", "gap_mm")) is not None:
+        del preset["lash"]["backlash_deg"]
     return name, preset, findings
 
 
@@ -169,6 +171,9 @@ def _fill_in(document: dict[str, Any], assigned: Sequence[Place]) -> list[Findin
         parameter = entry.get("parameter")
         if not isinstance(parameter, str):
             continue
+        if parameter == "lash.radius" and value_at(document, ("lash", "gap_mm")) is not None:
+            text = "lash.radius changes the angle of lash.gap_mm; give lash.backlash_deg to sweep or draw it"
+            findings.append(((*at, "parameter"), text))
         problem = complaint(parameter, document)
         place = place_of(parameter, names_of(document))
         key = None if place is None else key_at(place)

@@ -32,6 +32,8 @@ class Key:
     whole : whether only integers are allowed
     lowest, highest : bounds of a number, which it may reach unless `above` says otherwise
     above : whether the lowest bound itself is excluded
+    not_zero : whether zero is excluded
+    other_unit_of : the key beside it that takes its number over, if it is another unit of one
     """
 
     must_be: str
@@ -44,10 +46,13 @@ class Key:
     lowest: float = -math.inf
     highest: float = math.inf
     above: bool = False
+    not_zero: bool = False
+    other_unit_of: str = ""
 
     def allows(self, value: float) -> bool:
         """Whether a number lies within the bounds."""
-        return (self.lowest < value if self.above else self.lowest <= value) and value <= self.highest
+        above = self.lowest < value if self.above else self.lowest <= value
+        return above and value <= self.highest and not (self.not_zero and value == 0.0)
 
 
 @functools.cache
@@ -115,13 +120,25 @@ def _leaf(node: Mapping[str, Any]) -> Key:
     highest = node.get("maximum", math.inf)
     whole = "integer" in node["type"]
     noun = "a whole number" if whole else "a number"
-    if above:
+    not_zero = node.get("not") == {"const": 0}
+    if not_zero:
+        must_be = "a finite number other than 0"
+    elif above:
         must_be = f"{noun} greater than {lowest:g}"
     elif highest < math.inf:
         must_be = f"{noun} from {lowest:g} to {highest:.12g}"
     else:
         must_be = f"{noun}, {lowest:g} or greater" if lowest > -math.inf else "a finite number"
     quantity = Quantity(node["quantity"], node["symbol"], node["unit"]) if "quantity" in node else None
-    unit = f" ({quantity.unit})" if quantity is not None and quantity.unit != "1" else ""
+    unit = f" ({node['unit']})" if node.get("unit", "1") != "1" else ""
     must_be = node.get("description", must_be + unit)
-    return Key(must_be, quantity=quantity, whole=whole, lowest=lowest, highest=highest, above=above)
+    return Key(
+        must_be,
+        quantity=quantity,
+        whole=whole,
+        lowest=lowest,
+        highest=highest,
+        above=above,
+        not_zero=not_zero,
+        other_unit_of=node.get("other_unit_of", ""),
+    )

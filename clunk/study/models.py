@@ -4,14 +4,28 @@ The units are the config's (degrees, N/m at a radius); `clunk.simulation` conver
 validator here looks at one table; the rules that tie tables to one another are in `clunk.study.rules`.
 """
 
+import math
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from clunk.study.problems import shorten
 from clunk.study.sweeps import Sweep
-from clunk.study.tables import Ends, Finding, Inertia, NotNegative, Positive, Quantity, Table, Text
+from clunk.study.tables import (
+    Ends,
+    Finding,
+    Inertia,
+    NotNegative,
+    NotZero,
+    OtherUnit,
+    Positive,
+    Quantity,
+    Table,
+    Text,
+    converted,
+    is_number,
+)
 
 # The torque of the load is given by both of the first, or by both of the second.
 TORQUES = (("static_torque", "ratio"), ("initial_torque", "final_torque"))
@@ -21,11 +35,25 @@ class Shaft(Table):
     """A massless linear spring and damper between two inertias, or between one and ground.
 
     between : two of an inertia's number from 1 and "ground"
+    ratio : float, i of a gear: the twist is θ of the first end less i θ of the second
+    stiffness_per_deg : float or None, instead of stiffness, which it becomes
     """
 
     between: Ends
+    ratio: Annotated[NotZero, Quantity("gear ratio of shaft {}", "i{}", "1")] = 1.0
     stiffness: Annotated[NotNegative, Quantity("stiffness of shaft {}", "k{}", "N m/rad")]
+    stiffness_per_deg: Annotated[NotNegative | None, OtherUnit("stiffness", "N m/degree")] = None
     damping: Annotated[NotNegative, Quantity("damping of shaft {}", "c{}", "N m s/rad")]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _convert(cls, shaft: Any) -> Any:
+        return converted(shaft, "stiffness_per_deg", "stiffness", math.degrees)
+
+    def contradictions(self) -> Iterator[Finding]:
+        """The stiffness is given once."""
+        if self.stiffness_per_deg is not None:
+            yield (), "stiffness and stiffness_per_deg are given together; give one of the two"
 
 
 class DrivelineConfig(Table):
@@ -67,12 +95,41 @@ class Contact(Table):
 
 
 class Lash(Table):
-    """The backlash, which is the whole gap, between two inertias or between one and ground."""
+    """The backlash, which is the whole gap, between two inertias or between one and ground.
+
+    ratio : float, i of a gear: the gap is measured in θ of the first end less i θ of the second
+    gap_mm : float or None, the whole gap at the radius, instead of backlash_deg, which it becomes
+    """
 
     between: Ends
+    ratio: Annotated[NotZero, Quantity("gear ratio at the lash", "i", "1")] = 1.0
     backlash_deg: Annotated[float, Field(ge=0, le=360), Quantity("backlash", "φθ", "degrees")]
+    gap_mm: Annotated[NotNegative | None, OtherUnit("backlash_deg", "mm")] = None
     radius: Annotated[Positive, Quantity("radius of the flanks", "r", "m")]
     contact: Contact
+
+    @model_validator(mode="before")
+    @classmethod
+    def _convert(cls, lash: Any) -> Any:
+        number: Any = lash.get("radius") if isinstance(lash, dict) else None
+        radius = float(number) if is_number(number) and number > 0.0 else math.inf  # else it has an error of its own
+        return converted(lash, "gap_mm", "backlash_deg", lambda gap: _degrees(gap, radius), 360.0)
+
+    def contradictions(self) -> Iterator[Finding]:
+        """The gap is given once, and is no more than a turn."""
+        if self.gap_mm is None:
+            return
+        degrees = _degrees(self.gap_mm, self.radius)
+        if degrees > 360.0:
+            text = f"found {self.gap_mm:g}; at a radius of {self.radius:g} m that is {degrees:g} degrees"
+            yield ("gap_mm",), f"{text}, and at most 360 are allowed"
+        else:
+            yield (), "backlash_deg and gap_mm are given together; give one of the two"
+
+
+def _degrees(gap_mm: float, radius: float) -> float:
+    """Angle of a gap in mm at a radius in m."""
+    return math.degrees(gap_mm / (1e3 * radius))
 
 
 class Load(Table):

@@ -56,10 +56,15 @@ def complaint(parameter: str, document: Mapping[str, Any]) -> str | None:
             if isinstance(step, int) and step >= count:
                 return f"there is no {parameter}; {dotted(place[:k])} has {count} items" if count else None
         return None
+    if place is not None and key is not None and key.other_unit_of:
+        return (
+            f"{parameter} cannot be swept; sweep {dotted((*place[:-1], key.other_unit_of))} instead, which it becomes"
+        )
     known = parameters(document)
     leaf = parameter.rsplit(".", 1)[-1]
     same_leaf = [name for name in known if name.rsplit(".", 1)[-1] == leaf or name.startswith(f"{parameter}[")]
-    likely = same_leaf[0] if same_leaf else nearest(parameter, known)
+    in_use = [name for name in same_leaf if value_at(document, place_of(name, ()) or ()) is not None]
+    likely = next(iter(in_use or same_leaf), nearest(parameter, known))
     hint = f"; did you mean {shorten(likely)}?" if likely else "; a key such as load.ratio or driveline.inertias[4] can"
     if key is not None:
         return f"{shorten(parameter)} is no quantity that can be swept{hint}"
@@ -85,8 +90,12 @@ def located(config: Config, parameter: str) -> tuple[Place, Key, float]:
             value = value[step] if value is not None and step < len(value) else None
         else:
             value = getattr(value, step, None)
-    if place is None or key is None or (value is None and complaint(parameter, config.model_dump()) is not None):
-        raise _refusal(parameter, complaint(parameter, config.model_dump()))
+    if (
+        place is None
+        or key is None
+        or (value is None and complaint(parameter, config.model_dump(exclude_defaults=True)) is not None)
+    ):
+        raise _refusal(parameter, complaint(parameter, config.model_dump(exclude_defaults=True)))
     return place, key, math.nan if value is None else float(value)
 
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 
 import numpy as np
 
@@ -75,22 +76,25 @@ def _sizes(config: Config) -> Iterator[Finding]:
     inertias, shafts = range(len(config.driveline.inertias)), range(len(config.driveline.shafts))
     masses = [size for k in inertias for size in _extent(config, ("driveline", "inertias", k))]
     springs, dampers = (
-        [size for k in shafts for size in _extent(config, ("driveline", "shafts", k, key))]
-        for key in ("stiffness", "damping")
+        [list(_extent(config, ("driveline", "shafts", k, key))) for k in shafts] for key in ("stiffness", "damping")
     )
+    places: list[Place] = [*(("driveline", "shafts", k) for k in shafts), ("lash",)]
+    ratios = [list(_ratios(config, (*place, "ratio"))) for place in places]
     radii = list(_extent(config, ("lash", "radius")))
     stiffnesses, dampings = (list(_extent(config, ("lash", "contact", key))) for key in ("stiffness", "damping"))
     absurd = [
         (place, f"found {size:g}; must be from {1.0 / LARGEST_SIZE:g} to {LARGEST_SIZE:g}")
-        for size, place in [*masses, *springs, *dampers, *radii, *stiffnesses, *dampings]
+        for size, place in [*masses, *chain(*springs, *dampers, *ratios), *radii, *stiffnesses, *dampings]
         if not 1.0 / LARGEST_SIZE <= size <= LARGEST_SIZE
     ]
     yield from absurd
     if absurd:
         return
-    springs += _torsional(stiffnesses, radii)
-    dampers += _torsional(dampings, radii)
-    for sizes, unit in ((masses, "kg m2"), (springs, "N m/rad")):
+    at_springs, at_dampers = (
+        [size for sizes, gears in zip(joints, ratios, strict=True) for size in (*sizes, *_levered(sizes, gears))]
+        for joints in ([*springs, _levered(stiffnesses, radii)], [*dampers, _levered(dampings, radii)])
+    )
+    for sizes, unit in ((masses, "kg m2"), (at_springs, "N m/rad")):
         (smallest, at_smallest), (largest, at_largest) = min(sizes), max(sizes)
         if largest > WIDEST_SPREAD * smallest:
             yield (
@@ -100,7 +104,7 @@ def _sizes(config: Config) -> Iterator[Finding]:
             )
             return
     lightest, at_lightest = min(masses)
-    for sizes, power, unit in ((springs, 0.5, "N m/rad"), (dampers, 1.0, "N m s/rad")):
+    for sizes, power, unit in ((at_springs, 0.5, "N m/rad"), (at_dampers, 1.0, "N m s/rad")):
         largest, at_largest = max(sizes, default=(0.0, ()))
         rate = (largest / lightest) ** power
         if rate > FASTEST_RATE:
@@ -108,18 +112,30 @@ def _sizes(config: Config) -> Iterator[Finding]:
             yield at_largest, f"{text}; at most {FASTEST_RATE:g} 1/s is allowed"
 
 
-def _torsional(sizes: Sizes, radii: Sizes) -> Sizes:
-    """r² times a stiffness or damping at the radius, at the place of whichever of the two is further from 1."""
+def _levered(sizes: Sizes, levers: Sizes) -> Sizes:
+    """A radius or a gear ratio, squared, times a stiffness or damping, at the place of whichever is further from 1."""
     return [
-        (radius**2 * size, at if abs(math.log(size)) > abs(2.0 * math.log(radius)) else at_radius)
+        (lever**2 * size, at if abs(math.log(size)) > abs(2.0 * math.log(lever)) else at_lever)
         for size, at in sizes
-        for radius, at_radius in radii
+        for lever, at_lever in levers
     ]
 
 
 def _axis_first(*places: Place) -> Place:
     """The first of these places that lies on an axis, as the less obvious one; else the first."""
     return next((place for place in places if place[0] == "sweep"), places[0])
+
+
+def _ratios(config: Config, place: Place) -> Iterator[tuple[float, Place]]:
+    """A gear ratio's size and the least and largest that an axis gives it, each with its place; none that are 1."""
+    value = abs(located(config, dotted(place))[2])
+    if value != 1.0:
+        yield value, place
+    for k, axis in enumerate(config.sweep.axes if config.sweep is not None else ()):
+        if axis.parameter == dotted(place):
+            sizes = np.abs(axis.grid[axis.grid != 0.0])  # zero has an error of its own
+            if sizes.size:
+                yield from ((float(size), ("sweep", "axes", k)) for size in (sizes.min(), sizes.max()))
 
 
 def _extent(config: Config, place: Place) -> Iterator[tuple[float, Place]]:
@@ -169,6 +185,9 @@ def _range(axis: Axis, config: Config) -> Iterator[Finding]:
             yield where, f"found {end:g}; {axis.parameter} must be {key.must_be}"
         elif key.whole and end > inertias:
             yield where, f"found {end:g}; {axis.parameter} is an inertia's number, and there are {inertias}"
+    if key.not_zero and all(map(key.allows, axis.grid[[0, -1]])) and not np.all(axis.grid):
+        at = ("values", axis.values.index(0.0)) if axis.values is not None else ()
+        yield at, f"found 0 among the values; {axis.parameter} must be {key.must_be}"
     if key.whole and np.any(axis.grid % 1.0):
         yield (), f"{axis.parameter} must be {key.must_be} at every value of the axis"
 
@@ -202,7 +221,8 @@ def _drawn(config: Config) -> Iterator[Finding]:
         nominal = axes.get(draw.parameter, np.array([value_of_study]))
         drawn = draw.quantiles(points[:, k], float(nominal[0]))  # around a swept value it does not use this
         values = draw.applied(drawn[:, None], np.array([nominal.min(), nominal.max()]))
-        for value in (float(values.min()), float(values.max())):
+        extremes = [values.min(), values.max(), *([values.flat[np.abs(values).argmin()]] if key.not_zero else [])]
+        for value in map(float, extremes):
             number = int(np.nonzero(values == value)[0][0]) + 1 if math.isfinite(value) else 1
             text = f"draw {number} of {len(drawn)} makes {draw.parameter} {value:.6g}"
             if not math.isfinite(value) or not key.allows(value):

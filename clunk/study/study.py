@@ -37,6 +37,8 @@ class Study(Config):
         axes = self.sweep.axes if self.sweep is not None else ()
         swept = {axis.parameter for axis in axes}
         gap = "swept" if "lash.backlash_deg" in swept else f"{lash.backlash_deg:g} degrees"
+        if lash.ratio != 1.0 or "lash.ratio" in swept:
+            gap += ", ratio swept" if "lash.ratio" in swept else f", ratio {lash.ratio:g}"
         torques = []
         for symbol, key in zip(("Ts", "σr", "T(0⁻)", "T(0⁺)"), TORQUES[0] + TORQUES[1], strict=True):
             value, unit = getattr(load, key), "" if key == "ratio" else " N m"
@@ -97,6 +99,9 @@ def replace_values(study: Study, values: Mapping[str, float]) -> Study:
 def content(study: Study) -> dict[str, Any]:
     """A study as plain tables, lists and values, without what is left out."""
     plain = study.model_dump(exclude_none=True)
+    for joint in (plain["lash"], *plain["driveline"]["shafts"]):
+        if joint["ratio"] == 1.0:  # as configs and digests of earlier versions have it
+            del joint["ratio"]
     if study.sweep is not None:
         sweep = {key: value for key, value in plain["sweep"].items() if value != ()}
         if not {"samples", "tolerances"} & set(sweep):

@@ -1,7 +1,9 @@
 """Building blocks of a config's tables: their base class, quantities with units, and types of texts and inertias."""
 
+import math
+import sys
 import unicodedata
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
@@ -65,6 +67,40 @@ class Quantity:
         return {**handler(core_schema), "quantity": self.name, "symbol": self.symbol, "unit": self.unit}
 
 
+@dataclass(frozen=True)
+class OtherUnit:
+    """Another unit of a key beside it, which takes the number over when a config is read.
+
+    key, unit : of that key, e.g. ``backlash_deg``, and of this one, ``mm``
+    """
+
+    key: str
+    unit: str
+
+    def __get_pydantic_json_schema__(self, core_schema: Any, handler: Any) -> dict[str, Any]:
+        """JSON Schema of the key, with the other key and the unit as further keywords."""
+        return {**handler(core_schema), "other_unit_of": self.key, "unit": self.unit}
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value is a finite number."""
+    return type(value) in {int, float} and abs(value) <= sys.float_info.max
+
+
+def converted(table: Any, key: str, target: str, convert: Callable[[float], float], highest: float = math.inf) -> Any:
+    """A table with a number of another unit converted into the key `target`.
+
+    Where both keys are given the table stays as it is, to be refused. A number that cannot be converted, or is more
+    than the highest, stays beside a target that has no error of its own.
+    """
+    if not isinstance(table, dict) or table.get(key) is None or table.get(target) is not None:
+        return table
+    value = convert(table[key]) if is_number(table[key]) and table[key] >= 0 else math.inf
+    if value > highest or value == math.inf:
+        return {**table, target: 0.0}
+    return {**{name: each for name, each in table.items() if name != key}, target: value}
+
+
 def _one_line(text: str) -> str:
     # control characters and broken Unicode can be written neither to a terminal nor to a results file
     if any(unicodedata.category(character) in {"Cc", "Cs"} for character in text):
@@ -104,8 +140,15 @@ def _distinct(ends: tuple[Any, ...]) -> tuple[Any, ...]:
     return ends
 
 
+def _not_zero(value: float) -> float:
+    if value == 0.0:
+        raise refusal(((), "found 0; must be a finite number other than 0"))
+    return value
+
+
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
+NotZero = Annotated[float, AfterValidator(_not_zero), WithJsonSchema({"type": "number", "not": {"const": 0}})]
 Text = Annotated[str, AfterValidator(_one_line)]
 Inertia = Annotated[
     int,
