@@ -221,6 +221,46 @@ def test_starter_names_every_key():
     assert keys == {name for model in models for name in model.model_fields} - tables | {"preset"}
 
 
+def test_a_gap_in_mm_is_the_backlash_at_the_radius():
+    study = study_from_text(ONE_RUN.replace("backlash_deg = 6.0", "gap_mm = 8"))
+    assert study.lash.backlash_deg == pytest.approx(np.rad2deg(8e-3 / 0.08), rel=1e-15)
+    assert study.lash.gap_mm is None
+    assert "gap_mm" not in to_toml(study)
+    assert study_from_text(PRESET, overrides=["lash.gap_mm=8.0"]).lash == study.lash
+    assert study_from_text(f"{PRESET}[lash]\ngap_mm = 4\nradius = 0.04\n").lash.backlash_deg == study.lash.backlash_deg
+
+
+def test_a_stiffness_per_degree_is_the_stiffness():
+    study = study_from_text(ONE_RUN.replace("stiffness = 31.3", "stiffness_per_deg = 0.5", 1))
+    assert study.driveline.shafts[0].stiffness == pytest.approx(90.0 / np.pi, rel=1e-15)
+    assert study.driveline.shafts[0].stiffness_per_deg is None
+    assert "stiffness_per_deg" not in to_toml(study)
+
+
+def test_a_gear_ratio_of_1_is_left_out_of_the_resolved_config_and_the_digest():
+    plain, unit = study_from_text(ONE_RUN), study_from_text(ONE_RUN.replace("[lash]", "[lash]\nratio = 1"))
+    assert plain == unit
+    assert re.findall("^ratio = .*", to_toml(unit), re.MULTILINE) == ["ratio = 5.0"]
+    assert digest(plain) == digest(unit)
+    for key in ("lash.ratio", "driveline.shafts[2].ratio"):
+        geared = replace_values(plain, {key: -3.7})
+        assert get_value(geared, key) == -3.7
+        assert digest(geared) != digest(plain)
+        assert study_from_text(to_toml(geared)) == geared
+
+
+def test_a_gear_ratio_can_be_swept_drawn_and_toleranced():
+    over_ratio = "[[sweep.axes]]\nparameter = 'lash.ratio'\nvalues = [-2.0, 3.0]\n"
+    draw = "[[sweep.{}]]\nparameter = 'driveline.shafts[1].ratio'\ndistribution = 'uniform'\nlow = {}\nhigh = 2.0\n"
+    for table in ("samples", "tolerances"):
+        study = study_from_text(PRESET + over_ratio + draw.format(table, 1.5))
+        assert study.sweep is not None
+        assert study_from_text(to_toml(study)) == study
+    across_zero = draw.replace("low", "draws = 'factor'\nlow").format("samples", -2.0)
+    with pytest.raises(ConfigError, match="lost in rounding"):
+        study_from_text(f"{PRESET}{across_zero}[sweep.sampling]\ncount = 1\n{over_ratio}".replace("3.0]", "1e7]"))
+
+
 # --- The JSON Schema -------------------------------------------------------------------------------------------------
 
 
@@ -250,6 +290,7 @@ def test_schema_allows_what_a_config_may_hold(schema, name):
         with_line(1, 'titel = "x"'),
         with_line(3, "inertias = [0.024, 0.0, 0.002, 0.002]"),
         with_line(14, "between = [1]"),
+        with_line(15, "stiffness = 31.3\nratio = 0"),
         with_line(20, 'radius = "x"'),
         with_line(22, 'model = "hertz"'),
         with_line(26, "restitution = 1.1"),
@@ -305,12 +346,35 @@ BROKEN = [
     (with_line(14, "between = 4"), "driveline.shafts[3].between", 14, "found 4; must be two inertias"),
     (with_line(14, ""), "driveline.shafts[3].between", 13, "missing; must be two inertias"),
     (with_line(15, "stiffness = -1"), "driveline.shafts[3].stiffness", 15, "found -1; must be a number, 0 or greater"),
+    (with_line(15, "stiffness = 31.3\nratio = 0"), "driveline.shafts[3].ratio", 16, "found 0; must be a finite number"),
+    (with_line(15, "stiffness = 31.3\nratio = inf"), "driveline.shafts[3].ratio", 16, "a finite number other than 0"),
+    (with_line(15, "stiffness = 31.3\nratio = 1e7"), "driveline.shafts[3].ratio", 16, "lost in rounding"),
+    (with_line(15, "stiffness = 3\nstiffness_per_deg = 1"), "driveline.shafts[3]", 13, "given together; give one of"),
+    (with_line(15, "stiffness_per_deg = -1"), "driveline.shafts[3].stiffness_per_deg", 15, "0 or greater (N m/degree)"),
     (with_line(16, "dampign = 0.1"), "driveline.shafts[3].dampign", 16, 'did you mean "damping"?'),
     (with_line(18, 'between = ["pinion", "rign"]'), "lash.between[2]", 18, 'did you mean "ring"?'),
     (with_line(18, "between = [3, 4.0]"), "lash.between[2]", 18, "found 4.0; must be an inertia's number"),
     (with_line(19, "backlsh_deg = 6.0"), "lash.backlsh_deg", 19, 'did you mean "backlash_deg"?'),
     (with_line(19, "backlash_deg = 361"), "lash.backlash_deg", 19, "from 0 to 360 (degrees)"),
     (with_line(19, "backlash_deg = nan"), "lash.backlash_deg", 19, "found nan; must be a finite number"),
+    (with_line(19, "backlash_deg = 6.0\ngap_mm = 8.4"), "lash", 17, "backlash_deg and gap_mm are given together; give"),
+    (with_line(19, "backlash_deg = 6.0\nratio = -0.0"), "lash.ratio", 20, "found 0; must be a finite number other"),
+    (with_line(19, "backlash_deg = 6.0\nratio = 1e-40"), "lash.ratio", 20, "must be from 1e-30 to 1e+30"),
+    (ONE_RUN.replace("backlash_deg = 6.0", "gap_mm = 8e2"), "lash.gap_mm", 19, "is 572.958 degrees, and at most"),
+    (ONE_RUN.replace("backlash_deg = 6.0", "gap_mm = -1"), "lash.gap_mm", 19, "a number, 0 or greater (mm)"),
+    (ONE_RUN.replace("backlash_deg = 6.0\nradius = 0.08", "gap_mm = 8"), "lash.radius", 17, "missing"),
+    (with_line(42, 'parameter = "lash.gap_mm"'), "sweep.axes[1].parameter", 42, "sweep lash.backlash_deg instead"),
+    (with_line(42, 'parameter = "driveline.shafts[2].stiffness_per_deg"'), "sweep.axes[1].parameter", 42,
+     "sweep driveline.shafts[2].stiffness instead"),
+    (with_line(42, 'parameter = "lash.ratio"'), "sweep.axes[1].start", 43, "lash.ratio must be a finite number other"),
+    (with_line(42, 'parameter = "lash.ratio"').replace("start = 0.0", "start = -10.0"), "sweep.axes[1]", 41,
+     "found 0 among the values; lash.ratio must be"),
+    (with_line(48, "values = [-1, 0, 2]").replace("lash.backlash_deg", "driveline.shafts[1].ratio"),
+     "sweep.axes[2].values[2]", 48, "found 0 among the values"),
+    (with_line(48, "values = [1, 1e8]").replace("lash.backlash_deg", "lash.ratio"), "sweep.axes[2]", 46, "lost in"),
+    (with_line(47, "values = [0.1, 0.2]").replace("backlash_deg = 6.0", "gap_mm = 8")
+     .replace('"lash.backlash_deg"', '"lash.radius"').replace("values = [1.0, 2.0, 5.0]", 'parameter = "lash.radius"'),
+     "sweep.axes[2].parameter", 48, "changes the angle of lash.gap_mm"),
     (with_line(20, "radius = inf"), "lash.radius", 20, "found inf; must be a finite number"),
     (with_line(20, "radius = 1979-05-27"), "lash.radius", 20, "found 1979-05-27"),
     (with_line(20, f"radius = {10**400}"), "lash.radius", 20, "beyond 64 bits"),
