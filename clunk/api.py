@@ -1,4 +1,4 @@
-"""What a script or a notebook calls beside `load_study` and `simulate`: sweeps with a bar and a file, and pictures."""
+"""Functions for scripts and notebooks beside `load_study` and `simulate`: sweeps, points, verification, pictures."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from clunk.analysis.thresholds import thresholds_of
 from clunk.analysis.verification import METHODS, Verification, by
 from clunk.results import targets
 from clunk.results.regimemap import Results
+from clunk.results.store import read_map
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.designs import design_of_points, has_tolerances
 from clunk.study.problems import ConfigError
 from clunk.study.study import Study
 from clunk.sweeping import sweep as sweeping
-from clunk.sweeping.cells import compiling_note, warm_up
+from clunk.sweeping.cells import compiling_note
 from clunk.sweeping.progress import Progress, shown
-from clunk.sweeping.reduction import AnyMap
-from clunk.sweeping.sweep import HAS_TOLERANCES, NO_TOLERANCES, SweepError, cell_count, engine_of, opened
+from clunk.sweeping.reduction import AnyMap, SweepError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -97,8 +97,9 @@ def sweep(
     160
     """
     if has_tolerances(study):
-        raise SweepError(HAS_TOLERANCES)
-    results = _run(study, output, progress, engine_of(scheduler, workers), refine=refine, restart=restart, force=force)
+        raise SweepError(sweeping.HAS_TOLERANCES)
+    engine = sweeping.engine_of(scheduler, workers)
+    results = _run(study, output, progress, engine, refine=refine, restart=restart, force=force)
     assert isinstance(results, Results)
     return results
 
@@ -130,23 +131,21 @@ def tolerance_map(
     Raises
     ------
     SweepError
-        As of `sweep`, and where there are no tolerances.
-    TargetError, StoreError, PartsError, EngineError, KeyboardInterrupt
-        As of `sweep`.
+        Where the study has no tolerances. Other errors are as of `sweep`.
 
     Examples
     --------
     >>> import clunk
     >>> fewer = ["sweep.sampling.count=16", "sweep.axes[1].count=6", "sweep.axes[2].count=5"]
-    >>> found = clunk.tolerance_map(clunk.load_study("configs/tolerance.toml", fewer))
-    >>> found.runs.sum(axis=-1).min(), found.draws
+    >>> probabilities = clunk.tolerance_map(clunk.load_study("configs/tolerance.toml", fewer))
+    >>> probabilities.runs.sum(axis=-1).min(), probabilities.draws
     (np.int64(16), 16)
     """
     if not has_tolerances(study):
-        raise SweepError(NO_TOLERANCES)
-    result = _run(study, output, progress, engine_of(scheduler, workers), restart=restart, force=force)
-    assert isinstance(result, ToleranceMap)
-    return result
+        raise SweepError("The study has no [[sweep.tolerances]]: clunk.sweep runs it.")
+    probabilities = _run(study, output, progress, sweeping.engine_of(scheduler, workers), restart=restart, force=force)
+    assert isinstance(probabilities, ToleranceMap)
+    return probabilities
 
 
 def run_points(
@@ -162,7 +161,7 @@ def run_points(
     Parameters
     ----------
     study : Study
-        Whatever `points` does not name is as it is there; its sweep, if any, is left aside.
+        The values of all other parameters; its sweep, if any, is left aside.
     points : parameter -> (n,) array of float, in the parameter's unit
         Any numeric keys of the config, of equal length: the k-th values together are the k-th run.
     progress, workers, scheduler
@@ -171,7 +170,7 @@ def run_points(
     Returns
     -------
     Results
-        Along one axis, `run`, with the parameters as coordinates on it: the same bits as cells of a sweep.
+        Along one axis, `run`, with the parameters as coordinates on it; bit for bit those of a sweep's cells.
 
     Raises
     ------
@@ -194,8 +193,8 @@ def run_points(
         raise ConfigError("There is nothing to run: points names no parameter, such as load.ratio.")
     design = design_of_points(study, points)
     base = study.model_copy(update={"sweep": None})
-    with engine_of(scheduler, workers) as engine, _telling(progress, design.cells, base) as tell:
-        results = sweeping.sweep(base, design, engine=engine, progress=tell)
+    with sweeping.engine_of(scheduler, workers) as engine, _shown(progress, design.cells, base) as report:
+        results = sweeping.sweep(base, design, engine=engine, progress=report)
     values = hashlib.sha256(results.config_digest.encode())
     for axis in sorted(results.coordinates, key=lambda axis: axis.parameter):
         values.update(axis.parameter.encode() + b"\0" + axis.values.tobytes())
@@ -220,13 +219,13 @@ def verify(study: Study, *, progress: bool | Progress = False, workers: int | No
     Examples
     --------
     >>> import clunk
-    >>> found = clunk.verify(clunk.load_study("configs/smoke.toml"))
-    >>> found.equal, found.differing_elsewhere
+    >>> verification = clunk.verify(clunk.load_study("configs/smoke.toml"))
+    >>> verification.equal, verification.differing_elsewhere
     (441, 0)
     """
     both = [by(study, method) for method in METHODS]
-    with _telling(progress, len(both) * cell_count(study), *both) as tell:
-        return verification.verify(study, workers=workers, progress=tell)
+    with _shown(progress, len(both) * sweeping.cell_count(study), *both) as report:
+        return verification.verify(study, workers=workers, progress=report)
 
 
 def draw(what: Results | ToleranceMap | Trajectory, quantity: str = "regimes") -> Figure:
@@ -263,8 +262,9 @@ def draw(what: Results | ToleranceMap | Trajectory, quantity: str = "regimes") -
     if isinstance(what, Results | ToleranceMap):
         return plot.draw(what, quantity, thresholds_of(what))
     if not isinstance(what, Trajectory):
-        kind = type(what).__name__
-        raise TypeError(f"draw takes Results or a Trajectory, not a {kind}; clunk.read_results(path) gives Results.")
+        raise TypeError(
+            f"draw takes Results or a Trajectory, not a {type(what).__name__}; clunk.read_results(path) gives Results."
+        )
     from clunk.plot.histories import simulation_figure
     from clunk.simulation.history import sample
 
@@ -275,7 +275,7 @@ def _run(
     study: Study,
     output: str | os.PathLike[str] | None,
     progress: bool | Progress,
-    opening: AbstractContextManager[Executor],
+    engine: AbstractContextManager[Executor],
     *,
     refine: bool = False,
     restart: bool,
@@ -285,25 +285,24 @@ def _run(
     path = None if output is None else Path(output)
     if path is not None:
         targets.check(path, targets.RESULTS)
-    with opened(path, study, refine=refine, restart=restart, force=force) as job:
-        if job.counts is not None:
-            return job.read()
-        with opening as engine, _telling(progress, cell_count(study), study) as tell:
-            return job.run(engine, progress=tell)
+    with sweeping.opened(path, study, refine=refine, restart=restart, force=force) as job:
+        if path is not None and job.counts is not None:
+            return read_map(path)
+        with engine as executor, _shown(progress, sweeping.cell_count(study), study) as report:
+            return job.run(executor, progress=report)
 
 
 @contextmanager
-def _telling(progress: bool | Progress, cells: int, *studies: Study) -> Iterator[Progress | None]:
-    """The function that is told of progress; the bar waits until what the studies need is compiled."""
+def _shown(progress: bool | Progress, cells: int, *studies: Study) -> Iterator[Progress | None]:
+    """Function to report progress to; a bar is shown when the kernels that the studies need are compiled."""
     if progress is False or cells == 0:
         yield None
     elif progress is True:
-        note = compiling_note(*(study.solver.method for study in studies))
-        if note:
+        if note := compiling_note(*(study.solver.method for study in studies)):
             print(note, file=sys.stderr)
         for study in studies:
-            warm_up(study)
-        with shown(cells) as tell:
-            yield tell
+            sweeping.warm_up(study)
+        with shown(cells) as report:
+            yield report
     else:
         yield progress

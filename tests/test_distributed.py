@@ -19,7 +19,7 @@ from clunk.sweeping import distributed
 from clunk.sweeping.distributed import Cluster
 from clunk.sweeping.engines import EngineError
 from clunk.sweeping.parts import WorkingDirectory
-from clunk.sweeping.sweep import Job, sweep, tolerance_map
+from clunk.sweeping.sweep import Job, sweep
 
 ROOT = Path(__file__).parent.parent
 
@@ -144,9 +144,9 @@ class TestTheSameBits:
             ROOT / "configs/tolerance.toml",
             ["sweep.sampling.count=5", "sweep.axes[1].count=6", "sweep.axes[2].count=4"],
         )
-        here = tolerance_map(toleranced)
+        here = Job(toleranced).run()
         with Cluster(two_workers.address) as engine:
-            there = tolerance_map(toleranced, engine=engine)
+            there = Job(toleranced).run(engine)
         for name in ("runs", "nominal_sequence", "severity_mean", "severity_quantiles", "status"):
             assert getattr(here, name).tobytes() == getattr(there, name).tobytes()
 

@@ -28,7 +28,8 @@ from clunk.study.sweeps import Axis
 from clunk.sweeping import parts as keeping
 from clunk.sweeping import tolerances
 from clunk.sweeping.parts import PartsError, WorkingDirectory
-from clunk.sweeping.sweep import Job, SweepError, sweep, tolerance_map
+from clunk.sweeping.reduction import SweepError
+from clunk.sweeping.sweep import Job, sweep
 
 DRIVELINE = """
 title = "Small"
@@ -116,7 +117,7 @@ def toleranced():
 
 @pytest.fixture(scope="module")
 def found(toleranced):
-    return tolerance_map(toleranced)
+    return clunk_api.tolerance_map(toleranced)
 
 
 class TestCells:
@@ -184,7 +185,8 @@ class TestCells:
 
 def test_the_uncertain_fraction_grows_with_the_tolerance():
     fractions = [
-        tolerance_map(study(tolerance("lash.backlash_deg", std), tolerance("load.ratio", std))).uncertain / 147
+        clunk_api.tolerance_map(study(tolerance("lash.backlash_deg", std), tolerance("load.ratio", std))).uncertain
+        / 147
         for std in (0.01, 0.03, 0.1)
     ]
     assert 0.0 < fractions[0] < fractions[1] < fractions[2] < 0.8
@@ -193,7 +195,7 @@ def test_the_uncertain_fraction_grows_with_the_tolerance():
 def test_a_lopsided_tolerance_moves_the_most_likely_label():
     """Twice the backlash in most draws: as many double-sided impacts as on the map at about the double backlash."""
     moved = study(tolerance("lash.backlash_deg").replace("std = 0.05", "mean = 2.0\nstd = 0.01"), count=4)
-    found = tolerance_map(moved)
+    found = clunk_api.tolerance_map(moved)
     doubled = sweep(replace_axis(nominal(moved), "lash.backlash_deg", 2.0 * np.array(moved.sweep.axes[1].grid)))
     likely, there = (np.array(each.labels)[each.sequence] for each in (found, doubled))
     assert np.mean(likely == there) > 0.95  # but for cells within 1 % of a boundary
@@ -212,7 +214,7 @@ def test_a_structural_axis_may_have_a_tolerance_of_its_own():
         '[[sweep.axes]]\nparameter = "driveline.inertias[4]"\nvalues = [0.0015, 0.002, 0.003]\n'
     )
     base = study(tolerance("driveline.inertias[4]", 0.1), tolerance("load.ratio", 0.5, "offset"), axes=axes, count=8)
-    found = tolerance_map(base)
+    found = clunk_api.tolerance_map(base)
     for at in np.ndindex(found.shape):
         same_as_single_runs(found, base, at)
 
@@ -223,7 +225,7 @@ def test_rk4_and_axes_walked_together():
         '[[sweep.axes]]\nparameter = "lash.backlash_deg"\nvalues = [1.0, 9.0, 9.5]\n'
     )
     base = study(tolerance("lash.contact.damping", 0.1), axes=axes, count=4, base=DRIVELINE.replace("exact", "rk4"))
-    found = tolerance_map(base)
+    found = clunk_api.tolerance_map(base)
     assert found.shape == (3,)
     assert [each.parameter for each in found.coordinates] == ["load.ratio", "lash.backlash_deg"]
     for k in range(3):
@@ -240,7 +242,7 @@ def test_sequences_longer_than_a_pattern_are_told_apart():
         + "[lash.contact]\ndamping = 5.0\n[impacts]\nsticking_time = 1e-9\n"
     )
     long = study(tolerance("driveline.inertias[4]", 0.3), axes=AXES.replace("= 21", "= 3"), count=4, base=base)
-    found = tolerance_map(long)
+    found = clunk_api.tolerance_map(long)
     assert max(excursions(label) for label in found.labels) > 62
     for at in [(1, 0), (2, 0), (2, 3)]:
         same_as_single_runs(found, long, at)
@@ -257,7 +259,7 @@ def failing():
 
 class TestFailedRuns:
     def test_they_are_counted_under_a_label_of_their_own(self, failing):
-        found = tolerance_map(failing)
+        found = clunk_api.tolerance_map(failing)
         assert 0 < found.failed < 48
         assert np.all((found.status == Status.EVENT_BUFFER_FULL) == (found.runs[:, -1] > 0))
         for k in range(3):
@@ -277,10 +279,10 @@ class TestFailedRuns:
 
 class TestTiles:
     def test_results_are_the_same_bits_for_any_number_of_workers_and_any_tiles(self, found, toleranced, monkeypatch):
-        assert equal(found, tolerance_map(toleranced, workers=1))
+        assert equal(found, clunk_api.tolerance_map(toleranced, workers=1))
         for runs in (1, 150, 900):
             monkeypatch.setattr(tolerances, "_TILE_RUNS", runs)
-            assert equal(found, tolerance_map(toleranced, workers=3))
+            assert equal(found, clunk_api.tolerance_map(toleranced, workers=3))
 
     def test_memory_does_not_grow_with_the_sample(self, monkeypatch):
         """8 and 128 draws of 49 cells; the sample itself and the kept system are all that is there for longer."""
@@ -288,9 +290,9 @@ class TestTiles:
         peaks = []
         for count in (8, 128):
             backlash = study(tolerance("lash.backlash_deg"), axes=AXES.replace("21", "7"), count=count)
-            tolerance_map(backlash, workers=1)  # what is made once
+            clunk_api.tolerance_map(backlash, workers=1)  # what is made once
             tracemalloc.start()
-            tolerance_map(backlash, workers=1)
+            clunk_api.tolerance_map(backlash, workers=1)
             peaks.append(tracemalloc.get_traced_memory()[1])
             tracemalloc.stop()
         assert peaks[1] < 1.3 * peaks[0]
@@ -456,9 +458,9 @@ class TestCommands:
         with pytest.raises(SweepError, match=r"clunk\.tolerance_map runs it"):
             sweep(toleranced)
         with pytest.raises(SweepError, match=r"clunk\.sweep runs it"):
-            tolerance_map(nominal(toleranced))
+            clunk_api.tolerance_map(nominal(toleranced))
         with pytest.raises(SweepError, match="nothing to sweep"):
-            tolerance_map(study(tolerance("lash.backlash_deg"), axes=""))
+            clunk_api.tolerance_map(study(tolerance("lash.backlash_deg"), axes=""))
 
 
 class TestFromPython:
@@ -536,7 +538,9 @@ class TestFigures:
 
     def test_under_the_restitution_model_there_is_no_severity_to_draw(self):
         base = DRIVELINE + '[lash.contact]\nmodel = "restitution"\n'
-        found = tolerance_map(study(tolerance("lash.backlash_deg"), axes=AXES.replace("21", "3"), count=2, base=base))
+        found = clunk_api.tolerance_map(
+            study(tolerance("lash.backlash_deg"), axes=AXES.replace("21", "3"), count=2, base=base)
+        )
         assert certainty.default_quantities(found) == ["regimes", "double_sided"]
         with pytest.raises(PlotError, match="no severity to draw"):
             certainty.draw(found, "severity")

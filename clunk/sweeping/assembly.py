@@ -1,8 +1,8 @@
-"""Regime maps: the reduction of runs, one of each cell, to Results; whole, refined or mended."""
+"""Regime maps: the reductions of one run of each cell to Results; whole, refined, or with failed cells run again."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -35,17 +35,13 @@ class RegimeReduction(Reduction[Results]):
 
     study : Study
     design : Design, by default that of the study's sweep
-    scratch : where the arrays are made, by default in memory
-    threads : how many make the finished arrays
+    scratch : maker of the arrays, by default in memory
     """
 
-    def __init__(
-        self, study: Study, design: Design | None = None, scratch: Scratch | None = None, threads: int | None = None
-    ) -> None:
+    def __init__(self, study: Study, design: Design | None = None, scratch: Scratch | None = None) -> None:
         grid = Grid(study, design)
         super().__init__(study, grid.design, grid)
         self._scratch = scratch or Scratch()
-        self._threads = threads or available_cores()
         self._code_of = np.full(_SHORT + 1, _UNSEEN, np.int32)  # of a pattern; the last is of all longer ones
         self._code_of[0] = FAILED_CODE
         cells = self.design.cells
@@ -57,7 +53,7 @@ class RegimeReduction(Reduction[Results]):
 
     def fill(self, tile: Tile, index: slice | Cells) -> None:
         """See `Reduction.fill`."""
-        self.codes[index] = self._codes_of(tile.records, tile.details["flank"])
+        self.codes[index] = self._codes_of(tile)
         for name, field in self.fields.items():
             field[index] = tile.records[name]
         self.keep_impacts(
@@ -69,7 +65,7 @@ class RegimeReduction(Reduction[Results]):
         )
 
     def keep_impacts(self, cells: Cells, impacts: dict[str, npt.NDArray[np.generic]]) -> None:
-        """Keep the impacts of some cells, each cell's behind those of the cell before it, until all are there."""
+        """Keep the impacts of some cells, in the order of the cells, until all are known."""
         kept = {name: self._scratch.keep(values) for name, values in impacts.items()}
         self._impacts.append((self._scratch.keep(cells), kept))
 
@@ -79,7 +75,7 @@ class RegimeReduction(Reduction[Results]):
         labels, final = self.final_codes()
         counts = self.fields["primary_impacts"]
         first = np.zeros(counts.size + 1, np.int64)
-        _add_up(counts, first)
+        np.cumsum(counts, out=first[1:])
 
         def finished(name: str) -> npt.NDArray[Any]:
             if name == "sequence":
@@ -103,30 +99,27 @@ class RegimeReduction(Reduction[Results]):
         )
 
     def for_each(self, function: Callable[[str], Any], names: Sequence[str]) -> dict[str, Any]:
-        """The values of a function of each name, made in several threads."""
-        with ThreadPoolExecutor(self._threads) as pool:
+        """Call a function with each name, in several threads; returns its values by name."""
+        with ThreadPoolExecutor(available_cores()) as pool:
             return dict(zip(names, pool.map(function, names), strict=True))
 
-    def _codes_of(self, records: npt.NDArray[np.void], flanks: npt.NDArray[np.int8]) -> npt.NDArray[np.int32]:
-        """Each record's code; flanks : (N,), of all of their impacts."""
-        pattern = np.ascontiguousarray(records["pattern"])
+    def _codes_of(self, tile: Tile) -> npt.NDArray[np.int32]:
+        """The codes of a tile's cells."""
+        pattern = np.ascontiguousarray(tile.records["pattern"])
         codes: npt.NDArray[np.int32] = self._code_of[np.minimum(pattern, _SHORT)]
-        others = np.flatnonzero(codes == _UNSEEN)
-        if others.size:
-            patterns, inverse = np.unique(pattern[others], return_inverse=True)
+        unseen = np.flatnonzero(codes == _UNSEEN)
+        if unseen.size:
+            patterns, inverse = np.unique(pattern[unseen], return_inverse=True)
             new = np.array([self.code(flanks_of(each)) for each in patterns.tolist()], np.int32)
-            codes[others] = new[inverse.reshape(-1)]
+            codes[unseen] = new[inverse.reshape(-1)]
             short = patterns < _SHORT
             self._code_of[patterns[short]] = new[short]
-        # sequences too long for a pattern are told from their flanks
-        long = np.flatnonzero((pattern == 0) & (records["status"] == Status.OK))
-        ends = np.cumsum(records["primary_impacts"]) if long.size else long
-        for k in long:
-            codes[k] = self.code(tuple(flanks[ends[k] - records["primary_impacts"][k] : ends[k]].tolist()))
+        for k, flanks in long_sequences(tile.records, [tile.details]):
+            codes[k] = self.code(flanks)
         return codes
 
     def _fill_inferred(self, values: npt.NDArray[Any], first: Cells) -> None:
-        """Give the impacts of cells that have not been run their regime's flanks, and no other quantity."""
+        """Set the impacts' flanks of cells that have not been run by their regime, and other quantities to NaN."""
         if values.dtype.kind == "f":
             values.fill(np.nan)
             return
@@ -144,10 +137,8 @@ class RefinedReduction(RegimeReduction):
 
     may_grow = True
 
-    def __init__(
-        self, study: Study, design: Design | None = None, scratch: Scratch | None = None, threads: int | None = None
-    ) -> None:
-        super().__init__(study, design, scratch, threads)
+    def __init__(self, study: Study, design: Design | None = None, scratch: Scratch | None = None) -> None:
+        super().__init__(study, design, scratch)
         self._spacing = coarse_spacing(self.design)
         self._refinement = Refinement(self.design.shape, self._spacing)
         self.plan = f"what --refine needs (from spacing {max(self._spacing, default=1)})"
@@ -175,7 +166,7 @@ class RefinedReduction(RegimeReduction):
         return super().result({**attributes, "refinement": note})
 
     def _infer(self, regimes: npt.NDArray[np.int32]) -> None:
-        """Give cells that have not been run what their regime tells: label, flanks, initial flank and no quantity."""
+        """Set label, initial flank and number of primaries of cells that have not been run by their regimes."""
         inferred = ~self.known
         codes, sides = np.divmod(np.arange(3 * len(self.sequences)), 3)
         lengths = np.array([len(sequence) for sequence in self.sequences])
@@ -196,18 +187,18 @@ class RefinedReduction(RegimeReduction):
 class MendedReduction(RegimeReduction):
     """The arrays of finished Results of which the failed cells are run again, with another [solver].
 
-    The other cells stay as they are, and so do the config and its digest; the attribute `retried` tells what was done.
+    The other cells stay as they are, and so do the config and its digest; the attribute `retried` describes the runs.
 
     Raises SweepError where the study differs in anything but [solver].
     """
 
     plan = "the failed cells again"
 
-    def __init__(self, study: Study, earlier: Results, scratch: Scratch | None = None, threads: int | None = None):
+    def __init__(self, study: Study, earlier: Results, scratch: Scratch | None = None) -> None:
         self._before = study_from_text(earlier.config, source="the results' config")
         if digest(self._before.model_copy(update={"solver": study.solver})) != digest(study):
             raise SweepError("The failed cells of another config cannot be run again: only [solver] may differ.")
-        super().__init__(study, None, scratch, threads)
+        super().__init__(study, None, scratch)
         self._earlier = earlier
         sequence, first = earlier.sequence.ravel(), earlier.first_impact
         codes = np.full(len(earlier.labels) + 1, FAILED_CODE, np.int32)  # the last is of the failed, -1
@@ -218,8 +209,8 @@ class MendedReduction(RegimeReduction):
         self.codes[cells] = codes[sequence[cells]]
         for name, field in self.fields.items():
             field[cells] = getattr(earlier, name).ravel()[cells]
-        owned = np.repeat(sequence != FAILED_CODE, np.diff(first))
-        self.keep_impacts(cells, {name: getattr(earlier, name)[owned] for name in IMPACT_QUANTITIES})
+        not_failed = np.repeat(sequence != FAILED_CODE, np.diff(first))
+        self.keep_impacts(cells, {name: getattr(earlier, name)[not_failed] for name in IMPACT_QUANTITIES})
         self.known[cells] = True
         self.done = cells.size
         self._failed = self.first()
@@ -227,15 +218,15 @@ class MendedReduction(RegimeReduction):
     def result(self, attributes: dict[str, str]) -> Results:
         """See `Reduction.result`."""
         mended, earlier = super().result(attributes), self._earlier
-        still = int(np.count_nonzero(mended.sequence.ravel()[self._failed] == FAILED_CODE))
+        failed_again = int(np.count_nonzero(mended.sequence.ravel()[self._failed] == FAILED_CODE))
         changes = [
             f"solver.{key} = {value} instead of {getattr(self._before.solver, key)}"
             for key, value in self.study.solver.model_dump().items()
             if value != getattr(self._before.solver, key)
         ]
         note = (
-            f"{self._failed.size} failed cells run again with {', '.join(changes) or 'the same solver'}: {still} "
-            f"failed again; cells {listed(self._failed)} in C order"
+            f"{self._failed.size} failed cells run again with {', '.join(changes) or 'the same solver'}: "
+            f"{failed_again} failed again; cells {listed(self._failed)} in C order"
         )
         notes = {key: value for key, value in earlier.attributes.items() if key == "refinement"}
         notes["retried"] = "; ".join(text for text in (earlier.attributes.get("retried"), note) if text)
@@ -249,15 +240,8 @@ class MendedReduction(RegimeReduction):
 
 
 @compiled
-def _add_up(counts: npt.NDArray[np.int32], first: Cells) -> None:
-    """Cumulative sum of the counts, behind a 0."""
-    for cell, count in enumerate(counts):
-        first[cell + 1] = first[cell] + count
-
-
-@compiled
 def _put(values: npt.NDArray[Any], first: Cells, cells: Cells, impacts: npt.NDArray[Any]) -> None:
-    """Put the impacts of some cells where they are in C order; `first` is where each cell's begin."""
+    """Put the impacts of some cells into C order; `first` has the position of each cell's first one."""
     done = 0
     for cell in cells:
         for at in range(first[cell], first[cell + 1]):
@@ -272,7 +256,7 @@ def _fill(
     regimes: npt.NDArray[np.int32],
     of_regime: npt.NDArray[Any],
 ) -> None:
-    """Give inferred cells the value that belongs to their regime, which is a number from 1."""
+    """Set inferred cells to the value of their regime, which is a number from 1."""
     for cell, regime in enumerate(regimes):
         if inferred[cell]:
             values[cell] = of_regime[regime - 1]
@@ -282,7 +266,7 @@ def _fill(
 def _write_flanks(
     codes: npt.NDArray[np.int32], first: Cells, of_sequence: npt.NDArray[np.int8], flanks: npt.NDArray[np.int8]
 ) -> None:
-    """Write each cell's flanks behind those of the cell before it; of failed cells none are written."""
+    """Write the flanks of each cell's sequence, in the order of the cells; none of failed cells."""
     for cell, code in enumerate(codes):
         if code >= 0:
             begin = first[cell]
@@ -293,3 +277,14 @@ def _write_flanks(
 def flanks_of(pattern: int) -> Flanks:
     """The flanks that the bits of a pattern stand for, behind its leading 1."""
     return tuple(OPPOSITE if bit == "1" else INITIAL for bit in bin(pattern)[3:])
+
+
+def long_sequences(
+    records: npt.NDArray[np.void], impacts: Sequence[npt.NDArray[np.void]]
+) -> Iterator[tuple[int, Flanks]]:
+    """Positions and flanks of the runs whose sequences are too long for a pattern; impacts : IMPACT, in pieces."""
+    long = np.flatnonzero((records["pattern"] == 0) & (records["status"] == Status.OK))
+    if long.size:
+        flanks, ends = np.concatenate(impacts)["flank"], np.cumsum(records["primary_impacts"])
+        for k in long.tolist():
+            yield k, tuple(flanks[ends[k] - records["primary_impacts"][k] : ends[k]].tolist())

@@ -1,4 +1,4 @@
-"""Cells of a sweep's design: each one's system, torques and gap, and running some of them by the kernel."""
+"""Cells of a sweep's design: their systems, torques and gaps, and their runs by the kernel."""
 
 from __future__ import annotations
 
@@ -15,14 +15,12 @@ from clunk.core.exact.flows import Flows
 from clunk.core.jit import is_cold
 from clunk.core.regimes import System
 from clunk.core.rk4.propagator import Steps
-from clunk.core.status import Status
 from clunk.simulation import driveline
 from clunk.simulation.load import load_step
-from clunk.study.designs import Design, design_of
+from clunk.study.designs import Design, FloatArray, design_of
 from clunk.study.study import Study, replace_values
 from clunk.sweeping.tiles import Cells, Layout, Tile
 
-FloatArray = npt.NDArray[np.float64]
 Records = npt.NDArray[np.void]
 Stop = npt.NDArray[np.uint8]  # (1,); set by another thread, it ends the work within a run
 Prepared = tuple[System, Steps | Flows]  # a system and its method's tables
@@ -37,7 +35,7 @@ _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: pr
 
 
 class Drive(NamedTuple):
-    """What drives each of some cells, (n,) each.
+    """Torques and gaps of cells, (n,) each.
 
     before, after : torques before and after the load step  [N m]
     half_gap : half the backlash  [rad]
@@ -66,6 +64,8 @@ class Grid:
     def __init__(self, study: Study, design: Design | None = None, shared: Prepared | None = None) -> None:
         self.study = study
         self.design = design or design_of(study)
+        self.method: str = study.solver.method
+        self.tile_cells = _TILE_CELLS[self.method]
         self._structural = [each.parameter for each in self.design.columns if each.parameter not in DRIVING]
         self._kept: OrderedDict[tuple[float, ...], Prepared] = OrderedDict()
         if shared is not None:
@@ -74,16 +74,6 @@ class Grid:
 
     def __reduce__(self) -> tuple[Any, ...]:  # the shared system goes along, so that all processes have its bits
         return type(self), (self.study, self.design, self.shared())
-
-    @property
-    def method(self) -> str:
-        """The method of the runs: ``rk4`` or ``exact``."""
-        return self.study.solver.method
-
-    @property
-    def tile_cells(self) -> int:
-        """The most cells of a tile."""
-        return _TILE_CELLS[self.method]
 
     def ordered(self, cells: Cells) -> Cells:
         """Cells in the order in which they are best cut into tiles."""
@@ -117,7 +107,7 @@ class Grid:
         return Drive(before, after, np.deg2rad(gap) / 2)
 
     def groups(self, cells: Cells) -> Iterator[tuple[dict[str, float], npt.NDArray[np.intp]]]:
-        """The structural values that some of the cells share, and these cells' positions in `cells`; of all in turn."""
+        """Cut cells into groups of the same structural values; yields these values and the positions in `cells`."""
         if not self._structural:
             yield {}, np.arange(cells.size)
             return
@@ -185,14 +175,8 @@ class Grid:
         return records[:done], impacts
 
 
-def complaint(shared: Prepared | None) -> str | None:
-    """Why no cell at all can run, where the system that they share tells it."""
-    status = Status.OK if shared is None else Status(shared[0].status)
-    return None if status == Status.OK else status.sentence
-
-
 def compiling_note(*methods: str) -> str:
-    """Note for who waits while these methods' kernels are compiled; empty where they are already."""
+    """Sentence on the time that these methods' kernels take to compile; empty where that has been done."""
     cold = [method for method in dict.fromkeys(methods) if is_cold(method)]
     if not cold:
         return ""

@@ -1,8 +1,8 @@
 """The workers of a dask scheduler as an engine: tiles run there, and come back to this process, which keeps them.
 
 No other module imports dask. The scheduler holds only a few tiles for each thread of its workers, however large the
-grid is, and workers may come and go while it runs: a tile whose worker dies is run by another. Who runs it can change
-no bit of it where all are of the same versions, which every worker is asked.
+grid is, and workers may come and go while it runs: a tile whose worker dies is run by another. Every worker must have
+the same versions, so that no bit of a tile depends on the one that runs it.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class _Worker:
 
 @dataclass(frozen=True)
 class _Answer:
-    """A tile, None from a worker of other versions; and how long it took."""
+    """A tile, or None from a worker of other versions, and the time that it took."""
 
     worker: _Worker
     seconds: float
@@ -74,10 +74,10 @@ class _Answer:
 
 
 class _Pace:
-    """Sizes of the next tiles: so long that this process has the time to look after all workers.
+    """Sizes of the next tiles, so long that this process has the time to look after all workers.
 
-    least : cells of the first tiles, and the least of any
-    largest : of all
+    least : cells of the first tiles, and of the smallest
+    largest : cells of the largest
     """
 
     def __init__(self, least: int, largest: int) -> None:
@@ -86,13 +86,13 @@ class _Pace:
         self._seconds = math.inf  # a cell
 
     def cells(self, waiting: int, threads: int) -> int:
-        """Cells of the next tile, for so many threads, when so many cells wait."""
+        """Number of cells of the next tile, where `waiting` cells are left for `threads` threads."""
         long_enough = int(max(_SHORTEST, _ATTENTION * threads) / self._seconds)
         share = waiting // (4 * threads)  # so that all end together
         return max(self.least, min(long_enough, share, self._largest))
 
     def took(self, seconds: float, cells: int) -> None:
-        """Note how long a tile took; the first ones of a worker load the program, too."""
+        """Take the time of a tile into account; that of a worker's first ones includes loading the program."""
         pace = max(seconds, 1e-6) / max(cells, 1)
         self._seconds = pace if math.isinf(self._seconds) else 0.5 * (self._seconds + pace)
 
@@ -115,8 +115,8 @@ class _Sweep:
     """The tiles of one runner.
 
     versions : that its workers must have
-    sent : the runner as a task of its own: it goes to each worker once, and to those that come later as well
-    running : by dask's future
+    sent : the runner as a task, which goes to each worker once, and to those that join later as well
+    running : tiles by dask's future
     """
 
     runner: Runner
@@ -129,7 +129,7 @@ class _Sweep:
     count: int = 0
     ended: bool = False  # nothing more comes of it
     abandoned: bool = False
-    told: bool = False  # that processors are of several types
+    warned: bool = False  # of processors of several types
 
 
 class Cluster(Executor):
@@ -143,9 +143,9 @@ class Cluster(Executor):
     workers : int, optional
         Processes of `LOCAL`; by default one for each core that this process may use.
     say : callable(text), optional
-        Called with what is being waited for.
+        Called with messages on what it waits for.
 
-    Raises EngineError where there is no scheduler, or one of its workers cannot give the bits that this process would.
+    Raises EngineError where there is no scheduler, or one of its workers has other versions.
     """
 
     def __init__(self, address: str, workers: int | None = None, say: Callable[[str], None] | None = None) -> None:
@@ -193,13 +193,15 @@ class Cluster(Executor):
         threads, sweep = self._threads(), self._sweep
         if sweep is None or sweep.runner is not runner or sweep.ended:
             pace = _Pace(tile_size(work.size, runner, threads), max(1, _LARGEST // runner.runs))
-            sweep = self._sweep = self._begin(runner, pace)
+            sweep = _Sweep(runner, Stop(), versions(), pace)
+            self._check_workers(sweep)
+            self._sweep = sweep
         if work.may_grow:
             sweep.pace.least = tile_size(work.known, runner, threads)
         return sweep.pace.cells(work.size, threads) if running < _IN_FLIGHT * threads else 0
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any, **_options: Any) -> Future[Any]:
-        """Have a tile run; `function` is `clunk.sweeping.engines.run_tile`."""
+        """Run a tile on a worker; `function` is `clunk.sweeping.engines.run_tile`."""
         assert function is run_tile
         runner, cells, stop = arguments
         sweep = self._sweep
@@ -207,7 +209,9 @@ class Cluster(Executor):
         assert sweep.runner is runner
         if sweep.sent is None:
             sweep.stop = stop
-            sweep.sent = self._client.submit(bytes, _pickled(runner), key=f"clunk-study-{stop.name}")
+            pickled = io.BytesIO()
+            _Pickler(pickled).dump(runner)
+            sweep.sent = self._client.submit(bytes, pickled.getvalue(), key=f"clunk-study-{stop.name}")
             threading.Thread(target=self._fetch, args=(sweep,), daemon=True).start()
         consecutive = cells[-1] - cells[0] + 1 == cells.size and np.all(np.diff(cells) == 1)
         task = _Task(functools.partial(self._abandon, sweep))
@@ -225,15 +229,10 @@ class Cluster(Executor):
         future.add_done_callback(sweep.done.put)
         return task
 
-    def _begin(self, runner: Runner, pace: _Pace) -> _Sweep:
-        sweep = _Sweep(runner, Stop(), versions(), pace)
-        self._check_workers(sweep)
-        return sweep
-
     def _fetch(self, sweep: _Sweep) -> None:
-        """Bring finished tiles here until the sweep ends; in a thread of its own."""
+        """Fetch finished tiles until the sweep ends; runs in a separate thread."""
         while not sweep.ended:
-            futures = _those_in(sweep.done)
+            futures = _finished(sweep.done)
             try:
                 for future, answer in zip(futures, self._answers(futures, sweep), strict=True):
                     assert answer.tile is not None
@@ -261,39 +260,39 @@ class Cluster(Executor):
         except Exception as error:
             if self._client.status != "running":
                 raise self._lost() from error
-            self._check_workers(sweep)  # one that has come since may be why
+            self._check_workers(sweep)  # one that has joined since may be the reason
             raise EngineError(f"A worker could not run its cells: {reason(error)}.") from error
         for answer in answers:
             _refuse_other_versions(answer.worker, sweep)
             self._processors.add(answer.worker.processor)
-        if len(self._processors) > 1 and not sweep.told and sweep.runner.shared() is None:
-            sweep.told = True
+        if len(self._processors) > 1 and not sweep.warned and sweep.runner.shared() is None:
+            sweep.warned = True
             self._say(f"note: processors of several types, last bits may depend on them: {self.processors()}")
         return answers
 
     def _threads(self) -> int:
-        """How many threads the workers have; waits for the first."""
+        """Number of threads of the workers; waits for the first worker."""
         if self._known_threads and time.monotonic() - self._asked < _ASKING:
             return self._known_threads
-        told = False
+        announced = False
         while True:
             try:
                 threads = int(sum(self._client.nthreads().values()))
-            except Exception as error:  # whichever of its layers notices first that the scheduler has gone
+            except Exception as error:  # depends on the layer that notices first that the scheduler has gone
                 raise self._lost() from error
             if threads:
                 self._known_threads, self._asked = threads, time.monotonic()
                 return threads
-            if not told:
+            if not announced:
                 self._say(f"waiting for a worker of {self._address} …")
-            told = True
+            announced = True
             time.sleep(_ASKING / 4)
 
     def _check_workers(self, sweep: _Sweep) -> None:
-        """Refuse workers of other versions, or that cannot tell theirs; say where kernels will be compiled."""
+        """Raise EngineError where a worker has other versions; say how many will compile the kernel."""
         method = sweep.runner.method
         try:
-            workers = self._client.run(_introduced, on_error="return")
+            workers = self._client.run(_described, on_error="return")
             cold = self._client.run(is_cold, method, on_error="ignore")
         except Exception as error:
             raise self._lost() from error
@@ -312,34 +311,34 @@ class Cluster(Executor):
         return EngineError(f"The scheduler at {self._address} was lost.")
 
     def _abandon(self, sweep: _Sweep) -> None:
-        """Let go of a sweep's tasks, and end those that run."""
+        """Cancel a sweep's tasks, and end those that run."""
         if sweep.abandoned:
             return
         sweep.abandoned = sweep.ended = True
         if self._client.status != "running":
             return
 
-        def tell() -> None:
+        def cancel() -> None:
             self._client.cancel([*sweep.running, sweep.sent], force=True)
             self._client.run(Stop.set, sweep.stop, on_error="ignore")
 
-        telling = threading.Thread(target=tell, daemon=True)  # a worker may be deaf for as long as it compiles
-        telling.start()
-        telling.join(_ENDING)
+        cancelling = threading.Thread(target=cancel, daemon=True)  # a worker does not answer while it compiles
+        cancelling.start()
+        cancelling.join(_ENDING)
 
 
 def _refuse_other_versions(worker: _Worker, sweep: _Sweep) -> None:
-    for name, here in sweep.versions.items():
-        there = worker.versions.get(name, "none")
-        if there != here:
+    for name, wanted in sweep.versions.items():
+        version = worker.versions.get(name, "none")
+        if version != wanted:
             raise EngineError(
-                f"Worker {worker.address} has another {name}: {there[:12]} there, {here[:12]} here. Its results could "
-                "differ in their last bits; it needs the same installation as here."
+                f"Worker {worker.address} has another {name}: {version[:12]} there, {wanted[:12]} here. Its results "
+                "could differ in their last bits; it needs the same installation as here."
             )
 
 
-def _those_in(done: SimpleQueue[Any]) -> list[Any]:
-    """Some of the finished tasks; none where there are none for a while."""
+def _finished(done: SimpleQueue[Any]) -> list[Any]:
+    """The next finished tasks; none where none finishes for a while."""
     try:
         futures = [done.get(timeout=0.2)]
     except Empty:
@@ -347,12 +346,6 @@ def _those_in(done: SimpleQueue[Any]) -> list[Any]:
     while len(futures) < _FETCHED and not done.empty():
         futures.append(done.get())
     return futures
-
-
-def _pickled(value: object) -> bytes:
-    buffer = io.BytesIO()
-    _Pickler(buffer).dump(value)
-    return buffer.getvalue()
 
 
 class _Pickler(pickle.Pickler):
@@ -375,7 +368,7 @@ def _local_cluster(workers: int) -> Iterator[LocalCluster]:
             memory_limit=0,  # of a worker; it needs some MB beside the program itself
             local_directory=scratch,
             silence_logs=logging.CRITICAL,
-            preload=[_DEAF],
+            preload=[_NO_INTERRUPTS],
         )
         try:
             yield cluster
@@ -384,12 +377,12 @@ def _local_cluster(workers: int) -> Iterator[LocalCluster]:
 
 
 # In a terminal Ctrl-C goes to every process; the workers of a local cluster leave it to this one.
-_DEAF = "import signal ; signal.signal(signal.SIGINT, signal.SIG_IGN)"
+_NO_INTERRUPTS = "import signal ; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence dask's own messages: what a user should know is said by `Cluster`."""
+    """Silence dask's messages: `Cluster` says what a user should know."""
     names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] in ("distributed", "tornado")]
     levels = {name: logging.getLogger(name).level for name in names}
     with warnings.catch_warnings():
@@ -407,7 +400,7 @@ def _quiet() -> Iterator[None]:
 
 
 def _run(cells: Cells | tuple[int, int], pickled: bytes, stop: Stop, wanted: Mapping[str, str]) -> _Answer:
-    worker = _introduced(distributed.get_worker())
+    worker = _described(distributed.get_worker())
     if worker.versions != wanted:
         return _Answer(worker, 0.0, None)
     numbers = np.arange(*cells, dtype=np.int64) if isinstance(cells, tuple) else np.array(cells)
@@ -416,7 +409,7 @@ def _run(cells: Cells | tuple[int, int], pickled: bytes, stop: Stop, wanted: Map
     return _Answer(worker, time.perf_counter() - began, tile)
 
 
-def _introduced(dask_worker: distributed.Worker) -> _Worker:
+def _described(dask_worker: distributed.Worker) -> _Worker:
     return _Worker(dask_worker.address, versions(), cpu_model())
 
 

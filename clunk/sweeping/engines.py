@@ -1,4 +1,4 @@
-"""Engines: who runs the tiles of a sweep.
+"""Engines: the executors that run the tiles of a sweep.
 
 An engine is anything with the shape of `concurrent.futures.Executor`: threads by default, or the workers of a dask
 scheduler (`clunk.sweeping.distributed`). A cell's result depends on nothing but its parameters, so neither the engine,
@@ -25,7 +25,7 @@ from clunk.sweeping.cells import Prepared
 from clunk.sweeping.cells import Stop as Flag
 from clunk.sweeping.tiles import Cells, Layout, Tile
 
-_AHEAD = 2  # tiles handed to each worker; by the time that it could get to more, others may be there to go with them
+_AHEAD = 2  # tiles handed to each worker; by the time that it could get to more, cells may be added that belong to them
 _AHEAD_OF_WHOLE = 8  # of tiles of the largest size: they go on while a part is written to the disk, 0.3 s
 
 
@@ -38,18 +38,14 @@ class Runner(Protocol):
 
     layout : of the tiles
     runs : of each cell
+    method : of the runs, ``rk4`` or ``exact``
+    tile_cells : the most cells of a tile
     """
 
     layout: Layout
     runs: int
-
-    @property
-    def method(self) -> str:
-        """The method of the runs."""
-
-    @property
-    def tile_cells(self) -> int:
-        """The most cells of a tile."""
+    method: str
+    tile_cells: int
 
     def ordered(self, cells: Cells) -> Cells:
         """Cells in the order in which they are best cut into tiles."""
@@ -64,9 +60,9 @@ class Runner(Protocol):
 class Work:
     """Queue of cells to run.
 
-    size : how many wait
-    known : how many there have been
-    may_grow : whether others may turn up while some are running
+    size : number that wait
+    known : number that have been added
+    may_grow : whether more may be added while some are running
     """
 
     def __init__(self, runner: Runner, cells: Cells, *, may_grow: bool = False) -> None:
@@ -85,7 +81,7 @@ class Work:
             self.known += cells.size
 
     def take(self, most: int) -> Cells:
-        """Remove up to `most` cells from the queue, those that are best run together."""
+        """Remove up to `most` cells from the queue, such as are best run together."""
         if self._added and self._waiting.size - self._begin < most:
             every = np.sort(np.concatenate([self._waiting[self._begin :], *self._added]))
             self._waiting, self._begin, self._added = self._runner.ordered(every), 0, []
@@ -122,7 +118,8 @@ def run_tiles(engine: Executor, runner: Runner, work: Work) -> Generator[Tile, N
     """
     stop = Stop()
     running: set[Future[Tile]] = set()
-    choose = getattr(engine, "next_tile", functools.partial(next_tile, workers_of(engine)))
+    workers = getattr(engine, "_max_workers", None) or available_cores()  # all of the standard library have this name
+    choose = getattr(engine, "next_tile", functools.partial(next_tile, workers))
     try:
         while True:
             while most := choose(len(running), work, runner):
@@ -147,7 +144,7 @@ def next_tile(workers: int, running: int, work: Work, runner: Runner) -> int:
     """Number of cells of the next tile; 0 where enough tiles are running.
 
     Half of a worker's share of the rest, so that all workers end together. Of work that may grow, half of a worker's
-    share of all, or of the most that a tile may have: there will be others.
+    share of all, or of the most that a tile may have, as more will be added.
     """
     most = runner.tile_cells
     if work.may_grow:
@@ -159,18 +156,13 @@ def next_tile(workers: int, running: int, work: Work, runner: Runner) -> int:
 
 
 def tile_size(cells: int, runner: Runner, workers: int) -> int:
-    """Number of cells of a tile so that each worker gets eight, if they are neither too large nor too small then."""
+    """Number of cells of a tile so that each worker gets eight tiles, within the limits of a tile."""
     return min(max(-(-cells // (8 * workers)), _least(cells, runner, workers)), runner.tile_cells)
 
 
 def _least(cells: int, runner: Runner, workers: int) -> int:
-    """Cells of the smallest tile that is worth while; fewer only where some worker would have nothing to do."""
+    """Number of cells below which a tile is not worth while, unless a worker would be idle without it."""
     return max(min(runner.tile_cells // 8, -(-cells // workers)), 1)
-
-
-def workers_of(engine: Executor) -> int:
-    """Number of workers of an engine, which all executors of the standard library keep under this name."""
-    return getattr(engine, "_max_workers", None) or available_cores()
 
 
 def available_cores() -> int:
@@ -179,11 +171,6 @@ def available_cores() -> int:
         return len(os.sched_getaffinity(0))
     except AttributeError:  # not on macOS and Windows
         return os.cpu_count() or 1
-
-
-def processors_of(engine: Executor | None) -> str:
-    """Models of the processors that ran an engine's tiles, for the results' attribute `cpu`."""
-    return str(getattr(engine, "processors", cpu_model)())
 
 
 @functools.cache

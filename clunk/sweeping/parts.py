@@ -4,8 +4,8 @@
     manifest.json    what is being computed, by which versions
     part-000001      the cells that finished in the first seconds; and so on
 
-Whatever is there was complete before it got its name, and is checked when it is read. The results file is assembled
-once, beside the parts, and moved into its place; then the directory goes.
+A part is complete before it gets its name, and is checked when it is read. The results file is assembled once, beside
+the parts, and moved into its place; then the directory is removed.
 """
 
 from __future__ import annotations
@@ -16,9 +16,8 @@ import os
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO, Self
 
 from clunk.results.files import reason, write_whole
@@ -61,10 +60,8 @@ class WorkingDirectory:
             raise PartsError(f"{self.path} cannot be used: {reason(error)}.") from error
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Let go of the lock; the directory stays if there are parts in it."""
+    def __exit__(self, *_error: object) -> None:
+        """Release the lock; the directory stays if there are parts in it."""
         if not self.parts():
             self.remove()
         if self._lock is not None:
@@ -94,20 +91,17 @@ class WorkingDirectory:
             self.path.rmdir()
 
     def _locked(self) -> BinaryIO | None:
-        """The lock, or None where its file was removed before we had it."""
+        """The lock, or None where its file was removed before it was locked."""
         path = self.path / "lock"
-        lock = path.open("ab")
-        try:
-            _lock(lock)
+        with ExitStack() as closing:
+            lock = closing.enter_context(path.open("ab"))
+            try:
+                _lock(lock)
+            except BlockingIOError:
+                raise PartsError(f"{self.target} is being written by another sweep that still runs.") from None
             if os.name == "nt" or os.path.samestat(os.fstat(lock.fileno()), path.stat()):
+                closing.pop_all()
                 return lock
-        except BlockingIOError:
-            lock.close()
-            raise PartsError(f"{self.target} is being written by another sweep that still runs.") from None
-        except BaseException:
-            lock.close()
-            raise
-        lock.close()
         return None
 
 
@@ -116,7 +110,7 @@ class Parts:
 
     directory : open, that is locked
     study : Study
-    reduction : of the sweep; its plan and the layout of its tiles count
+    reduction : of the sweep; parts of another plan or layout of tiles are not taken up
 
     Raises PartsError where the directory holds parts of another study or plan.
     """
@@ -124,8 +118,8 @@ class Parts:
     def __init__(self, directory: WorkingDirectory, study: Study, reduction: Reduction[AnyMap]) -> None:
         self.directory = directory
         self.discarded = 0  # parts of other versions, or damaged
-        self.taken_up = 0  # cells that were there
-        self.kept = 0  # cells that are there now
+        self.taken_up = 0  # cells that have been read
+        self.kept = 0  # cells that are on the disk
         decisive = content(study)
         del decisive["title"]
         decisive["driveline"].pop("names", None)
@@ -136,17 +130,17 @@ class Parts:
             "versions": versions(),
             "arrays": [str(self._layout.record.descr), str(self._layout.detail.descr)],
         }
-        # the digest stands for the study, which is there for the sentence that tells what differs
+        # the digest identifies the study; its values are kept for the sentence on what differs
         self._origin = hashlib.sha256(json.dumps(self._manifest, sort_keys=True).encode()).digest()
         self._manifest["study"] = dict(_flat(decisive))
         self._waiting: list[Tile] = []
         self._cells_waiting = 0
         self._number = max((int(path.name.removeprefix("part-")) for path in directory.parts()), default=0)
         self._began = self._written = time.monotonic()
-        self._refuse_others()
+        self._refuse_other_sweeps()
 
     def read(self) -> Iterator[Tile]:
-        """The parts that are whole and of this sweep; what else is there is removed."""
+        """The parts that are whole and of this sweep; all others are removed."""
         for path in self.directory.parts():
             try:
                 tile = from_bytes(path.read_bytes(), self._origin, self._layout)
@@ -163,7 +157,7 @@ class Parts:
                 path.unlink()
 
     def add(self, tile: Tile) -> None:
-        """Keep a tile: now and then, what has accumulated is written. Raises PartsError."""
+        """Keep a tile; tiles that have accumulated are written as a part now and then. Raises PartsError."""
         self._waiting.append(tile)
         self._cells_waiting += tile.cells.size
         now = time.monotonic()
@@ -173,7 +167,7 @@ class Parts:
             self.flush()
 
     def flush(self) -> None:
-        """Write what has accumulated. Raises PartsError."""
+        """Write the tiles that have accumulated. Raises PartsError."""
         if not self._waiting:
             return
         try:
@@ -199,29 +193,30 @@ class Parts:
         """Whether any part has been written."""
         return self._number > 0
 
-    def _refuse_others(self) -> None:
-        """Compare with the manifest that is there; one that cannot be read is of no use, and its parts tell it too."""
+    def _refuse_other_sweeps(self) -> None:
+        """Compare with the directory's manifest; one that cannot be read is removed, as parts identify themselves."""
         path = self.directory.path / "manifest.json"
         try:
-            there = json.loads(path.read_bytes())
-            here = json.loads(json.dumps(self._manifest, default=str))
-            differing = [key for key in ("config_digest", "plan", "versions") if there[key] != here[key]]
-            differences = _differences(there["study"], here["study"])
+            earlier = json.loads(path.read_bytes())
+            current = json.loads(json.dumps(self._manifest, default=str))
+            differing = [key for key in ("config_digest", "plan", "versions") if earlier[key] != current[key]]
+            differences = _differences(earlier["study"], current["study"])
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             with suppress(OSError):
                 path.unlink(missing_ok=True)
             return
-        way_out = "finish that one, or begin anew with --restart (in Python, restart=True)."
         if "config_digest" in differing:
-            what = "; ".join(differences) or "the config"
-            raise PartsError(f"{self.directory.path} holds an unfinished sweep of another config ({what}): {way_out}")
-        if "plan" in differing:
-            raise PartsError(
-                f"{self.directory.path} holds an unfinished sweep that runs {there['plan']}, not {here['plan']}: "
-                + way_out
-            )
-        if differing:
-            path.unlink()
+            sweep = f"of another config ({'; '.join(differences) or 'the config'})"
+        elif "plan" in differing:
+            sweep = f"that runs {earlier['plan']}, not {current['plan']}"
+        else:
+            if differing:
+                path.unlink()
+            return
+        raise PartsError(
+            f"{self.directory.path} holds an unfinished sweep {sweep}: finish that one, or begin anew with --restart "
+            "(in Python, restart=True)."
+        )
 
 
 def _flat(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
@@ -236,11 +231,11 @@ def _flat(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
         yield key, list(node) if isinstance(node, tuple) else node
 
 
-def _differences(there: Mapping[str, Any], here: Mapping[str, Any], most: int = 3) -> list[str]:
-    """The first few keys in which two studies differ, with both values."""
-    keys = [key for key in {**there, **here} if there.get(key) != here.get(key)]
-    lines = [f"{key} = {_shown(there.get(key))} there, {_shown(here.get(key))} here" for key in keys[:most]]
-    return [*lines, f"and {len(keys) - most} more"] if len(keys) > most else lines
+def _differences(earlier: Mapping[str, Any], current: Mapping[str, Any]) -> list[str]:
+    """The first three keys in which two studies differ, with both values, and the number of others."""
+    keys = [key for key in {**earlier, **current} if earlier.get(key) != current.get(key)]
+    lines = [f"{key} = {_shown(earlier.get(key))} there, {_shown(current.get(key))} here" for key in keys[:3]]
+    return [*lines, f"and {len(keys) - 3} more"] if len(keys) > 3 else lines
 
 
 def _shown(value: Any) -> str:

@@ -1,11 +1,11 @@
-"""How far a long computation is: a bar in a terminal or a notebook, else a line now and then; on stderr."""
+"""Progress of a long computation on stderr: a bar in a terminal or a notebook, elsewhere a line now and then."""
 
 from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from html import escape
 
 Progress = Callable[[int, int], None]
@@ -15,16 +15,63 @@ _BAR_EVERY = 0.1  # s; each update of a notebook is a message to the browser
 
 
 @contextmanager
-def shown(total: int, what: str = "cells") -> Iterator[Progress]:
-    """Show what the function given here, called with what is done and what there is, is told."""
+def shown(total: int, unit: str = "cells") -> Iterator[Progress]:
+    """Show progress while this is open; the function that it yields takes the numbers done and in all."""
+    state = _State(total, unit)
+    display: AbstractContextManager[Callable[[], None]] = nullcontext(state.print_line)
     if _in_notebook():
-        with _notebook_bar(total, what) as update:
-            yield update
+        display = _notebook_bar(state)
     elif sys.stderr.isatty():
-        with _terminal_bar(total, what) as update:
-            yield update
-    else:
-        yield _lines(what)
+        display = _terminal_bar(state)
+    with display as show:
+
+        def update(done: int, total: int) -> None:
+            state.advance(done, total)
+            show()
+
+        yield update
+
+
+class _State:
+    """Progress as text, and as HTML where a front end shows it.
+
+    rate : a second, since the first report; what was done by then may be of an earlier run
+    """
+
+    def __init__(self, total: int, unit: str) -> None:
+        self.done, self.total, self.unit, self.rate = 0, total, unit, 0.0
+        self._first: tuple[int, float] | None = None
+        self._shown = time.perf_counter()
+
+    def advance(self, done: int, total: int) -> None:
+        now = time.perf_counter()
+        count, began = self._first = self._first or (done, now)
+        self.done, self.total, self.rate = done, total, (done - count) / max(now - began, 1e-9)
+
+    def is_due(self, pause: float) -> bool:
+        """Whether it was last shown so many seconds ago; it is shown now if so."""
+        now = time.perf_counter()
+        if now - self._shown < pause:
+            return False
+        self._shown = now
+        return True
+
+    def print_line(self) -> None:
+        if self.rate > 0.0 and self.done != self.total and self.is_due(_LINE_EVERY):
+            print(self, file=sys.stderr)
+
+    def __repr__(self) -> str:
+        """For example 1,000 of 40,401 cells, 6,200/s, 6 s left."""
+        line = f"{self.done:,} of {self.total:,} {self.unit}"
+        if self.rate > 0.0:
+            line += f", {self.rate:,.0f}/s"
+            if self.done < self.total:
+                line += f", {(self.total - self.done) / self.rate:.0f} s left"
+        return line
+
+    def _repr_html_(self) -> str:
+        bar = f'<progress style="width: 50%" max="{self.total}" value="{self.done}"></progress>'
+        return f"<div>{bar} {escape(repr(self))}</div>"
 
 
 def _in_notebook() -> bool:
@@ -37,103 +84,24 @@ def _in_notebook() -> bool:
 
 
 @contextmanager
-def _terminal_bar(total: int, what: str) -> Iterator[Progress]:
+def _terminal_bar(state: _State) -> Iterator[Callable[[], None]]:
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bar
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (
-        BarColumn(bar_width=None),
-        MofNCompleteColumn(),
-        TextColumn(what + "  {task.fields[rate]}"),
-        TimeRemainingColumn(),
-    )
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=total, rate="")
-        speed = _Speed()
-
-        def update(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total, rate=f"{speed(done):,.0f}/s ")
-
-        yield update
+    text = TextColumn(state.unit + "  {task.fields[rate]}")
+    columns = BarColumn(bar_width=None), MofNCompleteColumn(), text, TimeRemainingColumn()
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=state.total, rate="")
+        yield lambda: bar.update(task, completed=state.done, total=state.total, rate=f"{state.rate:,.0f}/s ")
 
 
 @contextmanager
-def _notebook_bar(total: int, what: str) -> Iterator[Progress]:
+def _notebook_bar(state: _State) -> Iterator[Callable[[], None]]:
     """An element of HTML that IPython's own display replaces; rich and tqdm need ipywidgets for theirs."""
     from IPython.display import display
 
-    bar = _NotebookBar(total, what)
-    handle = display(bar, display_id=True)
-    last = time.perf_counter()
-
-    def update(done: int, total: int) -> None:
-        nonlocal last
-        bar.advance(done, total)
-        now = time.perf_counter()
-        if now - last >= _BAR_EVERY:
-            last = now
-            handle.update(bar)
-
+    handle = display(state, display_id=True)
     try:
-        yield update
+        yield lambda: handle.update(state) if state.is_due(_BAR_EVERY) else None
     finally:
-        handle.update(bar)  # what was reached stays in the notebook, after an interrupt too
-
-
-class _NotebookBar:
-    """A bar as HTML, and as text where a front end shows no HTML."""
-
-    def __init__(self, total: int, what: str) -> None:
-        self._done, self._total, self._what = 0, total, what
-        self._speed, self._rate = _Speed(), 0.0
-
-    def advance(self, done: int, total: int) -> None:
-        self._done, self._total, self._rate = done, total, self._speed(done)
-
-    def __repr__(self) -> str:
-        return _line(self._done, self._total, self._what, self._rate)
-
-    def _repr_html_(self) -> str:
-        bar = f'<progress style="width: 50%" max="{self._total}" value="{self._done}"></progress>'
-        return f"<div>{bar} {escape(repr(self))}</div>"
-
-
-def _lines(what: str) -> Progress:
-    last = time.perf_counter()
-    speed = _Speed()
-
-    def update(done: int, total: int) -> None:
-        nonlocal last
-        now = time.perf_counter()
-        rate = speed(done)
-        if now - last < _LINE_EVERY or done == total or rate == 0.0:
-            return
-        last = now
-        print(_line(done, total, what, rate), file=sys.stderr)
-
-    return update
-
-
-def _line(done: int, total: int, what: str, rate: float) -> str:
-    """For example 1,000 of 40,401 cells, 6,200/s, 6 s left."""
-    line = f"{done:,} of {total:,} {what}"
-    if rate > 0.0:
-        line += f", {rate:,.0f}/s"
-        if done < total:
-            line += f", {(total - done) / rate:.0f} s left"
-    return line
-
-
-class _Speed:
-    """Cells a second since the first report; what was done by then may be of an earlier run."""
-
-    def __init__(self) -> None:
-        self._first: tuple[int, float] | None = None
-
-    def __call__(self, done: int) -> float:
-        now = time.perf_counter()
-        if self._first is None:
-            self._first = done, now
-        count, began = self._first
-        return (done - count) / max(now - began, 1e-9)
+        handle.update(state)  # what was reached stays in the notebook, after an interrupt too

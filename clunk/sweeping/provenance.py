@@ -1,4 +1,4 @@
-"""Provenance of results: the versions that decide their bits, and what a results file says of how it was made."""
+"""Provenance of results: the versions that decide their bits, and the attributes of a file on how it was made."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from importlib.metadata import version
 from pathlib import Path
 
 import clunk
-from clunk.sweeping.engines import processors_of
+from clunk.sweeping.engines import cpu_model
 
-# The rooms whose sources decide the bits of a cell; an edit elsewhere, of a picture or a table, discards no cells.
+# Packages whose sources decide the bits of a cell; an edit elsewhere, of a picture or a table, discards no cells.
 _DECISIVE = ("core", "study", "simulation", "sweeping")
-_PACKAGES = ("numpy", "scipy", "numba")
+_version = functools.cache(version)
 
 
 @functools.cache
@@ -27,7 +27,7 @@ def versions(package: Path = Path(clunk.__file__).parent) -> dict[str, str]:
     sources = hashlib.sha256()
     for path in sorted(path for room in _DECISIVE for path in (package / room).rglob("*.py")):
         sources.update(str(path.relative_to(package)).encode() + b"\0" + path.read_bytes() + b"\0")
-    packages = {name: version(name) for name in _PACKAGES}
+    packages = {name: _version(name) for name in ("numpy", "scipy", "numba")}
     return {"python": platform.python_version(), **packages, "sources of clunk": sources.hexdigest()}
 
 
@@ -36,12 +36,7 @@ def provenance(engine: Executor | None) -> dict[str, str]:
     return {
         "clunk_version": clunk.__version__,
         "python_version": platform.python_version(),
-        **_package_versions(),
+        **{f"{name}_version": _version(name) for name in ("numpy", "numba", "h5py")},
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "cpu": processors_of(engine),
+        "cpu": str(getattr(engine, "processors", cpu_model)()),
     }
-
-
-@functools.cache
-def _package_versions() -> dict[str, str]:
-    return {f"{name}_version": version(name) for name in ("numpy", "numba", "h5py")}

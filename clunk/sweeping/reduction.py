@@ -52,7 +52,7 @@ class Reduction(ABC, Generic[SomeMap]):
         self.study, self.design, self.runner = study, design, runner
         self.known: npt.NDArray[np.bool_] = np.zeros(design.cells, bool)
         self.done = 0
-        self.sequences: dict[Flanks, int] = {}  # flanks -> code, in the order in which they turned up
+        self.sequences: dict[Flanks, int] = {}  # flanks -> code, in the order in which they were seen first
 
     def add(self, tile: Tile) -> None:
         """Add a tile's cells; those that are there already are passed over."""
@@ -75,7 +75,7 @@ class Reduction(ABC, Generic[SomeMap]):
         return np.flatnonzero(~self.known).astype(np.int64, copy=False)
 
     def next(self, cells: Cells) -> Cells:
-        """Cells to run for the sake of some that have just been added: none, unless a map is refined."""
+        """Cells to run on account of some that have just been added: none, unless a map is refined."""
         return NO_CELLS
 
     @abstractmethod
@@ -83,20 +83,20 @@ class Reduction(ABC, Generic[SomeMap]):
         """The finished map, with these attributes and perhaps others."""
 
     def code(self, flanks: Flanks) -> int:
-        """The code of a sequence of primary impacts; a new one where it has not turned up yet."""
+        """The code of a sequence of primary impacts; a new one where it has not been seen yet."""
         return self.sequences.setdefault(flanks, len(self.sequences))
 
     def final_codes(self) -> tuple[tuple[str, ...], npt.NDArray[np.int16]]:
-        """The labels by (number of primaries, label), and each code's number among them; the last is that of -1.
+        """The labels, and each code's number among them; the last is that of -1.
 
-        Final codes do not depend on who finished first.
+        They are sorted by (number of primaries, label), so that they do not depend on which cell finished first.
         """
         lengths = {label(flanks): len(flanks) for flanks in self.sequences}
         labels = tuple(sorted(lengths, key=lambda text: (lengths[text], text)))
         return labels, np.array([*(labels.index(label(flanks)) for flanks in self.sequences), FAILED_CODE], np.int16)
 
     def heading(self) -> dict[str, Any]:
-        """What all maps say of themselves, by field."""
+        """Title, axes and config: the fields that all maps have in common."""
         return {
             "title": self.study.title,
             "axes": self.design.axes,

@@ -18,8 +18,7 @@ Every cell that is left then lies in a block, or between cells, where all that a
 run are the smallest set closed under these rules, so that they depend neither on the order of the runs nor on where
 they were interrupted.
 
-What is nowhere seen from that set is missed: an island between the cells of the coarse grid that none of these lines
-meets.
+An island between the cells of the coarse grid that none of these lines meets is missed.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.jit import unowned, unowned_inlined
-from clunk.study.designs import Design
+from clunk.study.designs import Cells, Design
 
 UNKNOWN = 0  # regime of a cell that has not been run, and of a block in which none has
 DOUBTFUL = -1  # regime of one whose neighbours must be run whatever they are
@@ -51,7 +50,6 @@ _BESIDE = 2  # cells around one on a crest, so that the next one is seen
 _GAP = 6  # cells between the dashes of a thin regime
 
 Integers = npt.NDArray[np.int32]
-Cells = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 
@@ -72,21 +70,21 @@ def coarse_spacing(design: Design) -> tuple[int, ...]:
 
 
 class _Map(NamedTuple):
-    """What is known, cells and blocks in C order; the blocks of all levels behind one another, coarsest first.
+    """The known cells and blocks, in C order; the blocks of all levels behind one another, coarsest first.
 
     shape, strides : (axes,), in cells
     position, origin : (axes,), room for a cell's indices, and for those of a block's first cell
     corners : (3**axes,), room for the corners of a block's halves
-    regimes, touches : (cells,) int32, of touches one more than there are; `UNKNOWN` where they are
-    crest, asked : (cells,) bool, whether a cell is known to lie on one; whether it is known or has been asked for
+    regimes, touches : (cells,) int32, the regime and the number of touches + 1; `UNKNOWN` where they are
+    crest, asked : (cells,) bool, whether a cell is known to lie on a crest; whether it is known or has been asked for
     shifts : (levels + 1, axes), log2 of a block's width in cells; the last row is of single cells, which are no blocks
-    blocks, hops : (levels, axes), how many, and from one to the next in their numbers
+    blocks, hops : (levels, axes), number of blocks, and from one to the next in their numbers
     first : (levels,), where a level's blocks begin
     of_block : (all blocks,) int32, regime of its known cells; `UNKNOWN` without any, `_HALVED` or `_RUN` where halved
     fewest, most : (all blocks,) int32, touches of its known cells, if there are any
     directions : (n, axes), of two opposite ones one; along : (n,), a step of each in cells
-    ahead, behind : (n,), room for how far the map goes on
-    beside_crest, beside_thin : (n, axes), offsets of what is run around a cell on a crest, or of a thin regime
+    ahead, behind : (n,), room for the number of cells to the edge of the map
+    beside_crest, beside_thin : (n, axes), offsets of the cells to run around one on a crest, or of a thin regime
     """
 
     shape: Cells
@@ -121,42 +119,42 @@ class Refinement:
     """
 
     def __init__(self, shape: Sequence[int], spacing: Sequence[int]) -> None:
-        cells, counts = math.prod(shape), np.array(shape, np.int64)
-        strides = _strides(shape)
-        widest = np.array([own.bit_length() - 1 for own in spacing], np.int64)
+        axes, cells, counts, strides = len(shape), math.prod(shape), np.array(shape, np.int64), _strides(shape)
+        widest = np.array([step.bit_length() - 1 for step in spacing], np.int64)
         shifts = np.minimum.outer(np.arange(widest.max(), -1, -1), widest)
         blocks = np.maximum(1, -(-(counts - 1) >> shifts[:-1]))
         ends = np.cumsum(blocks.prod(axis=1))
         every = int(ends[-1]) if ends.size else 0
-        ways = [(-1, 0, 1) if own > 1 else (0,) for own in spacing]
-        half = list(product(*ways))[: math.prod(map(len, ways)) // 2]
-        directions = np.array(half, np.int64).reshape(-1, len(shape))
+        neighbours = _cube(spacing, 1)
+        directions = neighbours[: len(neighbours) // 2].reshape(-1, axes)
         regimes, touches = np.zeros((2, cells), np.int32)
+        position, origin = np.zeros((2, axes), np.int64)
+        ahead, behind = np.zeros((2, len(directions)), np.int64)
         self._map = _Map(
             shape=counts,
             strides=strides,
-            position=np.zeros(len(shape), np.int64),
-            origin=np.zeros(len(shape), np.int64),
-            corners=np.zeros(3 ** len(shape), np.int64),
+            position=position,
+            origin=origin,
+            corners=np.zeros(3**axes, np.int64),
             regimes=regimes,
             touches=touches,
             crest=np.zeros(cells, bool),
             asked=np.zeros(cells, bool),
             shifts=shifts,
             blocks=blocks,
-            hops=np.array([_strides(own) for own in blocks.tolist()], np.int64).reshape(blocks.shape),
+            hops=np.array([_strides(row) for row in blocks.tolist()], np.int64).reshape(blocks.shape),
             first=np.concatenate(([0], ends))[:-1].astype(np.int64),
             of_block=np.zeros(every, np.int32),
             fewest=np.empty(every, np.int32),
             most=np.empty(every, np.int32),
             directions=directions,
             along=directions @ strides,
-            ahead=np.zeros(len(directions), np.int64),
-            behind=np.zeros(len(directions), np.int64),
+            ahead=ahead,
+            behind=behind,
             beside_crest=_cube(spacing, _BESIDE),
             beside_thin=_cube(spacing, _GAP),
         )
-        edges = (np.append(np.arange(0, count, own), count - 1) for count, own in zip(shape, spacing, strict=True))
+        edges = (np.append(np.arange(0, count, step), count - 1) for count, step in zip(shape, spacing, strict=True))
         self._coarse = np.unique(np.ravel_multi_index(np.meshgrid(*edges, indexing="ij"), tuple(shape)))
 
     def take(self, cells: Cells, regimes: Integers, touches: Integers) -> Cells:
@@ -171,7 +169,7 @@ class Refinement:
         Returns
         -------
         cells : (m,) int64
-            What to run besides what has been asked for already, in ascending order.
+            Further cells to run, in ascending order.
         """
         known = self._map
         known.regimes[cells], known.touches[cells], known.asked[cells] = regimes, touches + 1, True
@@ -184,7 +182,7 @@ class Refinement:
     def regimes(self) -> Integers:
         """Each cell's regime, (cells,) int32: of cells not run, that of their block or of a cell beside them.
 
-        Only when all that was asked for is known; there is nothing to learn after that.
+        Only when all cells that were asked for are known; no more can be taken after that.
         """
         _infer(self._map)
         return self._map.regimes
@@ -192,17 +190,17 @@ class Refinement:
 
 def _cube(spacing: Sequence[int], reach: int) -> Cells:
     """Offsets, (n, axes), to all cells within this many along each axis that is refined."""
-    return np.array(list(product(*(range(-reach, reach + 1) if own > 1 else (0,) for own in spacing))), np.int64)
+    return np.array(list(product(*(range(-reach, reach + 1) if step > 1 else (0,) for step in spacing))), np.int64)
 
 
 def _strides(counts: Sequence[int]) -> Cells:
-    """From one to the next along each axis, in numbers in C order."""
+    """Differences between the numbers in C order of neighbours along each axis."""
     return np.array([math.prod(counts[axis + 1 :]) for axis in range(len(counts))], np.int64)
 
 
 @unowned
 def _take(known: _Map, cells: Cells, wanted: Cells) -> int:
-    """Write to `wanted` what is to be run for the sake of these cells, which are known; returns how many."""
+    """Write to `wanted` the cells to run on account of these, which are known; returns their number."""
     count = 0
     for cell in cells:
         _unravel(known, cell)
@@ -211,16 +209,16 @@ def _take(known: _Map, cells: Cells, wanted: Cells) -> int:
         for way, step in enumerate(known.along):
             ahead, behind = known.ahead[way], known.behind[way]
             for k in range(-min(behind, _CREST), min(ahead, _CREST) + 1):
-                own = cell + k * step
-                # of the others, only what has more touches than this cell can have become a crest by it
+                near = cell + k * step
+                # only a cell with more touches than the known one can have become a crest by it
                 if (
-                    (k == 0 or known.touches[own] > known.touches[cell])
-                    and not known.crest[own]
-                    and (k < 0 or _has_fewer(known.touches, own, step, ahead - k))
-                    and (k > 0 or _has_fewer(known.touches, own, -step, behind + k))
+                    (k == 0 or known.touches[near] > known.touches[cell])
+                    and not known.crest[near]
+                    and (k < 0 or _has_fewer(known.touches, near, step, ahead - k))
+                    and (k > 0 or _has_fewer(known.touches, near, -step, behind + k))
                 ):
-                    known.crest[own] = True
-                    count = _ask_around(known, own, known.beside_crest, wanted, count)
+                    known.crest[near] = True
+                    count = _ask_around(known, near, known.beside_crest, wanted, count)
             for k in range(-min(behind - 1, 1), min(ahead - 1, 1) + 1):
                 if _is_thin(known.regimes, cell + k * step, step):
                     count = _ask_around(known, cell + k * step, known.beside_thin, wanted, count)
@@ -229,19 +227,19 @@ def _take(known: _Map, cells: Cells, wanted: Cells) -> int:
 
 @unowned_inlined
 def _join(known: _Map, cell: int, wanted: Cells, count: int) -> int:
-    """Let a cell, whose indices are in `position`, count in its blocks; returns how many are wanted."""
+    """Add a cell, whose indices are in `position`, to its blocks; returns the number of wanted cells."""
     axes, doubtful = len(known.shape), known.regimes[cell] == DOUBTFUL
     for level in range(len(known.first)):
         last, edges = known.first[level], 0  # of its blocks, the last; the axes on which it lies between two
         is_corner = True  # of halves of these blocks
         for axis in range(axes):
-            own, shift = known.position[axis], known.shifts[level, axis]
-            at = min(own >> shift, known.blocks[level, axis] - 1)
+            index, shift = known.position[axis], known.shifts[level, axis]
+            at = min(index >> shift, known.blocks[level, axis] - 1)
             last += at * known.hops[level, axis]
-            if at > 0 and at << shift == own:
+            if at > 0 and at << shift == index:
                 edges |= 1 << axis
             half = known.shifts[level + 1, axis]
-            is_corner &= own >> half << half == own or own == known.shape[axis] - 1
+            is_corner &= index >> half << half == index or index == known.shape[axis] - 1
         for before in range(edges + 1):
             if before & ~edges:
                 continue
@@ -257,7 +255,9 @@ def _join(known: _Map, cell: int, wanted: Cells, count: int) -> int:
             known.fewest[block], known.most[block] = fewest, most
             if most - fewest >= _TOUCHES:
                 known.of_block[block] = _RUN
-                count = _ask_all(known, level, block, wanted, count)
+                _find_corners(known, level, block)
+                for corner in known.corners:
+                    count = _ask(known.asked, corner, wanted, count)
             elif regime == UNKNOWN and not doubtful:
                 known.of_block[block] = known.regimes[cell]
             elif regime != known.regimes[cell] or doubtful:
@@ -268,28 +268,19 @@ def _join(known: _Map, cell: int, wanted: Cells, count: int) -> int:
 
 
 @unowned
-def _ask_all(known: _Map, level: int, block: int, wanted: Cells, count: int) -> int:
-    """Ask for the corners of a block's halves; returns how many are wanted."""
-    _find_corners(known, level, block)
-    for cell in known.corners:
-        count = _ask(known.asked, cell, wanted, count)
-    return count
-
-
-@unowned
 def _ask_between(known: _Map, level: int, block: int, wanted: Cells, count: int) -> int:
-    """Ask for a block's corners, and those of its halves beside known ones that differ; returns how many are wanted."""
+    """Ask for a block's corners, and those of its halves beside known ones that differ; returns the number wanted."""
     _find_corners(known, level, block)
     for between, cell in enumerate(known.corners):
         if known.asked[cell]:
             continue
         differ, regime = _is_whole(between), UNKNOWN  # of those beside it
-        for corner, other in enumerate(known.corners):
+        for corner, beside in enumerate(known.corners):
             if differ:
                 break
-            own = known.regimes[other] if _is_beside(between, corner) else UNKNOWN
-            differ = own == DOUBTFUL or (own != UNKNOWN and regime not in (UNKNOWN, own))
-            regime = regime if own == UNKNOWN else own
+            another = known.regimes[beside] if _is_beside(between, corner) else UNKNOWN
+            differ = another == DOUBTFUL or (another != UNKNOWN and regime not in (UNKNOWN, another))
+            regime = regime if another == UNKNOWN else another
         if differ:
             count = _ask(known.asked, cell, wanted, count)
     return count
@@ -324,31 +315,31 @@ def _is_whole(corner: int) -> bool:
 
 
 @unowned
-def _is_beside(one: int, other: int) -> bool:
+def _is_beside(first: int, second: int) -> bool:
     """Whether two of a block's `corners` are next to each other, or the same."""
-    while one != other:
-        if abs(one % 3 - other % 3) > 1:
+    while first != second:
+        if abs(first % 3 - second % 3) > 1:
             return False
-        one, other = one // 3, other // 3
+        first, second = first // 3, second // 3
     return True
 
 
 @unowned
 def _ask_around(known: _Map, cell: int, offsets: Cells, wanted: Cells, count: int) -> int:
-    """Ask for all cells at these offsets from one; returns how many are wanted."""
+    """Ask for all cells at these offsets from one; returns the number of wanted cells."""
     _unravel(known, cell)
     for offset in offsets:
-        other = 0
+        near = 0
         for axis in range(len(known.shape)):
             at = min(max(known.position[axis] + offset[axis], 0), known.shape[axis] - 1)
-            other += at * known.strides[axis]
-        count = _ask(known.asked, other, wanted, count)
+            near += at * known.strides[axis]
+        count = _ask(known.asked, near, wanted, count)
     return count
 
 
 @unowned
 def _ask(asked: Mask, cell: int, wanted: Cells, count: int) -> int:
-    """Ask for a cell unless that has been done; returns how many are wanted."""
+    """Ask for a cell unless that has been done; returns the number of wanted cells."""
     if not asked[cell]:
         asked[cell] = True
         wanted[count] = cell
@@ -368,13 +359,13 @@ def _has_fewer(touches: Integers, cell: int, step: int, reach: int) -> bool:
 @unowned
 def _is_thin(regimes: Integers, cell: int, step: int) -> bool:
     """Whether a cell differs in regime from both of its neighbours, all three known."""
-    own, above, below = regimes[cell], regimes[cell + step], regimes[cell - step]
-    return bool(own > UNKNOWN and above != UNKNOWN and below != UNKNOWN and above != own and below != own)
+    regime, above, below = regimes[cell], regimes[cell + step], regimes[cell - step]
+    return bool(regime > UNKNOWN and above not in (UNKNOWN, regime) and below not in (UNKNOWN, regime))
 
 
 @unowned_inlined
 def _look_around(known: _Map) -> None:
-    """Put in `ahead` and `behind` how far the map goes on from `position`, along each direction and against it."""
+    """Put in `ahead` and `behind` the numbers of cells from `position` to the map's edges, along each direction."""
     for way in range(len(known.along)):
         ahead = behind = len(known.regimes)
         for axis in range(len(known.shape)):
@@ -398,9 +389,9 @@ def _infer(known: _Map) -> None:
             shift, blocks, first = known.shifts[level, -1], known.blocks[level, -1], known.first[level]
             corner = 0  # of the blocks of single cells, the one beside this row's first cell
             for axis in range(len(known.shape) - 1):
-                own, at = known.shifts[level, axis], known.position[axis]
-                first += min(at >> own, known.blocks[level, axis] - 1) * known.hops[level, axis]
-                corner += (at if at == known.shape[axis] - 1 else at >> own << own) * known.strides[axis]
+                width, at = known.shifts[level, axis], known.position[axis]
+                first += min(at >> width, known.blocks[level, axis] - 1) * known.hops[level, axis]
+                corner += (at if at == known.shape[axis] - 1 else at >> width << width) * known.strides[axis]
             wholes, parts = blocks if level == 0 else wholes, 1 << (coarser - shift)
             for whole in range(wholes):
                 if level > 0 and known.of_block[before + whole] > _HALVED:

@@ -1,4 +1,4 @@
-"""Arrays of results: in memory, or where they are large in files that the system writes out as it needs memory."""
+"""Arrays of results: in memory, or, where they are large, mapped to files that the system writes as it needs memory."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class ScratchError(ClunkError):
 class Scratch:
     """Maker of arrays, in memory or mapped to temporary files.
 
-    directory : for files, without a name where the system allows that, that go with the arrays; None for memory
+    directory : of the files, which have no name where the system allows that, and end with the arrays; None for memory
 
     Its methods raise ScratchError where the disk has no room.
     """
@@ -86,7 +86,7 @@ def refuse_if_too_large(shape: Sequence[int], directory: Path | None) -> None:
 
 
 def _memory() -> float:
-    """Memory of this machine in bytes; infinite where it does not tell."""
+    """Memory of this machine in bytes; infinite where that is unknown."""
     try:
         return float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):

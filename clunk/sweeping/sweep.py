@@ -11,13 +11,13 @@ from contextlib import AbstractContextManager, closing, contextmanager, nullcont
 from functools import cached_property
 from pathlib import Path
 
+from clunk.core.status import Status
 from clunk.results.regimemap import Results
-from clunk.results.store import StoreError, read, read_header, read_map, write
-from clunk.results.tolerancemap import ToleranceMap
+from clunk.results.store import StoreError, read, read_header, write
 from clunk.study.designs import Design, design_of, has_tolerances
 from clunk.study.study import Study, digest
 from clunk.sweeping.assembly import MendedReduction, RefinedReduction, RegimeReduction
-from clunk.sweeping.cells import complaint, warm_up
+from clunk.sweeping.cells import warm_up
 from clunk.sweeping.engines import EngineError, Work, available_cores, run_tiles
 from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory
 from clunk.sweeping.progress import Progress
@@ -26,15 +26,14 @@ from clunk.sweeping.reduction import AnyMap, Reduction, SweepError
 from clunk.sweeping.scratch import refuse_if_too_large, scratch_for
 from clunk.sweeping.tolerances import ToleranceReduction
 
-__all__ = ["Job", "SweepError", "cell_count", "engine_of", "opened", "sweep", "tolerance_map", "warm_up"]
+__all__ = ["Job", "SweepError", "cell_count", "engine_of", "opened", "sweep", "warm_up"]
 
 HAS_TOLERANCES = "The study has [[sweep.tolerances]]: clunk.tolerance_map runs it."
-NO_TOLERANCES = "The study has no [[sweep.tolerances]]: clunk.sweep runs it."
 _WAYS_OUT = "Name another file, or overwrite it with --force (in Python, force=True)."
 
 
 class Job:
-    """One sweep, from what there is of it to its map; `opened` makes one of a results file.
+    """A sweep, from the cells that are finished already to its map; `opened` makes one of a results file.
 
     Parameters
     ----------
@@ -79,17 +78,17 @@ class Job:
     @cached_property
     def reduction(self) -> Reduction[AnyMap]:
         """Empty arrays of the map. Raises SweepError where nothing can run, or the arrays don't fit in memory."""
-        study, design = self.study, self.design
+        design = self.design
         if not design.shape:
             raise SweepError("There is nothing to sweep: the config has no [[sweep.axes]] and no [[sweep.samples]].")
         on_disk = None if self.directory is None else self.directory.path
         refuse_if_too_large(design.shape, on_disk)
-        if has_tolerances(study):
-            return ToleranceReduction(study)
+        if has_tolerances(self.study):
+            return ToleranceReduction(self.study)
         scratch = scratch_for(design.cells, on_disk)
         if self.earlier is not None:
-            return MendedReduction(study, self.earlier, scratch)
-        return (RefinedReduction if self.refine else RegimeReduction)(study, design, scratch)
+            return MendedReduction(self.study, self.earlier, scratch)
+        return (RefinedReduction if self.refine else RegimeReduction)(self.study, design, scratch)
 
     @cached_property
     def parts(self) -> Parts | None:
@@ -98,7 +97,7 @@ class Job:
 
     @property
     def kept(self) -> str:
-        """What is on the disk of a sweep that was stopped, for people."""
+        """Sentence on the finished cells of a sweep that was stopped."""
         if self.parts is None or not self.parts.kept:
             return "no cell was finished"
         return f"{self.parts.kept:,} cells are kept in {self.parts.directory.path}; the same command goes on from there"
@@ -134,8 +133,9 @@ class Job:
             raise SweepError(f"A sweep needs at least one worker, not {workers}.")
         began = time.perf_counter()
         reduction, parts = self.reduction, self.parts
-        if (why := complaint(reduction.runner.shared())) is not None:
-            raise SweepError(f"No cell can run: {why}.")
+        shared = reduction.runner.shared()
+        if shared is not None and (status := Status(shared[0].status)) != Status.OK:
+            raise SweepError(f"No cell can run: {status.sentence}.")
         before = reduction.done
         for tile in parts.read() if parts is not None else ():
             reduction.add(tile)
@@ -143,7 +143,17 @@ class Job:
             progress(reduction.done, max(reduction.done, self.design.cells))
         try:
             with nullcontext(engine) if engine is not None else _threads(workers) as executor:
-                self._run_tiles(executor, reduction, parts, progress)
+                finished = reduction.done
+                work = Work(reduction.runner, reduction.first(), may_grow=reduction.may_grow)
+                # closing it abandons the cells that run at an interrupt
+                with closing(run_tiles(executor, reduction.runner, work)) as tiles:
+                    for tile in tiles:
+                        reduction.add(tile)
+                        if parts is not None:
+                            parts.add(tile)
+                        work.add(reduction.next(tile.cells))
+                        if progress is not None:
+                            progress(reduction.done, finished + work.known)
         except (KeyboardInterrupt, SystemExit, EngineError) as stopped:  # SIGINT, SIGTERM, workers gone
             if parts is not None:
                 parts.flush()
@@ -155,41 +165,10 @@ class Job:
         result = reduction.result(provenance(engine))
         self.ran, self.seconds = reduction.done - before, time.perf_counter() - began
         if self.path is not None:
-            self._save(result, self.path)
+            write(self.path, result, None if self.directory is None else self.directory.path)
+            if self.directory is not None:
+                self.directory.remove()
         return result
-
-    def _run_tiles(
-        self, engine: Executor, reduction: Reduction[AnyMap], parts: Parts | None, progress: Progress | None
-    ) -> None:
-        before = reduction.done
-        work = Work(reduction.runner, reduction.first(), may_grow=reduction.may_grow)
-        with closing(run_tiles(engine, reduction.runner, work)) as tiles:  # an interrupt abandons the running cells
-            for tile in tiles:
-                reduction.add(tile)
-                if parts is not None:
-                    parts.add(tile)
-                work.add(reduction.next(tile.cells))
-                if progress is not None:
-                    progress(reduction.done, before + work.known)
-
-    def _save(self, result: AnyMap, path: Path) -> None:
-        """Put the map into its place, and remove the parts."""
-        directory = None if self.directory is None else self.directory.path
-        write(path, result, directory)
-        if self.directory is not None:
-            self.directory.remove()
-
-    def read(self) -> AnyMap:
-        """The map of a file that is complete already. Raises StoreError."""
-        assert self.path is not None
-        return read_map(self.path)
-
-    def tidy(self) -> None:
-        """Remove what a sweep that was killed after its file was in place has left; another sweep's parts stay."""
-        if self.directory is not None and self.directory.parts():
-            with suppress(PartsError):
-                _ = self.parts
-                self.directory.clear()
 
 
 @contextmanager
@@ -202,15 +181,13 @@ def opened(
     restart: bool = False,
     force: bool = False,
 ) -> Iterator[Job]:
-    """Lock a results file for a sweep, and see what is there.
+    """Lock a results file for a sweep, and take up the finished cells.
 
     Parameters
     ----------
     path : path of the results file, whose directory exists; None for a sweep in memory
-    refine : bool, run only where labels change, and infer the other cells
+    refine, restart, force : as of `clunk.sweep`
     retry : bool, run only the failed cells of the finished file again
-    restart : bool, neither go on with a stopped sweep nor keep a finished one
-    force : bool, overwrite whatever is there
 
     Raises
     ------
@@ -233,15 +210,17 @@ def opened(
         elif path.exists() and not force:
             counts = _complete_counts(path, study, restart=restart, refine=refine)
         job = Job(study, refine=refine, earlier=earlier, directory=directory, path=path, counts=counts)
-        if counts is not None:
-            job.tidy()
-        elif restart:
+        if counts is not None and directory.parts():  # of a process that was killed when its file was in place
+            with suppress(PartsError):  # another sweep's parts stay
+                _ = job.parts
+                directory.clear()
+        elif counts is None and restart:
             directory.clear()
         yield job
 
 
 def _complete_counts(path: Path, study: Study, *, restart: bool, refine: bool) -> dict[str, int] | None:
-    """The counts of a file that holds this very sweep; whatever else is there is refused."""
+    """The counts of a file that holds this very sweep. Raises SweepError where it holds anything else."""
     try:
         header = read_header(path)
     except StoreError as error:
@@ -265,11 +244,11 @@ def engine_of(
     scheduler : str or None
         Its address, ``tcp://host:8786``; or ``local`` for worker processes on this machine; or None for threads.
     workers : int, optional
-        Threads or processes here; by default one for each core that this process may use.
+        Threads, or processes of this machine; by default one for each core that this process may use.
     say : callable(text), optional
-        Called with what is being waited for.
+        Called with messages on what the engine waits for.
 
-    Raises EngineError where there is no such thing as the address, or no dask.
+    Raises EngineError where the address is none, or dask is not installed.
     """
     if workers is not None and workers < 1:
         raise EngineError(f"A sweep needs at least one worker, not {workers}.")
@@ -310,21 +289,6 @@ def sweep(
     results = Job(study, design, refine=refine).run(engine, workers=workers, progress=progress)
     assert isinstance(results, Results)
     return results
-
-
-def tolerance_map(
-    study: Study,
-    *,
-    workers: int | None = None,
-    engine: Executor | None = None,
-    progress: Progress | None = None,
-) -> ToleranceMap:
-    """Run the cells of a study for every draw of its tolerances, in memory; as `sweep`."""
-    if not has_tolerances(study):
-        raise SweepError(NO_TOLERANCES)
-    result = Job(study).run(engine, workers=workers, progress=progress)
-    assert isinstance(result, ToleranceMap)
-    return result
 
 
 def cell_count(study: Study) -> int:

@@ -48,11 +48,11 @@ class Tile:
 
 
 def to_pieces(tiles: Sequence[Tile], origin: bytes) -> list[bytes | memoryview]:
-    """All tiles' cells, then their records, then their details, as they are in memory, behind a checksum.
+    """Bytes of tiles, to be written one piece after the other; nothing is copied.
 
-    The pieces are to be written one after the other; nothing is copied.
+    They are a header with a checksum, all tiles' cells, their records, and their details, as they are in memory.
 
-    origin : 32 bytes that stand for the study and the versions that the tiles are of
+    origin : 32 bytes that identify the study and the versions of the tiles
     """
     counts = sum(tile.cells.size for tile in tiles), sum(tile.details.size for tile in tiles)
     arrays = [getattr(tile, name) for name in ("cells", "records", "details") for tile in tiles]
@@ -61,7 +61,7 @@ def to_pieces(tiles: Sequence[Tile], origin: bytes) -> list[bytes | memoryview]:
 
 
 def from_bytes(raw: bytes, origin: bytes, layout: Layout) -> Tile:
-    """Read the tiles that `to_pieces` wrote, as one. Raises ValueError where a bit differs, or the origin."""
+    """One tile of the bytes that `to_pieces` made. Raises ValueError where a bit or the origin differs."""
     if len(raw) < _HEADER.size:
         raise ValueError("truncated")
     magic, cells, details, written_origin, checksum = _HEADER.unpack_from(raw)
@@ -69,9 +69,8 @@ def from_bytes(raw: bytes, origin: bytes, layout: Layout) -> Tile:
         raise ValueError("of another study or version")
     body = memoryview(raw)[_HEADER.size :]
     width = 8 + layout.record.itemsize
-    if len(body) != width * cells + layout.detail.itemsize * details:
-        raise ValueError("damaged")
-    if _checksum(cells, details, origin, body) != checksum:
+    size = width * cells + layout.detail.itemsize * details
+    if len(body) != size or _checksum(cells, details, origin, body) != checksum:
         raise ValueError("damaged")
     return Tile(
         np.frombuffer(body[: 8 * cells], np.int64).copy(),  # reductions keep the cells; a view would keep all the bytes

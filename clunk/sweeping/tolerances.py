@@ -17,11 +17,11 @@ from clunk.core.tile import LONGEST_PATTERN
 from clunk.results.labels import FAILED_CODE
 from clunk.results.tolerancemap import QUANTILES, ToleranceMap
 from clunk.study.axes import ResultAxis
-from clunk.study.designs import design_of, drawn_numbers
+from clunk.study.designs import FloatArray, design_of, drawn_numbers
 from clunk.study.parameters import nominal_value, quantity
 from clunk.study.study import Study
-from clunk.sweeping.assembly import flanks_of
-from clunk.sweeping.cells import DRIVING, KEPT_SYSTEMS, FloatArray, Grid, Prepared, Records, Stop
+from clunk.sweeping.assembly import flanks_of, long_sequences
+from clunk.sweeping.cells import DRIVING, KEPT_SYSTEMS, Grid, Prepared, Records, Stop
 from clunk.sweeping.reduction import Flanks, Reduction
 from clunk.sweeping.tiles import Cells, Layout, Tile
 
@@ -53,6 +53,7 @@ class SampleRunner:
     grid : Grid of the nominal cells
     drawn : the sample, by parameter, each (draws,)
     draws : int, size of the sample
+    tile_cells : int, the most cells of a tile, so that its memory does not depend on the size of the sample
     """
 
     layout = Layout(TOLERANCE_CELL, OUTCOME, "outcomes")
@@ -63,22 +64,14 @@ class SampleRunner:
         self._tolerances = study.sweep.tolerances
         self.draws = self.runs = study.sweep.sampling.count
         numbers = drawn_numbers(study, self._tolerances)
-        self.drawn = {own.parameter: drawn for own, drawn in zip(self._tolerances, numbers, strict=True)}
+        self.drawn = {each.parameter: drawn for each, drawn in zip(self._tolerances, numbers, strict=True)}
         self._new_systems = any(parameter not in DRIVING for parameter in self.drawn)
-
-    @property
-    def method(self) -> str:
-        """The method of the runs: ``rk4`` or ``exact``."""
-        return self.grid.method
-
-    @property
-    def tile_cells(self) -> int:
-        """The most cells of a tile; its memory does not depend on the size of the sample."""
+        self.method = self.grid.method
         room = _MOST_TILE_RUNS if self._new_systems and self.draws > KEPT_SYSTEMS else _TILE_RUNS
-        return max(1, room // self.draws)
+        self.tile_cells = max(1, room // self.draws)
 
     def ordered(self, cells: Cells) -> Cells:
-        """Cells, those that share their systems beside each other."""
+        """Cells in the order of their systems."""
         return np.concatenate([cells[:0], *(cells[positions] for _, positions in self.grid.groups(cells))])
 
     def shared(self) -> Prepared | None:
@@ -113,15 +106,15 @@ class SampleRunner:
     def _at(
         self, draw: int, system: Mapping[str, float], cells: Mapping[str, FloatArray]
     ) -> tuple[dict[str, float], dict[str, FloatArray]]:
-        """Structural values and those of the cells at a draw, each drawn around that of its cell."""
+        """Values at a draw, structural and of the cells, drawn around the nominal ones."""
         system, cells = dict(system), dict(cells)
-        for own in self._tolerances:
-            parameter, drawn = own.parameter, self.drawn[own.parameter][draw]
+        for tolerance in self._tolerances:
+            parameter = tolerance.parameter
+            drawn, nominal = self.drawn[parameter][draw], nominal_value(self.grid.study, parameter)
             if parameter in DRIVING:
-                cells[parameter] = own.applied(drawn, cells.get(parameter, nominal_value(self.grid.study, parameter)))
+                cells[parameter] = tolerance.applied(drawn, cells.get(parameter, nominal))
             else:
-                nominal = system.get(parameter, nominal_value(self.grid.study, parameter))
-                system[parameter] = float(own.applied(drawn, nominal))
+                system[parameter] = float(tolerance.applied(drawn, system.get(parameter, nominal)))
         return system, cells
 
 
@@ -142,12 +135,12 @@ class ToleranceReduction(Reduction[ToleranceMap]):
         """See `Reduction.fill`."""
         self._records[index] = tile.records
         entries = []
-        owners = np.repeat(tile.cells, tile.records["outcomes"]).tolist()
-        for owner, flanks, count, nominal in _outcomes(owners, tile.details):
+        cells_of_outcomes = np.repeat(tile.cells, tile.records["outcomes"]).tolist()
+        for cell, flanks, count, nominal in _outcomes(cells_of_outcomes, tile.details):
             code = FAILED_CODE if flanks is None else self.code(flanks)
-            entries.append((owner, code, count))
+            entries.append((cell, code, count))
             if nominal:
-                self._nominal[owner] = code
+                self._nominal[cell] = code
         cells, codes, runs = np.array(entries, np.int64).reshape(-1, 3).T
         self._runs.append((cells, codes, runs))
 
@@ -177,26 +170,21 @@ def sample_of(study: Study, drawn: Mapping[str, FloatArray]) -> tuple[ResultAxis
     """The sample as axes of results: the drawn numbers of each parameter, with name and unit."""
     assert study.sweep is not None
     sample = []
-    for own in study.sweep.tolerances:
-        known = quantity(own.parameter)
-        what = {"value": "", "factor": ": factor on its nominal value", "offset": ": offset from its nominal value"}
-        unit = "1" if own.draws == "factor" else known.unit
-        sample.append(ResultAxis(own.parameter, drawn[own.parameter], known.name + what[own.draws], known.symbol, unit))
+    for tolerance in study.sweep.tolerances:
+        parameter, draws, known = tolerance.parameter, tolerance.draws, quantity(tolerance.parameter)
+        suffix = {"value": "", "factor": ": factor on its nominal value", "offset": ": offset from its nominal value"}
+        unit = "1" if draws == "factor" else known.unit
+        sample.append(ResultAxis(parameter, drawn[parameter], known.name + suffix[draws], known.symbol, unit))
     return tuple(sample)
 
 
 def _numbered(records: Records, impacts: list[Records], long: list[Flanks]) -> npt.NDArray[np.uint64]:
     """The runs' patterns; where a sequence is too long for one, `_LONG` and its number in `long`, which grows."""
     patterns: npt.NDArray[np.uint64] = records["pattern"].copy()
-    too_long = np.flatnonzero((patterns == 0) & (records["status"] == Status.OK))
-    if too_long.size:
-        flanks = np.concatenate(impacts)["flank"]
-        ends = np.cumsum(records["primary_impacts"])
-        for k in too_long:
-            sequence = tuple(flanks[ends[k] - records["primary_impacts"][k] : ends[k]].tolist())
-            if sequence not in long:
-                long.append(sequence)
-            patterns[k] = _LONG + long.index(sequence)
+    for k, flanks in long_sequences(records, impacts):
+        if flanks not in long:
+            long.append(flanks)
+        patterns[k] = _LONG + long.index(flanks)
     return patterns
 
 
@@ -224,10 +212,10 @@ def _words(flanks: Flanks) -> list[int]:
     return [int("1" + "".join("1" if flank == OPPOSITE else "0" for flank in part), 2) for part in parts]
 
 
-def _outcomes(owners: list[int], entries: Records) -> Iterator[tuple[int, Flanks | None, int, bool]]:
-    """(owner, flanks or None where it failed, runs, whether nominal) of each outcome."""
+def _outcomes(cells: list[int], entries: Records) -> Iterator[tuple[int, Flanks | None, int, bool]]:
+    """(cell, flanks or None where it failed, runs, whether nominal) of each outcome; cells : of the entries."""
     begins = np.flatnonzero(entries["runs"] != _GOES_ON)
     for begin, end in zip(begins, [*begins[1:], len(entries)], strict=True):
         words = entries["pattern"][begin:end].tolist()
         flanks = tuple(flank for word in words for flank in flanks_of(word)) if words[0] else None
-        yield owners[begin], flanks, int(entries["runs"][begin]), bool(entries["nominal"][begin])
+        yield cells[begin], flanks, int(entries["runs"][begin]), bool(entries["nominal"][begin])
