@@ -147,19 +147,13 @@ class Grid:
     def run_group(
         self, values: Mapping[str, float], drive: Drive, buffer: Records, stop: Stop
     ) -> tuple[Records, list[Records]]:
-        """Runs of one system.
+        """Records and impacts of runs of one system, of those that were done before `stop` was set.
 
-        Parameters
-        ----------
         values : of the structural parameters
         drive : of each run
         buffer : IMPACT, to work in; see `impact_buffer`
-        stop : (1,) uint8
 
-        Returns
-        -------
-        records, impacts
-            Of the runs that were done before `stop` was set: CELL, one each, and IMPACT, in pieces.
+        Returns CELL, one of each run, and IMPACT, in pieces.
         """
         system, tables = self.prepared(values)
         solver = self.study.solver

@@ -135,15 +135,10 @@ class _Sweep:
 class Cluster(Executor):
     """The workers of a scheduler, while this is open.
 
-    Parameters
-    ----------
-    address : str
-        Of the scheduler, ``tcp://host:8786``; or `LOCAL` for one with workers on this machine, which end with this.
-        A script that uses `LOCAL` needs Python's ``if __name__ == "__main__":``.
-    workers : int, optional
-        Processes of `LOCAL`; by default one for each core that this process may use.
-    say : callable(text), optional
-        Called with messages on what it waits for.
+    address : of the scheduler, ``tcp://host:8786``; or `LOCAL` for one with workers on this machine, which end with
+        this; a script that uses that needs Python's ``if __name__ == "__main__":``
+    workers : processes of `LOCAL`; by default one for each core that this process may use
+    say : called with messages on what it waits for
 
     Raises EngineError where there is no scheduler, or one of its workers has other versions.
     """

@@ -70,45 +70,30 @@ def coarse_spacing(design: Design) -> tuple[int, ...]:
 
 
 class _Map(NamedTuple):
-    """The known cells and blocks, in C order; the blocks of all levels behind one another, coarsest first.
+    """The known cells and blocks, in C order; the blocks of all levels behind one another, coarsest first."""
 
-    shape, strides : (axes,), in cells
-    position, origin : (axes,), room for a cell's indices, and for those of a block's first cell
-    corners : (3**axes,), room for the corners of a block's halves
-    regimes, touches : (cells,) int32, the regime and the number of touches + 1; `UNKNOWN` where they are
-    crest, asked : (cells,) bool, whether a cell is known to lie on a crest; whether it is known or has been asked for
-    shifts : (levels + 1, axes), log2 of a block's width in cells; the last row is of single cells, which are no blocks
-    blocks, hops : (levels, axes), number of blocks, and from one to the next in their numbers
-    first : (levels,), where a level's blocks begin
-    of_block : (all blocks,) int32, regime of its known cells; `UNKNOWN` without any, `_HALVED` or `_RUN` where halved
-    fewest, most : (all blocks,) int32, touches of its known cells, if there are any
-    directions : (n, axes), of two opposite ones one; along : (n,), a step of each in cells
-    ahead, behind : (n,), room for the number of cells to the edge of the map
-    beside_crest, beside_thin : (n, axes), offsets of the cells to run around one on a crest, or of a thin regime
-    """
-
-    shape: Cells
-    strides: Cells
-    position: Cells
-    origin: Cells
-    corners: Cells
-    regimes: Integers
-    touches: Integers
-    crest: Mask
-    asked: Mask
-    shifts: Cells
-    blocks: Cells
-    hops: Cells
-    first: Cells
-    of_block: Integers
-    fewest: Integers
-    most: Integers
-    directions: Cells
-    along: Cells
-    ahead: Cells
-    behind: Cells
-    beside_crest: Cells
-    beside_thin: Cells
+    shape: Cells  # (axes,), in cells
+    strides: Cells  # (axes,), in cells
+    position: Cells  # (axes,), room for a cell's indices
+    origin: Cells  # (axes,), room for those of a block's first cell
+    corners: Cells  # (3**axes,), room for the corners of a block's halves
+    regimes: Integers  # (cells,), `UNKNOWN` where they are
+    touches: Integers  # (cells,), one more than there are; `UNKNOWN`
+    crest: Mask  # (cells,), whether a cell is known to lie on one
+    asked: Mask  # (cells,), whether it is known or has been asked for
+    shifts: Cells  # (levels + 1, axes), log2 of a block's width; the last row is of single cells, which are no blocks
+    blocks: Cells  # (levels, axes), number of blocks
+    hops: Cells  # (levels, axes), from one to the next in their numbers
+    first: Cells  # (levels,), number of a level's first block
+    of_block: Integers  # (all blocks,), regime of its known cells; `UNKNOWN` without any, `_HALVED` or `_RUN` if halved
+    fewest: Integers  # (all blocks,), touches of its known cells, if there are any
+    most: Integers  # (all blocks,)
+    directions: Cells  # (n, axes), of two opposite ones one
+    along: Cells  # (n,), a step of each direction in cells
+    ahead: Cells  # (n,), room for the number of cells to the edge of the map
+    behind: Cells  # (n,), room for the number against the direction
+    beside_crest: Cells  # (n, axes), offsets of the cells to run around one on a crest
+    beside_thin: Cells  # (n, axes), of those around one of a thin regime
 
 
 class Refinement:
@@ -158,18 +143,11 @@ class Refinement:
         self._coarse = np.unique(np.ravel_multi_index(np.meshgrid(*edges, indexing="ij"), tuple(shape)))
 
     def take(self, cells: Cells, regimes: Integers, touches: Integers) -> Cells:
-        """Take the regimes and touches of cells that have been run.
+        """Take the regimes and touches of cells that have been run; returns further cells to run, in ascending order.
 
-        Parameters
-        ----------
-        cells : (n,) int64, numbers in C order, in any order; none at first
-        regimes : (n,) int32, a number from 1, equal where the regimes are; or `DOUBTFUL`
-        touches : (n,) int32
-
-        Returns
-        -------
-        cells : (m,) int64
-            Further cells to run, in ascending order.
+        cells : (n,), numbers in C order, in any order; none at first
+        regimes : (n,), a number from 1, equal where the regimes are; or `DOUBTFUL`
+        touches : (n,)
         """
         known = self._map
         known.regimes[cells], known.touches[cells], known.asked[cells] = regimes, touches + 1, True
@@ -360,7 +338,7 @@ def _has_fewer(touches: Integers, cell: int, step: int, reach: int) -> bool:
 def _is_thin(regimes: Integers, cell: int, step: int) -> bool:
     """Whether a cell differs in regime from both of its neighbours, all three known."""
     regime, above, below = regimes[cell], regimes[cell + step], regimes[cell - step]
-    return bool(regime > UNKNOWN and above not in (UNKNOWN, regime) and below not in (UNKNOWN, regime))
+    return bool(regime > UNKNOWN and above != UNKNOWN and below != UNKNOWN and above != regime and below != regime)
 
 
 @unowned_inlined

@@ -35,29 +35,14 @@ _WAYS_OUT = "Name another file, or overwrite it with --force (in Python, force=T
 class Job:
     """A sweep, from the cells that are finished already to its map; `opened` makes one of a results file.
 
-    Parameters
-    ----------
-    study : Study
-        With at least one axis or sample; with tolerances, the map is a ToleranceMap, else Results.
-    design : Design, optional
-        Cells to run instead of those of the study's own sweep.
-    refine : bool
-        Run only a coarse grid and what `clunk.sweeping.refinement` asks for, and infer the other cells.
-    earlier : Results, optional
-        Finished results of which only the failed cells are run again, with another [solver].
-    directory : WorkingDirectory, optional
-        Open; finished cells are kept there as the sweep goes on, and taken up from there.
-    path : Path, optional
-        Results file to write.
-    counts : dict, optional
-        Number of cells of each label, if the file is complete already: then there is nothing to run.
-
-    Attributes
-    ----------
-    ran : int
-        Number of cells that `run` has run.
-    seconds : float
-        How long it took to run them.
+    study : with at least one axis or sample; with tolerances, the map is a ToleranceMap, else Results
+    design : cells to run instead of those of the study's sweep
+    refine : whether to run only a coarse grid and what `clunk.sweeping.refinement` asks for, and infer the other cells
+    earlier : finished results of which only the failed cells are run again, with another [solver]
+    directory : open; finished cells are kept there as the sweep goes on, and taken up from there
+    path : results file to write
+    counts : number of cells of each label, if the file is complete already, so that there is nothing to run
+    ran, seconds : number of cells that `run` has run, and the time that they took
     """
 
     def __init__(
@@ -105,29 +90,13 @@ class Job:
     def run(
         self, engine: Executor | None = None, *, workers: int | None = None, progress: Progress | None = None
     ) -> AnyMap:
-        """Run the cells that are not there yet, and put the map in its file, if it has one.
+        """Run the cells that are not finished, and write the map to its file, if it has one.
 
-        Parameters
-        ----------
-        engine : Executor, optional
-            What runs tiles of cells, see `clunk.sweeping.engines`; by default threads.
-        workers : int, optional
-            Number of these threads; by default one for each core that this process may use.
-        progress : callable(done, total), optional
-            Called in this thread with the number of cells, first of those taken up and then after each tile.
+        engine : runs tiles of cells, see `clunk.sweeping.engines`; by default threads
+        workers : number of these threads; by default one for each core that this process may use
+        progress : called in this thread with the number of cells, first of those taken up and then after each tile
 
-        Raises
-        ------
-        SweepError
-            Where there is nothing to sweep, the grid does not fit in memory, or no cell of it could run.
-        PartsError, StoreError
-            Where finished cells or the results cannot be kept.
-        ScratchError
-            Where the disk has no room for the results.
-        EngineError
-            Where the engine cannot go on; the finished cells have been kept.
-        KeyboardInterrupt
-            Passed on after the running cells have been abandoned, and the finished ones kept.
+        Raises as `clunk.sweep`, and ScratchError where the disk has no room for the results.
         """
         if workers is not None and workers < 1:
             raise SweepError(f"A sweep needs at least one worker, not {workers}.")
@@ -183,20 +152,12 @@ def opened(
 ) -> Iterator[Job]:
     """Lock a results file for a sweep, and take up the finished cells.
 
-    Parameters
-    ----------
-    path : path of the results file, whose directory exists; None for a sweep in memory
+    path : results file, whose directory exists; None for a sweep in memory
     refine, restart, force : as of `clunk.sweep`
-    retry : bool, run only the failed cells of the finished file again
+    retry : whether to run only the failed cells of the finished file again
 
-    Raises
-    ------
-    SweepError
-        Where the file holds something else.
-    StoreError
-        Where `retry` finds no file that can be read.
-    PartsError
-        Where the file is being written, or another sweep into it has been stopped.
+    Raises SweepError where the file holds something else, StoreError where `retry` finds none that can be read, and
+    PartsError where it is being written, or another sweep into it has been stopped.
     """
     if path is None:
         yield Job(study, refine=refine)
@@ -239,14 +200,9 @@ def engine_of(
 ) -> AbstractContextManager[Executor]:
     """Engine to be opened: this process's threads, or the workers of a dask scheduler.
 
-    Parameters
-    ----------
-    scheduler : str or None
-        Its address, ``tcp://host:8786``; or ``local`` for worker processes on this machine; or None for threads.
-    workers : int, optional
-        Threads, or processes of this machine; by default one for each core that this process may use.
-    say : callable(text), optional
-        Called with messages on what the engine waits for.
+    scheduler : address, ``tcp://host:8786``; or ``local`` for processes on this machine; or None for threads
+    workers : number of threads or of these processes; by default one for each core that this process may use
+    say : called with messages on what the engine waits for
 
     Raises EngineError where the address is none, or dask is not installed.
     """
