@@ -17,14 +17,14 @@ from clunk.results.labels import FAILED_CODE
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.study.config import study_from_text
-from clunk.study.designs import Design
+from clunk.study.designs import Cells, Design
 from clunk.study.study import Study, digest
-from clunk.sweeping.cells import Grid
+from clunk.sweeping.cells import Grid, Records
 from clunk.sweeping.engines import available_cores
-from clunk.sweeping.reduction import Flanks, Reduction, SweepError, listed
+from clunk.sweeping.reduction import Flanks, Reduction, SweepError
 from clunk.sweeping.refinement import DOUBTFUL, Refinement, coarse_spacing
 from clunk.sweeping.scratch import Scratch
-from clunk.sweeping.tiles import Cells, Tile
+from clunk.sweeping.tiles import Tile
 
 _SHORT = 1 << 12  # patterns below it, of up to eleven primaries, are looked up in a table
 _UNSEEN = -2  # the code there of a pattern that has not turned up yet
@@ -218,15 +218,17 @@ class MendedReduction(RegimeReduction):
     def result(self, attributes: dict[str, str]) -> Results:
         """See `Reduction.result`."""
         mended, earlier = super().result(attributes), self._earlier
+        more = self._failed.size - 100
         failed_again = int(np.count_nonzero(mended.sequence.ravel()[self._failed] == FAILED_CODE))
         changes = [
             f"solver.{key} = {value} instead of {getattr(self._before.solver, key)}"
             for key, value in self.study.solver.model_dump().items()
             if value != getattr(self._before.solver, key)
         ]
+        cells = ", ".join(map(str, self._failed[:100])) + (f", … ({more} more)" if more > 0 else "")
         note = (
             f"{self._failed.size} failed cells run again with {', '.join(changes) or 'the same solver'}: "
-            f"{failed_again} failed again; cells {listed(self._failed)} in C order"
+            f"{failed_again} failed again; cells {cells} in C order"
         )
         notes = {key: value for key, value in earlier.attributes.items() if key == "refinement"}
         notes["retried"] = "; ".join(text for text in (earlier.attributes.get("retried"), note) if text)
@@ -279,9 +281,7 @@ def flanks_of(pattern: int) -> Flanks:
     return tuple(OPPOSITE if bit == "1" else INITIAL for bit in bin(pattern)[3:])
 
 
-def long_sequences(
-    records: npt.NDArray[np.void], impacts: Sequence[npt.NDArray[np.void]]
-) -> Iterator[tuple[int, Flanks]]:
+def long_sequences(records: Records, impacts: Sequence[Records]) -> Iterator[tuple[int, Flanks]]:
     """Positions and flanks of the runs whose sequences are too long for a pattern; impacts : IMPACT, in pieces."""
     long = np.flatnonzero((records["pattern"] == 0) & (records["status"] == Status.OK))
     if long.size:

@@ -17,12 +17,12 @@ from clunk.core.regimes import System
 from clunk.core.rk4.propagator import Steps
 from clunk.simulation import driveline
 from clunk.simulation.load import load_step
-from clunk.study.designs import Design, FloatArray, design_of
+from clunk.study.designs import Cells, Design, FloatArray, design_of
 from clunk.study.study import Study, replace_values
-from clunk.sweeping.tiles import Cells, Layout, Tile
+from clunk.sweeping.tiles import Layout, Tile
 
 Records = npt.NDArray[np.void]
-Stop = npt.NDArray[np.uint8]  # (1,); set by another thread, it ends the work within a run
+Flag = npt.NDArray[np.uint8]  # (1,); set by another thread, it ends the work within a run
 Prepared = tuple[System, Steps | Flows]  # a system and its method's tables
 
 CELL, IMPACT = kernel.CELL, kernel.IMPACT
@@ -119,7 +119,7 @@ class Grid:
         for values, end, begin in zip(unique.tolist(), ends, [0, *ends[:-1]], strict=True):
             yield dict(zip(self._structural, values, strict=True)), order[begin:end]
 
-    def run(self, cells: Cells, stop: Stop) -> Tile:
+    def run(self, cells: Cells, stop: Flag) -> Tile:
         """Run cells; the tile has those that were done before `stop` was set."""
         drive = self.drive(self.design.at(cells), cells.size)
         buffer = self.impact_buffer(cells.size)
@@ -145,7 +145,7 @@ class Grid:
         return np.zeros(8 * runs + self.study.solver.max_events, IMPACT)
 
     def run_group(
-        self, values: Mapping[str, float], drive: Drive, buffer: Records, stop: Stop
+        self, values: Mapping[str, float], drive: Drive, buffer: Records, stop: Flag
     ) -> tuple[Records, list[Records]]:
         """Records and impacts of runs of one system, of those that were done before `stop` was set.
 

@@ -30,18 +30,11 @@ from distributed import Client, KilledWorker, LocalCluster
 
 from clunk.core.jit import is_cold
 from clunk.results.files import reason
-from clunk.sweeping.engines import (
-    EngineError,
-    Runner,
-    Stop,
-    Work,
-    available_cores,
-    cpu_model,
-    run_tile,
-    tile_size,
-)
+from clunk.study.designs import Cells
+from clunk.sweeping import engines
+from clunk.sweeping.engines import EngineError, Runner, Stop, Work
 from clunk.sweeping.provenance import versions
-from clunk.sweeping.tiles import Cells, Tile
+from clunk.sweeping.tiles import Tile
 
 LOCAL = "local"
 
@@ -145,7 +138,7 @@ class Cluster(Executor):
 
     def __init__(self, address: str, workers: int | None = None, say: Callable[[str], None] | None = None) -> None:
         self._address = address
-        self._workers = workers or available_cores()
+        self._workers = workers or engines.available_cores()
         self._say = say or (lambda _text: None)
         self._processors: set[str] = set()
         self._open = ExitStack()
@@ -179,7 +172,7 @@ class Cluster(Executor):
         A system that all cells share is prepared here. Those of structural axes are prepared where they are needed, by
         LAPACK, which on a processor of another type may round differently.
         """
-        return "; ".join(sorted(self._processors)) or cpu_model()
+        return "; ".join(sorted(self._processors)) or engines.cpu_model()
 
     def next_tile(self, running: int, work: Work, runner: Runner) -> int:
         """Number of cells of the next tile; 0 where enough tiles are running."""
@@ -187,17 +180,17 @@ class Cluster(Executor):
             return 0
         threads, sweep = self._threads(), self._sweep
         if sweep is None or sweep.runner is not runner or sweep.ended:
-            pace = _Pace(tile_size(work.size, runner, threads), max(1, _LARGEST // runner.runs))
+            pace = _Pace(engines.tile_size(work.size, runner, threads), max(1, _LARGEST // runner.runs))
             sweep = _Sweep(runner, Stop(), versions(), pace)
             self._check_workers(sweep)
             self._sweep = sweep
         if work.may_grow:
-            sweep.pace.least = tile_size(work.known, runner, threads)
+            sweep.pace.least = engines.tile_size(work.known, runner, threads)
         return sweep.pace.cells(work.size, threads) if running < _IN_FLIGHT * threads else 0
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any, **_options: Any) -> Future[Any]:
         """Run a tile on a worker; `function` is `clunk.sweeping.engines.run_tile`."""
-        assert function is run_tile
+        assert function is engines.run_tile
         runner, cells, stop = arguments
         sweep = self._sweep
         assert sweep is not None
@@ -400,12 +393,12 @@ def _run(cells: Cells | tuple[int, int], pickled: bytes, stop: Stop, wanted: Map
         return _Answer(worker, 0.0, None)
     numbers = np.arange(*cells, dtype=np.int64) if isinstance(cells, tuple) else np.array(cells)
     began = time.perf_counter()
-    tile = run_tile(_runner(pickled), numbers, stop)
+    tile = engines.run_tile(_runner(pickled), numbers, stop)
     return _Answer(worker, time.perf_counter() - began, tile)
 
 
 def _described(dask_worker: distributed.Worker) -> _Worker:
-    return _Worker(dask_worker.address, versions(), cpu_model())
+    return _Worker(dask_worker.address, versions(), engines.cpu_model())
 
 
 @functools.lru_cache(2)

@@ -20,10 +20,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from clunk.study.designs import Cells
 from clunk.study.errors import ClunkError
-from clunk.sweeping.cells import Prepared
-from clunk.sweeping.cells import Stop as Flag
-from clunk.sweeping.tiles import Cells, Layout, Tile
+from clunk.sweeping.cells import Flag, Prepared
+from clunk.sweeping.tiles import Layout, Tile
 
 _AHEAD = 2  # tiles handed to each worker; by the time that it could get to more, cells may be added that belong to them
 _AHEAD_OF_WHOLE = 8  # of tiles of the largest size: they go on while a part is written to the disk, 0.3 s

@@ -228,7 +228,7 @@ def _flat(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
         for number, value in enumerate(node, 1):
             yield from _flat(value, f"{key}[{number}]")
     else:
-        yield key, list(node) if isinstance(node, tuple) else node
+        yield key, node
 
 
 def _differences(earlier: Mapping[str, Any], current: Mapping[str, Any]) -> list[str]:

@@ -7,7 +7,6 @@ maps (`clunk.sweeping.assembly`) and tolerance maps (`clunk.sweeping.tolerances`
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -17,11 +16,11 @@ from clunk.core.sequence import label
 from clunk.results.labels import FAILED_CODE
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
-from clunk.study.designs import Design
+from clunk.study.designs import Cells, Design
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study, digest, to_toml
 from clunk.sweeping.engines import Runner
-from clunk.sweeping.tiles import Cells, Tile
+from clunk.sweeping.tiles import Tile
 
 AnyMap = Results | ToleranceMap
 SomeMap = TypeVar("SomeMap", bound=AnyMap, covariant=True)
@@ -56,12 +55,11 @@ class Reduction(ABC, Generic[SomeMap]):
 
     def add(self, tile: Tile) -> None:
         """Add a tile's cells; those that are there already are passed over."""
-        index = as_index(tile.cells)
-        new = ~self.known[index]
+        new = ~self.known[as_index(tile.cells)]
         if not new.all():
-            owned = np.repeat(new, tile.records[self.runner.layout.counted_by])
-            tile = Tile(tile.cells[new], tile.records[new], tile.details[owned])
-            index = as_index(tile.cells)
+            of_new = np.repeat(new, tile.records[self.runner.layout.counted_by])
+            tile = Tile(tile.cells[new], tile.records[new], tile.details[of_new])
+        index = as_index(tile.cells)
         self.fill(tile, index)
         self.known[index] = True
         self.done += tile.cells.size
@@ -111,10 +109,3 @@ def as_index(cells: Cells) -> slice | Cells:
     if cells.size and np.all(cells[1:] - cells[:-1] == 1):
         return slice(int(cells[0]), int(cells[-1]) + 1)
     return cells
-
-
-def listed(cells: Iterable[int], most: int = 100) -> str:
-    """Numbers of cells, for people; of many the first ones."""
-    numbers = [str(cell) for cell in cells]
-    shown = ", ".join(numbers[:most])
-    return f"{shown}, … ({len(numbers) - most} more)" if len(numbers) > most else shown

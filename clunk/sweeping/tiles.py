@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-Cells = npt.NDArray[np.int64]  # numbers of cells in C order of the design
+from clunk.study.designs import Cells
 
 _MAGIC = b"clunk tiles 2\n\0\0"
 _HEADER = struct.Struct("<16sQQ32s32s")  # magic, cells, details, origin, SHA-256 of all other bytes
@@ -37,7 +37,7 @@ class Layout:
 class Tile:
     """Results of some cells.
 
-    cells : (n,) int64, in any order, consecutive or not
+    cells : (n,) int64, numbers in C order of the design; in any order, consecutive or not
     records : (n,) of the layout's record type
     details : (N,) of its detail type, those of each cell behind those of the cell before it
     """

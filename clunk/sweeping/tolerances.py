@@ -17,13 +17,13 @@ from clunk.core.tile import LONGEST_PATTERN
 from clunk.results.labels import FAILED_CODE
 from clunk.results.tolerancemap import QUANTILES, ToleranceMap
 from clunk.study.axes import ResultAxis
-from clunk.study.designs import FloatArray, design_of, drawn_numbers
+from clunk.study.designs import Cells, FloatArray, design_of, drawn_numbers
 from clunk.study.parameters import nominal_value, quantity
 from clunk.study.study import Study
 from clunk.sweeping.assembly import flanks_of, long_sequences
-from clunk.sweeping.cells import DRIVING, KEPT_SYSTEMS, Grid, Prepared, Records, Stop
+from clunk.sweeping.cells import DRIVING, KEPT_SYSTEMS, Flag, Grid, Prepared, Records
 from clunk.sweeping.reduction import Flanks, Reduction
-from clunk.sweeping.tiles import Cells, Layout, Tile
+from clunk.sweeping.tiles import Layout, Tile
 
 _QUANTILE_FIELDS = [f"severity_{100 * quantile:g}" for quantile in QUANTILES]
 
@@ -78,7 +78,7 @@ class SampleRunner:
         """The system and tables that all runs share, if they do."""
         return None if self._new_systems else self.grid.shared()
 
-    def run(self, cells: Cells, stop: Stop) -> Tile:
+    def run(self, cells: Cells, stop: Flag) -> Tile:
         """Run cells; a tile that was stopped has none."""
         at = self.grid.design.at(cells)
         patterns = np.zeros((cells.size, self.draws + 1), np.uint64)  # the nominal run last
