@@ -132,7 +132,7 @@ class RegimeReduction(Reduction[Results]):
 class RefinedReduction(RegimeReduction):
     """The arrays of Results of which only a coarse grid is run and the cells that `Refinement` asks for.
 
-    The others get the label, flanks and initial flank of their neighbours, and of no quantity a value: NaN, -1 touches.
+    The remaining cells get label, flanks and initial flank of their neighbours, and no quantities: NaN, -1 touches.
     """
 
     may_grow = True

@@ -40,7 +40,7 @@ LOCAL = "local"
 
 _CONNECTING = 4.0  # s
 _IN_FLIGHT = 3  # tiles for each thread of the workers
-_ASKING = 1.0  # s between two looks at how many threads there are
+_ASKING = 1.0  # s between two looks at the number of threads
 _FETCHED = 8  # tiles at once
 _SHORTEST = 0.2  # s, of a tile
 _ATTENTION = 4e-3  # s of this process for a tile, with a margin
@@ -154,7 +154,7 @@ class Cluster(Executor):
                 scheduler = opened.enter_context(_local_cluster(self._workers))
             try:
                 self._client = Client(scheduler, timeout=_CONNECTING, set_as_default=False, name="clunk")
-            except Exception as error:  # whatever answers at that address, or does not
+            except Exception as error:  # any: the address may be of another service, or of none
                 raise EngineError(
                     f"No scheduler answers at {self._address} ({reason(error)}): start one with 'dask scheduler'."
                 ) from error
@@ -169,8 +169,8 @@ class Cluster(Executor):
     def processors(self) -> str:
         """The models of the processors that ran cells.
 
-        A system that all cells share is prepared here. Those of structural axes are prepared where they are needed, by
-        LAPACK, which on a processor of another type may round differently.
+        A system that all cells share is prepared in this process. Those of structural axes are prepared on the workers,
+        by LAPACK, which on a processor of another type may round differently.
         """
         return "; ".join(sorted(self._processors)) or engines.cpu_model()
 

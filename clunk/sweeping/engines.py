@@ -4,7 +4,7 @@ An engine is anything with the shape of `concurrent.futures.Executor`: threads b
 scheduler (`clunk.sweeping.distributed`). A cell's result depends on nothing but its parameters, so neither the engine,
 the cut into tiles, the order nor the number of workers can change a bit of it.
 
-An engine may have two methods besides: `next_tile(running, work, runner)`, as `next_tile` here, and `processors()`.
+An engine may have two methods besides: `next_tile(running, work, runner)`, as the function below, and `processors()`.
 """
 
 from __future__ import annotations

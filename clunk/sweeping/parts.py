@@ -1,7 +1,7 @@
 """Finished cells on their way to the results file: a working directory beside it, NAME.h5.partial.
 
     lock             held by the one process that writes; it dies with that process
-    manifest.json    what is being computed, by which versions
+    manifest.json    the study, the plan of the sweep and the versions
     part-000001      the cells that finished in the first seconds; and so on
 
 A part is complete before it gets its name, and is checked when it is read. The results file is assembled once, beside
@@ -27,7 +27,7 @@ from clunk.sweeping.provenance import versions
 from clunk.sweeping.reduction import AnyMap, Reduction
 from clunk.sweeping.tiles import Tile, from_bytes, to_pieces
 
-_FIRST_PART = 2.0  # s: what is done sooner is as soon done again
+_FIRST_PART = 2.0  # s: a shorter sweep is as soon run again
 _PART = 1.5  # s, at least; a part of 20,000 cells is 3 MB and takes 25 ms
 _LONGEST_PART = 30.0  # s
 _LARGEST_PART = 1 << 20  # cells, about 120 MB: many workers are faster than any clock

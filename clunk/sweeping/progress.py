@@ -35,7 +35,7 @@ def shown(total: int, unit: str = "cells") -> Iterator[Progress]:
 class _State:
     """Progress as text, and as HTML where a front end shows it.
 
-    rate : a second, since the first report; what was done by then may be of an earlier run
+    rate : a second, since the first report, which may include the cells of an earlier run
     """
 
     def __init__(self, total: int, unit: str) -> None:
@@ -97,11 +97,11 @@ def _terminal_bar(state: _State) -> Iterator[Callable[[], None]]:
 
 @contextmanager
 def _notebook_bar(state: _State) -> Iterator[Callable[[], None]]:
-    """An element of HTML that IPython's own display replaces; rich and tqdm need ipywidgets for theirs."""
+    """An element of HTML that IPython's display replaces; rich and tqdm need ipywidgets for theirs."""
     from IPython.display import display
 
     handle = display(state, display_id=True)
     try:
         yield lambda: handle.update(state) if state.is_due(_BAR_EVERY) else None
     finally:
-        handle.update(state)  # what was reached stays in the notebook, after an interrupt too
+        handle.update(state)  # the last state stays in the notebook, after an interrupt too

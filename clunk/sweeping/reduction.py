@@ -1,4 +1,4 @@
-"""Reductions: from the finished tiles of a sweep, in whatever order they come, to a map that does not depend on it.
+"""Reductions: maps of the finished tiles of a sweep, which do not depend on the order of the tiles.
 
 A sweep is a design, the cells of which a runner runs to tiles, and a reduction that makes a map of the tiles. Regime
 maps (`clunk.sweeping.assembly`) and tolerance maps (`clunk.sweeping.tolerances`) differ in these two and in no more.
@@ -39,9 +39,9 @@ class Reduction(ABC, Generic[SomeMap]):
     study, design : of the cells
     runner : makes the tiles
     plan : which cells are run, for people
-    may_grow : whether finished cells may ask for others; see `next`
+    may_grow : whether finished cells may ask for further ones; see `next`
     known : (cells,) bool, whether a cell has been added
-    done : how many have
+    done : number of cells that have been added
     """
 
     plan = "every cell"

@@ -1,4 +1,4 @@
-"""Refined maps: the cells that have to be run where the others follow from their neighbours. No physics.
+"""Refined maps: the cells that have to be run for the rest to follow from their neighbours. No physics.
 
 The grid is cut into blocks between every `spacing`-th cell of each axis, and these into halves, down to single cells.
 A block's edges belong to it, so that what a neighbour's refinement finds on a shared edge counts too. One is halved if
@@ -153,7 +153,7 @@ class Refinement:
         known.regimes[cells], known.touches[cells], known.asked[cells] = regimes, touches + 1, True
         coarse, self._coarse = self._coarse[~known.asked[self._coarse]], self._coarse[:0]  # once
         known.asked[coarse] = True
-        wanted = np.empty(known.regimes.size, np.int64)  # what is not written to takes no memory
+        wanted = np.empty(known.regimes.size, np.int64)  # pages that are not written to take no memory
         count = _take(known, cells, wanted)
         return np.sort(np.concatenate((coarse, wanted[:count])))
 
@@ -361,7 +361,7 @@ def _infer(known: _Map) -> None:
     levels, last = len(known.first), known.shape[-1] - 1
     for row in range(0, len(known.regimes), last + 1):
         _unravel(known, row)
-        # of the level before, this row's first block, how many there are, and log2 of their width
+        # of the level before, this row's first block, the number of its blocks, and log2 of their width
         before, wholes, coarser = 0, 0, known.shifts[0, -1]
         for level in range(levels):
             shift, blocks, first = known.shifts[level, -1], known.blocks[level, -1], known.first[level]

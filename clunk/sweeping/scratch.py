@@ -19,7 +19,7 @@ from clunk.sweeping.reduction import SweepError
 
 _BLOCK = 1 << 28  # bytes
 _BYTES_PER_CELL = 400  # the most that a cell's results, their assembly and writing take
-_BYTES_IN_MEMORY = 50  # of them, what has to be in memory where the results are put together on the disk
+_BYTES_IN_MEMORY = 50  # of them, those that have to be in memory where the results are assembled on the disk
 _LARGE_SHARE = 0.25  # of the memory
 
 

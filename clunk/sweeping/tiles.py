@@ -61,7 +61,7 @@ def to_pieces(tiles: Sequence[Tile], origin: bytes) -> list[bytes | memoryview]:
 
 
 def from_bytes(raw: bytes, origin: bytes, layout: Layout) -> Tile:
-    """One tile of the bytes that `to_pieces` made. Raises ValueError where a bit or the origin differs."""
+    """Read the bytes that `to_pieces` made, as a single tile. Raises ValueError where a bit or the origin differs."""
     if len(raw) < _HEADER.size:
         raise ValueError("truncated")
     magic, cells, details, written_origin, checksum = _HEADER.unpack_from(raw)

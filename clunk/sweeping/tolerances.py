@@ -129,7 +129,7 @@ class ToleranceReduction(Reduction[ToleranceMap]):
         cells = self.design.cells
         self._records = np.zeros(cells, TOLERANCE_CELL)
         self._nominal = np.zeros(cells, np.int64)  # codes
-        self._runs: list[tuple[Cells, Cells, Cells]] = []  # cells, codes, and how many runs
+        self._runs: list[tuple[Cells, Cells, Cells]] = []  # cells, codes, and numbers of runs
 
     def fill(self, tile: Tile, index: slice | Cells) -> None:
         """See `Reduction.fill`."""
