@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import strategies as st
 
+from helpers import reference
 from helpers.reference import Plant
 
 END_TIME = 0.5  # s
@@ -70,17 +71,70 @@ def plants(draw, restitution=None):
             pass
         else:
             return plant, None
-    angles = st.floats(-1.0, 1.0).map(lambda value: round(value, 4))
+    return plant, _state_in_the_gap(draw, plant)
+
+
+def _state_in_the_gap(draw, plant):
+    angles, n = st.floats(-1.0, 1.0).map(lambda value: round(value, 4)), plant.n
     state = np.array([0.1 * draw(angles) for _ in range(n)] + [3.0 * draw(angles) for _ in range(n)])
-    # somewhere in the gap
     inside = 0.4 * plant.backlash * draw(angles)
     state[:n] += plant.twist * (inside - plant.twist @ state[:n]) / (plant.twist @ plant.twist)
-    return plant, state
+    return state
+
+
+@st.composite
+def profiles(draw):
+    """A load profile whose changes last from a fraction of a contact period to longer than a run."""
+    durations = st.floats(-3.0, -0.2).map(lambda power: round(10.0**power, 5))
+    name = draw(st.sampled_from(["step", "ramp", "smooth", "lag", "pulse", "table", "table", "sine"]))
+    if name == "step":
+        return reference.step()
+    if name == "table":
+        waits = st.one_of(durations, durations, durations, st.just(0.0))
+        times, torques = [0.0], [draw(st.sampled_from([-8.0, -4.0, 4.0, 8.0]))]
+        for wait in draw(st.lists(waits, max_size=8)):
+            third = wait == 0.0 and times[-2:-1] == times[-1:]  # three equal times are an error
+            times.append(times[-1] + (0.01 if third else wait))
+            torques.append(round(draw(st.floats(-8.0, 8.0)), 3))
+        return reference.table(times, torques)
+    if name == "sine":
+        frequency = round(draw(st.floats(0.5, 40.0)), 3)
+        return reference.sine(round(draw(st.floats(0.2, 5.0)), 3), frequency, draw(st.sampled_from([0.0, 1.0, -2.0])))
+    return getattr(reference, name)(draw(durations))
+
+
+@st.composite
+def general_plants(draw, restitution=None):
+    """A plant with gear ratios and a load profile, often free to roll, and its state: None for steady motion."""
+    plant, _ = draw(plants(restitution))
+    ratios = st.sampled_from([1.0, 1.0, 1.0, -1.0, 2.5, 0.4, -0.7, 3.7])
+    shafts = plant.shafts
+    if "ground" not in plant.lash and draw(st.integers(0, 2)) > 0:  # springs to ground go, or leave a bearing
+        bearing = draw(st.sampled_from([0.0, 0.0, 0.02]))
+        shafts = tuple((*ends, 0.0, bearing) if "ground" in ends else (*ends, k, c) for *ends, k, c in shafts)
+    plant = replace(
+        plant,
+        shafts=shafts,
+        ratios=tuple(draw(ratios) for _ in shafts),
+        lash_ratio=draw(ratios),
+        profile=draw(profiles()),
+    )
+    if draw(st.integers(0, 4)) > 0:
+        try:
+            plant.preload()
+        except ValueError:  # the load does not reach the lash
+            pass
+        else:
+            return plant, None
+    return plant, _state_in_the_gap(draw, plant)
 
 
 def nudged(plant, state, share):
     """The same, a little off, in everything that a run starts from."""
     if state is None:
-        return replace(plant, before=plant.before * (1.0 + share), backlash=plant.backlash * (1.0 - 0.3 * share)), None
+        first, *others = plant.profile.torques or (0.0,)
+        profile = replace(plant.profile, torques=(first * (1.0 + share), *others)[: len(plant.profile.torques)])
+        backlash = plant.backlash * (1.0 - 0.3 * share)
+        return replace(plant, before=plant.before * (1.0 + share), backlash=backlash, profile=profile), None
     signs = np.where(np.arange(state.size) % 2, 1.0, -1.0)
     return plant, state * (1.0 + share * signs)
