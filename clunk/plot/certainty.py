@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib import colors, ticker
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -21,14 +20,10 @@ from clunk.plot.labelling import label_and_note
 from clunk.plot.layers import Layers
 from clunk.plot.notes import cells_phrase, set_notes, swatch
 from clunk.plot.painting import Colours, new_map, paint_regimes, shaded_map
-from clunk.plot.plane import View, drawn_axes, scale_axis
-from clunk.plot.raster import Raster
-from clunk.plot.regions import regions_of
+from clunk.plot.plane import Floats, View, drawn_axes, scale_axis
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.quantities import CELL_QUANTITIES, TOLERANCE_QUANTITIES
 from clunk.results.tolerancemap import CERTAIN, QUANTILES, ToleranceMap
-
-Floats = npt.NDArray[np.float64]
 
 _SEVERITIES = {"severity": TOLERANCE_QUANTITIES["severity_mean"].plot_label} | {
     f"severity_{100 * level:g}": f"{100 * level:g} % {TOLERANCE_QUANTITIES['severity_quantiles'].heading_with_unit}"
@@ -59,22 +54,21 @@ def default_quantities(tolerances: ToleranceMap) -> list[str]:
     return ["regimes", "double_sided"] + ["severity"] * bool(np.isfinite(tolerances.severity_mean).any())
 
 
+@style.styled()
 def likely_regimes(tolerances: ToleranceMap) -> Figure:
     """The most likely label of every cell, paler where it is less certain, and the band where it is uncertain.
 
     Raises PlotError unless two axes were swept.
     """
     layers = _present(Layers.of(tolerances, 2))
-    with style.styled():
-        figure, ax = new_map(layers, f"most likely of {tolerances.draws:,} draws")
-        regions = regions_of(layers.codes)
-        paint_regimes(ax, layers, regions)
-        _fade(ax, layers.view, layers.view.arrange(tolerances.certainty))
-        more = _fade_notes(tolerances)
-        label_and_note(figure, ax, layers, lambda: Raster.of(ax, regions, layers.view), more=more)
-        return figure
+    figure, ax = new_map(layers, f"most likely of {tolerances.draws:,} draws")
+    paint_regimes(ax, layers)
+    _fade(ax, layers.view, layers.view.arrange(tolerances.certainty))
+    label_and_note(figure, ax, layers, _fade_notes(tolerances))
+    return figure
 
 
+@style.styled()
 def _quantity_map(tolerances: ToleranceMap, name: str) -> Figure:
     """A probability or a severity of every cell as colour, under the most likely regimes' boundaries."""
     values = tolerances.double_sided if name == "double_sided" else _severity(tolerances, name)
@@ -85,13 +79,13 @@ def _quantity_map(tolerances: ToleranceMap, name: str) -> Figure:
         colours = Colours(label, colors.Normalize(0.0, 1.0), _PROBABLE, formatter=percent)
     else:
         colours = Colours(_SEVERITIES[name], colors.Normalize(np.nanmin(values), np.nanmax(values)))
-    with style.styled():
-        lines = layers.boundaries_note.replace("the regimes", "the most likely regimes")
-        figure, ax = shaded_map(layers, colours, f"{tolerances.draws:,} draws; {lines}")
-        style.freeze_layout(figure, ax)
-        return figure
+    lines = layers.boundaries_note.replace("the regimes", "the most likely regimes")
+    figure, ax = shaded_map(layers, colours, f"{tolerances.draws:,} draws; {lines}")
+    style.freeze_layout(figure, ax)
+    return figure
 
 
+@style.styled()
 def likelihood_curves(tolerances: ToleranceMap) -> Figure:
     """The probability of each label along one swept axis, stacked, over the severity's median and 5 to 95 % band.
 
@@ -99,18 +93,17 @@ def likelihood_curves(tolerances: ToleranceMap) -> Figure:
     """
     layers = Layers.of(tolerances, 1)
     x = layers.view.x.values
-    with style.styled():
-        figure = style.new_figure()
-        share, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 1.3))
-        style.set_titles(figure, share, layers.title, layers.subtitle(f"{tolerances.draws:,} draws"))
-        notes = [*_stack_labels(share, tolerances, layers.view), *_draw_severity(ax, tolerances, layers.view)]
-        scale_axis(ax, "x", layers.view.x)
-        if len(x) > 1:
-            ax.set_xlim(x[0], x[-1])
-        style.tidy(ax)
-        set_notes(figure, notes)
-        style.freeze_layout(figure, share)
-        return figure
+    figure = style.new_figure()
+    share, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 1.3))
+    style.set_titles(figure, share, layers.title, layers.subtitle(f"{tolerances.draws:,} draws"))
+    notes = [*_stack_labels(share, tolerances, layers.view), *_draw_severity(ax, tolerances, layers.view)]
+    scale_axis(ax, "x", layers.view.x)
+    if len(x) > 1:
+        ax.set_xlim(x[0], x[-1])
+    style.tidy(ax)
+    set_notes(figure, notes)
+    style.freeze_layout(figure, share)
+    return figure
 
 
 def _stack_labels(ax: Axes, tolerances: ToleranceMap, view: View) -> list[Artist]:
@@ -158,14 +151,13 @@ def _severity(tolerances: ToleranceMap, name: str) -> Floats:
 
 def _present(layers: Layers) -> Layers:
     """Layers with those labels only that are the most likely one somewhere, and codes numbered by them."""
-    codes = np.full(layers.codes.shape, FAILED_CODE, np.int16)
-    for number, label in enumerate(layers.present):
-        codes[layers.codes == layers.labels.index(label)] = number
+    present = [layers.labels.index(label) for label in layers.present]
+    codes = np.where(layers.failed, FAILED_CODE, np.searchsorted(present, layers.codes)).astype(np.int16)
     return replace(layers, labels=tuple(layers.present), codes=codes)
 
 
 def _fade(ax: Axes, view: View, certainty: Floats) -> None:
-    """White over the cells, the more the less certain they are, and a line around the band."""
+    """Lay white over the cells, the more the less certain they are, and draw a line around the band."""
     levels = [-1.0, *(below for below, _ in _FADES[::-1])]
     white = [(1.0, 1.0, 1.0, amount) for _, amount in _FADES[::-1]]
     x, y = view.x.values, view.y.values

@@ -9,8 +9,6 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
-from matplotlib import patheffects
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -22,17 +20,13 @@ from clunk.plot.labelling import settle
 from clunk.plot.layers import Layers
 from clunk.plot.notes import cells_phrase, failed_notes, remark, swatch
 from clunk.plot.painting import draw_boundaries, hatch_failed, new_map, paint_regimes
-from clunk.plot.plane import View
+from clunk.plot.plane import Bools, Floats, View
 from clunk.plot.raster import Raster
-from clunk.plot.regions import regions_of
-from clunk.plot.style import FAINT_INK, INK, PlotError, palette_of, styled
+from clunk.plot.style import CENTRED, FAINT_INK, INK, PlotError, halo, palette_of, styled
 from clunk.results.labels import FAILED
 from clunk.results.regimemap import Results
 from clunk.study.problems import shorten
 from clunk.study.summaries import percent
-
-Bools = npt.NDArray[np.bool_]
-Floats = npt.NDArray[np.float64]
 
 # After Okabe and Ito (2008): far apart also for the colour blind, and none of them near the grey of the rare ones.
 _TRANSITION_COLOURS = ("#d55e00", "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9")
@@ -41,12 +35,17 @@ _MARK = (4.0, 8.0)  # points: a smaller square is not seen, a larger one hides w
 _DENSE = 0.1  # share of differing cells above which the labels stand on them instead of between them
 _FAINT_LINE = "#8f989f"
 
-_AGREES_COLOUR, _DIFFERS_COLOUR = INK, "#b23500"
+_AGREES, _DIFFERS = INK, "#b23500"
 _POINT = 6.5  # points, diameter of a measured point
+_POINT_LOOKS: dict[bool, dict[str, Any]] = {  # of points that agree, and that do not
+    True: {"marker": "o", "markersize": _POINT, "markerfacecolor": _AGREES, "markeredgecolor": "white"},
+    False: {"marker": "$\\otimes$", "markersize": _POINT + 2.0, "markerfacecolor": _DIFFERS, "markeredgecolor": "none"},
+}
 _POINT_TEXT = 8.0  # points
 _LINE = 92  # characters of the line under the title
 
 
+@styled()
 def difference_map(a: Results, b: Results, comparison: Comparison) -> Figure:
     """The regimes of A, faint, and on them each cell that has another label in B, coloured by the two labels.
 
@@ -56,38 +55,33 @@ def difference_map(a: Results, b: Results, comparison: Comparison) -> Figure:
     """
     if a.shape != comparison.differs.shape or b.shape != a.shape:
         raise PlotError("The comparison is of other maps than these two: the grids differ.")
-    layers = replace(Layers.of(a, 2), title=_title(comparison))
-    view, regions = layers.view, regions_of(layers.codes)
-    marks = _marks(view, comparison)
+    title = f"Differences: {a.title}" if a.title == b.title else "Differences between two maps"
+    layers = replace(Layers.of(a, 2), title=title)
+    view, marks = layers.view, _marks(layers.view, comparison)
     dense = comparison.differing > _DENSE * a.sequence.size
     line: dict[str, Any] = {"color": INK, "linewidth": 0.7} if dense else {"color": _FAINT_LINE, "linewidth": 0.8}
-    with styled():
-        figure, ax = new_map(layers, "\n".join(_differences(comparison)))
-        hatch_failed(ax, view, regions)
-        draw_boundaries(ax, view, regions, **line)
+    figure, ax = new_map(layers, "\n".join(_differences(comparison)))
+    hatch_failed(ax, layers)
+    draw_boundaries(ax, layers, **line)
 
-        def rasterise() -> Raster:
-            raster = Raster.of(ax, regions, view)
-            if not dense:
-                for mark in marks:
-                    raster.block(mark.x, mark.y, _mark_size(ax, view))
-                raster.clear_taken()
-            return raster
+    def take_marks(raster: Raster) -> None:
+        if not dense:
+            for mark in marks:
+                raster.block(mark.x, mark.y, _mark_size(ax, figure, view))
+            raster.clear_taken()
 
-        notes: list[Artist] = [Line2D([], [], label="regimes of A", **line)]
-        notes += [mark.handle() for mark in marks]
-        notes += failed_notes(layers.failed, f"{FAILED} in A")
-        settle(figure, ax, layers, rasterise, notes)
-        size = _mark_size(ax, view)
-        for mark in sorted(marks, key=lambda mark: mark.colour != _RARE_COLOUR):  # rare ones cover no colour
-            mark.draw(ax, size, dense=dense)
-        halo = [patheffects.Stroke(linewidth=2.4, foreground="white"), patheffects.Normal()]
-        for text in ax.texts:
-            text.set_color(INK if dense else FAINT_INK)
-            text.set_path_effects(halo)
-        return figure
+    notes: list[Artist] = [Line2D([], [], label="regimes of A", **line)]
+    notes += [mark.handle() for mark in marks]
+    notes += failed_notes(layers.failed, f"{FAILED} in A")
+    settle(figure, ax, layers, notes, take_marks)
+    for mark in sorted(marks, key=lambda mark: mark.colour != _RARE_COLOUR):  # rare ones cover no colour
+        mark.draw(ax, _mark_size(ax, figure, view), dense=dense)
+    for text in ax.texts:
+        text.set(color=INK if dense else FAINT_INK, path_effects=halo())
+    return figure
 
 
+@styled()
 def experiment_map(results: Results, comparison: ExperimentComparison) -> Figure:
     """The regime map with the measured points on it: filled where the labels agree, open and crossed where not.
 
@@ -96,37 +90,34 @@ def experiment_map(results: Results, comparison: ExperimentComparison) -> Figure
     Raises PlotError unless two axes were swept.
     """
     layers = Layers.of(results, 2)
-    view, regions = layers.view, regions_of(layers.codes)
+    view = layers.view
     points = [point for point in comparison.points if point.computed is not None]
     values = np.array([[point.values[k] for k in view.keep] for point in points]).reshape(-1, 2)
     values = np.clip(values, [axis.values[0] for axis in view.axes], [axis.values[-1] for axis in view.axes])
     caveat = textwrap.fill(comparison.experiment.caveat, _LINE)
     caveat = caveat[:1].upper() + caveat[1:]
-    with styled():
-        figure, ax = new_map(layers, f"points: measured, {comparison.experiment.name}\n{caveat}")
-        paint_regimes(ax, layers, regions, linewidth=0.7)
-        placed: list[tuple[Point, float, float]] = []
+    figure, ax = new_map(layers, f"points: measured, {comparison.experiment.name}\n{caveat}")
+    paint_regimes(ax, layers, linewidth=0.7)
+    placed: list[tuple[Point, float, float]] = []
 
-        def rasterise() -> Raster:
-            raster = Raster.of(ax, regions, view)
-            placed[:] = _place_points(raster, values, points)
-            return raster
+    def take_points(raster: Raster) -> None:
+        placed[:] = _place_points(raster, values, points)
 
-        notes = [*_point_handles(comparison), *failed_notes(layers.failed)]
-        palette = palette_of(results.labels)
-        more: list[Artist] = []
-        for _ in range(3):  # notes take height from the map, and less of the labels then has room
-            unlabelled = settle(figure, ax, layers, rasterise, [*notes, *more])
-            missing: list[Artist] = [swatch(label, palette[label]) for label in unlabelled]
-            if len(placed) < len(points):
-                missing.append(remark("a point without a label: no room"))
-            if len(missing) <= len(more):
-                break
-            more = missing
-        _draw_points(ax, values, points)
-        for point, x, y in placed:
-            _write_measured(ax, point, x, y)
-        return figure
+    notes = [*_point_handles(comparison), *failed_notes(layers.failed)]
+    palette = palette_of(results.labels)
+    more: list[Artist] = []
+    for _ in range(3):  # notes take height from the map, and less of the labels then has room
+        unlabelled = settle(figure, ax, layers, [*notes, *more], take_points)
+        missing: list[Artist] = [swatch(label, palette[label]) for label in unlabelled]
+        if len(placed) < len(points):
+            missing.append(remark("a point without a label: no room"))
+        if len(missing) <= len(more):
+            break
+        more = missing
+    _draw_points(ax, values, points)
+    for point, x, y in placed:
+        _write_measured(ax, point, x, y)
+    return figure
 
 
 class _Mark(NamedTuple):
@@ -139,23 +130,15 @@ class _Mark(NamedTuple):
     marker: str
 
     def draw(self, ax: Axes, size: float, *, dense: bool) -> None:
-        """Squares of this many points; where they are an area, the regimes' boundaries run over it."""
-        look: dict[str, Any] = {"linewidths": 0.0} if self.marker == "s" else {"linewidths": 1.0}
-        ax.scatter(
-            self.x,
-            self.y,
-            s=size**2,
-            color=self.colour,
-            marker=self.marker,
-            rasterized=len(self.x) > 4000,  # a vector file with a path for each of them would take seconds to show
-            clip_on=dense,  # a single cell on the border of the map is a whole mark
-            zorder=2 if dense else 4,
-            gid="differs",
-            **look,
-        )
+        """Draw squares of this many points; where they are an area, the regimes' boundaries run over it."""
+        look: dict[str, Any] = {"color": self.colour, "marker": self.marker, "zorder": 2 if dense else 4}
+        look["rasterized"] = len(self.x) > 4000  # a vector file with a path for each of them would take seconds to show
+        look["clip_on"] = dense  # a single cell on the border of the map is a whole mark
+        look["linewidths"] = 0.0 if self.marker == "s" else 1.0
+        ax.scatter(self.x, self.y, s=size**2, gid="differs", **look)
 
     def handle(self) -> Line2D:
-        """Its entry in the notes."""
+        """Make the entry in the notes."""
         return Line2D([], [], color=self.colour, marker=self.marker, markersize=7, linestyle="none", label=self.label)
 
 
@@ -166,8 +149,8 @@ def _marks(view: View, comparison: Comparison) -> list[_Mark]:
     failed_in_b = view.arrange(comparison.failed_b & ~comparison.failed_a)
     marks = []
     for transition, colour in zip(comparison.transitions, _TRANSITION_COLOURS, strict=False):
-        cells = codes_a == comparison.labels.index(transition.a)
-        cells &= codes_b == comparison.labels.index(transition.b)
+        code_a, code_b = comparison.labels.index(transition.a), comparison.labels.index(transition.b)
+        cells = (codes_a == code_a) & (codes_b == code_b)
         rest &= ~cells
         marks.append(_mark(view, cells, f"{transition.a} → {transition.b}", colour))
     rare = len(comparison.transitions) - len(marks)
@@ -184,26 +167,18 @@ def _mark(view: View, cells: Bools, text: str, colour: str, marker: str = "s") -
     return _Mark(f"{text}: {cells_phrase(i.size)}", view.x.values[i], view.y.values[j], colour, marker)
 
 
-def _mark_size(ax: Axes, view: View) -> float:
+def _mark_size(ax: Axes, figure: Figure, view: View) -> float:
     """Side of a mark in points: a cell's, as far as that can be seen and hides nothing."""
     box = ax.get_window_extent()
-    figure = ax.get_figure(root=True)
-    assert figure is not None
     cell = min(box.width / len(view.x.values), box.height / len(view.y.values)) * 72.0 / figure.dpi
     return float(np.clip(cell, *_MARK))
 
 
-def _title(comparison: Comparison) -> str:
-    """The title of a difference map."""
-    a, b = comparison.titles
-    return f"Differences: {a}" if a == b else "Differences between two maps"
-
-
 def _differences(comparison: Comparison) -> list[str]:
     """Number of differing cells, titles and config of both maps; for the line under the title."""
-    number = f"{comparison.differing:,} of {comparison.cells:,} cells differ"
-    share = f" ({percent(comparison.differing, comparison.cells)})" if comparison.cells else ""
-    lines = [number + share]
+    lines = [f"{comparison.differing:,} of {comparison.cells:,} cells differ"]
+    if comparison.cells:
+        lines[0] += f" ({percent(comparison.differing, comparison.cells)})"
     if comparison.titles[0] != comparison.titles[1]:
         for letter, title in zip("AB", comparison.titles, strict=True):
             lines += textwrap.wrap(f"{letter}: {title}", _LINE)
@@ -229,27 +204,19 @@ def _point_handles(comparison: ExperimentComparison) -> list[Artist]:
     if comparison.counted:
         agrees += f" ({percent(comparison.agreeing, comparison.counted)})"
     handles: list[Artist] = [
-        Line2D([], [], linestyle="none", label=agrees, **_look(agrees=True)),
-        Line2D([], [], linestyle="none", label="measured, differs", **_look(agrees=False)),
+        Line2D([], [], linestyle="none", label=text, **_POINT_LOOKS[agree])
+        for text, agree in ((agrees, True), ("measured, differs", False))
     ]
     if comparison.outside:
         handles.append(remark(f"outside the map, not counted: {comparison.outside}"))
     return handles
 
 
-def _look(*, agrees: bool) -> dict[str, Any]:
-    """Marker of a measured point."""
-    if agrees:
-        return {"marker": "o", "markersize": _POINT, "markerfacecolor": INK, "markeredgecolor": "white"}
-    look = {"marker": "$\\otimes$", "markersize": _POINT + 2.0, "markerfacecolor": _DIFFERS_COLOUR}
-    return look | {"markeredgecolor": "none"}
-
-
 def _write_measured(ax: Axes, point: Point, x: float, y: float) -> None:
     """Write a measured label beside its point."""
     box = {"boxstyle": "round,pad=0.12", "facecolor": "white", "alpha": 0.85, "edgecolor": "none"}
-    colour = _AGREES_COLOUR if point.agrees else _DIFFERS_COLOUR
-    look: dict[str, Any] = {"ha": "center", "va": "center", "color": colour, "bbox": box, "zorder": 7}
+    colour = _AGREES if point.agrees else _DIFFERS
+    look: dict[str, Any] = CENTRED | {"color": colour, "bbox": box, "zorder": 7}
     ax.text(x, y, point.measured, fontsize=_POINT_TEXT, parse_math=False, gid="measured", **look)
 
 
@@ -257,11 +224,9 @@ def _draw_points(ax: Axes, values: Floats, points: Sequence[Point]) -> None:
     """Draw the measured points."""
     common: dict[str, Any] = {"linestyle": "none", "clip_on": False, "zorder": 6}
     for (x, y), point in zip(values, points, strict=True):
-        if point.agrees:
-            ax.plot([x], [y], gid="agrees", **_look(agrees=True), **common)
-        else:
-            ax.plot([x], [y], "o", color="white", markersize=_POINT + 1.0, **common)
-            ax.plot([x], [y], gid="differs", **_look(agrees=False), **common)
+        if not point.agrees:
+            ax.plot([x], [y], marker="o", color="white", markersize=_POINT + 1.0, **common)
+        ax.plot([x], [y], gid="agrees" if point.agrees else "differs", **_POINT_LOOKS[bool(point.agrees)], **common)
 
 
 # Where a label goes beside its point, the first that is free: right, left, above, below, then askew.

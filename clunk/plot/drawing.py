@@ -18,7 +18,7 @@ from clunk.plot.strips import strip
 from clunk.plot.style import PlotError
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
-from clunk.study.axes import RUN, ResultAxis
+from clunk.study.axes import RUN
 
 
 def draw(
@@ -84,17 +84,16 @@ def default_quantities(
     """
     if isinstance(drawn, ToleranceMap):
         return certainty.default_quantities(drawn)
+    is_map = len(drawn_axes(drawn)) > 1
     if _has_runs(drawn) and not facets:
-        has_two = not _is_path(drawn) and (y is not None or (x is None and len(parameter_choice(drawn)) > 1))
-    else:
-        has_two = len(drawn_axes(drawn)) > 1
-    if not has_two:
+        is_map = not _is_path(drawn) and (y is not None or (x is None and len(parameter_choice(drawn)) > 1))
+    if not is_map:
         return [_hardness(drawn)]
     return ["regimes"] if drawn.inferred.any() else ["regimes", _hardness(drawn)]
 
 
 def _has_runs(results: Results) -> bool:
-    """Whether several runs are walked or drawn together."""
+    """Whether several runs are points of a path or of a sample."""
     return any(axis.parameter == RUN and len(axis.values) > 1 for axis in results.axes)
 
 
@@ -113,23 +112,17 @@ def _is_path(results: Results) -> bool:
     return results.setting("sweep.design") == "zip" and len(drawn_axes(results)) == 1
 
 
-def _is_monotonic(axis: ResultAxis) -> bool:
-    """Whether an axis's values rise or fall throughout."""
-    steps = np.diff(axis.values)
-    return bool((steps > 0.0).all() or (steps < 0.0).all())
-
-
 def _path(results: Results, quantity: str, x: str | None) -> Figure:
     """The strip along axes that are walked together."""
     run = results.axes[drawn_axes(results)[0]]
-    monotonic = [axis for axis in results.coordinates if _is_monotonic(axis)]
+    steps = [(axis, np.sign(np.diff(axis.values))) for axis in results.coordinates]
+    monotonic = [axis for axis, signs in steps if abs(signs.sum()) == signs.size]
     along = {axis.parameter: axis for axis in (*monotonic, run)}
     if x is not None and x not in along:
-        choice = f"x may be {' or '.join(along)}"
-        if any(axis.parameter == x for axis in results.coordinates):
-            raise PlotError(f"{x} neither rises nor falls throughout the runs; {choice}.")
-        raise PlotError(f"{x} does not change in these results; {choice}.")
-    chosen = along[x] if x is not None else next(iter(along.values()))
+        is_coordinate = any(axis.parameter == x for axis in results.coordinates)
+        problem = "neither rises nor falls throughout the runs" if is_coordinate else "does not change in these results"
+        raise PlotError(f"{x} {problem}; x may be {' or '.join(along)}.")
+    chosen = along[x or next(iter(along))]
     spans = [axis_span(axis) for axis in results.coordinates if axis is not chosen]
     axes = tuple(chosen if axis is run else axis for axis in results.axes)
     return strip(replace(results, axes=axes, coordinates=()), quantity, "; ".join(spans))

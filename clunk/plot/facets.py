@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -16,16 +17,14 @@ from matplotlib import ticker
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
-from matplotlib.text import Text
 
 from clunk.plot.labelling import label_regions
-from clunk.plot.layers import Floats, Layers, require_some, stacked, subtitle_of
+from clunk.plot.layers import Layers, stacked
 from clunk.plot.notes import failed_notes, label_notes, note_columns, set_notes, undecided_notes, undefined_notes
 from clunk.plot.painting import Colours, mark_undecided, paint_quantity, paint_regimes
-from clunk.plot.plane import SurplusAxesError, axis_label, drawn_axes, scale_axes, value_text
+from clunk.plot.plane import Floats, SurplusAxesError, axis_label, drawn_axes, scale_axes, value_text
 from clunk.plot.raster import Raster
-from clunk.plot.regions import Regions
-from clunk.plot.style import FAINT_INK, SIZE, PlotError, new_figure, styled, symbol_text, wrap
+from clunk.plot.style import FAINT_INK, SIZE, PlotError, freeze_layout, new_figure, styled, symbol_text
 from clunk.results.regimemap import Results
 from clunk.study.axes import RUN, ResultAxis
 
@@ -38,12 +37,11 @@ _NOTE = 0.18  # inches, of a row of notes
 _MOST_NOTES = 16  # labels
 _POINTS = 300  # across a panel: finer is not seen
 _SETTINGS = ((8.5, False), (7.5, False), (7.5, True), (6.5, False), (6.5, True))  # sizes of labels, and turned or not
-_MARGIN = 0.08  # inches, at the right of the titles
+
+_Panel = tuple[Axes, Layers]
 
 
-_Panel = tuple[Axes, Layers, Regions]
-
-
+@styled()
 def facet_map(results: Results, facets: Sequence[str], quantity: str = "regimes") -> Figure:
     """A map of the regimes or of a quantity for each value of one facet, or of two: rows, then columns.
 
@@ -55,30 +53,31 @@ def facet_map(results: Results, facets: Sequence[str], quantity: str = "regimes"
     slices = [results.at(dict(zip(facets, place, strict=True))) for place in product(*values)]
     is_regimes = quantity == "regimes"
     layers = [Layers.of(each, 2) if is_regimes else Layers.of_quantity(each, 2, quantity) for each in slices]
-    columns, rows = _arranged([len(each) for each in values])
-    with styled():
-        figure = new_figure(_size(columns, rows))
-        title = figure.suptitle(layers[0].title, fontsize=11.5, fontweight="bold", ha="left", parse_math=False)
-        inner = figure.add_subfigure(figure.add_gridspec(1, 1)[0])  # for a second title, and names of the axes
-        grid = inner.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-        for ax in grid.flat[len(layers) :]:
-            ax.remove()
-        panels = [(ax, each, Regions(each.codes, _POINTS)) for ax, each in zip(grid.flat, layers, strict=False)]
-        for ax, each, _ in panels:
-            _scale(ax, each)
-        _name_panels(grid, axes, values)
-        inner.supxlabel(axis_label(layers[0].view.x), fontsize=10.0)
-        inner.supylabel(axis_label(layers[0].view.y), fontsize=10.0)
-        notes = _paint_regimes(panels) if is_regimes else _paint_quantity(inner, panels)
-        line = _subtitle(results, axes, stacked(layers), figure.get_figwidth())
-        subtitle = inner.suptitle(line, fontsize=9.0, color=FAINT_INK, ha="left", parse_math=False)
-        set_notes(figure, notes)
-        if notes:
-            figure.set_figheight(figure.get_figheight() + _NOTE * math.ceil(len(notes) / note_columns(figure, notes)))
-        _freeze(figure, panels[0][0], title, subtitle)
-        for ax, each, regions in panels if is_regimes else []:
-            label_regions(Raster.of(ax, regions, each.view), results.labels, leaders=False, settings=_SETTINGS)
-        return figure
+    layers = [replace(each, points=_POINTS) for each in layers]
+    rows, columns, size = _layout([len(each) for each in values])
+    figure = new_figure(size)
+    figure.suptitle(layers[0].title, fontsize=11.5, fontweight="bold", ha="left", parse_math=False)
+    inner = figure.add_subfigure(figure.add_gridspec(1, 1)[0])  # for a second title, and names of the axes
+    grid = inner.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for ax in grid.flat[len(layers) :]:
+        ax.remove()
+    panels = list(zip(grid.flat, layers, strict=False))
+    for ax, each in panels:
+        _scale(ax, each)
+    _name_panels(grid, axes, values)
+    inner.supxlabel(axis_label(layers[0].view.x), fontsize=10.0)
+    inner.supylabel(axis_label(layers[0].view.y), fontsize=10.0)
+    notes = _paint_regimes(panels) if is_regimes else _paint_quantity(inner, panels)
+    line = _subtitle(results, axes, stacked(layers), figure.get_figwidth())
+    subtitle = inner.suptitle(line, fontsize=9.0, color=FAINT_INK, ha="left", parse_math=False)
+    set_notes(figure, notes)
+    if notes:
+        figure.set_figheight(figure.get_figheight() + _NOTE * math.ceil(len(notes) / note_columns(figure, notes)))
+    freeze_layout(figure, panels[0][0])
+    subtitle.set_x(panels[0][0].get_position().x0)
+    for ax, each in panels if is_regimes else []:
+        label_regions(Raster.of(ax, each), results.labels, leaders=False, settings=_SETTINGS)
+    return figure
 
 
 def shown_values(axis: ResultAxis, facets: int) -> Floats:
@@ -110,18 +109,12 @@ def _facet_axes(results: Results, facets: Sequence[str]) -> list[ResultAxis]:
     return [changing[facet] for facet in facets]
 
 
-def _arranged(counts: Sequence[int]) -> tuple[int, int]:
-    """Columns and rows of the panels."""
-    if len(counts) > 1:
-        return counts[1], counts[0]
-    columns = 2 if counts[0] in (2, 4) else 4 if counts[0] > 9 else min(counts[0], 3)
-    return columns, math.ceil(counts[0] / columns)
-
-
-def _size(columns: int, rows: int) -> tuple[float, float]:
-    """Of the figure without its notes, width and height  [inches]."""
+def _layout(counts: Sequence[int]) -> tuple[int, int, tuple[float, float]]:
+    """Number of rows and columns of the panels, and the figure's size without its notes  [inches]."""
+    columns = counts[-1] if len(counts) > 1 else 2 if counts[0] in (2, 4) else 4 if counts[0] > 9 else min(counts[0], 3)
+    rows = counts[0] if len(counts) > 1 else math.ceil(counts[0] / columns)
     panel = max((SIZE[0] - _AROUND[0]) / columns, _NARROWEST)
-    return _AROUND[0] + columns * panel, _AROUND[1] + rows * min(0.85 * panel, _HIGHEST)
+    return rows, columns, (_AROUND[0] + columns * panel, _AROUND[1] + rows * min(0.85 * panel, _HIGHEST))
 
 
 def _subtitle(results: Results, axes: Sequence[ResultAxis], layers: Layers, width: float) -> str:
@@ -133,7 +126,7 @@ def _subtitle(results: Results, axes: Sequence[ResultAxis], layers: Layers, widt
     if layers.quantity != "regimes":
         facts.append(layers.boundaries_note)
     fixed = [axis for axis in layers.view.fixed if axis.parameter not in varying]
-    return subtitle_of(layers.load, fixed, facts, width)
+    return layers.subtitle(*facts, fixed=fixed, width=width)
 
 
 def _scale(ax: Axes, layers: Layers) -> None:
@@ -175,38 +168,25 @@ def _named(axis: ResultAxis, value: float) -> str:
     return symbol_text(value_text(axis, value, symbol=True))
 
 
-def _freeze(figure: Figure, ax: Axes, title: Text, subtitle: Text) -> None:
-    """Settle where everything is, with both titles over the left edge of the first panel."""
-    figure.draw_without_rendering()
-    left = ax.get_window_extent().x0
-    room = figure.bbox.width - left - _MARGIN * figure.dpi
-    if wrap(figure, title, room):
-        figure.draw_without_rendering()
-    figure.set_layout_engine("none")
-    for text in (title, subtitle):
-        text.set_x(left / figure.bbox.width)
-
-
 def _paint_regimes(panels: Sequence[_Panel]) -> list[Artist]:
     """Draw the regimes of all panels; returns their notes."""
-    for ax, layers, regions in panels:
-        paint_regimes(ax, layers, regions, linewidth=0.6)
+    for ax, layers in panels:
+        paint_regimes(ax, layers, linewidth=0.6)
         mark_undecided(ax, layers)
-    together = stacked([layers for _, layers, _ in panels])
+    together = stacked([layers for _, layers in panels])
     # many labels are of few cells each, and hardly seen
     frequent = sorted(together.present, key=lambda label: -together.count(label))[:_MOST_NOTES]
-    labels = [label for label in together.present if label in frequent]
-    labels += [label for label in together.present if label not in frequent]
+    labels = sorted(together.present, key=lambda label: label not in frequent)
     notes = label_notes(together, labels, _MOST_NOTES, counted=False)
     return [*notes, *failed_notes(together.failed), *undecided_notes(together.undecided)]
 
 
 def _paint_quantity(inner: SubFigure, panels: Sequence[_Panel]) -> list[Artist]:
     """Draw a quantity of all panels and its colour bar; returns their notes."""
-    together = stacked([layers for _, layers, _ in panels])
-    require_some(together.values, together.quantity)
+    together = stacked([layers for _, layers in panels])
+    together.require_values()
     colours, dark = Colours.of(together.quantity, together.values), together.has_dark_lines
-    for ax, layers, regions in panels:
-        mesh = paint_quantity(ax, layers, regions, colours, dark=dark, linewidth=0.4)
-    colours.add_bar(inner, mesh, [ax for ax, _, _ in panels], aspect=40)
+    for ax, layers in panels:
+        mesh = paint_quantity(ax, layers, colours, dark=dark, linewidth=0.4)
+    colours.add_bar(inner, mesh, [ax for ax, _ in panels], aspect=40)
     return [*failed_notes(together.failed), *undefined_notes(together)]

@@ -5,10 +5,10 @@ Several runs are drawn over each other, told apart by colour and dashes, those o
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import cycle
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib import ticker
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -16,8 +16,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from clunk.plot import style
-from clunk.plot.history_panels import Curve, draw_acceleration, draw_angles, draw_backlash, draw_torque
-from clunk.plot.style import FAINT_INK, HISTORY_WIDTH, INK, MINUS, PlotError
+from clunk.plot.history_panels import Curve, draw_acceleration, draw_angles, draw_backlash, draw_torque, touch_look
+from clunk.plot.plane import Bools
+from clunk.plot.style import FAINT_INK, HISTORY_WIDTH, MINUS, PlotError
 from clunk.simulation.history import History
 from clunk.simulation.load import load_step
 
@@ -39,26 +40,27 @@ def angles(runs: Runs) -> Figure:
     return _stacked(runs, ((draw_angles, 4.0), (draw_torque, 1.0)), 5.2)
 
 
+@style.styled()
 def backlash(runs: Runs) -> Figure:
     """The backlash coordinate in its gap, every touch marked (Figure 3.2).
 
     Runs that differ in their contact alone share a panel; every other one has its own.
     """
-    panels = _panels(runs)
+    panels: list[Runs] = [[run for run in runs if run.setup == setup] for setup in dict.fromkeys(r.setup for r in runs)]
     if len(panels) > 1:  # a panel's title says what its runs have in common, and runs alike look alike
         panels = [_shortened(panel) for panel in panels]
         runs = [run for panel in panels for run in panel]
-    with style.styled():
-        figure, axes = _frame(runs, (1.0,) * len(panels), 1.5 + (3.4 if len(panels) == 1 else 2.3 * len(panels)))
-        looks = {run.name: look for run, look in _curves(runs)}
-        for ax, panel in zip(axes, panels, strict=True):
-            draw_backlash(ax, [(run, looks[run.name]) for run in panel])
-            if len(panels) > 1:
-                labels = dict.fromkeys(run.trajectory.label for run in panel)
-                ax.set_title(f"{_case(panel[0])}: {', '.join(labels)}", loc="right", fontsize=9.0)
-        return _finished(figure, axes, runs, marks=True)
+    figure, axes = _frame(runs, (1.0,) * len(panels), 1.5 + (3.4 if len(panels) == 1 else 2.3 * len(panels)))
+    looks = {run.name: look for run, look in _curves(runs)}
+    for ax, panel in zip(axes, panels, strict=True):
+        draw_backlash(ax, [(run, looks[run.name]) for run in panel])
+        if len(panels) > 1:
+            labels = dict.fromkeys(run.trajectory.label for run in panel)
+            ax.set_title(f"{_case(panel[0])}: {', '.join(labels)}", loc="right", fontsize=9.0)
+    return _finished(figure, axes, runs, marks=True)
 
 
+@style.styled()
 def closeup(runs: Runs, around: float | None = None, width: float = 0.1) -> Figure:
     """The backlash coordinate near one flank for a short time, every touch marked (Figure 3.3).
 
@@ -75,69 +77,62 @@ def closeup(runs: Runs, around: float | None = None, width: float = 0.1) -> Figu
         raise PlotError(f"A close-up must be wider than {width:g} s.")
     begin = 0.1 * width * np.round((around - _BEFORE * width) / (0.1 * width))  # so that the axis begins at a tick
     end = begin + width
-    touches = [_touches_within(run, begin, end) for run in runs]
+    times = [run.time[run.touches.row] for run in runs]
+    within = [(time >= begin) & (time <= end) for time in times]
     distances = [
-        (abs(run.time[row] - around), int(side))
-        for run, (rows, sides, _) in zip(runs, touches, strict=True)
-        for row, side in zip(rows, sides, strict=True)
+        pair
+        for run, time, mask in zip(runs, times, within, strict=True)
+        for pair in zip(np.abs(time - around)[mask].tolist(), run.touches.side[mask].tolist(), strict=True)
     ]
     if not distances:
         raise PlotError(f"There is no touch to look at closely between {begin:g} s and {end:g} s.")
-    limits = _closeup_range(runs, touches, min(distances)[1])
-    with style.styled():
-        figure, (ax,) = _frame(runs, (1.0,), 4.6)
-        draw_backlash(ax, _curves(runs), limits)
-        ax.set_xlim(begin, end)
-        return _finished(figure, [ax], runs, marks=True)
+    limits = _closeup_range(runs, within, min(distances)[1])
+    figure, (ax,) = _frame(runs, (1.0,), 4.6)
+    draw_backlash(ax, _curves(runs), limits)
+    ax.set_xlim(begin, end)
+    return _finished(figure, [ax], runs, marks=True)
 
 
+@style.styled()
 def acceleration(runs: Runs) -> Figure:
     """The acceleration behind the severity, with each impact's peak-to-peak value Q_i (Figure 3.6); a panel per run."""
-    with style.styled():
-        figure, axes = _frame(runs, (1.0,) * len(runs), 1.6 + (3.2 if len(runs) == 1 else 2.6) * len(runs))
-        for ax, (run, look) in zip(axes, _curves(runs), strict=True):
-            if ax is not axes[0]:
-                ax.sharey(axes[0])
-            draw_acceleration(ax, [(run, look | {"linestyle": "solid"})])
-            if len(runs) > 1:
-                ax.set_title(f"{style.plain(run.name)}: {run.trajectory.label}", loc="right", fontsize=9.0)
-        return _finished(figure, axes, runs, legend=False)  # each panel names its run
+    figure, axes = _frame(runs, (1.0,) * len(runs), 1.6 + (3.2 if len(runs) == 1 else 2.6) * len(runs))
+    for ax, (run, look) in zip(axes, _curves(runs), strict=True):
+        if ax is not axes[0]:
+            ax.sharey(axes[0])
+        draw_acceleration(ax, [(run, look | {"linestyle": "solid"})])
+        if len(runs) > 1:
+            ax.set_title(f"{style.plain(run.name)}: {run.trajectory.label}", loc="right", fontsize=9.0)
+    return _finished(figure, axes, runs, legend=False)  # each panel names its run
 
 
-_Touches = tuple[npt.NDArray[np.intp], npt.NDArray[np.int64], npt.NDArray[np.float64]]
+def _closeup_range(runs: Runs, within: Iterable[Bools], side: int) -> tuple[float, float]:
+    """Limits of the backlash coordinate that show the rebounds and the indentation on one flank  [mm].
 
-
-def _touches_within(run: History, begin: float, end: float) -> _Touches:
-    """Rows, sides and following events of the touches between two times of the plot's axis."""
-    touches, time = run.touches, run.time[run.touches.row]
-    within = (time >= begin) & (time <= end)
-    return touches.row[within], touches.side[within], touches.until[within]
-
-
-def _closeup_range(runs: Runs, touches: Iterable[_Touches], side: int) -> tuple[float, float]:
-    """Limits of the backlash coordinate that show the rebounds and the indentation on one flank  [mm]."""
+    within : for each run which of its touches are shown
+    """
     lowest, highest = np.inf, -np.inf
-    for run, (rows, sides, until) in zip(runs, touches, strict=True):
-        if not (sides == side).any():
+    for run, mask in zip(runs, within, strict=True):
+        on_side = np.flatnonzero(mask & (run.touches.side == side))
+        if not on_side.size:
             continue
-        first, last = rows[sides == side][[0, -1]]
-        after = until[sides == side][-1]
-        stop = max(last + 1, int(np.searchsorted(run.after_step, after, side="right")))
+        first, last = run.touches.row[on_side[[0, -1]]]
+        until = run.touches.until[on_side[-1]]
+        stop = max(last + 1, int(np.searchsorted(run.after_step, until, side="right")))
         coordinate = side * 1e3 * run.backlash_coordinate
         lowest, highest = min(lowest, coordinate[first : last + 1].min()), max(highest, coordinate[first:stop].max())
-    smallest = 0.02 * max(1e3 * run.half_gap for run in runs)
-    height = max(highest - lowest, smallest, 1e-9)
+    height = max(highest - lowest, 0.02 * max(1e3 * run.half_gap for run in runs), 1e-9)
     low, high = lowest - 0.2 * height, highest + 0.22 * height
     return (low, high) if side > 0 else (-high, -low)
 
 
+@style.styled()
 def _stacked(runs: Runs, panels: Sequence[tuple[Any, float]], height: float, *, marks: bool = False) -> Figure:
     """Panels over one time axis, each a function that draws it and its share of the height."""
-    with style.styled():
-        figure, axes = _frame(runs, [share for _, share in panels], height)
-        for ax, (draw, _) in zip(axes, panels, strict=True):
-            draw(ax, _curves(runs))
-        return _finished(figure, axes, runs, marks=marks)
+    figure, axes = _frame(runs, [share for _, share in panels], height)
+    for ax, (draw, _) in zip(axes, panels, strict=True):
+        draw(ax, _curves(runs))
+    return _finished(figure, axes, runs, marks=marks)
 
 
 def _frame(runs: Runs, heights: Sequence[float], height: float) -> tuple[Figure, list[Axes]]:
@@ -173,7 +168,8 @@ def _finished(figure: Figure, axes: Sequence[Axes], runs: Runs, *, marks: bool =
             outcome = f": {_outcome(run)}" if names.count(name) == 1 else ""
             handles.append(Line2D([], [], **look, label=style.plain(name) + outcome))
     if marks and any(run.touches.row.size for run in runs):
-        handles += _mark_handles()
+        for primary, text in ((True, "primary impact"), (False, "secondary impact (chatter)")):
+            handles.append(Line2D([], [], marker="^", label=text, **touch_look(FAINT_INK, primary=primary)))
     if handles:
         widest = max(len(str(handle.get_label())) for handle in handles)
         columns = max(1, min(len(handles), int((HISTORY_WIDTH - 0.4) / (0.45 + 0.07 * widest))))
@@ -182,42 +178,21 @@ def _finished(figure: Figure, axes: Sequence[Axes], runs: Runs, *, marks: bool =
     return figure
 
 
-def _mark_handles() -> list[Artist]:
-    """Legend entries of the marks at touches."""
-    look: dict[str, Any] = {"linestyle": "none", "marker": "^", "markeredgewidth": 0.7, "color": FAINT_INK}
-    chatter: dict[str, Any] = {"markersize": 4.0, "markerfacecolor": "white", "label": "secondary impact (chatter)"}
-    return [
-        Line2D([], [], **look, markersize=6.5, markeredgecolor=INK, label="primary impact"),
-        Line2D([], [], **look, **chatter),
-    ]
-
-
 def _curves(runs: Runs) -> list[Curve]:
     """Runs with their colours and dashes, alike for one name; indentation takes the first dashes, as in Figure 3.2."""
-    models: dict[str, bool] = {}
-    for run in runs:
-        models.setdefault(run.name, run.is_restitution)
-    order = sorted(models, key=lambda name: models[name])  # stable: False, the indentation model, first
-    return [
-        (
-            run,
-            {
-                "color": style.LINE_COLOURS[list(models).index(run.name) % len(style.LINE_COLOURS)],
-                "linestyle": _PATTERNS[order.index(run.name) % len(_PATTERNS)],
-                "linewidth": _LINE,
-            },
-        )
-        for run in runs
-    ]
+    is_restitution = {run.name: run.is_restitution for run in reversed(runs)}  # of several alike the first counts
+    names = list(dict.fromkeys(run.name for run in runs))
+    colours = dict(zip(names, cycle(style.LINE_COLOURS), strict=False))
+    patterns = dict(zip(sorted(names, key=is_restitution.__getitem__), cycle(_PATTERNS), strict=False))
+    return [(run, {"color": colours[run.name], "linestyle": patterns[run.name], "linewidth": _LINE}) for run in runs]
 
 
 def _case(run: History) -> str:
     """The load and the gap of a run, in symbols."""
+    before, after = load_step(run.study.load)
+    load = f"T = {before:g} → {after:g} N m"
     if run.study.load.ratio is not None:
         load = f"{style.symbol_text('σr')} = {run.study.load.ratio:g}"
-    else:
-        before, after = load_step(run.study.load)
-        load = f"T = {before:g} → {after:g} N m"
     return f"{load.replace('-', MINUS)}, {style.symbol_text('φθ')} = {run.study.lash.backlash_deg:g}°"
 
 
@@ -233,11 +208,3 @@ def _shortened(runs: Runs) -> Runs:
     common = set(parts[0]).intersection(*parts[1:])
     names = [", ".join(part for part in words if part not in common) for words in parts]
     return [replace(run, name=name) for run, name in zip(runs, names, strict=True)] if all(names) else runs
-
-
-def _panels(runs: Runs) -> list[Runs]:
-    """Runs of the same setup together, in order."""
-    panels: dict[str, list[History]] = {}
-    for run in runs:
-        panels.setdefault(run.setup, []).append(run)
-    return list(panels.values())

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib import patheffects, ticker
+from matplotlib import ticker
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from clunk.plot.style import FAINT_INK, INK, LINE_COLOURS, plain, symbol_text
+from clunk.plot.style import FAINT_INK, INK, LINE_COLOURS, halo, plain, symbol_text
 from clunk.simulation.history import History, Impact
 
 Curve = tuple[History, dict[str, Any]]  # a run and its colour, dashes and width
@@ -17,7 +17,6 @@ _GAP_FILL = "#e4e4e4"
 _LABELLED = 12  # impacts; more arrows than these would hide the curve
 _LISTED = 6  # of their values, beside it
 _LONGEST_NAME = 12  # characters of an inertia's name in the legend
-_HALO = [patheffects.withStroke(linewidth=2.4, foreground="white")]
 
 
 def draw_angles(ax: Axes, curves: Sequence[Curve]) -> None:
@@ -90,20 +89,18 @@ def _name_flanks(ax: Axes, widest: float, initial_sides: set[int]) -> None:
 
 
 def _mark_touches(ax: Axes, run: History, colour: Any, size: float) -> None:
-    """Every touch at its flank, pointing at it; primary impacts filled, chatter small and open."""
-    primary: dict[str, Any] = {"markersize": size, "markerfacecolor": colour, "markeredgecolor": INK, "zorder": 5}
-    chatter: dict[str, Any] = {"markersize": 4.0, "markerfacecolor": "white", "markeredgecolor": colour, "zorder": 4}
-    for row, side, is_primary in zip(run.touches.row, run.touches.side, run.touches.primary, strict=True):
-        ax.plot(
-            run.time[row],
-            1e3 * run.backlash_coordinate[row],
-            marker="^" if side > 0 else "v",
-            color=colour,
-            markeredgewidth=0.7,
-            linestyle="none",
-            gid="primary" if is_primary else "secondary",
-            **primary if is_primary else chatter,
-        )
+    """Mark every touch at its flank, pointing at it."""
+    for row, side, primary in zip(run.touches.row, run.touches.side, run.touches.primary, strict=True):
+        x, y = run.time[row], 1e3 * run.backlash_coordinate[row]
+        look = touch_look(colour, primary=primary, size=size)
+        ax.plot(x, y, marker="^" if side > 0 else "v", gid="primary" if primary else "secondary", **look)
+
+
+def touch_look(colour: Any, *, primary: bool, size: float = 6.5) -> dict[str, Any]:
+    """Look of a touch's marker: primary impacts filled, chatter small and open."""
+    edge, face, zorder = (INK, colour, 5) if primary else (colour, "white", 4)
+    look = {"linestyle": "none", "color": colour, "markeredgewidth": 0.7, "markersize": size if primary else 4.0}
+    return look | {"markeredgecolor": edge, "markerfacecolor": face, "zorder": zorder}
 
 
 def draw_acceleration(ax: Axes, curves: Sequence[Curve]) -> None:
@@ -119,7 +116,7 @@ def draw_acceleration(ax: Axes, curves: Sequence[Curve]) -> None:
         ax.set_ylim(low, high + 0.2 * (high - low))
         text = "restitution model: between the touches only, where velocities jump; Q is not defined"
         place: dict[str, Any] = {"transform": ax.transAxes, "ha": "right", "va": "top"}
-        ax.text(0.99, 0.97, text, fontsize=8.5, zorder=7, path_effects=_HALO, **place)
+        ax.text(0.99, 0.97, text, fontsize=8.5, zorder=7, path_effects=halo(), **place)
     elif len(curves) == 1:
         _mark_severity(ax, curves[0][0])
 
@@ -149,19 +146,15 @@ def _draw_arrow(ax: Axes, run: History, impact: Impact) -> None:
         ax.plot([at, x + 0.35 * offset], [value, value], color=INK, linewidth=0.6, zorder=4)
     arrow = {"arrowstyle": "<->", "color": INK, "linewidth": 0.9, "shrinkA": 0.0, "shrinkB": 0.0}
     ax.annotate("", xy=(x, impact.largest), xytext=(x, impact.smallest), arrowprops=arrow, zorder=6)
-    ax.annotate(
-        f"Q{_index(impact.number)}",
-        (x, impact.largest),
-        (0.0, 2.0),
-        textcoords="offset points",
-        ha="center" if x < end - offset else "right",
-        va="bottom",
-        fontsize=9.0,
-        zorder=7,
-        path_effects=_HALO,
-        gid="severity",
-    )
+    look: dict[str, Any] = {
+        "ha": "center" if x < end - offset else "right",
+        "va": "bottom",
+        "textcoords": "offset points",
+    }
+    text, place = f"Q{_index(impact.number)}", (x, impact.largest)
+    ax.annotate(text, place, (0.0, 2.0), fontsize=9.0, zorder=7, path_effects=halo(), gid="severity", **look)
 
 
 def _index(number: int) -> str:
+    """A subscript as TeX."""
     return rf"$_\mathregular{{{number}}}$"

@@ -28,6 +28,7 @@ _AROUND = 0.9  # inches, a panel's heading and axis
 _FIRST, _TOTAL = style.LINE_COLOURS[0], style.LINE_COLOURS[1]
 
 
+@style.styled()
 def sobol_bars(sensitivity: Sensitivity) -> Figure:
     """First-order and total index of each parameter with their intervals, a panel for each quantity that varies.
 
@@ -42,41 +43,40 @@ def sobol_bars(sensitivity: Sensitivity) -> Figure:
     rows = math.ceil(len(drawn) / columns)
     width = _NAMES + max(columns * _PANEL, 5.0)
     order = drawn[0].order
-    with style.styled():
-        figure = style.new_figure((width, 0.9 + rows * (_AROUND + _ROW * max(order.size, 3))))
-        panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
-        for ax in panels[len(drawn) :]:
-            ax.remove()
-        characters = int(width * 13.5 / columns) - 12  # of a heading
-        for ax, indices in zip(panels, drawn, strict=False):
-            _draw_bars(ax, indices, order)
-            heading = textwrap.fill(_capital(indices.heading), characters)
-            style.set_titles(figure, ax, f"{sensitivity.study.title}: {_point(sensitivity)}", heading)
-        panels[0].set_yticks(np.arange(order.size), [_name(sensitivity.parameters[k]) for k in order])
-        panels[0].set_ylim(order.size - 0.5, -0.5)
-        ends = [each.ravel() for indices in drawn for each in (indices.first_interval, indices.total_interval)]
-        low, high = np.min([0.0, *map(np.min, ends)]), np.max([1.0, *map(np.max, ends)])
-        panels[0].set_xlim(low - _BEYOND, high + _BEYOND)
-        for ax in panels[max(0, len(drawn) - columns) : len(drawn)]:
-            ax.set_xlabel("Share of the variance")
-            ax.xaxis.set_tick_params(labelbottom=True)
-        bar: dict[str, Any] = {"color": style.INK, "linewidth": 1.0, "marker": "|", "markersize": 5}
-        notes = [
-            Patch(color=_FIRST, label="alone (first-order index)"),
-            Patch(color=_TOTAL, label="in all (total index)"),
-            Line2D([], [], **bar, label=f"{100 * CONFIDENCE:g} % interval"),
-        ]
-        figure.legend(handles=notes, loc="outside lower center", ncols=3, frameon=False, handlelength=1.6)
-        style.freeze_layout(figure, panels[0])
-        return figure
+    figure = style.new_figure((width, 0.9 + rows * (_AROUND + _ROW * max(order.size, 3))))
+    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    for ax in panels[len(drawn) :]:
+        ax.remove()
+    characters = int(width * 13.5 / columns) - 12  # of a heading
+    title = f"{sensitivity.study.title}: {_point(sensitivity)}"
+    for ax, indices in zip(panels, drawn, strict=False):
+        _draw_bars(ax, indices, order)
+        style.set_titles(figure, ax, title, textwrap.fill(_capital(indices.heading), characters))
+    axes = [quantity(sensitivity.parameters[k]) for k in order]
+    names = [f"{style.plain(_capital(axis.name))}, {style.symbol_text(axis.symbol)}" for axis in axes]
+    panels[0].set_yticks(np.arange(order.size), names)
+    panels[0].set_ylim(order.size - 0.5, -0.5)
+    ends = np.array([(indices.first_interval, indices.total_interval) for indices in drawn])
+    panels[0].set_xlim(min(0.0, ends.min()) - _BEYOND, max(1.0, ends.max()) + _BEYOND)
+    for ax in panels[max(0, len(drawn) - columns) : len(drawn)]:
+        ax.set_xlabel("Share of the variance")
+        ax.xaxis.set_tick_params(labelbottom=True)
+    bar: dict[str, Any] = {"color": style.INK, "linewidth": 1.0, "marker": "|", "markersize": 5}
+    notes = [
+        Patch(color=_FIRST, label="alone (first-order index)"),
+        Patch(color=_TOTAL, label="in all (total index)"),
+        Line2D([], [], **bar, label=f"{100 * CONFIDENCE:g} % interval"),
+    ]
+    figure.legend(handles=notes, loc="outside lower center", ncols=3, frameon=False, handlelength=1.6)
+    style.freeze_layout(figure, panels[0])
+    return figure
 
 
 def _draw_bars(ax: Axes, indices: Indices, order: npt.NDArray[np.intp]) -> None:
     """Draw both indices of each parameter as bars, and their intervals over them."""
     places = np.arange(order.size)
-    first, total = (indices.first, indices.first_interval), (indices.total, indices.total_interval)
-    for (share, interval), offset, colour in ((first, -0.5, _FIRST), (total, 0.5, _TOTAL)):
-        at = places + offset * _BAR
+    first, total = (indices.first, indices.first_interval, _FIRST), (indices.total, indices.total_interval, _TOTAL)
+    for (share, interval, colour), at in ((first, places - 0.5 * _BAR), (total, places + 0.5 * _BAR)):
         ax.barh(at, share[order], _BAR, color=colour, zorder=2)
         low, high = interval[:, order]
         ax.hlines(at, low, high, color=style.INK, linewidth=1.0, zorder=3)
@@ -93,12 +93,6 @@ def _point(sensitivity: Sensitivity) -> str:
     """The operating point, for example load ratio 5, backlash 6 degrees."""
     axes = ((quantity(parameter), value) for parameter, value in sensitivity.at.items())
     return ", ".join(f"{axis.name} {value:g} {axis.unit.removeprefix('1')}".rstrip() for axis, value in axes)
-
-
-def _name(parameter: str) -> str:
-    """A parameter's name and symbol."""
-    axis = quantity(parameter)
-    return f"{style.plain(_capital(axis.name))}, {style.symbol_text(axis.symbol)}"
 
 
 def _capital(text: str) -> str:

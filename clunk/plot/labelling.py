@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -12,43 +12,38 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy import ndimage
 
-from clunk.plot.layers import Bools, Layers
-from clunk.plot.notes import failed_notes, label_notes, set_notes
-from clunk.plot.raster import Place, Raster, corners_that_fit, rotate
-from clunk.plot.style import INK, freeze_layout
+from clunk.plot.layers import Layers
+from clunk.plot.notes import failed_notes, label_notes, set_notes, undecided_notes
+from clunk.plot.plane import Bools
+from clunk.plot.raster import Place, Raster, centres_that_fit, corners_that_fit, rotate
+from clunk.plot.style import CENTRED, INK, freeze_layout
 
 # What is tried in turn: size in points, and whether the text may be turned.
 _SETTINGS = ((10.5, False), (9.5, False), (9.5, True), (8.5, False), (8.5, True), (8.0, False), (8.0, True))
 _ANGLES = tuple(angle for step in range(1, 10) for angle in (10.0 * step, -10.0 * step))[:-1]
 _LEADER_SIZE = 8.5
+_LEADER = {"arrowstyle": "-", "color": INK, "linewidth": 0.8, "shrinkA": 0.0, "shrinkB": 0.0}
 _SMALLEST_LEADER = 2e-4  # of the map's area: a smaller region is only noted, a leader would point at nothing
 _SMALLEST_REPEAT = 1e-3  # of the map's area: a further region of a label that has its text already
 _MOST_PARTS = 4  # regions of one label that are looked at, the largest first
 _MOST_NOTES = 24
 
 
-def label_and_note(
-    figure: Figure,
-    ax: Axes,
-    layers: Layers,
-    rasterise: Callable[[], Raster],
-    *,
-    leaders: bool = True,
-    more: Sequence[Artist] = (),
-) -> None:
-    """Write the labels into their regions, and under the axes those that find no room, the failed cells and `more`.
+def label_and_note(figure: Figure, ax: Axes, layers: Layers, more: Sequence[Artist] = ()) -> None:
+    """Write the labels into their regions, and under the axes those that find no room, marks of cells and `more`.
 
     The notes take height from the map, and less of it then fits: laid out again until the notes are the same.
     """
 
     def notes(labels: list[str]) -> list[Artist]:
-        return [*label_notes(layers, labels, _MOST_NOTES, counted=True), *failed_notes(layers.failed), *more]
+        swatches = label_notes(layers, labels, _MOST_NOTES, counted=True)
+        return [*swatches, *failed_notes(layers.failed), *undecided_notes(layers.undecided), *more]
 
     noted: set[str] = set()
     unlabelled: list[str] = []
     for _ in range(4):
         in_order = [label for label in layers.labels if label in noted]
-        unlabelled = settle(figure, ax, layers, rasterise, notes(in_order), leaders=leaders)
+        unlabelled = settle(figure, ax, layers, notes(in_order))
         if noted.issuperset(unlabelled):
             break
         noted.update(unlabelled)
@@ -60,20 +55,19 @@ def settle(
     figure: Figure,
     ax: Axes,
     layers: Layers,
-    rasterise: Callable[[], Raster],
     notes: Sequence[Artist],
-    *,
-    leaders: bool = True,
+    prepare: Callable[[Raster], None] = lambda raster: None,
 ) -> list[str]:
     """Lay the figure out with these notes under the map, then write the regions' labels; returns those without room.
 
-    rasterise : the map as pixels, once the figure is laid out
+    prepare : called with the map as pixels before labels are written
     """
     for artist in [*ax.texts, *(line for line in ax.lines if line.get_gid() == "leader")]:
         artist.remove()
     set_notes(figure, notes)
     freeze_layout(figure, ax)
-    unlabelled = label_regions(rasterise(), layers.labels, leaders=leaders)
+    prepare(raster := Raster.of(ax, layers))
+    unlabelled = label_regions(raster, layers.labels, leaders=len(layers.view.axes) > 1)
     return [label for label in unlabelled if label in layers.present]
 
 
@@ -100,9 +94,7 @@ def label_regions(
                 written.add(text)
             elif leaders and share >= _SMALLEST_LEADER:
                 pointed.append((text, mask))
-    small = np.zeros(raster.label.shape, np.bool_)
-    for _, mask in pointed:
-        small |= mask
+    small = np.any([mask for _, mask in pointed], axis=0)
     for text, mask in pointed:
         if _point_at(raster, mask, text, small & ~mask):
             written.add(text)
@@ -116,16 +108,11 @@ def _inside(raster: Raster, mask: Bools, text: str, settings: Sequence[tuple[flo
     x0, y0 = columns.start - 1, rows.start - 1
     for size, turned in settings:
         width, height = raster.measure(text, size)
-        best, place = -math.inf, None
-        for angle in _ANGLES if turned else (0.0,):
-            roomiest = _roomiest(crop, width, height, angle)
-            if roomiest is not None:
-                room, x, y = roomiest
-                score = room - 0.03 * abs(angle)  # a steeper text must be worth it
-                if score > best:
-                    best, place = score, Place(x0 + x, y0 + y, size, angle)
-        if place is not None:
-            return place
+        fits = [(_roomiest(crop, width, height, angle), angle) for angle in (_ANGLES if turned else (0.0,))]
+        scored = [(fit[0] - 0.03 * abs(angle), fit, angle) for fit, angle in fits if fit]  # steep must be worth it
+        if scored:
+            _, (_, x, y), angle = max(scored, key=operator.itemgetter(0))
+            return Place(x0 + x, y0 + y, size, angle)
     return None
 
 
@@ -158,9 +145,9 @@ def _roomiest(mask: Bools, width: int, height: int, angle: float) -> tuple[float
 
 
 def _write(raster: Raster, text: str, place: Place) -> None:
-    """Write a text at its place."""
-    look: dict[str, Any] = {"ha": "center", "va": "center", "rotation": place.angle, "clip_on": False, "zorder": 5}
-    raster.ax.text(*raster.data(place.x, place.y), text, fontsize=place.size, parse_math=False, **look)
+    """Write a text at its place, which it takes."""
+    x, y = raster.data(place.x, place.y)
+    raster.ax.text(x, y, text, fontsize=place.size, rotation=place.angle, parse_math=False, zorder=5, **CENTRED)
     raster.take(text, place)
 
 
@@ -176,10 +163,7 @@ def _point_at(raster: Raster, mask: Bools, text: str, avoid: Bools) -> bool:
     # Free is what no text has taken and no boundary crosses.
     free = ~(ndimage.binary_dilation(raster.border()) | raster.taken | mask)
     width, height = raster.measure(text, _LEADER_SIZE)
-    rows, columns = np.nonzero(corners_that_fit(free, width, height))
-    if not rows.size:
-        return False
-    centres = np.column_stack((columns + 0.5 * width, rows + 0.5 * height))
+    centres = centres_that_fit(free, width, height)
     # A line from the side of a text reads better than one from above or below, and needs a little length to be seen.
     gap = np.maximum(np.abs(centres - anchor) - 0.5 * np.array([width, height]), 0.0)
     distance = np.hypot(*gap.T)
@@ -190,17 +174,8 @@ def _point_at(raster: Raster, mask: Bools, text: str, avoid: Bools) -> bool:
         column_, row_ = np.floor(line.T).astype(np.intp)
         if blocked[row_, column_].any():
             continue
-        raster.ax.annotate(
-            text,
-            xy=raster.data(*anchor),
-            xytext=raster.data(*centre),
-            fontsize=_LEADER_SIZE,
-            ha="center",
-            va="center",
-            parse_math=False,
-            zorder=5,
-            arrowprops={"arrowstyle": "-", "color": INK, "linewidth": 0.8, "shrinkA": 0.0, "shrinkB": 0.0},
-        )
+        look = CENTRED | {"fontsize": _LEADER_SIZE, "arrowprops": _LEADER, "zorder": 5}
+        raster.ax.annotate(text, raster.data(*anchor), raster.data(*centre), parse_math=False, **look)
         raster.ax.plot(*raster.data(*anchor), "o", color=INK, markersize=2.6, zorder=5, gid="leader")
         raster.take(text, Place(float(centre[0]), float(centre[1]), _LEADER_SIZE, 0.0))
         raster.taken[row_, column_] = True

@@ -4,24 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.core.status import QUALITY_UNDECIDED
-from clunk.plot.plane import View, fixed_parameters, value_text
+from clunk.plot.plane import Bools, Codes, Floats, View, value_text
+from clunk.plot.regions import Regions, regions_of
 from clunk.plot.style import SIZE, PlotError
 from clunk.results.labels import FAILED_CODE
-from clunk.results.maps import Map
 from clunk.results.quantities import CELL_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.study.axes import ResultAxis
-
-Bools = npt.NDArray[np.bool_]
-Codes = npt.NDArray[np.int16]
-Floats = npt.NDArray[np.float64]
 
 DRAWN = [name for name, quantity in CELL_QUANTITIES.items() if quantity.words]
 QUANTITIES = ["regimes", *DRAWN]  # "regimes" is the map of labels
@@ -42,11 +38,12 @@ class Layers:
     load : str, in words
     view : View, the axes
     labels : code -> label
-    codes : (nx, ny) int16, of a strip (nx,)
+    codes : (nx, ny) int16, of a strip (nx,), of points (cells,) in C order
     undecided : bool, shape of `codes`: cells whose margin is below its tolerance
     inferred : bool, likewise: cells that a refined sweep did not run
     quantity : str; "regimes" where nothing but the labels is drawn
     values : float64, shape of `codes`, NaN where the quantity is not known; of the regimes NaN everywhere
+    points : int, fine points across the map, as of `Regions`
     """
 
     title: str
@@ -58,51 +55,58 @@ class Layers:
     inferred: Bools
     quantity: str
     values: Floats
+    points: int = 700
 
     @classmethod
     def of(
         cls, drawn: Results | ToleranceMap, dimensions: int, quantity: str = "regimes", values: Floats | None = None
     ) -> Layers:
-        """Layers of a map over this many axes; `values` has its shape. Raises PlotError where it has other axes."""
+        """Layers of a map over this many axes, 0 for its cells as points. Raises PlotError where it has other axes.
+
+        values : of the quantity, in the shape of the map
+        """
         view = View.of(drawn, dimensions)
+        profile = drawn.setting("load.profile")
+        # An ideal step is a worst case, and a reader should know.
+        load = "ideal torque step (tip-out)" if profile == "tip-out" else f"load: {profile}"
         codes = view.arrange(drawn.sequence)
-        no = np.zeros(codes.shape, np.bool_)
+        unmarked = np.zeros(codes.shape, np.bool_)
         return cls(
-            title=title_of(drawn),
-            load=load_of(drawn),
+            title=drawn.title.strip() or "Impact regimes",
+            load=load if isinstance(profile, str) else "",
             view=view,
             labels=drawn.labels,
             codes=codes,
-            undecided=view.arrange(drawn.quality & QUALITY_UNDECIDED) != 0 if isinstance(drawn, Results) else no,
-            inferred=view.arrange(drawn.inferred) if isinstance(drawn, Results) else no,
+            undecided=view.arrange(drawn.quality & QUALITY_UNDECIDED) != 0 if isinstance(drawn, Results) else unmarked,
+            inferred=view.arrange(drawn.inferred) if isinstance(drawn, Results) else unmarked,
             quantity=quantity,
             values=np.full(codes.shape, np.nan) if values is None else view.arrange(values),
         )
 
     @classmethod
     def of_quantity(cls, results: Results, dimensions: int, quantity: str) -> Layers:
-        """Layers of a regime map and one of its quantities. Raises PlotError where there is no such quantity."""
-        require_quantity(quantity)
-        return cls.of(results, dimensions, quantity, known_values(results, quantity))
+        """Layers of a regime map and one of its quantities, as `of`. Raises PlotError where it has no such quantity.
 
-    @classmethod
-    def of_points(cls, results: Results, quantity: str) -> Layers:
-        """Layers of the cells in C order, whatever the axes. Raises PlotError as `of_quantity` and `require_some`."""
-        values = np.full(results.shape, np.nan)
-        if quantity != "regimes":
-            require_quantity(quantity)
-            require_some(values := known_values(results, quantity), quantity)
-        return cls(
-            title=title_of(results),
-            load=load_of(results),
-            view=View((), fixed_parameters(results), (), ()),
-            labels=results.labels,
-            codes=results.sequence.ravel(),
-            undecided=(results.quality.ravel() & QUALITY_UNDECIDED) != 0,
-            inferred=results.inferred.ravel(),
-            quantity=quantity,
-            values=values.ravel(),
-        )
+        The quantity is NaN in cells that failed, and in inferred ones whose regime does not tell it.
+        """
+        if quantity not in DRAWN:
+            raise PlotError(f"There is no quantity {quantity!r} to draw; there are {', '.join(DRAWN)}.")
+        unknown = results.sequence == FAILED_CODE
+        if CELL_QUANTITIES[quantity].inferred is not None:
+            unknown |= results.inferred
+        values = np.where(unknown, np.nan, getattr(results, quantity).astype(np.float64))
+        return cls.of(results, dimensions, quantity, values)
+
+    def require_values(self) -> None:
+        """Raise PlotError where none of the quantity's values is known."""
+        if np.isnan(self.values).all():
+            why = _WHY_UNDEFINED.get(self.quantity, "")
+            raise PlotError(f"There is no {self.quantity} to draw: it is not defined in any cell{why}.")
+
+    @cached_property
+    def regions(self) -> Regions:
+        """Regions of a map's labels between the samples."""
+        return regions_of(self.codes, self.points)
 
     @property
     def failed(self) -> Bools:
@@ -129,9 +133,19 @@ class Layers:
         """Number of cells with a label."""
         return int(np.count_nonzero(self.codes == self.labels.index(label)))
 
-    def subtitle(self, *facts: str) -> str:
-        """The load, the values of the axes that are not drawn, and further facts; in lines."""
-        return subtitle_of(self.load, self.view.fixed, facts)
+    def subtitle(self, *facts: str, fixed: Iterable[ResultAxis] | None = None, width: float = SIZE[0]) -> str:
+        """The load, the values of fixed parameters, and further facts; in lines.
+
+        fixed : by default the axes that are not drawn
+        width : of the figure  [inches]
+        """
+        values = [value_text(axis, axis.values[0]) for axis in (self.view.fixed if fixed is None else fixed)]
+        lines = [""]
+        for part in filter(None, [self.load, *values, *facts]):
+            if lines[-1] and len(lines[-1]) + len(part.split("\n")[0]) > _LINE * width / SIZE[0]:
+                lines.append("")
+            lines[-1] += f"; {part}" if lines[-1] else part
+        return ";\n".join(lines)
 
 
 def stacked(panels: Sequence[Layers]) -> Layers:
@@ -139,51 +153,3 @@ def stacked(panels: Sequence[Layers]) -> Layers:
     names = ("codes", "undecided", "inferred", "values")
     arrays: dict[str, Any] = {name: np.stack([getattr(panel, name) for panel in panels]) for name in names}
     return replace(panels[0], **arrays)
-
-
-def known_values(results: Results, name: str) -> Floats:
-    """A quantity of every cell, NaN where it failed, or was inferred and its regime does not tell it."""
-    unknown = results.sequence == FAILED_CODE
-    if CELL_QUANTITIES[name].inferred is not None:
-        unknown |= results.inferred
-    values: Floats = np.where(unknown, np.nan, getattr(results, name).astype(np.float64))
-    return values
-
-
-def require_quantity(name: str) -> None:
-    """Raise PlotError where a regime map has no such quantity to draw."""
-    if name not in DRAWN:
-        raise PlotError(f"There is no quantity {name!r} to draw; there are {', '.join(DRAWN)}.")
-
-
-def require_some(values: Floats, name: str) -> None:
-    """Raise PlotError where none of a quantity's values is known."""
-    if np.isnan(values).all():
-        why = _WHY_UNDEFINED.get(name, "")
-        raise PlotError(f"There is no {name} to draw: it is not defined in any cell{why}.")
-
-
-def title_of(drawn: Map) -> str:
-    """The title of a map's figures."""
-    return drawn.title.strip() or "Impact regimes"
-
-
-def load_of(drawn: Map) -> str:
-    """The load in words: an ideal step is a worst case, and a reader should know."""
-    profile = drawn.setting("load.profile")
-    if not isinstance(profile, str):
-        return ""
-    return "ideal torque step (tip-out)" if profile == "tip-out" else f"load: {profile}"
-
-
-def subtitle_of(load: str, fixed: Iterable[ResultAxis], facts: Iterable[str], width: float = SIZE[0]) -> str:
-    """The load, the values of fixed parameters, and further facts; in lines.
-
-    width : of the figure  [inches]
-    """
-    lines = [""]
-    for part in filter(None, [load, *(value_text(axis, axis.values[0]) for axis in fixed), *facts]):
-        if lines[-1] and len(lines[-1]) + len(part.split("\n")[0]) > _LINE * width / SIZE[0]:
-            lines.append("")
-        lines[-1] += f"; {part}" if lines[-1] else part
-    return ";\n".join(lines)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
+from typing import Any
 
 import numpy as np
-from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -14,19 +13,18 @@ from scipy import ndimage
 
 from clunk.analysis.ridge import ridge_of
 from clunk.plot.labelling import label_and_note
-from clunk.plot.layers import Floats, Layers, require_some
-from clunk.plot.notes import undecided_notes
+from clunk.plot.layers import Layers
 from clunk.plot.painting import Colours, mark_undecided, new_map, paint_regimes, shaded_map
-from clunk.plot.plane import View
-from clunk.plot.raster import Raster, corners_that_fit
-from clunk.plot.regions import regions_of
-from clunk.plot.style import FAINT_INK, INK, MINUS, freeze_layout, styled, symbol_text
+from clunk.plot.plane import Floats, View
+from clunk.plot.raster import Raster, centres_that_fit
+from clunk.plot.style import CENTRED, FAINT_INK, INK, MINUS, freeze_layout, halo, styled, symbol_text
 from clunk.results.regimemap import Results
 
 _WITH_THRESHOLDS = ("load.ratio", "load.initial_torque", "load.final_torque")
 _DIGIT = 0.0114  # width of a threshold's digit over the map's
 
 
+@styled()
 def regime_map(results: Results, thresholds: Sequence[float] = ()) -> Figure:
     """The sequence of impacts in every cell, each region with its label inside (Figure 3.4).
 
@@ -36,16 +34,13 @@ def regime_map(results: Results, thresholds: Sequence[float] = ()) -> Figure:
     Raises PlotError unless two axes were swept.
     """
     layers = Layers.of(results, 2)
-    with styled():
-        figure, ax = new_map(layers)
-        regions = regions_of(layers.codes)
-        paint_regimes(ax, layers, regions)
-        if layers.view.x.parameter in _WITH_THRESHOLDS and layers.view.y.parameter == "lash.backlash_deg":
-            _mark_thresholds(ax, thresholds)
-        mark_undecided(ax, layers)
-        more = undecided_notes(layers.undecided)
-        label_and_note(figure, ax, layers, lambda: Raster.of(ax, regions, layers.view), more=more)
-        return figure
+    figure, ax = new_map(layers)
+    paint_regimes(ax, layers)
+    if layers.view.x.parameter in _WITH_THRESHOLDS and layers.view.y.parameter == "lash.backlash_deg":
+        _mark_thresholds(ax, thresholds)
+    mark_undecided(ax, layers)
+    label_and_note(figure, ax, layers)
+    return figure
 
 
 def severity_map(results: Results) -> Figure:
@@ -56,6 +51,7 @@ def severity_map(results: Results) -> Figure:
     return quantity_map(results, "severity")
 
 
+@styled()
 def quantity_map(results: Results, name: str) -> Figure:
     """A quantity of every cell as colour, under the regimes' boundaries; for the severity also its ridge.
 
@@ -65,17 +61,16 @@ def quantity_map(results: Results, name: str) -> Figure:
     Raises PlotError unless two axes were swept, `name` is a quantity and it is defined in some cell.
     """
     layers = Layers.of_quantity(results, 2, name)
-    require_some(layers.values, name)
+    layers.require_values()
     has_ridge = name == "severity" and not layers.inferred.any()
     ridge = ridge_of(layers.values) if has_ridge else np.full(len(layers.values), np.nan)
-    with styled():
-        figure, ax = shaded_map(layers, Colours.of(name, layers.values), layers.boundaries_note)
-        if np.isfinite(ridge).any():
-            _draw_ridge(ax, layers.view, ridge)
-        freeze_layout(figure, ax)
-        if np.isfinite(ridge).any():
-            _label_ridge(ax, layers.view, ridge)
-        return figure
+    figure, ax = shaded_map(layers, Colours.of(name, layers.values), layers.boundaries_note)
+    if np.isfinite(ridge).any():
+        _draw_ridge(ax, layers.view, ridge)
+    freeze_layout(figure, ax)
+    if np.isfinite(ridge).any():
+        _label_ridge(ax, layers.view, ridge)
+    return figure
 
 
 def _mark_thresholds(ax: Axes, thresholds: Sequence[float]) -> None:
@@ -114,9 +109,8 @@ def _draw_ridge(ax: Axes, view: View, ridge: Floats) -> None:
     jump = np.abs(np.diff(ridge)) > max(3.0, 0.05 * len(view.y.values))
     x = np.insert(view.x.values, np.flatnonzero(jump) + 1, np.nan)
     y = np.insert(y, np.flatnonzero(jump) + 1, np.nan)
-    outline = [patheffects.Stroke(linewidth=2.8, foreground=INK), patheffects.Normal()]
-    line = Line2D(x, y, color="white", linewidth=1.4, path_effects=outline, zorder=4, gid="ridge", label="ridge")
-    ax.add_line(line)
+    look: dict[str, Any] = {"color": "white", "linewidth": 1.4, "path_effects": halo(2.8, INK), "zorder": 4}
+    ax.add_line(Line2D(x, y, gid="ridge", label="ridge", **look))
 
 
 def _label_ridge(ax: Axes, view: View, ridge: Floats) -> None:
@@ -125,24 +119,15 @@ def _label_ridge(ax: Axes, view: View, ridge: Floats) -> None:
     known = np.flatnonzero(np.isfinite(ridge))
     points = np.column_stack((view.x.values[known], view.y.values[ridge[known].astype(np.intp)]))
     across, upward = raster.pixels(points)
-    for start, stop in pairwise(range(len(known))):
-        raster.take_line((across[start], upward[start]), (across[stop], upward[stop]))
+    raster.take_line(across, upward)
     clear = ndimage.distance_transform_edt(~raster.taken) > 3.0
     symbol = view.x.symbol.split("=")[0].strip() or view.x.name
     width, height = raster.measure(f"largest Q for each {symbol}", 9.0)
-    rows, columns = np.nonzero(corners_that_fit(clear, width, height))
-    if not rows.size:
+    centres = centres_that_fit(clear, width, height)
+    if not centres.size:
         return
-    centres = np.column_stack((columns + 0.5 * width, rows + 0.5 * height))
     middle = len(known) // 2
     nearest = centres[np.argmin(np.hypot(*(centres - [across[middle], upward[middle]]).T))]
-    ax.text(
-        *raster.data(*nearest),
-        f"largest Q for each {symbol_text(symbol)}",
-        fontsize=9.0,
-        color="white",
-        ha="center",
-        va="center",
-        zorder=5,
-        path_effects=[patheffects.Stroke(linewidth=2.2, foreground=INK), patheffects.Normal()],
-    )
+    x, y = raster.data(*nearest)
+    look: dict[str, Any] = {"color": "white", "path_effects": halo(2.2, INK), "zorder": 5} | CENTRED
+    ax.text(x, y, f"largest Q for each {symbol_text(symbol)}", fontsize=9.0, **look)

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from clunk.plot.layers import Bools, Layers
+from clunk.plot.layers import Layers
+from clunk.plot.plane import Bools
 from clunk.plot.style import FAILED_FILL, FAILED_HATCH, INK, UNDEFINED, palette_of
 from clunk.results.labels import FAILED
 
@@ -60,18 +61,15 @@ def label_notes(layers: Layers, labels: Sequence[str], most: int, *, counted: bo
 
 def failed_notes(failed: Bools, text: str = FAILED) -> list[Artist]:
     """Number of failed cells, beside their hatch; nothing where there are none."""
-    if not failed.any():
-        return []
+    count = int(np.count_nonzero(failed))
     look: dict[str, Any] = {"facecolor": FAILED_FILL, "edgecolor": FAILED_HATCH, "hatch": "//////", "linewidth": 0.6}
-    return [Patch(label=f"{text}: {cells_phrase(int(np.count_nonzero(failed)))}", **look)]
+    return [Patch(label=f"{text}: {cells_phrase(count)}", **look)] if count else []
 
 
 def undecided_notes(undecided: Bools) -> list[Artist]:
     """Number of undecided cells, beside their dot; nothing where there are none."""
-    if not undecided.any():
-        return []
-    text = f"undecided: {cells_phrase(int(np.count_nonzero(undecided)))}"
-    return [Line2D([], [], **DOT, markersize=3.0, label=text)]
+    count = int(np.count_nonzero(undecided))
+    return [Line2D([], [], **DOT, markersize=3.0, label=f"undecided: {cells_phrase(count)}")] if count else []
 
 
 def undefined_notes(layers: Layers) -> list[Artist]:

@@ -12,10 +12,10 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure, SubFigure
 
-from clunk.plot.layers import Floats, Layers
+from clunk.plot.layers import Layers
 from clunk.plot.notes import DOT, failed_notes, set_notes, undefined_notes
-from clunk.plot.plane import View, cell_edges, scale_axes
-from clunk.plot.regions import Regions, Scores, regions_of
+from clunk.plot.plane import Floats, cell_edges, scale_axes
+from clunk.plot.regions import Scores
 from clunk.plot.style import FAILED_FILL, FAILED_HATCH, INK, UNDEFINED, new_figure, palette_of, set_titles
 from clunk.results.labels import FAILED_CODE
 from clunk.results.quantities import CELL_QUANTITIES
@@ -52,7 +52,7 @@ class Colours(NamedTuple):
         self, figure: Figure | SubFigure, mesh: ScalarMappable, axes: Axes | Sequence[Axes], aspect: float = 28
     ) -> None:
         """Draw the colour bar beside the axes."""
-        bar = figure.colorbar(mesh, ax=axes, pad=0.02, aspect=aspect)
+        bar = figure.colorbar(mesh, ax=axes, pad=0.02, aspect=aspect, ticks=self.locator, format=self.formatter)
         bar.set_label(self.label)
         bar.outline.set_linewidth(0.6)
         if isinstance(bar.norm, colors.BoundaryNorm):
@@ -60,19 +60,19 @@ class Colours(NamedTuple):
             bar.ax.yaxis.set_major_formatter(ticker.StrMethodFormatter("{x:.0f}"))
             bar.ax.tick_params(length=0.0)
             bar.minorticks_off()
-        if self.formatter is not None:
-            bar.formatter = self.formatter
-            bar.update_ticks()
-        if self.locator is not None:
-            bar.locator = self.locator
-            bar.update_ticks()
 
 
-def new_map(layers: Layers, *facts: str) -> tuple[Figure, Axes]:
-    """A figure with titles and empty axes for a map; the facts go under the title."""
+def new_plot(layers: Layers, *facts: str) -> tuple[Figure, Axes]:
+    """A figure with titles and empty axes; the facts go under the title."""
     figure = new_figure()
     ax = figure.add_subplot()
     set_titles(figure, ax, layers.title, layers.subtitle(*facts))
+    return figure, ax
+
+
+def new_map(layers: Layers, *facts: str) -> tuple[Figure, Axes]:
+    """A figure as `new_plot`, with the axes of a map."""
+    figure, ax = new_plot(layers, *facts)
     scale_axes(ax, layers.view)
     return figure, ax
 
@@ -80,62 +80,56 @@ def new_map(layers: Layers, *facts: str) -> tuple[Figure, Axes]:
 def shaded_map(layers: Layers, colours: Colours, *facts: str) -> tuple[Figure, Axes]:
     """A figure of a quantity as colour under the regimes' boundaries, its colour bar and its notes."""
     figure, ax = new_map(layers, *facts)
-    mesh = paint_quantity(ax, layers, regions_of(layers.codes), colours)
+    mesh = paint_quantity(ax, layers, colours)
     colours.add_bar(figure, mesh, ax)
     set_notes(figure, [*failed_notes(layers.failed), *undefined_notes(layers)])
     return figure, ax
 
 
-def paint_regimes(ax: Axes, layers: Layers, regions: Regions, *, linewidth: float = 0.9) -> None:
+def paint_regimes(ax: Axes, layers: Layers, *, linewidth: float = 0.9) -> None:
     """Fill the regions with their labels' colours, hatch failed cells, and draw the boundaries."""
-    hatch_failed(ax, layers.view, regions)
+    hatch_failed(ax, layers)
     palette = palette_of(layers.labels)
-    for code in regions.present:
-        x, y, margin = _part(regions, layers.view, code)
+    for code in layers.regions.present:
+        x, y, margin = _part(layers, code)
         if code != FAILED_CODE and margin.max() > 0.0:
             ax.contourf(x, y, margin, levels=[0.0, np.inf], colors=[palette[layers.labels[code]]], zorder=1)
-    draw_boundaries(ax, layers.view, regions, color=INK, linewidth=linewidth)
+    draw_boundaries(ax, layers, color=INK, linewidth=linewidth)
 
 
 def paint_quantity(
-    ax: Axes, layers: Layers, regions: Regions, colours: Colours, *, dark: bool | None = None, linewidth: float = 0.6
+    ax: Axes, layers: Layers, colours: Colours, *, dark: bool | None = None, linewidth: float = 0.6
 ) -> QuadMesh:
     """Draw a quantity as colour under the regimes' boundaries.
 
     dark : whether the boundaries are dark; by default as the layers say
     """
     ax.set_facecolor(UNDEFINED)
-    mesh = ax.pcolormesh(
-        cell_edges(layers.view.x),
-        cell_edges(layers.view.y),
-        layers.values.T,
-        cmap=colours.cmap,
-        norm=colours.norm,
-        rasterized=True,  # a vector file with a path for every cell would take seconds to show
-        zorder=0.5,
-    )
-    hatch_failed(ax, layers.view, regions)
+    edges = cell_edges(layers.view.x), cell_edges(layers.view.y)
+    look: dict[str, Any] = {"cmap": colours.cmap, "norm": colours.norm, "zorder": 0.5}
+    look["rasterized"] = True  # a vector file with a path for every cell would take seconds to show
+    mesh = ax.pcolormesh(*edges, layers.values.T, **look)
+    hatch_failed(ax, layers)
     is_dark = layers.has_dark_lines if dark is None else dark
-    draw_boundaries(ax, layers.view, regions, color=INK if is_dark else "white", linewidth=linewidth)
+    draw_boundaries(ax, layers, color=INK if is_dark else "white", linewidth=linewidth)
     return mesh
 
 
-def hatch_failed(ax: Axes, view: View, regions: Regions) -> None:
+def hatch_failed(ax: Axes, layers: Layers) -> None:
     """Hatch the failed cells, if there are any."""
-    if FAILED_CODE not in regions.present:
+    if not layers.failed.any():
         return
     look: dict[str, Any] = {"colors": [FAILED_FILL], "hatches": ["//////"], "zorder": 1}
-    filled = ax.contourf(*_part(regions, view, FAILED_CODE), levels=[0.0, np.inf], **look)
+    filled = ax.contourf(*_part(layers, FAILED_CODE), levels=[0.0, np.inf], **look)
     filled.set_edgecolor(FAILED_HATCH)
     filled.set_linewidth(0.0)
 
 
-def draw_boundaries(ax: Axes, view: View, regions: Regions, *, color: str, linewidth: float) -> None:
+def draw_boundaries(ax: Axes, layers: Layers, *, color: str, linewidth: float) -> None:
     """Draw lines between the regions."""
-    if len(regions.present) == 1:
-        return
-    for code in regions.present:
-        x, y, margin = _part(regions, view, code)
+    present = layers.regions.present
+    for code in present if len(present) > 1 else ():
+        x, y, margin = _part(layers, code)
         if margin.min() < 0.0 < margin.max():
             ax.contour(x, y, margin, levels=[0.0], colors=[color], linewidths=linewidth, zorder=3)
 
@@ -149,19 +143,12 @@ def mark_undecided(ax: Axes, layers: Layers) -> None:
     upward = layers.view.y.values[cells[1]] if is_map else np.full(cells[0].size, _STRIP_DOT)
     transform = ax.transData if is_map else ax.get_xaxis_transform()
     size = float(np.clip(0.6 * _MAP / max(layers.codes.shape), 1.3, 3.0))
-    ax.plot(
-        layers.view.x.values[cells[0]],
-        upward,
-        **DOT,
-        markersize=size,
-        transform=transform,
-        zorder=4,
-        gid="undecided",
-    )
+    look: dict[str, Any] = DOT | {"markersize": size, "transform": transform, "zorder": 4}
+    ax.plot(layers.view.x.values[cells[0]], upward, gid="undecided", **look)
 
 
-def _part(regions: Regions, view: View, code: int) -> tuple[Floats, Floats, Scores]:
+def _part(layers: Layers, code: int) -> tuple[Floats, Floats, Scores]:
     """The fine points among which a label's cells are, and its margin there, rows along y."""
-    (columns, rows), margin = regions.margin(code)
-    x, y = regions.fine_values(view)
+    (columns, rows), margin = layers.regions.margin(code)
+    x, y = layers.regions.fine_values(layers.view)
     return x[columns], y[rows], margin.T

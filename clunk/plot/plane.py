@@ -19,8 +19,10 @@ from clunk.study.axes import RUN, ResultAxis
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+Codes = npt.NDArray[np.int16]
 
-_USUAL = ("load.ratio", "lash.backlash_deg")
+_USUAL = ("load.ratio", "lash.backlash_deg")  # stay axes of a map where others are fixed
 _MOST_COORDINATES = 3  # of a run in a title
 
 
@@ -35,43 +37,42 @@ class View:
 
     @classmethod
     def of(cls, drawn: Map, dimensions: int) -> View:
-        """The view of a map over this many axes. Raises PlotError where it has others."""
+        """The view of a map over this many axes, 0 for its cells as points. Raises PlotError where it has others."""
+        if dimensions == 0:
+            return cls((), _fixed_parameters(drawn), (), ())
         keep = drawn_axes(drawn)
-        if len(keep) != dimensions:
-            swept = ", ".join(drawn.axes[index].parameter for index in keep)
-            if len(keep) > 2:
-                surplus = _surplus([drawn.axes[index] for index in keep])
-                raise SurplusAxesError(
-                    f"These results sweep {len(keep)} axes ({swept}) and a map shows two",
-                    surplus,
-                    [axis.parameter for axis in surplus[:2]],
-                )
-            words = {1: "one axis", 2: "two axes"}
-            raise PlotError(
-                f"This figure needs {words[dimensions]} and these results sweep {words[len(keep)]} ({swept})."
-            )
-        if dimensions == 2 and any(drawn.axes[index].parameter == RUN for index in keep):
+        swept = [drawn.axes[index] for index in keep]
+        names = ", ".join(axis.parameter for axis in swept)
+        if len(swept) > 2:
+            surplus = sorted(swept, key=lambda axis: axis.parameter not in _USUAL)[2:]
+            problem = f"These results sweep {len(swept)} axes ({names}) and a map shows two"
+            raise SurplusAxesError(problem, surplus, [axis.parameter for axis in surplus[:2]])
+        if len(swept) != dimensions:
+            needed, present = ("one axis" if count == 1 else "two axes" for count in (dimensions, len(swept)))
+            raise PlotError(f"This figure needs {needed} and these results sweep {present} ({names}).")
+        if dimensions == 2 and RUN in (axis.parameter for axis in swept):
             raise PlotError(
                 "Runs that are drawn together have no order that a map could show: they are drawn as points over two "
                 "of their parameters, x and y."
             )
-        order = tuple(np.argsort(drawn.axes[index].values, kind="stable") for index in keep)
-        ascending = ((drawn.axes[index], places) for index, places in zip(keep, order, strict=True))
-        axes = tuple(replace(axis, values=axis.values[places]) for axis, places in ascending)
-        return cls(axes, fixed_parameters(drawn), keep, order)
+        order = tuple(np.argsort(axis.values, kind="stable") for axis in swept)
+        axes = tuple(replace(axis, values=axis.values[places]) for axis, places in zip(swept, order, strict=True))
+        return cls(axes, _fixed_parameters(drawn), keep, order)
 
     @property
     def x(self) -> ResultAxis:
-        """From left to right."""
+        """The axis from left to right."""
         return self.axes[0]
 
     @property
     def y(self) -> ResultAxis:
-        """Upwards."""
+        """The upward axis."""
         return self.axes[1]
 
     def arrange(self, array: Array) -> Array:
-        """An array of the results' shape as (nx,) or (nx, ny), ascending."""
+        """Turn an array of the results' shape into (nx,) or (nx, ny), ascending; of points into C order."""
+        if not self.keep:
+            return array.ravel()
         rest = tuple(axis for axis in range(array.ndim) if axis not in self.keep)
         turned = np.transpose(array, (*self.keep, *rest)).reshape([len(order) for order in self.order])
         return turned[np.ix_(*self.order)]
@@ -103,7 +104,7 @@ def drawn_axes(drawn: Map) -> tuple[int, ...]:
     return keep
 
 
-def fixed_parameters(drawn: Map) -> tuple[ResultAxis, ...]:
+def _fixed_parameters(drawn: Map) -> tuple[ResultAxis, ...]:
     """Parameters with one value: axes, and a single run's coordinates or, if they are many, its number."""
     keep = drawn_axes(drawn)
     fixed: list[ResultAxis] = []
@@ -112,11 +113,6 @@ def fixed_parameters(drawn: Map) -> tuple[ResultAxis, ...]:
             few = axis.parameter == RUN and len(drawn.coordinates) <= _MOST_COORDINATES
             fixed += drawn.coordinates if few else [axis]
     return tuple(fixed)
-
-
-def _surplus(axes: Sequence[ResultAxis]) -> list[ResultAxis]:
-    """The axes beyond two, load ratio and backlash staying if they are there."""
-    return sorted(axes, key=lambda axis: axis.parameter not in _USUAL)[2:]
 
 
 def ruler(axis: ResultAxis) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
@@ -138,32 +134,26 @@ def cell_edges(axis: ResultAxis) -> Floats:
 
 
 def scale_axes(ax: Axes, view: View) -> None:
-    """Both axes of a map, from the first to the last value."""
-    scale_axis(ax, "x", view.x)
-    scale_axis(ax, "y", view.y)
-    ax.set_xlim(view.x.values[0], view.x.values[-1])
-    ax.set_ylim(view.y.values[0], view.y.values[-1])
+    """Scale both axes of a map, from the first to the last value."""
+    for which, axis in zip("xy", view.axes, strict=True):
+        scale_axis(ax, which, axis)
+        ax.set(**{f"{which}lim": (axis.values[0], axis.values[-1])})
     ax.tick_params(direction="out")
 
 
 def scale_axis(ax: Axes, which: str, axis: ResultAxis) -> None:
-    """Name, unit, scale and ticks of one axis, "x" or "y"."""
-    label = axis_label(axis)
-    if which == "x":
-        ax.set_xlabel(label)
-    else:
-        ax.set_ylabel(label)
-    line = ax.xaxis if which == "x" else ax.yaxis
-    if not axis.is_geometric:
-        line.set_major_locator(ticker.MaxNLocator(10, steps=[1, 2, 5, 10]))
-    else:
+    """Set name, unit, scale and ticks of one axis, "x" or "y"."""
+    ax.set(**{f"{which}label": axis_label(axis)})
+    if axis.is_geometric:
         set_log_scale(ax, which, axis.values[0], axis.values[-1])
+    else:
+        getattr(ax, f"{which}axis").set_major_locator(ticker.MaxNLocator(10, steps=[1, 2, 5, 10]))
 
 
 def set_log_scale(ax: Axes, which: str, low: float, high: float) -> None:
     """A logarithmic scale with plain numbers, some of them between the powers of ten: a short axis has few of those."""
-    (ax.set_xscale if which == "x" else ax.set_yscale)("log")
-    line = ax.xaxis if which == "x" else ax.yaxis
+    ax.set(**{f"{which}scale": "log"})
+    line = getattr(ax, f"{which}axis")
     line.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0) if math.log10(high / low) < 3 else (1.0,)))
     line.set_major_formatter(ticker.StrMethodFormatter("{x:g}"))
     line.set_minor_formatter(ticker.NullFormatter())
@@ -172,8 +162,7 @@ def set_log_scale(ax: Axes, which: str, low: float, high: float) -> None:
 def value_text(axis: ResultAxis, value: float, *, symbol: bool = False) -> str:
     """A parameter's value with its name, or shorter with its `symbol`, and its unit."""
     name = axis.symbol.split("=")[0].strip() if symbol else axis.name
-    unit = "" if axis.unit in ("", "1") else f" {axis.unit}"
-    return f"{name or axis.parameter} = {number_text(value)}{unit}"
+    return f"{name or axis.parameter} = {number_text(value)}{_unit(axis)}"
 
 
 def number_text(value: float) -> str:
@@ -183,8 +172,13 @@ def number_text(value: float) -> str:
 
 def axis_span(axis: ResultAxis) -> str:
     """A parameter's name and from where to where it goes."""
-    unit = "" if axis.unit in ("", "1") else f" {axis.unit}"
-    return f"{axis.name or axis.parameter} from {number_text(axis.values[0])} to {number_text(axis.values[-1])}{unit}"
+    first, last = (number_text(axis.values[k]) for k in (0, -1))
+    return f"{axis.name or axis.parameter} from {first} to {last}{_unit(axis)}"
+
+
+def _unit(axis: ResultAxis) -> str:
+    """An axis's unit after a space, or nothing where it has none."""
+    return "" if axis.unit in ("", "1") else f" {axis.unit}"
 
 
 def axis_label(axis: ResultAxis) -> str:

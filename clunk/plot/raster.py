@@ -9,16 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.text import Text
 from scipy import ndimage
 
-from clunk.plot.plane import View, ruler
-from clunk.plot.regions import Regions
+from clunk.plot.layers import Layers
+from clunk.plot.plane import Bools, Codes, Floats, cell_edges, ruler
 from clunk.study.axes import ResultAxis
-
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
-Codes = npt.NDArray[np.int16]
 
 _PIXEL = 2.0  # display pixels per raster pixel; finer would only be slower
 _NOWHERE = -2  # no region, so that no label is written there
@@ -50,32 +47,31 @@ class Raster:
 
     @classmethod
     def blank(cls, ax: Axes) -> Raster:
-        """One region everywhere."""
+        """Pixels of a map as a single region."""
         box = ax.get_window_extent()
         return cls(ax, np.zeros((int(box.height / _PIXEL), int(box.width / _PIXEL)), np.int16))
 
     @classmethod
-    def of(cls, ax: Axes, regions: Regions, view: View) -> Raster:
-        """The labels as they are drawn."""
-        box = ax.get_window_extent()
-        width, height = int(box.width / _PIXEL), int(box.height / _PIXEL)
+    def of(cls, ax: Axes, layers: Layers) -> Raster:
+        """The labels of a map or strip as they are drawn; those of a strip change halfway between samples."""
+        box, (height, width) = ax.get_window_extent(), cls.blank(ax).label.shape
         across = box.x0 + (np.arange(width) + 0.5) * _PIXEL
         upward = box.y0 + (np.arange(height) + 0.5) * _PIXEL
         inverse = ax.transData.inverted()
         x = inverse.transform(np.column_stack((across, np.full(width, box.y0))))[:, 0]
         y = inverse.transform(np.column_stack((np.full(height, box.x0), upward)))[:, 1]
-        columns = _fine_index(x, view.x, regions.factor[0])
-        rows = _fine_index(y, view.y, regions.factor[1])
-        return cls(ax, regions.label[np.ix_(columns, rows)].T)
+        if len(layers.view.axes) == 1:
+            cells = np.clip(np.searchsorted(cell_edges(layers.view.x), x) - 1, 0, len(layers.codes) - 1)
+            return cls(ax, np.broadcast_to(layers.codes[cells], (height, width)))
+        columns, rows = map(_fine_index, (x, y), layers.view.axes, layers.regions.factor)
+        return cls(ax, layers.regions.label[np.ix_(columns, rows)].T)
 
-    @classmethod
-    def of_strip(cls, ax: Axes, codes: Codes, edges: Floats) -> Raster:
-        """The labels along one axis, which change halfway between samples."""
-        blank = cls.blank(ax)
-        height, width = blank.label.shape
-        x = np.array([blank.data(column + 0.5, 0.0)[0] for column in range(width)])
-        cell = np.clip(np.searchsorted(edges, x) - 1, 0, len(codes) - 1)
-        return cls(ax, np.broadcast_to(codes[cell], (height, width)))
+    @property
+    def figure(self) -> Figure:
+        """The figure of the axes."""
+        figure = self.ax.get_figure(root=True)
+        assert figure is not None
+        return figure
 
     def data(self, x: float, y: float) -> tuple[float, float]:
         """Data coordinates of a raster position."""
@@ -85,11 +81,9 @@ class Raster:
 
     def measure(self, text: str, size: float) -> tuple[int, int]:
         """Width and height in raster pixels that a text takes, with room around it."""
-        figure = self.ax.get_figure(root=True)
-        assert figure is not None
-        drawn = Text(0, 0, text, fontsize=size, parse_math=False, figure=figure)
-        box = drawn.get_window_extent(figure.canvas.get_renderer())  # type: ignore[attr-defined]
-        room = 0.22 * size * figure.dpi / 72.0
+        drawn = Text(0, 0, text, fontsize=size, parse_math=False, figure=self.figure)
+        box = drawn.get_window_extent(self.figure.canvas.get_renderer())  # type: ignore[attr-defined]
+        room = 0.22 * size * self.figure.dpi / 72.0
         return math.ceil((box.width + 2 * room) / _PIXEL), math.ceil((box.height + 2 * room) / _PIXEL)
 
     def take(self, text: str, place: Place) -> None:
@@ -99,12 +93,16 @@ class Raster:
         u, v = rotate(columns + 0.5 - place.x, rows + 0.5 - place.y, -place.angle)
         self.taken |= (np.abs(u) <= 0.5 * width) & (np.abs(v) <= 0.5 * height)
 
-    def take_line(self, start: tuple[float, float], stop: tuple[float, float]) -> None:
-        """Mark the pixels of a line between two raster positions as taken."""
-        height, width = self.taken.shape
-        column, row = (a + np.linspace(0.0, 1.0, 60) * (b - a) for a, b in zip(start, stop, strict=True))
-        rows, columns = np.clip(row.astype(np.intp), 0, height - 1), np.clip(column.astype(np.intp), 0, width - 1)
-        self.taken[rows, columns] = True
+    def take_line(self, columns: Floats, rows: Floats) -> None:
+        """Mark the pixels of a line through raster positions as taken."""
+        share = np.linspace(0.0, 1.0, 60)
+        fine_columns, fine_rows = (ends[:-1, None] + share * np.diff(ends)[:, None] for ends in (columns, rows))
+        self.taken[self._at(fine_columns, fine_rows)] = True
+
+    def _at(self, columns: Floats, rows: Floats) -> tuple[npt.NDArray[np.intp], ...]:
+        """Index of the pixels at raster positions; of those outside, of the nearest on the border."""
+        pairs = zip((rows, columns), self.label.shape, strict=True)
+        return tuple(np.clip(positions, 0, count - 1).astype(np.intp) for positions, count in pairs)
 
     def pixels(self, values: Floats) -> tuple[Floats, Floats]:
         """Raster columns and rows of data coordinates (n, 2)."""
@@ -114,15 +112,10 @@ class Raster:
 
     def block(self, x: Floats, y: Floats, size: float) -> int:
         """Take squares of this many points around some values; returns half a square's pixels."""
-        figure = self.ax.get_figure(root=True)
-        assert figure is not None
-        half = math.ceil(0.5 * size * figure.dpi / 72.0 / _PIXEL)
-        height, width = self.label.shape
-        columns, rows = self.pixels(np.column_stack((x, y)))
+        half = math.ceil(0.5 * size * self.figure.dpi / 72.0 / _PIXEL)
         hit = np.zeros(self.label.shape, np.bool_)
-        hit[np.clip(rows, 0, height - 1).astype(np.intp), np.clip(columns, 0, width - 1).astype(np.intp)] = True
-        hit = ndimage.binary_dilation(hit, np.ones((2 * half + 1, 2 * half + 1)))
-        self.taken |= hit
+        hit[self._at(*self.pixels(np.column_stack((x, y))))] = True
+        self.taken |= ndimage.binary_dilation(hit, np.ones((2 * half + 1, 2 * half + 1)))
         return half
 
     def border(self) -> Bools:
@@ -149,6 +142,7 @@ class Raster:
 
 
 def _fine_index(values: Floats, axis: ResultAxis, factor: int) -> npt.NDArray[np.intp]:
+    """Index of the fine point nearest to each value of an axis."""
     to, _ = ruler(axis)
     samples = axis.values
     index = np.interp(to(np.clip(values, samples[0], samples[-1])), to(samples), np.arange(len(samples)))
@@ -160,6 +154,12 @@ def rotate(x: Any, y: Any, degrees: float) -> tuple[Any, Any]:
     """Positions turned about the origin, anticlockwise."""
     c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     return c * x - s * y, s * x + c * y
+
+
+def centres_that_fit(mask: Bools, width: int, height: int) -> Floats:
+    """(n, 2) centres x, y of the rectangles that lie in the mask as a whole."""
+    rows, columns = np.nonzero(corners_that_fit(mask, width, height))
+    return np.column_stack((columns + 0.5 * width, rows + 0.5 * height))
 
 
 def corners_that_fit(mask: Bools, width: int, height: int) -> Bools:

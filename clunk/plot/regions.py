@@ -10,12 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from clunk.plot.plane import View, ruler
+from clunk.plot.plane import Bools, Codes, Floats, View, ruler
 from clunk.results.labels import FAILED_CODE
 
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
-Codes = npt.NDArray[np.int16]
 Scores = npt.NDArray[np.float32]
 Window = tuple[slice, slice]
 
@@ -47,16 +44,12 @@ class Regions:
         self._bare = np.ones(codes.shape, np.bool_)
         if self.factor != (1, 1):
             self._smooth()
-        self.label, self._best, self._second = self._compete()
-        for _ in range(8):
+        for attempt in range(9):
+            self.label, self._best, self._second = self._compete()
             wrong = self._wrong()
             if not wrong.any():
                 break
-            self._bare |= wrong
-            self.label, self._best, self._second = self._compete()
-        else:
-            self._bare[:] = True
-            self.label, self._best, self._second = self._compete()
+            self._bare |= wrong | (attempt == 7)  # the last attempt smooths nothing
 
     def margin(self, code: int) -> tuple[Window, Scores]:
         """The fine points among which a label's cells are, and by how much it wins (positive) or loses at each."""
@@ -69,11 +62,10 @@ class Regions:
     def fine_values(self, view: View) -> tuple[Floats, ...]:
         """The parameter at the fine points, along each axis."""
         values = []
-        for axis, factor in zip(view.axes, self.factor, strict=True):
+        for axis, size in zip(view.axes, self.label.shape, strict=True):
             to, back = ruler(axis)
-            count = len(axis.values)
-            fine = np.linspace(0.0, count - 1.0, (count - 1) * factor + 1)
-            values.append(back(np.interp(fine, np.arange(count), to(axis.values))))
+            samples = np.arange(len(axis.values))
+            values.append(back(np.interp(np.linspace(0.0, samples[-1], size), samples, to(axis.values))))
         return tuple(values)
 
     def _smooth(self) -> None:
@@ -89,24 +81,19 @@ class Regions:
 
     def _around(self, code: int, cells: int) -> Window:
         """The samples within a number of cells of a label's bounding box."""
-        rows, columns = (
-            slice(max(box.start - cells, 0), min(box.stop + cells, count))
-            for box, count in zip(self._boxes[code], self.codes.shape, strict=True)
-        )
+        sides = zip(self._boxes[code], self.codes.shape, strict=True)
+        rows, columns = (slice(max(box.start - cells, 0), min(box.stop + cells, count)) for box, count in sides)
         return rows, columns
 
     def _fine(self, window: Window) -> Window:
         """The fine points from the first of these samples to the last."""
-        rows, columns = (
-            slice(samples.start * factor, (samples.stop - 1) * factor + 1)
-            for samples, factor in zip(window, self.factor, strict=True)
-        )
+        sides = zip(window, self.factor, strict=True)
+        rows, columns = (slice(side.start * factor, (side.stop - 1) * factor + 1) for side, factor in sides)
         return rows, columns
 
     def _specks(self) -> tuple[Bools, Bools]:
         """Cells in no 2 x 2 block of their label: of regions without one, and of lines and tips of the rest."""
-        specks = np.zeros(self.codes.shape, np.bool_)
-        tips = np.zeros(self.codes.shape, np.bool_)
+        specks, tips = np.zeros((2, *self.codes.shape), np.bool_)
         for code in self.present:
             window = self._around(code, 2)
             cells = self.codes[window] == code
@@ -139,8 +126,7 @@ class Regions:
 
     def _deficit(self) -> Scores:
         """Score that each sample's label lacks to reach the highest of the other labels there."""
-        score_of_label = np.zeros(self.codes.shape, np.float32)
-        score_of_rival = np.zeros(self.codes.shape, np.float32)
+        score_of_label, score_of_rival = np.zeros((2, *self.codes.shape), np.float32)
         for code in self.present:
             window, score = self._support(code), self._sample_score(code)
             cells = self.codes[window] == code
@@ -163,7 +149,7 @@ class Regions:
         """The label with the highest score at each fine point, that score and the next one."""
         shape = tuple((count - 1) * factor + 1 for count, factor in zip(self.codes.shape, self.factor, strict=True))
         label = np.full(shape, self.present[0], np.int16)
-        best, second = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        best, second = np.zeros((2, *shape), np.float32)
         for code in self.present:
             around = self._support(code)
             window = self._fine(around)
@@ -183,14 +169,11 @@ class Regions:
             for size, factor, count in zip(self.label.shape, self.factor, self.codes.shape, strict=True)
         ]
         foreign = np.ones(self.label.shape, np.bool_)
-        for dx in (0, 1):
-            for dy in (0, 1):
-                foreign &= self.label != self.codes[np.ix_(corner[0] + dx, corner[1] + dy)]
-        if foreign.any():
-            i, j = np.nonzero(foreign)
-            for dx in (0, 1):
-                for dy in (0, 1):
-                    wrong[corner[0][i] + dx, corner[1][j] + dy] = True
+        for dx, dy in np.ndindex(2, 2):
+            foreign &= self.label != self.codes[np.ix_(corner[0] + dx, corner[1] + dy)]
+        i, j = np.nonzero(foreign)
+        for dx, dy in np.ndindex(2, 2):
+            wrong[corner[0][i] + dx, corner[1][j] + dy] = True
         return wrong
 
 
@@ -200,7 +183,7 @@ def _relative(window: Sequence[slice], base: Window) -> Window:
     return rows, columns
 
 
-def regions_of(codes: Codes, points: int = 700) -> Regions:
+def regions_of(codes: Codes, points: int) -> Regions:
     """The regions of some codes; those of the last ones are kept, for another picture of the same map."""
     return _regions(codes.tobytes(), codes.shape, points)
 

@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from clunk.plot import style
-from clunk.plot.layers import Floats, Layers
+from clunk.plot.layers import Layers
 from clunk.plot.notes import cells_phrase, set_notes, undecided_notes
-from clunk.plot.painting import Colours
-from clunk.plot.plane import SurplusAxesError, axis_label, drawn_axes, set_log_scale
+from clunk.plot.painting import Colours, new_plot
+from clunk.plot.plane import Floats, SurplusAxesError, axis_label, drawn_axes, set_log_scale
 from clunk.results.labels import FAILED
 from clunk.results.quantities import CELL_QUANTITIES
 from clunk.results.regimemap import Results
@@ -26,6 +26,7 @@ _LOG_SPAN = 30.0  # of the largest value over the smallest, from which a scale m
 _NOT_KNOWN = "#ffffff"
 
 
+@style.styled()
 def scatter_map(results: Results, x: str, y: str, quantity: str = "regimes") -> Figure:
     """Every run as a point over two parameters, in the colour of its label or of a quantity.
 
@@ -33,19 +34,19 @@ def scatter_map(results: Results, x: str, y: str, quantity: str = "regimes") -> 
     """
     across, upward = _parameter(results, x), _parameter(results, y)
     _require_points_apart(results, (x, y))
-    layers = Layers.of_points(results, quantity)
+    layers = _layers(results, quantity)
     place = _values_of(results, across), _values_of(results, upward)
-    with style.styled():
-        figure, ax = _new_figure(layers)
-        notes = _draw_labels(ax, layers, *place) if quantity == "regimes" else _draw_values(figure, ax, layers, *place)
-        if layers.failed.any():
-            crosses = [values[layers.failed] for values in place]
-            ax.plot(*crosses, "x", color=style.FAILED_HATCH, markersize=4.0, zorder=2, gid="failed")
-            notes.append(_failed_note(layers, FAILED, marker="x"))
-        _finish(figure, ax, (across, upward), notes)
-        return figure
+    figure, ax = new_plot(layers, f"{layers.codes.size:,} runs")
+    notes = _draw_labels(ax, layers, *place) if quantity == "regimes" else _draw_values(figure, ax, layers, *place)
+    if layers.failed.any():
+        crosses = [values[layers.failed] for values in place]
+        ax.plot(*crosses, "x", color=style.FAILED_HATCH, markersize=4.0, zorder=2, gid="failed")
+        notes.append(_failed_note(layers, FAILED, marker="x"))
+    _finish(figure, ax, (across, upward), notes)
+    return figure
 
 
+@style.styled()
 def scatter_curve(results: Results, x: str, quantity: str) -> Figure:
     """A quantity of every run over one parameter, each point in the colour of its label.
 
@@ -55,15 +56,14 @@ def scatter_curve(results: Results, x: str, quantity: str) -> Figure:
     """
     across = _parameter(results, x)
     _require_points_apart(results, (x, RUN))
-    layers = Layers.of_points(results, quantity)
-    with style.styled():
-        figure, ax = _new_figure(layers)
-        notes = _draw_labels(ax, layers, _values_of(results, across), layers.values)
-        if layers.failed.any():
-            notes.append(_failed_note(layers, f"{FAILED}, not shown"))
-        ax.set_ylabel(CELL_QUANTITIES[quantity].plot_label)
-        _finish(figure, ax, (across,), notes)
-        return figure
+    layers = _layers(results, quantity)
+    figure, ax = new_plot(layers, f"{layers.codes.size:,} runs")
+    notes = _draw_labels(ax, layers, _values_of(results, across), layers.values)
+    if layers.failed.any():
+        notes.append(_failed_note(layers, f"{FAILED}, not shown"))
+    ax.set_ylabel(CELL_QUANTITIES[quantity].plot_label)
+    _finish(figure, ax, (across,), notes)
+    return figure
 
 
 def parameter_choice(results: Results) -> tuple[str, ...]:
@@ -91,12 +91,11 @@ def _require_points_apart(results: Results, chosen: Sequence[str]) -> None:
     if len(set(chosen)) < len(chosen):
         raise style.PlotError(f"x and y are both {chosen[0]}; name two parameters.")
     axes = {results.axes[index].parameter: results.axes[index] for index in drawn_axes(results)}
-    hidden = set(axes) - {name if name in axes else RUN for name in chosen}
+    shown = {name if name in axes else RUN for name in chosen}
+    hidden = {name: axis for name, axis in axes.items() if name not in shown}
     if hidden:
-        surplus = [axis for name, axis in axes.items() if name in hidden]
-        names = ", ".join(axis.parameter for axis in surplus)
-        facets = [RUN] if hidden == {RUN} else []
-        raise SurplusAxesError(f"Points that differ in {names} would lie on each other", surplus, facets)
+        problem = f"Points that differ in {', '.join(hidden)} would lie on each other"
+        raise SurplusAxesError(problem, list(hidden.values()), [RUN] if set(hidden) == {RUN} else [])
 
 
 def _values_of(results: Results, axis: ResultAxis) -> Floats:
@@ -107,16 +106,17 @@ def _values_of(results: Results, axis: ResultAxis) -> Floats:
     return np.broadcast_to(axis.values.reshape(shape), results.shape).ravel()
 
 
-def _new_figure(layers: Layers) -> tuple[Figure, Axes]:
-    """A figure with titles and empty axes."""
-    figure = style.new_figure()
-    ax = figure.add_subplot()
-    style.set_titles(figure, ax, layers.title, layers.subtitle(f"{layers.codes.size:,} runs"))
-    return figure, ax
+def _layers(results: Results, quantity: str) -> Layers:
+    """Layers of the runs as points. Raises PlotError where the quantity is defined nowhere."""
+    if quantity == "regimes":
+        return Layers.of(results, 0)
+    layers = Layers.of_quantity(results, 0, quantity)
+    layers.require_values()
+    return layers
 
 
 def _look(count: int) -> dict[str, Any]:
-    """Markers that are seen one by one in a small sample, and as a cloud in a large one."""
+    """Look of the points: seen one by one in a small sample, and as a cloud in a large one."""
     size = float(np.clip(6.5 * (256.0 / count) ** 0.35, 1.6, 6.5))
     return {"s": size**2, "edgecolors": style.INK, "linewidths": 0.5 if size > 3.0 else 0.0}
 
@@ -129,10 +129,8 @@ def _draw_labels(ax: Axes, layers: Layers, x: Floats, y: Floats) -> list[Artist]
     ax.scatter(x[known], y[known], c=fills[layers.codes[known]], **_look(x.size), zorder=3)
     undecided = known & layers.undecided
     ax.plot(x[undecided], y[undecided], ".", color=style.INK, markersize=1.5, zorder=4, gid="undecided")
-    notes: list[Artist] = [
-        _handle(f"{label}: {cells_phrase(layers.count(label))}", palette[label]) for label in layers.present
-    ]
-    return [*notes, *undecided_notes(undecided)]
+    texts = {label: f"{label}: {cells_phrase(layers.count(label))}" for label in layers.present}
+    return [*(_note(text, palette[label]) for label, text in texts.items()), *undecided_notes(undecided)]
 
 
 def _draw_values(figure: Figure, ax: Axes, layers: Layers, x: Floats, y: Floats) -> list[Artist]:
@@ -144,23 +142,23 @@ def _draw_values(figure: Figure, ax: Axes, layers: Layers, x: Floats, y: Floats)
     if not undefined.any():
         return []
     ax.scatter(x[undefined], y[undefined], c=_NOT_KNOWN, **_look(x.size), zorder=2)
-    return [_handle("not defined (no events)", _NOT_KNOWN)]
+    return [_note("not defined (no events)", _NOT_KNOWN)]
 
 
 def _failed_note(layers: Layers, text: str, marker: str = "") -> Line2D:
-    """The number of failed runs."""
+    """A note with the number of failed runs."""
     label = f"{text}: {cells_phrase(int(np.count_nonzero(layers.failed)))}"
     return Line2D([], [], linestyle="none", marker=marker, color=style.FAILED_HATCH, label=label)
 
 
-def _handle(text: str, fill: str) -> Line2D:
+def _note(text: str, fill: str) -> Line2D:
     """A note that begins with a point."""
     look: dict[str, Any] = {"markerfacecolor": fill, "markeredgecolor": style.INK}
     return Line2D([], [], linestyle="none", marker="o", markersize=6.0, markeredgewidth=0.5, label=text, **look)
 
 
 def _finish(figure: Figure, ax: Axes, axes: tuple[ResultAxis, ...], notes: list[Artist]) -> None:
-    """Names, scales and limits of the drawn parameters' axes, and the notes under them."""
+    """Set names, scales and limits of the drawn parameters' axes, and the notes under them."""
     for which, axis in zip("xy", axes, strict=False):
         low, high = float(axis.values.min()), float(axis.values.max())
         limits = low - _ROOM * (high - low), high + _ROOM * (high - low)

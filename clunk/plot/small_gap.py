@@ -10,6 +10,7 @@ from clunk.plot import style
 from clunk.simulation.small_gap import SmallGap
 
 
+@style.styled()
 def small_gap(title: str, response: SmallGap) -> Figure:
     """The response as the backlash vanishes, and how long the lowest mode lifts it off its flank (Figure 3.5).
 
@@ -25,15 +26,14 @@ def small_gap(title: str, response: SmallGap) -> Figure:
         text = f"{values}: {formula} periods of {1.0 / response.frequency:.3g} s until {time.replace('-', style.MINUS)}"
     else:
         text = f"{values}: the exponential decay never crosses zero"
-    with style.styled():
-        figure = style.new_figure((style.HISTORY_WIDTH, 4.8))
-        ax = figure.add_subplot()
-        _draw_small_gap(ax, response)
-        text = f"limit of vanishing backlash, the lash always closed\n{text}"
-        style.set_titles(figure, ax, title, text, parse_math=True)
-        figure.legend(loc="outside lower center", ncols=4, frameon=False)
-        style.freeze_layout(figure, ax)
-        return figure
+    figure = style.new_figure((style.HISTORY_WIDTH, 4.8))
+    ax = figure.add_subplot()
+    _draw_small_gap(ax, response)
+    text = f"limit of vanishing backlash, the lash always closed\n{text}"
+    style.set_titles(figure, ax, title, text, parse_math=True)
+    figure.legend(loc="outside lower center", ncols=4, frameon=False)
+    style.freeze_layout(figure, ax)
+    return figure
 
 
 def _draw_small_gap(ax: Axes, response: SmallGap) -> None:

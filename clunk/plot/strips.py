@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -11,11 +10,9 @@ from matplotlib.figure import Figure
 
 from clunk.plot import style
 from clunk.plot.labelling import label_and_note
-from clunk.plot.layers import Floats, Layers, require_some
-from clunk.plot.notes import undecided_notes
+from clunk.plot.layers import Layers
 from clunk.plot.painting import mark_undecided
-from clunk.plot.plane import cell_edges, scale_axis
-from clunk.plot.raster import Raster
+from clunk.plot.plane import Floats, cell_edges, scale_axis
 from clunk.results.labels import FAILED_CODE
 from clunk.results.quantities import CELL_QUANTITIES
 from clunk.results.regimemap import Results
@@ -23,6 +20,7 @@ from clunk.results.regimemap import Results
 _FEW = 60  # samples, each of which is marked on the curve
 
 
+@style.styled()
 def strip(results: Results, quantity: str = "severity", more: str = "") -> Figure:
     """The labels along one swept axis as a coloured strip over the curve of a quantity.
 
@@ -31,33 +29,27 @@ def strip(results: Results, quantity: str = "severity", more: str = "") -> Figur
     Raises PlotError unless one axis was swept, `quantity` is one and it is defined in some cell.
     """
     layers = Layers.of_quantity(results, 1, quantity)
-    require_some(layers.values, quantity)
+    layers.require_values()
     samples, edges = layers.view.x.values, cell_edges(layers.view.x)
-    with style.styled():
-        figure = style.new_figure()
-        band, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 4.6))
-        style.set_titles(figure, band, layers.title, layers.subtitle(more))
-        starts = np.concatenate(([0], np.flatnonzero(np.diff(layers.codes)) + 1, [len(samples)]))
-        for start, stop in pairwise(starts):
-            _draw_regime(band, ax, layers, edges, slice(start, stop))
-        scale_axis(ax, "x", layers.view.x)
-        ax.set_xlim(*((samples[0], samples[-1]) if len(samples) > 1 else edges))
-        ax.set_ylabel(CELL_QUANTITIES[quantity].plot_label)
-        _limit_upwards(ax, layers.values)
-        style.tidy(ax)
-        band.set_yticks([])
-        band.tick_params(bottom=False, labelbottom=False)
-        mark_undecided(band, layers)
-        more_notes = undecided_notes(layers.undecided)
-        codes = layers.codes
-        label_and_note(
-            figure, band, layers, lambda: Raster.of_strip(band, codes, edges), leaders=False, more=more_notes
-        )
-        return figure
+    figure = style.new_figure()
+    band, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 4.6))
+    style.set_titles(figure, band, layers.title, layers.subtitle(more))
+    for piece in np.split(np.arange(len(samples)), np.flatnonzero(np.diff(layers.codes)) + 1):
+        _draw_regime(band, ax, layers, edges, slice(piece[0], piece[-1] + 1))
+    scale_axis(ax, "x", layers.view.x)
+    ax.set_xlim(*((samples[0], samples[-1]) if len(samples) > 1 else edges))
+    ax.set_ylabel(CELL_QUANTITIES[quantity].plot_label)
+    _limit_upwards(ax, layers.values)
+    style.tidy(ax)
+    band.set_yticks([])
+    band.tick_params(bottom=False, labelbottom=False)
+    mark_undecided(band, layers)
+    label_and_note(figure, band, layers)
+    return figure
 
 
 def _draw_regime(band: Axes, ax: Axes, layers: Layers, edges: Floats, cells: slice) -> None:
-    """One regime's piece of the band and of the curve: the quantity jumps between regimes."""
+    """Draw a regime's piece of the band and of the curve: the quantity jumps between regimes."""
     samples, code = layers.view.x.values, layers.codes[cells.start]
     left, right = max(edges[cells.start], samples[0]), min(edges[cells.stop], samples[-1])
     if len(samples) == 1:
@@ -76,7 +68,7 @@ def _draw_regime(band: Axes, ax: Axes, layers: Layers, edges: Floats, cells: sli
 
 
 def _limit_upwards(ax: Axes, values: Floats) -> None:
-    """Begin at zero where no value is negative; else draw a line at zero if values lie on both sides of it."""
+    """Begin at zero the y axis of values without a negative one; else draw a line at zero if they have both signs."""
     if not np.nanmin(values) < 0.0:
         ax.set_ylim(bottom=0.0)
     elif np.nanmax(values) > 0.0:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import colors, style
+from matplotlib import colors, patheffects, style
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -33,6 +33,7 @@ FAILED_FILL, FAILED_HATCH = "#d5d5d5", "#8a8a8a"
 UNDEFINED = "#efefec"
 # Of lines, in this order; also the colour blind tell them apart, and their lightness differs.
 LINE_COLOURS = ("#2f7fc1", "#dd6b1f", "#1f9e83", "#7d55a8", "#b8447c", "#d9b310", "#7a6a55")
+CENTRED: dict[str, Any] = {"ha": "center", "va": "center"}
 DASHED = (0, (4.0, 1.6))
 MINUS = "\N{MINUS SIGN}"
 # One hue per number of double-sided impacts, tinted. Chosen so that the nine labels of Figure 3.4 stay apart under
@@ -101,16 +102,14 @@ def freeze_layout(figure: Figure, ax: Axes) -> None:
     figure.set_layout_engine("constrained")
     figure.draw_without_rendering()
     title = figure._suptitle  # type: ignore[attr-defined]
-    if title is not None:
-        left = ax.get_position().x0
-        if wrap(figure, title, (1.0 - left) * figure.bbox.width - _TITLE_MARGIN * figure.dpi):
-            figure.draw_without_rendering()  # the title takes another height
+    left = ax.get_position().x0
+    if _wrap(figure, title, (1.0 - left) * figure.bbox.width - _TITLE_MARGIN * figure.dpi):
+        figure.draw_without_rendering()  # the title takes another height
     figure.set_layout_engine("none")
-    if title is not None:
-        title.set_x(left)
+    title.set_x(left)
 
 
-def wrap(figure: Figure, title: Text, room: float) -> bool:
+def _wrap(figure: Figure, title: Text, room: float) -> bool:
     """Break a title into lines of `room` display pixels at most; whether that changed it."""
     before = title.get_text()
     text = " ".join(before.split())
@@ -120,6 +119,11 @@ def wrap(figure: Figure, title: Text, room: float) -> bool:
         if title.get_window_extent(renderer).width <= room:
             break
     return bool(title.get_text() != before)
+
+
+def halo(linewidth: float = 2.4, colour: str = "white") -> list[patheffects.AbstractPathEffect]:
+    """An outline around a text or a line, so that it is seen on any ground."""
+    return [patheffects.withStroke(linewidth=linewidth, foreground=colour)]
 
 
 def tidy(ax: Axes) -> None:
