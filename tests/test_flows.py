@@ -51,7 +51,7 @@ def jump(propagated, work, size):
 def observe(watch, output, f, steady, work, size, inputs, times, results):
     """Value, slope and curvature of a functional, its origin included."""
     none = vectors.splat(0.0)
-    seen = curves.glance(watch, work, size, none, 0, curves.Curve(none, none, none, none, none))
+    seen = curves.evaluate_again(watch, work, size, none, 0, curves.Curve(none, none, none, none, none))
     value0, slope0, curvature0 = curves.origin(output, f, inputs, 0, steady, vectors.load(times, 0))
     vectors.store(results, 0, seen.value + value0)
     vectors.store(results, 1, seen.slope + slope0)
@@ -60,20 +60,20 @@ def observe(watch, output, f, steady, work, size, inputs, times, results):
 
 @compiled
 def look(watch, work, size, levels, deepest, results):
-    """What `curves.look` returns, and then `glance`, `bounds` and `rush`."""
+    """What `curves.evaluate` returns, and then `evaluate_again`, `bounds` and `slope_bound`."""
     level = vectors.load(levels, 0)
-    slower, ringing, pair, sways, sway = curves.look(watch, work, size, level, deepest)
+    slower, ringing, pair, sways, sway = curves.evaluate(watch, work, size, level, deepest)
     curves.store_curve(results, 0, slower)
     vectors.store(results, 5, ringing)
     curves.store_curve(results, 6, pair)
     vectors.store(results, 11, sways)
     vectors.store(results, 12, sway)
-    curves.store_curve(results, 13, curves.glance(watch, work, size, level, deepest, slower))
+    curves.store_curve(results, 13, curves.evaluate_again(watch, work, size, level, deepest, slower))
     jerk, sixth, sway = curves.bounds(watch, work, size)
     vectors.store(results, 18, jerk)
     vectors.store(results, 19, sixth)
     vectors.store(results, 20, sway)
-    vectors.store(results, 21, curves.rush(watch, work, size, level, deepest))
+    vectors.store(results, 21, curves.slope_bound(watch, work, size, level, deepest))
 
 
 LOOKS = 22
@@ -544,7 +544,7 @@ def test_located_extremes_are_those_of_dense_samples(flow):
             f, EXTREMES, rows.EXTREMES_SEARCH, x, u, np.full(RUNS, length),
             top=samples[-1], bottom=samples[-1], signs=np.ones(RUNS), shifts=np.zeros(RUNS),
         )  # fmt: skip
-        assert np.array_equal(numbers[:, [rows.HIGH, rows.LOW]].T, [high, low])
+        assert np.array_equal(numbers[:, [rows.WINDOW_MAX, rows.WINDOW_MIN]].T, [high, low])
         for one, other in ((high, samples.max(axis=0)), (-low, -samples.min(axis=0))):
             beyond = one - other
             assert np.all(beyond >= -TIGHT * scale[f])

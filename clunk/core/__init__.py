@@ -14,6 +14,9 @@ run begins with and leaves behind), then one of two methods, and `events`, `sequ
 
 `lanes`: `vectors` and `pool`, by which many runs take their steps side by side.
 
+A sweep enters by `tile.run_tile`: for each cell `_preloaded`, then `run.begin` and `run.advance` of the exact method or
+`rk4.run.run`, and at the end `_describe`; a single run by `tile.run`. `sequence.label` makes the text of a label.
+
 Words
 -----
 flow        x' = A x + B u, with its functionals; regimes may share one
@@ -31,8 +34,14 @@ step        rk4: a step of the time grid; exact: a span, or a part of the shorte
 span        one of a ladder of time intervals, two an octave, for which a flow's propagator is tabulated
 origin      a particular solution of a flow, which the modal coordinates are measured from
 pair        two modal coordinates that belong together; its amplitude never grows, its sway is what it adds at most
-level       how many of the fastest pairs are left out of the guards of a step
+left out    of a step's guards: the fastest pairs, whose sway is subtracted instead; how many, in LEFT_OUT
 group       regimes with one flow and the same functionals, whose runs take steps together
+miss        a turn of a guard above zero; grazing: one within rounding of zero, or an event that all but did not happen
+ring, sway  how far the pairs that are left out, or all pairs, move a functional at most from now on
+bar         how low a guard has to turn back to make the run's margin smaller
+static      the overlap or the locking torque at rest in contact, which margins of a contact are relative to
+sticking    a contact that lasts longer than the sticking time
+slot        the place of a run among those that are under way; follow: sending it on after a step or a search
 lane        one of the numbers in a vector register; mask: an int whose bits are lanes
 queue       runs, or searches, that wait for the same; pool: all queues, and the items taken from one of them
 """

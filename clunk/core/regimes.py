@@ -35,8 +35,8 @@ OPEN_FLOW, CLOSED_FLOW = 0, 1
 OPEN, CLOSED_POSITIVE, CLOSED_NEGATIVE, PARTED_POSITIVE, PARTED_NEGATIVE = range(5)
 TORQUE, HALF_GAP = range(2)
 INPUTS = 2  # known to the compiler, which unrolls the loops over them
-# The functionals: q, θ'' of one inertia, and, where a guard needs it, the contact torque, signed like q: k q + c q', or
-# the torque that locks q (one output less to step without it).
+# The functionals: q, θ'' of one inertia, and the contact torque, signed like q: k q + c q', or the torque that locks q;
+# the last is left out where no guard needs it, a functional less to step.
 GAP, ACCELERATION, FORCE = range(3)
 
 LOCKING_SHARE = 1e-4  # of the run's fastest touch: chatter has then lost all but 1e-8 of its energy

@@ -26,12 +26,13 @@ from clunk.core.runs import Log, record
 
 FloatArray = npt.NDArray[np.float64]
 
-_PARTED = 1e-9  # of its terms: what the torque across the flanks is not at a separation that was located
+# Share of its terms: a larger holding torque at a release means that the load step itself parted the flanks.
+_CLEARLY_NOT_ZERO = 1e-9
 ROUNDING = 8 * float(np.finfo(np.float64).eps)  # relative to the terms of a sum of a few products
 
 
 class Entry(NamedTuple):
-    """How the regime after an event is entered."""
+    """Entry into the regime that follows an event."""
 
     written: int  # events so far
     regime: int
@@ -188,7 +189,7 @@ def _release(
     if inputs[HALF_GAP] > 0.0:
         torque_held, _, scale = _held(system, x, inputs[TORQUE])
         # where the load step itself parts them, q'' is not zero
-        order = 2 if abs(torque_held) > _PARTED * scale else int(row.zero_order)
+        order = 2 if abs(torque_held) > _CLEARLY_NOT_ZERO * scale else int(row.zero_order)
         return Entry(count + 1, row.successor, row.zero_guard, order)
     # locked flanks without a gap between them: no free state
     successor = closed_on(-side)

@@ -4,7 +4,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba.extending import overload
 
 from clunk.core import switching
 from clunk.core.events import EVENT, TOUCH
@@ -88,7 +87,6 @@ def run(system: System, tables: Steps | Flows, start: Start, log: Log, stop: npt
     return Outcome(*method(system, tables, start, log, stop))
 
 
-@compiled
 def run_tile(
     system: System,
     tables: Steps | Flows,
@@ -113,25 +111,9 @@ def run_tile(
     done, written : int
         The first cell that was not run, and how many impacts were written.
     """
-    return _run_all(system, tables, undecided, cases, first, max_events, output, stop)  # type: ignore[no-any-return]
-
-
-def _run_all(*arguments: Any) -> Any:
-    """`run_tile`, by the method that its tables are for."""
-
-
-@overload(_run_all)
-def _compiled_run_all(
-    system: Any, tables: Any, undecided: Any, cases: Any, first: Any, max_events: Any, output: Any, stop: Any
-) -> Any:
-    method: Any = by_exact if tables.instance_class is Flows else by_rk4
-
-    def run_all(
-        system: Any, tables: Any, undecided: Any, cases: Any, first: Any, max_events: Any, output: Any, stop: Any
-    ) -> Any:
-        return method(system, tables, undecided, cases, first, max_events, output, stop)
-
-    return run_all
+    method: Any = by_exact if isinstance(tables, Flows) else by_rk4
+    done, written = method(system, tables, undecided, cases, first, max_events, output, stop)
+    return done, written
 
 
 @compiled

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.exact.flows import BLOCK, CURVATURE, JERK, RUSH, SIXTH, SLOPE, SWAY, VALUE
+from clunk.core.exact.flows import BLOCK, CURVATURE, JERK, SIXTH, SLOPE, SLOPE_BOUND, SWAY, VALUE
 from clunk.core.jit import unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, Vector, fused
@@ -20,9 +20,9 @@ FloatArray = npt.NDArray[np.float64]
 A_SIXTH = 1.0 / 6.0 * (1.0 + 1e-15)  # a product is quicker than a division
 # How far a function may be from the polynomial with its values, slopes and curvatures at both ends, at most, by its
 # sixth derivative over (0, 1): by the middle one of seven Bernstein coefficients, as a slope, and as a curvature
-_PARTS = 1.0 / 14400.0 * (1.0 + 1e-15)
-_SLOPE_PARTS = 7.45355992499930e-5  # √5 / 30000: Birkhoff & Priver 1967, as the next
-_CURVATURE_PARTS = 1.0 / 1920.0 * (1.0 + 1e-15)
+_REMAINDER = 1.0 / 14400.0 * (1.0 + 1e-15)
+_SLOPE_REMAINDER = 7.45355992499930e-5  # √5 / 30000: Birkhoff & Priver 1967, as the next
+_CURVATURE_REMAINDER = 1.0 / 1920.0 * (1.0 + 1e-15)
 # What makes a guess of how long a guard stays positive: of the bounds of its derivatives, so much
 _OF_THE_JERK = 0.2 / 6.0
 _OF_THE_SIXTH = 1.5 / 14400.0
@@ -45,18 +45,18 @@ def weight(array: FloatArray, row: int, lane: int) -> float:
 
 
 @unowned_inlined
-def look(
-    watch: FloatArray, work: FloatArray, size: int, level: Vector, deepest: int
+def evaluate(
+    watch: FloatArray, work: FloatArray, size: int, left_out: Vector, most_left_out: int
 ) -> tuple[Curve, Vector, Curve, Vector, Vector]:
     """A functional less its origin, and without its fastest pairs.
 
     size : of the coordinates
-    level : how many pairs are left out in each lane, at most `deepest`
+    left_out : how many pairs are left out in each lane, at most `most_left_out`
 
     Returns
     -------
     slower : Curve
-        Without the first `level` pairs.
+        Without the first `left_out` pairs.
     ringing : Vector
         The sway of those pairs.
     pair, sway : Curve, Vector
@@ -64,9 +64,9 @@ def look(
     sway : Vector
         Of all of it.
     """
-    none = vectors.splat(0.0)
-    value, slope, curvature, jerk, sixth, sway, ringing = none, none, none, none, none, none, none
-    next_value, next_slope, next_curvature, next_jerk, next_sixth, next_sway = none, none, none, none, none, none
+    zero = vectors.splat(0.0)
+    value, slope, curvature, jerk, sixth, sway, ringing = zero, zero, zero, zero, zero, zero, zero
+    next_value, next_slope, next_curvature, next_jerk, next_sixth, next_sway = zero, zero, zero, zero, zero, zero
     for begin in range(0, size, ROW):
         for k in range(BLOCK):
             p, number = begin + k, begin // 2 + k
@@ -77,8 +77,8 @@ def look(
             c = fused(other, weight(watch, p + BLOCK, CURVATURE), one * weight(watch, p, CURVATURE))
             jerking, swing = amplitude * weight(watch, size + p, JERK), amplitude * weight(watch, size + p, SWAY)
             highest = amplitude * weight(watch, size + p, SIXTH)
-            if number < deepest:
-                slow, at = level <= float(number), level == float(number)
+            if number < most_left_out:
+                slow, at = left_out <= float(number), left_out == float(number)
                 next_value, next_slope = vectors.choose(at, a, next_value), vectors.choose(at, b, next_slope)
                 next_curvature = vectors.choose(at, c, next_curvature)
                 next_jerk, next_sway = vectors.choose(at, jerking, next_jerk), vectors.choose(at, swing, next_sway)
@@ -95,27 +95,29 @@ def look(
 
 
 @unowned_inlined
-def rush(watch: FloatArray, work: FloatArray, size: int, level: Vector, deepest: int) -> Vector:
+def slope_bound(watch: FloatArray, work: FloatArray, size: int, left_out: Vector, most_left_out: int) -> Vector:
     """What the fastest pairs of a functional add to its slope at most from now on."""
     total = vectors.splat(0.0)
-    for pair in range(deepest):
+    for pair in range(most_left_out):
         p = pair + pair // BLOCK * BLOCK
-        fast = vectors.load(work, size + pair) * weight(watch, size + p, RUSH)
-        total += vectors.choose(level > float(pair), fast, 0.0)
+        fast = vectors.load(work, size + pair) * weight(watch, size + p, SLOPE_BOUND)
+        total += vectors.choose(left_out > float(pair), fast, 0.0)
     return total
 
 
 @unowned_inlined
-def glance(watch: FloatArray, work: FloatArray, size: int, level: Vector, deepest: int, before: Curve) -> Curve:
-    """The value, slope and curvature of `look`, with the bounds that were known `before`."""
-    none = vectors.splat(0.0)
-    value, slope, curvature = none, none, none
+def evaluate_again(
+    watch: FloatArray, work: FloatArray, size: int, left_out: Vector, most_left_out: int, before: Curve
+) -> Curve:
+    """The value, slope and curvature of `evaluate`, with the bounds that were known `before`."""
+    zero = vectors.splat(0.0)
+    value, slope, curvature = zero, zero, zero
     for begin in range(0, size, ROW):
         for k in range(BLOCK):
             p, pair = begin + k, begin // 2 + k
             one, other = vectors.load(work, p), vectors.load(work, p + BLOCK)
-            if pair < deepest:
-                slow = level <= float(pair)
+            if pair < most_left_out:
+                slow = left_out <= float(pair)
                 one, other = vectors.choose(slow, one, 0.0), vectors.choose(slow, other, 0.0)
             value += fused(other, weight(watch, p + BLOCK, VALUE), one * weight(watch, p, VALUE))
             slope += fused(other, weight(watch, p + BLOCK, SLOPE), one * weight(watch, p, SLOPE))
@@ -126,8 +128,8 @@ def glance(watch: FloatArray, work: FloatArray, size: int, level: Vector, deepes
 @unowned_inlined
 def bounds(watch: FloatArray, work: FloatArray, size: int) -> tuple[Vector, Vector, Vector]:
     """What bounds from now on a functional's third and sixth derivatives, and its value less its origin."""
-    none = vectors.splat(0.0)
-    jerk, sixth, sway = none, none, none
+    zero = vectors.splat(0.0)
+    jerk, sixth, sway = zero, zero, zero
     for begin in range(0, size, ROW):
         for k in range(BLOCK):
             amplitude = vectors.load(work, size + begin // 2 + k)
@@ -274,7 +276,7 @@ def longest(
         `count` curves, the first from row `first` on, each `stride` rows behind the one before it.
     """
     h, k = vectors.splat(shortest), vectors.splat(0.0)
-    none = ~_passes(guards, first, stride, count, h, at_most)
+    blocked = ~_passes(guards, first, stride, count, h, at_most)
     for octaves in (4, 1):  # the octave, of 16, in base 4: three at once, since each takes long to be known
         a, b, c = h * float(1 << octaves), h * float(1 << 2 * octaves), h * float(1 << 3 * octaves)
         one = _passes(guards, first, stride, count, a, at_most)
@@ -286,7 +288,7 @@ def longest(
     half = h * 1.5
     passes = _passes(guards, first, stride, count, half, at_most)
     h, k = vectors.choose(passes, half, h), vectors.choose(passes, k + 1.0, k)
-    return h, vectors.choose(none, -1.0, k)
+    return h, vectors.choose(blocked, -1.0, k)
 
 
 @unowned_inlined
@@ -322,11 +324,11 @@ def between(start: Curve, end: Curve, h: Vector) -> tuple[Vector, Vector, Vector
     -------
     least, greatest : Vector
         Of the inner five coefficients.
-    parts : Vector
+    remainder : Vector
         The sixth derivative's bound times h⁶.
     """
     square = h * h
-    parts = start.sixth * (square * square * square)
+    remainder = start.sixth * (square * square * square)
     s0, q0, s1, q1 = start.slope * h, start.curvature * square, end.slope * h, end.curvature * square
     a, b = fused(s0, A_SIXTH, start.value), fused(s1, -A_SIXTH, end.value)
     c = fused(q0, 1.0 / 30.0, fused(s0, 1.0 / 3.0, start.value))
@@ -334,23 +336,23 @@ def between(start: Curve, end: Curve, h: Vector) -> tuple[Vector, Vector, Vector
     middle = 0.5 * (fused(q0, 0.05, fused(s0, 0.4, start.value)) + fused(q1, 0.05, fused(s1, -0.4, end.value)))
     least = vectors.smaller(vectors.smaller(a, b), vectors.smaller(c, d))
     greatest = vectors.larger(vectors.larger(a, b), vectors.larger(c, d))
-    away = parts * _PARTS
-    return vectors.smaller(least, middle - away), vectors.larger(greatest, middle + away), parts
+    away = remainder * _REMAINDER
+    return vectors.smaller(least, middle - away), vectors.larger(greatest, middle + away), remainder
 
 
 @unowned_inlined
-def turns_not(start: Curve, end: Curve, parts: Vector, rush: Vector, h: Vector) -> tuple[int, int]:
+def turns_not(start: Curve, end: Curve, remainder: Vector, slope_bound: Vector, h: Vector) -> tuple[int, int]:
     """Where a function is monotone within a time h; and where it bends down all the way.
 
-    parts : as `between` has them; rush : what else is in its slope at most
+    remainder : as `between` has them; slope_bound : what else is in its slope at most
     """
     square = h * h
     s0, q0, s1, q1 = start.slope * h, start.curvature * square, end.slope * h, end.curvature * square
     a, b = fused(q0, 0.25, s0), fused(q1, -0.25, s1)
     middle = 5.0 * (fused(q1, 0.05, fused(s1, -0.4, end.value)) - fused(q0, 0.05, fused(s0, 0.4, start.value)))
-    away = fused(parts, _SLOPE_PARTS, rush * h)
+    away = fused(remainder, _SLOPE_REMAINDER, slope_bound * h)
     least = vectors.smaller(vectors.smaller(s0, s1), vectors.smaller(vectors.smaller(a, b), middle))
     greatest = vectors.larger(vectors.larger(s0, s1), vectors.larger(vectors.larger(a, b), middle))
     bend = 4.0 * vectors.larger(middle - a, b - middle)
-    bent = vectors.larger(vectors.larger(q0, q1), bend) < -(parts * _CURVATURE_PARTS)
+    bent = vectors.larger(vectors.larger(q0, q1), bend) < -(remainder * _CURVATURE_REMAINDER)
     return (least > away) | (greatest < -away), bent

@@ -33,7 +33,7 @@ TERMS = 12  # of a Taylor series over the shortest span
 LONG = 2 * ROW  # room for its terms
 # columns of `Flows.watch`: a functional less its origin, its slope and curvature; what bounds from now on its third
 # derivative, its value less its origin, its slope and its sixth derivative
-VALUE, SLOPE, CURVATURE, JERK, SWAY, RUSH, SIXTH = range(7)
+VALUE, SLOPE, CURVATURE, JERK, SWAY, SLOPE_BOUND, SIXTH = range(7)
 _BOUNDED = (3, 0, 1, 6)  # the orders that JERK and what follows it bound
 SELF, CROSS, DECAY = range(3)  # of a 2 x 2 block: what multiplies a coordinate itself, and its partner
 _SHORTEST = 1.0 / 4.0  # |λ| times the shortest span: TERMS terms are then exact to rounding
@@ -57,7 +57,7 @@ class Flows(NamedTuple):
     propagator: FloatArray  # (K, SPANS, B, 3, 8)  over a span: each coordinate's SELF and CROSS share, and its DECAY
     power: FloatArray  # (K, TERMS, B, 2, 8)  SELF and CROSS of (Λ times the shortest span)^k / k!, for modes
     generator: FloatArray  # (K, C, C)  Λ times the shortest span
-    watch: FloatArray  # (K, F, 2C, 8)  coordinates, then amplitudes -> VALUE, SLOPE, CURVATURE; JERK, SWAY, RUSH, SIXTH
+    watch: FloatArray  # (K, F, 2C, 8)  coordinates, then amplitudes -> VALUE to CURVATURE; JERK to SIXTH
     series: FloatArray  # (K, F, C, LONG)  y -> a functional's Taylor coefficients over the shortest span
     steady: IntArray  # (K,)  whether the origin does not move
 

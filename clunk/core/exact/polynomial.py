@@ -70,11 +70,11 @@ def sign_changes(c: FloatArray, count: int, length: float, points: FloatArray, l
     Between the sign changes of its derivative it is monotone; where its lowest term outweighs all rest it has none.
     The derivatives' coefficients go into `ladder`, (count, count) at least.
     """
-    rest, power = 0.0, 1.0
+    highest_terms, power = 0.0, 1.0
     for k in range(1, count):
         power *= length
-        rest += abs(c[k]) * power
-    if abs(c[0]) > rest or count < 2:
+        highest_terms += abs(c[k]) * power
+    if abs(c[0]) > highest_terms or count < 2:
         return 0
     derivative = ladder[count - 1]
     for k in range(count - 1):
@@ -96,11 +96,11 @@ def sign_changes(c: FloatArray, count: int, length: float, points: FloatArray, l
 @unowned
 def turning_points(c: FloatArray, length: float, points: FloatArray, ladder: FloatArray) -> int:
     """Write the points of (0, length) at which the slope changes sign to `points`, in order; return their number."""
-    rest, power = 0.0, 1.0
+    highest_terms, power = 0.0, 1.0
     for k in range(2, c.size):
         power *= length
-        rest += k * abs(c[k]) * power
-    if abs(c[1]) > rest:
+        highest_terms += k * abs(c[k]) * power
+    if abs(c[1]) > highest_terms:
         return 0
     derivative = ladder[c.size - 1]
     for k in range(c.size - 1):

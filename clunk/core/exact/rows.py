@@ -7,25 +7,30 @@ here comes behind them.
 from clunk.core.jit import unowned_inlined
 from clunk.core.regimes import INPUTS
 
-# A run's numbers that steps change: the time in the phase; how many of the fastest pairs are left out of its guards;
-# the extremes of its window and of its phase; which guard is zero, with so many derivatives; the acceleration, its
-# slope and curvature; how long a span may be that is tried next.
-(
-    ELAPSED, LEVEL, HIGH, LOW, LARGEST, SMALLEST, ZERO_GUARD, ZERO_ORDER, SEEN, SEEN_SLOPE, SEEN_CURVATURE, TRY,
-) = range(12)  # fmt: skip
+# A run's numbers that steps change.
+ELAPSED = 0  # s, in the phase
+LEFT_OUT = 1  # how many of the fastest pairs are left out of the guards
+WINDOW_MAX, WINDOW_MIN = 2, 3  # extremes of the acceleration since the last primary impact
+PHASE_MAX, PHASE_MIN = 4, 5  # and in the phase
+ZERO_GUARD, ZERO_ORDER = 6, 7  # the guard that is zero, or -1, and how many of its derivatives are, itself included
+SEEN, SEEN_SLOPE, SEEN_CURVATURE = 8, 9, 10  # the acceleration at the end of the last step
+TRY = 11  # s, the longest span that is proposed next
 CHANGING = 12
-# And those that they do not: the margin; the time from the phase's beginning to the end of the run, and until a contact
-# has held for the sticking time; the inputs of the regime's flow, INPUTS of them; of each guard the sign, the shift and
-# the scale of its margin.
-MARGIN, LIMIT, HELD_FROM, INPUT = range(12, 16)
+# And those that they do not change.
+MARGIN = 12
+LIMIT = 13  # s, from the phase's beginning to the end of the run
+HELD_FROM = 14  # s, from the phase's beginning until a contact has held for the sticking time
+INPUT = 15  # the inputs of the regime's flow, INPUTS of them
 GUARDS = INPUT + INPUTS
-SIGN, SHIFT, SCALE = range(3)
+SIGN, SHIFT, SCALE = range(3)  # of each guard; the scale is that of its margin
 OF_A_GUARD = 3
 
-# A search's numbers, those that change most often first: the time left; the largest and the smallest value so far; the
-# origin's value, slope and curvature; the sign and shift that make a guard of the functional; within how much of the
-# time left a turn counts.
-REST, TOP, BOTTOM, AT, AT_SLOPE, AT_CURVATURE, BY_SIGN, BY_SHIFT, COUNTS = range(9)
+# A search's numbers, those that change most often first.
+TIME_LEFT = 0  # s; of a depth, in shortest spans
+TOP, BOTTOM = 1, 2  # extremes: largest and smallest value so far; turn: both the lowest; depth: the bar, and the depth
+AT, AT_SLOPE, AT_CURVATURE = 3, 4, 5  # the origin's value, slope and curvature
+BY_SIGN, BY_SHIFT = 6, 7  # what makes a guard of the functional
+COUNTS = 8  # s, how much of the time left there is when turns begin to count
 OF_A_SEARCH = 9
 # Which of a run's searches that is: of the acceleration's extremes, or of a depth; of a turn of each guard.
 EXTREMES_SEARCH = DEPTH_SEARCH = 0

@@ -12,7 +12,8 @@ so are the near misses, which give the run's margin: how near it came to another
   gap; and where a contact held, later than the sticking time, the least overlap of the flanks (restitution: the least
   torque that locks them), as a share of its value at rest;
 - negative, what did: how much further a crossing, or the end of a sticking contact, would have gone, were the contact
-  not to change; and one less the length of a contact over the sticking time, of either sign.
+  not to change;
+- of either sign: 1 - (length of a contact)/(sticking time), at each separation.
 """
 
 from typing import Any
@@ -52,7 +53,6 @@ _NON_FINITE = int(Status.NON_FINITE)
 _EVENT_BUFFER_FULL = int(Status.EVENT_BUFFER_FULL)
 
 MOST = 0.25  # margins from here on are all alike
-CLOSED = -np.inf  # a window of severity that nothing can exceed
 _MOST_SPANS = 1000.0  # of a depth: a guard that never turns back comes to rest
 
 
@@ -88,15 +88,15 @@ def begin(space: Workspace, slot: int, start: Start) -> None:
     row, numbers = space.runs[slot], space.numbers[slot, space.behind :]
     side = space.system.regimes[start.regime].side
     row.status, row.quality, row.last_side = _OK, 0, side
-    row.began, row.from_sticking, row.fastest = -np.inf, 0, 0.0
+    row.contact_began, row.from_sticking, row.fastest = -np.inf, 0, 0.0
     row.static = _static(space.system, space.flows, start)
     for k in range(INPUTS):
         space.inputs[slot, k] = start.inputs[k]
     numbers[rows.MARGIN] = MOST
-    # nothing is asked of the acceleration before the first primary impact
-    numbers[rows.HIGH], numbers[rows.LOW] = -CLOSED, CLOSED
+    # no acceleration counts before the first primary impact
+    numbers[rows.WINDOW_MAX], numbers[rows.WINDOW_MIN] = np.inf, -np.inf
     record(log_of(space, slot), 0, 0.0, 0.0, LOAD_STEP, start.regime, side, start.x)
-    _enter(space, slot, 0.0, start.x, Entry(1, start.regime, -1, 0))
+    _enter(space, slot, 0.0, start.x, Entry(written=1, regime=start.regime, zero_guard=-1, zero_order=0))
 
 
 @unowned_inlined
@@ -105,13 +105,13 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     system, row, inputs = space.system, space.runs[slot], space.inputs[slot]
     numbers, regime = space.numbers[slot, space.behind :], entry.regime
     row.time, row.count, row.regime = time, entry.written, regime
-    row.seeks_extremes, row.seeks_turns, row.measured = 0, 0, 0
+    row.seeks_extremes, row.seeks_turns, row.depth_known = 0, 0, 0
     for k in range(x.size):
-        space.numbers[slot, k] = x[k]
+        space.numbers[slot, k] = x[k]  # a state for now; `_enter_coordinates` makes coordinates of it
     numbers[rows.ZERO_GUARD], numbers[rows.ZERO_ORDER] = entry.zero_guard, entry.zero_order
     numbers[rows.LIMIT] = system.end_time - time
     closed = system.regimes[regime].flow == CLOSED_FLOW
-    numbers[rows.HELD_FROM] = row.began + system.sticking_time - time if closed else -np.inf
+    numbers[rows.HELD_FROM] = row.contact_began + system.sticking_time - time if closed else -np.inf
     for k in range(INPUTS):
         numbers[rows.INPUT + k] = system.signs[regime, k] * inputs[k]
     for n in range(system.regimes[regime].watched):
@@ -160,20 +160,20 @@ def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
 @unowned_inlined
 def _enter_coordinates(space: Workspace, flow: int, count: int) -> None:
     """From the states of the runs taken to their coordinates in a flow, with the acceleration as it is there."""
-    flows, work, size, none = space.flows, space.pool.work, space.flows.basis.shape[1], vectors.splat(0.0)
+    flows, work, size, zero = space.flows, space.pool.work, space.flows.basis.shape[1], vectors.splat(0.0)
     moving.to_coordinates(space, flow)
-    acceleration = curves.glance(
-        flows.watch[flow, ACCELERATION], work, size, none, 0, curves.Curve(none, none, none, none, none)
+    acceleration = curves.evaluate_again(
+        flows.watch[flow, ACCELERATION], work, size, zero, 0, curves.Curve(zero, zero, zero, zero, zero)
     )
-    origin, _, _ = curves.origin(flows.origin_output[flow], ACCELERATION, work, space.behind + rows.INPUT, True, none)
+    origin, _, _ = curves.origin(flows.origin_output[flow], ACCELERATION, work, space.behind + rows.INPUT, True, zero)
     seen = acceleration.value + origin
-    set_field(space, rows.ELAPSED, none)
-    set_field(space, rows.LEVEL, none)
-    set_field(space, rows.TRY, none + np.inf)
-    set_field(space, rows.HIGH, vectors.larger(field(space, rows.HIGH), seen))
-    set_field(space, rows.LOW, vectors.smaller(field(space, rows.LOW), seen))
-    set_field(space, rows.LARGEST, seen)
-    set_field(space, rows.SMALLEST, seen)
+    set_field(space, rows.ELAPSED, zero)
+    set_field(space, rows.LEFT_OUT, zero)
+    set_field(space, rows.TRY, zero + np.inf)
+    set_field(space, rows.WINDOW_MAX, vectors.larger(field(space, rows.WINDOW_MAX), seen))
+    set_field(space, rows.WINDOW_MIN, vectors.smaller(field(space, rows.WINDOW_MIN), seen))
+    set_field(space, rows.PHASE_MAX, seen)
+    set_field(space, rows.PHASE_MIN, seen)
     set_field(space, rows.SEEN, seen)
     set_field(space, rows.SEEN_SLOPE, acceleration.slope)
     set_field(space, rows.SEEN_CURVATURE, acceleration.curvature)
@@ -189,7 +189,7 @@ def _follow(space: Workspace, slot: int) -> None:
     if row.seeks_extremes != 0:
         row.seeks_extremes = 0
         wanted = space.searches[slot * each + rows.EXTREMES_SEARCH, space.behind :]
-        wanted[rows.TOP], wanted[rows.BOTTOM] = numbers[rows.HIGH], numbers[rows.LOW]
+        wanted[rows.TOP], wanted[rows.BOTTOM] = numbers[rows.WINDOW_MAX], numbers[rows.WINDOW_MIN]
         push_search(space, queues.extremes, slot, rows.EXTREMES_SEARCH, ACCELERATION)
     elif row.seeks_turns != 0:
         guard = vectors.first_of(row.seeks_turns)
@@ -204,7 +204,7 @@ def _follow(space: Workspace, slot: int) -> None:
         )
     elif row.ended == rows.BY_EVENT:
         at = rows.of_guard(row.guard)
-        if row.measured == 0 and numbers[at + rows.SCALE] > 0.0 and _label_hangs_on_depth(space.system, row, now):
+        if row.depth_known == 0 and numbers[at + rows.SCALE] > 0.0 and _label_hangs_on_depth(space.system, row, now):
             functional = space.system.guards[row.regime, row.guard].functional
             find_origin(space, slot, functional)
             begin_search(space, slot, rows.DEPTH_SEARCH, _MOST_SPANS, numbers[at + rows.SIGN], numbers[at + rows.SHIFT])
@@ -232,7 +232,7 @@ def _label_hangs_on_depth(system: System, row: Any, now: float) -> bool:
         return bool(guard.side != row.last_side)
     if guard.event_kind == OPENING:  # by force: it counts after a contact that held
         return bool(row.from_sticking != 0)
-    return bool(guard.event_kind == SEPARATION and now - row.began > system.sticking_time)
+    return bool(guard.event_kind == SEPARATION and now - row.contact_began > system.sticking_time)
 
 
 @unowned_inlined
@@ -248,8 +248,8 @@ def _end(space: Workspace, slot: int, status: int, time: float) -> None:
 def _close_phase(space: Workspace, slot: int) -> None:
     """Write the extremes of the acceleration to the event that began a run's phase."""
     last = space.events[slot, space.runs[slot].count - 1]
-    last.max_acceleration = space.numbers[slot, space.behind + rows.LARGEST]
-    last.min_acceleration = space.numbers[slot, space.behind + rows.SMALLEST]
+    last.max_acceleration = space.numbers[slot, space.behind + rows.PHASE_MAX]
+    last.min_acceleration = space.numbers[slot, space.behind + rows.PHASE_MIN]
 
 
 @unowned_inlined
@@ -273,13 +273,13 @@ def _switch(space: Workspace, slot: int) -> None:
         event = log.events[k]
         if event.kind == TOUCH:
             if event.side != row.last_side or row.from_sticking != 0:
-                # a primary impact: a new window
-                numbers[rows.HIGH], numbers[rows.LOW] = CLOSED, -CLOSED
-            row.last_side, row.began, row.from_sticking = event.side, time, 0
+                # a primary impact, by the rule of `sequence.find_primaries`: its window is empty, anything counts
+                numbers[rows.WINDOW_MAX], numbers[rows.WINDOW_MIN] = -np.inf, np.inf
+            row.last_side, row.contact_began, row.from_sticking = event.side, time, 0
         elif event.kind == LOCK:
-            row.began = time
+            row.contact_began = time
         elif event.kind == SEPARATION:
-            row.from_sticking = int(time - row.began > system.sticking_time)
+            row.from_sticking = int(time - row.contact_began > system.sticking_time)
     _enter(space, slot, time, x, entry)
 
 
@@ -287,7 +287,8 @@ def _switch(space: Workspace, slot: int) -> None:
 def _margin_of_an_event(space: Workspace, slot: int, x: FloatArray, time: float) -> float:
     """A run's margin after an event at state `x`."""
     system, row, half_gap = space.system, space.runs[slot], space.inputs[slot, HALF_GAP]
-    margin, event_kind, age = margin_of(space, slot), system.guards[row.regime, row.guard].event_kind, time - row.began
+    margin, event_kind = margin_of(space, slot), system.guards[row.regime, row.guard].event_kind
+    age = time - row.contact_began
     if event_kind == SEPARATION and abs(age - system.sticking_time) < abs(margin) * system.sticking_time:
         margin = 1.0 - age / system.sticking_time
     if event_kind == REJOIN and age > system.sticking_time and row.static > 0.0:

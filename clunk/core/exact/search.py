@@ -44,11 +44,11 @@ def search(space: Workspace, sought: int, flow: int, f: int, count: int) -> int:
     flow, f : the flow, and the functional searched in
     """
     flows, work, series = space.flows, space.pool.work, space.series
-    size, none, present, shortest = flows.basis.shape[1], vectors.splat(0.0), (1 << count) - 1, flows.span[flow, 0]
-    rest, sign, shift = field(space, rows.REST), field(space, rows.BY_SIGN), field(space, rows.BY_SHIFT)
+    size, zero, present, shortest = flows.basis.shape[1], vectors.splat(0.0), (1 << count) - 1, flows.span[flow, 0]
+    time_left, sign, shift = field(space, rows.TIME_LEFT), field(space, rows.BY_SIGN), field(space, rows.BY_SHIFT)
     origin = field(space, rows.AT), field(space, rows.AT_SLOPE), field(space, rows.AT_CURVATURE)
     jerk, sixth, _ = curves.bounds(flows.watch[flow, f], work, size)
-    seen = curves.glance(flows.watch[flow, f], work, size, none, 0, curves.Curve(none, none, none, jerk, sixth))
+    seen = curves.evaluate_again(flows.watch[flow, f], work, size, zero, 0, curves.Curve(zero, zero, zero, jerk, sixth))
     value = sign * (seen.value + origin[0]) + shift
     curve = curves.Curve(value, sign * (seen.slope + origin[1]), sign * (seen.curvature + origin[2]), jerk, sixth)
     top, bottom, done = field(space, rows.TOP), field(space, rows.BOTTOM), 0
@@ -57,32 +57,32 @@ def search(space: Workspace, sought: int, flow: int, f: int, count: int) -> int:
         done = bottom >= top
     elif sought == EXTREMES:
         top, bottom = vectors.larger(top, value), vectors.smaller(bottom, value)
-    known = _Known(curve, top, bottom, rest - field(space, rows.COUNTS))
+    known = _Known(curve, top, bottom, time_left - field(space, rows.COUNTS))
 
     h, k, near = _longest_empty(known, sought, shortest, flows.modal[flow] != 0)
     near &= present & ~done
     if near != 0:
         taylor.expand(flows.series[flow, f], work, size, shortest, sign, shift, origin, series)
-        top, bottom, through = _search_series(space, known, sought, shortest, rest, near)
+        top, bottom, through = _search_series(space, known, sought, shortest, time_left, near)
         done |= through
 
     if sought == DEPTH:  # whose spans are counted
-        rest -= 1.0
-        done |= rest <= 0.0
+        time_left -= 1.0
+        done |= time_left <= 0.0
     else:
-        done |= rest <= h
-        rest -= h
+        done |= time_left <= h
+        time_left -= h
     done &= present
     if done != present:
         if flows.modal[flow] != 0:
             moving.move_by_spans(space, flow, k)
         else:
-            moving.move_by_parts(space, flow, none + 1.0)
+            moving.move_by_parts(space, flow, zero + 1.0)
             moving.measure(work, size)
         if flows.steady[flow] == 0:
             set_field(space, rows.AT, origin[0] + h * (origin[1] + 0.5 * h * origin[2]))
             set_field(space, rows.AT_SLOPE, origin[1] + h * origin[2])
-    set_field(space, rows.REST, rest)
+    set_field(space, rows.TIME_LEFT, time_left)
     set_field(space, rows.TOP, top)
     set_field(space, rows.BOTTOM, bottom)
     changing = rows.AT if flows.steady[flow] != 0 else rows.AT_CURVATURE
@@ -118,21 +118,21 @@ def _is_empty(known: _Known, sought: int, h: Vector) -> int:
     value, slope, curvature, jerk, _ = known.curve
     if sought == DEPTH:
         return int(-slope > h * (curvature + h * (0.5 * jerk)))
-    none = vectors.splat(0.0)
+    zero = vectors.splat(0.0)
     off_tangent = h * (0.5 * vectors.magnitude(curvature) + h * (jerk * curves.A_SIXTH))  # over h
     against = vectors.choose(slope > 0.0, -curvature, curvature)
     monotone = h * (against + h * (0.5 * jerk)) < vectors.magnitude(slope)
     if sought == TURN:
-        above = known.top - value + h * (vectors.larger(-slope, none) + off_tangent) <= 0.0
+        above = known.top - value + h * (vectors.larger(-slope, zero) + off_tangent) <= 0.0
         return int(above | monotone | (curvature + h * jerk < 0.0) | (h <= known.idle))
-    within = value - known.top + h * (vectors.larger(slope, none) + off_tangent) <= 0.0
-    within &= known.bottom - value + h * (vectors.larger(-slope, none) + off_tangent) <= 0.0
+    within = value - known.top + h * (vectors.larger(slope, zero) + off_tangent) <= 0.0
+    within &= known.bottom - value + h * (vectors.larger(-slope, zero) + off_tangent) <= 0.0
     return int(within | monotone)
 
 
 @unowned_inlined
 def _search_series(
-    space: Workspace, known: _Known, sought: int, shortest: float, rest: Vector, near: int
+    space: Workspace, known: _Known, sought: int, shortest: float, time_left: Vector, near: int
 ) -> tuple[Vector, Vector, int]:
     """Search the shortest span, whose series is `space.series`, in some lanes.
 
@@ -143,18 +143,18 @@ def _search_series(
     done : int
         The lanes whose depth is known.
     """
-    c, top, bottom, done, none = space.series, known.top, known.bottom, 0, vectors.splat(0.0)
-    falls, length = vectors.load(c, 1) < 0.0, none + 1.0
+    c, top, bottom, done, zero = space.series, known.top, known.bottom, 0, vectors.splat(0.0)
+    falls, length = vectors.load(c, 1) < 0.0, zero + 1.0
     if sought == DEPTH:
         done = near & ~falls
         near &= falls
     else:
-        length = vectors.smaller(rest / shortest, length)
+        length = vectors.smaller(time_left / shortest, length)
     turns, straight, s = taylor.turning(c, space.moved, length)
     value, unclear = taylor.value(c, s), near & ~turns & ~straight
     turns &= near
     if sought == TURN:
-        turns &= falls & (value < top) & (rest - s * shortest <= field(space, rows.COUNTS))
+        turns &= falls & (value < top) & (time_left - s * shortest <= field(space, rows.COUNTS))
         top, bottom = vectors.choose(turns, value, top), vectors.choose(turns, value, bottom)
     elif sought == DEPTH:
         bottom = vectors.choose(turns, -value, bottom)
@@ -222,9 +222,9 @@ def conclude(space: Workspace, sought: int, queue: int, count: int, done: int) -
             scale = numbers[rows.of_guard(run.guard) + rows.SCALE]
             if max(bottom, 0.0) < abs(numbers[rows.MARGIN]) * scale:
                 numbers[rows.MARGIN] = -max(bottom, 0.0) / scale
-            run.measured = 1
+            run.depth_known = 1
         else:
-            numbers[rows.HIGH], numbers[rows.LOW] = top, bottom
-            numbers[rows.LARGEST] = max(numbers[rows.LARGEST], top)
-            numbers[rows.SMALLEST] = min(numbers[rows.SMALLEST], bottom)
+            numbers[rows.WINDOW_MAX], numbers[rows.WINDOW_MIN] = top, bottom
+            numbers[rows.PHASE_MAX] = max(numbers[rows.PHASE_MAX], top)
+            numbers[rows.PHASE_MIN] = min(numbers[rows.PHASE_MIN], bottom)
         push(space.pool, space.queues.follow, slot)

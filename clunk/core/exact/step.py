@@ -4,11 +4,11 @@ A span is proposed by guess, and then moved by. Only where it is proved that the
 does it count; elsewhere a run stays where it was, and tries a shorter one next. Where not even the shortest span will
 probably pass, the guards are expanded into their Taylor series over it, whose first zero is the event.
 
-The fastest pairs of modes, LEVEL of them, are taken out of the guards and bounded by their sway instead, as soon as
+The fastest pairs of modes, LEFT_OUT of them, are taken out of the guards and bounded by their sway instead, as soon as
 that lets a longer span pass: what rings less than a guard is away from where it counts need not be resolved.
 
-Between its parts, a step keeps rows of lanes: in `looks` of each functional that a guard is made of, behind that of the
-first such guard, and in `guards` of each guard.
+Between its parts a step keeps rows of lanes: OF_OUTPUT in `outputs` for each functional, OF_GUARD in `guards` for each
+guard. Guards of one functional share its rows, those from `alike * OF_OUTPUT` on, `alike` being the first such guard.
 """
 
 from typing import NamedTuple
@@ -20,8 +20,8 @@ from clunk.core.exact import curves, moving, polynomial, rows, taylor
 from clunk.core.exact.curves import load_curve, store_curve
 from clunk.core.exact.flows import TERMS
 from clunk.core.exact.workspace import (
-    LOOK,
     OF_GUARD,
+    OF_OUTPUT,
     Workspace,
     begin_acceleration_search,
     begin_search,
@@ -44,16 +44,16 @@ _WORTH = 1.0 / 3.0  # of what bounds a guard's jerk: a pair that makes less of i
 _CLEAR = 0.5  # of what misses count below: what is left of a guard after a span in which a pair is left out
 _NEXT_TRY = 0.4  # of a span within which a guard was not proved positive
 
-# Rows of `looks`: the functional less its origin and without the pairs that are left out; their sway; the fastest pair
-# that is still in it, and its sway; the sway of all; the origin's value, slope and curvature; what the pairs that are
-# left out add to the slope at most.
-_SLOWER, _RING, _PAIR, _PAIR_SWAY, _SWAY, _ORIGIN, _RUSH = 0, 5, 6, 11, 12, 13, 16
+# Rows of `outputs`: the functional less its origin and without the pairs that are left out; their sway; the fastest
+# pair that is still in it, and its sway; the sway of all; the origin's value, slope and curvature; a bound of what the
+# pairs that are left out add to the slope.
+_SLOWER, _RING, _PAIR, _PAIR_SWAY, _SWAY, _ORIGIN, _SLOPE_BOUND = 0, 5, 6, 11, 12, 13, 16
 # Rows of `guards`: the guard at the step's beginning, at its end, and with a margin; its least value and the sixth
-# derivative's part in between, as `curves.between` has them.
-_START, _END, _CLEARED, _LEAST, _PARTS = 0, 5, 10, 15, 16
+# derivative's remainder in between, as `curves.between` has them.
+_START, _END, _CLEARED, _LEAST, _REMAINDER = 0, 5, 10, 15, 16
 
 
-class _Outcomes(NamedTuple):
+class _Lanes(NamedTuple):
     """The lanes of a step, as masks, by what came of it."""
 
     settled: int  # nothing can follow
@@ -63,7 +63,7 @@ class _Outcomes(NamedTuple):
     grazing: int  # a guard all but turned negative
     happened: int  # an event, whose guard is in the first of the notes
     deep: int  # whose guard goes certainly deeper than the margin is
-    turns: int  # the acceleration may have an extreme that counts
+    extremes: int  # the acceleration may have an extreme that counts
 
 
 @unowned_inlined
@@ -75,32 +75,34 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     system, flows, pool = space.system, space.flows, space.pool
     regime = system.leaders[group]
     flow = system.regimes[regime].flow
-    size, none, present = flows.basis.shape[1], vectors.splat(0.0), (1 << count) - 1
-    shortest, deepest = flows.span[flow, 0], min(flows.ringing[flow], size // 2 - 1)
-    elapsed, level = field(space, rows.ELAPSED), field(space, rows.LEVEL)
-    rest = field(space, rows.LIMIT) - elapsed
+    size, zero, present = flows.basis.shape[1], vectors.splat(0.0), (1 << count) - 1
+    shortest, most_left_out = flows.span[flow, 0], min(flows.ringing[flow], size // 2 - 1)
+    elapsed, left_out = field(space, rows.ELAPSED), field(space, rows.LEFT_OUT)
+    time_left = field(space, rows.LIMIT) - elapsed
 
-    _look(space, regime, level, deepest)
-    acceleration, sixth, beaten = _may_beat_window(space, flow)
+    _evaluate_guards(space, regime, left_out, most_left_out)
+    acceleration, sixth, may_widen = _may_widen_window(space, flow)
     settled = 0
     if flows.steady[flow] != 0:
-        settled = _stay_positive(space, regime) & ~beaten & present
+        settled = _stay_positive(space, regime) & ~may_widen & present
     there = present & ~settled
     _take_zeros(space, regime)
 
-    event, ends, lost, grazing, blocked = none - 1.0, 0, 0, 0, 0
+    event, ends, lost, grazing, blocked = zero - 1.0, 0, 0, 0, 0
     if short:
-        k, whole, part = none - 1.0, none + shortest, vectors.smaller(rest / shortest, none + 1.0)
-        ends = (rest <= shortest) & there
+        k, whole, part = zero - 1.0, zero + shortest, vectors.smaller(time_left / shortest, zero + 1.0)
+        ends = (time_left <= shortest) & there
         event, part, lost, grazing = _find_event(space, regime, there, part)
         h = whole * part
     else:
-        h, k, level, blocked = _propose_span(space, regime, level, deepest)
+        h, k, left_out, blocked = _propose_span(space, regime, left_out, most_left_out)
         blocked &= there
-        part = none
+        part = zero
     advancing = there & ~blocked & ~lost
-    _bound_slopes_left_out(space, regime, level, deepest)
+    _bound_slopes_left_out(space, regime, left_out, most_left_out)
 
+    # All lanes are moved, also those that will not be put back. Until `put_back` the work space is at the step's end,
+    # and `space.numbers` at its beginning, where the searches of this step begin.
     if short:
         moving.move_by_parts(space, flow, part)
         if flows.modal[flow] == 0:
@@ -110,15 +112,16 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     elapsed += h
     set_field(space, rows.ELAPSED, elapsed)
 
-    failed, close, sunk = _prove(space, regime, level, deepest, h)
-    # a span beyond the end of the run counts as failed, so that no event depends on where that end is
-    failed = 0 if short else (failed | (h > rest)) & advancing
+    failed, close, sunk = _prove(space, regime, left_out, most_left_out, h)
+    # A part of the shortest span was proved by `_find_event`. A span beyond the end of the run counts as failed, so
+    # that no event depends on where that end is.
+    failed = 0 if short else (failed | (h > time_left)) & advancing
     advancing &= ~failed
-    turns = _watch_acceleration(space, flow, acceleration, sixth, h, beaten & advancing)
-    misses = _find_misses(space, regime, level, event, h, advancing)
-    set_field(space, rows.LEVEL, vectors.choose(sunk, 0.0, level))
-    set_field(space, rows.ZERO_GUARD, none - 1.0)
-    set_field(space, rows.TRY, none + np.inf)
+    extremes = _watch_acceleration(space, flow, acceleration, sixth, h, may_widen & advancing)
+    misses = _find_misses(space, regime, left_out, event, h, advancing)
+    set_field(space, rows.LEFT_OUT, vectors.choose(sunk, 0.0, left_out))
+    set_field(space, rows.ZERO_GUARD, zero - 1.0)
+    set_field(space, rows.TRY, zero + np.inf)
 
     happened, deep = (event >= 0.0) & advancing, 0
     if happened != 0:
@@ -126,30 +129,30 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
         moving.to_states(space, flow, happened)
         vectors.store(space.notes, 0, event)
     put_back(pool, space.numbers, space.behind + rows.CHANGING, advancing)
-    _set_where_they_were(space, rows.LEVEL, none, blocked)
+    _set_where_they_were(space, rows.LEFT_OUT, zero, blocked)
     _set_where_they_were(space, rows.TRY, _NEXT_TRY * h, failed)
 
-    special = (settled | lost | ends | grazing | happened | turns | misses) & present
+    special = (settled | lost | ends | grazing | happened | extremes | misses) & present
     if flows.modal[flow] != 0:
         push_all(pool, space.queues.short + group, (blocked | close & advancing) & ~special)
         push_all(pool, space.queues.span + group, (advancing & ~close | failed) & ~special)
     else:
         push_all(pool, space.queues.short + group, advancing & ~special)
     push_all(pool, space.queues.follow, special)
-    _note_outcomes(space, regime, special, _Outcomes(settled, lost, ends, close, grazing, happened, deep, turns))
+    _note_outcomes(space, regime, special, _Lanes(settled, lost, ends, close, grazing, happened, deep, extremes))
 
 
 @unowned_inlined
-def _note_outcomes(space: Workspace, regime: int, special: int, lanes: _Outcomes) -> None:
+def _note_outcomes(space: Workspace, regime: int, special: int, lanes: _Lanes) -> None:
     """Write to some runs how the step ended for them, and what is to be searched for within it."""
     while special != 0:
         lane = vectors.first_of(special)
         special &= special - 1
         run, bit = space.runs[space.pool.items[lane]], 1 << lane
-        run.seeks_extremes, run.seeks_turns = lanes.turns >> lane & 1, 0
+        run.seeks_extremes, run.seeks_turns = lanes.extremes >> lane & 1, 0
         for n in range(space.system.regimes[regime].watched):
-            run.seeks_turns |= (space.turned[n] >> lane & 1) << n
-        run.measured = lanes.deep >> lane & 1
+            run.seeks_turns |= (space.guard_lanes[n] >> lane & 1) << n
+        run.depth_known = lanes.deep >> lane & 1
         if lanes.grazing & bit:
             run.quality |= QUALITY_GRAZING
         if lanes.settled & bit:
@@ -163,46 +166,53 @@ def _note_outcomes(space: Workspace, regime: int, special: int, lanes: _Outcomes
 
 
 @unowned_inlined
-def _look(space: Workspace, regime: int, level: Vector, deepest: int) -> None:
+def _evaluate_guards(space: Workspace, regime: int, left_out: Vector, most_left_out: int) -> None:
     """The guards at the step's beginning, without the pairs that are left out already."""
-    system, work, looks, size = space.system, space.pool.work, space.looks, space.flows.basis.shape[1]
+    system, work, outputs, size = (
+        space.system,
+        space.pool.work,
+        space.outputs,
+        space.flows.basis.shape[1],
+    )
     flow = system.regimes[regime].flow
     for n in range(system.regimes[regime].watched):
         alike, f = system.guards[regime, n].alike, system.guards[regime, n].functional
-        at = alike * LOOK
+        at = alike * OF_OUTPUT
         if alike == n:
-            slower, ring, pair, pair_sway, sway = curves.look(space.flows.watch[flow, f], work, size, level, deepest)
-            store_curve(looks, at + _SLOWER, slower)
-            vectors.store(looks, at + _RING, ring)
-            store_curve(looks, at + _PAIR, pair)
-            vectors.store(looks, at + _PAIR_SWAY, pair_sway)
-            vectors.store(looks, at + _SWAY, sway)
+            slower, ring, pair, pair_sway, sway = curves.evaluate(
+                space.flows.watch[flow, f], work, size, left_out, most_left_out
+            )
+            store_curve(outputs, at + _SLOWER, slower)
+            vectors.store(outputs, at + _RING, ring)
+            store_curve(outputs, at + _PAIR, pair)
+            vectors.store(outputs, at + _PAIR_SWAY, pair_sway)
+            vectors.store(outputs, at + _SWAY, sway)
             _find_origin(space, flow, f, at)
         store_curve(space.guards, n * OF_GUARD + _START, _guard(space, n, at))
 
 
 @unowned_inlined
 def _find_origin(space: Workspace, flow: int, f: int, at: int) -> None:
-    """Value, slope and curvature of a functional's origin, into `looks`."""
+    """Value, slope and curvature of a functional's origin, into `outputs`."""
     first, steady = space.behind + rows.INPUT, space.flows.steady[flow] != 0
     output, elapsed = space.flows.origin_output[flow], field(space, rows.ELAPSED)
     value, slope, curvature = curves.origin(output, f, space.pool.work, first, steady, elapsed)
-    vectors.store(space.looks, at + _ORIGIN, value)
-    vectors.store(space.looks, at + _ORIGIN + 1, slope)
-    vectors.store(space.looks, at + _ORIGIN + 2, curvature)
+    vectors.store(space.outputs, at + _ORIGIN, value)
+    vectors.store(space.outputs, at + _ORIGIN + 1, slope)
+    vectors.store(space.outputs, at + _ORIGIN + 2, curvature)
 
 
 @unowned_inlined
 def _guard(space: Workspace, n: int, at: int) -> curves.Curve:
     """Guard n, less the sway of the pairs that are left out, by the functional that is kept from row `at` on."""
-    looks = space.looks
+    outputs = space.outputs
     origin = (
-        vectors.load(looks, at + _ORIGIN),
-        vectors.load(looks, at + _ORIGIN + 1),
-        vectors.load(looks, at + _ORIGIN + 2),
+        vectors.load(outputs, at + _ORIGIN),
+        vectors.load(outputs, at + _ORIGIN + 1),
+        vectors.load(outputs, at + _ORIGIN + 2),
     )
-    shift = field(space, rows.of_guard(n) + rows.SHIFT) - vectors.load(looks, at + _RING)
-    return curves.as_guard(load_curve(looks, at + _SLOWER), origin, field(space, rows.of_guard(n) + rows.SIGN), shift)
+    shift = field(space, rows.of_guard(n) + rows.SHIFT) - vectors.load(outputs, at + _RING)
+    return curves.as_guard(load_curve(outputs, at + _SLOWER), origin, field(space, rows.of_guard(n) + rows.SIGN), shift)
 
 
 @unowned_inlined
@@ -219,20 +229,22 @@ def _zero_order(space: Workspace, n: int) -> Vector:
 
 
 @unowned_inlined
-def _may_beat_window(space: Workspace, flow: int) -> tuple[Vector, Vector, int]:
+def _may_widen_window(space: Workspace, flow: int) -> tuple[Vector, Vector, int]:
     """Where the acceleration can come to exceed what its window holds.
 
     Returns
     -------
     origin, sixth : Vector
         What it is at rest, and a bound of its sixth derivative.
-    beaten : int
+    may_widen : int
     """
     flows, work, size = space.flows, space.pool.work, space.flows.basis.shape[1]
-    none, first = vectors.splat(0.0), space.behind + rows.INPUT
-    origin, _, _ = curves.origin(flows.origin_output[flow], ACCELERATION, work, first, True, none)
+    zero, first = vectors.splat(0.0), space.behind + rows.INPUT
+    # steady, since the origin of an acceleration does not move even where the flow drifts
+    origin, _, _ = curves.origin(flows.origin_output[flow], ACCELERATION, work, first, True, zero)
     _, sixth, swing = curves.bounds(flows.watch[flow, ACCELERATION], work, size)
-    return origin, sixth, (origin + swing > field(space, rows.HIGH)) | (origin - swing < field(space, rows.LOW))
+    high, low = field(space, rows.WINDOW_MAX), field(space, rows.WINDOW_MIN)
+    return origin, sixth, (origin + swing > high) | (origin - swing < low)
 
 
 @unowned_inlined
@@ -240,16 +252,16 @@ def _stay_positive(space: Workspace, regime: int) -> int:
     """Where all guards will stay positive for ever, without a miss that counts."""
     stay = -1
     for n in range(space.system.regimes[regime].watched):
-        at = space.system.guards[regime, n].alike * LOOK
-        rest = field(space, rows.of_guard(n) + rows.SIGN) * vectors.load(space.looks, at + _ORIGIN)
-        least = rest + field(space, rows.of_guard(n) + rows.SHIFT) - vectors.load(space.looks, at + _SWAY)
+        at = space.system.guards[regime, n].alike * OF_OUTPUT
+        at_rest = field(space, rows.of_guard(n) + rows.SIGN) * vectors.load(space.outputs, at + _ORIGIN)
+        least = at_rest + field(space, rows.of_guard(n) + rows.SHIFT) - vectors.load(space.outputs, at + _SWAY)
         stay &= (least > 0.0) & (least >= _bar(space, n))
     return stay
 
 
 @unowned_inlined
 def _take_zeros(space: Workspace, regime: int) -> None:
-    """Let the value of a guard be zero, to the last bit, where it is known to be."""
+    """Set the value of a guard to zero, to the last bit, where it is known to be."""
     for n in range(space.system.regimes[regime].guards):
         row = n * OF_GUARD + _START
         is_zero = _zero_order(space, n) == 1.0
@@ -257,69 +269,73 @@ def _take_zeros(space: Workspace, regime: int) -> None:
 
 
 @unowned_inlined
-def _propose_span(space: Workspace, regime: int, level: Vector, deepest: int) -> tuple[Vector, Vector, Vector, int]:
+def _propose_span(
+    space: Workspace, regime: int, left_out: Vector, most_left_out: int
+) -> tuple[Vector, Vector, Vector, int]:
     """The longest span in which, by guess, no guard turns negative; with one more pair left out where that helps.
 
     Returns
     -------
     h, k : Vector
         The span, and its number on the ladder.
-    level : Vector
+    left_out : Vector
         How many pairs are left out now.
     blocked : int
         The lanes where not even the shortest span will probably pass.
     """
-    system, guards, looks = space.system, space.guards, space.looks
+    system, guards, outputs = space.system, space.guards, space.outputs
     count, watched = system.regimes[regime].guards, system.regimes[regime].watched
     shortest, at_most = space.flows.span[system.regimes[regime].flow, 0], field(space, rows.TRY)
     h, k = curves.longest(shortest, guards, _START, OF_GUARD, count, at_most)
     # where a guard is zero with its slope, its series decides
-    is_level = (field(space, rows.ZERO_GUARD) >= 0.0) & (field(space, rows.ZERO_ORDER) > 1.0)
-    k = vectors.choose(is_level, -1.0, k)
+    starts_flat = (field(space, rows.ZERO_GUARD) >= 0.0) & (field(space, rows.ZERO_ORDER) > 1.0)
+    k = vectors.choose(starts_flat, -1.0, k)
     # nothing is left out where it would not tell a miss that counts from one that does not
-    deeper, worth = (level < float(deepest)) & ~is_level & ((k >= 0.0) | (level == 0.0)), 0
+    one_more, worth = (left_out < float(most_left_out)) & ~starts_flat & ((k >= 0.0) | (left_out == 0.0)), 0
     for n in range(watched):
-        at = system.guards[regime, n].alike * LOOK
-        start, pair = load_curve(guards, n * OF_GUARD + _START), load_curve(looks, at + _PAIR)
+        at = system.guards[regime, n].alike * OF_OUTPUT
+        start, pair = load_curve(guards, n * OF_GUARD + _START), load_curve(outputs, at + _PAIR)
         worth |= pair.jerk > _WORTH * start.jerk
         if n < count:
             slower = start.value - field(space, rows.of_guard(n) + rows.SIGN) * pair.value
-            deeper &= slower - vectors.load(looks, at + _PAIR_SWAY) > _bar(space, n)
-    deeper &= worth
-    if deeper != 0:
+            one_more &= slower - vectors.load(outputs, at + _PAIR_SWAY) > _bar(space, n)
+    one_more &= worth
+    if one_more != 0:
         for n in range(count):
             cleared = curves.less(_without_pair(space, regime, n), _CLEAR * _bar(space, n))
             store_curve(guards, n * OF_GUARD + _CLEARED, cleared)
         longer, number = curves.longest(shortest, guards, _CLEARED, OF_GUARD, count, at_most)
-        deeper &= number > k
-        k, h = vectors.choose(deeper, number, k), vectors.choose(deeper, longer, h)
-        level = vectors.choose(deeper, level + 1.0, level)
+        one_more &= number > k
+        k, h = vectors.choose(one_more, number, k), vectors.choose(one_more, longer, h)
+        left_out = vectors.choose(one_more, left_out + 1.0, left_out)
         for n in range(watched):
             row, alike = n * OF_GUARD + _START, system.guards[regime, n].alike
-            slower = curves.either(deeper, _without_pair(space, regime, n), load_curve(guards, row))
+            slower = curves.either(one_more, _without_pair(space, regime, n), load_curve(guards, row))
             store_curve(guards, row, slower)
             if alike == n:
-                at = alike * LOOK
-                more = vectors.choose(deeper, vectors.load(looks, at + _PAIR_SWAY), 0.0)
-                vectors.store(looks, at + _RING, vectors.load(looks, at + _RING) + more)
+                at = alike * OF_OUTPUT
+                more = vectors.choose(one_more, vectors.load(outputs, at + _PAIR_SWAY), 0.0)
+                vectors.store(outputs, at + _RING, vectors.load(outputs, at + _RING) + more)
     passes = int(k >= 0.0)
     for n in range(count):
         passes &= vectors.load(guards, n * OF_GUARD + _START) >= 0.0
-    return h, k, level, ~passes
+    return h, k, left_out, ~passes
 
 
 @unowned_inlined
 def _without_pair(space: Workspace, regime: int, n: int) -> curves.Curve:
     """Guard n at the step's beginning without the fastest pair that is still in it."""
-    at = space.system.guards[regime, n].alike * LOOK
-    start, pair = load_curve(space.guards, n * OF_GUARD + _START), load_curve(space.looks, at + _PAIR)
-    sway = vectors.load(space.looks, at + _PAIR_SWAY)
+    at = space.system.guards[regime, n].alike * OF_OUTPUT
+    start, pair = load_curve(space.guards, n * OF_GUARD + _START), load_curve(space.outputs, at + _PAIR)
+    sway = vectors.load(space.outputs, at + _PAIR_SWAY)
     return curves.without(start, pair, field(space, rows.of_guard(n) + rows.SIGN), sway)
 
 
 @unowned_inlined
 def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tuple[Vector, Vector, int, int]:
-    """The first guard that turns negative within a part of the shortest span.
+    """Prove that no guard turns negative within a part of the shortest span, or find the first that does.
+
+    A guard whose lower bound `curves.low` is positive stays so; the others are expanded into their Taylor series.
 
     Guards of one functional are seldom near in the same lane: their series are expanded together, each lane that of the
     first one that is near in it.
@@ -331,25 +347,25 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
     lost, grazing : int
         The lanes where nothing is finite any more, and where a guard all but turned negative.
     """
-    system, flows, looks, series = space.system, space.flows, space.looks, space.series
+    system, flows, outputs, series = space.system, space.flows, space.outputs, space.series
     flow, count = system.regimes[regime].flow, system.regimes[regime].guards
-    shortest, size, none = flows.span[flow, 0], flows.basis.shape[1], vectors.splat(0.0)
-    event, lost, grazing = none - 1.0, 0, 0
+    shortest, size, zero = flows.span[flow, 0], flows.basis.shape[1], vectors.splat(0.0)
+    event, lost, grazing = zero - 1.0, 0, 0
     for n in range(count):
         start = load_curve(space.guards, n * OF_GUARD + _START)
-        near = ~(curves.low(start, none + shortest) > 0.0) | (_zero_order(space, n) >= 2.0)
-        space.turned[n] = near & there
+        near = ~(curves.low(start, zero + shortest) > 0.0) | (_zero_order(space, n) >= 2.0)
+        space.guard_lanes[n] = near & there
     for n in range(count):
         alike, f = system.guards[regime, n].alike, system.guards[regime, n].functional
         if alike != n:
             continue
         for _ in range(count):
-            near, guard, sign, shift, scale, order = 0, none, none, none, none, none
+            near, guard, sign, shift, scale, order = 0, zero, zero, zero, zero, zero
             for m in range(n, count):
                 if system.guards[regime, m].alike == n:
-                    first = space.turned[m] & ~near
+                    first = space.guard_lanes[m] & ~near
                     near |= first
-                    space.turned[m] &= ~first
+                    space.guard_lanes[m] &= ~first
                     guard = vectors.choose(first, float(m), guard)
                     sign = vectors.choose(first, field(space, rows.of_guard(m) + rows.SIGN), sign)
                     shift = vectors.choose(first, field(space, rows.of_guard(m) + rows.SHIFT), shift)
@@ -357,14 +373,14 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
                     order = vectors.choose(first, _zero_order(space, m), order)
             if near == 0:
                 break
-            at = n * LOOK
+            at = n * OF_OUTPUT
             origin = (
-                vectors.load(looks, at + _ORIGIN),
-                vectors.load(looks, at + _ORIGIN + 1),
-                vectors.load(looks, at + _ORIGIN + 2),
+                vectors.load(outputs, at + _ORIGIN),
+                vectors.load(outputs, at + _ORIGIN + 1),
+                vectors.load(outputs, at + _ORIGIN + 2),
             )
             taylor.expand(flows.series[flow, f], space.pool.work, size, shortest, sign, shift, origin, series)
-            noise = vectors.magnitude(origin[0]) + vectors.magnitude(shift) + vectors.load(looks, at + _SWAY)
+            noise = vectors.magnitude(origin[0]) + vectors.magnitude(shift) + vectors.load(outputs, at + _SWAY)
             crosses, bad, grazes, s = _first_zero(space, near, order, ROUNDING * noise, scale, part)
             lost |= bad
             grazing |= grazes
@@ -436,27 +452,27 @@ def _first_zeros_one_by_one(space: Workspace, mask: int) -> int:
         mask &= mask - 1
         for j in range(TERMS):
             c[j] = vectors.number(space.series, j * WIDTH + lane)
-        zero = polynomial.first_negative_of(c, notes[3, lane], space.alone[1], space.ladder)
-        if zero >= 0.0:
+        root = polynomial.first_negative_of(c, notes[3, lane], space.alone[1], space.ladder)
+        if root >= 0.0:
             crosses |= 1 << lane
-            notes[0, lane] = zero
-            _, notes[1, lane], notes[2, lane] = polynomial.derivatives(c, TERMS, zero)
+            notes[0, lane] = root
+            _, notes[1, lane], notes[2, lane] = polynomial.derivatives(c, TERMS, root)
     return crosses
 
 
 @unowned_inlined
-def _bound_slopes_left_out(space: Workspace, regime: int, level: Vector, deepest: int) -> None:
-    """What the pairs that are left out add to the slopes of functionals at most, from the step's beginning on."""
+def _bound_slopes_left_out(space: Workspace, regime: int, left_out: Vector, most_left_out: int) -> None:
+    """Bound what the pairs that are left out add to the slopes of functionals, from the step's beginning on."""
     system, size = space.system, space.flows.basis.shape[1]
     for n in range(system.regimes[regime].watched):
         if system.guards[regime, n].alike == n:
             watch = space.flows.watch[system.regimes[regime].flow, system.guards[regime, n].functional]
-            bound = curves.rush(watch, space.pool.work, size, level, deepest)
-            vectors.store(space.looks, n * LOOK + _RUSH, bound)
+            bound = curves.slope_bound(watch, space.pool.work, size, left_out, most_left_out)
+            vectors.store(space.outputs, n * OF_OUTPUT + _SLOPE_BOUND, bound)
 
 
 @unowned_inlined
-def _prove(space: Workspace, regime: int, level: Vector, deepest: int, h: Vector) -> tuple[int, int, int]:
+def _prove(space: Workspace, regime: int, left_out: Vector, most_left_out: int, h: Vector) -> tuple[int, int, int]:
     """Look at the guards at the step's end, and prove that they stayed positive over its time h.
 
     Returns
@@ -468,24 +484,26 @@ def _prove(space: Workspace, regime: int, level: Vector, deepest: int, h: Vector
     sunk : int
         The lanes where nothing should be left out of the guards any more.
     """
-    system, guards, looks = space.system, space.guards, space.looks
+    system, guards, outputs = space.system, space.guards, space.outputs
     flow, count = system.regimes[regime].flow, system.regimes[regime].guards
     shortest, size = vectors.splat(space.flows.span[flow, 0]), space.flows.basis.shape[1]
     failed, close, sunk = 0, 0, 0
     for n in range(system.regimes[regime].watched):
         alike, f = system.guards[regime, n].alike, system.guards[regime, n].functional
-        at, row = alike * LOOK, n * OF_GUARD
+        at, row = alike * OF_OUTPUT, n * OF_GUARD
         if alike == n:
-            before = load_curve(looks, at + _SLOWER)
-            seen = curves.glance(space.flows.watch[flow, f], space.pool.work, size, level, deepest, before)
-            store_curve(looks, at + _SLOWER, seen)
+            before = load_curve(outputs, at + _SLOWER)
+            seen = curves.evaluate_again(
+                space.flows.watch[flow, f], space.pool.work, size, left_out, most_left_out, before
+            )
+            store_curve(outputs, at + _SLOWER, seen)
             _find_origin(space, flow, f, at)
         start = load_curve(guards, row + _START)
         end = curves.with_bounds(_guard(space, n, at), start)
-        least, _, parts = curves.between(start, end, h)
+        least, _, remainder = curves.between(start, end, h)
         store_curve(guards, row + _END, end)
         vectors.store(guards, row + _LEAST, least)
-        vectors.store(guards, row + _PARTS, parts)
+        vectors.store(guards, row + _REMAINDER, remainder)
         if n < count:
             near = curves.guess(end, shortest) <= 0.0
             close |= near
@@ -495,28 +513,29 @@ def _prove(space: Workspace, regime: int, level: Vector, deepest: int, h: Vector
 
 
 @unowned_inlined
-def _watch_acceleration(space: Workspace, flow: int, origin: Vector, sixth: Vector, h: Vector, beaten: int) -> int:
+def _watch_acceleration(space: Workspace, flow: int, origin: Vector, sixth: Vector, h: Vector, may_widen: int) -> int:
     """See what the acceleration did within a time h, and begin to search its extremes where one may count.
 
-    beaten : the lanes where it can exceed what its window holds; returns those in which to search
+    may_widen : the lanes where it can exceed what its window holds; returns those in which to search
     """
-    work, notes, size, none = space.pool.work, space.notes, space.flows.basis.shape[1], vectors.splat(0.0)
+    work, notes, size, zero = space.pool.work, space.notes, space.flows.basis.shape[1], vectors.splat(0.0)
     start = curves.Curve(
-        field(space, rows.SEEN), field(space, rows.SEEN_SLOPE), field(space, rows.SEEN_CURVATURE), none, sixth
+        field(space, rows.SEEN), field(space, rows.SEEN_SLOPE), field(space, rows.SEEN_CURVATURE), zero, sixth
     )
-    seen = curves.glance(space.flows.watch[flow, ACCELERATION], work, size, none, 0, start)
+    seen = curves.evaluate_again(space.flows.watch[flow, ACCELERATION], work, size, zero, 0, start)
     last = seen.value + origin
-    end = curves.Curve(last, seen.slope, seen.curvature, none, sixth)
-    high, low = vectors.larger(field(space, rows.HIGH), last), vectors.smaller(field(space, rows.LOW), last)
+    end = curves.Curve(last, seen.slope, seen.curvature, zero, sixth)
+    high = vectors.larger(field(space, rows.WINDOW_MAX), last)
+    low = vectors.smaller(field(space, rows.WINDOW_MIN), last)
     turns = 0
-    if beaten != 0:
-        least, greatest, parts = curves.between(start, end, h)
-        monotone, _ = curves.turns_not(start, end, parts, none, h)
-        turns = ((greatest > high) | (least < low)) & beaten & ~monotone
-    set_field(space, rows.HIGH, high)
-    set_field(space, rows.LOW, low)
-    set_field(space, rows.LARGEST, vectors.larger(field(space, rows.LARGEST), last))
-    set_field(space, rows.SMALLEST, vectors.smaller(field(space, rows.SMALLEST), last))
+    if may_widen != 0:
+        least, greatest, remainder = curves.between(start, end, h)
+        monotone, _ = curves.turns_not(start, end, remainder, zero, h)
+        turns = ((greatest > high) | (least < low)) & may_widen & ~monotone
+    set_field(space, rows.WINDOW_MAX, high)
+    set_field(space, rows.WINDOW_MIN, low)
+    set_field(space, rows.PHASE_MAX, vectors.larger(field(space, rows.PHASE_MAX), last))
+    set_field(space, rows.PHASE_MIN, vectors.smaller(field(space, rows.PHASE_MIN), last))
     set_field(space, rows.SEEN, last)
     set_field(space, rows.SEEN_SLOPE, seen.slope)
     set_field(space, rows.SEEN_CURVATURE, seen.curvature)
@@ -532,24 +551,29 @@ def _watch_acceleration(space: Workspace, flow: int, origin: Vector, sixth: Vect
 
 
 @unowned_inlined
-def _find_misses(space: Workspace, regime: int, level: Vector, event: Vector, h: Vector, advancing: int) -> int:
-    """Begin to search the lowest turn of guards where one may be a near miss; the lanes of each into `turned`.
+def _find_misses(space: Workspace, regime: int, left_out: Vector, event: Vector, h: Vector, advancing: int) -> int:
+    """Begin to search the lowest turn of guards where one may be a near miss; the lanes of each into `guard_lanes`.
 
     A miss is what turned back on the way; but a guard that was level at the beginning, rounding would have turn.
     """
-    system, guards, looks, elapsed = space.system, space.guards, space.looks, field(space, rows.ELAPSED)
+    system, guards, outputs, elapsed = (
+        space.system,
+        space.guards,
+        space.outputs,
+        field(space, rows.ELAPSED),
+    )
     held_from, misses = field(space, rows.HELD_FROM), 0
     counts = advancing & (elapsed > held_from)
     for n in range(system.regimes[regime].watched):
-        row, at = n * OF_GUARD, system.guards[regime, n].alike * LOOK
+        row, at = n * OF_GUARD, system.guards[regime, n].alike * OF_OUTPUT
         start, end = load_curve(guards, row + _START), load_curve(guards, row + _END)
-        least, parts = vectors.load(guards, row + _LEAST), vectors.load(guards, row + _PARTS)
+        least, remainder = vectors.load(guards, row + _LEAST), vectors.load(guards, row + _REMAINDER)
         fresh = (_zero_order(space, n) > 1.0) & (held_from <= 0.0)
         may = counts & (field(space, rows.of_guard(n) + rows.SCALE) > 0.0) & ~(event == float(n)) & ~fresh
         may &= vectors.smaller(vectors.smaller(start.value, end.value), least) < _bar(space, n)
-        monotone, crest = curves.turns_not(start, end, parts, vectors.load(looks, at + _RUSH), h)
-        may &= ~monotone & ~(crest & (level == 0.0))
-        space.turned[n] = may
+        monotone, crest = curves.turns_not(start, end, remainder, vectors.load(outputs, at + _SLOPE_BOUND), h)
+        may &= ~monotone & ~(crest & (left_out == 0.0))
+        space.guard_lanes[n] = may
         misses |= may
         if may != 0:
             _begin_turn_searches(space, regime, n, h, elapsed, may)
@@ -576,7 +600,7 @@ def _begin_turn_searches(space: Workspace, regime: int, n: int, h: Vector, elaps
 
 @unowned_inlined
 def _certainly_deep(space: Workspace, regime: int, event: Vector) -> int:
-    """Where the guard of an event goes certainly deeper than the margin is, so that it does not make it."""
+    """Mask of the lanes in which the guard of an event certainly falls deeper than the margin, and does not make it."""
     deep = 0
     for n in range(space.system.regimes[regime].guards):
         end = load_curve(space.guards, n * OF_GUARD + _END)

@@ -51,9 +51,9 @@ def expand(
 @unowned_inlined
 def derivatives(c: FloatArray, s: Vector) -> tuple[Vector, Vector, Vector]:
     """Value, slope and half the second derivative of a series: Horner's rule, even and odd powers side by side."""
-    none = vectors.splat(0.0)
+    zero = vectors.splat(0.0)
     square = s * s
-    even, odd, even_slope, odd_slope, even_half, odd_half = none, none, none, none, none, none  # by s²
+    even, odd, even_slope, odd_slope, even_half, odd_half = zero, zero, zero, zero, zero, zero  # by s²
     for k in range(TERMS // 2 - 1, -1, -1):
         even_half, odd_half = fused(even_half, square, even_slope), fused(odd_half, square, odd_slope)
         even_slope, odd_slope = fused(even_slope, square, even), fused(odd_slope, square, odd)
@@ -75,17 +75,17 @@ def crossing(c: FloatArray, length: Vector, only: bool) -> tuple[int, int, Vecto
     -------
     crosses : int
         The lanes where such a zero is.
-    none : int
+    positive : int
         The lanes where the series stays positive.
     s, slope, half : Vector
         The zero, the slope there, and half the curvature.
     """
-    none = vectors.splat(0.0)
+    zero = vectors.splat(0.0)
     c0, c1, c2 = vectors.load(c, 0), vectors.load(c, 1), vectors.load(c, 2)
     # of its first three terms
-    root = vectors.root(vectors.larger(c1 * c1 - 4.0 * c0 * c2, none))
+    root = vectors.root(vectors.larger(c1 * c1 - 4.0 * c0 * c2, zero))
     s = vectors.choose(c1 < 0.0, 2.0 * c0 / (root - c1), -0.5 * (c1 + root) / c2)
-    slope, half, crosses, alive = none, none, 0, (c0 > 0.0) & (s >= 0.0)
+    slope, half, crosses, alive = zero, zero, 0, (c0 > 0.0) & (s >= 0.0)
     for _ in range(3):
         alive &= s <= length
         if alive == 0:
@@ -100,16 +100,16 @@ def crossing(c: FloatArray, length: Vector, only: bool) -> tuple[int, int, Vecto
         converged = alive & steady & (s >= 0.0) & (s <= length)
         crosses |= converged
         alive &= ~converged
-    end, rise, bend, fall = length if only else s, none, none, none
+    end, rise, bend, fall = length if only else s, zero, zero, zero
     for k in range(TERMS - 1, 1, -1):
         term = vectors.load(c, k)
-        up = vectors.larger(term, none)
+        up = vectors.larger(term, zero)
         fall += term - up
         rise = fused(rise, end, float(k) * up)
         if k > 2:
             bend = fused(bend, end, float(k * (k - 1)) * up)
     crosses &= (c1 + rise * end < 0.0) | (2.0 * c2 + bend * end < 0.0)
-    return crosses, c0 + vectors.smaller(c1, none) + fall > 0.0, s, slope, half
+    return crosses, c0 + vectors.smaller(c1, zero) + fall > 0.0, s, slope, half
 
 
 @unowned_inlined
@@ -132,7 +132,7 @@ def turning(c: FloatArray, slopes: FloatArray, length: Vector) -> tuple[int, int
     -------
     turns : int
         The lanes where such a turning point is.
-    none : int
+    straight : int
         The lanes where the series has none.
     s : Vector
     """
@@ -141,5 +141,5 @@ def turning(c: FloatArray, slopes: FloatArray, length: Vector) -> tuple[int, int
         term = vectors.load(c, k + 1) * float(k + 1)
         vectors.store(slopes, k, vectors.choose(falls, -term, term))
     vectors.store(slopes, TERMS - 1, vectors.splat(0.0))
-    turns, none, s, _, _ = crossing(slopes, length, True)
-    return turns, none, s
+    turns, straight, s, _, _ = crossing(slopes, length, True)
+    return turns, straight, s

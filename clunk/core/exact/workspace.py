@@ -23,7 +23,7 @@ IntArray = npt.NDArray[np.int64]
 
 UNDER_WAY = 16 * WIDTH  # runs: many wait for the same, and its code is at hand for several steps on end
 NOTES = 4
-LOOK, OF_GUARD = 17, 17  # rows that a step keeps of a functional, and of a guard
+OF_OUTPUT, OF_GUARD = 17, 17  # rows that a step keeps of a functional, and of a guard
 
 RUN = np.dtype(
     [
@@ -35,12 +35,12 @@ RUN = np.dtype(
         ("last_side", np.int64),
         ("from_sticking", np.int64),
         ("seeks_extremes", np.int64),  # whether the last step's are yet to be searched for
-        ("seeks_turns", np.int64),  # the guards whose turns are, as bits
+        ("seeks_turns", np.int64),  # the guards whose turns in the last step are yet to be searched for, as bits
         ("ended", np.int64),  # how the last step did, see GOES_ON
         ("guard", np.int64),  # the one that ended it, by an event
-        ("measured", np.int64),  # whether its depth is known, or known to be no concern of the margin
+        ("depth_known", np.int64),  # whether the depth of that guard is known, or known to be no concern of the margin
         ("time", np.float64),  # s, when the phase began; after the end, when the run did
-        ("began", np.float64),  # s, of the last contact
+        ("contact_began", np.float64),  # s, of the last contact
         ("fastest", np.float64),  # rad/s, of the touches so far
         ("static", np.float64),  # what is at rest: overlap, rad, or locking torque
     ],
@@ -78,9 +78,9 @@ class Workspace(NamedTuple):
     events: npt.NDArray[np.void]  # (S, capacity) EVENT
     states: FloatArray  # (S, capacity, N), or (S, 0, N)
     # scratch of a step
-    looks: FloatArray  # (G LOOK, W)  see clunk.core.exact.step
+    outputs: FloatArray  # (G OF_OUTPUT, W)  see clunk.core.exact.step
     guards: FloatArray  # (G OF_GUARD, W)
-    turned: IntArray  # (G,)
+    guard_lanes: IntArray  # (G,)
     series: FloatArray  # (TERMS, W)
     moved: FloatArray  # (3C, W)
     notes: FloatArray  # (NOTES, W)  for what is done for a lane alone
@@ -100,6 +100,7 @@ def make_workspace(system: System, flows: Flows, events: npt.NDArray[np.void], s
     states : (S, capacity or 0, N) float64
     """
     slots, size, most = events.shape[0], flows.basis.shape[1], system.guards.shape[1]
+    # in order: span, short, enter, each by group; extremes, turn, depth, each by flow and functional; over; follow
     groups, functionals = system.leaders.size, flows.watch.shape[0] * flows.watch.shape[1]
     extremes = 3 * groups
     over = extremes + 3 * functionals
@@ -120,9 +121,9 @@ def make_workspace(system: System, flows: Flows, events: npt.NDArray[np.void], s
         state=aligned(slots + 1, size),
         events=events,
         states=states,
-        looks=aligned(most * LOOK, WIDTH),
+        outputs=aligned(most * OF_OUTPUT, WIDTH),
         guards=aligned(most * OF_GUARD, WIDTH),
-        turned=np.zeros(most, np.int64),
+        guard_lanes=np.zeros(most, np.int64),
         series=aligned(TERMS, WIDTH),
         moved=aligned(3 * size, WIDTH),
         notes=aligned(NOTES, WIDTH),
@@ -135,7 +136,7 @@ def make_workspace(system: System, flows: Flows, events: npt.NDArray[np.void], s
 
 @unowned_inlined
 def field(space: Workspace, name: int) -> Vector:
-    """One number of each of the items that have been taken."""
+    """Load one number of each of the items that have been taken."""
     return vectors.load(space.pool.work, space.behind + name)
 
 
@@ -167,15 +168,16 @@ def step_queue(space: Workspace, regime: int, near: bool) -> int:
 
 @unowned_inlined
 def begin_search(space: Workspace, slot: int, search: int, length: float, sign: float, shift: float) -> None:
-    """Begin to search from where a run is, for a time `length`, in sign times a functional plus shift.
+    """Begin a search in sign times a functional plus shift, for a time `length`.
 
-    The functional's origin is `space.origin`.
+    It begins at the state in the run's row: before `put_back` the beginning of the step, after it its end. The
+    functional's origin is `space.origin`.
     """
     wanted = space.searches[slot * space.searches_each + search]
     for k in range(space.behind):
         wanted[k] = space.numbers[slot, k]
     wanted = wanted[space.behind :]
-    wanted[rows.REST], wanted[rows.BY_SIGN], wanted[rows.BY_SHIFT] = length, sign, shift
+    wanted[rows.TIME_LEFT], wanted[rows.BY_SIGN], wanted[rows.BY_SHIFT] = length, sign, shift
     for k in range(3):
         wanted[rows.AT + k] = space.origin[k]
     wanted[rows.COUNTS] = np.inf

@@ -69,7 +69,7 @@ def push_all(pool: Pool, queue: int, mask: int) -> None:
 
 @unowned_inlined
 def take(pool: Pool, queue: int, array: FloatArray) -> int:
-    """Take as many items from a queue as there are lanes, or as wait; return how many.
+    """Take as many items from a queue as there are lanes, or as wait, the last ones first; return how many.
 
     array : (items + 1, numbers) float64
         Whose rows are gathered; the last one is scratch for unused lanes.
