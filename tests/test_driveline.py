@@ -1,8 +1,11 @@
 """The report's driveline and other ones: matrices, modes, preload, and every event of chains with 1 to 8 inertias."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import reference
+from helpers.gears import geared, lever
 
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.linear import one_mode_thresholds, rigid_contact_thresholds
@@ -305,3 +308,19 @@ def test_random_drivelines_agree_with_the_reference(n):
     rng = np.random.default_rng(100 + n)
     touches = sum(agree(random_plant(n, rng)).touches for _ in range(3))
     assert touches >= 3
+
+
+@pytest.mark.parametrize("restitution", [None, 0.4], ids=["indentation", "restitution"])
+@pytest.mark.parametrize("n", range(1, 9))
+def test_random_drivelines_with_gears_agree_with_the_reference(n, restitution):
+    """Every part turns by a gear of its own, some backwards; the reference runs the driveline reflected to none."""
+    rng = np.random.default_rng(200 + n)
+    for _ in range(3):
+        plant = replace(random_plant(n, rng), restitution=restitution)
+        turns = rng.choice([-1.0, 1.0], n) * 10.0 ** rng.uniform(-1.0, 1.0, n)
+        trajectory = simulate(geared(plant, turns, method="exact"))
+        events, _ = reference.run(plant, end_time=1.0)
+        kinds = [(trajectory.kind_name(k), int(event["side"])) for k, event in enumerate(trajectory.events)]
+        flipped = int(np.sign(lever(plant, turns)))
+        assert kinds == [(event.kind, flipped * event.side) for event in events]
+        assert trajectory.events["time"] == pytest.approx([event.time for event in events], abs=1e-9)

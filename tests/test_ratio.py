@@ -1,0 +1,166 @@
+"""Gear ratios on shafts and lashes: a geared driveline moves as the same one reflected by hand does."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import reference
+from helpers.gears import geared, lever
+
+from clunk.core.events import KIND_NAMES, LOCK
+from clunk.simulation.driveline import Driveline, build
+from clunk.simulation.energy import balance
+from clunk.simulation.history import sample
+from clunk.simulation.linear import one_mode_thresholds, rigid_contact_thresholds
+from clunk.simulation.trajectory import simulate
+from clunk.study.config import study_from_text
+from clunk.study.study import replace_values
+
+CONTACTS = {
+    "separation by gap": {"separation": "gap"},
+    "separation by force": {"separation": "force"},
+    "restitution": {"restitution": 0.5},
+    "plastic restitution": {"restitution": 0.0},
+}
+METHODS = ("rk4", "exact")
+PLAIN = np.ones(4)
+BINARY = np.array([1.0, 0.5, -4.0, 0.25])  # every scaling is without rounding; the lash reverses
+DECIMAL = np.array([1.3, 4.81, -0.37, 0.12])
+
+
+def assert_same_motion(trajectory, plain, plant, turns, rounding):
+    """Times, labels and margins are equal; angles, speeds and severities are those of each inertia's own turns."""
+    twist = lever(plant, turns)
+    assert trajectory.label == plain.label
+    assert np.array_equal(trajectory.events["kind"], plain.events["kind"])
+    assert np.array_equal(trajectory.events["side"], np.sign(twist) * plain.events["side"])
+    assert np.array_equal(trajectory.flanks, plain.flanks)
+    largest = np.abs(plain.states).max(axis=0)
+    assert trajectory.events["time"] == pytest.approx(plain.events["time"], abs=rounding)
+    assert trajectory.events["speed"] / twist == pytest.approx(plain.events["speed"], abs=rounding * 100.0)
+    assert np.all(np.abs(trajectory.states / np.tile(turns, 2) - plain.states) <= 100.0 * rounding * largest)
+    severity = trajectory.impact_severity / abs(turns[plant.acceleration_of - 1])
+    assert severity == pytest.approx(plain.impact_severity, rel=1e3 * rounding, nan_ok=True)
+    assert trajectory.margin == pytest.approx(plain.margin, rel=1e-6, abs=1e-9, nan_ok=True)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("contact", CONTACTS.values(), ids=CONTACTS)
+@pytest.mark.parametrize(("turns", "rounding"), [(BINARY, 1e-12), (DECIMAL, 1e-10)], ids=["binary", "decimal"])
+def test_a_geared_driveline_moves_as_the_reflected_one(turns, rounding, contact, method):
+    plant = reference.Plant(**contact)
+    plain = simulate(geared(plant, PLAIN, method=method))
+    trajectory = simulate(geared(plant, turns, method=method))
+    assert trajectory.touches > 0
+    assert_same_motion(trajectory, plain, plant, turns, rounding)
+    assert balance(trajectory).relative_residual == pytest.approx(balance(plain).relative_residual, abs=1e-10)
+    for term in ("work", "stored_before", "damped_in_contact", "lost_at_impacts", "dropped"):
+        assert getattr(balance(trajectory), term) == pytest.approx(getattr(balance(plain), term), rel=1e-7, abs=1e-12)
+
+
+@pytest.mark.parametrize("separation", ["gap", "force"])
+def test_rk4_of_binary_gears_gives_the_reflected_bits(separation):
+    """A product with a power of two is exact. Locked flanks, though, leave out another angle where there is a gear."""
+    plant = reference.Plant(separation=separation)
+    plain, trajectory = (simulate(geared(plant, turns)) for turns in (PLAIN, BINARY))
+    assert np.array_equal(trajectory.states, plain.states * np.tile(BINARY, 2))
+    assert np.array_equal(trajectory.events["time"], plain.events["time"])
+
+
+TO_GROUND = reference.Plant(
+    shafts=((1, 2, 31.3, 0.08), (2, 3, 31.3, 0.04), (3, 4, 31.3, 0.1), (1, "ground", 0.0, 0.1)), lash=("ground", 4)
+)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("contact", CONTACTS.values(), ids=CONTACTS)
+class TestLashToGround:
+    def test_behind_gears_it_moves_as_the_reflected_one(self, contact, method):
+        plant = replace(TO_GROUND, lash=(4, "ground"), **contact)
+        plain, trajectory = (simulate(geared(plant, turns, method=method)) for turns in (PLAIN, DECIMAL))
+        assert_same_motion(trajectory, plain, plant, DECIMAL, 1e-10)
+        unturned = replace_values(trajectory.study, {"lash.ratio": -7.0})
+        assert np.array_equal(simulate(unturned).states, trajectory.states)  # whatever the ratio, ground does not turn
+
+    @pytest.mark.parametrize("ratio", [2.5, -2.5])
+    def test_with_ground_as_its_first_end_q_is_ratio_times_the_angle(self, ratio, contact, method):
+        """q = -i θ: a gap i times as wide, with a contact 1/i² times as stiff, is the same one."""
+        study = geared(replace(TO_GROUND, **contact), PLAIN, method=method)
+        flanks = study.lash.contact
+        values = {"lash.ratio": ratio, "lash.backlash_deg": study.lash.backlash_deg * abs(ratio)}
+        values |= {
+            "lash.contact.stiffness": flanks.stiffness / ratio**2,
+            "lash.contact.damping": flanks.damping / ratio**2,
+        }
+        plain, trajectory = simulate(study), simulate(replace_values(study, values))
+        assert trajectory.touches > 0
+        assert np.array_equal(trajectory.events["side"], np.sign(ratio) * plain.events["side"])
+        assert trajectory.events["time"] == pytest.approx(plain.events["time"], abs=1e-10)
+        assert trajectory.events["speed"] / ratio == pytest.approx(plain.events["speed"], abs=1e-8)
+        assert trajectory.states == pytest.approx(plain.states, abs=1e-8)
+
+
+def test_modes_thresholds_and_the_contact_period_are_those_of_the_reflected_driveline():
+    plant = reference.Plant()
+    plain, study = geared(plant, PLAIN), geared(plant, DECIMAL)
+    ours, theirs = Driveline.from_study(study), Driveline.from_study(plain)
+    for closed in (True, False):
+        assert ours.modes(closed=closed).frequency == pytest.approx(theirs.modes(closed=closed).frequency, rel=1e-9)
+        assert ours.modes(closed=closed).damping_ratio == pytest.approx(
+            theirs.modes(closed=closed).damping_ratio, rel=1e-9
+        )
+    assert ours.contact_period == pytest.approx(theirs.contact_period, rel=1e-14)
+    assert one_mode_thresholds(study) == pytest.approx(one_mode_thresholds(plain), rel=1e-9)
+    assert rigid_contact_thresholds(study) == pytest.approx(rigid_contact_thresholds(plain), rel=1e-9)
+    carried = build(study).contact_torque[0] * lever(plant, DECIMAL) / DECIMAL[0]
+    assert carried == pytest.approx(build(plain).contact_torque[0], rel=1e-9)
+
+
+def test_the_torque_behind_a_gear_is_ratio_times_its_opposite():
+    """A shaft of ratio 3 between two inertias to ground by their own: K is [[k + k1, -3k], [-3k, 9k + k2]]."""
+    study = study_from_text(
+        """
+        [driveline]
+        inertias = [0.01, 0.09]
+        [[driveline.shafts]]
+        between = [1, 2]
+        ratio = 3.0
+        stiffness = 10.0
+        damping = 0.1
+        [[driveline.shafts]]
+        between = ["ground", 2]
+        ratio = -2.0
+        stiffness = 5.0
+        damping = 0.2
+        [lash]
+        between = [1, 2]
+        ratio = 3.0
+        backlash_deg = 1.0
+        radius = 0.1
+        [lash.contact]
+        stiffness = 1e5
+        damping = 50.0
+        [load]
+        on = 1
+        initial_torque = -6.0
+        final_torque = -1.0
+        """
+    )
+    driveline = Driveline.from_study(study)
+    assert driveline.stiffness == pytest.approx(np.array([[10.0, -30.0], [-30.0, 90.0 + 20.0]]), rel=1e-14)
+    assert driveline.damping == pytest.approx(np.array([[0.1, -0.3], [-0.3, 0.9 + 0.8]]), rel=1e-14)
+    assert driveline.contact_period == pytest.approx(2.0 * np.pi / np.sqrt(1e3 * (1.0 / 0.01 + 9.0 / 0.09)), rel=1e-14)
+    history = sample(simulate(study), until=0.3)
+    q = history.angle[:, 0] - 3.0 * history.angle[:, 1]
+    assert history.backlash_coordinate == pytest.approx(0.1 * q, abs=1e-15)
+
+
+@pytest.mark.parametrize("turns", [DECIMAL, DECIMAL[::-1].copy()], ids=["a gear down", "a gear up"])
+def test_flanks_that_lock_have_no_relative_speed_to_the_last_bit(turns):
+    trajectory = simulate(geared(reference.Plant(restitution=0.5), turns))
+    locks = np.flatnonzero(trajectory.events["kind"] == LOCK)
+    ratio = trajectory.study.lash.ratio
+    assert locks.size > 0
+    for k in locks:
+        speed = trajectory.states[k, 4:]
+        assert speed[2] - ratio * speed[3] == 0.0, KIND_NAMES[trajectory.events["kind"][k]]
