@@ -412,6 +412,16 @@ def test_a_step_that_is_too_coarse_for_the_contact_is_warned_of(clunk):
     assert "39.5 steps a period" in out
 
 
+def test_modes_names_what_each_mode_moves(clunk):
+    _, out, _ = clunk("modes", ROOT / "configs/nominal.toml")
+    assert "shuffle: motor 94 %" in out
+    assert "pinion 39 %, ring 39 %, flange 18 %" in out
+    record = json.loads(clunk("modes", ROOT / "configs/nominal.toml", "--json")[1])
+    assert record["shuffle"] == 1
+    assert record["inertias"] == ["motor", "flange", "pinion", "ring"]
+    assert [sum(shares) for shares in record["closed"]["kinetic_energy_share"]] == pytest.approx([1.0] * 4)
+
+
 def test_init_writes_a_config_that_runs_and_spares_what_is_there(clunk, here):
     assert clunk("init", "study.toml")[0] == 0
     text = (here / "study.toml").read_text()

@@ -12,6 +12,7 @@ from clunk.simulation.driveline import Driveline, build
 from clunk.simulation.energy import balance
 from clunk.simulation.history import sample
 from clunk.simulation.linear import one_mode_thresholds, rigid_contact_thresholds
+from clunk.simulation.shapes import kinetic_energy_shares, mode_shapes, shuffle_mode
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.study import replace_values
@@ -164,3 +165,65 @@ def test_flanks_that_lock_have_no_relative_speed_to_the_last_bit(turns):
     for k in locks:
         speed = trajectory.states[k, 4:]
         assert speed[2] - ratio * speed[3] == 0.0, KIND_NAMES[trajectory.events["kind"][k]]
+
+
+CAR = """
+[driveline]
+inertias = [0.2, 0.02, 0.9, 120.0]
+names = ["engine", "gearbox", "wheels", "vehicle"]
+[[driveline.shafts]]
+between = ["gearbox", "wheels"]
+ratio = {reverse}12.0
+stiffness = 60.0
+damping = 0.05
+[[driveline.shafts]]
+between = ["wheels", "vehicle"]
+stiffness = 2e4
+damping = 30.0
+[lash]
+between = ["engine", "gearbox"]
+backlash_deg = 3.0
+radius = 0.04
+[lash.contact]
+stiffness = 1e6
+damping = 200.0
+[load]
+on = "engine"
+initial_torque = 100.0
+final_torque = 0.0
+"""
+
+
+@pytest.mark.parametrize("reverse", ["", "-"])
+def test_the_shuffle_of_a_free_driveline_is_its_lowest_mode(reverse):
+    """Engine and gearbox against wheels and vehicle, as the engine sees them: two inertias, three springs in series.
+
+    The wheels' own motion, 0.7 % of the inertia on their side, is all that this leaves out.
+    """
+    driveline = Driveline.from_study(study_from_text(CAR.format(reverse=reverse)))
+    assert shuffle_mode(driveline) == 0
+    stiffness = 1.0 / (1.0 / 60.0 + 144.0 / 2e4 + 1.0 / 1600.0)
+    frequency = np.sqrt(stiffness * (1.0 / 0.22 + 144.0 / 120.9)) / (2.0 * np.pi)
+    assert driveline.modes(closed=True).frequency[0] == pytest.approx(frequency, rel=0.007)
+    shares = kinetic_energy_shares(driveline, mode_shapes(driveline, closed=True))
+    assert shares.sum(axis=1) == pytest.approx(np.ones(len(shares)), rel=1e-14)
+    assert shares[0, :2].sum() == pytest.approx((1.0 / 0.22) / (1.0 / 0.22 + 144.0 / 120.9), abs=0.02)
+
+
+def test_the_shuffle_of_a_driveline_held_to_ground_is_the_mode_in_which_all_turn_in_phase():
+    """Reflected through the gears, that is: with reversing ones some turn the other way."""
+    plain, turned = (Driveline.from_study(geared(reference.Plant(), turns)) for turns in (PLAIN, DECIMAL))
+    assert shuffle_mode(plain) == shuffle_mode(turned) == 0
+    for closed in (True, False):
+        shares = [kinetic_energy_shares(each, mode_shapes(each, closed=closed)) for each in (plain, turned)]
+        assert shares[0] == pytest.approx(shares[1], abs=1e-7)
+
+
+def test_a_driveline_of_dampers_has_no_shuffle():
+    text = (
+        CAR.format(reverse="").replace("stiffness = 60.0", "stiffness = 0.0").replace("damping = 0.05", "damping = 9e3")
+    )
+    driveline = Driveline.from_study(study_from_text(text.replace('on = "engine"', 'on = "vehicle"')))
+    assert shuffle_mode(driveline) == 0  # of what is joined to the vehicle: the wheels on their shafts
+    alone = text.replace("stiffness = 2e4", "stiffness = 0.0").replace('on = "engine"', 'on = "vehicle"')
+    assert shuffle_mode(Driveline.from_study(study_from_text(alone))) is None

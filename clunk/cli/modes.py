@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from clunk.cli import tables
 from clunk.cli.options import PATH, json_option, set_option
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_FAINTEST = 0.05  # share of a mode's kinetic energy that is printed
 
 
 @click.command()
@@ -18,15 +23,24 @@ from clunk.cli.options import PATH, json_option, set_option
 def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     """Print natural frequencies, damping ratios and small-gap thresholds.
 
+    Of each mode also the share of each inertia in its kinetic energy, and which mode is the shuffle: the lowest in
+    which all inertias swing in phase or, where nothing holds the driveline, the engine's side against the vehicle's.
+
     Example: clunk modes configs/nominal.toml
     """
     from clunk.simulation.driveline import Driveline, steps_a_period
     from clunk.simulation.linear import one_mode_thresholds, rigid_contact_thresholds
+    from clunk.simulation.shapes import kinetic_energy_shares, mode_shapes, shuffle_mode
     from clunk.study.config import load_study
 
     study = load_study(config, overrides)
     driveline = Driveline.from_study(study)
     states = {"closed": driveline.modes(closed=True), "open": driveline.modes(closed=False)}
+    shares = {
+        state: kinetic_energy_shares(driveline, mode_shapes(driveline, closed=state == "closed")) for state in states
+    }
+    names = study.driveline.names or tuple(f"inertia {k}" for k in range(1, driveline.inertia.size + 1))
+    shuffle = shuffle_mode(driveline)
     thresholds = {"lowest mode": one_mode_thresholds(study), "all modes": rigid_contact_thresholds(study)}
     if as_json:
         record: dict[str, Any] = {
@@ -34,17 +48,21 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
                 "frequency_hz": eigen.frequency.tolist(),
                 "damping_ratio": eigen.damping_ratio.tolist(),
                 "decay_rate_per_s": eigen.overdamped.tolist(),
+                "kinetic_energy_share": shares[state].tolist(),
             }
             for state, eigen in states.items()
         }
         record["thresholds"] = {name: ratios.tolist() for name, ratios in thresholds.items()}
+        record |= {"inertias": names, "shuffle": None if shuffle is None else shuffle + 1}
         tables.print_record(record | {"contact_period": driveline.contact_period})
         return
     for state, eigen in states.items():
         click.echo(f"lash {state}")
-        click.echo("  mode  frequency [Hz]  damping ratio ζ [-]")
+        click.echo("  mode  frequency [Hz]  damping ratio ζ [-]  share of kinetic energy")
         for k, (frequency, ratio) in enumerate(zip(eigen.frequency, eigen.damping_ratio, strict=True), 1):
-            click.echo(f"  {k:>4}  {frequency:>14.1f}  {ratio:>19.3f}")
+            moved = _largest_shares(shares[state][k - 1].tolist(), names)
+            named = "shuffle: " if state == "closed" and shuffle == k - 1 else ""
+            click.echo(f"  {k:>4}  {frequency:>14.1f}  {ratio:>19.3f}  {named}{moved}")
         for rate in eigen.overdamped:
             click.echo(f"     -  does not oscillate; {f'decays at {rate:.4g} 1/s' if rate > 0.0 else 'drifts'}")
         click.echo()
@@ -57,3 +75,11 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     for name, ratios in thresholds.items():
         click.echo(f"  {name:<14}" + ("".join(f"{ratio:>8.2f}" for ratio in ratios) or "    none"))
     click.echo("(lowest mode: σr = exp(2π ζ1 (n - 1/2)); all modes: with the lash locked)")
+
+
+def _largest_shares(shares: Sequence[float], names: Sequence[str]) -> str:
+    """The inertias that have most of a mode's kinetic energy, for example motor 93 %, flange 5 %."""
+    largest_first = sorted(zip(shares, names, strict=True), reverse=True)
+    return ", ".join(
+        f"{name} {share:.0%}".replace("%", " %") for share, name in largest_first[:3] if share >= _FAINTEST
+    )

@@ -1,0 +1,66 @@
+"""Mode shapes of a driveline: the inertias that each mode moves, and the mode that is the shuffle."""
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.core.regimes import chain
+from clunk.simulation.driveline import Driveline
+
+FloatArray = npt.NDArray[np.float64]
+Shapes = npt.NDArray[np.complex128]
+
+
+def mode_shapes(driveline: Driveline, *, closed: bool) -> Shapes:
+    """(k, n) complex amplitudes of the angles in each oscillating mode, lowest frequency first, as `modes` has them."""
+    modes = driveline.modes(closed=closed)
+    decay = modes.damping_ratio
+    rates = 2.0 * np.pi * modes.frequency * (-decay + 1j * np.sqrt(np.maximum(1.0 - decay**2, 0.0)))
+    eigenvalues, vectors = np.linalg.eig(
+        chain(driveline.inertia, *driveline.matrices(closed=closed), driveline.load)[0]
+    )
+    nearest = np.abs(eigenvalues[None, :] - rates[:, None]).argmin(axis=1)
+    return np.asarray(vectors[: driveline.inertia.size, nearest].T, np.complex128)
+
+
+def kinetic_energy_shares(driveline: Driveline, shapes: Shapes) -> FloatArray:
+    """(k, n) share of each inertia in the kinetic energy of each mode, J |θ|² over the sum; 1 in all."""
+    energy = driveline.inertia * np.abs(shapes) ** 2
+    return np.asarray(energy / energy.sum(axis=1, keepdims=True), np.float64)
+
+
+def shuffle_mode(driveline: Driveline) -> int | None:
+    """Number from 0 of the shuffle among the oscillating modes of the closed driveline; None where there is none.
+
+    It is the lowest mode of a rigid-like shape: reflected through the gears to the loaded inertia, all that springs and
+    the closed lash join to it turns in phase, if a spring holds that to ground; if none does, it turns in two parts
+    without a node inside either, the engine's against the vehicle's.
+    """
+    rows = [*driveline.shafts[driveline.shaft_stiffness > 0.0], driveline.lash]
+    turns = driveline.load.copy()  # of each inertia for one of the loaded one; 0 where nothing joins the two
+    joints = [np.flatnonzero(row) for row in rows]
+    pairs = [(int(ends[0]), int(ends[1]), row) for ends, row in zip(joints, rows, strict=True) if ends.size == 2]
+    for _ in rows:
+        for one, other, row in pairs:
+            if turns[one] != 0.0 and turns[other] == 0.0:
+                turns[other] = -turns[one] * row[one] / row[other]
+            elif turns[other] != 0.0 and turns[one] == 0.0:
+                turns[one] = -turns[other] * row[other] / row[one]
+    joined = np.flatnonzero(turns)
+    is_held = any(ends.size == 1 and turns[ends[0]] != 0.0 for ends in joints)
+    for number, shape in enumerate(mode_shapes(driveline, closed=True)):
+        reflected = shape[joined] / turns[joined]
+        largest = reflected[np.argmax(driveline.inertia[joined] * np.abs(shape[joined]) ** 2)]
+        forward = dict(zip(joined.tolist(), (reflected * largest.conjugate()).real > 0.0, strict=True))
+        alike = [(one, other) for one, other, _ in pairs if one in forward and forward[one] == forward[other]]
+        if largest != 0.0 and _parts(list(forward), alike) == (1 if is_held else 2):
+            return number
+    return None
+
+
+def _parts(nodes: list[int], edges: list[tuple[int, int]]) -> int:
+    """Number of connected parts of a graph."""
+    part = {node: node for node in nodes}
+    for one, other in edges:
+        kept, merged = part[one], part[other]
+        part = {node: kept if each == merged else each for node, each in part.items()}
+    return len(set(part.values()))
