@@ -24,7 +24,7 @@ EVENT = np.dtype(
         ("min_acceleration", np.float64),  # rad/s2
         ("kind", np.int64),
         ("regime", np.int64),  # the one that follows, see clunk.core.regimes
-        ("side", np.int64),  # the flank concerned: sign of q = θi - θj on it; at the load step 0 if the gap is open
+        ("side", np.int64),  # the flank concerned: sign of q on it; at the load step 0 if the gap is open
     ],
     align=True,
 )

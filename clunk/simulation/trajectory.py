@@ -36,7 +36,7 @@ class Trajectory:
     """A run of one load step: its events, primary impacts and severity; n inertias, E events (the load step included).
 
     study : Study
-    initial_side : int, sign of q = θi - θj on the initial flank
+    initial_side : int, sign of q = θi - ratio θj on the initial flank
     events : (E,) clunk.core.events.EVENT, times in s after the load step
     states : (E, 2n) float64, θ and θ' at each event  [rad, rad/s]
     primaries : (P,) int64, indices of the primary impacts in `events`
