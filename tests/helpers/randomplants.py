@@ -64,14 +64,19 @@ def plants(draw, restitution=None):
         restitution=restitution,
     )
     held = any(shaft[2] > 0.0 and "ground" in shaft for shaft in shafts) or to_ground
+    return plant, _start(draw, plant, held)
+
+
+def _start(draw, plant, held=True):
+    """None for most plants that have a preload, which a run then starts from, and a state in the gap for the others."""
     if held and draw(st.integers(0, 4)) > 0:
         try:
             plant.preload()
         except ValueError:  # the load does not reach the lash
             pass
         else:
-            return plant, None
-    return plant, _state_in_the_gap(draw, plant)
+            return None
+    return _state_in_the_gap(draw, plant)
 
 
 def _state_in_the_gap(draw, plant):
@@ -119,14 +124,7 @@ def general_plants(draw, restitution=None):
         lash_ratio=draw(ratios),
         profile=draw(profiles()),
     )
-    if draw(st.integers(0, 4)) > 0:
-        try:
-            plant.preload()
-        except ValueError:  # the load does not reach the lash
-            pass
-        else:
-            return plant, None
-    return plant, _state_in_the_gap(draw, plant)
+    return plant, _start(draw, plant)
 
 
 def nudged(plant, state, share):
