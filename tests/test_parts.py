@@ -19,6 +19,7 @@ from clunk.results.store import read_header
 from clunk.study.study import replace_values
 from clunk.sweeping import parts as keeping
 from clunk.sweeping import scratch
+from clunk.sweeping.cells import Grid
 from clunk.sweeping.parts import PartsError, WorkingDirectory
 from clunk.sweeping.provenance import versions
 from clunk.sweeping.sweep import Job, sweep
@@ -256,16 +257,23 @@ def _written(parts, now):
 
 
 def _tiles(study):
-    from clunk.sweeping.cells import Grid
-
     yield Grid(study).run(np.arange(5), np.zeros(1, np.uint8))
 
 
 def test_what_waits_to_be_written_is_bounded_however_fast_cells_finish(study, whole, target, monkeypatch):
     monkeypatch.setattr(keeping, "_LARGEST_PART", 100)
+    monkeypatch.setattr(time, "monotonic", lambda: 0.0)  # no part falls due by the clock
+    grid = Grid(study)
     with WorkingDirectory(target) as directory:
-        assert equal(Job(study, directory=directory).run(workers=1), whole)
-        assert len(directory.parts()) == 3  # two of 112, as tiles are of 16 cells here, and the last
+        parts = Job(study, directory=directory).parts
+        for first in range(0, 289, 16):
+            parts.add(grid.run(np.arange(first, min(first + 16, 289)), np.zeros(1, np.uint8)))
+        assert parts.kept == 224  # two parts of seven tiles, 112 cells each
+        parts.flush()
+        assert len(directory.parts()) == 3
+    results, parts = resumed(study, target, workers=1)
+    assert parts.taken_up == 289
+    assert equal(results, whole)
 
 
 def test_results_put_together_on_the_disk_are_the_same_bits(study, whole, target, often, monkeypatch):
