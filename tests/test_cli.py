@@ -465,7 +465,7 @@ BROKEN = [
     (SMALL + "[lash.contact]\nrestitution = 1.5\n", "lash.contact.restitution"),
     (SMALL + "[load]\non = 5\n", "load.on"),
     (SMALL + "[load]\nstatic_torque = -1.0\ninitial_torque = -6.0\n", "load"),
-    (SMALL + '[load]\nprofile = "ramp"\n', "load.profile"),
+    (SMALL + '[load]\nprofile = "tip-in"\n', "load.profile"),
     (SMALL.replace("count = 6", "count = 0"), "sweep.axes[1].count"),
     (SMALL.replace("count = 6", "count = 1000000000000"), "sweep.axes[1].count"),
     (SMALL.replace("count = 6", "count = 100000").replace("count = 5", "count = 100000"), "cells"),

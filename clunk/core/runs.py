@@ -9,6 +9,11 @@ from clunk.core.jit import unowned_inlined
 
 FloatArray = npt.NDArray[np.float64]
 
+# Columns of a load's pieces: from BEGIN [s after the load step] until the next piece begins, the torque is
+# T = LEVEL + SLOPE (t - BEGIN) + w1(t), where w' = S w from w(BEGIN) = (WAVE, WAVE_PARTNER); the last goes on for ever.
+BEGIN, LEVEL, SLOPE, WAVE, WAVE_PARTNER = range(5)
+PIECE = 5
+
 
 class Start(NamedTuple):
     """The beginning of a run, at the load step; N states."""

@@ -1,40 +1,154 @@
-"""The load: an ideal torque step, T(t) = T before until the load step and T after from then on (report Eq. 2.2)."""
+"""The load: a steady torque until the load step, and from then on a profile, piece by piece."""
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from itertools import chain
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from clunk.core.runs import BEGIN, LEVEL, PIECE, SLOPE, WAVE, WAVE_PARTNER
 from clunk.study.models import Load
 from clunk.study.study import Study
 
-Torque = float | npt.NDArray[np.float64]
+FloatArray = npt.NDArray[np.float64]
+Numbers = float | FloatArray
+
+_SHORTEST = 1e-12  # s; a duration or time constant below it counts as 0
+_LAG_ENDS = 40.0  # time constants: exp(-40) = 4e-18 of the change is left
 
 
 class LoadStep(NamedTuple):
-    """The torque on the loaded inertia before and after the load step  [N m]; numbers, or arrays of one shape."""
+    """Torque before the load step, and the torque that the load goes to, or swings about  [N m]."""
 
-    before: Torque
-    after: Torque
-
-
-def tip_out(static_torque: Torque, ratio: Torque) -> LoadStep:
-    """An engine tip-out: the dynamic torque Td = σr Ts is released, Ts stays (report Eq. 2.4, Figure 2.2)."""
-    return LoadStep(before=static_torque * (1.0 + ratio), after=static_torque)
+    before: float
+    after: float
 
 
-def load_step(load: Load, **swept: Torque) -> LoadStep:
-    """The load step of a config: from static torque and ratio, or from the torques before and after.
+class Loads(NamedTuple):
+    """Torques on the loaded inertia in some runs.
 
-    `swept` values, under the names of the config's keys, take the place of the config's own.
+    before : (runs,)  before the load step  [N m]
+    pieces : (1 or runs, P, PIECE)  after it, see `clunk.core.runs`; one row where they are the same in all runs
     """
-    values = load.model_dump() | swept
-    if values["ratio"] is not None:
-        return tip_out(values["static_torque"], values["ratio"])
-    return LoadStep(values["initial_torque"], values["final_torque"])
+
+    before: FloatArray
+    pieces: FloatArray
 
 
-def run_inputs(study: Study) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def loads_of(load: Load, count: int, **swept: FloatArray) -> Loads:
+    """Loads of `count` runs.
+
+    `swept` values, (count,) each, under the names of the config's keys, ``torques[n]`` and ``times[n]`` among them,
+    take the place of the config's own; those that the profile does not use make no difference.
+    """
+    values = {name: getattr(load, name) for name in type(load).model_fields} | swept
+    before: Numbers
+    if load.profile == "table":
+        torques = _entries(values, "torques", count) * np.reshape(values["scale"], (-1, 1))
+        before, pieces = torques[:, 0], _lines(_entries(values, "times", count), torques)
+    else:
+        before, pieces = _profile(values)
+    return Loads(np.broadcast_to(before, count).astype(np.float64), pieces)
+
+
+def _entries(values: Mapping[str, Any], key: str, count: int) -> FloatArray:
+    """(1 or count, P): a list of the config, in each run if any of its items is swept."""
+    swept = {int(name[len(key) + 1 : -1]) - 1: values[name] for name in values if name.startswith(f"{key}[")}
+    entries = np.array(values[key], dtype=np.float64)[np.newaxis].repeat(count if swept else 1, axis=0)
+    for n, column in swept.items():
+        entries[:, n] = column
+    return entries
+
+
+def _lines(times: FloatArray, torques: FloatArray) -> FloatArray:
+    """(rows, P, PIECE): straight lines between points in time; two at the same time are a jump."""
+    times, torques = np.broadcast_arrays(times, torques)
+    pieces = np.zeros((*times.shape, PIECE))
+    pieces[..., BEGIN], pieces[..., LEVEL] = times, torques
+    pieces[:, :-1, SLOPE] = np.diff(torques) / _positive(np.diff(times))
+    return pieces
+
+
+def _profile(values: Mapping[str, Any]) -> tuple[Numbers, FloatArray]:
+    """Torque before the load step and pieces, (rows, P, PIECE), of a profile from one torque to another."""
+    before, after = values["initial_torque"], values["final_torque"]
+    if values["ratio"] is not None:  # the dynamic torque Td = σr Ts is released, Ts stays (report Eq. 2.4)
+        before, after = values["static_torque"] * (1.0 + values["ratio"]), values["static_torque"]
+    change, rest = after - before, (after, 0.0, 0.0, 0.0)
+    match values["profile"]:
+        case "ramp":
+            end = _span(values["duration"])
+            return before, _rows((0.0, before, change / _positive(end), 0.0, 0.0), (end, *rest))
+        case "smooth":
+            end = _span(values["duration"])
+            return before, _rows((0.0, before + change / 2, 0.0, -change / 2, 0.0), (end, *rest))
+        case "lag":
+            end = _LAG_ENDS * _span(values["time_constant"])
+            return before, _rows((0.0, after, 0.0, -change, 0.0), (end, *rest))
+        case "pulse":
+            return before, _rows((0.0, *rest), (_span(values["duration"]), before, 0.0, 0.0, 0.0))
+        case "sine":
+            return before, _rows((0.0, after, 0.0, 0.0, values["amplitude"]))
+    return before, _rows((0.0, *rest))
+
+
+def _span(time: Numbers) -> FloatArray:
+    return np.where(np.asarray(time) < _SHORTEST, 0.0, time)
+
+
+def _positive(time: FloatArray) -> FloatArray:
+    """Times as divisors, infinite where they count as 0."""
+    return np.where(time < _SHORTEST, np.inf, time)
+
+
+def _rows(*pieces: tuple[Numbers, ...]) -> FloatArray:
+    """(rows, P, PIECE): the columns of pieces, broadcast against each other; one row if all are numbers."""
+    columns = np.broadcast_arrays(*chain(*pieces))
+    return np.stack(columns, axis=-1).astype(np.float64).reshape(-1, len(pieces), PIECE)
+
+
+def wave_rates(load: Load) -> FloatArray | None:
+    """The matrix S of w' = S w, (2, 2)  [1/s]; None where the profile has no wave."""
+    swing = decay = 0.0
+    if load.profile == "smooth":
+        swing = float(np.pi / _positive(np.asarray(load.duration)))
+    elif load.profile == "sine":
+        swing = 2.0 * np.pi * float(load.frequency or 0.0)
+    elif load.profile == "lag":
+        decay = float(1.0 / _positive(np.asarray(load.time_constant)))
+    else:
+        return None
+    return np.array([[-decay, swing], [-swing, 0.0]])
+
+
+def is_moving(load: Load) -> bool:
+    """Whether the torque can change in any other way than by jumps."""
+    return load.profile not in ("step", "tip-out", "pulse")
+
+
+def torque_at(pieces: FloatArray, rates: FloatArray | None, time: FloatArray) -> FloatArray:
+    """The torque at times after the load step, (m,)  [N m]; where it jumps, the one after the jump.
+
+    pieces : (P, PIECE); rates : as from `wave_rates`; time : (m,)  [s]
+    """
+    piece = pieces[np.searchsorted(pieces[:, BEGIN], time, side="right") - 1].T
+    after_begin = time - piece[BEGIN]
+    torque: FloatArray = piece[LEVEL] + piece[SLOPE] * after_begin
+    if rates is not None:
+        angle = rates[0, 1] * after_begin
+        swing = piece[WAVE] * np.cos(angle) + piece[WAVE_PARTNER] * np.sin(angle)
+        torque += np.exp(rates[0, 0] * after_begin) * swing
+    return torque
+
+
+def load_step(load: Load) -> LoadStep:
+    """The load step of a config, without what lies between the two torques."""
+    before, pieces = loads_of(load, 1)
+    return LoadStep(float(before[0]), float(pieces[0, -1, LEVEL]))
+
+
+def run_inputs(study: Study) -> tuple[FloatArray, FloatArray]:
     """Inputs d = (T, φ/2) of a run before and after its load step  [N m, rad]."""
     half_gap = np.deg2rad(study.lash.backlash_deg) / 2
     before, after = (np.array([torque, half_gap], dtype=np.float64) for torque in load_step(study.load))

@@ -99,9 +99,10 @@ def replace_values(study: Study, values: Mapping[str, float]) -> Study:
 def content(study: Study) -> dict[str, Any]:
     """A study as plain tables, lists and values, without what is left out."""
     plain = study.model_dump(exclude_none=True)
-    for joint in (plain["lash"], *plain["driveline"]["shafts"]):
-        if joint["ratio"] == 1.0:  # as configs and digests of earlier versions have it
-            del joint["ratio"]
+    factors = [(joint, "ratio") for joint in (plain["lash"], *plain["driveline"]["shafts"])]
+    for table, key in [*factors, (plain["load"], "scale")]:
+        if table[key] == 1.0:  # as configs and digests of earlier versions have it
+            del table[key]
     if study.sweep is not None:
         sweep = {key: value for key, value in plain["sweep"].items() if value != ()}
         if not {"samples", "tolerances"} & set(sweep):
@@ -123,6 +124,8 @@ def digest(study: Study) -> str:
     decisive = content(study)
     del decisive["title"]
     decisive["driveline"].pop("names", None)
+    if decisive["load"]["profile"] == "step":
+        decisive["load"]["profile"] = "tip-out"  # its name in earlier versions
     if study.sweep is not None and study.sweep.design == "grid":
         del decisive["sweep"]["design"]  # sweeps of earlier versions know no other
     for axis in study.sweep.axes if study.sweep is not None else ():

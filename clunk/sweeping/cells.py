@@ -15,8 +15,9 @@ from clunk.core.exact.flows import Flows
 from clunk.core.jit import is_cold
 from clunk.core.regimes import System
 from clunk.core.rk4.propagator import Steps
+from clunk.core.runs import LEVEL
 from clunk.simulation import driveline
-from clunk.simulation.load import load_step
+from clunk.simulation.load import loads_of
 from clunk.study.designs import Cells, Design, FloatArray, design_of
 from clunk.study.study import Study, replace_values
 from clunk.sweeping.tiles import Layout, Tile
@@ -99,12 +100,10 @@ class Grid:
 
     def drive(self, values: Mapping[str, FloatArray], count: int) -> Drive:
         """The drives of `count` cells with these values of parameters."""
-        torques = {key.removeprefix("load."): values[key] for key in values if key in _TORQUES}
-        before, after = (
-            np.broadcast_to(side, count).astype(np.float64) for side in load_step(self.study.load, **torques)
-        )
+        swept = {key.removeprefix("load."): values[key] for key in values if key.startswith("load.")}
+        before, pieces = loads_of(self.study.load, count, **swept)
         gap = np.broadcast_to(values.get(_BACKLASH, self.study.lash.backlash_deg), count)
-        return Drive(before, after, np.deg2rad(gap) / 2)
+        return Drive(before, np.broadcast_to(pieces[:, -1, LEVEL], count).copy(), np.deg2rad(gap) / 2)
 
     def groups(self, cells: Cells) -> Iterator[tuple[dict[str, float], npt.NDArray[np.intp]]]:
         """Cut cells into groups of the same structural values; yields these values and the positions in `cells`."""

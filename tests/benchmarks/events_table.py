@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from clunk.simulation.load import load_step
+from clunk.simulation.load import loads_of
 from clunk.study.config import study_from_text
 from clunk.study.study import Study
 
@@ -93,7 +93,7 @@ def preload(study, driveline):
     """Half gap [rad] (400,), angles at rest on the flank that carries the load before the step (n, 400), its side."""
     ratio, backlash_deg = grid()
     half_gaps = np.deg2rad(backlash_deg) / 2
-    before = np.broadcast_to(load_step(study.load, ratio=ratio).before, ratio.shape)
+    before = loads_of(study.load, ratio.size, ratio=ratio).before
     lash, stiffness = driveline.lash, driveline.contact_stiffness
     closed = driveline.stiffness + stiffness * np.outer(lash, lash)
     side = np.where(np.linalg.solve(closed, driveline.load) @ lash * before > 0.0, 1.0, -1.0)

@@ -25,7 +25,7 @@ def make(tolerance: float):
     """A function of cell numbers that gives each one's events: (E, 2) float64, time [s] and kind times side."""
     study = events_table.study()
     driveline = Driveline.from_study(study)
-    torque = float(load_step(study.load).after)
+    torque = load_step(study.load).after
     n = driveline.inertia.size
     angles = hy.make_vars(*(f"angle_{k}" for k in range(n)))
     speeds = hy.make_vars(*(f"speed_{k}" for k in range(n)))

@@ -30,7 +30,7 @@ def make(**options):
         return np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness / inertia[:, None], -damping / inertia[:, None]]])
 
     opened, closed = rates(0.0), rates(1.0)
-    drive = np.concatenate([np.zeros(n), driveline.load * float(load_step(study.load).after) / inertia])
+    drive = np.concatenate([np.zeros(n), driveline.load * load_step(study.load).after / inertia])
     push = np.concatenate([np.zeros(n), driveline.contact_stiffness * lash / inertia])
 
     def run(cell):
