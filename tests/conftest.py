@@ -1,5 +1,7 @@
 """What every test may use."""
 
+import os
+
 import pytest
 from hypothesis import settings
 
@@ -13,8 +15,12 @@ settings.load_profile("clunk")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compile the kernels here, where several processes would each do it."""
+    """Before the workers start: compile the kernels that each would compile, and leave each one thread of BLAS.
+
+    Matrices are small, and threads of several workers that wait for each other take longer than all of their work.
+    """
     if config.getoption("numprocesses", None) and not hasattr(config, "workerinput"):
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         for method in ("rk4", "exact"):
             if compiling_note(method):
                 warm_up(study_from_text(f'[driveline]\npreset = "boere-2008"\n[solver]\nmethod = "{method}"\n'))

@@ -87,11 +87,10 @@ def _turning_points(flow, name, guard_of, coordinates, begin, length):
         regime, row = flow.regimes(k)[name], guard_of(flow.regimes(k)).row
         count = max(int(part / regime.cell), 1)
         cell = part / count
-        across = expm(regime.generator * cell)
-        states = [flow.augmented(coordinates, k, time)]
-        for _ in range(count):
-            states.append(across @ states[-1])
-        states = np.array(states)
+        across, states = expm(regime.generator * cell), flow.augmented(coordinates, k, time)[None]
+        while len(states) <= count:  # twice as many each time
+            states, across = np.vstack((states, states @ across.T)), across @ across
+        states = states[: count + 1]
         values, slopes = states @ row, states @ (row @ regime.generator)
         if last is not None:
             rounding = 1e-12 * (np.abs(row) @ np.abs(states[0]))
