@@ -25,7 +25,8 @@ from clunk.study.config import load_study, study_from_text
 from clunk.study.designs import design_of, design_of_points
 from clunk.study.document import KeyLines, dotted, parse_place
 from clunk.study.keys import PRESETS, json_schema
-from clunk.study.models import DrivelineConfig, Impacts, Lash, Load, Shaft
+from clunk.study.loads import Load
+from clunk.study.models import DrivelineConfig, Impacts, Lash, Shaft
 from clunk.study.parameters import get_value, quantity
 from clunk.study.problems import ConfigError
 from clunk.study.study import Study, digest, replace_values, to_toml

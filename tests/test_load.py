@@ -7,7 +7,7 @@ from scipy.linalg import expm
 from clunk.core.runs import BEGIN, LEVEL, SLOPE, WAVE, WAVE_PARTNER
 from clunk.simulation.load import is_moving, load_step, loads_of, torque_at, wave_rates
 from clunk.study.document import with_value
-from clunk.study.models import Load
+from clunk.study.loads import Load
 
 T0, T1, D = -6.0, -1.0, 0.2
 TIMES, TORQUES = (0.0, 0.0, 0.1, 0.25, 0.25), (-6.0, -4.0, 1.0, 3.0, -1.0)

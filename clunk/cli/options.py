@@ -19,7 +19,8 @@ set_option = click.option(
     "overrides",
     multiple=True,
     metavar="KEY=VALUE",
-    help="Override a key of the config, for example --set load.ratio=7. May be repeated.",
+    help="Override a key of the config, for example --set load.ratio=7; a path begins in the current directory. May be "
+    "repeated.",
 )
 
 

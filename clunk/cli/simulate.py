@@ -131,7 +131,7 @@ def _studies_to_simulate(
         choices[key] = [f"{key}={value}" for value in re.split(r",(?![^\[]*\])", listed)]
     studies: list[tuple[str, Study]] = []
     for chosen in product(*choices.values()):
-        study = study_from_text(text, name, [*overrides, *chosen])
+        study = study_from_text(text, name, [*overrides, *chosen], source.parent)
         values = cells.cell_values(study, at, all_needed=source.suffix == ".h5")
         if has_tolerances(study) and not studies:
             terminal.complain("tolerances are left aside; this is the nominal run")

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.runs import BEGIN, LEVEL, PIECE, SLOPE, WAVE, WAVE_PARTNER
-from clunk.study.models import Load
+from clunk.study.loads import Load
 from clunk.study.study import Study
 
 FloatArray = npt.NDArray[np.float64]
@@ -36,11 +36,11 @@ class Loads(NamedTuple):
     pieces: FloatArray
 
 
-def loads_of(load: Load, count: int, **swept: FloatArray) -> Loads:
+def loads_of(load: Load, count: int, **swept: Numbers) -> Loads:
     """Loads of `count` runs.
 
-    `swept` values, (count,) each, under the names of the config's keys, ``torques[n]`` and ``times[n]`` among them,
-    take the place of the config's own; those that the profile does not use make no difference.
+    `swept` values, (count,) each or one for all, take the place of the config's own under the names of its keys,
+    ``torques[n]`` and ``times[n]`` among them; those that the profile does not use make no difference.
     """
     values = {name: getattr(load, name) for name in type(load).model_fields} | swept
     before: Numbers

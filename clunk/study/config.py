@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 from clunk.study.document import (
@@ -25,9 +26,9 @@ from clunk.study.document import (
     value_at,
 )
 from clunk.study.keys import PRESETS, key_at
-from clunk.study.models import TORQUES
+from clunk.study.loads import TORQUES, read_trace, uses
 from clunk.study.parameters import complaint, names_of, place_of
-from clunk.study.problems import Problem, nearest, report, shorten
+from clunk.study.problems import ConfigError, Problem, nearest, report, shorten
 from clunk.study.study import Study
 from clunk.study.tables import Finding
 from clunk.study.validation import validated
@@ -39,7 +40,7 @@ def load_study(path: str | PathLike[str], overrides: Sequence[str] = ()) -> Stud
     Parameters
     ----------
     path : path of a TOML file
-    overrides : sequence of str, "load.ratio=7"; the values are TOML
+    overrides : sequence of str, "load.ratio=7"; the values are TOML, and paths in them begin in the current directory
 
     Raises
     ------
@@ -59,11 +60,20 @@ def load_study(path: str | PathLike[str], overrides: Sequence[str] = ()) -> Stud
       swept      load.ratio: 0 to 10, 21 values
       swept      lash.backlash_deg: 0 to 20, 21 values
     """
-    return study_from_text(read_text(path), str(path), overrides)
+    return study_from_text(read_text(path), str(path), overrides, Path(path).parent)
 
 
-def study_from_text(text: str, source: str = "<text>", overrides: Sequence[str] = ()) -> Study:
-    """Load the study of a config's text; `source` is what to call it in a report. As `load_study` otherwise.
+def study_from_text(
+    text: str, source: str = "<text>", overrides: Sequence[str] = (), folder: str | PathLike[str] = "."
+) -> Study:
+    """Load the study of a config's text; as `load_study` otherwise.
+
+    Parameters
+    ----------
+    text : TOML
+    source : name of the text in a report
+    overrides : sequence of str, "load.ratio=7"
+    folder : path, in which the files that the text names are
 
     Examples
     --------
@@ -84,12 +94,15 @@ def study_from_text(text: str, source: str = "<text>", overrides: Sequence[str] 
             assignments[place] = value
     preset_name, preset, findings = _preset(raw, assignments)
     document = _merged(preset, raw)
+    file: Place = ("load", "file")
+    findings += _load_trace(document, folder) if file not in assignments else []
     assigned: list[Place] = []
-    for place, value in assignments.items():
+    for place, value in sorted(assignments.items(), key=lambda item: item[0] != file):  # items of its lists come later
         resolved = place_of(dotted(place), names_of(document))
         problem = "no inertia has this name" if resolved is None else assign(document, resolved, value)
         findings += [(place, problem)] if problem is not None else []
         assigned.append(resolved or place)
+        findings += _load_trace(document, ".") if place == file else []
     if isinstance(document.get("driveline"), dict):
         document["driveline"].pop("preset", None)
     findings += _fill_in(document, assigned)
@@ -127,8 +140,11 @@ def _preset(raw: dict[str, Any], assignments: Mapping[Place, Any]) -> tuple[str,
     preset = tomllib.loads(files("clunk.study.presets").joinpath(f"{name}.toml").read_text(encoding="utf-8"))
     by_ratio, by_step = TORQUES
     swept = [axis.get("parameter") for at, axis in _entries(raw) if at[1] == "axes"]
-    if all(f"load.{key}" in swept for key in by_step) or any(
-        ("load", key) in assignments or value_at(raw, ("load", key)) is not None for key in by_step
+    profile = assignments.get(("load", "profile"), value_at(raw, ("load", "profile")))
+    if (
+        profile == "table"
+        or all(f"load.{key}" in swept for key in by_step)
+        or any(("load", key) in assignments or value_at(raw, ("load", key)) is not None for key in by_step)
     ):
         for key in by_ratio:
             del preset["load"][key]
@@ -157,6 +173,20 @@ def _entries(document: Mapping[str, Any]) -> list[tuple[Place, dict[str, Any]]]:
     ]
 
 
+def _load_trace(document: dict[str, Any], folder: str | PathLike[str]) -> list[Finding]:
+    """Put the times and torques of the load's file, if it has one alone, in its place."""
+    load = document.get("load")
+    file = value_at(load, ("file",))
+    if not isinstance(load, dict) or not isinstance(file, str) or load.keys() & {"times", "torques"}:
+        return []
+    try:
+        load["times"], load["torques"] = read_trace(Path(folder, file))
+    except ConfigError as error:
+        return [(("load", "file"), str(error).rstrip("."))]
+    del load["file"]
+    return []
+
+
 def _fill_in(document: dict[str, Any], assigned: Sequence[Place]) -> list[Finding]:
     """Fill in what a document implies: swept keys that it leaves out, and the inertia of the severity.
 
@@ -167,6 +197,7 @@ def _fill_in(document: dict[str, Any], assigned: Sequence[Place]) -> list[Findin
     findings: list[Finding] = []
     load = document.get("load")
     torques = {key for key in load if load[key] is not None} if isinstance(load, dict) else set()
+    profile = str(value_at(load, ("profile",)) or "step")
     for at, entry in _entries(document):
         parameter = entry.get("parameter")
         if not isinstance(parameter, str):
@@ -185,8 +216,10 @@ def _fill_in(document: dict[str, Any], assigned: Sequence[Place]) -> list[Findin
             example = f"{dotted(at)}.{'start' if entry.get('values') is None else 'values'}"
             findings.append((place, f"{dotted(at)} sweeps this key; set the axis instead, for example {example}"))
         is_missing = value_at(document, place) is None
-        if place[0] == "load":  # where the load is given by the other two torques, an error of its own says so
-            is_missing &= not any(place[-1] in pair and torques & {*other} for pair, other in (TORQUES, TORQUES[::-1]))
+        if place[0] == "load":  # where its profile has no such key, or it has the other torques, an error says so
+            is_missing &= uses(profile, str(place[-1])) and not any(
+                place[-1] in pair and torques & {*other} for pair, other in (TORQUES, TORQUES[::-1])
+            )
         if at[1] == "axes" and is_missing:
             # the axis's first value, or one that is allowed: what is wrong with the axis has an error of its own
             first = next(iter(items_of(entry.get("values"))), entry.get("start"))

@@ -22,7 +22,7 @@ _LARGEST_FILE = 64 * 2**20  # bytes; a device or a results file must not fill th
 _DEEPEST = 32  # levels; a config has four, and walking one must not exhaust the stack
 _SEGMENT = re.compile(r"([A-Za-z0-9_-]+)((?:\[[^\[\]]+\])*)")
 _ITEM_NUMBER = re.compile(r"[0-9]{1,9}")
-_PLAIN_WORD = re.compile(r"[^\W\d][\w-]*")
+_PLAIN_WORD = re.compile(r"(?:[^\W\d]|[./~])[\w./~-]*")  # or a path
 
 
 # --- Text -> tables --------------------------------------------------------------------------------------------------
@@ -74,7 +74,7 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
 
 
 def parse_override(text: str) -> tuple[Place, Any]:
-    """Place and value of `key=value`; the value is TOML, or a plain word without its quotes.
+    """Place and value of `key=value`; the value is TOML, or a plain word or path without its quotes.
 
     Raises
     ------

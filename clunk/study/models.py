@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from clunk.study.loads import Load
 from clunk.study.problems import shorten
 from clunk.study.sweeps import Sweep
 from clunk.study.tables import (
@@ -26,9 +27,6 @@ from clunk.study.tables import (
     converted,
     is_number,
 )
-
-# The torque of the load is given by both of the first, or by both of the second.
-TORQUES = (("static_torque", "ratio"), ("initial_torque", "final_torque"))
 
 
 class Shaft(Table):
@@ -130,58 +128,6 @@ class Lash(Table):
 def _degrees(gap_mm: float, radius: float) -> float:
     """Angle of a gap in mm at a radius in m."""
     return math.degrees(gap_mm / (1e3 * radius))
-
-
-class Load(Table):
-    """The torque on one inertia: steady until the load step, T0, and from then on as its profile says.
-
-    T0 and the torque T1 that it goes to are static_torque Ts and ratio σr, Ts (1 + σr) and Ts (report Eqs. 2.2 and
-    2.4), or initial_torque and final_torque. A table has torques of its own. t is the time after the load step.
-
-    profile : "step" ("tip-out" is its older name), at once to T1; "ramp", in a straight line over the duration;
-        "smooth", along half a cosine over the duration; "lag", T1 + (T0 - T1) exp(-t / time_constant); "pulse", T1 for
-        the duration and then T0 again; "table", in straight lines between `torques` at `times`, two equal times being a
-        jump; "sine", T1 + amplitude sin(2π frequency t)
-    on : int, number from 1 of the loaded inertia
-    scale : float, factor on the torques of the table
-    file : path of a text file with two columns, times and torques; it becomes the lists when a config is read
-    step_time : float, of the load step on the time axis of plots
-    """
-
-    profile: Literal["step", "ramp", "smooth", "lag", "pulse", "table", "sine", "tip-out"] = "tip-out"
-    on: Annotated[Inertia, Quantity("loaded inertia", "i", "1")]
-    static_torque: Annotated[float | None, Quantity("static torque", "Ts", "N m")] = None
-    ratio: Annotated[float | None, Quantity("load ratio", "σr = Td/Ts", "1")] = None
-    initial_torque: Annotated[float | None, Quantity("torque before the load step", "T(0⁻)", "N m")] = None
-    final_torque: Annotated[float | None, Quantity("torque after the load step", "T(0⁺)", "N m")] = None
-    duration: Annotated[NotNegative | None, Quantity("duration of the load step", "d", "s")] = None
-    time_constant: Annotated[NotNegative | None, Quantity("time constant of the load", "τ", "s")] = None
-    amplitude: Annotated[float | None, Quantity("amplitude of the load", "Ta", "N m")] = None
-    frequency: Annotated[Positive | None, Quantity("frequency of the load", "f", "Hz")] = None
-    times: Annotated[
-        tuple[Annotated[NotNegative, Quantity("time {} of the load", "t{}", "s")], ...] | None, Field(repr=False)
-    ] = None
-    torques: Annotated[
-        tuple[Annotated[float, Quantity("torque {} of the load", "T{}", "N m")], ...] | None, Field(repr=False)
-    ] = None
-    scale: Annotated[float, Quantity("factor on the torques of the load", "s", "1")] = 1.0
-    file: Annotated[Text | None, Field(description="path of a file of times (s) and torques (N m)")] = None
-    step_time: Annotated[NotNegative, Quantity("time of the load step", "t0", "s")] = 0.1
-
-    def contradictions(self) -> Iterator[Finding]:
-        """Require one of the two ways to give the torque, whole: a static torque and a ratio, or before and after."""
-        if self.profile == "table":
-            return
-        by_ratio, by_step = ([key for key in pair if getattr(self, key) is not None] for pair in TORQUES)
-        pairs = "static_torque and ratio, or initial_torque and final_torque"
-        if by_ratio and by_step:
-            yield (), f"{' and '.join(by_ratio + by_step)} are given together; give either {pairs}"
-        elif not by_ratio and not by_step:
-            yield (), f"no torque is given; give {pairs} (N m)"
-        for pair in TORQUES:
-            for key, other in (pair, pair[::-1]):
-                if [key] in (by_ratio, by_step) and not (by_ratio and by_step):
-                    yield (other,), f"missing; {key} needs {other} beside it"
 
 
 class Solver(Table):

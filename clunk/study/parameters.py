@@ -16,6 +16,8 @@ from clunk.study.models import Config
 from clunk.study.problems import ConfigError, Problem, nearest, shorten
 from clunk.study.tables import Quantity
 
+_NAMED_ITEMS = 100  # of a list, among which a misspelt parameter is looked for
+
 
 def place_of(parameter: str, names: Sequence[Any]) -> Place | None:
     """Place that a dotted key names, an inertia's name in brackets resolved; None where it is malformed."""
@@ -35,15 +37,18 @@ def names_of(document: Mapping[str, Any]) -> Sequence[Any]:
 
 
 def parameters(document: Mapping[str, Any]) -> list[str]:
-    """The parameters of a document."""
+    """The parameters of a document; of long lists the first."""
     known: list[Place] = []
     for pattern, key in keys().items():
         places: list[Place] = [()] if key.quantity is not None else []
         for step in pattern:
-            steps = {at: range(len(items_of(value_at(document, at)))) if step == ITEM else [step] for at in places}
-            places = [(*at, each) for at in places for each in steps[at]]
+            places = [(*at, each) for at in places for each in (_items(document, at) if step == ITEM else [step])]
         known += places
     return [dotted(place) for place in known]
+
+
+def _items(document: Mapping[str, Any], place: Place) -> range:
+    return range(min(len(items_of(value_at(document, place))), _NAMED_ITEMS))
 
 
 def complaint(parameter: str, document: Mapping[str, Any]) -> str | None:

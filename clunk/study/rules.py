@@ -5,30 +5,38 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 
 import numpy as np
+import numpy.typing as npt
 
 from clunk.study.document import Place, dotted, with_value
-from clunk.study.models import TORQUES, Config
+from clunk.study.loads import KEYS, TORQUES, uses
+from clunk.study.models import Config
 from clunk.study.parameters import complaint, located
 from clunk.study.problems import listing, shorten
 from clunk.study.sweeps import Axis, Draw
 from clunk.study.tables import Finding, allowed_inertias
 
 MOST_STEPS = 1e9  # of one run; about ten seconds of nothing but stepping
+MOST_PERIODS = 1e6  # of the load in one run; the exact method takes some steps in each
 LARGEST_SIZE = 1e30  # of inertias, stiffnesses, dampings and the radius, and the smallest is its inverse
 WIDEST_SPREAD = 1e12  # of the inertias and of the springs of one driveline: four digits are left where they add up
 FASTEST_RATE = 1e12  # 1/s, of stiffness or damping on an inertia; atoms swing ten times faster
 
+FloatArray = npt.NDArray[np.float64]
 Sizes = Sequence[tuple[float, Place]]  # positive numbers, each with its place
 
 
 def broken_rules(config: Config) -> list[Finding]:
     """Findings of all rules on a config; draws are only looked at where nothing else is wrong."""
-    findings = [finding for rule in (_inertias, _steps, _sizes, _swept) for finding in rule(config)]
+    findings = [finding for rule in (_inertias, _steps, _sizes, _swept, _times) for finding in rule(config)]
     return findings or list(_drawn(config))
 
 
-def torque_complaint(parameter: str, config: Config) -> str | None:
-    """Reason why a torque cannot be swept: the load is given by the other two."""
+def load_complaint(parameter: str, config: Config) -> str | None:
+    """Reason why a key of the load cannot be swept: its profile has none, or its torques are the other two."""
+    table, _, key = parameter.partition("[")[0].partition(".")
+    if table == "load" and not uses(config.load.profile, key):
+        profiles = listing([shorten(profile) for profile in KEYS if uses(profile, key)], "or")
+        return f"{parameter} does not apply: the profile is {shorten(config.load.profile)}, and not {profiles}"
     for pair, other in (TORQUES, TORQUES[::-1]):
         if parameter in {f"load.{key}" for key in pair} and getattr(config.load, other[0]) is not None:
             return (
@@ -61,6 +69,7 @@ def _inertias(config: Config) -> Iterator[Finding]:
 def _steps(config: Config) -> Iterator[Finding]:
     """Require runs of at least one step and not absurdly many, also at every value that an axis gives."""
     steps, ends = (list(_extent(config, ("solver", key))) for key in ("step", "end_time"))
+    frequency, at_frequency = max(_extent(config, ("load", "frequency")), default=(0.0, ()))
     (longest, at_longest), (shortest, at_shortest) = max(steps), min(steps)
     (earliest, at_earliest), (latest, at_latest) = min(ends), max(ends)
     if longest > earliest:
@@ -69,6 +78,9 @@ def _steps(config: Config) -> Iterator[Finding]:
     elif latest / shortest > MOST_STEPS:
         text = f"a run of {latest:g} s in steps of {shortest:g} s has {latest / shortest:.2g} of them"
         yield _axis_first(at_shortest, at_latest), f"{text}; at most {MOST_STEPS:g} are allowed"
+    elif latest * frequency > MOST_PERIODS:
+        text = f"a run of {latest:g} s at {frequency:g} Hz has {latest * frequency:.2g} periods of the load"
+        yield _axis_first(at_frequency, at_latest), f"{text}; at most {MOST_PERIODS:g} are allowed"
 
 
 def _sizes(config: Config) -> Iterator[Finding]:
@@ -163,7 +175,7 @@ def _swept(config: Config) -> Iterator[Finding]:
         for k, entry in enumerate(getattr(config.sweep, name)):
             at: Place = ("sweep", name, k)
             parameter = entry.parameter
-            text = complaint(parameter, document) or torque_complaint(parameter, config)
+            text = complaint(parameter, document) or load_complaint(parameter, config)
             if text is None and name != "axes":
                 text = _undrawable(entry, name, swept, config)
             if text is None and parameter in taken:
@@ -192,6 +204,34 @@ def _range(axis: Axis, config: Config) -> Iterator[Finding]:
         yield (), f"{axis.parameter} must be {key.must_be} at every value of the axis"
 
 
+Reach = tuple[Place, FloatArray, bool]  # of a time: its place in the sweep, its values, whether axes walk together
+
+
+def _times(config: Config, drawn: Mapping[int, Reach] | None = None) -> Iterator[Finding]:
+    """Require times of the load that are in order in every run; `drawn` are the extremes of those that are drawn."""
+    times, sweep = config.load.times or (), config.sweep
+    reaches: dict[int, Reach] = {}
+    for k, axis in enumerate(sweep.axes if sweep is not None and config.load.profile == "table" else ()):
+        place = located(config, axis.parameter)[0]
+        if place[:2] == ("load", "times"):
+            reaches[int(place[2])] = ("sweep", "axes", k), axis.grid, sweep is not None and sweep.design == "zip"
+    reaches |= drawn or {}
+    for n, (at, values, _) in reaches.items():
+        if n == 0 and np.any(values):
+            yield at, "load.times[1] is the load step itself and must stay 0"
+        for first, second in ((n - 2, n), (n - 1, n), (n, n + 1), (n, n + 2)):
+            if first < 0 or second >= len(times):
+                continue
+            (_, early, walked), (_, late, too) = (
+                reaches.get(m, ((), np.array([times[m]]), True)) for m in (first, second)
+            )
+            gap = (late - early if walked and too else late.min() - early.max()).min()
+            if gap < 0.0 or (gap == 0.0 and second == first + 2):
+                names = f"load.times[{first + 1}] and load.times[{second + 1}]"
+                yield at, f"{names} are {'out of order' if gap < 0.0 else 'equal, with one between them,'} in some runs"
+                break
+
+
 def _undrawable(draw: Draw, table: str, swept: Mapping[str, Place], config: Config) -> str | None:
     parameter = draw.parameter
     _, key, value = located(config, parameter)
@@ -216,6 +256,7 @@ def _drawn(config: Config) -> Iterator[Finding]:
     points = sweep.sampling.points(len(draws))
     axes = {axis.parameter: axis.grid for axis in sweep.axes}
     document = config.model_dump(exclude={"sweep"})
+    drawn_times: dict[int, Reach] = {}
     for k, draw in enumerate(draws):
         place, key, value_of_study = located(config, draw.parameter)
         nominal = axes.get(draw.parameter, np.array([value_of_study]))
@@ -229,8 +270,12 @@ def _drawn(config: Config) -> Iterator[Finding]:
                 bound = "; bound the distribution with low and high" if draw.distribution != "uniform" else ""
                 yield ("sweep", table, k), f"{text}; it must be {key.must_be}{bound}"
                 break
+            if place[:2] == ("load", "times"):  # held against the others below
+                drawn_times[int(place[2])] = ("sweep", table, k), np.array(extremes), False
+                continue
             drawn_config = Config.model_validate({**with_value(document, place, value), "sweep": sweep})
             broken = next((f for rule in (_steps, _sizes) for f in rule(drawn_config)), None)
             if broken is not None:
                 yield ("sweep", table, k), f"{text}; {broken[1]}"
                 break
+    yield from _times(config, drawn_times)

@@ -29,10 +29,15 @@ Prepared = tuple[System, Steps | Flows]  # a system and its method's tables
 CELL, IMPACT = kernel.CELL, kernel.IMPACT
 
 _BACKLASH = "lash.backlash_deg"
-_TORQUES = {"load.ratio", "load.static_torque", "load.initial_torque", "load.final_torque"}
-DRIVING = {*_TORQUES, "load.step_time", _BACKLASH}  # keys that leave the system as it is
+_RATES = {"smooth": "load.duration", "lag": "load.time_constant", "sine": "load.frequency"}  # how fast a wave swings
 KEPT_SYSTEMS = 4096  # about 20 KB each
 _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
+
+
+def leaves_system(study: Study, parameter: str) -> bool:
+    """Whether cells that differ in a parameter have the same system: only the load's pieces or the gap change."""
+    is_load = parameter.startswith("load.") and parameter not in ("load.on", _RATES.get(study.load.profile))
+    return is_load or parameter == _BACKLASH
 
 
 class Drive(NamedTuple):
@@ -67,7 +72,7 @@ class Grid:
         self.design = design or design_of(study)
         self.method: str = study.solver.method
         self.tile_cells = _TILE_CELLS[self.method]
-        self._structural = [each.parameter for each in self.design.columns if each.parameter not in DRIVING]
+        self._structural = [each.parameter for each in self.design.columns if not leaves_system(study, each.parameter)]
         self._kept: OrderedDict[tuple[float, ...], Prepared] = OrderedDict()
         if shared is not None:
             self._kept[()] = shared
@@ -98,7 +103,7 @@ class Grid:
                 self._kept.popitem(last=False)
         return prepared
 
-    def drive(self, values: Mapping[str, FloatArray], count: int) -> Drive:
+    def drive(self, values: Mapping[str, float | FloatArray], count: int) -> Drive:
         """The drives of `count` cells with these values of parameters."""
         swept = {key.removeprefix("load."): values[key] for key in values if key.startswith("load.")}
         before, pieces = loads_of(self.study.load, count, **swept)

@@ -21,7 +21,7 @@ from clunk.study.designs import Cells, FloatArray, design_of, drawn_numbers
 from clunk.study.parameters import nominal_value, quantity
 from clunk.study.study import Study
 from clunk.sweeping.assembly import flanks_of, long_sequences
-from clunk.sweeping.cells import DRIVING, KEPT_SYSTEMS, Flag, Grid, Prepared, Records
+from clunk.sweeping.cells import KEPT_SYSTEMS, Flag, Grid, Prepared, Records, leaves_system
 from clunk.sweeping.reduction import Flanks, Reduction
 from clunk.sweeping.tiles import Layout, Tile
 
@@ -65,7 +65,7 @@ class SampleRunner:
         self.draws = self.runs = study.sweep.sampling.count
         numbers = drawn_numbers(study, self._tolerances)
         self.drawn = {each.parameter: drawn for each, drawn in zip(self._tolerances, numbers, strict=True)}
-        self._new_systems = any(parameter not in DRIVING for parameter in self.drawn)
+        self._new_systems = not all(leaves_system(study, parameter) for parameter in self.drawn)
         self.method = self.grid.method
         room = _MOST_TILE_RUNS if self._new_systems and self.draws > KEPT_SYSTEMS else _TILE_RUNS
         self.tile_cells = max(1, room // self.draws)
@@ -93,7 +93,7 @@ class SampleRunner:
             nominal = {parameter: column[positions] for parameter, column in at.items()}
             for draw in order:
                 system, driving = (values, nominal) if draw == self.draws else self._at(draw, values, nominal)
-                drive = self.grid.drive(driving, positions.size)
+                drive = self.grid.drive({**driving, **system}, positions.size)
                 records, impacts = self.grid.run_group(system, drive, buffer, stop)
                 if records.size < positions.size:
                     return Tile(cells[:0], np.zeros(0, TOLERANCE_CELL), np.zeros(0, OUTCOME))
@@ -111,7 +111,7 @@ class SampleRunner:
         for tolerance in self._tolerances:
             parameter = tolerance.parameter
             drawn, nominal = self.drawn[parameter][draw], nominal_value(self.grid.study, parameter)
-            if parameter in DRIVING:
+            if leaves_system(self.grid.study, parameter):
                 cells[parameter] = tolerance.applied(drawn, cells.get(parameter, nominal))
             else:
                 system[parameter] = float(tolerance.applied(drawn, system.get(parameter, nominal)))

@@ -1,0 +1,170 @@
+"""The load of a config: its profile, the torques and times of that, and traces of them in files.
+
+Which keys a profile uses is told by `KEYS` alone. The pieces that a profile is made of are in `clunk.simulation.load`.
+"""
+
+import contextlib
+import csv
+import math
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from clunk.study.document import read_text
+from clunk.study.problems import ConfigError, shorten
+from clunk.study.tables import Finding, Inertia, NotNegative, Positive, Quantity, Table, Text
+
+# The torques before and after the load step are given by both of the first, or by both of the second.
+TORQUES = (("static_torque", "ratio"), ("initial_torque", "final_torque"))
+LONGEST_TABLE = 100_000  # points in time
+
+_STEP = (*TORQUES[0], *TORQUES[1])
+KEYS = {  # profile -> the keys that it uses beside `on` and `step_time`
+    "step": _STEP,
+    "ramp": (*_STEP, "duration"),
+    "smooth": (*_STEP, "duration"),
+    "lag": (*_STEP, "time_constant"),
+    "pulse": (*_STEP, "duration"),
+    "table": ("times", "torques", "scale"),
+    "sine": (*_STEP, "amplitude", "frequency"),
+    "tip-out": _STEP,
+}
+_NEEDED = {"duration": "s", "time_constant": "s", "amplitude": "N m", "frequency": "Hz"}
+_COLUMNS = "time (s) and torque (N m), separated by commas"
+_NUMBER = re.compile(r"[-+]?(\.?\d|nan|inf)", re.IGNORECASE)
+
+
+def uses(profile: str, key: str) -> bool:
+    """Whether a load of this profile uses a key."""
+    return key in ("on", "step_time", *KEYS.get(profile, ()))
+
+
+class Load(Table):
+    """The torque on one inertia: steady until the load step, and from then on as its profile says.
+
+    T0 is the torque before the load step and T1 the one that it goes to: Ts (1 + σr) and Ts, by static_torque Ts and
+    ratio σr (report Eqs. 2.2 and 2.4), or initial_torque and final_torque. t is the time after the load step.
+
+    profile : "step" or, its older name, "tip-out": T1. "ramp": a straight line from T0 to T1 over the duration.
+        "smooth": half a cosine instead. "lag": T1 + (T0 - T1) exp(-t / time_constant). "pulse": T1 for the duration,
+        then T0 again. "table": straight lines between the torques at the times; at two equal times the torque jumps,
+        and the first of all is T0. "sine": T1 + amplitude sin(2π frequency t)
+    on : int, number from 1 of the loaded inertia
+    scale : float, factor on the torques of a table
+    file : path or None, of a trace that becomes times and torques when a config is read; see `read_trace`
+    step_time : float, of the load step on the time axis of plots
+    """
+
+    profile: Literal["step", "ramp", "smooth", "lag", "pulse", "table", "sine", "tip-out"] = "tip-out"
+    on: Annotated[Inertia, Quantity("loaded inertia", "i", "1")]
+    static_torque: Annotated[float | None, Quantity("static torque", "Ts", "N m")] = None
+    ratio: Annotated[float | None, Quantity("load ratio", "σr = Td/Ts", "1")] = None
+    initial_torque: Annotated[float | None, Quantity("torque before the load step", "T(0⁻)", "N m")] = None
+    final_torque: Annotated[float | None, Quantity("torque after the load step", "T(0⁺)", "N m")] = None
+    duration: Annotated[NotNegative | None, Quantity("duration of the load change", "d", "s")] = None
+    time_constant: Annotated[NotNegative | None, Quantity("time constant of the load", "τ", "s")] = None
+    amplitude: Annotated[float | None, Quantity("amplitude of the load", "A", "N m")] = None
+    frequency: Annotated[Positive | None, Quantity("frequency of the load", "f", "Hz")] = None
+    times: Annotated[
+        tuple[Annotated[NotNegative, Quantity("time {} of the load", "t{}", "s")], ...] | None,
+        Field(min_length=1, max_length=LONGEST_TABLE, repr=False, description="a list of times (s), from 0 on"),
+    ] = None
+    torques: Annotated[
+        tuple[Annotated[float, Quantity("torque {} of the load", "T{}", "N m")], ...] | None,
+        Field(min_length=1, max_length=LONGEST_TABLE, repr=False, description="a list of torques (N m)"),
+    ] = None
+    scale: Annotated[float, Quantity("scale of the load", "sT", "1")] = 1.0
+    file: Annotated[Text | None, Field(description="the path of a trace: lines of time (s), torque (N m)")] = None
+    step_time: Annotated[NotNegative, Quantity("time of the load step", "t0", "s")] = 0.1
+
+    def contradictions(self) -> Iterator[Finding]:
+        """Require the keys that the profile needs, its torques given in one way, and times in order."""
+        yield from self._torques()
+        for key in KEYS[self.profile]:
+            if key in _NEEDED and getattr(self, key) is None:
+                yield (key,), f"missing; a {shorten(self.profile)} needs it ({_NEEDED[key]})"
+        yield from self._points()
+
+    def _torques(self) -> Iterator[Finding]:
+        """Require the torques before and after in one way, whole; or none beside a table."""
+        by_ratio, by_step = ([key for key in pair if getattr(self, key) is not None] for pair in TORQUES)
+        pairs = "static_torque and ratio, or initial_torque and final_torque"
+        if self.profile == "table":
+            text = 'given beside profile = "table", which has torques of its own; leave it out'
+            yield from (((key,), text) for key in by_ratio + by_step)
+            return
+        if by_ratio and by_step:
+            yield (), f"{' and '.join(by_ratio + by_step)} are given together; give either {pairs}"
+        elif not by_ratio and not by_step:
+            yield (), f"no torque is given; give {pairs} (N m)"
+        for pair in TORQUES:
+            for key, other in (pair, pair[::-1]):
+                if [key] in (by_ratio, by_step) and not (by_ratio and by_step):
+                    yield (other,), f"missing; {key} needs {other} beside it"
+
+    def _points(self) -> Iterator[Finding]:
+        """Require as many torques as times, in order, or a file in place of both."""
+        times, torques = self.times, self.torques
+        if self.file is not None:
+            together = "given beside times or torques; give file alone, or both of these"
+            yield ("file",), together if times or torques else "must be read by load_study or study_from_text"
+        elif times is None or torques is None:
+            if self.profile == "table":
+                yield ("times" if times is None else "torques",), 'missing; a "table" needs times and torques, or file'
+        elif len(times) != len(torques):
+            yield ("torques",), f"found {len(torques)} torques for {len(times)} times; must be one for each"
+        if times is not None:
+            yield from ((("times", k), text) for k, text in disorder(times))
+
+
+def disorder(times: Sequence[float]) -> Iterator[tuple[int, str]]:
+    """Yield the position of the first time of a table that is out of order, if there is one, and what is wrong."""
+    if times and times[0] != 0.0:
+        yield 0, f"found {times[0]:g}; the first time must be 0, the load step"
+        return
+    for k in range(1, len(times)):
+        if times[k] < times[k - 1]:
+            yield k, f"found {times[k]:g} after {times[k - 1]:g}; times must not decrease"
+            return
+        if k > 1 and times[k] == times[k - 2]:
+            yield k, f"found {times[k]:g} for the third time; two equal times are a jump, three are too many"
+            return
+
+
+def read_trace(path: Path) -> tuple[list[float], list[float]]:
+    """Read times [s] and torques [N m] from the first two columns of a text file, which commas separate.
+
+    Lines that do not begin with a number are headings.
+
+    Raises
+    ------
+    ConfigError
+        Where the file cannot be read, or holds something else.
+    """
+    reader = csv.reader(read_text(path, "a trace", f"a text file of {_COLUMNS}", known=".").splitlines())
+    lines, points = [], []
+    try:
+        for row in reader:
+            if row and _NUMBER.match(row[0].strip()):
+                lines.append(f"{path}, line {reader.line_num}")
+                points.append(_point(row, lines[-1]))
+    except csv.Error as error:
+        raise ConfigError(f"{path}, line {reader.line_num}: {error}.") from None
+    if not 1 <= len(points) <= LONGEST_TABLE:
+        text = f"{path} has {len(points) or 'no'} lines that begin with a number"
+        raise ConfigError(f"{text}; a trace has 1 to {LONGEST_TABLE} lines of {_COLUMNS}.")
+    times, torques = map(list, zip(*points, strict=True))
+    for k, text in disorder(times):
+        raise ConfigError(f"{lines[k]}: {text}.")
+    return times, torques
+
+
+def _point(row: Sequence[str], where: str) -> tuple[float, float]:
+    with contextlib.suppress(ValueError):
+        time, torque = map(float, row[:2])
+        if math.isfinite(time) and math.isfinite(torque):
+            return time, torque
+    raise ConfigError(f"{where}: found {shorten(','.join(row))}; must be finite numbers, {_COLUMNS}.")

@@ -1,0 +1,239 @@
+"""Load profiles in a config: what is read, what is refused and with which sentence."""
+
+import re
+import tomllib
+
+import numpy as np
+import pytest
+from jsonschema import Draft202012Validator
+
+from clunk.simulation.load import load_step
+from clunk.study.config import load_study, study_from_text
+from clunk.study.keys import json_schema
+from clunk.study.loads import KEYS
+from clunk.study.problems import ConfigError
+from clunk.study.study import digest, replace_values, to_toml
+from clunk.sweeping.cells import leaves_system
+
+PRESET = '[driveline]\npreset = "boere-2008"\n'
+NEEDED = {
+    "ramp": "duration = 0.1",
+    "smooth": "duration = 0.1",
+    "lag": "time_constant = 0.1",
+    "pulse": "duration = 0.1",
+    "table": "times = [0.0, 0.1]\ntorques = [-6.0, -1.0]",
+    "sine": "amplitude = 1.0\nfrequency = 2.0",
+}
+TABLE = 'profile = "table"\ntimes = [0.0, 0.1, 0.2]\ntorques = [-6.0, -3.0, -1.0]'
+
+
+def config(load: str, sweep: str = "") -> str:
+    return f"{PRESET}[load]\n{load}\n{sweep}"
+
+
+def axis(parameter: str, values: str) -> str:
+    return f'[[sweep.axes]]\nparameter = "load.{parameter}"\nvalues = {values}\n'
+
+
+def uniform(table: str, parameter: str, low: float, high: float) -> str:
+    return f'[[sweep.{table}]]\nparameter = "load.{parameter}"\ndistribution = "uniform"\nlow = {low}\nhigh = {high}\n'
+
+
+def problems(text: str, *overrides: str, folder=".") -> list[tuple[str, str]]:
+    with pytest.raises(ConfigError) as caught:
+        study_from_text(text, overrides=overrides, folder=folder)
+    return [(problem.key, problem.message) for problem in caught.value.problems]
+
+
+# --- What is right ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("profile", KEYS)
+def test_every_profile_is_read_and_written(profile):
+    text = config(f'profile = "{profile}"\n{NEEDED.get(profile, "")}')
+    study = study_from_text(text)
+    assert study_from_text(to_toml(study)) == study
+    assert profile in repr(study)
+    Draft202012Validator(json_schema()).validate(tomllib.loads(text))
+
+
+def test_step_and_tip_out_are_one_profile():
+    older = study_from_text(config('profile = "tip-out"'))
+    study = study_from_text(config('profile = "step"'))
+    assert digest(study) == digest(older) == digest(study_from_text(PRESET))
+    assert load_step(study.load) == load_step(older.load)
+    assert 'profile = "tip-out"' in to_toml(study_from_text(PRESET))
+
+
+def test_a_table_takes_the_place_of_the_presets_torques():
+    load = study_from_text(config(TABLE)).load
+    assert (load.static_torque, load.ratio) == (None, None)
+    assert load_step(load) == (-6.0, -1.0)
+
+
+def test_keys_that_a_profile_does_not_use_make_no_difference_to_it():
+    assert study_from_text(config("duration = 0.3\ntimes = [0.0]\nfrequency = 3")).load.duration == 0.3
+
+
+# --- What is wrong ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("profile", NEEDED)
+def test_a_profile_says_what_it_needs(profile):
+    names = [line.split(" = ")[0] for line in NEEDED[profile].splitlines()]
+    reported = problems(config(f'profile = "{profile}"'))
+    assert reported
+    for key, message in reported:
+        assert key.removeprefix("load.") in names
+        assert f'missing; a "{profile}" needs' in message
+
+
+BROKEN = {
+    "unknown profile": ('profile = "rampe"', "load.profile", 'did you mean "ramp"?'),
+    "negative": ('profile = "ramp"\nduration = -1', "load.duration", "found -1; must be a number, 0 or greater (s)"),
+    "negative, unused": ("duration = -1", "load.duration", "0 or greater (s)"),
+    "nan": ('profile = "lag"\ntime_constant = nan', "load.time_constant", "must be a finite number"),
+    "no frequency": ('profile = "sine"\namplitude = 1\nfrequency = 0', "load.frequency", "greater than 0 (Hz)"),
+    "very fast": ('profile = "sine"\namplitude = 1\nfrequency = 1e9', "load.frequency", "2e+09 periods of the load"),
+    "ground": ('on = "ground"', "load.on", 'no inertia is named "ground"'),
+    "lengths": (f"{TABLE[:-7]}]", "load.torques", "found 2 torques for 3 times"),
+    "back": (TABLE.replace("0.2", "0.05"), "load.times[3]", "found 0.05 after 0.1; times must not decrease"),
+    "late": (TABLE.replace("[0.0", "[0.01"), "load.times[1]", "the first time must be 0"),
+    "nan among times": (TABLE.replace("0.2", "nan"), "load.times[3]", "must be a finite number"),
+    "infinite torque": (TABLE.replace("-3.0", "inf"), "load.torques[2]", "must be a finite number (N m)"),
+    "no list": ("times = 0.0", "load.times", "found 0.0; must be a list of times (s)"),
+    "other torques": (f"{TABLE}\nratio = 5", "load.ratio", 'given beside profile = "table"'),
+    "two sources": (f'{TABLE}\nfile = "trace.csv"', "load.file", "given beside times or torques"),
+}
+BROKEN["empty"] = ('profile = "table"\ntimes = []\ntorques = [1.0]', "load.times", "found []; must be a list of times")
+BROKEN["three"] = (TABLE.replace("[0.0, 0.1", "[0.0, 0.0").replace("0.2", "0.0"), "load.times[3]", "for the third time")
+
+
+@pytest.mark.parametrize("case", BROKEN.values(), ids=BROKEN)
+def test_a_broken_load_is_reported_in_one_sentence(case):
+    load, *expected = case
+    ((key, message),) = problems(config(load))
+    assert key == expected[0]
+    assert expected[1] in message
+
+
+# --- Traces ----------------------------------------------------------------------------------------------------------
+
+TRACE = "time [s],torque [N m],note\n# measured\n0,-6,a\n 0.1 , -3.5\n\n0.2,-1\n"
+BROKEN_TRACES = {
+    "one column": ("t\n0\n1\n", 'line 2: found "0"; must be finite numbers, time (s) and torque (N m)'),
+    "nan": ("0,-6\n0.1,nan\n", 'line 2: found "0.1,nan"'),
+    "nan time": ("0,-6\nnan,1\n", 'line 2: found "nan,1"'),
+    "text": ("0,-6\n0.1,x\n", 'line 2: found "0.1,x"'),
+    "semicolons": ("0;1\n1;2\n", 'line 1: found "0;1"'),
+    "back in time": ("t,T\n0,-6\n0.2,1\n0.1,3\n", "line 4: found 0.1 after 0.2; times must not decrease"),
+    "late": ("0.5,-6\n0.6,1\n", "line 1: found 0.5; the first time must be 0"),
+    "three": ("0,1\n1,2\n1,3\n1,4\n", "line 4: found 1 for the third time"),
+    "empty": ("", "has no lines that begin with a number"),
+    "headings": ("time,torque\n", "has no lines that begin with a number"),
+}
+
+
+def test_a_trace_is_read_once_and_kept_in_the_config(tmp_path):
+    (tmp_path / "trace.csv").write_text(TRACE)
+    (tmp_path / "study.toml").write_text(config('profile = "table"\nfile = "trace.csv"'))
+    study = load_study(tmp_path / "study.toml")
+    assert (study.load.times, study.load.torques) == ((0.0, 0.1, 0.2), (-6.0, -3.5, -1.0))
+    (tmp_path / "trace.csv").unlink()
+    assert study_from_text(to_toml(study)) == study
+
+
+def test_a_trace_can_be_changed_on_the_command_line(tmp_path, monkeypatch):
+    (tmp_path / "trace.csv").write_text(TRACE)
+    (tmp_path / "study.toml").write_text(config('profile = "table"\nfile = "trace.csv"'))
+    study = load_study(tmp_path / "study.toml", ["load.torques[2]=-4.0"])
+    assert study.load.torques == (-6.0, -4.0, -1.0)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "study.toml").write_text(PRESET)
+    overrides = ["load.profile=table", "load.file=./trace.csv", "load.torques[2]=-4.0"]
+    assert load_study("other/study.toml", overrides).load == study.load  # the path begins in the current directory
+
+
+@pytest.mark.parametrize("case", BROKEN_TRACES.values(), ids=BROKEN_TRACES)
+def test_a_broken_trace_is_reported_with_its_line(case, tmp_path):
+    text, message = case
+    (tmp_path / "trace.csv").write_text(text)
+    ((key, reported),) = problems(config('profile = "table"\nfile = "trace.csv"'), folder=tmp_path)
+    assert key == "load.file"
+    assert message in reported
+
+
+def test_a_trace_that_is_no_file_is_refused(tmp_path):
+    (tmp_path / "trace.csv").write_bytes(b"0,1\n\xff")
+    for file, message in (("gone.csv", "does not exist"), (".", "is a directory"), ("trace.csv", "line 2")):
+        ((key, reported),) = problems(config(f'profile = "table"\nfile = "{file}"'), folder=tmp_path)
+        assert key == "load.file"
+        assert message in reported
+
+
+def test_a_long_trace_floods_nothing(tmp_path):
+    times = np.arange(3000) * 1e-4
+    np.savetxt(tmp_path / "trace.csv", np.column_stack((times, -1.0 - np.exp(-times))), delimiter=",")
+    text = config('profile = "table"\nfile = "trace.csv"')
+    study = study_from_text(text, folder=tmp_path)
+    assert len(repr(study)) + len(repr(study.load)) < 1000
+    assert study_from_text(to_toml(study)) == study
+    ((_, message),) = problems(to_toml(study), "load.torques[2999]='none'")
+    assert len(message) < 200
+    ((_, message),) = problems(text + axis("torqes[3]", "[1.0]"), folder=tmp_path)
+    assert len(message) < 200
+
+
+# --- Swept and drawn -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("load", "sweep", "refused"),
+    [
+        ('profile = "ramp"', axis("duration", "[0.0, 0.1]"), ""),
+        (TABLE, axis("torques[2]", "[-4.0, 2.0]"), ""),
+        (TABLE, axis("times[2]", "[0.0, 0.2]"), ""),
+        (TABLE, uniform("samples", "scale", 0.5, 1.5), ""),
+        (TABLE, uniform("samples", "times[2]", 0.05, 0.15), ""),
+        (TABLE, f'[sweep]\ndesign = "zip"\n{axis("times[2]", "[0.1, 0.3]")}{axis("times[3]", "[0.2, 0.4]")}', ""),
+        ("", axis("duration", "[0.1]"), 'the profile is "tip-out", and not "ramp", "smooth" or "pulse"'),
+        ("", axis("times[2]", "[0.1]"), 'the profile is "tip-out", and not "table"'),
+        (TABLE, axis("ratio", "[1.0]"), 'the profile is "table", and not "step"'),
+        (TABLE, axis("torques[4]", "[1.0]"), "load.torques has 3 items"),
+        ('profile = "ramp"', axis("duration", "[-0.1, 0.1]"), "found -0.1; load.duration must be a number, 0 or"),
+        (TABLE, axis("times[2]", "[0.1, 0.3]"), "load.times[2] and load.times[3] are out of order in some runs"),
+        (TABLE, axis("times[1]", "[0.0, 0.1]"), "load.times[1] is the load step itself and must stay 0"),
+        (TABLE.replace("0.1", "0.0"), axis("times[3]", "[0.0, 0.1]"), "load.times[1] and load.times[3] are equal"),
+        (TABLE, axis("times[2]", "[0.1, 0.15]") + axis("times[3]", "[0.12, 0.2]"), "are out of order in some runs"),
+        (TABLE, uniform("samples", "times[2]", 0.05, 0.25), "are out of order in some runs"),
+        (TABLE, axis("times[3]", "[0.1, 0.2]") + uniform("tolerances", "times[2]", 0.05, 0.15), "are out of order"),
+    ],
+)
+def test_sweeps_of_a_load_are_checked_before_anything_runs(load, sweep, refused):
+    if not refused:
+        assert study_from_text(config(load, sweep)).sweep is not None
+    else:
+        assert all(refused in message for _, message in problems(config(load, sweep)))
+
+
+def test_items_of_a_table_can_be_replaced():
+    study = study_from_text(config(TABLE))
+    assert replace_values(study, {"load.times[2]": 0.15, "load.scale": 2.0}).load.times == (0.0, 0.15, 0.2)
+    with pytest.raises(ConfigError, match=re.escape("times must not decrease")):
+        replace_values(study, {"load.times[2]": 0.25})
+
+
+@pytest.mark.parametrize(
+    ("profile", "structural"),
+    [
+        *((profile, []) for profile in ("step", "ramp", "pulse", "table")),
+        ("smooth", ["duration"]),
+        ("lag", ["time_constant"]),
+        ("sine", ["frequency"]),
+    ],
+)
+def test_only_the_rate_of_a_wave_is_part_of_the_system(profile, structural):
+    study = study_from_text(config(f'profile = "{profile}"\n{NEEDED.get(profile, "")}'))
+    keys = [*KEYS[profile], "step_time", "torques[2]", "on"]
+    assert [key for key in keys if not leaves_system(study, f"load.{key}")] == [*structural, "on"]
