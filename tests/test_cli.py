@@ -481,7 +481,7 @@ BROKEN = [
     ("title = \n", "TOML"),
     ("", "driveline"),
     (LADEN + "[[sweep.axes]]\nparameter = 'load.ratio'\nvalues = []\n", "sweep.axes[1].values"),
-    (LADEN.replace("stiffness = 10.0", "stiffness = 0.0") + AXES, "equilibrium"),
+    (LADEN.replace("[1.0, 1.0]", "[1.0, 1.0, 2.0]").replace("stiffness = 10.0", "stiffness = 0.0") + AXES, "inertia 3"),
 ]
 
 

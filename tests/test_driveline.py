@@ -25,7 +25,7 @@ def test_the_matrices_are_those_of_equation_2_6(nominal):
     assert driveline.stiffness == pytest.approx(np.array(stiffness), abs=1e-14)
     assert np.array_equal(driveline.lash, [0, 0, 1, -1])
     assert np.array_equal(driveline.load, [1, 0, 0, 0])
-    assert driveline.grounded
+    assert driveline.rigid_motion.shape.size == 0
 
 
 def test_the_contact_is_converted_from_its_radius(nominal):
@@ -124,7 +124,7 @@ class TestLashToGround:
         assert trajectory.label == simulate(single()).label
 
     def test_it_holds_an_inertia_without_a_shaft(self):
-        assert Driveline.from_study(single()).grounded
+        assert Driveline.from_study(single()).rigid_motion.shape.size == 0
 
     @pytest.mark.parametrize("separation", ["gap", "force"])
     def test_its_events_are_those_of_the_reference(self, separation):
@@ -139,39 +139,6 @@ class TestLashToGround:
             separation=separation,
         )
         agree(plant)
-
-
-@pytest.mark.parametrize(
-    "shafts",
-    [
-        "shafts = []",
-        '[[driveline.shafts]]\nbetween = [1, "ground"]\nstiffness = 0.0\ndamping = 1.0',
-        "[[driveline.shafts]]\nbetween = [1, 2]\nstiffness = 30.0\ndamping = 0.1",
-    ],
-    ids=["none", "damper only", "shaft between them only"],
-)
-def test_a_driveline_without_ground_has_no_equilibrium(shafts):
-    study = study_from_text(
-        f"""
-        [driveline]
-        inertias = [0.01, 0.01]
-        {shafts}
-        [lash]
-        between = [1, 2]
-        backlash_deg = 1.0
-        radius = 0.1
-        [lash.contact]
-        stiffness = 1e5
-        damping = 50.0
-        [load]
-        on = 1
-        static_torque = -1.0
-        ratio = 5.0
-        """
-    )
-    assert not Driveline.from_study(study).grounded
-    with pytest.raises(SimulationError, match="no path of stiffness to ground"):
-        simulate(study)
 
 
 def test_a_load_that_does_not_reach_the_lash_has_no_initial_flank():

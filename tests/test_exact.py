@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import general, margins, reference
-from helpers.randomplants import END_TIME, nudged, plants
+from helpers.randomplants import END_TIME, nudged, plants, rolling_plants
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
@@ -254,6 +254,11 @@ class TestRandomDrivelines:
     def test_restitution(self, drawn):
         check(*drawn)
 
+    @settings(max_examples=15, **SEARCH)
+    @given((st.none() | RESTITUTION).flatmap(rolling_plants))
+    def test_without_anything_that_holds_them(self, drawn):
+        check(*drawn)
+
     @settings(max_examples=4, **SEARCH)
     @given(plants())
     def test_indentation_by_a_general_integrator(self, drawn):
@@ -274,6 +279,12 @@ class TestRandomDrivelines:
     @settings(max_examples=500, **SEARCH)
     @given(RESTITUTION.flatmap(plants))
     def test_many_restitution(self, drawn):
+        check(*drawn)
+
+    @pytest.mark.slow
+    @settings(max_examples=500, **SEARCH)
+    @given((st.none() | RESTITUTION).flatmap(rolling_plants))
+    def test_many_without_anything_that_holds_them(self, drawn):
         check(*drawn)
 
     @pytest.mark.slow

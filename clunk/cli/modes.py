@@ -39,7 +39,7 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     shares = {
         state: kinetic_energy_shares(driveline, mode_shapes(driveline, closed=state == "closed")) for state in states
     }
-    names = study.driveline.names or tuple(f"inertia {k}" for k in range(1, driveline.inertia.size + 1))
+    names = driveline.names
     shuffle = shuffle_mode(driveline)
     thresholds = {"lowest mode": one_mode_thresholds(study), "all modes": rigid_contact_thresholds(study)}
     if as_json:

@@ -92,12 +92,27 @@ class System(NamedTuple):
     restitution: float  # e
     locking_speed: float  # rad/s; a negative one is relative to the fastest touch of the run so far
     # before the step
-    preload: FloatArray  # (N, I)  static equilibrium in contact, per unit of (T, s φ/2)
-    contact_torque: FloatArray  # (I,)  the static torque across the lash, signed like q
+    preload: FloatArray  # (N, I)  steady motion in contact, at the load step, per unit of (T, s φ/2)
+    contact_torque: FloatArray  # (I,)  the torque across the lash in it, signed like q
+    drift: FloatArray  # (N, 0 to 2)  what no torque depends on: the rigid-body angle and, without drag, its speed
     # scalars
     end_time: float  # s after the load step
     sticking_time: float  # s
     status: int  # why this system cannot be run, or OK
+
+
+class RigidMotion(NamedTuple):
+    """Motion of a driveline that twists no spring and no closed lash, if there is one, and what keeps it up."""
+
+    shape: FloatArray  # (n, k)  speeds, relative to each other, of each of the k motions; more than one are refused
+    speeds: FloatArray  # (n,)  constant speeds under a load of 1 N m, where dampers resist  [rad/s]
+    accelerations: FloatArray  # (n,)  where none does  [rad/s2]
+    is_dragged: bool  # whether dampers resist
+
+
+def held(n: int) -> RigidMotion:
+    """No rigid-body motion of `n` inertias: springs hold all of them to ground."""
+    return RigidMotion(np.zeros((n, 0)), np.zeros(n), np.zeros(n), False)
 
 
 def build_system(
@@ -113,7 +128,7 @@ def build_system(
     acceleration_of: int,
     end_time: float,
     sticking_time: float,
-    grounded: bool,
+    rigid: RigidMotion,
     restitution: float | None = None,
     locking_speed: float | None = None,
 ) -> System:
@@ -132,8 +147,8 @@ def build_system(
     acceleration_of : int
         Index from 0 of the inertia whose acceleration is watched.
     end_time, sticking_time : float  [s]
-    grounded : bool
-        Whether every inertia has a path of stiffness to ground while the lash is closed.
+    rigid : RigidMotion
+        Of the driveline with its lash closed.
     restitution : float, optional
         e of the restitution model; without it the contact is the spring and damper of the indentation model.
     locking_speed : float, optional  [rad/s]
@@ -170,9 +185,14 @@ def build_system(
         table = _restitution_table()
     else:
         table = _indentation_table(contact_stiffness, contact_damping, separation_by_force)
-    preload = np.zeros((2 * n, INPUTS))
-    if grounded:
-        preload[:n] = _preload(stiffness, load, lash, None if impulsive else contact_stiffness)
+    motions = rigid.shape.shape[1]
+    preload, inertial = np.zeros((2 * n, INPUTS)), load
+    if motions:
+        inertial = load - damping @ rigid.speeds - inertia * rigid.accelerations
+    if motions <= 1:
+        momentum = inertia[:, None] * rigid.shape
+        preload[:n] = _preload(stiffness, inertial, lash, momentum, None if impulsive else contact_stiffness)
+        preload[n:, TORQUE] = rigid.speeds
     return System(
         rates=rates,
         inputs=inputs,
@@ -185,10 +205,11 @@ def build_system(
         restitution=restitution if restitution is not None else 0.0,
         locking_speed=locking_speed if locking_speed is not None else -LOCKING_SHARE,
         preload=preload,
-        contact_torque=_contact_torque(stiffness, load, lash, preload[:n]),
+        contact_torque=_contact_torque(stiffness, inertial, lash, preload[:n]),
+        drift=np.ascontiguousarray(np.kron(np.eye(2)[:, : 1 if rigid.is_dragged else 2], rigid.shape)),
         end_time=end_time,
         sticking_time=sticking_time,
-        status=int(Status.OK if grounded else Status.NO_EQUILIBRIUM),
+        status=int(Status.OK if motions <= 1 else Status.NO_EQUILIBRIUM),
     )
 
 
@@ -350,22 +371,61 @@ def constrained(lash: FloatArray) -> Reduction:
     return Reduction(np.kron(both, basis).astype(np.float64), np.kron(both, pick).astype(np.float64), shift)
 
 
-def _preload(stiffness: FloatArray, load: FloatArray, lash: FloatArray, contact_stiffness: float | None) -> FloatArray:
-    """Static equilibrium in contact, per unit of (T, s φ/2): (n, 2). Without a contact stiffness q is locked."""
+def without_drift(reduction: Reduction, drift: FloatArray) -> Reduction:
+    """The same coordinates, relative to some that are left out: as many as there are states that nothing depends on.
+
+    drift : (N, D) float64, these states; each is zero where the others are not
+    """
+    if not drift.size:
+        return reduction
+    along = reduction.pick @ drift
+    size, columns = along.shape
+    pivots = np.abs(along).argmax(axis=0)
+    every: FloatArray = np.eye(size)
+    relative = every - along / along[pivots, np.arange(columns)] @ every[pivots]
+    pick = np.delete(relative, pivots, axis=0) @ reduction.pick
+    return Reduction(np.delete(reduction.expand, pivots, axis=1), pick, reduction.shift)
+
+
+def _preload(
+    stiffness: FloatArray, load: FloatArray, lash: FloatArray, momentum: FloatArray, contact_stiffness: float | None
+) -> FloatArray:
+    """Angles in steady motion in contact, per unit of (T, s φ/2): (n, 2). Without a contact stiffness q is locked.
+
+    load : (n,) float64
+        Less what drag and inertia take of it.
+    momentum : (n, 0 or 1) float64
+        Of the rigid-body motion: of the angles that differ by it, those are taken that have none of it in sum.
+    """
     if contact_stiffness is None:
         n = load.size
         expand, _, shift = (part[:n] for part in constrained(lash))
         basis = expand[:, : n - 1]
         forces = np.column_stack([load, -stiffness @ shift])
-        rest: FloatArray = basis @ np.linalg.solve(basis.T @ stiffness @ basis, basis.T @ forces)
+        kept = np.column_stack([np.zeros(momentum.shape[1]), -momentum.T @ shift])
+        rest: FloatArray = basis @ _solve(basis.T @ stiffness @ basis, basis.T @ forces, basis.T @ momentum, kept)
         rest[:, 1] += shift
         return rest
     closed = stiffness + contact_stiffness * lash[:, None] * lash
-    return np.asarray(np.linalg.solve(closed, np.column_stack([load, contact_stiffness * lash])), np.float64)
+    forces = np.column_stack([load, contact_stiffness * lash])
+    return _solve(closed, forces, momentum, np.zeros((momentum.shape[1], 2)))
+
+
+def _solve(matrix: FloatArray, forces: FloatArray, momentum: FloatArray, kept: FloatArray) -> FloatArray:
+    """The angles at which a stiffness matrix balances forces and whose momenta, if there are any, are `kept`."""
+    count = momentum.shape[1]
+    if not count:
+        return np.asarray(np.linalg.solve(matrix, forces), np.float64)
+    scale = np.abs(matrix).max(initial=0.0) / np.abs(momentum).max() or 1.0
+    bordered = np.block([[matrix, scale * momentum], [scale * momentum.T, np.zeros((count, count))]])
+    return np.asarray(np.linalg.solve(bordered, np.vstack([forces, scale * kept]))[: len(matrix)], np.float64)
 
 
 def _contact_torque(stiffness: FloatArray, load: FloatArray, lash: FloatArray, preload: FloatArray) -> FloatArray:
-    """The static torque across the lash, signed like q, per unit of (T, s φ/2): what balances one of its inertias."""
+    """The torque across the lash, signed like q, per unit of (T, s φ/2): what balances one of its inertias.
+
+    load : as for `_preload`
+    """
     end = int(np.flatnonzero(lash)[0])
     pull = stiffness[end] @ preload
     torque: FloatArray = (np.array([load[end], 0.0]) - pull) / lash[end]

@@ -51,9 +51,9 @@ def weigh(weights: FloatArray, inputs: FloatArray) -> float:
 
 @unowned
 def preload(system: System, inputs: FloatArray, x: FloatArray) -> int:
-    """Set `x` to static equilibrium in contact; return the side of the initial flank, 0 if none.
+    """Set `x` to steady motion in contact; return the side of the initial flank, 0 if none.
 
-    The initial flank is the one that carries the static contact torque.
+    The initial flank is the one that carries the contact torque in it.
 
     Parameters
     ----------

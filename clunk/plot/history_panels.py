@@ -20,11 +20,11 @@ _LONGEST_NAME = 12  # characters of an inertia's name in the legend
 
 
 def draw_angles(ax: Axes, curves: Sequence[Curve]) -> None:
-    """Angle of every inertia in its colour, each run in its dashes."""
+    """Angle of every inertia in its colour, each run in its dashes; where the driveline rolls, less its rolling."""
     count = 0
     for run, look in curves:
-        count = max(count, run.angle.shape[1])
-        for inertia, angle in enumerate(run.angle.T):
+        count = max(count, run.twist.shape[1])
+        for inertia, angle in enumerate(run.twist.T):
             ax.plot(run.time, angle, zorder=3, **look | {"color": LINE_COLOURS[inertia % len(LINE_COLOURS)]})
     ax.set_ylabel("Rotation [rad]")
     names = curves[0][0].study.driveline.names or ()

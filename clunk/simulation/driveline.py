@@ -1,4 +1,4 @@
-"""A driveline: inertias joined by linear shafts, to each other or to ground, with one lash.
+"""A driveline: inertias joined by linear shafts, to each other, to ground or to neither, with one lash.
 
 M θ'' + C θ' + K θ = b T (report Eq. 2.6), where closing the lash adds a spring and a damper across it (Eq. 2.12).
 """
@@ -6,20 +6,19 @@ M θ'' + C θ' + K θ = b T (report Eq. 2.6), where closing the lash adds a spri
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from clunk.core.exact.flows import Chain, Flows, build_flows
-from clunk.core.regimes import System, build_system, chain, constrained, unconstrained
+from clunk.core.regimes import RigidMotion, System, build_system, chain, constrained, unconstrained
 from clunk.core.rk4.propagator import Steps, build_steps
 from clunk.core.status import Status
+from clunk.simulation import rigid
 from clunk.study.models import Lash, Shaft
 from clunk.study.study import Study
 
 FloatArray = npt.NDArray[np.float64]
-End = int | Literal["ground"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +34,7 @@ class Modes:
 class Driveline:
     """The matrices of a driveline; n inertias, S shafts."""
 
+    names: tuple[str, ...]  # (n,)  of the inertias
     inertia: FloatArray  # (n,)  kg m2
     shafts: FloatArray  # (S, n)  twist of each shaft = row · θ
     shaft_stiffness: FloatArray  # (S,)  N m/rad
@@ -43,14 +43,13 @@ class Driveline:
     load: FloatArray  # (n,)  1 at the loaded inertia
     contact_stiffness: float  # N m/rad, of the closed lash: r² k34
     contact_damping: float  # N m s/rad, r² c34
-    grounded: bool  # whether every inertia has a path of stiffness to ground while the lash is closed
 
     @classmethod
     def from_study(cls, study: Study) -> "Driveline":
         """The driveline that a study's config spells out."""
         n, shafts, contact = len(study.driveline.inertias), study.driveline.shafts, study.lash.contact
-        springs = [shaft.between for shaft in shafts if shaft.stiffness > 0.0]
         return cls(
+            names=study.driveline.names or tuple(f"inertia {k}" for k in range(1, n + 1)),
             inertia=np.array(study.driveline.inertias, dtype=np.float64),
             shafts=_incidence(shafts, n),
             shaft_stiffness=np.array([shaft.stiffness for shaft in shafts], dtype=np.float64),
@@ -59,7 +58,6 @@ class Driveline:
             load=np.eye(n)[int(study.load.on) - 1],
             contact_stiffness=study.lash.radius**2 * contact.stiffness,
             contact_damping=study.lash.radius**2 * contact.damping,
-            grounded=_all_grounded(n, [*springs, study.lash.between]),
         )
 
     @cached_property
@@ -78,6 +76,13 @@ class Driveline:
             return self.damping, self.stiffness
         coupling = np.outer(self.lash, self.lash)
         return self.damping + self.contact_damping * coupling, self.stiffness + self.contact_stiffness * coupling
+
+    @cached_property
+    def rigid_motion(self) -> RigidMotion:
+        """The rigid-body motion with the lash closed, and what the load keeps up of it."""
+        springs = [*self.shafts[self.shaft_stiffness > 0.0], self.lash]
+        dampers = np.sqrt(self.shaft_damping)[:, None] * self.shafts
+        return rigid.steady_motion(self.inertia, np.array(springs), dampers, self.load)
 
     @property
     def contact_period(self) -> float:
@@ -111,6 +116,14 @@ def prepare(study: Study) -> tuple[System, Steps | Flows]:
     return (system if steps.stable else system._replace(status=int(Status.UNSTABLE_STEP))), steps
 
 
+def explained(study: Study, status: Status) -> str:
+    """Phrase on why runs of a study have a status, which names the part of the driveline that is to blame."""
+    if status != Status.NO_EQUILIBRIUM:
+        return status.sentence
+    driveline = Driveline.from_study(study)
+    return rigid.separate_part(driveline.rigid_motion, driveline.load, driveline.names)
+
+
 def build(study: Study) -> System:
     """The switched linear system of a study."""
     return _build(study, Driveline.from_study(study))
@@ -137,7 +150,7 @@ def _build(study: Study, driveline: Driveline) -> System:
         acceleration_of=int(study.impacts.acceleration_of) - 1,
         end_time=study.solver.end_time,
         sticking_time=sticking_time,
-        grounded=driveline.grounded,
+        rigid=driveline.rigid_motion,
         restitution=contact.restitution if restitution else None,
         locking_speed=contact.locking_speed,
     )
@@ -176,13 +189,3 @@ def _incidence(joints: Sequence[Shaft | Lash], n: int) -> FloatArray:
             if end != "ground":
                 row[int(end) - 1] += weight
     return rows
-
-
-def _all_grounded(n: int, springs: Sequence[Sequence[End]]) -> bool:
-    """Whether the springs connect every inertia to ground; exact, where a rank would need a tolerance."""
-    reached: set[End] = {"ground"}
-    while True:
-        more = {end for spring in springs if reached & set(spring) for end in spring} - reached
-        if not more:
-            return len(reached) == n + 1
-        reached |= more

@@ -70,7 +70,7 @@ class History:
     trajectory: Trajectory
     time: FloatArray  # (M,)  s, the load step at the config's load.step_time
     after_step: FloatArray  # (M,)  s, the load step at 0
-    angle: FloatArray  # (M, n)  rad, θ
+    angle: FloatArray  # (M, n)  rad, θ; of a driveline that rolls, rolling angle and all
     velocity: FloatArray  # (M, n)  rad/s, θ'
     acceleration: FloatArray  # (M, n)  rad/s2, θ''; without the impulses of the restitution model
     torque: FloatArray  # (M,)  N m, the load
@@ -97,6 +97,15 @@ class History:
     def watched(self) -> int:
         """The inertia whose acceleration gives the severity, counted from 1."""
         return int(self.study.impacts.acceleration_of)
+
+    @cached_property
+    def twist(self) -> FloatArray:
+        """(M, n) the angles less the rigid-body motion with their momentum; all of θ if springs hold the driveline."""
+        driveline = Driveline.from_study(self.study)
+        shape = driveline.rigid_motion.shape
+        momentum = driveline.inertia[:, None] * shape
+        rolled = self.angle @ momentum / np.sum(momentum * shape, axis=0)
+        return np.asarray(self.angle - rolled @ shape.T, np.float64)
 
     @property
     def setup(self) -> str:
@@ -153,7 +162,7 @@ def sample(
         On the axis of `History.time`; by default the run's end time. A run of which it is proved that nothing follows
         may be sampled for longer than it was computed.
     before : float, optional  [s]
-        How much of the equilibrium before the load step to show; by default all from time 0. A run from an initial
+        How much of the steady motion before the load step to show; by default all from time 0. A run from an initial
         state has none.
     name : str, optional
         For legends; by default the study's title.
@@ -164,16 +173,17 @@ def sample(
     """
     study, system = trajectory.study, build(trajectory.study)
     inputs_before, inputs = run_inputs(study)
-    resting = _began_at_rest(trajectory, system, inputs_before)
+    steady = _began_steadily(trajectory, system, inputs_before)
     step = study.solver.step if step is None else step
     until = study.load.step_time + study.solver.end_time if until is None else until
     if before is None:
-        before = study.load.step_time if resting else 0.0
-    begin, end = _span(trajectory, step, until, before, resting)
+        before = study.load.step_time if steady else 0.0
+    begin, end = _span(trajectory, step, until, before, steady)
 
     regimes = regimes_of(system, inputs)
     flow = Flow(regimes, step)
-    phases = [_rest(trajectory, begin, min(end, 0.0), step)] if resting else []
+    gains = Driveline.from_study(study).rigid_motion.accelerations * inputs_before[TORQUE]
+    phases = [_before_load_step(trajectory, gains, begin, min(end, 0.0), step)] if steady else []
     started = int(np.searchsorted(trajectory.events["time"], end, side="right"))
     phases += [_after_event(trajectory, system, flow, k, step, end) for k in range(started)]
 
@@ -189,9 +199,9 @@ def sample(
         rows = regime_of == number
         acceleration[rows] = apply(regime.rates[n:], state[rows]) + regime.forcing[n:]
     torque = np.full(after_step.size, inputs[TORQUE])
-    if resting:
+    if steady:
         torque[: lengths[0]] = inputs_before[TORQUE]
-        acceleration[: lengths[0]] = 0.0  # at rest by definition; the product leaves rounding
+        acceleration[: lengths[0]] = gains  # by definition; the product leaves rounding
     pressing = np.array([regime.side * regime.closed for regime in regimes])  # the side of the flank that presses
     return History(
         name=study.title if name is None else name,
@@ -235,21 +245,23 @@ class _Phase(NamedTuple):
     event: int  # that the phase begins with, or -1
 
 
-def _began_at_rest(trajectory: Trajectory, system: System, inputs: FloatArray) -> bool:
-    """Whether the run began at static equilibrium in contact, so that there is something before the load step."""
+def _began_steadily(trajectory: Trajectory, system: System, inputs: FloatArray) -> bool:
+    """Whether the run began in steady motion in contact, so that there is something before the load step."""
     if system.status == Status.NO_EQUILIBRIUM:
         return False
     side, x = preload(system, inputs)
     return side == trajectory.initial_side and np.array_equal(x, trajectory.states[0])
 
 
-def _rest(trajectory: Trajectory, begin: float, end: float, step: float) -> _Phase:
-    """The equilibrium before the load step."""
+def _before_load_step(
+    trajectory: Trajectory, acceleration: FloatArray, begin: float, end: float, step: float
+) -> _Phase:
+    """The steady motion before the load step, with its constant acceleration, (n,)  [rad/s2]."""
     time = np.concatenate(([begin] if begin < end else [], _grid(begin, end, step) * step, [end]))
-    state = trajectory.states[0] + 0.0  # no -0.0
-    return _Phase(
-        time, np.broadcast_to(state, (time.size, state.size)), switching.closed_on(trajectory.initial_side), -1
-    )
+    angle, velocity = np.split(trajectory.states[0], 2)
+    t = time[:, None]
+    state = np.hstack([angle + t * (velocity + t * acceleration / 2.0), velocity + t * acceleration]) + 0.0  # no -0.0
+    return _Phase(time, state, switching.closed_on(trajectory.initial_side), -1)
 
 
 def _after_event(trajectory: Trajectory, system: System, flow: Flow, k: int, step: float, end: float) -> _Phase:
@@ -270,13 +282,13 @@ def _after_event(trajectory: Trajectory, system: System, flow: Flow, k: int, ste
     return _Phase(np.concatenate(times), np.concatenate(states), regime, k)
 
 
-def _span(trajectory: Trajectory, step: float, until: float, before: float, resting: bool) -> tuple[float, float]:
+def _span(trajectory: Trajectory, step: float, until: float, before: float, steady: bool) -> tuple[float, float]:
     """Begin and end of a history  [s after the load step]."""
     if not (np.isfinite(step) and step > 0.0):
         raise HistoryError(f"The output step must be a positive number of seconds, not {step:g}.")
     if not (np.isfinite(before) and before >= 0.0):
         raise HistoryError(f"The time before the load step must be a number of seconds >= 0, not {before:g}.")
-    if before > 0.0 and not resting:
+    if before > 0.0 and not steady:
         raise HistoryError("A run from an initial state has nothing before its load step to sample.")
     step_time = trajectory.study.load.step_time
     begin, end = -before, until - step_time

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.regimes import CLOSED_FLOW, FORCE, TORQUE, constrained
+from clunk.core.regimes import CLOSED_FLOW, FORCE, TORQUE, constrained, without_drift
 from clunk.simulation.driveline import Driveline, build
 from clunk.study.study import Study
 
@@ -110,7 +110,7 @@ class _Response:
         carried = system.contact_torque[TORQUE]
         if carried == 0.0:
             return None
-        expand, pick, _ = constrained(system.lash[system.lash.size // 2 :])
+        expand, pick, _ = without_drift(constrained(system.lash[system.lash.size // 2 :]), system.drift)
         rate, right = np.linalg.eig(pick @ system.rates[CLOSED_FLOW] @ expand)
         if rate.size == 0 or np.linalg.cond(right) > 1e10:
             return None

@@ -36,7 +36,7 @@ def regimes_of(system: System, inputs: FloatArray) -> list[Regime]:
 
 
 def preload(system: System, inputs: FloatArray) -> tuple[int, FloatArray]:
-    """Side of the initial flank, 0 for none, and the state of static equilibrium in contact, under constant inputs."""
+    """Side of the initial flank, 0 for none, and the state of steady motion in contact, under constant inputs."""
     x = np.zeros(system.lash.size)
     return switching.preload(system, inputs, x), x
 

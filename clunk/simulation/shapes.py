@@ -5,6 +5,7 @@ import numpy.typing as npt
 
 from clunk.core.regimes import chain
 from clunk.simulation.driveline import Driveline
+from clunk.simulation.rigid import speeds_along
 
 FloatArray = npt.NDArray[np.float64]
 Shapes = npt.NDArray[np.complex128]
@@ -36,22 +37,16 @@ def shuffle_mode(driveline: Driveline) -> int | None:
     without a node inside either, the engine's against the vehicle's.
     """
     rows = [*driveline.shafts[driveline.shaft_stiffness > 0.0], driveline.lash]
-    turns = driveline.load.copy()  # of each inertia for one of the loaded one; 0 where nothing joins the two
+    turns = speeds_along(np.array(rows), int(np.argmax(driveline.load)))
     joints = [np.flatnonzero(row) for row in rows]
-    pairs = [(int(ends[0]), int(ends[1]), row) for ends, row in zip(joints, rows, strict=True) if ends.size == 2]
-    for _ in rows:
-        for one, other, row in pairs:
-            if turns[one] != 0.0 and turns[other] == 0.0:
-                turns[other] = -turns[one] * row[one] / row[other]
-            elif turns[other] != 0.0 and turns[one] == 0.0:
-                turns[one] = -turns[other] * row[other] / row[one]
+    pairs = [(int(ends[0]), int(ends[1])) for ends in joints if ends.size == 2]
     joined = np.flatnonzero(turns)
     is_held = any(ends.size == 1 and turns[ends[0]] != 0.0 for ends in joints)
     for number, shape in enumerate(mode_shapes(driveline, closed=True)):
         reflected = shape[joined] / turns[joined]
         largest = reflected[np.argmax(driveline.inertia[joined] * np.abs(shape[joined]) ** 2)]
         forward = dict(zip(joined.tolist(), (reflected * largest.conjugate()).real > 0.0, strict=True))
-        alike = [(one, other) for one, other, _ in pairs if one in forward and forward[one] == forward[other]]
+        alike = [(one, other) for one, other in pairs if one in forward and forward[one] == forward[other]]
         if largest != 0.0 and _parts(list(forward), alike) == (1 if is_held else 2):
             return number
     return None

@@ -7,7 +7,8 @@ import numpy.typing as npt
 
 from clunk.core import switching
 from clunk.core.regimes import CLOSED_FLOW, FORCE, TORQUE
-from clunk.simulation.driveline import Driveline, build
+from clunk.core.status import Status
+from clunk.simulation.driveline import Driveline, build, explained
 from clunk.simulation.load import run_inputs
 from clunk.simulation.phases import Flow, preload, regimes_of
 from clunk.study.errors import ClunkError
@@ -26,7 +27,7 @@ class SmallGap(NamedTuple):
     time: FloatArray  # s
     torque: FloatArray  # N m
     start: float  # N m, before the load step
-    end: float  # N m, at rest after it
+    end: float  # N m, in steady motion after it
     decay: float  # 1/s, ζ1 ω1
     frequency: float  # Hz, of the lowest mode
     damping_ratio: float  # ζ1
@@ -50,17 +51,17 @@ class SmallGap(NamedTuple):
     @classmethod
     def of(cls, study: Study) -> "SmallGap":
         """The response of a study's driveline to its load. Raises SmallGapError where there is none:
-        without static equilibrium or oscillation, or with a load that does not reach the lash."""
+        without steady motion or oscillation, or with a load that does not reach the lash."""
         driveline, system = Driveline.from_study(study), build(study)
         modes = driveline.modes(closed=True)
-        if not driveline.grounded:
-            raise SmallGapError("There is no response to draw: some inertia has no path of stiffness to ground.")
+        if system.status != Status.OK:
+            raise SmallGapError(f"There is no response to draw: {explained(study, Status(system.status))}.")
         if modes.frequency.size == 0 or modes.damping_ratio[0] <= 0.0:
             raise SmallGapError("There is no decay to draw: the driveline has no damped oscillation in contact.")
         before, after = (inputs * [1.0, 0.0] for inputs in run_inputs(study))
         side, x = preload(system, before)
         if side == 0:
-            raise SmallGapError("There is no response to draw: the lash carries no static torque before the load step.")
+            raise SmallGapError("There is no response to draw: the lash carries no torque before the load step.")
         frequency, damping_ratio = float(modes.frequency[0]), float(modes.damping_ratio[0])
         decay = 2.0 * np.pi * frequency * damping_ratio
         start, end = (float(system.contact_torque[TORQUE] * inputs[TORQUE]) for inputs in (before, after))

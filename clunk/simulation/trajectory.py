@@ -147,8 +147,8 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
     study : Study
         Its axes, if any, are ignored.
     initial_state : (2n,) array of float, optional  [rad, rad/s]
-        θ and θ' at the load step, instead of static equilibrium in contact under the torque before. The initial flank
-        is then the one that this state touches; in the gap, the nearer one.
+        θ and θ' at the load step, instead of steady motion in contact under the torque before. The initial flank is
+        then the one that this state touches; in the gap, the nearer one.
 
     Returns
     -------
@@ -157,7 +157,7 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
     Raises
     ------
     SimulationError
-        Where there is no static equilibrium or no initial flank, or the run fails.
+        Where there is no steady motion or no initial flank, or the run fails.
 
     Examples
     --------
@@ -177,14 +177,14 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
     system, tables = driveline.prepare(study)
     before, after = run_inputs(study)
     if initial_state is None:
-        side, start = _preloaded(system, before, after)
+        side, start = _preloaded(study, system, before, after)
     else:
-        side, start = _started_at(system, after, np.asarray(initial_state, dtype=np.float64))
+        side, start = _started_at(study, system, after, np.asarray(initial_state, dtype=np.float64))
     capacity = study.solver.max_events + 1
     log = Log(np.zeros(capacity, EVENT), np.zeros((capacity, system.lash.size)))
     outcome = tile.run(system, tables, start, log, np.zeros(1, np.uint8))
     if outcome.status != Status.OK:
-        raise SimulationError(_sentence(Status(outcome.status)))
+        raise SimulationError(_sentence(study, Status(outcome.status)))
     primaries, severity = np.zeros(capacity, np.int64), np.zeros(capacity)
     impacts = find_primaries(log.events, outcome.written, system.sticking_time, primaries)
     peak_to_peak(log.events, outcome.written, primaries, impacts, severity)
@@ -203,21 +203,21 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
     )
 
 
-def _preloaded(system: System, before: FloatArray, after: FloatArray) -> tuple[int, Start]:
-    """The initial side and the start of a run from static equilibrium in contact."""
+def _preloaded(study: Study, system: System, before: FloatArray, after: FloatArray) -> tuple[int, Start]:
+    """The initial side and the start of a run from steady motion in contact."""
     if system.status != Status.OK:
-        raise SimulationError(_sentence(Status(system.status)))
+        raise SimulationError(_sentence(study, Status(system.status)))
     side, x = preload(system, before)
     if side == 0:
-        raise SimulationError(_sentence(Status.NO_INITIAL_FLANK))
+        raise SimulationError(_sentence(study, Status.NO_INITIAL_FLANK))
     return side, Start(x, switching.closed_on(side), after)
 
 
-def _started_at(system: System, after: FloatArray, state: FloatArray) -> tuple[int, Start]:
+def _started_at(study: Study, system: System, after: FloatArray, state: FloatArray) -> tuple[int, Start]:
     """The initial side and the start of a run from a state (θ, θ')."""
     size = system.lash.size
     if system.status == Status.UNSTABLE_STEP:
-        raise SimulationError(_sentence(Status.UNSTABLE_STEP))
+        raise SimulationError(_sentence(study, Status.UNSTABLE_STEP))
     if state.shape != (size,) or not np.all(np.isfinite(state)):
         raise SimulationError(f"The initial state must be {size} finite numbers, θ in rad and then θ' in rad/s.")
     gap = float(state[: size // 2] @ system.lash[size // 2 :])
@@ -227,8 +227,8 @@ def _started_at(system: System, after: FloatArray, state: FloatArray) -> tuple[i
     return 1 if gap >= 0.0 else -1, Start(x, switching.regime_of(system, x, after), after)
 
 
-def _sentence(status: Status) -> str:
-    text = status.sentence
+def _sentence(study: Study, status: Status) -> str:
+    text = driveline.explained(study, status)
     return text[0].upper() + text[1:] + "."
 
 

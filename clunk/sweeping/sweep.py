@@ -14,6 +14,7 @@ from pathlib import Path
 from clunk.core.status import Status
 from clunk.results.regimemap import Results
 from clunk.results.store import StoreError, read, read_header, write
+from clunk.simulation.driveline import explained
 from clunk.study.designs import Design, design_of, has_tolerances
 from clunk.study.study import Study, digest
 from clunk.sweeping.assembly import MendedReduction, RefinedReduction, RegimeReduction
@@ -104,7 +105,7 @@ class Job:
         reduction, parts = self.reduction, self.parts
         shared = reduction.runner.shared()
         if shared is not None and (status := Status(shared[0].status)) != Status.OK:
-            raise SweepError(f"No cell can run: {status.sentence}.")
+            raise SweepError(f"No cell can run: {explained(self.study, status)}.")
         before = reduction.done
         for tile in parts.read() if parts is not None else ():
             reduction.add(tile)

@@ -6,7 +6,7 @@ import numpy as np
 
 from clunk.core import switching
 from clunk.core.events import EVENT, KIND_NAMES
-from clunk.core.regimes import System, build_system
+from clunk.core.regimes import System, build_system, held
 from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import Steps, build_steps
 from clunk.core.runs import Log, Start
@@ -62,7 +62,7 @@ def prepared(plant: Plant, step: float = 1e-4, end_time: float = 2.0, sticking_t
         acceleration_of=plant.acceleration_of - 1,
         end_time=end_time,
         sticking_time=plant.contact_period() if sticking_time is None else sticking_time,
-        grounded=True,
+        rigid=held(plant.n),
     )
     return Prepared(system, build_steps(system, step))
 

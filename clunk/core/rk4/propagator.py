@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.regimes import ACCELERATION, HALF_GAP, System, constrained, unconstrained
+from clunk.core.regimes import ACCELERATION, HALF_GAP, System, constrained, unconstrained, without_drift
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -36,7 +36,7 @@ class Steps(NamedTuple):
     provable: IntArray  # (L,)  whether the flow's modes give such a bound
     mode_rows: FloatArray  # (L, 2, N, N)  real and imaginary part of the left eigenvectors, one of each pair
     mode_reach: FloatArray  # (L, F, N)  largest change of a functional per unit amplitude of a mode
-    rest_state: FloatArray  # (L, N, I)  equilibrium per unit of the inputs
+    rest_state: FloatArray  # (L, N, I)  steady motion per unit of the inputs, without its drift
     rest_functional: FloatArray  # (L, F, I)
 
 
@@ -119,7 +119,8 @@ def _modal_bound(system: System, step: float) -> tuple[dict[str, Any], bool]:
 
     With left eigenvectors w_k and right v_k, C x(t) = rest + sum of Re(C v_k  w_k·(x - x_rest) g_k(t)) and |g_k| <= 1
     both for exp(λ t) and for RK4's powers of R(h λ), within a step included (checked on a grid of partial steps).
-    A flow with a mode at zero (it can drift) or with a badly conditioned eigenbasis has no such bound here.
+    A flow with another mode at zero than the drift of the whole driveline, which no functional depends on, or with a
+    badly conditioned eigenbasis has no such bound here.
     """
     rates, inputs, functionals, feedthrough = system.rates, system.inputs, system.functionals, system.feedthrough
     (flows, size), driven = rates.shape[:2], inputs.shape[2]
@@ -130,7 +131,8 @@ def _modal_bound(system: System, step: float) -> tuple[dict[str, Any], bool]:
     rest_state = np.zeros((flows, size, driven))
     rest_functional = np.zeros((flows, functionals.shape[1], driven))
     stable = True
-    for flow, (expand, pick, shift) in enumerate([unconstrained(size), locked]):
+    for flow, reduction in enumerate([unconstrained(size), locked]):
+        expand, pick, shift = without_drift(reduction, system.drift)
         reduced = pick @ rates[flow] @ expand
         eigenvalues, right = np.linalg.eig(reduced)
         eigenvalues, right = eigenvalues.astype(np.complex128), right.astype(np.complex128)
@@ -153,7 +155,8 @@ def _modal_bound(system: System, step: float) -> tuple[dict[str, Any], bool]:
         rest_state[flow] = -expand @ np.linalg.solve(reduced, pick @ forcing)
         rest_state[flow, :, HALF_GAP] += shift
         rest_functional[flow] = functionals[flow] @ rest_state[flow] + feedthrough[flow]
-    rest_functional[:, ACCELERATION] = 0.0  # at rest by definition; the product above leaves rounding
+    if system.drift.shape[1] < 2:  # nothing accelerates for good; the product above leaves rounding
+        rest_functional[:, ACCELERATION] = 0.0
     bound = {
         "provable": provable,
         "mode_rows": mode_rows,

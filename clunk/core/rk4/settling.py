@@ -42,8 +42,9 @@ def settled(
     if impacts == 0 or system.impulsive != 0:  # nothing is asked of the acceleration
         return True
     largest, smallest = window_extremes(events, primaries[impacts - 1], count)
+    at_rest = weigh(steps.rest_functional[flow, ACCELERATION], phase.inputs)
     swing = (1.0 + 1e-9) * reach[ACCELERATION]
-    return bool(largest >= swing and smallest <= -swing)
+    return bool(largest >= at_rest + swing and smallest <= at_rest - swing)
 
 
 @compiled

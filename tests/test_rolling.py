@@ -1,0 +1,205 @@
+"""Drivelines that nothing holds to ground: the steady motion before the load step, and the run that follows it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import reference
+
+from clunk.core.status import Status
+from clunk.simulation.driveline import Driveline, build
+from clunk.simulation.energy import balance
+from clunk.simulation.history import sample
+from clunk.simulation.phases import preload
+from clunk.simulation.small_gap import SmallGap
+from clunk.simulation.trajectory import SimulationError, simulate
+from clunk.study.config import study_from_text
+
+CONTACTS = {
+    "gap": {"separation": "gap"},
+    "force": {"separation": "force"},
+    "restitution": {"restitution": 0.5},
+}
+METHODS = ("rk4", "exact")
+PAIR = reference.Plant(
+    inertias=(0.2, 0.6), shafts=(), lash=(1, 2), before=-8.0, after=-2.0, acceleration_of=1, backlash=0.05
+)
+# engine, gearbox, wheels and vehicle, as the report's driveline is sized; branched, since the wheels are two
+CAR = reference.Plant(
+    inertias=(0.02, 0.002, 0.01, 0.012, 2.0),
+    shafts=((2, 3, 25.0, 0.04), (2, 4, 30.0, 0.05), (3, 5, 60.0, 0.1), (4, 5, 60.0, 0.1), (5, "ground", 0.0, 0.3)),
+    ratios=(2.5, 2.5, 1.0, 1.0, 1.0),
+    lash=(1, 2),
+    lash_ratio=1.6,
+    contact_stiffness=600.0,
+    contact_damping=0.3,
+    backlash=0.05,
+    before=6.0,
+    after=-3.0,
+    acceleration_of=2,
+)
+COASTING = replace(CAR, shafts=CAR.shafts[:-1], ratios=CAR.ratios[:-1])
+
+
+def study_of(plant, method="exact", step=1e-4, end_time=1.0):
+    return study_from_text(reference.config_of(plant, step=step, end_time=end_time, method=method))
+
+
+def steady(plant):
+    """Side of the initial flank, angles and speeds."""
+    side, x = preload(build(study_of(plant)), np.array([plant.before, plant.backlash / 2]))
+    return side, *np.split(x, 2)
+
+
+@pytest.mark.parametrize("contact", CONTACTS.values(), ids=CONTACTS)
+class TestSteadyMotion:
+    def test_without_drag_the_flank_carries_what_accelerates_the_other_inertia(self, contact):
+        plant = replace(PAIR, **contact)
+        side, angle, speed = steady(plant)
+        torque = -8.0 * 0.6 / 0.8
+        indentation = 0.0 if plant.restitution is not None else torque / plant.contact_stiffness
+        assert side == -1
+        assert np.all(speed == 0.0)
+        assert angle[0] - angle[1] == pytest.approx(-0.025 + indentation, rel=1e-13)
+        assert plant.inertias @ angle == pytest.approx(0.0, abs=1e-16)
+        assert build(study_of(plant)).contact_torque[0] * -8.0 == pytest.approx(torque, rel=1e-14)
+
+    def test_with_drag_the_speed_is_that_at_which_it_takes_the_load(self, contact):
+        """Both inertias drag: the flank carries the second one's share."""
+        plant = replace(PAIR, shafts=((2, "ground", 0.0, 0.3), ("ground", 1, 0.0, 0.1)), **contact)
+        side, _, speed = steady(plant)
+        assert side == -1
+        assert speed == pytest.approx([-20.0, -20.0], rel=1e-14)
+        assert build(study_of(plant)).contact_torque[0] * -8.0 == pytest.approx(-6.0, rel=1e-14)
+
+    def test_a_damper_whose_ratio_does_not_fit_the_motion_resists_it(self, contact):
+        """A gear pump between the two: its twist is θ1 - 3 θ2, and each turn by 1 slips by 2."""
+        plant = replace(PAIR, shafts=((1, 2, 0.0, 0.5), (1, 2, 0.0, 9.0)), ratios=(3.0, 1.0), **contact)
+        assert steady(plant)[2] == pytest.approx([-4.0, -4.0], rel=1e-14)
+
+    @pytest.mark.parametrize("order", [(4, 3, 2, 1, 0), (1, 3, 0, 4, 2)])
+    @pytest.mark.parametrize("plant", [CAR, COASTING], ids=["dragged", "coasting"])
+    def test_the_order_of_the_inertias_makes_no_difference(self, plant, order, contact):
+        number = {"ground": "ground"} | {old + 1: new + 1 for new, old in enumerate(order)}
+        plant = replace(plant, **contact)
+        shuffled = replace(
+            plant,
+            inertias=tuple(plant.inertias[old] for old in order),
+            shafts=tuple((number[one], number[other], k, c) for one, other, k, c in plant.shafts[::-1]),
+            ratios=plant.ratios[::-1],
+            lash=(number[1], number[2]),
+            loaded=number[1],
+            acceleration_of=number[2],
+        )
+        one, other = simulate(study_of(plant)), simulate(study_of(shuffled))
+        assert one.touches > 0
+        assert other.label == one.label
+        assert other.initial_side == one.initial_side
+        assert other.states[0] == pytest.approx(one.states[0][[*order, *(5 + k for k in order)]], rel=1e-11, abs=1e-14)
+        assert other.events["time"] == pytest.approx(one.events["time"], abs=1e-9)
+
+
+@pytest.mark.parametrize("plant", [CAR, COASTING], ids=["dragged", "coasting"])
+@pytest.mark.parametrize("contact", CONTACTS.values(), ids=CONTACTS)
+class TestRuns:
+    def test_both_methods_agree_and_energy_is_conserved(self, contact, plant):
+        """RK4 at 5e-5 s: the contact's 700 1/s loses (ωh)⁵/144 a step, 1e-6 of its energy in the time that it rings."""
+        plant = replace(plant, **contact)
+        exact, stepped = (simulate(study_of(plant, method, step=5e-5)) for method in ("exact", "rk4"))
+        assert exact.touches > 0
+        assert stepped.label == exact.label
+        assert np.array_equal(stepped.events["kind"], exact.events["kind"])
+        assert stepped.events["time"] == pytest.approx(exact.events["time"], abs=1e-6)
+        assert balance(exact).relative_residual < 1e-12
+        assert balance(stepped).relative_residual < 1e-7
+
+    def test_the_history_begins_with_the_steady_motion(self, contact, plant):
+        """Its velocities lead to its angles, and so do its accelerations to its velocities."""
+        history = sample(simulate(study_of(replace(plant, **contact), end_time=0.3)), step=1e-3)
+        before = history.after_step < 0.0
+        assert np.ptp(history.twist[before], axis=0) == pytest.approx(np.zeros(5), abs=1e-12)
+        assert np.all(history.torque[before] == 6.0)
+        turns = [4.0, 2.5, 1.0, 1.0, 1.0]  # of which the twists have no part
+        assert history.twist @ (plant.inertias * np.array(turns)) == pytest.approx(0.0, abs=1e-12)
+        t = history.after_step[before, None]
+        start = history.angle[history.event == 0] + t * history.velocity[history.event == 0]
+        assert history.angle[before] == pytest.approx(start + t**2 / 2.0 * history.acceleration[0], abs=1e-12)
+        momentum = plant.inertias @ history.acceleration[0]
+        assert (momentum == 0.0) == (plant is CAR)
+
+    def test_a_vehicle_that_gets_heavier_comes_to_be_ground(self, contact, plant):
+        """Of 2·10⁶ kg m² it takes one part in 10⁶ of what a run does; times of touches a little more."""
+        heavy = replace(plant, inertias=(*plant.inertias[:4], 2e6), **contact)
+        if plant is CAR:  # at the constant speed of a load on a drag that holds it, to which ground is likened here
+            heavy = replace(heavy, shafts=(*heavy.shafts[:-1], (5, "ground", 0.0, 1e6)))
+        shafts = tuple((one, "ground" if other == 5 else other, k, c) for one, other, k, c in heavy.shafts[:4])
+        held = replace(heavy, inertias=heavy.inertias[:4], shafts=shafts, ratios=heavy.ratios[:4])
+        rolling, grounded = simulate(study_of(heavy)), simulate(study_of(held))
+        assert rolling.label == grounded.label
+        assert rolling.states[0, :4] == pytest.approx(grounded.states[0, :4], rel=1e-4)
+        assert rolling.events["time"] == pytest.approx(grounded.events["time"], abs=1e-4)
+        assert rolling.severity == pytest.approx(grounded.severity, rel=1e-4, nan_ok=True)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_two_rigid_inertias_part_and_lock_by_the_torque_on_one_of_them(method):
+    """T changes sign: J2 crosses the gap at T/J1 and is held on the other side, where J2/(J1 + J2) of T presses."""
+    plant = replace(PAIR, before=-8.0, after=2.0, restitution=0.0)
+    run = simulate(study_of(plant, method))
+    assert [run.kind_name(k) for k in range(len(run.events))] == ["load step", "separation", "touch", "lock"]
+    assert run.events["time"][1:] == pytest.approx([0.0, 0.1, 0.1], abs=1e-12)  # sqrt(2 · 0.05 / (2/0.2))
+    assert run.events["speed"][2] == pytest.approx(1.0, rel=1e-12)
+    assert run.states[3, 2:] == pytest.approx([0.25, 0.25], rel=1e-12)
+    assert balance(run).relative_residual < 1e-12
+
+
+def test_a_loose_gear_is_pressed_by_its_drag_or_by_acceleration():
+    """At constant speed it needs none of the load, and no flank carries any."""
+    loose = reference.Plant(
+        inertias=(0.2, 0.6, 0.01),
+        shafts=((1, 2, 40.0, 0.1), (2, "ground", 0.0, 0.3)),
+        lash=(2, 3),
+        before=8.0,
+        after=2.0,
+        acceleration_of=3,
+    )
+    with pytest.raises(SimulationError, match=r"No initial flank: .* before the load step\."):
+        simulate(study_of(loose))
+    dragged = replace(loose, shafts=(*loose.shafts, (3, "ground", 0.0, 0.01)))
+    assert build(study_of(dragged)).contact_torque[0] * 8.0 == pytest.approx(8.0 * 0.01 / 0.31, rel=1e-13)
+    coasting = replace(loose, shafts=loose.shafts[:1])
+    assert build(study_of(coasting)).contact_torque[0] * 8.0 == pytest.approx(8.0 * 0.01 / 0.81, rel=1e-13)
+
+
+def test_a_loop_whose_ratios_do_not_fit_has_no_rigid_motion():
+    loop = replace(PAIR, shafts=((1, 2, 30.0, 0.1),), ratios=(2.0,))
+    assert Driveline.from_study(study_of(loop)).rigid_motion.shape.size == 0
+    fitting = replace(loop, ratios=(1.0,))
+    assert Driveline.from_study(study_of(fitting)).rigid_motion.shape.size == 2
+
+
+def test_a_driveline_in_two_parts_is_refused_by_the_name_of_one():
+    """A damper joins nothing, and neither does a shaft without stiffness."""
+    plant = replace(CAR, shafts=(*CAR.shafts[:2], (3, 5, 0.0, 0.1), (4, 5, 0.0, 0.1), CAR.shafts[4]))
+    text = reference.config_of(plant).replace(
+        "[driveline]", '[driveline]\nnames = ["engine", "gearbox", "left", "right", "vehicle"]'
+    )
+    assert build(study_from_text(text)).status == Status.NO_EQUILIBRIUM
+    with pytest.raises(
+        SimulationError, match=r"No steady motion .*: no stiffness joins vehicle to engine or to ground"
+    ):
+        simulate(study_from_text(text))
+
+
+def test_a_flywheel_on_a_slipping_clutch_turns_at_the_speed_that_its_damper_allows():
+    """One motion, of the loaded flywheel against the driveline that a spring holds: it slips at T/c."""
+    plant = reference.Plant(shafts=(*reference.Plant().shafts[1:], (1, 2, 0.0, 0.2)))
+    _, _, speed = steady(replace(plant, shafts=tuple(s for s in plant.shafts if s != (1, "ground", 0.0, 0.1))))
+    assert speed == pytest.approx([-30.0, 0.0, 0.0, 0.0], rel=1e-14)
+
+
+def test_the_small_gap_response_is_of_the_torque_that_the_rolling_driveline_carries():
+    gap = SmallGap.of(study_of(CAR))
+    assert gap.start == pytest.approx(6.0, rel=1e-12)  # all drag is behind the lash
+    assert gap.end == pytest.approx(-3.0, rel=1e-12)
+    assert gap.torque[0] == pytest.approx(gap.start, rel=1e-9)
