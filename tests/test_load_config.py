@@ -10,7 +10,7 @@ from jsonschema import Draft202012Validator
 from clunk.simulation.load import load_step
 from clunk.study.config import load_study, study_from_text
 from clunk.study.keys import json_schema
-from clunk.study.loads import KEYS
+from clunk.study.loads import PROFILES
 from clunk.study.problems import ConfigError
 from clunk.study.study import digest, replace_values, to_toml
 from clunk.sweeping.cells import leaves_system
@@ -48,7 +48,7 @@ def problems(text: str, *overrides: str, folder=".") -> list[tuple[str, str]]:
 # --- What is right ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("profile", KEYS)
+@pytest.mark.parametrize("profile", PROFILES)
 def test_every_profile_is_read_and_written(profile):
     text = config(f'profile = "{profile}"\n{NEEDED.get(profile, "")}')
     study = study_from_text(text)
@@ -235,5 +235,5 @@ def test_items_of_a_table_can_be_replaced():
 )
 def test_only_the_rate_of_a_wave_is_part_of_the_system(profile, structural):
     study = study_from_text(config(f'profile = "{profile}"\n{NEEDED.get(profile, "")}'))
-    keys = [*KEYS[profile], "step_time", "torques[2]", "on"]
+    keys = [*PROFILES[profile].keys, "step_time", "torques[2]", "on"]
     assert [key for key in keys if not leaves_system(study, f"load.{key}")] == [*structural, "on"]

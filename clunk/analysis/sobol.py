@@ -22,6 +22,7 @@ from clunk.results.quantities import CELL_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.simulation.trajectory import Trajectory, simulate
 from clunk.study.errors import ClunkError
+from clunk.study.loads import PROFILES
 from clunk.study.parameters import get_value, nominal_value
 from clunk.study.problems import ConfigError, nearest, shorten
 from clunk.study.study import Study, replace_values
@@ -117,8 +118,9 @@ class Sensitivity:
     @property
     def at(self) -> dict[str, float]:
         """The operating point: load and backlash, by parameter, in their units."""
-        torques = ("load.ratio", "load.initial_torque", "load.final_torque")
-        keys = [key for key in torques if getattr(self.study.load, key.removeprefix("load.")) is not None]
+        load = self.study.load
+        keys = [f"load.{key}" for key in PROFILES[load.profile].keys if isinstance(getattr(load, key), float)]
+        keys = [key for key in keys if key != "load.static_torque"]
         return {key: get_value(self.study, key) for key in (*keys, "lash.backlash_deg")}
 
 

@@ -21,6 +21,8 @@ from clunk.plot.plane import Bools
 from clunk.plot.style import FAINT_INK, HISTORY_WIDTH, MINUS, PlotError
 from clunk.simulation.history import History
 from clunk.simulation.load import load_step
+from clunk.study.loads import PROFILES, STEP_KEYS, numbers
+from clunk.study.problems import listing
 
 Runs = Sequence[History]
 
@@ -157,7 +159,8 @@ def _finished(figure: Figure, axes: Sequence[Axes], runs: Runs, *, marks: bool =
     """The figure with titles above, and below a legend of the runs and of the marks."""
     titles, cases = {run.study.title for run in runs}, {_case(run) for run in runs}
     title = titles.pop() if len(titles) == len(cases) == 1 else "Runs compared"
-    line = "ideal torque step (tip-out)" + (f", {cases.pop()}" if len(cases) == 1 else "")
+    loads = dict.fromkeys(PROFILES[run.study.load.profile].name for run in runs)
+    line = listing([*loads]) + (f", {cases.pop()}" if len(cases) == 1 else "")
     if len(runs) == 1:
         line = f"{line}: {_outcome(runs[0])}"
     style.set_titles(figure, axes[0], title, line, parse_math=True)
@@ -193,7 +196,8 @@ def _case(run: History) -> str:
     load = f"T = {before:g} → {after:g} N m"
     if run.study.load.ratio is not None:
         load = f"{style.symbol_text('σr')} = {run.study.load.ratio:g}"
-    return f"{load.replace('-', MINUS)}, {style.symbol_text('φθ')} = {run.study.lash.backlash_deg:g}°"
+    parts = [load, *numbers(dict(run.study.load), without=STEP_KEYS)]
+    return f"{', '.join(parts).replace('-', MINUS)}, {style.symbol_text('φθ')} = {run.study.lash.backlash_deg:g}°"
 
 
 def _outcome(run: History) -> str:

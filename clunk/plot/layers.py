@@ -18,6 +18,7 @@ from clunk.results.quantities import CELL_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.study.axes import ResultAxis
+from clunk.study.loads import PROFILES, STEP_KEYS, numbers
 
 DRAWN = [name for name, quantity in CELL_QUANTITIES.items() if quantity.words]
 QUANTITIES = ["regimes", *DRAWN]  # "regimes" is the map of labels
@@ -66,14 +67,16 @@ class Layers:
         values : of the quantity, in the shape of the map
         """
         view = View.of(drawn, dimensions)
-        profile = drawn.setting("load.profile")
         # An ideal step is a worst case, and a reader should know.
-        load = "ideal torque step (tip-out)" if profile == "tip-out" else f"load: {profile}"
+        load = drawn.setting("load") or {}
+        swept = [each.parameter.removeprefix("load.") for each in drawn.parameters]
+        known = load.get("profile") in PROFILES
+        phrase = [PROFILES[load["profile"]].name, *numbers(load, without=[*STEP_KEYS, *swept])] if known else []
         codes = view.arrange(drawn.sequence)
         unmarked = np.zeros(codes.shape, np.bool_)
         return cls(
             title=drawn.title.strip() or "Impact regimes",
-            load=load if isinstance(profile, str) else "",
+            load=", ".join(phrase),
             view=view,
             labels=drawn.labels,
             codes=codes,

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from clunk.core.regimes import CLOSED_FLOW, FORCE, TORQUE, constrained, without_drift
 from clunk.simulation.driveline import Driveline, build
+from clunk.study.loads import is_ideal_step
 from clunk.study.study import Study
 
 FloatArray = npt.NDArray[np.float64]
@@ -80,11 +81,13 @@ def levels_of_excursions(extremes: FloatArray, count: int) -> FloatArray:
 
 
 def thresholds_on(study: Study, parameter: str, ratios: FloatArray) -> FloatArray:
-    """Threshold load ratios as values of a swept torque; empty for a parameter that they do not depend on.
+    """Threshold load ratios as values of a swept torque of an ideal step; empty for any other parameter or load.
 
     σr is (T before - T after) / T after, whichever of the two torques is swept.
     """
     load = study.load
+    if not is_ideal_step(load):
+        return np.empty(0)
     if parameter == "load.ratio":
         return ratios
     if parameter == "load.initial_torque" and load.final_torque:

@@ -1,15 +1,15 @@
 """The load of a config: its profile, the torques and times of that, and traces of them in files.
 
-Which keys a profile uses is told by `KEYS` alone. The pieces that a profile is made of are in `clunk.simulation.load`.
+`PROFILES` alone tells which keys a profile uses. The pieces that it is made of are in `clunk.simulation.load`.
 """
 
 import contextlib
 import csv
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
@@ -21,25 +21,28 @@ from clunk.study.tables import Finding, Inertia, NotNegative, Positive, Quantity
 TORQUES = (("static_torque", "ratio"), ("initial_torque", "final_torque"))
 LONGEST_TABLE = 100_000  # points in time
 
-_STEP = (*TORQUES[0], *TORQUES[1])
-KEYS = {  # profile -> the keys that it uses beside `on` and `step_time`
-    "step": _STEP,
-    "ramp": (*_STEP, "duration"),
-    "smooth": (*_STEP, "duration"),
-    "lag": (*_STEP, "time_constant"),
-    "pulse": (*_STEP, "duration"),
-    "table": ("times", "torques", "scale"),
-    "sine": (*_STEP, "amplitude", "frequency"),
-    "tip-out": _STEP,
+
+class Profile(NamedTuple):
+    """A load profile: its name for people, and the keys that it uses beside `on` and `step_time`."""
+
+    name: str
+    keys: tuple[str, ...]
+
+
+STEP_KEYS = (*TORQUES[0], *TORQUES[1])
+PROFILES = {
+    "step": Profile("ideal torque step", STEP_KEYS),
+    "ramp": Profile("torque ramp", (*STEP_KEYS, "duration")),
+    "smooth": Profile("smooth torque change", (*STEP_KEYS, "duration")),
+    "lag": Profile("lagging torque change", (*STEP_KEYS, "time_constant")),
+    "pulse": Profile("torque pulse", (*STEP_KEYS, "duration")),
+    "table": Profile("tabulated torque", ("times", "torques", "scale")),
+    "sine": Profile("torque that swings", (*STEP_KEYS, "amplitude", "frequency")),
+    "tip-out": Profile("ideal torque step (tip-out)", STEP_KEYS),
 }
 _NEEDED = {"duration": "s", "time_constant": "s", "amplitude": "N m", "frequency": "Hz"}
 _COLUMNS = "time (s) and torque (N m), separated by commas"
 _NUMBER = re.compile(r"[-+]?(\.?\d|nan|inf)", re.IGNORECASE)
-
-
-def uses(profile: str, key: str) -> bool:
-    """Whether a load of this profile uses a key."""
-    return key in ("on", "step_time", *KEYS.get(profile, ()))
 
 
 class Load(Table):
@@ -83,7 +86,7 @@ class Load(Table):
     def contradictions(self) -> Iterator[Finding]:
         """Require the keys that the profile needs, its torques given in one way, and times in order."""
         yield from self._torques()
-        for key in KEYS[self.profile]:
+        for key in PROFILES[self.profile].keys:
             if key in _NEEDED and getattr(self, key) is None:
                 yield (key,), f"missing; a {shorten(self.profile)} needs it ({_NEEDED[key]})"
         yield from self._points()
@@ -118,6 +121,33 @@ class Load(Table):
             yield ("torques",), f"found {len(torques)} torques for {len(times)} times; must be one for each"
         if times is not None:
             yield from ((("times", k), text) for k, text in disorder(times))
+
+
+def uses(profile: str, key: str) -> bool:
+    """Whether a load of this profile uses a key."""
+    return key in ("on", "step_time", *(PROFILES[profile].keys if profile in PROFILES else ()))
+
+
+def is_ideal_step(load: Load) -> bool:
+    """Whether the torque steps at once and stays (report Eq. 2.2)."""
+    return load.profile in ("step", "tip-out")
+
+
+def numbers(load: Mapping[str, Any], swept: Container[str] = (), without: Container[str] = ()) -> list[str]:
+    """The numbers of a load's profile with their symbols and units: ``d = 0.1 s``, or ``d swept``.
+
+    load : the table of a config
+    swept : parameters, for example ``load.duration``
+    without : keys to leave out
+    """
+    texts = []
+    for key in PROFILES[load["profile"]].keys:
+        value = load.get(key)
+        if isinstance(value, float) and key not in without:
+            quantity = next(each for each in Load.model_fields[key].metadata if isinstance(each, Quantity))
+            symbol, unit = quantity.symbol.partition(" ")[0], "" if quantity.unit == "1" else f" {quantity.unit}"
+            texts.append(f"{symbol} swept" if f"load.{key}" in swept else f"{symbol} = {value:g}{unit}")
+    return texts
 
 
 def disorder(times: Sequence[float]) -> Iterator[tuple[int, str]]:

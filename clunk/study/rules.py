@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.study.document import Place, dotted, with_value
-from clunk.study.loads import KEYS, TORQUES, uses
+from clunk.study.loads import PROFILES, TORQUES, uses
 from clunk.study.models import Config
 from clunk.study.parameters import complaint, located
 from clunk.study.problems import listing, shorten
@@ -35,7 +35,7 @@ def load_complaint(parameter: str, config: Config) -> str | None:
     """Reason why a key of the load cannot be swept: its profile has none, or its torques are the other two."""
     table, _, key = parameter.partition("[")[0].partition(".")
     if table == "load" and not uses(config.load.profile, key):
-        profiles = listing([shorten(profile) for profile in KEYS if uses(profile, key)], "or")
+        profiles = listing([shorten(profile) for profile in PROFILES if uses(profile, key)], "or")
         return f"{parameter} does not apply: the profile is {shorten(config.load.profile)}, and not {profiles}"
     for pair, other in (TORQUES, TORQUES[::-1]):
         if parameter in {f"load.{key}" for key in pair} and getattr(config.load, other[0]) is not None:

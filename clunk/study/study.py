@@ -9,9 +9,9 @@ from typing import Any
 import tomli_w
 
 from clunk.study.document import dotted, with_value
-from clunk.study.loads import KEYS
+from clunk.study.loads import numbers
 from clunk.study.models import Config
-from clunk.study.parameters import located, quantity
+from clunk.study.parameters import located
 from clunk.study.problems import Problem, report
 from clunk.study.rules import broken_rules
 from clunk.study.summaries import Rows, as_html, as_text, html_table
@@ -40,19 +40,13 @@ class Study(Config):
         gap = "swept" if "lash.backlash_deg" in swept else f"{lash.backlash_deg:g} degrees"
         if lash.ratio != 1.0 or "lash.ratio" in swept:
             gap += ", ratio swept" if "lash.ratio" in swept else f", ratio {lash.ratio:g}"
-        numbers = [f"{len(load.times)} times and torques"] if load.profile == "table" and load.times else []
-        for key in KEYS[load.profile]:
-            value = getattr(load, key)
-            if isinstance(value, float):
-                known = quantity(f"load.{key}")
-                symbol, unit = known.symbol.partition(" ")[0], "" if known.unit == "1" else f" {known.unit}"
-                numbers.append(f"{symbol} swept" if f"load.{key}" in swept else f"{symbol} = {value:g}{unit}")
+        points = [f"{len(load.times)} times and torques"] if load.profile == "table" and load.times else []
         step = f", step {solver.step:g} s" if solver.method == "rk4" else ""
         rows = [
             ("driveline", f"{len(self.driveline.inertias)} inertias, {len(self.driveline.shafts)} shafts"),
             ("backlash", f"between {lash.between[0]} and {lash.between[1]}: {gap}"),
             ("contact", model),
-            ("load", f"{load.profile} on inertia {load.on}: {', '.join(numbers)}"),
+            ("load", f"{load.profile} on inertia {load.on}: {', '.join([*points, *numbers(dict(load), swept)])}"),
             ("solver", f"{solver.method}{step}, to {solver.end_time:g} s"),
         ]
         for axis in axes:
