@@ -239,6 +239,8 @@ def test_thresholds_follow_the_torque_that_is_swept(nominal):
     assert thresholds_on(torques, "load.initial_torque", ratios) == pytest.approx(-(1 + ratios))
     assert thresholds_on(torques, "load.final_torque", ratios) == pytest.approx(-6.0 / (1 + ratios))
     assert thresholds_on(torques, "lash.backlash_deg", ratios).size == 0
+    pulse = torques.load.model_copy(update={"profile": "pulse", "duration": 0.1})
+    assert thresholds_on(torques.model_copy(update={"load": pulse}), "load.final_torque", ratios).size == 0
 
 
 def test_a_driveline_whose_load_does_not_reach_the_lash_has_no_thresholds():

@@ -32,6 +32,7 @@ _BACKLASH = "lash.backlash_deg"
 _RATES = {"smooth": "load.duration", "lag": "load.time_constant", "sine": "load.frequency"}  # how fast a wave swings
 KEPT_SYSTEMS = 4096  # about 20 KB each
 _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
+_TILE_POINTS = 2**19  # of tabulated loads: 20 MB where each cell has its own
 
 
 def leaves_system(study: Study, parameter: str) -> bool:
@@ -71,7 +72,7 @@ class Grid:
         self.study = study
         self.design = design or design_of(study)
         self.method: str = study.solver.method
-        self.tile_cells = _TILE_CELLS[self.method]
+        self.tile_cells = min(_TILE_CELLS[self.method], max(_TILE_POINTS // len(study.load.times or (0,)), 1))
         self._structural = [each.parameter for each in self.design.columns if not leaves_system(study, each.parameter)]
         self._kept: OrderedDict[tuple[float, ...], Prepared] = OrderedDict()
         if shared is not None:
