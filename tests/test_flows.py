@@ -8,28 +8,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import reference
+from helpers import margins, reference
 from numpy.polynomial.polynomial import polyder, polyint, polyval
 from scipy.linalg import expm
 
-from clunk.core.events import EVENT
-from clunk.core.exact import curves, moving, rows, taylor
+from clunk.core.exact import curves, moving, taylor
 from clunk.core.exact.flows import BLOCK, CROSS, SLOPE, SPANS, TERMS, VALUE
-from clunk.core.exact.search import DEPTH, EXTREMES, TURN, conclude, search
-from clunk.core.exact.workspace import begin_search, make_workspace, queue_of
 from clunk.core.jit import compiled
 from clunk.core.lanes import vectors
-from clunk.core.lanes.pool import push, take
 from clunk.core.lanes.vectors import WIDTH
 from clunk.core.regimes import ACCELERATION, GAP
 from clunk.simulation import driveline
+from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 
 # Rounding of a few products of tables that are each good to some 1e-15; |λ| T reaches 1e3 in the longest span compared,
 # and an angle that large is known to 1e3 eps, a modal basis to its condition (up to 1e4) times eps.
 TIGHT = 1e-11
 OPEN, CLOSED = 0, 1
-RUNS = 24  # that are looked through together: more than there are lanes
 
 
 @compiled
@@ -60,24 +56,20 @@ def observe(watch, output, f, steady, work, size, inputs, times, results):
 
 @compiled
 def look(watch, work, size, levels, deepest, results):
-    """What `curves.evaluate` returns, and then `evaluate_again`, `bounds` and `slope_bound`."""
+    """Value, slope and curvature without the fastest pairs, and of the next; then what bounds the functional."""
     level = vectors.load(levels, 0)
-    slower, ringing, pair, sways, sway = curves.evaluate(watch, work, size, level, deepest)
+    slower, ringing, pair, _, _ = curves.evaluate(watch, work, size, level, deepest)
     curves.store_curve(results, 0, slower)
-    vectors.store(results, 5, ringing)
-    curves.store_curve(results, 6, pair)
-    vectors.store(results, 11, sways)
-    vectors.store(results, 12, sway)
-    curves.store_curve(results, 13, curves.evaluate_again(watch, work, size, level, deepest, slower))
+    curves.store_curve(results, 3, pair)
     jerk, sixth, sway = curves.bounds(watch, work, size)
-    vectors.store(results, 18, jerk)
-    vectors.store(results, 19, sixth)
-    vectors.store(results, 20, sway)
-    vectors.store(results, 21, curves.slope_bound(watch, work, size, level, deepest))
+    vectors.store(results, 6, jerk)
+    vectors.store(results, 7, sixth)
+    vectors.store(results, 8, sway)
+    vectors.store(results, 9, ringing)
+    vectors.store(results, 10, curves.slope_bound(watch, work, size, level, deepest))
 
 
-LOOKS = 22
-GLANCED, JERKING, SIXTHS, SWAYING, RUSHING = slice(13, 18), 18, 19, 20, 21
+JERKING, SIXTHS, SWAYING, RINGING, RUSHING = range(6, 11)
 
 
 @compiled
@@ -115,16 +107,6 @@ def find_fall(guard, results):
 
 
 @compiled
-def evaluate(c, at, results):
-    s = vectors.load(at, 0)
-    value, slope, half = taylor.derivatives(c, s)
-    vectors.store(results, 0, value)
-    vectors.store(results, 1, slope)
-    vectors.store(results, 2, half)
-    vectors.store(results, 3, taylor.value(c, s))
-
-
-@compiled
 def cross(c, length, results):
     found, none, s, slope, half = taylor.crossing(c, vectors.load(length, 0), False)
     vectors.store(results, 0, s)
@@ -138,29 +120,6 @@ def turn(c, length, results):
     found, none, s = taylor.turning(c, np.zeros((TERMS, WIDTH)), vectors.load(length, 0))
     vectors.store(results, 0, s)
     return found, none
-
-
-@compiled
-def search_all(space, sought, flow, f, number, lengths, origins, signs, shifts, counts):
-    """(S, 2): TOP and BOTTOM of all runs, when what they search is known."""
-    first = (space.queues.extremes, space.queues.turn, space.queues.depth)[sought]
-    queue, behind = queue_of(space, first, flow, f), space.behind
-    known = np.zeros((lengths.size, 2))
-    for slot in range(lengths.size):
-        item = slot * space.searches_each + number
-        space.origin[:] = origins[:, slot]
-        begin_search(space, slot, number, lengths[slot], signs[slot], shifts[slot])
-        space.searches[item, behind + rows.COUNTS] = counts[slot]
-        push(space.pool, queue, item)
-    while space.pool.length[queue] > 0:
-        count = take(space.pool, queue, space.searches)
-        done = search(space, sought, flow, f, count)
-        for lane in range(count):
-            slot = space.pool.items[lane] // space.searches_each
-            known[slot, 0] = space.pool.work[behind + rows.TOP, lane]
-            known[slot, 1] = space.pool.work[behind + rows.BOTTOM, lane]
-        conclude(space, sought, queue, count, done)
-    return known
 
 
 def sizes(y):
@@ -250,10 +209,10 @@ class Flow:
     def is_modal(self):
         return bool(self.modal)
 
-    def starts(self, count=WIDTH):
-        """(2n, count), (2, count): random states and inputs; on the constraint, where the flow has one."""
+    def starts(self):
+        """(2n, W), (2, W): random states and inputs; on the constraint, where the flow has one."""
         random = np.random.default_rng(1)
-        x, u = random.normal(size=(self.size, count)), random.normal(size=(2, count))
+        x, u = random.normal(size=(self.size, WIDTH)), random.normal(size=(2, WIDTH))
         n = self.size // 2
         x[n:] *= self.pace * 0.1
         if self.impulsive and not np.any(self.rates[n:].T @ self.lash):  # locked: q = s φ/2 and q' = 0
@@ -301,8 +260,8 @@ class Flow:
         return results
 
     def look(self, f, work, levels=0, deepest=0):
-        """(LOOKS, W)."""
-        results = np.zeros((LOOKS, WIDTH))
+        """(11, W): what `look` stores."""
+        results = np.zeros((11, WIDTH))
         look(self.watch[f], work, self.count, np.full(WIDTH, levels, float), deepest, results)
         return results
 
@@ -333,31 +292,11 @@ class Flow:
             rate = self.rates @ rate
         return np.array(values)
 
-    def search(self, f, sought, number, x, u, lengths, *, top, bottom, signs, shifts, counts=None):
-        """What a search finds in a functional: TOP and BOTTOM, and the runs' numbers."""
-        runs = x.shape[1]
-        space = make_workspace(self.system, self.flows, np.zeros((runs, 1), EVENT), np.zeros((runs, 0, self.size)))
-        behind, y = space.behind, self.enter(x, u)
-        space.numbers[:runs, :behind] = np.vstack((y, sizes(y))).T
-        searches = space.searches.reshape(runs + 1, space.searches_each, -1)[:runs, number]
-        searches[:, behind + rows.TOP], searches[:, behind + rows.BOTTOM] = top, bottom
-        origins, counts = self.output_origin(u, 0.0)[:, f], np.full(runs, np.inf) if counts is None else counts
-        known = search_all(space, sought, self.which, f, number, lengths, origins, signs, shifts, counts)
-        waiting, length = space.pool.waiting[space.queues.follow], space.pool.length[space.queues.follow]
-        assert sorted(waiting[:length]) == list(range(runs))
-        return known[:, 0], known[:, 1], space.numbers[:runs, behind:]
-
 
 @pytest.fixture(params=[(name, which) for name in PLANTS for which in (OPEN, CLOSED)], ids=lambda p: f"{p[0]}, {p[1]}")
 def flow(request):
     name, which = request.param
     return Flow(PLANTS[name], which)
-
-
-def test_entering_and_leaving_changes_nothing(flow):
-    x, u = flow.starts()
-    scale = flow.scale(x, flow.origin[0] @ u)
-    assert np.all(np.abs(flow.leave(flow.enter_lanes(x, u), u, 0.0) - x) <= 1e-12 * scale)
 
 
 def test_a_span_is_the_matrix_exponential(flow):
@@ -390,12 +329,6 @@ def test_a_part_of_the_shortest_span_is_too(flow):
         exact = flow.moved(x, u, parts * flow.span[0])
         scale = flow.scale(x, exact, flow.origin[0] @ u)
         assert np.all(np.abs(flow.leave(work, u, parts * flow.span[0]) - exact) <= 1e-12 * scale)
-
-
-def test_spans_are_two_an_octave(flow):
-    assert flow.span[1] == 1.5 * flow.span[0]
-    assert flow.span[2:] == pytest.approx(2.0 * flow.span[:-2], rel=0.0)
-    assert np.all(np.diff(flow.span) > 0.0)
 
 
 def test_value_slope_and_curvature_are_the_functionals(flow):
@@ -443,27 +376,6 @@ def test_the_gap_coordinate_is_no_difference_of_large_numbers(flow):
     assert np.all(terms <= 3.0 * sizes.sum(axis=0))
 
 
-def test_amplitudes_are_those_of_the_pairs(flow):
-    work = flow.enter_lanes(*flow.starts())
-    assert work[flow.count :] == pytest.approx(sizes(work[: flow.count]), rel=1e-15)
-
-
-def test_amplitudes_never_grow(flow):
-    """Of every pair of modes; without modes, of all coordinates together, drifts left out."""
-    x, u = flow.starts()
-    homogeneous = x - flow.origin[0] @ u
-    times = [flow.trajectory(homogeneous, 0.0 * u, length) for length in (10.0 / flow.pace, 300.0 / flow.pace)]
-    y = flow.coordinates.T @ np.concatenate(times)
-    if flow.is_modal:
-        amplitude = sizes(y)
-        rounding = TIGHT * np.abs(flow.coordinates).max() * np.abs(homogeneous).max(axis=0)
-        assert np.all((amplitude <= amplitude[0] * (1.0 + 1e-9) + rounding) | drifts(flow))
-    else:
-        moves = np.any(flow.generator != 0.0, axis=0)  # what anything depends on
-        amplitude = np.linalg.norm(y[:, moves], axis=1)
-        assert np.all(amplitude <= amplitude[0] * (1.0 + 1e-9))
-
-
 def test_the_tabulated_decay_bounds_the_amplitude(flow):
     if not flow.is_modal:
         pytest.skip("knows no modes")
@@ -475,128 +387,64 @@ def test_the_tabulated_decay_bounds_the_amplitude(flow):
         assert np.all((now <= bound * (1.0 + 1e-12) + 1e-300) | drifts(flow))  # denormal numbers round
 
 
-@pytest.mark.parametrize(("order", "which"), [(3, JERKING), (6, SIXTHS)])
-def test_bounds_of_the_third_and_sixth_derivative_hold_for_ever(flow, order, which):
+def test_bounds_of_derivatives_and_of_what_is_off_the_origin_hold_for_ever(flow):
+    """Of the third and the sixth derivative; of the value of the acceleration, of the others where nothing drifts."""
     x, u = flow.starts()
-    work, states = flow.enter_lanes(x, u), flow.trajectory(x, u, 100.0 / flow.pace)
-    derivative = flow.functionals @ np.linalg.matrix_power(flow.rates, order - 1)
-    values = derivative @ (flow.rates @ states + flow.inputs @ u)
-    scale = np.abs(flow.functionals) @ flow.scale(*states, flow.origin[0] @ u) * flow.pace**order
-    for f in range(len(flow.watch)):
-        assert np.all(np.abs(values[:, f]).max(axis=0) <= flow.look(f, work)[which] + TIGHT * scale[f])
-
-
-def test_sway_bounds_what_is_off_the_origin_for_ever(flow):
-    """Of the acceleration always; of the others where nothing drifts."""
-    x, u = flow.starts()
-    work, states = flow.enter_lanes(x, u), flow.trajectory(x, u, 100.0 / flow.pace)
-    origin = np.array([flow.output_origin(u, time)[0] for time in np.linspace(0.0, 100.0 / flow.pace, 501)])
-    away = flow.output(states, u) - origin
+    length = 100.0 / flow.pace
+    work, states = flow.enter_lanes(x, u), flow.trajectory(x, u, length)
     scale = np.abs(flow.functionals) @ flow.scale(*states, flow.origin[0] @ u)
+    origin = [flow.output_origin(u, time)[0] for time in np.linspace(0.0, length, len(states))]
+    bounded = [(SWAYING, 0, flow.output(states, u) - origin)]
+    for row, order in ((JERKING, 3), (SIXTHS, 6)):
+        derivative = flow.functionals @ np.linalg.matrix_power(flow.rates, order - 1)
+        bounded.append((row, order, derivative @ (flow.rates @ states + flow.inputs @ u)))
     for f in range(len(flow.watch)):
-        if f == ACCELERATION or flow.steady:
-            assert np.all(np.abs(away[:, f]).max(axis=0) <= flow.look(f, work)[SWAYING] + TIGHT * scale[f])
+        bounds = flow.look(f, work)
+        for row, order, values in bounded:
+            if row != SWAYING or f == ACCELERATION or flow.steady:
+                assert np.all(np.abs(values[:, f]).max(axis=0) <= bounds[row] + TIGHT * scale[f] * flow.pace**order)
 
 
-def test_rush_bounds_the_slope_of_the_fastest_pairs_for_ever(flow):
-    """Of another number of pairs in each lane, all of them oscillating modes."""
+def test_the_fastest_pairs_can_be_left_out(flow):
+    """Another number of them in each lane: oscillating modes, whose part in value and slope is bounded for ever."""
     deepest = min(int(flow.ringing), flow.count // 2 - 1)
     if deepest == 0:
         pytest.skip("knows no oscillating modes")
     x, u = flow.starts()
-    levels = np.arange(WIDTH) % (deepest + 1)
-    homogeneous = x - flow.origin[0] @ u
-    states = flow.trajectory(homogeneous, 0.0 * u, 100.0 / flow.pace)
-    y = flow.coordinates.T @ states * both(np.arange(flow.count // 2)[:, None] < levels)
-    scale = np.abs(flow.functionals) @ flow.scale(*states) * flow.pace
-    for f in range(len(flow.watch)):
-        slope = np.abs(flow.watch[f, : flow.count, SLOPE] @ y).max(axis=0)
-        bound = flow.look(f, flow.enter_lanes(x, u), levels, deepest)[RUSHING]
-        assert np.all(slope <= bound + TIGHT * scale[f])
-        assert np.all(bound[levels == 0] == 0.0)
-
-
-def test_the_fastest_pairs_are_left_out_as_if_they_were_zero(flow):
-    """Another number of them in each lane; those and the next one are told apart."""
-    work, deepest = flow.enter_lanes(*flow.starts()), flow.count // 2 - 1
     levels, pairs = np.arange(WIDTH) % (deepest + 1), np.arange(flow.count // 2)[:, None]
-    fast, following = pairs < levels, (pairs == levels) & (levels < deepest)
+    states = flow.trajectory(x - flow.origin[0] @ u, 0.0 * u, 100.0 / flow.pace)
+    y, scale = flow.coordinates.T @ states, np.abs(flow.functionals) @ flow.scale(*states)
     for f in range(len(flow.watch)):
-        found = flow.look(f, work, levels, deepest)
-        slow, left_out, alone = (
-            flow.look(f, work * np.vstack((both(kept), kept))) for kept in (~fast, fast, following)
-        )
-        assert np.array_equal(found[:4], slow[:4])
-        assert np.array_equal(found[GLANCED][:3], slow[:3])
-        assert found[5] == pytest.approx(left_out[SWAYING], rel=1e-14)
-        assert np.array_equal(found[6:12], np.vstack((alone[:5], alone[SWAYING])))
-        assert found[12] == pytest.approx(flow.look(f, work)[SWAYING], rel=1e-14)
+        seen = flow.look(f, flow.enter_lanes(x, u), levels, deepest)
+        terms = [flow.watch[f, : flow.count, n] @ (y * both(pairs < levels)) for n in (VALUE, SLOPE)]
+        for bound, values, pace in zip((RINGING, RUSHING), terms, (1.0, flow.pace), strict=True):
+            assert np.all(np.abs(values).max(axis=0) <= seen[bound] + TIGHT * scale[f] * pace)
+            assert np.all(seen[bound][levels == 0] == 0.0)
+        for first, chosen in ((0, pairs >= levels), (3, (pairs == levels) & (levels < deepest))):
+            alone = flow.watch[f, : flow.count, :3].T @ (y[0] * both(chosen))
+            rounding = TIGHT * scale[f] * flow.pace ** np.arange(3)[:, None]
+            assert np.all(np.abs(seen[first : first + 3] - alone) <= rounding)
 
 
-def test_located_extremes_are_those_of_dense_samples(flow):
-    """Over thirty radians of the fastest mode; a sample misses a peak by its curvature times h²/8, here 1e-4 of it."""
-    (x, u), length = flow.starts(RUNS), 30.0 / flow.pace
-    states = flow.trajectory(x, u, length, 1000)
-    scale = np.abs(flow.functionals) @ flow.scale(*states)
-    for f in range(len(flow.watch)):
-        samples = flow.output(states, u)[:, f]
-        high, low, numbers = flow.search(
-            f, EXTREMES, rows.EXTREMES_SEARCH, x, u, np.full(RUNS, length),
-            top=samples[-1], bottom=samples[-1], signs=np.ones(RUNS), shifts=np.zeros(RUNS),
-        )  # fmt: skip
-        assert np.array_equal(numbers[:, [rows.WINDOW_MAX, rows.WINDOW_MIN]].T, [high, low])
-        for one, other in ((high, samples.max(axis=0)), (-low, -samples.min(axis=0))):
-            beyond = one - other
-            assert np.all(beyond >= -TIGHT * scale[f])
-            assert np.all(beyond <= 1e-3 * np.ptp(samples, axis=0) + TIGHT * scale[f])
-
-
-@pytest.mark.parametrize("g", [0, 1])
-def test_the_lowest_turn_is_that_of_dense_samples(flow, g):
-    """Of those from falling to rising; over thirty radians again, then of those after the lowest only."""
-    (x, u), length, samples = flow.starts(RUNS), 30.0 / flow.pace, np.arange(1001)[:, None]
-    states = flow.trajectory(x, u, length, 1000)
-    scale = np.abs(flow.functionals) @ flow.scale(*states)
-    signs, shifts = np.resize([1.0, -1.0], RUNS), np.linspace(-1.0, 1.0, RUNS)
-    for f in range(len(flow.watch)):
-        guard, rounding = signs * flow.output(states, u)[:, f] + shifts, TIGHT * (scale[f] + 1.0)
-        at, least = guard[1:-1], np.minimum(guard[:-2], guard[2:])
-        turns = np.pad(at < least - rounding, ((1, 1), (0, 0)))
-        first, counts = np.zeros(RUNS, int), np.full(RUNS, np.inf)
-        for _ in range(2):
-            lowest, _, _ = flow.search(
-                f, TURN, rows.TURN_SEARCH + g, x, u, np.full(RUNS, length),
-                top=np.inf, bottom=np.inf, signs=signs, shifts=shifts, counts=counts,
-            )  # fmt: skip
-            dips = np.where(turns & (samples > first), guard, np.inf)
-            assert np.all(lowest <= dips.min(axis=0) + rounding)
-            counting = np.where(samples >= first, guard, np.inf)
-            around = np.pad(counting, ((1, 1), (0, 0)), constant_values=np.inf)  # it may turn beside the first or last
-            beside = np.where(counting <= np.minimum(around[:-2], around[2:]), counting, np.inf).min(axis=0)
-            swing, turned = np.ptp(guard, axis=0), np.isfinite(lowest)
-            assert np.all((lowest >= beside - 1e-3 * swing - rounding)[turned])
-            first = np.minimum(np.argmin(dips, axis=0) + 2, 999)
-            counts = length * (1.0 - first / 1000.0)
-
-
-def test_the_depth_of_a_dive_is_that_of_dense_samples(flow):
-    """From where a functional begins to fall, to where it first turns back."""
-    (x, u), length = flow.starts(RUNS), 30.0 / flow.pace
-    states = flow.trajectory(x, u, length, 1000)
-    scale = np.abs(flow.functionals) @ flow.scale(*states)
-    for f in range(len(flow.watch)):
-        samples = flow.output(states, u)[:, f]
-        signs = np.where(samples[1] > samples[0], -1.0, 1.0)
-        guard, rounding = signs * (samples - samples[0]), TIGHT * scale[f]
-        _, depth, _ = flow.search(
-            f, DEPTH, rows.DEPTH_SEARCH, x, u, np.full(RUNS, 1000.0),
-            top=np.inf, bottom=0.0, signs=signs, shifts=-signs * samples[0],
-        )  # fmt: skip
-        rises = np.diff(guard, axis=0) > 0.0
-        turned = rises.any(axis=0) & (np.ptp(samples, axis=0) > 1e3 * rounding)
-        deepest = -guard[np.argmax(rises, axis=0), np.arange(RUNS)]
-        assert np.all((depth >= deepest - rounding)[turned])
-        assert np.all((depth <= deepest + 1e-3 * np.ptp(samples, axis=0) + rounding)[turned])
+@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("plant", PLANTS.values(), ids=PLANTS)
+def test_runs_have_the_events_severities_and_margins_of_the_reference(plant, seed):
+    """From a random state in the gap, as far as the searches for extremes, turns and depths are exact to rounding."""
+    random, n, end = np.random.default_rng(seed), plant.n, 0.5
+    state = np.concatenate([random.uniform(-0.1, 0.1, n), random.uniform(-3.0, 3.0, n)])
+    state[:n] += plant.twist * (0.2 * plant.backlash - plant.twist @ state[:n]) / (plant.twist @ plant.twist)
+    events, _ = reference.run(plant, end, state, "open")
+    run = simulate(study_from_text(reference.config_of(plant, method="exact", end_time=end)), initial_state=state)
+    assert [(run.kind_name(k), side) for k, side in enumerate(run.events["side"])] == [
+        (event.kind, event.side) for event in events
+    ]
+    # 1e-12 s; where nothing is damped, the last of 60 touches and separations have been magnified a little
+    assert run.events["time"] == pytest.approx([event.time for event in events], abs=1e-11)
+    if plant.restitution is None:
+        assert run.impact_severity == pytest.approx(reference.severities(events, list(run.primaries)), rel=1e-9)
+    sticking = plant.contact_period() if plant.restitution is None else 0.0
+    nearest = margins.margin(plant, events, 3.0 if run.complete else end, sticking)
+    assert run.margin == pytest.approx(nearest.margin, abs=1e-9), nearest
 
 
 def random_guards(random):
@@ -611,7 +459,7 @@ def random_guards(random):
 def test_where_low_is_positive_a_guard_stays_so():
     """Its third derivative jumps from one bound to the other on the way."""
     random, kept = np.random.default_rng(1), 0
-    for _ in range(200):
+    for _ in range(100):
         guard, h, found = random_guards(random), 10.0 ** random.uniform(-2.0, 4.0, WIDTH), np.zeros((2, WIDTH))
         find_low(guard, h, found)
         positive = found[0] > 0.0
@@ -623,19 +471,17 @@ def test_where_low_is_positive_a_guard_stays_so():
             terms = np.array([guard[0], t * guard[1], t**2 / 2.0 * guard[2], bent])
             value, least = terms.sum(axis=0), np.minimum(guard[0], found[0])
             assert np.all((value >= least - 1e-14 * np.abs(terms).sum(axis=0))[positive])
-    assert kept > 500
+    assert kept > 250
 
 
-@pytest.mark.parametrize("concave", [True, False])
-def test_the_longest_span_is_that_of_a_plain_search(concave):
+def test_the_longest_span_is_that_of_a_plain_search():
     """Every span, and none, is the longest in some lanes. Where a guess is not concave, the longest may be missed."""
     random, shortest = np.random.default_rng(1), 0.25
     ladder = shortest * np.repeat(2.0 ** np.arange(SPANS // 2), 2) * np.tile([1.0, 1.5], SPANS // 2)
     met = set()
-    for _ in range(600):
+    for concave in [True, False] * 300:
         guards = np.vstack((random_guards(random), random_guards(random)))
-        if random.uniform() < 0.5:
-            guards[[1, 6]] = np.abs(guards[[1, 6]])
+        guards[[1, 6]] = np.where(random.uniform(size=WIDTH) < 0.5, np.abs(guards[[1, 6]]), guards[[1, 6]])
         if concave:
             guards[[2, 7]] = -np.abs(guards[[2, 7]])
         rest = shortest * 2.0 ** random.uniform(-1.0, 18.0, WIDTH)
@@ -677,7 +523,7 @@ def ends_of(curves, h, sixth):
 def test_between_its_ends_a_function_is_where_they_say():
     """The bounds hold, monotone and concave functions are told, and most of them are."""
     random, t, told = np.random.default_rng(1), np.linspace(0.0, 1.0, 200), np.zeros(4, int)
-    for _ in range(200):
+    for _ in range(100):
         curves, h, sixth = random_curves(random)
         found, ends = np.zeros((2, WIDTH)), ends_of(curves, h, sixth)
         monotone, bent = (holds(bits) for bits in find_between(ends, np.zeros(WIDTH), h, found))
@@ -693,32 +539,8 @@ def test_between_its_ends_a_function_is_where_they_say():
         assert not np.any(monotone & ~(rises | falls))
         assert not np.any(bent & ~bends_down)
         told += [(rises | falls).sum(), monotone.sum(), bends_down.sum(), bent.sum()]
-    assert told[1] > 0.9 * told[0] > 1000
-    assert told[3] > 0.9 * told[2] > 500
-
-
-@pytest.mark.parametrize("h", [1.0, 1e-3])
-def test_what_is_left_between_the_ends_is_as_much_as_can_be(h):
-    """±t³(1 - t)³ has neither value, slope nor curvature at 0 and 1, and a sixth derivative of 720 throughout.
-
-    Its slope is 720 √5/30000 at most, where t (1 - t) = 1/5, and its curvature 720/1920, at 1/2. So a straight line,
-    and a parabola, of more than that can be told to be monotone, and bent, whatever their sixth derivative does. Its
-    value is 1/64 at most: what moves the middle one of seven Bernstein coefficients, whose polynomial is 20/64 there.
-    """
-    most = 720.0 * np.array([np.sqrt(5.0) / 30000.0, 1.0 / 1920.0])
-    shares, results = np.resize([1.001, 0.999], WIDTH), np.zeros((2, WIDTH))
-    for rush in (0.0, 0.1):
-        line = np.array([np.zeros(WIDTH), shares * (most[0] + rush)])
-        for sign in (1.0, -1.0):
-            ends = ends_of(sign * line, h, 720.0 / h**6)
-            monotone, _ = find_between(ends, np.full(WIDTH, rush / h), np.full(WIDTH, h), results)
-            assert np.array_equal(holds(monotone), shares > 1.0)
-    parabola = np.array([np.zeros(WIDTH), np.zeros(WIDTH), -0.5 * shares * most[1]])
-    ends = ends_of(parabola, h, 720.0 / h**6)
-    _, bent = find_between(ends, np.zeros(WIDTH), np.full(WIDTH, h), results)
-    assert np.array_equal(holds(bent), shares > 1.0)
-    find_between(ends_of(0.0 * parabola, h, 720.0 / h**6), np.zeros(WIDTH), np.full(WIDTH, h), results)
-    assert results * 20.0 / 64.0 == pytest.approx(np.outer([-1.0, 1.0], np.full(WIDTH, 1.0 / 64.0)), rel=1e-12)
+    assert told[1] > 0.9 * told[0] > 500
+    assert told[3] > 0.9 * told[2] > 250
 
 
 def random_series(random):
@@ -747,21 +569,11 @@ def zeros(c, length):
     return real[(real > 0.0) & (real < length)]
 
 
-def test_a_series_and_its_derivatives_are_evaluated():
-    random = np.random.default_rng(1)
-    c, s, found = random.normal(size=(TERMS, WIDTH)), random.uniform(0.0, 1.0, WIDTH), np.zeros((4, WIDTH))
-    evaluate(c, s, found)
-    for lane in range(WIDTH):
-        series = c[:, lane]
-        exact = [polyval(s[lane], each) for each in (series, polyder(series), polyder(series, 2) / 2.0, series)]
-        assert found[:, lane] == pytest.approx(exact, rel=1e-13, abs=1e-12)
-
-
 def test_a_crossing_is_a_zero_of_the_companion_matrix():
     """Wherever one is claimed, and most are found; where none is claimed, there is none."""
     random = np.random.default_rng(1)
     claimed, there = 0, 0
-    for _ in range(200):
+    for _ in range(60):
         c, results = random_series(random), np.zeros((3, WIDTH))
         length = random_lengths(random, c)
         found, none = (holds(bits) for bits in cross(c, length, results))
@@ -778,7 +590,7 @@ def test_a_crossing_is_a_zero_of_the_companion_matrix():
                 assert exact.min() == pytest.approx(s, rel=1e-10)
                 slope, half = polyval(s, polyder(series)), polyval(s, polyder(series, 2)) / 2.0
                 assert results[1:, lane] == pytest.approx([slope, half], rel=1e-2, abs=1e-3 * np.abs(series).max())
-    assert there > 400
+    assert there > 120
     assert claimed > 0.8 * there
 
 
@@ -795,7 +607,7 @@ def nearly_tangent_series(random):
 def test_a_crossing_is_exact_to_rounding_close_to_a_tangency():
     """To that of the series' value there, and 2e-13 more."""
     random, claimed = np.random.default_rng(5), 0
-    for _ in range(500):
+    for _ in range(150):
         c, results = nearly_tangent_series(random), np.zeros((3, WIDTH))
         for lane in np.flatnonzero(holds(cross(c, np.ones(WIDTH), results)[0])):
             series = c[:, lane].astype(np.longdouble)
@@ -805,14 +617,14 @@ def test_a_crossing_is_exact_to_rounding_close_to_a_tangency():
             rounding = 1e-15 * np.abs(series).sum() / np.abs(polyval(s, polyder(series)))
             assert abs(s - results[0, lane]) <= 2e-13 + rounding
             claimed += 1
-    assert claimed > 0.8 * 500 * WIDTH
+    assert claimed > 0.8 * 150 * WIDTH
 
 
 def test_a_turning_point_is_a_zero_of_the_slope():
     """Wherever one is claimed, and most are found; where none is claimed, there is none."""
     random = np.random.default_rng(2)
     claimed, there = 0, 0
-    for _ in range(200):
+    for _ in range(60):
         slopes, results = random_series(random)[:-1], np.zeros((1, WIDTH))
         length = random_lengths(random, slopes)
         slopes *= random.choice([-1.0, 1.0], WIDTH)
@@ -827,49 +639,23 @@ def test_a_turning_point_is_a_zero_of_the_slope():
                 assert exact.size == 0
             if found[lane]:
                 assert exact == pytest.approx([results[0, lane]], rel=1e-10)
-    assert there > 400
+    assert there > 120
     assert claimed > 0.8 * there
 
 
-@pytest.mark.parametrize(
-    ("name", "which", "modal", "steady"),
-    [
-        ("nominal", OPEN, True, False),  # the motor and its shafts drift against a damper
-        ("nominal", CLOSED, True, True),
-        ("locked", CLOSED, True, True),
-        ("drifting against a weak damper", OPEN, True, False),
-        ("both sides drifting", OPEN, True, False),
-        ("free and undamped when open", OPEN, True, False),
-        ("free chain, damped inside", OPEN, True, False),
-        ("both sides free", CLOSED, True, False),
-        ("critically damped", OPEN, False, True),
-        ("overdamped", OPEN, True, True),
-        ("no damping anywhere", CLOSED, True, True),
-        ("one inertia, the lash to ground", OPEN, True, False),
-        ("two alike", OPEN, True, True),
-    ],
-)
-def test_what_kind_of_flow_it_is(name, which, modal, steady):
-    flow = Flow(PLANTS[name], which)
-    assert (bool(flow.modal), bool(flow.steady)) == (modal, steady)
-
-
-@pytest.mark.parametrize("share", [1.0, 0.9, 0.3, -1.0])
-def test_a_guard_falls_by_no_less_than_it_is_said_to(share):
+def test_a_guard_falls_by_no_less_than_it_is_said_to():
     """Of cubics, f = -fall t + bend t²/2 + share jerk t³/6, whose jerk is bounded by `jerk`."""
     random = np.random.default_rng(5)
-    for _ in range(200):
+    for share in [1.0, 0.9, 0.3, -1.0] * 40:
         fall, bend, jerk = 10.0 ** random.uniform(-2.0, 2.0, (3, WIDTH))
         bend *= random.choice([-1.0, 1.0], WIDTH)
-        guard, results = np.zeros((5, WIDTH)), np.zeros((1, WIDTH))
-        guard[1], guard[2], guard[3] = -fall, bend, jerk
-        find_fall(guard, results)
-        cubics = np.array([np.zeros(WIDTH), -fall, bend / 2.0, share * jerk / 6.0]).T
-        for cubic, bound in zip(cubics, results[0], strict=True):
-            turns = np.roots(polyder(cubic)[::-1])
-            turns = turns[(abs(turns.imag) == 0.0) & (turns.real > 0.0)].real
-            depth = -polyval(turns.min(), cubic) if turns.size else np.inf
-            assert 0.0 < bound <= depth
+        results = np.zeros((1, WIDTH))
+        find_fall(np.array([0.0 * fall, -fall, bend, jerk, jerk]), results)
+        for a, b, c, bound in zip(-fall, bend / 2.0, share * jerk / 6.0, results[0], strict=True):
+            root = b**2 - 3.0 * a * c  # where the slope a + 2 b t + 3 c t² turns positive
+            turns = -a / (b + np.sqrt(root)) if root >= 0.0 else np.inf
+            depth = -turns * (a + turns * (b + turns * c)) if 0.0 < turns < np.inf else np.inf
+            assert 0.0 < bound <= depth * (1.0 + 1e-12)
             if share == 1.0:  # 1 % is lost without a third derivative, and 3 % with little else
                 assert bound > 0.97 * depth
 

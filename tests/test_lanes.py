@@ -13,47 +13,28 @@ from clunk.core.lanes.vectors import ROW, WIDTH
 
 ARITHMETIC = (operator.add, operator.sub, operator.mul, operator.truediv)
 COMPARISONS = (operator.gt, operator.ge, operator.lt, operator.le, operator.eq)
-SIDES = ("lanes and lanes", "lanes and a number", "a number and lanes")
 RANDOM = np.random.default_rng(1)
 NAN, INF = np.nan, np.inf
 A = np.array([[*RANDOM.normal(size=7), 1.0, 2.0, NAN, 3.0, NAN, INF, -INF, 0.0, -0.0]])
 B = np.array([[*RANDOM.normal(size=7), 1.0, NAN, 2.0, INF, NAN, INF, INF, -0.0, 2.0]])
 ALL = (1 << WIDTH) - 1
 BITS = (0, 1, ALL, 1 << WIDTH - 1, 0b1010_0110_0000_1001)
-NUMBERS = (0.7, 1.0, 0.0, NAN)
 
 
 @unowned_inlined
-def fill(p, q, results, first):
-    vectors.store(results, first, p + q)
-    vectors.store(results, first + 1, p - q)
-    vectors.store(results, first + 2, p * q)
-    vectors.store(results, first + 3, p / q)
-
-
-@unowned_inlined
-def compare(p, q):
+def calculate(p, q, results):
+    vectors.store(results, 0, p + q)
+    vectors.store(results, 1, p - q)
+    vectors.store(results, 2, p * q)
+    vectors.store(results, 3, p / q)
     return p > q, p >= q, p < q, p <= q, p == q
 
 
 @compiled
-def calculate(a, b, x, results):
+def calculate_sides(a, b, x, results):
+    """Of lanes and lanes, lanes and a number, a number and lanes."""
     p, q = vectors.load(a, 0), vectors.load(b, 0)
-    fill(p, q, results, 0)
-    fill(p, x, results, 4)
-    fill(x, q, results, 8)
-    return compare(p, q), compare(p, x), compare(x, q)
-
-
-@compiled
-def calculate_in_place(a, b, results):
-    total, rest, product = vectors.load(a, 0), vectors.load(a, 0), vectors.load(a, 0)
-    total += vectors.load(b, 0)
-    rest -= vectors.load(b, 0)
-    product *= vectors.load(b, 0)
-    vectors.store(results, 0, total)
-    vectors.store(results, 1, rest)
-    vectors.store(results, 2, product)
+    return calculate(p, q, results[0]), calculate(p, x, results[1]), calculate(x, q, results[2])
 
 
 @compiled
@@ -66,7 +47,7 @@ def fuse(a, b, c, x, results):
 
 
 @compiled
-def apply(a, b, x, results):
+def apply(a, b, x, bits, results):
     p, q = vectors.load(a, 0), vectors.load(b, 0)
     vectors.store(results, 0, vectors.larger(p, q))
     vectors.store(results, 1, vectors.smaller(p, q))
@@ -74,15 +55,10 @@ def apply(a, b, x, results):
     vectors.store(results, 3, vectors.root(p))
     vectors.store(results, 4, -p)
     vectors.store(results, 5, vectors.splat(x))
-
-
-@compiled
-def select(bits, a, b, x, results):
-    p, q = vectors.load(a, 0), vectors.load(b, 0)
-    vectors.store(results, 0, vectors.choose(bits, p, q))
-    vectors.store(results, 1, vectors.choose(bits, p, x))
-    vectors.store(results, 2, vectors.choose(bits, x, q))
-    vectors.store(results, 3, vectors.choose(bits, x, -x))
+    vectors.store(results, 6, vectors.choose(bits, p, q))
+    vectors.store(results, 7, vectors.choose(bits, p, x))
+    vectors.store(results, 8, vectors.choose(bits, x, q))
+    vectors.store(results, 9, vectors.choose(bits, x, -x))
 
 
 @compiled
@@ -103,12 +79,7 @@ def scatter(of, row, array, offsets, first):
 
 @compiled
 def append(array, first, of, bits):
-    return vectors.append(array, first, of, bits)
-
-
-@compiled
-def first_of(bits):
-    return vectors.first_of(bits)
+    return vectors.append(array, first, of, bits), vectors.first_of(bits)
 
 
 def holds(bits):
@@ -116,59 +87,35 @@ def holds(bits):
     return np.array([bits >> k & 1 for k in range(WIDTH)], bool)
 
 
-def same(found, expected):
+def same(lanes, expected):
     """Bit by bit, but for the kind of NaN."""
-    return np.array_equal(found, expected, equal_nan=True) and np.array_equal(
-        np.signbit(found[~np.isnan(found)]), np.signbit(expected[~np.isnan(expected)])
+    return np.array_equal(lanes, expected, equal_nan=True) and np.array_equal(
+        np.signbit(lanes[~np.isnan(lanes)]), np.signbit(expected[~np.isnan(expected)])
     )
 
 
-def either(sides, x):
-    """The two sides of an operator, as numpy takes them."""
-    return (x if sides == SIDES[2] else A[0]), (x if sides == SIDES[1] else B[0])
-
-
-@pytest.mark.parametrize("sides", SIDES)
-@pytest.mark.parametrize("which", range(len(ARITHMETIC)), ids=lambda k: ARITHMETIC[k].__name__)
-def test_arithmetic_is_that_of_each_lane(which, sides):
-    for x in NUMBERS:
-        results = np.zeros((len(SIDES) * len(ARITHMETIC), WIDTH))
-        calculate(A, B, x, results)
+@pytest.mark.parametrize("x", [0.7, 1.0, 0.0, NAN])
+def test_arithmetic_and_comparisons_are_those_of_each_lane(x):
+    results = np.zeros((3, len(ARITHMETIC), WIDTH))
+    compared = calculate_sides(A, B, x, results)
+    for bits, numbers, sides in zip(compared, results, ((A[0], B[0]), (A[0], x), (x, B[0])), strict=True):
         with np.errstate(all="ignore"):
-            expected = ARITHMETIC[which](*either(sides, x))
-        assert same(results[len(ARITHMETIC) * SIDES.index(sides) + which], expected)
+            assert all(same(lanes, operate(*sides)) for lanes, operate in zip(numbers, ARITHMETIC, strict=True))
+        assert all(0 <= lanes <= ALL for lanes in bits)
+        for lanes, compare in zip(bits, COMPARISONS, strict=True):
+            assert np.array_equal(holds(lanes), compare(*sides))
 
 
-def test_so_is_arithmetic_in_place():
-    results = np.zeros((3, WIDTH))
-    calculate_in_place(A, B, results)
-    with np.errstate(all="ignore"):
-        expected = [A[0] + B[0], A[0] - B[0], A[0] * B[0]]
-    assert all(same(*pair) for pair in zip(results, expected, strict=True))
-
-
-@pytest.mark.parametrize("sides", SIDES)
-@pytest.mark.parametrize("which", range(len(COMPARISONS)), ids=lambda k: COMPARISONS[k].__name__)
-def test_a_comparison_has_the_bits_of_the_lanes_where_it_holds(which, sides):
-    for x in NUMBERS:
-        found = calculate(A, B, x, np.zeros((len(SIDES) * len(ARITHMETIC), WIDTH)))[SIDES.index(sides)][which]
-        assert 0 <= found <= ALL
-        assert np.array_equal(holds(found), COMPARISONS[which](*either(sides, x)))
-
-
-def test_of_two_the_second_is_larger_and_smaller_where_either_is_nan():
-    results = np.zeros((6, WIDTH))
-    apply(A, B, 0.7, results)
-    assert same(results[0], np.where(A[0] > B[0], A[0], B[0]))
-    assert same(results[1], np.where(A[0] < B[0], A[0], B[0]))
-
-
-def test_magnitude_root_sign_and_splat_are_those_of_each_lane():
-    results = np.zeros((6, WIDTH))
-    apply(A, B, 0.7, results)
+@pytest.mark.parametrize("bits", [*BITS, ~BITS[-1], -1, 1 << WIDTH])  # what is beyond the lanes does not matter
+def test_functions_are_those_of_each_lane(bits):
+    """Of two, the second is larger and smaller where either is NaN."""
+    results, x = np.zeros((10, WIDTH)), 0.7
+    apply(A, B, x, bits, results)
     with np.errstate(invalid="ignore"):
-        expected = [np.abs(A[0]), np.sqrt(A[0]), -A[0], np.full(WIDTH, 0.7)]
-    assert all(same(*pair) for pair in zip(results[2:], expected, strict=True))
+        expected = [np.where(A[0] > B[0], A[0], B[0]), np.where(A[0] < B[0], A[0], B[0])]
+        expected += [np.abs(A[0]), np.sqrt(A[0]), -A[0], np.full(WIDTH, x)]
+    expected += [np.where(holds(bits), *pair) for pair in ((A[0], B[0]), (A[0], x), (x, B[0]), (x, -x))]
+    assert all(same(*pair) for pair in zip(results, expected, strict=True))
 
 
 def test_a_product_and_a_sum_are_rounded_once():
@@ -181,14 +128,6 @@ def test_a_product_and_a_sum_are_rounded_once():
             numbers = [map(Fraction, np.broadcast_to(side, (1, WIDTH))[0].tolist()) for side in sides]
             assert found.tolist() == [float(a * b + c) for a, b, c in zip(*numbers, strict=True)]
     assert np.any(results[0] != 0.0)  # as the product rounded by itself, less that, would be
-
-
-@pytest.mark.parametrize("bits", [*BITS, ~BITS[-1], -1, 1 << WIDTH])  # what is beyond the lanes does not matter
-def test_bits_choose_between_lanes_and_numbers(bits):
-    results = np.zeros((4, WIDTH))
-    select(bits, A, B, 0.7, results)
-    sides = ((A[0], B[0]), (A[0], 0.7), (0.7, B[0]), (0.7, -0.7))
-    assert all(same(row, np.where(holds(bits), *pair)) for row, pair in zip(results, sides, strict=True))
 
 
 def test_rows_are_loaded_and_stored_and_elements_read():
@@ -222,20 +161,15 @@ def test_scattering_is_the_other_way_round(first, row):
     assert np.array_equal(back[row : row + ROW], of[row : row + ROW])
 
 
-@pytest.mark.parametrize("bits", BITS)
+@pytest.mark.parametrize(("bits", "lowest"), [*zip(BITS, (64, 0, 0, WIDTH - 1, 0), strict=True)])
 @pytest.mark.parametrize("first", [0, 3])
-def test_those_set_are_appended_in_order(bits, first):
+def test_those_set_are_appended_in_order_the_lowest_first(bits, lowest, first):
     array, of = np.full(WIDTH + 8, -1), RANDOM.integers(0, 1000, WIDTH)
-    end, chosen = append(array, first, of, bits), of[holds(bits)]
-    assert end == first + chosen.size
+    (end, first_set), chosen = append(array, first, of, bits), of[holds(bits)]
+    assert (end, first_set) == (first + chosen.size, lowest)
     assert np.array_equal(array[first:end], chosen)
     assert np.all(array[:first] == -1)
     assert np.all(array[end + 1 :] == -1)  # one more place may be overwritten
-
-
-@pytest.mark.parametrize(("bits", "lowest"), [(0, 64), (1, 0), (0b1010_0000, 5), (ALL, 0), (1 << 40, 40), (-1, 0)])
-def test_the_first_of_the_bits_is_the_lowest_that_is_set(bits, lowest):
-    assert first_of(bits) == lowest
 
 
 def test_a_stack_is_made_to_begin_where_a_register_does():
