@@ -57,6 +57,10 @@ def test_every_profile_is_read_and_written(profile):
     Draft202012Validator(json_schema()).validate(tomllib.loads(text))
 
 
+def test_the_schema_knows_every_profile():
+    assert json_schema()["$defs"]["Load"]["properties"]["profile"]["enum"] == [*PROFILES]
+
+
 def test_step_and_tip_out_are_one_profile():
     older = study_from_text(config('profile = "tip-out"'))
     study = study_from_text(config('profile = "step"'))

@@ -66,7 +66,7 @@ def _lines(times: FloatArray, torques: FloatArray) -> FloatArray:
     times, torques = np.broadcast_arrays(times, torques)
     pieces = np.zeros((*times.shape, PIECE))
     pieces[..., BEGIN], pieces[..., LEVEL] = times, torques
-    pieces[:, :-1, SLOPE] = np.diff(torques) / _positive(np.diff(times))
+    pieces[:, :-1, SLOPE] = np.diff(torques) / _divisor(np.diff(times))
     return pieces
 
 
@@ -79,7 +79,7 @@ def _profile(values: Mapping[str, Any]) -> tuple[Numbers, FloatArray]:
     match values["profile"]:
         case "ramp":
             end = _span(values["duration"])
-            return before, _rows((0.0, before, change / _positive(end), 0.0, 0.0), (end, *rest))
+            return before, _rows((0.0, before, change / _divisor(end), 0.0, 0.0), (end, *rest))
         case "smooth":
             end = _span(values["duration"])
             return before, _rows((0.0, before + change / 2, 0.0, -change / 2, 0.0), (end, *rest))
@@ -97,7 +97,7 @@ def _span(time: Numbers) -> FloatArray:
     return np.where(np.asarray(time) < _SHORTEST, 0.0, time)
 
 
-def _positive(time: FloatArray) -> FloatArray:
+def _divisor(time: FloatArray) -> FloatArray:
     """Times as divisors, infinite where they count as 0."""
     return np.where(time < _SHORTEST, np.inf, time)
 
@@ -112,11 +112,11 @@ def wave_rates(load: Load) -> FloatArray | None:
     """The matrix S of w' = S w, (2, 2)  [1/s]; None where the profile has no wave."""
     swing = decay = 0.0
     if load.profile == "smooth":
-        swing = float(np.pi / _positive(np.asarray(load.duration)))
+        swing = float(np.pi / _divisor(np.asarray(load.duration)))
     elif load.profile == "sine":
         swing = 2.0 * np.pi * float(load.frequency or 0.0)
     elif load.profile == "lag":
-        decay = float(1.0 / _positive(np.asarray(load.time_constant)))
+        decay = float(1.0 / _divisor(np.asarray(load.time_constant)))
     else:
         return None
     return np.array([[-decay, swing], [-swing, 0.0]])

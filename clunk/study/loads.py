@@ -37,7 +37,7 @@ PROFILES = {
     "lag": Profile("lagging torque change", (*STEP_KEYS, "time_constant")),
     "pulse": Profile("torque pulse", (*STEP_KEYS, "duration")),
     "table": Profile("tabulated torque", ("times", "torques", "scale")),
-    "sine": Profile("torque that swings", (*STEP_KEYS, "amplitude", "frequency")),
+    "sine": Profile("sinusoidal torque", (*STEP_KEYS, "amplitude", "frequency")),
     "tip-out": Profile("ideal torque step (tip-out)", STEP_KEYS),
 }
 _NEEDED = {"duration": "s", "time_constant": "s", "amplitude": "N m", "frequency": "Hz"}
