@@ -422,8 +422,9 @@ def test_modes_names_what_each_mode_moves(clunk):
     assert [sum(shares) for shares in record["closed"]["kinetic_energy_share"]] == pytest.approx([1.0] * 4)
 
 
-def test_init_writes_a_config_that_runs_and_spares_what_is_there(clunk, here):
-    assert clunk("init", "study.toml")[0] == 0
+@pytest.mark.parametrize("origin", [(), ("--from", "car")], ids=["rig", "car"])
+def test_init_writes_a_config_that_runs_and_spares_what_is_there(clunk, here, origin):
+    assert clunk("init", "study.toml", *origin)[0] == 0
     text = (here / "study.toml").read_text()
     code, _, err = clunk("init", "study.toml")
     assert code == 2

@@ -1,6 +1,7 @@
 """Drivelines that nothing holds to ground: the steady motion before the load step, and the run that follows it."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ from clunk.simulation.driveline import Driveline, build
 from clunk.simulation.energy import balance
 from clunk.simulation.history import sample
 from clunk.simulation.phases import preload
+from clunk.simulation.shapes import shuffle_mode
 from clunk.simulation.small_gap import SmallGap
 from clunk.simulation.trajectory import SimulationError, simulate
-from clunk.study.config import study_from_text
+from clunk.study.config import load_study, study_from_text
 
 CONTACTS = {
     "gap": {"separation": "gap"},
@@ -21,6 +23,7 @@ CONTACTS = {
     "restitution": {"restitution": 0.5},
 }
 METHODS = ("rk4", "exact")
+CONFIGS = Path(__file__).parents[1] / "configs"
 PAIR = reference.Plant(
     inertias=(0.2, 0.6), shafts=(), lash=(1, 2), before=-8.0, after=-2.0, acceleration_of=1, backlash=0.05
 )
@@ -203,3 +206,26 @@ def test_the_small_gap_response_is_of_the_torque_that_the_rolling_driveline_carr
     assert gap.start == pytest.approx(6.0, rel=1e-12)  # all drag is behind the lash
     assert gap.end == pytest.approx(-3.0, rel=1e-12)
     assert gap.torque[0] == pytest.approx(gap.start, rel=1e-9)
+
+
+@pytest.mark.parametrize("contact", CONTACTS.values(), ids=CONTACTS)
+@pytest.mark.parametrize("tip", ["out", "in"])
+class TestTheCar:
+    def test_it_shuffles_and_clunks_alike_by_both_methods_and_keeps_its_energy(self, tip, contact):
+        """RK4's 1e-5 s are 70 steps a period of the mesh."""
+        model = "restitution" if "restitution" in contact else "indentation"
+        changes = [
+            f"lash.contact.model='{model}'",
+            *(f"lash.contact.{key}={value!r}" for key, value in contact.items()),
+        ]
+        exact, stepped = (
+            simulate(load_study(CONFIGS / f"car_tip_{tip}.toml", [*changes, f"solver.method='{each}'"]))
+            for each in ("exact", "rk4")
+        )
+        driveline = Driveline.from_study(exact.study)
+        assert 2.0 < driveline.modes(closed=True).frequency[shuffle_mode(driveline)] < 8.0
+        assert exact.label.startswith("DS(" if tip == "out" else "CR(1)")
+        assert stepped.label == exact.label
+        assert stepped.events["time"] == pytest.approx(exact.events["time"], abs=1e-7)
+        assert balance(exact).relative_residual < 1e-9
+        assert balance(stepped).relative_residual < 1e-8

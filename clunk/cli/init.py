@@ -8,15 +8,22 @@ import click
 
 from clunk.cli.options import PATH
 
+_STARTERS = {"rig": ("starter.toml",), "car": ("car.toml", "car-sweep.toml")}  # the files that make each
+
 
 @click.command()
 @click.argument("path", type=PATH, default="clunk.toml")
+@click.option("--from", "origin", type=click.Choice(tuple(_STARTERS)), default="rig", help="What to start from [rig].")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @click.option("--schema", is_flag=True, help="Print the JSON Schema by which editors check configs.")
-def init(path: Path, force: bool, schema: bool) -> None:
+def init(path: Path, origin: str, force: bool, schema: bool) -> None:
     """Write a commented starter config to PATH [clunk.toml]; - prints it.
 
+    The rig has every key there is; the car is a driveline that rolls, with gears, from engine to body.
+
     Example: clunk init study.toml
+
+    Example: clunk init car.toml --from car
 
     Example: clunk init --schema > clunk.schema.json
     """
@@ -29,7 +36,8 @@ def init(path: Path, force: bool, schema: bool) -> None:
 
         click.echo(json.dumps(json_schema(), indent=2, ensure_ascii=False))
         return
-    text = files("clunk.study.presets").joinpath("starter.toml").read_text(encoding="utf-8")
+    presets = files("clunk.study.presets")
+    text = "".join(presets.joinpath(name).read_text(encoding="utf-8") for name in _STARTERS[origin])
     if str(path) == "-":
         click.echo(text, nl=False)
         return

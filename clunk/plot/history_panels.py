@@ -26,7 +26,8 @@ def draw_angles(ax: Axes, curves: Sequence[Curve]) -> None:
         count = max(count, run.twist.shape[1])
         for inertia, angle in enumerate(run.twist.T):
             ax.plot(run.time, angle, zorder=3, **look | {"color": LINE_COLOURS[inertia % len(LINE_COLOURS)]})
-    ax.set_ylabel("Rotation [rad]")
+    rolls = any(run.twist is not run.angle for run, _ in curves)
+    ax.set_ylabel("Rotation less\nrolling [rad]" if rolls else "Rotation [rad]")
     names = curves[0][0].study.driveline.names or ()
     handles = []
     for inertia in range(min(count, 16)):

@@ -103,6 +103,8 @@ class History:
         """(M, n) the angles less the rigid-body motion with their momentum; all of θ if springs hold the driveline."""
         driveline = Driveline.from_study(self.study)
         shape = driveline.rigid_motion.shape
+        if not shape.size:
+            return self.angle
         momentum = driveline.inertia[:, None] * shape
         rolled = self.angle @ momentum / np.sum(momentum * shape, axis=0)
         return np.asarray(self.angle - rolled @ shape.T, np.float64)

@@ -138,15 +138,15 @@ def _preset(raw: dict[str, Any], assignments: Mapping[Place, Any]) -> tuple[str,
         findings.append((place, f"found {shorten(name)}; {hint}{', '.join(map(shorten, PRESETS))}"))
         name = PRESETS[0]  # so that the rest of the file can be checked
     preset = tomllib.loads(files("clunk.study.presets").joinpath(f"{name}.toml").read_text(encoding="utf-8"))
-    by_ratio, by_step = TORQUES
+    presets_own, instead = TORQUES if "ratio" in preset["load"] else TORQUES[::-1]
     swept = [axis.get("parameter") for at, axis in _entries(raw) if at[1] == "axes"]
     profile = assignments.get(("load", "profile"), value_at(raw, ("load", "profile")))
     if (
         profile == "table"
-        or all(f"load.{key}" in swept for key in by_step)
-        or any(("load", key) in assignments or value_at(raw, ("load", key)) is not None for key in by_step)
+        or all(f"load.{key}" in swept for key in instead)
+        or any(("load", key) in assignments or value_at(raw, ("load", key)) is not None for key in instead)
     ):
-        for key in by_ratio:
+        for key in presets_own:
             del preset["load"][key]
     if ("lash", "gap_mm") in assignments or value_at(raw, ("lash", "gap_mm")) is not None:
         del preset["lash"]["backlash_deg"]

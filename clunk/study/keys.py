@@ -11,7 +11,7 @@ from clunk.study.models import Config
 from clunk.study.problems import listing, shorten
 from clunk.study.tables import Quantity
 
-PRESETS = ("boere-2008", "boere-2008-as-printed")
+PRESETS = ("boere-2008", "boere-2008-as-printed", "car")
 ITEM = "#"  # stands in a pattern for any position in a list
 
 # What a preset or an axis may give can be left out of a file.

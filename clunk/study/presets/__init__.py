@@ -1,1 +1,1 @@
-"""Drivelines from the literature, as fragments of a config, and the starter config that `clunk init` writes."""
+"""Drivelines from the literature, as fragments of a config, and the starter configs that `clunk init` writes."""
