@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from helpers import general, margins, reference
 from helpers.randomplants import END_TIME, nudged, plants, rolling_plants
+from helpers.running import stepped
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from clunk.core import switching, tile
 from clunk.core.events import EVENT, TOUCH
-from clunk.core.runs import Log, Start
+from clunk.core.runs import Log
 from clunk.core.status import QUALITY_GRAZING
 from clunk.simulation import driveline
 from clunk.simulation.trajectory import simulate
@@ -331,11 +332,11 @@ def quality_of(plant):
     system, tables = driveline.prepare(study)
     x, events = np.zeros(2 * plant.n), np.zeros(512, EVENT)
     half_gap = float(np.deg2rad(study.lash.backlash_deg) / 2)  # the very number that `simulate` takes
-    side = switching.preload(system, np.array([plant.before, half_gap]), x)
+    side = switching.preload(system, np.array([plant.before, half_gap, 0.0]), x)
     _, _, quality, margin, _ = tile.run(
         system,
         tables,
-        Start(x, switching.closed_on(side), np.array([float(plant.after), half_gap])),
+        stepped(x, switching.closed_on(side), plant.after, half_gap),
         Log(events, np.empty((0, x.size))),
         np.zeros(1, np.uint8),
     )

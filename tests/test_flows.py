@@ -17,7 +17,7 @@ from clunk.core.exact.flows import BLOCK, CROSS, SLOPE, SPANS, TERMS, VALUE
 from clunk.core.jit import compiled
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import WIDTH
-from clunk.core.regimes import ACCELERATION, GAP
+from clunk.core.regimes import ACCELERATION, GAP, INPUTS, TORQUE_RATE
 from clunk.simulation import driveline
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
@@ -48,10 +48,10 @@ def observe(watch, output, f, steady, work, size, inputs, times, results):
     """Value, slope and curvature of a functional, its origin included."""
     none = vectors.splat(0.0)
     seen = curves.evaluate_again(watch, work, size, none, 0, curves.Curve(none, none, none, none, none))
-    value0, slope0, curvature0 = curves.origin(output, f, inputs, 0, steady, vectors.load(times, 0))
-    vectors.store(results, 0, seen.value + value0)
-    vectors.store(results, 1, seen.slope + slope0)
-    vectors.store(results, 2, seen.curvature + curvature0)
+    origin = curves.origin(output, f, inputs, 0, steady, vectors.load(times, 0))
+    vectors.store(results, 0, seen.value + origin.value)
+    vectors.store(results, 1, seen.slope + origin.slope)
+    vectors.store(results, 2, seen.curvature + origin.curvature)
 
 
 @compiled
@@ -75,7 +75,7 @@ JERKING, SIXTHS, SWAYING, RINGING, RUSHING = range(6, 11)
 @compiled
 def expand(series, work, size, shortest, sides, rest, c):
     sign, shift = vectors.load(sides, 0), vectors.load(sides, 1)
-    origin = vectors.load(rest, 0), vectors.load(rest, 1), vectors.load(rest, 2)
+    origin = curves.Origin(vectors.load(rest, 0), vectors.load(rest, 1), vectors.load(rest, 2), vectors.load(rest, 3))
     taylor.expand(series, work, size, shortest, sign, shift, origin, c)
 
 
@@ -197,9 +197,9 @@ class Flow:
         self.fastest = np.abs(np.linalg.eigvals(self.rates)).max()
         self.pace = max(self.fastest, 1.0)
         # velocities by what makes them as large as angles: the exponential is then scaled, and squared, least
-        self.units = np.ones((self.size + 2, 1))
+        self.units = np.ones((self.size + INPUTS, 1))
         self.units[self.size // 2 : self.size] = 2.0 ** np.round(np.log2(self.pace))
-        self.augmented = np.zeros((self.size + 2, self.size + 2))
+        self.augmented = np.zeros((self.size + INPUTS, self.size + INPUTS))
         self.augmented[: self.size] = np.hstack((self.rates, self.inputs))
         self.augmented *= self.units.T / self.units
         self.impulsive = bool(system.impulsive)
@@ -210,9 +210,10 @@ class Flow:
         return bool(self.modal)
 
     def starts(self):
-        """(2n, W), (2, W): random states and inputs; on the constraint, where the flow has one."""
+        """(2n, W), (INPUTS, W): random states and inputs; on the constraint, where the flow has one."""
         random = np.random.default_rng(1)
-        x, u = random.normal(size=(self.size, WIDTH)), random.normal(size=(2, WIDTH))
+        x, u = random.normal(size=(self.size, WIDTH)), np.zeros((INPUTS, WIDTH))
+        u[:TORQUE_RATE] = random.normal(size=(2, WIDTH))
         n = self.size // 2
         x[n:] *= self.pace * 0.1
         if self.impulsive and not np.any(self.rates[n:].T @ self.lash):  # locked: q = s φ/2 and q' = 0
@@ -250,7 +251,7 @@ class Flow:
         jump(np.ascontiguousarray(self.propagator[k].reshape(WIDTH, -1).T), work, self.count)
 
     def leave(self, work, u, times):
-        value, slope, curvature = self.origin @ u
+        value, slope, curvature, _ = self.origin @ u
         return value + times * (slope + 0.5 * times * curvature) + (self.basis.T @ work[: self.count])[: self.size]
 
     def observe(self, f, work, u, times):
@@ -270,9 +271,10 @@ class Flow:
         return self.functionals @ x + self.feedthrough @ u
 
     def output_origin(self, u, times):
-        """(3, F, W): value, slope and curvature of the functionals' origins."""
-        value, slope, curvature = self.origin_output @ u
-        return np.array([value + times * (slope + 0.5 * times * curvature), slope + times * curvature, curvature])
+        """(4, F, W): the functionals' origins and their derivatives."""
+        value, slope, curvature, jerk = self.origin_output @ u
+        value = value + times * (slope + 0.5 * times * curvature)
+        return np.array([value, slope + times * curvature, curvature, jerk])
 
     def scale(self, *states):
         """(2n, W): as large as angles and velocities get, the origin included."""

@@ -113,7 +113,7 @@ class TestRuns:
         assert stepped.label == exact.label
         assert np.array_equal(stepped.events["kind"], exact.events["kind"])
         assert stepped.events["time"] == pytest.approx(exact.events["time"], abs=1e-6)
-        assert balance(exact).relative_residual < 1e-12
+        assert balance(exact).relative_residual < 1e-11  # rounding, of angles that rolling makes ten times as large
         assert balance(stepped).relative_residual < 1e-7
 
     def test_the_history_begins_with_the_steady_motion(self, contact, plant):

@@ -1,8 +1,11 @@
 """A driveline with one lash as a switched linear system: a list of regimes, as data.
 
-A run has constant inputs d = (T, φ/2): the load torque and the half gap. Within a regime x' = A x + B u, with
-x = (θ, θ') and u = signs · d, each input by the regime's own sign: u = (T, s φ/2), s the side of the flank in contact
-(0: none). A regime ends when one of its *guards*, sign · functional(x, u) + offsets · d, positive inside it, turns
+A run has the inputs d = (T, φ/2, T'): the load torque, the half gap, and the torque's rate of change. Within a regime
+x' = A x + B u, with x = (θ, θ') and u = signs · d, each input by the regime's own sign: u = (T, s φ/2, T'), s the side
+of the flank in contact (0: none). Between kinks of the load T' is constant; a load that swings or decays adds its wave
+w to x = (θ, θ', w), w' = S w, whose first number is added to the torque.
+
+A regime ends when one of its *guards*, sign · functional(x, u) + offsets · d, positive inside it, turns
 negative; a table names its successor. For the indentation model (report §2.3.2):
 
     regime      flow     guards                       successor
@@ -33,8 +36,8 @@ IntArray = npt.NDArray[np.int64]
 
 OPEN_FLOW, CLOSED_FLOW = 0, 1
 OPEN, CLOSED_POSITIVE, CLOSED_NEGATIVE, PARTED_POSITIVE, PARTED_NEGATIVE = range(5)
-TORQUE, HALF_GAP = range(2)
-INPUTS = 2  # known to the compiler, which unrolls the loops over them
+TORQUE, HALF_GAP, TORQUE_RATE = range(3)
+INPUTS = 3  # known to the compiler, which unrolls the loops over them
 # The functionals: q, θ'' of one inertia, and the contact torque, signed like q: k q + c q', or the torque that locks q;
 # the last is left out where no guard needs it, a functional less to step.
 GAP, ACCELERATION, FORCE = range(3)
@@ -70,7 +73,8 @@ GUARD = np.dtype(
 class System(NamedTuple):
     """One driveline with its lash and contact, ready to run.
 
-    N states, I inputs, F functionals, L flows, R regimes in U groups, with at most G guards each.
+    n inertias, N states (2n, or 2n + 2 with a wave), I inputs, F functionals, L flows, R regimes in U groups, with at
+    most G guards each.
     """
 
     # the flows
@@ -79,6 +83,8 @@ class System(NamedTuple):
     functionals: FloatArray  # (L, F, N)  C of each flow
     feedthrough: FloatArray  # (L, F, I)  D of each flow
     lash: FloatArray  # (N,)  q' = lash · x
+    inertias: int  # n
+    ramps: int  # whether the torque's rate of change can be other than zero
     # the regimes
     regimes: npt.NDArray[np.void]  # (R,) REGIME
     guards: npt.NDArray[np.void]  # (R, G) GUARD
@@ -92,9 +98,9 @@ class System(NamedTuple):
     restitution: float  # e
     locking_speed: float  # rad/s; a negative one is relative to the fastest touch of the run so far
     # before the step
-    preload: FloatArray  # (N, I)  steady motion in contact, at the load step, per unit of (T, s φ/2)
-    contact_torque: FloatArray  # (I,)  the torque across the lash in it, signed like q
-    drift: FloatArray  # (N, 0 to 2)  what no torque depends on: the rigid-body angle and, without drag, its speed
+    preload: FloatArray  # (N, I)  steady motion in contact, at the load step, per unit of (T, s φ/2, 0)
+    contact_torque: FloatArray  # (2,)  the torque across the lash in it, per unit of (T, s φ/2), signed like q
+    drift: FloatArray  # (2n, 0 to 2)  what no torque depends on: the rigid-body angle and, without drag, its speed
     # scalars
     end_time: float  # s after the load step
     sticking_time: float  # s
@@ -131,6 +137,8 @@ def build_system(
     rigid: RigidMotion,
     restitution: float | None = None,
     locking_speed: float | None = None,
+    wave_rates: FloatArray | None = None,
+    ramps: bool = False,
 ) -> System:
     """The switched linear system of a driveline with one lash (report Eqs 2.6, and 2.12 or 2.9).
 
@@ -153,6 +161,10 @@ def build_system(
         e of the restitution model; without it the contact is the spring and damper of the indentation model.
     locking_speed : float, optional  [rad/s]
         A rebound not faster than this locks; by default LOCKING_SHARE of the fastest touch of the run so far.
+    wave_rates : (2, 2) float64, optional  [1/s]
+        S of the load's wave, for loads that have one.
+    ramps : bool
+        Whether the torque's rate of change, an input, can be other than zero.
     """
     n = inertia.size
     impulsive = restitution is not None
@@ -170,7 +182,7 @@ def build_system(
 
     with_force = impulsive or separation_by_force
     functionals = np.zeros((2, 3 if with_force else 2, 2 * n))
-    feedthrough = np.zeros((*functionals.shape[:2], 2))
+    feedthrough = np.zeros((*functionals.shape[:2], INPUTS))
     functionals[:, GAP, :n] = lash
     functionals[:, ACCELERATION] = rates[:, n + acceleration_of]
     feedthrough[:, ACCELERATION] = inputs[:, n + acceleration_of]
@@ -191,26 +203,50 @@ def build_system(
         inertial = load - damping @ rigid.speeds - inertia * rigid.accelerations
     if motions <= 1:
         momentum = inertia[:, None] * rigid.shape
-        preload[:n] = _preload(stiffness, inertial, lash, momentum, None if impulsive else contact_stiffness)
-        preload[n:, TORQUE] = rigid.speeds
-    return System(
+        angles = _preload(stiffness, inertial, lash, momentum, None if impulsive else contact_stiffness)
+        preload[:n, :TORQUE_RATE], preload[n:, TORQUE] = angles, rigid.speeds
+    system = System(
         rates=rates,
         inputs=inputs,
         functionals=functionals,
         feedthrough=feedthrough,
         lash=np.concatenate([np.zeros(n), lash]),
+        inertias=n,
+        ramps=int(ramps),
         **_tables(table),
         impulsive=int(impulsive),
         impulse=np.concatenate([np.zeros(n), lash / inertia / mobility]),
         restitution=restitution if restitution is not None else 0.0,
         locking_speed=locking_speed if locking_speed is not None else -LOCKING_SHARE,
         preload=preload,
-        contact_torque=_contact_torque(stiffness, inertial, lash, preload[:n]),
+        contact_torque=_contact_torque(stiffness, inertial, lash, preload[:n, :TORQUE_RATE]),
         drift=np.ascontiguousarray(np.kron(np.eye(2)[:, : 1 if rigid.is_dragged else 2], rigid.shape)),
         end_time=end_time,
         sticking_time=sticking_time,
         status=int(Status.OK if motions <= 1 else Status.NO_EQUILIBRIUM),
     )
+    return system if wave_rates is None else _with_wave(system, wave_rates)
+
+
+def _with_wave(system: System, wave_rates: FloatArray) -> System:
+    """A system with two states more, w, the first of which is added to the torque."""
+    flows, size = system.rates.shape[:2]
+    rates, functionals = np.zeros((flows, size + 2, size + 2)), _wider(system.functionals)
+    rates[:, :size, :size], rates[:, size:, size:] = system.rates, wave_rates
+    rates[:, :size, size], functionals[:, :, size] = system.inputs[:, :, TORQUE], system.feedthrough[:, :, TORQUE]
+    return system._replace(
+        rates=rates,
+        inputs=_wider(system.inputs.swapaxes(1, 2)).swapaxes(1, 2).copy(),
+        functionals=functionals,
+        lash=_wider(system.lash),
+        impulse=_wider(system.impulse),
+        preload=_wider(system.preload.T).T.copy(),
+    )
+
+
+def _wider(array: FloatArray) -> FloatArray:
+    """An array whose last dimension is longer by two zeros."""
+    return np.concatenate([array, np.zeros((*array.shape[:-1], 2))], axis=-1)
 
 
 class _Guard(NamedTuple):
@@ -298,7 +334,8 @@ def _tables(table: list[_Regime]) -> dict[str, npt.NDArray[Any]]:
             first = [other.functional for other in rows].index(guard.functional)
             guards[k, g] = (*guard[:2], *guard[3:5], side, *guard[5:7], guard.of_rest, first)
             offsets[k, g, HALF_GAP], scales[k, g, HALF_GAP] = guard.offset, guard.of_gap
-    signs = np.column_stack([np.ones(len(table)), regimes["side"]])
+    signs = np.ones((len(table), INPUTS))
+    signs[:, HALF_GAP] = regimes["side"]
     return {
         "regimes": regimes,
         "guards": guards,
@@ -340,7 +377,7 @@ def _locked(
 
 
 class Reduction(NamedTuple):
-    """Coordinates y in which a flow has no constraint: x = expand y + shift s φ/2 and y = pick x."""
+    """Coordinates y in which a flow has no constraint: (θ, θ') = expand y + shift s φ/2 and y = pick (θ, θ')."""
 
     expand: FloatArray
     pick: FloatArray
@@ -350,6 +387,15 @@ class Reduction(NamedTuple):
 def unconstrained(size: int) -> Reduction:
     """Every coordinate its own."""
     return Reduction(np.eye(size), np.eye(size), np.zeros(size))
+
+
+def with_wave(reduction: Reduction, states: int) -> Reduction:
+    """A reduction of a system with `states` of a wave more, which nothing constrains."""
+    expand, pick = (
+        np.block([[matrix, np.zeros((matrix.shape[0], states))], [np.zeros((states, matrix.shape[1])), np.eye(states)]])
+        for matrix in (reduction.expand, reduction.pick)
+    )
+    return Reduction(expand, pick, np.concatenate([reduction.shift, np.zeros(states)]))
 
 
 def constrained(lash: FloatArray) -> Reduction:

@@ -6,21 +6,26 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.jit import unowned_inlined
+from clunk.core.regimes import TORQUE, TORQUE_RATE, System
 
 FloatArray = npt.NDArray[np.float64]
 
+
 # Columns of a load's pieces: from BEGIN [s after the load step] until the next piece begins, the torque is
-# T = LEVEL + SLOPE (t - BEGIN) + w1(t), where w' = S w from w(BEGIN) = (WAVE, WAVE_PARTNER); the last goes on for ever.
+# T = LEVEL + SLOPE (t - BEGIN) + w1(t), where w' = S w from w(BEGIN) = (WAVE, WAVE_PARTNER); the last goes on for ever,
+# and has no slope. A piece that ends where it begins is skipped.
 BEGIN, LEVEL, SLOPE, WAVE, WAVE_PARTNER = range(5)
 PIECE = 5
 
 
 class Start(NamedTuple):
-    """The beginning of a run, at the load step; N states."""
+    """The beginning of a run, at the load step; N states, P pieces."""
 
     x: FloatArray  # (N,)  [rad, rad/s]
     regime: int  # the one that x is in
-    inputs: FloatArray  # (INPUTS,)  d = (T, φ/2) from the load step on  [N m, rad]
+    half_gap: float  # φ/2  [rad]
+    loads: FloatArray  # (loads, P, PIECE)  [s, N m, N m/s]
+    load: int  # which of them is the run's
 
 
 class Log(NamedTuple):
@@ -38,6 +43,33 @@ class Outcome(NamedTuple):
     quality: int  # QUALITY_COMPLETE where it was proved that nothing follows; exact: QUALITY_GRAZING too
     margin: float  # see clunk.core.exact.run; NaN by rk4, which knows none
     end: float  # s after the load step
+
+
+@unowned_inlined
+def piece_at(load: FloatArray, piece: int, time: float) -> int:
+    """The piece of a load (P, PIECE) that holds from a time on; not before `piece`."""
+    while piece + 1 < load.shape[0] and load[piece + 1, BEGIN] <= time:
+        piece += 1
+    return piece
+
+
+@unowned_inlined
+def set_torque(system: System, load: FloatArray, piece: int, time: float, inputs: FloatArray) -> None:
+    """Set the torque and its rate of change, in the inputs d of a run, to those of a piece at a time."""
+    row = load[piece]
+    inputs[TORQUE], inputs[TORQUE_RATE] = row[LEVEL], 0.0
+    if system.ramps != 0:
+        inputs[TORQUE], inputs[TORQUE_RATE] = row[LEVEL] + row[SLOPE] * (time - row[BEGIN]), row[SLOPE]
+
+
+@unowned_inlined
+def begin_wave(system: System, load: FloatArray, piece: int, x: FloatArray) -> None:
+    """Set the wave in a state to what it is where a piece begins; where no ramp is an input, it is the wave's part."""
+    size = 2 * system.inertias
+    if x.size > size:
+        x[size], x[size + 1] = load[piece, WAVE], load[piece, WAVE_PARTNER]
+        if system.ramps == 0:
+            x[size + 1] += load[piece, SLOPE]
 
 
 @unowned_inlined

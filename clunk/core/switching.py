@@ -20,6 +20,7 @@ from clunk.core.regimes import (
     OPEN,
     OPEN_FLOW,
     TORQUE,
+    TORQUE_RATE,
     System,
 )
 from clunk.core.runs import Log, record
@@ -58,7 +59,7 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> int:
     Parameters
     ----------
     inputs : (INPUTS,) float64
-        d = (T, φ/2) before the load step  [N m, rad].
+        d before the load step  [N m, rad, N m/s].
     x : (N,) float64  [rad, rad/s]
         Output.
     """
@@ -187,7 +188,7 @@ def _release(
     _hold(system, x, side * inputs[HALF_GAP])  # released where it was held, but for what rounding has added up
     record(log, count, time, 0.0, row.event_kind, row.successor, side, x)
     if inputs[HALF_GAP] > 0.0:
-        torque_held, _, scale = _held(system, x, inputs[TORQUE])
+        torque_held, _, scale = _held(system, x, inputs)
         # where the load step itself parts them, q'' is not zero
         order = 2 if abs(torque_held) > _CLEARLY_NOT_ZERO * scale else int(row.zero_order)
         return Entry(count + 1, row.successor, row.zero_guard, order)
@@ -215,8 +216,8 @@ def _rebound(
     """
     tolerance = system.locking_speed if system.locking_speed >= 0.0 else -system.locking_speed * fastest
     # a rebound lower than the rounding of the gap cannot be followed
-    place, pull, n = 0.0, 0.0, x.size // 2
-    for k in range(n, x.size):
+    place, pull, n = 0.0, 0.0, system.inertias
+    for k in range(n, 2 * n):
         weight = system.lash[k]
         if weight != 0.0:
             place += abs(weight * x[k - n])
@@ -227,7 +228,7 @@ def _rebound(
             x[k] -= (1.0 + system.restitution) * speed * system.impulse[k]
         return OPEN, 1
     _hold(system, x, side * inputs[HALF_GAP])
-    torque_held, slope, scale = _held(system, x, inputs[TORQUE])
+    torque_held, slope, scale = _held(system, x, inputs)
     pressing = side * torque_held
     if abs(pressing) <= ROUNDING * scale:  # zero: what it turns into decides
         pressing = side * slope
@@ -244,9 +245,10 @@ def _open_rate(system: System, k: int, x: FloatArray, torque: float) -> float:
 
 
 @unowned
-def _held(system: System, x: FloatArray, torque: float) -> tuple[float, float, float]:
+def _held(system: System, x: FloatArray, inputs: FloatArray) -> tuple[float, float, float]:
     """The torque that would keep q'' at zero, its rate of change, and the size of the terms that make it."""
-    torque_held, slope = system.feedthrough[OPEN_FLOW, FORCE, TORQUE] * torque, 0.0
+    torque, direct = inputs[TORQUE], system.feedthrough[OPEN_FLOW, FORCE, TORQUE]
+    torque_held, slope = direct * torque, direct * inputs[TORQUE_RATE]
     scale = abs(torque_held)
     for k in range(x.size):
         weight = system.functionals[OPEN_FLOW, FORCE, k]
@@ -263,7 +265,7 @@ def _hold(system: System, x: FloatArray, gap: float) -> None:
     The last of the inertias at the lash that turn as q does, not through the gear ratio, then takes what is left of
     rounding, so that q' is zero to the last bit.
     """
-    n = x.size // 2
+    n = system.inertias
     for first, target in ((0, gap), (n, 0.0)):
         excess = -target
         last = -1

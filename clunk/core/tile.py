@@ -11,7 +11,7 @@ from clunk.core.exact import run as exact
 from clunk.core.exact.flows import Flows
 from clunk.core.exact.workspace import UNDER_WAY, make_workspace
 from clunk.core.jit import compiled, unowned
-from clunk.core.regimes import System
+from clunk.core.regimes import HALF_GAP, INPUTS, TORQUE, System
 from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import Steps
 from clunk.core.runs import Log, Outcome, Start
@@ -55,10 +55,14 @@ IMPACT = np.dtype(
 
 
 class Cases(NamedTuple):
-    """The inputs d = (T, φ/2) of cells before the load step, and after it: (cells, INPUTS) each  [N m, rad]."""
+    """The inputs of cells before the load step, and their loads after it: one for each cell, or one for all."""
 
-    before: FloatArray
-    after: FloatArray
+    before: FloatArray  # (cells, INPUTS)  d  [N m, rad, N m/s]
+    loads: FloatArray  # (cells or 1, P, PIECE)
+
+    def at(self, index: npt.NDArray[np.intp]) -> "Cases":
+        """The cells at these positions."""
+        return Cases(self.before[index], self.loads if len(self.loads) == 1 else self.loads[index])
 
 
 class Output(NamedTuple):
@@ -76,9 +80,11 @@ class _Scratch(NamedTuple):
     speeds: FloatArray
 
 
-def cases_of(torque_before: FloatArray, torque_after: FloatArray, half_gap: FloatArray) -> Cases:
-    """Cells with these load torques [N m] and half gaps [rad], each (cells,)."""
-    return Cases(*(np.column_stack([torque, half_gap]) for torque in (torque_before, torque_after)))
+def cases_of(torque_before: FloatArray, half_gap: FloatArray, loads: FloatArray) -> Cases:
+    """Cells with these torques before the load step [N m] and half gaps [rad], each (cells,), and these loads."""
+    before = np.zeros((half_gap.size, INPUTS))
+    before[:, TORQUE], before[:, HALF_GAP] = torque_before, half_gap
+    return Cases(before, loads)
 
 
 def run(system: System, tables: Steps | Flows, start: Start, log: Log, stop: npt.NDArray[np.uint8]) -> Outcome:
@@ -137,7 +143,9 @@ def by_rk4(
             return k, written
         if not _preloaded(system, cases.before[k], cells[k], x):
             continue
-        start = Start(x, switching.closed_on(cells[k].initial_side), cases.after[k])
+        load = k % cases.loads.shape[0]
+        half_gap = cases.before[k, HALF_GAP]
+        start = Start(x, switching.closed_on(cells[k].initial_side), half_gap, cases.loads, load)
         outcome = rk4.run(system, steps, start, log, stop)
         if outcome.status == INTERRUPTED:
             return k, written
@@ -165,7 +173,8 @@ def by_exact(
     cells, impacts, size, waiting = output.cells, output.impacts, system.lash.size, output.cells.size - first
     slots = min(UNDER_WAY, max(waiting, 1), max(_EVENT_MEMORY // (max_events + 1), 1))
     x = np.empty(size)
-    space = make_workspace(system, flows, np.empty((slots, max_events + 1), EVENT), np.empty((slots, 0, size)))
+    events, states = np.empty((slots, max_events + 1), EVENT), np.empty((slots, 0, size))
+    space = make_workspace(system, flows, cases.loads, events, states)
     pool, over, scratch = space.pool, space.queues.over, _scratch(max_events)
     free, spare = np.arange(slots), slots
     begins, pending = np.full(waiting, -1), np.ones(waiting, np.bool_)  # where its impacts are; whether it is not over
@@ -177,7 +186,9 @@ def by_exact(
                 spare -= 1
                 slot = free[spare]
                 space.runs[slot].tag = admitted
-                exact.begin(space, slot, Start(x, switching.closed_on(cell.initial_side), cases.after[admitted]))
+                regime, half_gap = switching.closed_on(cell.initial_side), cases.before[admitted, HALF_GAP]
+                load = admitted % cases.loads.shape[0]
+                exact.begin(space, slot, Start(x, regime, half_gap, cases.loads, load))
             else:
                 pending[admitted - first] = False
             admitted += 1
@@ -189,16 +200,16 @@ def by_exact(
         for n in range(pool.length[over]):
             slot = pool.waiting[over, n]
             row = space.runs[slot]
-            k, events = row.tag, space.events[slot]
+            k, log = row.tag, space.events[slot]
             free[spare] = slot
             spare += 1
             outcome = Outcome(row.status, row.count, row.quality, exact.margin_of(space, slot), row.time)
-            primaries = _describe(system, undecided, outcome, events, cells[k], scratch)
+            primaries = _describe(system, undecided, outcome, log, cells[k], scratch)
             # room is kept for the oldest, so that every call is through with one cell at least
             if written + primaries + (0 if k == oldest else max_events) > impacts.size:
                 full = True
                 continue
-            _copy(events, primaries, cells[k].initial_side, scratch, impacts, written)
+            _copy(log, primaries, cells[k].initial_side, scratch, impacts, written)
             begins[k - first], pending[k - first] = written, False
             written += primaries
             while oldest < admitted and not pending[oldest - first]:

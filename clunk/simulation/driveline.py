@@ -15,6 +15,7 @@ from clunk.core.regimes import RigidMotion, System, build_system, chain, constra
 from clunk.core.rk4.propagator import Steps, build_steps
 from clunk.core.status import Status
 from clunk.simulation import rigid
+from clunk.simulation.load import is_moving, wave_rates
 from clunk.study.models import Lash, Shaft
 from clunk.study.study import Study
 
@@ -109,9 +110,11 @@ class Driveline:
 def prepare(study: Study) -> tuple[System, Steps | Flows]:
     """The switched linear system of a study, and the tables of its method: ready to run."""
     driveline = Driveline.from_study(study)
-    system = _build(study, driveline)
-    if study.solver.method == "exact":
+    if study.solver.method == "exact":  # to which a ramp is an input
+        rates = wave_rates(study.load)
+        system = _build(study, driveline, rates, ramps=rates is None and is_moving(study.load))
         return system, _flows(study, driveline, system)
+    system = _build(study, driveline, _wave_rates(study))
     steps = build_steps(system, study.solver.step)
     return (system if steps.stable else system._replace(status=int(Status.UNSTABLE_STEP))), steps
 
@@ -124,12 +127,12 @@ def explained(study: Study, status: Status) -> str:
     return rigid.separate_part(driveline.rigid_motion, driveline.load, driveline.names)
 
 
-def build(study: Study) -> System:
-    """The switched linear system of a study."""
-    return _build(study, Driveline.from_study(study))
+def build(study: Study, *, waves: bool = False) -> System:
+    """The switched linear system of a study; with the states of its load's wave, as RK4 has them, if that moves."""
+    return _build(study, Driveline.from_study(study), _wave_rates(study) if waves else None)
 
 
-def _build(study: Study, driveline: Driveline) -> System:
+def _build(study: Study, driveline: Driveline, wave_rates: FloatArray | None = None, *, ramps: bool = False) -> System:
     contact = study.lash.contact
     restitution = contact.model == "restitution"
     sticking_time = study.impacts.sticking_time
@@ -153,7 +156,15 @@ def _build(study: Study, driveline: Driveline) -> System:
         rigid=driveline.rigid_motion,
         restitution=contact.restitution if restitution else None,
         locking_speed=contact.locking_speed,
+        wave_rates=wave_rates,
+        ramps=ramps,
     )
+
+
+def _wave_rates(study: Study) -> FloatArray | None:
+    """S of the load's wave, which may be a ramp; None where the load moves by jumps only."""
+    rates = wave_rates(study.load)
+    return np.array([[0.0, 1.0], [0.0, 0.0]]) if rates is None and is_moving(study.load) else rates
 
 
 def _flows(study: Study, driveline: Driveline, system: System) -> Flows:

@@ -3,15 +3,15 @@
     stored before + work of the load = stored after + damped + lost at impacts + dropped by the contact - regained
 
 Every term is computed by itself and none is the difference of the others, so that the residual tests the run: how far
-the state recorded at each event is from where the exact flow takes the one recorded before it. Within a phase
-x' = A x + B u with a constant u, so that y = x' = (θ', θ'') obeys y' = A y, and a damper takes c ∫ (row · y)² dt, a
-quadratic form in y at the phase's start:
+the state recorded at each event is from where the exact flow takes the one recorded before it. Within a stretch of a
+phase, under one piece of the load, x' = A x + B u with a constant u, so that y = x' = (θ', θ'', w') obeys y' = A y, and
+a damper takes c ∫ (row · y)² dt, a quadratic form in y at the stretch's start:
 
-    Ψ(t) = ∫ exp(A s) ds,  G(t) = ∫ exp(A s)ᵀ rowᵀ row exp(A s) ds
+    Ψ(t) = ∫ exp(A s) ds,  G(t) = ∫ exp(A s)ᵀ F exp(A s) ds,  F = rowᵀ row
 
 are power series for a short time, and Φ(2t) = Φ(t)², Ψ(2t) = Ψ(t) (1 + Φ(t)), G(2t) = G(t) + Φ(t)ᵀ G(t) Φ(t) with
 Φ = exp(A t) (C.F. Van Loan, Computing integrals involving the matrix exponential, 1978, doi:10.1109/TAC.1978.1101743).
-Neither has a growing exponential in it.
+Neither has a growing exponential in it. The work of the load's wave w, ∫ w θ' dt, is such a form in (x, 1).
 """
 
 import math
@@ -19,12 +19,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import matrix_balance
 
 from clunk.core.events import REJOIN, SEPARATION, TOUCH
 from clunk.core.regimes import HALF_GAP, TORQUE
 from clunk.simulation.driveline import Driveline, build
-from clunk.simulation.load import run_inputs
-from clunk.simulation.phases import Regime, regimes_of
+from clunk.simulation.load import run_load
+from clunk.simulation.phases import Regime, inputs_of, regimes_of, stretches, with_wave
 from clunk.simulation.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
@@ -95,37 +96,41 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
     A term beyond the range of numbers is infinite or NaN.
     """
     study, events, states = trajectory.study, trajectory.events, trajectory.states
-    line, system = Driveline.from_study(study), build(study)
+    line, system = Driveline.from_study(study), build(study, waves=True)
     n, impulsive = line.inertia.size, bool(system.impulsive)
-    inputs = run_inputs(study)[1]
-    regimes = regimes_of(system, inputs)
+    before, load = run_load(study)
+    half_gap = float(before[HALF_GAP])
+    regimes = regimes_of(system, before)
     rows, contact_damping = np.vstack([line.shafts, line.lash]), 0.0 if impulsive else line.contact_damping
 
     def indented(x: FloatArray, side: int) -> float:
-        overlap = side * (line.lash @ x[:n]) - inputs[HALF_GAP]
+        overlap = side * (line.lash @ x[:n]) - half_gap
         return 0.0 if impulsive else float(line.contact_stiffness * overlap**2 / 2.0)
 
     def stored(x: FloatArray, regime: Regime) -> tuple[float, tuple[float, ...], float]:
         """In the inertias, in each shaft and in the contact."""
         shafts = line.shaft_stiffness * (line.shafts @ x[:n]) ** 2 / 2.0
         contact = indented(x, regime.side) if regime.closed else 0.0
-        return float(line.inertia @ x[n:] ** 2 / 2.0), tuple(shafts.tolist()), contact
+        return float(line.inertia @ x[n : 2 * n] ** 2 / 2.0), tuple(shafts.tolist()), contact
 
     work, damped, x = 0.0, np.zeros(rows.shape[0]), states[0]
     for event, start, end in zip(events, states, np.append(events["time"][1:], trajectory.end), strict=True):
-        regime = regimes[event["regime"]]
-        rates = regime.rates @ start + regime.forcing
-        travel, forms = _integrals(regime.rates, rows, float(end - event["time"]))
-        moved = travel @ rates
-        work += float(inputs[TORQUE] * (line.load @ moved[:n]))
-        dampers = np.append(line.shaft_damping, contact_damping * regime.closed)
-        damped += dampers * np.einsum("i,kij,j->k", rates, forms, rates)
-        x = start + moved
+        x = start
+        for stretch in stretches(load, float(event["time"]), float(end)):
+            inputs, x = inputs_of(half_gap, load, stretch.piece), with_wave(system, x, load, stretch)
+            regime, length = regimes_of(system, inputs)[event["regime"]], stretch.end - stretch.begin
+            rates = regime.rates @ x + regime.forcing
+            travel, taken = _integrals(regime.rates, _squares(rows, x.size), length)
+            moved = travel @ rates
+            work += float(inputs[TORQUE] * (line.load @ moved[:n])) + _work_of_wave(regime, x, line.load, length)
+            dampers = np.append(line.shaft_damping, contact_damping * regime.closed)
+            damped += dampers * np.einsum("i,kij,j->k", rates, taken, rates)
+            x = x + moved
 
     lost = 0.0
     if impulsive:
         touches = events["kind"] == TOUCH
-        lost_squares = events["speed"][touches] ** 2 - (states[touches] @ system.lash) ** 2
+        lost_squares = events["speed"][touches] ** 2 - (states[touches] @ system.lash[: 2 * n]) ** 2
         lost = float(np.sum(lost_squares) / np.sum(line.lash**2 / line.inertia) / 2.0)
     by_force = not impulsive and study.lash.contact.separation == "force"
     dropped, regained = (
@@ -150,46 +155,65 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
     )
 
 
-def _integrals(rates: FloatArray, rows: FloatArray, length: float) -> tuple[FloatArray, FloatArray]:
+def _squares(rows: FloatArray, size: int) -> FloatArray:
+    """F of each damper, (m, size, size), from rows (m, n): its speed = row · θ'."""
+    n = rows.shape[1]
+    forms = np.zeros((rows.shape[0], size, size))
+    forms[:, :n, :n] = rows[:, :, None] * rows[:, None, :]
+    return forms
+
+
+def _work_of_wave(regime: Regime, x: FloatArray, load: FloatArray, length: float) -> float:
+    """∫ w1 θ' dt of the loaded inertia over a time  [J]; x is (θ, θ', w), and load is 1 at that inertia."""
+    size, n = x.size, load.size
+    if size == 2 * n:
+        return 0.0
+    rates, form = np.zeros((size + 1, size + 1)), np.zeros((size + 1, size + 1))
+    rates[:size, :size], rates[:size, size] = regime.rates, regime.forcing
+    form[2 * n, n : 2 * n] = form[n : 2 * n, 2 * n] = load / 2.0
+    z = np.append(x, 1.0)
+    return float(z @ _integrals(rates, form[None], length)[1][0] @ z)
+
+
+def _integrals(rates: FloatArray, forms: FloatArray, length: float) -> tuple[FloatArray, FloatArray]:
     """Ψ and G of a flow over a time.
 
     Parameters
     ----------
-    rates : (2n, 2n) float64
-        A, of x = (θ, θ').
-    rows : (m, n) float64
-        Speed of each damper = row · θ'.
+    rates : (N, N) float64
+        A.
+    forms : (m, N, N) float64
+        F, symmetric.
     length : float  [s]
 
     Returns
     -------
-    travel : (2n, 2n) float64  [s]
+    travel : (N, N) float64  [s]
         Ψ: x moves by Ψ x'.
-    forms : (m, 2n, 2n) float64  [s]
-        G of each row: ∫ (row · θ')² dt = x'ᵀ G x'.
+    integrals : (m, N, N) float64  [s]
+        G of each F.
     """
-    size, n = rates.shape[0], rows.shape[1]
+    size = rates.shape[0]
     # in units in which an angle and a velocity are of one size, so that the norm of A is about its largest |λ|
-    fastest = float(np.abs(np.linalg.eigvals(rates)).max()) if np.all(np.isfinite(rates)) else math.nan
-    unit = np.concatenate([np.ones(n), np.full(n, fastest if fastest > 0.0 else 1.0)])
-    scaled = rates / unit[:, None] * unit
-    reach = float(np.linalg.norm(scaled)) * length
+    balanced = matrix_balance(rates, permute=False, separate=True) if np.all(np.isfinite(rates)) else None
+    reach = float(np.linalg.norm(balanced[0])) * length if balanced is not None else math.nan
     if not math.isfinite(reach):
-        return np.full((size, size), math.nan), np.full((rows.shape[0], size, size), math.nan)
+        return np.full((size, size), math.nan), np.full(forms.shape, math.nan)
+    assert balanced is not None
+    scaled, (unit, _) = balanced
     doublings = max(0, math.ceil(math.log2(4.0 * reach))) if reach > 0.0 else 0
     short = length / 2.0**doublings
 
-    term, form = np.eye(size), np.zeros((rows.shape[0], size, size))
-    form[:, :n, :n] = rows[:, :, None] * rows[:, None, :]
-    flow, travel, forms = np.eye(size), np.zeros((size, size)), np.zeros_like(form)
+    term, form = np.eye(size), forms * unit[:, None] * unit
+    flow, travel, integrals = np.eye(size), np.zeros((size, size)), np.zeros_like(form)
     for k in range(1, _ORDER + 1):
         travel += term * short / k
-        forms += form * short / k
+        integrals += form * short / k
         term = term @ scaled * short / k
         form = (form @ scaled + scaled.T @ form) * short / k
         flow += term
     for _ in range(doublings):
-        forms += flow.T @ forms @ flow
+        integrals += flow.T @ integrals @ flow
         travel += travel @ flow
         flow = flow @ flow
-    return travel * unit[:, None] / unit, forms / unit[:, None] / unit
+    return travel * unit[:, None] / unit, integrals / unit[:, None] / unit

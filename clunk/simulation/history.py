@@ -4,6 +4,8 @@ Every phase starts from the state that the run recorded at its event; nothing is
 searched again.
 """
 
+import functools
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -14,11 +16,11 @@ import numpy.typing as npt
 
 from clunk.core import switching
 from clunk.core.events import TOUCH
-from clunk.core.regimes import TORQUE, System
+from clunk.core.regimes import HALF_GAP, TORQUE, System
 from clunk.core.status import Status
 from clunk.simulation.driveline import Driveline, build
-from clunk.simulation.load import run_inputs
-from clunk.simulation.phases import Flow, apply, preload, regimes_of
+from clunk.simulation.load import run_load
+from clunk.simulation.phases import Flow, apply, inputs_of, preload, regimes_of, stretches, with_wave
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study
@@ -62,8 +64,8 @@ class History:
     """A run at M samples: multiples of an output step from the load step, both ends, and every event.
 
     An event has two rows of the same time, its limits from before and from after, since accelerations jump there, and
-    in the restitution model velocities; `event` tells the second. Of events at one time, only the first has a row
-    before.
+    in the restitution model velocities; `event` tells the second. So have kinks of the load, without an event. Of
+    events at one time, only the first has a row before.
     """
 
     name: str  # for legends
@@ -173,8 +175,8 @@ def sample(
     ------
     HistoryError
     """
-    study, system = trajectory.study, build(trajectory.study)
-    inputs_before, inputs = run_inputs(study)
+    study, system = trajectory.study, build(trajectory.study, waves=True)
+    inputs_before, load = run_load(study)
     steady = _began_steadily(trajectory, system, inputs_before)
     step = study.solver.step if step is None else step
     until = study.load.step_time + study.solver.end_time if until is None else until
@@ -182,29 +184,30 @@ def sample(
         before = study.load.step_time if steady else 0.0
     begin, end = _span(trajectory, step, until, before, steady)
 
-    regimes = regimes_of(system, inputs)
-    flow = Flow(regimes, step)
+    motion = _Motion(trajectory, system, load, inputs_before[HALF_GAP], step)
     gains = Driveline.from_study(study).rigid_motion.accelerations * inputs_before[TORQUE]
-    phases = [_before_load_step(trajectory, gains, begin, min(end, 0.0), step)] if steady else []
+    phases = [_before_load_step(trajectory, system, gains, begin, min(end, 0.0), step)] if steady else []
     started = int(np.searchsorted(trajectory.events["time"], end, side="right"))
-    phases += [_after_event(trajectory, system, flow, k, step, end) for k in range(started)]
+    phases += [phase for k in range(started) for phase in motion.after_event(k, end)]
 
     lengths = [phase.time.size for phase in phases]
     after_step, state = (np.concatenate(parts) for parts in ([p.time for p in phases], [p.state for p in phases]))
-    regime_of = np.repeat([phase.regime for phase in phases], lengths)
+    regime_of, piece_of = (np.repeat([key[k] for key in phases], lengths) for k in (2, 3))
     event = np.full(after_step.size, -1)
     event[np.cumsum([0, *lengths[:-1]])] = [phase.event for phase in phases]
-    angle, velocity = np.hsplit(state, 2)
-    n = angle.shape[1]
-    acceleration = np.empty_like(angle)
-    for number, regime in enumerate(regimes):
-        rows = regime_of == number
-        acceleration[rows] = apply(regime.rates[n:], state[rows]) + regime.forcing[n:]
-    torque = np.full(after_step.size, inputs[TORQUE])
+    n = system.inertias
+    angle, velocity = state[:, :n], state[:, n : 2 * n]
+    acceleration, torque = np.empty_like(angle), state[:, 2 * n :][:, :1].sum(axis=1)
+    for piece in range(len(load)):
+        under = piece_of == piece
+        torque[under] += motion.inputs(piece)[TORQUE]
+        for number, regime in enumerate(motion.regimes(piece) if under.any() else ()):
+            rows = under & (regime_of == number)
+            acceleration[rows] = apply(regime.rates[n : 2 * n], state[rows]) + regime.forcing[n : 2 * n]
     if steady:
         torque[: lengths[0]] = inputs_before[TORQUE]
         acceleration[: lengths[0]] = gains  # by definition; the product leaves rounding
-    pressing = np.array([regime.side * regime.closed for regime in regimes])  # the side of the flank that presses
+    pressing = np.array([regime.side * regime.closed for regime in motion.regimes(0)])  # the side of the flank
     return History(
         name=study.title if name is None else name,
         trajectory=trajectory,
@@ -214,7 +217,7 @@ def sample(
         velocity=velocity,
         acceleration=acceleration,
         torque=torque,
-        backlash_coordinate=study.lash.radius * apply(system.lash[None, n:], angle)[:, 0],
+        backlash_coordinate=study.lash.radius * apply(system.lash[None, n : 2 * n], angle)[:, 0],
         contact=(-trajectory.initial_side * pressing[regime_of]).astype(np.int8),
         event=event,
     )
@@ -239,11 +242,12 @@ def shown_until(trajectory: Trajectory) -> float:
 
 
 class _Phase(NamedTuple):
-    """Samples of the motion from one event, or from the start of the history, to the next."""
+    """Samples of the motion from one event, kink of the load, or the start of the history, to the next."""
 
     time: FloatArray  # (m,)  s after the load step
-    state: FloatArray  # (m, 2n)  rad, rad/s
+    state: FloatArray  # (m, N)  rad, rad/s, and the load's wave
     regime: int
+    piece: int  # of the load
     event: int  # that the phase begins with, or -1
 
 
@@ -252,36 +256,50 @@ def _began_steadily(trajectory: Trajectory, system: System, inputs: FloatArray) 
     if system.status == Status.NO_EQUILIBRIUM:
         return False
     side, x = preload(system, inputs)
-    return side == trajectory.initial_side and np.array_equal(x, trajectory.states[0])
+    return side == trajectory.initial_side and np.array_equal(x[: 2 * system.inertias], trajectory.states[0])
 
 
 def _before_load_step(
-    trajectory: Trajectory, acceleration: FloatArray, begin: float, end: float, step: float
+    trajectory: Trajectory, system: System, acceleration: FloatArray, begin: float, end: float, step: float
 ) -> _Phase:
     """The steady motion before the load step, with its constant acceleration, (n,)  [rad/s2]."""
     time = np.concatenate(([begin] if begin < end else [], _grid(begin, end, step) * step, [end]))
     angle, velocity = np.split(trajectory.states[0], 2)
-    t = time[:, None]
-    state = np.hstack([angle + t * (velocity + t * acceleration / 2.0), velocity + t * acceleration]) + 0.0  # no -0.0
-    return _Phase(time, state, switching.closed_on(trajectory.initial_side), -1)
+    t, wave = time[:, None], np.zeros((time.size, system.lash.size - trajectory.states.shape[1]))
+    state = np.hstack([angle + t * (velocity + t * acceleration / 2.0), velocity + t * acceleration, wave])
+    return _Phase(time, state + 0.0, switching.closed_on(trajectory.initial_side), 0, -1)  # no -0.0
 
 
-def _after_event(trajectory: Trajectory, system: System, flow: Flow, k: int, step: float, end: float) -> _Phase:
-    """The motion from event `k`, its right limit, to the left limit of the next, or to `end`."""
-    starts = trajectory.events["time"]
-    start, stop = float(starts[k]), float(starts[k + 1]) if k + 1 < starts.size else np.inf
-    regime, x = int(trajectory.events["regime"][k]), trajectory.states[k]
-    within = _grid(start, min(stop, end), step)
-    times, states = [np.array([start]), within * step], [x[None]]
-    if within.size:
-        states.append(flow.states(regime, x, within[0] * step - start, within.size))
-    if start < stop <= end:
-        times.append(np.array([stop]))
-        states.append(_state_before(trajectory, system, k + 1)[None])
-    elif start < end < stop:
-        times.append(np.array([end]))
-        states.append(flow.states(regime, x, end - start, 1))
-    return _Phase(np.concatenate(times), np.concatenate(states), regime, k)
+class _Motion:
+    """The motion of a run between its events, sampled."""
+
+    def __init__(self, trajectory: Trajectory, system: System, load: FloatArray, half_gap: float, step: float) -> None:
+        self._trajectory, self._system, self._load, self._step = trajectory, system, load, step
+        self.inputs = functools.partial(inputs_of, half_gap, load)
+        self.regimes = functools.cache(lambda piece: regimes_of(system, self.inputs(piece)))
+        self._flow = functools.lru_cache(2)(lambda piece: Flow(self.regimes(piece), step))
+
+    def after_event(self, k: int, end: float) -> Iterator[_Phase]:
+        """The motion from event `k`, its right limit, to the left limit of the next, or to `end`, by stretches."""
+        starts, step = self._trajectory.events["time"], self._step
+        start, stop = float(starts[k]), float(starts[k + 1]) if k + 1 < starts.size else np.inf
+        regime, x, event = int(self._trajectory.events["regime"][k]), self._trajectory.states[k], k
+        for stretch in stretches(self._load, start, min(stop, end)):
+            piece, begin, until = stretch
+            flow, x = self._flow(piece), with_wave(self._system, x, self._load, stretch)
+            within = _grid(begin, until, step)
+            times, states = [np.array([begin]), within * step], [x[None]]
+            if within.size:
+                states.append(flow.states(regime, x, within[0] * step - begin, within.size))
+            if begin < until:
+                times.append(np.array([until]))
+                before_event = _state_before(self._trajectory, self._system, k + 1) if until == stop else x[:0]
+                if before_event.size < x.size:
+                    x = flow.states(regime, x, until - begin, 1)[0]
+                x = np.concatenate([before_event, x[before_event.size :]])
+                states.append(x[None])
+            yield _Phase(np.concatenate(times), np.concatenate(states), regime, piece, event)
+            event = -1
 
 
 def _span(trajectory: Trajectory, step: float, until: float, before: float, steady: bool) -> tuple[float, float]:
@@ -324,4 +342,5 @@ def _state_before(trajectory: Trajectory, system: System, k: int) -> FloatArray:
     event = trajectory.events[k]
     if not system.impulsive or event["kind"] != TOUCH:
         return np.asarray(x)
-    return np.asarray(x + (event["speed"] - system.lash @ x) * system.impulse)
+    lash, impulse = system.lash[: x.size], system.impulse[: x.size]
+    return np.asarray(x + (event["speed"] - lash @ x) * impulse)

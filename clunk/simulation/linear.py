@@ -113,7 +113,8 @@ class _Response:
         carried = system.contact_torque[TORQUE]
         if carried == 0.0:
             return None
-        expand, pick, _ = without_drift(constrained(system.lash[system.lash.size // 2 :]), system.drift)
+        lash = system.lash[system.inertias : 2 * system.inertias]
+        expand, pick, _ = without_drift(constrained(lash), system.drift)
         rate, right = np.linalg.eig(pick @ system.rates[CLOSED_FLOW] @ expand)
         if rate.size == 0 or np.linalg.cond(right) > 1e10:
             return None

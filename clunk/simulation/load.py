@@ -15,7 +15,6 @@ FloatArray = npt.NDArray[np.float64]
 Numbers = float | FloatArray
 
 _SHORTEST = 1e-12  # s; a duration or time constant below it counts as 0
-_LAG_ENDS = 40.0  # time constants: exp(-40) = 4e-18 of the change is left
 
 
 class LoadStep(NamedTuple):
@@ -84,8 +83,7 @@ def _profile(values: Mapping[str, Any]) -> tuple[Numbers, FloatArray]:
             end = _span(values["duration"])
             return before, _rows((0.0, before + change / 2, 0.0, -change / 2, 0.0), (end, *rest))
         case "lag":
-            end = _LAG_ENDS * _span(values["time_constant"])
-            return before, _rows((0.0, after, 0.0, -change, 0.0), (end, *rest))
+            return before, _rows((0.0, after, 0.0, np.where(_span(values["time_constant"]) > 0.0, -change, 0.0), 0.0))
         case "pulse":
             return before, _rows((0.0, *rest), (_span(values["duration"]), before, 0.0, 0.0, 0.0))
         case "sine":
@@ -119,7 +117,9 @@ def wave_rates(load: Load) -> FloatArray | None:
         decay = float(1.0 / _divisor(np.asarray(load.time_constant)))
     else:
         return None
-    return np.array([[-decay, swing], [-swing, 0.0]])
+    if swing == 0.0 == decay:  # a step: its wave, zero, may have any rate
+        decay = 1.0
+    return np.array([[-decay, swing], [-swing, -decay]])
 
 
 def is_moving(load: Load) -> bool:
@@ -149,7 +149,12 @@ def load_step(load: Load) -> LoadStep:
 
 
 def run_inputs(study: Study) -> tuple[FloatArray, FloatArray]:
-    """Inputs d = (T, φ/2) of a run before and after its load step  [N m, rad]."""
+    """Inputs d of a run before its load step, and under the torque that its load goes to  [N m, rad, N m/s]."""
     half_gap = np.deg2rad(study.lash.backlash_deg) / 2
-    before, after = (np.array([torque, half_gap], dtype=np.float64) for torque in load_step(study.load))
+    before, after = (np.array([torque, half_gap, 0.0]) for torque in load_step(study.load))
     return before, after
+
+
+def run_load(study: Study) -> tuple[FloatArray, FloatArray]:
+    """Inputs d of a run before its load step  [N m, rad, N m/s], and the pieces of its load, (P, PIECE)."""
+    return run_inputs(study)[0], loads_of(study.load, 1).pieces[0]

@@ -1,10 +1,12 @@
-"""The motion within a phase, from one event to the next: linear under a constant input, x' = A x + B u.
+"""The motion within a stretch, in one regime under one piece of the load: linear, x' = A x + B u with a constant u.
+
+A ramp of the load is a part of its wave, and so of x. A phase, from one event to the next, is one stretch or several.
 
 With z = (x, 1), z(t) = exp(M t) z(0), M = [[A, B u], [0, 0]]. Every phase starts from a known state; no event is
 searched for.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +14,8 @@ import numpy.typing as npt
 from scipy.linalg import expm
 
 from clunk.core import switching
-from clunk.core.regimes import CLOSED_FLOW, System
+from clunk.core.regimes import CLOSED_FLOW, HALF_GAP, INPUTS, TORQUE, System
+from clunk.core.runs import BEGIN, LEVEL, SLOPE, WAVE, WAVE_PARTNER
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -39,6 +42,43 @@ def preload(system: System, inputs: FloatArray) -> tuple[int, FloatArray]:
     """Side of the initial flank, 0 for none, and the state of steady motion in contact, under constant inputs."""
     x = np.zeros(system.lash.size)
     return switching.preload(system, inputs, x), x
+
+
+class Stretch(NamedTuple):
+    """A part of a run under one piece of its load."""
+
+    piece: int
+    begin: float  # s after the load step
+    end: float
+
+
+def stretches(load: FloatArray, begin: float, end: float) -> Iterator[Stretch]:
+    """Cut the time between two events where pieces of a load (P, PIECE) begin."""
+    first = int(np.searchsorted(load[:, BEGIN], begin, side="right")) - 1
+    kinks = [*load[first + 1 :, BEGIN].tolist(), np.inf]
+    for piece, kink in enumerate(kinks, first):
+        if kink > begin:
+            yield Stretch(piece, begin, min(kink, end))
+            begin = kink
+        if kink >= end:
+            return
+
+
+def inputs_of(half_gap: float, load: FloatArray, piece: int) -> FloatArray:
+    """The inputs d under a piece of a load  [N m, rad, N m/s], without its wave."""
+    inputs = np.zeros(INPUTS)
+    inputs[TORQUE], inputs[HALF_GAP] = load[piece, LEVEL], half_gap
+    return inputs
+
+
+def with_wave(system: System, x: FloatArray, load: FloatArray, stretch: Stretch) -> FloatArray:
+    """The state (θ, θ', w) at the beginning of a stretch, from (θ, θ')."""
+    size = 2 * system.inertias
+    if system.lash.size == size:
+        return x
+    row = load[stretch.piece]
+    wave = np.array([row[WAVE], row[WAVE_PARTNER] + row[SLOPE]])
+    return np.concatenate([x[:size], expm((stretch.begin - row[BEGIN]) * system.rates[0, size:, size:]) @ wave])
 
 
 class Flow:

@@ -58,7 +58,7 @@ class SmallGap(NamedTuple):
             raise SmallGapError(f"There is no response to draw: {explained(study, Status(system.status))}.")
         if modes.frequency.size == 0 or modes.damping_ratio[0] <= 0.0:
             raise SmallGapError("There is no decay to draw: the driveline has no damped oscillation in contact.")
-        before, after = (inputs * [1.0, 0.0] for inputs in run_inputs(study))
+        before, after = (inputs * [1.0, 0.0, 0.0] for inputs in run_inputs(study))
         side, x = preload(system, before)
         if side == 0:
             raise SmallGapError("There is no response to draw: the lash carries no torque before the load step.")

@@ -9,13 +9,13 @@ import numpy.typing as npt
 from clunk.core import switching, tile
 from clunk.core.events import EVENT, KIND_NAMES, TOUCH
 from clunk.core.exact.run import MOST
-from clunk.core.regimes import HALF_GAP, System
+from clunk.core.regimes import HALF_GAP, INPUTS, System
 from clunk.core.runs import Log, Start
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.core.severity import peak_to_peak, root_of_squares
 from clunk.core.status import QUALITY_COMPLETE, Status
 from clunk.simulation import driveline
-from clunk.simulation.load import run_inputs
+from clunk.simulation.load import run_load
 from clunk.simulation.phases import preload
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study
@@ -175,11 +175,12 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
     array([0.1191, 0.2613, 0.565 ])
     """
     system, tables = driveline.prepare(study)
-    before, after = run_inputs(study)
+    before, pieces = run_load(study)
     if initial_state is None:
-        side, start = _preloaded(study, system, before, after)
+        side, start = _preloaded(study, system, before, pieces)
     else:
-        side, start = _started_at(study, system, after, np.asarray(initial_state, dtype=np.float64))
+        state = np.asarray(initial_state, dtype=np.float64)
+        side, start = _started_at(study, system, before[HALF_GAP], pieces, state)
     capacity = study.solver.max_events + 1
     log = Log(np.zeros(capacity, EVENT), np.zeros((capacity, system.lash.size)))
     outcome = tile.run(system, tables, start, log, np.zeros(1, np.uint8))
@@ -194,7 +195,7 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
         study=study,
         initial_side=side,
         events=log.events[: outcome.written].copy(),
-        states=log.states[: outcome.written].copy(),
+        states=log.states[: outcome.written, : 2 * system.inertias].copy(),
         primaries=primaries[:impacts].copy(),
         impact_severity=severity[:impacts].copy(),
         complete=bool(outcome.quality & QUALITY_COMPLETE),
@@ -203,28 +204,31 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
     )
 
 
-def _preloaded(study: Study, system: System, before: FloatArray, after: FloatArray) -> tuple[int, Start]:
+def _preloaded(study: Study, system: System, before: FloatArray, pieces: FloatArray) -> tuple[int, Start]:
     """The initial side and the start of a run from steady motion in contact."""
     if system.status != Status.OK:
         raise SimulationError(_sentence(study, Status(system.status)))
     side, x = preload(system, before)
     if side == 0:
         raise SimulationError(_sentence(study, Status.NO_INITIAL_FLANK))
-    return side, Start(x, switching.closed_on(side), after)
+    return side, Start(x, switching.closed_on(side), before[HALF_GAP], pieces[None], 0)
 
 
-def _started_at(study: Study, system: System, after: FloatArray, state: FloatArray) -> tuple[int, Start]:
+def _started_at(
+    study: Study, system: System, half_gap: float, pieces: FloatArray, state: FloatArray
+) -> tuple[int, Start]:
     """The initial side and the start of a run from a state (θ, θ')."""
-    size = system.lash.size
+    size = 2 * system.inertias
     if system.status == Status.UNSTABLE_STEP:
         raise SimulationError(_sentence(study, Status.UNSTABLE_STEP))
     if state.shape != (size,) or not np.all(np.isfinite(state)):
         raise SimulationError(f"The initial state must be {size} finite numbers, θ in rad and then θ' in rad/s.")
-    gap = float(state[: size // 2] @ system.lash[size // 2 :])
-    if system.impulsive and abs(gap) > after[HALF_GAP] * (1.0 + 1e-12):
+    gap = float(state[: system.inertias] @ system.lash[system.inertias : size])
+    if system.impulsive and abs(gap) > half_gap * (1.0 + 1e-12):
         raise SimulationError("The initial state overlaps a flank, which the restitution model does not allow.")
-    x = state.copy()
-    return 1 if gap >= 0.0 else -1, Start(x, switching.regime_of(system, x, after), after)
+    x, inputs = np.zeros(system.lash.size), np.zeros(INPUTS)
+    x[:size], inputs[HALF_GAP] = state, half_gap
+    return 1 if gap >= 0.0 else -1, Start(x, switching.regime_of(system, x, inputs), half_gap, pieces[None], 0)
 
 
 def _sentence(study: Study, status: Status) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,6 @@ from clunk.core.exact.flows import Flows
 from clunk.core.jit import is_cold
 from clunk.core.regimes import System
 from clunk.core.rk4.propagator import Steps
-from clunk.core.runs import LEVEL
 from clunk.simulation import driveline
 from clunk.simulation.load import loads_of
 from clunk.study.designs import Cells, Design, FloatArray, design_of
@@ -39,22 +38,6 @@ def leaves_system(study: Study, parameter: str) -> bool:
     """Whether cells that differ in a parameter have the same system: only the load's pieces or the gap change."""
     is_load = parameter.startswith("load.") and parameter not in ("load.on", _RATES.get(study.load.profile))
     return is_load or parameter == _BACKLASH
-
-
-class Drive(NamedTuple):
-    """Torques and gaps of cells, (n,) each.
-
-    before, after : torques before and after the load step  [N m]
-    half_gap : half the backlash  [rad]
-    """
-
-    before: FloatArray
-    after: FloatArray
-    half_gap: FloatArray
-
-    def at(self, index: npt.NDArray[np.intp]) -> Drive:
-        """The drives of the cells at these positions."""
-        return Drive(self.before[index], self.after[index], self.half_gap[index])
 
 
 class Grid:
@@ -104,12 +87,12 @@ class Grid:
                 self._kept.popitem(last=False)
         return prepared
 
-    def drive(self, values: Mapping[str, float | FloatArray], count: int) -> Drive:
-        """The drives of `count` cells with these values of parameters."""
+    def cases(self, values: Mapping[str, float | FloatArray], count: int) -> kernel.Cases:
+        """Torques and gaps of `count` cells with these values of parameters."""
         swept = {key.removeprefix("load."): values[key] for key in values if key.startswith("load.")}
         before, pieces = loads_of(self.study.load, count, **swept)
         gap = np.broadcast_to(values.get(_BACKLASH, self.study.lash.backlash_deg), count)
-        return Drive(before, np.broadcast_to(pieces[:, -1, LEVEL], count).copy(), np.deg2rad(gap) / 2)
+        return kernel.cases_of(before, np.deg2rad(gap) / 2, pieces)
 
     def groups(self, cells: Cells) -> Iterator[tuple[dict[str, float], npt.NDArray[np.intp]]]:
         """Cut cells into groups of the same structural values; yields these values and the positions in `cells`."""
@@ -126,10 +109,10 @@ class Grid:
 
     def run(self, cells: Cells, stop: Flag) -> Tile:
         """Run cells; the tile has those that were done before `stop` was set."""
-        drive = self.drive(self.design.at(cells), cells.size)
+        cases = self.cases(self.design.at(cells), cells.size)
         buffer = self.impact_buffer(cells.size)
         if not self._structural:
-            records, pieces = self.run_group({}, drive, buffer, stop)
+            records, pieces = self.run_group({}, cases, buffer, stop)
             return Tile(cells[: records.size], records, np.concatenate([buffer[:0], *pieces]))
         records, known = np.zeros(cells.size, CELL), np.zeros(cells.size, bool)
         impacts: list[Records] = [buffer[:0]]
@@ -137,7 +120,7 @@ class Grid:
         for values, positions in self.groups(cells):
             if stop[0]:
                 break
-            finished, pieces = self.run_group(values, drive.at(positions), buffer, stop)
+            finished, pieces = self.run_group(values, cases.at(positions), buffer, stop)
             done = positions[: finished.size]
             records[done], known[done] = finished, True
             impacts += pieces
@@ -150,20 +133,19 @@ class Grid:
         return np.zeros(8 * runs + self.study.solver.max_events, IMPACT)
 
     def run_group(
-        self, values: Mapping[str, float], drive: Drive, buffer: Records, stop: Flag
+        self, values: Mapping[str, float], cases: kernel.Cases, buffer: Records, stop: Flag
     ) -> tuple[Records, list[Records]]:
         """Records and impacts of runs of one system, of those that were done before `stop` was set.
 
         values : of the structural parameters
-        drive : of each run
+        cases : torques and gap of each run
         buffer : IMPACT, to work in; see `impact_buffer`
 
         Returns CELL, one of each run, and IMPACT, in pieces.
         """
         system, tables = self.prepared(values)
         solver = self.study.solver
-        cases, done = kernel.cases_of(*drive), 0
-        records = np.zeros(drive.before.size, CELL)
+        done, records = 0, np.zeros(len(cases.before), CELL)
         output = kernel.Output(records, buffer)
         impacts = []
         while done < records.size and not stop[0]:
@@ -185,7 +167,6 @@ def compiling_note(*methods: str) -> str:
 
 def warm_up(study: Study) -> None:
     """Compile the kernel of a study's method, or load it, before a sweep rather than in the middle of it."""
-    nothing = np.zeros(0)
     system, tables = driveline.prepare(study)
-    cases, output = kernel.cases_of(nothing, nothing, nothing), kernel.Output(np.zeros(0, CELL), np.zeros(0, IMPACT))
+    cases, output = Grid(study).cases({}, 0), kernel.Output(np.zeros(0, CELL), np.zeros(0, IMPACT))
     kernel.run_tile(system, tables, 0.0, cases, 0, 1, output, np.zeros(1, np.uint8))

@@ -93,8 +93,8 @@ class SampleRunner:
             nominal = {parameter: column[positions] for parameter, column in at.items()}
             for draw in order:
                 system, driving = (values, nominal) if draw == self.draws else self._at(draw, values, nominal)
-                drive = self.grid.drive({**driving, **system}, positions.size)
-                records, impacts = self.grid.run_group(system, drive, buffer, stop)
+                cases = self.grid.cases({**driving, **system}, positions.size)
+                records, impacts = self.grid.run_group(system, cases, buffer, stop)
                 if records.size < positions.size:
                     return Tile(cells[:0], np.zeros(0, TOLERANCE_CELL), np.zeros(0, OUTCOME))
                 severity[positions, draw], status[positions, draw] = records["severity"], records["status"]

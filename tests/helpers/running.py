@@ -9,7 +9,7 @@ from clunk.core.events import EVENT, KIND_NAMES
 from clunk.core.regimes import System, build_system, held
 from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import Steps, build_steps
-from clunk.core.runs import Log, Start
+from clunk.core.runs import LEVEL, PIECE, Log, Start
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.core.severity import peak_to_peak
 from clunk.core.status import QUALITY_COMPLETE
@@ -67,6 +67,13 @@ def prepared(plant: Plant, step: float = 1e-4, end_time: float = 2.0, sticking_t
     return Prepared(system, build_steps(system, step))
 
 
+def stepped(x: np.ndarray, regime: int, torque: float, half_gap: float) -> Start:
+    """The start of a run under a constant torque from the load step on."""
+    load = np.zeros((1, 1, PIECE))
+    load[..., LEVEL] = torque
+    return Start(x, regime, half_gap, load, 0)
+
+
 def unproved(run: Prepared) -> Prepared:
     """The same without a bound on what can follow: it runs to its end time."""
     return run._replace(steps=run.steps._replace(provable=np.zeros_like(run.steps.provable)))
@@ -77,9 +84,9 @@ def core_run(
 ) -> CoreRun:
     """One run of the core, from preload unless a state is given."""
     system, half_gap = run.system, plant.backlash / 2
-    x, inputs = np.zeros(2 * plant.n), np.array([float(plant.after), half_gap])
+    x, inputs = np.zeros(2 * plant.n), np.array([float(plant.after), half_gap, 0.0])
     if state is None:
-        side = switching.preload(system, np.array([plant.before, half_gap]), x)
+        side = switching.preload(system, np.array([plant.before, half_gap, 0.0]), x)
         assert side != 0
         regime = switching.closed_on(side)
     else:
@@ -87,7 +94,7 @@ def core_run(
         regime = switching.regime_of(system, x, inputs) if regime is None else regime
     events, states = np.zeros(capacity, EVENT), np.zeros((capacity, x.size))
     status, count, quality, _, end = rk4.run(
-        system, run.steps, Start(x, regime, inputs), Log(events, states), np.zeros(1, np.uint8)
+        system, run.steps, stepped(x, regime, plant.after, half_gap), Log(events, states), np.zeros(1, np.uint8)
     )
     complete = bool(quality & QUALITY_COMPLETE)
     primaries, severity = np.zeros(capacity, np.int64), np.zeros(capacity)

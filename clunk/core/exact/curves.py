@@ -13,10 +13,11 @@ from clunk.core.exact.flows import BLOCK, CURVATURE, JERK, SIXTH, SLOPE, SLOPE_B
 from clunk.core.jit import unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, Vector, fused
-from clunk.core.regimes import INPUTS
+from clunk.core.regimes import INPUTS, TORQUE_RATE
 
 FloatArray = npt.NDArray[np.float64]
 
+A_THIRD = 1.0 / 3.0
 A_SIXTH = 1.0 / 6.0 * (1.0 + 1e-15)  # a product is quicker than a division
 # How far a function may be from the polynomial with its values, slopes and curvatures at both ends, at most, by its
 # sixth derivative over (0, 1): by the middle one of seven Bernstein coefficients, as a slope, and as a curvature
@@ -36,6 +37,15 @@ class Curve(NamedTuple):
     curvature: Vector
     jerk: Vector  # of the third
     sixth: Vector
+
+
+class Origin(NamedTuple):
+    """A functional of a flow's particular solution: its value and first three derivatives, of which the last rests."""
+
+    value: Vector
+    slope: Vector
+    curvature: Vector
+    jerk: Vector
 
 
 @unowned_inlined
@@ -158,23 +168,31 @@ def weighed_drift(inputs: FloatArray, at: int, weights: FloatArray, first: int, 
 
 
 @unowned_inlined
-def origin(
-    output: FloatArray, f: int, inputs: FloatArray, at: int, steady: bool, elapsed: Vector
-) -> tuple[Vector, Vector, Vector]:
-    """Value, slope and curvature of a functional's origin after a time.
+def origin(output: FloatArray, f: int, inputs: FloatArray, at: int, still: bool, elapsed: Vector) -> Origin:
+    """A functional's origin after a time.
 
-    output : (3, F, INPUTS) float64
+    output : (4, F, INPUTS) float64
     inputs : (…, W) float64, from row `at` on
+    still : whether it does not move
     """
     first, order = f * INPUTS, output.shape[1] * INPUTS
     value = weighed(inputs, at, output, first, 1)
-    slope = curvature = vectors.splat(0.0)
-    if not steady:
+    slope = curvature = jerk = vectors.splat(0.0)
+    if not still:
         slope = weighed_drift(inputs, at, output, first + order, 1)
         curvature = weighed_drift(inputs, at, output, first + 2 * order, 1)
-        value += elapsed * (slope + 0.5 * elapsed * curvature)
-        slope += elapsed * curvature
-    return value, slope, curvature
+        jerk = weighed_drift(inputs, at, output, first + 3 * order, 1)
+        value += elapsed * (slope + 0.5 * elapsed * (curvature + elapsed * A_THIRD * jerk))
+        slope += elapsed * (curvature + 0.5 * elapsed * jerk)
+        curvature += elapsed * jerk
+    return Origin(value, slope, curvature, jerk)
+
+
+@unowned_inlined
+def origin_slope(output: FloatArray, f: int, inputs: FloatArray, at: int) -> Vector:
+    """What the torque's rate of change makes the slope of a functional's origin, of one that moves by nothing else."""
+    first = (output.shape[1] + f) * INPUTS + TORQUE_RATE
+    return vectors.load(inputs, at + TORQUE_RATE) * vectors.number(output, first)
 
 
 @unowned_inlined
@@ -200,14 +218,13 @@ def store_curve(array: FloatArray, row: int, curve: Curve) -> None:
 
 
 @unowned_inlined
-def as_guard(curve: Curve, origin: tuple[Vector, Vector, Vector], sign: Vector, shift: Vector) -> Curve:
-    """sign times a functional, its origin included, plus shift."""
-    value, slope, curvature = origin
+def as_guard(curve: Curve, origin: Origin, sign: Vector, shift: Vector) -> Curve:
+    """sign, 1 or -1, times a functional, its origin included, plus shift."""
     return Curve(
-        fused(sign, curve.value + value, shift),
-        sign * (curve.slope + slope),
-        sign * (curve.curvature + curvature),
-        curve.jerk,
+        fused(sign, curve.value + origin.value, shift),
+        sign * (curve.slope + origin.slope),
+        sign * (curve.curvature + origin.curvature),
+        curve.jerk + vectors.magnitude(origin.jerk),
         curve.sixth,
     )
 

@@ -1,16 +1,18 @@
 """The exact flow of a regime, as tables: modal coordinates, and their propagators over a ladder of spans.
 
 Within a regime x(t) = origin(t) + basis y(t), where origin is a particular solution of x' = A x + B u, constant unless
-the flow can drift, and y' = Λ y. Λ is real and made of 2 x 2 blocks: [[σ, ω], [-ω, σ]] for a complex pair of
-eigenvalues, diagonal for two real ones, and [[0, ω], [0, σ]] for a displacement without stiffness and its velocity,
-σ = 0 without damping either: their difference, were they modes, would be one of large numbers where σ is small. Of a
-pair nothing but such a displacement ever grows, and on that no derivative depends. So a functional's nth derivative
-stays within the sum of |c Λⁿ| times the amplitudes at any earlier time.
+the flow can drift or the torque ramps, and y' = Λ y. The wave of a load that has one is the last pair of y. Λ is real
+and made of 2 x 2 blocks: [[σ, ω], [-ω, σ]] for a complex pair of eigenvalues, diagonal for two real ones, and
+[[0, ω], [0, σ]] for a displacement without stiffness and its velocity, σ = 0 without damping either: their difference,
+were they modes, would be one of large numbers where σ is small. Of a pair nothing but such a displacement ever grows,
+and on that no derivative depends. So a functional's nth derivative stays within the sum of |c Λⁿ| times the amplitudes
+at any earlier time.
 
 Four pairs of coordinates lie together: first the one member of each, then the other.
 
 A flow without a well-conditioned eigenbasis (critical damping, for example) keeps coordinates in which |y|² is twice
-the energy; that never grows either. It can take the shortest span only, by its Taylor series.
+the energy; that never grows either. It can take the shortest span only, by its Taylor series. So does a flow with a
+mode in resonance with the wave, of which |y| grows, but by no more than _GROWTH over that span.
 """
 
 import functools
@@ -21,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.lanes.vectors import ROW
-from clunk.core.regimes import HALF_GAP
+from clunk.core.regimes import HALF_GAP, TORQUE, TORQUE_RATE
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -42,13 +44,15 @@ _TAYLOR = np.array([1.0 / math.factorial(k) for k in range(TERMS)])
 _MAX_CONDITION = 1e4  # of an eigenbasis in energy coordinates: beyond it, more than four digits are lost
 _APART = 1e-2  # of unit vectors that may make a basis
 _ROUNDING = 1e-12  # relative to the largest of its kind
+_RESONANCE = 1e-4  # of the wave's rate: an eigenvalue nearer than that is in resonance with it
+_GROWTH = math.exp(_SHORTEST / 2.0)
 
 
 class Flows(NamedTuple):
     """The flows' tables: K flows, N states, I inputs, F functionals, C coordinates, a multiple of 8, B = C/8."""
 
-    origin: FloatArray  # (K, 3, I, C)  value, slope and curvature of the particular solution at t = 0, per input
-    origin_output: FloatArray  # (K, 3, F, I)  the functionals of it
+    origin: FloatArray  # (K, 4, I, C)  the particular solution and its first three derivatives at t = 0, per input
+    origin_output: FloatArray  # (K, 4, F, I)  the functionals of it
     coordinates: FloatArray  # (K, N, C)  x - origin -> y
     basis: FloatArray  # (K, C, C)  y -> x - origin, filled up
     modal: IntArray  # (K,)  whether the coordinates are modes
@@ -59,7 +63,7 @@ class Flows(NamedTuple):
     generator: FloatArray  # (K, C, C)  Λ times the shortest span
     watch: FloatArray  # (K, F, 2C, 8)  coordinates, then amplitudes -> VALUE to CURVATURE; JERK to SIXTH
     series: FloatArray  # (K, F, C, LONG)  y -> a functional's Taylor coefficients over the shortest span
-    steady: IntArray  # (K,)  whether the origin does not move
+    steady: IntArray  # (K,)  whether the origin does not move under a constant torque
 
 
 class Chain(NamedTuple):
@@ -67,7 +71,7 @@ class Chain(NamedTuple):
 
     inertia : (m,) float64, the diagonal of M
     damping, stiffness : (m, m) float64
-    expand, pick : (2n, 2m), (2m, 2n) float64, x = expand (θ, θ') + shift s φ/2 and back
+    expand, pick : (2n, 2m), (2m, 2n) float64, of the driveline (θ, θ') = expand (θ, θ') + shift s φ/2, and back
     shift : (2n,) float64
     """
 
@@ -95,8 +99,8 @@ def build_flows(
     blocks = -(-states // ROW)
     size = blocks * ROW
     tables = Flows(
-        origin=np.zeros((flows, 3, driven, size)),
-        origin_output=np.zeros((flows, 3, count, driven)),
+        origin=np.zeros((flows, 4, driven, size)),
+        origin_output=np.zeros((flows, 4, count, driven)),
         coordinates=np.zeros((flows, states, size)),
         basis=np.zeros((flows, size, size)),
         modal=np.zeros(flows, np.int64),
@@ -136,27 +140,34 @@ def _fill(
     chain: Chain,
 ) -> None:
     """Flow `k`; the coordinates that a chain has fewer than the tables stay zero."""
-    scaled = _scale(chain)
+    scaled, still = _scale(chain), chain.shift.size
     into, back = scaled.into @ chain.pick, chain.expand @ scaled.back
-    forcing = inputs.copy()
-    forcing[:, HALF_GAP] += rates @ chain.shift
+    forcing = inputs[:still].copy()
+    forcing[:, HALF_GAP] += rates[:still, :still] @ chain.shift
     origin = back @ _particular(scaled, into @ forcing)
     origin[0, :, HALF_GAP] += chain.shift
-    tables.origin[k, :, :, : rates.shape[0]] = origin.transpose(0, 2, 1)
-    tables.origin_output[k] = functionals @ origin
+    tables.origin[k, :, :, :still] = origin.transpose(0, 2, 1)
+    tables.origin_output[k] = functionals[:, :still] @ origin
     tables.origin_output[k, 0] += feedthrough
+    tables.origin_output[k, 1, :, TORQUE_RATE] += feedthrough[:, TORQUE]
     tables.steady[k] = not scaled.drift.any()
 
     modes = _modes(scaled)
     if modes is None:
         block = scaled.generator
-        fastest = float(np.linalg.norm(block, 2))
     else:
         vectors, inverse, block = modes
         into, back = inverse @ into, back @ vectors
-        fastest = math.sqrt((block * block).sum(axis=1).max(initial=0.0))
-        tables.modal[k] = 1
         tables.ringing[k] = np.count_nonzero(block.diagonal(-1)[::2])
+    modal, growth = modes is not None, 1.0
+    if rates.shape[0] > still:
+        wave = rates[still:, still:]
+        into, back, block, resonates = _with_wave(into, back, block, into @ rates[:still, still], wave, modal)
+        if resonates or not modal:
+            modal, growth = False, _GROWTH
+            tables.steady[k] = tables.ringing[k] = 0
+    tables.modal[k] = modal
+    fastest = math.sqrt((block * block).sum(axis=1).max(initial=0.0)) if modal else float(np.linalg.norm(block, 2))
     shortest = 2.0 ** math.floor(math.log2(_SHORTEST / fastest)) if fastest > 0.0 else 1.0
     tables.span[k] = shortest * _LADDER
 
@@ -165,7 +176,7 @@ def _fill(
     generator, basis = tables.generator[k], tables.basis[k]
     tables.coordinates[k][:, place], basis[place, :states] = into.T, back.T
     generator[place[:, None], place] = shortest * block
-    if modes is not None:
+    if modal:
         pairs = _pairs(generator)
         _propagate(pairs, tables.propagator[k])
         _expand(pairs, tables.power[k])
@@ -178,7 +189,7 @@ def _fill(
     slow = derivatives / (shortest ** np.arange(TERMS))[:, None, None]
     watch = tables.watch[k].reshape(functionals.shape[0], 2, -1, 2, BLOCK, ROW)
     watch[:, 0, ..., VALUE : CURVATURE + 1] = _halves(slow[: CURVATURE + 1]).transpose(1, 2, 3, 4, 0)
-    watch[:, 1, :, 0, :, JERK : SIXTH + 1] = _reach(slow[list(_BOUNDED)], modes is not None).transpose(1, 2, 3, 0)
+    watch[:, 1, :, 0, :, JERK : SIXTH + 1] = (growth * _reach(slow[list(_BOUNDED)], modal)).transpose(1, 2, 3, 0)
 
 
 @functools.cache
@@ -231,17 +242,57 @@ def _scale(chain: Chain) -> _Scaled:
 
 
 def _particular(scaled: _Scaled, forcing: FloatArray) -> FloatArray:
-    """p0, p1, p2 with p0 + p1 t + p2 t²/2 a solution of z' = generator z + forcing: (3, 2m, inputs)."""
+    """p0 to p3 with p0 + p1 t + p2 t²/2 + p3 t³/6 a solution of z' = generator z + forcing: (4, 2m, inputs).
+
+    That to the torque's rate of change is one to the torque's forcing times t.
+    """
     generator, drift = scaled.generator, scaled.drift
-    particular = np.zeros((3, *forcing.shape))
+    particular, stays = np.zeros((4, *forcing.shape)), ~drift
+    p0, p1, p2, p3 = particular
     if not drift.any():
-        particular[0] = -np.linalg.solve(generator, forcing)
+        p0[:] = -np.linalg.solve(generator, forcing)
+        p1[:, TORQUE_RATE] = p0[:, TORQUE]
+        p0[:, TORQUE_RATE] = np.linalg.solve(generator, p1[:, TORQUE_RATE])
         return particular
-    stays, p0 = ~drift, particular[0]
     p0[stays] = -np.linalg.solve(generator[stays][:, stays], forcing[stays])
-    particular[1, drift] = generator[drift] @ p0 + forcing[drift]
-    particular[2, drift] = generator[drift] @ particular[1]
+    p1[stays, TORQUE_RATE] = p0[stays, TORQUE]
+    p0[stays, TORQUE_RATE] = np.linalg.solve(generator[stays][:, stays], p1[stays, TORQUE_RATE])
+    p1[drift] = generator[drift] @ p0 + forcing[drift]
+    p2[drift] = generator[drift] @ p1
+    p2[drift, TORQUE_RATE] += forcing[drift, TORQUE]
+    p3[drift, TORQUE_RATE] = generator[drift] @ p2[:, TORQUE_RATE]
     return particular
+
+
+def _with_wave(
+    into: FloatArray, back: FloatArray, block: FloatArray, drive: FloatArray, wave: FloatArray, modal: bool
+) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
+    """Coordinates, basis and generator with the wave as one pair more: y' = block y + drive w1, w' = wave w.
+
+    As a mode it moves what is steady under it along, by X w with block X + drive (1, 0) = X wave. Where the flow has no
+    modes, or one of them is in resonance with the wave, w is added as it is, scaled to drive no more than the fastest.
+
+    Returns the three, and whether there is such a resonance.
+    """
+    size, states = block.shape[0], into.shape[1]
+    rate = complex(wave[0, 0], wave[0, 1])
+    resonates = modal and bool(np.abs(np.linalg.eigvals(block) - rate).min(initial=np.inf) <= _RESONANCE * abs(rate))
+    both, generator = np.zeros((size, 2)), np.zeros((size + 2, size + 2))
+    generator[:size, :size], generator[size:, size:] = block, wave
+    scale = 1.0
+    if modal and not resonates:  # X is linear in (1, 0) and (0, 1): a system of twice the size
+        both[:, 0] = -drive
+        system = np.kron(block, np.eye(2)) - np.kron(np.eye(size), wave.T)
+        both[:] = np.linalg.solve(system, both.ravel()).reshape(size, 2)
+    else:
+        fastest = float(np.linalg.norm(block, 2))
+        scale = float(np.linalg.norm(drive)) / fastest if fastest > 0.0 and np.any(drive) else 1.0
+        generator[:size, size] = drive / scale
+    wider_into, wider_back = np.zeros((size + 2, states + 2)), np.zeros((states + 2, size + 2))
+    wider_into[:size, :states], wider_into[:size, states:] = into, -both
+    wider_back[:states, :size], wider_back[:states, size:] = back, back @ both
+    wider_into[size:, states:], wider_back[states:, size:] = scale * np.eye(2), np.eye(2) / scale
+    return wider_into, wider_back, generator, resonates
 
 
 def _modes(scaled: _Scaled) -> tuple[FloatArray, FloatArray, FloatArray] | None:

@@ -4,12 +4,13 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.exact import rows
-from clunk.core.exact.curves import weighed, weighed_drift, weight
+from clunk.core.exact.curves import A_THIRD, weighed, weighed_drift, weight
 from clunk.core.exact.flows import BLOCK, CROSS, DECAY, SELF, TERMS
-from clunk.core.exact.workspace import Workspace, field
+from clunk.core.exact.workspace import Workspace, field, is_still
 from clunk.core.jit import unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, WIDTH, Vector, fused
+from clunk.core.regimes import INPUTS
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -38,12 +39,15 @@ def to_states(space: Workspace, flow: int, mask: int) -> None:
     flows, work, left = space.flows, space.pool.work, space.moved
     origins, basis, size = flows.origin[flow], flows.basis[flow], flows.basis.shape[1]
     elapsed = field(space, rows.ELAPSED)
-    half, inputs = 0.5 * elapsed * elapsed, space.behind + rows.INPUT
+    inputs, order, still = space.behind + rows.INPUT, INPUTS * size, is_still(space, flow)
+    half = 0.5 * elapsed * elapsed
+    sixth = half * elapsed * A_THIRD
     for n in range(flows.coordinates.shape[1]):
         origin = weighed(work, inputs, origins, n, size)
-        if flows.steady[flow] == 0:
-            origin += weighed_drift(work, inputs, origins, 2 * size + n, size) * elapsed
-            origin += weighed_drift(work, inputs, origins, 4 * size + n, size) * half
+        if not still:
+            origin += weighed_drift(work, inputs, origins, order + n, size) * elapsed
+            origin += weighed_drift(work, inputs, origins, 2 * order + n, size) * half
+            origin += weighed_drift(work, inputs, origins, 3 * order + n, size) * sixth
         away = vectors.splat(0.0)
         for j in range(size):
             away = fused(vectors.load(work, j), vectors.number(basis, j * size + n), away)

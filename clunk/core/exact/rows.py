@@ -18,9 +18,10 @@ TRY = 11  # s, the longest span that is proposed next
 CHANGING = 12
 # And those that they do not change.
 MARGIN = 12
-LIMIT = 13  # s, from the phase's beginning to the end of the run
+LIMIT = 13  # s, from the phase's beginning to the end of the run, or of the load's piece
 HELD_FROM = 14  # s, from the phase's beginning until a contact has held for the sticking time
-INPUT = 15  # the inputs of the regime's flow, INPUTS of them
+KINK = 15  # whether the load, which may change at LIMIT, has not come to rest
+INPUT = 16  # the inputs of the regime's flow, INPUTS of them, when the phase or the load's piece began
 GUARDS = INPUT + INPUTS
 SIGN, SHIFT, SCALE = range(3)  # of each guard; the scale is that of its margin
 OF_A_GUARD = 3
@@ -28,10 +29,10 @@ OF_A_GUARD = 3
 # A search's numbers, those that change most often first.
 TIME_LEFT = 0  # s; of a depth, in shortest spans
 TOP, BOTTOM = 1, 2  # extremes: largest and smallest value so far; turn: both the lowest; depth: the bar, and the depth
-AT, AT_SLOPE, AT_CURVATURE = 3, 4, 5  # the origin's value, slope and curvature
-BY_SIGN, BY_SHIFT = 6, 7  # what makes a guard of the functional
-COUNTS = 8  # s, how much of the time left there is when turns begin to count
-OF_A_SEARCH = 9
+AT, AT_SLOPE, AT_CURVATURE, AT_JERK = 3, 4, 5, 6  # the origin's value and first three derivatives
+BY_SIGN, BY_SHIFT = 7, 8  # what makes a guard of the functional
+COUNTS = 9  # s, how much of the time left there is when turns begin to count
+OF_A_SEARCH = 10
 # Which of a run's searches that is: of the acceleration's extremes, or of a depth; of a turn of each guard.
 EXTREMES_SEARCH = DEPTH_SEARCH = 0
 TURN_SEARCH = 1  # and those behind it

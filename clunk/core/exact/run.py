@@ -25,7 +25,7 @@ from clunk.core.events import LOAD_STEP, LOCK, OPENING, REJOIN, SEPARATION, TOUC
 from clunk.core.exact import curves, moving, rows
 from clunk.core.exact.flows import Flows
 from clunk.core.exact.search import DEPTH, EXTREMES, TURN, conclude, search
-from clunk.core.exact.step import take_step
+from clunk.core.exact.step import origin_of_acceleration, take_step
 from clunk.core.exact.workspace import (
     Workspace,
     begin_search,
@@ -41,8 +41,8 @@ from clunk.core.jit import compiled, unowned, unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, put_back, take
 from clunk.core.lanes.vectors import WIDTH
-from clunk.core.regimes import ACCELERATION, CLOSED_FLOW, FORCE, GAP, HALF_GAP, INPUTS, System
-from clunk.core.runs import Log, Outcome, Start, record
+from clunk.core.regimes import ACCELERATION, CLOSED_FLOW, FORCE, GAP, HALF_GAP, INPUTS, TORQUE, System
+from clunk.core.runs import BEGIN, LEVEL, Log, Outcome, Start, begin_wave, piece_at, record, set_torque
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
 from clunk.core.switching import Entry, room_for_a_switch, switch, weigh
 
@@ -68,7 +68,7 @@ def run(system: System, flows: Flows, start: Start, log: Log, stop: npt.NDArray[
         Set to non-zero from another thread to abandon the run.
     """
     events, states = log.events.reshape(1, log.events.size), log.states.reshape(1, *log.states.shape)
-    space = make_workspace(system, flows, events, states)
+    space = make_workspace(system, flows, start.loads, events, states)
     begin(space, 0, start)
     advance(space, stop)
     row = space.runs[0]
@@ -89,27 +89,43 @@ def begin(space: Workspace, slot: int, start: Start) -> None:
     side = space.system.regimes[start.regime].side
     row.status, row.quality, row.last_side = _OK, 0, side
     row.contact_began, row.from_sticking, row.fastest = -np.inf, 0, 0.0
+    row.load, row.piece = start.load, piece_at(start.loads[start.load], 0, 0.0)
+    space.inputs[slot, HALF_GAP] = start.half_gap
+    begin_wave(space.system, start.loads[start.load], row.piece, start.x)
     row.static = _static(space.system, space.flows, start)
-    for k in range(INPUTS):
-        space.inputs[slot, k] = start.inputs[k]
     numbers[rows.MARGIN] = MOST
     # no acceleration counts before the first primary impact
     numbers[rows.WINDOW_MAX], numbers[rows.WINDOW_MIN] = np.inf, -np.inf
     record(log_of(space, slot), 0, 0.0, 0.0, LOAD_STEP, start.regime, side, start.x)
-    _enter(space, slot, 0.0, start.x, Entry(written=1, regime=start.regime, zero_guard=-1, zero_order=0))
+    _begin_phase(space, slot, 0.0, start.x, Entry(written=1, regime=start.regime, zero_guard=-1, zero_order=0))
+
+
+@unowned_inlined
+def _begin_phase(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry) -> None:
+    """Begin a phase of a run, whose acceleration is not known yet."""
+    numbers = space.numbers[slot, space.behind :]
+    numbers[rows.PHASE_MAX], numbers[rows.PHASE_MIN] = -np.inf, np.inf
+    _enter(space, slot, time, x, entry)
 
 
 @unowned_inlined
 def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry) -> None:
-    """Begin a phase of a run: the state, what its regime makes of the inputs and the guards, and its queue."""
-    system, row, inputs = space.system, space.runs[slot], space.inputs[slot]
+    """Enter a regime, or go on in it: the state, what it makes of the inputs and the guards, and the run's queue."""
+    system, row, inputs, load = space.system, space.runs[slot], space.inputs[slot], space.loads[space.runs[slot].load]
     numbers, regime = space.numbers[slot, space.behind :], entry.regime
+    piece = piece_at(load, row.piece, time)
+    if piece != row.piece:
+        row.piece = piece
+        begin_wave(system, load, piece, x)
+    set_torque(system, load, piece, time, inputs)
     row.time, row.count, row.regime = time, entry.written, regime
     row.seeks_extremes, row.seeks_turns, row.depth_known = 0, 0, 0
     for k in range(x.size):
         space.numbers[slot, k] = x[k]  # a state for now; `_enter_coordinates` makes coordinates of it
     numbers[rows.ZERO_GUARD], numbers[rows.ZERO_ORDER] = entry.zero_guard, entry.zero_order
-    numbers[rows.LIMIT] = system.end_time - time
+    numbers[rows.LIMIT], numbers[rows.KINK] = system.end_time - time, 0.0
+    if piece + 1 < load.shape[0]:
+        numbers[rows.LIMIT], numbers[rows.KINK] = min(system.end_time, load[piece + 1, BEGIN]) - time, 1.0
     closed = system.regimes[regime].flow == CLOSED_FLOW
     numbers[rows.HELD_FROM] = row.contact_began + system.sticking_time - time if closed else -np.inf
     for k in range(INPUTS):
@@ -165,17 +181,17 @@ def _enter_coordinates(space: Workspace, flow: int, count: int) -> None:
     acceleration = curves.evaluate_again(
         flows.watch[flow, ACCELERATION], work, size, zero, 0, curves.Curve(zero, zero, zero, zero, zero)
     )
-    origin, _, _ = curves.origin(flows.origin_output[flow], ACCELERATION, work, space.behind + rows.INPUT, True, zero)
-    seen = acceleration.value + origin
+    origin = origin_of_acceleration(space, flow, zero)
+    seen = acceleration.value + origin.value
     set_field(space, rows.ELAPSED, zero)
     set_field(space, rows.LEFT_OUT, zero)
     set_field(space, rows.TRY, zero + np.inf)
     set_field(space, rows.WINDOW_MAX, vectors.larger(field(space, rows.WINDOW_MAX), seen))
     set_field(space, rows.WINDOW_MIN, vectors.smaller(field(space, rows.WINDOW_MIN), seen))
-    set_field(space, rows.PHASE_MAX, seen)
-    set_field(space, rows.PHASE_MIN, seen)
+    set_field(space, rows.PHASE_MAX, vectors.larger(field(space, rows.PHASE_MAX), seen))
+    set_field(space, rows.PHASE_MIN, vectors.smaller(field(space, rows.PHASE_MIN), seen))
     set_field(space, rows.SEEN, seen)
-    set_field(space, rows.SEEN_SLOPE, acceleration.slope)
+    set_field(space, rows.SEEN_SLOPE, acceleration.slope + origin.slope)
     set_field(space, rows.SEEN_CURVATURE, acceleration.curvature)
     put_back(space.pool, space.numbers, space.behind + rows.CHANGING, (1 << count) - 1)
 
@@ -217,11 +233,23 @@ def _follow(space: Workspace, slot: int) -> None:
         row.quality |= QUALITY_COMPLETE
         _end(space, slot, _OK, now)
     elif row.ended == rows.AT_END:
-        _end(space, slot, _OK, space.system.end_time)
+        load = space.loads[row.load]
+        if row.piece + 1 < load.shape[0] and load[row.piece + 1, BEGIN] < space.system.end_time:
+            _go_on(space, slot, load[row.piece + 1, BEGIN])
+        else:
+            _end(space, slot, _OK, space.system.end_time)
     elif row.ended == rows.LOST:
         _end(space, slot, _NON_FINITE, now)
     else:
         push(space.pool, step_queue(space, row.regime, row.ended == rows.NEARS), slot)
+
+
+@unowned_inlined
+def _go_on(space: Workspace, slot: int, time: float) -> None:
+    """Go on in a phase where another piece of the load begins."""
+    row, numbers = space.runs[slot], space.numbers[slot, space.behind :]
+    entry = Entry(row.count, row.regime, int(numbers[rows.ZERO_GUARD]), int(numbers[rows.ZERO_ORDER]))
+    _enter(space, slot, time, space.state[slot, : space.system.lash.size], entry)
 
 
 @unowned_inlined
@@ -267,6 +295,7 @@ def _switch(space: Workspace, slot: int) -> None:
         _end(space, slot, _EVENT_BUFFER_FULL, time)
         return
     _close_phase(space, slot)
+    set_torque(system, space.loads[row.load], row.piece, time, inputs)
     numbers[rows.MARGIN] = _margin_of_an_event(space, slot, x, time)
     entry, row.fastest = switch(system, row.regime, row.guard, time, x, inputs, log, row.count, row.fastest)
     for k in range(row.count, entry.written):
@@ -280,7 +309,7 @@ def _switch(space: Workspace, slot: int) -> None:
             row.contact_began = time
         elif event.kind == SEPARATION:
             row.from_sticking = int(time - row.contact_began > system.sticking_time)
-    _enter(space, slot, time, x, entry)
+    _begin_phase(space, slot, time, x, entry)
 
 
 @unowned_inlined
@@ -303,19 +332,18 @@ def _margin_of_an_event(space: Workspace, slot: int, x: FloatArray, time: float)
 
 @unowned
 def _static(system: System, flows: Flows, start: Start) -> float:
-    """The overlap of the flanks, or the torque that locks them, at rest under the torque after the load step.
+    """The overlap of the flanks, or the torque that locks them, at rest under the torque that the load ends at.
 
     Without such rest, what it is at the load step.
     """
-    f = FORCE if system.impulsive != 0 else GAP
-    offset = 0.0 if system.impulsive != 0 else start.inputs[HALF_GAP]
+    f, torque = FORCE if system.impulsive != 0 else GAP, start.loads[start.load, -1, LEVEL]
+    offset = 0.0 if system.impulsive != 0 else start.half_gap
     most = 0.0
     for regime in range(system.regimes.size):
         row = system.regimes[regime]
         if row.flow == CLOSED_FLOW and flows.steady[CLOSED_FLOW] != 0:
-            value = 0.0
-            for k in range(INPUTS):
-                value += flows.origin_output[CLOSED_FLOW, 0, f, k] * (system.signs[regime, k] * start.inputs[k])
+            output = flows.origin_output[CLOSED_FLOW, 0, f]
+            value = output[TORQUE] * torque + output[HALF_GAP] * (system.signs[regime, HALF_GAP] * start.half_gap)
             most = max(most, row.side * value - offset)
     side = system.regimes[start.regime].side
     if most > 0.0 or side == 0:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from clunk.core.exact import curves, moving, polynomial, rows, taylor
 from clunk.core.exact.flows import TERMS
 from clunk.core.exact.step import GRAZING
-from clunk.core.exact.workspace import Workspace, field, set_field
+from clunk.core.exact.workspace import Workspace, field, is_still, set_field
 from clunk.core.jit import unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, push_all, put_back
@@ -43,14 +43,20 @@ def search(space: Workspace, sought: int, flow: int, f: int, count: int) -> int:
     sought : EXTREMES, TURN or DEPTH
     flow, f : the flow, and the functional searched in
     """
-    flows, work, series = space.flows, space.pool.work, space.series
+    flows, work, series, still = space.flows, space.pool.work, space.series, is_still(space, flow)
     size, zero, present, shortest = flows.basis.shape[1], vectors.splat(0.0), (1 << count) - 1, flows.span[flow, 0]
     time_left, sign, shift = field(space, rows.TIME_LEFT), field(space, rows.BY_SIGN), field(space, rows.BY_SHIFT)
-    origin = field(space, rows.AT), field(space, rows.AT_SLOPE), field(space, rows.AT_CURVATURE)
+    origin = curves.Origin(
+        field(space, rows.AT),
+        field(space, rows.AT_SLOPE),
+        field(space, rows.AT_CURVATURE),
+        field(space, rows.AT_JERK),
+    )
     jerk, sixth, _ = curves.bounds(flows.watch[flow, f], work, size)
     seen = curves.evaluate_again(flows.watch[flow, f], work, size, zero, 0, curves.Curve(zero, zero, zero, jerk, sixth))
-    value = sign * (seen.value + origin[0]) + shift
-    curve = curves.Curve(value, sign * (seen.slope + origin[1]), sign * (seen.curvature + origin[2]), jerk, sixth)
+    value = sign * (seen.value + origin.value) + shift
+    slope, curvature = sign * (seen.slope + origin.slope), sign * (seen.curvature + origin.curvature)
+    curve = curves.Curve(value, slope, curvature, jerk + vectors.magnitude(origin.jerk), sixth)
     top, bottom, done = field(space, rows.TOP), field(space, rows.BOTTOM), 0
     if sought == DEPTH:
         bottom = -value
@@ -79,14 +85,15 @@ def search(space: Workspace, sought: int, flow: int, f: int, count: int) -> int:
         else:
             moving.move_by_parts(space, flow, zero + 1.0)
             moving.measure(work, size)
-        if flows.steady[flow] == 0:
-            set_field(space, rows.AT, origin[0] + h * (origin[1] + 0.5 * h * origin[2]))
-            set_field(space, rows.AT_SLOPE, origin[1] + h * origin[2])
+        if not still:
+            bent = 0.5 * h * (origin.curvature + h * curves.A_THIRD * origin.jerk)
+            set_field(space, rows.AT, origin.value + h * (origin.slope + bent))
+            set_field(space, rows.AT_SLOPE, origin.slope + h * (origin.curvature + 0.5 * h * origin.jerk))
+            set_field(space, rows.AT_CURVATURE, origin.curvature + h * origin.jerk)
     set_field(space, rows.TIME_LEFT, time_left)
     set_field(space, rows.TOP, top)
     set_field(space, rows.BOTTOM, bottom)
-    changing = rows.AT if flows.steady[flow] != 0 else rows.AT_CURVATURE
-    put_back(space.pool, space.searches, space.behind + changing, present & ~done)
+    put_back(space.pool, space.searches, space.behind + (rows.AT if still else rows.AT_JERK), present & ~done)
     return int(done)
 
 

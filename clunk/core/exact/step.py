@@ -27,6 +27,7 @@ from clunk.core.exact.workspace import (
     begin_search,
     field,
     find_origin,
+    is_still,
     set_field,
 )
 from clunk.core.jit import unowned_inlined
@@ -45,9 +46,9 @@ _CLEAR = 0.5  # of what misses count below: what is left of a guard after a span
 _NEXT_TRY = 0.4  # of a span within which a guard was not proved positive
 
 # Rows of `outputs`: the functional less its origin and without the pairs that are left out; their sway; the fastest
-# pair that is still in it, and its sway; the sway of all; the origin's value, slope and curvature; a bound of what the
-# pairs that are left out add to the slope.
-_SLOWER, _RING, _PAIR, _PAIR_SWAY, _SWAY, _ORIGIN, _SLOPE_BOUND = 0, 5, 6, 11, 12, 13, 16
+# pair that is still in it, and its sway; the sway of all; the origin's value and first three derivatives; a bound of
+# what the pairs that are left out add to the slope.
+_SLOWER, _RING, _PAIR, _PAIR_SWAY, _SWAY, _ORIGIN, _SLOPE_BOUND = 0, 5, 6, 11, 12, 13, 17
 # Rows of `guards`: the guard at the step's beginning, at its end, and with a margin; its least value and the sixth
 # derivative's remainder in between, as `curves.between` has them.
 _START, _END, _CLEARED, _LEAST, _REMAINDER = 0, 5, 10, 15, 16
@@ -81,10 +82,14 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     time_left = field(space, rows.LIMIT) - elapsed
 
     _evaluate_guards(space, regime, left_out, most_left_out)
-    acceleration, sixth, may_widen = _may_widen_window(space, flow)
-    settled = 0
+    acceleration, sixth, may_widen = _may_widen_window(space, flow, time_left)
+    settled, kinks, at_most = 0, 0, field(space, rows.TRY)
     if flows.steady[flow] != 0:
         settled = _stay_positive(space, regime) & ~may_widen & present
+    if space.loads.shape[1] > 1:
+        kinks = field(space, rows.KINK) > 0.0
+        settled &= ~kinks
+        at_most = vectors.choose(kinks, vectors.smaller(at_most, time_left), at_most)
     there = present & ~settled
     _take_zeros(space, regime)
 
@@ -95,7 +100,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
         event, part, lost, grazing = _find_event(space, regime, there, part)
         h = whole * part
     else:
-        h, k, left_out, blocked = _propose_span(space, regime, left_out, most_left_out)
+        h, k, left_out, blocked = _propose_span(space, regime, left_out, most_left_out, at_most)
         blocked &= there
         part = zero
     advancing = there & ~blocked & ~lost
@@ -126,8 +131,10 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     happened, deep = (event >= 0.0) & advancing, 0
     if happened != 0:
         deep = _certainly_deep(space, regime, event)
-        moving.to_states(space, flow, happened)
         vectors.store(space.notes, 0, event)
+    arrived = ends & kinks & ~lost
+    if (happened | arrived) != 0:
+        moving.to_states(space, flow, happened | arrived)
     put_back(pool, space.numbers, space.behind + rows.CHANGING, advancing)
     _set_where_they_were(space, rows.LEFT_OUT, zero, blocked)
     _set_where_they_were(space, rows.TRY, _NEXT_TRY * h, failed)
@@ -193,26 +200,33 @@ def _evaluate_guards(space: Workspace, regime: int, left_out: Vector, most_left_
 
 @unowned_inlined
 def _find_origin(space: Workspace, flow: int, f: int, at: int) -> None:
-    """Value, slope and curvature of a functional's origin, into `outputs`."""
-    first, steady = space.behind + rows.INPUT, space.flows.steady[flow] != 0
-    output, elapsed = space.flows.origin_output[flow], field(space, rows.ELAPSED)
-    value, slope, curvature = curves.origin(output, f, space.pool.work, first, steady, elapsed)
-    vectors.store(space.outputs, at + _ORIGIN, value)
-    vectors.store(space.outputs, at + _ORIGIN + 1, slope)
-    vectors.store(space.outputs, at + _ORIGIN + 2, curvature)
+    """Write a functional's origin to `outputs`."""
+    output, elapsed, first = space.flows.origin_output[flow], field(space, rows.ELAPSED), space.behind + rows.INPUT
+    origin = curves.origin(output, f, space.pool.work, first, is_still(space, flow), elapsed)
+    vectors.store(space.outputs, at + _ORIGIN, origin.value)
+    vectors.store(space.outputs, at + _ORIGIN + 1, origin.slope)
+    vectors.store(space.outputs, at + _ORIGIN + 2, origin.curvature)
+    vectors.store(space.outputs, at + _ORIGIN + 3, origin.jerk)
+
+
+@unowned_inlined
+def _load_origin(outputs: FloatArray, at: int) -> curves.Origin:
+    """The origin of the functional that is kept from row `at` on."""
+    return curves.Origin(
+        vectors.load(outputs, at + _ORIGIN),
+        vectors.load(outputs, at + _ORIGIN + 1),
+        vectors.load(outputs, at + _ORIGIN + 2),
+        vectors.load(outputs, at + _ORIGIN + 3),
+    )
 
 
 @unowned_inlined
 def _guard(space: Workspace, n: int, at: int) -> curves.Curve:
     """Guard n, less the sway of the pairs that are left out, by the functional that is kept from row `at` on."""
     outputs = space.outputs
-    origin = (
-        vectors.load(outputs, at + _ORIGIN),
-        vectors.load(outputs, at + _ORIGIN + 1),
-        vectors.load(outputs, at + _ORIGIN + 2),
-    )
     shift = field(space, rows.of_guard(n) + rows.SHIFT) - vectors.load(outputs, at + _RING)
-    return curves.as_guard(load_curve(outputs, at + _SLOWER), origin, field(space, rows.of_guard(n) + rows.SIGN), shift)
+    sign = field(space, rows.of_guard(n) + rows.SIGN)
+    return curves.as_guard(load_curve(outputs, at + _SLOWER), _load_origin(outputs, at), sign, shift)
 
 
 @unowned_inlined
@@ -229,22 +243,36 @@ def _zero_order(space: Workspace, n: int) -> Vector:
 
 
 @unowned_inlined
-def _may_widen_window(space: Workspace, flow: int) -> tuple[Vector, Vector, int]:
-    """Where the acceleration can come to exceed what its window holds.
+def origin_of_acceleration(space: Workspace, flow: int, elapsed: Vector) -> curves.Origin:
+    """The acceleration's origin, which moves only under a ramp, even where the flow drifts."""
+    output, first = space.flows.origin_output[flow], space.behind + rows.INPUT
+    origin = curves.origin(output, ACCELERATION, space.pool.work, first, True, elapsed)
+    if space.system.ramps == 0:
+        return origin
+    slope = curves.origin_slope(output, ACCELERATION, space.pool.work, first)
+    return curves.Origin(origin.value + elapsed * slope, slope, origin.curvature, origin.jerk)
+
+
+@unowned_inlined
+def _may_widen_window(space: Workspace, flow: int, time_left: Vector) -> tuple[curves.Origin, Vector, int]:
+    """Where the acceleration can come to exceed what its window holds, until the end of the run or of the load's piece.
 
     Returns
     -------
-    origin, sixth : Vector
-        What it is at rest, and a bound of its sixth derivative.
+    origin : Origin
+    sixth : Vector
+        A bound of the acceleration's sixth derivative.
     may_widen : int
     """
     flows, work, size = space.flows, space.pool.work, space.flows.basis.shape[1]
-    zero, first = vectors.splat(0.0), space.behind + rows.INPUT
-    # steady, since the origin of an acceleration does not move even where the flow drifts
-    origin, _, _ = curves.origin(flows.origin_output[flow], ACCELERATION, work, first, True, zero)
+    origin = origin_of_acceleration(space, flow, field(space, rows.ELAPSED))
     _, sixth, swing = curves.bounds(flows.watch[flow, ACCELERATION], work, size)
     high, low = field(space, rows.WINDOW_MAX), field(space, rows.WINDOW_MIN)
-    return origin, sixth, (origin + swing > high) | (origin - swing < low)
+    largest = smallest = origin.value
+    if space.system.ramps != 0:
+        last = origin.value + origin.slope * time_left
+        largest, smallest = vectors.larger(largest, last), vectors.smaller(smallest, last)
+    return origin, sixth, (largest + swing > high) | (smallest - swing < low)
 
 
 @unowned_inlined
@@ -270,9 +298,11 @@ def _take_zeros(space: Workspace, regime: int) -> None:
 
 @unowned_inlined
 def _propose_span(
-    space: Workspace, regime: int, left_out: Vector, most_left_out: int
+    space: Workspace, regime: int, left_out: Vector, most_left_out: int, at_most: Vector
 ) -> tuple[Vector, Vector, Vector, int]:
     """The longest span in which, by guess, no guard turns negative; with one more pair left out where that helps.
+
+    at_most : the longest that may be proposed
 
     Returns
     -------
@@ -285,7 +315,7 @@ def _propose_span(
     """
     system, guards, outputs = space.system, space.guards, space.outputs
     count, watched = system.regimes[regime].guards, system.regimes[regime].watched
-    shortest, at_most = space.flows.span[system.regimes[regime].flow, 0], field(space, rows.TRY)
+    shortest = space.flows.span[system.regimes[regime].flow, 0]
     h, k = curves.longest(shortest, guards, _START, OF_GUARD, count, at_most)
     # where a guard is zero with its slope, its series decides
     starts_flat = (field(space, rows.ZERO_GUARD) >= 0.0) & (field(space, rows.ZERO_ORDER) > 1.0)
@@ -374,13 +404,9 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
             if near == 0:
                 break
             at = n * OF_OUTPUT
-            origin = (
-                vectors.load(outputs, at + _ORIGIN),
-                vectors.load(outputs, at + _ORIGIN + 1),
-                vectors.load(outputs, at + _ORIGIN + 2),
-            )
+            origin = _load_origin(outputs, at)
             taylor.expand(flows.series[flow, f], space.pool.work, size, shortest, sign, shift, origin, series)
-            noise = vectors.magnitude(origin[0]) + vectors.magnitude(shift) + vectors.load(outputs, at + _SWAY)
+            noise = vectors.magnitude(origin.value) + vectors.magnitude(shift) + vectors.load(outputs, at + _SWAY)
             crosses, bad, grazes, s = _first_zero(space, near, order, ROUNDING * noise, scale, part)
             lost |= bad
             grazing |= grazes
@@ -513,9 +539,12 @@ def _prove(space: Workspace, regime: int, left_out: Vector, most_left_out: int, 
 
 
 @unowned_inlined
-def _watch_acceleration(space: Workspace, flow: int, origin: Vector, sixth: Vector, h: Vector, may_widen: int) -> int:
+def _watch_acceleration(
+    space: Workspace, flow: int, origin: curves.Origin, sixth: Vector, h: Vector, may_widen: int
+) -> int:
     """See what the acceleration did within a time h, and begin to search its extremes where one may count.
 
+    origin : at the step's beginning
     may_widen : the lanes where it can exceed what its window holds; returns those in which to search
     """
     work, notes, size, zero = space.pool.work, space.notes, space.flows.basis.shape[1], vectors.splat(0.0)
@@ -523,8 +552,10 @@ def _watch_acceleration(space: Workspace, flow: int, origin: Vector, sixth: Vect
         field(space, rows.SEEN), field(space, rows.SEEN_SLOPE), field(space, rows.SEEN_CURVATURE), zero, sixth
     )
     seen = curves.evaluate_again(space.flows.watch[flow, ACCELERATION], work, size, zero, 0, start)
-    last = seen.value + origin
-    end = curves.Curve(last, seen.slope, seen.curvature, zero, sixth)
+    last, slope = seen.value + origin.value, seen.slope
+    if space.system.ramps != 0:
+        last, slope = last + h * origin.slope, slope + origin.slope
+    end = curves.Curve(last, slope, seen.curvature, zero, sixth)
     high = vectors.larger(field(space, rows.WINDOW_MAX), last)
     low = vectors.smaller(field(space, rows.WINDOW_MIN), last)
     turns = 0
@@ -537,16 +568,17 @@ def _watch_acceleration(space: Workspace, flow: int, origin: Vector, sixth: Vect
     set_field(space, rows.PHASE_MAX, vectors.larger(field(space, rows.PHASE_MAX), last))
     set_field(space, rows.PHASE_MIN, vectors.smaller(field(space, rows.PHASE_MIN), last))
     set_field(space, rows.SEEN, last)
-    set_field(space, rows.SEEN_SLOPE, seen.slope)
+    set_field(space, rows.SEEN_SLOPE, slope)
     set_field(space, rows.SEEN_CURVATURE, seen.curvature)
     if turns != 0:
         vectors.store(notes, 0, h)
-        vectors.store(notes, 1, origin)
+        vectors.store(notes, 1, origin.value)
+        vectors.store(notes, 2, origin.slope)
         mask = turns
         while mask != 0:
             lane = vectors.first_of(mask)
             mask &= mask - 1
-            begin_acceleration_search(space, space.pool.items[lane], notes[0, lane], notes[1, lane])
+            begin_acceleration_search(space, space.pool.items[lane], notes[0, lane], notes[1, lane], notes[2, lane])
     return int(turns)
 
 

@@ -6,7 +6,7 @@ Elsewhere they are searched one by one, by `polynomial`.
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.exact.curves import weight
+from clunk.core.exact.curves import A_SIXTH, Origin, weight
 from clunk.core.exact.flows import TERMS
 from clunk.core.jit import unowned_inlined
 from clunk.core.lanes import vectors
@@ -23,27 +23,27 @@ def expand(
     shortest: float,
     sign: Vector,
     shift: Vector,
-    origin: tuple[Vector, Vector, Vector],
+    origin: Origin,
     c: FloatArray,
 ) -> None:
     """The Taylor coefficients over the shortest span of sign times a functional plus shift.
 
     shortest : the span  [s]
-    origin : the functional's: value, slope and curvature
     c : (TERMS, WIDTH) float64
         Output.
     """
-    value, slope, curvature = origin
     for j in range(TERMS):
         total = vectors.splat(0.0)
         for k in range(size):
             total = fused(vectors.load(work, k), weight(series, 2 * k, j), total)
         if j == 0:
-            total += value
+            total += origin.value
         elif j == 1:
-            total += shortest * slope
+            total += shortest * origin.slope
         elif j == 2:
-            total += 0.5 * shortest * shortest * curvature
+            total += 0.5 * shortest * shortest * origin.curvature
+        elif j == 3:
+            total += A_SIXTH * shortest * shortest * shortest * origin.jerk
         vectors.store(c, j, sign * total)
     vectors.store(c, 0, vectors.load(c, 0) + shift)
 

@@ -23,7 +23,7 @@ IntArray = npt.NDArray[np.int64]
 
 UNDER_WAY = 16 * WIDTH  # runs: many wait for the same, and its code is at hand for several steps on end
 NOTES = 4
-OF_OUTPUT, OF_GUARD = 17, 17  # rows that a step keeps of a functional, and of a guard
+OF_OUTPUT, OF_GUARD = 18, 17  # rows that a step keeps of a functional, and of a guard
 
 RUN = np.dtype(
     [
@@ -36,6 +36,8 @@ RUN = np.dtype(
         ("from_sticking", np.int64),
         ("seeks_extremes", np.int64),  # whether the last step's are yet to be searched for
         ("seeks_turns", np.int64),  # the guards whose turns in the last step are yet to be searched for, as bits
+        ("load", np.int64),  # its row of the loads
+        ("piece", np.int64),  # of the load
         ("ended", np.int64),  # how the last step did, see GOES_ON
         ("guard", np.int64),  # the one that ended it, by an event
         ("depth_known", np.int64),  # whether the depth of that guard is known, or known to be no concern of the margin
@@ -73,7 +75,8 @@ class Workspace(NamedTuple):
     searches_each: int  # G + 1
     behind: int  # where the numbers that `rows` names begin in a row
     runs: npt.NDArray[np.void]  # (S + 1,) RUN
-    inputs: FloatArray  # (S, INPUTS)  d of each run
+    loads: FloatArray  # (loads, P, PIECE)
+    inputs: FloatArray  # (S, INPUTS)  d of each run, when its phase or its load's piece began
     state: FloatArray  # (S + 1, C)  [rad, rad/s]  of each run at the end of its phase
     events: npt.NDArray[np.void]  # (S, capacity) EVENT
     states: FloatArray  # (S, capacity, N), or (S, 0, N)
@@ -85,17 +88,20 @@ class Workspace(NamedTuple):
     moved: FloatArray  # (3C, W)
     notes: FloatArray  # (NOTES, W)  for what is done for a lane alone
     offsets: IntArray  # (W,)
-    origin: FloatArray  # (3,)
+    origin: FloatArray  # (4,)
     alone: FloatArray  # (2, TERMS)  a series alone, and its zeros
     ladder: FloatArray  # (TERMS, TERMS)
 
 
 @compiled
-def make_workspace(system: System, flows: Flows, events: npt.NDArray[np.void], states: FloatArray) -> Workspace:
+def make_workspace(
+    system: System, flows: Flows, loads: FloatArray, events: npt.NDArray[np.void], states: FloatArray
+) -> Workspace:
     """Room for as many runs as there are rows of events, none of which has begun.
 
     Parameters
     ----------
+    loads : (loads, P, PIECE) float64
     events : (S, capacity) EVENT
     states : (S, capacity or 0, N) float64
     """
@@ -117,6 +123,7 @@ def make_workspace(system: System, flows: Flows, events: npt.NDArray[np.void], s
         searches_each=most + 1,
         behind=behind,
         runs=np.zeros(slots + 1, RUN),
+        loads=loads,
         inputs=np.zeros((slots, INPUTS)),
         state=aligned(slots + 1, size),
         events=events,
@@ -128,7 +135,7 @@ def make_workspace(system: System, flows: Flows, events: npt.NDArray[np.void], s
         moved=aligned(3 * size, WIDTH),
         notes=aligned(NOTES, WIDTH),
         offsets=np.zeros(WIDTH, np.int64),
-        origin=np.zeros(3),
+        origin=np.zeros(4),
         alone=np.zeros((2, TERMS)),
         ladder=np.zeros((TERMS, TERMS)),
     )
@@ -144,6 +151,12 @@ def field(space: Workspace, name: int) -> Vector:
 def set_field(space: Workspace, name: int, values: Vector) -> None:
     """Set one number of each of the items that have been taken."""
     vectors.store(space.pool.work, space.behind + name, values)
+
+
+@unowned_inlined
+def is_still(space: Workspace, flow: int) -> bool:
+    """Whether no origin of a flow moves, whatever the inputs of a run are."""
+    return bool(space.flows.steady[flow] != 0 and space.system.ramps == 0)
 
 
 @unowned_inlined
@@ -178,27 +191,28 @@ def begin_search(space: Workspace, slot: int, search: int, length: float, sign: 
         wanted[k] = space.numbers[slot, k]
     wanted = wanted[space.behind :]
     wanted[rows.TIME_LEFT], wanted[rows.BY_SIGN], wanted[rows.BY_SHIFT] = length, sign, shift
-    for k in range(3):
+    for k in range(4):
         wanted[rows.AT + k] = space.origin[k]
     wanted[rows.COUNTS] = np.inf
 
 
 @unowned_inlined
 def find_origin(space: Workspace, slot: int, functional: int) -> None:
-    """Value, slope and curvature of a functional's origin where a run is, into `space.origin`."""
+    """A functional's origin where a run is, and its first three derivatives, into `space.origin`."""
     output = space.flows.origin_output[space.system.regimes[space.runs[slot].regime].flow]
     numbers, origin = space.numbers[slot, space.behind :], space.origin
     inputs, elapsed = numbers[rows.INPUT : rows.INPUT + INPUTS], numbers[rows.ELAPSED]
     value, slope = weigh(output[0, functional], inputs), weigh(output[1, functional], inputs)
-    curvature = weigh(output[2, functional], inputs)
-    origin[0] = value + elapsed * (slope + 0.5 * elapsed * curvature)
-    origin[1], origin[2] = slope + elapsed * curvature, curvature
+    curvature, jerk = weigh(output[2, functional], inputs), weigh(output[3, functional], inputs)
+    origin[0] = value + elapsed * (slope + 0.5 * elapsed * (curvature + elapsed / 3.0 * jerk))
+    origin[1] = slope + elapsed * (curvature + 0.5 * elapsed * jerk)
+    origin[2], origin[3] = curvature + elapsed * jerk, jerk
 
 
 @unowned_inlined
-def begin_acceleration_search(space: Workspace, slot: int, length: float, value: float) -> None:
-    """Begin to search the extremes of the acceleration, whose origin has a value and rests."""
-    space.origin[0], space.origin[1], space.origin[2] = value, 0.0, 0.0
+def begin_acceleration_search(space: Workspace, slot: int, length: float, value: float, slope: float) -> None:
+    """Begin to search the extremes of the acceleration, whose origin has a value and a slope."""
+    space.origin[0], space.origin[1], space.origin[2], space.origin[3] = value, slope, 0.0, 0.0
     begin_search(space, slot, rows.EXTREMES_SEARCH, length, 1.0, 0.0)
 
 

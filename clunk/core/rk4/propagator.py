@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.regimes import ACCELERATION, HALF_GAP, System, constrained, unconstrained, without_drift
+from clunk.core.regimes import ACCELERATION, HALF_GAP, System, constrained, unconstrained, with_wave, without_drift
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -120,19 +120,23 @@ def _modal_bound(system: System, step: float) -> tuple[dict[str, Any], bool]:
     With left eigenvectors w_k and right v_k, C x(t) = rest + sum of Re(C v_k  w_k·(x - x_rest) g_k(t)) and |g_k| <= 1
     both for exp(λ t) and for RK4's powers of R(h λ), within a step included (checked on a grid of partial steps).
     A flow with another mode at zero than the drift of the whole driveline, which no functional depends on, or with a
-    badly conditioned eigenbasis has no such bound here.
+    badly conditioned eigenbasis has no such bound here. A wave that is a ramp is at rest where the bound matters.
     """
-    rates, inputs, functionals, feedthrough = system.rates, system.inputs, system.functionals, system.feedthrough
-    (flows, size), driven = rates.shape[:2], inputs.shape[2]
-    locked = constrained(system.lash[size // 2 :]) if system.impulsive else unconstrained(size)
+    flows, size, driven = system.inputs.shape
+    mechanical, states = 2 * system.inertias, size
+    if size > mechanical and not system.rates[0, mechanical + 1, mechanical:].any():
+        states = mechanical  # a ramp
+    rates, inputs = system.rates[:, :states, :states], system.inputs[:, :states]
+    functionals, feedthrough = system.functionals[:, :, :states], system.feedthrough
+    locked = constrained(system.lash[system.inertias : mechanical]) if system.impulsive else unconstrained(mechanical)
     provable = np.zeros(flows, dtype=np.int64)
     mode_rows = np.zeros((flows, 2, size, size))
     mode_reach = np.zeros((flows, functionals.shape[1], size))
     rest_state = np.zeros((flows, size, driven))
     rest_functional = np.zeros((flows, functionals.shape[1], driven))
     stable = True
-    for flow, reduction in enumerate([unconstrained(size), locked]):
-        expand, pick, shift = without_drift(reduction, system.drift)
+    for flow, reduction in enumerate([unconstrained(mechanical), locked]):
+        expand, pick, shift = with_wave(without_drift(reduction, system.drift), states - mechanical)
         reduced = pick @ rates[flow] @ expand
         eigenvalues, right = np.linalg.eig(reduced)
         eigenvalues, right = eigenvalues.astype(np.complex128), right.astype(np.complex128)
@@ -148,13 +152,13 @@ def _modal_bound(system: System, step: float) -> tuple[dict[str, Any], bool]:
         count = eigenvalues.size
         left = np.linalg.inv(right) @ pick
         weight = np.where(eigenvalues.imag > 0, 2.0, np.where(eigenvalues.imag < 0, 0.0, 1.0))
-        mode_rows[flow, 0, :count], mode_rows[flow, 1, :count] = left.real, left.imag
+        mode_rows[flow, 0, :count, :states], mode_rows[flow, 1, :count, :states] = left.real, left.imag
         mode_reach[flow, :, :count] = weight * np.abs(functionals[flow] @ expand @ right)
         forcing = inputs[flow].copy()
         forcing[:, HALF_GAP] += rates[flow] @ shift
-        rest_state[flow] = -expand @ np.linalg.solve(reduced, pick @ forcing)
-        rest_state[flow, :, HALF_GAP] += shift
-        rest_functional[flow] = functionals[flow] @ rest_state[flow] + feedthrough[flow]
+        rest_state[flow, :states] = -expand @ np.linalg.solve(reduced, pick @ forcing)
+        rest_state[flow, :states, HALF_GAP] += shift
+        rest_functional[flow] = functionals[flow] @ rest_state[flow, :states] + feedthrough[flow]
     if system.drift.shape[1] < 2:  # nothing accelerates for good; the product above leaves rounding
         rest_functional[:, ACCELERATION] = 0.0
     bound = {

@@ -4,6 +4,7 @@ On a linear regime a full step is one precomputed matrix product. It also yields
 far the guard bends within the step; while that shows that no guard can turn negative, nothing else is done (`coast`).
 Where it does not, and right after every event, the step is expanded into its quartics, zeros are located by bisection,
 and the rest of the step is finished in the successor regime, so that the time grid stays at multiples of the step.
+Where another piece of the load begins, a step is cut short, and the grid begins anew.
 """
 
 from typing import Any, NamedTuple
@@ -13,12 +14,12 @@ import numpy.typing as npt
 
 from clunk.core.events import LOAD_STEP
 from clunk.core.jit import compiled, unowned, unowned_inlined
-from clunk.core.regimes import ACCELERATION, INPUTS, System
+from clunk.core.regimes import ACCELERATION, HALF_GAP, INPUTS, System
 from clunk.core.rk4 import quartic
 from clunk.core.rk4.propagator import BEND, BLOCK, Steps
 from clunk.core.rk4.settling import settled
 from clunk.core.rk4.step import Phase, acceleration_extremes, enter, expand, finish, first_event, make_phase
-from clunk.core.runs import Log, Outcome, Start, record
+from clunk.core.runs import BEGIN, Log, Outcome, Start, begin_wave, piece_at, record, set_torque
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
 from clunk.core.switching import Entry, room_for_a_switch, switch
 
@@ -35,7 +36,7 @@ _SHORTEST = 0.01
 
 
 class _Grid(NamedTuple):
-    """The time grid: multiples of the step up to the end time."""
+    """The time grid of a piece of the load: multiples of the step up to the end of the piece, or the end time."""
 
     step: float  # s
     full: int  # how many full steps there are
@@ -71,13 +72,17 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
     stop : (1,) uint8
         Set to non-zero from another thread to abandon the run.
     """
-    x, phase, full, grid = start.x, make_phase(system), _make_full(steps), _grid_of(system.end_time, steps.step)
+    x, phase, full, load = start.x, make_phase(system), _make_full(steps), start.loads[start.load]
+    inputs = np.zeros(INPUTS)
+    inputs[HALF_GAP] = start.half_gap
     entry = Entry(_unknown(1), start.regime, _unknown(-1), _unknown(0))
     record(log, 0, 0.0, 0.0, LOAD_STEP, entry.regime, system.regimes[entry.regime].side, x)
-    index, offset, fastest = 0, 0.0, 0.0  # the time is index · step + offset
+    piece = piece_at(load, 0, 0.0)
+    begin, grid = _begin_piece(system, steps, load, piece, x, inputs)
+    index, offset, fastest, spanned = 0, 0.0, 0.0, 1  # the time is begin + index · step + offset
     while True:
         flow, zero_guard = system.regimes[entry.regime].flow, entry.zero_guard
-        enter(phase, system, entry.regime, start.inputs)
+        enter(phase, system, entry.regime, inputs)
         _combine(steps.transfer_input[flow], phase.inputs, full.affine)
         _combine(steps.block_input[flow], phase.inputs, full.block_affine)
         opened = log.events[entry.written - 1]
@@ -89,7 +94,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
             opened.max_acceleration = max(opened.max_acceleration, high)
             opened.min_acceleration = min(opened.min_acceleration, low)
             if not finish(phase, s, x):
-                return Outcome(_NON_FINITE, entry.written, 0, np.nan, index * grid.step + offset)
+                return Outcome(_NON_FINITE, entry.written, 0, np.nan, begin + index * grid.step + offset)
             if guard >= 0:
                 offset += s
                 break
@@ -113,21 +118,40 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
                 index += taken
                 clear = taken == budget
                 if stop[0] != 0:
-                    return Outcome(INTERRUPTED, entry.written, 0, np.nan, index * grid.step)
-                if clear and (taken == _BETWEEN_LOOKS or index == grid.full):
+                    return Outcome(INTERRUPTED, entry.written, 0, np.nan, begin + index * grid.step)
+                if clear and (taken == _BETWEEN_LOOKS or index == grid.full) and piece + 1 == load.shape[0]:
                     over = settled(system, steps, entry.regime, phase, full.z, log.events, entry.written)
             x[:] = full.z[: x.size]
             if over:
-                return Outcome(_OK, entry.written, QUALITY_COMPLETE, np.nan, index * grid.step)
+                return Outcome(_OK, entry.written, QUALITY_COMPLETE, np.nan, begin + index * grid.step)
             if index >= grid.last:
-                return Outcome(_OK, entry.written, 0, np.nan, system.end_time)
+                if piece + 1 == load.shape[0] or load[piece + 1, BEGIN] >= system.end_time:
+                    return Outcome(_OK, entry.written, 0, np.nan, system.end_time)
+                piece = piece_at(load, piece + 1, load[piece + 1, BEGIN])
+                begin, grid = _begin_piece(system, steps, load, piece, x, inputs)
+                index, offset = 0, 0.0
+                enter(phase, system, entry.regime, inputs)
+                _combine(steps.transfer_input[flow], phase.inputs, full.affine)
+                _combine(steps.block_input[flow], phase.inputs, full.block_affine)
 
-        time = index * grid.step + offset
-        if not room_for_a_switch(system, start.inputs, log, entry.written):
+        time = begin + index * grid.step + offset
+        if not room_for_a_switch(system, inputs, log, entry.written):
             return Outcome(_EVENT_BUFFER_FULL, entry.written, 0, np.nan, time)
-        entry, fastest = switch(system, entry.regime, guard, time, x, start.inputs, log, entry.written, fastest)
+        entry, fastest = switch(system, entry.regime, guard, time, x, inputs, log, entry.written, fastest)
         if spanned == 2 and offset >= grid.step:
             index, offset = index + 1, offset - grid.step
+
+
+@unowned
+def _begin_piece(
+    system: System, steps: Steps, load: FloatArray, piece: int, x: FloatArray, inputs: FloatArray
+) -> tuple[float, _Grid]:
+    """Set wave and torque to those of a piece; return where it begins, and the time grid until it ends."""
+    begin = load[piece, BEGIN]
+    end = min(system.end_time, load[piece + 1, BEGIN]) if piece + 1 < load.shape[0] else system.end_time
+    begin_wave(system, load, piece, x)
+    set_torque(system, load, piece, begin, inputs)
+    return begin, _grid_of(end - begin, steps.step)
 
 
 @compiled
