@@ -170,13 +170,21 @@ def _wave_rates(study: Study) -> FloatArray | None:
 def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
     inertia, n = driveline.inertia, driveline.inertia.size
     damping, stiffness = driveline.matrices(closed=False)
-    open_chain = Chain(inertia, damping, stiffness, *unconstrained(2 * n))
+    shape = driveline.rigid_motion.shape
+    parts = rigid.rigid_motions(driveline.shafts[driveline.shaft_stiffness > 0.0]) if shape.size else shape
+    open_chain = Chain(inertia, damping, stiffness, *unconstrained(2 * n), parts)
     if study.lash.contact.model == "restitution":
         locked = constrained(driveline.lash)
         basis = locked.expand[:n, : n - 1]  # each row has at most one entry: the inertias' matrix stays diagonal
-        closed_chain = Chain(inertia @ basis**2, basis.T @ damping @ basis, basis.T @ stiffness @ basis, *locked)
+        closed_chain = Chain(
+            inertia @ basis**2,
+            basis.T @ damping @ basis,
+            basis.T @ stiffness @ basis,
+            *locked,
+            locked.pick[: n - 1, :n] @ shape,
+        )
     else:
-        closed_chain = Chain(inertia, *driveline.matrices(closed=True), *unconstrained(2 * n))
+        closed_chain = Chain(inertia, *driveline.matrices(closed=True), *unconstrained(2 * n), shape)
     chains = [open_chain, closed_chain]
     return build_flows(system.rates, system.inputs, system.functionals, system.feedthrough, chains)
 

@@ -8,6 +8,9 @@ were they modes, would be one of large numbers where σ is small. Of a pair noth
 and on that no derivative depends. So a functional's nth derivative stays within the sum of |c Λⁿ| times the amplitudes
 at any earlier time.
 
+The angle that a driveline rolls by, if nothing holds it, moves no functional. It is kept in units so large that it adds
+nothing to an amplitude.
+
 Four pairs of coordinates lie together: first the one member of each, then the other.
 
 A flow without a well-conditioned eigenbasis (critical damping, for example) keeps coordinates in which |y|² is twice
@@ -46,6 +49,7 @@ _APART = 1e-2  # of unit vectors that may make a basis
 _ROUNDING = 1e-12  # relative to the largest of its kind
 _RESONANCE = 1e-4  # of the wave's rate: an eigenvalue nearer than that is in resonance with it
 _GROWTH = math.exp(_SHORTEST / 2.0)
+_FAR = 2.0**40  # units of a displacement that nothing depends on
 
 
 class Flows(NamedTuple):
@@ -63,7 +67,8 @@ class Flows(NamedTuple):
     generator: FloatArray  # (K, C, C)  Λ times the shortest span
     watch: FloatArray  # (K, F, 2C, 8)  coordinates, then amplitudes -> VALUE to CURVATURE; JERK to SIXTH
     series: FloatArray  # (K, F, C, LONG)  y -> a functional's Taylor coefficients over the shortest span
-    steady: IntArray  # (K,)  whether the origin does not move under a constant torque
+    steady: IntArray  # (K,)  whether the functionals of the origin do not move under a constant torque
+    rolls: IntArray  # (K,)  whether the origin does, all the same
 
 
 class Chain(NamedTuple):
@@ -73,6 +78,7 @@ class Chain(NamedTuple):
     damping, stiffness : (m, m) float64
     expand, pick : (2n, 2m), (2m, 2n) float64, of the driveline (θ, θ') = expand (θ, θ') + shift s φ/2, and back
     shift : (2n,) float64
+    rigid : (m, k) float64, of a driveline that rolls all motions that twist no spring, each of other angles; else none
     """
 
     inertia: FloatArray
@@ -81,6 +87,7 @@ class Chain(NamedTuple):
     expand: FloatArray
     pick: FloatArray
     shift: FloatArray
+    rigid: FloatArray
 
 
 def build_flows(
@@ -112,6 +119,7 @@ def build_flows(
         watch=np.zeros((flows, count, 2 * size, ROW)),
         series=np.zeros((flows, count, size, LONG)),
         steady=np.zeros(flows, np.int64),
+        rolls=np.zeros(flows, np.int64),
     )
     for k, chain in enumerate(chains):
         _fill(tables, k, rates[k], inputs[k], functionals[k], feedthrough[k], chain)
@@ -147,10 +155,11 @@ def _fill(
     origin = back @ _particular(scaled, into @ forcing)
     origin[0, :, HALF_GAP] += chain.shift
     tables.origin[k, :, :, :still] = origin.transpose(0, 2, 1)
-    tables.origin_output[k] = functionals[:, :still] @ origin
+    tables.origin_output[k] = _outputs(functionals[:, :still], origin, chain)
     tables.origin_output[k, 0] += feedthrough
     tables.origin_output[k, 1, :, TORQUE_RATE] += feedthrough[:, TORQUE]
-    tables.steady[k] = not scaled.drift.any()
+    tables.steady[k] = not _outputs(functionals[:, :still], back[:, scaled.drift], chain).any()
+    tables.rolls[k] = tables.steady[k] and scaled.drift.any()
 
     modes = _modes(scaled)
     if modes is None:
@@ -160,6 +169,8 @@ def _fill(
         into, back = inverse @ into, back @ vectors
         tables.ringing[k] = np.count_nonzero(block.diagonal(-1)[::2])
     modal, growth = modes is not None, 1.0
+    unseen = ~block.any(axis=0) & ~_outputs(functionals[:, :still], back, chain).any(axis=0)
+    into[unseen], back[:, unseen], block[unseen] = into[unseen] / _FAR, back[:, unseen] * _FAR, block[unseen] / _FAR
     if rates.shape[0] > still:
         wave = rates[still:, still:]
         into, back, block, resonates = _with_wave(into, back, block, into @ rates[:still, still], wave, modal)
@@ -178,11 +189,11 @@ def _fill(
     generator[place[:, None], place] = shortest * block
     if modal:
         pairs = _pairs(generator)
-        _propagate(pairs, tables.propagator[k])
+        _propagate(pairs, _halves(np.isin(np.arange(size), place[: unseen.size][unseen])), tables.propagator[k])
         _expand(pairs, tables.power[k])
 
     derivatives = np.empty((TERMS, functionals.shape[0], size))  # by the time over the shortest span
-    derivatives[0] = functionals @ basis[:, :states].T
+    derivatives[0] = _outputs(functionals, basis[:, :states].T, chain)
     for j in range(1, TERMS):
         np.matmul(derivatives[j - 1], generator, out=derivatives[j])
     tables.series[k][:, :, :TERMS] = (_TAYLOR[:, None, None] * derivatives).transpose(1, 2, 0)
@@ -190,6 +201,14 @@ def _fill(
     watch = tables.watch[k].reshape(functionals.shape[0], 2, -1, 2, BLOCK, ROW)
     watch[:, 0, ..., VALUE : CURVATURE + 1] = _halves(slow[: CURVATURE + 1]).transpose(1, 2, 3, 4, 0)
     watch[:, 1, :, 0, :, JERK : SIXTH + 1] = (growth * _reach(slow[list(_BOUNDED)], modal)).transpose(1, 2, 3, 0)
+
+
+def _outputs(functionals: FloatArray, columns: FloatArray, chain: Chain) -> FloatArray:
+    """The functionals of some states; of a driveline that rolls, zero to the last bit where only rounding is left."""
+    outputs: FloatArray = functionals @ columns
+    if chain.rigid.size:
+        outputs[np.abs(outputs) <= _ROUNDING * (np.abs(functionals) @ np.abs(columns))] = 0.0
+    return outputs
 
 
 @functools.cache
@@ -215,7 +234,7 @@ def _reach(rows: FloatArray, modal: bool) -> FloatArray:
 def _scale(chain: Chain) -> _Scaled:
     m = chain.inertia.size
     root = np.sqrt(chain.inertia)
-    squared, rotated = np.linalg.eigh(chain.stiffness / (root[:, None] * root))
+    squared, rotated = _undamped_modes(chain.stiffness / (root[:, None] * root), root[:, None] * chain.rigid)
     shapes = rotated / root[:, None]
     free = squared <= _ROUNDING * squared.max(initial=0.0)
     drifting = bool(free.any())
@@ -239,6 +258,17 @@ def _scale(chain: Chain) -> _Scaled:
     into[m:, m:], back[m:, m:] = shapes.T * chain.inertia, shapes
     into[:m, :m], back[:m, :m] = frequency[:, None] * into[m:, m:], shapes / frequency
     return _Scaled(into, back, generator, np.concatenate((free, undamped)))
+
+
+def _undamped_modes(stiffness: FloatArray, rigid: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Eigenvalues, increasing, and eigenvectors of a symmetric matrix, of which some at zero are known to rounding."""
+    motions = rigid.shape[1]
+    if not motions:
+        return np.linalg.eigh(stiffness)
+    others = np.linalg.qr(rigid, mode="complete")[0][:, motions:]
+    squared, rotated = np.linalg.eigh(others.T @ stiffness @ others)
+    known = rigid / np.linalg.norm(rigid, axis=0)
+    return np.concatenate([np.zeros(motions), squared]), np.hstack([known, others @ rotated])
 
 
 def _particular(scaled: _Scaled, forcing: FloatArray) -> FloatArray:
@@ -386,9 +416,10 @@ def _pairs(generator: FloatArray) -> _Pairs:
     return _Pairs(_halves(generator.diagonal()), omega, omega != -generator[other, one])
 
 
-def _propagate(pairs: _Pairs, result: FloatArray) -> None:
+def _propagate(pairs: _Pairs, unseen: BoolArray, result: FloatArray) -> None:
     """exp(generator · span) over the spans of the ladder, and the decay of the amplitudes.
 
+    unseen : (B, 2, 4), coordinates that no functional sees, and amplitudes need not bound
     result : (SPANS, B, 3, 8)
     """
     decay, angle = np.exp(_LADDER[:, None, None, None] * pairs.sigma), _LADDER[:, None, None] * pairs.omega
@@ -397,7 +428,7 @@ def _propagate(pairs: _Pairs, result: FloatArray) -> None:
     halves[:, :, SELF] = decay * np.cos(turning)[:, :, None]
     sine = np.sin(turning)
     halves[:, :, CROSS, 0], halves[:, :, CROSS, 1] = decay[:, :, 0] * sine, -decay[:, :, 1] * sine
-    halves[:, :, DECAY] = decay.max(axis=2)[:, :, None]
+    halves[:, :, DECAY] = np.where(unseen, 0.0, decay).max(axis=2)[:, :, None]
     if drifting:
         speed = _LADDER[:, None, None] * pairs.sigma[:, 1]
         with np.errstate(invalid="ignore"):

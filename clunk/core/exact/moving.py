@@ -39,7 +39,7 @@ def to_states(space: Workspace, flow: int, mask: int) -> None:
     flows, work, left = space.flows, space.pool.work, space.moved
     origins, basis, size = flows.origin[flow], flows.basis[flow], flows.basis.shape[1]
     elapsed = field(space, rows.ELAPSED)
-    inputs, order, still = space.behind + rows.INPUT, INPUTS * size, is_still(space, flow)
+    inputs, order, still = space.behind + rows.INPUT, INPUTS * size, is_still(space, flow) and flows.rolls[flow] == 0
     half = 0.5 * elapsed * elapsed
     sixth = half * elapsed * A_THIRD
     for n in range(flows.coordinates.shape[1]):
