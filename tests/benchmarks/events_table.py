@@ -17,6 +17,7 @@ from clunk.study.study import Study
 PATH = Path(__file__).with_name("reference_events.npz")
 RATIOS = np.linspace(0.0, 10.0, 20)
 BACKLASHES_DEG = np.linspace(1.0, 20.0, 20)
+Axes = tuple[np.ndarray, np.ndarray]
 END_TIME = 1.5  # s after the load step; the last event of any run is at 0.992 s
 CONFIG = """
 [driveline]
@@ -76,11 +77,14 @@ def read(path: Path = PATH) -> EventTable:
         return EventTable(**{name: file[name] for name in EventTable._fields})
 
 
-def study(method: str = "rk4") -> Study:
-    """The sweep of the 400 runs; ConfigError where the method is not known."""
-    return study_from_text(
-        CONFIG.format(method=method, end_time=END_TIME, ratios=RATIOS.tolist(), backlashes=BACKLASHES_DEG.tolist())
-    )
+def study(method: str = "rk4", ramp: float = 0.0, axes: Axes = (RATIOS, BACKLASHES_DEG)) -> Study:
+    """The sweep of the 400 runs, or of others between their ends; ConfigError where the method is not known.
+
+    ramp : duration of the load's ramp  [s]; 0 is the step of the table
+    """
+    ratios, backlashes = (values.tolist() for values in axes)
+    text = CONFIG.format(method=method, end_time=END_TIME, ratios=ratios, backlashes=backlashes)
+    return study_from_text(text + f'[load]\nprofile = "ramp"\nduration = {ramp!r}\n' if ramp else text)
 
 
 def grid() -> tuple[np.ndarray, np.ndarray]:

@@ -13,14 +13,23 @@ import statistics
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 
-from clunk.report.claims import report_map
 from clunk.simulation import driveline
+from clunk.study.config import load_study
+from clunk.study.study import Study
 from clunk.sweeping import sweep as sweeping
 
+FIGURE = Path(__file__).parents[2] / "configs" / "figure_3_4.toml"
 STEPS = 20_000  # of a full-length run
+
+
+def report_map(count: int) -> Study:
+    """The sweep of Figure 3.4 with so many values an axis."""
+    counts = [f"sweep.axes[{axis}].count={count}" for axis in (1, 2)]
+    return load_study(FIGURE, counts)
 
 
 def main(repeats: int) -> None:

@@ -6,6 +6,8 @@ that the loop over steps stays in compiled code. Tried on these runs: 4 or 16 la
 fast_math (17 % slower), compact_mode (a third slower), one event q² = (φ/2)² for both flanks (as fast, but one run of
 400 wrong at a tolerance of 1e-9); shafts as common terms instead of rows of coefficients, slp_vectorize and
 force_avx512 change nothing. Events that do not end the step would have to be rewound in Python, step by step.
+
+Under a ramp the torque is a parameter and another one times the time, which change where the ramp ends.
 """
 
 from array import array
@@ -14,18 +16,21 @@ import events_table
 import heyoka as hy
 import numpy as np
 
+from clunk.core.runs import LEVEL, SLOPE
 from clunk.simulation.driveline import Driveline
-from clunk.simulation.load import load_step
+from clunk.simulation.load import loads_of
 
+CELLS = events_table.RATIOS.size * events_table.BACKLASHES_DEG.size
 LANES = 8
 TOUCH, SEPARATION = 1, 2
 
 
-def make(tolerance: float):
+def make(tolerance: float, ramp: float = 0.0):
     """A function of cell numbers that gives each one's events: (E, 2) float64, time [s] and kind times side."""
-    study = events_table.study()
+    study = events_table.study(ramp=ramp)
     driveline = Driveline.from_study(study)
-    torque = load_step(study.load).after
+    before, pieces = loads_of(study.load, CELLS, ratio=events_table.grid()[0])
+    torque = hy.par[3] + hy.par[4] * hy.time if ramp else hy.expression(pieces[0, -1, LEVEL])
     n = driveline.inertia.size
     angles = hy.make_vars(*(f"angle_{k}" for k in range(n)))
     speeds = hy.make_vars(*(f"speed_{k}" for k in range(n)))
@@ -40,7 +45,7 @@ def make(tolerance: float):
         terms = [-driveline.stiffness[k, m] / inertia * angles[m] for m in range(n) if driveline.stiffness[k, m]]
         terms += [-driveline.damping[k, m] / inertia * speeds[m] for m in range(n) if driveline.damping[k, m]]
         if driveline.load[k]:
-            terms.append(hy.expression(torque / inertia))
+            terms.append(torque / inertia)
         if driveline.lash[k]:
             terms.append(-driveline.lash[k] / inertia * contact)
         system.append((speeds[k], hy.sum(terms)))
@@ -67,7 +72,7 @@ def make(tolerance: float):
     integrator = hy.taylor_adaptive_batch(
         system,
         np.zeros((2 * n, LANES)),
-        pars=np.zeros((3, LANES)),
+        pars=np.zeros((5 if ramp else 3, LANES)),
         tol=tolerance,
         compact_mode=False,
         fast_math=True,
@@ -92,6 +97,10 @@ def make(tolerance: float):
             parameters[2] = half_gaps[batch]
             for lane in log:
                 del lane[:]
+            if ramp:
+                parameters[3], parameters[4] = before[batch], pieces[batch, 0, SLOPE]
+                integrator.propagate_until(ramp)
+                parameters[3], parameters[4] = pieces[batch, -1, LEVEL], 0.0
             integrator.propagate_until(events_table.END_TIME)
             found += [np.array(lane).reshape(-1, 2) for lane in log[: len(cells) - start]]
         return found

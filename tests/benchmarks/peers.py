@@ -1,6 +1,7 @@
 """clunk beside the real alternatives: the same 400 runs on the same machine, and how far each one's events are off.
 
-Run by hand: python tests/benchmarks/peers.py [--quick] [--json] [--repeats N] [--patience S]    (clunk's extra `bench`)
+Run by hand: python tests/benchmarks/peers.py [--quick] [--json] [--repeats N] [--patience S] [--ramp S]
+(clunk's extra `bench`)
 
 The runs are those of `events_table`: 20 x 20 cells, 1.5 s after the load step, every touch and separation located. One
 row is a sweep of the same axes at 401 x 401 cells, as large as maps are: a sweep has milliseconds of its own, which
@@ -12,7 +13,8 @@ measurement waits up to S seconds for it to be idle, and those during which othe
 a rate with no other measurement than such is marked *. clunk's rows are whole calls of `clunk.sweep` with as many
 threads as cores; the other rows are processes that already wait for work, timed until every run's events are in this
 process. Errors are against the stored table of `reference_events.py`: the largest |time error| of any event in the runs
-that have the right number of them, and how many runs have another number of events, or another label.
+that have the right number of them, and how many runs have another number of events, or another label. With --ramp the
+torque falls within S seconds; of such runs there is no table, and errors are differences from the exact method.
 """
 
 import argparse
@@ -27,6 +29,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
+from typing import NamedTuple
 
 import events_table
 import figure
@@ -37,7 +40,6 @@ import clunk
 from clunk.core.events import EVENT
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.simulation.driveline import Driveline
-from clunk.study.config import study_from_text
 from clunk.study.study import replace_values
 from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.engines import cpu_model
@@ -92,13 +94,21 @@ class Row:
         return min(self.others[cores]) >= DISTURBED
 
 
+class Expected(NamedTuple):
+    """The events of the 400 runs, with what double precision leaves of their times, and the labels."""
+
+    events: list[np.ndarray]
+    remainders: list[np.ndarray]
+    labels: np.ndarray
+
+
 class Clunk:
     """A method of clunk's, by the public sweep and, for the times of the events, by the public simulate."""
 
-    def __init__(self, name: str, method: str, whole: bool = False, fine: bool = False) -> None:
+    def __init__(self, name: str, method: str, whole: bool = False, fine: bool = False, ramp: float = 0.0) -> None:
         self.row = Row(name)
-        self.study = events_table.study(method)
-        self.timed = fine_study(method) if fine else self.study
+        self.study = events_table.study(method, ramp)
+        self.timed = events_table.study(method, ramp, finer()) if fine else self.study
         self.whole = whole
         began = time.perf_counter()
         sweeping.warm_up(self.study)
@@ -110,31 +120,43 @@ class Clunk:
         """Runs and seconds of one sweep."""
         return sweeping.cell_count(self.timed), figure.timed(self.timed, cores, not self.whole)
 
-    def check(self, _: bool) -> None:
+    def check(self, _: bool, expected: Expected) -> None:
         """Fill in the errors."""
         results = clunk.sweep(self.study)
-        ratio, backlash_deg = events_table.grid()
-        found = []
-        for sigma, degrees in zip(ratio, backlash_deg, strict=True):
-            cell = {"load.ratio": float(sigma), "lash.backlash_deg": float(degrees)}
-            events = clunk.simulate(replace_values(self.study, cell)).events[1:]
-            found.append(np.column_stack([events["time"], events["kind"] * events["side"]]))
-        compare(self.row, CELLS, found, [results.labels[code] for code in results.sequence.ravel()])
+        labels = [results.labels[code] for code in results.sequence.flat]
+        compare(self.row, CELLS, events_of(self.study), labels, expected)
 
     def close(self) -> None:
         """Nothing is kept."""
 
 
-def fine_study(method: str) -> clunk.Study:
+def finer() -> tuple[np.ndarray, np.ndarray]:
     """The same axes, from end to end, in smaller steps."""
-    ratios, backlashes = (
-        np.linspace(values[0], values[-1], FINE).tolist()
-        for values in (events_table.RATIOS, events_table.BACKLASHES_DEG)
-    )
-    text = events_table.CONFIG.format(
-        method=method, end_time=events_table.END_TIME, ratios=ratios, backlashes=backlashes
-    )
-    return study_from_text(text)
+    ratios, backlashes = events_table.RATIOS, events_table.BACKLASHES_DEG
+    return np.linspace(ratios[0], ratios[-1], FINE), np.linspace(backlashes[0], backlashes[-1], FINE)
+
+
+def events_of(study: clunk.Study) -> list[np.ndarray]:
+    """The events of the 400 runs by a method of clunk's: (E, 2) each, time [s] and kind times side."""
+    events = []
+    for sigma, degrees in zip(*events_table.grid(), strict=True):
+        cell = {"load.ratio": float(sigma), "lash.backlash_deg": float(degrees)}
+        run = clunk.simulate(replace_values(study, cell)).events[1:]
+        events.append(np.column_stack([run["time"], run["kind"] * run["side"]]))
+    return events
+
+
+def expected_of(ramp: float) -> Expected:
+    """Of the stored table; under a ramp by the exact method."""
+    if ramp:
+        study = events_table.study("exact", ramp)
+        results, events = clunk.sweep(study), events_of(study)
+        labels = np.array([results.labels[code] for code in results.sequence.flat])
+        return Expected(events, [np.zeros(len(run)) for run in events], labels)
+    table, runs = events_table.read(), [events_table.read().of(cell) for cell in CELLS]
+    kinds = table.kind.astype(np.float64) * table.side
+    events = [np.column_stack([table.time[run], kinds[run]]) for run in runs]
+    return Expected(events, [table.remainder[run] for run in runs], table.label)
 
 
 class Peer:
@@ -171,7 +193,7 @@ class Peer:
             events |= dict(zip(part.tolist(), np.split(flat, np.cumsum(counts)[:-1]), strict=True))
         return [events[cell] for cell in cells.tolist()]
 
-    def check(self, all_cells: bool) -> None:
+    def check(self, all_cells: bool, expected: Expected) -> None:
         """Fill in the errors, of all runs or of those that are timed."""
         cells = CELLS if all_cells else np.unique(self.timed)
         found = self.solve(cells, max(CORES))
@@ -180,7 +202,7 @@ class Peer:
         labels = [
             label_of(run, int(side), driveline.contact_period) for run, side in zip(found, sides[cells], strict=True)
         ]
-        compare(self.row, cells, found, labels)
+        compare(self.row, cells, found, labels, expected)
 
     def close(self) -> None:
         """End its processes."""
@@ -210,38 +232,40 @@ def label_of(run: np.ndarray, initial_side: int, sticking_time: float) -> str:
     return label(np.where(events["side"][primaries[:found]] == initial_side, INITIAL, OPPOSITE))
 
 
-def compare(row: Row, cells: np.ndarray, found: list[np.ndarray], labels: list[str]) -> None:
-    """Errors of these cells' runs against the stored table."""
-    table = events_table.read()
+def compare(row: Row, cells: np.ndarray, runs: list[np.ndarray], labels: list[str], expected: Expected) -> None:
+    """Errors of these cells' runs."""
     errors = [0.0]
-    for cell, run in zip(cells, found, strict=True):
-        own = table.of(cell)
-        kinds = table.kind[own].astype(np.float64) * table.side[own]
-        if not np.array_equal(run[:, 1], kinds):
+    for cell, run in zip(cells, runs, strict=True):
+        events = expected.events[cell]
+        if not np.array_equal(run[:, 1], events[:, 1]):
             row.wrong_events += 1
         else:
-            errors += np.abs(run[:, 0] - table.time[own] - table.remainder[own]).tolist()
+            errors += np.abs(run[:, 0] - events[:, 0] - expected.remainders[cell]).tolist()
     row.time_error = max(errors)
     row.checked = cells.size
-    row.wrong_labels = int(np.count_nonzero(np.array(labels) != table.label[cells]))
+    row.wrong_labels = int(np.count_nonzero(np.array(labels) != expected.labels[cells]))
 
 
-def contestants() -> dict[str, Callable[[str], Clunk | Peer]]:
+def contestants(ramp: float) -> dict[str, Callable[[str], Clunk | Peer]]:
     """What makes each row, by its name."""
 
     def heyoka(tolerance: float) -> Callable[[str], Peer]:
-        return lambda name: Peer(name, "peer_heyoka", np.tile(CELLS, 10), tolerance=tolerance)
+        return lambda name: Peer(name, "peer_heyoka", np.tile(CELLS, 10), tolerance=tolerance, ramp=ramp)
 
     def solve_ivp(**options: object) -> Callable[[str], Peer]:
         return lambda name: Peer(name, "peer_scipy", SAMPLE, **options)
 
-    return {
+    rows = {
         YARDSTICK: heyoka(1e-9),
         "heyoka, tolerance 1e-12": heyoka(1e-12),
-        "clunk exact": lambda name: Clunk(name, "exact"),
-        f"clunk exact, {FINE} x {FINE}": lambda name: Clunk(name, "exact", fine=True),
-        "clunk rk4": lambda name: Clunk(name, "rk4"),
-        "clunk rk4, full length": lambda name: Clunk(name, "rk4", whole=True),
+        "clunk exact": lambda name: Clunk(name, "exact", ramp=ramp),
+        f"clunk exact, {FINE} x {FINE}": lambda name: Clunk(name, "exact", fine=True, ramp=ramp),
+        "clunk rk4": lambda name: Clunk(name, "rk4", ramp=ramp),
+        "clunk rk4, full length": lambda name: Clunk(name, "rk4", whole=True, ramp=ramp),
+    }
+    if ramp:  # solve_ivp's runs are of the step
+        return rows
+    return rows | {
         "solve_ivp RK45, 1e-6": solve_ivp(method="RK45", rtol=1e-6, atol=1e-9, first_step=1e-6),
         "solve_ivp DOP853, 1e-9": solve_ivp(method="DOP853", rtol=1e-9, atol=1e-12, first_step=1e-6),
         "solve_ivp, its defaults": solve_ivp(),
@@ -257,12 +281,13 @@ def main() -> None:
     parser.add_argument(
         "--patience", type=float, default=0.0, help="seconds that a measurement waits for an idle machine"
     )
+    parser.add_argument("--ramp", type=float, default=0.0, help="seconds in which the torque falls; 0: a step")
     parser.add_argument("--only", default="", help="rows whose name has this in it, and the yardstick")
     options = parser.parse_args()
     repeats, at_least = (2, 0.2) if options.quick else (options.repeats, 0.5)
     rows = []
     with contextlib.ExitStack() as stack:
-        for name, make in contestants().items():
+        for name, make in contestants(options.ramp).items():
             if options.only not in name and name != YARDSTICK:
                 continue
             try:
@@ -282,8 +307,9 @@ def main() -> None:
                     contestant.row.rates[cores].append(rate(contestant, cores, at_least))
                     contestant.row.others[cores].append(watch.others())
             print(f"repeat {repeat + 1} of {repeats}", file=sys.stderr)
+        expected = expected_of(options.ramp)
         for contestant in rows:
-            contestant.check(not options.quick)
+            contestant.check(not options.quick, expected)
     table = [contestant.row for contestant in rows]
     machine = f"{cpu_model()}, {len(os.sched_getaffinity(0))} cores"
     if options.json:
