@@ -163,12 +163,10 @@ def test_reproduce_writes_every_figure_and_exits_4_when_a_claim_stops_agreeing(t
 _figures = reproduction.figures
 
 
-def test_every_figure_of_the_report_can_be_drawn(evidence, found, tmp_path):
-    jobs = reproduction.figures(evidence)
-    written = reproduction.save_all(jobs, evidence, found, tmp_path)
-    names = {path.stem for path in written}
+def test_every_figure_of_the_report_is_among_those_that_reproduce_draws(evidence):
+    """They are all drawn where the README's command is run."""
+    names = {name for name, _ in reproduction.figures(evidence)}
     assert {f"figure_3_{k}" for k in range(1, 8)} | {"table_4_1", "figure_4_4_trend"} <= names
-    assert all(path.stat().st_size > 0 for path in written)
 
 
 # --- the linear view

@@ -13,6 +13,7 @@ import pytest
 from test_parts import CONFIG, posix, resumed, stopped
 from test_sweeping import equal, figure_3_4, study
 
+from clunk.cli import main
 from clunk.results.store import read_header
 from clunk.study.config import load_study
 from clunk.sweeping import distributed
@@ -123,6 +124,17 @@ def clunk(directory, *arguments, before="pass"):
     )
 
 
+def main_in(directory, monkeypatch, capsys, *arguments):
+    """(exit code, stdout, stderr) of the command, run in this process."""
+    (directory / "map.toml").write_text(CONFIG)
+    monkeypatch.chdir(directory)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # main's handler must not outlive a test
+    monkeypatch.setattr(sys, "argv", ["clunk", "sweep", "map.toml", "-o", "map.h5", *arguments])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    return (stopped.value.code or 0, *capsys.readouterr())
+
+
 def words(text):
     return " ".join(text.split())
 
@@ -156,15 +168,14 @@ class TestTheSameBits:
         with Cluster(two_workers.address) as engine:
             assert equal(sweep(line, engine=engine, refine=True), sweep(line, refine=True))
 
-    def test_by_a_local_cluster_of_the_command_which_leaves_nothing_behind(self, tmp_path):
+    def test_by_a_local_cluster_of_the_command_which_leaves_nothing_behind(self, tmp_path, monkeypatch, capsys):
         local = clunk(tmp_path, "--scheduler", "local", "--workers", "2")
         out, err = local.communicate(timeout=120)
         assert local.returncode == 0, err
         assert all("cells" in line for line in err.splitlines()), err
         assert sorted(path.name for path in tmp_path.iterdir()) == ["map.h5", "map.toml"]
         digest = read_header(tmp_path / "map.h5").content_digest
-        threads = clunk(tmp_path, "--force")
-        assert threads.communicate(timeout=120)[0] == out
+        assert main_in(tmp_path, monkeypatch, capsys, "--force")[:2] == (0, out)
         assert read_header(tmp_path / "map.h5").content_digest == digest
 
     @posix
@@ -207,14 +218,6 @@ class TestTheSameBits:
         with Cluster("local", workers=2) as engine:
             assert equal(sweep(figure, engine=engine), sweep(figure))
 
-    def test_where_a_worker_rounds_otherwise_but_all_cells_share_a_system(self, alone):
-        """OpenBLAS as on an older processor gives other last bits to eigenvectors."""
-        alone.worker(OPENBLAS_CORETYPE="Prescott")
-        shared = figure_3_4(17)
-        shared = shared.model_copy(update={"solver": shared.solver.model_copy(update={"method": "exact"})})
-        with Cluster(alone.address) as engine:
-            assert equal(sweep(shared, engine=engine), sweep(shared))
-
 
 class TestWhatIsRefused:
     def test_no_scheduler(self, tmp_path):
@@ -233,16 +236,16 @@ class TestWhatIsRefused:
             (["--scheduler", "tcp://127.0.0.1:9", "--workers", "2"], "for a local scheduler; this one has its own"),
         ],
     )
-    def test_options_that_make_no_sense(self, tmp_path, arguments, sentence):
-        process = clunk(tmp_path, *arguments)
-        _, err = process.communicate(timeout=60)
-        assert process.returncode == 2
+    def test_options_that_make_no_sense(self, tmp_path, monkeypatch, capsys, arguments, sentence):
+        code, _, err = main_in(tmp_path, monkeypatch, capsys, *arguments)
+        assert code == 2
         assert sentence in words(err)
 
-    def test_without_dask(self, tmp_path):
-        process = clunk(tmp_path, "--scheduler", "local", before="sys.modules['dask'] = None")
-        _, err = process.communicate(timeout=60)
-        assert process.returncode == 2
+    def test_without_dask(self, tmp_path, monkeypatch, capsys):
+        monkeypatch.delitem(sys.modules, distributed.__name__)
+        monkeypatch.setitem(sys.modules, "dask", None)
+        code, _, err = main_in(tmp_path, monkeypatch, capsys, "--scheduler", "local")
+        assert code == 2
         assert "pip install 'clunk[dask]'" in words(err)
         assert "Traceback" not in err
 
@@ -264,16 +267,18 @@ class TestWhatIsRefused:
 
 
 class TestAnEndBeforeTheEnd:
-    def test_without_a_worker_it_waits_and_says_so(self, alone, map_17, whole):
-        said = []
+    def test_without_a_worker_it_waits_and_says_so_and_one_that_rounds_otherwise_makes_no_difference(self, alone):
+        """All cells share a system; OpenBLAS as on an older processor gives other last bits to its eigenvectors."""
+        shared, said = figure_3_4(17), []
+        shared = shared.model_copy(update={"solver": shared.solver.model_copy(update={"method": "exact"})})
 
         def say(text):
             said.append(text)
             if len(said) == 1:
-                alone.worker()
+                alone.worker(OPENBLAS_CORETYPE="Prescott")
 
         with Cluster(alone.address, say=say) as engine:
-            assert equal(sweep(map_17, engine=engine), whole)
+            assert equal(sweep(shared, engine=engine), sweep(shared))
         assert said == [f"waiting for a worker of {alone.address} …"]
 
     @posix
