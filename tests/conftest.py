@@ -5,13 +5,18 @@ import os
 import pytest
 from hypothesis import settings
 
+from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.study import Study
-from clunk.sweeping.cells import compiling_note, warm_up
+from clunk.sweeping.cells import compiling_note
+from clunk.sweeping.sweep import sweep
 
 # The first call of a kernel compiles it, which takes longer than any deadline; the same examples on every machine.
 settings.register_profile("clunk", deadline=None, derandomize=True)
 settings.load_profile("clunk")
+
+NOMINAL = '[driveline]\npreset = "boere-2008"\n[lash]\nbacklash_deg = 6.0\n[load]\nratio = 5.0\n'
+LINE = '[[sweep.axes]]\nparameter = "load.ratio"\nstart = 0.0\nstop = 10.0\ncount = 121\n'
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -23,13 +28,14 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         for method in ("rk4", "exact"):
             if compiling_note(method):
-                warm_up(study_from_text(f'[driveline]\npreset = "boere-2008"\n[solver]\nmethod = "{method}"\n'))
+                simulate(study_from_text(f'{NOMINAL}[solver]\nmethod = "{method}"\n'))
+                sweep(study_from_text(f'{NOMINAL}[solver]\nmethod = "{method}"\n{LINE}'), refine=True)
 
 
 @pytest.fixture(scope="session")
 def nominal() -> Study:
     """The report's driveline at σr = 5, φθ = 6°: its Figures 3.1 and 3.2."""
-    return study_from_text('[driveline]\npreset = "boere-2008"\n[lash]\nbacklash_deg = 6.0\n[load]\nratio = 5.0\n')
+    return study_from_text(NOMINAL)
 
 
 @pytest.fixture(scope="session")
