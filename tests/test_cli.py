@@ -93,6 +93,7 @@ def test_sweep_plot_and_info_work_on_a_small_grid(clunk, small, here):
     code, out, _ = clunk("info", "results/small.h5")
     assert code == 0
     assert "load.ratio: 0 to 10, 6 values" in out
+    assert re.search(r"^load .*ideal torque step.*, Ts = -1 N m, σr swept$", out, flags=re.MULTILINE)
     code, out, _ = clunk("plot", "results/small.h5")
     assert code == 0
     assert out.split() == ["results/small-regimes.png", "results/small-severity.png"]
@@ -309,7 +310,7 @@ def test_simulate_never_writes_over_a_sweep_s_results(clunk, small, here):
 
 def test_simulate_draws_and_saves_runs_and_overlays(clunk, here):
     config = ROOT / "configs/nominal.toml"
-    for figure in ("everything", "angles", "backlash", "closeup", "acceleration", "small-gap"):
+    for figure in ("everything", "angles", "speeds", "backlash", "closeup", "acceleration", "small-gap"):
         code, _, err = clunk("simulate", config, "--overlay", "load.ratio=2,5", "--figure", figure, "-o", "run.png")
         assert code == 0
         assert "-> run.png" in err
@@ -400,6 +401,19 @@ def test_modes_prints_the_report_s_numbers(clunk):
     assert code == 0
     for number in ("3.2", "16.2", "30.8", "258.3", "1.46", "3.13", "6.69", "14.32"):
         assert f" {number}" in out
+
+
+@pytest.mark.parametrize("command", ["modes", "simulate"])
+def test_tables_of_a_long_driveline_fit_a_terminal(clunk, command):
+    _, out, err = clunk(command, ROOT / "configs/car_tip_out.toml")
+    assert max(map(len, (out + err).splitlines())) <= 80
+
+
+def test_events_tell_the_load_at_their_time(clunk):
+    overrides = ["--set", "load.profile=ramp", "--set", "load.duration=0.2"]
+    record = json.loads(clunk("simulate", ROOT / "configs/nominal.toml", *overrides, "--json")[1])
+    for event in record["events"]:
+        assert event["load"] == pytest.approx(-6.0 + 5.0 * min(event["time"] / 0.2, 1.0))
 
 
 def test_a_step_that_is_too_coarse_for_the_contact_is_warned_of(clunk):

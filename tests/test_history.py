@@ -478,6 +478,38 @@ def test_several_runs_are_explained_once():
     assert len(figure.axes) == 4
 
 
+@pytest.mark.parametrize(
+    ("profile", "ticks"),
+    [
+        ("ramp", [-6.0, -1.0]),
+        ("smooth", [-6.0, -1.0]),
+        ("lag", [-6.0, -1.0]),
+        ("pulse", [-6.0, -1.0]),
+        ("sine", None),
+    ],
+)
+def test_the_torque_is_drawn_above_with_ticks_where_it_begins_and_ends(profile, ticks):
+    numbers = "duration=0.2", "time_constant=0.05", "amplitude=2.0", "frequency=8.0"
+    run = recording(profile, "gap", f"load.profile='{profile}'", *(f"load.{number}" for number in numbers))
+    ax = histories.simulation_figure([run]).axes[0]
+    assert ax.get_ylabel().startswith("Torque")
+    drawn = ax.lines[-1].get_ydata()
+    np.testing.assert_array_equal(drawn, run.torque)
+    assert ticks is None or ax.get_yticks().tolist() == ticks
+    low, high = ax.get_ylim()
+    assert low < drawn.min()
+    assert drawn.max() < high
+
+
+def test_a_pulse_is_named_there_and_back():
+    study = study_from_text(
+        '[driveline]\npreset = "boere-2008"\n[load]\nprofile = "pulse"\nduration = 0.2\n'
+        "initial_torque = -6.0\nfinal_torque = -1.0\n"
+    )
+    (ax, _) = histories.speeds([sample(simulate(study))]).axes
+    assert "T = −6 → −1 → −6 N m, d = 0.2 s" in ax.get_title(loc="left")
+
+
 @pytest.mark.parametrize("ratio", [1.463, 3.129, 6.693, 14.317])
 def test_envelope_ends_half_a_period_off_at_the_thresholds_of_table_3_1(ratio):
     response = SmallGap.of(nominal("gap", f"load.ratio={ratio}"))

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from clunk.cli import tables
+from clunk.cli import phrases, tables
 from clunk.cli.options import PATH, json_option
 
 
@@ -22,6 +22,7 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
     Example: clunk info results/figure_3_4.h5 --check
     """
     from clunk.results import store
+    from clunk.study.loads import PROFILES, numbers
 
     header = store.check(file) if check else store.read_header(file)
     tolerances = store.read_tolerance_map(file) if header.tolerance_map else None
@@ -54,6 +55,10 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
     for each in header.sample:
         unit = "" if each.unit == "1" else f" {each.unit}"
         click.echo(f"drawn     {each.name}, {each.values.min():.4g} to {each.values.max():.4g}{unit}")
+    load = header.setting("load")
+    if load is not None:
+        swept = {axis.parameter for axis in header.parameters}
+        click.echo(phrases.fill(f"load      {', '.join([PROFILES[load['profile']].name, *numbers(load, swept)])}"))
     click.echo(f"config    {header.config_digest[:16]}…")
     for name, value in header.attributes.items():
         click.echo(f"{name.removesuffix('_version'):<9} {value}")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clunk.cli import tables
+from clunk.cli import phrases, tables
 from clunk.cli.options import PATH, json_option, set_option
 
 if TYPE_CHECKING:
@@ -28,6 +28,8 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
 
     Example: clunk modes configs/nominal.toml
     """
+    import numpy as np
+
     from clunk.simulation.driveline import Driveline, steps_a_period
     from clunk.simulation.linear import one_mode_thresholds, rigid_contact_thresholds
     from clunk.simulation.shapes import kinetic_energy_shares, mode_shapes, shuffle_mode
@@ -58,19 +60,24 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
         return
     for state, eigen in states.items():
         click.echo(f"lash {state}")
-        click.echo("  mode  frequency [Hz]  damping ratio ζ [-]  share of kinetic energy")
+        click.echo("  mode  frequency [Hz]  damping ζ [-]  share of kinetic energy")
         for k, (frequency, ratio) in enumerate(zip(eigen.frequency, eigen.damping_ratio, strict=True), 1):
             moved = _largest_shares(shares[state][k - 1].tolist(), names)
             named = "shuffle: " if state == "closed" and shuffle == k - 1 else ""
-            click.echo(f"  {k:>4}  {frequency:>14.1f}  {ratio:>19.3f}  {named}{moved}")
-        for rate in eigen.overdamped:
-            click.echo(f"     -  does not oscillate; {f'decays at {rate:.4g} 1/s' if rate > 0.0 else 'drifts'}")
+            numbers = f"  {k:>4}  {frequency:>14.1f}  {ratio:>13.3f}  "
+            click.echo(phrases.fill(named + moved, numbers, " " * len(numbers)))
+        rates = eigen.overdamped
+        drifting = int(np.count_nonzero(rates <= 0.0))
+        if drifting:
+            click.echo(f"     -  does not oscillate; drifts ({drifting} of the eigenvalues are zero)")
+        for rate in rates[rates > 0.0]:
+            click.echo(f"     -  does not oscillate; decays at {rate:.4g} 1/s")
         click.echo()
     click.echo(f"contact period T_c  {1e3 * driveline.contact_period:.2f} ms")
     steps = steps_a_period(study)
     click.echo(f"solver.step         {study.solver.step:g} s, {steps:.1f} steps a period of the fastest mode")
     click.echo()
-    click.echo("load ratio σr above which one more impact appears as the backlash vanishes")
+    click.echo("load ratio σr of an ideal step above which one more impact appears as the\nbacklash vanishes")
     click.echo("  impacts       " + "".join(f"{n:>8}" for n in range(1, 5)))
     for name, ratios in thresholds.items():
         click.echo(f"  {name:<14}" + ("".join(f"{ratio:>8.2f}" for ratio in ratios) or "    none"))

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from clunk.simulation.trajectory import Trajectory
     from clunk.study.study import Study
 
-_FIGURES = ("everything", "angles", "backlash", "closeup", "acceleration", "small-gap")
+_FIGURES = ("everything", "angles", "speeds", "backlash", "closeup", "acceleration", "small-gap")
 
 
 class Drawing(NamedTuple):
@@ -162,6 +162,7 @@ def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, options: Drawin
     draw = {
         "everything": lambda: figures.simulation_figure(drawn),
         "angles": lambda: figures.angles(drawn),
+        "speeds": lambda: figures.speeds(drawn),
         "backlash": lambda: figures.backlash(drawn),
         "closeup": lambda: figures.closeup(drawn, options.around, options.width),
         "acceleration": lambda: figures.acceleration(drawn),
@@ -185,7 +186,7 @@ def print_trajectory(trajectory: Trajectory) -> None:
 
 def trajectory_record(trajectory: Trajectory) -> dict[str, Any]:
     """A run for JSON."""
-    primaries = set(trajectory.primaries.tolist())
+    primaries, load = set(trajectory.primaries.tolist()), trajectory.load
     return {
         "label": trajectory.label,
         "severity": trajectory.severity,
@@ -200,6 +201,7 @@ def trajectory_record(trajectory: Trajectory) -> dict[str, Any]:
                 "event": trajectory.kind_name(k),
                 "flank": trajectory.flank_name(k),
                 "relative_velocity": float(event["speed"]),
+                "load": float(load[k]),
                 "primary": k in primaries,
             }
             for k, event in enumerate(trajectory.events)
@@ -210,6 +212,8 @@ def trajectory_record(trajectory: Trajectory) -> dict[str, Any]:
 
 def print_energy(trajectory: Trajectory, balance: EnergyBalance) -> None:
     """Print the energy balance of a run: stored before and after, taken by dampers and flanks, and the residual."""
+    from clunk.simulation.driveline import Driveline
+
     driveline, contact = trajectory.study.driveline, trajectory.study.lash.contact
     shafts = [f"shaft {k}, {shaft.between[0]}-{shaft.between[1]}" for k, shaft in enumerate(driveline.shafts, 1)]
     rows = [
@@ -229,6 +233,9 @@ def print_energy(trajectory: Trajectory, balance: EnergyBalance) -> None:
         click.echo(f"{'regained at rejoins':<20}{balance.regained:>14.6g}")
     residual = f"{balance.residual:>14.6g}, {balance.relative_residual:.1e} of the largest energy"
     click.echo(f"{'residual':<20}{residual}")
+    rigid = Driveline.from_study(trajectory.study).rigid_motion
+    if rigid.shape.size and not rigid.is_dragged:
+        click.echo("(nothing resists the rolling: speeds are those above the speed at the load step)")
 
 
 def energy_record(balance: EnergyBalance) -> dict[str, Any]:

@@ -16,7 +16,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from clunk.plot import style
-from clunk.plot.history_panels import Curve, draw_acceleration, draw_angles, draw_backlash, draw_torque, touch_look
+from clunk.plot.history_panels import (
+    Curve,
+    draw_acceleration,
+    draw_angles,
+    draw_backlash,
+    draw_speeds,
+    draw_torque,
+    touch_look,
+)
 from clunk.plot.plane import Bools
 from clunk.plot.style import FAINT_INK, HISTORY_WIDTH, MINUS, PlotError
 from clunk.simulation.history import History
@@ -32,14 +40,19 @@ _BEFORE = 0.4  # share of a close-up's width before the moment that it is around
 
 
 def simulation_figure(runs: Runs) -> Figure:
-    """Angles, load, backlash coordinate and acceleration of runs on one time axis."""
-    panels = (draw_angles, 3.0), (draw_torque, 0.9), (draw_backlash, 2.4), (draw_acceleration, 2.6)
+    """Load, angles, backlash coordinate and acceleration of runs on one time axis."""
+    panels = (draw_torque, 0.9), (draw_angles, 3.0), (draw_backlash, 2.4), (draw_acceleration, 2.6)
     return _stacked(runs, panels, 9.2, marks=True)
 
 
 def angles(runs: Runs) -> Figure:
     """The angle of every inertia over the load (Figure 3.1)."""
     return _stacked(runs, ((draw_angles, 4.0), (draw_torque, 1.0)), 5.2)
+
+
+def speeds(runs: Runs) -> Figure:
+    """The speed of every inertia over the load."""
+    return _stacked(runs, ((draw_speeds, 4.0), (draw_torque, 1.0)), 5.2)
 
 
 @style.styled()
@@ -192,11 +205,14 @@ def _curves(runs: Runs) -> list[Curve]:
 
 def _case(run: History) -> str:
     """The load and the gap of a run, in symbols."""
-    before, after = load_step(run.study.load)
-    load = f"T = {before:g} → {after:g} N m"
-    if run.study.load.ratio is not None:
-        load = f"{style.symbol_text('σr')} = {run.study.load.ratio:g}"
-    parts = [load, *numbers(dict(run.study.load), without=STEP_KEYS)]
+    load = run.study.load
+    before, after = load_step(load)
+    text = f"T = {before:g} → {after:g} N m"
+    if load.ratio is not None:
+        text = f"{style.symbol_text('σr')} = {load.ratio:g}"
+    elif load.profile == "pulse":
+        text = f"T = {before:g} → {load.final_torque:g} → {after:g} N m"
+    parts = [text, *numbers(dict(load), without=STEP_KEYS)]
     return f"{', '.join(parts).replace('-', MINUS)}, {style.symbol_text('φθ')} = {run.study.lash.backlash_deg:g}°"
 
 

@@ -1,4 +1,4 @@
-"""The panels of time histories: angles, load, backlash coordinate and acceleration over time."""
+"""The panels of time histories: load, angles, speeds, backlash coordinate and acceleration over time."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,7 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from clunk.plot.style import FAINT_INK, INK, LINE_COLOURS, halo, plain, symbol_text
-from clunk.simulation.history import History, Impact
+from clunk.simulation.history import FloatArray, History, Impact
+from clunk.simulation.load import load_step
 
 Curve = tuple[History, dict[str, Any]]  # a run and its colour, dashes and width
 
@@ -20,36 +21,49 @@ _LONGEST_NAME = 12  # characters of an inertia's name in the legend
 
 
 def draw_angles(ax: Axes, curves: Sequence[Curve]) -> None:
-    """Angle of every inertia in its colour, each run in its dashes; where the driveline rolls, less its rolling."""
-    count = 0
-    for run, look in curves:
-        count = max(count, run.twist.shape[1])
-        for inertia, angle in enumerate(run.twist.T):
-            ax.plot(run.time, angle, zorder=3, **look | {"color": LINE_COLOURS[inertia % len(LINE_COLOURS)]})
+    """Angle of every inertia; where the driveline rolls, less its rolling."""
     rolls = any(run.twist is not run.angle for run, _ in curves)
+    _draw_inertias(ax, curves, [run.twist for run, _ in curves], "θ")
     ax.set_ylabel("Rotation less\nrolling [rad]" if rolls else "Rotation [rad]")
+
+
+def draw_speeds(ax: Axes, curves: Sequence[Curve]) -> None:
+    """Speed of every inertia, its rolling included."""
+    _draw_inertias(ax, curves, [run.velocity for run, _ in curves], r"$\mathregular{\dot{\theta}}$")
+    ax.set_ylabel("Speed [rad/s]")
+
+
+def _draw_inertias(ax: Axes, curves: Sequence[Curve], values: Sequence[FloatArray], symbol: str) -> None:
+    """Values of every inertia, (M, n) for each run: each inertia in its colour, each run in its dashes."""
+    for (run, look), columns in zip(curves, values, strict=True):
+        for inertia, column in enumerate(columns.T):
+            ax.plot(run.time, column, zorder=3, **look | {"color": LINE_COLOURS[inertia % len(LINE_COLOURS)]})
+    count = max(columns.shape[1] for columns in values)
     names = curves[0][0].study.driveline.names or ()
     handles = []
     for inertia in range(min(count, 16)):
         name = names[inertia] if inertia < len(names) and len(names[inertia]) <= _LONGEST_NAME else ""
-        label = f"θ{_index(inertia + 1)} {plain(name)}".rstrip()
+        label = f"{symbol}{_index(inertia + 1)} {plain(name)}".rstrip()
         handles.append(Line2D([], [], color=LINE_COLOURS[inertia % len(LINE_COLOURS)], label=label))
     place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.03), "borderaxespad": 0.2}
     ax.legend(handles=handles, handlelength=1.4, frameon=False, **place)
 
 
 def draw_torque(ax: Axes, curves: Sequence[Curve]) -> None:
-    """Torque of the load."""
-    values: set[float] = set()
+    """Torque of the load; ticks are at the torques before and after, where it stays between two."""
+    steady, values = {torque for run, _ in curves for torque in load_step(run.study.load)}, set[float]()
     for run, look in curves:
         single = {"color": INK} if len(curves) == 1 else {}  # the first inertia has the first run's colour
         ax.plot(run.time, run.torque, zorder=3, **look | single)
         values |= set(run.torque.tolist())
     ax.set_ylabel("Torque\n[N m]")
+    rounding = 1e-9 * max(map(abs, values))
+    if min(steady) - rounding <= min(values) and max(values) <= max(steady) + rounding:
+        values = steady
     if len(values) <= 2:
         ax.set_yticks(sorted(values))
     else:
-        ax.yaxis.set_major_locator(ticker.MaxNLocator(3))
+        ax.yaxis.set_major_locator(ticker.MaxNLocator(4))
     ax.margins(y=0.25)
 
 

@@ -65,8 +65,8 @@ class Load(Table):
     on: Annotated[Inertia, Quantity("loaded inertia", "i", "1")]
     static_torque: Annotated[float | None, Quantity("static torque", "Ts", "N m")] = None
     ratio: Annotated[float | None, Quantity("load ratio", "σr = Td/Ts", "1")] = None
-    initial_torque: Annotated[float | None, Quantity("torque before the load step", "T(0⁻)", "N m")] = None
-    final_torque: Annotated[float | None, Quantity("torque after the load step", "T(0⁺)", "N m")] = None
+    initial_torque: Annotated[float | None, Quantity("torque before the load step", "T0", "N m")] = None
+    final_torque: Annotated[float | None, Quantity("torque after the load change", "T1", "N m")] = None
     duration: Annotated[NotNegative | None, Quantity("duration of the load change", "d", "s")] = None
     time_constant: Annotated[NotNegative | None, Quantity("time constant of the load", "τ", "s")] = None
     amplitude: Annotated[float | None, Quantity("amplitude of the load", "A", "N m")] = None
@@ -134,7 +134,7 @@ def is_ideal_step(load: Load) -> bool:
 
 
 def numbers(load: Mapping[str, Any], swept: Container[str] = (), without: Container[str] = ()) -> list[str]:
-    """The numbers of a load's profile with their symbols and units: ``d = 0.1 s``, or ``d swept``.
+    """The numbers of a load's profile, other than defaults, with symbols and units: ``d = 0.1 s``, or ``d swept``.
 
     load : the table of a config
     swept : parameters, for example ``load.duration``
@@ -142,11 +142,11 @@ def numbers(load: Mapping[str, Any], swept: Container[str] = (), without: Contai
     """
     texts = []
     for key in PROFILES[load["profile"]].keys:
-        value = load.get(key)
-        if isinstance(value, float) and key not in without:
+        value, is_swept = load.get(key), f"load.{key}" in swept
+        if isinstance(value, float) and key not in without and (is_swept or value != Load.model_fields[key].default):
             quantity = next(each for each in Load.model_fields[key].metadata if isinstance(each, Quantity))
             symbol, unit = quantity.symbol.partition(" ")[0], "" if quantity.unit == "1" else f" {quantity.unit}"
-            texts.append(f"{symbol} swept" if f"load.{key}" in swept else f"{symbol} = {value:g}{unit}")
+            texts.append(f"{symbol} swept" if is_swept else f"{symbol} = {value:g}{unit}")
     return texts
 
 
