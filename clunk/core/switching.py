@@ -27,7 +27,7 @@ from clunk.core.runs import Log, record
 
 FloatArray = npt.NDArray[np.float64]
 
-# Share of its terms: a larger holding torque at a release means that the load step itself parted the flanks.
+# Share of its terms: a larger holding torque at a release means that a jump of the load parted the flanks.
 _CLEARLY_NOT_ZERO = 1e-9
 ROUNDING = 8 * float(np.finfo(np.float64).eps)  # relative to the terms of a sum of a few products
 
@@ -188,9 +188,9 @@ def _release(
     _hold(system, x, side * inputs[HALF_GAP])  # released where it was held, but for what rounding has added up
     record(log, count, time, 0.0, row.event_kind, row.successor, side, x)
     if inputs[HALF_GAP] > 0.0:
-        torque_held, _, scale = _held(system, x, inputs)
-        # where the load step itself parts them, q'' is not zero
-        order = 2 if abs(torque_held) > _CLEARLY_NOT_ZERO * scale else int(row.zero_order)
+        torque_held, slope, scale = holding_torque(system, OPEN_FLOW, x, inputs)
+        # where a jump of the load parts them, q'' is not zero; nothing but the load's own slope may tell what zero is
+        order = 2 if abs(torque_held) > _CLEARLY_NOT_ZERO * (scale + abs(slope) * time) else int(row.zero_order)
         return Entry(count + 1, row.successor, row.zero_guard, order)
     # locked flanks without a gap between them: no free state
     successor = closed_on(-side)
@@ -221,14 +221,14 @@ def _rebound(
         weight = system.lash[k]
         if weight != 0.0:
             place += abs(weight * x[k - n])
-            pull += weight * _open_rate(system, k, x, inputs[TORQUE])
+            pull += weight * _rate(system, OPEN_FLOW, k, x, inputs[TORQUE])
     tolerance = max(tolerance, np.sqrt(2.0 * abs(pull) * ROUNDING * place))
     if system.restitution * abs(speed) > tolerance:
         for k in range(x.size):
             x[k] -= (1.0 + system.restitution) * speed * system.impulse[k]
         return OPEN, 1
     _hold(system, x, side * inputs[HALF_GAP])
-    torque_held, slope, scale = _held(system, x, inputs)
+    torque_held, slope, scale = holding_torque(system, OPEN_FLOW, x, inputs)
     pressing = side * torque_held
     if abs(pressing) <= ROUNDING * scale:  # zero: what it turns into decides
         pressing = side * slope
@@ -236,24 +236,24 @@ def _rebound(
 
 
 @unowned_inlined
-def _open_rate(system: System, k: int, x: FloatArray, torque: float) -> float:
-    """The rate of change of state `k` in the open regime."""
-    rate = system.inputs[OPEN_FLOW, k, TORQUE] * torque
+def _rate(system: System, flow: int, k: int, x: FloatArray, torque: float) -> float:
+    """The rate of change of state `k` of the restitution model in a flow."""
+    rate = system.inputs[flow, k, TORQUE] * torque
     for j in range(x.size):
-        rate += system.rates[OPEN_FLOW, k, j] * x[j]
+        rate += system.rates[flow, k, j] * x[j]
     return float(rate)
 
 
 @unowned
-def _held(system: System, x: FloatArray, inputs: FloatArray) -> tuple[float, float, float]:
-    """The torque that would keep q'' at zero, its rate of change, and the size of the terms that make it."""
-    torque, direct = inputs[TORQUE], system.feedthrough[OPEN_FLOW, FORCE, TORQUE]
+def holding_torque(system: System, flow: int, x: FloatArray, inputs: FloatArray) -> tuple[float, float, float]:
+    """The torque that keeps q'' at zero, its rate of change in a flow, and the size of the terms that make it."""
+    torque, direct = inputs[TORQUE], system.feedthrough[flow, FORCE, TORQUE]
     torque_held, slope = direct * torque, direct * inputs[TORQUE_RATE]
     scale = abs(torque_held)
     for k in range(x.size):
-        weight = system.functionals[OPEN_FLOW, FORCE, k]
+        weight = system.functionals[flow, FORCE, k]
         torque_held += weight * x[k]
-        slope += weight * _open_rate(system, k, x, torque)
+        slope += weight * _rate(system, flow, k, x, torque)
         scale += abs(weight * x[k])
     return torque_held, slope, scale
 

@@ -25,7 +25,7 @@ from clunk.core.events import LOAD_STEP, LOCK, OPENING, REJOIN, SEPARATION, TOUC
 from clunk.core.exact import curves, moving, rows
 from clunk.core.exact.flows import Flows
 from clunk.core.exact.search import DEPTH, EXTREMES, TURN, conclude, search
-from clunk.core.exact.step import origin_of_acceleration, take_step
+from clunk.core.exact.step import GRAZING, origin_of_acceleration, take_step
 from clunk.core.exact.workspace import (
     Workspace,
     begin_search,
@@ -44,7 +44,7 @@ from clunk.core.lanes.vectors import WIDTH
 from clunk.core.regimes import ACCELERATION, CLOSED_FLOW, FORCE, GAP, HALF_GAP, INPUTS, TORQUE, System
 from clunk.core.runs import BEGIN, LEVEL, Log, Outcome, Start, begin_wave, piece_at, record, set_torque
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
-from clunk.core.switching import Entry, room_for_a_switch, switch, weigh
+from clunk.core.switching import Entry, holding_torque, room_for_a_switch, switch, weigh
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -246,10 +246,29 @@ def _follow(space: Workspace, slot: int) -> None:
 
 @unowned_inlined
 def _go_on(space: Workspace, slot: int, time: float) -> None:
-    """Go on in a phase where another piece of the load begins."""
-    row, numbers = space.runs[slot], space.numbers[slot, space.behind :]
+    """Go on in a phase where another piece of the load begins.
+
+    There the torque that locks the flanks may jump or bend, and be least: a miss that no step sees.
+    """
+    system, row, inputs = space.system, space.runs[slot], space.inputs[slot]
+    numbers = space.numbers[slot, space.behind :]
+    x, regime = space.state[slot, : system.lash.size], system.regimes[row.regime]
     entry = Entry(row.count, row.regime, int(numbers[rows.ZERO_GUARD]), int(numbers[rows.ZERO_ORDER]))
-    _enter(space, slot, time, space.state[slot, : space.system.lash.size], entry)
+    locked = system.impulsive != 0 and regime.flow == CLOSED_FLOW
+    torque, slope = 0.0, 0.0
+    if locked:
+        set_torque(system, space.loads[row.load], row.piece, time, inputs)
+        torque, slope, _ = holding_torque(system, CLOSED_FLOW, x, inputs)
+    _enter(space, slot, time, x, entry)
+    scale = numbers[rows.of_guard(0) + rows.SCALE]
+    if locked and scale > 0.0:
+        torque_after, slope_after, _ = holding_torque(system, CLOSED_FLOW, x, inputs)
+        jump, rounding = regime.side * (torque_after - torque), GRAZING * scale
+        falls = regime.side * slope < 0.0 or jump < -rounding
+        rises = regime.side * slope_after > 0.0 or jump > rounding
+        least = min(regime.side * torque, regime.side * torque_after) / scale
+        if falls and rises and 0.0 <= least < abs(numbers[rows.MARGIN]):
+            numbers[rows.MARGIN] = least
 
 
 @unowned_inlined

@@ -365,7 +365,8 @@ def _without_pair(space: Workspace, regime: int, n: int) -> curves.Curve:
 def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tuple[Vector, Vector, int, int]:
     """Prove that no guard turns negative within a part of the shortest span, or find the first that does.
 
-    A guard whose lower bound `curves.low` is positive stays so; the others are expanded into their Taylor series.
+    A guard whose lower bound `curves.low` is positive stays so; the others are expanded into their Taylor series. So is
+    one that a jump of the load has made negative, though it may rise again.
 
     Guards of one functional are seldom near in the same lane: their series are expanded together, each lane that of the
     first one that is near in it.
@@ -383,7 +384,7 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
     event, lost, grazing = zero - 1.0, 0, 0
     for n in range(count):
         start = load_curve(space.guards, n * OF_GUARD + _START)
-        near = ~(curves.low(start, zero + shortest) > 0.0) | (_zero_order(space, n) >= 2.0)
+        near = ~(curves.low(start, zero + shortest) > 0.0) | (start.value < 0.0) | (_zero_order(space, n) >= 2.0)
         space.guard_lanes[n] = near & there
     for n in range(count):
         alike, f = system.guards[regime, n].alike, system.guards[regime, n].functional
