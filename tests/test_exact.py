@@ -1,9 +1,6 @@
 """The exact method against independent mathematics: a propagator of its own, DOP853, and laws that must hold.
 
-The propagator (`reference`) and the exact method are each good to rounding, so what tells them apart is what a run
-makes of rounding: every touch divides an error of the gap, some 1e-16 rad, by its speed, and chatter multiplies it.
-Runs are therefore compared as far as two runs of the propagator agree that start a share of 1e-10 apart, and to a
-tenth of what lies between those.
+The propagator (`reference`) and the exact method are each good to rounding; how far they agree: see `agreement`.
 """
 
 from dataclasses import replace
@@ -12,6 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 from helpers import general, margins, reference
+from helpers.agreement import check, exact, kinds_of, propagated, sticking_time
 from helpers.randomplants import END_TIME, nudged, plants, rolling_plants
 from helpers.running import stepped
 from hypothesis import HealthCheck, Phase, given, settings
@@ -25,9 +23,6 @@ from clunk.simulation import driveline
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 
-NUDGE = 1e-10
-FLOOR = 2e-11  # s, between two codes that are exact to rounding
-POSITION = 2e-14  # rad, what a sum of up to eight modes of some 0.1 rad is off by, over several events
 CONTACTS = {
     "gap": {"separation": "gap"},
     "force": {"separation": "force"},
@@ -49,28 +44,10 @@ POINTS = [
 ]
 
 
-def exact(plant, state=None, end_time=2.0, method="exact", step=1e-4):
-    study = study_from_text(reference.config_of(plant, step=step, end_time=end_time, method=method))
-    return simulate(study, initial_state=state)
-
-
 @cache
 def from_preload(plant):
     """The reference's events within 2 s; several tests compare the same runs."""
     return propagated(plant)
-
-
-def propagated(plant, state=None, end_time=2.0):
-    events, _ = reference.run(plant, end_time, state, None if state is None else "open")
-    return events
-
-
-def kinds_of(trajectory):
-    return [(trajectory.kind_name(k), int(event["side"])) for k, event in enumerate(trajectory.events)]
-
-
-def sticking_time(plant):
-    return plant.contact_period() if plant.restitution is None else 0.0
 
 
 @pytest.mark.parametrize("contact", CONTACTS)
@@ -208,47 +185,6 @@ def test_severity_is_what_rk4_converges_to(ratio, backlash, separation):
 
 SEARCH = {"deadline": None, "phases": [Phase.generate], "suppress_health_check": list(HealthCheck)}
 RESTITUTION = st.sampled_from([0.0, 0.3, 0.5, 0.7])
-
-
-def same_events(plant, state, kinds, times, floor=FLOOR):
-    """Compare events as far as they are resolved; the reference's and those of the nudged run, if all of them were."""
-    one = propagated(plant, state, END_TIME)
-    other = propagated(*nudged(plant, state, NUDGE), END_TIME)
-    rounding, apart = 0.0, 0.0
-    for k, (event, moved) in enumerate(zip(one, other, strict=False)):
-        apart = max(apart, abs(event.time - moved.time))
-        if (event.kind, event.side) != (moved.kind, moved.side) or apart > 1e-7 or END_TIME - event.time < 1e-6:
-            return None
-        if k == len(kinds):
-            raise AssertionError(f"event {k} is missing: {event.kind} on {event.side} at {event.time} s")
-        assert kinds[k] == (event.kind, event.side), f"event {k}, at {event.time} s"
-        if event.kind == "touch":
-            rounding = max(rounding, POSITION / max(abs(event.speed), 1e-12))
-        if rounding > 1e-7:  # a touch at rest
-            return None
-        assert abs(times[k] - event.time) <= floor + 0.1 * apart + rounding, f"event {k}, at {event.time} s"
-    if len(one) == len(other):
-        assert len(kinds) == len(one)
-        return one, other
-    return None
-
-
-def check(plant, state):
-    run = exact(plant, state, END_TIME)
-    resolved = same_events(plant, state, kinds_of(run), run.events["time"])
-    if resolved is None:
-        return
-    events, moved = resolved
-    if run.complete:  # nothing follows, and no acceleration that counts
-        events = propagated(plant, state, 3.0 * END_TIME)
-        assert len(events) == len(moved)
-        moved = propagated(*nudged(plant, state, NUDGE), 3.0 * END_TIME)
-    primaries = reference.primary_impacts(events, sticking_time(plant))
-    assert list(run.primaries) == primaries
-    if plant.restitution is None and primaries:
-        severities = reference.severities(events, primaries)
-        apart = np.abs(reference.severities(moved, primaries) - severities)
-        assert np.all(np.abs(run.impact_severity - severities) <= 1e-9 * severities + 0.1 * apart)
 
 
 class TestRandomDrivelines:

@@ -226,17 +226,8 @@ def test_a_table_whose_times_make_no_sense_is_refused(times):
 
 # Labels of the nominal driveline over how long the load takes, separation by gap
 
-THRESHOLDS = [  # load ratio, profile, then labels and the durations or time constants  [s] at which they change
-    (5.0, ramp, "DS(1)SS(1)", 0.14258357, "DS(1)", 0.18773531, "SS(1)", 0.24012633, "NI"),
-    (5.0, smooth, "DS(1)SS(1)", 0.19129479, "DS(1)", 0.25453100, "SS(1)", 0.33055417, "NI"),
-    (5.0, lag, "DS(1)SS(1)", 0.04711069, "DS(1)", 0.06814334, "SS(1)", 0.09666195, "NI"),
-    (5.0, pulse, "NI", 0.07546593, "SS(1)", 0.08881033, "DS(1)", 0.45754921, "DS(1)SS(1)"),
-    # longer is not always safer: the NI window between two SS(1)
-    (10.0, ramp, "DS(1)", 0.24911306, "SS(1)", 0.28324346, "NI", 0.37526758, "SS(1)", 0.51055251, "NI"),
-]
 
-
-@pytest.mark.parametrize("row", THRESHOLDS, ids=lambda row: f"{row[1].__name__} at {row[0]}")
+@pytest.mark.parametrize("row", reference.THRESHOLDS, ids=lambda row: f"{row[1].__name__} at {row[0]}")
 def test_the_labels_change_at_these_durations(row):
     """To 2e-8 s; there an excursion only just reaches a flank or a contact only just opens, so the margin is zero."""
     ratio, profile, *sequence = row

@@ -15,7 +15,7 @@ nothing depends, so that rounding does not grow with them.
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import groupby, pairwise
 from typing import NamedTuple
 
@@ -30,6 +30,14 @@ CELL = 0.05  # of a cell: its length times the fastest mode's |λ|
 LOCKING = 1e-4
 FITS = 1e-9  # a rate across a joint, relative to those of its ends, that is rounding
 GONE = 40.0  # time constants after which a lag has ended: exp(-40) = 4e-18
+PARAMETERS = {  # of each profile, as a config names them too
+    "ramp": ("duration",),
+    "smooth": ("duration",),
+    "lag": ("time_constant",),
+    "pulse": ("duration",),
+    "table": ("times", "torques"),
+    "sine": ("amplitude", "frequency"),
+}
 
 
 class Piece(NamedTuple):
@@ -639,27 +647,45 @@ def boere(ratio, backlash_deg, **changes):
     return Plant(backlash=np.deg2rad(backlash_deg), before=-1.0 * (1.0 + ratio), after=-1.0, **changes)
 
 
+# Of the report's driveline at φθ = 6°, separation by gap: the load ratio, the profile, then labels and the durations or
+# time constants  [s] at which they change
+THRESHOLDS = [
+    (5.0, ramp, "DS(1)SS(1)", 0.14258357, "DS(1)", 0.18773531, "SS(1)", 0.24012633, "NI"),
+    (5.0, smooth, "DS(1)SS(1)", 0.19129479, "DS(1)", 0.25453100, "SS(1)", 0.33055417, "NI"),
+    (5.0, lag, "DS(1)SS(1)", 0.04711069, "DS(1)", 0.06814334, "SS(1)", 0.09666195, "NI"),
+    (5.0, pulse, "NI", 0.07546593, "SS(1)", 0.08881033, "DS(1)", 0.45754921, "DS(1)SS(1)"),
+    # longer is not always safer: the NI window between two SS(1)
+    (10.0, ramp, "DS(1)", 0.24911306, "SS(1)", 0.28324346, "NI", 0.37526758, "SS(1)", 0.51055251, "NI"),
+]
+
+
 def plant_of(study):
     """The plant that a study's config spells out, in rad, N m and s."""
     contact, radius = study.lash.contact, study.lash.radius
-    load = study.load
-    if load.ratio is None:
-        before, after = load.initial_torque, load.final_torque
-    else:
+    load, shafts = study.load, study.driveline.shafts
+    name = "step" if load.profile == "tip-out" else load.profile
+    before, after = load.initial_torque, load.final_torque
+    if load.ratio is not None:
         before, after = load.static_torque * (1.0 + load.ratio), load.static_torque
+    parameters = {key: getattr(load, key) for key in PARAMETERS.get(name, ())}
+    if name == "table":
+        parameters["torques"] = tuple(load.scale * torque for torque in load.torques)
     return Plant(
         inertias=study.driveline.inertias,
-        shafts=tuple((*shaft.between, shaft.stiffness, shaft.damping) for shaft in study.driveline.shafts),
+        shafts=tuple((*shaft.between, shaft.stiffness, shaft.damping) for shaft in shafts),
         lash=study.lash.between,
         contact_stiffness=radius**2 * contact.stiffness,
         contact_damping=radius**2 * contact.damping,
         backlash=np.pi / 180.0 * study.lash.backlash_deg,
         before=before,
         after=after,
-        loaded=study.load.on,
+        loaded=load.on,
         acceleration_of=study.impacts.acceleration_of,
         separation=contact.separation,
         restitution=contact.restitution if contact.model == "restitution" else None,
+        ratios=tuple(shaft.ratio for shaft in shafts),
+        lash_ratio=study.lash.ratio,
+        profile=Profile(name, **parameters),
     )
 
 
@@ -672,12 +698,12 @@ def config_of(plant, step=1e-4, end_time=2.0, method="rk4"):
     )
     model = "" if plant.restitution is None else f'model = "restitution"\nrestitution = {plant.restitution!r}\n'
     torques = f"initial_torque = {plant.before!r}\nfinal_torque = {plant.after!r}\n"
+    if plant.profile.phase:
+        raise ValueError("a config's sine begins at the torque after the load step")
+    values = ((key, getattr(plant.profile, key)) for key in PARAMETERS.get(plant.profile.name, ()))
     parameters = "".join(
-        f"{key} = {list(value) if isinstance(value, tuple) else repr(value)}\n"
-        for key, value in asdict(plant.profile).items()
-        if key != "name" and value not in (0.0, ())
+        f"{key} = {list(value) if isinstance(value, tuple) else repr(value)}\n" for key, value in values
     )
-    profile = "" if plant.profile.name == "step" else f'profile = "{plant.profile.name}"\n{parameters}'
     return f"""
 [driveline]
 inertias = {list(plant.inertias)}
@@ -692,7 +718,8 @@ damping = {plant.contact_damping / 0.01!r}
 separation = "{plant.separation}"
 {model}[load]
 on = {plant.loaded}
-{profile}{"" if plant.profile.name == "table" else torques}[solver]
+profile = "{plant.profile.name}"
+{parameters}{"" if plant.profile.name == "table" else torques}[solver]
 method = "{method}"
 step = {step!r}
 end_time = {end_time!r}

@@ -1,0 +1,77 @@
+"""Runs of clunk held to the independent reference, as far as rounding lets two exact codes agree.
+
+Every touch divides an error of the gap, some 1e-16 rad, by its speed, and chatter multiplies it. So runs are compared
+as far as two runs of the reference agree that start a share of 1e-10 apart, and to a tenth of what lies between those.
+"""
+
+import numpy as np
+
+from clunk.simulation.trajectory import simulate
+from clunk.study.config import study_from_text
+from helpers import reference
+from helpers.randomplants import END_TIME, nudged
+
+NUDGE = 1e-10
+FLOOR = 2e-11  # s, between two codes that are exact to rounding
+POSITION = 2e-14  # rad, what a sum of up to eight modes of some 0.1 rad is off by, over several events
+
+
+def exact(plant, state=None, end_time=2.0, method="exact", step=1e-4):
+    study = study_from_text(reference.config_of(plant, step=step, end_time=end_time, method=method))
+    return simulate(study, initial_state=state)
+
+
+def propagated(plant, state=None, end_time=2.0):
+    events, _ = reference.run(plant, end_time, state, None if state is None else "open")
+    return events
+
+
+def kinds_of(trajectory):
+    return [(trajectory.kind_name(k), int(event["side"])) for k, event in enumerate(trajectory.events)]
+
+
+def sticking_time(plant):
+    return plant.contact_period() if plant.restitution is None else 0.0
+
+
+def same_events(plant, state, kinds, times, floor=FLOOR):
+    """Compare events as far as they are resolved; the reference's and those of the nudged run, if all of them were."""
+    one = propagated(plant, state, END_TIME)
+    other = propagated(*nudged(plant, state, NUDGE), END_TIME)
+    rounding, apart = 0.0, 0.0
+    for k, (event, moved) in enumerate(zip(one, other, strict=False)):
+        apart = max(apart, abs(event.time - moved.time))
+        if (event.kind, event.side) != (moved.kind, moved.side) or apart > 1e-7 or END_TIME - event.time < 1e-6:
+            return None
+        if k == len(kinds):
+            raise AssertionError(f"event {k} is missing: {event.kind} on {event.side} at {event.time} s")
+        assert kinds[k] == (event.kind, event.side), f"event {k}, at {event.time} s"
+        if event.kind == "touch":
+            rounding = max(rounding, POSITION / max(abs(event.speed), 1e-12))
+        if rounding > 1e-7:  # a touch at rest
+            return None
+        assert abs(times[k] - event.time) <= floor + 0.1 * apart + rounding, f"event {k}, at {event.time} s"
+    if len(one) == len(other):
+        assert len(kinds) == len(one)
+        return one, other
+    return None
+
+
+def check(plant, state):
+    """Hold a run by the exact method to the reference: events, proof of completeness, primaries and severities."""
+    run = exact(plant, state, END_TIME)
+    resolved = same_events(plant, state, kinds_of(run), run.events["time"])
+    if resolved is None:
+        return
+    events, moved = resolved
+    if run.complete:  # nothing follows, and no acceleration that counts
+        events = propagated(plant, state, 3.0 * END_TIME)
+        assert len(events) == len(moved)
+        moved = propagated(*nudged(plant, state, NUDGE), 3.0 * END_TIME)
+    primaries = reference.primary_impacts(events, sticking_time(plant))
+    assert list(run.primaries) == primaries
+    if plant.restitution is None and primaries:
+        severities = reference.severities(events, primaries)
+        apart = np.abs(reference.severities(moved, primaries) - severities)
+        rounding = 1e-13 * max(abs(plant.before), abs(plant.after)) / min(plant.inertias)  # of a quiet inertia
+        assert np.all(np.abs(run.impact_severity - severities) <= 1e-9 * severities + 0.1 * apart + rounding)

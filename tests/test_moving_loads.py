@@ -1,0 +1,326 @@
+"""Loads that move, by both methods: the independent reference, limits in which one profile is another, and margins.
+
+RK4 steps 5e-5 s, of which the contact's mode (ω = 1623 1/s) makes 0.08 rad: it loses (ωh)⁴/120 = 3.6e-7 of its
+amplitude a radian, so Q is good to some 1e-6, and the end of a contact of 2 ms to some 1e-8 s.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import margins, reference
+from helpers.agreement import check, exact, kinds_of, propagated, sticking_time
+from helpers.randomplants import general_plants
+from helpers.reference import Plant, lag, pulse, ramp, sine, smooth, table
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+
+from clunk.simulation.driveline import Driveline, prepare
+from clunk.simulation.trajectory import simulate
+from clunk.study.config import study_from_text
+from clunk.study.study import replace_values
+from clunk.sweeping.sweep import sweep
+
+CONTACTS = {
+    "gap": {"separation": "gap"},
+    "force": {"separation": "force"},
+    "restitution": {"restitution": 0.5},
+}
+PROFILES = {
+    "ramp": ramp(0.1),
+    "smooth": smooth(0.15),
+    "lag": lag(0.04),
+    "pulse": pulse(0.3),
+    "table": table((0.0, 0.02, 0.02, 0.08, 0.12, 0.12), (-6.0, -4.0, -2.0, -3.0, -3.0, -1.0)),
+    "table that jumps at 0": table((0.0, 0.0, 0.1), (-6.0, -4.0, -1.0)),
+    "sine": sine(3.0, 5.0),
+}
+SHAFTS = ((1, 2, 31.3, 0.08), (2, 3, 31.3, 0.04))
+DRIVELINES = {
+    "nominal": {},
+    "geared": {
+        "inertias": (0.024, 0.002, 0.002, 0.0274, 0.05),
+        "shafts": (*SHAFTS, (4, 5, 400.0, 1.4), (5, "ground", 60.0, 0.9), (1, "ground", 20.0, 0.1)),
+        "lash_ratio": 3.7,
+    },
+    "free": {"inertias": (0.024, 0.002, 0.002, 0.01), "shafts": SHAFTS, "after": 3.0},
+    # the side of the load, without drag, drifts in the gap: by the third power of time under a ramp
+    "undamped": {"shafts": ((1, 2, 31.3, 0.0), (2, 3, 31.3, 0.0), (4, "ground", 31.3, 0.0))},
+}
+PAIRS = [("nominal", profile) for profile in PROFILES] + [
+    *(("geared", profile) for profile in ("ramp", "lag", "table that jumps at 0")),
+    *(("free", profile) for profile in ("ramp", "smooth", "table")),
+    *(("undamped", profile) for profile in ("ramp", "pulse", "sine")),
+]
+TIME = {"exact": 4e-12, "rk4": 1e-7}  # s
+SEVERITY = {"exact": 1e-10, "rk4": 3e-6}  # relative
+
+
+def compare(plant, end_time, state=None):
+    """Both methods against the reference; return the exact run."""
+    events = propagated(plant, state, end_time)
+    primaries = reference.primary_impacts(events, sticking_time(plant))
+    for method in ("rk4", "exact"):
+        run = exact(plant, state, end_time, method=method, step=5e-5)
+        assert kinds_of(run) == [(event.kind, event.side) for event in events]
+        assert run.events["time"] == pytest.approx([event.time for event in events], abs=TIME[method])
+        assert list(run.primaries) == primaries
+        assert run.label == reference.label(events, primaries)
+        if plant.restitution is None:
+            severities = reference.severities(events, primaries)
+            assert run.impact_severity == pytest.approx(severities, rel=SEVERITY[method])
+        if run.complete and plant.profile.name != "lag":  # which rests for good only once its tail makes no difference
+            assert run.end >= plant.pieces[-1].begin
+    return run
+
+
+@pytest.mark.parametrize("contact", CONTACTS)
+@pytest.mark.parametrize(("driveline", "profile"), PAIRS)
+def test_both_methods_are_the_reference(driveline, profile, contact):
+    plant = Plant(**DRIVELINES[driveline], **CONTACTS[contact])
+    load = PROFILES[profile]
+    if load.name == "table":
+        torques = np.interp(load.torques, (-6.0, -1.0), (plant.before, plant.after))
+        load = replace(load, torques=tuple(torques.tolist()))
+    run = compare(replace(plant, profile=load), 0.4)
+    assert len(run.events) > 4
+
+
+SEARCH = {"deadline": None, "phases": [Phase.generate], "suppress_health_check": list(HealthCheck), "derandomize": True}
+
+
+def drawn_plants():
+    """Plants with gears, free or held, under any profile; a config's sine begins at the torque after."""
+    contacts = st.none() | st.sampled_from([0.0, 0.3, 0.5, 0.7])
+    return contacts.flatmap(general_plants).map(
+        lambda drawn: (replace(drawn[0], profile=replace(drawn[0].profile, phase=0.0)), drawn[1])
+    )
+
+
+@settings(max_examples=6, **SEARCH)
+@given(drawn_plants())
+def test_random_drivelines_under_random_loads(drawn):
+    check(*drawn)
+
+
+@pytest.mark.slow
+@settings(max_examples=600, **SEARCH)
+@given(drawn_plants())
+def test_many_random_drivelines_under_random_loads(drawn):
+    check(*drawn)
+
+
+# Resonance with the load's wave
+
+UNDAMPED = Plant(**DRIVELINES["undamped"], contact_damping=0.0)
+
+
+def frequencies(plant, closed):
+    """The natural frequencies of a plant  [Hz]."""
+    study = study_from_text(reference.config_of(plant))
+    return Driveline.from_study(study).modes(closed=closed).frequency
+
+
+@pytest.mark.parametrize("contact", ["gap", "restitution"])
+@pytest.mark.parametrize("off", [0.0, 1e-6, 3e-4])
+@pytest.mark.parametrize(("closed", "mode"), [(True, 0), (True, 1), (False, 0)])
+def test_a_wave_in_resonance(closed, mode, off, contact):
+    """At a natural frequency, beside it, and where the wave is just a mode like the others: at a condition of 3e3."""
+    plant = replace(UNDAMPED, before=-3.0, **CONTACTS[contact])
+    frequency = float(frequencies(plant, closed)[mode]) * (1.0 + off)
+    profile = sine(0.5, frequency) if mode else smooth(0.5 / frequency)
+    plant = replace(plant, profile=profile)
+    _, flows = prepare(study_from_text(reference.config_of(plant, method="exact")))
+    if plant.restitution is None or not closed:  # the modes with the lash locked are others
+        assert flows.modal[int(closed)] == (off > 1e-4)
+    compare(plant, 0.3)
+
+
+# One profile as another
+
+NOMINAL = Plant()
+
+
+def times_of(plant, **options):
+    return exact(plant, **options).events["time"]
+
+
+def test_knots_on_a_straight_line_change_nothing():
+    """1,000 of them: each is a piece, at whose ends coordinates are rounded anew."""
+    times = np.linspace(0.0, 0.1, 1000)
+    tabled = replace(NOMINAL, profile=table(times, -6.0 + 50.0 * times))
+    one, other = exact(replace(NOMINAL, profile=ramp(0.1))), exact(tabled)
+    assert kinds_of(one) == kinds_of(other)
+    assert other.events["time"] == pytest.approx(one.events["time"], abs=1e-11)
+    assert other.impact_severity == pytest.approx(one.impact_severity, rel=1e-10)
+    assert other.margin == pytest.approx(one.margin, abs=1e-10)
+
+
+@pytest.mark.parametrize("method", ["exact", "rk4"])
+def test_a_table_of_two_torques_is_the_ramp_to_the_bit(method):
+    one, other = (
+        exact(replace(NOMINAL, profile=profile), method=method)
+        for profile in (ramp(0.1), table((0.0, 0.1), (-6.0, -1.0)))
+    )
+    assert np.array_equal(one.events, other.events)
+
+
+def test_a_short_ramp_is_a_step_half_its_duration_later():
+    """Up to the square of the duration, of which the chatter of the first impact makes up to 20 times as much.
+
+    A slope is a large number of which the steady motion under it is rounded: by some 1e-19 s² over the duration.
+    """
+    at_once = times_of(NOMINAL, end_time=0.13)
+    for duration in (1e-4, 1e-5, 1e-6, 1e-8):
+        late = times_of(replace(NOMINAL, profile=ramp(duration)), end_time=0.13)
+        within = 20.0 * duration**2 + 1e-12 + 1e-18 / duration
+        assert late[1:] - duration / 2 == pytest.approx(at_once[1:], abs=within)
+
+
+@pytest.mark.parametrize("method", ["exact", "rk4"])
+@pytest.mark.parametrize(
+    ("profile", "key"), [("ramp", "duration"), ("smooth", "duration"), ("lag", "time_constant"), ("pulse", "duration")]
+)
+def test_swept_durations_are_single_runs_and_0_a_step_or_nothing(profile, key, method):
+    text = reference.config_of(replace(NOMINAL, profile=reference.Profile(profile, **{key: 0.1})), method=method)
+    axis = f'[[sweep.axes]]\nparameter = "load.{key}"\nvalues = [0.0, 0.05, 0.2]\n'
+    study = study_from_text(text + axis)
+    swept = sweep(study)
+    single = [simulate(replace_values(study, {f"load.{key}": value})) for value in (0.0, 0.05, 0.2)]
+    at_once = exact(NOMINAL, method=method)
+    assert [swept.labels[code] for code in swept.sequence] == [run.label for run in single]
+    assert swept.severity.tolist() == [run.severity for run in single]
+    assert swept.last_event_time.tolist() == pytest.approx(
+        [run.events["time"][-1] if len(run.events) > 1 else np.nan for run in single], abs=0.0, nan_ok=True
+    )
+    if profile == "pulse":
+        assert single[0].label == "NI"
+        assert single[0].complete
+    else:
+        assert single[0].severity == pytest.approx(at_once.severity, rel=1e-12)
+        assert single[0].events["time"] == pytest.approx(at_once.events["time"], abs=1e-12)
+
+
+# Kinks and jumps
+
+
+@pytest.mark.parametrize(
+    ("contact", "event"), [("gap", 1), ("gap", 2), ("force", 1), ("force", 3), ("restitution", 2), ("restitution", 3)]
+)
+def test_an_event_at_a_kink_or_a_jump_happens_once(contact, event):
+    """The load turns back, or jumps, at the very number that is the event's time without that.
+
+    But not where rigid flanks are released: by the reference's rounding, they touch again there.
+    """
+    plant = replace(NOMINAL, profile=table((0.0, 0.5), (-6.0, 6.5)), **CONTACTS[contact])
+    time = float(times_of(plant, end_time=0.4)[event])
+    torque = -6.0 + 25.0 * time
+    for profile in (
+        table((0.0, time, time + 0.05), (-6.0, torque, -3.0)),
+        table((0.0, time, time), (-6.0, torque, -5.0)),
+        table((0.0, time, time), (-6.0, torque, 3.0)),
+    ):
+        run = compare(replace(plant, profile=profile), 0.3)
+        assert run.events["time"][event] == pytest.approx(time, abs=TIME["exact"])
+
+
+@pytest.mark.parametrize("method", ["exact", "rk4"])
+def test_nothing_is_complete_before_the_load_rests(method):
+    """A second of rest before the torque falls; and a torque that falls by too little for anything to happen."""
+    run = exact(replace(NOMINAL, profile=table((0.0, 1.0, 1.1), (-6.0, -6.0, -1.0))), end_time=3.0, method=method)
+    assert run.events["time"][1] > 1.0
+    assert run.label == "DS(1)SS(1)"
+    assert run.complete
+    run = exact(replace(NOMINAL, profile=table((0.0, 1.0, 1.0), (-6.0, -6.0, -5.0))), end_time=3.0, method=method)
+    assert run.label == "NI"
+    assert run.complete
+    assert run.end >= 1.0
+
+
+HELD = Plant(
+    inertias=(0.03,),
+    shafts=((1, "ground", 60.0, 1.0),),
+    lash=(1, "ground"),
+    backlash=0.05,
+    before=-8.0,
+    acceleration_of=1,
+    restitution=0.3,
+)
+
+
+@pytest.mark.parametrize("begin", [0.0, 0.05])
+@pytest.mark.parametrize("following", [(0.5,), (1.0, 0.5), (1.0, -8.0), (1.0, 9.0)])
+def test_flanks_that_a_jump_parts_part_at_that_very_time(begin, following):
+    """Also where the torque would press them together again soon, within less than a shortest span of the method."""
+    times = (0.0, begin, begin, begin + 0.02) if begin else (0.0, 0.0, 0.02)
+    torques = (-8.0,) * (2 if begin else 1) + following
+    run = compare(replace(HELD, profile=table(times[: len(torques)], torques)), 0.3)
+    assert kinds_of(run)[1] == ("separation", -1)
+    assert run.events["time"][1] == begin
+
+
+@pytest.mark.parametrize("profile", [ramp(0.2), smooth(0.2), sine(3.0, 2.0)], ids=lambda profile: profile.name)
+def test_rigid_flanks_of_two_free_inertias_part_where_the_torque_changes_its_sign(profile):
+    """Nothing but the load makes the torque that holds them: it is zero there, and so is all that it is made of."""
+    plant = Plant(
+        inertias=(0.03, 0.02),
+        shafts=(),
+        lash=(1, 2),
+        lash_ratio=3.7,
+        backlash=0.2,
+        before=-6.0,
+        after=3.0 if profile.name != "sine" else -1e-3,
+        acceleration_of=1,
+        restitution=0.0,
+        profile=profile,
+    )
+    assert len(compare(plant, 0.6).events) > 2
+
+
+# Margins
+
+
+@pytest.mark.parametrize("row", reference.THRESHOLDS, ids=lambda row: f"{row[1].__name__} at {row[0]}")
+def test_the_margin_passes_zero_where_the_label_changes(row):
+    """The edges are good to 1e-8 s, of which a margin makes up to 100 times as much; it has the sign of what happened.
+
+    Below an edge of a ramp there is more of a sequence, and above it less; of a pulse, the other way round.
+    """
+    ratio, profile, *sequence = row
+    for before, edge, after in zip(sequence[::2], sequence[1::2], sequence[2::2], strict=False):
+        near = [exact(reference.boere(ratio, 6.0, profile=profile(edge + off))) for off in (-1e-5, -2e-8, 2e-8, 1e-5)]
+        assert [run.label for run in near] == [before, before, after, after]
+        assert np.sign([run.margin for run in near[:2]]).tolist() == [near[0].margin / abs(near[0].margin)] * 2
+        assert np.sign(near[1].margin) == -np.sign(near[2].margin) == -np.sign(near[3].margin)
+        assert max(abs(run.margin) for run in near[1:3]) < 3e-6
+        assert max(abs(near[0].margin), abs(near[3].margin)) < 1e-3
+
+
+@pytest.mark.parametrize("contact", CONTACTS)
+@pytest.mark.parametrize(
+    ("ratio", "backlash", "profile"),
+    [(5.0, 6.0, "table"), (3.3, 12.0, "ramp"), (3.3, 12.0, "lag"), (5.0, 6.0, "pulse")],
+)
+def test_the_margin_is_the_smallest_of_all_near_misses(ratio, backlash, profile, contact):
+    """Brute force, from every turning point of every phase, the load's pieces and their ends included."""
+    plant = reference.boere(ratio, backlash, profile=PROFILES[profile], **CONTACTS[contact])
+    expected = margins.margin(plant, propagated(plant, end_time=0.5), 0.5, sticking_time(plant))
+    assert exact(plant, end_time=0.5).margin == pytest.approx(expected.margin, abs=1e-9), expected
+
+
+@pytest.mark.parametrize(
+    ("times", "torques"),
+    [
+        ((0.0, 0.05, 0.1), (-8.0, -1.75, -8.0)),
+        ((0.0, 0.05, 0.05, 0.1), (-8.0, -8.0, -1.75, -8.0)),
+        ((0.0, 0.05, 0.05, 0.1), (-8.0, -1.75, -4.0, -8.0)),
+        ((0.0, 0.05, 0.05), (-8.0, -1.75, -8.0)),
+    ],
+    ids=["bends", "jumps down and rises", "falls and jumps up", "falls and jumps up for good"],
+)
+def test_a_near_miss_at_a_kink_of_the_load_is_in_the_margin(times, torques):
+    """The load acts on the held inertia: at -1.5 N m its shaft alone would keep it at the flank."""
+    run = exact(replace(HELD, profile=table(times, torques)), end_time=0.3)
+    assert run.label == "NI"
+    assert len(run.events) == 1
+    assert run.margin == pytest.approx((1.75 - 1.5) / (-torques[-1] - 1.5), abs=1e-12)
