@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from scipy.integrate import quad
 
 import clunk
 from clunk.core.events import OPENING, SEPARATION, TOUCH
@@ -117,3 +118,111 @@ def test_spring_under_gravity_on_a_floor(method):
     assert speeds[0] == pytest.approx(speed, rel=METHODS[method])
     after = run.states[run.events["kind"] == TOUCH][0]
     assert after[1] == pytest.approx(284.6329077953, rel=1e-12 + METHODS[method])  # -e times the speed before
+
+
+@pytest.mark.parametrize(("off", "touches"), [(-1e-8, 0), (1e-8, 1)])
+def test_a_forced_oscillator_grazes_its_wall(method, off, touches):
+    """COCO, Recipes for Continuation, example 15.2: k = 1, c = 0.1, ω = 1, a wall at 1, e = 0.8; grazing at A = 0.1.
+
+    By linear theory A = √((k - ω²)² + (c ω)²). From the steady oscillation, -A/(c ω) cos t, begun at its far end; a
+    constant torque of 1 has its middle 1 from one flank of a gap of 4, and 3 from the other.
+    """
+    stiffness, damping, omega = 1.0, 0.1, 1.0
+    amplitude = math.hypot(stiffness - omega**2, damping * omega) * (1.0 + off)
+    study = clunk.study_from_text(f"""
+        [driveline]
+        inertias = [1.0]
+        [[driveline.shafts]]
+        between = [1, "ground"]
+        stiffness = {stiffness}
+        damping = {damping}
+        [lash]
+        between = [1, "ground"]
+        backlash_deg = {math.degrees(4.0)!r}
+        radius = 1.0
+        [lash.contact]
+        model = "restitution"
+        restitution = 0.8
+        stiffness = 1e6
+        damping = 0.0
+        [load]
+        profile = "sine"
+        on = 1
+        initial_torque = 1.0
+        final_torque = 1.0
+        amplitude = {amplitude!r}
+        frequency = {omega / (2.0 * math.pi)!r}
+        [solver]
+        method = "{method}"
+        step = 1e-3
+        end_time = 6.0
+    """)
+    run = clunk.simulate(study, initial_state=[1.0 - 10.0 * amplitude, 0.0])
+    events = events_of(run, TOUCH)
+    assert len(events) == touches
+    if method == "exact" and not touches:
+        assert run.margin == pytest.approx((1.0 - 10.0 * amplitude) / 4.0, abs=1e-14)  # of the whole gap
+    for time, speed in events:  # a share `off` below the crest cos u = 1, whose speed is 10 A sin u
+        before_crest = math.acos(1.0 / (1.0 + off))
+        assert time == pytest.approx(math.pi - before_crest, abs=1e-8)
+        assert speed == pytest.approx(math.sin(before_crest), rel=1e-4)
+
+
+def test_tip_in_through_the_lash(method):
+    """A. Lagerberg, Chalmers R005/2007; parameters as stored with CORA (models/Cora/powertrain), open loop.
+
+    Motor 0.3 kg m², ratio 12, half gap 0.03 rad behind the gear, k = 1e4, then 0.01 kg m² with drag 1, 1e5 N m/rad, and
+    140 kg m² with drag 5.6. The torque goes from -5 to 5 N m with a lag of 0.1 s: the gap is crossed, without return.
+    In it the motor is alone with T = 5 - 10 exp(-t/0.1), and the load coasts.
+    """
+    lag, drag, load_inertia, motor_inertia, ratio = 0.1, 6.6, 140.01, 0.3, 12.0
+    study = clunk.study_from_text(f"""
+        [driveline]
+        inertias = [{motor_inertia}, 0.01, 140.0]
+        [[driveline.shafts]]
+        between = [2, 3]
+        stiffness = 1e5
+        damping = 0.0
+        [[driveline.shafts]]
+        between = [2, "ground"]
+        stiffness = 0.0
+        damping = 1.0
+        [[driveline.shafts]]
+        between = [3, "ground"]
+        stiffness = 0.0
+        damping = 5.6
+        [lash]
+        between = [2, 1]
+        ratio = {1.0 / ratio!r}
+        backlash_deg = {math.degrees(0.06)!r}
+        radius = 1.0
+        [lash.contact]
+        stiffness = 1e4
+        damping = 0.0
+        [load]
+        profile = "lag"
+        on = 1
+        initial_torque = -5.0
+        final_torque = 5.0
+        time_constant = {lag}
+        [solver]
+        method = "{method}"
+        step = 1e-4
+        end_time = 2.0
+    """)
+    run = clunk.simulate(study)
+    assert set(run.flanks) == {1}
+    (parted, _), *_ = events_of(run, SEPARATION)
+    (met, closing), *_ = events_of(run, TOUCH)
+    at_separation = run.states[run.events["kind"] == SEPARATION][0][3:]
+
+    def twist_rate(time):
+        impulse = 5.0 * (time - parted) + 10.0 * lag * (math.exp(-time / lag) - math.exp(-parted / lag))
+        coasting = at_separation[2] * math.exp(-(time - parted) * drag / load_inertia)
+        return coasting - (at_separation[0] + impulse / motor_inertia) / ratio
+
+    # the shaft of 1e5 N m/rad, at 3200 rad/s with the 0.01 kg m², was bent by less than 60 N m: 6e-4 rad of 0.06
+    crossed, _ = quad(twist_rate, parted, met)
+    assert crossed == pytest.approx(-0.06, abs=6e-4)
+    assert closing == pytest.approx(twist_rate(met), rel=0.05)
+    assert met < 0.5
