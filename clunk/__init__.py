@@ -13,6 +13,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from clunk import plot
     from clunk.analysis.sobol import Sensitivity, SensitivityError, sensitivity
+    from clunk.analysis.thresholds import ThresholdError, Thresholds, thresholds
     from clunk.analysis.verification import Verification
     from clunk.api import draw, run_points, sweep, tolerance_map, verify
     from clunk.plot import PlotError
@@ -46,6 +47,8 @@ __all__ = [
     "Study",
     "SweepError",
     "TargetError",
+    "ThresholdError",
+    "Thresholds",
     "ToleranceMap",
     "Trajectory",
     "Verification",
@@ -61,6 +64,7 @@ __all__ = [
     "simulate",
     "study_from_text",
     "sweep",
+    "thresholds",
     "to_dataset",
     "tolerance_map",
     "verify",
@@ -82,6 +86,8 @@ _HOME = {
     "Study": "study.study",
     "SweepError": "sweeping.reduction",
     "TargetError": "results.targets",
+    "ThresholdError": "analysis.thresholds",
+    "Thresholds": "analysis.thresholds",
     "ToleranceMap": "results.tolerancemap",
     "Trajectory": "simulation.trajectory",
     "Verification": "analysis.verification",
@@ -96,6 +102,7 @@ _HOME = {
     "simulate": "simulation.trajectory",
     "study_from_text": "study.config",
     "sweep": "api",
+    "thresholds": "analysis.thresholds",
     "to_dataset": "results.datasets",
     "tolerance_map": "api",
     "verify": "api",

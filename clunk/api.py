@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy.typing as npt
 
 from clunk.analysis import verification
-from clunk.analysis.thresholds import thresholds_of
+from clunk.analysis.small_gap import thresholds_of
 from clunk.analysis.verification import METHODS, Verification, by
 from clunk.results import targets
 from clunk.results.regimemap import Results

@@ -12,7 +12,7 @@ from test_sweeping import equal, regimes, same_as_single_run
 
 from clunk import plot
 from clunk.analysis.comparison import ComparisonError, compare
-from clunk.analysis.thresholds import thresholds_of
+from clunk.analysis.small_gap import thresholds_of
 from clunk.cli import main
 from clunk.cli.compare_report import as_record, report
 from clunk.core.status import QUALITY_INFERRED

@@ -16,15 +16,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from clunk.analysis.outcomes import DOUBLE_SIDED, LABEL, MEASURED, NOMINAL, Outcome, outcome_of
 from clunk.core.status import Status
-from clunk.results.labels import double_sided, normalised_label
-from clunk.results.quantities import CELL_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.simulation.trajectory import Trajectory, simulate
 from clunk.study.errors import ClunkError
 from clunk.study.loads import PROFILES
 from clunk.study.parameters import get_value, nominal_value
-from clunk.study.problems import ConfigError, nearest, shorten
+from clunk.study.problems import ConfigError
 from clunk.study.study import Study, replace_values
 from clunk.study.sweeps import Axis, Draw, Sweep
 from clunk.sweeping.progress import Progress
@@ -34,9 +33,7 @@ FloatArray = npt.NDArray[np.float64]
 
 CONFIDENCE = 0.95  # of the intervals
 QUANTILES = (0.05, 0.5, 0.95)
-MEASURED = ("severity", "approach_velocity", "primary_impacts", "touches", "last_event_time")
-INDICATORS = ("nominal_label", "double_sided")
-_LABEL = "label="
+_NO_NUMBER = {LABEL: f"The label is no number; {NOMINAL}, {DOUBLE_SIDED} and label=DS(1)SS(1) are 1 or 0."}
 
 _RESAMPLES = 999
 _BATCH = 2**22  # indices that are resampled at once
@@ -53,6 +50,7 @@ class Indices:
 
     quantity : its name, see `sensitivity`
     heading : name for people, with symbol and unit
+    is_indicator : whether the quantity is 1 where something holds and else 0
     nominal : float, without tolerances
     mean, std : float, over the 2 n runs of A and B; the mean of an indicator is its probability
     quantiles : (3,) float64, at `QUANTILES`
@@ -62,6 +60,7 @@ class Indices:
 
     quantity: str
     heading: str
+    is_indicator: bool
     nominal: float
     mean: float
     std: float
@@ -75,11 +74,6 @@ class Indices:
     def varies(self) -> bool:
         """Whether there is any variance to divide."""
         return self.std > 0.0
-
-    @property
-    def is_indicator(self) -> bool:
-        """Whether the quantity is 1 where something holds and else 0."""
-        return self.quantity not in MEASURED
 
     @property
     def order(self) -> npt.NDArray[np.intp]:
@@ -135,8 +129,8 @@ def sensitivity(
         With two tolerances or more, whose draws are independent; its axes are ignored. The sampling's count is n, a
         power of two.
     of : sequence of str, optional
-        Quantities: one of `MEASURED`; or what is 1 where something holds and else 0, `nominal_label` (the label is
-        that without tolerances), `double_sided` (it has a DS) and `label=DS(1)SS(1)` (it is this one). By default
+        Quantities, in the words of `clunk.analysis.outcomes`: a number; or what is 1 where something holds and else 0,
+        such as `nominal_label` (the label is that without tolerances), `double_sided` and `severity<=8000`. By default
         severity and `nominal_label`; for the restitution model, which has no severity, `approach_velocity` instead.
     workers, progress
         As `clunk.sweep` takes them.
@@ -162,7 +156,8 @@ def sensitivity(
     'lash.contact.stiffness'
     """
     point = operating_point(study)
-    quantities = tuple(dict.fromkeys(_checked_quantity(point, name) for name in of)) or default_quantities(point)
+    names = of or default_quantities(point)
+    quantities = tuple(dict.fromkeys(outcome_of(name, point, _NO_NUMBER, SensitivityError) for name in names))
     nominal = simulate(point)
     sample = saltelli_sample(point)
     _refuse_forbidden_draws(point, sample)
@@ -170,7 +165,7 @@ def sensitivity(
     _refuse_failures(results)
     n, pages, _ = sample.shape
     seed = _sweep(point).sampling.seed
-    indices = tuple(_indices(name, nominal, _values(name, results, nominal.label), seed) for name in quantities)
+    indices = tuple(_indices(each, nominal, _values(each, results, nominal.label), seed) for each in quantities)
     base = results.sequence.reshape(n, pages)[:, :2]
     counts = np.bincount(base.ravel(), minlength=len(results.labels))
     frequent = sorted(zip(counts.tolist(), results.labels, strict=True), key=lambda pair: (-pair[0], pair[1]))
@@ -277,23 +272,6 @@ def first_and_total(values: FloatArray, seed: int) -> tuple[FloatArray, FloatArr
     return first, total, first_interval, total_interval
 
 
-def _checked_quantity(study: Study, name: str) -> str:
-    if name == "severity" and study.lash.contact.model == "restitution":
-        raise SensitivityError("severity is not defined for the restitution model; approach_velocity is.")
-    if name in MEASURED or name in INDICATORS:
-        return name
-    if name.startswith(_LABEL):
-        try:
-            return _LABEL + normalised_label(name.removeprefix(_LABEL))
-        except ValueError:
-            example = f"{_LABEL}DS(1)SS(1)"
-            raise SensitivityError(f"{shorten(name)} names no label; an example is {example!r}.") from None
-    known = [*MEASURED, *INDICATORS, f"{_LABEL}LABEL"]
-    likely = nearest(name, known)
-    hint = f"; did you mean {likely}?" if likely else "."
-    raise SensitivityError(f"There is no quantity {shorten(name)}; there are {', '.join(known)}{hint}")
-
-
 def _refuse_forbidden_draws(study: Study, sample: FloatArray) -> None:
     """Raise SensitivityError where a draw is not allowed: the config was checked with other draws."""
     for k, draw in enumerate(_sweep(study).tolerances):
@@ -333,50 +311,32 @@ def _refuse_failures(results: Results) -> None:
     )
 
 
-def _values(name: str, results: Results, nominal_label: str) -> FloatArray:
-    """Values of a quantity, (runs,) float64. Raises SensitivityError where a run has none."""
-    if name in MEASURED:
-        values = np.asarray(getattr(results, name), np.float64)
-    else:
-        values = np.array([_holds(name, label, nominal_label) for label in results.labels], np.float64)[
-            results.sequence
-        ]
+def _values(outcome: Outcome, results: Results, nominal_label: str) -> FloatArray:
+    """Values of an outcome, (runs,) float64. Raises SensitivityError where a run has none."""
+    values = outcome.of_runs(results, nominal_label)
     undefined = int(np.count_nonzero(np.isnan(values)))
     if undefined:
         raise SensitivityError(
-            f"{name} is not defined in {undefined:,} of {values.size:,} runs, in which nothing happens; "
+            f"{outcome.name} is not defined in {undefined:,} of {values.size:,} runs, in which nothing happens; "
             "ask for another quantity."
         )
     return values
 
 
-def _nominal_value(name: str, nominal: Trajectory) -> float:
-    if name == "primary_impacts":
-        return float(nominal.primaries.size)
-    if name == "last_event_time":
-        return float(nominal.events["time"][-1]) if len(nominal.events) > 1 else math.nan
-    return float(getattr(nominal, name) if name in MEASURED else _holds(name, nominal.label, nominal.label))
+def _nominal_value(outcome: Outcome, nominal: Trajectory) -> float:
+    if outcome.quantity not in MEASURED:
+        return float(outcome.holds_for(nominal.label, nominal.label))
+    if outcome.quantity == "primary_impacts":
+        value = float(nominal.primaries.size)
+    elif outcome.quantity == "last_event_time":
+        value = float(nominal.events["time"][-1]) if len(nominal.events) > 1 else math.nan
+    else:
+        value = float(getattr(nominal, outcome.quantity))
+    return float(outcome.of_numbers(value))
 
 
-def _holds(name: str, label: str, nominal_label: str) -> bool:
-    """Whether an indicator holds for a label."""
-    if name == "double_sided":
-        return double_sided(label) > 0
-    return label == (nominal_label if name == "nominal_label" else name.removeprefix(_LABEL))
-
-
-def _heading(name: str, nominal_label: str) -> str:
-    if name in MEASURED:
-        return CELL_QUANTITIES[name].heading_with_unit
-    if name == "double_sided":
-        return "the label has a double-sided impact"
-    if name == "nominal_label":
-        return f"the label is the nominal {nominal_label}"
-    return f"the label is {name.removeprefix(_LABEL)}"
-
-
-def _indices(name: str, nominal: Trajectory, values: FloatArray, seed: int) -> Indices:
-    """Sobol indices of a quantity from its values, (n (d + 2),) in the order of `saltelli_sample`."""
+def _indices(outcome: Outcome, nominal: Trajectory, values: FloatArray, seed: int) -> Indices:
+    """Sobol indices of an outcome from its values, (n (d + 2),) in the order of `saltelli_sample`."""
     d = len(_sweep(nominal.study).tolerances)
     values = values.reshape(-1, d + 2)
     base = values[:, :2]
@@ -384,9 +344,10 @@ def _indices(name: str, nominal: Trajectory, values: FloatArray, seed: int) -> I
     none = np.full(d, np.nan), np.full(d, np.nan), np.full((2, d), np.nan), np.full((2, d), np.nan)
     first, total, first_interval, total_interval = first_and_total(values, seed) if varies else none
     return Indices(
-        quantity=name,
-        heading=_heading(name, nominal.label),
-        nominal=_nominal_value(name, nominal),
+        quantity=outcome.name,
+        heading=outcome.heading(nominal.label),
+        is_indicator=outcome.is_indicator,
+        nominal=_nominal_value(outcome, nominal),
         mean=float(base.mean()),
         std=float(base.std()) if varies else 0.0,  # the rounding of a mean is no variance
         quantiles=np.quantile(base, QUANTILES),

@@ -1,22 +1,371 @@
-"""Thresholds of vanishing backlash on the axes of a map (report Table 3.1)."""
+"""Thresholds: the values of a swept key at which an outcome changes, in every cell of the other axes.
 
-from clunk.results.maps import Map
-from clunk.simulation.linear import one_mode_thresholds, thresholds_on
-from clunk.study.config import study_from_text
-from clunk.study.study import replace_values
+The runs at the axis's own values are a scan: between two neighbours of different outcome lies a threshold. All of these
+brackets are narrowed side by side, a batch of runs for each step. What decides is the outcomes of a bracket's two ends;
+where a number of the runs (the margin, or how much a severity exceeds its bound) changes sign with them, its line
+between the ends says where to look: the ITP method, which takes no more steps than one beyond bisection (Oliveira and
+Takahashi 2020, doi:10.1145/3423597). A third outcome within a bracket divides it into two.
+
+Thresholds that lie in pairs between two values of the axis show in no outcome there. They are looked for where touches
+differ by two or more, and where the number of the runs dips towards zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.analysis.outcomes import LABEL, MEASURED, NOMINAL, Outcome, outcome_of
+from clunk.core.status import Status
+from clunk.results.labels import FAILED, FAILED_CODE, excursions
+from clunk.results.regimemap import Results
+from clunk.study.axes import ResultAxis
+from clunk.study.designs import Column, Design, design_of
+from clunk.study.errors import ClunkError
+from clunk.study.parameters import located
+from clunk.study.problems import listing, nearest, shorten
+from clunk.study.study import Study
+from clunk.sweeping.progress import Progress
+from clunk.sweeping.sweep import engine_of, sweep
+
+Floats = npt.NDArray[np.float64]
+Codes = npt.NDArray[np.int64]
+Bools = npt.NDArray[np.bool_]
+Points = npt.NDArray[np.void]  # POINT
+Word = str | bool | int  # an outcome: a label, whether something holds, or a count; `FAILED` of a run that failed
+
+TOLERANCE = 1e-9  # of the axis's range, the widest that a bracket ends
+MOST_BRACKETS = 1_000_000  # at once; where labels are noise each bracket divides into two, and so on
+POINT = np.dtype([("cell", "i8"), ("value", "f8"), ("outcome", "i8"), ("measure", "f8"), ("touches", "i8")])
+
+_COUNTS = ("primary_impacts", "touches")
+_TOUCHES = 2  # by which neighbours differ where something may be hidden between them; see `clunk.sweeping.refinement`
+# With 61 values of a ramp's duration 18 slivers of 1e-5 s are found of the 29 that 961 values show; with 10 halvings
+# they are 15, with 22 no more than with 16.
+_HALVINGS = 16  # of the spacing where something may be hidden
+_STEEPER = 2.0  # than between known values, as the number of the runs may fall between them
+_ALONE = {
+    NOMINAL: "",
+    **{
+        name: f"{name} changes everywhere; give a bound, for example {name}<={example:g}."
+        for name, example in zip(MEASURED, (8000.0, 10.0, 0.0, 0.0, 0.5), strict=True)
+        if name not in _COUNTS
+    },
+}
 
 
-def thresholds_of(results: Map) -> list[float]:
-    """Values of the swept load at which one more impact appears as the backlash vanishes.
+class ThresholdError(ClunkError):
+    """A study, a key or an outcome without thresholds; its text is one sentence for the user."""
 
-    They are those of the first load ratio or torque that changes, for a driveline in which all other keys have the
-    values of these results; empty where there is none.
+
+@dataclass(frozen=True, eq=False)
+class Thresholds:
+    """The thresholds of an outcome along a key, in each cell of the other axes.
+
+    Cells are numbered in C order of the other axes; without any there is one. n counts the thresholds of all cells,
+    which are in the order of cells and, in each, of ascending values.
+
+    study : Study
+    along : the key's axis, its values ascending
+    axes : the other axes
+    outcome : Outcome
+    words : code -> label, whether something holds, or count; the code -1 is `failed`
+    lowest : (cells,) int64, the outcome's code at the axis's least value
+    cell : (n,) int64
+    value : (n,) float64, in the key's unit, right to `TOLERANCE` of the axis's range
+    below, above : (n,) int64, the outcome's code at smaller and at greater values
+    runs : number of runs that it took
+    failures : number of these that failed, by their cause
     """
-    changing = (axis.parameter for axis in results.axes if len(axis.values) > 1)
-    parameter = next((name for name in changing if name.startswith("load.")), None)
-    if parameter is None:
-        return []
-    study = study_from_text(results.config, source="the results file's config")
-    fixed = {axis.parameter: float(axis.values[0]) for axis in results.parameters if len(axis.values) == 1}
-    study = replace_values(study, fixed)
-    return [float(value) for value in thresholds_on(study, parameter, one_mode_thresholds(study))]
+
+    study: Study
+    along: ResultAxis
+    axes: tuple[ResultAxis, ...]
+    outcome: Outcome
+    words: tuple[Word, ...]
+    lowest: Codes
+    cell: Codes
+    value: Floats
+    below: Codes
+    above: Codes
+    runs: int
+    failures: dict[Status, int]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The other axes' counts in order."""
+        return tuple(len(axis.values) for axis in self.axes)
+
+    def word(self, code: int) -> Word:
+        """The outcome of a code."""
+        return FAILED if code == FAILED_CODE else self.words[code]
+
+    def at(self, cell: int) -> dict[str, float]:
+        """Values of the other axes in a cell, by parameter."""
+        places = np.unravel_index(cell, self.shape) if self.shape else ()
+        return {axis.parameter: float(axis.values[k]) for axis, k in zip(self.axes, places, strict=True)}
+
+    def of_cell(self, cell: int) -> slice:
+        """Where a cell's thresholds are in the arrays."""
+        begin, end = np.searchsorted(self.cell, [cell, cell + 1])
+        return slice(int(begin), int(end))
+
+    def intervals(self, cell: int) -> Iterator[tuple[float, float, int]]:
+        """Yield the intervals of the axis with one outcome each in a cell, ascending: begin, end and code."""
+        own = self.of_cell(cell)
+        edges = [self.along.values[0], *self.value[own], self.along.values[-1]]
+        codes = [self.lowest[cell], *self.above[own]]
+        for k, code in enumerate(codes):
+            yield float(edges[k]), float(edges[k + 1]), int(code)
+
+    def where(self, word: Word, **at: float) -> list[tuple[float, float]]:
+        """Intervals of the key in which the outcome is this one, in the cell nearest to these values.
+
+        at : of each other axis, by the name of its variable, as in ``lash_backlash_deg=6.0``
+
+        Raises ValueError where an axis is not named, or something that is none; or a value lies beyond an axis.
+        """
+        names = {axis.variable: axis for axis in self.axes}
+        if set(names) != set(at):
+            raise ValueError(
+                f"A cell is named by {listing([*names]) or 'nothing'}, not by {', '.join(at) or 'nothing'}."
+            )
+        places = tuple(axis.nearest(at[name]) for name, axis in names.items())
+        cell = int(np.ravel_multi_index(places, self.shape)) if places else 0
+        return [(begin, end) for begin, end, code in self.intervals(cell) if self.word(code) == word]
+
+
+def thresholds(
+    study: Study, *, along: str, of: str = LABEL, workers: int | None = None, progress: Progress | None = None
+) -> Thresholds:
+    """All values of a swept key at which an outcome changes, in each cell of the other axes.
+
+    Parameters
+    ----------
+    study : Study
+        With an axis of two values or more for the key: what is narrower than its spacing may be missed.
+    along : str
+        The key.
+    of : str, optional
+        The outcome: `label`, `double_sided`, `label=DS(2)`, `touches`, `primary_impacts`, or a bound on a number such
+        as `severity<=8000`; see `clunk.analysis.outcomes`.
+    workers, progress
+        As `clunk.sweep` takes them; in the place of cells, runs are counted.
+
+    Returns
+    -------
+    Thresholds
+        Where a run fails, that is an outcome of its own.
+
+    Raises
+    ------
+    ThresholdError
+        Where the key is no axis of this study, there is no such outcome, or it changes too often to be followed.
+    SweepError, KeyboardInterrupt
+        As `clunk.sweep`.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> axis = ["sweep.axes=[{parameter='load.ratio', start=0.0, stop=10.0, count=21}]"]
+    >>> found = clunk.thresholds(clunk.load_study("configs/nominal.toml", axis), along="load.ratio", of="double_sided")
+    >>> found.value.round(6).tolist()
+    [2.521797]
+    >>> [(round(begin, 3), end) for begin, end in found.where(True)]
+    [(2.522, 10.0)]
+    """
+    along_axis, axes = axes_of(study, along)
+    search = _Search(study, along_axis, axes, parse(of, study), progress)
+    with engine_of(None, workers) as search.engine:
+        points = search.scan()
+        low, high = search.located(points)
+    order = np.lexsort((low["value"], low["cell"]))
+    low, high = low[order], high[order]
+    renumbered, words = search.numbered()
+    return Thresholds(
+        study=study,
+        along=along_axis,
+        axes=axes,
+        outcome=search.outcome,
+        words=words,
+        lowest=renumbered[points["outcome"][np.unique(points["cell"], return_index=True)[1]]],
+        cell=low["cell"].copy(),
+        value=0.5 * (low["value"] + high["value"]),
+        below=renumbered[low["outcome"]],
+        above=renumbered[high["outcome"]],
+        runs=search.runs,
+        failures=search.failures,
+    )
+
+
+def parse(of: str, study: Study) -> Outcome:
+    """The outcome that a text names. Raises ThresholdError where it has no thresholds."""
+    return outcome_of(of, study, _ALONE, ThresholdError)
+
+
+def scan_count(study: Study) -> int:
+    """Number of runs of the scan, the fewest that thresholds take."""
+    return design_of(study).cells
+
+
+def axes_of(study: Study, along: str) -> tuple[ResultAxis, tuple[ResultAxis, ...]]:
+    """The key's axis, ascending, and the other axes. Raises ThresholdError where there are no thresholds along it."""
+    axes, swept = design_of(study).axes, study.sweep
+    if swept is None or not swept.axes:
+        raise ThresholdError(f"{along} is no axis: the config has no [[sweep.axes]].")
+    if swept.design == "zip":
+        raise ThresholdError('The axes are walked together (design = "zip"); thresholds need a grid.')
+    for drawn, name in ((swept.samples, "samples"), (swept.tolerances, "tolerances")):
+        if drawn:
+            raise ThresholdError(f"The config has [[sweep.{name}]]; thresholds need a grid of axes alone.")
+    names = [axis.parameter for axis in axes]
+    if along not in names:
+        likely = nearest(along, names)
+        hint = f"; did you mean {likely}?" if likely else "."
+        raise ThresholdError(f"{shorten(along)} is no axis of the config; its axes are {listing(names)}{hint}")
+    axis = axes[names.index(along)]
+    if located(study, along)[1].whole:
+        raise ThresholdError(f"{along} is a whole number, between whose values nothing lies.")
+    if len(axis.values) < 2:
+        raise ThresholdError(f"{along} has one value; thresholds lie between two or more.")
+    ascending = ResultAxis(along, np.sort(axis.values), axis.name, axis.symbol, axis.unit)
+    return ascending, tuple(each for each in axes if each is not axis)
+
+
+@dataclass
+class _Search:
+    """Runs at values of the key, from a scan to narrow brackets."""
+
+    study: Study
+    along: ResultAxis
+    axes: tuple[ResultAxis, ...]
+    outcome: Outcome
+    progress: Progress | None
+    engine: Executor | None = None
+    runs: int = 0
+    failures: dict[Status, int] = field(default_factory=dict)
+    codes: dict[Word, int] = field(default_factory=dict)  # in the order in which they were seen first
+
+    def run(self, cells: Codes, values: Floats, more: int = 0) -> Points:
+        """Run the cells at these values of the key; more : number of runs that are expected to follow."""
+        shape = tuple(len(axis.values) for axis in self.axes)
+        places = np.unravel_index(cells, shape) if shape else ()
+        columns = [Column(axis.parameter, 0, axis.values[at]) for axis, at in zip(self.axes, places, strict=True)]
+        design = Design((values.size,), (*columns, Column(self.along.parameter, 0, values)), run=0)
+        base = self.study.model_copy(update={"sweep": None})
+        results = sweep(base, design, engine=self.engine)
+        points = np.zeros(values.size, POINT)
+        points["cell"], points["value"], points["touches"] = cells, values, results.touches
+        finished = results.status == Status.OK
+        values_of_runs = results.label_map if self.outcome == Outcome(LABEL) else self.outcome.of_runs(results)
+        unique, inverse = np.unique(values_of_runs[finished], return_inverse=True)
+        known = [self.codes.setdefault(self._word(value), len(self.codes)) for value in unique.tolist()]
+        points["outcome"], points["measure"] = FAILED_CODE, np.nan
+        points["outcome"][finished] = np.array(known, np.int64)[inverse.reshape(-1)]
+        points["measure"][finished] = self._measure(results)[finished]
+        for status, count in zip(*np.unique(results.status[~finished], return_counts=True), strict=True):
+            self.failures[Status(status)] = self.failures.get(Status(status), 0) + int(count)
+        self.runs += values.size
+        if self.progress is not None:
+            self.progress(self.runs, self.runs + more)
+        return points
+
+    def _word(self, value: str | float) -> Word:
+        return value if isinstance(value, str) else bool(value) if self.outcome.is_indicator else int(value)
+
+    def _measure(self, results: Results) -> Floats:
+        """A number of each run that changes sign where the outcome changes, as far as one is known; else NaN."""
+        if self.outcome.quantity not in MEASURED:
+            return results.margin
+        values = np.asarray(getattr(results, self.outcome.quantity), np.float64)
+        return values - float(self.outcome.bound)
+
+    def scan(self) -> Points:
+        """Run the axis's own values in every cell, and more where something may be hidden; by cell and value."""
+        cells = math.prod(len(axis.values) for axis in self.axes)
+        points = self.run(np.repeat(np.arange(cells), len(self.along.values)), np.tile(self.along.values, cells))
+        for _ in range(_HALVINGS):
+            between = np.flatnonzero(_may_hide(points))
+            if not between.size:
+                break
+            middles = 0.5 * (points["value"][between] + points["value"][between + 1])
+            points = np.insert(points, between + 1, self.run(points["cell"][between], middles))
+        return points
+
+    def located(self, points: Points) -> tuple[Points, Points]:
+        """Narrow the brackets between neighbours whose outcomes differ; returns their lower and their upper ends."""
+        tolerance = TOLERANCE * float(np.ptp(self.along.values))
+        apart = (points["cell"][:-1] == points["cell"][1:]) & (points["outcome"][:-1] != points["outcome"][1:])
+        low, high = points[:-1][apart], points[1:][apart]
+        steps = _steps(low, high, tolerance)
+        narrow = [(low[:0], high[:0])]
+        while low.size:
+            middle = _between(low, high, steps, tolerance)
+            wide = (high["value"] - low["value"] > tolerance) & (low["value"] < middle) & (middle < high["value"])
+            narrow.append((low[~wide], high[~wide]))
+            low, high, steps, middle = low[wide], high[wide], steps[wide] - 1.0, middle[wide]
+            if not low.size:
+                break
+            if low.size > MOST_BRACKETS:
+                name, key = self.outcome.name, self.along.parameter
+                raise ThresholdError(
+                    f"{name} changes more than {MOST_BRACKETS:,} times along {key}: no threshold tells."
+                )
+            runs = self.run(low["cell"], middle, more=4 * low.size)
+            lower, upper = runs["outcome"] == low["outcome"], runs["outcome"] == high["outcome"]
+            third = ~(lower | upper)
+            rest_low, rest_high = runs[third], high[third]
+            low[lower], high[~lower] = runs[lower], runs[~lower]
+            steps[third] = _steps(low[third], high[third], tolerance)
+            low, high = np.concatenate([low, rest_low]), np.concatenate([high, rest_high])
+            steps = np.concatenate([steps, _steps(rest_low, rest_high, tolerance)])
+        lows, highs = zip(*narrow, strict=True)
+        return np.concatenate(lows), np.concatenate(highs)
+
+    def numbered(self) -> tuple[Codes, tuple[Word, ...]]:
+        """Codes in an order that does not depend on that of the runs: new by old, and the outcome of each new one."""
+        words = sorted(self.codes, key=lambda word: (excursions(word), word) if isinstance(word, str) else (word, ""))
+        new = np.full(len(words) + 1, FAILED_CODE)
+        new[[self.codes[word] for word in words]] = np.arange(len(words))
+        return new, tuple(words)
+
+
+def _may_hide(points: Points) -> Bools:
+    """Whether thresholds may be hidden between each point and the next, of one cell and of the same outcome."""
+    left, right = points[:-1], points[1:]
+    alike = (left["cell"] == right["cell"]) & (left["outcome"] == right["outcome"]) & (left["outcome"] != FAILED_CODE)
+    hidden = np.abs(right["touches"] - left["touches"]) >= _TOUCHES
+    width, least = right["value"] - left["value"], np.abs(points["measure"])
+    slope = np.abs(np.diff(least)) / width
+    # whatever the signs: across a sliver a margin may pass from what did not happen to what did
+    is_dip = alike[:-1] & alike[1:] & (least[1:-1] <= np.minimum(least[:-2], least[2:]))
+    slope = _STEEPER * np.maximum(slope[:-1], slope[1:])
+    hidden[:-1] |= is_dip & (least[1:-1] < slope * width[:-1])
+    hidden[1:] |= is_dip & (least[1:-1] < slope * width[1:])
+    suspect: Bools = alike & hidden
+    return suspect
+
+
+def _steps(low: Points, high: Points, tolerance: float) -> Floats:
+    """Steps in which brackets are to be narrow: one more than by bisection."""
+    widths: Floats = np.maximum((high["value"] - low["value"]) / tolerance, 1.0)
+    return np.ceil(np.log2(widths)) + 1.0
+
+
+def _between(low: Points, high: Points, steps: Floats, tolerance: float) -> Floats:
+    """Next value to run in each bracket by the ITP method: the middle, where no number changes sign within it."""
+    width, middle = high["value"] - low["value"], 0.5 * (low["value"] + high["value"])
+    at_low, at_high = low["measure"], high["measure"]
+    crosses = at_low * at_high < 0.0
+    share = np.divide(at_low, at_low - at_high, out=np.full(width.size, 0.5), where=crosses)
+    away = low["value"] + share * width - middle  # of the line's zero
+    nudge = np.maximum(0.2 * TOLERANCE / tolerance * width**2, 0.5 * tolerance)
+    away = np.sign(away) * np.maximum(np.abs(away) - nudge, 0.0)
+    reach = np.maximum(0.5 * (tolerance * 2.0 ** (steps - 1.0) - width), 0.0)
+    values: Floats = middle + np.clip(away, -reach, reach)
+    return values

@@ -22,7 +22,7 @@ from clunk.study.errors import ClunkError
 
 _COMMANDS = (
     *("sweep", "plot", "simulate", "modes", "info", "init", "help"),
-    *("compare", "verify", "sensitivity", "reproduce"),
+    *("compare", "verify", "sensitivity", "thresholds", "reproduce"),
 )
 
 

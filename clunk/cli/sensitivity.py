@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     "quantities",
     multiple=True,
     metavar="QUANTITY",
-    help="severity, approach_velocity, primary_impacts, touches, last_event_time, nominal_label, double_sided or "
-    "label=DS(1)SS(1), for example [severity and nominal_label]. May be repeated.",
+    help="severity, approach_velocity, primary_impacts, touches, last_event_time, severity<=8000, nominal_label, "
+    "double_sided or label=DS(1)SS(1), for example [severity and nominal_label]. May be repeated.",
 )
 @workers_option
 @click.option("-o", "--output", type=PATH, help="Also draw the indices: .png .svg .pdf.")

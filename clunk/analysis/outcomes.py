@@ -1,0 +1,154 @@
+"""Outcomes of runs, in the words of `--of`: the label, a number, or whether something holds.
+
+label                                the label
+severity, touches and other numbers  see `MEASURED`
+severity<=8000, touches=4            whether a number is <=, <, >=, > or = another
+double_sided                         whether the label has a DS
+label=DS(1)SS(1)                     whether it is this one
+nominal_label                        whether it is that of the run without tolerances
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.results.labels import double_sided, normalised_label
+from clunk.results.quantities import CELL_QUANTITIES
+from clunk.study.errors import ClunkError
+from clunk.study.problems import listing, nearest, shorten
+from clunk.study.study import Study
+
+if TYPE_CHECKING:
+    from clunk.results.regimemap import Results
+
+MEASURED = ("severity", "approach_velocity", "primary_impacts", "touches", "last_event_time")
+LABEL, DOUBLE_SIDED, NOMINAL = "label", "double_sided", "nominal_label"
+_RELATIONS: dict[str, tuple[Callable[[Any, Any], Any], str]] = {
+    "<=": (operator.le, "is at most"),
+    "<": (operator.lt, "is less than"),
+    ">=": (operator.ge, "is at least"),
+    ">": (operator.gt, "is greater than"),
+    "=": (operator.eq, "is"),
+}
+_WORDS = re.compile(r"\s*([^<>=\s]+)\s*(?:(<=|>=|<|>|=)\s*(.*?)\s*)?", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """An outcome of runs.
+
+    quantity : one of `MEASURED`, `LABEL`, `DOUBLE_SIDED` or `NOMINAL`
+    relation : of the quantity to the bound, if the outcome is whether that holds; else empty
+    bound : a number, or a label
+    """
+
+    quantity: str
+    relation: str = ""
+    bound: float | str = math.nan
+
+    @property
+    def name(self) -> str:
+        """The outcome as it is written after `--of`."""
+        bound = self.bound if isinstance(self.bound, str) else f"{self.bound:.15g}"
+        return f"{self.quantity}{self.relation}{bound if self.relation else ''}"
+
+    @property
+    def is_indicator(self) -> bool:
+        """Whether the outcome is 1 where something holds and else 0."""
+        return bool(self.relation) or self.quantity in (DOUBLE_SIDED, NOMINAL)
+
+    def heading(self, nominal: str = "") -> str:
+        """Name for people, of numbers with symbol and unit; nominal : the label without tolerances."""
+        if self.quantity in MEASURED:
+            quantity = CELL_QUANTITIES[self.quantity]
+            if not self.relation:
+                return quantity.heading_with_unit
+            return (
+                f"{quantity.heading} {_RELATIONS[self.relation][1]} {self.bound:.15g} {quantity.unit_symbol}".rstrip()
+            )
+        if self.quantity == DOUBLE_SIDED:
+            return "the label has a double-sided impact"
+        if self.quantity == NOMINAL:
+            return f"the label is the nominal {nominal}"
+        return f"the label is {self.bound}" if self.relation else "the label"
+
+    def holds_for(self, label: str, nominal: str = "") -> bool:
+        """Whether an indicator of labels holds for one; nominal : the label without tolerances."""
+        if self.quantity == DOUBLE_SIDED:
+            return double_sided(label) > 0
+        return label == (nominal if self.quantity == NOMINAL else self.bound)
+
+    def of_numbers(self, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """The outcome in runs whose measured quantity has these values, float64 of their shape.
+
+        Where nothing happens, no event is later than the load step: in a relation its time counts as 0.
+        """
+        numbers = np.asarray(values, np.float64)
+        if not self.relation:
+            return numbers
+        if self.quantity == "last_event_time":
+            numbers = np.nan_to_num(numbers)
+        return np.asarray(_RELATIONS[self.relation][0](numbers, self.bound), np.float64)
+
+    def of_runs(self, results: Results, nominal: str = "") -> npt.NDArray[np.float64]:
+        """A number, or an indicator's 1 and 0, in each cell: float64 of the results' shape; failed cells count not."""
+        if self.quantity in MEASURED:
+            return self.of_numbers(getattr(results, self.quantity))
+        of_labels = [float(self.holds_for(label, nominal)) for label in results.labels]
+        return np.array([*of_labels, math.nan])[results.sequence]  # the code of failed cells, -1, is the last
+
+
+def outcome_of(text: str, study: Study, without: Mapping[str, str], error: type[ClunkError]) -> Outcome:
+    """Outcome in the words of `--of`.
+
+    Parameters
+    ----------
+    text : str
+    study : Study
+        Of whose runs it is.
+    without : quantity -> sentence
+        Quantities that cannot be asked for alone, and why; an empty sentence where the quantity is not known there.
+    error : type of ClunkError
+        What is raised where there is no such outcome.
+    """
+    words = _WORDS.fullmatch(text)
+    quantity, relation, bound = words.groups("") if words else (text, "", "")
+    if without.get(quantity) == "" or quantity not in (LABEL, *MEASURED, DOUBLE_SIDED, NOMINAL):
+        raise error(_unknown(text, quantity, without))
+    if quantity == "severity" and study.lash.contact.model == "restitution":
+        raise error("severity is not defined for the restitution model; approach_velocity is.")
+    if not relation:
+        if quantity in without:
+            raise error(without[quantity])
+        return Outcome(quantity)
+    if quantity == LABEL and relation == "=":
+        try:
+            return Outcome(LABEL, "=", normalised_label(bound))
+        except ValueError:
+            raise error(f"{shorten(text)} names no label; an example is 'label=DS(1)SS(1)'.") from None
+    if quantity not in MEASURED:
+        example = "label=DS(1)SS(1)" if quantity == LABEL else quantity
+        raise error(f"{shorten(text)}: only numbers are compared so; {example!r} is an outcome.")
+    try:
+        number = float(bound)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise error(f"{shorten(text)}: {shorten(bound)} is not a number to compare {quantity} with.")
+    return Outcome(quantity, relation, number)
+
+
+def _unknown(text: str, quantity: str, without: Mapping[str, str]) -> str:
+    known = [name for name in (LABEL, *MEASURED, DOUBLE_SIDED, NOMINAL) if name not in without]
+    examples = ["severity<=8000", "label=DS(1)SS(1)"]
+    likely = nearest(quantity, [*known, *(name for name, sentence in without.items() if sentence)])
+    hint = f"; did you mean {likely}?" if likely else "."
+    return f"There is no outcome {shorten(text)}; there are {listing([*known, *examples])}{hint}"

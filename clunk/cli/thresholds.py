@@ -1,0 +1,119 @@
+"""`clunk thresholds`: the values of a swept key at which an outcome changes."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from clunk.cli import phrases, tables, terminal
+from clunk.cli.options import EXIT_FAILED_CELLS, PATH, json_option, set_option, workers_option
+from clunk.sweeping import progress
+
+if TYPE_CHECKING:
+    from clunk.analysis.thresholds import Thresholds
+
+
+@click.command()
+@click.argument("config", type=PATH)
+@click.option("--along", required=True, metavar="KEY", help="The axis of CONFIG along which they are looked for.")
+@click.option(
+    "--of",
+    "outcome",
+    default="label",
+    metavar="OUTCOME",
+    help="label, double_sided, label=DS(2), touches, primary_impacts, severity<=8000, approach_velocity<10, "
+    "last_event_time<=0.5 and the like [label].",
+)
+@set_option
+@workers_option
+@click.option("-o", "--output", type=PATH, help="Data (.csv .json .h5 .nc), or a picture (.png .svg .pdf).")
+@json_option
+def thresholds(
+    config: Path,
+    along: str,
+    outcome: str,
+    overrides: tuple[str, ...],
+    workers: int | None,
+    output: Path | None,
+    as_json: bool,
+) -> None:
+    """Locate all values of a swept key at which an outcome changes, to 1e-9 of its range.
+
+    They are told for every cell of CONFIG's other axes, with the outcomes below and above each.
+
+    \b
+    Examples:
+      clunk thresholds configs/ramp.toml --along load.duration --of double_sided
+      clunk thresholds configs/lash.toml --along lash.backlash_deg \\
+          --of 'severity<=8000' -o lash.png
+    """
+    from clunk.analysis import thresholdfile
+    from clunk.analysis import thresholds as analysis
+    from clunk.results import targets
+    from clunk.study.config import load_study
+    from clunk.sweeping.cells import warm_up
+
+    study = load_study(config, overrides)
+    _, axes = analysis.axes_of(study, along)
+    analysis.parse(outcome, study)
+    is_picture = output is not None and output.suffix.lower() in targets.PICTURES
+    if output is not None:
+        targets.check(output, (*targets.DATA, ".json", ".nc", *targets.PICTURES), reads=config)
+        targets.spare_a_sweep(output)
+    if is_picture:
+        from clunk.plot.thresholds import curve_axes
+
+        curve_axes(axes)
+    terminal.warn_of_coarse_step(study, study.solver.method)
+    terminal.say_if_compiling(study.solver.method)
+    warm_up(study)
+    began = time.perf_counter()
+    with progress.shown(analysis.scan_count(study), "runs") as show:
+        result = analysis.thresholds(study, along=along, of=outcome, workers=workers, progress=show)
+    seconds = time.perf_counter() - began
+    if as_json:
+        tables.print_record(thresholdfile.as_record(result))
+    else:
+        print_thresholds(result)
+    counted = f"{result.value.size:,} {'threshold' if result.value.size == 1 else 'thresholds'}"
+    click.echo(f"{counted} in {phrases.cells(result.lowest.size)}, {result.runs:,} runs, {seconds:.1f} s", err=True)
+    if output is not None and is_picture:
+        from clunk.plot.thresholds import threshold_figure
+
+        terminal.save_picture(threshold_figure(result), output)
+    elif output is not None:
+        thresholdfile.save(output, result)
+        terminal.say_written(output)
+    for status, count in result.failures.items():
+        terminal.complain(f"{count:,} runs failed: {status.sentence}")
+    if result.failures:
+        sys.exit(EXIT_FAILED_CELLS)
+
+
+def print_thresholds(result: Thresholds) -> None:
+    """Print a row for each threshold, with its value and the outcomes below and above."""
+    from clunk.analysis.thresholdfile import as_record, word_text
+
+    along = result.along
+    unit = "" if along.unit == "1" else f" [{along.unit}]"
+    what = f"{'whether ' if result.outcome.is_indicator else ''}{result.outcome.heading()}"
+    click.echo(phrases.fill(f"thresholds of {along.parameter}{unit}, scanned from {along.spread}: {what}"))
+    cells = as_record(result)
+    if not result.value.size:
+        words = " or ".join(sorted({word_text(cell["lowest"]) for cell in cells}))
+        click.echo(f"none, it never changes along {along.parameter}: {words}")
+        return
+    rows = [[*(axis.parameter for axis in result.axes), along.parameter, "below", "above"]]
+    for cell in cells:
+        at = [phrases.number(value) for value in cell["at"].values()]
+        none = [{"value": float("nan"), "below": cell["lowest"], "above": ""}]
+        for k, row in enumerate(cell["thresholds"] or none):
+            pair = (word_text(row["below"]), word_text(row["above"]))
+            rows.append([*(at if k == 0 else [""] * len(at)), phrases.number(row["value"], ".10g"), *pair])
+    right = [True] * (len(result.axes) + 1)
+    for line in phrases.table(rows, right):
+        click.echo(line)

@@ -1,0 +1,191 @@
+"""Thresholds as curves: over one other axis with the outcomes between them, over two as families of curves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+from matplotlib import colors
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from scipy.optimize import linear_sum_assignment
+
+from clunk.analysis.thresholdfile import word_text
+from clunk.analysis.thresholds import Thresholds
+from clunk.plot import style
+from clunk.plot.notes import remark, set_notes, swatch
+from clunk.plot.plane import Floats, cell_edges, scale_axis, value_text
+from clunk.results.labels import FAILED_CODE
+from clunk.study.axes import ResultAxis
+
+Cells = npt.NDArray[np.intp]
+
+_MOST_PANELS = 6
+_MOST_CURVES = 8  # of a family
+_NARROWEST = 0.002  # of the axis, a band that is seen
+_PANEL = (3.4, 2.9)  # inches
+
+
+def curve_axes(axes: Sequence[ResultAxis]) -> tuple[ResultAxis, ...]:
+    """The axes with several values, x first, then that of a family. Raises PlotError where there are not one or two."""
+    several = [axis for axis in axes if len(axis.values) > 1]
+    if not 1 <= len(several) <= 2:
+        count = "no other axis" if not several else f"{len(several)} other axes"
+        problem = f"Thresholds are drawn over one or two other axes, and the config has {count}"
+        raise style.PlotError(f"{problem}; -o FILE.csv takes all.")
+    return tuple(sorted(several, key=lambda axis: -len(axis.values)))
+
+
+@style.styled()
+def threshold_figure(thresholds: Thresholds) -> Figure:
+    """The thresholds as curves over the other axis; of two, over the longer one, a curve for values of the other.
+
+    Raises PlotError where there is no other axis with several values, or more than two.
+    """
+    x, *family = curve_axes(thresholds.axes)
+    cells = np.arange(thresholds.lowest.size).reshape(thresholds.shape)
+    order = [np.argsort(axis.values, kind="stable") for axis in thresholds.axes]
+    cells = cells[np.ix_(*order)]
+    front = [thresholds.axes.index(axis) for axis in (x, *family)]
+    cells = np.moveaxis(cells, front, range(len(front))).reshape([len(axis.values) for axis in (x, *family)])
+    ascending = [ResultAxis(a.parameter, np.sort(a.values), a.name, a.symbol, a.unit) for a in (x, *family)]
+    fixed = [value_text(axis, axis.values[0]) for axis in thresholds.axes if len(axis.values) == 1]
+    line = "; ".join([f"thresholds of: {thresholds.outcome.heading()}", *fixed])
+    draw = _draw_family if family else _draw_map
+    return draw(thresholds, cells, ascending, line)
+
+
+def _bands(thresholds: Thresholds, cell: int) -> tuple[tuple[int, ...], list[float]]:
+    """Codes of a cell's intervals that are wide enough to be seen, and the thresholds between them."""
+    narrowest = _NARROWEST * float(np.ptp(thresholds.along.values))
+    codes: list[int] = []
+    begins: list[float] = []
+    for begin, end, code in thresholds.intervals(cell):
+        if end - begin >= narrowest and codes[-1:] != [code]:
+            codes.append(code)
+            begins.append(begin)
+    return tuple(codes), begins[1:]
+
+
+def _segments(thresholds: Thresholds, x: Floats, cells: Cells) -> Iterator[tuple[tuple[int, int], Floats]]:
+    """Yield the changes, codes below and above, from each cell to the next: of each the two points, (2, 2) float64.
+
+    A threshold goes on in the one of the same change that is nearest, all together; alone, it is both points.
+    """
+    parts = [thresholds.of_cell(cell) for cell in cells.tolist()]
+    columns = [_by_change(thresholds, part) for part in parts]
+    for k, column in enumerate(columns):
+        before = columns[k - 1] if k else {}
+        after = columns[k + 1] if k + 1 < len(columns) else {}
+        for change, values in column.items():
+            if change not in before and change not in after:
+                yield from ((change, np.array([[x[k], value]] * 2)) for value in values)
+            following = after.get(change, values[:0])
+            for i, j in zip(*linear_sum_assignment(np.abs(values[:, None] - following)), strict=True):
+                yield change, np.array([[x[k], values[i]], [x[k + 1], following[j]]])
+
+
+def _by_change(thresholds: Thresholds, part: slice) -> dict[tuple[int, int], Floats]:
+    changes = list(zip(thresholds.below[part].tolist(), thresholds.above[part].tolist(), strict=True))
+    values = thresholds.value[part]
+    return {change: values[[each == change for each in changes]] for change in dict.fromkeys(changes)}
+
+
+def _draw_map(thresholds: Thresholds, cells: Cells, axes: Sequence[ResultAxis], line: str) -> Figure:
+    """Draw the outcomes as coloured bands over the other axis, exact upwards, and the thresholds between them."""
+    (x,) = axes
+    figure = style.new_figure()
+    ax = figure.subplots()
+    style.set_titles(figure, ax, thresholds.study.title, line)
+    fills, seen = _fills(thresholds), set()
+    edges = np.clip(cell_edges(x), x.values[0], x.values[-1])
+    low, high = thresholds.along.values[[0, -1]]
+    bands = [_bands(thresholds, cell) for cell in cells.tolist()]
+    for codes, group in groupby(range(len(bands)), key=lambda k: bands[k][0]):
+        alike = list(group)
+        across = np.array([edges[alike[0]], *x.values[alike], edges[alike[-1] + 1]])
+        between = np.array([bands[k][1] for k in alike]).reshape(len(alike), len(codes) - 1).T
+        levels = np.pad(between, ((0, 0), (1, 1)), "edge")
+        levels = np.vstack([np.full(across.size, low), levels, np.full(across.size, high)])
+        for code, lower, upper in zip(codes, levels[:-1], levels[1:], strict=True):
+            ax.fill_between(across, lower, upper, linewidth=0.0, zorder=1, **fills[code])
+            seen.add(code)
+    _draw_curves(ax, [points for _, points in _segments(thresholds, x.values, cells)], style.INK)
+    scale_axis(ax, "x", x)
+    scale_axis(ax, "y", thresholds.along)
+    ax.set(xlim=(x.values[0], x.values[-1]), ylim=(low, high))
+    notes: list[Artist] = [swatch(_name(thresholds, code), fills[code]["facecolor"]) for code in sorted(seen)]
+    set_notes(figure, notes)
+    style.freeze_layout(figure, ax)
+    return figure
+
+
+def _draw_family(thresholds: Thresholds, cells: Cells, axes: Sequence[ResultAxis], line: str) -> Figure:
+    """Draw a panel for each change of outcome, the most frequent first, with a curve for values of the second axis."""
+    x, other = axes
+    pairs = np.sort(np.stack([thresholds.below, thresholds.above], axis=1), axis=1)
+    changes, counts = np.unique(pairs, axis=0, return_counts=True)
+    frequent = [tuple(change) for change in changes[np.argsort(-counts, kind="stable")].tolist()]
+    drawn = frequent[:_MOST_PANELS] or [(int(thresholds.lowest[0]),) * 2]
+    columns = min(3, len(drawn)) if len(drawn) != 4 else 2
+    rows = math.ceil(len(drawn) / columns)
+    size = style.SIZE if len(drawn) == 1 else (columns * _PANEL[0], rows * _PANEL[1] + 0.9)
+    figure = style.new_figure(size)
+    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    for ax in panels[len(drawn) :]:
+        ax.remove()
+    chosen = np.unique(np.linspace(0, len(other.values) - 1, _MOST_CURVES).round().astype(int))
+    shades = [colors.to_hex(mpl.colormaps["viridis"](share)) for share in np.linspace(0.0, 0.85, len(chosen))]
+    for k, (ax, change) in enumerate(zip(panels, drawn, strict=False)):
+        names = " and ".join(_name(thresholds, code) for code in change)
+        style.set_titles(figure, ax, thresholds.study.title, f"{line}\nbetween {names}" if k == 0 else f"\n{names}")
+        for at, colour in zip(chosen, shades, strict=True):
+            segments = _segments(thresholds, x.values, cells[:, at])
+            _draw_curves(ax, [points for codes, points in segments if tuple(sorted(codes)) == change], colour)
+        scale_axis(ax, "x", x)
+        scale_axis(ax, "y", thresholds.along)
+        ax.label_outer()
+        style.tidy(ax)
+        ax.set(xlim=(x.values[0], x.values[-1]), ylim=thresholds.along.values[[0, -1]])
+    notes: list[Artist] = [
+        Line2D([], [], color=colour, linewidth=1.6, label=value_text(other, other.values[at], symbol=True))
+        for at, colour in zip(chosen, shades, strict=True)
+    ]
+    if len(frequent) > len(drawn):
+        notes.append(remark(f"and {len(frequent) - len(drawn)} more changes"))
+    set_notes(figure, notes)
+    style.freeze_layout(figure, panels[0])
+    return figure
+
+
+def _draw_curves(ax: Axes, segments: Sequence[Floats], colour: str) -> None:
+    """Draw segments, and those of no length as points."""
+    ax.add_collection(LineCollection(segments, colors=colour, linewidths=1.4, capstyle="round", zorder=3))
+    alone = np.array([ends[0] for ends in segments if (ends[0] == ends[1]).all()]).reshape(-1, 2)
+    ax.plot(*alone.T, ".", color=colour, markersize=4.0, zorder=3)
+
+
+def _name(thresholds: Thresholds, code: int) -> str:
+    """An outcome for people: yes and no for whether something holds."""
+    word = thresholds.word(code)
+    return ("no", "yes")[word] if isinstance(word, bool) else word_text(word)
+
+
+def _fills(thresholds: Thresholds) -> dict[int, dict[str, Any]]:
+    """Look of the band of each code: the tints of the labels, or shades of one hue."""
+    palette = style.palette_of(tuple(word for word in thresholds.words if isinstance(word, str)))
+    whole = max(len(thresholds.words) - 1, 1)
+    depths = {word: 0.08 + 0.52 * code / whole for code, word in enumerate(thresholds.words)}
+    hue = np.array(colors.to_rgb(style.HUES[1]))
+    shades = {word: colors.to_hex(tuple(1.0 - depth * (1.0 - hue))) for word, depth in depths.items()}
+    fills = {code: {"facecolor": (shades | palette)[word]} for code, word in enumerate(thresholds.words)}
+    hatched = {"facecolor": style.FAILED_FILL, "edgecolor": style.FAILED_HATCH, "hatch": "//////"}
+    return fills | {FAILED_CODE: hatched}

@@ -1,0 +1,294 @@
+"""Thresholds are where runs by themselves change, where linear theory has them, and said in every form."""
+
+import csv
+import json
+import sys
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.optimize import brentq
+
+import clunk
+from clunk.analysis import thresholdfile
+from clunk.analysis import thresholds as analysis
+from clunk.analysis.thresholds import ThresholdError, thresholds
+from clunk.cli import main
+from clunk.plot.style import PlotError
+from clunk.plot.thresholds import threshold_figure
+from clunk.results.labels import FAILED
+from clunk.study.config import study_from_text
+
+NOMINAL = '[driveline]\npreset = "boere-2008"\n[lash]\nbacklash_deg = 6.0\n[load]\nratio = 5.0\n'
+RAMP = ("load.profile=ramp", "solver.method=exact")
+
+
+def axis(parameter, start, stop, count):
+    return f'[[sweep.axes]]\nparameter = "{parameter}"\nstart = {start}\nstop = {stop}\ncount = {count}\n'
+
+
+DURATION, RATIO, LASH = (
+    axis("load.duration", 0.0, 0.6, 61),
+    axis("load.ratio", 0.0, 15.0, 31),
+    axis("lash.backlash_deg", 0.0, 20.0, 41),
+)
+
+
+def study(*axes, of=()):
+    return study_from_text(NOMINAL + "".join(axes), overrides=of)
+
+
+def changes(found, cell=0):
+    """Values and outcomes of a cell, without slivers, which a coarser scan may miss."""
+    wide = [(end, found.word(code)) for begin, end, code in found.intervals(cell) if end - begin > 1e-4]
+    merged = [(end, word) for (end, word), (_, after) in pairwise([*wide, (None, None)]) if word != after]
+    return [end for end, _ in merged[:-1]], [word for _, word in merged]
+
+
+def bisected(at, low, high, word):
+    """Value at which single runs cease to have this label, to 1e-12."""
+    while high - low > 1e-12:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if at(middle) == word else (low, middle)
+    return low
+
+
+@pytest.mark.parametrize("method", ["exact", "rk4"])
+@pytest.mark.parametrize(
+    ("ratio", "values", "labels"),
+    [
+        (5.0, [0.1426, 0.1877, 0.2401], ["DS(1)SS(1)", "DS(1)", "SS(1)", "NI"]),
+        (
+            10.0,
+            [0.1024, 0.1599, 0.2253, 0.2491, 0.2832, 0.3753, 0.5106],
+            ["DS(2)SS(1)", "DS(2)", "DS(1)SS(1)", "DS(1)", "SS(1)", "NI", "SS(1)", "NI"],
+        ),
+    ],
+)
+def test_ramps_change_labels_at_known_durations_and_outcomes_come_back(ratio, values, labels, method):
+    """The durations were found by hand with bisections of single runs, to the four digits here."""
+    found = thresholds(
+        study(DURATION, of=(*RAMP, f"load.ratio={ratio}", f"solver.method={method}")), along="load.duration"
+    )
+    where, words = changes(found)
+    assert words == labels
+    assert where == pytest.approx(values, abs=5e-5)
+
+
+@pytest.mark.parametrize("method", ["exact", "rk4"])
+def test_each_is_where_single_runs_change(method):
+    swept = study(DURATION, of=(*RAMP, f"solver.method={method}"))
+    found = thresholds(swept, along="load.duration")
+
+    def label_at(duration):
+        return clunk.simulate(clunk.replace_values(swept, {"load.duration": duration})).label
+
+    for k in range(found.value.size):
+        value, below, above = found.value[k], found.word(found.below[k]), found.word(found.above[k])
+        near = 1e-9 * 0.6  # the promise; slivers next to it are wider
+        assert (label_at(value - near), label_at(value + near)) == (below, above)
+        assert bisected(label_at, value - near, value + near, below) == pytest.approx(value, abs=near)
+
+
+def closed_overlap(times):
+    """Torque in the report's lash after a unit load step from the torque 1 to 0, contact closed, as a share of 1.
+
+    Without backlash, both flanks are one spring and damper, and the chain is linear: θ'' = -J⁻¹ (C θ' + K θ).
+    """
+    inertias = np.array([0.024, 0.002, 0.002, 0.002])
+    radius2 = 0.08**2
+    shafts = [(0, 1, 31.3, 0.08), (1, 2, 31.3, 0.04), (2, 3, radius2 * 4.092e5, radius2 * 94.0), (3, None, 31.3, 0.1)]
+    stiffness, damping = np.zeros((4, 4)), np.zeros((4, 4))
+    for a, b, k, c in [*shafts, (0, None, 0.0, 0.1)]:
+        twist = np.zeros(4)
+        twist[a] = 1.0
+        if b is not None:
+            twist[b] = -1.0
+        stiffness += k * np.outer(twist, twist)
+        damping += c * np.outer(twist, twist)
+    flow = np.block([[np.zeros((4, 4)), np.eye(4)], [-stiffness / inertias[:, None], -damping / inertias[:, None]]])
+    rest = np.linalg.solve(stiffness, [1.0, 0.0, 0.0, 0.0])
+    gap = np.array([0, 0, 1.0, -1.0, 0, 0, 0, 0])
+    start = np.concatenate([rest, np.zeros(4)])
+    values, vectors = np.linalg.eig(flow)
+    left = np.linalg.solve(vectors, start)
+    assert vectors @ (np.exp(values * 0.1) * left) == pytest.approx(expm(flow * 0.1) @ start, abs=1e-12)
+    slopes = lambda t: float((gap @ vectors @ (values * np.exp(values * t) * left)).real)  # noqa: E731
+    shares = lambda t: float((gap @ vectors @ (np.exp(values * t) * left)).real / (gap @ start))  # noqa: E731
+    extremes = [brentq(slopes, a, b, xtol=1e-14) for a, b in pairwise(times) if slopes(a) * slopes(b) < 0.0]
+    return np.array([shares(t) for t in extremes])
+
+
+def test_the_feet_of_figure_3_4_are_those_of_the_linear_chain():
+    """At no backlash the flanks change where the overlap 1 + σr g changes sign: first at σr = -1/min g, and so on."""
+    extremes = closed_overlap(np.linspace(1e-6, 2.0, 40001))
+    records = [share for k, share in enumerate(extremes) if share < 0.0 and share == extremes[k:].min()]
+    feet = -1.0 / np.array(records)
+    found = thresholds(study(RATIO, of=("lash.backlash_deg=0.0", "solver.method=exact")), along="load.ratio")
+    where, words = changes(found)
+    assert words == ["NI", "DS(1)", "DS(2)", "DS(3)", "DS(4)"]
+    assert where == pytest.approx([1.43, 3.07, 6.61, 14.21], abs=0.01)
+    assert where == pytest.approx(feet[:4].tolist(), rel=1e-7)
+
+
+def test_cells_do_not_depend_on_each_other_nor_on_the_order_of_axes_and_workers():
+    few = axis("load.ratio", 2.0, 10.0, 3)
+    both = thresholds(study(few, LASH, of=RAMP[1:]), along="lash.backlash_deg", workers=1)
+    turned = thresholds(study(LASH, few, of=RAMP[1:]), along="lash.backlash_deg", workers=2)
+    assert thresholdfile.as_record(both) == thresholdfile.as_record(turned)
+    for cell, ratio in enumerate((2.0, 6.0, 10.0)):
+        alone = thresholds(study(LASH, of=(*RAMP[1:], f"load.ratio={ratio}")), along="lash.backlash_deg")
+        assert both.value[both.of_cell(cell)].tolist() == alone.value.tolist()
+
+
+@pytest.mark.parametrize(
+    ("outcome", "ratio"), [("double_sided", 3), ("label=D(2)", 5), ("severity<=8000", 5), ("primary_impacts>4", 10)]
+)
+def test_an_outcome_changes_where_dense_runs_say(outcome, ratio):
+    """1001 runs over the axis have the outcome of the interval that each lies in."""
+    swept = study(LASH, of=(*RAMP[1:], f"load.ratio={ratio}.0"))
+    found = thresholds(swept, along="lash.backlash_deg", of=outcome)
+    gaps = np.linspace(0.0, 20.0, 1001)
+    runs = clunk.run_points(swept, {"lash.backlash_deg": gaps})
+    expected = found.outcome.of_runs(runs)
+    codes = np.concatenate([found.lowest, found.above])[np.searchsorted(found.value, gaps)]
+    assert [float(found.word(code)) for code in codes] == expected.tolist()
+    assert found.value.size
+
+
+def test_a_structural_key_of_the_restitution_model_has_thresholds():
+    few = axis("lash.contact.restitution", 0.49, 0.51, 2)
+    swept = study(few, of=("lash.contact.model=restitution", "load.ratio=4.0"))
+    found = thresholds(swept, along="lash.contact.restitution", of="touches")
+
+    def touches_at(restitution):
+        return clunk.simulate(clunk.replace_values(swept, {"lash.contact.restitution": restitution})).touches
+
+    assert found.value.size
+    value, below = found.value[0], found.word(found.below[0])
+    assert bisected(touches_at, value - 1e-6, value + 1e-6, below) == pytest.approx(value, abs=1e-9)
+
+
+def test_failed_runs_are_an_outcome_and_not_invented():
+    found = thresholds(study(RATIO, of=("solver.max_events=20", *RAMP[1:])), along="load.ratio")
+    words = [found.word(code) for _, _, code in found.intervals(0)]
+    assert FAILED in words
+    assert sum(found.failures.values()) > 0
+    edge = found.value[words.index(FAILED) - 1]
+    status = clunk.run_points(found.study, {"load.ratio": [edge - 2e-8, edge + 2e-8]}).status
+    assert status.tolist() == [0, next(iter(found.failures))]
+
+
+@pytest.mark.parametrize(
+    ("text", "along", "of", "message"),
+    [
+        (RATIO, "load.raito", "label", r"\"load.raito\" is no axis.*did you mean load.ratio"),
+        ("", "load.ratio", "label", "no .*sweep.axes"),
+        (RATIO, "load.ratio", "lable", "no outcome.*did you mean label"),
+        (RATIO, "load.ratio", "severity", "changes everywhere; give a bound"),
+        (RATIO, "load.ratio", "severity<=much", "not a number to compare severity with"),
+        (RATIO, "load.ratio", "double_sided<2", "only numbers are compared"),
+        (RATIO, "load.ratio", "label=DS", "names no label"),
+        (RATIO, "load.ratio", "nominal_label", "no outcome"),
+        (axis("load.ratio", 5.0, 5.0, 1), "load.ratio", "label", "has one value"),
+        (axis("impacts.acceleration_of", 1.0, 4.0, 4), "impacts.acceleration_of", "touches", "whole number"),
+        ('[sweep]\ndesign = "zip"\n' + RATIO, "load.ratio", "label", "walked together"),
+        *(
+            (
+                f'{RATIO}[[sweep.{table}]]\nparameter = "lash.backlash_deg"\ndistribution = "normal"\nstd = 0.1\n',
+                "load.ratio",
+                "label",
+                f"sweep.{table}",
+            )
+            for table in ("samples", "tolerances")
+        ),
+    ],
+)
+def test_what_has_no_thresholds_is_refused_in_a_sentence(text, along, of, message):
+    with pytest.raises(ThresholdError, match=message):
+        thresholds(study(text), along=along, of=of)
+
+
+def test_noise_is_refused(monkeypatch):
+    monkeypatch.setattr(analysis, "MOST_BRACKETS", 2)
+    with pytest.raises(ThresholdError, match=r"more than 2 times along load\.ratio"):
+        thresholds(study(RATIO, of=RAMP[1:]), along="load.ratio")
+
+
+@pytest.fixture
+def command(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("signal.signal", lambda *_: None)  # main's handler must not outlive a test
+
+    def run(text, *arguments):
+        (tmp_path / "config.toml").write_text(NOMINAL + text, encoding="utf-8")
+        monkeypatch.setattr(sys, "argv", ["clunk", "thresholds", "config.toml", *arguments])
+        with pytest.raises(SystemExit) as stopped:
+            main()
+        out, err = capsys.readouterr()
+        assert max(map(len, err.splitlines())) <= 80
+        return stopped.value.code, out, err
+
+    return run
+
+
+def test_the_command_prints_and_writes_the_same_thresholds(command, tmp_path):
+    few = axis("load.ratio", 1.0, 9.0, 3)
+    exact = ("--set", "solver.method=exact", "--along", "lash.backlash_deg")
+    code, out, err = command(few + LASH, *exact, "-o", "t.csv")
+    assert code == 0
+    assert max(map(len, out.splitlines())) <= 80
+    assert "in 3 cells" in err
+    _, out, _ = command(few + LASH, *exact, "--json", "-o", "t.nc")
+    cells = json.loads(out)
+    assert [cell["at"] for cell in cells] == [{"load.ratio": ratio} for ratio in (1.0, 5.0, 9.0)]
+    rows = list(csv.DictReader((tmp_path / "t.csv").read_text().splitlines()))
+    assert rows[0] == {"load.ratio": "1.0", "lash.backlash_deg": "", "below": "NI", "above": "NI"}
+    flat = [{"load.ratio": cell["at"]["load.ratio"], **row} for cell in cells for row in cell["thresholds"]]
+    assert [float(row["lash.backlash_deg"]) for row in rows[1:]] == [row["value"] for row in flat]
+    assert [row["above"] for row in rows[1:]] == [row["above"] for row in flat]
+    xarray = pytest.importorskip("xarray")
+    dataset = xarray.load_dataset(tmp_path / "t.nc", engine="h5netcdf")
+    assert dataset.lash_backlash_deg.dims == ("load_ratio", "threshold")
+    assert dataset.lash_backlash_deg.to_numpy()[np.isfinite(dataset.lash_backlash_deg)].tolist() == [
+        row["value"] for row in flat
+    ]
+    meanings = dict(zip(dataset.above.flag_values.tolist(), dataset.above.flag_meanings.split(), strict=True))
+    above = [meanings[code] for code in dataset.above.to_numpy().ravel().tolist()]
+    assert [word for word in above if word != "none"] == [row["above"] for row in flat]
+
+
+def test_what_never_changes_is_said_and_no_error(command):
+    code, out, _ = command(LASH, "--along", "lash.backlash_deg", "--of", "severity<=1e9")
+    assert code == 0
+    assert "none, it never changes along lash.backlash_deg: true" in " ".join(out.split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["-o", "t.txt"], 2, "must end in .csv, .h5, .json, .nc, .png, .svg, .pdf"),
+        (["-o", "t.png"], 2, "the config has no other axis"),
+        (["--set", "solver.max_events=8"], 3, "runs failed: more events than solver.max_events allows"),
+    ],
+)
+def test_the_command_tells_what_it_cannot_do(command, arguments, code, message):
+    stopped, _, err = command(RATIO, "--along", "load.ratio", *arguments)
+    assert stopped == code
+    assert message in " ".join(err.split())
+
+
+def test_pictures_have_a_curve_for_each_threshold():
+    few = axis("load.ratio", 4.0, 8.0, 3)
+    found = thresholds(study(few, DURATION, of=RAMP), along="load.duration", of="double_sided")
+    (ax,) = threshold_figure(found).axes
+    drawn = np.concatenate([line.get_segments() for line in ax.collections if hasattr(line, "get_segments")])
+    assert sorted({y for segment in drawn for _, y in segment}) == sorted(found.value.tolist())
+    gaps = '[[sweep.axes]]\nparameter = "lash.backlash_deg"\nvalues = [4.0, 6.0]\n'
+    family = thresholds(study(gaps, few, DURATION, of=RAMP), along="load.duration", of="double_sided")
+    figure = threshold_figure(family)
+    assert len(figure.axes) == 1
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["φθ = 4 degrees", "φθ = 6 degrees"]
+    with pytest.raises(PlotError, match="no other axis"):
+        threshold_figure(thresholds(study(DURATION, of=RAMP), along="load.duration"))
