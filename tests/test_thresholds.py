@@ -11,7 +11,6 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 import clunk
-from clunk.analysis import thresholdfile
 from clunk.analysis import thresholds as analysis
 from clunk.analysis.thresholds import ThresholdError, thresholds
 from clunk.cli import main
@@ -39,9 +38,9 @@ def study(*axes, of=()):
     return study_from_text(NOMINAL + "".join(axes), overrides=of)
 
 
-def changes(found, cell=0):
+def changes(result, cell=0):
     """Values and outcomes of a cell, without slivers, which a coarser scan may miss."""
-    wide = [(end, found.word(code)) for begin, end, code in found.intervals(cell) if end - begin > 1e-4]
+    wide = [(end, result.word(code)) for begin, end, code in result.intervals(cell) if end - begin > 1e-4]
     merged = [(end, word) for (end, word), (_, after) in pairwise([*wide, (None, None)]) if word != after]
     return [end for end, _ in merged[:-1]], [word for _, word in merged]
 
@@ -68,10 +67,10 @@ def bisected(at, low, high, word):
 )
 def test_ramps_change_labels_at_known_durations_and_outcomes_come_back(ratio, values, labels, method):
     """The durations were found by hand with bisections of single runs, to the four digits here."""
-    found = thresholds(
+    result = thresholds(
         study(DURATION, of=(*RAMP, f"load.ratio={ratio}", f"solver.method={method}")), along="load.duration"
     )
-    where, words = changes(found)
+    where, words = changes(result)
     assert words == labels
     assert where == pytest.approx(values, abs=5e-5)
 
@@ -79,13 +78,13 @@ def test_ramps_change_labels_at_known_durations_and_outcomes_come_back(ratio, va
 @pytest.mark.parametrize("method", ["exact", "rk4"])
 def test_each_is_where_single_runs_change(method):
     swept = study(DURATION, of=(*RAMP, f"solver.method={method}"))
-    found = thresholds(swept, along="load.duration")
+    result = thresholds(swept, along="load.duration")
 
     def label_at(duration):
         return clunk.simulate(clunk.replace_values(swept, {"load.duration": duration})).label
 
-    for k in range(found.value.size):
-        value, below, above = found.value[k], found.word(found.below[k]), found.word(found.above[k])
+    for k in range(result.value.size):
+        value, below, above = result.value[k], result.word(result.below[k]), result.word(result.above[k])
         near = 1e-9 * 0.6  # the promise; slivers next to it are wider
         assert (label_at(value - near), label_at(value + near)) == (below, above)
         assert bisected(label_at, value - near, value + near, below) == pytest.approx(value, abs=near)
@@ -125,8 +124,8 @@ def test_the_feet_of_figure_3_4_are_those_of_the_linear_chain():
     extremes = closed_overlap(np.linspace(1e-6, 2.0, 40001))
     records = [share for k, share in enumerate(extremes) if share < 0.0 and share == extremes[k:].min()]
     feet = -1.0 / np.array(records)
-    found = thresholds(study(RATIO, of=("lash.backlash_deg=0.0", "solver.method=exact")), along="load.ratio")
-    where, words = changes(found)
+    result = thresholds(study(RATIO, of=("lash.backlash_deg=0.0", "solver.method=exact")), along="load.ratio")
+    where, words = changes(result)
     assert words == ["NI", "DS(1)", "DS(2)", "DS(3)", "DS(4)"]
     assert where == pytest.approx([1.43, 3.07, 6.61, 14.21], abs=0.01)
     assert where == pytest.approx(feet[:4].tolist(), rel=1e-7)
@@ -136,7 +135,7 @@ def test_cells_do_not_depend_on_each_other_nor_on_the_order_of_axes_and_workers(
     few = axis("load.ratio", 2.0, 10.0, 3)
     both = thresholds(study(few, LASH, of=RAMP[1:]), along="lash.backlash_deg", workers=1)
     turned = thresholds(study(LASH, few, of=RAMP[1:]), along="lash.backlash_deg", workers=2)
-    assert thresholdfile.as_record(both) == thresholdfile.as_record(turned)
+    assert both.cells() == turned.cells()
     for cell, ratio in enumerate((2.0, 6.0, 10.0)):
         alone = thresholds(study(LASH, of=(*RAMP[1:], f"load.ratio={ratio}")), along="lash.backlash_deg")
         assert both.value[both.of_cell(cell)].tolist() == alone.value.tolist()
@@ -148,36 +147,36 @@ def test_cells_do_not_depend_on_each_other_nor_on_the_order_of_axes_and_workers(
 def test_an_outcome_changes_where_dense_runs_say(outcome, ratio):
     """1001 runs over the axis have the outcome of the interval that each lies in."""
     swept = study(LASH, of=(*RAMP[1:], f"load.ratio={ratio}.0"))
-    found = thresholds(swept, along="lash.backlash_deg", of=outcome)
+    result = thresholds(swept, along="lash.backlash_deg", of=outcome)
     gaps = np.linspace(0.0, 20.0, 1001)
     runs = clunk.run_points(swept, {"lash.backlash_deg": gaps})
-    expected = found.outcome.of_runs(runs)
-    codes = np.concatenate([found.lowest, found.above])[np.searchsorted(found.value, gaps)]
-    assert [float(found.word(code)) for code in codes] == expected.tolist()
-    assert found.value.size
+    expected = result.outcome.of_runs(runs)
+    codes = np.concatenate([result.lowest, result.above])[np.searchsorted(result.value, gaps)]
+    assert [float(result.word(code)) for code in codes] == expected.tolist()
+    assert result.value.size
 
 
 def test_a_structural_key_of_the_restitution_model_has_thresholds():
     few = axis("lash.contact.restitution", 0.49, 0.51, 2)
     swept = study(few, of=("lash.contact.model=restitution", "load.ratio=4.0"))
-    found = thresholds(swept, along="lash.contact.restitution", of="touches")
+    result = thresholds(swept, along="lash.contact.restitution", of="touches")
 
     def touches_at(restitution):
         return clunk.simulate(clunk.replace_values(swept, {"lash.contact.restitution": restitution})).touches
 
-    assert found.value.size
-    value, below = found.value[0], found.word(found.below[0])
+    assert result.value.size
+    value, below = result.value[0], result.word(result.below[0])
     assert bisected(touches_at, value - 1e-6, value + 1e-6, below) == pytest.approx(value, abs=1e-9)
 
 
 def test_failed_runs_are_an_outcome_and_not_invented():
-    found = thresholds(study(RATIO, of=("solver.max_events=20", *RAMP[1:])), along="load.ratio")
-    words = [found.word(code) for _, _, code in found.intervals(0)]
+    result = thresholds(study(RATIO, of=("solver.max_events=20", *RAMP[1:])), along="load.ratio")
+    words = [result.word(code) for _, _, code in result.intervals(0)]
     assert FAILED in words
-    assert sum(found.failures.values()) > 0
-    edge = found.value[words.index(FAILED) - 1]
-    status = clunk.run_points(found.study, {"load.ratio": [edge - 2e-8, edge + 2e-8]}).status
-    assert status.tolist() == [0, next(iter(found.failures))]
+    assert sum(result.failures.values()) > 0
+    edge = result.value[words.index(FAILED) - 1]
+    status = clunk.run_points(result.study, {"load.ratio": [edge - 2e-8, edge + 2e-8]}).status
+    assert status.tolist() == [0, next(iter(result.failures))]
 
 
 @pytest.mark.parametrize(
@@ -281,10 +280,10 @@ def test_the_command_tells_what_it_cannot_do(command, arguments, code, message):
 
 def test_pictures_have_a_curve_for_each_threshold():
     few = axis("load.ratio", 4.0, 8.0, 3)
-    found = thresholds(study(few, DURATION, of=RAMP), along="load.duration", of="double_sided")
-    (ax,) = threshold_figure(found).axes
+    result = thresholds(study(few, DURATION, of=RAMP), along="load.duration", of="double_sided")
+    (ax,) = threshold_figure(result).axes
     drawn = np.concatenate([line.get_segments() for line in ax.collections if hasattr(line, "get_segments")])
-    assert sorted({y for segment in drawn for _, y in segment}) == sorted(found.value.tolist())
+    assert sorted({y for segment in drawn for _, y in segment}) == sorted(result.value.tolist())
     gaps = '[[sweep.axes]]\nparameter = "lash.backlash_deg"\nvalues = [4.0, 6.0]\n'
     family = thresholds(study(gaps, few, DURATION, of=RAMP), along="load.duration", of="double_sided")
     figure = threshold_figure(family)

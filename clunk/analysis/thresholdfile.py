@@ -6,7 +6,6 @@ import csv
 import io
 import json
 import os
-from typing import Any
 
 import h5py
 import numpy as np
@@ -20,20 +19,6 @@ from clunk.study.study import digest, to_toml
 
 SCHEMA_VERSION = 1
 NONE_CODE = -2  # of the outcome beside a threshold that a cell does not have
-
-
-def as_record(thresholds: Thresholds) -> list[dict[str, Any]]:
-    """Cells for JSON: where each is, the outcome at the axis's least value, and its thresholds."""
-    cells = []
-    for cell, lowest in enumerate(thresholds.lowest.tolist()):
-        part = thresholds.of_cell(cell)
-        numbers = (thresholds.value[part], thresholds.below[part], thresholds.above[part])
-        rows = [
-            {"value": value, "below": thresholds.word(below), "above": thresholds.word(above)}
-            for value, below, above in zip(*(each.tolist() for each in numbers), strict=True)
-        ]
-        cells.append({"at": thresholds.at(cell), "lowest": thresholds.word(lowest), "thresholds": rows})
-    return cells
 
 
 def save(path: str | os.PathLike[str], thresholds: Thresholds) -> None:
@@ -51,7 +36,7 @@ def _csv(thresholds: Thresholds) -> str:
     text = io.StringIO()
     write = csv.writer(text, lineterminator="\n").writerow
     write([axis.parameter for axis in (*thresholds.axes, thresholds.along)] + ["below", "above"])
-    for cell in as_record(thresholds):
+    for cell in thresholds.cells():
         none = {"value": "", "below": cell["lowest"], "above": cell["lowest"]}
         for row in cell["thresholds"] or [none]:
             write([*cell["at"].values(), row["value"], word_text(row["below"]), word_text(row["above"])])
@@ -64,7 +49,7 @@ def word_text(word: Word) -> str:
 
 
 def _json(thresholds: Thresholds) -> str:
-    return json.dumps(as_record(thresholds), ensure_ascii=False) + "\n"
+    return json.dumps(thresholds.cells(), ensure_ascii=False) + "\n"
 
 
 _TEXTS = {".csv": _csv, ".json": _json}

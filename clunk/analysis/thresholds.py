@@ -16,6 +16,7 @@ import math
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +31,7 @@ from clunk.study.errors import ClunkError
 from clunk.study.parameters import located
 from clunk.study.problems import listing, nearest, shorten
 from clunk.study.study import Study
+from clunk.study.summaries import as_text
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.sweep import engine_of, sweep
 
@@ -63,7 +65,7 @@ class ThresholdError(ClunkError):
     """A study, a key or an outcome without thresholds; its text is one sentence for the user."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Thresholds:
     """The thresholds of an outcome along a key, in each cell of the other axes.
 
@@ -96,6 +98,11 @@ class Thresholds:
     runs: int
     failures: dict[Status, int]
 
+    def __repr__(self) -> str:
+        rows = [("along", f"{self.along.parameter}: {self.along.spread}"), ("of", self.outcome.name)]
+        rows += [("cells", f"{axis.parameter}: {axis.spread}") for axis in self.axes]
+        return as_text(f"clunk.Thresholds {self.study.title!r}", [*rows, ("thresholds", f"{self.value.size:,}")])
+
     @property
     def shape(self) -> tuple[int, ...]:
         """The other axes' counts in order."""
@@ -117,11 +124,27 @@ class Thresholds:
 
     def intervals(self, cell: int) -> Iterator[tuple[float, float, int]]:
         """Yield the intervals of the axis with one outcome each in a cell, ascending: begin, end and code."""
-        own = self.of_cell(cell)
-        edges = [self.along.values[0], *self.value[own], self.along.values[-1]]
-        codes = [self.lowest[cell], *self.above[own]]
+        part = self.of_cell(cell)
+        edges = [self.along.values[0], *self.value[part], self.along.values[-1]]
+        codes = [self.lowest[cell], *self.above[part]]
         for k, code in enumerate(codes):
             yield float(edges[k]), float(edges[k + 1]), int(code)
+
+    def cells(self) -> list[dict[str, Any]]:
+        """Each cell as plain values, as JSON has them.
+
+        In a cell are `at`, the values of the other axes by parameter; `lowest`, the outcome at the key's least value;
+        and `thresholds`, ascending, each with its `value` and the outcomes `below` and `above`.
+        """
+        plain = []
+        for cell, lowest in enumerate(self.lowest.tolist()):
+            part = self.of_cell(cell)
+            rows = zip(*(each[part].tolist() for each in (self.value, self.below, self.above)), strict=True)
+            listed = [
+                {"value": value, "below": self.word(below), "above": self.word(above)} for value, below, above in rows
+            ]
+            plain.append({"at": self.at(cell), "lowest": self.word(lowest), "thresholds": listed})
+        return plain
 
     def where(self, word: Word, **at: float) -> list[tuple[float, float]]:
         """Intervals of the key in which the outcome is this one, in the cell nearest to these values.
@@ -173,10 +196,11 @@ def thresholds(
     --------
     >>> import clunk
     >>> axis = ["sweep.axes=[{parameter='load.ratio', start=0.0, stop=10.0, count=21}]"]
-    >>> found = clunk.thresholds(clunk.load_study("configs/nominal.toml", axis), along="load.ratio", of="double_sided")
-    >>> found.value.round(6).tolist()
+    >>> study = clunk.load_study("configs/nominal.toml", axis)
+    >>> ratios = clunk.thresholds(study, along="load.ratio", of="double_sided")
+    >>> ratios.value.round(6).tolist()
     [2.521797]
-    >>> [(round(begin, 3), end) for begin, end in found.where(True)]
+    >>> [(round(begin, 3), end) for begin, end in ratios.where(True)]
     [(2.522, 10.0)]
     """
     along_axis, axes = axes_of(study, along)

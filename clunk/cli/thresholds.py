@@ -47,8 +47,9 @@ def thresholds(
 
     \b
     Examples:
-      clunk thresholds configs/ramp.toml --along load.duration --of double_sided
-      clunk thresholds configs/lash.toml --along lash.backlash_deg \\
+      clunk thresholds configs/shortest_ramp.toml --along load.duration \\
+          --of double_sided
+      clunk thresholds configs/largest_lash.toml --along lash.backlash_deg \\
           --of 'severity<=8000' -o lash.png
     """
     from clunk.analysis import thresholdfile
@@ -76,7 +77,7 @@ def thresholds(
         result = analysis.thresholds(study, along=along, of=outcome, workers=workers, progress=show)
     seconds = time.perf_counter() - began
     if as_json:
-        tables.print_record(thresholdfile.as_record(result))
+        tables.print_record(result.cells())
     else:
         print_thresholds(result)
     counted = f"{result.value.size:,} {'threshold' if result.value.size == 1 else 'thresholds'}"
@@ -96,13 +97,13 @@ def thresholds(
 
 def print_thresholds(result: Thresholds) -> None:
     """Print a row for each threshold, with its value and the outcomes below and above."""
-    from clunk.analysis.thresholdfile import as_record, word_text
+    from clunk.analysis.thresholdfile import word_text
 
     along = result.along
     unit = "" if along.unit == "1" else f" [{along.unit}]"
     what = f"{'whether ' if result.outcome.is_indicator else ''}{result.outcome.heading()}"
     click.echo(phrases.fill(f"thresholds of {along.parameter}{unit}, scanned from {along.spread}: {what}"))
-    cells = as_record(result)
+    cells = result.cells()
     if not result.value.size:
         words = " or ".join(sorted({word_text(cell["lowest"]) for cell in cells}))
         click.echo(f"none, it never changes along {along.parameter}: {words}")
