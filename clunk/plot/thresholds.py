@@ -116,7 +116,7 @@ def _draw_map(thresholds: Thresholds, cells: Cells, axes: Sequence[ResultAxis], 
         levels = np.pad(between, ((0, 0), (1, 1)), "edge")
         levels = np.vstack([np.full(across.size, low), levels, np.full(across.size, high)])
         for code, lower, upper in zip(codes, levels[:-1], levels[1:], strict=True):
-            ax.fill_between(across, lower, upper, linewidth=0.0, zorder=1, **fills[code])
+            ax.fill_between(across, lower, upper, linewidth=0.0, antialiased=False, zorder=1, **fills[code])
             seen.add(code)
     _draw_curves(ax, [points for _, points in _segments(thresholds, x.values, cells)], style.INK)
     scale_axis(ax, "x", x)
