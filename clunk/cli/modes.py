@@ -69,7 +69,7 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
         rates = eigen.overdamped
         drifting = int(np.count_nonzero(rates <= 0.0))
         if drifting:
-            click.echo(f"     -  does not oscillate; drifts ({drifting} of the eigenvalues are zero)")
+            click.echo(f"     -  does not oscillate; drifts (zero eigenvalues: {drifting})")
         for rate in rates[rates > 0.0]:
             click.echo(f"     -  does not oscillate; decays at {rate:.4g} 1/s")
         click.echo()

@@ -185,7 +185,7 @@ def sample(
     begin, end = _span(trajectory, step, until, before, steady)
 
     motion = _Motion(trajectory, system, load, inputs_before[HALF_GAP], step)
-    gains = Driveline.from_study(study).rigid_motion.accelerations * inputs_before[TORQUE]
+    gains = Driveline.from_study(study).rigid_motion.accelerations * inputs_before[TORQUE] + 0.0  # no -0.0
     phases = [_before_load_step(trajectory, system, gains, begin, min(end, 0.0), step)] if steady else []
     started = int(np.searchsorted(trajectory.events["time"], end, side="right"))
     phases += [phase for k in range(started) for phase in motion.after_event(k, end)]
