@@ -1,0 +1,122 @@
+"""Maps for other programs: a row for each cell as comma-separated values, or arrays in a MAT-file for MATLAB."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+from collections.abc import Sequence
+from typing import Any, BinaryIO
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.results.files import write_whole, writing
+from clunk.results.labels import FAILED
+from clunk.results.maps import Map
+from clunk.results.quantities import REGIME_QUANTITIES, TOLERANCE_QUANTITIES, Quantity
+from clunk.results.regimemap import Results
+from clunk.results.store import StoreError
+from clunk.results.tolerancemap import QUANTILES, ToleranceMap
+from clunk.study.axes import RUN, ResultAxis
+
+_ROWS = 4096  # cells, written at once
+
+
+def save(path: str | os.PathLike[str], results: Results | ToleranceMap) -> None:
+    """Write a map in the format of the file name's suffix, one of `WRITERS`. Raises StoreError."""
+    with writing(path, StoreError) as target:
+        write_whole(target, lambda stream: WRITERS[target.suffix.lower()](stream, results))
+
+
+def _write_csv(stream: BinaryIO, results: Results | ToleranceMap) -> None:
+    """Write a row for each cell: its parameters and its quantities, codes as words, and nothing for NaN.
+
+    A quantity of each primary impact, label or quantile has a column for each of these.
+    """
+    text = io.TextIOWrapper(stream, encoding="utf-8", newline="")
+    write = csv.writer(text, lineterminator="\n")
+    entries = _entries(results)
+    names = [_with_unit(each.parameter, each.unit) for axis in results.axes for each in _along(results, axis)]
+    for quantity in _quantities(results).values():
+        of_each = [f"[{entry}]" for entry in entries[quantity.dimension]] if quantity.dimension else [""]
+        names += [_with_unit(quantity.name + suffix, quantity.unit) for suffix in of_each]
+    write.writerow(names)
+    cells_a_row = math.prod(results.shape[1:])
+    rows = max(1, _ROWS // cells_a_row)
+    for start in range(0, results.shape[0], rows):
+        stop = min(start + rows, results.shape[0])
+        cells = np.arange(start * cells_a_row, stop * cells_a_row)
+        columns: list[list[Any]] = []
+        for axis, places in zip(results.axes, np.unravel_index(cells, results.shape), strict=True):
+            columns += [each.values[places].tolist() for each in _along(results, axis)]
+        for quantity in _quantities(results).values():
+            values = _values(results, quantity, start, stop).reshape(cells.size, -1)
+            columns += [_texts(quantity, column, results.labels) for column in values.T]
+        write.writerows(zip(*columns, strict=True))
+    text.detach()  # flushed, and the stream stays open
+
+
+def _write_mat(stream: BinaryIO, results: Results | ToleranceMap) -> None:
+    """Write each variable of the results file as an array, and its unit; `labels` begins with that of the code -1."""
+    from scipy.io import savemat
+    from scipy.io.matlab import MatWriteError
+
+    quantities, entries = _quantities(results), _entries(results)
+    parameters = [each for axis in results.axes for each in _along(results, axis)]
+    sample = results.sample if isinstance(results, ToleranceMap) else ()
+    arrays: dict[str, Any] = {each.variable: each.values for each in parameters}
+    arrays |= {f"drawn_{each.variable}": each.values for each in sample}
+    arrays |= {name: _values(results, quantity) for name, quantity in quantities.items()}
+    units = {each.variable: each.unit for each in parameters} | {f"drawn_{each.variable}": each.unit for each in sample}
+    units |= {name: quantity.unit for name, quantity in quantities.items()}
+    arrays |= {"labels": np.array([FAILED, *results.labels], object), "units": units}
+    arrays |= {"title": results.title, "config": results.config}
+    arrays |= {"quantile": np.array(entries["quantile"])} if sample else {}
+    try:
+        savemat(stream, arrays, long_field_names=True, do_compression=True, oned_as="column")
+    except MatWriteError as error:
+        raise StoreError("The map is too large for a MAT-file; MATLAB reads the HDF5 file itself.") from error
+
+
+WRITERS = {".csv": _write_csv, ".mat": _write_mat}
+
+
+def _quantities(results: Results | ToleranceMap) -> dict[str, Quantity]:
+    return REGIME_QUANTITIES if isinstance(results, Results) else TOLERANCE_QUANTITIES
+
+
+def _along(results: Map, axis: ResultAxis) -> Sequence[ResultAxis]:
+    return [axis, *results.coordinates] if axis.parameter == RUN else [axis]
+
+
+def _entries(results: Results | ToleranceMap) -> dict[str, Sequence[object]]:
+    """Entries of each dimension behind the axes, by its name."""
+    if isinstance(results, Results):
+        return {"impact": range(1, results.max_impacts + 1)}
+    return {"label": [*results.labels, FAILED], "quantile": QUANTILES}
+
+
+def _values(
+    results: Results | ToleranceMap, quantity: Quantity, start: int = 0, stop: int | None = None
+) -> npt.NDArray[Any]:
+    """Values of a quantity in these rows of the first axis, over the axes and its dimension."""
+    if isinstance(results, Results) and quantity.dimension == "impact":
+        return results.padded(quantity.name, start, stop)
+    values: npt.NDArray[Any] = getattr(results, quantity.name)[start:stop]
+    return values
+
+
+def _texts(quantity: Quantity, values: npt.NDArray[Any], labels: tuple[str, ...]) -> list[Any]:
+    """Values as a column: words for codes, those of its bits for the quality, and None for NaN."""
+    meanings = quantity.meanings(labels)
+    if quantity.coded == "quality":
+        return [" ".join(word for bit, word in meanings.items() if value & bit) for value in values.tolist()]
+    if meanings:
+        return [meanings[value] for value in values.tolist()]
+    return [value if value == value else None for value in values.tolist()]  # NaN does not equal itself
+
+
+def _with_unit(name: str, unit: str) -> str:
+    return name if unit == "1" else f"{name} [{unit}]"
