@@ -12,6 +12,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from clunk import plot
+    from clunk.analysis.quantiles import threshold_quantiles
     from clunk.analysis.sobol import Sensitivity, SensitivityError, sensitivity
     from clunk.analysis.thresholds import ThresholdError, Thresholds, thresholds
     from clunk.analysis.verification import Verification
@@ -64,6 +65,7 @@ __all__ = [
     "simulate",
     "study_from_text",
     "sweep",
+    "threshold_quantiles",
     "thresholds",
     "to_dataset",
     "tolerance_map",
@@ -102,6 +104,7 @@ _HOME = {
     "simulate": "simulation.trajectory",
     "study_from_text": "study.config",
     "sweep": "api",
+    "threshold_quantiles": "analysis.quantiles",
     "thresholds": "analysis.thresholds",
     "to_dataset": "results.datasets",
     "tolerance_map": "api",

@@ -11,11 +11,14 @@ import h5py
 import numpy as np
 
 from clunk import __version__
-from clunk.analysis.thresholds import ThresholdError, Thresholds, Word
+from clunk.analysis.quantiles import QUANTILE
+from clunk.analysis.thresholds import DRAW, UNCERTAIN, UNCERTAIN_CODE, ThresholdError, Thresholds, Word
 from clunk.results.files import write_whole, writing
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.netcdf import CONVENTIONS, create_scale, create_variable, set_flags, set_text, write_file
+from clunk.study.designs import drawn_numbers
 from clunk.study.study import digest, to_toml
+from clunk.sweeping.tolerances import sample_of
 
 SCHEMA_VERSION = 1
 NONE_CODE = -2  # of the outcome beside a threshold that a cell does not have
@@ -69,12 +72,21 @@ def _write_hdf5(file: h5py.File, thresholds: Thresholds) -> None:
         create_scale(file, axis.variable, axis.values, {"units": axis.unit, "long_name": axis.name})
         for axis in thresholds.axes
     ]
+    parameters = [axis.parameter for axis in thresholds.axes]
+    if DRAW in parameters:
+        assert study.sweep is not None
+        names, drawn = [each.parameter for each in study.sweep.tolerances], drawn_numbers(study, study.sweep.tolerances)
+        for each in sample_of(study, dict(zip(names, drawn, strict=True))):
+            attributes = {"units": each.unit, "long_name": each.name}
+            scale = [cells[parameters.index(DRAW)]]
+            create_variable(file, f"drawn_{each.variable}", np.float64, attributes, scale)[...] = each.values
     counts = np.bincount(thresholds.cell, minlength=thresholds.lowest.size)
     numbers = np.arange(1, max(1, counts.max()) + 1, dtype=np.int32)
     number = create_scale(file, "threshold", numbers, {"units": "1", "long_name": "number of the threshold"})
     has = np.arange(numbers.size) < counts[:, None]
     meanings = {code: word_text(word) for code, word in enumerate(thresholds.words)}
     meanings |= {FAILED_CODE: FAILED, NONE_CODE: "none"}
+    meanings |= {UNCERTAIN_CODE: UNCERTAIN} if QUANTILE in parameters else {}
     for name, values, empty, unit, long_name in (
         (along.variable, thresholds.value, np.nan, along.unit, f"threshold of the {along.name}, NaN behind the last"),
         ("below", thresholds.below, NONE_CODE, "1", "outcome at smaller values, up to the threshold before"),

@@ -6,6 +6,9 @@ where a number of the runs (the margin, or how much a severity exceeds its bound
 between the ends says where to look: the ITP method, which takes no more steps than one beyond bisection (Oliveira and
 Takahashi 2020, doi:10.1145/3423597). A third outcome within a bracket divides it into two.
 
+With tolerances each drawn driveline has thresholds of its own, along a further axis, `draw`; the draws are those of a
+tolerance map, made once for all cells.
+
 Thresholds that lie in pairs between two values of the axis show in no outcome there. They are looked for where touches
 differ by two or more, and where the number of the runs dips towards zero.
 """
@@ -26,12 +29,13 @@ from clunk.core.status import Status
 from clunk.results.labels import FAILED, FAILED_CODE, excursions
 from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
-from clunk.study.designs import Column, Design, design_of
+from clunk.study.designs import Column, Design, design_of, drawn_numbers, has_tolerances
 from clunk.study.errors import ClunkError
-from clunk.study.parameters import located
+from clunk.study.parameters import located, nominal_value
 from clunk.study.problems import listing, nearest, shorten
 from clunk.study.study import Study
 from clunk.study.summaries import as_text
+from clunk.sweeping.cells import Systems
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.sweep import engine_of, sweep
 
@@ -43,6 +47,8 @@ Word = str | bool | int  # an outcome: a label, whether something holds, or a co
 
 TOLERANCE = 1e-9  # of the axis's range, the widest that a bracket ends
 MOST_BRACKETS = 1_000_000  # at once; where labels are noise each bracket divides into two, and so on
+DRAW = "draw"  # the axis of the drawn drivelines, their numbers from 1
+UNCERTAIN, UNCERTAIN_CODE = "uncertain", -3  # see `clunk.analysis.quantiles`
 POINT = np.dtype([("cell", "i8"), ("value", "f8"), ("outcome", "i8"), ("measure", "f8"), ("touches", "i8")])
 
 _COUNTS = ("primary_impacts", "touches")
@@ -74,9 +80,9 @@ class Thresholds:
 
     study : Study
     along : the key's axis, its values ascending
-    axes : the other axes
+    axes : the other axes; with tolerances the first is `draw`
     outcome : Outcome
-    words : code -> label, whether something holds, or count; the code -1 is `failed`
+    words : code -> label, whether something holds, or count; the code -1 is `failed`, and -3 `uncertain`
     lowest : (cells,) int64, the outcome's code at the axis's least value
     cell : (n,) int64
     value : (n,) float64, in the key's unit, right to `TOLERANCE` of the axis's range
@@ -110,7 +116,7 @@ class Thresholds:
 
     def word(self, code: int) -> Word:
         """The outcome of a code."""
-        return FAILED if code == FAILED_CODE else self.words[code]
+        return {FAILED_CODE: FAILED, UNCERTAIN_CODE: UNCERTAIN}.get(code) or self.words[code]
 
     def at(self, cell: int) -> dict[str, float]:
         """Values of the other axes in a cell, by parameter."""
@@ -171,7 +177,8 @@ def thresholds(
     Parameters
     ----------
     study : Study
-        With an axis of two values or more for the key: what is narrower than its spacing may be missed.
+        With an axis of two values or more for the key: what is narrower than its spacing may be missed. With
+        tolerances, all values are of a nominal driveline, around which the others are drawn.
     along : str
         The key.
     of : str, optional
@@ -183,7 +190,8 @@ def thresholds(
     Returns
     -------
     Thresholds
-        Where a run fails, that is an outcome of its own.
+        Where a run fails, that is an outcome of its own. With tolerances, those of each drawn driveline;
+        `clunk.threshold_quantiles` says what most of them have in common.
 
     Raises
     ------
@@ -234,19 +242,24 @@ def parse(of: str, study: Study) -> Outcome:
 
 def scan_count(study: Study) -> int:
     """Number of runs of the scan, the fewest that thresholds take."""
-    return design_of(study).cells
+    draws = study.sweep.sampling.count if study.sweep is not None and has_tolerances(study) else 1
+    return design_of(study).cells * draws
 
 
 def axes_of(study: Study, along: str) -> tuple[ResultAxis, tuple[ResultAxis, ...]]:
-    """The key's axis, ascending, and the other axes. Raises ThresholdError where there are no thresholds along it."""
+    """The key's axis, ascending, and the other axes, with tolerances `draw` before them.
+
+    Raises ThresholdError where there are no thresholds along the key.
+    """
     axes, swept = design_of(study).axes, study.sweep
     if swept is None or not swept.axes:
         raise ThresholdError(f"{along} is no axis: the config has no [[sweep.axes]].")
     if swept.design == "zip":
         raise ThresholdError('The axes are walked together (design = "zip"); thresholds need a grid.')
-    for drawn, name in ((swept.samples, "samples"), (swept.tolerances, "tolerances")):
-        if drawn:
-            raise ThresholdError(f"The config has [[sweep.{name}]]; thresholds need a grid of axes alone.")
+    if swept.samples:
+        raise ThresholdError(
+            "The config has [[sweep.samples]]; thresholds need a grid of axes, or [[sweep.tolerances]]."
+        )
     names = [axis.parameter for axis in axes]
     if along not in names:
         likely = nearest(along, names)
@@ -258,7 +271,9 @@ def axes_of(study: Study, along: str) -> tuple[ResultAxis, tuple[ResultAxis, ...
     if len(axis.values) < 2:
         raise ThresholdError(f"{along} has one value; thresholds lie between two or more.")
     ascending = ResultAxis(along, np.sort(axis.values), axis.name, axis.symbol, axis.unit)
-    return ascending, tuple(each for each in axes if each is not axis)
+    draws = np.arange(1.0, swept.sampling.count + 1.0)
+    drawn = (ResultAxis(DRAW, draws, "number of the draw", "", "1"),) if swept.tolerances else ()
+    return ascending, drawn + tuple(each for each in axes if each is not axis)
 
 
 @dataclass
@@ -275,14 +290,31 @@ class _Search:
     failures: dict[Status, int] = field(default_factory=dict)
     codes: dict[Word, int] = field(default_factory=dict)  # in the order in which they were seen first
 
-    def run(self, cells: Codes, values: Floats, more: int = 0) -> Points:
-        """Run the cells at these values of the key; more : number of runs that are expected to follow."""
+    def __post_init__(self) -> None:
+        assert self.study.sweep is not None
+        self.nominal = self.study.model_copy(update={"sweep": None})
+        self.systems = Systems(self.nominal)  # so that a driveline is prepared once for all batches
+        tolerances = self.study.sweep.tolerances
+        self.drawn = [*zip(tolerances, drawn_numbers(self.study, tolerances) if tolerances else (), strict=True)]
+
+    def columns(self, cells: Codes, values: Floats) -> dict[str, Floats]:
+        """Values of each swept or toleranced parameter in some cells at these values of the key, (n,)."""
         shape = tuple(len(axis.values) for axis in self.axes)
         places = np.unravel_index(cells, shape) if shape else ()
-        columns = [Column(axis.parameter, 0, axis.values[at]) for axis, at in zip(self.axes, places, strict=True)]
-        design = Design((values.size,), (*columns, Column(self.along.parameter, 0, values)), run=0)
-        base = self.study.model_copy(update={"sweep": None})
-        results = sweep(base, design, engine=self.engine)
+        columns = {axis.parameter: axis.values[at] for axis, at in zip(self.axes, places, strict=True)}
+        columns[self.along.parameter] = values
+        draws = columns.pop(DRAW, np.ones(1)).astype(np.int64)
+        for tolerance, numbers in self.drawn:
+            parameter = tolerance.parameter
+            around = columns.get(parameter, nominal_value(self.nominal, parameter))
+            columns[parameter] = tolerance.applied(numbers[draws - 1], around)
+        return columns
+
+    def run(self, cells: Codes, values: Floats, more: int = 0) -> Points:
+        """Run the cells at these values of the key; more : number of runs that are expected to follow."""
+        columns = tuple(Column(parameter, 0, each) for parameter, each in self.columns(cells, values).items())
+        design = Design((values.size,), columns, run=0)
+        results = sweep(self.nominal, design, engine=self.engine, systems=self.systems)
         points = np.zeros(values.size, POINT)
         points["cell"], points["value"], points["touches"] = cells, values, results.touches
         finished = results.status == Status.OK

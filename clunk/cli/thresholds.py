@@ -17,6 +17,14 @@ if TYPE_CHECKING:
     from clunk.analysis.thresholds import Thresholds
 
 
+def _numbers(_context: click.Context, _option: click.Parameter, text: str | None) -> tuple[float, ...] | None:
+    """Numbers separated by commas."""
+    try:
+        return None if text is None else tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is no list of numbers such as 0.5,0.95.") from None
+
+
 @click.command()
 @click.argument("config", type=PATH)
 @click.option("--along", required=True, metavar="KEY", help="The axis of CONFIG along which they are looked for.")
@@ -28,6 +36,13 @@ if TYPE_CHECKING:
     help="label, double_sided, label=DS(2), touches, primary_impacts, severity<=8000, approach_velocity<10, "
     "last_event_time<=0.5 and the like [label].",
 )
+@click.option(
+    "--quantiles",
+    metavar="SHARES",
+    callback=_numbers,
+    help="With tolerances: shares of the draws that have the same outcome, from 0.5 to 1 [0.5,0.95].",
+)
+@click.option("--draws", is_flag=True, help="With tolerances: the thresholds of each drawn driveline instead.")
 @set_option
 @workers_option
 @click.option("-o", "--output", type=PATH, help="Data (.csv .json .h5 .nc), or a picture (.png .svg .pdf).")
@@ -36,6 +51,8 @@ def thresholds(
     config: Path,
     along: str,
     outcome: str,
+    quantiles: tuple[float, ...] | None,
+    draws: bool,
     overrides: tuple[str, ...],
     workers: int | None,
     output: Path | None,
@@ -43,7 +60,8 @@ def thresholds(
 ) -> None:
     """Locate all values of a swept key at which an outcome changes, to 1e-9 of its range.
 
-    They are told for every cell of CONFIG's other axes, with the outcomes below and above each.
+    They are told for every cell of CONFIG's other axes, with the outcomes below and above each. With
+    [[sweep.tolerances]]: where the outcome is the same in 50 % and in 95 % of the drawn drivelines.
 
     \b
     Examples:
@@ -51,47 +69,67 @@ def thresholds(
           --of double_sided
       clunk thresholds configs/largest_lash.toml --along lash.backlash_deg \\
           --of 'severity<=8000' -o lash.png
+      clunk thresholds configs/tolerant_ramp.toml --along load.duration \\
+          --of double_sided --quantiles 0.5,0.95,0.99
     """
     from clunk.analysis import thresholdfile
     from clunk.analysis import thresholds as analysis
+    from clunk.analysis.quantiles import check, threshold_quantiles
     from clunk.results import targets
     from clunk.study.config import load_study
+    from clunk.study.designs import has_tolerances, nominal
     from clunk.sweeping.cells import warm_up
 
     study = load_study(config, overrides)
     _, axes = analysis.axes_of(study, along)
     analysis.parse(outcome, study)
+    is_toleranced = has_tolerances(study)
+    if (draws or quantiles) and not is_toleranced:
+        raise analysis.ThresholdError("--quantiles and --draws need [[sweep.tolerances]], and the config has none.")
+    if draws and quantiles:
+        raise click.UsageError("--draws has the thresholds themselves, not their --quantiles; give one of the two.")
+    shares = quantiles or (0.5, 0.95)
+    check(shares)
     is_picture = output is not None and output.suffix.lower() in targets.PICTURES
     if output is not None:
         targets.check(output, (*targets.DATA, ".json", ".nc", *targets.PICTURES), reads=config)
         targets.spare_a_sweep(output)
     if is_picture:
-        from clunk.plot.thresholds import curve_axes
+        from clunk.plot import quantiles as toleranced_plot
+        from clunk.plot import thresholds as plot
 
-        curve_axes(axes)
+        if draws:
+            raise click.UsageError("--draws has no picture; -o FILE.csv or FILE.h5 takes the thresholds of each draw.")
+        (toleranced_plot if is_toleranced else plot).curve_axes(axes)
     terminal.warn_of_coarse_step(study, study.solver.method)
     terminal.say_if_compiling(study.solver.method)
     warm_up(study)
     began = time.perf_counter()
     with progress.shown(analysis.scan_count(study), "runs") as show:
-        result = analysis.thresholds(study, along=along, of=outcome, workers=workers, progress=show)
+        located = analysis.thresholds(study, along=along, of=outcome, workers=workers, progress=show)
     seconds = time.perf_counter() - began
+    result = threshold_quantiles(located, shares) if is_toleranced and not draws else located
     if as_json:
         tables.print_record(result.cells())
     else:
         print_thresholds(result)
-    counted = f"{result.value.size:,} {'threshold' if result.value.size == 1 else 'thresholds'}"
-    click.echo(f"{counted} in {phrases.cells(result.lowest.size)}, {result.runs:,} runs, {seconds:.1f} s", err=True)
+    counted = f"{located.value.size:,} {'threshold' if located.value.size == 1 else 'thresholds'}"
+    drawn = len(axes[0].values) if is_toleranced else 1
+    cells = phrases.cells(located.lowest.size // drawn) + (f" x {drawn:,} draws" if is_toleranced else "")
+    click.echo(f"{counted} in {cells}, {located.runs:,} runs, {seconds:.1f} s", err=True)
     if output is not None and is_picture:
-        from clunk.plot.thresholds import threshold_figure
-
-        terminal.save_picture(threshold_figure(result), output)
+        if is_toleranced:
+            undrawn = analysis.thresholds(nominal(study), along=along, of=outcome, workers=workers)
+            figure = toleranced_plot.quantile_figure(located, result, undrawn)
+        else:
+            figure = plot.threshold_figure(located)
+        terminal.save_picture(figure, output)
     elif output is not None:
         thresholdfile.save(output, result)
         terminal.say_written(output)
-    for status, count in result.failures.items():
+    for status, count in located.failures.items():
         terminal.complain(f"{count:,} runs failed: {status.sentence}")
-    if result.failures:
+    if located.failures:
         sys.exit(EXIT_FAILED_CELLS)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
@@ -50,20 +50,29 @@ def threshold_figure(thresholds: Thresholds) -> Figure:
 
     Raises PlotError where there is no other axis with several values, or more than two.
     """
-    x, *family = curve_axes(thresholds.axes)
+    axes = curve_axes(thresholds.axes)
+    cells, ascending = arranged(thresholds, axes)
+    draw = _draw_map if len(axes) == 1 else _draw_family
+    return draw(thresholds, cells, ascending, heading("thresholds of", thresholds))
+
+
+def arranged(thresholds: Thresholds, axes: Sequence[ResultAxis]) -> tuple[Cells, list[ResultAxis]]:
+    """Cells along these axes, which have all that have several values, and the axes, all in ascending order."""
     cells = np.arange(thresholds.lowest.size).reshape(thresholds.shape)
     order = [np.argsort(axis.values, kind="stable") for axis in thresholds.axes]
     cells = cells[np.ix_(*order)]
-    front = [thresholds.axes.index(axis) for axis in (x, *family)]
-    cells = np.moveaxis(cells, front, range(len(front))).reshape([len(axis.values) for axis in (x, *family)])
-    ascending = [ResultAxis(a.parameter, np.sort(a.values), a.name, a.symbol, a.unit) for a in (x, *family)]
+    front = [thresholds.axes.index(axis) for axis in axes]
+    cells = np.moveaxis(cells, front, range(len(front))).reshape([len(axis.values) for axis in axes])
+    return cells, [ResultAxis(a.parameter, np.sort(a.values), a.name, a.symbol, a.unit) for a in axes]
+
+
+def heading(what: str, thresholds: Thresholds) -> str:
+    """The second line of a figure's title: what it is of the outcome, and the axes of one value."""
     fixed = [value_text(axis, axis.values[0]) for axis in thresholds.axes if len(axis.values) == 1]
-    line = "; ".join([f"thresholds of: {thresholds.outcome.heading()}", *fixed])
-    draw = _draw_family if family else _draw_map
-    return draw(thresholds, cells, ascending, line)
+    return "; ".join([f"{what}: {thresholds.outcome.heading()}", *fixed])
 
 
-def _bands(thresholds: Thresholds, cell: int) -> tuple[tuple[int, ...], list[float]]:
+def bands(thresholds: Thresholds, cell: int) -> tuple[tuple[int, ...], list[float]]:
     """Codes of a cell's intervals that are wide enough to be seen, and the thresholds between them."""
     narrowest = _NARROWEST * float(np.ptp(thresholds.along.values))
     codes: list[int] = []
@@ -75,7 +84,7 @@ def _bands(thresholds: Thresholds, cell: int) -> tuple[tuple[int, ...], list[flo
     return tuple(codes), begins[1:]
 
 
-def _segments(thresholds: Thresholds, x: Floats, cells: Cells) -> Iterator[tuple[tuple[int, int], Floats]]:
+def segments(thresholds: Thresholds, x: Floats, cells: Cells) -> Iterator[tuple[tuple[int, int], Floats]]:
     """Yield the changes, codes below and above, from each cell to the next: of each the two points, (2, 2) float64.
 
     A threshold goes on in the one of the same change that is nearest, all together; alone, it is both points.
@@ -105,27 +114,45 @@ def _draw_map(thresholds: Thresholds, cells: Cells, axes: Sequence[ResultAxis], 
     figure = style.new_figure()
     ax = figure.subplots()
     style.set_titles(figure, ax, thresholds.study.title, line)
-    fills, seen = _fills(thresholds), set()
-    edges = np.clip(cell_edges(x), x.values[0], x.values[-1])
-    low, high = thresholds.along.values[[0, -1]]
-    bands = [_bands(thresholds, cell) for cell in cells.tolist()]
-    for codes, group in groupby(range(len(bands)), key=lambda k: bands[k][0]):
-        alike = list(group)
-        across = np.array([edges[alike[0]], *x.values[alike], edges[alike[-1] + 1]])
-        between = np.array([bands[k][1] for k in alike]).reshape(len(alike), len(codes) - 1).T
-        levels = np.pad(between, ((0, 0), (1, 1)), "edge")
-        levels = np.vstack([np.full(across.size, low), levels, np.full(across.size, high)])
-        for code, lower, upper in zip(codes, levels[:-1], levels[1:], strict=True):
-            ax.fill_between(across, lower, upper, linewidth=0.0, antialiased=False, zorder=1, **fills[code])
-            seen.add(code)
-    _draw_curves(ax, [points for _, points in _segments(thresholds, x.values, cells)], style.INK)
-    scale_axis(ax, "x", x)
-    scale_axis(ax, "y", thresholds.along)
-    ax.set(xlim=(x.values[0], x.values[-1]), ylim=(low, high))
-    notes: list[Artist] = [swatch(_name(thresholds, code), fills[code]["facecolor"]) for code in sorted(seen)]
+    fills = outcome_fills(thresholds)
+    seen = fill_bands(ax, thresholds, x, cells, fills)
+    draw_curves(ax, [points for _, points in segments(thresholds, x.values, cells)], style.INK)
+    scale_plane(ax, x, thresholds.along)
+    notes: list[Artist] = [swatch(outcome_name(thresholds, code), fills[code]["facecolor"]) for code in sorted(seen)]
     set_notes(figure, notes)
     style.freeze_layout(figure, ax)
     return figure
+
+
+def fill_bands(
+    ax: Axes, thresholds: Thresholds, x: ResultAxis, cells: Cells, fills: Mapping[int, Mapping[str, Any]]
+) -> set[int]:
+    """Fill the intervals of the key with one outcome as bands over x; those without a fill stay empty.
+
+    Returns the codes of the outcomes that have a band.
+    """
+    seen: set[int] = set()
+    edges = np.clip(cell_edges(x), x.values[0], x.values[-1])
+    low, high = thresholds.along.values[[0, -1]]
+    columns = [bands(thresholds, cell) for cell in cells.tolist()]
+    for codes, group in groupby(range(len(columns)), key=lambda k: columns[k][0]):
+        alike = list(group)
+        across = np.array([edges[alike[0]], *x.values[alike], edges[alike[-1] + 1]])
+        between = np.array([columns[k][1] for k in alike]).reshape(len(alike), len(codes) - 1).T
+        levels = np.pad(between, ((0, 0), (1, 1)), "edge")
+        levels = np.vstack([np.full(across.size, low), levels, np.full(across.size, high)])
+        for code, lower, upper in zip(codes, levels[:-1], levels[1:], strict=True):
+            if code in fills:
+                ax.fill_between(across, lower, upper, linewidth=0.0, antialiased=False, zorder=1, **fills[code])
+                seen.add(code)
+    return seen
+
+
+def scale_plane(ax: Axes, x: ResultAxis, along: ResultAxis) -> None:
+    """Scale both axes to their values: the other axis from left to right, the key upwards."""
+    scale_axis(ax, "x", x)
+    scale_axis(ax, "y", along)
+    ax.set(xlim=(x.values[0], x.values[-1]), ylim=(along.values[0], along.values[-1]))
 
 
 def _draw_family(thresholds: Thresholds, cells: Cells, axes: Sequence[ResultAxis], line: str) -> Figure:
@@ -145,16 +172,14 @@ def _draw_family(thresholds: Thresholds, cells: Cells, axes: Sequence[ResultAxis
     chosen = np.unique(np.linspace(0, len(other.values) - 1, _MOST_CURVES).round().astype(int))
     shades = [colors.to_hex(mpl.colormaps["viridis"](share)) for share in np.linspace(0.0, 0.85, len(chosen))]
     for k, (ax, change) in enumerate(zip(panels, drawn, strict=False)):
-        names = " and ".join(_name(thresholds, code) for code in change)
+        names = " and ".join(outcome_name(thresholds, code) for code in change)
         style.set_titles(figure, ax, thresholds.study.title, f"{line}\nbetween {names}" if k == 0 else f"\n{names}")
         for at, colour in zip(chosen, shades, strict=True):
-            segments = _segments(thresholds, x.values, cells[:, at])
-            _draw_curves(ax, [points for codes, points in segments if tuple(sorted(codes)) == change], colour)
-        scale_axis(ax, "x", x)
-        scale_axis(ax, "y", thresholds.along)
+            pieces = segments(thresholds, x.values, cells[:, at])
+            draw_curves(ax, [points for codes, points in pieces if tuple(sorted(codes)) == change], colour)
+        scale_plane(ax, x, thresholds.along)
         ax.label_outer()
         style.tidy(ax)
-        ax.set(xlim=(x.values[0], x.values[-1]), ylim=thresholds.along.values[[0, -1]])
     notes: list[Artist] = [
         Line2D([], [], color=colour, linewidth=1.6, label=value_text(other, other.values[at], symbol=True))
         for at, colour in zip(chosen, shades, strict=True)
@@ -166,20 +191,21 @@ def _draw_family(thresholds: Thresholds, cells: Cells, axes: Sequence[ResultAxis
     return figure
 
 
-def _draw_curves(ax: Axes, segments: Sequence[Floats], colour: str) -> None:
-    """Draw segments, and those of no length as points."""
-    ax.add_collection(LineCollection(segments, colors=colour, linewidths=1.4, capstyle="round", zorder=3))
-    alone = np.array([ends[0] for ends in segments if (ends[0] == ends[1]).all()]).reshape(-1, 2)
+def draw_curves(ax: Axes, pieces: Sequence[Floats], colour: str, **look: Any) -> None:
+    """Draw pieces of curves, (2, 2) float64 each, and those of no length as points."""
+    lines: dict[str, Any] = {"colors": colour, "linewidths": 1.4, "capstyle": "round", "zorder": 3} | look
+    ax.add_collection(LineCollection(pieces, **lines))
+    alone = np.array([ends[0] for ends in pieces if (ends[0] == ends[1]).all()]).reshape(-1, 2)
     ax.plot(*alone.T, ".", color=colour, markersize=4.0, zorder=3)
 
 
-def _name(thresholds: Thresholds, code: int) -> str:
+def outcome_name(thresholds: Thresholds, code: int) -> str:
     """An outcome for people: yes and no for whether something holds."""
     word = thresholds.word(code)
     return ("no", "yes")[word] if isinstance(word, bool) else word_text(word)
 
 
-def _fills(thresholds: Thresholds) -> dict[int, dict[str, Any]]:
+def outcome_fills(thresholds: Thresholds) -> dict[int, dict[str, Any]]:
     """Look of the band of each code: the tints of the labels, or shades of one hue."""
     palette = style.palette_of(tuple(word for word in thresholds.words if isinstance(word, str)))
     whole = max(len(thresholds.words) - 1, 1)

@@ -19,7 +19,7 @@ from clunk.results.regimemap import Results
 from clunk.study.config import study_from_text
 from clunk.study.designs import Cells, Design
 from clunk.study.study import Study, digest
-from clunk.sweeping.cells import Grid, Records
+from clunk.sweeping.cells import Grid, Records, Systems
 from clunk.sweeping.engines import available_cores
 from clunk.sweeping.reduction import Flanks, Reduction, SweepError
 from clunk.sweeping.refinement import DOUBTFUL, Refinement, coarse_spacing
@@ -36,10 +36,17 @@ class RegimeReduction(Reduction[Results]):
     study : Study
     design : Design, by default that of the study's sweep
     scratch : maker of the arrays, by default in memory
+    systems : of this study, where some are known already
     """
 
-    def __init__(self, study: Study, design: Design | None = None, scratch: Scratch | None = None) -> None:
-        grid = Grid(study, design)
+    def __init__(
+        self,
+        study: Study,
+        design: Design | None = None,
+        scratch: Scratch | None = None,
+        systems: Systems | None = None,
+    ) -> None:
+        grid = Grid(study, design, systems)
         super().__init__(study, grid.design, grid)
         self._scratch = scratch or Scratch()
         self._code_of = np.full(_SHORT + 1, _UNSEEN, np.int32)  # of a pattern; the last is of all longer ones

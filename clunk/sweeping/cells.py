@@ -40,30 +40,60 @@ def leaves_system(study: Study, parameter: str) -> bool:
     return is_load or parameter == _BACKLASH
 
 
+class Systems:
+    """The systems of a study and their tables, by values of structural parameters; the latest ones are kept.
+
+    study : Study
+    shared : those without other values than the study's, where they are known already
+    """
+
+    def __init__(self, study: Study, shared: Prepared | None = None) -> None:
+        self._study = study
+        self._kept: OrderedDict[tuple[tuple[str, float], ...], Prepared] = OrderedDict()
+        if shared is not None:
+            self._kept[()] = shared
+        self._lock = threading.Lock()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self._study, self._kept.get(()))
+
+    def prepared(self, values: Mapping[str, float]) -> Prepared:
+        """The system and tables with these values of structural parameters."""
+        key = tuple(values.items())
+        with self._lock:
+            if (kept := self._kept.get(key)) is not None:
+                self._kept.move_to_end(key)
+                return kept
+        prepared = driveline.prepare(replace_values(self._study, values) if values else self._study)
+        with self._lock:
+            self._kept[key] = prepared
+            if len(self._kept) > KEPT_SYSTEMS:
+                self._kept.popitem(last=False)
+        return prepared
+
+
 class Grid:
     """The cells of a study's design, run once each.
 
     study : Study
     design : Design, by default that of the study's sweep
-    shared : the system and tables of all cells, where they are known already; see `Grid.shared`
+    systems : of this study, where some are known already
     """
 
     layout = Layout(CELL, IMPACT, "primary_impacts")
     runs = 1  # of each cell
 
-    def __init__(self, study: Study, design: Design | None = None, shared: Prepared | None = None) -> None:
+    def __init__(self, study: Study, design: Design | None = None, systems: Systems | None = None) -> None:
         self.study = study
+        self.systems = systems or Systems(study)
         self.design = design or design_of(study)
         self.method: str = study.solver.method
         self.tile_cells = min(_TILE_CELLS[self.method], max(_TILE_POINTS // len(study.load.times or (0,)), 1))
         self._structural = [each.parameter for each in self.design.columns if not leaves_system(study, each.parameter)]
-        self._kept: OrderedDict[tuple[float, ...], Prepared] = OrderedDict()
-        if shared is not None:
-            self._kept[()] = shared
-        self._lock = threading.Lock()
 
     def __reduce__(self) -> tuple[Any, ...]:  # the shared system goes along, so that all processes have its bits
-        return type(self), (self.study, self.design, self.shared())
+        self.shared()
+        return type(self), (self.study, self.design, self.systems)
 
     def ordered(self, cells: Cells) -> Cells:
         """Cells in the order in which they are best cut into tiles."""
@@ -71,21 +101,7 @@ class Grid:
 
     def shared(self) -> Prepared | None:
         """The system and tables that all cells share, if they do."""
-        return None if self._structural else self.prepared({})
-
-    def prepared(self, values: Mapping[str, float]) -> Prepared:
-        """The system and tables with these values of structural parameters; the latest ones are kept."""
-        key = tuple(values.values())  # the parameters are always the same, in the same order
-        with self._lock:
-            if (kept := self._kept.get(key)) is not None:
-                self._kept.move_to_end(key)
-                return kept
-        prepared = driveline.prepare(replace_values(self.study, values) if values else self.study)
-        with self._lock:
-            self._kept[key] = prepared
-            if len(self._kept) > KEPT_SYSTEMS:
-                self._kept.popitem(last=False)
-        return prepared
+        return None if self._structural else self.systems.prepared({})
 
     def cases(self, values: Mapping[str, float | FloatArray], count: int) -> kernel.Cases:
         """Torques and gaps of `count` cells with these values of parameters."""
@@ -143,7 +159,7 @@ class Grid:
 
         Returns CELL, one of each run, and IMPACT, in pieces.
         """
-        system, tables = self.prepared(values)
+        system, tables = self.systems.prepared(values)
         solver = self.study.solver
         done, records = 0, np.zeros(len(cases.before), CELL)
         output = kernel.Output(records, buffer)

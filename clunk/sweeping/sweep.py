@@ -18,7 +18,7 @@ from clunk.simulation.driveline import explained
 from clunk.study.designs import Design, design_of, has_tolerances
 from clunk.study.study import Study, digest
 from clunk.sweeping.assembly import MendedReduction, RefinedReduction, RegimeReduction
-from clunk.sweeping.cells import warm_up
+from clunk.sweeping.cells import Systems, warm_up
 from clunk.sweeping.engines import EngineError, Work, available_cores, run_tiles
 from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory
 from clunk.sweeping.progress import Progress
@@ -39,6 +39,7 @@ class Job:
     study : with at least one axis or sample; with tolerances, the map is a ToleranceMap, else Results
     design : cells to run instead of those of the study's sweep
     refine : whether to run only a coarse grid and what `clunk.sweeping.refinement` asks for, and infer the other cells
+    systems : of this study, where some are known already and every cell is run
     earlier : finished results of which only the failed cells are run again, with another [solver]
     directory : open; finished cells are kept there as the sweep goes on, and taken up from there
     path : results file to write
@@ -52,13 +53,15 @@ class Job:
         design: Design | None = None,
         *,
         refine: bool = False,
+        systems: Systems | None = None,
         earlier: Results | None = None,
         directory: WorkingDirectory | None = None,
         path: Path | None = None,
         counts: dict[str, int] | None = None,
     ) -> None:
         self.study, self.design = study, design or design_of(study)
-        self.refine, self.earlier, self.directory, self.path, self.counts = refine, earlier, directory, path, counts
+        self.refine, self.systems, self.earlier = refine, systems, earlier
+        self.directory, self.path, self.counts = directory, path, counts
         self.ran, self.seconds = 0, 0.0
 
     @cached_property
@@ -74,7 +77,9 @@ class Job:
         scratch = scratch_for(design.cells, on_disk)
         if self.earlier is not None:
             return MendedReduction(self.study, self.earlier, scratch)
-        return (RefinedReduction if self.refine else RegimeReduction)(self.study, design, scratch)
+        if self.refine:
+            return RefinedReduction(self.study, design, scratch)
+        return RegimeReduction(self.study, design, scratch, self.systems)
 
     @cached_property
     def parts(self) -> Parts | None:
@@ -236,6 +241,7 @@ def sweep(
     engine: Executor | None = None,
     progress: Progress | None = None,
     refine: bool = False,
+    systems: Systems | None = None,
 ) -> Results:
     """Run the cells of a study in memory.
 
@@ -243,7 +249,7 @@ def sweep(
     """
     if has_tolerances(study):
         raise SweepError(HAS_TOLERANCES)
-    results = Job(study, design, refine=refine).run(engine, workers=workers, progress=progress)
+    results = Job(study, design, refine=refine, systems=systems).run(engine, workers=workers, progress=progress)
     assert isinstance(results, Results)
     return results
 

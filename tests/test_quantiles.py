@@ -1,0 +1,222 @@
+"""Thresholds under tolerances are those of single drawn drivelines, and their quantiles what counting them gives."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_cli import clunk, here  # noqa: F401  fixtures
+from test_thresholds import DURATION, LASH, NOMINAL, RAMP, RATIO, axis
+
+import clunk as clunk_api
+from clunk.analysis.outcomes import Outcome
+from clunk.analysis.quantiles import probabilities, threshold_quantiles
+from clunk.analysis.thresholds import UNCERTAIN, ThresholdError, Thresholds, thresholds
+from clunk.plot.quantiles import quantile_figure
+from clunk.plot.style import PlotError
+from clunk.study.axes import ResultAxis
+from clunk.study.config import study_from_text
+from clunk.study.designs import drawn_numbers, nominal
+from clunk.study.parameters import get_value
+from clunk.sweeping import cells as sweeping
+
+RAMPED = NOMINAL.replace("ratio = 5.0", 'profile = "ramp"\nratio = 5.0')
+FEW = axis("load.ratio", 4.0, 8.0, 3)
+COARSE = axis("load.duration", 0.0, 0.6, 31)
+STIFFNESS, INERTIA, SHIFT = (
+    f'[[sweep.tolerances]]\nparameter = "{parameter}"\ndistribution = "normal"\ndraws = "{draws}"\nstd = {std}\n'
+    for parameter, draws, std in (
+        ("lash.contact.stiffness", "factor", 0.05),
+        ("driveline.inertias[4]", "factor", 0.05),
+        ("lash.backlash_deg", "offset", 0.2),
+    )
+)
+
+
+def study(*tables, draws=8, of=()):
+    text = f"{NOMINAL}{''.join(tables)}[sweep.sampling]\ncount = {draws}\nseed = 1\n"
+    return study_from_text(text, overrides=("solver.method=exact", *of))
+
+
+@pytest.fixture(scope="module")
+def ramps():
+    swept = study(FEW, COARSE, STIFFNESS, INERTIA, of=RAMP)
+    return thresholds(swept, along="load.duration", of="double_sided")
+
+
+def driveline(swept, draw, **at):
+    """The study of one draw."""
+    tolerances = swept.sweep.tolerances
+    drawn = zip(tolerances, drawn_numbers(swept, tolerances), strict=True)
+    values = {each.parameter: each.applied(n[draw], get_value(swept, each.parameter)).item() for each, n in drawn}
+    return clunk_api.replace_values(swept, values | at)
+
+
+def test_each_draw_changes_where_its_driveline_alone_changes(ramps):
+    near = 1e-9 * 0.6  # the promise
+    assert ramps.value.size >= 24
+    for k in range(0, ramps.value.size, 5):
+        at = ramps.at(int(ramps.cell[k]))
+        draw = int(at.pop("draw")) - 1
+        for value, code in ((ramps.value[k] - near, ramps.below[k]), (ramps.value[k] + near, ramps.above[k])):
+            run = clunk_api.simulate(driveline(ramps.study, draw, **at, **{"load.duration": value}))
+            assert ("DS" in run.label) == ramps.word(code)
+
+
+def test_shares_of_the_draws_are_the_probabilities_of_a_tolerance_map(ramps):
+    by_cell = clunk_api.tolerance_map(ramps.study)
+    for cell in range(3):
+        edges, shares = probabilities(ramps, cell)
+        inside = np.searchsorted(edges, ramps.along.values[1:-1]) - 1
+        expected = by_cell.double_sided[cell, 1:-1]
+        assert shares[inside, ramps.words.index(True)].tolist() == expected.tolist()
+        assert shares.sum(axis=1) == pytest.approx(1.0)
+
+
+def test_a_tolerance_of_the_key_itself_shifts_its_thresholds():
+    """The nominal lash is what is asked for; a driveline with 0.1° more changes at 0.1° less."""
+    swept = study(axis("lash.backlash_deg", 1.0, 20.0, 20), SHIFT, of=("load.ratio=2.0",))
+    drawn = thresholds(swept, along="lash.backlash_deg", of="double_sided")
+    (value,) = thresholds(nominal(swept), along="lash.backlash_deg", of="double_sided").value
+    (offsets,) = drawn_numbers(swept, swept.sweep.tolerances)
+    assert drawn.value == pytest.approx(value - offsets, abs=2e-9 * 20.0)
+
+
+def test_quantiles_of_single_thresholds_are_those_of_numpy(ramps):
+    """With one threshold a draw, 95 % of the drivelines are safe from the 95 % quantile on, an order statistic."""
+    shares = [0.5, 0.6, 0.75, 0.95, 1.0]
+    result = threshold_quantiles(ramps, shares)
+    for cell, ratio in enumerate(ramps.axes[1].values):
+        values = ramps.value[ramps.cell % 3 == cell]
+        assert values.size == 8
+        for share in shares:
+            ((begin, end),) = result.where(False, load_ratio=ratio, quantile=share)
+            assert begin == np.quantile(values, share, method="inverted_cdf")
+            assert end == 0.6
+            if share > 0.5:  # of half and half, what is safe goes before
+                ((begin, end),) = result.where(True, load_ratio=ratio, quantile=share)
+                assert (begin, -end) == (0.0, np.quantile(-values, share, method="inverted_cdf"))
+
+
+def test_outcomes_that_come_back_are_counted_at_each_value():
+    """Thresholds made up at random: anywhere between them the outcome is the one that a count of the draws gives."""
+    rng = np.random.default_rng(3)
+    draws, cells, words = 20, 2, ("NI", "SS(1)", "DS(1)")
+    lowest, columns = rng.integers(-1, 3, draws * cells), []
+    for place in range(draws * cells):
+        codes = [int(lowest[place])]
+        for _ in range(rng.integers(0, 6)):
+            codes.append(int(rng.choice([code for code in range(-1, 3) if code != codes[-1]], p=[0.1, 0.1, 0.8])))
+        values = np.sort(rng.uniform(0.0, 1.0, len(codes) - 1))
+        columns += zip([place] * values.size, values, codes[:-1], codes[1:], strict=True)
+    cell, value, below, above = map(np.array, zip(*columns, strict=True))
+    axes = (
+        ResultAxis("draw", np.arange(1.0, draws + 1.0), "", "", "1"),
+        ResultAxis("load.ratio", np.arange(2.0), "", "", "1"),
+    )
+    along = ResultAxis("load.duration", np.array([0.0, 1.0]), "", "", "s")
+    made = Thresholds(
+        study=study(FEW, STIFFNESS),
+        **{"along": along, "axes": axes, "outcome": Outcome("label"), "words": words, "lowest": lowest},
+        **{"cell": cell, "value": value, "below": below, "above": above, "runs": 0, "failures": {}},
+    )
+    result = threshold_quantiles(made, [0.5, 0.7])
+    for at in rng.uniform(0.0, 1.0, 200):
+        codes = np.array([next(c for b, e, c in made.intervals(p) if b <= at <= e) for p in range(draws * cells)])
+        for place in range(cells * 2):
+            counts = np.bincount(codes[place // 2 :: cells] % 4, minlength=4)
+            likely = counts.argmax()
+            certain = counts[likely] >= draws * (0.5, 0.7)[place % 2]
+            code = next(c for b, e, c in result.intervals(place) if b <= at <= e)
+            assert result.word(code) == ((*words, "failed")[likely] if certain else UNCERTAIN)
+
+
+def test_each_drawn_driveline_is_prepared_once(monkeypatch):
+    prepare, prepared = sweeping.driveline.prepare, []
+    monkeypatch.setattr(sweeping.driveline, "prepare", lambda study: prepared.append(study) or prepare(study))
+    thresholds(
+        study(FEW, RATIO.replace("load.ratio", "lash.backlash_deg"), INERTIA), along="lash.backlash_deg", workers=1
+    )
+    assert len(prepared) == 8
+
+
+@pytest.mark.parametrize(
+    ("quantiles", "message"),
+    [([0.05], "0.05 is no quantile"), ([95.0], "95 is no quantile"), ([], "no quantile"), ([0.5, 0.5], "twice")],
+)
+def test_what_is_no_quantile_is_refused(ramps, quantiles, message):
+    with pytest.raises(ThresholdError, match=message):
+        threshold_quantiles(ramps, quantiles)
+
+
+def test_quantiles_need_draws(ramps):
+    without = replace(ramps, axes=ramps.axes[1:])
+    for function in (threshold_quantiles, probabilities):
+        with pytest.raises(ThresholdError, match=r"no \[\[sweep.tolerances\]\]"):
+            function(without)
+
+
+def test_pictures_have_curves_of_each_quantile_or_probabilities(ramps):
+    result = threshold_quantiles(ramps, [0.5, 0.95])
+    undrawn = thresholds(nominal(ramps.study), along="load.duration", of="double_sided")
+    (ax,) = quantile_figure(ramps, result, undrawn).axes
+    curves = [line.get_segments() for line in ax.collections if hasattr(line, "get_segments")]
+    drawn = [sorted({y for segment in curve for _, y in segment}) for curve in curves]
+    by_quantile = [sorted(set(result.value[result.cell % 2 == k])) for k in (0, 1)]
+    assert drawn == [*by_quantile, sorted(set(undrawn.value))]
+    names = ["no", "yes", "in 50 %", "in 95 %", "without tolerances"]
+    assert [text.get_text() for text in ax.figure.legends[0].get_texts()] == names
+    alone = thresholds(study(COARSE, INERTIA, of=RAMP), along="load.duration")
+    undrawn = thresholds(nominal(alone.study), along="load.duration")
+    (ax,) = quantile_figure(alone, threshold_quantiles(alone), undrawn).axes
+    assert ax.get_ylabel() == "Probability"
+    more = (*ramps.axes, ResultAxis("lash.radius", np.array([1.0, 2.0]), "", "", "m"))
+    with pytest.raises(PlotError, match="over one other axis"):
+        quantile_figure(ramps, result, replace(undrawn, axes=more))
+
+
+def test_the_command_says_and_writes_quantiles_or_draws(clunk, here):  # noqa: F811
+    text = f"{RAMPED}{FEW}{COARSE}{STIFFNESS}{INERTIA}[sweep.sampling]\ncount = 8\n"
+    (here / "config.toml").write_text(text, encoding="utf-8")
+    command = ("thresholds", "config.toml", "--along", "load.duration", "--of", "double_sided")
+    command = (*command, "--set", "solver.method=exact")
+    code, out, err = clunk(*command, "--quantiles", "0.5,0.95", "-o", "t.csv")
+    assert code == 0
+    assert "in 3 cells x 8 draws" in err
+    assert "uncertain" in out
+    _, out, _ = clunk(*command, "--json", "-o", "t.h5")
+    listed = [(cell["at"], row) for cell in json.loads(out) for row in cell["thresholds"]]
+    rows = list(csv.DictReader((here / "t.csv").read_text().splitlines()))
+    assert [(float(row["quantile"]), float(row["load.duration"])) for row in rows] == [
+        (at["quantile"], row["value"]) for at, row in listed
+    ]
+    xarray = pytest.importorskip("xarray")
+    dataset = xarray.load_dataset(here / "t.h5", engine="h5netcdf")
+    assert dataset.load_duration.dims == ("load_ratio", "quantile", "threshold")
+    assert "uncertain" in dataset.above.flag_meanings.split()
+    assert clunk(*command, "--draws", "-o", "d.h5")[0] == 0
+    dataset = xarray.load_dataset(here / "d.h5", engine="h5netcdf")
+    assert dict(dataset.sizes) == {"draw": 8, "load_ratio": 3, "threshold": 1}
+    assert dataset.drawn_driveline_inertias_4.dims == ("draw",)
+    assert clunk(*command, "-o", "t.png")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("tables", "arguments", "message"),
+    [
+        (DURATION, ("--quantiles", "0.9"), "need [[sweep.tolerances]]"),
+        (DURATION, ("--draws",), "need [[sweep.tolerances]]"),
+        (DURATION + INERTIA, ("--draws", "--quantiles", "0.9"), "give one of the two"),
+        (DURATION + INERTIA, ("--quantiles", "0.9,x"), "no list of numbers"),
+        (DURATION + INERTIA, ("--quantiles", "0.05"), "from 0.5 to 1"),
+        (DURATION + INERTIA, ("--draws", "-o", "t.png"), "--draws has no picture"),
+        (DURATION + FEW + LASH + INERTIA, ("-o", "t.png"), "over one other axis"),
+        ("duration = 0.1\n" + INERTIA, (), "the config has no [[sweep.axes]]"),
+    ],
+)
+def test_the_command_refuses_before_it_runs(clunk, here, tables, arguments, message):  # noqa: F811
+    (here / "config.toml").write_text(RAMPED + tables, encoding="utf-8")
+    code, _, err = clunk("thresholds", "config.toml", "--along", "load.duration", *arguments)
+    assert code == 2
+    assert message in " ".join(err.split())
