@@ -169,6 +169,15 @@ def test_a_structural_key_of_the_restitution_model_has_thresholds():
     assert bisected(touches_at, value - 1e-6, value + 1e-6, below) == pytest.approx(value, abs=1e-9)
 
 
+def test_chatter_is_gone_from_a_contact_damping_on():
+    """Below it, and only there, a run has touches that are no primary impacts."""
+    swept = study(axis("lash.contact.damping", 200.0, 500.0, 4), of=RAMP[1:])
+    (value,) = thresholds(swept, along="lash.contact.damping", of="chatter").value
+    for damping, chatters in ((value - 3e-7, True), (value + 3e-7, False)):
+        run = clunk.simulate(clunk.replace_values(swept, {"lash.contact.damping": damping}))
+        assert (run.touches > run.primaries.size) == chatters
+
+
 def test_failed_runs_are_an_outcome_and_not_invented():
     result = thresholds(study(RATIO, of=("solver.max_events=20", *RAMP[1:])), along="load.ratio")
     words = [result.word(code) for _, _, code in result.intervals(0)]

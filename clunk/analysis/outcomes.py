@@ -4,6 +4,7 @@ label                                the label
 severity, touches and other numbers  see `MEASURED`
 severity<=8000, touches=4            whether a number is <=, <, >=, > or = another
 double_sided                         whether the label has a DS
+chatter                              whether touches follow that are no primary impacts
 label=DS(1)SS(1)                     whether it is this one
 nominal_label                        whether it is that of the run without tolerances
 """
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from clunk.results.regimemap import Results
 
 MEASURED = ("severity", "approach_velocity", "primary_impacts", "touches", "last_event_time")
-LABEL, DOUBLE_SIDED, NOMINAL = "label", "double_sided", "nominal_label"
+LABEL, DOUBLE_SIDED, CHATTER, NOMINAL = "label", "double_sided", "chatter", "nominal_label"
 _RELATIONS: dict[str, tuple[Callable[[Any, Any], Any], str]] = {
     "<=": (operator.le, "is at most"),
     "<": (operator.lt, "is less than"),
@@ -45,7 +46,7 @@ _WORDS = re.compile(r"\s*([^<>=\s]+)\s*(?:(<=|>=|<|>|=)\s*(.*?)\s*)?", re.DOTALL
 class Outcome:
     """An outcome of runs.
 
-    quantity : one of `MEASURED`, `LABEL`, `DOUBLE_SIDED` or `NOMINAL`
+    quantity : one of `MEASURED`, `LABEL`, `DOUBLE_SIDED`, `CHATTER` or `NOMINAL`
     relation : of the quantity to the bound, if the outcome is whether that holds; else empty
     bound : a number, or a label
     """
@@ -63,7 +64,7 @@ class Outcome:
     @property
     def is_indicator(self) -> bool:
         """Whether the outcome is 1 where something holds and else 0."""
-        return bool(self.relation) or self.quantity in (DOUBLE_SIDED, NOMINAL)
+        return bool(self.relation) or self.quantity in (DOUBLE_SIDED, CHATTER, NOMINAL)
 
     def heading(self, nominal: str = "") -> str:
         """Name for people, of numbers with symbol and unit; nominal : the label without tolerances."""
@@ -76,6 +77,8 @@ class Outcome:
             )
         if self.quantity == DOUBLE_SIDED:
             return "the label has a double-sided impact"
+        if self.quantity == CHATTER:
+            return "a primary impact chatters"
         if self.quantity == NOMINAL:
             return f"the label is the nominal {nominal}"
         return f"the label is {self.bound}" if self.relation else "the label"
@@ -102,6 +105,8 @@ class Outcome:
         """A number, or an indicator's 1 and 0, in each cell: float64 of the results' shape; failed cells count not."""
         if self.quantity in MEASURED:
             return self.of_numbers(getattr(results, self.quantity))
+        if self.quantity == CHATTER:
+            return np.asarray(results.touches > results.primary_impacts, np.float64)
         of_labels = [float(self.holds_for(label, nominal)) for label in results.labels]
         return np.array([*of_labels, math.nan])[results.sequence]  # the code of failed cells, -1, is the last
 
@@ -121,7 +126,7 @@ def outcome_of(text: str, study: Study, without: Mapping[str, str], error: type[
     """
     words = _WORDS.fullmatch(text)
     quantity, relation, bound = words.groups("") if words else (text, "", "")
-    if without.get(quantity) == "" or quantity not in (LABEL, *MEASURED, DOUBLE_SIDED, NOMINAL):
+    if without.get(quantity) == "" or quantity not in (LABEL, *MEASURED, DOUBLE_SIDED, CHATTER, NOMINAL):
         raise error(_unknown(text, quantity, without))
     if quantity == "severity" and study.lash.contact.model == "restitution":
         raise error("severity is not defined for the restitution model; approach_velocity is.")
@@ -147,7 +152,7 @@ def outcome_of(text: str, study: Study, without: Mapping[str, str], error: type[
 
 
 def _unknown(text: str, quantity: str, without: Mapping[str, str]) -> str:
-    known = [name for name in (LABEL, *MEASURED, DOUBLE_SIDED, NOMINAL) if name not in without]
+    known = [name for name in (LABEL, *MEASURED, DOUBLE_SIDED, CHATTER, NOMINAL) if name not in without]
     examples = ["severity<=8000", "label=DS(1)SS(1)"]
     likely = nearest(quantity, [*known, *(name for name, sentence in without.items() if sentence)])
     hint = f"; did you mean {likely}?" if likely else "."

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.outcomes import DOUBLE_SIDED, LABEL, MEASURED, NOMINAL, Outcome, outcome_of
+from clunk.analysis.outcomes import CHATTER, DOUBLE_SIDED, LABEL, MEASURED, NOMINAL, Outcome, outcome_of
 from clunk.core.status import Status
 from clunk.results.regimemap import Results
 from clunk.simulation.trajectory import Trajectory, simulate
@@ -324,6 +324,8 @@ def _values(outcome: Outcome, results: Results, nominal_label: str) -> FloatArra
 
 
 def _nominal_value(outcome: Outcome, nominal: Trajectory) -> float:
+    if outcome.quantity == CHATTER:
+        return float(nominal.touches > nominal.primaries.size)
     if outcome.quantity not in MEASURED:
         return float(outcome.holds_for(nominal.label, nominal.label))
     if outcome.quantity == "primary_impacts":

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.outcomes import LABEL, MEASURED, NOMINAL, Outcome, outcome_of
+from clunk.analysis.outcomes import CHATTER, LABEL, MEASURED, NOMINAL, Outcome, outcome_of
 from clunk.core.status import Status
 from clunk.results.labels import FAILED, FAILED_CODE, excursions
 from clunk.results.regimemap import Results
@@ -182,8 +182,8 @@ def thresholds(
     along : str
         The key.
     of : str, optional
-        The outcome: `label`, `double_sided`, `label=DS(2)`, `touches`, `primary_impacts`, or a bound on a number such
-        as `severity<=8000`; see `clunk.analysis.outcomes`.
+        The outcome: `label`, `double_sided`, `chatter`, `label=DS(2)`, `touches`, `primary_impacts`, or a bound on a
+        number such as `severity<=8000`; see `clunk.analysis.outcomes`.
     workers, progress
         As `clunk.sweep` takes them; in the place of cells, runs are counted.
 
@@ -336,6 +336,8 @@ class _Search:
 
     def _measure(self, results: Results) -> Floats:
         """A number of each run that changes sign where the outcome changes, as far as one is known; else NaN."""
+        if self.outcome.quantity == CHATTER:
+            return np.asarray(results.touches - results.primary_impacts - 0.5, np.float64)
         if self.outcome.quantity not in MEASURED:
             return results.margin
         values = np.asarray(getattr(results, self.outcome.quantity), np.float64)

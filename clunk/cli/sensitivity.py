@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     multiple=True,
     metavar="QUANTITY",
     help="severity, approach_velocity, primary_impacts, touches, last_event_time, severity<=8000, nominal_label, "
-    "double_sided or label=DS(1)SS(1), for example [severity and nominal_label]. May be repeated.",
+    "double_sided, chatter or label=DS(1)SS(1), for example [severity and nominal_label]. May be repeated.",
 )
 @workers_option
 @click.option("-o", "--output", type=PATH, help="Also draw the indices: .png .svg .pdf.")

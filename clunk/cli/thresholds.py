@@ -33,7 +33,7 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
     "outcome",
     default="label",
     metavar="OUTCOME",
-    help="label, double_sided, label=DS(2), touches, primary_impacts, severity<=8000, approach_velocity<10, "
+    help="label, double_sided, chatter, label=DS(2), touches, primary_impacts, severity<=8000, approach_velocity<10, "
     "last_event_time<=0.5 and the like [label].",
 )
 @click.option(
