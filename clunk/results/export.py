@@ -114,7 +114,8 @@ def _texts(quantity: Quantity, values: npt.NDArray[Any], labels: tuple[str, ...]
     if quantity.coded == "quality":
         return [" ".join(word for bit, word in meanings.items() if value & bit) for value in values.tolist()]
     if meanings:
-        return [meanings[value] for value in values.tolist()]
+        words = meanings | {code: None for code, word in meanings.items() if word == "none"}
+        return [words[value] for value in values.tolist()]
     return [value if value == value else None for value in values.tolist()]  # NaN does not equal itself
 
 
