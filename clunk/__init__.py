@@ -12,12 +12,14 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from clunk import plot
+    from clunk.analysis.boundaries import BoundaryError
     from clunk.analysis.quantiles import threshold_quantiles
     from clunk.analysis.sobol import Sensitivity, SensitivityError, sensitivity
     from clunk.analysis.thresholds import ThresholdError, Thresholds, thresholds
     from clunk.analysis.verification import Verification
     from clunk.api import draw, run_points, sweep, tolerance_map, verify
     from clunk.plot import PlotError
+    from clunk.results.boundaries import Boundaries
     from clunk.results.datasets import open_results, to_dataset
     from clunk.results.regimemap import Results
     from clunk.results.store import StoreError, read_tolerance_map
@@ -35,6 +37,8 @@ if TYPE_CHECKING:
     from clunk.sweeping.reduction import SweepError
 
 __all__ = [
+    "Boundaries",
+    "BoundaryError",
     "ClunkError",
     "ConfigError",
     "EngineError",
@@ -75,6 +79,8 @@ __all__ = [
 
 # Public name -> where it is: its module, and its name there if that is another.
 _HOME = {
+    "Boundaries": "results.boundaries",
+    "BoundaryError": "analysis.boundaries",
     "ClunkError": "study.errors",
     "ConfigError": "study.problems",
     "EngineError": "sweeping.engines",

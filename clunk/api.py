@@ -9,17 +9,18 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy.typing as npt
 
 from clunk.analysis import verification
+from clunk.analysis.boundaries import require_boundaries, with_boundaries
 from clunk.analysis.small_gap import thresholds_of
 from clunk.analysis.verification import METHODS, Verification, by
 from clunk.results import targets
 from clunk.results.regimemap import Results
-from clunk.results.store import read_map
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.designs import design_of_points, has_tolerances
@@ -42,6 +43,7 @@ def sweep(
     workers: int | None = None,
     scheduler: str | None = None,
     refine: bool = False,
+    boundaries: bool = False,
     restart: bool = False,
     force: bool = False,
 ) -> Results:
@@ -64,6 +66,8 @@ def sweep(
         many as `workers`.
     refine : bool
         Run only a coarse grid and where labels change, and infer the other cells' labels.
+    boundaries : bool
+        Also trace the curves between the labels, of one or two axes: `Results.boundaries`.
     restart : bool
         Neither go on with a stopped sweep nor keep a finished one.
     force : bool
@@ -83,6 +87,8 @@ def sweep(
         Where the file cannot be written, or finished cells cannot be kept or taken up.
     EngineError
         Where the scheduler or its workers cannot start or go on; finished cells have been kept.
+    BoundaryError
+        Where boundaries are asked for and the study's map has none that could be traced.
     KeyboardInterrupt
         Passed on after finished cells have been kept.
 
@@ -98,8 +104,11 @@ def sweep(
     """
     if has_tolerances(study):
         raise SweepError(sweeping.HAS_TOLERANCES)
+    if boundaries:
+        require_boundaries(study)
     engine = sweeping.engine_of(scheduler, workers)
-    results = _run(study, output, progress, engine, refine=refine, restart=restart, force=force)
+    finish = partial(with_boundaries, study, workers=workers) if boundaries else None
+    results = _run(study, output, progress, engine, refine=refine, finish=finish, restart=restart, force=force)
     assert isinstance(results, Results)
     return results
 
@@ -278,18 +287,19 @@ def _run(
     engine: AbstractContextManager[Executor],
     *,
     refine: bool = False,
+    finish: sweeping.Finish | None = None,
     restart: bool,
     force: bool,
 ) -> AnyMap:
-    """The map of a study's sweep, or the one that its file already has."""
+    """The map of a study's sweep, or the one that its file already has; finish : adds to it."""
     path = None if output is None else Path(output)
     if path is not None:
         targets.check(path, targets.RESULTS)
     with sweeping.opened(path, study, refine=refine, restart=restart, force=force) as job:
-        if path is not None and job.counts is not None:
-            return read_map(path)
+        if job.counts is not None:
+            return job.finished(finish)
         with engine as executor, _shown(progress, sweeping.cell_count(study), study) as report:
-            return job.run(executor, progress=report)
+            return job.run(executor, progress=report, finish=finish)
 
 
 @contextmanager

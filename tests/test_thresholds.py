@@ -7,8 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
-from scipy.optimize import brentq
+from helpers.feet import feet_of_figure_3_4
 
 import clunk
 from clunk.analysis import thresholds as analysis
@@ -90,40 +89,9 @@ def test_each_is_where_single_runs_change(method):
         assert bisected(label_at, value - near, value + near, below) == pytest.approx(value, abs=near)
 
 
-def closed_overlap(times):
-    """Torque in the report's lash after a unit load step from the torque 1 to 0, contact closed, as a share of 1.
-
-    Without backlash, both flanks are one spring and damper, and the chain is linear: θ'' = -J⁻¹ (C θ' + K θ).
-    """
-    inertias = np.array([0.024, 0.002, 0.002, 0.002])
-    radius2 = 0.08**2
-    shafts = [(0, 1, 31.3, 0.08), (1, 2, 31.3, 0.04), (2, 3, radius2 * 4.092e5, radius2 * 94.0), (3, None, 31.3, 0.1)]
-    stiffness, damping = np.zeros((4, 4)), np.zeros((4, 4))
-    for a, b, k, c in [*shafts, (0, None, 0.0, 0.1)]:
-        twist = np.zeros(4)
-        twist[a] = 1.0
-        if b is not None:
-            twist[b] = -1.0
-        stiffness += k * np.outer(twist, twist)
-        damping += c * np.outer(twist, twist)
-    flow = np.block([[np.zeros((4, 4)), np.eye(4)], [-stiffness / inertias[:, None], -damping / inertias[:, None]]])
-    rest = np.linalg.solve(stiffness, [1.0, 0.0, 0.0, 0.0])
-    gap = np.array([0, 0, 1.0, -1.0, 0, 0, 0, 0])
-    start = np.concatenate([rest, np.zeros(4)])
-    values, vectors = np.linalg.eig(flow)
-    left = np.linalg.solve(vectors, start)
-    assert vectors @ (np.exp(values * 0.1) * left) == pytest.approx(expm(flow * 0.1) @ start, abs=1e-12)
-    slopes = lambda t: float((gap @ vectors @ (values * np.exp(values * t) * left)).real)  # noqa: E731
-    shares = lambda t: float((gap @ vectors @ (np.exp(values * t) * left)).real / (gap @ start))  # noqa: E731
-    extremes = [brentq(slopes, a, b, xtol=1e-14) for a, b in pairwise(times) if slopes(a) * slopes(b) < 0.0]
-    return np.array([shares(t) for t in extremes])
-
-
 def test_the_feet_of_figure_3_4_are_those_of_the_linear_chain():
     """At no backlash the flanks change where the overlap 1 + σr g changes sign: first at σr = -1/min g, and so on."""
-    extremes = closed_overlap(np.linspace(1e-6, 2.0, 40001))
-    records = [share for k, share in enumerate(extremes) if share < 0.0 and share == extremes[k:].min()]
-    feet = -1.0 / np.array(records)
+    feet = feet_of_figure_3_4()
     result = thresholds(study(RATIO, of=("lash.backlash_deg=0.0", "solver.method=exact")), along="load.ratio")
     where, words = changes(result)
     assert words == ["NI", "DS(1)", "DS(2)", "DS(3)", "DS(4)"]

@@ -1,10 +1,7 @@
 """Thresholds: the values of a swept key at which an outcome changes, in every cell of the other axes.
 
 The runs at the axis's own values are a scan: between two neighbours of different outcome lies a threshold. All of these
-brackets are narrowed side by side, a batch of runs for each step. What decides is the outcomes of a bracket's two ends;
-where a number of the runs (the margin, or how much a severity exceeds its bound) changes sign with them, its line
-between the ends says where to look: the ITP method, which takes no more steps than one beyond bisection (Oliveira and
-Takahashi 2020, doi:10.1145/3423597). A third outcome within a bracket divides it into two.
+brackets are narrowed side by side (`clunk.analysis.brackets`).
 
 With tolerances each drawn driveline has thresholds of its own, along a further axis, `draw`; the draws are those of a
 tolerance map, made once for all cells.
@@ -22,8 +19,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.analysis.brackets import POINT, Bools, Codes, Floats, Points, narrow
 from clunk.analysis.outcomes import CHATTER, LABEL, MEASURED, NOMINAL, Outcome, outcome_of
 from clunk.core.status import Status
 from clunk.results.labels import FAILED, FAILED_CODE, excursions
@@ -39,17 +36,11 @@ from clunk.sweeping.cells import Systems
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.sweep import engine_of, sweep
 
-Floats = npt.NDArray[np.float64]
-Codes = npt.NDArray[np.int64]
-Bools = npt.NDArray[np.bool_]
-Points = npt.NDArray[np.void]  # POINT
 Word = str | bool | int  # an outcome: a label, whether something holds, or a count; `FAILED` of a run that failed
 
-TOLERANCE = 1e-9  # of the axis's range, the widest that a bracket ends
 MOST_BRACKETS = 1_000_000  # at once; where labels are noise each bracket divides into two, and so on
 DRAW = "draw"  # the axis of the drawn drivelines, their numbers from 1
 UNCERTAIN, UNCERTAIN_CODE = "uncertain", -3  # see `clunk.analysis.quantiles`
-POINT = np.dtype([("cell", "i8"), ("value", "f8"), ("outcome", "i8"), ("measure", "f8"), ("touches", "i8")])
 
 _COUNTS = ("primary_impacts", "touches")
 _TOUCHES = 2  # by which neighbours differ where something may be hidden between them; see `clunk.sweeping.refinement`
@@ -85,7 +76,7 @@ class Thresholds:
     words : code -> label, whether something holds, or count; the code -1 is `failed`, and -3 `uncertain`
     lowest : (cells,) int64, the outcome's code at the axis's least value
     cell : (n,) int64
-    value : (n,) float64, in the key's unit, right to `TOLERANCE` of the axis's range
+    value : (n,) float64, in the key's unit, right to 1e-9 of the axis's range
     below, above : (n,) int64, the outcome's code at smaller and at greater values
     runs : number of runs that it took
     failures : number of these that failed, by their cause
@@ -357,33 +348,14 @@ class _Search:
 
     def located(self, points: Points) -> tuple[Points, Points]:
         """Narrow the brackets between neighbours whose outcomes differ; returns their lower and their upper ends."""
-        tolerance = TOLERANCE * float(np.ptp(self.along.values))
         apart = (points["cell"][:-1] == points["cell"][1:]) & (points["outcome"][:-1] != points["outcome"][1:])
-        low, high = points[:-1][apart], points[1:][apart]
-        steps = _steps(low, high, tolerance)
-        narrow = [(low[:0], high[:0])]
-        while low.size:
-            middle = _between(low, high, steps, tolerance)
-            wide = (high["value"] - low["value"] > tolerance) & (low["value"] < middle) & (middle < high["value"])
-            narrow.append((low[~wide], high[~wide]))
-            low, high, steps, middle = low[wide], high[wide], steps[wide] - 1.0, middle[wide]
-            if not low.size:
-                break
-            if low.size > MOST_BRACKETS:
-                name, key = self.outcome.name, self.along.parameter
-                raise ThresholdError(
-                    f"{name} changes more than {MOST_BRACKETS:,} times along {key}: no threshold tells."
-                )
-            runs = self.run(low["cell"], middle, more=4 * low.size)
-            lower, upper = runs["outcome"] == low["outcome"], runs["outcome"] == high["outcome"]
-            third = ~(lower | upper)
-            rest_low, rest_high = runs[third], high[third]
-            low[lower], high[~lower] = runs[lower], runs[~lower]
-            steps[third] = _steps(low[third], high[third], tolerance)
-            low, high = np.concatenate([low, rest_low]), np.concatenate([high, rest_high])
-            steps = np.concatenate([steps, _steps(rest_low, rest_high, tolerance)])
-        lows, highs = zip(*narrow, strict=True)
-        return np.concatenate(lows), np.concatenate(highs)
+        return narrow(points[:-1][apart], points[1:][apart], self._run_within, float(np.ptp(self.along.values)))
+
+    def _run_within(self, cells: Codes, values: Floats) -> Points:
+        if values.size > MOST_BRACKETS:
+            name, key = self.outcome.name, self.along.parameter
+            raise ThresholdError(f"{name} changes more than {MOST_BRACKETS:,} times along {key}: no threshold tells.")
+        return self.run(cells, values, more=4 * values.size)
 
     def numbered(self) -> tuple[Codes, tuple[Word, ...]]:
         """Codes in an order that does not depend on that of the runs: new by old, and the outcome of each new one."""
@@ -407,23 +379,3 @@ def _may_hide(points: Points) -> Bools:
     hidden[1:] |= is_dip & (least[1:-1] < slope * width[1:])
     suspect: Bools = alike & hidden
     return suspect
-
-
-def _steps(low: Points, high: Points, tolerance: float) -> Floats:
-    """Steps in which brackets are to be narrow: one more than by bisection."""
-    widths: Floats = np.maximum((high["value"] - low["value"]) / tolerance, 1.0)
-    return np.ceil(np.log2(widths)) + 1.0
-
-
-def _between(low: Points, high: Points, steps: Floats, tolerance: float) -> Floats:
-    """Next value to run in each bracket by the ITP method: the middle, where no number changes sign within it."""
-    width, middle = high["value"] - low["value"], 0.5 * (low["value"] + high["value"])
-    at_low, at_high = low["measure"], high["measure"]
-    crosses = at_low * at_high < 0.0
-    share = np.divide(at_low, at_low - at_high, out=np.full(width.size, 0.5), where=crosses)
-    away = low["value"] + share * width - middle  # of the line's zero
-    nudge = np.maximum(0.2 * TOLERANCE / tolerance * width**2, 0.5 * tolerance)
-    away = np.sign(away) * np.maximum(np.abs(away) - nudge, 0.0)
-    reach = np.maximum(0.5 * (tolerance * 2.0 ** (steps - 1.0) - width), 0.0)
-    values: Floats = middle + np.clip(away, -reach, reach)
-    return values

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.status import QUALITY_INFERRED, QUALITY_MEANINGS, Status
+from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED
 from clunk.results.maps import Index, Map, count_labels, require_array, require_codes, share, values_at
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
@@ -37,6 +38,7 @@ class Results(Map):
     impact_flank : (N,) int8, +1 opposite, -1 initial
     impact_closing_speed : (N,)  [rad/s]
     impact_severity : (N,) Q_i  [rad/s²]
+    boundaries : Boundaries, the curves between the labels, if they have been traced
 
     A cell that a refined sweep inferred (`QUALITY_INFERRED`) has what its regime tells: code, primary_impacts,
     initial_side and the flanks of its impacts, which have their places in the flat arrays; its floats are NaN.
@@ -60,6 +62,7 @@ class Results(Map):
     impact_flank: npt.NDArray[np.int8]
     impact_closing_speed: npt.NDArray[np.float64]
     impact_severity: npt.NDArray[np.float64]
+    boundaries: Boundaries | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -96,7 +99,8 @@ class Results(Map):
         begin = np.cumsum(count) - count  # of each cell's impacts in the slice
         impacts = np.arange(count.sum()) + np.repeat(first - begin, count)
         arrays = {name: np.ascontiguousarray(getattr(self, name)[index]) for name in CELL_QUANTITIES}
-        return arrays | {name: getattr(self, name)[impacts] for name in IMPACT_QUANTITIES}
+        arrays |= {name: getattr(self, name)[impacts] for name in IMPACT_QUANTITIES}
+        return arrays | {"boundaries": None}
 
     def counts(self) -> dict[str, int]:
         """Number of cells of each label, in the labels' order, and last of ``failed`` (also where it is 0)."""
@@ -158,7 +162,8 @@ class Results(Map):
             spread = f"{np.nanmin(self.severity):.0f} to {np.nanmax(self.severity):.0f} {quantity.unit_symbol}"
             rows.append((quantity.heading, spread))
         counts = {name: int(np.count_nonzero(self.quality & bit)) for bit, name in QUALITY_MEANINGS.items()}
-        return rows + [(name, share(count, self.sequence.size)) for name, count in counts.items() if count]
+        rows += [(name, share(count, self.sequence.size)) for name, count in counts.items() if count]
+        return rows if self.boundaries is None else [*rows, *self.boundaries.summary()]
 
     def _label_rows(self) -> Rows:
         cells = self.sequence.size

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from clunk.core.status import Status
 from clunk.results.regimemap import Results
-from clunk.results.store import StoreError, read, read_header, write
+from clunk.results.store import StoreError, read, read_header, read_map, write
 from clunk.simulation.driveline import explained
 from clunk.study.designs import Design, design_of, has_tolerances
 from clunk.study.study import Study, digest
@@ -30,6 +30,8 @@ from clunk.sweeping.tolerances import ToleranceReduction
 __all__ = ["Job", "SweepError", "cell_count", "engine_of", "opened", "sweep", "warm_up"]
 
 HAS_TOLERANCES = "The study has [[sweep.tolerances]]: clunk.tolerance_map runs it."
+Finish = Callable[[AnyMap], AnyMap]  # adds to a map
+
 _WAYS_OUT = "Name another file, or overwrite it with --force (in Python, force=True)."
 
 
@@ -93,14 +95,29 @@ class Job:
             return "no cell was finished"
         return f"{self.parts.kept:,} cells are kept in {self.parts.directory.path}; the same command goes on from there"
 
+    def finished(self, finish: Finish | None = None) -> AnyMap:
+        """Read the map that is complete already; what `finish` adds to it is written. Raises StoreError."""
+        assert self.path is not None
+        result = read_map(self.path)
+        added = finish(result) if finish is not None else result
+        if added is not result:
+            write(self.path, added, None if self.directory is None else self.directory.path)
+        return added
+
     def run(
-        self, engine: Executor | None = None, *, workers: int | None = None, progress: Progress | None = None
+        self,
+        engine: Executor | None = None,
+        *,
+        workers: int | None = None,
+        progress: Progress | None = None,
+        finish: Finish | None = None,
     ) -> AnyMap:
         """Run the cells that are not finished, and write the map to its file, if it has one.
 
         engine : runs tiles of cells, see `clunk.sweeping.engines`; by default threads
         workers : number of these threads; by default one for each core that this process may use
         progress : called in this thread with the number of cells, first of those taken up and then after each tile
+        finish : adds to the map before it is written
 
         Raises as `clunk.sweep`, and ScratchError where the disk has no room for the results.
         """
@@ -138,6 +155,8 @@ class Job:
         if parts is not None and parts.on_disk:  # a sweep shorter than the first part is not worth a file
             parts.flush()
         result = reduction.result(provenance(engine))
+        if finish is not None:
+            result = finish(result)
         self.ran, self.seconds = reduction.done - before, time.perf_counter() - began
         if self.path is not None:
             write(self.path, result, None if self.directory is None else self.directory.path)

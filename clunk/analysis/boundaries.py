@@ -1,0 +1,205 @@
+"""The boundary network of a regime map over one or two axes: which labels meet where, to 1e-9 of each axis.
+
+Of two axes, the lines are traced (`clunk.analysis.tracing`), linked to curves and closed to regions
+(`clunk.analysis.network`), and each curve gets its event (`clunk.analysis.boundaryevents`). Of one axis, they are its
+thresholds (`clunk.analysis.thresholds`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.analysis.boundaryevents import Crossing, event_between, split_by_event
+from clunk.analysis.brackets import Floats
+from clunk.analysis.network import SAME, junctions_of, paths_of, regions_of, rings_of
+from clunk.analysis.pointruns import PointRuns, Runs
+from clunk.analysis.thresholds import thresholds
+from clunk.analysis.tracing import Lines, hidden
+from clunk.analysis.triangles import Triangles
+from clunk.results.boundaries import NO_LABEL, Boundaries
+from clunk.results.regimemap import Results
+from clunk.study.axes import ResultAxis
+from clunk.study.designs import design_of, has_tolerances
+from clunk.study.errors import ClunkError
+from clunk.study.parameters import located
+from clunk.study.study import Study
+from clunk.sweeping.reduction import AnyMap
+from clunk.sweeping.sweep import engine_of
+
+
+class BoundaryError(ClunkError):
+    """A study whose map has no boundaries to trace; its text is one sentence for the user."""
+
+
+def require_boundaries(study: Study) -> None:
+    """Raise BoundaryError where a study's map has no boundaries between its cells that could be traced."""
+    swept, axes = study.sweep, design_of(study).axes
+    if swept is None or not axes:
+        raise BoundaryError("There are no boundaries to trace: the config has no [[sweep.axes]].")
+    if has_tolerances(study):
+        raise BoundaryError("A tolerance map has no boundaries: in its cells labels are probable, not certain.")
+    if swept.samples or swept.design == "zip":
+        what = (
+            "samples have no neighbours" if swept.samples else 'axes that are walked together (design = "zip") do not'
+        )
+        raise BoundaryError(f"Boundaries are traced on a grid of axes; {what}.")
+    if len(axes) > 2:
+        raise BoundaryError(f"Boundaries are traced on maps of one or two axes, and the config has {len(axes)}.")
+    for axis in axes:
+        if len(axis.values) < 2:
+            raise BoundaryError(f"{axis.parameter} has one value; boundaries lie between two or more.")
+        if len(np.unique(axis.values)) < len(axis.values):
+            raise BoundaryError(f"{axis.parameter} has a value twice; boundaries lie between different ones.")
+        if located(study, axis.parameter)[1].whole:
+            raise BoundaryError(f"{axis.parameter} is a whole number, between whose values nothing lies.")
+
+
+def boundaries(study: Study, results: Results, *, workers: int | None = None) -> Boundaries:
+    """Trace the boundaries of a study's regime map.
+
+    Parameters
+    ----------
+    study : Study
+    results : Results
+        Its map, whole or refined. Where cells failed, that is a label of its own.
+    workers : int, optional
+        Threads; by default one for each core that this process may use.
+
+    Raises
+    ------
+    BoundaryError
+        Where the map has none, see `require_boundaries`.
+    """
+    require_boundaries(study)
+    return (_of_axis if len(results.axes) == 1 else _of_plane)(study, results, workers)
+
+
+def with_boundaries(study: Study, results: AnyMap, *, workers: int | None = None) -> AnyMap:
+    """A regime map with its boundaries, traced where it has none yet. Raises as `boundaries`."""
+    if not isinstance(results, Results) or results.boundaries is not None:
+        return results
+    return replace(results, boundaries=boundaries(study, results, workers=workers))
+
+
+class _Scale:
+    """An axis from 0 to 1, in its logarithm where it is geometric."""
+
+    def __init__(self, axis: ResultAxis) -> None:
+        self.to: Callable[..., Any] = np.log if axis.is_geometric else np.asarray
+        self.back: Callable[..., Any] = np.exp if axis.is_geometric else np.asarray
+        self.lowest, self.highest = axis.values.min(), axis.values.max()
+        self.begin = self.to(self.lowest)
+        self.span = self.to(self.highest) - self.begin
+        self.order = np.argsort(axis.values)
+
+    def shares(self, values: Floats) -> Floats:
+        shares: Floats = (self.to(values) - self.begin) / self.span
+        return np.clip(shares, 0.0, 1.0)
+
+    def values(self, shares: Floats) -> Floats:
+        inner = np.clip(self.back(self.begin + shares * self.span), self.lowest, self.highest)
+        values: Floats = np.where(shares == 0.0, self.lowest, np.where(shares == 1.0, self.highest, inner))
+        return values
+
+
+def _of_plane(study: Study, results: Results, workers: int | None) -> Boundaries:
+    scales = [_Scale(axis) for axis in results.axes]
+    ascending = np.ix_(*(scale.order for scale in scales))
+
+    def values_at(places: Floats) -> Floats:
+        return np.column_stack([scale.values(places[:, k]) for k, scale in enumerate(scales)])
+
+    with engine_of(None, workers) as engine:
+        point_runs = PointRuns(study, [axis.parameter for axis in results.axes], results.labels, engine)
+
+        def run(places: Floats) -> Runs:
+            return point_runs(values_at(places))
+
+        across, upward = (
+            scale.shares(axis.values[scale.order]) for scale, axis in zip(scales, results.axes, strict=True)
+        )
+        triangles = Triangles(across, upward, results.sequence[ascending].astype(np.int64))
+        keys, places, codes = hidden(run, triangles, results.touches[ascending], results.margin[ascending])
+        if keys.size:
+            triangles.add(keys, places, codes)
+        lines = Lines(triangles, run)
+        segments = lines.trace()
+        paths = paths_of(segments, lines.position)
+        regions = regions_of(rings_of(paths, int(triangles.outcome[0])))
+
+        def crossing(node: int) -> Crossing | None:
+            return None if node < 0 else tuple(values_at(lines.bracket(np.array([node]))[0]))
+
+        paths = [path for path in paths if np.ptp(path.vertices, axis=0).max() > SAME]  # none across a junction
+        pieces = [piece for path in paths for piece in split_by_event(point_runs, path, crossing)]
+        labels, number = point_runs.numbered(len(results.labels))
+    junctions, junction_labels = junctions_of(lines.met, lines.met_labels)
+    rings = [ring for region in regions for ring in region]
+
+    def codes_of(codes: Iterable[int]) -> npt.NDArray[np.int16]:
+        """Codes of the labels in the place of those of the runs."""
+        return number[np.array(list(codes), np.int64)].astype(np.int16)
+
+    return Boundaries(
+        axes=results.axes,
+        labels=labels,
+        vertices=values_at(np.concatenate([np.zeros((0, 2)), *(vertices for _, vertices, _ in pieces)])),
+        curve_counts=np.array([len(vertices) for _, vertices, _ in pieces], np.int32),
+        curve_left=codes_of(path.left for path, _, _ in pieces),
+        curve_right=codes_of(path.right for path, _, _ in pieces),
+        curve_event=np.array([event for _, _, event in pieces], np.int8),
+        junctions=values_at(junctions),
+        junction_labels=_filled([sorted(codes_of(codes).tolist()) for codes in junction_labels]),
+        ring_vertices=values_at(np.concatenate([ring.vertices for ring in rings])),
+        ring_counts=np.array([len(ring.vertices) for ring in rings], np.int32),
+        region_rings=np.array([len(region) for region in regions], np.int32),
+        region_label=codes_of(region[0].label for region in regions),
+        region_area=np.array([sum(ring.area for ring in region) for region in regions]),
+    )
+
+
+def _filled(labels: list[list[int]]) -> npt.NDArray[np.int16]:
+    """Codes of junctions as rows of an array."""
+    width = max(3, *map(len, labels)) if labels else 3
+    return np.array([codes + [NO_LABEL] * (width - len(codes)) for codes in labels], np.int16).reshape(-1, width)
+
+
+def _of_axis(study: Study, results: Results, workers: int | None) -> Boundaries:
+    """The boundaries along one axis: single values, and intervals between them."""
+    (axis,) = results.axes
+    scan = thresholds(study, along=axis.parameter, workers=workers)
+    words = [word for word in scan.words if word not in results.labels]
+    labels = (*results.labels, *map(str, words))
+    number = np.array([*(labels.index(str(word)) for word in scan.words), -1], np.int16)
+    scale = _Scale(axis)
+    codes = number[np.concatenate([scan.lowest, scan.above])]
+    edges = np.concatenate([[scale.lowest], scan.value, [scale.highest]])
+    with engine_of(None, workers) as engine:
+        point_runs = PointRuns(study, [axis.parameter], results.labels, engine)
+        aside = 1e-9 * (scale.highest - scale.lowest)
+        events = [
+            event_between(point_runs, np.array([max(value - aside, scale.lowest)]), np.array([value + aside]))
+            for value in scan.value
+        ]
+    count = scan.value.size
+    return Boundaries(
+        axes=results.axes,
+        labels=labels,
+        vertices=scan.value[:, None],
+        curve_counts=np.ones(count, np.int32),
+        curve_left=number[scan.below],
+        curve_right=number[scan.above],
+        curve_event=np.array(events, np.int8),
+        junctions=np.zeros((0, 2)),
+        junction_labels=_filled([]),
+        ring_vertices=np.column_stack([edges[:-1], edges[1:]]).reshape(-1, 1),
+        ring_counts=np.full(count + 1, 2, np.int32),
+        region_rings=np.ones(count + 1, np.int32),
+        region_label=codes,
+        region_area=np.diff(scale.shares(edges)),
+    )

@@ -1,0 +1,168 @@
+"""Networks of curves: segments linked to curves from junction to junction, and the rings around the regions between.
+
+Positions are on each axis from 0 to 1. A junction is a triple point, or where a curve ends on the frame of the map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from clunk.analysis.brackets import Codes, Floats
+
+SAME = 1e-8  # of the map: triple points so near to each other are one junction
+_CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """Pieces of lines, each within a triangle, with a label on either side.
+
+    begin, end : (n,) nodes at which they begin and end: keys of edges, or of triple points -1 - their number
+    left, right : (n,) codes
+    inner : number of a segment -> points in between (k, 2), if it has any
+    """
+
+    begin: Codes
+    end: Codes
+    left: Codes
+    right: Codes
+    inner: dict[int, Floats]
+
+
+class Path(NamedTuple):
+    """A curve, with the lesser code on its left: nodes of its segments' ends, and the number of each one's vertex."""
+
+    left: int
+    right: int
+    nodes: list[int]
+    at: list[int]
+    vertices: Floats
+
+
+class Ring(NamedTuple):
+    """A closed polygon with a label on its left: anticlockwise around it, or clockwise, as a hole in it."""
+
+    label: int
+    vertices: Floats
+    area: float
+
+
+def paths_of(segments: Segments, position: Callable[[Codes], Floats]) -> list[Path]:
+    """Link segments to curves; position : of nodes."""
+    turned = segments.left > segments.right
+    begin, end = np.where(turned, (segments.end, segments.begin), (segments.begin, segments.end)).tolist()
+    left, right = np.sort([segments.left, segments.right], axis=0).tolist()
+    after = {node: k for k, node in enumerate(begin) if node >= 0}
+    reached = {node for node in end if node >= 0}
+    order = sorted(range(len(begin)), key=lambda k: begin[k] >= 0 and begin[k] in reached)  # closed curves last
+    nodes = np.array(sorted({*begin, *end}), np.int64)
+    place = dict(zip(nodes.tolist(), position(nodes), strict=True))
+    seen = [False] * len(begin)
+    paths = []
+    for k in order:
+        if seen[k]:
+            continue
+        names, at, points = [begin[k]], [0], [place[begin[k]]]
+        first, following = k, k
+        while not seen[following]:
+            seen[following] = True
+            points += [*segments.inner.get(following, ())][:: -1 if turned[following] else 1]
+            points.append(place[end[following]])
+            names.append(end[following])
+            at.append(len(points) - 1)
+            following = after.get(end[following], following)
+        paths.append(Path(left[first], right[first], names, at, np.array(points)))
+    return paths
+
+
+def junctions_of(points: Floats, labels: Codes) -> tuple[Floats, list[list[int]]]:
+    """Triple points (n, 2) with labels (n, 3), those at the same place as one junction; with all labels of each."""
+    places: list[Floats] = []
+    met: list[set[int]] = []
+    for point, codes in zip(points, labels.tolist(), strict=True):
+        same = [k for k, place in enumerate(places) if np.abs(place - point).max() < SAME]
+        if same:
+            met[same[0]] |= set(codes)
+        else:
+            places.append(point)
+            met.append(set(codes))
+    order = sorted(range(len(places)), key=lambda k: places[k].tolist())
+    return np.array([places[k] for k in order]).reshape(-1, 2), [sorted(met[k]) for k in order]
+
+
+def rings_of(paths: list[Path], corner: int) -> list[Ring]:
+    """Rings around the regions; corner : label of the frame where no curve ends on it."""
+    rings = []
+    starts: dict[tuple[int, int], tuple[int, bool]] = {}  # junction and label on the left -> path, whether forward
+    on_frame: dict[int, float] = {}
+    for k, path in enumerate(paths):
+        first, last = path.nodes[0], path.nodes[-1]
+        if first == last:
+            rings += [_ring(path.left, path.vertices), _ring(path.right, path.vertices[::-1])]
+            continue
+        starts[first, path.left], starts[last, path.right] = (k, True), (k, False)
+        on_frame |= {node: _along_frame(path.vertices[end]) for node, end in ((first, 0), (last, -1)) if node >= 0}
+    around = sorted(on_frame, key=on_frame.__getitem__)
+    if not around:
+        rings.append(_ring(corner, np.vstack([_CORNERS, _CORNERS[:1]])))
+    following = dict(zip(around, [*around[1:], *around[:1]], strict=True))
+    while starts:
+        (node, label), _ = next(iter(starts.items()))
+        points: list[Floats] = []
+        while (node, label) in starts:
+            k, forward = starts.pop((node, label))
+            path = paths[k]
+            points.append(path.vertices if forward else path.vertices[::-1])
+            node = path.nodes[-1 if forward else 0]
+            if node in following:
+                points.append(_corners_between(on_frame[node], on_frame[following[node]]))
+                node = following[node]
+        vertices = np.concatenate([*points, points[0][:1]])
+        repeated = (vertices[1:] == vertices[:-1]).all(axis=1)
+        rings.append(_ring(label, vertices[np.append(True, ~repeated)]))
+    return rings
+
+
+def regions_of(rings: list[Ring]) -> list[list[Ring]]:
+    """Regions: each an outer ring and its holes, by label and falling area."""
+    outer = sorted((ring for ring in rings if ring.area > 0.0), key=lambda ring: (ring.label, -ring.area))
+    regions = [[ring] for ring in outer]
+    for hole in (ring for ring in rings if ring.area <= 0.0):
+        around = [
+            region for region in regions if region[0].label == hole.label and _contains(region[0], hole.vertices[0])
+        ]
+        if around:
+            min(around, key=lambda region: region[0].area).append(hole)
+    return regions
+
+
+def _ring(label: int, vertices: Floats) -> Ring:
+    x, y = (vertices - vertices[0]).T
+    return Ring(label, vertices, float(0.5 * np.sum(x[:-1] * y[1:] - x[1:] * y[:-1])))
+
+
+def _contains(ring: Ring, point: Floats) -> bool:
+    """Whether a point is within a ring: a ray from it crosses the ring an odd number of times."""
+    (x, y), (begin, end) = point, (ring.vertices[:-1], ring.vertices[1:])
+    crosses = (begin[:, 1] > y) != (end[:, 1] > y)
+    begin, end = begin[crosses], end[crosses]
+    at = begin[:, 0] + (y - begin[:, 1]) / (end[:, 1] - begin[:, 1]) * (end[:, 0] - begin[:, 0])
+    return bool((at > x).sum() % 2)
+
+
+def _along_frame(point: Floats) -> float:
+    """Way along the frame from its first corner, anticlockwise, to a point on it."""
+    x, y = point.tolist()
+    if y == 0.0:
+        return float(x)
+    return float(1.0 + y if x == 1.0 else 3.0 - x if y == 1.0 else 4.0 - y)
+
+
+def _corners_between(begin: float, end: float) -> Floats:
+    """Corners on the way along the frame, anticlockwise."""
+    last = end if end > begin else end + 4.0
+    return _CORNERS[[corner % 4 for corner in range(1, 9) if begin < corner < last]]

@@ -1,0 +1,103 @@
+"""Triangles between labelled nodes of a map: where labels differ, and new nodes on edges. No runs, no physics.
+
+A triangle has at most three labels, so its edges tell how its regions meet: two labels are parted by one line from edge
+to edge, three meet in a point. Whatever nodes are added, an edge is split in both of its triangles, and the network of
+lines stays closed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.analysis.brackets import Bools, Codes, Floats
+
+Nodes = npt.NDArray[np.int64]
+
+_SHIFT = 32  # bits of a node's number in an edge's key
+
+
+def keys_of(first: Nodes, second: Nodes) -> Codes:
+    """Number of the edge between two nodes, whichever comes first."""
+    keys: Codes = (np.minimum(first, second) << _SHIFT) | np.maximum(first, second)
+    return keys
+
+
+def ends_of(keys: Codes) -> tuple[Nodes, Nodes]:
+    """The two nodes of edges, the smaller number first."""
+    return keys >> _SHIFT, keys & ((1 << _SHIFT) - 1)
+
+
+class Triangles:
+    """The triangles of a map's cells in which labels differ, and of such as get a node on an edge.
+
+    positions : (nodes, 2) float64, on each axis from 0 to 1; first those of the map, in C order
+    outcome : (nodes,) int64, code of the label
+    corners : (n, 3) nodes, anticlockwise
+    """
+
+    def __init__(self, across: Floats, upward: Floats, outcome: Codes) -> None:
+        self.shape = outcome.shape
+        self.positions: Floats = np.stack(np.meshgrid(across, upward, indexing="ij"), axis=-1).reshape(-1, 2)
+        self.outcome: Codes = outcome.ravel().astype(np.int64)
+        self.corners: Nodes = np.zeros((0, 3), np.int64)
+        self._is_open: Bools = np.zeros((self.shape[0] - 1, self.shape[1] - 1), bool)
+        alike = (outcome[:-1, :-1] == outcome[1:, :-1]) & (outcome[:-1, :-1] == outcome[:-1, 1:])
+        self._open(np.argwhere(~(alike & (outcome[:-1, :-1] == outcome[1:, 1:]))))
+
+    def _open(self, cells: Nodes) -> None:
+        """Add both triangles of cells (n, 2) that are not there yet."""
+        within = ((cells >= 0) & (cells < self._is_open.shape)).all(axis=1)
+        cells = np.unique(cells[within], axis=0)
+        cells = cells[~self._is_open[tuple(cells.T)]]
+        self._is_open[tuple(cells.T)] = True
+        a = cells[:, 0] * self.shape[1] + cells[:, 1]
+        b, c, d = a + self.shape[1], a + self.shape[1] + 1, a + 1
+        self.corners = np.concatenate([self.corners, np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+
+    @property
+    def mixed(self) -> Nodes:
+        """The triangles whose labels differ: (n, 3) nodes."""
+        labels = self.outcome[self.corners]
+        differ: Bools = (labels != labels[:, :1]).any(axis=1)
+        return self.corners[differ]
+
+    def add(self, keys: Codes, positions: Floats, outcome: Codes) -> None:
+        """Add a node on each of these edges, of which none comes twice."""
+        self._open_beside(keys)
+        order = np.argsort(keys)
+        middle = np.full(keys.size + 1, -1)  # the last is of edges that stay whole
+        middle[:-1] = self.outcome.size + order
+        keys = keys[order]
+        self.positions = np.concatenate([self.positions, positions])
+        self.outcome = np.concatenate([self.outcome, outcome])
+        every = keys_of(self.corners, np.roll(self.corners, -1, axis=1))
+        at = np.minimum(np.searchsorted(keys, every), keys.size - 1)
+        new = middle[np.where(keys[at] == every, at, -1)]  # on the edges behind each corner
+        count = (new >= 0).sum(axis=1)
+        parts = [self.corners[count == 0]]
+        # turned so that of one new node the edge is the first, and of two the whole one is the last
+        turns = np.where(count == 1, np.argmax(new >= 0, axis=1), (np.argmax(new < 0, axis=1) + 1) % 3)
+        turned = (turns[:, None] + np.arange(3)) % 3
+        corners, new = np.take_along_axis(self.corners, turned, 1), np.take_along_axis(new, turned, 1)
+        for split, pattern in _PATTERNS.items():
+            six = np.concatenate([corners[count == split], new[count == split]], axis=1)
+            parts += [six[:, three] for three in pattern]
+        self.corners = np.concatenate(parts)
+
+    def _open_beside(self, keys: Codes) -> None:
+        """Add the cells beside edges of the map's own nodes."""
+        first, second = ends_of(keys)
+        grid = second < self.shape[0] * self.shape[1]
+        low, high = (np.stack(np.divmod(ends[grid], self.shape[1]), axis=1) for ends in (first, second))
+        step = high - low
+        straight = step.sum(axis=1) == 1  # of a diagonal the cell is open
+        self._open(np.concatenate([low[straight], low[straight] - step[straight][:, ::-1], low[~straight]]))
+
+
+# Corners 0 to 2, and new nodes 3 to 5 on the edges behind them: triangles by the number of new nodes.
+_PATTERNS = {
+    1: ([0, 3, 2], [3, 1, 2]),
+    2: ([3, 1, 4], [0, 3, 4], [0, 4, 2]),
+    3: ([0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]),
+}

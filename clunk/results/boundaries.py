@@ -1,0 +1,198 @@
+"""Boundaries of a regime map: curves between two labels, junctions of three or four, and the regions in between."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.results.labels import FAILED
+from clunk.study.axes import ResultAxis
+from clunk.study.summaries import Rows, as_text
+
+Floats = npt.NDArray[np.float64]
+
+EVENTS = (
+    "unknown",
+    "grazing_of_the_opposite_flank",
+    "grazing_of_the_initial_flank",
+    "end_of_sticking",
+    "sticking_time_reached",
+    "end_time_reached",
+)
+NO_LABEL = -2  # in the place of a fourth label where three meet
+UNKNOWN, OPPOSITE_FLANK, INITIAL_FLANK, STICKING_ENDS, STICKING_TIME, END_TIME = range(len(EVENTS))
+
+
+class Curve(NamedTuple):
+    """A curve between two labels; of one axis, a single value.
+
+    vertices : (n, axes), in the axes' units
+    left, right : label on either side on the way from the first vertex to the last; of one axis, below and above
+    event : one of `EVENTS`, what changes the label
+    """
+
+    vertices: Floats
+    left: str
+    right: str
+    event: str
+
+
+class Region(NamedTuple):
+    """A connected part of a map with one label.
+
+    rings : closed polygons, (n, 2) each in the axes' units, the outer one first, anticlockwise, then holes, clockwise;
+        of one axis, the ends of an interval, (2, 1)
+    label : str
+    area : share of the map, measured along its axes as they are spaced: evenly, or in their logarithm
+    """
+
+    rings: tuple[Floats, ...]
+    label: str
+    area: float
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Boundaries:
+    """The boundary network of a regime map over one or two axes, each vertex right to 1e-9 of its axis's range.
+
+    axes : of the map
+    labels : code -> label; first those of the map, then any that none of its cells has; the code -1 is `failed`
+    vertices : (V, axes) float64, in the axes' units, of one curve after the other
+    curve_counts : (C,) int32, number of vertices of each curve
+    curve_left, curve_right : (C,) int16, codes on either side
+    curve_event : (C,) int8, number of each curve's event in `EVENTS`
+    junctions : (J, 2) float64, points where three labels meet, or four where two boundaries cross
+    junction_labels : (J, 3 or 4) int16, their codes, ascending, and `NO_LABEL` behind them
+    ring_vertices : (W, axes) float64, closed rings of one region after the other, see `Region`
+    ring_counts : (G,) int32, number of vertices of each ring
+    region_rings : (R,) int32, number of rings of each region
+    region_label : (R,) int16, code
+    region_area : (R,) float64, share of the map
+
+    Raises ValueError where the arrays do not belong together.
+    """
+
+    axes: tuple[ResultAxis, ...]
+    labels: tuple[str, ...]
+    vertices: Floats
+    curve_counts: npt.NDArray[np.int32]
+    curve_left: npt.NDArray[np.int16]
+    curve_right: npt.NDArray[np.int16]
+    curve_event: npt.NDArray[np.int8]
+    junctions: Floats
+    junction_labels: npt.NDArray[np.int16]
+    ring_vertices: Floats
+    ring_counts: npt.NDArray[np.int32]
+    region_rings: npt.NDArray[np.int32]
+    region_label: npt.NDArray[np.int16]
+    region_area: Floats
+
+    def __post_init__(self) -> None:
+        totals = (
+            (self.curve_counts, self.vertices),
+            (self.ring_counts, self.ring_vertices),
+            (self.region_rings, self.ring_counts),
+        )
+        if any(counts.sum() != len(values) or (counts < 1).any() for counts, values in totals):
+            raise ValueError("the counts of boundaries are not those of their vertices")
+        codes = np.concatenate([self.curve_left, self.curve_right, self.junction_labels.ravel(), self.region_label])
+        if codes.size and not NO_LABEL <= codes.min() <= codes.max() < len(self.labels):
+            raise ValueError("a boundary has a code without a label")
+        if self.curve_event.size and not 0 <= self.curve_event.min() <= self.curve_event.max() < len(EVENTS):
+            raise ValueError("a boundary has an unknown event")
+
+    def label(self, code: int) -> str:
+        """The label of a code."""
+        return (*self.labels, FAILED)[code]
+
+    @property
+    def curves(self) -> list[Curve]:
+        """The curves."""
+        parts = _parts(self.vertices, self.curve_counts)
+        codes = zip(self.curve_left.tolist(), self.curve_right.tolist(), self.curve_event.tolist(), strict=True)
+        return [
+            Curve(part, self.label(left), self.label(right), EVENTS[event])
+            for part, (left, right, event) in zip(parts, codes, strict=True)
+        ]
+
+    @property
+    def regions(self) -> list[Region]:
+        """The regions."""
+        rings = iter(_parts(self.ring_vertices, self.ring_counts))
+        rest = zip(self.region_rings.tolist(), self.region_label.tolist(), self.region_area.tolist(), strict=True)
+        return [Region(tuple(islice(rings, count)), self.label(code), area) for count, code, area in rest]
+
+    @property
+    def meetings(self) -> list[tuple[Floats, list[str]]]:
+        """The junctions, each with its labels."""
+        labels = [[self.label(code) for code in codes if code != NO_LABEL] for codes in self.junction_labels.tolist()]
+        return list(zip(self.junctions, labels, strict=True))
+
+    @property
+    def areas(self) -> dict[str, float]:
+        """Share of the map of each label that has one, in the order of the labels."""
+        codes = sorted(set(self.region_label.tolist()), key=lambda code: (code < 0, code))
+        return {self.label(code): float(self.region_area[self.region_label == code].sum()) for code in codes}
+
+    def summary(self) -> Rows:
+        """Pairs of a name and a value that describe the network, for people."""
+        if len(self.axes) == 1:
+            return [("boundaries", f"{len(self.vertices):,} values of {self.axes[0].parameter}")]
+        numbers = f"{len(self.curve_counts):,} curves of {len(self.vertices):,} vertices"
+        return [("boundaries", f"{numbers}, {len(self.junctions):,} junctions, {len(self.region_area):,} regions")]
+
+    def __repr__(self) -> str:
+        return as_text("clunk.Boundaries", [*self.summary(), *((k, f"{v:.6%}") for k, v in self.areas.items())])
+
+    def geojson(self) -> dict[str, Any]:
+        """A FeatureCollection: regions as polygons, curves as lines, junctions as points.
+
+        Coordinates are the axes' values in the order of the axes; of one axis, the second coordinate is 0.
+        """
+        flat = len(self.axes) == 1
+
+        def plain(points: Floats) -> list[list[float]]:
+            values: list[list[float]] = (np.column_stack([points, np.zeros(len(points))]) if flat else points).tolist()
+            return values
+
+        features = []
+        for region in self.regions:
+            rings = [plain(ring) for ring in region.rings]
+            shape: tuple[str, Any] = ("LineString", rings[0]) if flat else ("Polygon", rings)
+            features.append(_feature(*shape, label=region.label, area=region.area))
+        for curve in self.curves:
+            points = plain(curve.vertices)
+            shape = ("Point", points[0]) if flat else ("LineString", points)
+            features.append(_feature(*shape, left=curve.left, right=curve.right, event=curve.event))
+        for point, labels in self.meetings:
+            features.append(_feature("Point", point.tolist(), labels=labels))
+        names = [axis.parameter for axis in self.axes]
+        return {"type": "FeatureCollection", "axes": names, "features": features}
+
+    def csv(self) -> str:
+        """Comma-separated vertices of the curves: the curve's number, labels and event, and the axes' values."""
+        text = io.StringIO()
+        write = csv.writer(text, lineterminator="\n").writerow
+        write(["curve", "left", "right", "event", *(axis.parameter for axis in self.axes)])
+        for number, curve in enumerate(self.curves, 1):
+            for vertex in curve.vertices.tolist():
+                write([number, curve.left, curve.right, curve.event, *vertex])
+        return text.getvalue()
+
+
+def _parts(values: npt.NDArray[Any], counts: npt.NDArray[np.int32]) -> list[npt.NDArray[Any]]:
+    return list(np.split(values, np.cumsum(counts)[:-1])) if counts.size else []
+
+
+def _feature(geometry: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
+    return {
+        "type": "Feature",
+        "geometry": {"type": geometry, "coordinates": coordinates},
+        "properties": properties,
+    }

@@ -1,0 +1,256 @@
+"""Boundaries are where single runs change their labels, close to regions, and meet where linear theory has them."""
+
+import json
+from collections import Counter
+
+import numpy as np
+import pytest
+from helpers.feet import feet_of_figure_3_4
+
+import clunk
+from clunk.analysis.boundaries import BoundaryError, boundaries
+from clunk.analysis.network import Ring, _contains
+from clunk.analysis.thresholds import thresholds
+from clunk.results.labels import FAILED
+from clunk.study.config import study_from_text
+
+NOMINAL = '[driveline]\npreset = "boere-2008"\n[lash]\nbacklash_deg = 6.0\n[load]\nratio = 5.0\n'
+EXACT = "solver.method='exact'"
+
+
+def axis(parameter, start, stop, count, more=""):
+    return f'[[sweep.axes]]\nparameter = "{parameter}"\nstart = {start}\nstop = {stop}\ncount = {count}\n{more}'
+
+
+def study(*axes, of=(EXACT,)):
+    return study_from_text(NOMINAL + "".join(axes), overrides=of)
+
+
+def figure(count):
+    return study(axis("load.ratio", 0.0, 10.0, count), axis("lash.backlash_deg", 0.0, 20.0, count))
+
+
+RANGE = np.array([10.0, 20.0])
+
+
+@pytest.fixture(scope="module")
+def coarse():
+    return clunk.sweep(figure(41), boundaries=True).boundaries
+
+
+@pytest.fixture(scope="module")
+def finer():
+    return clunk.sweep(figure(61), boundaries=True).boundaries
+
+
+def label_at(swept, point):
+    """Label of a single run."""
+    values = {axis.parameter: value for axis, value in zip(swept.sweep.axes, point.tolist(), strict=True)}
+    return clunk.simulate(clunk.replace_values(swept, values)).label
+
+
+def is_within(region, point):
+    """Whether a point is within a region's outer ring and in none of its holes."""
+    inside = [_contains(Ring(0, ring, 0.0), point) for ring in region.rings]
+    return inside[0] and not any(inside[1:])
+
+
+def test_each_vertex_is_where_single_runs_change(coarse):
+    """Bisection across the curve, to 1e-13 of the map, ends within 1e-9 of it."""
+    swept, generator = figure(41), np.random.default_rng(0)
+    long = [curve for curve in coarse.curves if len(curve.vertices) > 4]
+    assert len(long) > 5
+    for curve in long[:8]:
+        k = int(generator.integers(1, len(curve.vertices) - 1))
+        vertex, along = curve.vertices[k] / RANGE, np.diff(curve.vertices[[k - 1, k + 1]] / RANGE, axis=0)[0]
+        left = np.array([-along[1], along[0]]) / np.hypot(*along)
+        low, high = -1e-7, 1e-7
+        assert label_at(swept, (vertex + high * left) * RANGE) == curve.left
+        assert label_at(swept, (vertex + low * left) * RANGE) == curve.right
+        while high - low > 1e-13:
+            middle = 0.5 * (low + high)
+            is_left = label_at(swept, (vertex + middle * left) * RANGE) == curve.left
+            low, high = (low, middle) if is_left else (middle, high)
+        assert abs(low) <= 1e-9
+
+
+def test_junctions_do_not_depend_on_the_start(coarse, finer):
+    """Figure 3.4 has three feet, at which three labels meet on the frame, and two crossings of boundaries, of four."""
+    for one, other in zip(coarse.meetings, finer.meetings, strict=True):
+        assert one[1] == other[1]
+        assert one[0] / RANGE == pytest.approx(other[0] / RANGE, abs=1e-8)
+    assert sorted(len(labels) for _, labels in coarse.meetings) == [3, 3, 3, 4, 4]
+
+
+def test_feet_are_those_of_the_linear_chain(coarse):
+    feet = [point for point, labels in coarse.meetings if len(labels) == 3]
+    assert [ratio for ratio, _ in feet] == pytest.approx(feet_of_figure_3_4()[:3].tolist(), rel=1e-6)
+    assert max(gap for _, gap in feet) <= 1e-9 * 20.0
+
+
+def test_chords_are_near_their_curves(coarse):
+    """Beside the middle of a chord, 2e-4 of the map away, the labels are those of its sides."""
+    swept = figure(41)
+    curves = [curve for curve in coarse.curves if "OS" not in curve.left + curve.right]  # these are thinner than that
+    ends = [np.stack([curve.vertices[:-1], curve.vertices[1:]], axis=1) / RANGE for curve in curves]
+    chords = np.concatenate(ends)
+    sides = np.concatenate([[(curve.left, curve.right)] * len(part) for curve, part in zip(curves, ends, strict=True)])
+    along = chords[:, 1] - chords[:, 0]
+    length = np.hypot(*along.T)
+    middle = chords.mean(axis=1)
+    inside = (length > 1e-3) & (np.abs(middle - 0.5) < 0.499).all(axis=1)
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1)[inside] / length[inside, None]
+    for side, sign in enumerate((2e-4, -2e-4)):
+        points = (middle[inside] + sign * normal) * RANGE
+        runs = clunk.run_points(swept, {"load.ratio": points[:, 0], "lash.backlash_deg": points[:, 1]})
+        assert (runs.label_map == sides[inside, side]).mean() > 0.99  # beside junctions a third label may be there
+
+
+def test_regions_fill_the_map_and_have_the_labels_of_runs_in_them(coarse):
+    assert coarse.region_area.sum() == pytest.approx(1.0, abs=1e-12)
+    points = np.random.default_rng(1).random((300, 2)) * RANGE
+    runs = clunk.run_points(figure(41), {"load.ratio": points[:, 0], "lash.backlash_deg": points[:, 1]})
+    for point, label, margin in zip(points, runs.label_map, runs.margin, strict=True):
+        labels = [region.label for region in coarse.regions if is_within(region, point)]
+        assert labels == [label] or abs(margin) < 1e-3
+
+
+def test_areas_are_those_of_a_finer_map(finer):
+    """A cell that a boundary passes through counts as a whole in one of its regions."""
+    dense = clunk.sweep(figure(161))
+    cells = dense.sequence[:-1, :-1]  # of which each has its corner's label
+    for label, area in finer.areas.items():
+        if label in dense.labels:
+            share = (cells == dense.labels.index(label)).mean()
+            assert share == pytest.approx(area, abs=3.0 / 160)
+
+
+def test_thin_regions_are_found_between_cells_of_one_label(finer):
+    cells = set(clunk.sweep(figure(61)).labels)
+    thin = [region for region in finer.regions if region.label not in cells]
+    assert {"OS(1)DS(1)", "DS(1)OS(1)DS(1)"} <= {region.label for region in thin}
+    assert max(region.area for region in thin) < 1e-4
+    for label in {region.label for region in thin}:
+        pairs = [(region, region.rings[0]) for region in thin if region.label == label]
+        middles = [
+            0.5 * (ring[k] + ring[-1 - k])
+            for region, ring in pairs
+            for k in range(1, len(ring) // 2)
+            if is_within(region, 0.5 * (ring[k] + ring[-1 - k]))
+        ]
+        ratios, gaps = np.transpose(middles)
+        runs = clunk.run_points(figure(61), {"load.ratio": ratios, "lash.backlash_deg": gaps})
+        assert (runs.label_map == label).mean() > 0.75  # the ends are cut where they are thinner than a chord is off
+
+
+def test_events_are_what_differs_between_the_two_runs(coarse):
+    """At a grazing a run has one touch more, of almost no speed; at a sticking time both runs have the same events."""
+    swept = figure(41)
+    events = Counter(curve.event for curve in coarse.curves)
+    assert {"grazing_of_the_opposite_flank", "sticking_time_reached"} <= set(events)
+    for curve in coarse.curves:
+        if len(curve.vertices) < 6:
+            continue
+        k = len(curve.vertices) // 2
+        vertex, along = curve.vertices[k] / RANGE, np.diff(curve.vertices[[k - 1, k + 1]] / RANGE, axis=0)[0]
+        left = np.array([-along[1], along[0]]) / np.hypot(*along)
+        pair = [(vertex + sign * 2e-9 * left) * RANGE for sign in (1.0, -1.0)]
+        runs = [clunk.simulate(clunk.replace_values(swept, {"load.ratio": x, "lash.backlash_deg": y})) for x, y in pair]
+        assert {run.label for run in runs} == {curve.left, curve.right}
+        same = np.array_equal(*(run.events["kind"][: min(len(each.events) for each in runs)] for run in runs))
+        assert (curve.event == "sticking_time_reached") == (same and runs[0].touches == runs[1].touches)
+
+
+def test_failed_cells_are_a_label():
+    failing = clunk.sweep(
+        study(
+            axis("load.ratio", 2.0, 6.0, 9),
+            axis("lash.backlash_deg", 2.0, 6.0, 9),
+            of=(EXACT, "solver.max_events=16"),
+        ),
+        boundaries=True,
+    )
+    assert FAILED in failing.boundaries.areas
+    assert sum(failing.boundaries.areas.values()) == pytest.approx(1.0)
+
+
+def test_rk4_has_the_boundaries_of_the_exact_method():
+    """Its impact times are within 3.5e-6 s, of runs of 1 s."""
+    axes = axis("load.ratio", 2.0, 4.0, 9), axis("lash.backlash_deg", 9.0, 11.0, 9)
+    (exact,), (rk4,) = (
+        clunk.sweep(study(*axes, of=(f"solver.method={method}",)), boundaries=True).boundaries.meetings
+        for method in ("exact", "rk4")
+    )
+    assert exact[1] == rk4[1]
+    assert exact[0] == pytest.approx(rk4[0], abs=1e-4)
+
+
+def test_a_refined_map_and_any_order_of_axes_have_the_same_network():
+    across, upward = axis("load.ratio", 4.0, 9.0, 121), axis("lash.backlash_deg", 9.0, 12.0, 121)
+    whole = clunk.sweep(study(across, upward), boundaries=True).boundaries
+    turned = clunk.sweep(study(upward, across), boundaries=True, refine=True).boundaries
+    assert [labels for _, labels in whole.meetings] == [labels for _, labels in turned.meetings]
+    for (one, _), (other, _) in zip(whole.meetings, turned.meetings, strict=True):
+        assert one == pytest.approx(other[::-1], abs=1e-7)
+    assert whole.areas == pytest.approx(turned.areas, abs=2e-5)  # a chord may be off by 1e-4
+
+
+def test_one_axis_has_its_thresholds():
+    swept = study(axis("lash.backlash_deg", 0.0, 20.0, 41))
+    network = clunk.sweep(swept, boundaries=True).boundaries
+    scan = thresholds(swept, along="lash.backlash_deg")
+    assert network.vertices[:, 0].tolist() == scan.value.tolist()
+    assert [curve.right for curve in network.curves] == [scan.word(code) for code in scan.above]
+    assert network.region_area.sum() == pytest.approx(1.0)
+    assert "unknown" not in {curve.event for curve in network.curves}
+
+
+def test_a_logarithmic_axis_is_measured_in_its_logarithm():
+    gap = axis("lash.backlash_deg", 1.0, 16.0, 33, 'scale = "log"\n')
+    network = clunk.sweep(study(axis("load.ratio", 2.0, 8.0, 33), gap), boundaries=True).boundaries
+    assert network.region_area.sum() == pytest.approx(1.0)
+    corners = np.concatenate([ring for region in network.regions for ring in region.rings])
+    assert corners.min(axis=0).tolist() == [2.0, 1.0]
+    assert corners.max(axis=0).tolist() == [8.0, 16.0]
+
+
+def test_geojson_has_closed_rings_in_the_right_sense(coarse):
+    features = json.loads(json.dumps(coarse.geojson()))["features"]
+    counts = Counter(feature["geometry"]["type"] for feature in features)
+    assert counts == {
+        "Polygon": len(coarse.regions),
+        "LineString": len(coarse.curves),
+        "Point": len(coarse.meetings),
+    }
+    for feature in features:
+        for k, ring in enumerate(
+            feature["geometry"]["coordinates"] if feature["geometry"]["type"] == "Polygon" else ()
+        ):
+            x, y = np.array(ring).T
+            assert ring[0] == ring[-1]
+            assert (np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]) > 0.0) == (k == 0)
+
+
+RATIO, LASH = axis("load.ratio", 2.0, 6.0, 3), axis("lash.backlash_deg", 2.0, 6.0, 3)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no .*sweep.axes"),
+        (RATIO + axis("lash.backlash_deg", 2.0, 2.0, 1), "lash.backlash_deg has one value"),
+        (RATIO + LASH + axis("driveline.inertias[4]", 0.001, 0.002, 3), "the config has 3"),
+        (RATIO + axis("impacts.acceleration_of", 1.0, 3.0, 3), "whole number"),
+        ('[sweep]\ndesign = "zip"\n' + RATIO + LASH, "walked together"),
+        *(
+            (
+                f'{RATIO}[[sweep.{table}]]\nparameter = "lash.backlash_deg"\ndistribution = "normal"\nstd = 0.1\n',
+                message,
+            )
+            for table, message in (("samples", "samples have no neighbours"), ("tolerances", "tolerance map"))
+        ),
+    ],
+)
+def test_what_has_no_boundaries_is_refused_in_a_sentence_before_anything_runs(text, message):
+    with pytest.raises(BoundaryError, match=message):
+        boundaries(study(text), None)
