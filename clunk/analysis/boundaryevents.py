@@ -30,6 +30,7 @@ Events = npt.NDArray[np.void]  # EVENT
 Crossing = tuple[Floats, Floats]  # the points on either side, (axes,) each in the axes' units
 
 _AT_END = 1e-6  # of the end time
+_SAME_TIME = 1e-6  # likewise: runs 1e-9 apart are alike until an event that only one of them has
 
 
 def split_by_event(
@@ -75,8 +76,9 @@ def event_between(runs: PointRuns, one: Floats, other: Floats) -> int:
     if sides[0] == 0 or sides[0] != sides[1]:
         return UNKNOWN
     count = min(map(len, events))
-    first, second = (each[["kind", "side"]][:count] for each in events)
-    differing = np.flatnonzero(first != second)
+    first, second = (each[:count] for each in events)
+    apart = np.abs(first["time"] - second["time"]) > _SAME_TIME * runs.study.solver.end_time
+    differing = np.flatnonzero(apart | (first["kind"] != second["kind"]) | (first["side"] != second["side"]))
     at = int(differing[0]) if differing.size else count
     candidates = [each[at] for each in events if len(each) > at]
     if not candidates:

@@ -13,21 +13,34 @@ from clunk.cli.options import PATH
 @click.command()
 @click.argument("file", type=PATH)
 @click.argument("output", type=PATH)
-def export(file: Path, output: Path) -> None:
-    """Write the map of a results FILE as comma-separated values or for MATLAB.
+@click.option("--boundaries", is_flag=True, help="The boundaries instead of the map.")
+def export(file: Path, output: Path, boundaries: bool) -> None:
+    """Write the map of a results FILE, or its boundaries, for other programs.
 
     OUTPUT.csv has a row for each cell, codes as words and units in the header. OUTPUT.mat has the
-    variables of FILE as arrays.
+    variables of FILE as arrays. OUTPUT.geojson has the regions as polygons and the
+    boundaries between them as lines, if `clunk sweep --boundaries` has traced them; with
+    --boundaries OUTPUT.csv has a row for each of their vertices.
 
     \b
     Examples:
       clunk export results/figure_3_4.h5 map.csv
       clunk export results/figure_3_4.h5 map.mat
+      clunk export results/refined.h5 boundaries.geojson
+      clunk export results/refined.h5 boundaries.csv --boundaries
     """
     from clunk.results import export as exporting
     from clunk.results import targets
-    from clunk.results.store import read_map
+    from clunk.results.store import StoreError, read_map
 
-    targets.check(output, (*exporting.WRITERS,), reads=file)
-    exporting.save(output, read_map(file))
+    of_map = [] if boundaries else [*exporting.WRITERS]
+    targets.check(output, [*dict.fromkeys([*of_map, *exporting.OF_BOUNDARIES])], reads=file)
+    results = read_map(file)
+    if output.suffix.lower() in of_map:
+        exporting.save(output, results)
+    else:
+        traced = getattr(results, "boundaries", None)
+        if traced is None:
+            raise StoreError(f"{file} has no boundaries; clunk sweep CONFIG --boundaries adds them to its file.")
+        exporting.save_boundaries(output, traced)
     terminal.say_written(output)

@@ -42,6 +42,8 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
         record: dict[str, Any] = {"title": header.title, "axes": axes}
         record |= {"coordinates": coordinates} if coordinates else {}
         record |= {"counts": header.counts} if tolerances is None else tables.tolerance_record(tolerances)
+        if header.boundaries is not None:
+            record |= {"boundaries": tables.boundary_record(header.boundaries)}
         record |= {"config_digest": header.config_digest}
         checked: dict[str, Any] = {"checked": {"data": True, "bytes": header.checksum}} if check else {}
         tables.print_record(record | header.attributes | checked)
@@ -70,5 +72,8 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
     click.echo()
     if tolerances is None:
         tables.print_counts(header.counts)
+        if header.boundaries is not None:
+            click.echo()
+            tables.print_boundaries(header.boundaries)
     else:
         tables.print_tolerances(tolerances)

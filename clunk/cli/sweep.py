@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
 
     from clunk.results.regimemap import Results
     from clunk.results.tolerancemap import ToleranceMap
-    from clunk.sweeping.sweep import Job
+    from clunk.study.study import Study
+    from clunk.sweeping.sweep import Finish, Job
 
 
 @click.command()
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
 @click.option("--force", is_flag=True, help="Overwrite a results file of another config.")
 @click.option("--restart", is_flag=True, help="Begin anew: neither go on with a stopped sweep nor keep a finished one.")
 @click.option("--refine", is_flag=True, help="Run only where labels change, and infer the other cells' labels.")
+@click.option("--boundaries", is_flag=True, help="Also trace the curves between labels, of one or two axes.")
 @click.option(
     "--retry-failed", is_flag=True, help="Run the failed cells of the finished file again; [solver] may differ."
 )
@@ -43,6 +46,7 @@ def sweep(
     force: bool,
     restart: bool,
     refine: bool,
+    boundaries: bool,
     retry_failed: bool,
     as_json: bool,
 ) -> None:
@@ -53,7 +57,7 @@ def sweep(
     \b
     Examples:
       clunk sweep configs/figure_3_4.toml --set solver.step=5e-5
-      clunk sweep configs/figure_3_4.toml --refine -o refined.h5
+      clunk sweep configs/figure_3_4.toml --refine --boundaries -o refined.h5
       clunk sweep configs/figure_3_4.toml --retry-failed --set solver.max_events=4096
       clunk sweep configs/figure_3_4.toml --scheduler tcp://localhost:8786
     """
@@ -68,6 +72,10 @@ def sweep(
     if tolerances and (refine or retry_failed):
         option = "--refine" if refine else "--retry-failed"
         raise click.UsageError(f"{option} does not go with [[sweep.tolerances]]: every cell has its own probabilities.")
+    if boundaries:
+        from clunk.analysis.boundaries import require_boundaries
+
+        require_boundaries(study)
     target = output or Path("results") / f"{config.stem}.h5"
     targets.check(target, targets.RESULTS, reads=config)
     from clunk.sweeping.sweep import engine_of, opened
@@ -75,8 +83,10 @@ def sweep(
     opening = engine_of(scheduler, workers, say=lambda text: click.echo(text, err=True))
     with opened(target, study, refine=refine, retry=retry_failed, restart=restart, force=force) as job:
         if job.counts is None:
-            failed = _report(_run(job, opening), job, as_json)
+            failed = _report(_run(job, opening, _tracing(study, workers) if boundaries else None), job, as_json)
         else:
+            if boundaries:
+                job.finished(_tracing(study, workers))
             click.echo(f"{target} {'has no failed cells' if retry_failed else 'is already complete'}.", err=True)
             if tolerances:
                 from clunk.results.store import read_tolerance_map
@@ -88,7 +98,23 @@ def sweep(
         sys.exit(EXIT_FAILED_CELLS)
 
 
-def _run(job: Job, opening: AbstractContextManager[Executor]) -> Results | ToleranceMap:
+def _tracing(study: Study, workers: int | None) -> Finish:
+    """Function that adds the boundaries to a map, and says how many there are."""
+    from clunk.analysis.boundaries import with_boundaries
+    from clunk.results.regimemap import Results
+
+    def trace(results: Results | ToleranceMap) -> Results | ToleranceMap:
+        began = time.perf_counter()
+        traced = with_boundaries(study, results, workers=workers)
+        if traced is not results and isinstance(traced, Results) and traced.boundaries is not None:
+            ((_, numbers),) = traced.boundaries.summary()
+            click.echo(f"boundaries: {numbers}, {time.perf_counter() - began:.1f} s", err=True)
+        return traced
+
+    return trace
+
+
+def _run(job: Job, opening: AbstractContextManager[Executor], finish: Finish | None = None) -> Results | ToleranceMap:
     """Run a sweep with a progress bar; print what is used of an earlier one, and what is kept where it is stopped."""
     from clunk.study.designs import unused_parameters
     from clunk.sweeping.cells import warm_up
@@ -111,7 +137,7 @@ def _run(job: Job, opening: AbstractContextManager[Executor]) -> Results | Toler
                 is_reported = True
                 show(done, total)
 
-            return job.run(engine, progress=advance)
+            return job.run(engine, progress=advance, finish=finish)
     except (KeyboardInterrupt, SystemExit, EngineError) as stopped:
         if isinstance(stopped, EngineError):
             terminal.complain(str(stopped))

@@ -11,6 +11,7 @@ import click
 from clunk.cli import phrases, terminal
 
 if TYPE_CHECKING:
+    from clunk.results.boundaries import Boundaries
     from clunk.results.tolerancemap import ToleranceMap
 
 
@@ -66,6 +67,38 @@ def print_tolerances(tolerances: ToleranceMap) -> None:
         runs = cells * tolerances.draws
         affected = phrases.cells(int((tolerances.runs[..., -1] > 0).sum()))
         terminal.complain(f"{tolerances.failed:,} of {runs:,} runs failed, in {affected}")
+
+
+def print_boundaries(boundaries: Boundaries) -> None:
+    """Print how many boundaries there are, the labels that meet at each junction and the area of each label."""
+    ((_, numbers),) = boundaries.summary()
+    click.echo(f"boundaries {numbers}")
+    places = boundaries.vertices if len(boundaries.axes) == 1 else boundaries.junctions
+    names = [axis.parameter for axis in boundaries.axes]
+    if len(boundaries.axes) == 1:
+        met = [[curve.left, curve.right, curve.event.replace("_", " ")] for curve in boundaries.curves]
+    else:
+        met = [[", ".join(labels)] for _, labels in boundaries.meetings]
+    if not met:
+        return
+    heads = ["below", "above", "event"] if len(boundaries.axes) == 1 else ["labels that meet"]
+    rows = [[phrases.number(value, ".10g") for value in place] for place in places.tolist()]
+    lines = [[*names, *heads], *([*row, *each] for row, each in zip(rows, met, strict=True))]
+    for line in phrases.table(lines, [True] * len(names)):
+        click.echo(line)
+
+
+def boundary_record(boundaries: Boundaries) -> dict[str, Any]:
+    """Boundaries for JSON: the curves without their vertices, the junctions and the areas."""
+    return {
+        "curves": [
+            {"left": curve.left, "right": curve.right, "event": curve.event, "vertices": len(curve.vertices)}
+            | ({"value": float(curve.vertices[0, 0])} if len(boundaries.axes) == 1 else {})
+            for curve in boundaries.curves
+        ],
+        "junctions": [{"at": place.tolist(), "labels": labels} for place, labels in boundaries.meetings],
+        "areas": boundaries.areas,
+    }
 
 
 def tolerance_record(tolerances: ToleranceMap) -> dict[str, Any]:

@@ -143,9 +143,10 @@ class Boundaries:
     def summary(self) -> Rows:
         """Pairs of a name and a value that describe the network, for people."""
         if len(self.axes) == 1:
-            return [("boundaries", f"{len(self.vertices):,} values of {self.axes[0].parameter}")]
-        numbers = f"{len(self.curve_counts):,} curves of {len(self.vertices):,} vertices"
-        return [("boundaries", f"{numbers}, {len(self.junctions):,} junctions, {len(self.region_area):,} regions")]
+            return [("boundaries", f"{_counted(self.vertices, 'value')} of {self.axes[0].parameter}")]
+        parts = [f"{_counted(self.curve_counts, 'curve')} of {len(self.vertices):,} vertices"]
+        parts += [_counted(self.junctions, "junction"), _counted(self.region_area, "region")]
+        return [("boundaries", ", ".join(parts))]
 
     def __repr__(self) -> str:
         return as_text("clunk.Boundaries", [*self.summary(), *((k, f"{v:.6%}") for k, v in self.areas.items())])
@@ -184,6 +185,10 @@ class Boundaries:
             for vertex in curve.vertices.tolist():
                 write([number, curve.left, curve.right, curve.event, *vertex])
         return text.getvalue()
+
+
+def _counted(what: npt.NDArray[Any], name: str) -> str:
+    return f"{len(what):,} {name}{'' if len(what) == 1 else 's'}"
 
 
 def _parts(values: npt.NDArray[Any], counts: npt.NDArray[np.int32]) -> list[npt.NDArray[Any]]:

@@ -1,17 +1,22 @@
-"""Maps for other programs: a row for each cell as comma-separated values, or arrays in a MAT-file for MATLAB."""
+"""Maps for other programs: a row for each cell as comma-separated values, or arrays in a MAT-file for MATLAB.
+
+Their boundaries, a row for each vertex, or as GeoJSON.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
+import json
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
 
+from clunk.results.boundaries import Boundaries
 from clunk.results.files import write_whole, writing
 from clunk.results.labels import FAILED
 from clunk.results.maps import Map
@@ -81,6 +86,19 @@ def _write_mat(stream: BinaryIO, results: Results | ToleranceMap) -> None:
 
 
 WRITERS = {".csv": _write_csv, ".mat": _write_mat}
+
+
+def save_boundaries(path: str | os.PathLike[str], boundaries: Boundaries) -> None:
+    """Write boundaries in the format of the file name's suffix, one of `OF_BOUNDARIES`. Raises StoreError."""
+    with writing(path, StoreError) as target:
+        text = OF_BOUNDARIES[target.suffix.lower()](boundaries)
+        write_whole(target, lambda stream: stream.write(text.encode()))
+
+
+OF_BOUNDARIES: dict[str, Callable[[Boundaries], str]] = {
+    ".csv": Boundaries.csv,
+    ".geojson": lambda boundaries: json.dumps(boundaries.geojson(), ensure_ascii=False) + "\n",
+}
 
 
 def _quantities(results: Results | ToleranceMap) -> dict[str, Quantity]:

@@ -20,6 +20,8 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
+from clunk.results.boundaries import Boundaries
+from clunk.results.boundaryfile import names_of, read_boundaries, write_boundaries
 from clunk.results.checksum import matches_checksum
 from clunk.results.files import reason, writing
 from clunk.results.labels import FAILED
@@ -44,7 +46,8 @@ from clunk.study.axes import RUN, ResultAxis
 from clunk.study.errors import ClunkError
 
 SCHEMA_VERSION = 2  # of a regime map
-NEWEST_VERSION = 3  # of any file that is read: tolerance maps have it, which came with it
+_WITH_TOLERANCES, _WITH_BOUNDARIES = 3, 4
+NEWEST_VERSION = 4  # of any file that is read
 _KIND = "kind"  # root attribute of a tolerance map; a regime map has none
 _TOLERANCE_MAP = "tolerance map"
 # Root attributes that are not among the `attributes` of a map.
@@ -73,6 +76,7 @@ class Header(Description):
     content_digest : SHA-256 of axes, labels and arrays
     tolerance_map : whether the file holds a tolerance map
     sample : of a tolerance map, as that of `ToleranceMap`; else empty
+    boundaries : of a regime map, if they have been traced
     checksum : whether the file has a checksum, which its bytes match: another program that changes it takes it away
     """
 
@@ -80,6 +84,7 @@ class Header(Description):
     content_digest: str
     tolerance_map: bool
     sample: tuple[ResultAxis, ...]
+    boundaries: Boundaries | None
     checksum: bool
 
 
@@ -181,7 +186,9 @@ def _fill(file: Image, results: Results | ToleranceMap) -> None:
         dimensions = {"label": np.array([*results.labels, FAILED]), "quantile": np.array(QUANTILES), "draw": draws}
     set_text(file, "title", results.title)
     set_text(file, "Conventions", CONVENTIONS)
-    file.attrs["schema_version"] = np.int32(NEWEST_VERSION if sample else SCHEMA_VERSION)
+    boundaries = results.boundaries if isinstance(results, Results) else None
+    version = _WITH_TOLERANCES if sample else SCHEMA_VERSION if boundaries is None else _WITH_BOUNDARIES
+    file.attrs["schema_version"] = np.int32(version)
     for name, value in results.attributes.items():
         if name in _RESERVED:
             raise ValueError(f"{name} is written from the results' own fields, not from attributes")
@@ -220,6 +227,8 @@ def _fill(file: Image, results: Results | ToleranceMap) -> None:
                     block = getattr(results, name)[start:stop]
                 write_rows(variable, start, block)
                 digest.add(block)
+    if boundaries is not None:
+        write_boundaries(file, boundaries, digest.add_variable)
     set_text(file, "content_digest", digest.hexdigest())
 
 
@@ -234,8 +243,12 @@ class Digest:
         self._sha = hashlib.sha256("\n".join(labels).encode())
         self.hexdigest = self._sha.hexdigest
         for axis in axes:
-            self.begin(axis.variable, axis.values)
-            self.add(axis.values)
+            self.add_variable(axis.variable, axis.values)
+
+    def add_variable(self, name: str, values: npt.NDArray[Any]) -> None:
+        """Begin a variable and add its values."""
+        self.begin(name, values)
+        self.add(values)
 
     def begin(self, name: str, variable: h5py.Dataset | npt.NDArray[Any]) -> None:
         """Begin a variable, whose values are then added."""
@@ -304,7 +317,7 @@ def map_of(file: h5py.File, header: Header) -> Results | ToleranceMap:
         arrays[name] = _unpadded(file[name], arrays["primary_impacts"]) if in_impacts else file[name][()]
     if not header.tolerance_map:
         arrays |= {name: np.full(header.shape, np.nan) for name in REGIME_QUANTITIES if name not in arrays}
-        return Results(**described, **arrays)
+        return Results(**described, **arrays, boundaries=header.boundaries)
     probability, sequence = arrays.pop("probability"), arrays.pop("sequence")
     runs = np.rint(probability * len(header.sample[0].values)).astype(np.int32)
     tolerances = ToleranceMap(sample=header.sample, runs=runs, **described, **arrays)
@@ -349,6 +362,7 @@ def _header_of(file: h5py.File, checksum: bool) -> Header:
         },
         tolerance_map=_is_tolerance_map(file),
         sample=tuple(_axis_of(file[name]) for name in sample),
+        boundaries=read_boundaries(file, axes),
         checksum=checksum,
     )
 
@@ -381,5 +395,7 @@ def _require_digest(file: h5py.File, header: Header) -> None:
         digest.begin(name, file[name])
         for start, stop in row_blocks(file[name]):
             digest.add(file[name][start:stop])
+    for name in names_of(file, header.axes):
+        digest.add_variable(name, file[name][()])
     if digest.hexdigest() != header.content_digest:
         raise ValueError("its data do not match its content_digest")

@@ -155,9 +155,9 @@ class Job:
         if parts is not None and parts.on_disk:  # a sweep shorter than the first part is not worth a file
             parts.flush()
         result = reduction.result(provenance(engine))
+        self.ran, self.seconds = reduction.done - before, time.perf_counter() - began
         if finish is not None:
             result = finish(result)
-        self.ran, self.seconds = reduction.done - before, time.perf_counter() - began
         if self.path is not None:
             write(self.path, result, None if self.directory is None else self.directory.path)
             if self.directory is not None:
