@@ -50,7 +50,12 @@ REGIME = np.dtype(
         ("side", np.int64),  # s
         ("guards", np.int64),  # how many end it
         ("watched", np.int64),  # how many rows it has: those that end it, then those that make a margin only
-        ("group", np.int64),  # regimes of a group have one flow and the same functionals: runs in them step together
+        (
+            "group",
+            np.int64,
+        ),  # of regimes with one flow and, but for the side, the same guards: runs in them step together
+        ("of_gap", np.float64),  # margins in it are relative to of_gap · φ/2 + of_rest · what is at rest
+        ("of_rest", np.float64),
     ],
     align=True,
 )
@@ -63,7 +68,7 @@ GUARD = np.dtype(
         ("side", np.int64),  # and the flank that the event concerns
         ("zero_guard", np.int64),  # the successor's guard that is zero on entry, or -1
         ("zero_order", np.int64),  # and how many of its derivatives, itself included, are
-        ("of_rest", np.float64),  # its margin is relative to scales · d + of_rest · what is at rest; 0: it makes none
+        ("makes_margin", np.int64),  # whether its turning back or its depth does
         ("alike", np.int64),  # the regime's first guard of the same functional
     ],
     align=True,
@@ -89,7 +94,6 @@ class System(NamedTuple):
     regimes: npt.NDArray[np.void]  # (R,) REGIME
     guards: npt.NDArray[np.void]  # (R, G) GUARD
     offsets: FloatArray  # (R, G, I)  of each guard
-    scales: FloatArray  # (R, G, I)  of each guard's margin
     signs: FloatArray  # (R, I)  u = signs · d
     leaders: IntArray  # (U,)  the first regime of each group
     # touches of the restitution model
@@ -259,8 +263,7 @@ class _Guard(NamedTuple):
     event_kind: int = -1
     zero_guard: int = -1
     zero_order: int = 0
-    of_gap: float = 0.0  # its margin is relative to this by φ/2
-    of_rest: float = 0.0  # and this by what is at rest
+    makes_margin: bool = False
 
 
 class _Regime(NamedTuple):
@@ -270,6 +273,8 @@ class _Regime(NamedTuple):
     side: int
     guards: list[_Guard]
     watched: tuple[_Guard, ...] = ()
+    of_gap: float = 0.0
+    of_rest: float = 1.0
 
 
 def _indentation_table(stiffness: float, damping: float, separation_by_force: bool) -> list[_Regime]:
@@ -280,13 +285,13 @@ def _indentation_table(stiffness: float, damping: float, separation_by_force: bo
         if separation_by_force:
             # the flanks may press less than nothing on each other; a miss is near where they all but cease to overlap
             force = _Guard(FORCE, side, -stiffness, parted, SEPARATION, 1, 1)
-            regimes.append(_Regime(CLOSED_FLOW, side, [force], (_Guard(GAP, side, -1.0, of_rest=1.0),)))
+            regimes.append(_Regime(CLOSED_FLOW, side, [force], (_Guard(GAP, side, -1.0, makes_margin=True),)))
         else:
-            overlap = _Guard(GAP, side, -1.0, OPEN, SEPARATION, _reached(side), 1, of_rest=1.0)
+            overlap = _Guard(GAP, side, -1.0, OPEN, SEPARATION, _reached(side), 1, makes_margin=True)
             regimes.append(_Regime(CLOSED_FLOW, side, [overlap]))
     for side, closed in ((1, CLOSED_POSITIVE), (-1, CLOSED_NEGATIVE)):
         if separation_by_force:
-            opening = _Guard(GAP, side, -1.0, OPEN, OPENING, _reached(side), 1, of_rest=1.0)
+            opening = _Guard(GAP, side, -1.0, OPEN, OPENING, _reached(side), 1, makes_margin=True)
             rejoin = _Guard(FORCE, -side, stiffness, closed, REJOIN, 0, 1)
             regimes.append(_Regime(OPEN_FLOW, side, [opening, rejoin]))
     return regimes
@@ -296,7 +301,9 @@ def _restitution_table() -> list[_Regime]:
     # What follows a touch is decided at the touch; a separation leaves with value, slope and curvature of the gap zero.
     return [_open(-1, 0)] + [
         _Regime(
-            CLOSED_FLOW, side, [_Guard(FORCE, side, 0.0, OPEN, SEPARATION, _reached(side), zero_order=3, of_rest=1.0)]
+            CLOSED_FLOW,
+            side,
+            [_Guard(FORCE, side, 0.0, OPEN, SEPARATION, _reached(side), zero_order=3, makes_margin=True)],
         )
         for side in (1, -1)
     ]
@@ -308,9 +315,11 @@ def _open(zero_guard: int, zero_order: int) -> _Regime:
         OPEN_FLOW,
         0,
         [
-            _Guard(GAP, -side, 1.0, closed, TOUCH, zero_guard, zero_order, of_gap=2.0)
+            _Guard(GAP, -side, 1.0, closed, TOUCH, zero_guard, zero_order, makes_margin=True)
             for side, closed in ((1, CLOSED_POSITIVE), (-1, CLOSED_NEGATIVE))
         ],
+        of_gap=2.0,
+        of_rest=0.0,
     )
 
 
@@ -323,27 +332,33 @@ def _tables(table: list[_Regime]) -> dict[str, npt.NDArray[Any]]:
     """The arrays of `System` for a list of regimes. Those with one flow and the same functionals are a group."""
     most = max(len(row.guards) + len(row.watched) for row in table)
     regimes, guards = np.zeros(len(table), REGIME), np.zeros((len(table), most), GUARD)
-    offsets, scales = np.zeros((2, len(table), most, INPUTS))
-    alike = [(row.flow, row.side != 0, [guard.functional for guard in (*row.guards, *row.watched)]) for row in table]
+    offsets = np.zeros((len(table), most, INPUTS))
+    alike = [_but_for_side(row) for row in table]
     leaders = [k for k, key in enumerate(alike) if alike.index(key) == k]
     for k, row in enumerate(table):
         rows = [*row.guards, *row.watched]
-        regimes[k] = (row.flow, row.side, len(row.guards), len(rows), leaders.index(alike.index(alike[k])))
+        group = leaders.index(alike.index(alike[k]))
+        regimes[k] = (row.flow, row.side, len(row.guards), len(rows), group, row.of_gap, row.of_rest)
         for g, guard in enumerate(rows):
             side = row.side or (1 if guard.successor == CLOSED_POSITIVE else -1)
             first = [other.functional for other in rows].index(guard.functional)
-            guards[k, g] = (*guard[:2], *guard[3:5], side, *guard[5:7], guard.of_rest, first)
-            offsets[k, g, HALF_GAP], scales[k, g, HALF_GAP] = guard.offset, guard.of_gap
+            guards[k, g] = (*guard[:2], *guard[3:5], side, *guard[5:7], guard.makes_margin, first)
+            offsets[k, g, HALF_GAP] = guard.offset
     signs = np.ones((len(table), INPUTS))
     signs[:, HALF_GAP] = regimes["side"]
     return {
         "regimes": regimes,
         "guards": guards,
         "offsets": offsets,
-        "scales": scales,
         "signs": signs,
         "leaders": np.array(leaders),
     }
+
+
+def _but_for_side(row: _Regime) -> tuple[Any, ...]:
+    """What regimes of a group have in common: their flow, and guards of the same functionals and signs but for side."""
+    guards = [(guard.functional, (row.side or 1) * guard.sign) for guard in (*row.guards, *row.watched)]
+    return row.flow, row.side != 0, guards
 
 
 def chain(

@@ -150,11 +150,17 @@ def bounds(watch: FloatArray, work: FloatArray, size: int) -> tuple[Vector, Vect
 
 
 @unowned_inlined
-def weighed(inputs: FloatArray, at: int, weights: FloatArray, first: int, stride: int) -> Vector:
-    """Weights times inputs, which are rows of lanes from `at` on; rounded once a term."""
+def weighed(inputs: FloatArray, at: int, weights: FloatArray, first: int, stride: int, ramps: bool) -> Vector:
+    """Weights times inputs, which are rows of lanes from `at` on; rounded once a term.
+
+    ramps : whether the last input, the torque's rate of change, can be other than zero
+    """
     total = vectors.load(inputs, at) * vectors.number(weights, first)
-    for k in range(1, INPUTS):
+    for k in range(1, TORQUE_RATE):
         total = fused(vectors.load(inputs, at + k), vectors.number(weights, first + k * stride), total)
+    if ramps:
+        last = vectors.number(weights, first + TORQUE_RATE * stride)
+        total = fused(vectors.load(inputs, at + TORQUE_RATE), last, total)
     return total
 
 
@@ -168,15 +174,18 @@ def weighed_drift(inputs: FloatArray, at: int, weights: FloatArray, first: int, 
 
 
 @unowned_inlined
-def origin(output: FloatArray, f: int, inputs: FloatArray, at: int, still: bool, elapsed: Vector) -> Origin:
+def origin(
+    output: FloatArray, f: int, inputs: FloatArray, at: int, still: bool, ramps: bool, elapsed: Vector
+) -> Origin:
     """A functional's origin after a time.
 
     output : (4, F, INPUTS) float64
     inputs : (…, W) float64, from row `at` on
     still : whether it does not move
+    ramps : whether the torque's rate of change can be other than zero
     """
     first, order = f * INPUTS, output.shape[1] * INPUTS
-    value = weighed(inputs, at, output, first, 1)
+    value = weighed(inputs, at, output, first, 1, ramps)
     slope = curvature = jerk = vectors.splat(0.0)
     if not still:
         slope = weighed_drift(inputs, at, output, first + order, 1)
@@ -218,8 +227,14 @@ def store_curve(array: FloatArray, row: int, curve: Curve) -> None:
 
 
 @unowned_inlined
-def as_guard(curve: Curve, origin: Origin, sign: Vector, shift: Vector) -> Curve:
-    """sign, 1 or -1, times a functional, its origin included, plus shift."""
+def as_guard(curve: Curve, origin: Origin, still: bool, sign: Vector, shift: Vector) -> Curve:
+    """sign, 1 or -1, times a functional, its origin included, plus shift.
+
+    still : whether the origin does not move
+    """
+    if still:
+        value = fused(sign, curve.value + origin.value, shift)
+        return Curve(value, sign * curve.slope, sign * curve.curvature, curve.jerk, curve.sixth)
     return Curve(
         fused(sign, curve.value + origin.value, shift),
         sign * (curve.slope + origin.slope),

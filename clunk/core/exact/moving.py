@@ -20,10 +20,10 @@ def to_coordinates(space: Workspace, flow: int) -> None:
     """From the states of the runs taken to their coordinates in a flow, and the amplitudes of these."""
     flows, work, away = space.flows, space.pool.work, space.moved
     size, states = flows.basis.shape[1], flows.coordinates.shape[1]
-    inputs = space.behind + rows.INPUT
+    inputs, ramps = space.inputs_at, space.system.ramps != 0
     origins, coordinates = flows.origin[flow], flows.coordinates[flow]
     for k in range(states):
-        origin = weighed(work, inputs, origins, k, size)
+        origin = weighed(work, inputs, origins, k, size, ramps)
         vectors.store(away, k, vectors.load(work, k) - origin)
     for c in range(size):
         total = vectors.splat(0.0)
@@ -39,11 +39,11 @@ def to_states(space: Workspace, flow: int, mask: int) -> None:
     flows, work, left = space.flows, space.pool.work, space.moved
     origins, basis, size = flows.origin[flow], flows.basis[flow], flows.basis.shape[1]
     elapsed = field(space, rows.ELAPSED)
-    inputs, order, still = space.behind + rows.INPUT, INPUTS * size, is_still(space, flow) and flows.rolls[flow] == 0
-    half = 0.5 * elapsed * elapsed
+    inputs, order, still = space.inputs_at, INPUTS * size, is_still(space, flow) and flows.rolls[flow] == 0
+    ramps, half = space.system.ramps != 0, 0.5 * elapsed * elapsed
     sixth = half * elapsed * A_THIRD
     for n in range(flows.coordinates.shape[1]):
-        origin = weighed(work, inputs, origins, n, size)
+        origin = weighed(work, inputs, origins, n, size, ramps)
         if not still:
             origin += weighed_drift(work, inputs, origins, order + n, size) * elapsed
             origin += weighed_drift(work, inputs, origins, 2 * order + n, size) * half

@@ -34,7 +34,9 @@ from clunk.core.exact.workspace import (
     log_of,
     make_workspace,
     push_search,
+    scale_of,
     set_field,
+    sign_of,
     step_queue,
 )
 from clunk.core.jit import compiled, unowned, unowned_inlined
@@ -92,6 +94,7 @@ def begin(space: Workspace, slot: int, start: Start) -> None:
     row.load, row.piece = start.load, piece_at(start.loads[start.load], 0, 0.0)
     space.inputs[slot, HALF_GAP] = start.half_gap
     begin_wave(space.system, start.loads[start.load], row.piece, start.x)
+    set_torque(space.system, start.loads[start.load], row.piece, 0.0, space.inputs[slot])
     row.static = _static(space.system, space.flows, start)
     numbers[rows.MARGIN] = MOST
     # no acceleration counts before the first primary impact
@@ -111,31 +114,40 @@ def _begin_phase(space: Workspace, slot: int, time: float, x: FloatArray, entry:
 @unowned_inlined
 def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry) -> None:
     """Enter a regime, or go on in it: the state, what it makes of the inputs and the guards, and the run's queue."""
-    system, row, inputs, load = space.system, space.runs[slot], space.inputs[slot], space.loads[space.runs[slot].load]
+    system, row, inputs = space.system, space.runs[slot], space.inputs[slot]
     numbers, regime = space.numbers[slot, space.behind :], entry.regime
-    piece = piece_at(load, row.piece, time)
-    if piece != row.piece:
-        row.piece = piece
-        begin_wave(system, load, piece, x)
-    set_torque(system, load, piece, time, inputs)
+    numbers[rows.LIMIT], space.numbers[slot, space.kink_at] = system.end_time - time, 0.0
+    if space.loads.shape[1] > 1:
+        _take_piece(space, slot, time, x)
     row.time, row.count, row.regime = time, entry.written, regime
     row.seeks_extremes, row.seeks_turns, row.depth_known = 0, 0, 0
     for k in range(x.size):
         space.numbers[slot, k] = x[k]  # a state for now; `_enter_coordinates` makes coordinates of it
-    numbers[rows.ZERO_GUARD], numbers[rows.ZERO_ORDER] = entry.zero_guard, entry.zero_order
-    numbers[rows.LIMIT], numbers[rows.KINK] = system.end_time - time, 0.0
-    if piece + 1 < load.shape[0]:
-        numbers[rows.LIMIT], numbers[rows.KINK] = min(system.end_time, load[piece + 1, BEGIN]) - time, 1.0
+    numbers[rows.ZERO] = rows.zero_of(entry.zero_guard, entry.zero_order)
     closed = system.regimes[regime].flow == CLOSED_FLOW
     numbers[rows.HELD_FROM] = row.contact_began + system.sticking_time - time if closed else -np.inf
     for k in range(INPUTS):
-        numbers[rows.INPUT + k] = system.signs[regime, k] * inputs[k]
-    for n in range(system.regimes[regime].watched):
-        guard, at = system.guards[regime, n], rows.of_guard(n)
-        numbers[at + rows.SIGN] = guard.sign
-        numbers[at + rows.SHIFT] = weigh(system.offsets[regime, n], inputs)
-        numbers[at + rows.SCALE] = weigh(system.scales[regime, n], inputs) + row.static * guard.of_rest
+        space.numbers[slot, space.inputs_at + k] = system.signs[regime, k] * inputs[k]
+    entered = system.regimes[regime]
+    numbers[rows.SIDE] = -1.0 if entered.side < 0 else 1.0
+    numbers[rows.SCALE] = entered.of_gap * inputs[HALF_GAP] + entered.of_rest * row.static
+    for n in range(entered.watched):
+        numbers[rows.SHIFT + n] = weigh(system.offsets[regime, n], inputs)
     push(space.pool, space.queues.enter + system.regimes[regime].group, slot)
+
+
+@unowned_inlined
+def _take_piece(space: Workspace, slot: int, time: float, x: FloatArray) -> None:
+    """Set a run's torque to that of the load's piece at a time, and its limit to where that ends."""
+    row, numbers, load = space.runs[slot], space.numbers[slot, space.behind :], space.loads[space.runs[slot].load]
+    piece = piece_at(load, row.piece, time)
+    if piece != row.piece:
+        row.piece = piece
+        begin_wave(space.system, load, piece, x)
+    set_torque(space.system, load, piece, time, space.inputs[slot])
+    if piece + 1 < load.shape[0]:
+        numbers[rows.LIMIT] = min(space.system.end_time, load[piece + 1, BEGIN]) - time
+        space.numbers[slot, space.kink_at] = 1.0
 
 
 @unowned
@@ -152,7 +164,7 @@ def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
             if pool.length[queue] == 0:
                 break
         if queue < queues.extremes:
-            count, group = take(pool, queue, space.numbers), queue % space.system.leaders.size
+            count, group = take(pool, queue, space.numbers, space.read), queue % space.system.leaders.size
             short = queues.short <= queue < queues.enter
             if queue >= queues.enter:  # and take the first step at once
                 flow = space.system.regimes[space.system.leaders[group]].flow
@@ -160,7 +172,7 @@ def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
                 short = space.flows.modal[flow] == 0
             take_step(space, group, short, count)
         else:
-            count, sought = take(pool, queue, space.searches), EXTREMES
+            count, sought = take(pool, queue, space.searches, space.searches.shape[1]), EXTREMES
             first = queues.extremes
             if queue >= queues.depth:
                 sought, first = DEPTH, queues.depth
@@ -212,20 +224,21 @@ def _follow(space: Workspace, slot: int) -> None:
         row.seeks_turns &= row.seeks_turns - 1
         wanted = space.searches[slot * each + rows.TURN_SEARCH + guard, space.behind :]
         wanted[rows.TOP], wanted[rows.BOTTOM] = (
-            abs(numbers[rows.MARGIN]) * numbers[rows.of_guard(guard) + rows.SCALE],
+            abs(numbers[rows.MARGIN]) * scale_of(space, slot, guard),
             np.inf,
         )
         push_search(
             space, queues.turn, slot, rows.TURN_SEARCH + guard, space.system.guards[row.regime, guard].functional
         )
     elif row.ended == rows.BY_EVENT:
-        at = rows.of_guard(row.guard)
-        if row.depth_known == 0 and numbers[at + rows.SCALE] > 0.0 and _label_hangs_on_depth(space.system, row, now):
+        scale = scale_of(space, slot, row.guard)
+        if row.depth_known == 0 and scale > 0.0 and _label_hangs_on_depth(space.system, row, now):
             functional = space.system.guards[row.regime, row.guard].functional
             find_origin(space, slot, functional)
-            begin_search(space, slot, rows.DEPTH_SEARCH, _MOST_SPANS, numbers[at + rows.SIGN], numbers[at + rows.SHIFT])
+            sign = sign_of(space, slot, row.guard)
+            begin_search(space, slot, rows.DEPTH_SEARCH, _MOST_SPANS, sign, numbers[rows.SHIFT + row.guard])
             wanted = space.searches[slot * each + rows.DEPTH_SEARCH, space.behind :]
-            wanted[rows.TOP] = abs(numbers[rows.MARGIN]) * numbers[at + rows.SCALE]
+            wanted[rows.TOP] = abs(numbers[rows.MARGIN]) * scale
             push_search(space, queues.depth, slot, rows.DEPTH_SEARCH, functional)
         else:
             _switch(space, slot)
@@ -253,14 +266,14 @@ def _go_on(space: Workspace, slot: int, time: float) -> None:
     system, row, inputs = space.system, space.runs[slot], space.inputs[slot]
     numbers = space.numbers[slot, space.behind :]
     x, regime = space.state[slot, : system.lash.size], system.regimes[row.regime]
-    entry = Entry(row.count, row.regime, int(numbers[rows.ZERO_GUARD]), int(numbers[rows.ZERO_ORDER]))
+    entry = Entry(row.count, row.regime, *rows.guard_and_order(numbers[rows.ZERO]))
     locked = system.impulsive != 0 and regime.flow == CLOSED_FLOW
     torque, slope = 0.0, 0.0
     if locked:
         set_torque(system, space.loads[row.load], row.piece, time, inputs)
         torque, slope, _ = holding_torque(system, CLOSED_FLOW, x, inputs)
     _enter(space, slot, time, x, entry)
-    scale = numbers[rows.of_guard(0) + rows.SCALE]
+    scale = scale_of(space, slot, 0)
     if locked and scale > 0.0:
         torque_after, slope_after, _ = holding_torque(system, CLOSED_FLOW, x, inputs)
         jump, rounding = regime.side * (torque_after - torque), GRAZING * scale
@@ -314,7 +327,8 @@ def _switch(space: Workspace, slot: int) -> None:
         _end(space, slot, _EVENT_BUFFER_FULL, time)
         return
     _close_phase(space, slot)
-    set_torque(system, space.loads[row.load], row.piece, time, inputs)
+    if system.ramps != 0:
+        set_torque(system, space.loads[row.load], row.piece, time, inputs)
     numbers[rows.MARGIN] = _margin_of_an_event(space, slot, x, time)
     entry, row.fastest = switch(system, row.regime, row.guard, time, x, inputs, log, row.count, row.fastest)
     for k in range(row.count, entry.written):

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from clunk.core.exact import curves, moving, polynomial, rows, taylor
 from clunk.core.exact.flows import TERMS
 from clunk.core.exact.step import GRAZING
-from clunk.core.exact.workspace import Workspace, field, is_still, set_field
+from clunk.core.exact.workspace import Workspace, field, is_still, scale_of, set_field
 from clunk.core.jit import unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, push_all, put_back
@@ -220,13 +220,13 @@ def conclude(space: Workspace, sought: int, queue: int, count: int, done: int) -
         top, bottom = space.pool.work[space.behind + rows.TOP, lane], space.pool.work[space.behind + rows.BOTTOM, lane]
         if sought == TURN:
             guard = item - slot * space.searches_each - rows.TURN_SEARCH
-            nearest = bottom / numbers[rows.of_guard(guard) + rows.SCALE]
+            nearest = bottom / scale_of(space, slot, guard)
             if nearest < abs(numbers[rows.MARGIN]):
                 numbers[rows.MARGIN] = max(nearest, 0.0)
                 if nearest <= GRAZING:
                     run.quality |= QUALITY_GRAZING
         elif sought == DEPTH:
-            scale = numbers[rows.of_guard(run.guard) + rows.SCALE]
+            scale = scale_of(space, slot, run.guard)
             if max(bottom, 0.0) < abs(numbers[rows.MARGIN]) * scale:
                 numbers[rows.MARGIN] = -max(bottom, 0.0) / scale
             run.depth_known = 1

@@ -29,6 +29,7 @@ from clunk.core.exact.workspace import (
     find_origin,
     is_still,
     set_field,
+    sign_of,
 )
 from clunk.core.jit import unowned_inlined
 from clunk.core.lanes import vectors
@@ -87,11 +88,12 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     if flows.steady[flow] != 0:
         settled = _stay_positive(space, regime) & ~may_widen & present
     if space.loads.shape[1] > 1:
-        kinks = field(space, rows.KINK) > 0.0
+        kinks = vectors.load(pool.work, space.kink_at) > 0.0
         settled &= ~kinks
         at_most = vectors.choose(kinks, vectors.smaller(at_most, time_left), at_most)
     there = present & ~settled
-    _take_zeros(space, regime)
+    if (field(space, rows.ZERO) > 0.0) != 0:  # but in the first step of a phase none is known
+        _take_zeros(space, regime)
 
     event, ends, lost, grazing, blocked = zero - 1.0, 0, 0, 0, 0
     if short:
@@ -125,7 +127,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     extremes = _watch_acceleration(space, flow, acceleration, sixth, h, may_widen & advancing)
     misses = _find_misses(space, regime, left_out, event, h, advancing)
     set_field(space, rows.LEFT_OUT, vectors.choose(sunk, 0.0, left_out))
-    set_field(space, rows.ZERO_GUARD, zero - 1.0)
+    set_field(space, rows.ZERO, zero)
     set_field(space, rows.TRY, zero + np.inf)
 
     happened, deep = (event >= 0.0) & advancing, 0
@@ -195,14 +197,15 @@ def _evaluate_guards(space: Workspace, regime: int, left_out: Vector, most_left_
             vectors.store(outputs, at + _PAIR_SWAY, pair_sway)
             vectors.store(outputs, at + _SWAY, sway)
             _find_origin(space, flow, f, at)
-        store_curve(space.guards, n * OF_GUARD + _START, _guard(space, n, at))
+        store_curve(space.guards, n * OF_GUARD + _START, _guard(space, regime, n, at))
 
 
 @unowned_inlined
 def _find_origin(space: Workspace, flow: int, f: int, at: int) -> None:
     """Write a functional's origin to `outputs`."""
-    output, elapsed, first = space.flows.origin_output[flow], field(space, rows.ELAPSED), space.behind + rows.INPUT
-    origin = curves.origin(output, f, space.pool.work, first, is_still(space, flow), elapsed)
+    output, elapsed, first = space.flows.origin_output[flow], field(space, rows.ELAPSED), space.inputs_at
+    still, ramps = is_still(space, flow), space.system.ramps != 0
+    origin = curves.origin(output, f, space.pool.work, first, still, ramps, elapsed)
     vectors.store(space.outputs, at + _ORIGIN, origin.value)
     vectors.store(space.outputs, at + _ORIGIN + 1, origin.slope)
     vectors.store(space.outputs, at + _ORIGIN + 2, origin.curvature)
@@ -221,33 +224,49 @@ def _load_origin(outputs: FloatArray, at: int) -> curves.Origin:
 
 
 @unowned_inlined
-def _guard(space: Workspace, n: int, at: int) -> curves.Curve:
+def _guard(space: Workspace, regime: int, n: int, at: int) -> curves.Curve:
     """Guard n, less the sway of the pairs that are left out, by the functional that is kept from row `at` on."""
-    outputs = space.outputs
-    shift = field(space, rows.of_guard(n) + rows.SHIFT) - vectors.load(outputs, at + _RING)
-    sign = field(space, rows.of_guard(n) + rows.SIGN)
-    return curves.as_guard(load_curve(outputs, at + _SLOWER), _load_origin(outputs, at), sign, shift)
+    flow, outputs = space.system.regimes[regime].flow, space.outputs
+    shift = field(space, rows.SHIFT + n) - vectors.load(outputs, at + _RING)
+    slower, origin = load_curve(outputs, at + _SLOWER), _load_origin(outputs, at)
+    return curves.as_guard(slower, origin, is_still(space, flow), _sign(space, regime, n), shift)
 
 
 @unowned_inlined
-def _bar(space: Workspace, n: int) -> Vector:
+def _sign(space: Workspace, regime: int, n: int) -> Vector:
+    """The sign by which a functional makes guard n."""
+    return field(space, rows.SIDE) * space.system.guards[regime, n].sign
+
+
+@unowned_inlined
+def _scale(space: Workspace, regime: int, n: int) -> Vector:
+    """The scale of the margin of guard n; 0 where it makes none."""
+    return field(space, rows.SCALE) * float(space.system.guards[regime, n].makes_margin)
+
+
+@unowned_inlined
+def _bar(space: Workspace, regime: int, n: int) -> Vector:
     """How low guard n has to turn back to make the margin smaller, or how deep an event's guard may at most go."""
-    return vectors.magnitude(field(space, rows.MARGIN)) * field(space, rows.of_guard(n) + rows.SCALE)
+    return vectors.magnitude(field(space, rows.MARGIN)) * _scale(space, regime, n)
 
 
 @unowned_inlined
 def _zero_order(space: Workspace, n: int) -> Vector:
     """How many derivatives of guard n are zero at the step's beginning, itself included."""
-    is_zero = field(space, rows.ZERO_GUARD) == float(n)
-    return vectors.choose(is_zero, field(space, rows.ZERO_ORDER), 0.0)
+    zeros = field(space, rows.ZERO)
+    if (zeros > 0.0) == 0:
+        return vectors.splat(0.0)
+    order = zeros - 4.0 * n
+    return vectors.choose((order > 0.0) & (order < 4.0), order, 0.0)
 
 
 @unowned_inlined
 def origin_of_acceleration(space: Workspace, flow: int, elapsed: Vector) -> curves.Origin:
     """The acceleration's origin, which moves only under a ramp, even where the flow drifts."""
-    output, first = space.flows.origin_output[flow], space.behind + rows.INPUT
-    origin = curves.origin(output, ACCELERATION, space.pool.work, first, True, elapsed)
-    if space.system.ramps == 0:
+    output, first = space.flows.origin_output[flow], space.inputs_at
+    ramps = space.system.ramps != 0
+    origin = curves.origin(output, ACCELERATION, space.pool.work, first, True, ramps, elapsed)
+    if not ramps:
         return origin
     slope = curves.origin_slope(output, ACCELERATION, space.pool.work, first)
     return curves.Origin(origin.value + elapsed * slope, slope, origin.curvature, origin.jerk)
@@ -281,9 +300,9 @@ def _stay_positive(space: Workspace, regime: int) -> int:
     stay = -1
     for n in range(space.system.regimes[regime].watched):
         at = space.system.guards[regime, n].alike * OF_OUTPUT
-        at_rest = field(space, rows.of_guard(n) + rows.SIGN) * vectors.load(space.outputs, at + _ORIGIN)
-        least = at_rest + field(space, rows.of_guard(n) + rows.SHIFT) - vectors.load(space.outputs, at + _SWAY)
-        stay &= (least > 0.0) & (least >= _bar(space, n))
+        at_rest = _sign(space, regime, n) * vectors.load(space.outputs, at + _ORIGIN)
+        least = at_rest + field(space, rows.SHIFT + n) - vectors.load(space.outputs, at + _SWAY)
+        stay &= (least > 0.0) & (least >= _bar(space, regime, n))
     return stay
 
 
@@ -318,7 +337,10 @@ def _propose_span(
     shortest = space.flows.span[system.regimes[regime].flow, 0]
     h, k = curves.longest(shortest, guards, _START, OF_GUARD, count, at_most)
     # where a guard is zero with its slope, its series decides
-    starts_flat = (field(space, rows.ZERO_GUARD) >= 0.0) & (field(space, rows.ZERO_ORDER) > 1.0)
+    starts_flat = 0
+    if (field(space, rows.ZERO) > 0.0) != 0:
+        for n in range(count):
+            starts_flat |= _zero_order(space, n) > 1.0
     k = vectors.choose(starts_flat, -1.0, k)
     # nothing is left out where it would not tell a miss that counts from one that does not
     one_more, worth = (left_out < float(most_left_out)) & ~starts_flat & ((k >= 0.0) | (left_out == 0.0)), 0
@@ -327,12 +349,12 @@ def _propose_span(
         start, pair = load_curve(guards, n * OF_GUARD + _START), load_curve(outputs, at + _PAIR)
         worth |= pair.jerk > _WORTH * start.jerk
         if n < count:
-            slower = start.value - field(space, rows.of_guard(n) + rows.SIGN) * pair.value
-            one_more &= slower - vectors.load(outputs, at + _PAIR_SWAY) > _bar(space, n)
+            slower = start.value - _sign(space, regime, n) * pair.value
+            one_more &= slower - vectors.load(outputs, at + _PAIR_SWAY) > _bar(space, regime, n)
     one_more &= worth
     if one_more != 0:
         for n in range(count):
-            cleared = curves.less(_without_pair(space, regime, n), _CLEAR * _bar(space, n))
+            cleared = curves.less(_without_pair(space, regime, n), _CLEAR * _bar(space, regime, n))
             store_curve(guards, n * OF_GUARD + _CLEARED, cleared)
         longer, number = curves.longest(shortest, guards, _CLEARED, OF_GUARD, count, at_most)
         one_more &= number > k
@@ -358,7 +380,7 @@ def _without_pair(space: Workspace, regime: int, n: int) -> curves.Curve:
     at = space.system.guards[regime, n].alike * OF_OUTPUT
     start, pair = load_curve(space.guards, n * OF_GUARD + _START), load_curve(space.outputs, at + _PAIR)
     sway = vectors.load(space.outputs, at + _PAIR_SWAY)
-    return curves.without(start, pair, field(space, rows.of_guard(n) + rows.SIGN), sway)
+    return curves.without(start, pair, _sign(space, regime, n), sway)
 
 
 @unowned_inlined
@@ -398,9 +420,9 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
                     near |= first
                     space.guard_lanes[m] &= ~first
                     guard = vectors.choose(first, float(m), guard)
-                    sign = vectors.choose(first, field(space, rows.of_guard(m) + rows.SIGN), sign)
-                    shift = vectors.choose(first, field(space, rows.of_guard(m) + rows.SHIFT), shift)
-                    scale = vectors.choose(first, field(space, rows.of_guard(m) + rows.SCALE), scale)
+                    sign = vectors.choose(first, _sign(space, regime, m), sign)
+                    shift = vectors.choose(first, field(space, rows.SHIFT + m), shift)
+                    scale = vectors.choose(first, _scale(space, regime, m), scale)
                     order = vectors.choose(first, _zero_order(space, m), order)
             if near == 0:
                 break
@@ -524,9 +546,10 @@ def _prove(space: Workspace, regime: int, left_out: Vector, most_left_out: int, 
                 space.flows.watch[flow, f], space.pool.work, size, left_out, most_left_out, before
             )
             store_curve(outputs, at + _SLOWER, seen)
-            _find_origin(space, flow, f, at)
+            if not is_still(space, flow):
+                _find_origin(space, flow, f, at)
         start = load_curve(guards, row + _START)
-        end = curves.with_bounds(_guard(space, n, at), start)
+        end = curves.with_bounds(_guard(space, regime, n, at), start)
         least, _, remainder = curves.between(start, end, h)
         store_curve(guards, row + _END, end)
         vectors.store(guards, row + _LEAST, least)
@@ -602,8 +625,8 @@ def _find_misses(space: Workspace, regime: int, left_out: Vector, event: Vector,
         start, end = load_curve(guards, row + _START), load_curve(guards, row + _END)
         least, remainder = vectors.load(guards, row + _LEAST), vectors.load(guards, row + _REMAINDER)
         fresh = (_zero_order(space, n) > 1.0) & (held_from <= 0.0)
-        may = counts & (field(space, rows.of_guard(n) + rows.SCALE) > 0.0) & ~(event == float(n)) & ~fresh
-        may &= vectors.smaller(vectors.smaller(start.value, end.value), least) < _bar(space, n)
+        may = counts & (_scale(space, regime, n) > 0.0) & ~(event == float(n)) & ~fresh
+        may &= vectors.smaller(vectors.smaller(start.value, end.value), least) < _bar(space, regime, n)
         monotone, crest = curves.turns_not(start, end, remainder, vectors.load(outputs, at + _SLOPE_BOUND), h)
         may &= ~monotone & ~(crest & (left_out == 0.0))
         space.guard_lanes[n] = may
@@ -623,10 +646,10 @@ def _begin_turn_searches(space: Workspace, regime: int, n: int, h: Vector, elaps
         lane = vectors.first_of(mask)
         mask &= mask - 1
         slot = space.pool.items[lane]
-        numbers, at = space.numbers[slot, space.behind :], rows.of_guard(n)
+        numbers = space.numbers[slot, space.behind :]
         find_origin(space, slot, space.system.guards[regime, n].functional)
-        sign, shift = numbers[at + rows.SIGN], numbers[at + rows.SHIFT]
-        begin_search(space, slot, rows.TURN_SEARCH + n, notes[0, lane], sign, shift)
+        sign = sign_of(space, slot, n)
+        begin_search(space, slot, rows.TURN_SEARCH + n, notes[0, lane], sign, numbers[rows.SHIFT + n])
         wanted = space.searches[slot * space.searches_each + rows.TURN_SEARCH + n, space.behind :]
         wanted[rows.COUNTS] = notes[1, lane] - numbers[rows.HELD_FROM]
 
@@ -637,7 +660,7 @@ def _certainly_deep(space: Workspace, regime: int, event: Vector) -> int:
     deep = 0
     for n in range(space.system.regimes[regime].guards):
         end = load_curve(space.guards, n * OF_GUARD + _END)
-        deep |= (event == float(n)) & (curves.falls_by(end) - _bar(space, n) >= 0.0)
+        deep |= (event == float(n)) & (curves.falls_by(end) - _bar(space, regime, n) >= 0.0)
     return deep
 
 

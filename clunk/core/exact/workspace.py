@@ -14,7 +14,7 @@ from clunk.core.jit import compiled, unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import Pool, aligned, make_pool, push, whole
 from clunk.core.lanes.vectors import WIDTH, Vector
-from clunk.core.regimes import INPUTS, System
+from clunk.core.regimes import INPUTS, TORQUE_RATE, System
 from clunk.core.runs import Log
 from clunk.core.switching import weigh
 
@@ -74,6 +74,9 @@ class Workspace(NamedTuple):
     searches: FloatArray  # ((S + 1) (G + 1), …)  of each run's searches; the last row is scratch again
     searches_each: int  # G + 1
     behind: int  # where the numbers that `rows` names begin in a row
+    inputs_at: int  # and where the inputs do
+    kink_at: int  # and whether the load has not come to rest
+    read: int  # numbers of a run that a step reads
     runs: npt.NDArray[np.void]  # (S + 1,) RUN
     loads: FloatArray  # (loads, P, PIECE)
     inputs: FloatArray  # (S, INPUTS)  d of each run, when its phase or its load's piece began
@@ -112,7 +115,10 @@ def make_workspace(
     over = extremes + 3 * functionals
     queues = Queues(0, groups, 2 * groups, extremes, extremes + functionals, extremes + 2 * functionals, over, over + 1)
     behind = size * 3 // 2
-    of_a_run = behind + rows.GUARDS + rows.OF_A_GUARD * most
+    inputs_at = behind + rows.SHIFT + most
+    kink_at = inputs_at + INPUTS
+    of_a_run = kink_at + 1
+    read = whole(of_a_run if system.ramps != 0 or loads.shape[1] > 1 else inputs_at + TORQUE_RATE)
     return Workspace(
         system=system,
         flows=flows,
@@ -122,6 +128,9 @@ def make_workspace(
         searches=aligned((slots + 1) * (most + 1), whole(behind + rows.OF_A_SEARCH)),
         searches_each=most + 1,
         behind=behind,
+        inputs_at=inputs_at,
+        kink_at=kink_at,
+        read=read,
         runs=np.zeros(slots + 1, RUN),
         loads=loads,
         inputs=np.zeros((slots, INPUTS)),
@@ -157,6 +166,20 @@ def set_field(space: Workspace, name: int, values: Vector) -> None:
 def is_still(space: Workspace, flow: int) -> bool:
     """Whether no origin of a flow moves, whatever the inputs of a run are."""
     return bool(space.flows.steady[flow] != 0 and space.system.ramps == 0)
+
+
+@unowned_inlined
+def sign_of(space: Workspace, slot: int, guard: int) -> float:
+    """The sign by which a functional makes a guard of a run."""
+    regime = space.runs[slot].regime
+    return float(space.system.guards[regime, guard].sign)
+
+
+@unowned_inlined
+def scale_of(space: Workspace, slot: int, guard: int) -> float:
+    """The scale of a guard's margin; 0 where it makes none."""
+    row = space.system.guards[space.runs[slot].regime, guard]
+    return float(space.numbers[slot, space.behind + rows.SCALE]) if row.makes_margin != 0 else 0.0
 
 
 @unowned_inlined
@@ -201,7 +224,7 @@ def find_origin(space: Workspace, slot: int, functional: int) -> None:
     """A functional's origin where a run is, and its first three derivatives, into `space.origin`."""
     output = space.flows.origin_output[space.system.regimes[space.runs[slot].regime].flow]
     numbers, origin = space.numbers[slot, space.behind :], space.origin
-    inputs, elapsed = numbers[rows.INPUT : rows.INPUT + INPUTS], numbers[rows.ELAPSED]
+    inputs, elapsed = space.numbers[slot, space.inputs_at : space.kink_at], numbers[rows.ELAPSED]
     value, slope = weigh(output[0, functional], inputs), weigh(output[1, functional], inputs)
     curvature, jerk = weigh(output[2, functional], inputs), weigh(output[3, functional], inputs)
     origin[0] = value + elapsed * (slope + 0.5 * elapsed * (curvature + elapsed / 3.0 * jerk))

@@ -68,11 +68,13 @@ def push_all(pool: Pool, queue: int, mask: int) -> None:
 
 
 @unowned_inlined
-def take(pool: Pool, queue: int, array: FloatArray) -> int:
+def take(pool: Pool, queue: int, array: FloatArray, read: int) -> int:
     """Take as many items from a queue as there are lanes, or as wait, the last ones first; return how many.
 
     array : (items + 1, numbers) float64
         Whose rows are gathered; the last one is scratch for unused lanes.
+    read : int
+        The first of a row's numbers, so many, are gathered.
     """
     count, length, unused = min(pool.length[queue], WIDTH), array.shape[1], array.shape[0] - 1
     first = pool.length[queue] - count
@@ -80,7 +82,7 @@ def take(pool: Pool, queue: int, array: FloatArray) -> int:
     for k in range(WIDTH):
         item = pool.waiting[queue, first + k] if k < count else unused
         pool.places[k], pool.items[k] = item * length, item
-    for row in range(0, length, ROW):
+    for row in range(0, read, ROW):
         vectors.gather(array, pool.places, row, pool.work, row)
     return int(count)
 
