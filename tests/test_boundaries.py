@@ -330,3 +330,42 @@ def test_a_damaged_network_is_no_network(coarse):
         dataclasses.replace(coarse, ring_counts=coarse.ring_counts + np.int32(1))
     with pytest.raises(ValueError, match="without a label"):
         dataclasses.replace(coarse, labels=coarse.labels[:3])
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_maps_are_drawn_with_the_traced_curves(turned):
+    axes = axis("load.ratio", 0.0, 10.0, 21), axis("lash.backlash_deg", 0.0, 20.0, 21)
+    results = clunk.sweep(study(*axes[:: -1 if turned else 1]), boundaries=True)
+    (ax,) = clunk.draw(results).axes[:1]
+    (lines,) = [each for each in ax.collections if each.get_gid() == "boundaries"]
+    for drawn, curve in zip(lines.get_segments(), results.boundaries.curves, strict=True):
+        assert drawn.tolist() == curve.vertices[:, :: -1 if turned else 1].tolist()
+    filled = {patch.get_gid().removeprefix("region ") for patch in ax.patches if patch.get_gid()}
+    assert filled == set(results.boundaries.areas)
+    places = {text.get_text(): text.get_position() for text in ax.texts}
+    for label in ("NI", "SS(1)", "DS(1)SS(1)", "DS(2)"):
+        point = np.array(places[label][:: -1 if turned else 1])
+        assert [region.label for region in results.boundaries.regions if is_within(region, point)] == [label]
+
+
+def test_failed_regions_are_hatched_and_a_slice_has_no_boundaries():
+    axes = axis("load.ratio", 2.0, 6.0, 9), axis("lash.backlash_deg", 2.0, 6.0, 9)
+    results = clunk.sweep(study(*axes, of=(EXACT, "solver.max_events=16")), boundaries=True)
+    (ax,) = clunk.draw(results).axes[:1]
+    assert [patch.get_hatch() for patch in ax.patches if patch.get_gid() == "region failed"] == ["//////"]
+    assert results.at({"load.ratio": 4.0}).boundaries is None
+
+
+def test_strips_print_the_values_at_which_the_label_changes():
+    results = clunk.sweep(study(axis("load.ratio", 0.0, 10.0, 41)), boundaries=True)
+    band, curve = clunk.draw(results).axes[:2]
+    values = results.boundaries.vertices[:, 0].tolist()
+    (top,) = band.child_axes
+    assert top.get_xticks().tolist() == values
+    printed = [tick.get_text() for tick in top.get_xticklabels()]
+    assert [text for text in printed if text] == [
+        f"{value:.7g}" for value, text in zip(values, printed, strict=True) if text
+    ]
+    assert "1.432442" in printed
+    drawn = np.concatenate([line.get_xdata() for line in curve.lines if len(line.get_xdata()) != 2])
+    assert set(results.axes[0].values.tolist()) >= set(drawn.tolist())

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from clunk.core.status import QUALITY_UNDECIDED
-from clunk.plot.plane import Bools, Codes, Floats, View, value_text
+from clunk.plot.plane import Bools, Codes, Floats, View, cell_edges, value_text
 from clunk.plot.regions import Regions, regions_of
 from clunk.plot.style import SIZE, PlotError
+from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED_CODE
 from clunk.results.quantities import CELL_QUANTITIES
 from clunk.results.regimemap import Results
@@ -45,6 +46,7 @@ class Layers:
     quantity : str; "regimes" where nothing but the labels is drawn
     values : float64, shape of `codes`, NaN where the quantity is not known; of the regimes NaN everywhere
     points : int, fine points across the map, as of `Regions`
+    boundaries : Boundaries, if they have been traced: they are drawn in the place of smooth ones
     """
 
     title: str
@@ -57,6 +59,7 @@ class Layers:
     quantity: str
     values: Floats
     points: int = 700
+    boundaries: Boundaries | None = None
 
     @classmethod
     def of(
@@ -74,16 +77,18 @@ class Layers:
         phrase = [PROFILES[load["profile"]].name, *numbers(load, without=[*STEP_KEYS, *swept])] if known else []
         codes = view.arrange(drawn.sequence)
         unmarked = np.zeros(codes.shape, np.bool_)
+        traced = drawn.boundaries if isinstance(drawn, Results) and dimensions else None
         return cls(
             title=drawn.title.strip() or "Impact regimes",
             load=", ".join(phrase),
             view=view,
-            labels=drawn.labels,
+            labels=drawn.labels if traced is None else traced.labels,
             codes=codes,
             undecided=view.arrange(drawn.quality & QUALITY_UNDECIDED) != 0 if isinstance(drawn, Results) else unmarked,
             inferred=view.arrange(drawn.inferred) if isinstance(drawn, Results) else unmarked,
             quantity=quantity,
             values=np.full(codes.shape, np.nan) if values is None else view.arrange(values),
+            boundaries=traced,
         )
 
     @classmethod
@@ -105,6 +110,14 @@ class Layers:
         if np.isnan(self.values).all():
             why = _WHY_UNDEFINED.get(self.quantity, "")
             raise PlotError(f"There is no {self.quantity} to draw: it is not defined in any cell{why}.")
+
+    @property
+    def bands(self) -> tuple[Floats, Codes]:
+        """Edges (n + 1,) and codes (n,) of a strip's bands: as traced, or cells with edges halfway between samples."""
+        if self.boundaries is None:
+            return cell_edges(self.view.x), self.codes
+        edges = np.append(self.boundaries.ring_vertices[::2, 0], self.view.x.values[-1])
+        return edges, self.boundaries.region_label
 
     @cached_property
     def regions(self) -> Regions:
@@ -129,8 +142,11 @@ class Layers:
 
     @property
     def present(self) -> list[str]:
-        """The labels that some cell has: those of a slice may be fewer than the results'."""
-        return [self.labels[code] for code in np.unique(self.codes) if code != FAILED_CODE]
+        """The labels that some cell or region has: those of a slice may be fewer than the results'."""
+        codes = self.codes.ravel()
+        if self.boundaries is not None:
+            codes = np.concatenate([codes, self.boundaries.region_label])
+        return [self.labels[code] for code in np.unique(codes) if code != FAILED_CODE]
 
     def count(self, label: str) -> int:
         """Number of cells with a label."""

@@ -15,13 +15,12 @@ from clunk.analysis.ridge import ridge_of
 from clunk.plot.labelling import label_and_note
 from clunk.plot.layers import Layers
 from clunk.plot.painting import Colours, mark_undecided, new_map, paint_regimes, shaded_map
-from clunk.plot.plane import Floats, View
+from clunk.plot.plane import Floats, View, spaced_numbers
 from clunk.plot.raster import Raster, centres_that_fit
-from clunk.plot.style import CENTRED, FAINT_INK, INK, MINUS, freeze_layout, halo, styled, symbol_text
+from clunk.plot.style import CENTRED, FAINT_INK, INK, freeze_layout, halo, styled, symbol_text
 from clunk.results.regimemap import Results
 
 _WITH_THRESHOLDS = ("load.ratio", "load.initial_torque", "load.final_torque")
-_DIGIT = 0.0114  # width of a threshold's digit over the map's
 
 
 @styled()
@@ -82,24 +81,10 @@ def _mark_thresholds(ax: Axes, thresholds: Sequence[float]) -> None:
     along = ax.get_xaxis_transform()
     ax.plot(inside, [0.0] * len(inside), "^", color=INK, markersize=5.5, transform=along, clip_on=False, zorder=6)
     top = ax.secondary_xaxis("top")
-    top.set_xticks(inside, _spaced_numbers(ax, inside))
+    top.set_xticks(inside, spaced_numbers(ax, inside))
     top.tick_params(direction="out", length=3.0, labelsize=8.5)
     top.minorticks_off()
     top.set_xlabel("▲ thresholds for vanishing backlash", loc="right", fontsize=8.5, color=FAINT_INK, labelpad=3.0)
-
-
-def _spaced_numbers(ax: Axes, values: Sequence[float]) -> list[str]:
-    """Ascending values as text, empty where it would run into the one before."""
-    texts = [f"{value:{'.2f' if abs(value) >= 0.1 else '.2g'}}".replace("-", MINUS) for value in values]
-    across = ax.transAxes.inverted().transform(ax.transData.transform([(value, 0.0) for value in values]))[:, 0]
-    end = -np.inf
-    for k, middle in enumerate(across):
-        half = 0.5 * _DIGIT * len(texts[k])
-        if middle - half < end + 0.5 * _DIGIT:
-            texts[k] = ""
-        else:
-            end = middle + half
-    return texts
 
 
 def _draw_ridge(ax: Axes, view: View, ridge: Floats) -> None:

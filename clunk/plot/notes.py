@@ -50,13 +50,21 @@ def remark(text: str) -> Patch:
 
 
 def label_notes(layers: Layers, labels: Sequence[str], most: int, *, counted: bool) -> list[Artist]:
-    """Swatches of `most` labels, with their numbers of cells where `counted`, and how many labels more there are."""
+    """Swatches of `most` labels, with their numbers of cells where `counted`, and how many labels more there are.
+
+    Where boundaries have been traced, the part of the map's area takes the place of the cells.
+    """
     palette, more = palette_of(layers.labels), len(labels) - most
     notes: list[Artist] = [
-        swatch(f"{label}: {cells_phrase(layers.count(label))}" if counted else label, palette[label])
-        for label in labels[:most]
+        swatch(f"{label}: {_extent(layers, label)}" if counted else label, palette[label]) for label in labels[:most]
     ]
     return notes + ([remark(f"and {more} label{'' if more == 1 else 's'} more")] if more > 0 else [])
+
+
+def _extent(layers: Layers, label: str) -> str:
+    if layers.boundaries is None:
+        return cells_phrase(layers.count(label))
+    return f"{100.0 * layers.boundaries.areas.get(label, 0.0):.2g} %"
 
 
 def failed_notes(failed: Bools, text: str = FAILED) -> list[Artist]:

@@ -13,11 +13,12 @@ from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure, SubFigure
 
 from clunk.plot.layers import Layers
+from clunk.plot.network import draw_curves, fill_label
 from clunk.plot.notes import DOT, failed_notes, set_notes, undefined_notes
 from clunk.plot.plane import Floats, cell_edges, scale_axes
 from clunk.plot.regions import Scores
 from clunk.plot.style import FAILED_FILL, FAILED_HATCH, INK, UNDEFINED, new_figure, palette_of, set_titles
-from clunk.results.labels import FAILED_CODE
+from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.quantities import CELL_QUANTITIES
 
 _MAP = 330.0  # points, width of a map
@@ -90,7 +91,10 @@ def paint_regimes(ax: Axes, layers: Layers, *, linewidth: float = 0.9) -> None:
     """Fill the regions with their labels' colours, hatch failed cells, and draw the boundaries."""
     hatch_failed(ax, layers)
     palette = palette_of(layers.labels)
-    for code in layers.regions.present:
+    if layers.boundaries is not None:
+        for label in layers.present:
+            fill_label(ax, layers.boundaries, layers.view, label, {"facecolor": palette[label]})
+    for code in layers.regions.present if layers.boundaries is None else ():
         x, y, margin = _part(layers, code)
         if code != FAILED_CODE and margin.max() > 0.0:
             ax.contourf(x, y, margin, levels=[0.0, np.inf], colors=[palette[layers.labels[code]]], zorder=1)
@@ -119,6 +123,10 @@ def hatch_failed(ax: Axes, layers: Layers) -> None:
     """Hatch the failed cells, if there are any."""
     if not layers.failed.any():
         return
+    if layers.boundaries is not None:
+        hatched = {"facecolor": FAILED_FILL, "edgecolor": FAILED_HATCH, "hatch": "//////"}
+        fill_label(ax, layers.boundaries, layers.view, FAILED, hatched)
+        return
     look: dict[str, Any] = {"colors": [FAILED_FILL], "hatches": ["//////"], "zorder": 1}
     filled = ax.contourf(*_part(layers, FAILED_CODE), levels=[0.0, np.inf], **look)
     filled.set_edgecolor(FAILED_HATCH)
@@ -127,6 +135,9 @@ def hatch_failed(ax: Axes, layers: Layers) -> None:
 
 def draw_boundaries(ax: Axes, layers: Layers, *, color: str, linewidth: float) -> None:
     """Draw lines between the regions."""
+    if layers.boundaries is not None:
+        draw_curves(ax, layers.boundaries, layers.view, {"colors": color, "linewidths": linewidth, "zorder": 3})
+        return
     present = layers.regions.present
     for code in present if len(present) > 1 else ():
         x, y, margin = _part(layers, code)

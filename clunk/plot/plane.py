@@ -23,6 +23,7 @@ Bools = npt.NDArray[np.bool_]
 Codes = npt.NDArray[np.int16]
 
 _USUAL = ("load.ratio", "lash.backlash_deg")  # stay axes of a map where others are fixed
+_DIGIT = 0.0114  # width of a number's digit over a map's
 _MOST_COORDINATES = 3  # of a run in a title
 
 
@@ -168,6 +169,20 @@ def value_text(axis: ResultAxis, value: float, *, symbol: bool = False) -> str:
 def number_text(value: float) -> str:
     """A number as figures write it: 1.6e6 for 1.6e+06."""
     return re.sub(r"e\+?(-?)0*", r"e\1", f"{value:.6g}").replace("-", MINUS)
+
+
+def spaced_numbers(ax: Axes, values: Sequence[float], form: str = "") -> list[str]:
+    """Ascending values as text, empty where it would run into the one before; form : of a number."""
+    texts = [f"{value:{form or ('.2f' if abs(value) >= 0.1 else '.2g')}}".replace("-", MINUS) for value in values]
+    across = ax.transAxes.inverted().transform(ax.transData.transform([(value, 0.0) for value in values]))[:, 0]
+    end = -np.inf
+    for k, middle in enumerate(across):
+        half = 0.5 * _DIGIT * len(texts[k])
+        if middle - half < end + 0.5 * _DIGIT:
+            texts[k] = ""
+        else:
+            end = middle + half
+    return texts
 
 
 def axis_span(axis: ResultAxis) -> str:

@@ -14,7 +14,8 @@ from matplotlib.text import Text
 from scipy import ndimage
 
 from clunk.plot.layers import Layers
-from clunk.plot.plane import Bools, Codes, Floats, cell_edges, ruler
+from clunk.plot.network import codes_at
+from clunk.plot.plane import Bools, Codes, Floats, ruler
 from clunk.study.axes import ResultAxis
 
 _PIXEL = 2.0  # display pixels per raster pixel; finer would only be slower
@@ -61,8 +62,12 @@ class Raster:
         x = inverse.transform(np.column_stack((across, np.full(width, box.y0))))[:, 0]
         y = inverse.transform(np.column_stack((np.full(height, box.x0), upward)))[:, 1]
         if len(layers.view.axes) == 1:
-            cells = np.clip(np.searchsorted(cell_edges(layers.view.x), x) - 1, 0, len(layers.codes) - 1)
-            return cls(ax, np.broadcast_to(layers.codes[cells], (height, width)))
+            edges, codes = layers.bands
+            cells = np.clip(np.searchsorted(edges, x) - 1, 0, len(codes) - 1)
+            return cls(ax, np.broadcast_to(codes[cells], (height, width)))
+        if layers.boundaries is not None:
+            nearest = layers.codes[np.ix_(*map(_fine_index, (x, y), layers.view.axes, (1, 1)))].T
+            return cls(ax, codes_at(layers.boundaries, layers.view, x, y, nearest))
         columns, rows = map(_fine_index, (x, y), layers.view.axes, layers.regions.factor)
         return cls(ax, layers.regions.label[np.ix_(columns, rows)].T)
 

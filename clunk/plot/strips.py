@@ -12,7 +12,7 @@ from clunk.plot import style
 from clunk.plot.labelling import label_and_note
 from clunk.plot.layers import Layers
 from clunk.plot.painting import mark_undecided
-from clunk.plot.plane import Floats, cell_edges, scale_axis
+from clunk.plot.plane import Floats, scale_axis, spaced_numbers
 from clunk.results.labels import FAILED_CODE
 from clunk.results.quantities import CELL_QUANTITIES
 from clunk.results.regimemap import Results
@@ -30,12 +30,12 @@ def strip(results: Results, quantity: str = "severity", more: str = "") -> Figur
     """
     layers = Layers.of_quantity(results, 1, quantity)
     layers.require_values()
-    samples, edges = layers.view.x.values, cell_edges(layers.view.x)
+    samples, (edges, codes) = layers.view.x.values, layers.bands
     figure = style.new_figure()
     band, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 4.6))
     style.set_titles(figure, band, layers.title, layers.subtitle(more))
-    for piece in np.split(np.arange(len(samples)), np.flatnonzero(np.diff(layers.codes)) + 1):
-        _draw_regime(band, ax, layers, edges, slice(piece[0], piece[-1] + 1))
+    for piece in np.split(np.arange(len(codes)), np.flatnonzero(np.diff(codes)) + 1):
+        _draw_regime(band, ax, layers, edges[[piece[0], piece[-1] + 1]], codes[piece[0]])
     scale_axis(ax, "x", layers.view.x)
     ax.set_xlim(*((samples[0], samples[-1]) if len(samples) > 1 else edges))
     ax.set_ylabel(CELL_QUANTITIES[quantity].plot_label)
@@ -44,21 +44,30 @@ def strip(results: Results, quantity: str = "severity", more: str = "") -> Figur
     band.set_yticks([])
     band.tick_params(bottom=False, labelbottom=False)
     mark_undecided(band, layers)
+    if layers.boundaries is not None:
+        _print_values(band, layers.boundaries.vertices[:, 0].tolist())
     label_and_note(figure, band, layers)
     return figure
 
 
-def _draw_regime(band: Axes, ax: Axes, layers: Layers, edges: Floats, cells: slice) -> None:
+def _print_values(band: Axes, values: list[float]) -> None:
+    """Write the values at which the label changes above the band, as far as there is room."""
+    top = band.secondary_xaxis("top")
+    top.set_xticks(values, spaced_numbers(band, values, ".7g"))
+    top.tick_params(direction="out", length=3.0, labelsize=8.0)
+    top.minorticks_off()
+
+
+def _draw_regime(band: Axes, ax: Axes, layers: Layers, ends: Floats, code: int) -> None:
     """Draw a regime's piece of the band and of the curve: the quantity jumps between regimes."""
-    samples, code = layers.view.x.values, layers.codes[cells.start]
-    left, right = max(edges[cells.start], samples[0]), min(edges[cells.stop], samples[-1])
-    if len(samples) == 1:
-        left, right = edges
+    samples = layers.view.x.values
+    cells = slice(np.searchsorted(samples, ends[0]), np.searchsorted(samples, ends[1], side="right"))
+    left, right = np.clip(ends, samples[0], samples[-1]) if len(samples) > 1 else ends
     fill: dict[str, Any] = {"facecolor": style.FAILED_FILL, "hatch": "////", "edgecolor": style.FAILED_HATCH}
     if code != FAILED_CODE:
         fill = {"facecolor": style.palette_of(layers.labels)[layers.labels[code]], "edgecolor": "none"}
     band.axvspan(left, right, linewidth=0.0, zorder=1, **fill)
-    if cells.start:
+    if left > samples[0]:
         band.axvline(left, color=style.INK, linewidth=0.9, zorder=2)
         ax.axvline(left, color=style.FAINT_INK, linewidth=0.6, linestyle=(0, (4, 3)), zorder=1)
     is_marked = len(samples) <= _FEW or cells.stop - cells.start == 1
