@@ -19,7 +19,7 @@ Bools = npt.NDArray[np.bool_]
 Points = npt.NDArray[np.void]  # POINT
 
 TOLERANCE = 1e-9  # of the span, the widest that a bracket ends by default
-_FEW = 256  # runs, which take no longer than the batch that they are in
+_FEW = 64  # runs, which take no longer than their batch
 _MOST_SPREAD = 8
 POINT = np.dtype([("cell", "i8"), ("value", "f8"), ("outcome", "i8"), ("measure", "f8"), ("touches", "i8")])
 
