@@ -188,7 +188,7 @@ def test_a_run_can_begin_in_the_gap(nominal):
     for q in (0.01, -0.01):
         state = np.array([q, q, q, 0, 0, 0, 0, 0])
         trajectory = simulate(nominal, initial_state=state)
-        events, _ = reference.run(plant, state=state, regime="open")
+        events, _ = reference.run(plant, state=state)
         assert trajectory.initial_side == np.sign(q)
         assert trajectory.kind_name(1) == "touch"
         assert trajectory.events["time"] == pytest.approx([event.time for event in events], abs=1e-6)

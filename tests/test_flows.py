@@ -435,7 +435,7 @@ def test_runs_have_the_events_severities_and_margins_of_the_reference(plant, see
     random, n, end = np.random.default_rng(seed), plant.n, 0.5
     state = np.concatenate([random.uniform(-0.1, 0.1, n), random.uniform(-3.0, 3.0, n)])
     state[:n] += plant.twist * (0.2 * plant.backlash - plant.twist @ state[:n]) / (plant.twist @ plant.twist)
-    events, _ = reference.run(plant, end, state, "open")
+    events, _ = reference.run(plant, end, state)
     run = simulate(study_from_text(reference.config_of(plant, method="exact", end_time=end)), initial_state=state)
     assert [(run.kind_name(k), side) for k, side in enumerate(run.events["side"])] == [
         (event.kind, event.side) for event in events

@@ -22,7 +22,7 @@ def exact(plant, state=None, end_time=2.0, method="exact", step=1e-4):
 
 
 def propagated(plant, state=None, end_time=2.0):
-    events, _ = reference.run(plant, end_time, state, None if state is None else "open")
+    events, _ = reference.run(plant, end_time, state)
     return events
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from helpers import reference
+from helpers.elements import OPEN, Mode
 
 MOST = 0.25
 ROUNDING = 2e-14  # rad, N m: of a sum of terms of up to 1 by matrices with an exponential's rounding
@@ -27,19 +28,6 @@ class Candidate(NamedTuple):
     time: float
 
 
-def _regime_after(plant, event):
-    """The name of the regime that an event opens."""
-    if event.kind == "load step":
-        return f"closed{event.side:+d}" if event.side else "open"
-    if event.kind == "touch" and plant.restitution is not None:
-        return "open"
-    if event.kind in ("touch", "rejoin", "lock"):
-        return f"closed{event.side:+d}"
-    if event.kind == "separation" and plant.separation == "force" and plant.restitution is None:
-        return f"parted{event.side:+d}"
-    return "open"
-
-
 def static_contact(plant):
     """The contact's guard in steady motion under the last torque of the load; 0 where no flank carries it."""
     resting = replace(plant, profile=reference.step(), before=plant.final, after=plant.final)
@@ -47,16 +35,16 @@ def static_contact(plant):
         side, state = resting.preload()
     except ValueError:
         return 0.0
-    flow = reference.Flow(resting, rolling=True)
-    return float(_holding(flow.regimes(0), side).row @ flow.augmented(flow.coordinates(state), 0, 0.0))
+    flow = reference.Flow(resting)
+    return float(_holding(flow, 0, Mode("closed", side)).row @ flow.augmented(flow.coordinates(state), 0, 0.0))
 
 
-def _holding(regimes, side):
-    """The guard whose zero ends a contact for good: by force, that of the overlap, which the parted regime watches."""
-    parted = regimes.get(f"parted{side:+d}")
-    if parted is not None:
-        return next(guard for guard in parted.guards if guard.kind == "opening")
-    return regimes[f"closed{side:+d}"].guards[0]
+def _holding(flow, k, closed):
+    """The guard whose zero ends a contact for good: by force, that of the overlap, which the parted mode watches."""
+    lash = flow.plant.lashes[0]
+    by_force = lash.separation == "force" and not lash.rigid
+    guards = flow.regime(k, (Mode("parted", closed.side) if by_force else closed,)).guards
+    return next(guard for guard in guards if guard.kind in ("opening", "separation"))
 
 
 def _spans(flow, begin, length):
@@ -69,22 +57,22 @@ def _spans(flow, begin, length):
         begin, length, k = flow.until(k), length - part, k + 1
 
 
-def _carried(flow, name, coordinates, begin, length):
+def _carried(flow, mode, coordinates, begin, length):
     """The coordinates after an interval in one regime."""
     for k, time, part in _spans(flow, begin, length):
-        across = expm(flow.regimes(k)[name].generator * part)
+        across = expm(flow.regime(k, (mode,)).generator * part)
         coordinates = (across @ flow.augmented(coordinates, k, time))[: coordinates.size]
     return coordinates
 
 
-def _turning_points(flow, name, guard_of, coordinates, begin, length):
+def _turning_points(flow, mode, guard_of, coordinates, begin, length):
     """(time after `begin`, value) of a guard's minima inside an interval in one regime, each exact to rounding.
 
     A minimum where the load has a kink or a jump is the lower limit there; only a rigid contact's torque has such.
     """
     falling, last = False, None
     for k, time, part in _spans(flow, begin, length):
-        regime, row = flow.regimes(k)[name], guard_of(flow.regimes(k)).row
+        regime, row = flow.regime(k, (mode,)), guard_of(k).row
         count = max(int(part / regime.cell), 1)
         cell = part / count
         across, states = expm(regime.generator * cell), flow.augmented(coordinates, k, time)[None]
@@ -106,24 +94,24 @@ def _turning_points(flow, name, guard_of, coordinates, begin, length):
 
 def candidates(plant, events, end, sticking):
     """All of a run's, whatever their size; `sticking` is the sticking time  [s]."""
-    flow = reference.Flow(plant, rolling=events[0].side != 0)
+    flow = reference.Flow(plant)
     gap, static = plant.backlash, static_contact(plant)
     by_force = plant.separation == "force" and plant.restitution is None
     began, last_side, every, stuck = -np.inf, events[0].side, [], False
     for event, following in zip(events, [*events[1:], None], strict=True):
         if event.kind in ("touch", "lock"):
             began, last_side = event.time, event.side
-        name = _regime_after(plant, event)
+        (mode,) = event.modes
         length = (following.time if following else end) - event.time
-        scale = gap if name == "open" else static
-        if not name.startswith("parted") and length > 0.0 and scale > 0.0:
-            for guard_of, side in _watched(name):
-                cell = min(flow.regimes(k)[name].cell for k, _, _ in _spans(flow, event.time, length))
-                for after, value in _turning_points(flow, name, guard_of, event.coordinates, event.time, length):
+        scale = gap if mode == OPEN else static
+        if mode.name != "parted" and length > 0.0 and scale > 0.0:
+            for guard_of, side in _watched(flow, mode):
+                cell = min(flow.regime(k, (mode,)).cell for k, _, _ in _spans(flow, event.time, length))
+                for after, value in _turning_points(flow, mode, guard_of, event.coordinates, event.time, length):
                     if after < 2.0 * cell and abs(value) <= max(1e-12 * scale, ROUNDING):
                         continue  # the zero that a release begins with
-                    if name == "open" or event.time + after > began + sticking:
-                        every.append(Candidate(value / scale, f"near miss, {name}, {side:+d}", event.time + after))
+                    if mode == OPEN or event.time + after > began + sticking:
+                        every.append(Candidate(value / scale, f"near miss, {mode.name}, {side:+d}", event.time + after))
         if following is None:
             break
         age = following.time - began
@@ -133,13 +121,13 @@ def candidates(plant, events, end, sticking):
         parting = following.kind == ("opening" if by_force else "separation") and stuck
         if (crossing or parting) and scale > 0.0:
 
-            def crossed(regimes, name=name, following=following):
-                guards = regimes[name].guards
+            def crossed(k, mode=mode, following=following):
+                guards = flow.regime(k, (mode,)).guards
                 return next(guard for guard in guards if (guard.kind, guard.side) == (following.kind, following.side))
 
             # where the guard turns negative: a restitution touch has already been reset in the event's state
-            at = _carried(flow, name, event.coordinates, event.time, length)
-            first = next(_turning_points(flow, name, crossed, at, following.time, BEYOND), None)
+            at = _carried(flow, mode, event.coordinates, event.time, length)
+            first = next(_turning_points(flow, mode, crossed, at, following.time, BEYOND), None)
             deepest = -np.inf if first is None else first[1]
             every.append(Candidate(deepest / scale, f"{following.kind}, {following.side:+d}", following.time))
         if following.kind == "separation" and sticking > 0.0 and np.isfinite(age):
@@ -147,12 +135,11 @@ def candidates(plant, events, end, sticking):
     return every
 
 
-def _watched(name):
-    """(the guard out of a piece's regimes, its side) of the guards whose near misses count in a regime."""
-    if name == "open":
-        return [(lambda regimes, k=k: regimes["open"].guards[k], side) for k, side in enumerate((1, -1))]
-    side = int(name[-2:])
-    return [(lambda regimes: _holding(regimes, side), side)]
+def _watched(flow, mode):
+    """(the guard in a piece of the load, its side) of the guards whose near misses count in a mode."""
+    if mode == OPEN:
+        return [(lambda k, j=j: flow.regime(k, (OPEN,)).guards[j], side) for j, side in enumerate((1, -1))]
+    return [(lambda k: _holding(flow, k, mode), mode.side)]
 
 
 def margin(plant, events, end, sticking):

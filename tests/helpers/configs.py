@@ -1,0 +1,84 @@
+"""Plants of the independent reference as configs, and the other way round."""
+
+import numpy as np
+
+from helpers.loads import PARAMETERS, Profile
+from helpers.plant import Plant
+
+
+def plant_of(study):
+    """The plant that a study's config spells out, in rad, N m and s."""
+    contact, radius = study.lash.contact, study.lash.radius
+    load, shafts = study.load, study.driveline.shafts
+    name = "step" if load.profile == "tip-out" else load.profile
+    before, after = load.initial_torque, load.final_torque
+    if load.ratio is not None:
+        before, after = load.static_torque * (1.0 + load.ratio), load.static_torque
+    parameters = {key: getattr(load, key) for key in PARAMETERS.get(name, ())}
+    if name == "table":
+        parameters["torques"] = tuple(load.scale * torque for torque in load.torques)
+    return Plant(
+        inertias=study.driveline.inertias,
+        shafts=tuple((*shaft.between, shaft.stiffness, shaft.damping) for shaft in shafts),
+        lash=study.lash.between,
+        contact_stiffness=radius**2 * contact.stiffness,
+        contact_damping=radius**2 * contact.damping,
+        backlash=np.pi / 180.0 * study.lash.backlash_deg,
+        before=before,
+        after=after,
+        loaded=load.on,
+        acceleration_of=study.impacts.acceleration_of,
+        separation=contact.separation,
+        restitution=contact.restitution if contact.model == "restitution" else None,
+        ratios=tuple(shaft.ratio for shaft in shafts),
+        lash_ratio=study.lash.ratio,
+        profile=Profile(name, **parameters),
+    )
+
+
+def config_of(plant, step=1e-4, end_time=2.0, method="rk4"):
+    """The config, as TOML, that spells out a plant; the contact at a radius of 0.1 m."""
+    ratios = plant.ratios or (1.0,) * len(plant.shafts)
+    shafts = "".join(
+        f"[[driveline.shafts]]\nbetween = {_ends(one, other)}\nstiffness = {k!r}\ndamping = {c!r}\n{_ratio(ratio)}"
+        for (one, other, k, c), ratio in zip(plant.shafts, ratios, strict=True)
+    )
+    model = "" if plant.restitution is None else f'model = "restitution"\nrestitution = {plant.restitution!r}\n'
+    torques = f"initial_torque = {plant.before!r}\nfinal_torque = {plant.after!r}\n"
+    if plant.profile.phase:
+        raise ValueError("a config's sine begins at the torque after the load step")
+    values = ((key, getattr(plant.profile, key)) for key in PARAMETERS.get(plant.profile.name, ()))
+    parameters = "".join(
+        f"{key} = {list(value) if isinstance(value, tuple) else repr(value)}\n" for key, value in values
+    )
+    return f"""
+[driveline]
+inertias = {list(plant.inertias)}
+{shafts or "shafts = []"}
+[lash]
+between = {_ends(*plant.lash)}
+backlash_deg = {float(np.rad2deg(plant.backlash))!r}
+{_ratio(plant.lash_ratio)}radius = 0.1
+[lash.contact]
+stiffness = {plant.contact_stiffness / 0.01!r}
+damping = {plant.contact_damping / 0.01!r}
+separation = "{plant.separation}"
+{model}[load]
+on = {plant.loaded}
+profile = "{plant.profile.name}"
+{parameters}{"" if plant.profile.name == "table" else torques}[solver]
+method = "{method}"
+step = {step!r}
+end_time = {end_time!r}
+max_events = 4096
+[impacts]
+acceleration_of = {plant.acceleration_of}
+"""
+
+
+def _ratio(ratio):
+    return "" if ratio == 1.0 else f"ratio = {ratio!r}\n"
+
+
+def _ends(one, other):
+    return "[" + ", ".join(f'"{end}"' if end == "ground" else str(end) for end in (one, other)) + "]"
