@@ -479,7 +479,7 @@ END_TIME = 0.2  # s
 
 def rates_of_change(plant, state, side):
     """The accelerations that the torque before the load step gives a state, from general's equations of motion."""
-    lash = general.Lash(replace(plant, profile=step(), after=plant.before))
+    lash = general.OneLash(replace(plant, profile=step(), after=plant.before))
     return lash.slope(0.0, state, ("closed", side))[plant.n :]
 
 
@@ -495,7 +495,7 @@ def test_the_motion_before_the_load_step_is_steady(drawn):
     for row, k, _ in [*plant.joints(), (plant.twist, 1.0, 0.0)]:
         if k > 0.0:
             assert row @ speeds == pytest.approx(0.0, abs=1e-12 * max(np.abs(speeds).max(), 1.0))
-    lash = general.Lash(replace(plant, profile=step(), after=plant.before))
+    lash = general.OneLash(replace(plant, profile=step(), after=plant.before))
     assert lash.contact(0.0, state, side) > 0.0
     scale = plant.contact_stiffness * max(np.abs(theta).max(), 1.0) / min(plant.inertias)
     _, accelerations = plant.steady_speeds(plant.before)

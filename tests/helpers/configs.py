@@ -3,7 +3,7 @@
 import numpy as np
 
 from helpers.loads import PARAMETERS, Profile
-from helpers.plant import Plant
+from helpers.plant import Plant, Shaft
 
 
 def plant_of(study):
@@ -37,13 +37,10 @@ def plant_of(study):
 
 
 def config_of(plant, step=1e-4, end_time=2.0, method="rk4"):
-    """The config, as TOML, that spells out a plant; the contact at a radius of 0.1 m."""
+    """The config, as TOML, that spells out a plant; contacts at a radius of 0.1 m."""
     ratios = plant.ratios or (1.0,) * len(plant.shafts)
-    shafts = "".join(
-        f"[[driveline.shafts]]\nbetween = {_ends(one, other)}\nstiffness = {k!r}\ndamping = {c!r}\n{_ratio(ratio)}"
-        for (one, other, k, c), ratio in zip(plant.shafts, ratios, strict=True)
-    )
-    model = "" if plant.restitution is None else f'model = "restitution"\nrestitution = {plant.restitution!r}\n'
+    shafts = "".join(_shaft(Shaft(*ends), ratio) for ends, ratio in zip(plant.shafts, ratios, strict=True))
+    lashes = "".join(_lash(lash, "[lash]" if len(plant.lashes) == 1 else "[[lash]]") for lash in plant.lashes)
     torques = f"initial_torque = {plant.before!r}\nfinal_torque = {plant.after!r}\n"
     if plant.profile.phase:
         raise ValueError("a config's sine begins at the torque after the load step")
@@ -55,15 +52,7 @@ def config_of(plant, step=1e-4, end_time=2.0, method="rk4"):
 [driveline]
 inertias = {list(plant.inertias)}
 {shafts or "shafts = []"}
-[lash]
-between = {_ends(*plant.lash)}
-backlash_deg = {float(np.rad2deg(plant.backlash))!r}
-{_ratio(plant.lash_ratio)}radius = 0.1
-[lash.contact]
-stiffness = {plant.contact_stiffness / 0.01!r}
-damping = {plant.contact_damping / 0.01!r}
-separation = "{plant.separation}"
-{model}[load]
+{lashes}[load]
 on = {plant.loaded}
 profile = "{plant.profile.name}"
 {parameters}{"" if plant.profile.name == "table" else torques}[solver]
@@ -74,6 +63,29 @@ max_events = 4096
 [impacts]
 acceleration_of = {plant.acceleration_of}
 """
+
+
+def _shaft(shaft, ratio):
+    staged = f"breakpoints_deg = {np.rad2deg(shaft.breakpoints).tolist()}\n" if shaft.breakpoints else ""
+    rubbing = f"friction = {shaft.friction!r}\n" if shaft.friction else ""
+    return f"""[[driveline.shafts]]
+between = {_ends(shaft.one, shaft.other)}
+stiffness = {list(shaft.stiffness) if shaft.breakpoints else repr(shaft.stiffness)}
+damping = {shaft.damping!r}
+{staged}{rubbing}{_ratio(ratio)}"""
+
+
+def _lash(lash, heading):
+    model = f'model = "restitution"\nrestitution = {lash.restitution!r}\n' if lash.rigid else ""
+    return f"""{heading}
+between = {_ends(*lash.between)}
+backlash_deg = {float(np.rad2deg(lash.backlash))!r}
+{_ratio(lash.ratio)}radius = 0.1
+[lash.contact]
+stiffness = {lash.stiffness / 0.01!r}
+damping = {lash.damping / 0.01!r}
+separation = "{lash.separation}"
+{model}"""
 
 
 def _ratio(ratio):

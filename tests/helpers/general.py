@@ -7,7 +7,7 @@ The load is T(t) as its table of profiles says it; the integration starts anew w
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from helpers.reference import LOCKING
+from helpers.reference import LOCKING, Friction, Lash, Stages
 
 UNWATCHED = 2e-4  # s: a release of held flanks grows with the third power of time, below rounding at first
 TURNED = 1e-9  # of the torques that add up to a rigid contact's: what is less negative may be rounding
@@ -46,7 +46,7 @@ def kinks(plant):
     return sorted({t for t in times.get(load.name, []) if t > 0.0})
 
 
-class Lash:
+class OneLash:
     """A plant's equations of motion, and what ends each of its regimes."""
 
     def __init__(self, plant):
@@ -120,7 +120,7 @@ class Lash:
 
 def run(plant, end_time, state=None, most=40):
     """[(kind, side, time, q' before)] of the events after the load step, at most so many."""
-    lash, n = Lash(plant), plant.n
+    lash, n = OneLash(plant), plant.n
     if state is None:
         side, x = plant.preload()
         regime = ("closed", side)
@@ -187,3 +187,59 @@ def run(plant, end_time, state=None, most=40):
         else:
             regime = ("parted", side)
     return events[:most]
+
+
+def torques(plant, t, x):
+    """The torques on the inertias as a function of the state: what gaps, stages and dampers make of it, no friction."""
+    n = plant.n
+    total = torque(plant, t) * plant.load
+    for row, stiffness, c in plant.joints():
+        total = total - row * c * (row @ x[n:])
+        if not np.ndim(stiffness):
+            total = total - row * stiffness * (row @ x[:n])
+    for _, row, element in plant.elements:
+        q, rate = row @ x[:n], row @ x[n:]
+        if isinstance(element, Stages):
+            total = total - row * element.torque(q)
+        elif isinstance(element, Lash):
+            side = np.sign(q)
+            overlap = side * q - element.backlash / 2
+            if overlap > 0.0:
+                pressing = element.stiffness * overlap + element.damping * side * rate
+                total = total - row * side * (max(pressing, 0.0) if element.separation == "force" else pressing)
+    return total
+
+
+def integrated(plant, end_time, state, step):
+    """The state at the end time by DOP853, which knows of no events: kinks and jumps cost it small steps."""
+    inverse, time, x = 1.0 / np.array(plant.inertias), 0.0, np.array(state, float)
+    for until in [*(t for t in kinks(plant) if t < end_time), end_time]:
+        last = np.nextafter(until, -np.inf)
+
+        def slope(t, x, last=last):
+            return np.concatenate([x[plant.n :], inverse * torques(plant, min(t, last), x)])
+
+        x = solve_ivp(slope, (time, until), x, method="DOP853", rtol=1e-11, atol=1e-13, max_step=step).y[:, -1]
+        time = until
+    return x
+
+
+def stepped(plant, end_time, state, step):
+    """The state at the end time by Moreau's time stepping, of first order; friction by projected Gauss-Seidel."""
+    n, inverse = plant.n, 1.0 / np.array(plant.inertias)
+    rubbing = [(row, element.torque) for _, row, element in plant.elements if isinstance(element, Friction)]
+    x, count = np.array(state, float), round(end_time / step)
+    impulses = np.zeros(len(rubbing))
+    for k in range(count):
+        x[:n] += 0.5 * step * x[n:]
+        free = x[n:] + step * inverse * torques(plant, (k + 0.5) * step, x)
+        for _ in range(100):
+            before = impulses.copy()
+            for j, (row, most) in enumerate(rubbing):
+                rate = row @ (free + inverse * sum(p * r for p, (r, _) in zip(impulses, rubbing, strict=True)))
+                impulses[j] = np.clip(impulses[j] - rate / (row * inverse @ row), -step * most, step * most)
+            if np.all(np.abs(impulses - before) <= 1e-13 * step):
+                break
+        x[n:] = free + inverse * sum((p * r for p, (r, _) in zip(impulses, rubbing, strict=True)), np.zeros(n))
+        x[:n] += 0.5 * step * x[n:]
+    return x

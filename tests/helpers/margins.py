@@ -86,7 +86,7 @@ def _turning_points(flow, mode, guard_of, coordinates, begin, length):
             if (falling or down) and (slopes[0] >= 0.0 or up):
                 yield time - begin, min(last, values[0])
         for j in np.flatnonzero((slopes[:-1] < 0.0) & (slopes[1:] >= 0.0)):
-            _, least = reference._extremes(regime.series(states[j], cell) @ row, 1.0)
+            _, least = reference._extremes((regime.series(states[j], cell) @ row).tolist(), 1.0)
             share = slopes[j] / (slopes[j] - slopes[j + 1])
             yield time - begin + (j + share) * cell, least
         coordinates, falling, last = states[-1][: coordinates.size], slopes[-1] < 0.0, values[-1]

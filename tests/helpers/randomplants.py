@@ -1,4 +1,4 @@
-"""Random drivelines with one lash, for property tests: chains, trees and loops of 1 to 8 inertias.
+"""Random drivelines for property tests: chains, trees and loops of 1 to 8 inertias.
 
 Inertias of 0.0025 to 0.04 kg m² and shafts of 8 to 120 N m/rad turn at some 15 to 200 rad/s; contacts are 10 to 100
 times as stiff as a shaft. Half a second is then several swings of the softest mode and a hundred of the contact's.
@@ -11,7 +11,7 @@ from hypothesis import assume, reject
 from hypothesis import strategies as st
 
 from helpers import reference
-from helpers.reference import Plant
+from helpers.reference import Lash, Plant, Shaft
 
 END_TIME = 0.5  # s
 
@@ -155,3 +155,89 @@ def nudged(plant, state, share):
         return replace(plant, before=plant.before * (1.0 + share), backlash=backlash, profile=profile), None
     signs = np.where(np.arange(state.size) % 2, 1.0, -1.0)
     return plant, state * (1.0 + share * signs)
+
+
+def element_plant(seed, lashes=0, staged=0, frictions=0, restitution=None):
+    """A driveline of 2 to 6 inertias with so many lashes, staged shafts and frictions; the same for the same seed.
+
+    It has a steady motion before its load step, from which a run starts.
+    """
+    rng = np.random.default_rng(seed)
+    for _ in range(10000):
+        plant = _driveline(rng, lashes, staged, frictions, restitution)
+        if plant is not None:
+            try:
+                plant.steady_motion(plant.before)
+            except ValueError:  # the load does not reach a lash
+                continue
+            return plant
+    raise ValueError("no driveline of this kind is steady")
+
+
+def _driveline(rng, lashes, staged, frictions, restitution):
+    """A plant, whether it has a steady motion or not, or None if it has too few joints."""
+
+    def octaves(size):
+        return round(size * 2.0 ** rng.uniform(-2.0, 2.0), 6)
+
+    n, before = int(rng.integers(max(2, lashes), 7)), float(rng.choice([-8.0, -4.0, 4.0, 8.0]))
+    chain = rng.random() < 0.5
+    pairs = [(int(k - 1 if chain else rng.integers(1, k)), k) for k in range(2, n + 1)]
+    if rng.random() < 0.6:
+        pairs.append((int(rng.integers(1, n + 1)), "ground"))
+    pairs = [pairs[k] for k in rng.permutation(len(pairs))]
+    pairs, loose = pairs[lashes:], pairs[:lashes]
+    if n > 2 and rng.random() < 0.2:  # a loop
+        pairs.append((1, n))
+    if len(loose) < lashes or len(pairs) < staged:
+        return None
+    damping = rng.choice([0.0, 0.05, 0.5])
+    shafts = [Shaft(*ends, octaves(30.0), round(float(damping) * octaves(0.5), 6)) for ends in pairs]
+    for k in range(staged):
+        breakpoints = np.sort(rng.uniform(-0.1, 0.1, rng.integers(1, 4))).round(4)
+        stiffnesses = tuple(octaves(30.0) for _ in range(len(breakpoints) + 1))
+        shafts[k] = shafts[k]._replace(stiffness=stiffnesses, breakpoints=tuple(breakpoints.tolist()))
+    shafts += [Shaft(k, "ground", 0.0, octaves(0.02)) for k in range(1, n + 1) if rng.random() < 0.3]
+    shafts += [Shaft(int(rng.integers(1, n + 1)), "ground", 0.0, 0.0) for _ in range(frictions)]
+    for k in rng.permutation(len(shafts))[:frictions]:
+        shafts[k] = shafts[k]._replace(friction=round(abs(before) * rng.uniform(0.02, 0.6), 4))
+    shafts = [shaft for shaft in shafts if shaft.stiffness or shaft.damping or shaft.friction]
+    ratios = rng.choice([1.0, 1.0, 1.0, -1.0, 2.5, 0.4], (2, 12)).tolist()
+    return Plant(
+        inertias=tuple(octaves(0.01) for _ in range(n)),
+        shafts=tuple(shafts),
+        ratios=tuple(ratios[0][: len(shafts)]),
+        lash=(),
+        other_lashes=tuple(
+            Lash(
+                ends,
+                float(rng.choice([0.001, 0.01, 0.05, 0.1])),
+                stiffness := round(30.0 * rng.uniform(10.0, 100.0), 3),
+                round(float(rng.choice([0.0, 0.04, 0.4])) * float(np.sqrt(stiffness * 0.005)), 6),
+                str(rng.choice(["gap", "force"])),
+                ratio,
+                restitution,
+            )
+            for ends, ratio in zip(loose, ratios[1], strict=False)
+        ),
+        before=before,
+        after=float(rng.choice([-1.0, 1.0, 0.2])),
+        loaded=int(rng.integers(1, n + 1)),
+        acceleration_of=1,
+        profile=_profile(rng, before),
+    )
+
+
+def _profile(rng, before):
+    length = round(10.0 ** rng.uniform(-2.5, -0.7), 5)
+    match rng.integers(0, 5):
+        case 0:
+            return reference.step()
+        case 1:
+            return reference.ramp(length)
+        case 2:
+            return reference.pulse(length)
+        case 3:
+            return reference.sine(round(rng.uniform(1.0, 6.0), 3), round(rng.uniform(1.0, 30.0), 3))
+    torques = [before, *rng.uniform(-8.0, 8.0, 4).round(3).tolist()]
+    return reference.table((0.0, length, length, 2.0 * length, 4.0 * length), torques)

@@ -3,8 +3,8 @@
 Between events and kinks of the load the motion is linear, and the load is B w with w' = S w. So z = (θ, θ', 1, w)
 moves by a matrix exponential, z(t) = exp(M t) z(0). Every phase is sampled densely (125 samples a period of the fastest
 mode). A cell of that grid in which a guard is negative at the end, or has a minimum inside, is expanded into a Taylor
-series of order 10 (truncated below 1e-20), whose real zeros cut it into pieces of one sign; Brent's method polishes the
-first zero. Nothing is skipped, nothing stops before the end time.
+series of order 10 (truncated below 1e-20), whose zeros, by Brent's method between those of its derivative, cut it into
+pieces of one sign. Nothing is skipped, nothing stops before the end time.
 
 Friction that sticks and flanks that are rigid and closed are constraints. The torques that can hold them together are
 the products of each one's bounds, so one guard watches each direction in which as few as can would move; it is
@@ -22,7 +22,6 @@ from itertools import combinations, groupby, pairwise, product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial import Polynomial
 from scipy.linalg import expm, null_space
 from scipy.optimize import brentq
 
@@ -42,6 +41,7 @@ CELL = 0.05  # of a cell: its length times the fastest mode's |λ|
 LONGEST = 1e-3  # s, a cell where nothing swings
 LOCKING = 1e-4
 ROUNDING = 1e-13  # of the terms that add up to a guard or one of its derivatives
+LEAST = 1e-17  # of what a guard changes by in a cell: less is rounding, and all that is left of a rate that was zero
 SETTLING = 1e3  # times as much for elements that have just settled
 INSTANT = 1e-12  # s: events closer than this are at the same time
 
@@ -86,7 +86,7 @@ class Regime:
         terms = [np.abs(self.guard_rows)]
         for k in range(1, ORDER + 1):
             terms.append(terms[-1] @ np.abs(generator) * (self.cell / k))
-        self.rounding = ROUNDING * np.array(terms)  # (ORDER + 1, guards, N)
+        self.sizes = np.array(terms)  # (ORDER + 1, guards, N)
 
     @cached_property
     def powers(self):
@@ -120,38 +120,48 @@ class Regime:
         terms = self.series(z, length) @ self.guard_rows.T
         scale = (length / self.cell) ** np.arange(ORDER + 1)
         looseness = [SETTLING if guard.element in settled else 1.0 for guard in self.guards]
-        sure = np.abs(terms) > (self.rounding @ np.abs(z)) * np.outer(scale, looseness)
+        sizes = self.sizes @ np.abs(z)
+        rounding = ROUNDING * sizes + LEAST * sizes.max(axis=0)
+        sure = np.abs(terms) > rounding * np.outer(scale, looseness)
         first = np.where(sure.any(axis=0), np.argmax(sure, axis=0), ORDER + 1)
         return [terms[k:, j] for j, k in enumerate(first)]
 
 
-def _real_cuts(coefficients):
-    scale = np.max(np.abs(coefficients))
-    polynomial = Polynomial(coefficients / scale if scale > 0.0 else coefficients).trim(1e-17)
-    if polynomial.degree() < 1:
+def _value(coefficients, u):
+    value = 0.0
+    for coefficient in reversed(coefficients):
+        value = value * u + coefficient
+    return value
+
+
+def _cuts(coefficients):
+    """0, the polynomial's zeros between and 1: it has one between turning points, which are cuts of its derivative.
+
+    Eigenvalues of a companion matrix would lose a zero where the highest terms are rounding.
+    """
+    if len(coefficients) < 2:
         return [0.0, 1.0]
-    inside = sorted(float(root.real) for root in polynomial.roots() if 0.0 < root.real < 1.0)
-    return [0.0, *inside, 1.0]
+    turns = _cuts([k * coefficient for k, coefficient in enumerate(coefficients)][1:])
+    values = [_value(coefficients, u) for u in turns]
+    zeros = [u for u, value in zip(turns, values, strict=True) if value == 0.0 and 0.0 < u < 1.0]
+    for (low, high), (one, other) in zip(pairwise(turns), pairwise(values), strict=True):
+        if one * other < 0.0:
+            zeros.append(brentq(lambda u: _value(coefficients, u), low, high, xtol=1e-15, rtol=1e-15))
+    return [0.0, *sorted(zeros), 1.0]
 
 
 def _first_negative(coefficients):
     """The first u of [0, 1] from which on the polynomial is negative, or None."""
-    polynomial = Polynomial(coefficients)
-    cuts = _real_cuts(coefficients)
-    positive = None
-    for low, high in pairwise(cuts):
-        middle = 0.5 * (low + high)
-        if polynomial(middle) < 0.0:
-            return 0.0 if positive is None else brentq(polynomial, positive, middle, xtol=1e-15, rtol=1e-15)
-        positive = middle
+    for low, high in pairwise(_cuts(coefficients)):
+        if _value(coefficients, 0.5 * (low + high)) < 0.0:
+            return low
     return None
 
 
 def _extremes(coefficients, length):
     """Largest and smallest value of the polynomial on [0, length]."""
-    polynomial = Polynomial(coefficients)
-    points = [0.0, length, *(u for u in _real_cuts(polynomial.deriv().coef) if u < length)]
-    values = [float(polynomial(u)) for u in points]
+    slopes = [k * coefficient for k, coefficient in enumerate(coefficients)][1:]
+    values = [_value(coefficients, u) for u in (length, *(u for u in _cuts(slopes) if u < length))]
     return max(values), min(values)
 
 
@@ -469,10 +479,10 @@ def _phase(regime, z, remaining, settled):
         earliest, hit = 1.0, None
         columns = regime.leading(z, length, settled) if first else (series @ regime.guard_rows.T).T
         for guard, coefficients in zip(regime.guards, columns, strict=True):
-            u = _first_negative(coefficients) if len(coefficients) else None
+            u = _first_negative(coefficients.tolist())
             if u is not None and (hit is None or u < earliest):
                 earliest, hit = u, guard
-        high, low = _extremes(series @ regime.acceleration, earliest)
+        high, low = _extremes((series @ regime.acceleration).tolist(), earliest)
         return earliest, hit, earliest ** np.arange(ORDER + 1) @ series, high, low
 
     while True:
