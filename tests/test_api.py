@@ -305,7 +305,7 @@ def test_a_run_s_table_has_its_events_but_not_endlessly(nominal):
 
 
 def test_what_is_drawn_is_a_picture(results, nominal):
-    for figure in (clunk.draw(results), clunk.draw(results, "severity"), clunk.draw(clunk.simulate(nominal))):
+    for figure in (clunk.draw(results, "severity"), clunk.draw(clunk.simulate(nominal))):
         assert figure._repr_png_().startswith(b"\x89PNG")
     with pytest.raises(clunk.PlotError, match="no quantity 'speed'"):
         clunk.draw(results, "speed")

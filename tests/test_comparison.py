@@ -669,7 +669,5 @@ def test_figures_need_two_axes() -> None:
 
 
 def test_figures_can_be_written(tmp_path: Path) -> None:
-    figure = experiment_map(*table_on_the_map())
-    for suffix in ("png", "svg", "pdf"):
-        save(figure, tmp_path / f"map.{suffix}")
-        assert (tmp_path / f"map.{suffix}").stat().st_size > 5000
+    save(experiment_map(*table_on_the_map()), tmp_path / "map.pdf")
+    assert (tmp_path / "map.pdf").stat().st_size > 5000

@@ -220,10 +220,9 @@ class TestTheSameBits:
 
 
 class TestWhatIsRefused:
-    def test_no_scheduler(self, tmp_path):
-        process = clunk(tmp_path, "--scheduler", "tcp://127.0.0.1:9")
-        out, err = process.communicate(timeout=30)  # 4 s, and what an import takes
-        assert process.returncode == 2
+    def test_no_scheduler(self, tmp_path, monkeypatch, capsys):
+        code, out, err = main_in(tmp_path, monkeypatch, capsys, "--scheduler", "tcp://127.0.0.1:9")
+        assert code == 2
         assert "No scheduler answers at tcp://127.0.0.1:9" in words(err)
         assert "Traceback" not in err
         assert out == ""

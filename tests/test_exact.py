@@ -46,16 +46,19 @@ POINTS = [
 
 @cache
 def from_preload(plant):
-    """The reference's events within 2 s; several tests compare the same runs."""
-    return propagated(plant)
+    """The reference's events in four times what the exact method runs; several tests compare the same runs."""
+    return propagated(plant, end_time=4.0 * exact(plant).end)
 
 
 @pytest.mark.parametrize("contact", CONTACTS)
 @pytest.mark.parametrize(("ratio", "backlash"), POINTS)
 class TestTheReportsDriveline:
     def test_every_event_and_every_severity(self, ratio, backlash, contact):
+        """And there is nothing to come when the run is complete, as the reference has it of three times as long."""
         plant = reference.boere(ratio, backlash, **CONTACTS[contact])
         events, run = from_preload(plant), exact(plant)
+        assert run.complete
+        assert run.end < 2.0
         assert kinds_of(run) == [(event.kind, event.side) for event in events]
         # 1e-12 s; the last touches of the slowest runs, at 0.3 rad/s after 20 others, have been magnified a little
         assert run.events["time"] == pytest.approx([event.time for event in events], abs=4e-12)
@@ -70,14 +73,6 @@ class TestTheReportsDriveline:
             assert run.severity == pytest.approx(np.sqrt(np.sum(severities**2)), rel=1e-9)
         approach = np.sqrt(sum(events[k].speed ** 2 for k in primaries))
         assert run.approach_velocity == pytest.approx(approach, rel=1e-10)
-
-    def test_complete_runs_have_nothing_to_come(self, ratio, backlash, contact):
-        """Three times as long, and as long again, the reference finds no further event."""
-        plant = reference.boere(ratio, backlash, **CONTACTS[contact])
-        run = exact(plant)
-        assert run.complete
-        assert run.end < 2.0
-        assert len(propagated(plant, end_time=4.0 * run.end)) == len(run.events)
 
     def test_a_run_that_is_cut_off_is_not_complete(self, ratio, backlash, contact):
         plant = reference.boere(ratio, backlash, **CONTACTS[contact])
@@ -188,7 +183,7 @@ RESTITUTION = st.sampled_from([0.0, 0.3, 0.5, 0.7])
 
 
 class TestRandomDrivelines:
-    @settings(max_examples=25, **SEARCH)
+    @settings(max_examples=15, **SEARCH)
     @given(plants())
     def test_indentation(self, drawn):
         check(*drawn)
@@ -198,7 +193,7 @@ class TestRandomDrivelines:
     def test_restitution(self, drawn):
         check(*drawn)
 
-    @settings(max_examples=15, **SEARCH)
+    @settings(max_examples=10, **SEARCH)
     @given((st.none() | RESTITUTION).flatmap(rolling_plants))
     def test_without_anything_that_holds_them(self, drawn):
         check(*drawn)

@@ -538,10 +538,9 @@ def test_small_gap_without_a_crossing_says_so():
     assert "never crosses zero" in ax.get_title(loc="left")
 
 
-@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
-def test_pictures_are_written(tmp_path, suffix):
-    save(histories.angles([recording("IFM")]), tmp_path / f"angles.{suffix}")
-    assert (tmp_path / f"angles.{suffix}").stat().st_size > 5000
+def test_pictures_are_written(tmp_path):
+    save(histories.angles([recording("IFM")]), tmp_path / "angles.svg")
+    assert (tmp_path / "angles.svg").stat().st_size > 5000
 
 
 def test_text_is_large_enough_to_read():

@@ -332,15 +332,15 @@ def test_of_thresholds_too_close_to_be_read_every_one_is_marked_and_the_first_na
     "title", ["Regimes of a nominal driveline " * 5, "W" * 150, "Short", "Nine words of which none may leave the page"]
 )
 def test_a_title_is_wrapped_to_the_figure(nine: Results, title: str) -> None:
-    for figure in (plot.regime_map(replace(nine, title=title)), plot.severity_map(replace(nine, title=title))):
-        (drawn,) = [text for text in figure.texts if text.get_text() == figure.get_suptitle()]
-        assert "".join(figure.get_suptitle().split()) == "".join(title.split())
-        box = drawn.get_window_extent(figure.canvas.get_renderer())
-        assert box.x1 <= figure.bbox.width
-        assert box.x0 == pytest.approx(figure.axes[0].get_window_extent().x0, abs=2.0)
-        assert box.y0 > figure.axes[0].get_window_extent().y1
-        lines = figure.get_suptitle().count("\n") + 1
-        assert lines <= 1 + 1.2 * len(title) * drawn.get_fontsize() / 72 / 6.0  # no line is left half empty
+    figure = plot.severity_map(replace(nine, title=title))
+    (drawn,) = [text for text in figure.texts if text.get_text() == figure.get_suptitle()]
+    assert "".join(figure.get_suptitle().split()) == "".join(title.split())
+    box = drawn.get_window_extent(figure.canvas.get_renderer())
+    assert box.x1 <= figure.bbox.width
+    assert box.x0 == pytest.approx(figure.axes[0].get_window_extent().x0, abs=2.0)
+    assert box.y0 > figure.axes[0].get_window_extent().y1
+    lines = figure.get_suptitle().count("\n") + 1
+    assert lines <= 1 + 1.2 * len(title) * drawn.get_fontsize() / 72 / 6.0  # no line is left half empty
 
 
 def test_failed_cells_are_hatched_counted_and_never_labelled(nine: Results) -> None:
@@ -518,9 +518,9 @@ def test_what_was_not_run_is_told_from_what_is_not_defined(nine: Results, quanti
     assert "light lines" in plot.quantity_map(nine, quantity).axes[0].get_title(loc="left")
 
 
-@pytest.mark.parametrize("quantity", plot.QUANTITIES)
-def test_every_quantity_can_be_drawn(nine: Results, quantity: str, tmp_path: Path) -> None:
-    plot.save(plot.draw(nine, quantity, THRESHOLDS), tmp_path / "map.png")
+@pytest.mark.parametrize("quantity", sorted({*plot.QUANTITIES} - {"regimes", "severity"}))
+def test_every_other_quantity_can_be_drawn_too(nine: Results, quantity: str) -> None:
+    assert plot.draw(nine, quantity, THRESHOLDS).axes
 
 
 def test_an_unknown_quantity_is_answered_with_the_known() -> None:
@@ -633,16 +633,15 @@ def test_a_strip_under_the_restitution_model_shows_the_approach_velocity() -> No
 # --- files
 
 
-@pytest.mark.parametrize(("suffix", "start"), [(".png", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")])
-def test_figures_are_saved_by_suffix_and_always_the_same(
-    nine: Results, nine_map: Figure, tmp_path: Path, suffix: str, start: bytes
-) -> None:
-    plot.save(nine_map, tmp_path / f"one{suffix}")
-    plot.save(plot.regime_map(nine, THRESHOLDS), tmp_path / f"two{suffix}")
-    one, two = ((tmp_path / f"{name}{suffix}").read_bytes() for name in ("one", "two"))
-    assert one.startswith(start)
-    assert one == two
-    assert len(list(tmp_path.iterdir())) == 2
+def test_figures_are_saved_by_suffix_and_always_the_same(nine: Results, nine_map: Figure, tmp_path: Path) -> None:
+    again = plot.regime_map(nine, THRESHOLDS)
+    for suffix, start in ((".png", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")):
+        one, two = tmp_path / f"one{suffix}", tmp_path / f"two{suffix}"
+        plot.save(nine_map, one)
+        plot.save(again, two)
+        assert one.read_bytes().startswith(start)
+        assert one.read_bytes() == two.read_bytes()
+    assert len(list(tmp_path.iterdir())) == 6
 
 
 def test_pictures_of_a_full_map_are_small(tmp_path: Path) -> None:

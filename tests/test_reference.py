@@ -284,9 +284,17 @@ def reflected(plant, ratio, behind):
 
 
 @pytest.mark.parametrize("contact", [{"separation": "gap"}, {"separation": "force"}, {"restitution": 0.5}], ids=str)
-@pytest.mark.parametrize("rolls", [False, True], ids=["held", "rolling"])
-@pytest.mark.parametrize("ratio", [RATIO, -RATIO])
-@pytest.mark.parametrize(("place", "loaded"), [("lash", 1), ("shaft", 1), ("lash", 5)])
+@pytest.mark.parametrize(
+    ("place", "loaded", "ratio", "rolls"),
+    [
+        ("lash", 1, RATIO, False),
+        ("lash", 1, -RATIO, True),
+        ("lash", 5, RATIO, True),
+        ("lash", 5, -RATIO, False),
+        ("shaft", 1, RATIO, True),
+        ("shaft", 1, -RATIO, False),
+    ],
+)
 def test_a_gear_is_that_driveline_reflected_by_hand(place, loaded, ratio, rolls, contact):
     behind = (4, 5) if place == "lash" else (3, 4, 5)
     plant = replace(GEARED, loaded=loaded, **contact)
@@ -483,7 +491,7 @@ def rates_of_change(plant, state, side):
     return lash.slope(0.0, state, ("closed", side))[plant.n :]
 
 
-@settings(max_examples=100, **SEARCH)
+@settings(max_examples=50, **SEARCH)
 @given(CONTACTS.flatmap(general_plants))
 def test_the_motion_before_the_load_step_is_steady(drawn):
     """No joint with stiffness turns, no acceleration but the rigid body's, and the flanks are pressed together."""
@@ -525,12 +533,12 @@ def agrees_with_dop853(plant, state):
 
 
 class TestRandomDrivelines:
-    @settings(max_examples=9, **SEARCH)
+    @settings(max_examples=6, **SEARCH)
     @given(general_plants())
     def test_indentation_by_a_general_integrator(self, drawn):
         agrees_with_dop853(*drawn)
 
-    @settings(max_examples=9, **SEARCH)
+    @settings(max_examples=6, **SEARCH)
     @given(st.sampled_from([0.0, 0.3, 0.5, 0.7]).flatmap(general_plants))
     def test_restitution_by_a_general_integrator(self, drawn):
         agrees_with_dop853(*drawn)

@@ -285,10 +285,10 @@ class TestTiles:
             assert equal(found, clunk_api.tolerance_map(toleranced, workers=3))
 
     def test_memory_does_not_grow_with_the_sample(self, monkeypatch):
-        """8 and 128 draws of 49 cells; the sample itself and the kept system are all that is there for longer."""
+        """8 and 64 draws of 49 cells; the sample itself and the kept system are all that is there for longer."""
         monkeypatch.setattr(tolerances, "_TILE_RUNS", 256)
         peaks = []
-        for count in (8, 128):
+        for count in (8, 64):
             backlash = study(tolerance("lash.backlash_deg"), axes=AXES.replace("21", "7"), count=count)
             clunk_api.tolerance_map(backlash, workers=1)  # what is made once
             tracemalloc.start()

@@ -442,8 +442,6 @@ def run(plant, end_time=2.0, state=None, flank=OPEN, max_events=5000):
             ((time, kind, side, speed, flow.state(z[:motion]), z[:motion]), flow.elements[k].name)
             for kind, side, k, speed in happened
         ]
-        if not headers:
-            raise RuntimeError(f"a guard is negative at {time} s, and all modes stay")
         for header, of in headers[:-1]:
             events.append(Event(*header, -np.inf, np.inf, of, modes))
         begin, name = headers[-1]
