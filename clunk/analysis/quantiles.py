@@ -72,7 +72,7 @@ def threshold_quantiles(thresholds: Thresholds, quantiles: Sequence[float] = (0.
     >>> study = clunk.load_study("configs/tolerance.toml", [axis, "lash.backlash_deg=6.0", "sweep.sampling.count=16"])
     >>> drawn = clunk.thresholds(study, along="load.ratio", of="double_sided")
     >>> [(begin, round(end, 3)) for begin, end in clunk.threshold_quantiles(drawn, [0.95]).where(False, quantile=0.95)]
-    [(0.0, 2.4)]
+    [(0.0, 2.507)]
     """
     draws = _draws(thresholds)
     check(quantiles)
