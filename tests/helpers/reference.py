@@ -380,10 +380,11 @@ def _follow(flow, piece, modes, z, guard, fastest):
         following = (*modes[: guard.element], guard.successor, *modes[guard.element + 1 :])
         return following, z, [(guard.kind, guard.side, guard.element, flow.rate(guard.element, z))], []
     before, happened, n = modes, [], flow.n
+    moved = np.abs(z[n : 2 * n])  # a touch may stop all that moves
     if guard.kind == "touch":
         modes, z, happened = _struck(flow, modes, z, guard, fastest)
     regime = flow.regime(piece, modes)
-    moved = np.abs(z[n : 2 * n]) + regime.cell * np.abs(regime.generator[n : 2 * n] @ z)
+    moved = moved + np.abs(z[n : 2 * n]) + regime.cell * np.abs(regime.generator[n : 2 * n] @ z)
     at_rest = []
     for k, (element, mode) in enumerate(zip(flow.elements, modes, strict=True)):
         held = element.behaviour.bounds(mode) is not None
@@ -442,6 +443,8 @@ def run(plant, end_time=2.0, state=None, flank=OPEN, max_events=5000):
             ((time, kind, side, speed, flow.state(z[:motion]), z[:motion]), flow.elements[k].name)
             for kind, side, k, speed in happened
         ]
+        if not headers:
+            raise RuntimeError(f"a guard is negative at {time} s, and all modes stay")
         for header, of in headers[:-1]:
             events.append(Event(*header, -np.inf, np.inf, of, modes))
         begin, name = headers[-1]
