@@ -165,9 +165,9 @@ def test_a_state_that_does_not_follow_from_the_one_before_is_noticed(contact):
     k = -1
     states, events = trajectory.states.copy(), trajectory.events.copy()
     states[k, 4:] *= 1.0 + 1e-4
-    assert balance(replace(trajectory, states=states)).relative_residual > 10 * CLOSED
+    assert balance(replace(trajectory, phase_states=states)).relative_residual > 10 * CLOSED
     events["time"][k] += 1e-5
-    assert balance(replace(trajectory, events=events)).relative_residual > 10 * CLOSED
+    assert balance(replace(trajectory, phases=events)).relative_residual > 10 * CLOSED
 
 
 def test_an_impact_loses_what_newton_s_law_says():

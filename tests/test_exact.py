@@ -270,11 +270,11 @@ def quality_of(plant):
     system, tables = driveline.prepare(study)
     x, events = np.zeros(2 * plant.n), np.zeros(512, EVENT)
     half_gap = float(np.deg2rad(study.lash.backlash_deg) / 2)  # the very number that `simulate` takes
-    side = switching.preload(system, np.array([plant.before, half_gap, 0.0]), x)
+    _, regime = switching.preload(system, np.array([plant.before, half_gap, 0.0]), x)
     _, _, quality, margin, _ = tile.run(
         system,
         tables,
-        stepped(x, switching.closed_on(side), plant.after, half_gap),
+        stepped(x, regime, plant.after, half_gap),
         Log(events, np.empty((0, x.size))),
         np.zeros(1, np.uint8),
     )

@@ -17,7 +17,7 @@ from clunk.core.exact.flows import BLOCK, CROSS, SLOPE, SPANS, TERMS, VALUE
 from clunk.core.jit import compiled
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import WIDTH
-from clunk.core.regimes import ACCELERATION, GAP, INPUTS, TORQUE_RATE
+from clunk.core.tables import ACCELERATION, GAP, INPUTS, TORQUE_RATE
 from clunk.simulation import driveline
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text

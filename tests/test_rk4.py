@@ -9,11 +9,11 @@ from helpers.running import core_run, prepared, stepped, unproved
 
 from clunk.core import switching
 from clunk.core.events import EVENT
-from clunk.core.regimes import CLOSED_NEGATIVE, CLOSED_POSITIVE, OPEN, PARTED_POSITIVE
 from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import rk4_growth
 from clunk.core.runs import Log
 from clunk.core.status import INTERRUPTED, Status
+from clunk.core.tables import CLOSED_NEGATIVE, CLOSED_POSITIVE, OPEN, PARTED_POSITIVE
 from clunk.simulation import driveline
 from clunk.study.config import study_from_text
 
@@ -289,12 +289,12 @@ class TestHowARunEnds:
 
     def test_a_set_stop_flag_abandons_the_run(self):
         (system, steps), x, half_gap = prepared(self.plant), np.zeros(8), self.plant.backlash / 2
-        side = switching.preload(system, np.array([self.plant.before, half_gap, 0.0]), x)
+        _, regime = switching.preload(system, np.array([self.plant.before, half_gap, 0.0]), x)
         events = np.zeros(64, EVENT)
         status, *_ = rk4.run(
             system,
             steps,
-            stepped(x, switching.closed_on(side), -1.0, half_gap),
+            stepped(x, regime, -1.0, half_gap),
             Log(events, np.empty((0, 8))),
             np.ones(1, np.uint8),
         )

@@ -11,11 +11,11 @@ import numpy.typing as npt
 from clunk.analysis.brackets import Floats
 from clunk.analysis.network import Path
 from clunk.analysis.pointruns import PointRuns
-from clunk.core import switching, tile
-from clunk.core.events import EVENT, TOUCH
-from clunk.core.regimes import HALF_GAP
+from clunk.core import tile
+from clunk.core.events import EVENT, STAGE, TOUCH
 from clunk.core.runs import Log, Start
 from clunk.core.status import Status
+from clunk.core.tables import HALF_GAP
 from clunk.results.boundaries import (
     END_TIME,
     INITIAL_FLANK,
@@ -98,11 +98,12 @@ def _events_at(runs: PointRuns, point: Floats) -> tuple[int, Events]:
     cases = grid.cases(values, 1)
     ((structural, _),) = grid.groups(np.zeros(1, np.int64))
     system, tables = grid.systems.prepared(structural)
-    side, x = preload(system, cases.before[0]) if system.status == Status.OK else (0, np.zeros(0))
+    rest = preload(system, cases.before[0])
     capacity = runs.study.solver.max_events + 1
     log = Log(np.zeros(capacity, EVENT), np.zeros((capacity, system.lash.size)))
-    if side == 0:
+    if system.status != Status.OK or rest.status != Status.OK:
         return 0, log.events[:0]
-    start = Start(x, switching.closed_on(side), cases.before[0, HALF_GAP], cases.loads, 0)
+    start = Start(rest.x, rest.regime, cases.before[0, HALF_GAP], cases.loads, 0)
     outcome = tile.run(system, tables, start, log, np.zeros(1, np.uint8))
-    return side if outcome.status == Status.OK else 0, log.events[: outcome.written]
+    events = log.events[: outcome.written]
+    return rest.side if outcome.status == Status.OK else 0, events[events["kind"] != STAGE]

@@ -30,13 +30,13 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     """
     import numpy as np
 
-    from clunk.simulation.driveline import Driveline, steps_a_period
+    from clunk.simulation.driveline import steady_driveline, steady_stages, steps_a_period
     from clunk.simulation.linear import one_mode_thresholds, rigid_contact_thresholds
     from clunk.simulation.shapes import kinetic_energy_shares, mode_shapes, shuffle_mode
     from clunk.study.config import load_study
 
     study = load_study(config, overrides)
-    driveline = Driveline.from_study(study)
+    driveline, stages = steady_driveline(study), steady_stages(study)
     states = {"closed": driveline.modes(closed=True), "open": driveline.modes(closed=False)}
     shares = {
         state: kinetic_energy_shares(driveline, mode_shapes(driveline, closed=state == "closed")) for state in states
@@ -56,8 +56,11 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
         }
         record["thresholds"] = {name: ratios.tolist() for name, ratios in thresholds.items()}
         record |= {"inertias": names, "shuffle": None if shuffle is None else shuffle + 1}
+        record |= {"stages": stages} if stages else {}
         tables.print_record(record | {"contact_period": driveline.contact_period})
         return
+    for k, stage in stages.items():
+        click.echo(f"shaft {k} in stage {stage}, as before the load step")
     for state, eigen in states.items():
         click.echo(f"lash {state}")
         click.echo("  mode  frequency [Hz]  damping ζ [-]  share of kinetic energy")

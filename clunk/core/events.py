@@ -13,8 +13,9 @@ SEPARATION = 2  # the contact ends: the gap opens, or the contact force turns te
 REJOIN = 3  # separation by force only: the force turns compressive while the flanks still overlap
 OPENING = 4  # separation by force only: the flanks stop overlapping
 LOCK = 5  # restitution only, with the touch before it: the flanks stay together
+STAGE = 6  # the twist of a staged shaft passes a breakpoint; written only where the states at events are kept
 
-KIND_NAMES = ("load step", "touch", "separation", "rejoin", "opening", "lock")
+KIND_NAMES = ("load step", "touch", "separation", "rejoin", "opening", "lock", "stage")
 
 EVENT = np.dtype(
     [

@@ -6,7 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.jit import unowned_inlined
-from clunk.core.regimes import TORQUE, TORQUE_RATE, System
+from clunk.core.regimes import System
+from clunk.core.tables import TORQUE, TORQUE_RATE
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -11,18 +11,18 @@ from clunk.core.exact import run as exact
 from clunk.core.exact.flows import Flows
 from clunk.core.exact.workspace import UNDER_WAY, make_workspace
 from clunk.core.jit import compiled, unowned
-from clunk.core.regimes import HALF_GAP, INPUTS, TORQUE, System
+from clunk.core.regimes import System
 from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import Steps
 from clunk.core.runs import Log, Outcome, Start
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries
 from clunk.core.severity import approach_velocity, peak_to_peak
 from clunk.core.status import INTERRUPTED, QUALITY_UNDECIDED, Status
+from clunk.core.tables import HALF_GAP, INPUTS, TORQUE
 
 FloatArray = npt.NDArray[np.float64]
 
 _OK = int(Status.OK)
-_NO_INITIAL_FLANK = int(Status.NO_INITIAL_FLANK)
 
 LONGEST_PATTERN = 62
 _EVENT_MEMORY = 1_000_000  # events that there is room for at a time: 56 MB
@@ -141,11 +141,12 @@ def by_rk4(
     for k in range(first, cells.size):
         if stop[0] != 0 or written + max_events > output.impacts.size:
             return k, written
-        if not _preloaded(system, cases.before[k], cells[k], x):
+        regime = _preloaded(system, cases.before[k], cells[k], x)
+        if cells[k].status != _OK:
             continue
         load = k % cases.loads.shape[0]
         half_gap = cases.before[k, HALF_GAP]
-        start = Start(x, switching.closed_on(cells[k].initial_side), half_gap, cases.loads, load)
+        start = Start(x, regime, half_gap, cases.loads, load)
         outcome = rk4.run(system, steps, start, log, stop)
         if outcome.status == INTERRUPTED:
             return k, written
@@ -182,12 +183,12 @@ def by_exact(
     while True:
         while spare > 0 and admitted < cells.size and not full:
             cell = cells[admitted]
-            if _preloaded(system, cases.before[admitted], cell, x):
+            regime = _preloaded(system, cases.before[admitted], cell, x)
+            if cell.status == _OK:
                 spare -= 1
                 slot = free[spare]
                 space.runs[slot].tag = admitted
-                regime, half_gap = switching.closed_on(cell.initial_side), cases.before[admitted, HALF_GAP]
-                load = admitted % cases.loads.shape[0]
+                load, half_gap = admitted % cases.loads.shape[0], cases.before[admitted, HALF_GAP]
                 exact.begin(space, slot, Start(x, regime, half_gap, cases.loads, load))
             else:
                 pending[admitted - first] = False
@@ -229,8 +230,8 @@ def _scratch(max_events: int) -> _Scratch:
 
 
 @unowned
-def _preloaded(system: System, inputs: FloatArray, cell: Any, x: FloatArray) -> bool:
-    """Whether a cell can be run, and its state before the load step."""
+def _preloaded(system: System, inputs: FloatArray, cell: Any, x: FloatArray) -> int:
+    """Set a cell's state before the load step, and its status, which tells whether it can be run; return the regime."""
     cell.pattern = 0
     cell.severity = np.nan
     cell.approach_velocity = np.nan
@@ -242,12 +243,11 @@ def _preloaded(system: System, inputs: FloatArray, cell: Any, x: FloatArray) -> 
     cell.initial_side = 0
     cell.status = system.status
     if system.status != _OK:
-        return False
-    cell.initial_side = switching.preload(system, inputs, x)
-    if cell.initial_side == 0:
-        cell.status = _NO_INITIAL_FLANK
-        return False
-    return True
+        return 0
+    cell.status, regime = switching.preload(system, inputs, x)
+    if cell.status == _OK:
+        cell.initial_side = system.regimes[regime].side
+    return int(regime)
 
 
 @unowned

@@ -4,18 +4,21 @@ M θ'' + C θ' + K θ = b T (report Eq. 2.6), where closing the lash adds a spri
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from clunk.core.exact.flows import Chain, Flows, build_flows
-from clunk.core.regimes import RigidMotion, System, build_system, chain, constrained, unconstrained
+from clunk.core.reductions import chain, constrained, unconstrained
+from clunk.core.regimes import RigidMotion, System, build_system
 from clunk.core.rk4.propagator import Steps, build_steps
 from clunk.core.status import Status
+from clunk.core.tables import StagedShaft, stages_of
 from clunk.simulation import rigid
-from clunk.simulation.load import is_moving, wave_rates
+from clunk.simulation.load import is_moving, run_load, wave_rates
+from clunk.simulation.phases import preload
 from clunk.study.models import Lash, Shaft
 from clunk.study.study import Study
 
@@ -38,12 +41,13 @@ class Driveline:
     names: tuple[str, ...]  # (n,)  of the inertias
     inertia: FloatArray  # (n,)  kg m2
     shafts: FloatArray  # (S, n)  twist of each shaft = row · θ
-    shaft_stiffness: FloatArray  # (S,)  N m/rad
+    shaft_stiffness: FloatArray  # (S,)  N m/rad, of staged shafts that at twist 0
     shaft_damping: FloatArray  # (S,)  N m s/rad
     lash: FloatArray  # (n,)  q = lash · θ = θi - ratio θj
     load: FloatArray  # (n,)  1 at the loaded inertia
     contact_stiffness: float  # N m/rad, of the closed lash: r² k34
     contact_damping: float  # N m s/rad, r² c34
+    staged: tuple[tuple[int, StagedShaft], ...] = ()  # shafts with stages, each with its row
 
     @classmethod
     def from_study(cls, study: Study) -> "Driveline":
@@ -53,12 +57,13 @@ class Driveline:
             names=study.driveline.names or tuple(f"inertia {k}" for k in range(1, n + 1)),
             inertia=np.array(study.driveline.inertias, dtype=np.float64),
             shafts=_incidence(shafts, n),
-            shaft_stiffness=np.array([shaft.stiffness for shaft in shafts], dtype=np.float64),
+            shaft_stiffness=np.array([_at_rest(shaft) for shaft in shafts], dtype=np.float64),
             shaft_damping=np.array([shaft.damping for shaft in shafts], dtype=np.float64),
             lash=_incidence([study.lash], n)[0],
             load=np.eye(n)[int(study.load.on) - 1],
             contact_stiffness=study.lash.radius**2 * contact.stiffness,
             contact_damping=study.lash.radius**2 * contact.damping,
+            staged=tuple((k, _staged(shaft, n)) for k, shaft in enumerate(shafts) if shaft.breakpoints_deg),
         )
 
     @cached_property
@@ -79,9 +84,41 @@ class Driveline:
         return self.damping + self.contact_damping * coupling, self.stiffness + self.contact_stiffness * coupling
 
     @cached_property
+    def plain_stiffness(self) -> FloatArray:
+        """(n, n) stiffness with the lash open, without the shafts that have stages  [N m/rad]."""
+        plain = self.shaft_stiffness.copy()
+        plain[[k for k, _ in self.staged]] = 0.0
+        return np.asarray((self.shafts.T * plain) @ self.shafts)
+
+    @cached_property
+    def is_spring(self) -> npt.NDArray[np.bool_]:
+        """(S,) whether a shaft has a stiffness, in any stage."""
+        springs = self.shaft_stiffness > 0.0
+        for k, shaft in self.staged:
+            springs[k] = shaft.stiffness.any()
+        return springs
+
+    def in_stages(self, stages: tuple[int, ...]) -> "Driveline":
+        """The driveline whose staged shafts have the stiffness of these stages for every twist."""
+        if not self.staged:
+            return self
+        stiffness = self.shaft_stiffness.copy()
+        for (k, shaft), stage in zip(self.staged, stages, strict=True):
+            stiffness[k] = shaft.stiffness[stage]
+        return replace(self, shaft_stiffness=stiffness, staged=())
+
+    def shaft_energy(self, angles: FloatArray) -> FloatArray:
+        """(S,) the energy that each shaft stores at these angles, (n,)  [J]."""
+        twists = self.shafts @ angles
+        energy = self.shaft_stiffness * twists**2 / 2.0
+        for k, shaft in self.staged:
+            energy[k] = shaft.energy(float(twists[k]))
+        return np.asarray(energy)
+
+    @cached_property
     def rigid_motion(self) -> RigidMotion:
         """The rigid-body motion with the lash closed, and what the load keeps up of it."""
-        springs = [*self.shafts[self.shaft_stiffness > 0.0], self.lash]
+        springs = [*self.shafts[self.is_spring], self.lash]
         dampers = np.sqrt(self.shaft_damping)[:, None] * self.shafts
         return rigid.steady_motion(self.inertia, np.array(springs), dampers, self.load)
 
@@ -124,6 +161,11 @@ def explained(study: Study, status: Status) -> str:
     if status != Status.NO_EQUILIBRIUM:
         return status.sentence
     driveline = Driveline.from_study(study)
+    if driveline.rigid_motion.shape.shape[1] <= 1:
+        return (
+            "no steady motion before the load step that is the only one: a staged shaft carries a torque at which a "
+            "stage of it has no stiffness"
+        )
     return rigid.separate_part(driveline.rigid_motion, driveline.load, driveline.names)
 
 
@@ -144,7 +186,7 @@ def _build(study: Study, driveline: Driveline, wave_rates: FloatArray | None = N
     return build_system(
         inertia=driveline.inertia,
         damping=driveline.damping,
-        stiffness=driveline.stiffness,
+        stiffness=driveline.plain_stiffness if driveline.staged else driveline.stiffness,
         load=driveline.load,
         lash=driveline.lash,
         contact_stiffness=driveline.contact_stiffness,
@@ -158,6 +200,7 @@ def _build(study: Study, driveline: Driveline, wave_rates: FloatArray | None = N
         locking_speed=contact.locking_speed,
         wave_rates=wave_rates,
         ramps=ramps,
+        staged=[shaft for _, shaft in driveline.staged],
     )
 
 
@@ -168,25 +211,46 @@ def _wave_rates(study: Study) -> FloatArray | None:
 
 
 def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
-    inertia, n = driveline.inertia, driveline.inertia.size
-    damping, stiffness = driveline.matrices(closed=False)
-    shape = driveline.rigid_motion.shape
-    parts = rigid.rigid_motions(driveline.shafts[driveline.shaft_stiffness > 0.0]) if shape.size else shape
-    open_chain = Chain(inertia, damping, stiffness, *unconstrained(2 * n), parts)
-    if study.lash.contact.model == "restitution":
-        locked = constrained(driveline.lash)
-        basis = locked.expand[:n, : n - 1]  # each row has at most one entry: the inertias' matrix stays diagonal
-        closed_chain = Chain(
-            inertia @ basis**2,
-            basis.T @ damping @ basis,
-            basis.T @ stiffness @ basis,
-            *locked,
-            locked.pick[: n - 1, :n] @ shape,
-        )
-    else:
-        closed_chain = Chain(inertia, *driveline.matrices(closed=True), *unconstrained(2 * n), shape)
-    chains = [open_chain, closed_chain]
+    shape, chains = driveline.rigid_motion.shape, []
+    by_stages = [driveline.in_stages(stages) for stages in stages_of([shaft for _, shaft in driveline.staged])]
+    restitution = study.lash.contact.model == "restitution"
+    for closed in (False, True):
+        for line in by_stages:
+            springs = line.shafts[line.shaft_stiffness > 0.0]
+            if driveline.staged:
+                parts = rigid.rigid_motions(np.array([*springs, line.lash]) if closed else springs)
+            else:
+                parts = shape if closed or not shape.size else rigid.rigid_motions(springs)
+            chains.append(_locked_chain(line, parts) if closed and restitution else _chain(line, closed, parts))
     return build_flows(system.rates, system.inputs, system.functionals, system.feedthrough, chains)
+
+
+def _chain(line: Driveline, closed: bool, parts: FloatArray) -> Chain:
+    return Chain(line.inertia, *line.matrices(closed=closed), *unconstrained(2 * line.inertia.size), parts)
+
+
+def _locked_chain(line: Driveline, parts: FloatArray) -> Chain:
+    """The chain with q locked; each row of its basis has at most one entry, so that its inertias stay diagonal."""
+    n, locked = line.inertia.size, constrained(line.lash)
+    basis, (damping, stiffness) = locked.expand[:n, : n - 1], line.matrices(closed=False)
+    pick = locked.pick[: n - 1, :n]
+    return Chain(line.inertia @ basis**2, basis.T @ damping @ basis, basis.T @ stiffness @ basis, *locked, pick @ parts)
+
+
+def steady_stages(study: Study) -> dict[int, int]:
+    """Stage of each staged shaft in the steady motion before the load step, both numbered from 1."""
+    driveline = Driveline.from_study(study)
+    if not driveline.staged:
+        return {}
+    system = _build(study, driveline)
+    rest = preload(system, run_load(study)[0])
+    stages = stages_of([shaft for _, shaft in driveline.staged])[rest.regime // system.lash_states]
+    return {k + 1: stage + 1 for (k, _), stage in zip(driveline.staged, stages, strict=True)}
+
+
+def steady_driveline(study: Study) -> Driveline:
+    """The driveline in the stages of its steady motion before the load step, for linear views of it."""
+    return Driveline.from_study(study).in_stages(tuple(stage - 1 for stage in steady_stages(study).values()))
 
 
 def steps_a_period(study: Study) -> float:
@@ -198,6 +262,15 @@ def steps_a_period(study: Study) -> float:
     system = build(study)
     fastest = float(np.abs(np.linalg.eigvals(system.rates).imag).max())
     return 2.0 * np.pi / (fastest * study.solver.step) if fastest > 0.0 else float("inf")
+
+
+def _at_rest(shaft: Shaft) -> float:
+    """Stiffness of a shaft at twist 0; between two stages, of the one above."""
+    return shaft.stages[int(np.searchsorted(shaft.breakpoints_deg or (), 0.0, side="right"))]
+
+
+def _staged(shaft: Shaft, n: int) -> StagedShaft:
+    return StagedShaft(_incidence([shaft], n)[0], np.array(shaft.stages), np.deg2rad(shaft.breakpoints_deg or ()))
 
 
 def _incidence(joints: Sequence[Shaft | Lash], n: int) -> FloatArray:

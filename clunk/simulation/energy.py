@@ -22,7 +22,7 @@ import numpy.typing as npt
 from scipy.linalg import matrix_balance
 
 from clunk.core.events import REJOIN, SEPARATION, TOUCH
-from clunk.core.regimes import HALF_GAP, TORQUE
+from clunk.core.tables import HALF_GAP, TORQUE
 from clunk.simulation.driveline import Driveline, build
 from clunk.simulation.load import run_load
 from clunk.simulation.phases import Regime, inputs_of, regimes_of, stretches, with_wave
@@ -95,7 +95,7 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
 
     A term beyond the range of numbers is infinite or NaN.
     """
-    study, events, states = trajectory.study, trajectory.events, trajectory.states
+    study, events, states = trajectory.study, trajectory.phases, trajectory.phase_states
     line, system = Driveline.from_study(study), build(study, waves=True)
     n, impulsive = line.inertia.size, bool(system.impulsive)
     before, load = run_load(study)
@@ -109,7 +109,7 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
 
     def stored(x: FloatArray, regime: Regime) -> tuple[float, tuple[float, ...], float]:
         """In the inertias, in each shaft and in the contact."""
-        shafts = line.shaft_stiffness * (line.shafts @ x[:n]) ** 2 / 2.0
+        shafts = line.shaft_energy(x[:n])
         contact = indented(x, regime.side) if regime.closed else 0.0
         return float(line.inertia @ x[n : 2 * n] ** 2 / 2.0), tuple(shafts.tolist()), contact
 

@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core import switching
-from clunk.core.events import TOUCH
-from clunk.core.regimes import HALF_GAP, TORQUE, System
+from clunk.core.events import STAGE, TOUCH
+from clunk.core.regimes import System
 from clunk.core.status import Status
-from clunk.simulation.driveline import Driveline, build
+from clunk.core.tables import HALF_GAP, TORQUE
+from clunk.simulation.driveline import Driveline, build, steady_driveline
 from clunk.simulation.load import run_load
 from clunk.simulation.phases import Flow, apply, inputs_of, preload, regimes_of, stretches, with_wave
 from clunk.simulation.trajectory import Trajectory
@@ -177,7 +177,12 @@ def sample(
     """
     study, system = trajectory.study, build(trajectory.study, waves=True)
     inputs_before, load = run_load(study)
-    steady = _began_steadily(trajectory, system, inputs_before)
+    rest = preload(system, inputs_before) if system.status != Status.NO_EQUILIBRIUM else None
+    steady = (
+        rest is not None
+        and rest.side == trajectory.initial_side
+        and np.array_equal(rest.x[: 2 * system.inertias], trajectory.states[0])
+    )
     step = study.solver.step if step is None else step
     until = study.load.step_time + study.solver.end_time if until is None else until
     if before is None:
@@ -187,7 +192,7 @@ def sample(
     motion = _Motion(trajectory, system, load, inputs_before[HALF_GAP], step)
     gains = Driveline.from_study(study).rigid_motion.accelerations * inputs_before[TORQUE] + 0.0  # no -0.0
     phases = [_before_load_step(trajectory, system, gains, begin, min(end, 0.0), step)] if steady else []
-    started = int(np.searchsorted(trajectory.events["time"], end, side="right"))
+    started = int(np.searchsorted(trajectory.phases["time"], end, side="right"))
     phases += [phase for k in range(started) for phase in motion.after_event(k, end)]
 
     lengths = [phase.time.size for phase in phases]
@@ -230,7 +235,7 @@ def shown_until(trajectory: Trajectory) -> float:
     0.1 s; but at the run's end time at the latest.
     """
     study = trajectory.study
-    modes = Driveline.from_study(study).modes(closed=True)
+    modes = steady_driveline(study).modes(closed=True)
     rate = float(np.min(2.0 * np.pi * modes.frequency * modes.damping_ratio, initial=np.inf))
     fading = -np.log(_FAINT) / rate if rate > 0.0 else study.solver.end_time
     span = min(max(1.5 * float(trajectory.events["time"][-1]), fading), study.solver.end_time)
@@ -251,14 +256,6 @@ class _Phase(NamedTuple):
     event: int  # that the phase begins with, or -1
 
 
-def _began_steadily(trajectory: Trajectory, system: System, inputs: FloatArray) -> bool:
-    """Whether the run began in steady motion in contact, so that there is something before the load step."""
-    if system.status == Status.NO_EQUILIBRIUM:
-        return False
-    side, x = preload(system, inputs)
-    return side == trajectory.initial_side and np.array_equal(x[: 2 * system.inertias], trajectory.states[0])
-
-
 def _before_load_step(
     trajectory: Trajectory, system: System, acceleration: FloatArray, begin: float, end: float, step: float
 ) -> _Phase:
@@ -267,7 +264,7 @@ def _before_load_step(
     angle, velocity = np.split(trajectory.states[0], 2)
     t, wave = time[:, None], np.zeros((time.size, system.lash.size - trajectory.states.shape[1]))
     state = np.hstack([angle + t * (velocity + t * acceleration / 2.0), velocity + t * acceleration, wave])
-    return _Phase(time, state + 0.0, switching.closed_on(trajectory.initial_side), 0, -1)  # no -0.0
+    return _Phase(time, state + 0.0, int(trajectory.events["regime"][0]), 0, -1)  # no -0.0
 
 
 class _Motion:
@@ -281,9 +278,11 @@ class _Motion:
 
     def after_event(self, k: int, end: float) -> Iterator[_Phase]:
         """The motion from event `k`, its right limit, to the left limit of the next, or to `end`, by stretches."""
-        starts, step = self._trajectory.events["time"], self._step
+        starts, step = self._trajectory.phases["time"], self._step
         start, stop = float(starts[k]), float(starts[k + 1]) if k + 1 < starts.size else np.inf
-        regime, x, event = int(self._trajectory.events["regime"][k]), self._trajectory.states[k], k
+        phases, x = self._trajectory.phases, self._trajectory.phase_states[k]
+        regime, is_event = int(phases["regime"][k]), phases["kind"] != STAGE
+        event = int(np.count_nonzero(is_event[:k])) if is_event[k] else -1
         for stretch in stretches(self._load, start, min(stop, end)):
             piece, begin, until = stretch
             flow, x = self._flow(piece), with_wave(self._system, x, self._load, stretch)
@@ -337,9 +336,9 @@ def _grid(start: float, stop: float, step: float) -> npt.NDArray[np.int64]:
 
 
 def _state_before(trajectory: Trajectory, system: System, k: int) -> FloatArray:
-    """The state just before event `k`: the recorded one, but for the impulse of a touch in the restitution model."""
-    x = trajectory.states[k]
-    event = trajectory.events[k]
+    """The state just before phase `k`: the recorded one, but for the impulse of a touch in the restitution model."""
+    x = trajectory.phase_states[k]
+    event = trajectory.phases[k]
     if not system.impulsive or event["kind"] != TOUCH:
         return np.asarray(x)
     lash, impulse = system.lash[: x.size], system.impulse[: x.size]

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.regimes import CLOSED_FLOW, FORCE, TORQUE, constrained, without_drift
+from clunk.core.reductions import constrained, without_drift
+from clunk.core.tables import FORCE, TORQUE
 from clunk.simulation.driveline import Driveline, build
 from clunk.study.loads import is_ideal_step
 from clunk.study.study import Study
@@ -47,8 +48,9 @@ def one_mode_thresholds(study: Study, count: int = 4) -> FloatArray:
 
 
 def _lowest_damping_ratio(study: Study) -> float | None:
-    """ζ1 of the closed lash; None where nothing oscillates."""
-    ratios = Driveline.from_study(study).modes(closed=True).damping_ratio
+    """ζ1 of the closed lash; None where nothing oscillates, or no one mode does for shafts with stages."""
+    driveline = Driveline.from_study(study)
+    ratios = np.empty(0) if driveline.staged else driveline.modes(closed=True).damping_ratio
     return float(ratios[0]) if ratios.size else None
 
 
@@ -106,20 +108,20 @@ class _Response:
 
     @classmethod
     def of(cls, study: Study) -> "_Response | None":
-        """None where there is no static torque across the lash, or no eigenbasis to speak of."""
+        """None where there is no static torque across the lash, no eigenbasis to speak of, or a shaft with stages."""
         contact = study.lash.contact.model_copy(update={"model": "restitution"})
         locked = study.model_copy(update={"lash": study.lash.model_copy(update={"contact": contact})})
         system = build(locked)
-        carried = system.contact_torque[TORQUE]
-        if carried == 0.0:
+        carried = system.contact_torque[0, TORQUE]
+        if carried == 0.0 or len(system.preload) > 1:
             return None
         lash = system.lash[system.inertias : 2 * system.inertias]
         expand, pick, _ = without_drift(constrained(lash), system.drift)
-        rate, right = np.linalg.eig(pick @ system.rates[CLOSED_FLOW] @ expand)
+        rate, right = np.linalg.eig(pick @ system.rates[1] @ expand)
         if rate.size == 0 or np.linalg.cond(right) > 1e10:
             return None
-        start = np.linalg.solve(right, pick @ system.preload[:, TORQUE])
-        amplitude = (system.functionals[CLOSED_FLOW, FORCE] @ expand @ right) * start / carried
+        start = np.linalg.solve(right, pick @ system.preload[0, :, TORQUE])
+        amplitude = (system.functionals[1, FORCE] @ expand @ right) * start / carried
         # the torque released is felt as the missing balance: F = C x + D T with T = 0 from the step on
         keep = np.abs(amplitude) > 1e-12
         return cls(rate[keep].astype(np.complex128), amplitude[keep].astype(np.complex128))

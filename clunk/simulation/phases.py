@@ -14,8 +14,10 @@ import numpy.typing as npt
 from scipy.linalg import expm
 
 from clunk.core import switching
-from clunk.core.regimes import CLOSED_FLOW, HALF_GAP, INPUTS, TORQUE, System
+from clunk.core.regimes import System
 from clunk.core.runs import BEGIN, LEVEL, SLOPE, WAVE, WAVE_PARTNER
+from clunk.core.status import Status
+from clunk.core.tables import HALF_GAP, INPUTS, TORQUE
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -31,17 +33,29 @@ class Regime(NamedTuple):
 
 def regimes_of(system: System, inputs: FloatArray) -> list[Regime]:
     """The regimes of a system under constant inputs (T, φ/2)  [N m, rad]."""
-    flows, sides = system.regimes["flow"].tolist(), system.regimes["side"].tolist()
+    constants = np.ones(system.weights.shape[1] - inputs.size)
+    driven = system.weights * np.concatenate([inputs, constants])
     return [
-        Regime(system.rates[flow], system.inputs[flow] @ (signs * inputs), side, flow == CLOSED_FLOW)
-        for flow, side, signs in zip(flows, sides, system.signs, strict=True)
+        Regime(system.rates[row["flow"]], system.inputs[row["flow"]] @ u, int(row["side"]), bool(row["closed"]))
+        for row, u in zip(system.regimes, driven, strict=True)
     ]
 
 
-def preload(system: System, inputs: FloatArray) -> tuple[int, FloatArray]:
-    """Side of the initial flank, 0 for none, and the state of steady motion in contact, under constant inputs."""
+class Preload(NamedTuple):
+    """Steady motion in contact."""
+
+    status: Status
+    regime: int
+    side: int  # of the initial flank, 0 for none
+    x: FloatArray  # (N,)  [rad, rad/s]
+
+
+def preload(system: System, inputs: FloatArray) -> Preload:
+    """Steady motion in contact under constant inputs."""
     x = np.zeros(system.lash.size)
-    return switching.preload(system, inputs, x), x
+    status, regime = switching.preload(system, inputs, x)
+    side = int(system.regimes[regime]["side"]) if status == Status.OK else 0
+    return Preload(Status(status), regime, side, x)
 
 
 class Stretch(NamedTuple):

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.regimes import chain
+from clunk.core.reductions import chain
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.rigid import speeds_along
 

@@ -5,9 +5,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core import switching
-from clunk.core.regimes import CLOSED_FLOW, FORCE, TORQUE
 from clunk.core.status import Status
+from clunk.core.tables import FORCE, TORQUE
 from clunk.simulation.driveline import Driveline, build, explained
 from clunk.simulation.load import run_inputs
 from clunk.simulation.phases import Flow, preload, regimes_of
@@ -53,27 +52,30 @@ class SmallGap(NamedTuple):
         """The response of a study's driveline to its load. Raises SmallGapError where there is none:
         without steady motion or oscillation, or with a load that does not reach the lash."""
         driveline, system = Driveline.from_study(study), build(study)
+        if driveline.staged:
+            raise SmallGapError("There is no one response to draw: shafts with stages are not linear.")
         modes = driveline.modes(closed=True)
         if system.status != Status.OK:
             raise SmallGapError(f"There is no response to draw: {explained(study, Status(system.status))}.")
         if modes.frequency.size == 0 or modes.damping_ratio[0] <= 0.0:
             raise SmallGapError("There is no decay to draw: the driveline has no damped oscillation in contact.")
         before, after = (inputs * [1.0, 0.0, 0.0] for inputs in run_inputs(study))
-        side, x = preload(system, before)
-        if side == 0:
+        rest = preload(system, before)
+        if rest.side == 0:
             raise SmallGapError("There is no response to draw: the lash carries no torque before the load step.")
         frequency, damping_ratio = float(modes.frequency[0]), float(modes.damping_ratio[0])
         decay = 2.0 * np.pi * frequency * damping_ratio
-        start, end = (float(system.contact_torque[TORQUE] * inputs[TORQUE]) for inputs in (before, after))
+        start, end = (float(system.contact_torque[0, TORQUE] * inputs[TORQUE]) for inputs in (before, after))
         crossing = np.log(abs((start - end) / end)) / decay if end != 0.0 and start != end else 0.0
         duration = max(1.35 * crossing, 3.0 / frequency)
         step = min(1.0 / (200.0 * frequency), study.solver.step * max(1.0, duration / study.solver.step / 20_000))
         time = step * np.arange(int(duration / step) + 1)
         # without a gap no flank has an offset, and which one is closed does not matter
-        state = Flow(regimes_of(system, after), step).states(switching.closed_on(side), x, 0.0, time.size)
+        state = Flow(regimes_of(system, after), step).states(rest.regime, rest.x, 0.0, time.size)
         if system.impulsive:
-            held = system.feedthrough[CLOSED_FLOW, FORCE, TORQUE] * after[TORQUE]
-            torque = state @ system.functionals[CLOSED_FLOW, FORCE] + held
+            flow = system.regimes[rest.regime]["flow"]
+            held = system.feedthrough[flow, FORCE, TORQUE] * after[TORQUE]
+            torque = state @ system.functionals[flow, FORCE] + held
         else:
             angle, velocity = (half @ driveline.lash for half in np.hsplit(state, 2))
             torque = driveline.contact_stiffness * angle + driveline.contact_damping * velocity

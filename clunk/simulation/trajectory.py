@@ -7,13 +7,14 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core import switching, tile
-from clunk.core.events import EVENT, KIND_NAMES, TOUCH
+from clunk.core.events import EVENT, KIND_NAMES, STAGE, TOUCH
 from clunk.core.exact.run import MOST
-from clunk.core.regimes import HALF_GAP, INPUTS, System
+from clunk.core.regimes import System
 from clunk.core.runs import Log, Start
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.core.severity import peak_to_peak, root_of_squares
 from clunk.core.status import QUALITY_COMPLETE, Status
+from clunk.core.tables import HALF_GAP, INPUTS
 from clunk.simulation import driveline
 from clunk.simulation.load import run_load, torque_at, wave_rates
 from clunk.simulation.phases import preload
@@ -39,6 +40,8 @@ class Trajectory:
     initial_side : int, sign of q = θi - ratio θj on the initial flank
     events : (E,) clunk.core.events.EVENT, times in s after the load step
     states : (E, 2n) float64, θ and θ' at each event  [rad, rad/s]
+    phases : (P,) clunk.core.events.EVENT, the events and the changes of stage between them
+    phase_states : (P, 2n) float64, θ and θ' at each of these
     primaries : (P,) int64, indices of the primary impacts in `events`
     impact_severity : (P,) float64, Q_i  [rad/s2]
     complete : bool, whether it was proved that nothing follows
@@ -50,6 +53,8 @@ class Trajectory:
     initial_side: int
     events: npt.NDArray[np.void]
     states: FloatArray
+    phases: npt.NDArray[np.void]
+    phase_states: FloatArray
     primaries: npt.NDArray[np.int64]
     impact_severity: FloatArray
     complete: bool
@@ -188,20 +193,29 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
         state = np.asarray(initial_state, dtype=np.float64)
         side, start = _started_at(study, system, before[HALF_GAP], pieces, state)
     capacity = study.solver.max_events + 1
+    if system.regimes.size > system.lash_states:
+        capacity *= switching.MOST_STAGES
     log = Log(np.zeros(capacity, EVENT), np.zeros((capacity, system.lash.size)))
     outcome = tile.run(system, tables, start, log, np.zeros(1, np.uint8))
     if outcome.status != Status.OK:
         raise SimulationError(_sentence(study, Status(outcome.status)))
+    phases, states = log.events[: outcome.written].copy(), log.states[: outcome.written, : 2 * system.inertias].copy()
+    is_event = phases["kind"] != STAGE
+    events = _without_stages(phases, is_event)
+    if len(events) > study.solver.max_events + 1:
+        raise SimulationError(_sentence(study, Status.EVENT_BUFFER_FULL))
     primaries, severity = np.zeros(capacity, np.int64), np.zeros(capacity)
-    impacts = find_primaries(log.events, outcome.written, system.sticking_time, primaries)
-    peak_to_peak(log.events, outcome.written, primaries, impacts, severity)
+    impacts = find_primaries(events, len(events), system.sticking_time, primaries)
+    peak_to_peak(events, len(events), primaries, impacts, severity)
     if system.impulsive:  # the acceleration of an impulsive touch is not a number
         severity[:impacts] = np.nan
     return Trajectory(
         study=study,
         initial_side=side,
-        events=log.events[: outcome.written].copy(),
-        states=log.states[: outcome.written, : 2 * system.inertias].copy(),
+        events=events,
+        states=states[is_event],
+        phases=phases,
+        phase_states=states,
         primaries=primaries[:impacts].copy(),
         impact_severity=severity[:impacts].copy(),
         complete=bool(outcome.quality & QUALITY_COMPLETE),
@@ -210,14 +224,22 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
     )
 
 
+def _without_stages(phases: npt.NDArray[np.void], is_event: npt.NDArray[np.bool_]) -> npt.NDArray[np.void]:
+    """The events alone, each with the extremes of the acceleration until the next one."""
+    events, begins = phases[is_event].copy(), np.flatnonzero(is_event)
+    events["max_acceleration"] = np.maximum.reduceat(phases["max_acceleration"], begins)
+    events["min_acceleration"] = np.minimum.reduceat(phases["min_acceleration"], begins)
+    return events
+
+
 def _preloaded(study: Study, system: System, before: FloatArray, pieces: FloatArray) -> tuple[int, Start]:
     """The initial side and the start of a run from steady motion in contact."""
     if system.status != Status.OK:
         raise SimulationError(_sentence(study, Status(system.status)))
-    side, x = preload(system, before)
-    if side == 0:
-        raise SimulationError(_sentence(study, Status.NO_INITIAL_FLANK))
-    return side, Start(x, switching.closed_on(side), before[HALF_GAP], pieces[None], 0)
+    rest = preload(system, before)
+    if rest.status != Status.OK:
+        raise SimulationError(_sentence(study, rest.status))
+    return rest.side, Start(rest.x, rest.regime, before[HALF_GAP], pieces[None], 0)
 
 
 def _started_at(
@@ -232,8 +254,8 @@ def _started_at(
     gap = float(state[: system.inertias] @ system.lash[system.inertias : size])
     if system.impulsive and abs(gap) > half_gap * (1.0 + 1e-12):
         raise SimulationError("The initial state overlaps a flank, which the restitution model does not allow.")
-    x, inputs = np.zeros(system.lash.size), np.zeros(INPUTS)
-    x[:size], inputs[HALF_GAP] = state, half_gap
+    x, inputs = np.zeros(system.lash.size), np.zeros(system.weights.shape[1])
+    x[:size], inputs[HALF_GAP], inputs[INPUTS:] = state, half_gap, 1.0
     return 1 if gap >= 0.0 else -1, Start(x, switching.regime_of(system, x, inputs), half_gap, pieces[None], 0)
 
 

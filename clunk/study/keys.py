@@ -3,7 +3,7 @@
 import functools
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from clunk.study.document import Place, dotted
@@ -81,6 +81,12 @@ def key_at(place: Place) -> Key | None:
 def _keys(place: Place, node: Mapping[str, Any]) -> Iterator[tuple[Place, Key]]:
     node = _resolved(node)
     properties, variants, word = node.get("properties"), {}, ""
+    if "oneOf" in node and "discriminator" not in node:  # one number or several
+        one, several = map(_resolved, node["oneOf"])
+        leaf = _leaf({**one, **{word: value for word, value in node.items() if word != "oneOf"}})
+        yield place, replace(leaf, must_be=f"{leaf.must_be}, or a list of such numbers")
+        yield (*place, ITEM), _leaf(_resolved(several["items"]))
+        return
     if "oneOf" in node:
         word = node["discriminator"]["propertyName"]
         tables = [_resolved(table)["properties"] for table in node["oneOf"]]

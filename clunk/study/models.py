@@ -6,19 +6,23 @@ validator here looks at one table; the rules that tie tables to one another are 
 
 import math
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, Tag, model_validator
 
 from clunk.study.loads import Load
 from clunk.study.problems import shorten
 from clunk.study.sweeps import Sweep
 from clunk.study.tables import (
+    ONE,
+    SEVERAL,
     Ends,
     Finding,
     Inertia,
     NotNegative,
     NotZero,
+    OneOrSeveral,
     OtherUnit,
     Positive,
     Quantity,
@@ -28,19 +32,44 @@ from clunk.study.tables import (
     is_number,
 )
 
+_Stages = Annotated[
+    tuple[Annotated[NotNegative, Quantity("stiffness of shaft {0} in stage {1}", "k{0},{1}", "N m/rad")], ...],
+    Field(min_length=1),
+]
+
 
 class Shaft(Table):
-    """A massless linear spring and damper between two inertias, or between one and ground.
+    """A massless spring and damper between two inertias, or between one and ground.
+
+    Its torque is linear in the twist, or piecewise linear and continuous, with a stiffness for each stage between
+    breakpoints and beyond them, and zero at twist 0.
 
     between : two of an inertia's number from 1 and "ground"
     ratio : float, i of a gear: the twist is θ of the first end less i θ of the second
+    stiffness : float, or one for each stage
+    breakpoints_deg : twists between the stages, ascending
     stiffness_per_deg : float or None, instead of stiffness, which it becomes
     """
 
     between: Ends
     ratio: Annotated[NotZero, Quantity("gear ratio of shaft {}", "i{}", "1")] = 1.0
-    stiffness: Annotated[NotNegative, Quantity("stiffness of shaft {}", "k{}", "N m/rad")]
-    stiffness_per_deg: Annotated[NotNegative | None, OtherUnit("stiffness", "N m/degree")] = None
+    stiffness: Annotated[
+        Annotated[NotNegative, Tag(ONE)] | Annotated[_Stages, Tag(SEVERAL)],
+        OneOrSeveral,
+        Quantity("stiffness of shaft {}", "k{}", "N m/rad"),
+    ]
+    stiffness_per_deg: Annotated[
+        Annotated[Annotated[NotNegative, Tag(ONE)] | Annotated[tuple[NotNegative, ...], Tag(SEVERAL)], OneOrSeveral]
+        | None,
+        OtherUnit("stiffness", "N m/degree"),
+    ] = None
+    breakpoints_deg: (
+        Annotated[
+            tuple[Annotated[float, Quantity("breakpoint {1} of shaft {0}", "θ{0},{1}", "degrees")], ...],
+            Field(min_length=1),
+        ]
+        | None
+    ) = None
     damping: Annotated[NotNegative, Quantity("damping of shaft {}", "c{}", "N m s/rad")]
 
     @model_validator(mode="before")
@@ -52,6 +81,20 @@ class Shaft(Table):
         """The stiffness is given once."""
         if self.stiffness_per_deg is not None:
             yield (), "stiffness and stiffness_per_deg are given together; give one of the two"
+        stages, breakpoints = self.stages, self.breakpoints_deg or ()
+        if len(stages) != len(breakpoints) + 1:
+            text = f"found {len(stages)} stiffnesses and {len(breakpoints)} breakpoints"
+            yield ("stiffness",), f"{text}; there is one stiffness more than there are breakpoints_deg"
+        for k, (one, following) in enumerate(pairwise(breakpoints)):
+            if following <= one:
+                text = f"found {following:g} after {one:g}; breakpoints must be in ascending order"
+                yield ("breakpoints_deg", k + 1), text
+
+    @property
+    def stages(self) -> tuple[float, ...]:
+        """The stiffness of each stage; of a linear shaft, its only one."""
+        stages: float | tuple[float, ...] = self.stiffness
+        return stages if isinstance(stages, tuple) else (stages,)
 
 
 class DrivelineConfig(Table):

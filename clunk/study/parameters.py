@@ -59,7 +59,11 @@ def complaint(parameter: str, document: Mapping[str, Any]) -> str | None:
         for k, step in enumerate(place):
             count = len(items_of(value_at(document, place[:k])))
             if isinstance(step, int) and step >= count:
+                if value_at(document, place[:k]) is not None and not count:
+                    return f"there is no {parameter}; {dotted(place[:k])} is one number"
                 return f"there is no {parameter}; {dotted(place[:k])} has {count} items" if count else None
+        if items_of(value_at(document, place)):
+            return f"{parameter} has {len(items_of(value_at(document, place)))} stages; name one, {parameter}[1]"
         return None
     if place is not None and key is not None and key.other_unit_of:
         return (
@@ -92,9 +96,11 @@ def located(config: Config, parameter: str) -> tuple[Place, Key, float]:
     value: Any = config if key is not None and key.quantity is not None else None
     for step in place or ():
         if isinstance(step, int):
-            value = value[step] if value is not None and step < len(value) else None
+            value = value[step] if step < len(items_of(value)) else None
         else:
             value = getattr(value, step, None)
+    if isinstance(value, tuple):  # one for each stage
+        value = None
     if (
         place is None
         or key is None

@@ -87,9 +87,8 @@ def _sizes(config: Config) -> Iterator[Finding]:
     """Require inertias, springs and dampers that double precision can multiply, and add to one another."""
     inertias, shafts = range(len(config.driveline.inertias)), range(len(config.driveline.shafts))
     masses = [size for k in inertias for size in _extent(config, ("driveline", "inertias", k))]
-    springs, dampers = (
-        [list(_extent(config, ("driveline", "shafts", k, key))) for k in shafts] for key in ("stiffness", "damping")
-    )
+    springs = [[size for place in _stages(config, k) for size in _extent(config, place)] for k in shafts]
+    dampers = [list(_extent(config, ("driveline", "shafts", k, "damping"))) for k in shafts]
     places: list[Place] = [*(("driveline", "shafts", k) for k in shafts), ("lash",)]
     ratios = [list(_ratios(config, (*place, "ratio"))) for place in places]
     radii = list(_extent(config, ("lash", "radius")))
@@ -122,6 +121,13 @@ def _sizes(config: Config) -> Iterator[Finding]:
         if rate > FASTEST_RATE:
             text = f"{largest:g} {unit} on the {lightest:g} kg m2 of {dotted(at_lightest)} is a rate of {rate:.2g} 1/s"
             yield at_largest, f"{text}; at most {FASTEST_RATE:g} 1/s is allowed"
+
+
+def _stages(config: Config, shaft: int) -> list[Place]:
+    """Places of a shaft's stiffness, or of its stiffness in each stage."""
+    place: Place = ("driveline", "shafts", shaft, "stiffness")
+    stages = config.driveline.shafts[shaft].stages
+    return [(*place, k) for k in range(len(stages))] if len(stages) > 1 else [place]
 
 
 def _levered(sizes: Sizes, levers: Sizes) -> Sizes:
@@ -200,8 +206,26 @@ def _range(axis: Axis, config: Config) -> Iterator[Finding]:
     if key.not_zero and all(map(key.allows, axis.grid[[0, -1]])) and not np.all(axis.grid):
         at = ("values", axis.values.index(0.0)) if axis.values is not None else ()
         yield at, f"found 0 among the values; {axis.parameter} must be {key.must_be}"
+    crossing = _crossing(config, axis.parameter, axis.grid)
+    if crossing is not None:
+        yield (), crossing
     if key.whole and np.any(axis.grid % 1.0):
         yield (), f"{axis.parameter} must be {key.must_be} at every value of the axis"
+
+
+def _crossing(config: Config, parameter: str, values: FloatArray) -> str | None:
+    """Reason why a breakpoint cannot have some values: it would meet one beside it; None of any other key."""
+    *shaft, name, k = located(config, parameter)[0]
+    if name != "breakpoints_deg":
+        return None
+    for n in (int(k) - 1, int(k) + 1):
+        beside = dotted((*shaft, name, n))
+        if 0 <= n < len(config.driveline.shafts[int(shaft[-1])].breakpoints_deg or ()):
+            axes = [axis.grid for axis in config.sweep.axes if axis.parameter == beside] if config.sweep else []
+            reach = np.concatenate([*axes, values[:0]]) if axes else np.array([located(config, beside)[2]])
+            if not (values.max() < reach.min() if n > int(k) else values.min() > reach.max()):
+                return f"{parameter} and {beside} are not in ascending order in some runs"
+    return None
 
 
 Reach = tuple[Place, FloatArray, bool]  # of a time: its place in the sweep, its values, whether axes walk together
@@ -269,6 +293,10 @@ def _drawn(config: Config) -> Iterator[Finding]:
             if not math.isfinite(value) or not key.allows(value):
                 bound = "; bound the distribution with low and high" if draw.distribution != "uniform" else ""
                 yield ("sweep", table, k), f"{text}; it must be {key.must_be}{bound}"
+                break
+            crossing = _crossing(config, draw.parameter, np.array([value]))
+            if crossing is not None:
+                yield ("sweep", table, k), crossing
                 break
             if place[:2] == ("load", "times"):  # held against the others below
                 drawn_times[int(place[2])] = ("sweep", table, k), np.array(extremes), False

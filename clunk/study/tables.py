@@ -11,6 +11,7 @@ from pydantic import (
     AfterValidator,
     BaseModel,
     ConfigDict,
+    Discriminator,
     Field,
     PlainValidator,
     ValidationInfo,
@@ -25,6 +26,7 @@ from clunk.study.problems import listing, nearest, shorten
 Finding = tuple[Place, str]  # a place, and what is wrong there
 LONGEST_AXIS = 10_000_000  # values; known before any array is made
 MOST_DRAWS = 1_000_000  # of a sample
+ONE, SEVERAL = "<one number>", "<several numbers>"  # variants of a key, in pydantic's places only
 
 
 def refusal(*findings: Finding) -> PydanticCustomError:
@@ -95,9 +97,11 @@ def converted(table: Any, key: str, target: str, convert: Callable[[float], floa
     """
     if not isinstance(table, dict) or table.get(key) is None or table.get(target) is not None:
         return table
-    value = convert(table[key]) if is_number(table[key]) and table[key] >= 0 else math.inf
-    if value > highest or value == math.inf:
+    numbers = items_of(table[key]) or (table[key],)
+    values = [convert(each) if is_number(each) and each >= 0 else math.inf for each in numbers]
+    if max(values) > highest or math.inf in values:
         return {**table, target: 0.0}
+    value = tuple(values) if isinstance(table[key], list | tuple) else values[0]
     return {**{name: each for name, each in table.items() if name != key}, target: value}
 
 
@@ -146,6 +150,7 @@ def _not_zero(value: float) -> float:
     return value
 
 
+OneOrSeveral = Discriminator(lambda value: SEVERAL if isinstance(value, list | tuple) else ONE)
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 NotZero = Annotated[float, AfterValidator(_not_zero), WithJsonSchema({"type": "number", "not": {"const": 0}})]

@@ -9,7 +9,7 @@ from pydantic_core import ErrorDetails
 from clunk.study.document import Place, dotted
 from clunk.study.keys import ITEM, PRESETS, key_at, keys
 from clunk.study.problems import listing, nearest, shorten
-from clunk.study.tables import Finding
+from clunk.study.tables import ONE, SEVERAL, Finding
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -50,6 +50,8 @@ def _place(location: Place) -> tuple[Place, str]:
     place: Place = ()
     variant = ""
     for step in location:
+        if step in (ONE, SEVERAL):
+            continue
         key = key_at(place)
         if key is not None and step in key.variants and not variant:
             variant = str(step)

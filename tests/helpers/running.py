@@ -12,7 +12,7 @@ from clunk.core.rk4.propagator import Steps, build_steps
 from clunk.core.runs import LEVEL, PIECE, Log, Start
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.core.severity import peak_to_peak
-from clunk.core.status import QUALITY_COMPLETE
+from clunk.core.status import QUALITY_COMPLETE, Status
 from helpers.reference import Plant
 
 
@@ -86,9 +86,8 @@ def core_run(
     system, half_gap = run.system, plant.backlash / 2
     x, inputs = np.zeros(2 * plant.n), np.array([float(plant.after), half_gap, 0.0])
     if state is None:
-        side = switching.preload(system, np.array([plant.before, half_gap, 0.0]), x)
-        assert side != 0
-        regime = switching.closed_on(side)
+        status, regime = switching.preload(system, np.array([plant.before, half_gap, 0.0]), x)
+        assert status == Status.OK
     else:
         x[:] = state
         regime = switching.regime_of(system, x, inputs) if regime is None else regime

@@ -13,7 +13,7 @@ from clunk.core.exact.flows import BLOCK, CURVATURE, JERK, SIXTH, SLOPE, SLOPE_B
 from clunk.core.jit import unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, Vector, fused
-from clunk.core.regimes import INPUTS, TORQUE_RATE
+from clunk.core.tables import INPUTS, TORQUE_RATE
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -150,10 +150,12 @@ def bounds(watch: FloatArray, work: FloatArray, size: int) -> tuple[Vector, Vect
 
 
 @unowned_inlined
-def weighed(inputs: FloatArray, at: int, weights: FloatArray, first: int, stride: int, ramps: bool) -> Vector:
-    """Weights times inputs, which are rows of lanes from `at` on; rounded once a term.
+def weighed(
+    inputs: FloatArray, at: int, weights: FloatArray, first: int, stride: int, driven: int, ramps: bool
+) -> Vector:
+    """Weights times inputs, which are `driven` rows of lanes from `at` on; rounded once a term.
 
-    ramps : whether the last input, the torque's rate of change, can be other than zero
+    ramps : whether the torque's rate of change can be other than zero
     """
     total = vectors.load(inputs, at) * vectors.number(weights, first)
     for k in range(1, TORQUE_RATE):
@@ -161,14 +163,16 @@ def weighed(inputs: FloatArray, at: int, weights: FloatArray, first: int, stride
     if ramps:
         last = vectors.number(weights, first + TORQUE_RATE * stride)
         total = fused(vectors.load(inputs, at + TORQUE_RATE), last, total)
+    for k in range(INPUTS, driven):
+        total = fused(vectors.load(inputs, at + k), vectors.number(weights, first + k * stride), total)
     return total
 
 
 @unowned_inlined
-def weighed_drift(inputs: FloatArray, at: int, weights: FloatArray, first: int, stride: int) -> Vector:
+def weighed_drift(inputs: FloatArray, at: int, weights: FloatArray, first: int, stride: int, driven: int) -> Vector:
     """`weighed`, each product rounded: the slopes and curvatures of what drifts."""
     total = vectors.load(inputs, at) * vectors.number(weights, first)
-    for k in range(1, INPUTS):
+    for k in range(1, driven):
         total = total + vectors.load(inputs, at + k) * vectors.number(weights, first + k * stride)
     return total
 
@@ -179,18 +183,19 @@ def origin(
 ) -> Origin:
     """A functional's origin after a time.
 
-    output : (4, F, INPUTS) float64
+    output : (4, F, I) float64
     inputs : (…, W) float64, from row `at` on
     still : whether it does not move
     ramps : whether the torque's rate of change can be other than zero
     """
-    first, order = f * INPUTS, output.shape[1] * INPUTS
-    value = weighed(inputs, at, output, first, 1, ramps)
+    driven = output.shape[2]
+    first, order = f * driven, output.shape[1] * driven
+    value = weighed(inputs, at, output, first, 1, driven, ramps)
     slope = curvature = jerk = vectors.splat(0.0)
     if not still:
-        slope = weighed_drift(inputs, at, output, first + order, 1)
-        curvature = weighed_drift(inputs, at, output, first + 2 * order, 1)
-        jerk = weighed_drift(inputs, at, output, first + 3 * order, 1)
+        slope = weighed_drift(inputs, at, output, first + order, 1, driven)
+        curvature = weighed_drift(inputs, at, output, first + 2 * order, 1, driven)
+        jerk = weighed_drift(inputs, at, output, first + 3 * order, 1, driven)
         value += elapsed * (slope + 0.5 * elapsed * (curvature + elapsed * A_THIRD * jerk))
         slope += elapsed * (curvature + 0.5 * elapsed * jerk)
         curvature += elapsed * jerk
@@ -200,7 +205,7 @@ def origin(
 @unowned_inlined
 def origin_slope(output: FloatArray, f: int, inputs: FloatArray, at: int) -> Vector:
     """What the torque's rate of change makes the slope of a functional's origin, of one that moves by nothing else."""
-    first = (output.shape[1] + f) * INPUTS + TORQUE_RATE
+    first = (output.shape[1] + f) * output.shape[2] + TORQUE_RATE
     return vectors.load(inputs, at + TORQUE_RATE) * vectors.number(output, first)
 
 

@@ -26,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.lanes.vectors import ROW
-from clunk.core.regimes import HALF_GAP, TORQUE, TORQUE_RATE
+from clunk.core.tables import HALF_GAP, TORQUE, TORQUE_RATE
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

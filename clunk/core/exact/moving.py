@@ -10,7 +10,6 @@ from clunk.core.exact.workspace import Workspace, field, is_still
 from clunk.core.jit import unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, WIDTH, Vector, fused
-from clunk.core.regimes import INPUTS
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -23,7 +22,7 @@ def to_coordinates(space: Workspace, flow: int) -> None:
     inputs, ramps = space.inputs_at, space.system.ramps != 0
     origins, coordinates = flows.origin[flow], flows.coordinates[flow]
     for k in range(states):
-        origin = weighed(work, inputs, origins, k, size, ramps)
+        origin = weighed(work, inputs, origins, k, size, origins.shape[1], ramps)
         vectors.store(away, k, vectors.load(work, k) - origin)
     for c in range(size):
         total = vectors.splat(0.0)
@@ -39,15 +38,16 @@ def to_states(space: Workspace, flow: int, mask: int) -> None:
     flows, work, left = space.flows, space.pool.work, space.moved
     origins, basis, size = flows.origin[flow], flows.basis[flow], flows.basis.shape[1]
     elapsed = field(space, rows.ELAPSED)
-    inputs, order, still = space.inputs_at, INPUTS * size, is_still(space, flow) and flows.rolls[flow] == 0
+    driven = origins.shape[1]
+    inputs, order, still = space.inputs_at, driven * size, is_still(space, flow) and flows.rolls[flow] == 0
     ramps, half = space.system.ramps != 0, 0.5 * elapsed * elapsed
     sixth = half * elapsed * A_THIRD
     for n in range(flows.coordinates.shape[1]):
-        origin = weighed(work, inputs, origins, n, size, ramps)
+        origin = weighed(work, inputs, origins, n, size, driven, ramps)
         if not still:
-            origin += weighed_drift(work, inputs, origins, order + n, size) * elapsed
-            origin += weighed_drift(work, inputs, origins, 2 * order + n, size) * half
-            origin += weighed_drift(work, inputs, origins, 3 * order + n, size) * sixth
+            origin += weighed_drift(work, inputs, origins, order + n, size, driven) * elapsed
+            origin += weighed_drift(work, inputs, origins, 2 * order + n, size, driven) * half
+            origin += weighed_drift(work, inputs, origins, 3 * order + n, size, driven) * sixth
         away = vectors.splat(0.0)
         for j in range(size):
             away = fused(vectors.load(work, j), vectors.number(basis, j * size + n), away)

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.events import LOAD_STEP, LOCK, OPENING, REJOIN, SEPARATION, TOUCH
+from clunk.core.events import LOAD_STEP, LOCK, OPENING, REJOIN, SEPARATION, STAGE, TOUCH
 from clunk.core.exact import curves, moving, rows
 from clunk.core.exact.flows import Flows
 from clunk.core.exact.search import DEPTH, EXTREMES, TURN, conclude, search
@@ -43,10 +43,20 @@ from clunk.core.jit import compiled, unowned, unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, put_back, take
 from clunk.core.lanes.vectors import WIDTH
-from clunk.core.regimes import ACCELERATION, CLOSED_FLOW, FORCE, GAP, HALF_GAP, INPUTS, TORQUE, System
+from clunk.core.regimes import System
 from clunk.core.runs import BEGIN, LEVEL, Log, Outcome, Start, begin_wave, piece_at, record, set_torque
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
-from clunk.core.switching import Entry, holding_torque, room_for_a_switch, switch, weigh
+from clunk.core.switching import (
+    MOST_STAGES,
+    Entry,
+    breakpoint_of,
+    holding_torque,
+    room_for_a_switch,
+    set_weighed,
+    switch,
+    weigh,
+)
+from clunk.core.tables import ACCELERATION, FORCE, GAP, HALF_GAP, INPUTS, TORQUE
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -90,7 +100,7 @@ def begin(space: Workspace, slot: int, start: Start) -> None:
     row, numbers = space.runs[slot], space.numbers[slot, space.behind :]
     side = space.system.regimes[start.regime].side
     row.status, row.quality, row.last_side = _OK, 0, side
-    row.contact_began, row.from_sticking, row.fastest = -np.inf, 0, 0.0
+    row.contact_began, row.from_sticking, row.fastest, row.stages = -np.inf, 0, 0.0, 0
     row.load, row.piece = start.load, piece_at(start.loads[start.load], 0, 0.0)
     space.inputs[slot, HALF_GAP] = start.half_gap
     begin_wave(space.system, start.loads[start.load], row.piece, start.x)
@@ -124,12 +134,11 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     for k in range(x.size):
         space.numbers[slot, k] = x[k]  # a state for now; `_enter_coordinates` makes coordinates of it
     numbers[rows.ZERO] = rows.zero_of(entry.zero_guard, entry.zero_order)
-    closed = system.regimes[regime].flow == CLOSED_FLOW
-    numbers[rows.HELD_FROM] = row.contact_began + system.sticking_time - time if closed else -np.inf
-    for k in range(INPUTS):
-        space.numbers[slot, space.inputs_at + k] = system.signs[regime, k] * inputs[k]
     entered = system.regimes[regime]
-    numbers[rows.SIDE] = -1.0 if entered.side < 0 else 1.0
+    held_from = row.contact_began + system.sticking_time - time
+    numbers[rows.HELD_FROM] = held_from if entered.closed != 0 else -np.inf
+    set_weighed(system, regime, inputs, space.numbers[slot, space.inputs_at : space.kink_at])
+    numbers[rows.SIDE] = -1.0 if entered.side * system.regimes[system.leaders[entered.group]].side < 0 else 1.0
     numbers[rows.SCALE] = entered.of_gap * inputs[HALF_GAP] + entered.of_rest * row.static
     for n in range(entered.watched):
         numbers[rows.SHIFT + n] = weigh(system.offsets[regime, n], inputs)
@@ -267,15 +276,15 @@ def _go_on(space: Workspace, slot: int, time: float) -> None:
     numbers = space.numbers[slot, space.behind :]
     x, regime = space.state[slot, : system.lash.size], system.regimes[row.regime]
     entry = Entry(row.count, row.regime, *rows.guard_and_order(numbers[rows.ZERO]))
-    locked = system.impulsive != 0 and regime.flow == CLOSED_FLOW
+    locked = system.impulsive != 0 and regime.closed != 0
     torque, slope = 0.0, 0.0
     if locked:
         set_torque(system, space.loads[row.load], row.piece, time, inputs)
-        torque, slope, _ = holding_torque(system, CLOSED_FLOW, x, inputs)
+        torque, slope, _ = holding_torque(system, row.regime, x, inputs)
     _enter(space, slot, time, x, entry)
     scale = scale_of(space, slot, 0)
     if locked and scale > 0.0:
-        torque_after, slope_after, _ = holding_torque(system, CLOSED_FLOW, x, inputs)
+        torque_after, slope_after, _ = holding_torque(system, row.regime, x, inputs)
         jump, rounding = regime.side * (torque_after - torque), GRAZING * scale
         falls = regime.side * slope < 0.0 or jump < -rounding
         rises = regime.side * slope_after > 0.0 or jump > rounding
@@ -326,11 +335,18 @@ def _switch(space: Workspace, slot: int) -> None:
     if not room_for_a_switch(system, inputs, log, row.count):
         _end(space, slot, _EVENT_BUFFER_FULL, time)
         return
-    _close_phase(space, slot)
     if system.ramps != 0:
         set_torque(system, space.loads[row.load], row.piece, time, inputs)
     numbers[rows.MARGIN] = _margin_of_an_event(space, slot, x, time)
     entry, row.fastest = switch(system, row.regime, row.guard, time, x, inputs, log, row.count, row.fastest)
+    if entry.written == row.count:  # a stage that is not written: the phase goes on
+        row.stages += 1
+        if row.stages > MOST_STAGES * log.events.size:
+            _end(space, slot, _EVENT_BUFFER_FULL, time)
+        else:
+            _enter(space, slot, time, x, entry)
+        return
+    _close_phase(space, slot)
     for k in range(row.count, entry.written):
         event = log.events[k]
         if event.kind == TOUCH:
@@ -357,7 +373,7 @@ def _margin_of_an_event(space: Workspace, slot: int, x: FloatArray, time: float)
         # the overlap is least here or soon after: where it all but vanishes, rounding decides which
         overlap = -half_gap
         for k in range(x.size):
-            overlap += system.regimes[row.regime].side * system.functionals[CLOSED_FLOW, GAP, k] * x[k]
+            overlap += system.regimes[row.regime].side * system.functionals[0, GAP, k] * x[k]
         if max(overlap, 0.0) / row.static < abs(margin):
             margin = max(overlap, 0.0) / row.static
     return float(margin)
@@ -374,14 +390,38 @@ def _static(system: System, flows: Flows, start: Start) -> float:
     most = 0.0
     for regime in range(system.regimes.size):
         row = system.regimes[regime]
-        if row.flow == CLOSED_FLOW and flows.steady[CLOSED_FLOW] != 0:
-            output = flows.origin_output[CLOSED_FLOW, 0, f]
-            value = output[TORQUE] * torque + output[HALF_GAP] * (system.signs[regime, HALF_GAP] * start.half_gap)
+        rests = row.closed != 0 and flows.steady[row.flow] != 0
+        if rests and system.preload.shape[0] > 1:
+            rests = _rests(system, flows, regime, torque, start.half_gap)
+        if rests:
+            value = _at_rest(system, flows, regime, f, torque, start.half_gap)
             most = max(most, row.side * value - offset)
-    side = system.regimes[start.regime].side
+    side, flow = system.regimes[start.regime].side, system.regimes[start.regime].flow
     if most > 0.0 or side == 0:
         return float(most)
     value = 0.0
     for k in range(start.x.size):
-        value += system.functionals[CLOSED_FLOW, f, k] * start.x[k]
+        value += system.functionals[flow, f, k] * start.x[k]
     return float(max(side * value - offset, 0.0))
+
+
+@unowned_inlined
+def _at_rest(system: System, flows: Flows, regime: int, f: int, torque: float, half_gap: float) -> float:
+    """A functional of the particular solution of a regime under a torque."""
+    output = flows.origin_output[system.regimes[regime].flow, 0, f]
+    value = output[TORQUE] * torque + output[HALF_GAP] * (system.weights[regime, HALF_GAP] * half_gap)
+    for k in range(INPUTS, output.size):
+        value += output[k] * system.weights[regime, k]
+    return float(value)
+
+
+@unowned
+def _rests(system: System, flows: Flows, regime: int, torque: float, half_gap: float) -> bool:
+    """Whether a regime's particular solution under a torque lies within its stages."""
+    for g in range(system.regimes[regime].guards):
+        guard = system.guards[regime, g]
+        if guard.event_kind == STAGE:
+            value = _at_rest(system, flows, regime, guard.functional, torque, half_gap)
+            if guard.sign * value + breakpoint_of(system, regime, g) < 0.0:
+                return False
+    return True

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from clunk.core.events import STAGE
 from clunk.core.exact import curves, moving, polynomial, rows, taylor
 from clunk.core.exact.curves import load_curve, store_curve
 from clunk.core.exact.flows import TERMS
@@ -35,9 +36,9 @@ from clunk.core.jit import unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push_all, put_back
 from clunk.core.lanes.vectors import WIDTH, Vector
-from clunk.core.regimes import ACCELERATION
 from clunk.core.status import QUALITY_GRAZING
 from clunk.core.switching import ROUNDING
+from clunk.core.tables import ACCELERATION
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -422,7 +423,10 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
                     guard = vectors.choose(first, float(m), guard)
                     sign = vectors.choose(first, _sign(space, regime, m), sign)
                     shift = vectors.choose(first, field(space, rows.SHIFT + m), shift)
-                    scale = vectors.choose(first, _scale(space, regime, m), scale)
+                    of_this = _scale(space, regime, m)
+                    if system.guards[regime, m].event_kind == STAGE:
+                        of_this = vectors.magnitude(field(space, rows.SHIFT + m))
+                    scale = vectors.choose(first, of_this, scale)
                     order = vectors.choose(first, _zero_order(space, m), order)
             if near == 0:
                 break

@@ -14,9 +14,10 @@ from clunk.core.jit import compiled, unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import Pool, aligned, make_pool, push, whole
 from clunk.core.lanes.vectors import WIDTH, Vector
-from clunk.core.regimes import INPUTS, TORQUE_RATE, System
+from clunk.core.regimes import System
 from clunk.core.runs import Log
 from clunk.core.switching import weigh
+from clunk.core.tables import INPUTS, TORQUE_RATE
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -34,6 +35,7 @@ RUN = np.dtype(
         ("regime", np.int64),
         ("last_side", np.int64),
         ("from_sticking", np.int64),
+        ("stages", np.int64),  # changes of stage so far that are not written
         ("seeks_extremes", np.int64),  # whether the last step's are yet to be searched for
         ("seeks_turns", np.int64),  # the guards whose turns in the last step are yet to be searched for, as bits
         ("load", np.int64),  # its row of the loads
@@ -79,7 +81,7 @@ class Workspace(NamedTuple):
     read: int  # numbers of a run that a step reads
     runs: npt.NDArray[np.void]  # (S + 1,) RUN
     loads: FloatArray  # (loads, P, PIECE)
-    inputs: FloatArray  # (S, INPUTS)  d of each run, when its phase or its load's piece began
+    inputs: FloatArray  # (S, I)  d of each run, when its phase or its load's piece began
     state: FloatArray  # (S + 1, C)  [rad, rad/s]  of each run at the end of its phase
     events: npt.NDArray[np.void]  # (S, capacity) EVENT
     states: FloatArray  # (S, capacity, N), or (S, 0, N)
@@ -116,9 +118,10 @@ def make_workspace(
     queues = Queues(0, groups, 2 * groups, extremes, extremes + functionals, extremes + 2 * functionals, over, over + 1)
     behind = size * 3 // 2
     inputs_at = behind + rows.SHIFT + most
-    kink_at = inputs_at + INPUTS
+    driven = system.weights.shape[1]
+    kink_at = inputs_at + driven
     of_a_run = kink_at + 1
-    read = whole(of_a_run if system.ramps != 0 or loads.shape[1] > 1 else inputs_at + TORQUE_RATE)
+    read = whole(of_a_run if system.ramps != 0 or loads.shape[1] > 1 or driven > INPUTS else inputs_at + TORQUE_RATE)
     return Workspace(
         system=system,
         flows=flows,
@@ -133,7 +136,7 @@ def make_workspace(
         read=read,
         runs=np.zeros(slots + 1, RUN),
         loads=loads,
-        inputs=np.zeros((slots, INPUTS)),
+        inputs=np.ones((slots, driven)),
         state=aligned(slots + 1, size),
         events=events,
         states=states,

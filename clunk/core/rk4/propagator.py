@@ -5,7 +5,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.regimes import ACCELERATION, HALF_GAP, System, constrained, unconstrained, with_wave, without_drift
+from clunk.core.reductions import constrained, unconstrained, with_wave, without_drift
+from clunk.core.regimes import System
+from clunk.core.tables import ACCELERATION, HALF_GAP
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -135,7 +137,8 @@ def _modal_bound(system: System, step: float) -> tuple[dict[str, Any], bool]:
     rest_state = np.zeros((flows, size, driven))
     rest_functional = np.zeros((flows, functionals.shape[1], driven))
     stable = True
-    for flow, reduction in enumerate([unconstrained(mechanical), locked]):
+    for flow in range(flows):
+        reduction = unconstrained(mechanical) if 2 * flow < flows else locked
         expand, pick, shift = with_wave(without_drift(reduction, system.drift), states - mechanical)
         reduced = pick @ rates[flow] @ expand
         eigenvalues, right = np.linalg.eig(reduced)

@@ -14,14 +14,15 @@ import numpy.typing as npt
 
 from clunk.core.events import LOAD_STEP
 from clunk.core.jit import compiled, unowned, unowned_inlined
-from clunk.core.regimes import ACCELERATION, HALF_GAP, INPUTS, System
+from clunk.core.regimes import System
 from clunk.core.rk4 import quartic
 from clunk.core.rk4.propagator import BEND, BLOCK, Steps
 from clunk.core.rk4.settling import settled
 from clunk.core.rk4.step import Phase, acceleration_extremes, enter, expand, finish, first_event, make_phase
 from clunk.core.runs import BEGIN, Log, Outcome, Start, begin_wave, piece_at, record, set_torque
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
-from clunk.core.switching import Entry, room_for_a_switch, switch
+from clunk.core.switching import MOST_STAGES, Entry, room_for_a_switch, switch
+from clunk.core.tables import ACCELERATION, HALF_GAP
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -73,13 +74,13 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
         Set to non-zero from another thread to abandon the run.
     """
     x, phase, full, load = start.x, make_phase(system), _make_full(steps), start.loads[start.load]
-    inputs = np.zeros(INPUTS)
+    inputs = np.ones(system.weights.shape[1])
     inputs[HALF_GAP] = start.half_gap
     entry = Entry(_unknown(1), start.regime, _unknown(-1), _unknown(0))
     record(log, 0, 0.0, 0.0, LOAD_STEP, entry.regime, system.regimes[entry.regime].side, x)
     piece = piece_at(load, 0, 0.0)
     begin, grid = _begin_piece(system, steps, load, piece, x, inputs)
-    index, offset, fastest, spanned = 0, 0.0, 0.0, 1  # the time is begin + index · step + offset
+    index, offset, fastest, spanned, stages = 0, 0.0, 0.0, 1, 0  # the time is begin + index · step + offset
     while True:
         flow, zero_guard = system.regimes[entry.regime].flow, entry.zero_guard
         enter(phase, system, entry.regime, inputs)
@@ -137,7 +138,11 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
         time = begin + index * grid.step + offset
         if not room_for_a_switch(system, inputs, log, entry.written):
             return Outcome(_EVENT_BUFFER_FULL, entry.written, 0, np.nan, time)
-        entry, fastest = switch(system, entry.regime, guard, time, x, inputs, log, entry.written, fastest)
+        written = entry.written
+        entry, fastest = switch(system, entry.regime, guard, time, x, inputs, log, written, fastest)
+        stages += entry.written == written
+        if stages > MOST_STAGES * log.events.size:
+            return Outcome(_EVENT_BUFFER_FULL, written, 0, np.nan, time)
         if spanned == 2 and offset >= grid.step:
             index, offset = index + 1, offset - grid.step
 
@@ -181,7 +186,7 @@ def _combine(weights: FloatArray, inputs: FloatArray, out: FloatArray) -> None:
     """out = weightsᵀ inputs."""
     for r in range(out.size):
         out[r] = weights[0, r] * inputs[0]
-    for k in range(1, INPUTS):
+    for k in range(1, inputs.size):
         for r in range(out.size):
             out[r] += weights[k, r] * inputs[k]
 
@@ -194,7 +199,7 @@ def _load(steps: Steps, flow: int, phase: Phase, x: FloatArray, full: _Full) -> 
         z[k] = x[k]
     for r in range(steps.observe.shape[2]):
         value = steps.observe_input[flow, 0, r] * phase.inputs[0]
-        for k in range(1, INPUTS):
+        for k in range(1, phase.inputs.size):
             value += steps.observe_input[flow, k, r] * phase.inputs[k]
         for k in range(x.size):
             value += steps.observe[flow, k, r] * x[k]

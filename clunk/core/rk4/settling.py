@@ -4,12 +4,13 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.jit import compiled
-from clunk.core.regimes import ACCELERATION, INPUTS, System
+from clunk.core.regimes import System
 from clunk.core.rk4.propagator import Steps
 from clunk.core.rk4.step import Phase
 from clunk.core.sequence import find_primaries
 from clunk.core.severity import window_extremes
 from clunk.core.switching import weigh
+from clunk.core.tables import ACCELERATION
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -61,7 +62,7 @@ def _reach(steps: Steps, flow: int, phase: Phase, x: FloatArray) -> FloatArray:
         real, imaginary = 0.0, 0.0
         for k in range(size):
             away = x[k]
-            for j in range(INPUTS):
+            for j in range(phase.inputs.size):
                 away -= steps.rest_state[flow, k, j] * phase.inputs[j]
             real += steps.mode_rows[flow, 0, mode, k] * away
             imaginary += steps.mode_rows[flow, 1, mode, k] * away

@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.jit import compiled, unowned
-from clunk.core.regimes import ACCELERATION, INPUTS, System
+from clunk.core.regimes import System
 from clunk.core.rk4 import quartic
-from clunk.core.switching import ROUNDING, weigh
+from clunk.core.switching import ROUNDING, set_weighed, weigh
+from clunk.core.tables import ACCELERATION
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -19,7 +20,7 @@ FloatArray = npt.NDArray[np.float64]
 class Phase(NamedTuple):
     """A run between two events: what its regime makes of the inputs and the guards, and a step's expansion."""
 
-    inputs: FloatArray  # (INPUTS,)  u of the regime
+    inputs: FloatArray  # (I,)  u of the regime
     at: npt.NDArray[np.int64]  # (G,)  where a guard's functional is among the outputs of a full step
     sign: FloatArray  # (G,)
     shift: FloatArray  # (G,)
@@ -30,16 +31,16 @@ class Phase(NamedTuple):
 def make_phase(system: System) -> Phase:
     """Room for the phases of a run."""
     most = system.guards.shape[1]
+    driven = system.weights.shape[1]
     return Phase(
-        np.empty(INPUTS), np.empty(most, np.int64), np.empty(most), np.empty(most), np.empty((5, system.lash.size))
+        np.empty(driven), np.empty(most, np.int64), np.empty(most), np.empty(most), np.empty((5, system.lash.size))
     )
 
 
 @unowned
 def enter(phase: Phase, system: System, regime: int, inputs: FloatArray) -> None:
     """Begin a phase in a regime; `inputs` are d of the run."""
-    for k in range(INPUTS):
-        phase.inputs[k] = system.signs[regime, k] * inputs[k]
+    set_weighed(system, regime, inputs, phase.inputs)
     for g in range(system.regimes[regime].guards):
         row = system.guards[regime, g]
         phase.at[g], phase.sign[g] = 4 * row.functional, row.sign
