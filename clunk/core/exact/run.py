@@ -52,7 +52,6 @@ from clunk.core.switching import (
     breakpoint_of,
     holding_torque,
     room_for_a_switch,
-    set_weighed,
     switch,
     weigh,
 )
@@ -110,15 +109,8 @@ def begin(space: Workspace, slot: int, start: Start) -> None:
     # no acceleration counts before the first primary impact
     numbers[rows.WINDOW_MAX], numbers[rows.WINDOW_MIN] = np.inf, -np.inf
     record(log_of(space, slot), 0, 0.0, 0.0, LOAD_STEP, start.regime, side, start.x)
-    _begin_phase(space, slot, 0.0, start.x, Entry(written=1, regime=start.regime, zero_guard=-1, zero_order=0))
-
-
-@unowned_inlined
-def _begin_phase(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry) -> None:
-    """Begin a phase of a run, whose acceleration is not known yet."""
-    numbers = space.numbers[slot, space.behind :]
     numbers[rows.PHASE_MAX], numbers[rows.PHASE_MIN] = -np.inf, np.inf
-    _enter(space, slot, time, x, entry)
+    _enter(space, slot, 0.0, start.x, Entry(written=1, regime=start.regime, zero_guard=-1, zero_order=0))
 
 
 @unowned_inlined
@@ -137,7 +129,8 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     entered = system.regimes[regime]
     held_from = row.contact_began + system.sticking_time - time
     numbers[rows.HELD_FROM] = held_from if entered.closed != 0 else -np.inf
-    set_weighed(system, regime, inputs, space.numbers[slot, space.inputs_at : space.kink_at])
+    for k in range(system.weights.shape[1]):
+        space.numbers[slot, space.inputs_at + k] = system.weights[regime, k] * inputs[k]
     numbers[rows.SIDE] = -1.0 if entered.side * system.regimes[system.leaders[entered.group]].side < 0 else 1.0
     numbers[rows.SCALE] = entered.of_gap * inputs[HALF_GAP] + entered.of_rest * row.static
     for n in range(entered.watched):
@@ -332,7 +325,7 @@ def _switch(space: Workspace, slot: int) -> None:
     if not np.isfinite(total):
         _end(space, slot, _NON_FINITE, time)
         return
-    if not room_for_a_switch(system, inputs, log, row.count):
+    if not room_for_a_switch(system, inputs, log, row.count) or row.stages > MOST_STAGES * log.events.size:
         _end(space, slot, _EVENT_BUFFER_FULL, time)
         return
     if system.ramps != 0:
@@ -341,12 +334,9 @@ def _switch(space: Workspace, slot: int) -> None:
     entry, row.fastest = switch(system, row.regime, row.guard, time, x, inputs, log, row.count, row.fastest)
     if entry.written == row.count:  # a stage that is not written: the phase goes on
         row.stages += 1
-        if row.stages > MOST_STAGES * log.events.size:
-            _end(space, slot, _EVENT_BUFFER_FULL, time)
-        else:
-            _enter(space, slot, time, x, entry)
-        return
-    _close_phase(space, slot)
+    else:
+        _close_phase(space, slot)
+        numbers[rows.PHASE_MAX], numbers[rows.PHASE_MIN] = -np.inf, np.inf  # of the phase that begins
     for k in range(row.count, entry.written):
         event = log.events[k]
         if event.kind == TOUCH:
@@ -358,7 +348,7 @@ def _switch(space: Workspace, slot: int) -> None:
             row.contact_began = time
         elif event.kind == SEPARATION:
             row.from_sticking = int(time - row.contact_began > system.sticking_time)
-    _begin_phase(space, slot, time, x, entry)
+    _enter(space, slot, time, x, entry)
 
 
 @unowned_inlined
