@@ -190,6 +190,18 @@ def test_a_load_that_does_not_change_leaves_the_driveline_at_rest(profile):
     assert final == pytest.approx(event.state, abs=1e-10)  # the constant load is off by some 1e-14 a block
 
 
+@pytest.mark.parametrize("damping", [0.0, 0.5], ids=["undamped", "damped"])
+def test_a_rigid_flank_that_nothing_presses_any_more_stays_closed(damping):
+    """Its torque is rounding, which undamped shafts build up; the least pull parts it at once."""
+    shafts = (1, 2, 30.0, damping), (2, 3, 110.25, damping)
+    plant = Plant((0.03, 0.004, 0.01), shafts, (1, "ground"), after=0.0, acceleration_of=1, restitution=0.0)
+    (event,), final = run(plant, 0.5)
+    assert final == pytest.approx(event.state, abs=1e-12)
+    pulled, _ = run(nudged(plant, None, 1e-10)[0], 0.1)
+    assert kinds_of(pulled)[1] == ("separation", -1)
+    assert pulled[1].time == 0.0
+
+
 def test_a_short_ramp_is_a_step_half_its_duration_later():
     """What the ramp does to the state after it differs by the square of the duration; chatter magnifies that."""
     until = 0.13  # s: separation, the first crossing and its first rebounds

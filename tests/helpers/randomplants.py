@@ -147,12 +147,13 @@ def _with_gears(draw, plant):
 
 
 def nudged(plant, state, share):
-    """The same, a little off, in everything that a run starts from."""
+    """The same, a little off, in everything that a run starts from; a load taken off becomes a pull."""
     if state is None:
         first, *others = plant.profile.torques or (0.0,)
         profile = replace(plant.profile, torques=(first * (1.0 + share), *others)[: len(plant.profile.torques)])
         backlash = plant.backlash * (1.0 - 0.3 * share)
-        return replace(plant, before=plant.before * (1.0 + share), backlash=backlash, profile=profile), None
+        before, after = plant.before * (1.0 + share), plant.after - plant.before * share
+        return replace(plant, before=before, after=after, backlash=backlash, profile=profile), None
     signs = np.where(np.arange(state.size) % 2, 1.0, -1.0)
     return plant, state * (1.0 + share * signs)
 

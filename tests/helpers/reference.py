@@ -42,7 +42,7 @@ LONGEST = 1e-3  # s, a cell where nothing swings
 LOCKING = 1e-4
 ROUNDING = 1e-13  # of the terms that add up to a guard or one of its derivatives
 LEAST = 1e-17  # of what a guard changes by in a cell: less is rounding, and all that is left of a rate that was zero
-SETTLING = 1e3  # times as much for elements that have just settled
+SETTLING = 1e3  # times as much where elements settle
 INSTANT = 1e-12  # s: events closer than this are at the same time
 
 
@@ -73,6 +73,11 @@ class Guard(NamedTuple):
     side: int
     successor: Mode | None
     element: int
+
+    @property
+    def settles(self):
+        """Whether it turns negative at rest, and what follows depends on the other elements too."""
+        return self.successor is None and self.kind != "touch"
 
 
 class Regime:
@@ -115,11 +120,12 @@ class Regime:
     def leading(self, z, length, settled):
         """Of each guard's Taylor series over a cell: its terms from the first on that is more than rounding.
 
-        There is more of it in the guards of elements that have just settled, whose state has been put right.
+        There is more of it in the guards of elements that have just settled, whose state has been put right. A guard
+        that makes elements settle is judged so all the time: what is rounding to `_settled` must not end a phase.
         """
         terms = self.series(z, length) @ self.guard_rows.T
         scale = (length / self.cell) ** np.arange(ORDER + 1)
-        looseness = [SETTLING if guard.element in settled else 1.0 for guard in self.guards]
+        looseness = [SETTLING if guard.settles or guard.element in settled else 1.0 for guard in self.guards]
         sizes = self.sizes @ np.abs(z)
         rounding = ROUNDING * sizes + LEAST * sizes.max(axis=0)
         sure = np.abs(terms) > rounding * np.outer(scale, looseness)
@@ -480,8 +486,8 @@ def _phase(regime, z, remaining, settled):
     def located(z, length, first):
         series = regime.series(z, length)
         earliest, hit = 1.0, None
-        columns = regime.leading(z, length, settled) if first else (series @ regime.guard_rows.T).T
-        for guard, coefficients in zip(regime.guards, columns, strict=True):
+        leading = regime.leading(z, length, settled if first else [])
+        for guard, coefficients in zip(regime.guards, leading, strict=True):
             u = _first_negative(coefficients.tolist())
             if u is not None and (hit is None or u < earliest):
                 earliest, hit = u, guard
