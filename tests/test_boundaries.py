@@ -66,7 +66,9 @@ def test_each_vertex_is_where_single_runs_change(coarse):
     long = [curve for curve in coarse.curves if len(curve.vertices) > 4]
     assert len(long) > 5
     for curve in long[:8]:
-        k = int(generator.integers(1, len(curve.vertices) - 1))
+        k = int(generator.integers(len(curve.vertices) // 3, len(curve.vertices) - 1))
+        if min(np.abs((point - curve.vertices[k]) / RANGE).max() for point, _ in coarse.meetings) < 1e-6:
+            continue  # where a third label is next to both
         vertex, along = curve.vertices[k] / RANGE, np.diff(curve.vertices[[k - 1, k + 1]] / RANGE, axis=0)[0]
         left = np.array([-along[1], along[0]]) / np.hypot(*along)
         low, high = -1e-7, 1e-7

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.boundaryevents import Crossing, event_between, split_by_event
-from clunk.analysis.brackets import Floats
+from clunk.analysis.boundaryevents import events_between, split_by_event
+from clunk.analysis.brackets import Codes, Floats
 from clunk.analysis.network import SAME, junctions_of, paths_of, regions_of, rings_of
-from clunk.analysis.pointruns import PointRuns, Runs
+from clunk.analysis.pointruns import RUN, PointRuns, Runs
 from clunk.analysis.thresholds import thresholds
 from clunk.analysis.tracing import Lines, hidden
 from clunk.analysis.triangles import Triangles
@@ -123,20 +123,24 @@ def _of_plane(study: Study, results: Results, workers: int | None) -> Boundaries
         across, upward = (
             scale.shares(axis.values[scale.order]) for scale, axis in zip(scales, results.axes, strict=True)
         )
-        triangles = Triangles(across, upward, results.sequence[ascending].astype(np.int64))
-        keys, places, codes = hidden(run, triangles, results.touches[ascending], results.margin[ascending])
+        nodes = np.zeros(results.sequence.shape, RUN)
+        nodes["outcome"], nodes["measure"] = results.sequence[ascending], results.margin[ascending]
+        nodes["touches"] = results.touches[ascending]
+        triangles = Triangles(across, upward, nodes)
+        keys, places, runs = hidden(run, triangles)
         if keys.size:
-            triangles.add(keys, places, codes)
+            triangles.add(keys, places, runs)
         lines = Lines(triangles, run)
         segments = lines.trace()
         paths = paths_of(segments, lines.position)
         regions = regions_of(rings_of(paths, int(triangles.outcome[0])))
 
-        def crossing(node: int) -> Crossing | None:
-            return None if node < 0 else tuple(values_at(lines.bracket(np.array([node]))[0]))
+        def crossings(nodes: Codes) -> tuple[Floats, Floats]:
+            ends = lines.bracket(nodes)
+            return values_at(ends[:, 0]), values_at(ends[:, 1])
 
         paths = [path for path in paths if np.ptp(path.vertices, axis=0).max() > SAME]  # none across a junction
-        pieces = [piece for path in paths for piece in split_by_event(point_runs, path, crossing)]
+        pieces = [*split_by_event(point_runs, paths, crossings)]
         labels, number = point_runs.numbered(len(results.labels))
     junctions, junction_labels = junctions_of(lines.met, lines.met_labels)
     rings = [ring for region in regions for ring in region]
@@ -182,10 +186,8 @@ def _of_axis(study: Study, results: Results, workers: int | None) -> Boundaries:
     with engine_of(None, workers) as engine:
         point_runs = PointRuns(study, [axis.parameter], results.labels, engine)
         aside = 1e-9 * (scale.highest - scale.lowest)
-        events = [
-            event_between(point_runs, np.array([max(value - aside, scale.lowest)]), np.array([value + aside]))
-            for value in scan.value
-        ]
+        below, above = np.maximum(scan.value - aside, scale.lowest)[:, None], scan.value[:, None] + aside
+        events = events_between(point_runs, below, above)
     count = scan.value.size
     return Boundaries(
         axes=results.axes,
@@ -194,7 +196,7 @@ def _of_axis(study: Study, results: Results, workers: int | None) -> Boundaries:
         curve_counts=np.ones(count, np.int32),
         curve_left=number[scan.below],
         curve_right=number[scan.above],
-        curve_event=np.array(events, np.int8),
+        curve_event=events.astype(np.int8),
         junctions=np.zeros((0, 2)),
         junction_labels=_filled([]),
         ring_vertices=np.column_stack([edges[:-1], edges[1:]]).reshape(-1, 1),

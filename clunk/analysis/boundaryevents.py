@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
-from clunk.analysis.brackets import Floats
+from clunk.analysis.brackets import Codes, Floats
 from clunk.analysis.network import Path
-from clunk.analysis.pointruns import PointRuns
-from clunk.core import tile
-from clunk.core.events import EVENT, STAGE, TOUCH
-from clunk.core.runs import Log, Start
+from clunk.analysis.pointruns import Events, PointRuns, Records
+from clunk.core.events import STAGE, TOUCH
 from clunk.core.status import Status
-from clunk.core.tables import HALF_GAP
 from clunk.results.boundaries import (
     END_TIME,
     INITIAL_FLANK,
@@ -24,86 +20,85 @@ from clunk.results.boundaries import (
     STICKING_TIME,
     UNKNOWN,
 )
-from clunk.simulation.phases import preload
-
-Events = npt.NDArray[np.void]  # EVENT
-Crossing = tuple[Floats, Floats]  # the points on either side, (axes,) each in the axes' units
 
 _AT_END = 1e-6  # of the end time
 _SAME_TIME = 1e-6  # likewise: runs 1e-9 apart are alike until an event that only one of them has
 
 
 def split_by_event(
-    runs: PointRuns, path: Path, crossing: Callable[[int], Crossing | None]
+    runs: PointRuns, paths: Sequence[Path], crossings: Callable[[Codes], tuple[Floats, Floats]]
 ) -> Iterator[tuple[Path, Floats, int]]:
-    """Yield the parts of a curve with one event each: the curve, the part's vertices and its event.
+    """Yield the parts of curves with one event each: the curve, the part's vertices and its event.
 
-    The event is decided at the curve's first, middle and last crossing; between two that differ, where it changes.
+    The event is decided at each curve's first, middle and last crossing; between two that differ, where it changes.
 
-    crossing : ends of the bracket of a node, None for a triple point
+    crossings : the points on either side of nodes, (n, axes) each in the axes' units
     """
-    numbers = [k for k, node in enumerate(path.nodes) if node >= 0]
     known: dict[int, int] = {}
+    numbers = [[k for k, node in enumerate(path.nodes) if node >= 0] for path in paths]
 
-    def event_at(k: int) -> int:
-        if k not in known:
-            ends = crossing(path.nodes[numbers[k]])
-            assert ends is not None
-            known[k] = event_between(runs, *ends)
-        return known[k]
+    def learn(places: list[tuple[int, int]]) -> None:
+        new = np.array(sorted({node_at(*place) for place in places} - known.keys()), np.int64)
+        known.update(zip(new.tolist(), events_between(runs, *crossings(new)).tolist(), strict=True))
 
-    last = len(numbers) - 1
-    begin, marks = 0, sorted({0, last // 2, last})
-    for pair in pairwise(marks):
-        low, high = pair
-        while high - low > 1 and event_at(low) != event_at(high):
-            middle = (low + high) // 2
-            low, high = (middle, high) if event_at(middle) == event_at(low) else (low, middle)
-        if event_at(low) != event_at(high):
-            stop = path.at[numbers[high]]
-            yield path, path.vertices[begin : stop + 1], event_at(low)
+    def node_at(path: int, number: int) -> int:
+        return paths[path].nodes[numbers[path][number]]
+
+    def event_at(path: int, number: int) -> int:
+        return known[node_at(path, number)]
+
+    marks = [sorted({0, (len(each) - 1) // 2, len(each) - 1}) for each in numbers]
+    learn([(k, mark) for k, each in enumerate(marks) for mark in each])
+    spans = [(k, low, high) for k, each in enumerate(marks) for low, high in pairwise(each)]
+    changes = [span for span in spans if event_at(*span[:2]) != event_at(span[0], span[2])]
+    while any(high - low > 1 for _, low, high in changes):
+        learn([(k, (low + high) // 2) for k, low, high in changes])
+        for n, (k, low, high) in enumerate(changes):
+            if high - low > 1:
+                middle = (low + high) // 2
+                is_like_low = event_at(k, middle) == event_at(k, low)
+                changes[n] = (k, middle, high) if is_like_low else (k, low, middle)
+    for k, path in enumerate(paths):
+        begin = 0
+        for _, low, high in (change for change in changes if change[0] == k):
+            stop = path.at[numbers[k][high]]
+            yield path, path.vertices[begin : stop + 1], event_at(k, low)
             begin = stop
-    yield path, path.vertices[begin:], event_at(last)
+        yield path, path.vertices[begin:], event_at(k, len(numbers[k]) - 1)
 
 
-def event_between(runs: PointRuns, one: Floats, other: Floats) -> int:
-    """What makes the labels of two points differ: the first event that only one of the runs has.
+def events_between(runs: PointRuns, one: Floats, other: Floats) -> Codes:
+    """What makes the labels of pairs of points (n, axes) differ: the first event that only one of the runs has.
 
     A touch is a grazing of its flank, another one is where a contact that held ended. With the same events, a contact
-    has held for the sticking time in one run only.
+    has held for the sticking time in one run only. Returns numbers in `EVENTS`, (n,).
     """
-    sides, events = zip(*(_events_at(runs, point) for point in (one, other)), strict=True)
-    if sides[0] == 0 or sides[0] != sides[1]:
-        return UNKNOWN
-    count = min(map(len, events))
-    first, second = (each[:count] for each in events)
-    apart = np.abs(first["time"] - second["time"]) > _SAME_TIME * runs.study.solver.end_time
-    differing = np.flatnonzero(apart | (first["kind"] != second["kind"]) | (first["side"] != second["side"]))
-    at = int(differing[0]) if differing.size else count
-    candidates = [each[at] for each in events if len(each) > at]
-    if not candidates:
-        return STICKING_TIME
-    event = min(candidates, key=lambda each: each["time"])
-    if event["time"] > (1.0 - _AT_END) * runs.study.solver.end_time:
-        return END_TIME
-    if event["kind"] != TOUCH:
-        return STICKING_ENDS
-    return INITIAL_FLANK if event["side"] == sides[0] else OPPOSITE_FLANK
+    parts = [_differences(*part, runs.study.solver.end_time) for part in runs.pairs(one, other)]
+    return np.concatenate([np.zeros(0, np.int64), *parts])
 
 
-def _events_at(runs: PointRuns, point: Floats) -> tuple[int, Events]:
-    """The initial side, 0 where the run fails, and the events of a run at a point."""
-    grid = runs.grid(point[None])
-    values = grid.design.at(np.zeros(1, np.int64))
-    cases = grid.cases(values, 1)
-    ((structural, _),) = grid.groups(np.zeros(1, np.int64))
-    system, tables = grid.systems.prepared(structural)
-    rest = preload(system, cases.before[0])
-    capacity = runs.study.solver.max_events + 1
-    log = Log(np.zeros(capacity, EVENT), np.zeros((capacity, system.lash.size)))
-    if system.status != Status.OK or rest.status != Status.OK:
-        return 0, log.events[:0]
-    start = Start(rest.x, rest.regime, cases.before[0, HALF_GAP], cases.loads, 0)
-    outcome = tile.run(system, tables, start, log, np.zeros(1, np.uint8))
-    events = log.events[: outcome.written]
-    return rest.side if outcome.status == Status.OK else 0, events[events["kind"] != STAGE]
+def _differences(records: Records, logs: Events, end_time: float) -> Codes:
+    """Events that differ, from CELL (n, 2) and EVENT (n, 2, events)."""
+    sides = np.where(records["status"] == Status.OK, records["initial_side"], 0)
+    times = np.where(logs["kind"] == STAGE, np.nan, logs["time"])  # a change of a shaft's stage makes no label
+    order = np.argsort(np.isnan(times), axis=2, kind="stable")
+    logs, times = np.take_along_axis(logs, order, 2), np.take_along_axis(times, order, 2)
+    is_event = ~np.isnan(times)
+    differ = np.abs(times[:, 0] - times[:, 1]) > _SAME_TIME * end_time
+    for name in ("kind", "side"):
+        differ |= logs[name][:, 0] != logs[name][:, 1]
+    differ |= ~is_event.all(axis=1)  # behind the last event of one
+    first = np.argmax(differ, axis=1)
+    times = np.where(is_event, times, np.inf)[np.arange(len(logs)), :, first]
+    events = logs[np.arange(len(logs)), np.argmin(times, axis=1), first]
+    return np.select(
+        [
+            (sides[:, 0] == 0) | (sides[:, 0] != sides[:, 1]),
+            ~differ.any(axis=1) | ~np.isfinite(times).any(axis=1),
+            times.min(axis=1) > (1.0 - _AT_END) * end_time,
+            events["kind"] != TOUCH,
+            events["side"] == sides[:, 0],
+        ],
+        [UNKNOWN, STICKING_TIME, END_TIME, STICKING_ENDS, INITIAL_FLANK],
+        OPPOSITE_FLANK,
+    )

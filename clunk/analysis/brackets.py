@@ -1,9 +1,10 @@
 """Brackets: pairs of runs of different outcome, narrowed side by side, a batch of runs for each step.
 
-What decides is the outcomes of a bracket's two ends; where a number of the runs (the margin, or how much a severity
-exceeds its bound) changes sign with them, its line between the ends says where to look: the ITP method, which takes no
-more steps than one beyond bisection (Oliveira and Takahashi 2020, doi:10.1145/3423597). Where further outcomes lie
-within a bracket, it becomes several.
+What decides is the outcomes of a bracket's two ends. Where to look is said by a number of the runs (the margin, or how
+much a severity exceeds its bound): where the line between the ends is zero, if it changes sign with them, and a little
+towards the middle of that, as in the ITP method (Oliveira and Takahashi 2020, doi:10.1145/3423597); or, as the number
+may jump where the outcome changes, where the line through the last two values on one side is zero. A bracket that these
+do not narrow is halved now and then. Where further outcomes lie within a bracket, it becomes several.
 """
 
 from __future__ import annotations
@@ -21,6 +22,11 @@ Points = npt.NDArray[np.void]  # POINT
 TOLERANCE = 1e-9  # of the span, the widest that a bracket ends by default
 _FEW = 64  # runs, which take no longer than their batch
 _MOST_SPREAD = 8
+_BESIDE = 0.45  # tolerances from the expected place, so that a bracket of two such values is narrow
+_STALLED = 0.5  # of its width, which a bracket is expected to fall below
+_SECANT, _EXTRAPOLATION, _MIDDLE = range(3)  # ways to expect a place
+_SECANTS = 2  # stalls, after which others are taken in turn
+_LATER = np.array([_MIDDLE, _EXTRAPOLATION, _EXTRAPOLATION])
 POINT = np.dtype([("cell", "i8"), ("value", "f8"), ("outcome", "i8"), ("measure", "f8"), ("touches", "i8")])
 
 
@@ -37,47 +43,67 @@ def narrow(
     run : runs cells at values, (m,) each
     """
     tolerance *= span
-    steps = _steps(low, high, tolerance)
-    narrowed = [(low[:0], high[:0])]
-    while low.size:
-        middle = _between(low, high, steps, tolerance, span)
-        wide = (high["value"] - low["value"] > tolerance) & (low["value"] < middle) & (middle < high["value"])
-        narrowed.append((low[~wide], high[~wide]))
-        low, high, steps, middle = low[wide], high[wide], steps[wide], middle[wide]
-        if not low.size:
+    ends = np.stack([low, low, high, high], axis=1)  # each with the value before it on its side
+    stalls, narrowed = np.zeros(low.size, np.int64), [ends[:0]]
+    while len(ends):
+        width, middle = ends["value"][:, 2] - ends["value"][:, 1], ends["value"][:, 1:3].mean(axis=1)
+        wide = (width > tolerance) & (ends["value"][:, 1] < middle) & (middle < ends["value"][:, 2])
+        narrowed.append(ends[~wide])
+        ends, stalls, width = ends[wide], stalls[wide], width[wide]
+        if not len(ends):
             break
-        values = np.sort(np.column_stack([middle, _spread(low, high)]), axis=1)
-        runs = run(np.repeat(low["cell"], values.shape[1]), values.ravel()).reshape(values.shape)
-        chain = np.column_stack([low, runs, high])
-        apart = chain["outcome"][:, :-1] != chain["outcome"][:, 1:]
-        low, high = chain[:, :-1][apart], chain[:, 1:][apart]
-        steps = np.maximum(np.repeat(steps, apart.sum(axis=1)) - 1.0, _steps(low, high, tolerance) - 1.0)
-    lows, highs = zip(*narrowed, strict=True)
-    return np.concatenate(lows), np.concatenate(highs)
+        way = np.where(stalls < _SECANTS, _SECANT, _LATER[stalls % _LATER.size])
+        place, is_expected = _expected(ends, way)
+        values = _next(ends, place, is_expected, span, tolerance)
+        chain = np.empty((len(ends), values.shape[1] + 4), POINT)
+        chain[:, :2], chain[:, -2:] = ends[:, :2], ends[:, 2:]
+        chain[:, 2:-2] = run(np.repeat(ends["cell"][:, 0], values.shape[1]), values.ravel()).reshape(values.shape)
+        rows, at = np.nonzero(chain["outcome"][:, 1:-2] != chain["outcome"][:, 2:-1])
+        ends = chain[rows[:, None], at[:, None] + np.arange(4)]
+        is_stalled = ends["value"][:, 2] - ends["value"][:, 1] > _STALLED * width[rows]
+        stalls = stalls[rows] + (is_stalled & is_expected[rows] | (way == _MIDDLE)[rows])
+    ends = np.concatenate(narrowed)
+    return ends[:, 1], ends[:, 2]
 
 
-def _spread(low: Points, high: Points) -> Floats:
-    """Further values to run in each bracket, evenly spaced: where brackets are few, a run costs less than a batch."""
-    shares = np.arange(1, min(_FEW // low.size, _MOST_SPREAD) + 1)
-    values: Floats = low["value"][:, None] + (high["value"] - low["value"])[:, None] * shares / (shares.size + 1)
+def _next(ends: Points, place: Floats, is_expected: Bools, span: float, tolerance: float) -> Floats:
+    """Next values to run in each bracket, ascending: one beside the expected place, on the side of the middle.
+
+    Where brackets are few, a run costs less than a batch, and there are further ones: evenly spaced, and in a geometric
+    series on either side of the expected place, if there is one.
+    """
+    low, high = ends["value"][:, 1], ends["value"][:, 2]
+    width, middle = high - low, 0.5 * (low + high)
+    towards = np.sign(middle - place)
+    nudge = np.minimum(np.maximum(0.2 / span * width**2, _BESIDE * tolerance), np.abs(place - middle))
+    numbers = np.arange(min(_FEW // len(ends), _MOST_SPREAD))
+    even = low[:, None] + width[:, None] * (numbers + 1) / (numbers.size + 1)
+    nearest = _BESIDE * tolerance / width[:, None]
+    beside = np.where(numbers % 4, 1.0, -1.0) * width[:, None] * nearest ** (1.0 - numbers / max(numbers.size, 1))
+    near = place[:, None] + np.where(towards, towards, 1.0)[:, None] * beside
+    is_near = is_expected[:, None] & (numbers % 2 == 0) & (low[:, None] < near) & (near < high[:, None])
+    further = np.where(is_near, near, even)
+    values: Floats = np.sort(np.column_stack([place + towards * nudge, further]), axis=1)
     return values
 
 
-def _steps(low: Points, high: Points, tolerance: float) -> Floats:
-    """Steps in which brackets are to be narrow: one more than by bisection."""
-    widths: Floats = np.maximum((high["value"] - low["value"]) / tolerance, 1.0)
-    return np.ceil(np.log2(widths)) + 1.0
+def _expected(ends: Points, way: Codes) -> tuple[Floats, Bools]:
+    """Where the outcome is expected to change in each bracket, and whether that is more than its middle.
 
-
-def _between(low: Points, high: Points, steps: Floats, tolerance: float, span: float) -> Floats:
-    """Next value to run in each bracket by the ITP method: the middle, where no number changes sign within it."""
-    width, middle = high["value"] - low["value"], 0.5 * (low["value"] + high["value"])
-    at_low, at_high = low["measure"], high["measure"]
-    crosses = at_low * at_high < 0.0
-    share = np.divide(at_low, at_low - at_high, out=np.full(width.size, 0.5), where=crosses)
-    away = low["value"] + share * width - middle  # of the line's zero
-    nudge = np.maximum(0.2 / span * width**2, 0.5 * tolerance)
-    away = np.sign(away) * np.maximum(np.abs(away) - nudge, 0.0)
-    reach = np.maximum(0.5 * (tolerance * 2.0 ** (steps - 1.0) - width), 0.0)
-    values: Floats = middle + np.clip(away, -reach, reach)
-    return values
+    By extrapolation from the end that is nearer to zero. Where that led to the bracket's other end, as its curve
+    is bent, it is a tenth of the width before that.
+    """
+    values, measures = ends["value"], ends["measure"]
+    low, width = values[:, 1], values[:, 2] - values[:, 1]
+    side = 1 + np.argmin(np.abs(measures[:, 1:3]), axis=1)
+    rows, before = np.arange(len(ends)), 3 * side - 3
+    at, other = measures[rows, side], measures[rows, before]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ahead = at * np.abs(values[rows, side] - values[rows, before]) / (other - at)
+        secant = low + width * measures[:, 1] / (measures[:, 1] - measures[:, 2])
+    falls = (ends["outcome"][rows, before] == ends["outcome"][rows, side]) & (ahead > 0.0) & (way == _EXTRAPOLATION)
+    ahead = np.where(ahead < width, ahead, 0.9 * width)
+    extrapolated = np.where(side == 1, low + ahead, values[:, 2] - ahead)
+    crosses = (measures[:, 1] * measures[:, 2] < 0.0) & (way == _SECANT)
+    places = np.select([crosses, falls], [secant, extrapolated], low + 0.5 * width)
+    return places, crosses | falls

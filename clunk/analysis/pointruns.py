@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 
 import numpy as np
@@ -18,9 +18,14 @@ from clunk.sweeping.assembly import flanks_of, long_sequences
 from clunk.sweeping.cells import Grid, Systems
 from clunk.sweeping.engines import Stop, available_cores, run_tile
 
-RUN = np.dtype([("outcome", "i8"), ("measure", "f8"), ("touches", "i8")])
+RUN_FIELDS = ("outcome", "measure", "touches")
+RUN = np.dtype([*zip(RUN_FIELDS, ("i8", "f8", "i8"), strict=True)])
 Runs = npt.NDArray[np.void]  # RUN: the label's code, the margin and the number of touches
 
+Records = npt.NDArray[np.void]  # CELL
+Events = npt.NDArray[np.void]  # EVENT
+
+_EVENT_MEMORY = 500_000  # events that there is room for at a time, in each thread: 28 MB
 _ALONE = 200  # runs: fewer are not worth a second thread
 
 
@@ -37,12 +42,12 @@ class PointRuns:
     def __init__(self, study: Study, parameters: Sequence[str], labels: Sequence[str], engine: Executor) -> None:
         self.study, self.parameters = study.model_copy(update={"sweep": None}), tuple(parameters)
         self.count = 0
-        self._engine = engine
+        self._engine, self._workers = engine, getattr(engine, "_max_workers", None) or available_cores()
         self._codes = {text: code for code, text in enumerate(labels)}
         self._code_of_pattern: dict[int, int] = {}
         self._systems = Systems(self.study)  # so that a driveline is prepared once for all batches
 
-    def grid(self, values: Floats) -> Grid:
+    def _grid(self, values: Floats) -> Grid:
         """The cells at some points; values : (n, parameters), in their units."""
         columns = tuple(Column(key, 0, values[:, k]) for k, key in enumerate(self.parameters))
         design = Design((len(values),), columns, run=0)
@@ -53,9 +58,8 @@ class PointRuns:
         runs = np.zeros(len(values), RUN)
         if not runs.size:
             return runs
-        grid, stop = self.grid(values), Stop()
-        workers = getattr(self._engine, "_max_workers", None) or available_cores()
-        pieces = np.array_split(np.arange(runs.size), workers if runs.size > _ALONE else 1)
+        grid, stop = self._grid(values), Stop()
+        pieces = np.array_split(np.arange(runs.size), self._workers if runs.size > _ALONE else 1)
         try:
             each = map if len(pieces) == 1 else self._engine.map
             tiles = list(each(lambda cells: run_tile(grid, cells, stop), pieces))
@@ -72,6 +76,22 @@ class PointRuns:
             part["outcome"][records["status"] != Status.OK] = FAILED_CODE
         self.count += runs.size
         return runs
+
+    def pairs(self, one: Floats, other: Floats) -> Iterator[tuple[Records, Events]]:
+        """Run pairs of points, (n, parameters) each, and keep their events.
+
+        Yields of some pairs after the others CELL (k, 2), and EVENT (k, 2, events), with times NaN behind the last one.
+        """
+        most = max(_EVENT_MEMORY // (2 * self.study.solver.max_events + 2), 1)
+        pieces = [*range(0, len(one), min(most, max(-(-len(one) // self._workers), _ALONE // 2)))]
+
+        def run(begin: int, end: int) -> tuple[Records, Events]:
+            grid = self._grid(np.stack([one[begin:end], other[begin:end]], 1).reshape(-1, len(self.parameters)))
+            records, logs = grid.logged(np.arange(2 * (end - begin)))
+            return records.reshape(-1, 2), logs.reshape(end - begin, 2, -1)
+
+        ends = [*pieces[1:], len(one)]
+        return iter(self._engine.map(run, pieces, ends)) if len(pieces) > 1 else map(run, pieces, ends)
 
     def _of_pattern(self, pattern: int) -> int:
         if pattern == 0:  # failed, or too long for a pattern

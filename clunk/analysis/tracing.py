@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from clunk.analysis.brackets import POINT, TOLERANCE, Codes, Floats, Points, narrow
 from clunk.analysis.network import Segments
-from clunk.analysis.pointruns import Runs
+from clunk.analysis.pointruns import RUN, RUN_FIELDS, Runs
 from clunk.analysis.triangles import Nodes, Triangles, ends_of, keys_of
 from clunk.core.exact.run import MOST
 from clunk.results.labels import FAILED_CODE
@@ -35,9 +35,9 @@ _MOST_STEPS = 12  # towards a triple point, 5 as a rule
 _MOST_ROUNDS = 12  # of new nodes
 _TOUCHES = 2  # by which neighbours differ, where no margin is known
 _AROUND = np.array([0.9, 1.02])  # of the way to where a margin is expected to be zero, the next points
+_STAYS = 0.8, 2.0  # times itself, a margin that comes to no zero: a boundary passes by
 _STEEPER = 2.0  # than between known values, as the margin may fall between them
 
-Touches = npt.NDArray[np.int32]
 Run = Callable[[Floats], Runs]  # of points (n, 2), on each axis from 0 to 1
 
 
@@ -77,10 +77,11 @@ class Lines:
         mixed = self.triangles.mixed
         keys = np.unique(keys_of(mixed, np.roll(mixed, -1, axis=1)))
         first, second = ends_of(keys)
-        outcome, positions = self.triangles.outcome, self.triangles.positions
-        keys = keys[(outcome[first] != outcome[second]) & ~np.isin(keys, self.keys)]
+        runs, positions = self.triangles.runs, self.triangles.positions
+        differ = runs["outcome"][first] != runs["outcome"][second]
+        keys = keys[differ & ~np.isin(keys, self.keys)]
         first, second = ends_of(keys)
-        low, high = located(self.run, positions[first], positions[second], outcome[first], outcome[second])
+        low, high = located(self.run, positions[first], positions[second], runs[first], runs[second])
         lengths = np.hypot(*(positions[second] - positions[first]).T)
         order = np.lexsort((low["value"], low["cell"]))
         low, high = low[order], high[order]
@@ -95,13 +96,13 @@ class Lines:
             begin, rest, begins, counts = begin[counted], rest[counted], begins[counted], counts[counted]
             several = counts > k + 1
             after = rest.copy()
-            after[several] = self.triangles.outcome.size + np.arange(several.sum())
+            after[several] = self.triangles.runs.size + np.arange(several.sum())
             each = ends[begins + k]
             self._keep(keys_of(begin, after), np.where((begin < after)[:, None, None], each, each[:, ::-1]))
             if several.any():
                 next_ = begins[several] + k
                 between = 0.5 * (ends[next_, 1] + ends[next_ + 1, 0])
-                self.triangles.add(keys_of(begin, rest)[several], between, high["outcome"][next_])
+                self.triangles.add(keys_of(begin, rest)[several], between, _as_runs(high[next_]))
             begin = after
         return bool((counts > 1).any())
 
@@ -184,7 +185,7 @@ class Lines:
             keys, first = np.unique(rails.far[asked["cell"]], return_index=True)
             keys, asked = keys[keys >= 0], asked[first[keys >= 0]]
             if keys.size:
-                self.triangles.add(keys, np.stack([asked["x"], asked["y"]], 1), asked["outcome"])
+                self.triangles.add(keys, np.stack([asked["x"], asked["y"]], 1), asked["run"])
                 return True
         segments.inner.update(
             {k: self.inner[name] for k, name in enumerate(rails.names) if len(self.inner.get(name, ()))}
@@ -210,13 +211,15 @@ class Rails:
     names: list[tuple[int, ...]]
 
 
-_ASKED = np.dtype([("cell", "i8"), ("x", "f8"), ("y", "f8"), ("outcome", "i8")])
+_ASKED = np.dtype([("cell", "i8"), ("x", "f8"), ("y", "f8"), ("run", RUN)])
 
 
 def located(
-    run: Run, low: Floats, high: Floats, below: Codes, above: Codes, tolerance: float = TOLERANCE
+    run: Run, low: Floats, high: Floats, below: Runs, above: Runs, tolerance: float = TOLERANCE
 ) -> tuple[Points, Points]:
     """Narrow brackets on straight lines between points (n, 2) of different labels, by default to 1e-9 of each axis.
+
+    below, above : (n,) runs at these points
 
     The points that come back have the line's number as their cell, and the distance from its first end as their value.
     """
@@ -227,18 +230,23 @@ def located(
         return _points(lines, distances, run(low[lines] + distances[:, None] * steps[lines]))
 
     lines = np.arange(lengths.size)
-    ends = np.zeros((2, lengths.size), POINT)
-    ends["cell"], ends["measure"] = lines, np.nan
-    ends["value"][1], ends["outcome"] = lengths, (below, above)
-    return narrow(ends[0], ends[1], run_at, tolerance=tolerance)
+    begin, end = _points(lines, np.zeros(lines.size), below), _points(lines, lengths, above)
+    return narrow(begin, end, run_at, tolerance=tolerance)
 
 
 def _points(lines: Codes, distances: Floats, runs: Runs) -> Points:
     points = np.zeros(lines.size, POINT)
     points["cell"], points["value"] = lines, distances
-    for name in ("outcome", "measure", "touches"):
+    for name in RUN_FIELDS:
         points[name] = runs[name]
     return points
+
+
+def _as_runs(points: Points) -> Runs:
+    runs = np.zeros(points.size, RUN)
+    for name in RUN_FIELDS:
+        runs[name] = points[name]
+    return runs
 
 
 def triple_points(run: Run, corners: Floats, labels: Codes, crossings: Floats) -> Floats:
@@ -260,19 +268,20 @@ def triple_points(run: Run, corners: Floats, labels: Codes, crossings: Floats) -
         # on the way to each corner, the nearest points from which on the label is the corner's
         ways = corners[active] - guess[active, None]
         places = guess[active, None, None] + ways[:, :, None] * _NEARER[:, None]
-        runs = run(places.reshape(-1, 2))["outcome"].reshape(places.shape[:3])
-        fits = (runs == labels[active][..., None]).all(axis=1)
+        runs = run(places.reshape(-1, 2)).reshape(places.shape[:3])
+        fits = (runs["outcome"] == labels[active][..., None]).all(axis=1)
         nearest = np.argmax(np.cumprod(fits[:, ::-1], axis=1)[:, ::-1], axis=1)
         able = fits[:, -1]
-        tip = np.argmax(runs[:, :, -1] != labels[active], axis=1)  # a corner within 1e-9 of other labels
+        tip = np.argmax(runs["outcome"][:, :, -1] != labels[active], axis=1)  # a corner within 1e-9 of other labels
         guess[active[~able]] = corners[active[~able], tip[~able]]
-        active, nearest, places = active[able], nearest[able], places[able]
+        active, nearest, places, runs = active[able], nearest[able], places[able], runs[able]
         if not active.size:
             break
         nearer = places[np.arange(active.size), :, nearest]
-        after, pairs = np.roll(nearer, -1, axis=1), np.roll(labels[active], -1, axis=1)
-        begin, end = nearer.reshape(-1, 2), after.reshape(-1, 2)
-        low, high = located(run, begin, end, labels[active].ravel(), pairs.ravel(), TOLERANCE / _SHARPER)
+        corner_runs = runs[np.arange(active.size), :, nearest]
+        begin, end = nearer.reshape(-1, 2), np.roll(nearer, -1, axis=1).reshape(-1, 2)
+        pairs = corner_runs.ravel(), np.roll(corner_runs, -1, axis=1).ravel()
+        low, high = located(run, begin, end, *pairs, TOLERANCE / _SHARPER)
         _, first, counts = np.unique(low["cell"], return_index=True, return_counts=True)
         way = end - begin
         middle = 0.5 * (low["value"] + high["value"])[first] / np.maximum(np.hypot(*way.T), 1e-300)
@@ -332,12 +341,12 @@ def bent(
         middles = sides.mean(axis=1)  # of the rails
         runs = run(middles.reshape(-1, 2)).reshape(-1, 2)
         clear = (runs["outcome"] == expected).all(axis=1)
-        low, high = located(run, middles[clear, 0], middles[clear, 1], *expected[clear].T)
+        low, high = located(run, middles[clear, 0], middles[clear, 1], *runs[clear].T)
         lines, counts = np.unique(low["cell"], return_counts=True)
         single = np.zeros(len(middles), bool)
         single[np.flatnonzero(clear)[lines[counts == 1]]] = True
         asks = np.zeros(int((~single).sum()), _ASKED)
-        asks["cell"], asks["outcome"] = segment[~single], runs["outcome"][~single, 1]
+        asks["cell"], asks["run"] = segment[~single], runs[~single, 1]
         asks["x"], asks["y"] = middles[~single, 1].T
         asked.append(asks)
         order = np.argsort(low["cell"], kind="stable")
@@ -362,34 +371,36 @@ def bent(
     return located_points, owner, share, np.concatenate(asked)
 
 
-def hidden(run: Run, triangles: Triangles, touches: Touches, margin: Floats) -> tuple[Codes, Floats, Codes]:
-    """Nodes of another label on edges whose ends have one: keys of the edges, positions (n, 2), codes.
+def hidden(run: Run, triangles: Triangles) -> tuple[Codes, Floats, Runs]:
+    """Nodes of another label on edges whose ends have one: keys of the edges, positions (n, 2), runs.
 
     A region thinner than a cell begins where the margin falls to zero. Where it falls towards a node, so that it may be
     zero before the next one, and is not small there, its zero is closed in on: from points at which it still falls, by
     the line through the last two, and points beyond. Without margins that is done with jumps of the touches by two.
-
-    touches, margin : shape of the map; -1 and NaN where they are not known
     """
-    first, second, slope = _suspects(triangles.outcome.reshape(triangles.shape), touches, margin)
-    begin, size, count = triangles.positions[first], np.abs(margin.ravel()[first]), touches.ravel()[first]
-    step, sign = triangles.positions[second] - begin, np.sign(margin.ravel()[first])
+    nodes, margin = triangles.runs, triangles.runs["measure"]
+    first, second, slope = _suspects(*(nodes[name].reshape(triangles.shape) for name in RUN_FIELDS))
+    begin, size, count = triangles.positions[first], np.abs(margin[first]), nodes["touches"][first]
+    step, sign = triangles.positions[second] - begin, np.sign(margin[first])
     label, keys = triangles.outcome[first], keys_of(first, second)
     edges, low, high = np.arange(first.size), np.zeros(first.size), np.ones(first.size)
-    nodes: list[tuple[Codes, Floats, Codes]] = [(keys[:0], np.zeros((0, 2)), keys[:0])]
+    new: list[tuple[Codes, Floats, Runs]] = [(keys[:0], np.zeros((0, 2)), nodes[:0])]
     thinnest = _THINNEST / np.hypot(*step.T)
     while edges.size:
         with np.errstate(invalid="ignore", divide="ignore"):
             ahead = size / slope
         close = (ahead > 0.0) & (low + ahead < high)
         ahead = np.where(close, ahead, 0.5 * (high - low))
-        shares = low[:, None] + ahead[:, None] * _AROUND
-        shares[:, 1] = np.minimum(shares[:, 1], 0.5 * (shares[:, 0] + high))
+        around = _AROUND if (low > 0.0).any() or (high < 1.0).any() else _AROUND[:1]  # at first one for each of many
+        shares = low[:, None] + ahead[:, None] * around
+        shares[:, 1:] = np.minimum(shares[:, 1:], 0.5 * (shares[:, :1] + high[:, None]))
         places = begin[edges, None] + shares[..., None] * step[edges, None]
         runs = run(places.reshape(-1, 2)).reshape(shares.shape)
         others = runs["outcome"] != label[edges, None]
         shows, at = others.any(axis=1), np.argmax(others, axis=1)
-        nodes.append((keys[edges[shows]], places[shows, at[shows]], runs["outcome"][shows, at[shows]]))
+        new.append((keys[edges[shows]], places[shows, at[shows]], runs[shows, at[shows]]))
+        left = sign[edges] * runs["measure"][:, 0] / size  # of the margin
+        goes_on = ~shows & ~((_STAYS[0] < left) & (left < _STAYS[1]))
         alike = runs["touches"] == count[edges, None]
         for k, share in enumerate(shares.T):
             after = sign[edges] * runs["measure"][:, k]
@@ -402,15 +413,15 @@ def hidden(run: Run, triangles: Triangles, touches: Touches, margin: Floats) -> 
             high = np.where(falls, high, np.minimum(high, share))
         with np.errstate(invalid="ignore", divide="ignore"):
             distance = size / slope
-        goes_on = ~shows & (high - low > thinnest[edges])
+        goes_on &= high - low > thinnest[edges]
         goes_on &= np.isnan(distance) | ((distance > thinnest[edges]) & (distance < _STEEPER * (high - low)))
         edges, low, high, size, slope = (part[goes_on] for part in (edges, low, high, size, slope))
-    every, places, codes = (np.concatenate(part) for part in zip(*nodes, strict=True))
+    every, places, shown = (np.concatenate(part) for part in zip(*new, strict=True))
     every, at = np.unique(every, return_index=True)
-    return every, places[at], codes[at]
+    return every, places[at], shown[at]
 
 
-def _suspects(outcome: Codes, touches: Touches, margin: Floats) -> tuple[Nodes, Nodes, Floats]:
+def _suspects(outcome: Codes, margin: Floats, touches: Codes) -> tuple[Nodes, Nodes, Floats]:
     """Both nodes of edges within which something may be hidden, and the margin's fall per edge up to the first."""
     numbers, size = np.arange(outcome.size).reshape(outcome.shape), np.abs(margin)
     size = np.where(size < MOST, size, np.nan)  # from there on margins are alike

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.analysis.brackets import Bools, Codes, Floats
+from clunk.analysis.pointruns import Runs
 
 Nodes = npt.NDArray[np.int64]
 
@@ -32,14 +33,14 @@ class Triangles:
     """The triangles of a map's cells in which labels differ, and of such as get a node on an edge.
 
     positions : (nodes, 2) float64, on each axis from 0 to 1; first those of the map, in C order
-    outcome : (nodes,) int64, code of the label
+    runs : (nodes,) RUN
     corners : (n, 3) nodes, anticlockwise
     """
 
-    def __init__(self, across: Floats, upward: Floats, outcome: Codes) -> None:
-        self.shape = outcome.shape
+    def __init__(self, across: Floats, upward: Floats, runs: Runs) -> None:
+        self.shape, outcome = runs.shape, runs["outcome"]
         self.positions: Floats = np.stack(np.meshgrid(across, upward, indexing="ij"), axis=-1).reshape(-1, 2)
-        self.outcome: Codes = outcome.ravel().astype(np.int64)
+        self.runs: Runs = runs.ravel()
         self.corners: Nodes = np.zeros((0, 3), np.int64)
         self._is_open: Bools = np.zeros((self.shape[0] - 1, self.shape[1] - 1), bool)
         alike = (outcome[:-1, :-1] == outcome[1:, :-1]) & (outcome[:-1, :-1] == outcome[:-1, 1:])
@@ -56,21 +57,27 @@ class Triangles:
         self.corners = np.concatenate([self.corners, np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
 
     @property
+    def outcome(self) -> Codes:
+        """Code of each node's label, (nodes,)."""
+        codes: Codes = self.runs["outcome"]
+        return codes
+
+    @property
     def mixed(self) -> Nodes:
         """The triangles whose labels differ: (n, 3) nodes."""
         labels = self.outcome[self.corners]
         differ: Bools = (labels != labels[:, :1]).any(axis=1)
         return self.corners[differ]
 
-    def add(self, keys: Codes, positions: Floats, outcome: Codes) -> None:
+    def add(self, keys: Codes, positions: Floats, runs: Runs) -> None:
         """Add a node on each of these edges, of which none comes twice."""
         self._open_beside(keys)
         order = np.argsort(keys)
         middle = np.full(keys.size + 1, -1)  # the last is of edges that stay whole
-        middle[:-1] = self.outcome.size + order
+        middle[:-1] = self.runs.size + order
         keys = keys[order]
         self.positions = np.concatenate([self.positions, positions])
-        self.outcome = np.concatenate([self.outcome, outcome])
+        self.runs = np.concatenate([self.runs, runs])
         every = keys_of(self.corners, np.roll(self.corners, -1, axis=1))
         at = np.minimum(np.searchsorted(keys, every), keys.size - 1)
         new = middle[np.where(keys[at] == every, at, -1)]  # on the edges behind each corner

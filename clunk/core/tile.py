@@ -70,6 +70,7 @@ class Output(NamedTuple):
 
     cells: npt.NDArray[np.void]  # (cells,) CELL
     impacts: npt.NDArray[np.void]  # (capacity,) IMPACT
+    logs: npt.NDArray[np.void]  # (cells, max_events + 1) EVENT, behind a run's events as it was; or (0, 0)
 
 
 class _Scratch(NamedTuple):
@@ -151,6 +152,8 @@ def by_rk4(
         if outcome.status == INTERRUPTED:
             return k, written
         primaries = _describe(system, undecided, outcome, log.events, cells[k], scratch)
+        if output.logs.size > 0:
+            output.logs[k, : outcome.written] = log.events[: outcome.written]
         _copy(log.events, primaries, cells[k].initial_side, scratch, output.impacts, written)
         written += primaries
     return cells.size, written
@@ -206,6 +209,8 @@ def by_exact(
             spare += 1
             outcome = Outcome(row.status, row.count, row.quality, exact.margin_of(space, slot), row.time)
             primaries = _describe(system, undecided, outcome, log, cells[k], scratch)
+            if output.logs.size > 0:
+                output.logs[k, : row.count] = log[: row.count]
             # room is kept for the oldest, so that every call is through with one cell at least
             if written + primaries + (0 if k == oldest else max_events) > impacts.size:
                 full = True

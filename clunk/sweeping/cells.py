@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core import tile as kernel
+from clunk.core.events import EVENT
 from clunk.core.exact.flows import Flows
 from clunk.core.jit import is_cold
 from clunk.core.regimes import System
@@ -31,6 +32,7 @@ _BACKLASH = "lash.backlash_deg"
 _RATES = {"smooth": "load.duration", "lag": "load.time_constant", "sine": "load.frequency"}  # how fast a wave swings
 KEPT_SYSTEMS = 4096  # about 20 KB each
 _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
+_NO_LOGS = np.zeros((0, 0), EVENT)
 _TILE_POINTS = 2**19  # of tabulated loads: 20 MB where each cell has its own
 
 
@@ -144,25 +146,37 @@ class Grid:
         in_order = np.argsort(np.concatenate(owners), kind="stable")
         return Tile(cells[known], records[known], np.concatenate(impacts)[in_order])
 
+    def logged(self, cells: Cells) -> tuple[Records, Records]:
+        """Run cells and keep their events: CELL (n,), and EVENT (n, events), with times NaN behind a run's last one."""
+        cases, buffer = self.cases(self.design.at(cells), cells.size), self.impact_buffer(cells.size)
+        records, logs = np.zeros(cells.size, CELL), np.zeros((cells.size, self.study.solver.max_events + 1), EVENT)
+        logs["time"] = np.nan
+        for values, positions in self.groups(cells):
+            part, events = cases.at(positions), logs[positions]
+            records[positions], _ = self.run_group(values, part, buffer, np.zeros(1, np.uint8), events)
+            logs[positions] = events
+        return records, logs[:, : int((~np.isnan(logs["time"])).sum(axis=1).max(initial=0))]
+
     def impact_buffer(self, runs: int) -> Records:
         """Room for the primary impacts of up to `runs` runs, IMPACT; see `run_group`."""
         return np.zeros(8 * runs + self.study.solver.max_events, IMPACT)
 
     def run_group(
-        self, values: Mapping[str, float], cases: kernel.Cases, buffer: Records, stop: Flag
+        self, values: Mapping[str, float], cases: kernel.Cases, buffer: Records, stop: Flag, logs: Records = _NO_LOGS
     ) -> tuple[Records, list[Records]]:
         """Records and impacts of runs of one system, of those that were done before `stop` was set.
 
         values : of the structural parameters
         cases : torques and gap of each run
         buffer : IMPACT, to work in; see `impact_buffer`
+        logs : EVENT, output for the events of each run, if wanted; see `kernel.Output`
 
         Returns CELL, one of each run, and IMPACT, in pieces.
         """
         system, tables = self.systems.prepared(values)
         solver = self.study.solver
         done, records = 0, np.zeros(len(cases.before), CELL)
-        output = kernel.Output(records, buffer)
+        output = kernel.Output(records, buffer, logs)
         impacts = []
         while done < records.size and not stop[0]:
             done, written = kernel.run_tile(
@@ -184,5 +198,5 @@ def compiling_note(*methods: str) -> str:
 def warm_up(study: Study) -> None:
     """Compile the kernel of a study's method, or load it, before a sweep rather than in the middle of it."""
     system, tables = driveline.prepare(study)
-    cases, output = Grid(study).cases({}, 0), kernel.Output(np.zeros(0, CELL), np.zeros(0, IMPACT))
+    cases, output = Grid(study).cases({}, 0), kernel.Output(np.zeros(0, CELL), np.zeros(0, IMPACT), _NO_LOGS)
     kernel.run_tile(system, tables, 0.0, cases, 0, 1, output, np.zeros(1, np.uint8))
