@@ -83,9 +83,10 @@ def test_each_vertex_is_where_single_runs_change(coarse):
 
 def test_junctions_do_not_depend_on_the_start(coarse, finer):
     """Figure 3.4 has three feet, at which three labels meet on the frame, and two crossings of boundaries, of four."""
-    for one, other in zip(coarse.meetings, finer.meetings, strict=True):
-        assert one[1] == other[1]
-        assert one[0] / RANGE == pytest.approx(other[0] / RANGE, abs=1e-8)
+    for other in (finer, clunk.sweep(figure(121), boundaries=True).boundaries):
+        for one, again in zip(coarse.meetings, other.meetings, strict=True):
+            assert one[1] == again[1]
+            assert one[0] / RANGE == pytest.approx(again[0] / RANGE, abs=1e-8)
     assert sorted(len(labels) for _, labels in coarse.meetings) == [3, 3, 3, 4, 4]
 
 
@@ -307,6 +308,16 @@ def test_the_command_adds_boundaries_to_a_file_tells_of_them_and_exports_them(co
     rows = list(csv.DictReader((tmp_path / "b.csv").read_text("utf-8").splitlines()))
     assert [[float(row[each.parameter]) for each in traced.axes] for row in rows] == traced.vertices.tolist()
     assert "must end in .csv, .geojson" in command("export", "r.h5", "b.mat", "--boundaries")[2]
+
+
+def test_boundaries_are_traced_again_where_failed_cells_are_run_again(command, tmp_path):
+    axes = axis("load.ratio", 2.0, 6.0, 9), axis("lash.backlash_deg", 2.0, 6.0, 9)
+    (tmp_path / "c.toml").write_text(NOMINAL + "".join(axes), encoding="utf-8")
+    sweep = ("sweep", "c.toml", "--set", EXACT, "-o", "r.h5")
+    command(*sweep, "--set", "solver.max_events=16", "--boundaries")
+    assert FAILED in clunk.read_results("r.h5").boundaries.areas
+    assert command(*sweep, "--retry-failed")[0] == 0
+    assert clunk.read_results("r.h5").boundaries.areas == clunk.sweep(study(*axes), boundaries=True).boundaries.areas
 
 
 def test_a_file_of_one_axis_or_without_any_boundary_is_read_back_and_is_netcdf(command, tmp_path):

@@ -82,8 +82,10 @@ def sweep(
 
     opening = engine_of(scheduler, workers, say=lambda text: click.echo(text, err=True))
     with opened(target, study, refine=refine, retry=retry_failed, restart=restart, force=force) as job:
+        # those of a file whose failed cells are run again belong to its old labels
+        traces = boundaries or getattr(job.earlier, "boundaries", None) is not None
         if job.counts is None:
-            failed = _report(_run(job, opening, _tracing(study, workers) if boundaries else None), job, as_json)
+            failed = _report(_run(job, opening, _tracing(study, workers) if traces else None), job, as_json)
         else:
             if boundaries:
                 job.finished(_tracing(study, workers))
