@@ -449,7 +449,6 @@ BROKEN = [
     (f"{WHOLE}[sweep.axis]\n", "sweep.axis", 49, 'did you mean "axes"?'),
     (f"{ONE_RUN}[sweep]\naxes = []\n", "sweep.axes", 42, "an array of tables, [[sweep.axes]]"),
     (f"{ONE_RUN}[sweep]\n", "sweep.axes", 41, "missing"),
-    (ONE_RUN.replace("[lash]", "[[lash]]"), "lash", 17, "several lashes are not supported yet"),
     ('preset = "boere-2008"\n', "preset", 1, '"preset" in [driveline]'),
     ('[driveline]\npreset = "boere-2080"\n', "driveline.preset", 2, 'did you mean "boere-2008"?'),
     ("[driveline]\npreset = 2008\n", "driveline.preset", 2, "found 2008; must be one of"),

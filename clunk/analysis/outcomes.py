@@ -128,7 +128,7 @@ def outcome_of(text: str, study: Study, without: Mapping[str, str], error: type[
     quantity, relation, bound = words.groups("") if words else (text, "", "")
     if without.get(quantity) == "" or quantity not in (LABEL, *MEASURED, DOUBLE_SIDED, CHATTER, NOMINAL):
         raise error(_unknown(text, quantity, without))
-    if quantity == "severity" and study.lash.contact.model == "restitution":
+    if quantity == "severity" and study.lashes[0].contact.model == "restitution":
         raise error("severity is not defined for the restitution model; approach_velocity is.")
     if not relation:
         if quantity in without:

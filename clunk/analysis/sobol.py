@@ -217,7 +217,7 @@ def _sweep(study: Study) -> Sweep:
 
 def default_quantities(study: Study) -> tuple[str, ...]:
     """Quantities whose indices are asked for by default: severity or, for restitution, approach velocity, and label."""
-    hardness = "approach_velocity" if study.lash.contact.model == "restitution" else "severity"
+    hardness = "approach_velocity" if study.lashes[0].contact.model == "restitution" else "severity"
     return hardness, "nominal_label"
 
 

@@ -193,7 +193,7 @@ def verify(
     grid = nominal(study)
     if study.sweep is None:
         events = pair_events(*(simulate(by(study, method)) for method in METHODS))
-        one = Axis(parameter="lash.backlash_deg", values=(study.lash.backlash_deg,))
+        one = Axis(parameter="lash.backlash_deg", values=(study.lashes[0].backlash_deg,))
         grid = study.model_copy(update={"sweep": Sweep(axes=(one,))})
     cells = sweeping.cell_count(grid)
     results: list[Results] = []

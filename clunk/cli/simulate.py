@@ -214,7 +214,7 @@ def print_energy(trajectory: Trajectory, balance: EnergyBalance) -> None:
     """Print the energy balance of a run: stored before and after, taken by dampers and flanks, and the residual."""
     from clunk.simulation.driveline import Driveline
 
-    driveline, contact = trajectory.study.driveline, trajectory.study.lash.contact
+    driveline, contact = trajectory.study.driveline, trajectory.study.lashes[0].contact
     shafts = [f"shaft {k}, {shaft.between[0]}-{shaft.between[1]}" for k, shaft in enumerate(driveline.shafts, 1)]
     rows = [
         ("inertias", balance.kinetic_before, balance.kinetic_after, 0.0),

@@ -141,7 +141,7 @@ def _print_largest(result: Verification) -> None:
                 click.echo(f"    with {each.touches[0]} touches by rk4 and {each.touches[1]} by exact")
     if not result.events:
         click.echo(f"  (largest: of the map; own: the value itself, where it is {100 * SMALL:g} % of that or more)")
-    if result.study.lash.contact.model == "restitution":
+    if result.study.lashes[0].contact.model == "restitution":
         click.echo("  (Q and Qi are not defined for the restitution model)")
 
 

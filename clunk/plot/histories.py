@@ -213,7 +213,7 @@ def _case(run: History) -> str:
     elif load.profile == "pulse":
         text = f"T = {before:g} → {load.final_torque:g} → {after:g} N m"
     parts = [text, *numbers(dict(load), without=STEP_KEYS)]
-    return f"{', '.join(parts).replace('-', MINUS)}, {style.symbol_text('φθ')} = {run.study.lash.backlash_deg:g}°"
+    return f"{', '.join(parts).replace('-', MINUS)}, {style.symbol_text('φθ')} = {run.study.lashes[0].backlash_deg:g}°"
 
 
 def _outcome(run: History) -> str:

@@ -263,7 +263,7 @@ def _severity(e: Evidence) -> Iterator[Claim]:
         f"{low:.0f} to {high:.0f} rad/s²: {low / -5000 - 1:.0%} and {high / 4000 - 1:.0%} beyond the axis",
         low > -5000 and high < 4000,
     )
-    radius = e.study.lash.radius
+    radius = e.study.lashes[0].radius
     yield _contradicts(
         "Figure 3.6",
         "unit m/s²",

@@ -110,7 +110,7 @@ class Evidence:
     @cached_property
     def modes_of_forces(self) -> Modes:
         """Closed-lash modes where the shafts' stiffness and damping in N/m and N s/m act at the lash's radius."""
-        scale = self.study.lash.radius**2
+        scale = self.study.lashes[0].radius ** 2
         values = {
             f"driveline.shafts[{k}].{key}": scale * getattr(shaft, key)
             for k, shaft in enumerate(self.study.driveline.shafts, 1)
@@ -121,7 +121,7 @@ class Evidence:
     @cached_property
     def damped_in_the_gap(self) -> Trajectory:
         """The nominal run with the contact's damping in the gap as well (report Eq. 2.5)."""
-        lash, driveline = self.study.lash, self.study.driveline
+        lash, driveline = self.study.lashes[0], self.study.driveline
         damper = {"between": lash.between, "stiffness": 0.0, "damping": lash.radius**2 * lash.contact.damping}
         shafts = (*driveline.shafts, driveline.shafts[0].model_copy(update=damper))
         damped = self.study.model_copy(update={"driveline": driveline.model_copy(update={"shafts": shafts})})

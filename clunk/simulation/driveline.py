@@ -19,6 +19,7 @@ from clunk.core.tables import StagedShaft, stages_of
 from clunk.simulation import rigid
 from clunk.simulation.load import is_moving, run_load, wave_rates
 from clunk.simulation.phases import preload
+from clunk.study.errors import ClunkError
 from clunk.study.models import Lash, Shaft
 from clunk.study.study import Study
 
@@ -52,17 +53,19 @@ class Driveline:
     @classmethod
     def from_study(cls, study: Study) -> "Driveline":
         """The driveline that a study's config spells out."""
-        n, shafts, contact = len(study.driveline.inertias), study.driveline.shafts, study.lash.contact
+        if len(study.lashes) > 1:
+            raise ClunkError("Several lashes can be described, but not run yet.")
+        n, shafts, contact = len(study.driveline.inertias), study.driveline.shafts, study.lashes[0].contact
         return cls(
             names=study.driveline.names or tuple(f"inertia {k}" for k in range(1, n + 1)),
             inertia=np.array(study.driveline.inertias, dtype=np.float64),
             shafts=_incidence(shafts, n),
             shaft_stiffness=np.array([_at_rest(shaft) for shaft in shafts], dtype=np.float64),
             shaft_damping=np.array([shaft.damping for shaft in shafts], dtype=np.float64),
-            lash=_incidence([study.lash], n)[0],
+            lash=_incidence([study.lashes[0]], n)[0],
             load=np.eye(n)[int(study.load.on) - 1],
-            contact_stiffness=study.lash.radius**2 * contact.stiffness,
-            contact_damping=study.lash.radius**2 * contact.damping,
+            contact_stiffness=study.lashes[0].radius ** 2 * contact.stiffness,
+            contact_damping=study.lashes[0].radius ** 2 * contact.damping,
             staged=tuple((k, _staged(shaft, n)) for k, shaft in enumerate(shafts) if shaft.breakpoints_deg),
         )
 
@@ -175,7 +178,7 @@ def build(study: Study, *, waves: bool = False) -> System:
 
 
 def _build(study: Study, driveline: Driveline, wave_rates: FloatArray | None = None, *, ramps: bool = False) -> System:
-    contact = study.lash.contact
+    contact = study.lashes[0].contact
     restitution = contact.model == "restitution"
     sticking_time = study.impacts.sticking_time
     if restitution:
@@ -213,7 +216,7 @@ def _wave_rates(study: Study) -> FloatArray | None:
 def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
     shape, chains = driveline.rigid_motion.shape, []
     by_stages = [driveline.in_stages(stages) for stages in stages_of([shaft for _, shaft in driveline.staged])]
-    restitution = study.lash.contact.model == "restitution"
+    restitution = study.lashes[0].contact.model == "restitution"
     for closed in (False, True):
         for line in by_stages:
             springs = line.shafts[line.shaft_stiffness > 0.0]

@@ -132,7 +132,7 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
         touches = events["kind"] == TOUCH
         lost_squares = events["speed"][touches] ** 2 - (states[touches] @ system.lash[: 2 * n]) ** 2
         lost = float(np.sum(lost_squares) / np.sum(line.lash**2 / line.inertia) / 2.0)
-    by_force = not impulsive and study.lash.contact.separation == "force"
+    by_force = not impulsive and study.lashes[0].contact.separation == "force"
     dropped, regained = (
         math.fsum(map(indented, states[chosen], events["side"][chosen])) if by_force else 0.0
         for chosen in (events["kind"] == SEPARATION, events["kind"] == REJOIN)

@@ -88,17 +88,17 @@ class History:
     @property
     def half_gap(self) -> float:
         """Largest backlash coordinate of the open gap, r φ/2  [m]."""
-        return float(self.study.lash.radius * np.deg2rad(self.study.lash.backlash_deg) / 2)
+        return float(self.study.lashes[0].radius * np.deg2rad(self.study.lashes[0].backlash_deg) / 2)
 
     @property
     def is_restitution(self) -> bool:
         """Whether contact is an impulse, in which accelerations are not defined."""
-        return self.study.lash.contact.model == "restitution"
+        return self.study.lashes[0].contact.model == "restitution"
 
     @property
     def watched(self) -> int:
         """The inertia whose acceleration gives the severity, counted from 1."""
-        return int(self.study.impacts.acceleration_of)
+        return self.study.watched[0]
 
     @cached_property
     def twist(self) -> FloatArray:
@@ -114,7 +114,7 @@ class History:
     @property
     def setup(self) -> str:
         """Driveline, lash and load of the run without its contact, as text to compare."""
-        return repr((self.study.driveline, self.study.lash.model_dump(exclude={"contact"}), self.study.load))
+        return repr((self.study.driveline, self.study.lashes[0].model_dump(exclude={"contact"}), self.study.load))
 
     @cached_property
     def touches(self) -> Touches:
@@ -222,7 +222,7 @@ def sample(
         velocity=velocity,
         acceleration=acceleration,
         torque=torque,
-        backlash_coordinate=study.lash.radius * apply(system.lash[None, n : 2 * n], angle)[:, 0],
+        backlash_coordinate=study.lashes[0].radius * apply(system.lash[None, n : 2 * n], angle)[:, 0],
         contact=(-trajectory.initial_side * pressing[regime_of]).astype(np.int8),
         event=event,
     )

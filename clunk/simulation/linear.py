@@ -109,8 +109,8 @@ class _Response:
     @classmethod
     def of(cls, study: Study) -> "_Response | None":
         """None where there is no static torque across the lash, no eigenbasis to speak of, or a shaft with stages."""
-        contact = study.lash.contact.model_copy(update={"model": "restitution"})
-        locked = study.model_copy(update={"lash": study.lash.model_copy(update={"contact": contact})})
+        contact = study.lashes[0].contact.model_copy(update={"model": "restitution"})
+        locked = study.model_copy(update={"lash": study.lashes[0].model_copy(update={"contact": contact})})
         system = build(locked)
         carried = system.contact_torque[0, TORQUE]
         if carried == 0.0 or len(system.preload) > 1:

@@ -94,15 +94,18 @@ def study_from_text(
             assignments[place] = value
     preset_name, preset, findings = _preset(raw, assignments)
     document = _merged(preset, raw)
+    _unwrap_lash(document)
     file: Place = ("load", "file")
     findings += _load_trace(document, folder) if file not in assignments else []
     assigned: list[Place] = []
     for place, value in sorted(assignments.items(), key=lambda item: item[0] != file):  # items of its lists come later
         resolved = place_of(dotted(place), names_of(document))
-        problem = "no inertia has this name" if resolved is None else assign(document, resolved, value)
+        noun = "lash" if place[0] == "lash" else "inertia"
+        problem = f"no {noun} has this name" if resolved is None else assign(document, resolved, value)
         findings += [(place, problem)] if problem is not None else []
         assigned.append(resolved or place)
         findings += _load_trace(document, ".") if place == file else []
+        _unwrap_lash(document)
     if isinstance(document.get("driveline"), dict):
         document["driveline"].pop("preset", None)
     findings += _fill_in(document, assigned)
@@ -119,7 +122,7 @@ def study_from_text(
             place[: len(target)] == target or (is_new and target[: len(place)] == place)
             for target in (*assignments, *assigned)
         )
-        is_of_preset = is_new and not is_set and value_at(preset, place) is not None
+        is_of_preset = is_new and not is_set and value_at(preset, place) == value_at(document, place) is not None
         message = finding + f" (the value is that of preset {shorten(preset_name)})" * is_of_preset
         problems[place] = Problem(dotted(place), None if is_set else lines.find(place), message, override=is_set)
     raise report(source, [*problems.values(), *malformed])
@@ -148,6 +151,8 @@ def _preset(raw: dict[str, Any], assignments: Mapping[Place, Any]) -> tuple[str,
     ):
         for key in presets_own:
             del preset["load"][key]
+    if items_of(assignments.get(("lash",), raw.get("lash"))):  # which replace the preset's lash as a whole
+        preset.get("impacts", {}).pop("acceleration_of", None)
     if ("lash", "gap_mm") in assignments or value_at(raw, ("lash", "gap_mm")) is not None:
         del preset["lash"]["backlash_deg"]
     return name, preset, findings
@@ -161,6 +166,12 @@ def _merged(preset: Mapping[str, Any], raw: Mapping[str, Any]) -> dict[str, Any]
         is_table = isinstance(below, dict) and isinstance(value, dict)
         merged[key] = _merged(preset[key], value) if is_table else copy.deepcopy(value)
     return merged
+
+
+def _unwrap_lash(document: dict[str, Any]) -> None:
+    """Make an array of one lash the lash itself, whose keys then have no number."""
+    if len(lashes := items_of(document.get("lash"))) == 1:
+        document["lash"] = lashes[0]
 
 
 def _entries(document: Mapping[str, Any]) -> list[tuple[Place, dict[str, Any]]]:
@@ -202,11 +213,13 @@ def _fill_in(document: dict[str, Any], assigned: Sequence[Place]) -> list[Findin
         parameter = entry.get("parameter")
         if not isinstance(parameter, str):
             continue
-        if parameter == "lash.radius" and value_at(document, ("lash", "gap_mm")) is not None:
-            text = "lash.radius changes the angle of lash.gap_mm; give lash.backlash_deg to sweep or draw it"
-            findings.append(((*at, "parameter"), text))
         problem = complaint(parameter, document)
         place = place_of(parameter, names_of(document))
+        if place is not None and place[0] == "lash" and place[-1] == "radius":
+            gap, angle = ((*place[:-1], key) for key in ("gap_mm", "backlash_deg"))
+            if value_at(document, gap) is not None:
+                text = f"{dotted(place)} changes the angle of {dotted(gap)}; give {dotted(angle)} to sweep or draw it"
+                findings.append(((*at, "parameter"), text))
         key = None if place is None else key_at(place)
         if problem is not None or place is None or key is None:
             findings.append(((*at, "parameter"), problem or "no key has this name"))
@@ -225,8 +238,8 @@ def _fill_in(document: dict[str, Any], assigned: Sequence[Place]) -> list[Findin
             first = next(iter(items_of(entry.get("values"))), entry.get("start"))
             is_fit = isinstance(first, int | float) and not isinstance(first, bool) and key.allows(first)
             assign(document, place, first if is_fit and not key.whole else 1)
-    names, ends = names_of(document), items_of(value_at(document, ("lash", "between")))
+    names, ends = names_of(document).inertias, items_of(value_at(document, ("lash", "between")))
     inertias = [end for end in ends if type(end) is int or (isinstance(end, str) and end in names)]
-    if isinstance(document.setdefault("impacts", {}), dict):
+    if isinstance(document.setdefault("impacts", {}), dict) and not items_of(document.get("lash")):
         document["impacts"].setdefault("acceleration_of", inertias[0] if inertias else 1)
     return findings

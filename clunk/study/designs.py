@@ -7,6 +7,7 @@ sampled one) lie along one dimension, `run`, each a coordinate on it.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -164,8 +165,9 @@ def unused_parameters(study: Study) -> list[str]:
     """Swept or drawn keys that change nothing in the study's contact model."""
     sweep = study.sweep
     swept = [each.parameter for each in (*sweep.axes, *sweep.samples, *sweep.tolerances)] if sweep else []
-    if study.lash.contact.model == "restitution":
+    if study.lashes[0].contact.model == "restitution":
         unused = {"lash.contact.stiffness", "lash.contact.damping", "impacts.sticking_time", "impacts.acceleration_of"}
     else:
         unused = {"lash.contact.restitution", "lash.contact.locking_speed"}
-    return [parameter for parameter in swept if parameter in unused | {"load.step_time"}]
+    unused.add("load.step_time")
+    return [parameter for parameter in swept if re.sub(r"^lash\[\d+\]", "lash", parameter) in unused]

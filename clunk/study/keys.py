@@ -81,8 +81,14 @@ def key_at(place: Place) -> Key | None:
 def _keys(place: Place, node: Mapping[str, Any]) -> Iterator[tuple[Place, Key]]:
     node = _resolved(node)
     properties, variants, word = node.get("properties"), {}, ""
-    if "oneOf" in node and "discriminator" not in node:  # one number or several
+    if "oneOf" in node and "discriminator" not in node:  # one number or table, or several
         one, several = map(_resolved, node["oneOf"])
+        if "properties" in one:
+            table, *inner = _keys(place, one)
+            yield place, replace(table[1], must_be=f"a table, or an array of tables, [[{dotted(place)}]]")
+            yield from inner
+            yield from ((at, _of_item(key, dotted(place))) for at, key in _keys((*place, ITEM), several["items"]))
+            return
         leaf = _leaf({**one, **{word: value for word, value in node.items() if word != "oneOf"}})
         yield place, replace(leaf, must_be=f"{leaf.must_be}, or a list of such numbers")
         yield (*place, ITEM), _leaf(_resolved(several["items"]))
@@ -105,6 +111,14 @@ def _keys(place: Place, node: Mapping[str, Any]) -> Iterator[tuple[Place, Key]]:
         yield from items.items()
     else:
         yield place, _leaf(node)
+
+
+def _of_item(key: Key, table: str) -> Key:
+    """A key of one of several tables, in whose quantity ``{}`` stands for the table's number."""
+    if key.quantity is None:
+        return key
+    name, symbol, unit = key.quantity.name.removesuffix(f" at the {table}"), key.quantity.symbol, key.quantity.unit
+    return replace(key, quantity=Quantity(f"{name} of {table} {{}}", f"{symbol}{{}}", unit))
 
 
 def _resolved(node: Mapping[str, Any]) -> Mapping[str, Any]:

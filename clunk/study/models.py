@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, Tag, model_validator
 
+from clunk.study.document import Place, items_of
 from clunk.study.loads import Load
 from clunk.study.problems import shorten
 from clunk.study.sweeps import Sweep
@@ -19,7 +20,7 @@ from clunk.study.tables import (
     SEVERAL,
     Ends,
     Finding,
-    Inertia,
+    InertiaOrNone,
     NotNegative,
     NotZero,
     OneOrSeveral,
@@ -138,10 +139,12 @@ class Contact(Table):
 class Lash(Table):
     """The backlash, which is the whole gap, between two inertias or between one and ground.
 
+    name : str or None, of one of several lashes; by default its number, as in ``lash 1``
     ratio : float, i of a gear: the gap is measured in θ of the first end less i θ of the second
     gap_mm : float or None, the whole gap at the radius, instead of backlash_deg, which it becomes
     """
 
+    name: Text | None = None
     between: Ends
     ratio: Annotated[NotZero, Quantity("gear ratio at the lash", "i", "1")] = 1.0
     backlash_deg: Annotated[float, Field(ge=0, le=360), Quantity("backlash", "φθ", "degrees")]
@@ -166,6 +169,11 @@ class Lash(Table):
             yield ("gap_mm",), f"{text}, and at most 360 are allowed"
         else:
             yield (), "backlash_deg and gap_mm are given together; give one of the two"
+
+
+def lash_name(position: int, name: str | None) -> str:
+    """Name of the lash at a position in its config, which may leave it out."""
+    return name or f"lash {position + 1}"
 
 
 def _degrees(gap_mm: float, radius: float) -> float:
@@ -194,20 +202,51 @@ class Impacts(Table):
     """Sticking time and inertia by which impacts are told apart and measured.
 
     sticking_time : float or None, a longer contact is sticking; None stands for the contact period
-    acceleration_of : int, number from 1 of the inertia whose acceleration gives the severity
+    acceleration_of : int or None, number from 1 of the inertia whose acceleration gives the severity; None stands for
+        the first inertia of each lash
     """
 
     sticking_time: Annotated[Positive | None, Quantity("sticking time", "t_s", "s")] = None
-    acceleration_of: Annotated[Inertia, Quantity("inertia of the severity", "i", "1")]
+    acceleration_of: Annotated[InertiaOrNone, Quantity("inertia of the severity", "i", "1")] = None
 
 
 class Config(Table):
-    """Tables of a config, each sound by itself."""
+    """Tables of a config, each sound by itself; of several lashes `lash` is a tuple."""
 
     title: Annotated[Text, Field(min_length=1)] = "Untitled"
     driveline: DrivelineConfig
-    lash: Lash
+    lash: Annotated[
+        Annotated[Lash, Tag(ONE)] | Annotated[tuple[Lash, ...], Field(min_length=1), Tag(SEVERAL)], OneOrSeveral
+    ]
     load: Load
     solver: Solver = Solver()
     impacts: Impacts
     sweep: Sweep | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _unwrap(cls, config: Any) -> Any:
+        lashes = items_of(config.get("lash")) if isinstance(config, dict) else ()
+        return {**config, "lash": lashes[0]} if len(lashes) == 1 else config
+
+    @property
+    def lashes(self) -> tuple[Lash, ...]:
+        """The lashes, in order."""
+        return self.lash if isinstance(self.lash, tuple) else (self.lash,)
+
+    @property
+    def lash_places(self) -> tuple[Place, ...]:
+        """The place of each lash in the config."""
+        return tuple(("lash", k) for k in range(len(self.lash))) if isinstance(self.lash, tuple) else (("lash",),)
+
+    @property
+    def lash_names(self) -> tuple[str, ...]:
+        """The name of each lash."""
+        return tuple(lash_name(k, lash.name) for k, lash in enumerate(self.lashes))
+
+    @property
+    def watched(self) -> tuple[int, ...]:
+        """The inertia whose acceleration gives each lash's severity, by number from 1."""
+        of_all = self.impacts.acceleration_of
+        firsts = (next(int(end) for end in lash.between if end != "ground") for lash in self.lashes)
+        return tuple(first if of_all is None else of_all for first in firsts)

@@ -1,39 +1,53 @@
 """Parameters: the keys that measure something, by their dotted names; they can be swept, drawn, read and replaced.
 
-Items of a list go by number from 1, an inertia also by its name: ``driveline.inertias[ring]``. The loaded inertia and
-the inertia of the severity are among them, by number. ``solver.max_events`` is not: it is a limit, not physics. Neither
-are the ends of shafts and lash: another topology is another study.
+Items of a list go by number from 1, inertias and lashes also by name: ``driveline.inertias[ring]``. The loaded inertia
+and the inertia of the severity are among them, by number. ``solver.max_events`` is not: it is a limit, not physics.
+Neither are the ends of shafts and lashes: another topology is another study.
 """
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 from clunk.study.document import Place, dotted, items_of, parse_place, value_at
 from clunk.study.keys import ITEM, Key, key_at, keys
-from clunk.study.models import Config
+from clunk.study.models import Config, lash_name
 from clunk.study.problems import ConfigError, Problem, nearest, shorten
 from clunk.study.tables import Quantity
 
 _NAMED_ITEMS = 100  # of a list, among which a misspelt parameter is looked for
 
 
-def place_of(parameter: str, names: Sequence[Any]) -> Place | None:
-    """Place that a dotted key names, an inertia's name in brackets resolved; None where it is malformed."""
+class Names(NamedTuple):
+    """Names by which items of a config's lists go: of its inertias and of its lashes."""
+
+    inertias: tuple[Any, ...] = ()
+    lashes: tuple[Any, ...] = ()
+
+
+def place_of(parameter: str, names: Names) -> Place | None:
+    """Place that a dotted key names, a name in brackets resolved; None where it is malformed, or there is no such name.
+
+    The only lash may be numbered or named, too: ``lash[1].radius`` is then ``lash.radius``.
+    """
     place = parse_place(parameter)
     for k, step in enumerate(place or ()):
         if isinstance(step, str) and step.startswith("["):
             assert place is not None
-            if place[:k] != ("driveline", "inertias") or step[1:-1] not in names:
+            listed = {"driveline.inertias": names.inertias, "lash": names.lashes}.get(dotted(place[:k]), ())
+            if step[1:-1] not in listed:
                 return None
-            place = (*place[:k], list(names).index(step[1:-1]), *place[k + 1 :])
-    return place
+            place = (*place[:k], listed.index(step[1:-1]), *place[k + 1 :])
+    return ("lash", *place[2:]) if place is not None and place[:2] == ("lash", 0) and len(names.lashes) == 1 else place
 
 
-def names_of(document: Mapping[str, Any]) -> Sequence[Any]:
-    """The names of a document's inertias."""
-    return items_of(value_at(document, ("driveline", "names")))
+def names_of(document: Mapping[str, Any]) -> Names:
+    """The names of a document's inertias and lashes."""
+    lash = document.get("lash")
+    names = (value_at(each, ("name",)) for each in (lash if isinstance(lash, list | tuple) else (lash,)))
+    inertias = items_of(value_at(document, ("driveline", "names")))
+    return Names(tuple(inertias), tuple(lash_name(k, name) for k, name in enumerate(names)))
 
 
 def parameters(document: Mapping[str, Any]) -> list[str]:
@@ -42,6 +56,8 @@ def parameters(document: Mapping[str, Any]) -> list[str]:
     for pattern, key in keys().items():
         places: list[Place] = [()] if key.quantity is not None else []
         for step in pattern:
+            if step != ITEM:  # a list has items, and no keys
+                places = [at for at in places if not items_of(value_at(document, at))]
             places = [(*at, each) for at in places for each in (_items(document, at) if step == ITEM else [step])]
         known += places
     return [dotted(place) for place in known]
@@ -58,6 +74,8 @@ def complaint(parameter: str, document: Mapping[str, Any]) -> str | None:
     if place is not None and key is not None and key.quantity is not None:
         for k, step in enumerate(place):
             count = len(items_of(value_at(document, place[:k])))
+            if isinstance(step, str) and count:
+                return f"there are {count} lashes; name one, {dotted((*place[:k], 0, *place[k:]))} for example"
             if isinstance(step, int) and step >= count:
                 if value_at(document, place[:k]) is not None and not count:
                     return f"there is no {parameter}; {dotted(place[:k])} is one number"
@@ -72,7 +90,7 @@ def complaint(parameter: str, document: Mapping[str, Any]) -> str | None:
     known = parameters(document)
     leaf = parameter.rsplit(".", 1)[-1]
     same_leaf = [name for name in known if name.rsplit(".", 1)[-1] == leaf or name.startswith(f"{parameter}[")]
-    in_use = [name for name in same_leaf if value_at(document, place_of(name, ()) or ()) is not None]
+    in_use = [name for name in same_leaf if value_at(document, place_of(name, Names()) or ()) is not None]
     likely = next(iter(in_use or same_leaf), nearest(parameter, known))
     hint = f"; did you mean {shorten(likely)}?" if likely else "; a key such as load.ratio or driveline.inertias[4] can"
     if key is not None:
@@ -91,7 +109,7 @@ def located(config: Config, parameter: str) -> tuple[Place, Key, float]:
     ConfigError
         Where there is no such parameter.
     """
-    place = _place_of(parameter, config.driveline.names or ())
+    place = _place_of(parameter, Names(config.driveline.names or (), config.lash_names))
     key = None if place is None else key_at(place)
     value: Any = config if key is not None and key.quantity is not None else None
     for step in place or ():
@@ -137,7 +155,7 @@ def quantity(parameter: str) -> Quantity:
     ConfigError
         Where there is no such parameter.
     """
-    place = place_of(parameter, ())
+    place = place_of(parameter, Names())
     key = None if place is None else key_at(place)
     if place is None or key is None or key.quantity is None:
         raise _refusal(parameter, complaint(parameter, {"driveline": {"inertias": [1.0], "shafts": [{}]}}))

@@ -27,7 +27,7 @@ Sizes = Sequence[tuple[float, Place]]  # positive numbers, each with its place
 
 def broken_rules(config: Config) -> list[Finding]:
     """Findings of all rules on a config; draws are only looked at where nothing else is wrong."""
-    findings = [finding for rule in (_inertias, _steps, _sizes, _swept, _times) for finding in rule(config)]
+    findings = [finding for rule in (_inertias, _lashes, _steps, _sizes, _swept, _times) for finding in rule(config)]
     return findings or list(_drawn(config))
 
 
@@ -51,9 +51,13 @@ def load_complaint(parameter: str, config: Config) -> str | None:
 
 def _inertias(config: Config) -> Iterator[Finding]:
     """Require a name for each inertia or for none, and that shafts, lash, load and severity refer to inertias."""
-    pairs: list[tuple[Place, tuple[int | str, ...]]] = [(("lash", "between"), config.lash.between)]
+    pairs: list[tuple[Place, tuple[int | str, ...]]] = [
+        ((*place, "between"), lash.between) for place, lash in zip(config.lash_places, config.lashes, strict=True)
+    ]
     pairs += [(("driveline", "shafts", k, "between"), s.between) for k, s in enumerate(config.driveline.shafts)]
-    references = [((*place, k), end, True) for place, ends in pairs for k, end in enumerate(ends)]
+    references: list[tuple[Place, int | str | None, bool]] = [
+        ((*place, k), end, True) for place, ends in pairs for k, end in enumerate(ends)
+    ]
     references.append((("load", "on"), config.load.on, False))
     references.append((("impacts", "acceleration_of"), config.impacts.acceleration_of, False))
     count, names = len(config.driveline.inertias), config.driveline.names
@@ -64,6 +68,21 @@ def _inertias(config: Config) -> Iterator[Finding]:
         if isinstance(number, int) and not 1 <= number <= count:
             allowed = allowed_inertias(count, names or (), ground)
             yield place, f"there is no inertia {shorten(number)}; must be {allowed}"
+
+
+def _lashes(config: Config) -> Iterator[Finding]:
+    """Require lashes whose names differ from each other and from numbers, and that have one contact model."""
+    names, models = config.lash_names, [lash.contact.model for lash in config.lashes]
+    for k, (place, lash) in enumerate(zip(config.lash_places, config.lashes, strict=True)):
+        if lash.name is not None and (lash.name.isdigit() or not lash.name.strip() or set(lash.name) & set("[]")):
+            text = f"found {shorten(lash.name)}; a name must not be empty, a number, or have brackets in it"
+            yield (*place, "name"), text
+        elif names[k] in names[:k]:
+            text = f"the name {shorten(names[k])} is taken by lash {names.index(names[k]) + 1}"
+            yield (*place, "name"), text
+        if models[k] != models[0]:
+            text = f"found {shorten(models[k])} beside {shorten(models[0])}"
+            yield (*place, "contact", "model"), f"{text} of lash 1; all lashes of a driveline have one contact model"
 
 
 def _steps(config: Config) -> Iterator[Finding]:
@@ -89,13 +108,16 @@ def _sizes(config: Config) -> Iterator[Finding]:
     masses = [size for k in inertias for size in _extent(config, ("driveline", "inertias", k))]
     springs = [[size for place in _stages(config, k) for size in _extent(config, place)] for k in shafts]
     dampers = [list(_extent(config, ("driveline", "shafts", k, "damping"))) for k in shafts]
-    places: list[Place] = [*(("driveline", "shafts", k) for k in shafts), ("lash",)]
+    lashes = config.lash_places
+    places: list[Place] = [*(("driveline", "shafts", k) for k in shafts), *lashes]
     ratios = [list(_ratios(config, (*place, "ratio"))) for place in places]
-    radii = list(_extent(config, ("lash", "radius")))
-    stiffnesses, dampings = (list(_extent(config, ("lash", "contact", key))) for key in ("stiffness", "damping"))
+    radii = [list(_extent(config, (*place, "radius"))) for place in lashes]
+    stiffnesses, dampings = (
+        [list(_extent(config, (*place, "contact", key))) for place in lashes] for key in ("stiffness", "damping")
+    )
     absurd = [
         (place, f"found {size:g}; must be from {1.0 / LARGEST_SIZE:g} to {LARGEST_SIZE:g}")
-        for size, place in [*masses, *chain(*springs, *dampers, *ratios), *radii, *stiffnesses, *dampings]
+        for size, place in [*masses, *chain(*springs, *dampers, *ratios, *radii, *stiffnesses, *dampings)]
         if not 1.0 / LARGEST_SIZE <= size <= LARGEST_SIZE
     ]
     yield from absurd
@@ -103,7 +125,10 @@ def _sizes(config: Config) -> Iterator[Finding]:
         return
     at_springs, at_dampers = (
         [size for sizes, gears in zip(joints, ratios, strict=True) for size in (*sizes, *_levered(sizes, gears))]
-        for joints in ([*springs, _levered(stiffnesses, radii)], [*dampers, _levered(dampings, radii)])
+        for joints in (
+            [*springs, *map(_levered, stiffnesses, radii)],
+            [*dampers, *map(_levered, dampings, radii)],
+        )
     )
     for sizes, unit in ((masses, "kg m2"), (at_springs, "N m/rad")):
         (smallest, at_smallest), (largest, at_largest) = min(sizes), max(sizes)

@@ -3,14 +3,14 @@
 import hashlib
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import tomli_w
 
-from clunk.study.document import dotted, with_value
+from clunk.study.document import dotted, items_of, with_value
 from clunk.study.loads import numbers
-from clunk.study.models import Config
+from clunk.study.models import Config, Contact, Lash
 from clunk.study.parameters import located
 from clunk.study.problems import Problem, report
 from clunk.study.rules import broken_rules
@@ -31,21 +31,21 @@ class Study(Config):
 
     def summary(self) -> Rows:
         """Summary of the study for people, as (name, value) pairs."""
-        lash, load, solver, contact = self.lash, self.load, self.solver, self.lash.contact
-        model = f"restitution, e = {contact.restitution:g}"
-        if contact.model == "indentation":
-            model = f"indentation, separation by {contact.separation}"
+        load, solver = self.load, self.solver
         axes = self.sweep.axes if self.sweep is not None else ()
         swept = {axis.parameter for axis in axes}
-        gap = "swept" if "lash.backlash_deg" in swept else f"{lash.backlash_deg:g} degrees"
-        if lash.ratio != 1.0 or "lash.ratio" in swept:
-            gap += ", ratio swept" if "lash.ratio" in swept else f", ratio {lash.ratio:g}"
+        models = dict.fromkeys(_model(lash.contact) for lash in self.lashes)
+        names = self.lash_names if len(self.lashes) > 1 else ("backlash",)
+        joints = zip(names, self.lashes, self.lash_places, strict=True)
         points = [f"{len(load.times)} times and torques"] if load.profile == "table" and load.times else []
         step = f", step {solver.step:g} s" if solver.method == "rk4" else ""
         rows = [
             ("driveline", f"{len(self.driveline.inertias)} inertias, {len(self.driveline.shafts)} shafts"),
-            ("backlash", f"between {lash.between[0]} and {lash.between[1]}: {gap}"),
-            ("contact", model),
+            *(
+                (name, _gap(lash, {key for key in ("backlash_deg", "ratio") if dotted((*place, key)) in swept}))
+                for name, lash, place in joints
+            ),
+            ("contact", "; ".join(models)),
             ("load", f"{load.profile} on inertia {load.on}: {', '.join([*points, *numbers(dict(load), swept)])}"),
             ("solver", f"{solver.method}{step}, to {solver.end_time:g} s"),
         ]
@@ -64,6 +64,20 @@ class Study(Config):
 
     def _repr_html_(self) -> str:
         return as_html(self.title, html_table(self.summary()))
+
+
+def _model(contact: Contact) -> str:
+    if contact.model == "indentation":
+        return f"indentation, separation by {contact.separation}"
+    return f"restitution, e = {contact.restitution:g}"
+
+
+def _gap(lash: Lash, swept: Collection[str]) -> str:
+    """Ends, backlash and ratio of a lash for people; swept : those of its keys that are."""
+    gap = "swept" if "backlash_deg" in swept else f"{lash.backlash_deg:g} degrees"
+    if lash.ratio != 1.0 or "ratio" in swept:
+        gap += ", ratio swept" if "ratio" in swept else f", ratio {lash.ratio:g}"
+    return f"between {lash.between[0]} and {lash.between[1]}: {gap}"
 
 
 def replace_values(study: Study, values: Mapping[str, float]) -> Study:
@@ -96,7 +110,7 @@ def replace_values(study: Study, values: Mapping[str, float]) -> Study:
 def content(study: Study) -> dict[str, Any]:
     """A study as plain tables, lists and values, without what is left out."""
     plain = study.model_dump(exclude_none=True)
-    factors = [(joint, "ratio") for joint in (plain["lash"], *plain["driveline"]["shafts"])]
+    factors = [(joint, "ratio") for joint in (*_lash_tables(plain), *plain["driveline"]["shafts"])]
     for table, key in [*factors, (plain["load"], "scale")]:
         if table[key] == 1.0:  # as configs and digests of earlier versions have it
             del table[key]
@@ -106,6 +120,10 @@ def content(study: Study) -> dict[str, Any]:
             sweep.pop("sampling")
         plain["sweep"] = sweep
     return plain
+
+
+def _lash_tables(plain: Mapping[str, Any]) -> Sequence[dict[str, Any]]:
+    return items_of(plain["lash"]) or (plain["lash"],)
 
 
 def to_toml(study: Study) -> str:
@@ -121,6 +139,8 @@ def digest(study: Study) -> str:
     decisive = content(study)
     del decisive["title"]
     decisive["driveline"].pop("names", None)
+    for lash in _lash_tables(decisive):
+        lash.pop("name", None)
     if decisive["load"]["profile"] == "step":
         decisive["load"]["profile"] = "tip-out"  # its name in earlier versions
     if study.sweep is not None and study.sweep.design == "grid":

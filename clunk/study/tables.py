@@ -160,6 +160,11 @@ Inertia = Annotated[
     PlainValidator(lambda value, info: _numbered(value, info, ground=False)),
     WithJsonSchema({"type": ["integer", "string"], "minimum": 1, "description": "an inertia's number or name"}),
 ]
+InertiaOrNone = Annotated[
+    int | None,
+    PlainValidator(lambda value, info: None if value is None else _numbered(value, info, ground=False)),
+    WithJsonSchema({"type": ["integer", "string"], "minimum": 1, "description": "an inertia's number or name"}),
+]
 End = Annotated[
     int | Literal["ground"],
     PlainValidator(lambda value, info: _numbered(value, info, ground=True)),

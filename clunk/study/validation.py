@@ -111,8 +111,6 @@ def _wrong_value(place: Place, variant: str, detail: ErrorDetails) -> Finding:
         if key is not None and key.children:
             return place, f"missing; a config needs the table [{dotted(place)}]"
         return place, f"missing; {_keys_of(place, variant)}" if variant else f"missing; must be {must_be}"
-    if place == ("lash",) and isinstance(value, tuple):
-        return place, "several lashes are not supported yet; write one, [lash] instead of [[lash]]"
     if detail["type"] == "finite_number":
         must_be = must_be.replace("a number", "a finite number")
     likely = nearest(value, key.choices) if key is not None and isinstance(value, str) else None

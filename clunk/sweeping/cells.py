@@ -109,7 +109,7 @@ class Grid:
         """Torques and gaps of `count` cells with these values of parameters."""
         swept = {key.removeprefix("load."): values[key] for key in values if key.startswith("load.")}
         before, pieces = loads_of(self.study.load, count, **swept)
-        gap = np.broadcast_to(values.get(_BACKLASH, self.study.lash.backlash_deg), count)
+        gap = np.broadcast_to(values.get(_BACKLASH, self.study.lashes[0].backlash_deg), count)
         return kernel.cases_of(before, np.deg2rad(gap) / 2, pieces)
 
     def groups(self, cells: Cells) -> Iterator[tuple[dict[str, float], npt.NDArray[np.intp]]]:

@@ -1,0 +1,135 @@
+"""Keys of several lashes: arrays of tables, names and numbers of them, and what is refused."""
+
+import tomllib
+
+import pytest
+
+import clunk
+from clunk.study.document import dotted
+from clunk.study.keys import json_schema
+from clunk.study.parameters import get_value, parameters, quantity
+from clunk.study.study import content, digest, to_toml
+from clunk.study.validation import validated
+
+GEAR = """
+name = "gear"
+between = ["pinion", "ring"]
+backlash_deg = 6.0
+radius = 0.08
+contact = {stiffness = 4e5, damping = 94.0}
+"""
+JOINT = """
+between = [2, "ground"]
+backlash_deg = 3.0
+radius = 0.05
+ratio = 2.0
+contact = {stiffness = 3e5, damping = 50.0, separation = "force"}
+"""
+ONE = f'driveline.preset = "boere-2008"\n[[lash]]{GEAR}'
+TWO = f"{ONE}[[lash]]{JOINT}"
+SWEPT = '[[sweep.axes]]\nparameter = "{}"\nvalues = [1.0, 2.0]\n'
+
+
+@pytest.fixture(scope="module")
+def two():
+    return clunk.study_from_text(TWO)
+
+
+def test_an_array_of_one_lash_is_the_lash_itself():
+    one, plain = (clunk.study_from_text(text) for text in (ONE, ONE.replace("[[lash]]", "[lash]")))
+    assert one == plain
+    assert (to_toml(one), digest(one)) == (to_toml(plain), digest(plain))
+    named = clunk.study_from_text('driveline.preset = "boere-2008"', overrides=["lash[1].backlash_deg=3"])
+    assert named.lashes[0].backlash_deg == 3.0
+
+
+def test_an_array_replaces_the_lash_of_a_preset_and_the_inertia_that_goes_with_it(two):
+    assert two.lash_names == ("gear", "lash 2")
+    assert [lash.between for lash in two.lashes] == [(3, 4), (2, "ground")]
+    car = f'driveline.preset = "car"\n[[lash]]{GEAR}[[lash]]{JOINT}'.replace('"pinion", "ring"', "2, 3")
+    assert clunk.study_from_text(car).watched == (2, 2)
+    assert clunk.study_from_text(car, overrides=["impacts.acceleration_of=5"]).watched == (5, 5)
+    assert clunk.study_from_text('driveline.preset = "car"').watched == (3,)
+
+
+def test_a_study_of_several_lashes_survives_its_own_text(two):
+    again = clunk.study_from_text(to_toml(two))
+    assert again == two
+    assert digest(again) == digest(two)
+    assert len(tomllib.loads(to_toml(two))["lash"]) == 2
+    assert "gear" in str(two)
+    assert "lash 2" in str(two)
+
+
+def test_names_of_lashes_decide_nothing(two):
+    assert digest(clunk.study_from_text(TWO.replace("gear", "mesh"))) == digest(two)
+    assert digest(clunk.replace_values(two, {"lash[2].ratio": 3.0})) != digest(two)
+
+
+def test_keys_of_a_lash_go_by_number_or_name(two):
+    for key in ("lash[1].contact.stiffness", "lash[gear].contact.stiffness"):
+        assert get_value(two, key) == 4e5
+        assert clunk.replace_values(two, {key: 1e5}).lashes[0].contact.stiffness == 1e5
+    known = quantity("lash[2].backlash_deg")
+    assert (known.name, known.symbol, known.unit) == ("backlash of lash 2", "φθ2", "degrees")
+    swept = clunk.study_from_text(TWO + SWEPT.format("lash[gear].backlash_deg"), overrides=["lash[lash 2].radius=0.06"])
+    assert swept.sweep.axes[0].parameter == "lash[1].backlash_deg"
+    assert swept.lashes[1].radius == 0.06
+
+
+def test_every_key_of_every_lash_is_a_parameter(two):
+    of_one = parameters(content(clunk.study_from_text(ONE)))
+    lash = [key.removeprefix("lash.") for key in of_one if key.startswith("lash.")]
+    expected = {f"lash[{number}].{key}" for number in (1, 2) for key in lash}
+    assert {key for key in parameters(two.model_dump()) if key.startswith("lash")} == expected
+
+
+def test_the_schema_allows_one_lash_and_several():
+    one, several = json_schema()["properties"]["lash"]["oneOf"]
+    assert several["items"] == one
+
+
+@pytest.mark.parametrize(
+    ("text", "overrides", "key", "message"),
+    [
+        (TWO, ["lash.backlash_deg=3"], "lash.backlash_deg", "its items are lash[1]"),
+        (TWO, ["lash[3].backlash_deg=3"], "lash[3].backlash_deg", "lash has 2 items"),
+        (TWO, ["lash[rear].radius=3"], "lash[rear].radius", "no lash has this name"),
+        (TWO, ["lash[2].name='gear'"], "lash[2].name", 'the name "gear" is taken by lash 1'),
+        (TWO, ["lash[1].name='lash 2'"], "lash[2].name", 'the name "lash 2" is taken by lash 1'),
+        (TWO, ["lash[1].name='2'"], "lash[1].name", "must not be empty, a number"),
+        (TWO, ["lash[2].contact.model='restitution'"], "lash[2].contact.model", "have one contact model"),
+        (TWO, ["lash[2].radious=1"], "lash[2].radious", 'did you mean "radius"?'),
+        (TWO, ["lash[2].between=[2, 9]"], "lash[2].between[2]", "there is no inertia 9"),
+        (TWO.replace("radius = 0.05\n", ""), [], "lash[2].radius", "missing; must be a number greater than 0"),
+        (TWO + SWEPT.format("lash.radius"), [], "sweep.axes[1].parameter", "there are 2 lashes; name one, lash[1]"),
+        (TWO + SWEPT.format("lash[rear].radius"), [], "sweep.axes[1].parameter", 'did you mean "lash[1].radius"?'),
+        (TWO + SWEPT.format("lash[3].radius"), [], "sweep.axes[1].parameter", "lash has 2 items"),
+        (
+            TWO.replace("backlash_deg = 3.0", "gap_mm = 3.0") + SWEPT.format("lash[2].radius"),
+            [],
+            "sweep.axes[1].parameter",
+            "changes the angle of lash[2].gap_mm; give lash[2].backlash_deg",
+        ),
+        ("lash = []\ndriveline.preset = 'car'", [], "lash", "a table, or an array of tables, [[lash]]"),
+    ],
+)
+def test_what_names_no_lash_or_is_no_lash_is_one_sentence(text, overrides, key, message):
+    with pytest.raises(clunk.ConfigError) as caught:
+        clunk.study_from_text(text, overrides=overrides)
+    assert [problem.key for problem in caught.value.problems] == [key]
+    assert message in caught.value.problems[0].message
+    assert "preset" not in str(caught.value)
+
+
+def test_a_missing_key_of_an_only_lash_is_not_said_to_be_the_presets():
+    with pytest.raises(clunk.ConfigError) as caught:
+        clunk.study_from_text(ONE.replace("radius = 0.08\n", ""))
+    assert "preset" not in str(caught.value)
+
+
+def test_each_finding_is_at_the_place_of_its_lash(two):
+    table = two.model_dump()
+    table["lash"][1]["contact"]["damping"] = -1.0
+    _, findings = validated(type(two), table)
+    assert [dotted(place) for place, _ in findings] == ["lash[2].contact.damping"]
