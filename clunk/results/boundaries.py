@@ -74,6 +74,7 @@ class Boundaries:
     region_rings : (R,) int32, number of rings of each region
     region_label : (R,) int16, code
     region_area : (R,) float64, share of the map
+    lash : name of the lash whose labels they are; empty where there is one
 
     Raises ValueError where the arrays do not belong together.
     """
@@ -92,6 +93,7 @@ class Boundaries:
     region_rings: npt.NDArray[np.int32]
     region_label: npt.NDArray[np.int16]
     region_area: Floats
+    lash: str = ""
 
     def __post_init__(self) -> None:
         totals = (

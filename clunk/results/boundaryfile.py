@@ -83,6 +83,7 @@ def write_boundaries(file: h5py.File, boundaries: Boundaries, add: Callable[[str
         values = getattr(boundaries, each.field).astype(each.dtype)
         attributes = {"units": "1", "long_name": each.long_name}
         attributes |= {"sample_dimension": each.counts} if each.counts else {}
+        attributes |= {"lash": boundaries.lash} if boundaries.lash and each.name == _FIRST else {}
         set_flags(put(each.name, values, each.dimensions, attributes), _meanings(each.coded, boundaries.labels))
     for prefix, field, dimension in _PLACES:
         for axis, values in zip(boundaries.axes, getattr(boundaries, field).T, strict=False):
@@ -102,7 +103,8 @@ def read_boundaries(file: h5py.File, axes: tuple[ResultAxis, ...]) -> Boundaries
     coded = file["boundary_left"]
     words = dict(zip(coded.attrs["flag_values"].tolist(), get_text(coded, "flag_meanings").split(), strict=True))
     labels = tuple(words[code] for code in range(len(words) - 2))
-    return Boundaries(axes=axes, labels=labels, **fields)
+    lash = get_text(file[_FIRST], "lash") if "lash" in file[_FIRST].attrs else ""
+    return Boundaries(axes=axes, labels=labels, lash=lash, **fields)
 
 
 def names_of(file: h5py.File, axes: tuple[ResultAxis, ...]) -> list[str]:

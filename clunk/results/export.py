@@ -55,7 +55,7 @@ def _write_csv(stream: BinaryIO, results: Results | ToleranceMap) -> None:
         cells = np.arange(start * cells_a_row, stop * cells_a_row)
         columns: list[list[Any]] = []
         for axis, places in zip(results.axes, np.unravel_index(cells, results.shape), strict=True):
-            columns += [each.values[places].tolist() for each in _along(results, axis)]
+            columns += [_texts_or_numbers(each)[places].tolist() for each in _along(results, axis)]
         for quantity in _quantities(results).values():
             values = _values(results, quantity, start, stop).reshape(cells.size, -1)
             columns += [_texts(quantity, column, results.labels) for column in values.T]
@@ -71,7 +71,7 @@ def _write_mat(stream: BinaryIO, results: Results | ToleranceMap) -> None:
     quantities, entries = _quantities(results), _entries(results)
     parameters = [each for axis in results.axes for each in _along(results, axis)]
     sample = results.sample if isinstance(results, ToleranceMap) else ()
-    arrays: dict[str, Any] = {each.variable: each.values for each in parameters}
+    arrays: dict[str, Any] = {each.variable: _texts_or_numbers(each) for each in parameters}
     arrays |= {f"drawn_{each.variable}": each.values for each in sample}
     arrays |= {name: _values(results, quantity) for name, quantity in quantities.items()}
     units = {each.variable: each.unit for each in parameters} | {f"drawn_{each.variable}": each.unit for each in sample}
@@ -107,6 +107,10 @@ def _quantities(results: Results | ToleranceMap) -> dict[str, Quantity]:
 
 def _along(results: Map, axis: ResultAxis) -> Sequence[ResultAxis]:
     return [axis, *results.coordinates] if axis.parameter == RUN else [axis]
+
+
+def _texts_or_numbers(axis: ResultAxis) -> npt.NDArray[Any]:
+    return np.array(axis.words, object) if axis.words else axis.values
 
 
 def _entries(results: Results | ToleranceMap) -> dict[str, Sequence[object]]:

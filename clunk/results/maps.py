@@ -13,10 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.results.labels import FAILED, FAILED_CODE
-from clunk.study.axes import RUN, ResultAxis
+from clunk.study.axes import LASH, RUN, ResultAxis
+from clunk.study.lashes import lash_name, lash_position
 from clunk.study.summaries import Rows, as_html, as_text, html_table
 
-Index = tuple[slice, ...]
+Index = tuple[slice | int, ...]
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -24,7 +25,7 @@ class Description:
     """Title, swept parameters, labels, config and provenance of a map: all but its arrays.
 
     title : str
-    axes : one or more `ResultAxis`
+    axes : one or more `ResultAxis`; of several lashes the last is `lash`
     coordinates : the parameters that change together along the axis `run`, if there is one; each as long as it
     labels : code -> label; the code -1 is a failed cell
     config, config_digest : the resolved TOML and its digest
@@ -64,6 +65,16 @@ class Description:
         """The swept parameters: the axes, and in the place of `run` its coordinates."""
         return parameters_of(self.axes, self.coordinates)
 
+    @property
+    def lashes(self) -> tuple[str, ...]:
+        """The names of the lashes that the axis `lash` is for; none without it."""
+        return self.axes[-1].words if self.axes[-1].parameter == LASH else ()
+
+    @property
+    def lash_names(self) -> tuple[str, ...]:
+        """The names of the lashes, also of an only one."""
+        return self.lashes or (self.setting("lash.name") or lash_name(0, None),)
+
     def setting(self, key: str) -> Any:
         """Value of a dotted key of the resolved config; None where it has none."""
         table: Any = self._settings
@@ -93,7 +104,7 @@ class Map(Description, ABC):
         Raises ValueError where a name is not an axis, or a value lies beyond it.
         """
         names = [axis.parameter for axis in self.axes]
-        index = [slice(None)] * len(names)
+        index: list[slice] = [slice(None)] * len(names)
         for parameter, value in values.items():
             if parameter not in names:
                 raise ValueError(f"{parameter!r} is no axis of these results; their axes are {', '.join(names)}")
@@ -107,6 +118,17 @@ class Map(Description, ABC):
             coordinates=tuple(replace(axis, values=axis.values[run]) for axis in self.coordinates),
             **self._arrays_at(tuple(index)),
         )
+
+    def of_lash(self, name: str | None = None) -> Self:
+        """Map of one lash, by name or number, without the axis `lash`; by default of the first, or the only one.
+
+        Raises ConfigError where there is no such lash.
+        """
+        position = lash_position(name, self.lash_names)
+        if not self.lashes:
+            return self
+        places: Index = (*[slice(None)] * len(self.axes[1:]), position)
+        return replace(self, axes=self.axes[:-1], **self._arrays_at(places))
 
     @abstractmethod
     def _arrays_at(self, index: Index) -> dict[str, Any]:

@@ -30,6 +30,7 @@ class Quantity:
     dtype : numpy scalar type
     unit : in the notation of UDUNITS, ``1`` where there is none
     dimension : the dimension behind the map's axes: ``impact``, ``label``, ``quantile``; empty where there is none
+    of : ``lash``, or ``cell`` where all lashes of a cell have the same
     coded : ``labels``, ``status``, ``quality`` or ``flank``, where the integers are codes or bits of these
     inferred : value in a cell that a refined sweep inferred; None where the cell's regime gives it
     since : first schema version of files that have it; read from an older one, it is NaN
@@ -42,6 +43,7 @@ class Quantity:
     dtype: type[np.generic]
     unit: str
     dimension: str
+    of: str
     coded: str
     inferred: float | None
     since: int

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,7 @@ from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED
 from clunk.results.maps import Index, Map, count_labels, require_array, require_codes, share, values_at
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
+from clunk.study.lashes import lash_position
 from clunk.study.summaries import Rows
 
 
@@ -22,7 +23,8 @@ from clunk.study.summaries import Rows
 class Results(Map):
     """A regime map: a label for each cell, its quantities and its primary impacts.
 
-    "Shape" is the axes' counts in order; N counts the primary impacts of all cells.
+    "Shape" is the axes' counts in order; N counts the primary impacts of all cells. Of several lashes the last axis is
+    `lash`, and each lash of a cell counts as a cell; see `of_lash`.
 
     title, axes, coordinates, labels, config, config_digest, attributes : as those of `Map`
     sequence : shape, int16 codes into `labels`
@@ -92,6 +94,13 @@ class Results(Map):
         first = np.zeros(self.primary_impacts.size + 1, np.int64)
         np.cumsum(self.primary_impacts.ravel(), out=first[1:])
         return first
+
+    def of_lash(self, name: str | None = None) -> Self:
+        """See `Map.of_lash`; boundaries stay with the lash whose they are."""
+        part, traced = super().of_lash(name), self.boundaries
+        if traced is None or traced.lash != self.lash_names[lash_position(name, self.lash_names)]:
+            return part
+        return replace(part, boundaries=traced)
 
     def _arrays_at(self, index: Index) -> dict[str, Any]:
         cells = np.arange(self.sequence.size).reshape(self.shape)[index].ravel()

@@ -42,12 +42,12 @@ from clunk.results.netcdf import (
 from clunk.results.quantities import REGIME_QUANTITIES, TOLERANCE_QUANTITIES, Quantity
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import QUANTILES, ToleranceMap
-from clunk.study.axes import RUN, ResultAxis
+from clunk.study.axes import LASH, RUN, ResultAxis, lash_axis
 from clunk.study.errors import ClunkError
 
 SCHEMA_VERSION = 2  # of a regime map
-_WITH_TOLERANCES, _WITH_BOUNDARIES = 3, 4
-NEWEST_VERSION = 4  # of any file that is read
+_WITH_TOLERANCES, _WITH_BOUNDARIES, _WITH_LASHES = 3, 4, 5
+NEWEST_VERSION = 5  # of any file that is read
 _KIND = "kind"  # root attribute of a tolerance map; a regime map has none
 _TOLERANCE_MAP = "tolerance map"
 # Root attributes that are not among the `attributes` of a map.
@@ -72,7 +72,9 @@ class StoreError(ClunkError):
 class Header(Description):
     """Description of the map in a results file.
 
-    counts : label -> number of cells, ``failed`` last; of a tolerance map, cells in which it is the most likely one
+    counts : label -> number of cells, ``failed`` last; of a tolerance map, cells in which it is the most likely one; of
+        several lashes, all of them together
+    counts_of_lashes : lash -> its own counts, of several lashes
     content_digest : SHA-256 of axes, labels and arrays
     tolerance_map : whether the file holds a tolerance map
     sample : of a tolerance map, as that of `ToleranceMap`; else empty
@@ -81,6 +83,7 @@ class Header(Description):
     """
 
     counts: dict[str, int]
+    counts_of_lashes: dict[str, dict[str, int]]
     content_digest: str
     tolerance_map: bool
     sample: tuple[ResultAxis, ...]
@@ -188,7 +191,7 @@ def _fill(file: Image, results: Results | ToleranceMap) -> None:
     set_text(file, "Conventions", CONVENTIONS)
     boundaries = results.boundaries if isinstance(results, Results) else None
     version = _WITH_TOLERANCES if sample else SCHEMA_VERSION if boundaries is None else _WITH_BOUNDARIES
-    file.attrs["schema_version"] = np.int32(version)
+    file.attrs["schema_version"] = np.int32(_WITH_LASHES if results.lashes else version)
     for name, value in results.attributes.items():
         if name in _RESERVED:
             raise ValueError(f"{name} is written from the results' own fields, not from attributes")
@@ -198,7 +201,11 @@ def _fill(file: Image, results: Results | ToleranceMap) -> None:
     if sample:
         set_text(file, _KIND, _TOLERANCE_MAP)
 
-    axes = [create_scale(file, axis.variable, axis.values, _attributes(axis)) for axis in results.axes]
+    axes = [
+        create_scale(file, axis.variable, np.array(axis.words) if axis.words else axis.values, _attributes(axis))
+        for axis in results.axes
+    ]
+    of_cell = axes[: len(axes) - bool(results.lashes)]
     along = {axis.parameter: [scale] for axis, scale in zip(results.axes, axes, strict=True)}
     for axis in results.coordinates:
         create_variable(file, axis.variable, np.float64, _attributes(axis), along[RUN])[:] = axis.values
@@ -209,14 +216,16 @@ def _fill(file: Image, results: Results | ToleranceMap) -> None:
         variable = create_variable(file, _DRAWN + axis.variable, np.float64, _attributes(axis), [scales["draw"]])
         variable[:] = axis.values
 
-    digest = Digest(results.axes + results.coordinates + sample, results.labels)
+    digest = Digest(results.axes + results.coordinates + sample, (*results.labels, *results.lashes))
     coordinates = " ".join(axis.variable for axis in results.coordinates)
     with chunk_writer(file) as write_rows:
         for name, each in quantities.items():
             attributes = {"units": each.unit, "long_name": each.long_name}
             attributes |= {"coordinates": coordinates} if coordinates else {}
             further = [scales[each.dimension]] if each.dimension else []
-            variable = create_variable(file, name, each.dtype, attributes, axes + further, apart=len(further))
+            scales_of = (of_cell if each.of == "cell" else axes) + further
+            apart = len(scales_of) - len(of_cell)
+            variable = create_variable(file, name, each.dtype, attributes, scales_of, apart=apart)
             set_flags(variable, each.meanings(results.labels), masks=each.coded == "quality")
             digest.begin(name, variable)
             # A block of rows at a time: padded whole, the impacts would be most of a large map's memory.
@@ -225,6 +234,8 @@ def _fill(file: Image, results: Results | ToleranceMap) -> None:
                     block = results.padded(name, start, stop)
                 else:
                     block = getattr(results, name)[start:stop]
+                if each.of == "cell" and results.lashes:
+                    block = block[..., 0]
                 write_rows(variable, start, block)
                 digest.add(block)
     if boundaries is not None:
@@ -315,6 +326,8 @@ def map_of(file: h5py.File, header: Header) -> Results | ToleranceMap:
     for name, quantity in _quantities(file).items():
         in_impacts = quantity.dimension == "impact"
         arrays[name] = _unpadded(file[name], arrays["primary_impacts"]) if in_impacts else file[name][()]
+        if quantity.of == "cell" and header.lashes:
+            arrays[name] = np.repeat(arrays[name][..., None], len(header.lashes), axis=-1)
     if not header.tolerance_map:
         arrays |= {name: np.full(header.shape, np.nan) for name in REGIME_QUANTITIES if name not in arrays}
         return Results(**described, **arrays, boundaries=header.boundaries)
@@ -353,6 +366,7 @@ def _header_of(file: h5py.File, checksum: bool) -> Header:
         coordinates=tuple(_axis_of(file[name]) for name in coordinates),
         labels=labels,
         counts=count_labels(labels, codes),
+        counts_of_lashes={name: count_labels(labels, codes[..., k]) for k, name in enumerate(axes[-1].words)},
         config=get_text(file, "config"),
         config_digest=get_text(file, "config_digest"),
         content_digest=get_text(file, "content_digest"),
@@ -362,12 +376,19 @@ def _header_of(file: h5py.File, checksum: bool) -> Header:
         },
         tolerance_map=_is_tolerance_map(file),
         sample=tuple(_axis_of(file[name]) for name in sample),
-        boundaries=read_boundaries(file, axes),
+        boundaries=read_boundaries(file, _of_cells(axes)),
         checksum=checksum,
     )
 
 
+def _of_cells(axes: tuple[ResultAxis, ...]) -> tuple[ResultAxis, ...]:
+    """The axes without that of the lashes."""
+    return tuple(axis for axis in axes if axis.parameter != LASH)
+
+
 def _axis_of(scale: h5py.Dataset) -> ResultAxis:
+    if get_text(scale, "parameter") == LASH:
+        return lash_axis([name.decode() for name in scale[()].tolist()])
     return ResultAxis(
         parameter=get_text(scale, "parameter"),
         values=np.asarray(scale[()], np.float64),
@@ -390,12 +411,12 @@ def _quantities(file: h5py.File) -> dict[str, Quantity]:
 
 def _require_digest(file: h5py.File, header: Header) -> None:
     """Raise ValueError where a file's data do not match their digest."""
-    digest = Digest(header.axes + header.coordinates + header.sample, header.labels)
+    digest = Digest(header.axes + header.coordinates + header.sample, (*header.labels, *header.lashes))
     for name in _quantities(file):
         digest.begin(name, file[name])
         for start, stop in row_blocks(file[name]):
             digest.add(file[name][start:stop])
-    for name in names_of(file, header.axes):
+    for name in names_of(file, _of_cells(header.axes)):
         digest.add_variable(name, file[name][()])
     if digest.hexdigest() != header.content_digest:
         raise ValueError("its data do not match its content_digest")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,15 +11,17 @@ import numpy as np
 import numpy.typing as npt
 
 RUN = "run"  # the dimension of what is walked or drawn together
+LASH = "lash"  # the last dimension of results of several lashes
 
 
 @dataclass(frozen=True, eq=False)
 class ResultAxis:
-    """A swept parameter with the values that it took; or the dimension `run`, with the runs' numbers from 1.
+    """A swept parameter with the values that it took; or the dimension `run` or `lash`, with their numbers from 1.
 
-    parameter : dotted key of the config, e.g. ``load.ratio`` or ``driveline.inertias[4]``; or ``run``
+    parameter : dotted key of the config, e.g. ``load.ratio`` or ``driveline.inertias[4]``; or ``run`` or ``lash``
     values : (count,) float64  [unit]
     name, symbol, unit : for people, e.g. ``load ratio``, ``σr = Td/Ts``, ``1``
+    words : the values as words, if they are: of lashes, their names
     """
 
     parameter: str
@@ -26,6 +29,7 @@ class ResultAxis:
     name: str
     symbol: str
     unit: str
+    words: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.values.dtype != np.float64 or self.values.ndim != 1 or not self.values.size:
@@ -38,7 +42,9 @@ class ResultAxis:
 
     @property
     def spread(self) -> str:
-        """Least and largest value, unit and count, for people: ``0 to 20 degrees, 21 values``."""
+        """Least and largest value, unit and count, for people: ``0 to 20 degrees, 21 values``; or the words."""
+        if self.words:
+            return ", ".join(self.words)
         unit = "" if self.unit == "1" else f" {self.unit}"
         return f"{self.values.min():g} to {self.values.max():g}{unit}, {len(self.values)} values"
 
@@ -57,3 +63,8 @@ class ResultAxis:
             return False
         steps = np.diff(np.log(ascending))
         return bool(np.allclose(steps, steps.mean(), rtol=1e-6) and ascending[-1] / ascending[0] > 3.0)
+
+
+def lash_axis(names: Sequence[str]) -> ResultAxis:
+    """The dimension of these lashes."""
+    return ResultAxis(LASH, np.arange(1.0, len(names) + 1.0), LASH, "", "1", tuple(names))

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, Tag, model_validator
 
 from clunk.study.document import Place, items_of
+from clunk.study.lashes import lash_name
 from clunk.study.loads import Load
 from clunk.study.problems import shorten
 from clunk.study.sweeps import Sweep
@@ -169,11 +170,6 @@ class Lash(Table):
             yield ("gap_mm",), f"{text}, and at most 360 are allowed"
         else:
             yield (), "backlash_deg and gap_mm are given together; give one of the two"
-
-
-def lash_name(position: int, name: str | None) -> str:
-    """Name of the lash at a position in its config, which may leave it out."""
-    return name or f"lash {position + 1}"
 
 
 def _degrees(gap_mm: float, radius: float) -> float:
