@@ -5,11 +5,12 @@ import pytest
 from test_sweeping import equal, figure_3_4
 
 from clunk.sweeping.assembly import RegimeReduction
-from clunk.sweeping.cells import Grid
+from clunk.sweeping.cells import CELL, IMPACT, Grid
 from clunk.sweeping.sweep import sweep
-from clunk.sweeping.tiles import from_bytes, to_pieces
+from clunk.sweeping.tiles import Layout, from_bytes, to_pieces
 
 ORIGIN = bytes(range(32))
+LAYOUT = Layout(CELL, IMPACT, "primary_impacts")
 
 
 def assembled(study, batches):
@@ -47,7 +48,7 @@ def test_a_stopped_tile_has_the_cells_that_are_done(study):
 
 
 def test_bytes_give_the_same_tile_again(tile):
-    again = from_bytes(b"".join(to_pieces([tile, tile], ORIGIN)), ORIGIN, Grid.layout)
+    again = from_bytes(b"".join(to_pieces([tile, tile], ORIGIN)), ORIGIN, LAYOUT)
     for name in ("cells", "records", "details"):
         one, two = getattr(tile, name), getattr(again, name)
         assert one.dtype == two.dtype
@@ -58,14 +59,14 @@ def test_bytes_give_the_same_tile_again(tile):
 def test_bytes_of_another_origin_cut_or_changed_are_refused(tile):
     raw = b"".join(to_pieces([tile], ORIGIN))
     with pytest.raises(ValueError, match="another study"):
-        from_bytes(raw, ORIGIN[::-1], Grid.layout)
+        from_bytes(raw, ORIGIN[::-1], LAYOUT)
     for length in [*range(0, len(raw), 97), len(raw) - 1]:
         with pytest.raises(ValueError, match=r"truncated|damaged"):
-            from_bytes(raw[:length], ORIGIN, Grid.layout)
+            from_bytes(raw[:length], ORIGIN, LAYOUT)
     with pytest.raises(ValueError, match="damaged"):
-        from_bytes(raw + b"\0", ORIGIN, Grid.layout)
+        from_bytes(raw + b"\0", ORIGIN, LAYOUT)
     for place in np.random.default_rng(0).integers(0, 8 * len(raw), 300):
         changed = bytearray(raw)
         changed[place // 8] ^= 1 << (place % 8)
         with pytest.raises(ValueError, match=r"another study|damaged"):
-            from_bytes(bytes(changed), ORIGIN, Grid.layout)
+            from_bytes(bytes(changed), ORIGIN, LAYOUT)

@@ -34,14 +34,17 @@ class PointRuns:
 
     study : Study
     parameters : dotted keys
+    lash : position of the one whose labels they are
     labels : those that have codes already; others get the next ones
     engine : of threads
     count : number of runs so far
     """
 
-    def __init__(self, study: Study, parameters: Sequence[str], labels: Sequence[str], engine: Executor) -> None:
+    def __init__(
+        self, study: Study, parameters: Sequence[str], labels: Sequence[str], engine: Executor, lash: int = 0
+    ) -> None:
         self.study, self.parameters = study.model_copy(update={"sweep": None}), tuple(parameters)
-        self.count = 0
+        self.count, self.lash = 0, lash
         self._engine, self._workers = engine, getattr(engine, "_max_workers", None) or available_cores()
         self._codes = {text: code for code, text in enumerate(labels)}
         self._code_of_pattern: dict[int, int] = {}
@@ -66,13 +69,15 @@ class PointRuns:
         finally:
             stop.set()
         for cells, tile in zip(pieces, tiles, strict=True):
-            records = tile.records
+            lashes = grid.layout.lashes
+            records = tile.records[self.lash :: lashes]
             part = runs[cells[0] : cells[-1] + 1]
             part["measure"], part["touches"] = records["margin"], records["touches"]
             patterns, inverse = np.unique(records["pattern"], return_inverse=True)
             part["outcome"] = np.array([self._of_pattern(pattern) for pattern in patterns.tolist()])[inverse]
-            for k, flanks in long_sequences(records, [tile.details]):
-                part["outcome"][k] = self._code(label(flanks))
+            for row, flanks in long_sequences(tile.records, [tile.details]):
+                if row % lashes == self.lash:
+                    part["outcome"][row // lashes] = self._code(label(flanks))
             part["outcome"][records["status"] != Status.OK] = FAILED_CODE
         self.count += runs.size
         return runs
@@ -88,7 +93,7 @@ class PointRuns:
         def run(begin: int, end: int) -> tuple[Records, Events]:
             grid = self._grid(np.stack([one[begin:end], other[begin:end]], 1).reshape(-1, len(self.parameters)))
             records, logs = grid.logged(np.arange(2 * (end - begin)))
-            return records.reshape(-1, 2), logs.reshape(end - begin, 2, -1)
+            return records[:, self.lash].reshape(-1, 2), logs.reshape(end - begin, 2, -1)
 
         ends = [*pieces[1:], len(one)]
         return iter(self._engine.map(run, pieces, ends)) if len(pieces) > 1 else map(run, pieces, ends)

@@ -51,10 +51,11 @@ class RegimeReduction(Reduction[Results]):
         self._scratch = scratch or Scratch()
         self._code_of = np.full(_SHORT + 1, _UNSEEN, np.int32)  # of a pattern; the last is of all longer ones
         self._code_of[0] = FAILED_CODE
-        cells = self.design.cells
-        self.codes: npt.NDArray[np.int32] = self._scratch.empty(cells, np.int32)
+        self.codes: npt.NDArray[np.int32] = self._scratch.empty(self.rows, np.int32)
         self.fields = {
-            name: self._scratch.empty(cells, each.dtype) for name, each in CELL_QUANTITIES.items() if name != "sequence"
+            name: self._scratch.empty(self.rows, each.dtype)
+            for name, each in CELL_QUANTITIES.items()
+            if name != "sequence"
         }
         self._impacts: list[tuple[Cells, dict[str, npt.NDArray[np.generic]]]] = []
 
@@ -64,17 +65,17 @@ class RegimeReduction(Reduction[Results]):
         for name, field in self.fields.items():
             field[index] = tile.records[name]
         self.keep_impacts(
-            tile.cells,
+            self.runner.layout.rows(tile.cells),
             {
                 name: np.ascontiguousarray(tile.details[name.removeprefix("impact_")], each.dtype)
                 for name, each in IMPACT_QUANTITIES.items()
             },
         )
 
-    def keep_impacts(self, cells: Cells, impacts: dict[str, npt.NDArray[np.generic]]) -> None:
-        """Keep the impacts of some cells, in the order of the cells, until all are known."""
+    def keep_impacts(self, rows: Cells, impacts: dict[str, npt.NDArray[np.generic]]) -> None:
+        """Keep the impacts of some rows, in the order of the rows, until all are known."""
         kept = {name: self._scratch.keep(values) for name, values in impacts.items()}
-        self._impacts.append((self._scratch.keep(cells), kept))
+        self._impacts.append((self._scratch.keep(rows), kept))
 
     def result(self, attributes: dict[str, str]) -> Results:
         """See `Reduction.result`."""
@@ -89,10 +90,10 @@ class RegimeReduction(Reduction[Results]):
                 values = self._scratch.empty(self.codes.size, np.int16)
                 return np.take(final, self.codes, out=values, mode="wrap")  # -1 is the last
             values = self._scratch.empty(int(first[-1]), IMPACT_QUANTITIES[name].dtype)
-            if self.done < counts.size:
+            if self.done < self.design.cells:
                 self._fill_inferred(values, first)
-            for cells, impacts in self._impacts:
-                _put(values, first, cells, impacts[name])
+            for rows, impacts in self._impacts:
+                _put(values, first, rows, impacts[name])
             return values
 
         made = self.for_each(finished, ("sequence", *IMPACT_QUANTITIES))
@@ -100,7 +101,7 @@ class RegimeReduction(Reduction[Results]):
         return Results(
             **self.heading(),
             labels=labels,
-            **{name: field.reshape(self.design.shape) for name, field in fields.items()},
+            **{name: field.reshape(self.shape) for name, field in fields.items()},
             **made,
             attributes=attributes,
         )
@@ -111,7 +112,7 @@ class RegimeReduction(Reduction[Results]):
             return dict(zip(names, pool.map(function, names), strict=True))
 
     def _codes_of(self, tile: Tile) -> npt.NDArray[np.int32]:
-        """The codes of a tile's cells."""
+        """The codes of a tile's rows."""
         pattern = np.ascontiguousarray(tile.records["pattern"])
         codes: npt.NDArray[np.int32] = self._code_of[np.minimum(pattern, _SHORT)]
         unseen = np.flatnonzero(codes == _UNSEEN)
@@ -149,6 +150,8 @@ class RefinedReduction(RegimeReduction):
         self._spacing = coarse_spacing(self.design)
         self._refinement = Refinement(self.design.shape, self._spacing)
         self.plan = f"what --refine needs (from spacing {max(self._spacing, default=1)})"
+        self._lashes = self.runner.layout.lashes
+        self._regimes: dict[tuple[int, ...], int] = {}  # the lashes' regimes -> number from 1 of the cell's, of several
 
     def first(self) -> Cells:
         """See `Reduction.first`."""
@@ -156,11 +159,24 @@ class RefinedReduction(RegimeReduction):
 
     def next(self, cells: Cells) -> Cells:
         """See `Reduction.next`."""
-        codes = self.codes[cells]
-        regimes: npt.NDArray[np.int32] = 3 * codes + 2 + self.fields["initial_side"][cells]
-        vague = (self.fields["quality"][cells] & (QUALITY_UNDECIDED | QUALITY_GRAZING)) != 0
-        regimes[(codes == FAILED_CODE) | vague] = DOUBTFUL
-        return self._refinement.take(cells, regimes, self.fields["touches"][cells])
+        rows = self.runner.layout.rows(cells)
+        codes = self.codes[rows]
+        of_lashes: npt.NDArray[np.int32] = 3 * codes + 2 + self.fields["initial_side"][rows]
+        vague = (self.fields["quality"][rows] & (QUALITY_UNDECIDED | QUALITY_GRAZING)) != 0
+        of_lashes[(codes == FAILED_CODE) | vague] = DOUBTFUL
+        touches = self.fields["touches"][rows].reshape(-1, self._lashes).sum(axis=1, dtype=np.int32)
+        return self._refinement.take(cells, self._of_cells(of_lashes.reshape(-1, self._lashes)), touches)
+
+    def _of_cells(self, of_lashes: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+        """Regimes of cells, (n,), of which two are equal where those of all lashes, (n, lashes), are."""
+        if self._lashes == 1:
+            return of_lashes[:, 0]
+        unique, inverse = np.unique(of_lashes, axis=0, return_inverse=True)
+        numbers = [
+            DOUBTFUL if DOUBTFUL in each else self._regimes.setdefault(each, len(self._regimes) + 1)
+            for each in map(tuple, unique.tolist())
+        ]
+        return np.array(numbers, np.int32)[inverse.reshape(-1)]
 
     def result(self, attributes: dict[str, str]) -> Results:
         """See `Reduction.result`."""
@@ -174,7 +190,9 @@ class RefinedReduction(RegimeReduction):
 
     def _infer(self, regimes: npt.NDArray[np.int32]) -> None:
         """Set label, initial flank and number of primaries of cells that have not been run by their regimes."""
-        inferred = ~self.known
+        inferred = np.repeat(~self.known, self._lashes)
+        if self._lashes > 1:
+            regimes = np.array([[0] * self._lashes, *self._regimes], np.int32)[np.maximum(regimes, 0)].ravel()
         codes, sides = np.divmod(np.arange(3 * len(self.sequences)), 3)
         lengths = np.array([len(sequence) for sequence in self.sequences])
         of_regime = {"sequence": codes, "initial_side": sides - 1, "primary_impacts": lengths[codes]}
@@ -212,21 +230,22 @@ class MendedReduction(RegimeReduction):
         for code, cell in zip(*np.unique(sequence, return_index=True), strict=True):
             if code != FAILED_CODE:
                 codes[code] = self.code(tuple(earlier.impact_flank[first[cell] : first[cell + 1]].tolist()))
-        cells = np.flatnonzero(sequence != FAILED_CODE).astype(np.int64)
-        self.codes[cells] = codes[sequence[cells]]
+        rows = np.flatnonzero(sequence != FAILED_CODE).astype(np.int64)
+        self.codes[rows] = codes[sequence[rows]]
         for name, field in self.fields.items():
-            field[cells] = getattr(earlier, name).ravel()[cells]
+            field[rows] = getattr(earlier, name).ravel()[rows]
         not_failed = np.repeat(sequence != FAILED_CODE, np.diff(first))
-        self.keep_impacts(cells, {name: getattr(earlier, name)[not_failed] for name in IMPACT_QUANTITIES})
-        self.known[cells] = True
-        self.done = cells.size
+        self.keep_impacts(rows, {name: getattr(earlier, name)[not_failed] for name in IMPACT_QUANTITIES})
+        self.known[rows // self.runner.layout.lashes] = True
+        self.done = int(self.known.sum())
         self._failed = self.first()
 
     def result(self, attributes: dict[str, str]) -> Results:
         """See `Reduction.result`."""
         mended, earlier = super().result(attributes), self._earlier
         more = self._failed.size - 100
-        failed_again = int(np.count_nonzero(mended.sequence.ravel()[self._failed] == FAILED_CODE))
+        of_first = mended.sequence.reshape(self.design.cells, -1)[:, 0]  # all lashes of a cell fail
+        failed_again = int(np.count_nonzero(of_first[self._failed] == FAILED_CODE))
         changes = [
             f"solver.{key} = {value} instead of {getattr(self._before.solver, key)}"
             for key, value in self.study.solver.model_dump().items()
@@ -249,11 +268,11 @@ class MendedReduction(RegimeReduction):
 
 
 @compiled
-def _put(values: npt.NDArray[Any], first: Cells, cells: Cells, impacts: npt.NDArray[Any]) -> None:
-    """Put the impacts of some cells into C order; `first` has the position of each cell's first one."""
+def _put(values: npt.NDArray[Any], first: Cells, rows: Cells, impacts: npt.NDArray[Any]) -> None:
+    """Put the impacts of some rows into C order; `first` has the position of each row's first one."""
     done = 0
-    for cell in cells:
-        for at in range(first[cell], first[cell + 1]):
+    for row in rows:
+        for at in range(first[row], first[row + 1]):
             values[at] = impacts[done]
             done += 1
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
@@ -19,6 +20,7 @@ from clunk.core.rk4.propagator import Steps
 from clunk.simulation import driveline
 from clunk.simulation.load import loads_of
 from clunk.study.designs import Cells, Design, FloatArray, design_of
+from clunk.study.document import dotted
 from clunk.study.study import Study, replace_values
 from clunk.sweeping.tiles import Layout, Tile
 
@@ -28,7 +30,7 @@ Prepared = tuple[System, Steps | Flows]  # a system and its method's tables
 
 CELL, IMPACT = kernel.CELL, kernel.IMPACT
 
-_BACKLASH = "lash.backlash_deg"
+_BACKLASH = re.compile(r"lash(\[\d+\])?\.backlash_deg")
 _RATES = {"smooth": "load.duration", "lag": "load.time_constant", "sine": "load.frequency"}  # how fast a wave swings
 KEPT_SYSTEMS = 4096  # about 20 KB each
 _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
@@ -39,7 +41,7 @@ _TILE_POINTS = 2**19  # of tabulated loads: 20 MB where each cell has its own
 def leaves_system(study: Study, parameter: str) -> bool:
     """Whether cells that differ in a parameter have the same system: only the load's pieces or the gap change."""
     is_load = parameter.startswith("load.") and parameter not in ("load.on", _RATES.get(study.load.profile))
-    return is_load or parameter == _BACKLASH
+    return is_load or _BACKLASH.fullmatch(parameter) is not None
 
 
 class Systems:
@@ -82,11 +84,11 @@ class Grid:
     systems : of this study, where some are known already
     """
 
-    layout = Layout(CELL, IMPACT, "primary_impacts")
     runs = 1  # of each cell
 
     def __init__(self, study: Study, design: Design | None = None, systems: Systems | None = None) -> None:
         self.study = study
+        self.layout = Layout(CELL, IMPACT, "primary_impacts", len(study.lashes))
         self.systems = systems or Systems(study)
         self.design = design or design_of(study)
         self.method: str = study.solver.method
@@ -109,8 +111,10 @@ class Grid:
         """Torques and gaps of `count` cells with these values of parameters."""
         swept = {key.removeprefix("load."): values[key] for key in values if key.startswith("load.")}
         before, pieces = loads_of(self.study.load, count, **swept)
-        gap = np.broadcast_to(values.get(_BACKLASH, self.study.lashes[0].backlash_deg), count)
-        return kernel.cases_of(before, np.deg2rad(gap) / 2, pieces)
+        gaps = np.empty((count, len(self.study.lashes)))
+        for k, (place, lash) in enumerate(zip(self.study.lash_places, self.study.lashes, strict=True)):
+            gaps[:, k] = values.get(dotted((*place, "backlash_deg")), lash.backlash_deg)
+        return kernel.cases_of(before, np.deg2rad(gaps[:, 0]) / 2, pieces)
 
     def groups(self, cells: Cells) -> Iterator[tuple[dict[str, float], npt.NDArray[np.intp]]]:
         """Cut cells into groups of the same structural values; yields these values and the positions in `cells`."""
@@ -131,30 +135,32 @@ class Grid:
         buffer = self.impact_buffer(cells.size)
         if not self._structural:
             records, pieces = self.run_group({}, cases, buffer, stop)
-            return Tile(cells[: records.size], records, np.concatenate([buffer[:0], *pieces]))
-        records, known = np.zeros(cells.size, CELL), np.zeros(cells.size, bool)
+            return Tile(cells[: records.size // self.layout.lashes], records, np.concatenate([buffer[:0], *pieces]))
+        lashes = self.layout.lashes
+        records, known = np.zeros(cells.size * lashes, CELL), np.zeros(cells.size * lashes, bool)
         impacts: list[Records] = [buffer[:0]]
         owners: list[npt.NDArray[np.intp]] = [np.zeros(0, np.intp)]
         for values, positions in self.groups(cells):
             if stop[0]:
                 break
             finished, pieces = self.run_group(values, cases.at(positions), buffer, stop)
-            done = positions[: finished.size]
+            done = self.layout.rows(positions)[: finished.size]
             records[done], known[done] = finished, True
             impacts += pieces
             owners.append(np.repeat(done, finished["primary_impacts"]))
         in_order = np.argsort(np.concatenate(owners), kind="stable")
-        return Tile(cells[known], records[known], np.concatenate(impacts)[in_order])
+        return Tile(cells[known[::lashes]], records[known], np.concatenate(impacts)[in_order])
 
     def logged(self, cells: Cells) -> tuple[Records, Records]:
-        """Run cells and keep their events: CELL (n,), and EVENT (n, events), with times NaN behind a run's last one."""
+        """Run cells and keep their events: CELL (n, lashes), and EVENT (n, events), times NaN behind the last one."""
         cases, buffer = self.cases(self.design.at(cells), cells.size), self.impact_buffer(cells.size)
-        records, logs = np.zeros(cells.size, CELL), np.zeros((cells.size, self.study.solver.max_events + 1), EVENT)
+        records = np.zeros((cells.size, self.layout.lashes), CELL)
+        logs = np.zeros((cells.size, self.study.solver.max_events + 1), EVENT)
         logs["time"] = np.nan
         for values, positions in self.groups(cells):
             part, events = cases.at(positions), logs[positions]
-            records[positions], _ = self.run_group(values, part, buffer, np.zeros(1, np.uint8), events)
-            logs[positions] = events
+            rows, _ = self.run_group(values, part, buffer, np.zeros(1, np.uint8), events)
+            records[positions], logs[positions] = rows.reshape(len(positions), -1), events
         return records, logs[:, : int((~np.isnan(logs["time"])).sum(axis=1).max(initial=0))]
 
     def impact_buffer(self, runs: int) -> Records:
@@ -164,26 +170,26 @@ class Grid:
     def run_group(
         self, values: Mapping[str, float], cases: kernel.Cases, buffer: Records, stop: Flag, logs: Records = _NO_LOGS
     ) -> tuple[Records, list[Records]]:
-        """Records and impacts of runs of one system, of those that were done before `stop` was set.
+        """Records and impacts of runs of one system, lash by lash, of those that were done before `stop` was set.
 
         values : of the structural parameters
         cases : torques and gap of each run
         buffer : IMPACT, to work in; see `impact_buffer`
         logs : EVENT, output for the events of each run, if wanted; see `kernel.Output`
 
-        Returns CELL, one of each run, and IMPACT, in pieces.
+        Returns CELL, one of each run and lash, and IMPACT, in pieces.
         """
         system, tables = self.systems.prepared(values)
         solver = self.study.solver
-        done, records = 0, np.zeros(len(cases.before), CELL)
-        output = kernel.Output(records, buffer, logs)
+        done, records = 0, np.zeros((len(cases.before), self.layout.lashes), CELL)
+        output = kernel.Output(records[:, 0], buffer, logs)
         impacts = []
-        while done < records.size and not stop[0]:
+        while done < len(records) and not stop[0]:
             done, written = kernel.run_tile(
                 system, tables, solver.margin_tolerance, cases, done, solver.max_events, output, stop
             )
             impacts.append(buffer[:written].copy())
-        return records[:done], impacts
+        return records[:done].ravel(), impacts
 
 
 def compiling_note(*methods: str) -> str:

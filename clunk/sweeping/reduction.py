@@ -16,6 +16,7 @@ from clunk.core.sequence import label
 from clunk.results.labels import FAILED_CODE
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
+from clunk.study.axes import ResultAxis, lash_axis
 from clunk.study.designs import Cells, Design
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study, digest, to_toml
@@ -40,6 +41,7 @@ class Reduction(ABC, Generic[SomeMap]):
     runner : makes the tiles
     plan : which cells are run, for people
     may_grow : whether finished cells may ask for further ones; see `next`
+    rows : number of rows of all cells, one for each lash
     known : (cells,) bool, whether a cell has been added
     done : number of cells that have been added
     """
@@ -49,24 +51,26 @@ class Reduction(ABC, Generic[SomeMap]):
 
     def __init__(self, study: Study, design: Design, runner: Runner) -> None:
         self.study, self.design, self.runner = study, design, runner
+        self.rows = design.cells * runner.layout.lashes
         self.known: npt.NDArray[np.bool_] = np.zeros(design.cells, bool)
         self.done = 0
         self.sequences: dict[Flanks, int] = {}  # flanks -> code, in the order in which they were seen first
 
     def add(self, tile: Tile) -> None:
         """Add a tile's cells; those that are there already are passed over."""
-        new = ~self.known[as_index(tile.cells)]
+        new, layout = ~self.known[as_index(tile.cells)], self.runner.layout
         if not new.all():
-            of_new = np.repeat(new, tile.records[self.runner.layout.counted_by])
-            tile = Tile(tile.cells[new], tile.records[new], tile.details[of_new])
-        index = as_index(tile.cells)
-        self.fill(tile, index)
-        self.known[index] = True
+            rows = np.repeat(new, layout.lashes)
+            tile = Tile(
+                tile.cells[new], tile.records[rows], tile.details[np.repeat(rows, tile.records[layout.counted_by])]
+            )
+        self.fill(tile, as_index(layout.rows(tile.cells)))
+        self.known[as_index(tile.cells)] = True
         self.done += tile.cells.size
 
     @abstractmethod
     def fill(self, tile: Tile, index: slice | Cells) -> None:
-        """Put a tile of new cells into the arrays; `index` is where its cells are in these."""
+        """Put a tile of new cells into the arrays; `index` is where its rows are in these."""
 
     def first(self) -> Cells:
         """Cells to run at first, in ascending order: all that have not been added."""
@@ -93,11 +97,22 @@ class Reduction(ABC, Generic[SomeMap]):
         labels = tuple(sorted(lengths, key=lambda text: (lengths[text], text)))
         return labels, np.array([*(labels.index(label(flanks)) for flanks in self.sequences), FAILED_CODE], np.int16)
 
+    @property
+    def axes(self) -> tuple[ResultAxis, ...]:
+        """The axes of the map: those of the design and, of several lashes, theirs."""
+        names = self.study.lash_names
+        return (*self.design.axes, lash_axis(names)) if len(names) > 1 else self.design.axes
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape of the map."""
+        return tuple(len(axis.values) for axis in self.axes)
+
     def heading(self) -> dict[str, Any]:
         """Title, axes and config: the fields that all maps have in common."""
         return {
             "title": self.study.title,
-            "axes": self.design.axes,
+            "axes": self.axes,
             "coordinates": self.design.coordinates,
             "config": to_toml(self.study),
             "config_digest": digest(self.study),

@@ -1,7 +1,7 @@
 """Tiles: results of cells that were run together, and the bytes in which they are kept on the disk.
 
-A tile has one record for each cell and any number of details of each: of a regime map the cell's CELL and its impacts,
-of a tolerance map its TOLERANCE_CELL and its OUTCOMEs.
+A tile has a row for each lash of each cell, a cell's rows behind one another: one record and any number of details, of
+a regime map its CELL and its impacts, of a tolerance map its TOLERANCE_CELL and its OUTCOMEs.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import hashlib
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,11 +27,17 @@ class Layout:
 
     record, detail : dtype
     counted_by : field of a record with the number of its details
+    lashes : number of rows of each cell
     """
 
     record: np.dtype[np.void]
     detail: np.dtype[np.void]
     counted_by: str
+    lashes: int = 1
+
+    def rows(self, cells: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Numbers of the rows of some cells, in their order, from the cells' numbers."""
+        return cells if self.lashes == 1 else (cells[:, None] * self.lashes + np.arange(self.lashes)).ravel()
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +45,8 @@ class Tile:
     """Results of some cells.
 
     cells : (n,) int64, numbers in C order of the design; in any order, consecutive or not
-    records : (n,) of the layout's record type
-    details : (N,) of its detail type, those of each cell behind those of the cell before it
+    records : (n lashes,) of the layout's record type
+    details : (N,) of its detail type, those of each row behind those of the row before it
     """
 
     cells: Cells
@@ -68,7 +75,7 @@ def from_bytes(raw: bytes, origin: bytes, layout: Layout) -> Tile:
     if magic != _MAGIC or written_origin != origin:
         raise ValueError("of another study or version")
     body = memoryview(raw)[_HEADER.size :]
-    width = 8 + layout.record.itemsize
+    width = 8 + layout.lashes * layout.record.itemsize
     size = width * cells + layout.detail.itemsize * details
     if len(body) != size or _checksum(cells, details, origin, body) != checksum:
         raise ValueError("damaged")

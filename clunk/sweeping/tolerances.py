@@ -56,11 +56,10 @@ class SampleRunner:
     tile_cells : int, the most cells of a tile, so that its memory does not depend on the size of the sample
     """
 
-    layout = Layout(TOLERANCE_CELL, OUTCOME, "outcomes")
-
     def __init__(self, study: Study) -> None:
         assert study.sweep is not None
         self.grid = Grid(study.model_copy(update={"sweep": None}), design_of(study))
+        self.layout = Layout(TOLERANCE_CELL, OUTCOME, "outcomes", len(study.lashes))
         self._tolerances = study.sweep.tolerances
         self.draws = self.runs = study.sweep.sampling.count
         numbers = drawn_numbers(study, self._tolerances)
@@ -80,26 +79,26 @@ class SampleRunner:
 
     def run(self, cells: Cells, stop: Flag) -> Tile:
         """Run cells; a tile that was stopped has none."""
-        at = self.grid.design.at(cells)
-        patterns = np.zeros((cells.size, self.draws + 1), np.uint64)  # the nominal run last
-        severity = np.full((cells.size, self.draws + 1), np.nan)
-        status = np.zeros((cells.size, self.draws + 1), np.uint8)
+        at, count = self.grid.design.at(cells), cells.size * self.layout.lashes
+        patterns = np.zeros((count, self.draws + 1), np.uint64)  # the nominal run last
+        severity = np.full((count, self.draws + 1), np.nan)
+        status = np.zeros((count, self.draws + 1), np.uint8)
         long: list[Flanks] = []
         buffer = self.grid.impact_buffer(cells.size)
         # tiles that run at the same time begin far apart, so that each prepares systems for the others
         begin = int(_GOLDEN * (cells[0] // cells.size) * self.draws)
         order = [self.draws, *((begin + np.arange(self.draws)) % self.draws)]
         for values, positions in self.grid.groups(cells):
-            nominal = {parameter: column[positions] for parameter, column in at.items()}
+            nominal, rows = {key: column[positions] for key, column in at.items()}, self.layout.rows(positions)
             for draw in order:
                 system, driving = (values, nominal) if draw == self.draws else self._at(draw, values, nominal)
                 cases = self.grid.cases({**driving, **system}, positions.size)
                 records, impacts = self.grid.run_group(system, cases, buffer, stop)
-                if records.size < positions.size:
+                if records.size < rows.size:
                     return Tile(cells[:0], np.zeros(0, TOLERANCE_CELL), np.zeros(0, OUTCOME))
-                severity[positions, draw], status[positions, draw] = records["severity"], records["status"]
-                patterns[positions, draw] = _numbered(records, impacts, long)
-        summaries = [_summary(patterns[k], severity[k], status[k], long) for k in range(cells.size)]
+                severity[rows, draw], status[rows, draw] = records["severity"], records["status"]
+                patterns[rows, draw] = _numbered(records, impacts, long)
+        summaries = [_summary(patterns[k], severity[k], status[k], long) for k in range(count)]
         records = np.array([record for record, _ in summaries], TOLERANCE_CELL)
         return Tile(cells, records, np.array([each for _, outcomes in summaries for each in outcomes], OUTCOME))
 
@@ -126,32 +125,31 @@ class ToleranceReduction(Reduction[ToleranceMap]):
     def __init__(self, study: Study) -> None:
         self._sample = SampleRunner(study)
         super().__init__(study, self._sample.grid.design, self._sample)
-        cells = self.design.cells
-        self._records = np.zeros(cells, TOLERANCE_CELL)
-        self._nominal = np.zeros(cells, np.int64)  # codes
-        self._runs: list[tuple[Cells, Cells, Cells]] = []  # cells, codes, and numbers of runs
+        self._records = np.zeros(self.rows, TOLERANCE_CELL)
+        self._nominal = np.zeros(self.rows, np.int64)  # codes
+        self._runs: list[tuple[Cells, Cells, Cells]] = []  # rows, codes, and numbers of runs
 
     def fill(self, tile: Tile, index: slice | Cells) -> None:
         """See `Reduction.fill`."""
         self._records[index] = tile.records
         entries = []
-        cells_of_outcomes = np.repeat(tile.cells, tile.records["outcomes"]).tolist()
-        for cell, flanks, count, nominal in _outcomes(cells_of_outcomes, tile.details):
+        rows_of_outcomes = np.repeat(self.runner.layout.rows(tile.cells), tile.records["outcomes"]).tolist()
+        for row, flanks, count, nominal in _outcomes(rows_of_outcomes, tile.details):
             code = FAILED_CODE if flanks is None else self.code(flanks)
-            entries.append((cell, code, count))
+            entries.append((row, code, count))
             if nominal:
-                self._nominal[cell] = code
-        cells, codes, runs = np.array(entries, np.int64).reshape(-1, 3).T
-        self._runs.append((cells, codes, runs))
+                self._nominal[row] = code
+        rows, codes, runs = np.array(entries, np.int64).reshape(-1, 3).T
+        self._runs.append((rows, codes, runs))
 
     def result(self, attributes: dict[str, str]) -> ToleranceMap:
         """See `Reduction.result`."""
         assert self.known.all()
         labels, final = self.final_codes()
-        shape = self.design.shape
-        runs = np.zeros((self.design.cells, len(labels) + 1), np.int32)  # failed is code -1, and so the last
-        for cells, codes, count in self._runs:
-            np.add.at(runs, (cells, final[codes]), count.astype(np.int32))
+        shape = self.shape
+        runs = np.zeros((self.rows, len(labels) + 1), np.int32)  # failed is code -1, and so the last
+        for rows, codes, count in self._runs:
+            np.add.at(runs, (rows, final[codes]), count.astype(np.int32))
         quantiles = np.stack([self._records[name] for name in _QUANTILE_FIELDS], axis=-1)
         return ToleranceMap(
             **self.heading(),
@@ -212,10 +210,10 @@ def _words(flanks: Flanks) -> list[int]:
     return [int("1" + "".join("1" if flank == OPPOSITE else "0" for flank in part), 2) for part in parts]
 
 
-def _outcomes(cells: list[int], entries: Records) -> Iterator[tuple[int, Flanks | None, int, bool]]:
-    """(cell, flanks or None where it failed, runs, whether nominal) of each outcome; cells : of the entries."""
+def _outcomes(rows: list[int], entries: Records) -> Iterator[tuple[int, Flanks | None, int, bool]]:
+    """(row, flanks or None where it failed, runs, whether nominal) of each outcome; rows : of the entries."""
     begins = np.flatnonzero(entries["runs"] != _GOES_ON)
     for begin, end in zip(begins, [*begins[1:], len(entries)], strict=True):
         words = entries["pattern"][begin:end].tolist()
         flanks = tuple(flank for word in words for flank in flanks_of(word)) if words[0] else None
-        yield cells[begin], flanks, int(entries["runs"][begin]), bool(entries["nominal"][begin])
+        yield rows[begin], flanks, int(entries["runs"][begin]), bool(entries["nominal"][begin])
