@@ -24,6 +24,7 @@ from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.designs import design_of_points, has_tolerances
+from clunk.study.lashes import lash_position
 from clunk.study.problems import ConfigError
 from clunk.study.study import Study
 from clunk.sweeping import sweep as sweeping
@@ -44,6 +45,7 @@ def sweep(
     scheduler: str | None = None,
     refine: bool = False,
     boundaries: bool = False,
+    lash: str | None = None,
     restart: bool = False,
     force: bool = False,
 ) -> Results:
@@ -68,6 +70,8 @@ def sweep(
         Run only a coarse grid and where labels change, and infer the other cells' labels.
     boundaries : bool
         Also trace the curves between the labels, of one or two axes: `Results.boundaries`.
+    lash : str, optional
+        Of several lashes, the one whose boundaries are traced, by name or number; by default the first.
     restart : bool
         Neither go on with a stopped sweep nor keep a finished one.
     force : bool
@@ -106,8 +110,9 @@ def sweep(
         raise SweepError(sweeping.HAS_TOLERANCES)
     if boundaries:
         require_boundaries(study)
+        lash_position(lash, study.lash_names)
     engine = sweeping.engine_of(scheduler, workers)
-    finish = partial(with_boundaries, study, workers=workers) if boundaries else None
+    finish = partial(with_boundaries, study, lash=lash, workers=workers) if boundaries else None
     results = _run(study, output, progress, engine, refine=refine, finish=finish, restart=restart, force=force)
     assert isinstance(results, Results)
     return results
@@ -237,7 +242,7 @@ def verify(study: Study, *, progress: bool | Progress = False, workers: int | No
         return verification.verify(study, workers=workers, progress=report)
 
 
-def draw(what: Results | ToleranceMap | Trajectory, quantity: str = "regimes") -> Figure:
+def draw(what: Results | ToleranceMap | Trajectory, quantity: str = "regimes", *, lash: str | None = None) -> Figure:
     """The map of a sweep's results, or the picture of a run.
 
     Parameters
@@ -246,6 +251,8 @@ def draw(what: Results | ToleranceMap | Trajectory, quantity: str = "regimes") -
     quantity : str
         Of results: regimes, severity, approach_velocity, primary_impacts, touches, last_event_time or margin. Of a
         tolerance map: regimes, double_sided, severity (its mean), severity_5, severity_50 or severity_95.
+    lash : str, optional
+        Of a map of several lashes, the one to draw, by name or number; by default the first.
 
     Returns
     -------
@@ -269,6 +276,7 @@ def draw(what: Results | ToleranceMap | Trajectory, quantity: str = "regimes") -
     from clunk import plot
 
     if isinstance(what, Results | ToleranceMap):
+        what = what.at_lash(lash)
         return plot.draw(what, quantity, thresholds_of(what))
     if not isinstance(what, Trajectory):
         raise TypeError(

@@ -26,6 +26,7 @@ from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import design_of, has_tolerances
 from clunk.study.errors import ClunkError
+from clunk.study.lashes import lash_position
 from clunk.study.parameters import located
 from clunk.study.study import Study
 from clunk.sweeping.reduction import AnyMap
@@ -59,7 +60,7 @@ def require_boundaries(study: Study) -> None:
             raise BoundaryError(f"{axis.parameter} is a whole number, between whose values nothing lies.")
 
 
-def boundaries(study: Study, results: Results, *, workers: int | None = None) -> Boundaries:
+def boundaries(study: Study, results: Results, *, lash: str | None = None, workers: int | None = None) -> Boundaries:
     """Trace the boundaries of a study's regime map.
 
     Parameters
@@ -67,6 +68,8 @@ def boundaries(study: Study, results: Results, *, workers: int | None = None) ->
     study : Study
     results : Results
         Its map, whole or refined. Where cells failed, that is a label of its own.
+    lash : str, optional
+        Of several lashes, the one whose labels are meant, by name or number; by default the first.
     workers : int, optional
         Threads; by default one for each core that this process may use.
 
@@ -74,16 +77,20 @@ def boundaries(study: Study, results: Results, *, workers: int | None = None) ->
     ------
     BoundaryError
         Where the map has none, see `require_boundaries`.
+    ConfigError
+        Where there is no such lash.
     """
     require_boundaries(study)
-    return (_of_axis if len(results.axes) == 1 else _of_plane)(study, results, workers)
+    position, part = lash_position(lash, results.lash_names), results.of_lash(lash)
+    traced = (_of_axis if len(part.axes) == 1 else _of_plane)(study, part, position, workers)
+    return replace(traced, lash=results.lashes[position]) if results.lashes else traced
 
 
-def with_boundaries(study: Study, results: AnyMap, *, workers: int | None = None) -> AnyMap:
-    """A regime map with its boundaries, traced where it has none yet. Raises as `boundaries`."""
-    if not isinstance(results, Results) or results.boundaries is not None:
+def with_boundaries(study: Study, results: AnyMap, *, lash: str | None = None, workers: int | None = None) -> AnyMap:
+    """A regime map with its boundaries, traced where it has none of this lash yet. Raises as `boundaries`."""
+    if not isinstance(results, Results) or results.of_lash(lash).boundaries is not None:
         return results
-    return replace(results, boundaries=boundaries(study, results, workers=workers))
+    return replace(results, boundaries=boundaries(study, results, lash=lash, workers=workers))
 
 
 class _Scale:
@@ -107,7 +114,7 @@ class _Scale:
         return values
 
 
-def _of_plane(study: Study, results: Results, workers: int | None) -> Boundaries:
+def _of_plane(study: Study, results: Results, lash: int, workers: int | None) -> Boundaries:
     scales = [_Scale(axis) for axis in results.axes]
     ascending = np.ix_(*(scale.order for scale in scales))
 
@@ -115,7 +122,7 @@ def _of_plane(study: Study, results: Results, workers: int | None) -> Boundaries
         return np.column_stack([scale.values(places[:, k]) for k, scale in enumerate(scales)])
 
     with engine_of(None, workers) as engine:
-        point_runs = PointRuns(study, [axis.parameter for axis in results.axes], results.labels, engine)
+        point_runs = PointRuns(study, [axis.parameter for axis in results.axes], results.labels, engine, lash)
 
         def run(places: Floats) -> Runs:
             return point_runs(values_at(places))
@@ -173,10 +180,10 @@ def _filled(labels: list[list[int]]) -> npt.NDArray[np.int16]:
     return np.array([codes + [NO_LABEL] * (width - len(codes)) for codes in labels], np.int16).reshape(-1, width)
 
 
-def _of_axis(study: Study, results: Results, workers: int | None) -> Boundaries:
+def _of_axis(study: Study, results: Results, lash: int, workers: int | None) -> Boundaries:
     """The boundaries along one axis: single values, and intervals between them."""
     (axis,) = results.axes
-    scan = thresholds(study, along=axis.parameter, workers=workers)
+    scan = thresholds(study, along=axis.parameter, lash=str(lash + 1), workers=workers)
     words = [word for word in scan.words if word not in results.labels]
     labels = (*results.labels, *map(str, words))
     number = np.array([*(labels.index(str(word)) for word in scan.words), -1], np.int16)
@@ -184,7 +191,7 @@ def _of_axis(study: Study, results: Results, workers: int | None) -> Boundaries:
     codes = number[np.concatenate([scan.lowest, scan.above])]
     edges = np.concatenate([[scale.lowest], scan.value, [scale.highest]])
     with engine_of(None, workers) as engine:
-        point_runs = PointRuns(study, [axis.parameter], results.labels, engine)
+        point_runs = PointRuns(study, [axis.parameter], results.labels, engine, lash)
         aside = 1e-9 * (scale.highest - scale.lowest)
         below, above = np.maximum(scan.value - aside, scale.lowest)[:, None], scan.value[:, None] + aside
         events = events_between(point_runs, below, above)

@@ -224,7 +224,7 @@ def compare(a: Results, b: Results) -> Comparison:
 
 
 def _require_same_axes(a: tuple[ResultAxis, ...], b: tuple[ResultAxis, ...]) -> None:
-    names = [", ".join(axis.parameter for axis in axes) for axes in (a, b)]
+    names = [", ".join(axis.spread if axis.words else axis.parameter for axis in axes) for axes in (a, b)]
     if names[0] != names[1]:
         same = {axis.parameter for axis in a} == {axis.parameter for axis in b}
         what = "in another order" if same else "other parameters"

@@ -10,8 +10,10 @@ def thresholds_of(results: Map) -> list[float]:
     """Values of the swept load at which one more impact appears as the backlash vanishes.
 
     They are those of the first load ratio or torque that changes, for a driveline in which all other keys have the
-    values of these results; empty where there is none.
+    values of these results; empty where there is none, and of several lashes, which do not open one by one.
     """
+    if results.lashes:
+        return []
     changing = (axis.parameter for axis in results.axes if len(axis.values) > 1)
     parameter = next((name for name in changing if name.startswith("load.")), None)
     if parameter is None:

@@ -20,6 +20,7 @@ from clunk.analysis.outcomes import CHATTER, DOUBLE_SIDED, LABEL, MEASURED, NOMI
 from clunk.core.status import Status
 from clunk.results.regimemap import Results
 from clunk.simulation.trajectory import Trajectory, simulate
+from clunk.study.document import dotted
 from clunk.study.errors import ClunkError
 from clunk.study.loads import PROFILES
 from clunk.study.parameters import get_value, nominal_value
@@ -115,11 +116,17 @@ class Sensitivity:
         load = self.study.load
         keys = [f"load.{key}" for key in PROFILES[load.profile].keys if isinstance(getattr(load, key), float)]
         keys = [key for key in keys if key != "load.static_torque"]
-        return {key: get_value(self.study, key) for key in (*keys, "lash.backlash_deg")}
+        keys += [dotted((*place, "backlash_deg")) for place in self.study.lash_places]
+        return {key: get_value(self.study, key) for key in keys}
 
 
 def sensitivity(
-    study: Study, *, of: Sequence[str] = (), workers: int | None = None, progress: Progress | None = None
+    study: Study,
+    *,
+    of: Sequence[str] = (),
+    lash: str | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
 ) -> Sensitivity:
     """The first-order and total Sobol indices of an operating point's outcome.
 
@@ -132,6 +139,8 @@ def sensitivity(
         Quantities, in the words of `clunk.analysis.outcomes`: a number; or what is 1 where something holds and else 0,
         such as `nominal_label` (the label is that without tolerances), `double_sided` and `severity<=8000`. By default
         severity and `nominal_label`; for the restitution model, which has no severity, `approach_velocity` instead.
+    lash : str, optional
+        Of several lashes, the one whose outcome is meant, by name or number; by default the first.
     workers, progress
         As `clunk.sweep` takes them.
 
@@ -161,7 +170,7 @@ def sensitivity(
     nominal = simulate(point)
     sample = saltelli_sample(point)
     _refuse_forbidden_draws(point, sample)
-    results = sweep(_runs(point, sample), workers=workers, progress=progress)
+    results = sweep(_runs(point, sample), workers=workers, progress=progress).of_lash(lash)
     _refuse_failures(results)
     n, pages, _ = sample.shape
     seed = _sweep(point).sampling.seed

@@ -66,6 +66,8 @@ def _write_hdf5(file: h5py.File, thresholds: Thresholds) -> None:
     set_text(file, "clunk_version", __version__)
     set_text(file, "along", along.parameter)
     set_text(file, "outcome", thresholds.outcome.name)
+    if thresholds.lash:
+        set_text(file, "lash", thresholds.lash)
     file.attrs["config"] = to_toml(study)  # variable length: it may be longer than an object header allows
     set_text(file, "config_digest", digest(study))
     cells = [

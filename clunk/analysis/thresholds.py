@@ -28,6 +28,7 @@ from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import Column, Design, design_of, drawn_numbers, has_tolerances
 from clunk.study.errors import ClunkError
+from clunk.study.lashes import lash_position
 from clunk.study.parameters import located, nominal_value
 from clunk.study.problems import listing, nearest, shorten
 from clunk.study.study import Study
@@ -80,6 +81,7 @@ class Thresholds:
     below, above : (n,) int64, the outcome's code at smaller and at greater values
     runs : number of runs that it took
     failures : number of these that failed, by their cause
+    lash : name of the lash whose outcome it is; empty where there is one
     """
 
     study: Study
@@ -94,9 +96,11 @@ class Thresholds:
     above: Codes
     runs: int
     failures: dict[Status, int]
+    lash: str = ""
 
     def __repr__(self) -> str:
         rows = [("along", f"{self.along.parameter}: {self.along.spread}"), ("of", self.outcome.name)]
+        rows += [("lash", self.lash)] if self.lash else []
         rows += [("cells", f"{axis.parameter}: {axis.spread}") for axis in self.axes]
         return as_text(f"clunk.Thresholds {self.study.title!r}", [*rows, ("thresholds", f"{self.value.size:,}")])
 
@@ -161,7 +165,13 @@ class Thresholds:
 
 
 def thresholds(
-    study: Study, *, along: str, of: str = LABEL, workers: int | None = None, progress: Progress | None = None
+    study: Study,
+    *,
+    along: str,
+    of: str = LABEL,
+    lash: str | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
 ) -> Thresholds:
     """All values of a swept key at which an outcome changes, in each cell of the other axes.
 
@@ -175,6 +185,8 @@ def thresholds(
     of : str, optional
         The outcome: `label`, `double_sided`, `chatter`, `label=DS(2)`, `touches`, `primary_impacts`, or a bound on a
         number such as `severity<=8000`; see `clunk.analysis.outcomes`.
+    lash : str, optional
+        Of several lashes, the one whose outcome is meant, by name or number; by default the first.
     workers, progress
         As `clunk.sweep` takes them; in the place of cells, runs are counted.
 
@@ -188,6 +200,8 @@ def thresholds(
     ------
     ThresholdError
         Where the key is no axis of this study, there is no such outcome, or it changes too often to be followed.
+    ConfigError
+        Where there is no such lash.
     SweepError, KeyboardInterrupt
         As `clunk.sweep`.
 
@@ -203,7 +217,8 @@ def thresholds(
     [(2.522, 10.0)]
     """
     along_axis, axes = axes_of(study, along)
-    search = _Search(study, along_axis, axes, parse(of, study), progress)
+    position = lash_position(lash, study.lash_names)
+    search = _Search(study, along_axis, axes, parse(of, study), progress, str(position + 1))
     with engine_of(None, workers) as search.engine:
         points = search.scan()
         low, high = search.located(points)
@@ -223,6 +238,7 @@ def thresholds(
         above=renumbered[high["outcome"]],
         runs=search.runs,
         failures=search.failures,
+        lash=study.lash_names[position] if len(study.lashes) > 1 else "",
     )
 
 
@@ -276,6 +292,7 @@ class _Search:
     axes: tuple[ResultAxis, ...]
     outcome: Outcome
     progress: Progress | None
+    lash: str  # its number
     engine: Executor | None = None
     runs: int = 0
     failures: dict[Status, int] = field(default_factory=dict)
@@ -305,7 +322,7 @@ class _Search:
         """Run the cells at these values of the key; more : number of runs that are expected to follow."""
         columns = tuple(Column(parameter, 0, each) for parameter, each in self.columns(cells, values).items())
         design = Design((values.size,), columns, run=0)
-        results = sweep(self.nominal, design, engine=self.engine, systems=self.systems)
+        results = sweep(self.nominal, design, engine=self.engine, systems=self.systems).of_lash(self.lash)
         points = np.zeros(values.size, POINT)
         points["cell"], points["value"], points["touches"] = cells, values, results.touches
         finished = results.status == Status.OK

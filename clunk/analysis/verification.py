@@ -23,6 +23,7 @@ from clunk.results.quantities import IMPACT_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.simulation.trajectory import Trajectory, simulate
 from clunk.study.designs import nominal
+from clunk.study.document import dotted
 from clunk.study.study import Study
 from clunk.study.summaries import as_text
 from clunk.study.sweeps import Axis, Sweep
@@ -193,7 +194,8 @@ def verify(
     grid = nominal(study)
     if study.sweep is None:
         events = pair_events(*(simulate(by(study, method)) for method in METHODS))
-        one = Axis(parameter="lash.backlash_deg", values=(study.lashes[0].backlash_deg,))
+        parameter = dotted((*study.lash_places[0], "backlash_deg"))
+        one = Axis(parameter=parameter, values=(study.lashes[0].backlash_deg,))
         grid = study.model_copy(update={"sweep": Sweep(axes=(one,))})
     cells = sweeping.cell_count(grid)
     results: list[Results] = []

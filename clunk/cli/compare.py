@@ -17,8 +17,9 @@ from clunk.cli.options import EXIT_MISMATCH, PATH, json_option
 @click.argument("b", type=PATH)
 @click.option("-o", "--output", type=PATH, help="Also draw where they differ: .png .svg .pdf.")
 @click.option("--expect-equal", is_flag=True, help="Exit with 4 where any label differs.")
+@click.option("--lash", metavar="NAME", help="Of several lashes, this one [all; with measurements the first].")
 @json_option
-def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: bool) -> None:
+def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, lash: str | None, as_json: bool) -> None:
     """Compare the results file A with another, B, cell by cell; or with measurements.
 
     B is a results file of the same grid, a CSV file of measured labels, or table_4_1, the report's experiment.
@@ -40,6 +41,10 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, as_json: 
         targets.check(output, targets.PICTURES)
     results = read(a)
     other = None if is_experiment(b, TABLES) else read(b)
+    if other is None or lash is not None:
+        results = results.of_lash(lash)
+    if other is not None and lash is not None:
+        other = other.of_lash(lash)
     comparison: Any  # of two maps, or of a map and measurements
     if other is None:
         comparison = compare_experiment(results, read_experiment(b, TABLES))

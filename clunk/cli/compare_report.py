@@ -58,7 +58,10 @@ def _cell_report(comparison: Comparison) -> Iterator[str]:
     yield from phrases.table(
         [
             [*(axis.parameter for axis in comparison.parameters), "A", "B"],
-            *([*map(phrases.number, cell.values), cell.a, cell.b] for cell in comparison.differing_cells()),
+            *(
+                [*phrases.texts(comparison.parameters, cell.values), cell.a, cell.b]
+                for cell in comparison.differing_cells()
+            ),
         ]
     )
 
@@ -201,8 +204,8 @@ def as_record(comparison: Comparison | ExperimentComparison) -> dict[str, Any]:
     return cast("dict[str, Any]", phrases.plain(record))
 
 
-def _at(axes: tuple[ResultAxis, ...], values: tuple[float, ...]) -> dict[str, float]:
-    return {axis.parameter: value for axis, value in zip(axes, values, strict=True)}
+def _at(axes: tuple[ResultAxis, ...], values: tuple[float, ...]) -> dict[str, float | str]:
+    return {axis.parameter: axis.word(value) or value for axis, value in zip(axes, values, strict=True)}
 
 
 def _map_record(comparison: Comparison) -> dict[str, Any]:

@@ -34,6 +34,7 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
             {"parameter": axis.parameter, "unit": axis.unit}
             | {"start": axis.values[0], "stop": axis.values[-1], "count": len(axis.values)}
             for axis in header.axes
+            if not axis.words
         ]
         coordinates = [
             {"parameter": axis.parameter, "unit": axis.unit, "lowest": axis.values.min(), "highest": axis.values.max()}
@@ -41,7 +42,10 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
         ]
         record: dict[str, Any] = {"title": header.title, "axes": axes}
         record |= {"coordinates": coordinates} if coordinates else {}
-        record |= {"counts": header.counts} if tolerances is None else tables.tolerance_record(tolerances)
+        if tolerances is None:
+            record |= {"counts": tables.of_lashes(header.counts_of_lashes)}
+        else:
+            record |= tables.tolerance_records(tolerances)
         if header.boundaries is not None:
             record |= {"boundaries": tables.boundary_record(header.boundaries)}
         record |= {"config_digest": header.config_digest}
@@ -51,7 +55,7 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
     click.echo(header.title)
     click.echo()
     for axis in header.axes:
-        click.echo(f"axis      {axis.parameter}: {axis.spread}")
+        click.echo(f"{'lashes    ' if axis.words else f'axis      {axis.parameter}: '}{axis.spread}")
     for axis in header.coordinates:
         click.echo(f"along run {axis.parameter}: {axis.spread}")
     for each in header.sample:
@@ -71,9 +75,9 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
             click.echo("          another program has changed the file")
     click.echo()
     if tolerances is None:
-        tables.print_counts(header.counts)
+        tables.print_lashes(header.counts_of_lashes, tables.print_counts)
         if header.boundaries is not None:
             click.echo()
             tables.print_boundaries(header.boundaries)
     else:
-        tables.print_tolerances(tolerances)
+        tables.print_lashes(tolerances.by_lash(), tables.print_tolerances)

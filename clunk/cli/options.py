@@ -29,5 +29,8 @@ at_option = click.option(
 )
 
 
+lash_option = click.option(
+    "--lash", metavar="NAME", help="Of several lashes, the one that is meant, by name or number [the first]."
+)
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for scripts.")
 workers_option = click.option("--workers", type=click.IntRange(1, 1024), help="Threads [one for each core].")

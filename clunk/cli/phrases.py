@@ -21,9 +21,16 @@ def fill(text: str, first: str = "", rest: str = "") -> str:
 
 def at_cell(parameters: Sequence[ResultAxis], values: Sequence[float], indent: int = 2) -> str:
     """A cell by its parameters, for example at load.ratio = 5, wrapped."""
-    named = ", ".join(f"{axis.parameter} = {number(value)}" for axis, value in zip(parameters, values, strict=True))
+    named = ", ".join(
+        f"{axis.parameter} = {text}" for axis, text in zip(parameters, texts(parameters, values), strict=True)
+    )
     blank = " " * indent
     return fill(f"at {named}", blank, blank + "   ")
+
+
+def texts(parameters: Sequence[ResultAxis], values: Sequence[float]) -> list[str]:
+    """Parameters' values, as numbers or words."""
+    return [axis.word(value) or number(value) for axis, value in zip(parameters, values, strict=True)]
 
 
 def cells(count: int) -> str:

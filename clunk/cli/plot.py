@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 )
 @at_option
 @click.option("--facet", "facets", multiple=True, metavar="KEY", help="A map for each value; twice: rows, columns.")
+@click.option("--lash", metavar="NAME", help="Of several lashes, this one; --facet lash: side by side [each].")
 @click.option("--x", metavar="KEY", help="From left to right, of axes walked together or of a sample.")
 @click.option("--y", metavar="KEY", help="Upwards, of a sample; without it a quantity over --x.")
 def plot(
@@ -31,10 +33,13 @@ def plot(
     quantity: str | None,
     at: tuple[str, ...],
     facets: tuple[str, ...],
+    lash: str | None,
     x: str | None,
     y: str | None,
 ) -> None:
     """Draw the maps of a results file: the regimes and their severity.
+
+    Of several lashes each has its own pictures, FILE-NAME-regimes.png and so on.
 
     A map has two axes: of more, --at takes a slice, and --facet draws a map for each value. Of a
     refined sweep: the regimes. Of a tolerance map: the most likely regimes, where they are uncertain, and
@@ -53,6 +58,7 @@ def plot(
     from clunk.results import targets
     from clunk.results.regimemap import Results
     from clunk.results.store import read_map
+    from clunk.study.axes import LASH
 
     base = output or file.with_suffix(".png")
     if not base.suffix:
@@ -65,17 +71,23 @@ def plot(
     if at:
         results = results.at(cells.nearest_values(results.axes, results.coordinates, at))
     look: dict[str, Any] = {"facets": facets, "x": x, "y": y}
-    names = [quantity] if quantity else plots.default_quantities(results, **look)
-    for name in names:
-        target = base if output and quantity else base.with_name(f"{base.stem}-{name}{base.suffix}")
-        try:
-            figure = plots.draw(results, name, thresholds_of(results), **look)
-        except plots.SurplusAxesError as error:
-            raise plots.PlotError(f"{error.problem}: also give {_options(error)}.") from error
-        plots.save(figure, target)
-        click.echo(str(target))
+    each = {"": results if LASH in facets else results.at_lash(lash)}
+    if lash is None and results.lashes and LASH not in facets:
+        each = {"-" + re.sub(r"[^\w.-]+", "_", name): results.at_lash(name) for name in results.lashes}
+    for of_lash, part in each.items():
+        names = [quantity] if quantity else plots.default_quantities(part, **look)
+        for name in names:
+            of_quantity = "" if output and quantity else f"-{name}"
+            target = base.with_name(f"{base.stem}{of_lash}{of_quantity}{base.suffix}")
+            try:
+                figure = plots.draw(part, name, thresholds_of(part), **look)
+            except plots.SurplusAxesError as error:
+                raise plots.PlotError(f"{error.problem}: also give {_options(error)}.") from error
+            plots.save(figure, target)
+            click.echo(str(target))
     if isinstance(results, Results) and quantity is None and names == ["regimes"]:
-        ran, total = int((~results.inferred).sum()), results.inferred.size
+        inferred = results.of_lash().inferred
+        ran, total = int((~inferred).sum()), inferred.size
         terminal.complain(f"{ran:,} of {total:,} cells were run: --quantity draws what else is known of those")
     for axis in results.axes:
         shown = len(plots.shown_values(axis, len(facets))) if axis.parameter in facets else len(axis.values)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clunk.cli import cells, phrases, tables, terminal
-from clunk.cli.options import PATH, at_option, json_option, set_option, workers_option
+from clunk.cli.options import PATH, at_option, json_option, lash_option, set_option, workers_option
 from clunk.sweeping import progress
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     help="severity, approach_velocity, primary_impacts, touches, last_event_time, severity<=8000, nominal_label, "
     "double_sided, chatter or label=DS(1)SS(1), for example [severity and nominal_label]. May be repeated.",
 )
+@lash_option
 @workers_option
 @click.option("-o", "--output", type=PATH, help="Also draw the indices: .png .svg .pdf.")
 @json_option
@@ -41,6 +42,7 @@ def sensitivity(
     overrides: tuple[str, ...],
     at: tuple[str, ...],
     quantities: tuple[str, ...],
+    lash: str | None,
     workers: int | None,
     output: Path | None,
     as_json: bool,
@@ -59,12 +61,14 @@ def sensitivity(
     from clunk.results import targets
     from clunk.study.config import load_study
     from clunk.study.designs import unused_parameters
+    from clunk.study.lashes import lash_position
     from clunk.study.study import replace_values
     from clunk.sweeping.cells import warm_up
 
     study = load_study(config, overrides)
     if output is not None:
         targets.check(output, targets.PICTURES, reads=config)
+    lash_position(lash, study.lash_names)
     point = sobol.operating_point(replace_values(study, cells.cell_values(study, at, all_needed=False)))
     terminal.warn_of_coarse_step(point, point.solver.method)
     for parameter in unused_parameters(point):
@@ -73,7 +77,7 @@ def sensitivity(
     warm_up(point)
     began = time.perf_counter()
     with progress.shown(sobol.run_count(point), "runs") as show:
-        result = sobol.sensitivity(point, of=quantities, workers=workers, progress=show)
+        result = sobol.sensitivity(point, of=quantities, lash=lash, workers=workers, progress=show)
     seconds = time.perf_counter() - began
     if as_json:
         tables.print_record(as_record(result))

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 @click.option("--restart", is_flag=True, help="Begin anew: neither go on with a stopped sweep nor keep a finished one.")
 @click.option("--refine", is_flag=True, help="Run only where labels change, and infer the other cells' labels.")
 @click.option("--boundaries", is_flag=True, help="Also trace the curves between labels, of one or two axes.")
+@click.option("--lash", metavar="NAME", help="Of several lashes, the one whose boundaries are traced [the first].")
 @click.option(
     "--retry-failed", is_flag=True, help="Run the failed cells of the finished file again; [solver] may differ."
 )
@@ -47,6 +48,7 @@ def sweep(
     restart: bool,
     refine: bool,
     boundaries: bool,
+    lash: str | None,
     retry_failed: bool,
     as_json: bool,
 ) -> None:
@@ -66,6 +68,7 @@ def sweep(
     from clunk.results import targets
     from clunk.study.config import load_study
     from clunk.study.designs import has_tolerances
+    from clunk.study.lashes import lash_position
 
     study = load_study(config, overrides)
     tolerances = has_tolerances(study)
@@ -76,6 +79,9 @@ def sweep(
         from clunk.analysis.boundaries import require_boundaries
 
         require_boundaries(study)
+        lash_position(lash, study.lash_names)
+    elif lash is not None:
+        raise click.UsageError("--lash goes with --boundaries: a map has all lashes.")
     target = output or Path("results") / f"{config.stem}.h5"
     targets.check(target, targets.RESULTS, reads=config)
     from clunk.sweeping.sweep import engine_of, opened
@@ -83,12 +89,13 @@ def sweep(
     opening = engine_of(scheduler, workers, say=lambda text: click.echo(text, err=True))
     with opened(target, study, refine=refine, retry=retry_failed, restart=restart, force=force) as job:
         # those of a file whose failed cells are run again belong to its old labels
-        traces = boundaries or getattr(job.earlier, "boundaries", None) is not None
+        earlier = getattr(job.earlier, "boundaries", None)
+        tracing = _tracing(study, lash or getattr(earlier, "lash", None) or None, workers)
         if job.counts is None:
-            failed = _report(_run(job, opening, _tracing(study, workers) if traces else None), job, as_json)
+            failed = _report(_run(job, opening, tracing if boundaries or earlier else None), job, as_json)
         else:
             if boundaries:
-                job.finished(_tracing(study, workers))
+                job.finished(tracing)
             click.echo(f"{target} {'has no failed cells' if retry_failed else 'is already complete'}.", err=True)
             if tolerances:
                 from clunk.results.store import read_tolerance_map
@@ -100,14 +107,14 @@ def sweep(
         sys.exit(EXIT_FAILED_CELLS)
 
 
-def _tracing(study: Study, workers: int | None) -> Finish:
+def _tracing(study: Study, lash: str | None, workers: int | None) -> Finish:
     """Function that adds the boundaries to a map, and says how many there are."""
     from clunk.analysis.boundaries import with_boundaries
     from clunk.results.regimemap import Results
 
     def trace(results: Results | ToleranceMap) -> Results | ToleranceMap:
         began = time.perf_counter()
-        traced = with_boundaries(study, results, workers=workers)
+        traced = with_boundaries(study, results, lash=lash, workers=workers)
         if traced is not results and isinstance(traced, Results) and traced.boundaries is not None:
             ((_, numbers),) = traced.boundaries.summary()
             click.echo(f"boundaries: {numbers}, {time.perf_counter() - began:.1f} s", err=True)
@@ -164,7 +171,7 @@ def _report(result: Results | ToleranceMap, job: Job, as_json: bool) -> int:
         terminal.report_speed(*speed, draws=result.draws)
         terminal.report_failures(result, " for some draws")
     else:
-        failed = tables.report_counts(result.counts(), target, seconds, as_json)
+        failed = tables.report_counts(result.counts_of_lashes, target, seconds, as_json)
         terminal.report_speed(*speed, inferred=job.refine)
         terminal.report_failures(result)
     return failed

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from clunk.cli import phrases, terminal
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from clunk.results.boundaries import Boundaries
     from clunk.results.tolerancemap import ToleranceMap
+
+Value = TypeVar("Value")
 
 
 def print_record(record: object) -> None:
@@ -20,23 +24,37 @@ def print_record(record: object) -> None:
     click.echo(json.dumps(phrases.plain(record), ensure_ascii=False))
 
 
-def report_counts(counts: dict[str, int], target: Path, seconds: float, as_json: bool) -> int:
-    """Print the number of cells of each label, or a record of it; returns the number of failed cells."""
+def report_counts(counts: dict[str, dict[str, int]], target: Path, seconds: float, as_json: bool) -> int:
+    """Print the number of cells of each label, lash by lash, or a record of it; returns the number of failed cells."""
+    first = next(iter(counts.values()))
     if as_json:
-        cells = sum(counts.values())
-        print_record({"file": str(target), "cells": cells, "seconds": round(seconds, 3), "counts": counts})
+        record = {"file": str(target), "cells": sum(first.values()), "seconds": round(seconds, 3)}
+        print_record(record | {"counts": of_lashes(counts)})
     else:
-        print_counts(counts)
-    return counts["failed"]
+        print_lashes(counts, print_counts)
+    return first["failed"]  # all lashes of a cell fail together
+
+
+def of_lashes(values: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Values by lash for JSON; those of an only lash alone."""
+    return values if len(values) > 1 else next(iter(values.values()))
+
+
+def print_lashes(values: dict[str, Value], show: Callable[[Value], None]) -> None:
+    """Print values by lash, each under the lash's name if there are several."""
+    for k, (name, value) in enumerate(values.items()):
+        if len(values) > 1:
+            click.echo(("\n" if k else "") + name)
+        show(value)
 
 
 def report_tolerances(tolerances: ToleranceMap, target: Path, seconds: float, as_json: bool) -> int:
     """Print the summary of a tolerance map, or a record of it; returns the number of failed runs."""
     if as_json:
-        print_record({"file": str(target), "seconds": round(seconds, 3)} | tolerance_record(tolerances))
+        print_record({"file": str(target), "seconds": round(seconds, 3)} | tolerance_records(tolerances))
     else:
-        print_tolerances(tolerances)
-    return tolerances.failed
+        print_lashes(tolerances.by_lash(), print_tolerances)
+    return tolerances.of_lash().failed
 
 
 def print_counts(counts: dict[str, int]) -> None:
@@ -71,8 +89,8 @@ def print_tolerances(tolerances: ToleranceMap) -> None:
 
 def print_boundaries(boundaries: Boundaries) -> None:
     """Print how many boundaries there are, the labels that meet at each junction and the area of each label."""
-    ((_, numbers),) = boundaries.summary()
-    click.echo(f"boundaries {numbers}")
+    ((name, numbers),) = boundaries.summary()
+    click.echo(f"{name} {numbers}")
     places = boundaries.vertices if len(boundaries.axes) == 1 else boundaries.junctions
     names = [axis.parameter for axis in boundaries.axes]
     if len(boundaries.axes) == 1:
@@ -90,7 +108,8 @@ def print_boundaries(boundaries: Boundaries) -> None:
 
 def boundary_record(boundaries: Boundaries) -> dict[str, Any]:
     """Boundaries for JSON: the curves without their vertices, the junctions and the areas."""
-    return {
+    of_lash = {"lash": boundaries.lash} if boundaries.lash else {}
+    return of_lash | {
         "curves": [
             {"left": curve.left, "right": curve.right, "event": curve.event, "vertices": len(curve.vertices)}
             | ({"value": float(curve.vertices[0, 0])} if len(boundaries.axes) == 1 else {})
@@ -99,6 +118,12 @@ def boundary_record(boundaries: Boundaries) -> dict[str, Any]:
         "junctions": [{"at": place.tolist(), "labels": labels} for place, labels in boundaries.meetings],
         "areas": boundaries.areas,
     }
+
+
+def tolerance_records(tolerances: ToleranceMap) -> dict[str, Any]:
+    """A tolerance map for JSON; of several lashes, by lash."""
+    records = {name: tolerance_record(each) for name, each in tolerances.by_lash().items()}
+    return {"lashes": records} if len(records) > 1 else of_lashes(records)
 
 
 def tolerance_record(tolerances: ToleranceMap) -> dict[str, Any]:

@@ -76,6 +76,7 @@ def report_failures(results: Results | ToleranceMap, how: str = "") -> None:
     from clunk.core.status import Status
     from clunk.results.maps import values_at
 
+    results = results.of_lash()  # all lashes of a cell fail together
     for status in Status:
         cells = np.argwhere(results.status == status)
         if status == Status.OK or cells.size == 0:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from clunk.cli import phrases, tables, terminal
-from clunk.cli.options import EXIT_FAILED_CELLS, PATH, json_option, set_option, workers_option
+from clunk.cli.options import EXIT_FAILED_CELLS, PATH, json_option, lash_option, set_option, workers_option
 from clunk.sweeping import progress
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
     help="With tolerances: shares of the draws that have the same outcome, from 0.5 to 1 [0.5,0.95].",
 )
 @click.option("--draws", is_flag=True, help="With tolerances: the thresholds of each drawn driveline instead.")
+@lash_option
 @set_option
 @workers_option
 @click.option("-o", "--output", type=PATH, help="Data (.csv .json .h5 .nc), or a picture (.png .svg .pdf).")
@@ -53,6 +54,7 @@ def thresholds(
     outcome: str,
     quantiles: tuple[float, ...] | None,
     draws: bool,
+    lash: str | None,
     overrides: tuple[str, ...],
     workers: int | None,
     output: Path | None,
@@ -78,11 +80,13 @@ def thresholds(
     from clunk.results import targets
     from clunk.study.config import load_study
     from clunk.study.designs import has_tolerances, nominal
+    from clunk.study.lashes import lash_position
     from clunk.sweeping.cells import warm_up
 
     study = load_study(config, overrides)
     _, axes = analysis.axes_of(study, along)
     analysis.parse(outcome, study)
+    lash_position(lash, study.lash_names)
     is_toleranced = has_tolerances(study)
     if (draws or quantiles) and not is_toleranced:
         raise analysis.ThresholdError("--quantiles and --draws need [[sweep.tolerances]], and the config has none.")
@@ -106,7 +110,7 @@ def thresholds(
     warm_up(study)
     began = time.perf_counter()
     with progress.shown(analysis.scan_count(study), "runs") as show:
-        located = analysis.thresholds(study, along=along, of=outcome, workers=workers, progress=show)
+        located = analysis.thresholds(study, along=along, of=outcome, lash=lash, workers=workers, progress=show)
     seconds = time.perf_counter() - began
     result = threshold_quantiles(located, shares) if is_toleranced and not draws else located
     if as_json:
@@ -119,7 +123,7 @@ def thresholds(
     click.echo(f"{counted} in {cells}, {located.runs:,} runs, {seconds:.1f} s", err=True)
     if output is not None and is_picture:
         if is_toleranced:
-            undrawn = analysis.thresholds(nominal(study), along=along, of=outcome, workers=workers)
+            undrawn = analysis.thresholds(nominal(study), along=along, of=outcome, lash=lash, workers=workers)
             figure = toleranced_plot.quantile_figure(located, result, undrawn)
         else:
             figure = plot.threshold_figure(located)
@@ -140,6 +144,7 @@ def print_thresholds(result: Thresholds) -> None:
     along = result.along
     unit = "" if along.unit == "1" else f" [{along.unit}]"
     what = f"{'whether ' if result.outcome.is_indicator else ''}{result.outcome.heading()}"
+    what += f" of {result.lash}" if result.lash else ""
     click.echo(phrases.fill(f"thresholds of {along.parameter}{unit}, scanned from {along.spread}: {what}"))
     cells = result.cells()
     if not result.value.size:

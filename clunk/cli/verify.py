@@ -161,7 +161,7 @@ def _print_disagreements(result: Verification, flagged: bool, count: int) -> Non
             click.echo(phrases.at_cell(parameters, each.values, indent=4))
         return
     rows = [[*(axis.parameter for axis in parameters), "rk4", "exact", "margin"]]
-    rows += [[*map(phrases.number, each.values), each.rk4, each.exact, f"{each.margin:+.2g}"] for each in shown]
+    rows += [[*phrases.texts(parameters, each.values), each.rk4, each.exact, f"{each.margin:+.2g}"] for each in shown]
     for line in phrases.table(rows):
         click.echo(line)
 
@@ -202,10 +202,10 @@ def as_record(result: Verification) -> dict[str, Any]:
     from clunk.analysis.verification import GUARDED, METHODS
     from clunk.core.status import QUALITY_COMPLETE, QUALITY_GRAZING, QUALITY_UNDECIDED, Status
 
-    parameters = [axis.parameter for axis in result.comparison.parameters] if result.study.sweep else []
+    parameters = result.comparison.parameters if result.study.sweep else ()  # a single run has none
 
-    def at(values: tuple[float, ...]) -> dict[str, float]:
-        return dict(zip(parameters, values, strict=False))  # a single run has no parameters
+    def at(values: tuple[float, ...]) -> dict[str, float | str]:
+        return {axis.parameter: axis.word(value) or value for axis, value in zip(parameters, values, strict=False)}
 
     return {
         "title": result.study.title,

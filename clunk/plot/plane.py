@@ -57,7 +57,7 @@ class View:
                 "of their parameters, x and y."
             )
         order = tuple(np.argsort(axis.values, kind="stable") for axis in swept)
-        axes = tuple(replace(axis, values=axis.values[places]) for axis, places in zip(swept, order, strict=True))
+        axes = tuple(replace(axis, values=axis.values[at], words=()) for axis, at in zip(swept, order, strict=True))
         return cls(axes, _fixed_parameters(drawn), keep, order)
 
     @property
@@ -161,7 +161,9 @@ def set_log_scale(ax: Axes, which: str, low: float, high: float) -> None:
 
 
 def value_text(axis: ResultAxis, value: float, *, symbol: bool = False) -> str:
-    """A parameter's value with its name, or shorter with its `symbol`, and its unit."""
+    """A parameter's value with its name, or shorter with its `symbol`, and its unit; or its word."""
+    if axis.words:
+        return axis.word(value)
     name = axis.symbol.split("=")[0].strip() if symbol else axis.name
     return f"{name or axis.parameter} = {number_text(value)}{_unit(axis)}"
 

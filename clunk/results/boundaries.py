@@ -144,11 +144,12 @@ class Boundaries:
 
     def summary(self) -> Rows:
         """Pairs of a name and a value that describe the network, for people."""
+        name = f"boundaries of {self.lash}" if self.lash else "boundaries"
         if len(self.axes) == 1:
-            return [("boundaries", f"{_counted(self.vertices, 'value')} of {self.axes[0].parameter}")]
+            return [(name, f"{_counted(self.vertices, 'value')} of {self.axes[0].parameter}")]
         parts = [f"{_counted(self.curve_counts, 'curve')} of {len(self.vertices):,} vertices"]
         parts += [_counted(self.junctions, "junction"), _counted(self.region_area, "region")]
-        return [("boundaries", ", ".join(parts))]
+        return [(name, ", ".join(parts))]
 
     def __repr__(self) -> str:
         return as_text("clunk.Boundaries", [*self.summary(), *((k, f"{v:.6%}") for k, v in self.areas.items())])

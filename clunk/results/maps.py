@@ -114,10 +114,31 @@ class Map(Description, ABC):
         run = index[names.index(RUN)] if RUN in names else slice(None)
         return replace(
             self,
-            axes=tuple(replace(axis, values=axis.values[part]) for axis, part in zip(self.axes, index, strict=True)),
-            coordinates=tuple(replace(axis, values=axis.values[run]) for axis in self.coordinates),
+            axes=tuple(axis.part(places) for axis, places in zip(self.axes, index, strict=True)),
+            coordinates=tuple(axis.part(run) for axis in self.coordinates),
             **self._arrays_at(tuple(index)),
         )
+
+    def at_lash(self, name: str | None = None) -> Self:
+        """Slice at one lash, by name or number; by default at the first. The map itself where there is only one.
+
+        Raises ConfigError where there is no such lash.
+        """
+        position = lash_position(name, self.lash_names)
+        return self.at({LASH: self.axes[-1].values[position]}) if self.lashes else self
+
+    @abstractmethod
+    def counts(self) -> dict[str, int]:
+        """Number of cells of each label, in the labels' order, and last of ``failed``."""
+
+    @property
+    def counts_of_lashes(self) -> dict[str, dict[str, int]]:
+        """The counts of each lash, by name."""
+        return {name: part.counts() for name, part in self.by_lash().items()}
+
+    def by_lash(self) -> dict[str, Self]:
+        """The map of each lash, by name."""
+        return {name: self.of_lash(name) for name in self.lash_names}
 
     def of_lash(self, name: str | None = None) -> Self:
         """Map of one lash, by name or number, without the axis `lash`; by default of the first, or the only one.

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,6 @@ from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED
 from clunk.results.maps import Index, Map, count_labels, require_array, require_codes, share, values_at
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
-from clunk.study.lashes import lash_position
 from clunk.study.summaries import Rows
 
 
@@ -95,13 +94,6 @@ class Results(Map):
         np.cumsum(self.primary_impacts.ravel(), out=first[1:])
         return first
 
-    def of_lash(self, name: str | None = None) -> Self:
-        """See `Map.of_lash`; boundaries stay with the lash whose they are."""
-        part, traced = super().of_lash(name), self.boundaries
-        if traced is None or traced.lash != self.lash_names[lash_position(name, self.lash_names)]:
-            return part
-        return replace(part, boundaries=traced)
-
     def _arrays_at(self, index: Index) -> dict[str, Any]:
         cells = np.arange(self.sequence.size).reshape(self.shape)[index].ravel()
         count, first = np.diff(self.first_impact)[cells], self.first_impact[cells]
@@ -109,7 +101,14 @@ class Results(Map):
         impacts = np.arange(count.sum()) + np.repeat(first - begin, count)
         arrays = {name: np.ascontiguousarray(getattr(self, name)[index]) for name in CELL_QUANTITIES}
         arrays |= {name: getattr(self, name)[impacts] for name in IMPACT_QUANTITIES}
-        return arrays | {"boundaries": None}
+        return arrays | {"boundaries": self._boundaries_at(index)}
+
+    def _boundaries_at(self, index: Index) -> Boundaries | None:
+        """The boundaries, where the whole map of their lash is taken; else None."""
+        cells = index[: len(self.axes) - bool(self.lashes)]
+        lash = np.array(self.lashes)[index[-1:]].ravel().tolist() if self.lashes else [""]
+        is_theirs = self.boundaries is not None and lash == [self.boundaries.lash]
+        return self.boundaries if is_theirs and all(places == slice(None) for places in cells) else None
 
     def counts(self) -> dict[str, int]:
         """Number of cells of each label, in the labels' order, and last of ``failed`` (also where it is 0)."""

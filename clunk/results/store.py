@@ -74,7 +74,7 @@ class Header(Description):
 
     counts : label -> number of cells, ``failed`` last; of a tolerance map, cells in which it is the most likely one; of
         several lashes, all of them together
-    counts_of_lashes : lash -> its own counts, of several lashes
+    counts_of_lashes : name -> counts of each of several lashes; of an only one, with an empty name
     content_digest : SHA-256 of axes, labels and arrays
     tolerance_map : whether the file holds a tolerance map
     sample : of a tolerance map, as that of `ToleranceMap`; else empty
@@ -366,7 +366,10 @@ def _header_of(file: h5py.File, checksum: bool) -> Header:
         coordinates=tuple(_axis_of(file[name]) for name in coordinates),
         labels=labels,
         counts=count_labels(labels, codes),
-        counts_of_lashes={name: count_labels(labels, codes[..., k]) for k, name in enumerate(axes[-1].words)},
+        counts_of_lashes={
+            name: count_labels(labels, codes[..., k] if name else codes)
+            for k, name in enumerate(axes[-1].words or [""])
+        },
         config=get_text(file, "config"),
         config_digest=get_text(file, "config_digest"),
         content_digest=get_text(file, "content_digest"),

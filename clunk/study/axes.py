@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -47,6 +47,14 @@ class ResultAxis:
             return ", ".join(self.words)
         unit = "" if self.unit == "1" else f" {self.unit}"
         return f"{self.values.min():g} to {self.values.max():g}{unit}, {len(self.values)} values"
+
+    def part(self, places: slice) -> ResultAxis:
+        """The axis at some of its places."""
+        return replace(self, values=self.values[places], words=self.words[places])
+
+    def word(self, value: float) -> str:
+        """The word of a value; empty where values are none."""
+        return self.words[self.nearest(value)] if self.words else ""
 
     def nearest(self, value: float) -> int:
         """Index of the value nearest to this one; of two as near, the first. Raises ValueError beyond the axis."""

@@ -45,7 +45,7 @@ class Job:
     earlier : finished results of which only the failed cells are run again, with another [solver]
     directory : open; finished cells are kept there as the sweep goes on, and taken up from there
     path : results file to write
-    counts : number of cells of each label, if the file is complete already, so that there is nothing to run
+    counts : lash -> number of cells of each label, if the file is complete already, so that there is nothing to run
     ran, seconds : number of cells that `run` has run, and the time that they took
     """
 
@@ -59,7 +59,7 @@ class Job:
         earlier: Results | None = None,
         directory: WorkingDirectory | None = None,
         path: Path | None = None,
-        counts: dict[str, int] | None = None,
+        counts: dict[str, dict[str, int]] | None = None,
     ) -> None:
         self.study, self.design = study, design or design_of(study)
         self.refine, self.systems, self.earlier = refine, systems, earlier
@@ -192,7 +192,7 @@ def opened(
         earlier, counts = None, None
         if retry:
             earlier = read(path)
-            counts = None if (earlier.status != 0).any() else earlier.counts()
+            counts = None if (earlier.status != 0).any() else earlier.counts_of_lashes
         elif path.exists() and not force:
             counts = _complete_counts(path, study, restart=restart, refine=refine)
         job = Job(study, refine=refine, earlier=earlier, directory=directory, path=path, counts=counts)
@@ -205,7 +205,7 @@ def opened(
         yield job
 
 
-def _complete_counts(path: Path, study: Study, *, restart: bool, refine: bool) -> dict[str, int] | None:
+def _complete_counts(path: Path, study: Study, *, restart: bool, refine: bool) -> dict[str, dict[str, int]] | None:
     """The counts of a file that holds this very sweep. Raises SweepError where it holds anything else."""
     try:
         header = read_header(path)
@@ -217,7 +217,7 @@ def _complete_counts(path: Path, study: Study, *, restart: bool, refine: bool) -
         return None
     if "refinement" in header.attributes and not refine:
         raise SweepError(f"{path} holds this sweep by --refine, with inferred cells. {_WAYS_OUT}")
-    return header.counts
+    return header.counts_of_lashes
 
 
 def engine_of(
