@@ -13,7 +13,6 @@ import numpy.typing as npt
 
 from clunk.results.labels import FAILED_CODE
 from clunk.results.maps import parameters_of, values_at
-from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
 from clunk.study.document import dotted
@@ -305,10 +304,15 @@ def _deviation(a: Results, b: Results) -> Deviation | None:
 
 
 def _identical(a: Results, b: Results) -> bool:
-    names = [*CELL_QUANTITIES, *IMPACT_QUANTITIES]
+    if a.quantities != b.quantities:
+        return False
     axes = all(np.array_equal(one.values, other.values) for one, other in zip(a.parameters, b.parameters, strict=True))
     # bytes, so that NaN is equal to itself
-    return axes and a.labels == b.labels and all(getattr(a, n).tobytes() == getattr(b, n).tobytes() for n in names)
+    return (
+        axes
+        and a.labels == b.labels
+        and all(a.values(name).tobytes() == b.values(name).tobytes() for name in a.quantities)
+    )
 
 
 def _flat_config(results: Results, which: str) -> dict[str, Any]:

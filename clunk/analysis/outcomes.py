@@ -2,6 +2,8 @@
 
 label                                the label
 severity, touches and other numbers  see `MEASURED`
+impulse, peak_torque, energy         see `clunk help measures`; the config need not ask for them
+shuffle                              a measure of the config, by its name
 severity<=8000, touches=4            whether a number is <=, <, >=, > or = another
 double_sided                         whether the label has a DS
 chatter                              whether touches follow that are no primary impacts
@@ -14,7 +16,7 @@ from __future__ import annotations
 import math
 import operator
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +24,9 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.results.labels import double_sided, normalised_label
-from clunk.results.quantities import CELL_QUANTITIES
+from clunk.results.quantities import CELL_QUANTITIES, Quantity, measured_quantities
 from clunk.study.errors import ClunkError
+from clunk.study.measures import OF_IMPACTS
 from clunk.study.problems import listing, nearest, shorten
 from clunk.study.study import Study
 
@@ -39,6 +42,7 @@ _RELATIONS: dict[str, tuple[Callable[[Any, Any], Any], str]] = {
     ">": (operator.gt, "is greater than"),
     "=": (operator.eq, "is"),
 }
+_UNDEFINED = {"severity": "approach_velocity", "peak_torque": "impulse"}  # of impulsive touches, and what is
 _WORDS = re.compile(r"\s*([^<>=\s]+)\s*(?:(<=|>=|<|>|=)\s*(.*?)\s*)?", re.DOTALL)
 
 
@@ -46,14 +50,16 @@ _WORDS = re.compile(r"\s*([^<>=\s]+)\s*(?:(<=|>=|<|>|=)\s*(.*?)\s*)?", re.DOTALL
 class Outcome:
     """An outcome of runs.
 
-    quantity : one of `MEASURED`, `LABEL`, `DOUBLE_SIDED`, `CHATTER` or `NOMINAL`
+    quantity : a number's name, or `LABEL`, `DOUBLE_SIDED`, `CHATTER` or `NOMINAL`
     relation : of the quantity to the bound, if the outcome is whether that holds; else empty
     bound : a number, or a label
+    number : description of a quantity that is a number
     """
 
     quantity: str
     relation: str = ""
     bound: float | str = math.nan
+    number: Quantity | None = None
 
     @property
     def name(self) -> str:
@@ -68,8 +74,7 @@ class Outcome:
 
     def heading(self, nominal: str = "") -> str:
         """Name for people, of numbers with symbol and unit; nominal : the label without tolerances."""
-        if self.quantity in MEASURED:
-            quantity = CELL_QUANTITIES[self.quantity]
+        if (quantity := self.number) is not None:
             if not self.relation:
                 return quantity.heading_with_unit
             return (
@@ -103,8 +108,8 @@ class Outcome:
 
     def of_runs(self, results: Results, nominal: str = "") -> npt.NDArray[np.float64]:
         """A number, or an indicator's 1 and 0, in each cell: float64 of the results' shape; failed cells count not."""
-        if self.quantity in MEASURED:
-            return self.of_numbers(getattr(results, self.quantity))
+        if self.number is not None:
+            return self.of_numbers(results.values(self.quantity))
         if self.quantity == CHATTER:
             return np.asarray(results.touches > results.primary_impacts, np.float64)
         of_labels = [float(self.holds_for(label, nominal)) for label in results.labels]
@@ -126,20 +131,21 @@ def outcome_of(text: str, study: Study, without: Mapping[str, str], error: type[
     """
     words = _WORDS.fullmatch(text)
     quantity, relation, bound = words.groups("") if words else (text, "", "")
-    if without.get(quantity) == "" or quantity not in (LABEL, *MEASURED, DOUBLE_SIDED, CHATTER, NOMINAL):
-        raise error(_unknown(text, quantity, without))
-    if quantity == "severity" and study.lashes[0].contact.model == "restitution":
-        raise error("severity is not defined for the restitution model; approach_velocity is.")
+    numbers = numbers_of(study)
+    if without.get(quantity) == "" or quantity not in (LABEL, *numbers, DOUBLE_SIDED, CHATTER, NOMINAL):
+        raise error(_unknown(text, quantity, without, numbers))
+    if quantity in _UNDEFINED and any(lash.contact.model == "restitution" for lash in study.lashes):
+        raise error(f"{quantity} is not defined for the restitution model; {_UNDEFINED[quantity]} is.")
     if not relation:
         if quantity in without:
             raise error(without[quantity])
-        return Outcome(quantity)
+        return Outcome(quantity, number=numbers.get(quantity))
     if quantity == LABEL and relation == "=":
         try:
             return Outcome(LABEL, "=", normalised_label(bound))
         except ValueError:
             raise error(f"{shorten(text)} names no label; an example is 'label=DS(1)SS(1)'.") from None
-    if quantity not in MEASURED:
+    if quantity not in numbers:
         example = "label=DS(1)SS(1)" if quantity == LABEL else quantity
         raise error(f"{shorten(text)}: only numbers are compared so; {example!r} is an outcome.")
     try:
@@ -148,11 +154,26 @@ def outcome_of(text: str, study: Study, without: Mapping[str, str], error: type[
         number = math.nan
     if not math.isfinite(number):
         raise error(f"{shorten(text)}: {shorten(bound)} is not a number to compare {quantity} with.")
-    return Outcome(quantity, relation, number)
+    return Outcome(quantity, relation, number, numbers[quantity])
 
 
-def _unknown(text: str, quantity: str, without: Mapping[str, str]) -> str:
-    known = [name for name in (LABEL, *MEASURED, DOUBLE_SIDED, CHATTER, NOMINAL) if name not in without]
+def numbers_of(study: Study) -> dict[str, Quantity]:
+    """The numbers that outcomes of a study's runs can be."""
+    of_every_run = {name: CELL_QUANTITIES[name] for name in MEASURED}
+    measured = measured_quantities(OF_IMPACTS, [dict(each) for each in study.measures])
+    return of_every_run | {name: each for name, each in measured.items() if not each.dimension}
+
+
+def measuring(study: Study, outcomes: Iterable[Outcome]) -> Study:
+    """The study whose runs are measured by what these outcomes need, and by nothing else."""
+    names = {outcome.quantity for outcome in outcomes}
+    impacts = study.impacts.model_copy(update={"quantities": tuple(name for name in OF_IMPACTS if name in names)})
+    measures = tuple(measure for measure in study.measures if measure.name in names)
+    return study.model_copy(update={"impacts": impacts, "measures": measures})
+
+
+def _unknown(text: str, quantity: str, without: Mapping[str, str], numbers: Iterable[str]) -> str:
+    known = [name for name in (LABEL, *numbers, DOUBLE_SIDED, CHATTER, NOMINAL) if name not in without]
     examples = ["severity<=8000", "label=DS(1)SS(1)"]
     likely = nearest(quantity, [*known, *(name for name, sentence in without.items() if sentence)])
     hint = f"; did you mean {likely}?" if likely else "."

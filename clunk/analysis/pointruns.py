@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.analysis.brackets import Codes, Floats
+from clunk.analysis.outcomes import measuring
 from clunk.core.sequence import label
 from clunk.core.status import Status
 from clunk.results.labels import FAILED_CODE, excursions
@@ -43,7 +44,7 @@ class PointRuns:
     def __init__(
         self, study: Study, parameters: Sequence[str], labels: Sequence[str], engine: Executor, lash: int = 0
     ) -> None:
-        self.study, self.parameters = study.model_copy(update={"sweep": None}), tuple(parameters)
+        self.study, self.parameters = measuring(study, ()).model_copy(update={"sweep": None}), tuple(parameters)
         self.count, self.lash = 0, lash
         self._engine, self._workers = engine, getattr(engine, "_max_workers", None) or available_cores()
         self._codes = {text: code for code, text in enumerate(labels)}

@@ -16,9 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.outcomes import CHATTER, DOUBLE_SIDED, LABEL, MEASURED, NOMINAL, Outcome, outcome_of
+from clunk.analysis.outcomes import CHATTER, DOUBLE_SIDED, LABEL, MEASURED, NOMINAL, Outcome, measuring, outcome_of
 from clunk.core.status import Status
 from clunk.results.regimemap import Results
+from clunk.simulation.measures import measured
 from clunk.simulation.trajectory import Trajectory, simulate
 from clunk.study.document import dotted
 from clunk.study.errors import ClunkError
@@ -170,7 +171,8 @@ def sensitivity(
     nominal = simulate(point)
     sample = saltelli_sample(point)
     _refuse_forbidden_draws(point, sample)
-    results = sweep(_runs(point, sample), workers=workers, progress=progress).of_lash(lash)
+    runs = _runs(measuring(point, quantities), sample)
+    results = sweep(runs, workers=workers, progress=progress).of_lash(lash)
     _refuse_failures(results)
     n, pages, _ = sample.shape
     seed = _sweep(point).sampling.seed
@@ -335,14 +337,16 @@ def _values(outcome: Outcome, results: Results, nominal_label: str) -> FloatArra
 def _nominal_value(outcome: Outcome, nominal: Trajectory) -> float:
     if outcome.quantity == CHATTER:
         return float(nominal.touches > nominal.primaries.size)
-    if outcome.quantity not in MEASURED:
+    if outcome.number is None:
         return float(outcome.holds_for(nominal.label, nominal.label))
     if outcome.quantity == "primary_impacts":
         value = float(nominal.primaries.size)
     elif outcome.quantity == "last_event_time":
         value = float(nominal.events["time"][-1]) if len(nominal.events) > 1 else math.nan
-    else:
+    elif outcome.quantity in MEASURED:
         value = float(getattr(nominal, outcome.quantity))
+    else:
+        value = measured(nominal).totals[outcome.quantity]
     return float(outcome.of_numbers(value))
 
 

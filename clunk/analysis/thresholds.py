@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from clunk.analysis.brackets import POINT, Bools, Codes, Floats, Points, narrow
-from clunk.analysis.outcomes import CHATTER, LABEL, MEASURED, NOMINAL, Outcome, outcome_of
+from clunk.analysis.outcomes import CHATTER, LABEL, MEASURED, NOMINAL, Outcome, measuring, outcome_of
 from clunk.core.status import Status
 from clunk.results.labels import FAILED, FAILED_CODE, excursions
 from clunk.results.regimemap import Results
@@ -29,6 +29,7 @@ from clunk.study.axes import ResultAxis
 from clunk.study.designs import Column, Design, design_of, drawn_numbers, has_tolerances
 from clunk.study.errors import ClunkError
 from clunk.study.lashes import lash_position
+from clunk.study.measures import OF_IMPACTS
 from clunk.study.parameters import located, nominal_value
 from clunk.study.problems import listing, nearest, shorten
 from clunk.study.study import Study
@@ -49,14 +50,14 @@ _TOUCHES = 2  # by which neighbours differ where something may be hidden between
 # they are 15, with 22 no more than with 16.
 _HALVINGS = 16  # of the spacing where something may be hidden
 _STEEPER = 2.0  # than between known values, as the number of the runs may fall between them
-_ALONE = {
-    NOMINAL: "",
-    **{
-        name: f"{name} changes everywhere; give a bound, for example {name}<={example:g}."
-        for name, example in zip(MEASURED, (8000.0, 10.0, 0.0, 0.0, 0.5), strict=True)
-        if name not in _COUNTS
-    },
-}
+_EXAMPLES = zip((*MEASURED, *OF_IMPACTS), (8000.0, 10.0, 0.0, 0.0, 0.5, 0.1, 10.0, 0.05), strict=True)
+
+
+def _alone(name: str, example: float) -> str:
+    return f"{name} changes everywhere; give a bound, for example {name}<={example:g}."
+
+
+_ALONE = {NOMINAL: "", **{name: _alone(name, example) for name, example in _EXAMPLES if name not in _COUNTS}}
 
 
 class ThresholdError(ClunkError):
@@ -244,7 +245,8 @@ def thresholds(
 
 def parse(of: str, study: Study) -> Outcome:
     """The outcome that a text names. Raises ThresholdError where it has no thresholds."""
-    return outcome_of(of, study, _ALONE, ThresholdError)
+    without = _ALONE | {each.name: _alone(each.name, 1.0) for each in study.measures}
+    return outcome_of(of, study, without, ThresholdError)
 
 
 def scan_count(study: Study) -> int:
@@ -300,7 +302,7 @@ class _Search:
 
     def __post_init__(self) -> None:
         assert self.study.sweep is not None
-        self.nominal = self.study.model_copy(update={"sweep": None})
+        self.nominal = measuring(self.study, [self.outcome]).model_copy(update={"sweep": None})
         self.systems = Systems(self.nominal)  # so that a driveline is prepared once for all batches
         tolerances = self.study.sweep.tolerances
         self.drawn = [*zip(tolerances, drawn_numbers(self.study, tolerances) if tolerances else (), strict=True)]
@@ -346,9 +348,9 @@ class _Search:
         """A number of each run that changes sign where the outcome changes, as far as one is known; else NaN."""
         if self.outcome.quantity == CHATTER:
             return np.asarray(results.touches - results.primary_impacts - 0.5, np.float64)
-        if self.outcome.quantity not in MEASURED:
+        if self.outcome.number is None:
             return results.margin
-        values = np.asarray(getattr(results, self.outcome.quantity), np.float64)
+        values = np.asarray(results.values(self.outcome.quantity), np.float64)
         return values - float(self.outcome.bound)
 
     def scan(self) -> Points:

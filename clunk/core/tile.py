@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core import switching
-from clunk.core.events import EVENT, TOUCH
+from clunk.core.events import EVENT, STAGE, TOUCH
 from clunk.core.exact import run as exact
 from clunk.core.exact.flows import Flows
 from clunk.core.exact.workspace import UNDER_WAY, make_workspace
@@ -23,6 +23,7 @@ from clunk.core.tables import HALF_GAP, INPUTS, TORQUE
 FloatArray = npt.NDArray[np.float64]
 
 _OK = int(Status.OK)
+_EVENT_BUFFER_FULL = int(Status.EVENT_BUFFER_FULL)
 
 LONGEST_PATTERN = 62
 _EVENT_MEMORY = 1_000_000  # events that there is room for at a time: 56 MB
@@ -70,7 +71,8 @@ class Output(NamedTuple):
 
     cells: npt.NDArray[np.void]  # (cells,) CELL
     impacts: npt.NDArray[np.void]  # (capacity,) IMPACT
-    logs: npt.NDArray[np.void]  # (cells, max_events + 1) EVENT, behind a run's events as it was; or (0, 0)
+    logs: npt.NDArray[np.void]  # (cells, capacity) EVENT, behind a run's events as it was; or (0, 0)
+    states: FloatArray  # (cells, capacity, N)  [rad, rad/s]  at these, changes of stage among them; or (0, 0, 0)
 
 
 class _Scratch(NamedTuple):
@@ -136,7 +138,8 @@ def by_rk4(
 ) -> tuple[int, int]:
     """`run_tile` by RK4: one run after the other."""
     cells, size = output.cells, system.lash.size
-    x, log = np.empty(size), Log(np.empty(max_events + 1, EVENT), np.empty((0, size)))
+    capacity, states = _capacity(max_events, output)
+    x, log = np.empty(size), Log(np.empty(capacity, EVENT), np.empty((states, size)))
     scratch = _scratch(max_events)
     written = 0
     for k in range(first, cells.size):
@@ -151,9 +154,8 @@ def by_rk4(
         outcome = rk4.run(system, steps, start, log, stop)
         if outcome.status == INTERRUPTED:
             return k, written
-        primaries = _describe(system, undecided, outcome, log.events, cells[k], scratch)
-        if output.logs.size > 0:
-            output.logs[k, : outcome.written] = log.events[: outcome.written]
+        primaries = _describe(system, undecided, outcome, log.events, max_events, cells[k], scratch)
+        _keep(log, outcome.written, output, k)
         _copy(log.events, primaries, cells[k].initial_side, scratch, output.impacts, written)
         written += primaries
     return cells.size, written
@@ -175,10 +177,12 @@ def by_exact(
     They are over in any order; their impacts are put in that of the cells at the end.
     """
     cells, impacts, size, waiting = output.cells, output.impacts, system.lash.size, output.cells.size - first
-    slots = min(UNDER_WAY, max(waiting, 1), max(_EVENT_MEMORY // (max_events + 1), 1))
+    capacity, states = _capacity(max_events, output)
+    slots = min(UNDER_WAY, max(waiting, 1), max(_EVENT_MEMORY // capacity, 1))
     x = np.empty(size)
-    events, states = np.empty((slots, max_events + 1), EVENT), np.empty((slots, 0, size))
-    space = make_workspace(system, flows, cases.loads, events, states)
+    space = make_workspace(
+        system, flows, cases.loads, np.empty((slots, capacity), EVENT), np.empty((slots, states, size))
+    )
     pool, over, scratch = space.pool, space.queues.over, _scratch(max_events)
     free, spare = np.arange(slots), slots
     begins, pending = np.full(waiting, -1), np.ones(waiting, np.bool_)  # where its impacts are; whether it is not over
@@ -208,9 +212,8 @@ def by_exact(
             free[spare] = slot
             spare += 1
             outcome = Outcome(row.status, row.count, row.quality, exact.margin_of(space, slot), row.time)
-            primaries = _describe(system, undecided, outcome, log, cells[k], scratch)
-            if output.logs.size > 0:
-                output.logs[k, : row.count] = log[: row.count]
+            primaries = _describe(system, undecided, outcome, log, max_events, cells[k], scratch)
+            _keep(Log(log, space.states[slot]), row.count, output, k)
             # room is kept for the oldest, so that every call is through with one cell at least
             if written + primaries + (0 if k == oldest else max_events) > impacts.size:
                 full = True
@@ -227,6 +230,21 @@ def by_exact(
             impacts[count] = ordered[begins[k - first] + i]
             count += 1
     return oldest, count
+
+
+@unowned
+def _capacity(max_events: int, output: Output) -> tuple[int, int]:
+    """How many events and states there is room for in a run."""
+    return (output.logs.shape[1], output.logs.shape[1]) if output.states.size > 0 else (max_events + 1, 0)
+
+
+@unowned
+def _keep(log: Log, written: int, output: Output, k: int) -> None:
+    """Copy the events of a run, and the states at them, if they are wanted."""
+    for i in range(written if output.logs.size > 0 else 0):
+        output.logs[k, i] = log.events[i]
+        for j in range(output.states.shape[2]):
+            output.states[k, i, j] = log.states[i, j]
 
 
 @compiled
@@ -257,11 +275,26 @@ def _preloaded(system: System, inputs: FloatArray, cell: Any, x: FloatArray) -> 
 
 @unowned
 def _describe(
-    system: System, undecided: float, outcome: Outcome, events: npt.NDArray[np.void], cell: Any, scratch: _Scratch
+    system: System,
+    undecided: float,
+    outcome: Outcome,
+    events: npt.NDArray[np.void],
+    max_events: int,
+    cell: Any,
+    scratch: _Scratch,
 ) -> int:
     """Write the results of a run to its cell; return how many primary impacts it has."""
     cell.status = outcome.status
     if outcome.status != _OK:
+        return 0
+    count, last, touches = 0, 0, 0
+    for i in range(1, outcome.written):
+        if events[i].kind != STAGE:
+            count, last = count + 1, i
+        if events[i].kind == TOUCH:
+            touches += 1
+    if count > max_events:
+        cell.status = _EVENT_BUFFER_FULL
         return 0
     primaries, severity, speeds = scratch
     cell.margin = outcome.margin
@@ -276,11 +309,9 @@ def _describe(
         opposite = events[primaries[i]].side != cell.initial_side
         cell.pattern = np.uint64(2) * cell.pattern + np.uint64(opposite)
     cell.primary_impacts = count
-    for i in range(1, outcome.written):
-        if events[i].kind == TOUCH:
-            cell.touches += 1
-    if outcome.written > 1:
-        cell.last_event_time = events[outcome.written - 1].time
+    cell.touches = touches
+    if last > 0:
+        cell.last_event_time = events[last].time
     return int(count)
 
 

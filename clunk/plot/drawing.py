@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from clunk.plot import certainty
 from clunk.plot.facets import facet_map
-from clunk.plot.layers import QUANTITIES
+from clunk.plot.layers import quantities_of
 from clunk.plot.maps import quantity_map, regime_map
 from clunk.plot.plane import axis_span, drawn_axes
 from clunk.plot.scatter import parameter_choice, scatter_curve, scatter_map
@@ -19,6 +19,7 @@ from clunk.plot.style import PlotError
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.study.axes import RUN
+from clunk.study.problems import nearest
 
 
 def draw(
@@ -30,7 +31,7 @@ def draw(
     x: str | None = None,
     y: str | None = None,
 ) -> Figure:
-    """The figure of a quantity: of a regime map one of `QUANTITIES`, of a tolerance map of `certainty.QUANTITIES`.
+    """The figure of a quantity: of a regime map one of its `quantities_of`, of a tolerance map `certainty.QUANTITIES`.
 
     A map for two swept axes, a strip for one or for axes that are walked together, points for a sample. More axes are
     taken by `facets`, or fixed beforehand (`Results.at`). A tolerance map takes neither facets nor x and y.
@@ -44,8 +45,11 @@ def draw(
     """
     if isinstance(drawn, ToleranceMap):
         return certainty.draw(drawn, quantity)
-    if quantity not in QUANTITIES:
-        raise PlotError(f"There is no quantity {quantity!r}; there are {', '.join(QUANTITIES)}.")
+    known = quantities_of(drawn)
+    if quantity not in known:
+        likely = nearest(quantity, known)
+        hint = f"did you mean {likely!r}? There" if likely else "there"
+        raise PlotError(f"There is no quantity {quantity!r}; {hint} are {', '.join(known)}.")
     if y is not None and x is None:
         raise PlotError("y goes with x, which is missing.")
     if _has_runs(drawn) and not facets:

@@ -185,7 +185,7 @@ def _paint_quantity(inner: SubFigure, panels: Sequence[_Panel]) -> list[Artist]:
     """Draw a quantity of all panels and its colour bar; returns their notes."""
     together = stacked([layers for _, layers in panels])
     together.require_values()
-    colours, dark = Colours.of(together.quantity, together.values), together.has_dark_lines
+    colours, dark = Colours.of(together.described, together.values), together.has_dark_lines
     for ax, layers in panels:
         mesh = paint_quantity(ax, layers, colours, dark=dark, linewidth=0.4)
     colours.add_bar(inner, mesh, [ax for ax, _ in panels], aspect=40)

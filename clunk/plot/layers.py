@@ -15,14 +15,14 @@ from clunk.plot.regions import Regions, regions_of
 from clunk.plot.style import SIZE, PlotError
 from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED_CODE
-from clunk.results.quantities import CELL_QUANTITIES
+from clunk.results.quantities import REGIME_QUANTITIES, Quantity
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.study.axes import ResultAxis
 from clunk.study.loads import PROFILES, STEP_KEYS, numbers
 
-DRAWN = [name for name, quantity in CELL_QUANTITIES.items() if quantity.words]
-QUANTITIES = ["regimes", *DRAWN]  # "regimes" is the map of labels
+# "regimes" is the map of labels
+QUANTITIES = ["regimes", *(name for name, each in REGIME_QUANTITIES.items() if each.words and not each.dimension)]
 
 _LINE = 92  # characters of a subtitle that the width of a figure takes
 _WHY_UNDEFINED = {
@@ -45,6 +45,7 @@ class Layers:
     inferred : bool, likewise: cells that a refined sweep did not run
     quantity : str; "regimes" where nothing but the labels is drawn
     values : float64, shape of `codes`, NaN where the quantity is not known; of the regimes NaN everywhere
+    described : Quantity, its description
     points : int, fine points across the map, as of `Regions`
     boundaries : Boundaries, if they have been traced: they are drawn in the place of smooth ones
     """
@@ -58,6 +59,7 @@ class Layers:
     inferred: Bools
     quantity: str
     values: Floats
+    described: Quantity = REGIME_QUANTITIES["sequence"]
     points: int = 700
     boundaries: Boundaries | None = None
 
@@ -97,13 +99,14 @@ class Layers:
 
         The quantity is NaN in cells that failed, and in inferred ones whose regime does not tell it.
         """
-        if quantity not in DRAWN:
-            raise PlotError(f"There is no quantity {quantity!r} to draw; there are {', '.join(DRAWN)}.")
+        if quantity not in quantities_of(results)[1:]:
+            drawn = ", ".join(quantities_of(results)[1:])
+            raise PlotError(f"There is no quantity {quantity!r} to draw; there are {drawn}.")
         unknown = results.sequence == FAILED_CODE
-        if CELL_QUANTITIES[quantity].inferred is not None:
+        if results.quantities[quantity].inferred is not None:
             unknown |= results.inferred
-        values = np.where(unknown, np.nan, getattr(results, quantity).astype(np.float64))
-        return cls.of(results, dimensions, quantity, values)
+        values = np.where(unknown, np.nan, results.values(quantity).astype(np.float64))
+        return replace(cls.of(results, dimensions, quantity, values), described=results.quantities[quantity])
 
     def require_values(self) -> None:
         """Raise PlotError where none of the quantity's values is known."""
@@ -165,6 +168,11 @@ class Layers:
                 lines.append("")
             lines[-1] += f"; {part}" if lines[-1] else part
         return ";\n".join(lines)
+
+
+def quantities_of(results: Results) -> list[str]:
+    """Names of what can be drawn of a map: `QUANTITIES` and what was measured besides."""
+    return [*QUANTITIES, *(name for name, each in results.measured_quantities.items() if not each.dimension)]
 
 
 def stacked(panels: Sequence[Layers]) -> Layers:

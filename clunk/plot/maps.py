@@ -63,7 +63,7 @@ def quantity_map(results: Results, name: str) -> Figure:
     layers.require_values()
     has_ridge = name == "severity" and not layers.inferred.any()
     ridge = ridge_of(layers.values) if has_ridge else np.full(len(layers.values), np.nan)
-    figure, ax = shaded_map(layers, Colours.of(name, layers.values), layers.boundaries_note)
+    figure, ax = shaded_map(layers, Colours.of(layers.described, layers.values), layers.boundaries_note)
     if np.isfinite(ridge).any():
         _draw_ridge(ax, layers.view, ridge)
     freeze_layout(figure, ax)

@@ -19,7 +19,7 @@ from clunk.plot.plane import Floats, cell_edges, scale_axes
 from clunk.plot.regions import Scores
 from clunk.plot.style import FAILED_FILL, FAILED_HATCH, INK, UNDEFINED, new_figure, palette_of, set_titles
 from clunk.results.labels import FAILED, FAILED_CODE
-from clunk.results.quantities import CELL_QUANTITIES
+from clunk.results.quantities import Quantity
 
 _MAP = 330.0  # points, width of a map
 _STRIP_DOT = 0.12  # of a strip's height: undecided cells are marked under their labels
@@ -36,11 +36,10 @@ class Colours(NamedTuple):
     locator: ticker.Locator | None = None
 
     @classmethod
-    def of(cls, name: str, values: Floats) -> Colours:
+    def of(cls, quantity: Quantity, values: Floats) -> Colours:
         """Colours of a cell's quantity for values of any shape; the margin's diverge from zero."""
-        quantity = CELL_QUANTITIES[name]
         low, high = float(np.nanmin(values)), float(np.nanmax(values))
-        if name == "margin":
+        if quantity.name == "margin":
             return cls(quantity.plot_label, colors.CenteredNorm(0.0, max(abs(low), abs(high)) or 1.0), "PuOr")
         is_whole = np.issubdtype(quantity.dtype, np.integer)
         if is_whole and high - low <= _MOST_COLOURS:

@@ -17,7 +17,6 @@ from clunk.plot.notes import cells_phrase, set_notes, undecided_notes
 from clunk.plot.painting import Colours, new_plot
 from clunk.plot.plane import Floats, SurplusAxesError, axis_label, drawn_axes, set_log_scale
 from clunk.results.labels import FAILED
-from clunk.results.quantities import CELL_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.study.axes import RUN, ResultAxis
 
@@ -61,7 +60,7 @@ def scatter_curve(results: Results, x: str, quantity: str) -> Figure:
     notes = _draw_labels(ax, layers, _values_of(results, across), layers.values)
     if layers.failed.any():
         notes.append(_failed_note(layers, f"{FAILED}, not shown"))
-    ax.set_ylabel(CELL_QUANTITIES[quantity].plot_label)
+    ax.set_ylabel(layers.described.plot_label)
     _finish(figure, ax, (across,), notes)
     return figure
 
@@ -135,7 +134,7 @@ def _draw_labels(ax: Axes, layers: Layers, x: Floats, y: Floats) -> list[Artist]
 
 def _draw_values(figure: Figure, ax: Axes, layers: Layers, x: Floats, y: Floats) -> list[Artist]:
     """Draw points in the colours of a quantity; returns the note of those without one."""
-    shown, colours = np.isfinite(layers.values), Colours.of(layers.quantity, layers.values)
+    shown, colours = np.isfinite(layers.values), Colours.of(layers.described, layers.values)
     look = _look(x.size) | {"cmap": colours.cmap, "norm": colours.norm}
     colours.add_bar(figure, ax.scatter(x[shown], y[shown], c=layers.values[shown], **look, zorder=3), ax)
     undefined = ~shown & ~layers.failed

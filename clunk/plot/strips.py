@@ -14,7 +14,6 @@ from clunk.plot.layers import Layers
 from clunk.plot.painting import mark_undecided
 from clunk.plot.plane import Floats, scale_axis, spaced_numbers
 from clunk.results.labels import FAILED_CODE
-from clunk.results.quantities import CELL_QUANTITIES
 from clunk.results.regimemap import Results
 
 _FEW = 60  # samples, each of which is marked on the curve
@@ -38,7 +37,7 @@ def strip(results: Results, quantity: str = "severity", more: str = "") -> Figur
         _draw_regime(band, ax, layers, edges[[piece[0], piece[-1] + 1]], codes[piece[0]])
     scale_axis(ax, "x", layers.view.x)
     ax.set_xlim(*((samples[0], samples[-1]) if len(samples) > 1 else edges))
-    ax.set_ylabel(CELL_QUANTITIES[quantity].plot_label)
+    ax.set_ylabel(layers.described.plot_label)
     _limit_upwards(ax, layers.values)
     style.tidy(ax)
     band.set_yticks([])

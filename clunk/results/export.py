@@ -20,7 +20,7 @@ from clunk.results.boundaries import Boundaries
 from clunk.results.files import write_whole, writing
 from clunk.results.labels import FAILED
 from clunk.results.maps import Map
-from clunk.results.quantities import REGIME_QUANTITIES, TOLERANCE_QUANTITIES, Quantity
+from clunk.results.quantities import TOLERANCE_QUANTITIES, Quantity
 from clunk.results.regimemap import Results
 from clunk.results.store import StoreError
 from clunk.results.tolerancemap import QUANTILES, ToleranceMap
@@ -102,7 +102,7 @@ OF_BOUNDARIES: dict[str, Callable[[Boundaries], str]] = {
 
 
 def _quantities(results: Results | ToleranceMap) -> dict[str, Quantity]:
-    return REGIME_QUANTITIES if isinstance(results, Results) else TOLERANCE_QUANTITIES
+    return results.quantities if isinstance(results, Results) else TOLERANCE_QUANTITIES
 
 
 def _along(results: Map, axis: ResultAxis) -> Sequence[ResultAxis]:
@@ -126,8 +126,9 @@ def _values(
     """Values of a quantity in these rows of the first axis, over the axes and its dimension."""
     if isinstance(results, Results) and quantity.dimension == "impact":
         return results.padded(quantity.name, start, stop)
-    values: npt.NDArray[Any] = getattr(results, quantity.name)[start:stop]
-    return values
+    values: npt.NDArray[Any]
+    values = results.values(quantity.name) if isinstance(results, Results) else getattr(results, quantity.name)
+    return values[start:stop]
 
 
 def _texts(quantity: Quantity, values: npt.NDArray[Any], labels: tuple[str, ...]) -> list[Any]:

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.results.labels import FAILED, FAILED_CODE
+from clunk.results.quantities import Quantity, measured_quantities
 from clunk.study.axes import LASH, RUN, ResultAxis
 from clunk.study.lashes import lash_name, lash_position
 from clunk.study.summaries import Rows, as_html, as_text, html_table
@@ -81,6 +82,11 @@ class Description:
         for name in key.split("."):
             table = table.get(name) if isinstance(table, dict) else None
         return table
+
+    @cached_property
+    def measured_quantities(self) -> dict[str, Quantity]:
+        """What was measured of the runs besides what all runs have, by name: of cells, then of primary impacts."""
+        return measured_quantities(self.setting("impacts.quantities") or (), self.setting("measures") or ())
 
     @cached_property
     def _settings(self) -> dict[str, Any]:

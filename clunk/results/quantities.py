@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
+from typing import Any
 
 import numpy as np
 
 from clunk.core.status import QUALITY_MEANINGS, Status
 from clunk.results.labels import FAILED, FAILED_CODE
 
-_UNIT_SYMBOLS = {"1": "", "s": "s", "rad s-1": "rad/s", "rad s-2": "rad/s²"}
+_UNIT_SYMBOLS = {"1": "", "rad s-1": "rad/s", "rad s-2": "rad/s²"}
 _WORDS: dict[str, Mapping[int, str]] = {  # integer -> word
     "": {},
     "labels": {FAILED_CODE: FAILED},  # of a map's own labels, and of what failed
@@ -55,7 +56,7 @@ class Quantity:
     @property
     def unit_symbol(self) -> str:
         """The unit as people write it, e.g. ``rad/s²``; empty where there is none."""
-        return _UNIT_SYMBOLS[self.unit]
+        return _UNIT_SYMBOLS.get(self.unit, self.unit)
 
     @property
     def heading(self) -> str:
@@ -96,3 +97,19 @@ REGIME_QUANTITIES = _MAPS["regimes"]
 CELL_QUANTITIES = {name: each for name, each in REGIME_QUANTITIES.items() if not each.dimension}
 IMPACT_QUANTITIES = {name: each for name, each in REGIME_QUANTITIES.items() if each.dimension == "impact"}
 TOLERANCE_QUANTITIES = _MAPS["tolerances"]
+
+
+def measured_quantities(of_impacts: Sequence[str], measures: Sequence[Mapping[str, Any]]) -> dict[str, Quantity]:
+    """Quantities that a config asks for, of cells and then of impacts.
+
+    of_impacts : impacts.quantities
+    measures : the tables [[measures]], each with its name, quantity, part and reduction
+    """
+    table = _MAPS["measures"]
+    measured = {name: table[name] for name in of_impacts}
+    for measure in measures:
+        of, described = measure["of"], table[measure["quantity"]]
+        about = f"{described.words} of {of}" if isinstance(of, str) else f"{described.long_name} {of}"
+        words = f"{measure['reduce']} {about}"
+        measured[measure["name"]] = replace(described, name=measure["name"], words=words, long_name=words)
+    return measured | {f"impact_{name}": table[f"impact_{name}"] for name in of_impacts}

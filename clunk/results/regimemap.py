@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -14,7 +14,7 @@ from clunk.core.status import QUALITY_INFERRED, QUALITY_MEANINGS, Status
 from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED
 from clunk.results.maps import Index, Map, count_labels, require_array, require_codes, share, values_at
-from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
+from clunk.results.quantities import REGIME_QUANTITIES, Quantity
 from clunk.study.summaries import Rows
 
 
@@ -39,6 +39,7 @@ class Results(Map):
     impact_flank : (N,) int8, +1 opposite, -1 initial
     impact_closing_speed : (N,)  [rad/s]
     impact_severity : (N,) Q_i  [rad/s²]
+    measured : by the names of `measured_quantities`: shape or (N,), float64
     boundaries : Boundaries, the curves between the labels, if they have been traced
 
     A cell that a refined sweep inferred (`QUALITY_INFERRED`) has what its regime tells: code, primary_impacts,
@@ -63,18 +64,33 @@ class Results(Map):
     impact_flank: npt.NDArray[np.int8]
     impact_closing_speed: npt.NDArray[np.float64]
     impact_severity: npt.NDArray[np.float64]
+    measured: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
     boundaries: Boundaries | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, quantity in CELL_QUANTITIES.items():
-            require_array(name, getattr(self, name), self.shape, quantity.dtype)
+        if set(self.measured) != set(self.measured_quantities):
+            raise ValueError("what is measured is not what the config asks for")
+        for name, quantity in self.quantities.items():
+            if not quantity.dimension:
+                require_array(name, self.values(name), self.shape, quantity.dtype)
         if self.primary_impacts.min() < 0:
             raise ValueError("primary_impacts must not be negative")
         impacts = (int(self.primary_impacts.sum(dtype=np.int64)),)
-        for name, quantity in IMPACT_QUANTITIES.items():
-            require_array(name, getattr(self, name), impacts, quantity.dtype)
+        for name, quantity in self.quantities.items():
+            if quantity.dimension:
+                require_array(name, self.values(name), impacts, quantity.dtype)
         require_codes(self.labels, self.sequence)
+
+    @cached_property
+    def quantities(self) -> dict[str, Quantity]:
+        """The quantities of these results, in the order of their file."""
+        return REGIME_QUANTITIES | self.measured_quantities
+
+    def values(self, name: str) -> npt.NDArray[Any]:
+        """Values of one of the quantities, in cells or in the flat array of impacts."""
+        array: npt.NDArray[Any] = self.measured[name] if name in self.measured else getattr(self, name)
+        return array
 
     @cached_property
     def inferred(self) -> npt.NDArray[np.bool_]:
@@ -99,9 +115,12 @@ class Results(Map):
         count, first = np.diff(self.first_impact)[cells], self.first_impact[cells]
         begin = np.cumsum(count) - count  # of each cell's impacts in the slice
         impacts = np.arange(count.sum()) + np.repeat(first - begin, count)
-        arrays = {name: np.ascontiguousarray(getattr(self, name)[index]) for name in CELL_QUANTITIES}
-        arrays |= {name: getattr(self, name)[impacts] for name in IMPACT_QUANTITIES}
-        return arrays | {"boundaries": self._boundaries_at(index)}
+        arrays = {
+            name: self.values(name)[impacts] if each.dimension else np.ascontiguousarray(self.values(name)[index])
+            for name, each in self.quantities.items()
+        }
+        measured = {name: arrays.pop(name) for name in self.measured}
+        return arrays | {"measured": measured, "boundaries": self._boundaries_at(index)}
 
     def _boundaries_at(self, index: Index) -> Boundaries | None:
         """The boundaries, where the whole map of their lash is taken; else None."""
@@ -157,16 +176,16 @@ class Results(Map):
         swept = values_at(self.axes, at, self.coordinates)
         cell |= {axis.parameter: value for axis, value in zip(self.parameters, swept, strict=True)}
         cell["label"] = [*self.labels, FAILED][self.sequence[at]]
-        cell |= {name: getattr(self, name)[at].item() for name in CELL_QUANTITIES}
+        cell |= {name: self.values(name)[at].item() for name, each in self.quantities.items() if not each.dimension}
         cell["status"] = Status(cell["status"]).name.lower()
         cell["quality"] = [name for bit, name in QUALITY_MEANINGS.items() if cell["quality"] & bit]
-        return cell | {name: getattr(self, name)[impacts] for name in IMPACT_QUANTITIES}
+        return cell | {name: self.values(name)[impacts] for name, each in self.quantities.items() if each.dimension}
 
     def summary(self) -> Rows:
         """Pairs of a name and a value that describe the map, for people."""
         rows = [*super().summary()]
         if np.isfinite(self.severity).any():
-            quantity = CELL_QUANTITIES["severity"]
+            quantity = REGIME_QUANTITIES["severity"]
             spread = f"{np.nanmin(self.severity):.0f} to {np.nanmax(self.severity):.0f} {quantity.unit_symbol}"
             rows.append((quantity.heading, spread))
         counts = {name: int(np.count_nonzero(self.quality & bit)) for bit, name in QUALITY_MEANINGS.items()}
@@ -182,10 +201,10 @@ class Results(Map):
 
         start, stop : rows of the first axis, to which the array and the memory are limited
         """
-        dtype = np.dtype(IMPACT_QUANTITIES[name].dtype)
+        dtype = np.dtype(self.quantities[name].dtype)
         count = self.primary_impacts[start:stop]
         begin = start * int(np.prod(self.shape[1:], dtype=np.int64))
-        flat = getattr(self, name)[self.first_impact[begin] : self.first_impact[begin + count.size]]
+        flat = self.values(name)[self.first_impact[begin] : self.first_impact[begin + count.size]]
         block = np.full((*count.shape, self.max_impacts), np.nan if dtype.kind == "f" else 0, dtype)
         block[np.arange(self.max_impacts) < count[..., None]] = flat
         return block

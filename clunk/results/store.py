@@ -46,8 +46,8 @@ from clunk.study.axes import LASH, RUN, ResultAxis, lash_axis
 from clunk.study.errors import ClunkError
 
 SCHEMA_VERSION = 2  # of a regime map
-_WITH_TOLERANCES, _WITH_BOUNDARIES, _WITH_LASHES = 3, 4, 5
-NEWEST_VERSION = 5  # of any file that is read
+_WITH_TOLERANCES, _WITH_BOUNDARIES, _WITH_LASHES, _WITH_MEASURES = 3, 4, 5, 6
+NEWEST_VERSION = 6  # of any file that is read
 _KIND = "kind"  # root attribute of a tolerance map; a regime map has none
 _TOLERANCE_MAP = "tolerance map"
 # Root attributes that are not among the `attributes` of a map.
@@ -181,7 +181,7 @@ def check(path: str | os.PathLike[str]) -> Header:
 def _fill(file: Image, results: Results | ToleranceMap) -> None:
     sample: tuple[ResultAxis, ...] = ()
     if isinstance(results, Results):
-        quantities = REGIME_QUANTITIES
+        quantities = results.quantities
         dimensions = {"impact": np.arange(1, results.max_impacts + 1, dtype=np.int32)}
     else:
         quantities, sample = TOLERANCE_QUANTITIES, results.sample
@@ -191,7 +191,8 @@ def _fill(file: Image, results: Results | ToleranceMap) -> None:
     set_text(file, "Conventions", CONVENTIONS)
     boundaries = results.boundaries if isinstance(results, Results) else None
     version = _WITH_TOLERANCES if sample else SCHEMA_VERSION if boundaries is None else _WITH_BOUNDARIES
-    file.attrs["schema_version"] = np.int32(_WITH_LASHES if results.lashes else version)
+    version = _WITH_LASHES if results.lashes else version
+    file.attrs["schema_version"] = np.int32(_WITH_MEASURES if results.measured_quantities else version)
     for name, value in results.attributes.items():
         if name in _RESERVED:
             raise ValueError(f"{name} is written from the results' own fields, not from attributes")
@@ -232,6 +233,8 @@ def _fill(file: Image, results: Results | ToleranceMap) -> None:
             for start, stop in row_blocks(variable):
                 if isinstance(results, Results) and each.dimension == "impact":
                     block = results.padded(name, start, stop)
+                elif isinstance(results, Results):
+                    block = results.values(name)[start:stop]
                 else:
                     block = getattr(results, name)[start:stop]
                 if each.of == "cell" and results.lashes:
@@ -323,14 +326,15 @@ def map_of(file: h5py.File, header: Header) -> Results | ToleranceMap:
     """Read the map of an open file. Raises ValueError where it cannot be one."""
     described: dict[str, Any] = {field.name: getattr(header, field.name) for field in dataclasses.fields(Description)}
     arrays: dict[str, Any] = {}
-    for name, quantity in _quantities(file).items():
+    for name, quantity in _quantities(file, header).items():
         in_impacts = quantity.dimension == "impact"
         arrays[name] = _unpadded(file[name], arrays["primary_impacts"]) if in_impacts else file[name][()]
         if quantity.of == "cell" and header.lashes:
             arrays[name] = np.repeat(arrays[name][..., None], len(header.lashes), axis=-1)
     if not header.tolerance_map:
+        measured = {name: arrays.pop(name) for name in header.measured_quantities}
         arrays |= {name: np.full(header.shape, np.nan) for name in REGIME_QUANTITIES if name not in arrays}
-        return Results(**described, **arrays, boundaries=header.boundaries)
+        return Results(**described, **arrays, measured=measured, boundaries=header.boundaries)
     probability, sequence = arrays.pop("probability"), arrays.pop("sequence")
     runs = np.rint(probability * len(header.sample[0].values)).astype(np.int32)
     tolerances = ToleranceMap(sample=header.sample, runs=runs, **described, **arrays)
@@ -405,17 +409,17 @@ def _is_tolerance_map(file: h5py.File) -> bool:
     return _KIND in file.attrs and get_text(file, _KIND) == _TOLERANCE_MAP
 
 
-def _quantities(file: h5py.File) -> dict[str, Quantity]:
+def _quantities(file: h5py.File, header: Header) -> dict[str, Quantity]:
     """The quantities that a file of its schema version has."""
     version = int(file.attrs["schema_version"])
-    quantities = TOLERANCE_QUANTITIES if _is_tolerance_map(file) else REGIME_QUANTITIES
+    quantities = TOLERANCE_QUANTITIES if header.tolerance_map else REGIME_QUANTITIES | header.measured_quantities
     return {name: quantity for name, quantity in quantities.items() if quantity.since <= version}
 
 
 def _require_digest(file: h5py.File, header: Header) -> None:
     """Raise ValueError where a file's data do not match their digest."""
     digest = Digest(header.axes + header.coordinates + header.sample, (*header.labels, *header.lashes))
-    for name in _quantities(file):
+    for name in _quantities(file, header):
         digest.begin(name, file[name])
         for start, stop in row_blocks(file[name]):
             digest.add(file[name][start:stop])

@@ -14,6 +14,11 @@ RUN = "run"  # the dimension of what is walked or drawn together
 LASH = "lash"  # the last dimension of results of several lashes
 
 
+def variable_of(parameter: str) -> str:
+    """Name of a parameter in the results file: ``load_ratio``, ``driveline_inertias_4``."""
+    return re.sub(r"[.\[\]]", "_", parameter).rstrip("_")
+
+
 @dataclass(frozen=True, eq=False)
 class ResultAxis:
     """A swept parameter with the values that it took; or the dimension `run` or `lash`, with their numbers from 1.
@@ -38,7 +43,7 @@ class ResultAxis:
     @property
     def variable(self) -> str:
         """Name of the axis in the results file: ``load_ratio``, ``driveline_inertias_4``."""
-        return re.sub(r"[.\[\]]", "_", self.parameter).rstrip("_")
+        return variable_of(self.parameter)
 
     @property
     def spread(self) -> str:

@@ -14,6 +14,7 @@ from pydantic import Field, Tag, model_validator
 from clunk.study.document import Place, items_of
 from clunk.study.lashes import lash_name
 from clunk.study.loads import Load
+from clunk.study.measures import Measure
 from clunk.study.problems import shorten
 from clunk.study.sweeps import Sweep
 from clunk.study.tables import (
@@ -46,6 +47,7 @@ class Shaft(Table):
     Its torque is linear in the twist, or piecewise linear and continuous, with a stiffness for each stage between
     breakpoints and beyond them, and zero at twist 0.
 
+    name : str or None, by which measures may refer to it
     between : two of an inertia's number from 1 and "ground"
     ratio : float, i of a gear: the twist is θ of the first end less i θ of the second
     stiffness : float, or one for each stage
@@ -53,6 +55,7 @@ class Shaft(Table):
     stiffness_per_deg : float or None, instead of stiffness, which it becomes
     """
 
+    name: Text | None = None
     between: Ends
     ratio: Annotated[NotZero, Quantity("gear ratio of shaft {}", "i{}", "1")] = 1.0
     stiffness: Annotated[
@@ -195,15 +198,17 @@ class Solver(Table):
 
 
 class Impacts(Table):
-    """Sticking time and inertia by which impacts are told apart and measured.
+    """Sticking time, inertia and quantities by which impacts are told apart and measured.
 
     sticking_time : float or None, a longer contact is sticking; None stands for the contact period
     acceleration_of : int or None, number from 1 of the inertia whose acceleration gives the severity; None stands for
         the first inertia of each lash
+    quantities : of each primary impact, besides its severity and its closing speed
     """
 
     sticking_time: Annotated[Positive | None, Quantity("sticking time", "t_s", "s")] = None
     acceleration_of: Annotated[InertiaOrNone, Quantity("inertia of the severity", "i", "1")] = None
+    quantities: tuple[Literal["impulse", "peak_torque", "energy"], ...] = ()
 
 
 class Config(Table):
@@ -217,6 +222,7 @@ class Config(Table):
     load: Load
     solver: Solver = Solver()
     impacts: Impacts
+    measures: tuple[Measure, ...] = ()
     sweep: Sweep | None = None
 
     @model_validator(mode="before")
@@ -246,3 +252,8 @@ class Config(Table):
         of_all = self.impacts.acceleration_of
         firsts = (next(int(end) for end in lash.between if end != "ground") for lash in self.lashes)
         return tuple(first if of_all is None else of_all for first in firsts)
+
+    @property
+    def measured(self) -> bool:
+        """Whether runs are measured by more than Q and V."""
+        return bool(self.impacts.quantities or self.measures)

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from clunk.study.document import Place, dotted, with_value
 from clunk.study.loads import PROFILES, TORQUES, uses
+from clunk.study.measures import broken_measures
 from clunk.study.models import Config
 from clunk.study.parameters import complaint, located
 from clunk.study.problems import listing, shorten
@@ -27,7 +28,8 @@ Sizes = Sequence[tuple[float, Place]]  # positive numbers, each with its place
 
 def broken_rules(config: Config) -> list[Finding]:
     """Findings of all rules on a config; draws are only looked at where nothing else is wrong."""
-    findings = [finding for rule in (_inertias, _lashes, _steps, _sizes, _swept, _times) for finding in rule(config)]
+    rules = (_inertias, _lashes, _steps, _sizes, _swept, _times, broken_measures)
+    findings = [finding for rule in rules for finding in rule(config)]
     return findings or list(_drawn(config))
 
 

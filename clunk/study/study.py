@@ -114,6 +114,9 @@ def content(study: Study) -> dict[str, Any]:
     for table, key in [*factors, (plain["load"], "scale")]:
         if table[key] == 1.0:  # as configs and digests of earlier versions have it
             del table[key]
+    for table, key in ((plain, "measures"), (plain["impacts"], "quantities")):
+        if not table[key]:
+            del table[key]
     if study.sweep is not None:
         sweep = {key: value for key, value in plain["sweep"].items() if value != ()}
         if not {"samples", "tolerances"} & set(sweep):
@@ -141,6 +144,8 @@ def digest(study: Study) -> str:
     decisive["driveline"].pop("names", None)
     for lash in _lash_tables(decisive):
         lash.pop("name", None)
+    for shaft in decisive["driveline"]["shafts"]:
+        shaft.pop("name", None)
     if decisive["load"]["profile"] == "step":
         decisive["load"]["profile"] = "tip-out"  # its name in earlier versions
     if study.sweep is not None and study.sweep.design == "grid":

@@ -150,6 +150,11 @@ def _not_zero(value: float) -> float:
     return value
 
 
+def numbered_inertia(value: Any, info: ValidationInfo) -> Any:
+    """Number of an inertia that is given by number or name."""
+    return _numbered(value, info, ground=False)
+
+
 OneOrSeveral = Discriminator(lambda value: SEVERAL if isinstance(value, list | tuple) else ONE)
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -157,7 +162,7 @@ NotZero = Annotated[float, AfterValidator(_not_zero), WithJsonSchema({"type": "n
 Text = Annotated[str, AfterValidator(_one_line)]
 Inertia = Annotated[
     int,
-    PlainValidator(lambda value, info: _numbered(value, info, ground=False)),
+    PlainValidator(numbered_inertia),
     WithJsonSchema({"type": ["integer", "string"], "minimum": 1, "description": "an inertia's number or name"}),
 ]
 InertiaOrNone = Annotated[

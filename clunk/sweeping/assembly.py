@@ -14,7 +14,7 @@ from clunk.core.jit import compiled
 from clunk.core.sequence import INITIAL, OPPOSITE
 from clunk.core.status import QUALITY_GRAZING, QUALITY_UNDECIDED, Status
 from clunk.results.labels import FAILED_CODE
-from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
+from clunk.results.quantities import REGIME_QUANTITIES, measured_quantities
 from clunk.results.regimemap import Results
 from clunk.study.config import study_from_text
 from clunk.study.designs import Cells, Design
@@ -52,9 +52,13 @@ class RegimeReduction(Reduction[Results]):
         self._code_of = np.full(_SHORT + 1, _UNSEEN, np.int32)  # of a pattern; the last is of all longer ones
         self._code_of[0] = FAILED_CODE
         self.codes: npt.NDArray[np.int32] = self._scratch.empty(self.rows, np.int32)
+        self.measured = measured_quantities(study.impacts.quantities, [dict(each) for each in study.measures])
+        quantities = REGIME_QUANTITIES | self.measured
+        self.of_cells = {name: each for name, each in quantities.items() if not each.dimension}
+        self.of_impacts = {name: each for name, each in quantities.items() if each.dimension}
         self.fields = {
             name: self._scratch.empty(self.rows, each.dtype)
-            for name, each in CELL_QUANTITIES.items()
+            for name, each in self.of_cells.items()
             if name != "sequence"
         }
         self._impacts: list[tuple[Cells, dict[str, npt.NDArray[np.generic]]]] = []
@@ -68,7 +72,7 @@ class RegimeReduction(Reduction[Results]):
             self.runner.layout.rows(tile.cells),
             {
                 name: np.ascontiguousarray(tile.details[name.removeprefix("impact_")], each.dtype)
-                for name, each in IMPACT_QUANTITIES.items()
+                for name, each in self.of_impacts.items()
             },
         )
 
@@ -89,22 +93,18 @@ class RegimeReduction(Reduction[Results]):
             if name == "sequence":
                 values = self._scratch.empty(self.codes.size, np.int16)
                 return np.take(final, self.codes, out=values, mode="wrap")  # -1 is the last
-            values = self._scratch.empty(int(first[-1]), IMPACT_QUANTITIES[name].dtype)
+            values = self._scratch.empty(int(first[-1]), self.of_impacts[name].dtype)
             if self.done < self.design.cells:
                 self._fill_inferred(values, first)
             for rows, impacts in self._impacts:
                 _put(values, first, rows, impacts[name])
             return values
 
-        made = self.for_each(finished, ("sequence", *IMPACT_QUANTITIES))
+        made = self.for_each(finished, ("sequence", *self.of_impacts))
         fields = {**self.fields, "sequence": made.pop("sequence")}
-        return Results(
-            **self.heading(),
-            labels=labels,
-            **{name: field.reshape(self.shape) for name, field in fields.items()},
-            **made,
-            attributes=attributes,
-        )
+        made |= {name: field.reshape(self.shape) for name, field in fields.items()}
+        measured = {name: made.pop(name) for name in self.measured}
+        return Results(**self.heading(), labels=labels, **made, measured=measured, attributes=attributes)
 
     def for_each(self, function: Callable[[str], Any], names: Sequence[str]) -> dict[str, Any]:
         """Call a function with each name, in several threads; returns its values by name."""
@@ -199,13 +199,13 @@ class RefinedReduction(RegimeReduction):
 
         def finish(name: str) -> None:
             values = self.codes if name == "sequence" else self.fields[name]
-            value = CELL_QUANTITIES[name].inferred
+            value = self.of_cells[name].inferred
             if value is None:
                 _fill(values, inferred, regimes, of_regime[name].astype(values.dtype))
             else:
                 np.copyto(values, value, where=inferred, casting="unsafe")
 
-        self.for_each(finish, list(CELL_QUANTITIES))
+        self.for_each(finish, list(self.of_cells))
         self.known[:] = True
 
 
@@ -233,9 +233,9 @@ class MendedReduction(RegimeReduction):
         rows = np.flatnonzero(sequence != FAILED_CODE).astype(np.int64)
         self.codes[rows] = codes[sequence[rows]]
         for name, field in self.fields.items():
-            field[rows] = getattr(earlier, name).ravel()[rows]
+            field[rows] = earlier.values(name).ravel()[rows]
         not_failed = np.repeat(sequence != FAILED_CODE, np.diff(first))
-        self.keep_impacts(rows, {name: getattr(earlier, name)[not_failed] for name in IMPACT_QUANTITIES})
+        self.keep_impacts(rows, {name: earlier.values(name)[not_failed] for name in self.of_impacts})
         self.known[rows // self.runner.layout.lashes] = True
         self.done = int(self.known.sum())
         self._failed = self.first()

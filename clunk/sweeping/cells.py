@@ -12,15 +12,20 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core import tile as kernel
+from clunk.core.channels import Channels
 from clunk.core.events import EVENT
 from clunk.core.exact.flows import Flows
 from clunk.core.jit import is_cold
+from clunk.core.measures import OF_IMPACTS, measure_runs
 from clunk.core.regimes import System
 from clunk.core.rk4.propagator import Steps
+from clunk.core.switching import MOST_STAGES
 from clunk.simulation import driveline
 from clunk.simulation.load import loads_of
+from clunk.simulation.measures import channels_of
 from clunk.study.designs import Cells, Design, FloatArray, design_of
 from clunk.study.document import dotted
+from clunk.study.measures import OF_IMPACTS as IMPACT_MEASURES
 from clunk.study.study import Study, replace_values
 from clunk.sweeping.tiles import Layout, Tile
 
@@ -34,7 +39,8 @@ _BACKLASH = re.compile(r"lash(\[\d+\])?\.backlash_deg")
 _RATES = {"smooth": "load.duration", "lag": "load.time_constant", "sine": "load.frequency"}  # how fast a wave swings
 KEPT_SYSTEMS = 4096  # about 20 KB each
 _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
-_NO_LOGS = np.zeros((0, 0), EVENT)
+_NO_LOGS, _NO_STATES = np.zeros((0, 0), EVENT), np.zeros((0, 0, 0))
+_STATES = 1 << 16  # events whose states there is room for at a time: 8 MB, which the caches nearly hold
 _TILE_POINTS = 2**19  # of tabulated loads: 20 MB where each cell has its own
 
 
@@ -56,6 +62,7 @@ class Systems:
         self._kept: OrderedDict[tuple[tuple[str, float], ...], Prepared] = OrderedDict()
         if shared is not None:
             self._kept[()] = shared
+        self._channels: Channels | None = None  # without other values
         self._lock = threading.Lock()
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -75,6 +82,17 @@ class Systems:
                 self._kept.popitem(last=False)
         return prepared
 
+    def channels(self, values: Mapping[str, float]) -> Channels:
+        """The channels of the study's measures with these values of structural parameters."""
+        with self._lock:
+            if not values and self._channels is not None:
+                return self._channels
+        study = replace_values(self._study, values) if values else self._study
+        channels = channels_of(study, self.prepared(values)[0])
+        if not values:
+            self._channels = channels
+        return channels
+
 
 class Grid:
     """The cells of a study's design, run once each.
@@ -88,10 +106,10 @@ class Grid:
 
     def __init__(self, study: Study, design: Design | None = None, systems: Systems | None = None) -> None:
         self.study = study
-        self.layout = Layout(CELL, IMPACT, "primary_impacts", len(study.lashes))
         self.systems = systems or Systems(study)
         self.design = design or design_of(study)
         self.method: str = study.solver.method
+        self.layout = layout_of(study)
         self.tile_cells = min(_TILE_CELLS[self.method], max(_TILE_POINTS // len(study.load.times or (0,)), 1))
         self._structural = [each.parameter for each in self.design.columns if not leaves_system(study, each.parameter)]
 
@@ -133,17 +151,20 @@ class Grid:
         """Run cells; the tile has those that were done before `stop` was set."""
         cases = self.cases(self.design.at(cells), cells.size)
         buffer = self.impact_buffer(cells.size)
+        run_group = self.measured_group if self.study.measured else self.run_group
+        none = np.zeros(0, self.layout.detail)
         if not self._structural:
-            records, pieces = self.run_group({}, cases, buffer, stop)
-            return Tile(cells[: records.size // self.layout.lashes], records, np.concatenate([buffer[:0], *pieces]))
+            records, pieces = run_group({}, cases, buffer, stop)
+            return Tile(cells[: records.size // self.layout.lashes], records, np.concatenate([none, *pieces]))
         lashes = self.layout.lashes
-        records, known = np.zeros(cells.size * lashes, CELL), np.zeros(cells.size * lashes, bool)
-        impacts: list[Records] = [buffer[:0]]
+        records = np.zeros(cells.size * lashes, self.layout.record)
+        known = np.zeros(records.size, bool)
+        impacts: list[Records] = [none]
         owners: list[npt.NDArray[np.intp]] = [np.zeros(0, np.intp)]
         for values, positions in self.groups(cells):
             if stop[0]:
                 break
-            finished, pieces = self.run_group(values, cases.at(positions), buffer, stop)
+            finished, pieces = run_group(values, cases.at(positions), buffer, stop)
             done = self.layout.rows(positions)[: finished.size]
             records[done], known[done] = finished, True
             impacts += pieces
@@ -159,7 +180,8 @@ class Grid:
         logs["time"] = np.nan
         for values, positions in self.groups(cells):
             part, events = cases.at(positions), logs[positions]
-            rows, _ = self.run_group(values, part, buffer, np.zeros(1, np.uint8), events)
+            output = kernel.Output(np.zeros(len(positions), CELL), buffer, events, _NO_STATES)
+            rows, _ = self._run(values, part, output, np.zeros(1, np.uint8))
             records[positions], logs[positions] = rows.reshape(len(positions), -1), events
         return records, logs[:, : int((~np.isnan(logs["time"])).sum(axis=1).max(initial=0))]
 
@@ -168,28 +190,82 @@ class Grid:
         return np.zeros(8 * runs + self.study.solver.max_events, IMPACT)
 
     def run_group(
-        self, values: Mapping[str, float], cases: kernel.Cases, buffer: Records, stop: Flag, logs: Records = _NO_LOGS
+        self, values: Mapping[str, float], cases: kernel.Cases, buffer: Records, stop: Flag
     ) -> tuple[Records, list[Records]]:
         """Records and impacts of runs of one system, lash by lash, of those that were done before `stop` was set.
 
         values : of the structural parameters
         cases : torques and gap of each run
         buffer : IMPACT, to work in; see `impact_buffer`
-        logs : EVENT, output for the events of each run, if wanted; see `kernel.Output`
 
         Returns CELL, one of each run and lash, and IMPACT, in pieces.
         """
+        output = kernel.Output(np.zeros(len(cases.before), CELL), buffer, _NO_LOGS, _NO_STATES)
+        return self._run(values, cases, output, stop)
+
+    def measured_group(
+        self, values: Mapping[str, float], cases: kernel.Cases, buffer: Records, stop: Flag
+    ) -> tuple[Records, list[Records]]:
+        """`run_group` with the measures of the study: records and impacts as the grid's layout has them."""
+        system, _ = self.systems.prepared(values)
+        channels = self.systems.channels(values)
+        capacity = (self.study.solver.max_events + 1) * (MOST_STAGES if system.regimes.size > system.lash_states else 1)
+        runs, size = len(cases.before), system.lash.size
+        each = min(max(_STATES // capacity, 1), runs)
+        logs, states = np.zeros((each, capacity), EVENT), np.empty((each, capacity, size))
+        records, impacts = [np.zeros(0, self.layout.record)], [np.zeros(0, self.layout.detail)]
+        for begin in range(0, runs, each):
+            part = cases.at(np.arange(begin, min(begin + each, runs)))
+            logs["time"] = np.nan
+            output = kernel.Output(np.zeros(len(part.before), CELL), buffer, logs, states)
+            cells, pieces = self._run(values, part, output, stop)
+            details = np.concatenate([buffer[:0], *pieces])
+            totals = np.full((cells.size, OF_IMPACTS + len(self.study.measures)), np.nan)
+            of_impacts = np.full((details.size, OF_IMPACTS), np.nan)
+            measure_runs(system, channels, part, cells, logs, states, totals, of_impacts)
+            names = self.study.impacts.quantities
+            columns = [*(IMPACT_MEASURES.index(name) for name in names), *range(OF_IMPACTS, totals.shape[1])]
+            records.append(_joined(cells, self.layout.record, totals[:, columns]))
+            impacts.append(_joined(details, self.layout.detail, of_impacts[:, columns[: len(names)]]))
+            if cells.size < len(part.before):
+                break
+        return np.concatenate(records), impacts
+
+    def _run(
+        self, values: Mapping[str, float], cases: kernel.Cases, output: kernel.Output, stop: Flag
+    ) -> tuple[Records, list[Records]]:
         system, tables = self.systems.prepared(values)
         solver = self.study.solver
-        done, records = 0, np.zeros((len(cases.before), self.layout.lashes), CELL)
-        output = kernel.Output(records[:, 0], buffer, logs)
-        impacts = []
-        while done < len(records) and not stop[0]:
+        done, impacts = 0, []
+        while done < output.cells.size and not stop[0]:
             done, written = kernel.run_tile(
                 system, tables, solver.margin_tolerance, cases, done, solver.max_events, output, stop
             )
-            impacts.append(buffer[:written].copy())
-        return records[:done].ravel(), impacts
+            impacts.append(output.impacts[:written].copy())
+        return output.cells[:done], impacts
+
+
+def layout_of(study: Study) -> Layout:
+    """Layout of the tiles of a study: what is measured follows what every run has."""
+    names = study.impacts.quantities
+    measures = [(name, "f8") for name in (*names, *(each.name for each in study.measures))]
+    return Layout(_with(CELL, measures), _with(IMPACT, measures[: len(names)]), "primary_impacts", len(study.lashes))
+
+
+def _with(record: np.dtype[np.void], fields: list[tuple[str, str]]) -> np.dtype[np.void]:
+    """A type of records with further fields."""
+    return np.dtype([*((name, record[name]) for name in record.names or ()), *fields], align=True) if fields else record
+
+
+def _joined(records: Records, layout: np.dtype[np.void], columns: FloatArray) -> Records:
+    """Records of a type with further fields, whose values are columns."""
+    joined = np.zeros(records.size, layout)
+    known = records.dtype.names or ()
+    for name in known:
+        joined[name] = records[name]
+    for name, column in zip((layout.names or ())[len(known) :], columns.T, strict=True):
+        joined[name] = column
+    return joined
 
 
 def compiling_note(*methods: str) -> str:
@@ -204,5 +280,8 @@ def compiling_note(*methods: str) -> str:
 def warm_up(study: Study) -> None:
     """Compile the kernel of a study's method, or load it, before a sweep rather than in the middle of it."""
     system, tables = driveline.prepare(study)
-    cases, output = Grid(study).cases({}, 0), kernel.Output(np.zeros(0, CELL), np.zeros(0, IMPACT), _NO_LOGS)
+    cases, output = (
+        Grid(study).cases({}, 0),
+        kernel.Output(np.zeros(0, CELL), np.zeros(0, IMPACT), _NO_LOGS, _NO_STATES),
+    )
     kernel.run_tile(system, tables, 0.0, cases, 0, 1, output, np.zeros(1, np.uint8))

@@ -75,6 +75,8 @@ class Job:
         on_disk = None if self.directory is None else self.directory.path
         refuse_if_too_large(design.shape, on_disk)
         if has_tolerances(self.study):
+            if self.study.measured:
+                raise SweepError("A tolerance map has Q alone: leave out impacts.quantities and [[measures]].")
             return ToleranceReduction(self.study)
         scratch = scratch_for(design.cells, on_disk)
         if self.earlier is not None:
