@@ -26,6 +26,7 @@ from clunk.study.designs import design_of, design_of_points
 from clunk.study.document import KeyLines, dotted, parse_place
 from clunk.study.keys import PRESETS, json_schema
 from clunk.study.loads import Load
+from clunk.study.measures import Measure
 from clunk.study.models import DrivelineConfig, Impacts, Lash, Shaft
 from clunk.study.parameters import get_value, quantity
 from clunk.study.problems import ConfigError
@@ -215,10 +216,10 @@ def test_starter_spells_the_preset_out():
 
 def test_starter_names_every_key():
     keys = set(re.findall(r"^(?:# )?([a-z_]+) = ", STARTER, re.MULTILINE))
-    models = (Study, DrivelineConfig, Shaft, Lash, Load, Impacts, Axis, Sweep, Sampling, *get_args(Draw))
+    models = (Study, DrivelineConfig, Shaft, Lash, Load, Impacts, Measure, Axis, Sweep, Sampling, *get_args(Draw))
     models += tuple(Study.model_fields[name].annotation for name in ("solver",))
     models += (Lash.model_fields["contact"].annotation,)
-    tables = {"driveline", "lash", "load", "solver", "impacts", "sweep", "shafts", "contact"}
+    tables = {"driveline", "lash", "load", "solver", "impacts", "measures", "sweep", "shafts", "contact"}
     tables |= {"axes", "samples", "tolerances", "sampling"}
     assert keys == {name for model in models for name in model.model_fields} - tables | {"preset"}
 

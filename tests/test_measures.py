@@ -8,8 +8,10 @@ from helpers.configs import plant_of
 from helpers.general import OneLash, kinks
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
+from scipy.stats import spearmanr
 
 import clunk
+from clunk.analysis.ranks import ranks_of
 from clunk.analysis.thresholds import thresholds
 from clunk.api import sweep
 from clunk.results.quantities import REGIME_QUANTITIES
@@ -21,6 +23,7 @@ from clunk.simulation.trajectory import simulate
 from clunk.study.config import load_study, study_from_text
 from clunk.study.problems import ConfigError
 from clunk.study.study import replace_values
+from clunk.sweeping.reduction import SweepError
 
 CLOSE = 1e-8  # relative, to SciPy's DOP853 at 1e-12 a step
 SHORT = ["solver.end_time=0.4", 'solver.method="exact"']
@@ -275,3 +278,23 @@ def test_no_measure_takes_the_name_of_another_variable():
     for name in (*REGIME_QUANTITIES, "load_ratio", "boundary_left"):
         with pytest.raises(ConfigError, match="another variable"):
             measuring(MAP[0], f"measures=[{{name='{name}', quantity='twist', of=1, reduce='largest'}}]", names=())
+
+
+def test_ranks_are_those_of_scipy_and_ridges_those_of_the_map():
+    results = sweep(measuring(*MAP, "sweep.axes[2].count=13", "solver.method=exact", names=["hit"]))
+    ranks = ranks_of(results)
+    names = [each.name for each in ranks.quantities]
+    assert names == ["severity", "approach_velocity", *OF_IMPACTS, "hit"]
+    struck = results.primary_impacts > 0
+    assert ranks.cells == np.count_nonzero(struck)
+    values = np.array([results.values(name)[struck] for name in names])
+    assert ranks.correlation == pytest.approx(spearmanr(values, axis=1).statistic)
+    peak = results.values("peak_torque")[-1]
+    assert ranks.places[-1] == 10.0
+    assert ranks.ridges[names.index("peak_torque"), -1] == results.axes[1].values[peak.argmax()]
+
+
+def test_a_tolerance_map_with_measures_is_refused():
+    study = load_study("configs/tolerance.toml", ["impacts.quantities=['energy']"])
+    with pytest.raises(SweepError, match="has Q alone"):
+        clunk.tolerance_map(study)

@@ -14,18 +14,23 @@ from clunk.cli.options import PATH, json_option
 @click.command()
 @click.argument("file", type=PATH)
 @click.option("--config", "show_config", is_flag=True, help="Print the whole resolved config (TOML) instead.")
+@click.option("--ranks", is_flag=True, help="Also tell how alike the measures of hardness order the cells.")
 @click.option("--check", is_flag=True, help="Also read it whole and compare it with its checksums.")
 @json_option
-def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
+def info(file: Path, show_config: bool, ranks: bool, check: bool, as_json: bool) -> None:
     """Say what a results file holds: config, versions, regime counts.
 
     Example: clunk info results/figure_3_4.h5 --check
     """
+    from clunk.analysis.ranks import ranks_of
     from clunk.results import store
     from clunk.study.loads import PROFILES, numbers
 
     header = store.check(file) if check else store.read_header(file)
     tolerances = store.read_tolerance_map(file) if header.tolerance_map else None
+    if ranks and tolerances is not None:
+        raise click.UsageError(f"--ranks does not go with a tolerance map, which {file} holds.")
+    of_lashes = {name: ranks_of(each) for name, each in store.read(file).by_lash().items()} if ranks else {}
     if show_config:
         click.echo(header.config, nl=not header.config.endswith("\n"))
         return
@@ -48,6 +53,8 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
             record |= tables.tolerance_records(tolerances)
         if header.boundaries is not None:
             record |= {"boundaries": tables.boundary_record(header.boundaries)}
+        if ranks:
+            record |= {"ranks": tables.of_lashes({name: tables.rank_record(each) for name, each in of_lashes.items()})}
         record |= {"config_digest": header.config_digest}
         checked: dict[str, Any] = {"checked": {"data": True, "bytes": header.checksum}} if check else {}
         tables.print_record(record | header.attributes | checked)
@@ -61,6 +68,9 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
     for each in header.sample:
         unit = "" if each.unit == "1" else f" {each.unit}"
         click.echo(f"drawn     {each.name}, {each.values.min():.4g} to {each.values.max():.4g}{unit}")
+    for quantity in header.measured_quantities.values():
+        if not quantity.dimension:
+            click.echo(f"measured  {quantity.name}: {quantity.words} [{quantity.unit_symbol}]")
     load = header.setting("load")
     if load is not None:
         swept = {axis.parameter for axis in header.parameters}
@@ -79,5 +89,8 @@ def info(file: Path, show_config: bool, check: bool, as_json: bool) -> None:
         if header.boundaries is not None:
             click.echo()
             tables.print_boundaries(header.boundaries)
+        if ranks:
+            click.echo()
+            tables.print_lashes(of_lashes, lambda each: tables.print_ranks(each, header.axes))
     else:
         tables.print_lashes(tolerances.by_lash(), tables.print_tolerances)

@@ -11,10 +11,12 @@ import click
 from clunk.cli import phrases, terminal
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
+    from clunk.analysis.ranks import Ranks
     from clunk.results.boundaries import Boundaries
     from clunk.results.tolerancemap import ToleranceMap
+    from clunk.study.axes import ResultAxis
 
 Value = TypeVar("Value")
 
@@ -104,6 +106,36 @@ def print_boundaries(boundaries: Boundaries) -> None:
     lines = [[*names, *heads], *([*row, *each] for row, each in zip(rows, met, strict=True))]
     for line in phrases.table(lines, [True] * len(names)):
         click.echo(line)
+
+
+def print_ranks(ranks: Ranks, axes: Sequence[ResultAxis]) -> None:
+    """Print the rank correlation of each two quantities, and the value of the second axis where each is largest."""
+    click.echo(f"rank correlation (Spearman) over {phrases.cells(ranks.cells)} with a primary impact")
+    symbols = [each.symbol or f"({k})" for k, each in enumerate(ranks.quantities, 1)]
+    names = [f"{symbol} {each.name}" for symbol, each in zip(symbols, ranks.quantities, strict=True)]
+    rows = [[name, *(f"{value:.2f}" for value in row)] for name, row in zip(names, ranks.correlation, strict=True)]
+    for line in phrases.table([["", *symbols], *rows], [False] + [True] * len(symbols)):
+        click.echo(line)
+    if not ranks.places.size:
+        return
+    across, upward = (axis.parameter for axis in axes[:2])
+    click.echo(f"{upward} at which each is largest, - where that is at an end")
+    heads = [across, *(f"{place:g}" for place in ranks.places)]
+    ridges = [[phrases.number(value, "g") for value in row] for row in ranks.ridges.tolist()]
+    rows = [[name, *row] for name, row in zip(names, ridges, strict=True)]
+    for line in phrases.table([heads, *rows], [False] + [True] * ranks.places.size):
+        click.echo(line)
+
+
+def rank_record(ranks: Ranks) -> dict[str, Any]:
+    """Rank correlations and ridges for JSON."""
+    return {
+        "quantities": [each.name for each in ranks.quantities],
+        "cells": ranks.cells,
+        "correlation": ranks.correlation.tolist(),
+        "places": ranks.places.tolist(),
+        "ridges": ranks.ridges.tolist(),
+    }
 
 
 def boundary_record(boundaries: Boundaries) -> dict[str, Any]:

@@ -181,7 +181,7 @@ def check(path: str | os.PathLike[str]) -> Header:
 def _fill(file: Image, results: Results | ToleranceMap) -> None:
     sample: tuple[ResultAxis, ...] = ()
     if isinstance(results, Results):
-        quantities = results.quantities
+        quantities = REGIME_QUANTITIES | results.measured_quantities
         dimensions = {"impact": np.arange(1, results.max_impacts + 1, dtype=np.int32)}
     else:
         quantities, sample = TOLERANCE_QUANTITIES, results.sample
