@@ -52,7 +52,7 @@ def severity_map(results: Results) -> Figure:
 
 @styled()
 def quantity_map(results: Results, name: str) -> Figure:
-    """A quantity of every cell as colour, under the regimes' boundaries; for the severity also its ridge.
+    """A quantity of every cell as colour, under the regimes' boundaries; of how hard impacts are also the ridge.
 
     The margin's colours diverge from zero, where a run is as near to one label as to another. A refined sweep's map has
     the values of the cells that were run, and no ridge.
@@ -61,14 +61,14 @@ def quantity_map(results: Results, name: str) -> Figure:
     """
     layers = Layers.of_quantity(results, 2, name)
     layers.require_values()
-    has_ridge = name == "severity" and not layers.inferred.any()
+    has_ridge = name in ("severity", *results.measured) and not layers.inferred.any()
     ridge = ridge_of(layers.values) if has_ridge else np.full(len(layers.values), np.nan)
     figure, ax = shaded_map(layers, Colours.of(layers.described, layers.values), layers.boundaries_note)
     if np.isfinite(ridge).any():
         _draw_ridge(ax, layers.view, ridge)
     freeze_layout(figure, ax)
     if np.isfinite(ridge).any():
-        _label_ridge(ax, layers.view, ridge)
+        _label_ridge(ax, layers, ridge)
     return figure
 
 
@@ -98,8 +98,9 @@ def _draw_ridge(ax: Axes, view: View, ridge: Floats) -> None:
     ax.add_line(Line2D(x, y, gid="ridge", label="ridge", **look))
 
 
-def _label_ridge(ax: Axes, view: View, ridge: Floats) -> None:
+def _label_ridge(ax: Axes, layers: Layers, ridge: Floats) -> None:
     """Name the ridge beside its middle, off the line itself."""
+    view = layers.view
     raster = Raster.blank(ax)
     known = np.flatnonzero(np.isfinite(ridge))
     points = np.column_stack((view.x.values[known], view.y.values[ridge[known].astype(np.intp)]))
@@ -107,7 +108,8 @@ def _label_ridge(ax: Axes, view: View, ridge: Floats) -> None:
     raster.take_line(across, upward)
     clear = ndimage.distance_transform_edt(~raster.taken) > 3.0
     symbol = view.x.symbol.split("=")[0].strip() or view.x.name
-    width, height = raster.measure(f"largest Q for each {symbol}", 9.0)
+    largest = f"largest {layers.described.symbol or 'value'} for each"
+    width, height = raster.measure(f"{largest} {symbol}", 9.0)
     centres = centres_that_fit(clear, width, height)
     if not centres.size:
         return
@@ -115,4 +117,4 @@ def _label_ridge(ax: Axes, view: View, ridge: Floats) -> None:
     nearest = centres[np.argmin(np.hypot(*(centres - [across[middle], upward[middle]]).T))]
     x, y = raster.data(*nearest)
     look: dict[str, Any] = {"color": "white", "path_effects": halo(2.2, INK), "zorder": 5} | CENTRED
-    ax.text(x, y, f"largest Q for each {symbol_text(symbol)}", fontsize=9.0, **look)
+    ax.text(x, y, f"{largest} {symbol_text(symbol)}", fontsize=9.0, **look)
