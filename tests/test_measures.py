@@ -1,9 +1,11 @@
 """Impulse, peak torque and energy of impacts, and measures of one's own, beside SciPy's integrator and exact laws."""
 
+import json
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from helpers.configs import plant_of
 from helpers.general import OneLash, kinks
 from scipy.integrate import solve_ivp
@@ -14,6 +16,7 @@ import clunk
 from clunk.analysis.ranks import ranks_of
 from clunk.analysis.thresholds import thresholds
 from clunk.api import sweep
+from clunk.cli import cli
 from clunk.results.quantities import REGIME_QUANTITIES
 from clunk.results.store import read, write
 from clunk.simulation.energy import balance
@@ -38,6 +41,7 @@ MEASURES = {
 }
 RIGID = ["wound_up", "wind_up", "play", "shuffle"]  # of a run with impulses
 STAGES = ["driveline.shafts[1].stiffness=[31.3, 10.0, 31.3]", "driveline.shafts[1].breakpoints_deg=[-4.0, 2.0]"]
+POINT = {"load.ratio": 5.0, "lash.backlash_deg": 6.0}
 OF_IMPACTS = ["impulse", "peak_torque", "energy"]
 MAP = [
     "sweep.axes=[{parameter='load.ratio', start=0.0, stop=10.0, count=5}, "
@@ -298,3 +302,14 @@ def test_a_tolerance_map_with_measures_is_refused():
     study = load_study("configs/tolerance.toml", ["impacts.quantities=['energy']"])
     with pytest.raises(SweepError, match="has Q alone"):
         clunk.tolerance_map(study)
+
+
+def test_commands_tell_measures():
+    at = [text for key, value in POINT.items() for text in ("--at", f"{key}={value}")]
+    printed = CliRunner().invoke(cli, ["simulate", "configs/measures.toml", *at, "--json"])
+    record, run = json.loads(printed.stdout), simulate(replace_values(load_study("configs/measures.toml"), POINT))
+    assert record["measures"] == pytest.approx(measured(run).totals)
+    assert np.sqrt(np.sum(np.square(record["impact_measures"]["energy"]))) == pytest.approx(
+        record["measures"]["energy"]
+    )
+    assert "shaft_torque        6 N m" in CliRunner().invoke(cli, ["simulate", "configs/measures.toml", *at]).stdout

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from clunk.cli import cells, tables, terminal
+from clunk.cli import cells, phrases, tables, terminal
 from clunk.cli.options import PATH, at_option, json_option, set_option
 
 if TYPE_CHECKING:
@@ -89,7 +89,10 @@ def simulate(
     runs = [(name, run(study)) for name, study in studies]
     if as_json:
         records = [
-            {"run": name} | trajectory_record(trajectory) | {"energy": energy_record(balance(trajectory))}
+            {"run": name}
+            | trajectory_record(trajectory)
+            | measures_record(trajectory)
+            | {"energy": energy_record(balance(trajectory))}
             for name, trajectory in runs
         ]
         tables.print_record(records if overlay else records[0])
@@ -182,6 +185,38 @@ def print_trajectory(trajectory: Trajectory) -> None:
     click.echo()
     for name, value in trajectory.summary():
         click.echo(f"{name:<19} {value}")
+    print_measures(trajectory)
+
+
+def print_measures(trajectory: Trajectory) -> None:
+    """Print what the config asks for besides Q and V, of the run and, one after the other, of its primary impacts."""
+    from clunk.results.quantities import measured_quantities
+
+    record = measures_record(trajectory)
+    if not record:
+        return
+    study = trajectory.study
+    quantities = measured_quantities(study.impacts.quantities, [dict(each) for each in study.measures])
+    click.echo()
+    for name, value in record["measures"].items():
+        of_impacts = " ".join(phrases.number(each, ".6g") for each in record["impact_measures"].get(name, ()))
+        each = f"; of the impacts {of_impacts}" if of_impacts else ""
+        click.echo(f"{name:<19} {phrases.number(value, '.6g')} {quantities[name].unit_symbol}{each}")
+
+
+def measures_record(trajectory: Trajectory) -> dict[str, Any]:
+    """What the config asks for besides Q and V, for JSON; empty where that is nothing."""
+    from clunk.simulation.measures import measured
+
+    names = trajectory.study.impacts.quantities
+    if not trajectory.study.measured:
+        return {}
+    totals, of_impacts = measured(trajectory)
+    wanted = [*names, *(each.name for each in trajectory.study.measures)]
+    return {
+        "measures": {name: totals[name] for name in wanted},
+        "impact_measures": {name: of_impacts[name].tolist() for name in names},
+    }
 
 
 def trajectory_record(trajectory: Trajectory) -> dict[str, Any]:

@@ -72,11 +72,6 @@ class Measure(Table):
     ]
     reduce: Literal["peak-to-peak", "largest"]
 
-    @property
-    def unit(self) -> str:
-        """The unit, as udunits reads it."""
-        return {"acceleration": "rad s-2", "twist": "rad"}.get(self.quantity, "N m")
-
 
 def part_of(measure: Measure, config: Config) -> Part | str:
     """The part of the driveline that a measure is of, or what is wrong with its name."""
