@@ -11,13 +11,12 @@ import pytest
 from helpers import general, margins, reference
 from helpers.agreement import check, exact, kinds_of, propagated, sticking_time
 from helpers.randomplants import END_TIME, nudged, plants, rolling_plants
-from helpers.running import stepped
+from helpers.running import empty_log, stepped
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from clunk.core import switching, tile
-from clunk.core.events import EVENT, TOUCH
-from clunk.core.runs import Log
+from clunk.core.events import TOUCH
 from clunk.core.status import QUALITY_GRAZING
 from clunk.simulation import driveline
 from clunk.simulation.trajectory import simulate
@@ -268,17 +267,12 @@ def quality_of(plant):
     """(label, margin, whether it grazed)."""
     study = study_from_text(reference.config_of(plant, method="exact"))
     system, tables = driveline.prepare(study)
-    x, events = np.zeros(2 * plant.n), np.zeros(512, EVENT)
+    x, log = np.zeros(2 * plant.n), empty_log(512, 2 * plant.n)
     half_gap = float(np.deg2rad(study.lash.backlash_deg) / 2)  # the very number that `simulate` takes
     _, regime = switching.preload(system, np.array([plant.before, half_gap, 0.0]), x)
-    _, _, quality, margin, _ = tile.run(
-        system,
-        tables,
-        stepped(x, regime, plant.after, half_gap),
-        Log(events, np.empty((0, x.size))),
-        np.zeros(1, np.uint8),
-    )
-    return simulate(study).label, margin, bool(quality & QUALITY_GRAZING)
+    start = stepped(x, regime, plant.after, half_gap)
+    _, _, quality, _ = tile.run(system, tables, start, log, np.zeros(1, np.uint8))
+    return simulate(study).label, log.margins[0], bool(quality & QUALITY_GRAZING)
 
 
 def edge_of(plant_at, low, high):

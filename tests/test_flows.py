@@ -48,7 +48,7 @@ def observe(watch, output, f, steady, work, size, inputs, times, results):
     """Value, slope and curvature of a functional, its origin included."""
     none = vectors.splat(0.0)
     seen = curves.evaluate_again(watch, work, size, none, 0, curves.Curve(none, none, none, none, none))
-    origin = curves.origin(output, f, inputs, 0, steady, True, vectors.load(times, 0))
+    origin = curves.origin(output, f, inputs, 0, output.shape[2], steady, True, vectors.load(times, 0))
     vectors.store(results, 0, seen.value + origin.value)
     vectors.store(results, 1, seen.slope + origin.slope)
     vectors.store(results, 2, seen.curvature + origin.curvature)
@@ -203,7 +203,7 @@ class Flow:
         self.augmented[: self.size] = np.hstack((self.rates, self.inputs))
         self.augmented *= self.units.T / self.units
         self.impulsive = bool(system.impulsive)
-        self.lash = system.lash[self.size // 2 :]
+        self.lash = system.lashes[0, self.size // 2 :]
 
     @property
     def is_modal(self):

@@ -5,13 +5,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from helpers import reference
-from helpers.running import core_run, prepared, stepped, unproved
+from helpers.running import core_run, empty_log, prepared, stepped, unproved
 
 from clunk.core import switching
-from clunk.core.events import EVENT
 from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import rk4_growth
-from clunk.core.runs import Log
 from clunk.core.status import INTERRUPTED, Status
 from clunk.core.tables import CLOSED_NEGATIVE, CLOSED_POSITIVE, OPEN, PARTED_POSITIVE
 from clunk.simulation import driveline
@@ -290,14 +288,8 @@ class TestHowARunEnds:
     def test_a_set_stop_flag_abandons_the_run(self):
         (system, steps), x, half_gap = prepared(self.plant), np.zeros(8), self.plant.backlash / 2
         _, regime = switching.preload(system, np.array([self.plant.before, half_gap, 0.0]), x)
-        events = np.zeros(64, EVENT)
-        status, *_ = rk4.run(
-            system,
-            steps,
-            stepped(x, regime, -1.0, half_gap),
-            Log(events, np.empty((0, 8))),
-            np.ones(1, np.uint8),
-        )
+        start = stepped(x, regime, -1.0, half_gap)
+        status, *_ = rk4.run(system, steps, start, empty_log(64, 8), np.ones(1, np.uint8))
         assert status == INTERRUPTED
 
 

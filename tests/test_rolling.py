@@ -69,7 +69,7 @@ class TestSteadyMotion:
         assert np.all(speed == 0.0)
         assert angle[0] - angle[1] == pytest.approx(-0.025 + indentation, rel=1e-13)
         assert plant.inertias @ angle == pytest.approx(0.0, abs=1e-16)
-        assert build(study_of(plant)).contact_torque[0, 0] * -8.0 == pytest.approx(torque, rel=1e-14)
+        assert build(study_of(plant)).contact_torque[0, 0, 0] * -8.0 == pytest.approx(torque, rel=1e-14)
 
     def test_with_drag_the_speed_is_that_at_which_it_takes_the_load(self, contact):
         """Both inertias drag: the flank carries the second one's share."""
@@ -77,7 +77,7 @@ class TestSteadyMotion:
         side, _, speed = steady(plant)
         assert side == -1
         assert speed == pytest.approx([-20.0, -20.0], rel=1e-14)
-        assert build(study_of(plant)).contact_torque[0, 0] * -8.0 == pytest.approx(-6.0, rel=1e-14)
+        assert build(study_of(plant)).contact_torque[0, 0, 0] * -8.0 == pytest.approx(-6.0, rel=1e-14)
 
     def test_a_damper_whose_ratio_does_not_fit_the_motion_resists_it(self, contact):
         """A gear pump between the two: its twist is θ1 - 3 θ2, and each turn by 1 slips by 2."""
@@ -208,9 +208,9 @@ def test_a_loose_gear_is_pressed_by_its_drag_or_by_acceleration():
     with pytest.raises(SimulationError, match=r"No initial flank: .* before the load step\."):
         simulate(study_of(loose))
     dragged = replace(loose, shafts=(*loose.shafts, (3, "ground", 0.0, 0.01)))
-    assert build(study_of(dragged)).contact_torque[0, 0] * 8.0 == pytest.approx(8.0 * 0.01 / 0.31, rel=1e-13)
+    assert build(study_of(dragged)).contact_torque[0, 0, 0] * 8.0 == pytest.approx(8.0 * 0.01 / 0.31, rel=1e-13)
     coasting = replace(loose, shafts=loose.shafts[:1])
-    assert build(study_of(coasting)).contact_torque[0, 0] * 8.0 == pytest.approx(8.0 * 0.01 / 0.81, rel=1e-13)
+    assert build(study_of(coasting)).contact_torque[0, 0, 0] * 8.0 == pytest.approx(8.0 * 0.01 / 0.81, rel=1e-13)
 
 
 def test_a_loop_whose_ratios_do_not_fit_has_no_rigid_motion():

@@ -16,11 +16,11 @@ STICKING = 0.004  # s
 def primaries(*happened, initial=-1, sticking_time=STICKING):
     """Indices of the primary impacts among (time, kind, side), counted from 1: event 0 is the load step."""
     events = np.zeros(len(happened) + 1, EVENT)
-    events[0]["kind"], events[0]["side"] = LOAD_STEP, initial
+    events[0]["kind"], events[0]["lash"] = LOAD_STEP, -1
     for k, (time, kind, side) in enumerate(happened, start=1):
         events[k]["time"], events[k]["kind"], events[k]["side"] = time, kind, side
     found = np.zeros(events.size, np.int64)
-    return list(found[: find_primaries(events, events.size, sticking_time, found)])
+    return list(found[: find_primaries(events, events.size, 0, initial, sticking_time, found)])
 
 
 @pytest.mark.parametrize(

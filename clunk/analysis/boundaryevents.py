@@ -85,7 +85,7 @@ def _differences(records: Records, logs: Events, end_time: float) -> Codes:
     logs, times = np.take_along_axis(logs, order, 2), np.take_along_axis(times, order, 2)
     is_event = ~np.isnan(times)
     differ = np.abs(times[:, 0] - times[:, 1]) > _SAME_TIME * end_time
-    for name in ("kind", "side"):
+    for name in ("kind", "side", "lash"):
         differ |= logs[name][:, 0] != logs[name][:, 1]
     differ |= ~is_event.all(axis=1)  # behind the last event of one
     first = np.argmax(differ, axis=1)

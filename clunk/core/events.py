@@ -1,8 +1,10 @@
 """What a run leaves behind: its events in order, each with what followed it.
 
-Event 0 is the load step itself. Every event opens a phase that lasts to the next one; the extremes of the acceleration
-over that phase are kept with it, one-sided limits at both ends included, so that the peak-to-peak value of a primary
-impact's window is the extremes of the phases in it. (The exact method locates those that count there, and no others.)
+Event 0 is the load step itself. Every event opens a phase that lasts to the next one; the extremes of each lash's
+acceleration over that phase are kept beside it, one-sided limits at both ends included, so that the peak-to-peak value
+of a primary impact's window is the extremes of the phases in it. (The exact method locates those that count there, and
+no others.) Where there is more than one lash, a phase shorter than INSTANT has none: what happens at one time to
+several lashes is written one after the other, and no state in between counts, in whichever order rounding puts them.
 """
 
 import numpy as np
@@ -17,15 +19,16 @@ STAGE = 6  # the twist of a staged shaft passes a breakpoint; written only where
 
 KIND_NAMES = ("load step", "touch", "separation", "rejoin", "opening", "lock", "stage")
 
+INSTANT = 1e-12  # s: events closer than this are at the same time
+
 EVENT = np.dtype(
     [
         ("time", np.float64),  # s after the load step
         ("speed", np.float64),  # rad/s, q' = θ'i - θ'j just before
-        ("max_acceleration", np.float64),  # rad/s2, over the phase that follows
-        ("min_acceleration", np.float64),  # rad/s2
         ("kind", np.int64),
         ("regime", np.int64),  # the one that follows, see clunk.core.regimes
-        ("side", np.int64),  # the flank concerned: sign of q on it; at the load step 0 if the gap is open
+        ("side", np.int64),  # the flank concerned: sign of q on it; at the load step the first lash's, 0 if it is open
+        ("lash", np.int64),  # the lash concerned, or -1
     ],
     align=True,
 )

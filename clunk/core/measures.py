@@ -108,7 +108,8 @@ def measure_runs(
             written = 0
             while written < logs.shape[1] and not np.isnan(logs[k, written].time):
                 written += 1
-            find_primaries(logs[k], written, system.sticking_time, primaries)
+            side = system.contacts[logs[k, 0].regime, 0].side
+            find_primaries(logs[k], written, 0, side, system.sticking_time[0], primaries)
             load, half_gap = cases.loads[k % cases.loads.shape[0]], cases.before[k, HALF_GAP]
             run = Run(load, half_gap, logs[k], states[k], written, primaries, impacts)
             measure(system, channels, run, room, totals[k], of_impacts[first : first + impacts])
@@ -128,7 +129,7 @@ def measure(
     of_impacts : (impacts, OF_IMPACTS) float64
         Output, if `channels.of_impacts`: impulse [N m s], peak torque [N m] and energy [J] of each.
     """
-    size, n, impact, piece = system.lash.size, 2 * system.inertias, -1, 0
+    size, n, impact, piece = system.rates.shape[1], 2 * system.inertias, -1, 0
     x = room.z[:size]
     room.inputs[HALF_GAP] = run.half_gap
     begin_wave(system, run.load, 0, x)
@@ -179,14 +180,14 @@ def _add_event(system: System, channels: Channels, run: Run, k: int, x: FloatArr
         if event.kind == TOUCH:
             after = 0.0
             for j in range(x.size):
-                after += system.lash[j] * x[j]
+                after += system.lashes[0, j] * x[j]
             values[IMPULSE] += abs(event.speed - after) / channels.mobility
             values[ENERGY] += 0.5 * (event.speed**2 - after**2) / channels.mobility
         return
     if event.kind in (SEPARATION, REJOIN):
         overlap = -run.half_gap
         for j in range(system.inertias):
-            overlap += event.side * system.lash[system.inertias + j] * x[j]
+            overlap += event.side * system.lashes[0, system.inertias + j] * x[j]
         stored = 0.5 * channels.contact_stiffness * overlap**2
         values[ENERGY] += stored if event.kind == SEPARATION else -stored
 
@@ -196,8 +197,8 @@ def _follow(
     system: System, channels: Channels, regime: int, span: float, room: Room, impact: int, of_impacts: FloatArray
 ) -> None:
     """Follow the flow of a regime from `room.z` over a time, within which neither regime nor piece of the load ends."""
-    row, z, series = system.regimes[regime], room.z, room.series
-    flow, level, elapsed = row.flow, 0, 0.0
+    row, z, series = system.contacts[regime, 0], room.z, room.series
+    flow, level, elapsed = system.regimes[regime].flow, 0, 0.0
     presses = row.closed != 0 and impact >= 0 and channels.of_impacts != 0
     while elapsed < span:
         while level + 1 < channels.begins.shape[1] and channels.begins[flow, level + 1] <= elapsed:

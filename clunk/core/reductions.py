@@ -1,5 +1,6 @@
 """Linear chains: their matrices, and the coordinates in which a constraint on q leaves them free."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,6 +9,8 @@ import numpy.typing as npt
 from clunk.core.tables import INPUTS, TORQUE
 
 FloatArray = npt.NDArray[np.float64]
+
+_FITS = 1e-9  # a rate across a lash, relative to those of its ends, that is rounding
 
 
 def chain(
@@ -24,33 +27,40 @@ def chain(
 
 
 def locked(
-    rates: FloatArray, inputs: FloatArray, inertia: FloatArray, lash: FloatArray
+    rates: FloatArray, inputs: FloatArray, inertia: FloatArray, lashes: FloatArray, closed: Sequence[int]
 ) -> tuple[FloatArray, FloatArray]:
-    """A and B with q' = 0 as a true constraint: the inertias at the lash move in the ratio that leaves q as it is.
+    """A and B with q' = 0 of the closed lashes as true constraints: inertias that they tie move in a fixed ratio.
 
-    Without a gear ratio they share one acceleration, to the last bit.
+    Without gear ratios such inertias share one acceleration, to the last bit.
+
+    lashes : (L, n) float64
+        q = row · θ.
+    closed : (L,) of int
+        Whether each is.
     """
     n = inertia.size
     rates, inputs = rates.copy(), inputs.copy()
-    ends = np.flatnonzero(lash)
-    motion = constrained(lash).expand[ends, : n - 1].sum(axis=1)  # of the ends, where one of them turns by 1
+    basis = constrained(lashes, closed).expand[:n]
     for matrix in (rates, inputs):
-        torques = (inertia[ends] * motion) @ matrix[n + ends]
-        matrix[n + ends] = motion[:, None] * (torques / np.sum(inertia[ends] * motion**2)) if ends.size > 1 else 0.0
+        matrix[n:][~basis.any(axis=1)] = 0.0  # tied to ground
+        for column in basis[:, : basis.shape[1] // 2].T:
+            tied = np.flatnonzero(column)
+            if tied.size > 1:
+                motion, inertias = column[tied], inertia[tied]
+                torques = (inertias * motion) @ matrix[n + tied]
+                matrix[n + tied] = motion[:, None] * (torques / np.sum(inertias * motion**2))
     return rates, inputs
 
 
 class Reduction(NamedTuple):
-    """Coordinates y in which a flow has no constraint: (θ, θ') = expand y + shift s φ/2 and y = pick (θ, θ')."""
+    """Coordinates y in which a flow has no constraint: (θ, θ') = expand y + shift (s φ/2) and y = pick (θ, θ').
+
+    There is a column of shift, and an s φ/2, for each lash.
+    """
 
     expand: FloatArray
     pick: FloatArray
     shift: FloatArray
-
-
-def unconstrained(size: int) -> Reduction:
-    """Every coordinate its own."""
-    return Reduction(np.eye(size), np.eye(size), np.zeros(size))
 
 
 def with_wave(reduction: Reduction, states: int) -> Reduction:
@@ -59,24 +69,36 @@ def with_wave(reduction: Reduction, states: int) -> Reduction:
         np.block([[matrix, np.zeros((matrix.shape[0], states))], [np.zeros((states, matrix.shape[1])), np.eye(states)]])
         for matrix in (reduction.expand, reduction.pick)
     )
-    return Reduction(expand, pick, np.concatenate([reduction.shift, np.zeros(states)]))
+    return Reduction(expand, pick, np.vstack([reduction.shift, np.zeros((states, reduction.shift.shape[1]))]))
 
 
-def constrained(lash: FloatArray) -> Reduction:
-    """Without the angle of one inertia at the lash, which q = s φ/2 and q' = 0 give.
+def constrained(lashes: FloatArray, closed: Sequence[int]) -> Reduction:
+    """Without the angle of one inertia at each closed lash, which q = s φ/2 and q' = 0 give.
 
-    It is the last of those that turn as q does, not through the gear ratio: q' is then zero to the last bit.
+    It is the last of those that turn as q does, not through the gear ratio: q' is then zero to the last bit. Of the
+    rows of `expand`, none has more than one entry for the angles. A lash that the others lock adds nothing.
+
+    lashes, closed : as for `locked`
     """
-    n = lash.size
-    ends = np.flatnonzero(lash)
-    plain = ends[np.abs(lash[ends]) == 1.0]
-    pivot = int(plain[-1] if plain.size else ends[-1])
+    n = lashes.shape[1]
     basis: FloatArray = np.eye(n)
-    basis[pivot] = -lash / lash[pivot]
-    basis = np.delete(basis, pivot, axis=1)
-    pick = np.delete(np.eye(n), pivot, axis=0)
-    shift = np.zeros(2 * n)
-    shift[pivot] = 1.0 / lash[pivot]
+    pick: FloatArray = np.eye(n)
+    shift = np.zeros((2 * n, len(lashes)))
+    for k in np.flatnonzero(closed):
+        row = lashes[k] @ basis
+        row[np.abs(row) <= _FITS * np.abs(lashes[k]).max()] = 0.0
+        ends = np.flatnonzero(row)
+        if not ends.size:
+            continue
+        plain = ends[np.abs(row[ends]) == 1.0]
+        pivot = int(plain[-1] if plain.size else ends[-1])
+        offset = -lashes[k] @ shift[:n]
+        offset[k] += 1.0
+        shift[:n] += basis[:, pivot, None] * (offset / row[pivot])
+        one: FloatArray = np.eye(row.size)
+        one[pivot] = -row / row[pivot]
+        basis = basis @ np.delete(one, pivot, axis=1)
+        pick = np.delete(pick, pivot, axis=0)
     both: FloatArray = np.eye(2)
     return Reduction(np.kron(both, basis).astype(np.float64), np.kron(both, pick).astype(np.float64), shift)
 

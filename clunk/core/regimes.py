@@ -1,10 +1,11 @@
-"""A driveline with one lash as a switched linear system: a list of regimes, as data.
+"""A driveline with lashes as a switched linear system: a list of regimes, as data.
 
-A run has the inputs d = (T, φ/2, T', 1, …): load torque, half gap, the torque's rate of change, and a 1 for each staged
-shaft. Within a regime x' = A x + B u, with x = (θ, θ') and u = weights · d, each input by the regime's own
-weight: u = (T, s φ/2, T', c, …), s the side of the flank in contact (0: none), and c the torque at twist 0 of the line
-that a staged shaft's torque is on. Between kinks of the load T' is constant; a load that swings or decays adds its wave
-w to x = (θ, θ', w), w' = S w, whose first number is added to the torque.
+A run has the inputs d = (T, φ/2, T', …, 1, …): load torque, half gap of the first lash, the torque's rate of change,
+the half gaps of the other lashes, and a 1 for each staged shaft. Within a regime x' = A x + B u, with x = (θ, θ') and
+u = weights · d, each input by the regime's own weight: u = (T, s φ/2, T', …, c, …), s the side of a lash's flank in
+contact (0: none), and c the torque at twist 0 of the line that a staged shaft's torque is on. Between kinks of the load
+T' is constant; a load that swings or decays adds its wave w to x = (θ, θ', w), w' = S w, whose first number is added to
+the torque.
 
 A regime ends when one of its *guards*, sign · functional(x, u) + offsets · d, positive inside it, turns negative;
 `clunk.core.tables` names its successor.
@@ -16,20 +17,23 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.equilibrium import contact_torque, preload
+from clunk.core.equilibrium import contact_torques, preload
+from clunk.core.jit import unowned_inlined
 from clunk.core.reductions import chain, locked
 from clunk.core.status import Status
 from clunk.core.tables import (
     ACCELERATION,
     FORCE,
     GAP,
-    HALF_GAP,
     INPUTS,
     TORQUE,
-    TORQUE_RATE,
+    FlowOf,
+    Lash,
     StagedShaft,
-    indentation_tables,
-    restitution_tables,
+    build_tables,
+    flows_of,
+    functionals_of,
+    half_gap_of,
     stages_of,
 )
 
@@ -41,40 +45,66 @@ _SINGULAR = 1e-12  # of the largest eigenvalue: a smaller one is rounding
 
 
 class System(NamedTuple):
-    """One driveline with its lash and contact, ready to run.
+    """One driveline with its lashes and contacts, ready to run.
 
-    n inertias, N states (2n, or 2n + 2 with a wave), I inputs, F functionals, L flows, R regimes in U groups, with at
-    most G guards each.
+    n inertias, N states (2n, or 2n + 2 with a wave), I inputs, F functionals, K flows, L lashes, R regimes in U groups,
+    with at most G guards each.
     """
 
+    # () for one lash and nothing else, else (0,): a type, so that either has its own compiled version. In that of ()
+    # the numbers of lashes and inputs are known, and what only the other needs costs no time.
+    general: tuple[int, ...]
     # the flows
-    rates: FloatArray  # (L, N, N)  A of each flow
-    inputs: FloatArray  # (L, N, I)  B of each flow
-    functionals: FloatArray  # (L, F, N)  C of each flow
-    feedthrough: FloatArray  # (L, F, I)  D of each flow
-    lash: FloatArray  # (N,)  q' = lash · x
+    rates: FloatArray  # (K, N, N)  A of each flow
+    inputs: FloatArray  # (K, N, I)  B of each flow
+    functionals: FloatArray  # (K, F, N)  C of each flow
+    feedthrough: FloatArray  # (K, F, I)  D of each flow
+    stride: int  # functionals of each lash
+    lashes: FloatArray  # (L, N)  q' = lashes · x
     inertias: int  # n
     ramps: int  # whether the torque's rate of change can be other than zero
     # the regimes
     regimes: npt.NDArray[np.void]  # (R,) REGIME
+    contacts: npt.NDArray[np.void]  # (R, L) CONTACT
     guards: npt.NDArray[np.void]  # (R, G) GUARD
     offsets: FloatArray  # (R, G, I)  of each guard
     weights: FloatArray  # (R, I)  u = weights · d
     leaders: IntArray  # (U,)  the first regime of each group
-    lash_states: int  # regimes of each combination of stages
+    strides: IntArray  # (L + 1,)  by how much a regime's number changes with each lash's state; and of all of them
     # touches of the restitution model
     impulsive: int  # whether a touch resets the velocities
-    impulse: FloatArray  # (N,)  change of x per unit of q'
-    restitution: float  # e
-    locking_speed: float  # rad/s; a negative one is relative to the fastest touch of the run so far
+    impulse: FloatArray  # (L, N)  change of x per unit of q'
+    restitution: FloatArray  # (L,)  e
+    locking_speed: FloatArray  # (L,)  rad/s; a negative one is relative to the fastest touch of the run so far
     # before the step
     preload: FloatArray  # (S, N, I)  steady motion in contact at the load step, in each combination of stages, by u
-    contact_torque: FloatArray  # (S, I)  the torque across the lash in it, signed like q
+    contact_torque: FloatArray  # (S, L, I)  the torque across each lash in it, signed like q
     drift: FloatArray  # (2n, 0 to 2)  what no torque depends on: the rigid-body angle and, without drag, its speed
     # scalars
     end_time: float  # s after the load step
-    sticking_time: float  # s
+    sticking_time: FloatArray  # (L,)  s
     status: int  # why this system cannot be run, or OK
+
+
+gap_input = unowned_inlined(half_gap_of)
+
+
+@unowned_inlined
+def lashes_of(system: System) -> int:
+    """The number of lashes."""
+    return 1 if len(system.general) == 0 else system.lashes.shape[0]
+
+
+@unowned_inlined
+def inputs_of(system: System) -> int:
+    """The number of inputs."""
+    return INPUTS if len(system.general) == 0 else system.weights.shape[1]
+
+
+@unowned_inlined
+def lash_of(system: System, regime: int, guard: int) -> int:
+    """The lash that a guard is of, or -1."""
+    return 0 if len(system.general) == 0 else system.guards[regime, guard].lash
 
 
 class RigidMotion(NamedTuple):
@@ -97,41 +127,27 @@ def build_system(
     damping: FloatArray,
     stiffness: FloatArray,
     load: FloatArray,
-    lash: FloatArray,
-    contact_stiffness: float,
-    contact_damping: float,
-    separation_by_force: bool,
-    acceleration_of: int,
+    lashes: Sequence[Lash],
     end_time: float,
-    sticking_time: float,
     rigid: RigidMotion,
-    restitution: float | None = None,
-    locking_speed: float | None = None,
     wave_rates: FloatArray | None = None,
     ramps: bool = False,
     staged: Sequence[StagedShaft] = (),
 ) -> System:
-    """The switched linear system of a driveline with one lash (report Eqs 2.6, and 2.12 or 2.9).
+    """The switched linear system of a driveline with lashes (report Eqs 2.6, and 2.12 or 2.9).
 
     Parameters
     ----------
     inertia : (n,) float64  [kg m2]
     damping, stiffness : (n, n) float64  [N m s/rad], [N m/rad]
-        Of the open chain, report Eq. 2.6.
+        Of the chain with all lashes open, report Eq. 2.6.
     load : (n,) float64
         1 at the loaded inertia.
-    lash : (n,) float64
-        q = lash · θ.
-    contact_stiffness, contact_damping : float  [N m/rad], [N m s/rad]
-    acceleration_of : int
-        Index from 0 of the inertia whose acceleration is watched.
-    end_time, sticking_time : float  [s]
+    lashes : of Lash
+        All of the restitution model, or none.
+    end_time : float  [s]
     rigid : RigidMotion
-        Of the driveline with its lash closed.
-    restitution : float, optional
-        e of the restitution model; without it the contact is the spring and damper of the indentation model.
-    locking_speed : float, optional  [rad/s]
-        A rebound not faster than this locks; by default LOCKING_SHARE of the fastest touch of the run so far.
+        Of the driveline with its lashes closed.
     wave_rates : (2, 2) float64, optional  [1/s]
         S of the load's wave, for loads that have one.
     ramps : bool
@@ -139,83 +155,104 @@ def build_system(
     staged : of StagedShaft
         Shafts whose stiffness is not part of `stiffness`.
     """
-    n = inertia.size
-    impulsive, driven = restitution is not None, INPUTS + len(staged)
-    mobility = (lash**2 / inertia).sum()
-    springs = [stiffness + _of_stages(staged, stages) for stages in stages_of(staged)]
-    open_flows, closed_flows = [], []
-    for spring in springs:
-        rates, inputs = chain(inertia, damping, spring, load, driven)
-        for k, shaft in enumerate(staged, INPUTS):
-            inputs[n:, k] = -shaft.twist / inertia
-        open_flows.append((rates, inputs))
-        if impulsive:
-            closed_flows.append(locked(rates, inputs, inertia, lash))
-            continue
-        coupling = lash[:, None] * lash
-        rates, _ = chain(inertia, damping + contact_damping * coupling, spring + contact_stiffness * coupling, load)
-        inputs = inputs.copy()
-        inputs[n:, HALF_GAP] = contact_stiffness * lash / inertia
-        closed_flows.append((rates, inputs))
-    rates, inputs = (np.array(arrays) for arrays in zip(*open_flows, *closed_flows, strict=True))
-
-    first_twist = 3 if impulsive or separation_by_force else 2
-    functionals = np.zeros((len(rates), first_twist + len(staged), 2 * n))
+    n, count, stride = inertia.size, len(lashes), functionals_of(lashes)
+    impulsive, constants = lashes[0].restitution is not None, INPUTS + count - 1
+    driven, twists = constants + len(staged), np.array([lash.twist for lash in lashes])
+    mobility = (twists**2 / inertia).sum(axis=1)
+    rates, inputs = zip(
+        *(_flow(inertia, damping, stiffness, load, lashes, staged, active) for active in flows_of(count, staged)),
+        strict=True,
+    )
+    functionals = np.zeros((len(rates), count * stride + len(staged), 2 * n))
     feedthrough = np.zeros((*functionals.shape[:2], driven))
-    functionals[:, GAP, :n] = lash
-    functionals[:, ACCELERATION] = rates[:, n + acceleration_of]
-    feedthrough[:, ACCELERATION] = inputs[:, n + acceleration_of]
-    for k, shaft in enumerate(staged, first_twist):
+    for k, lash in enumerate(lashes):
+        of_lash, fed = functionals[:, k * stride :], feedthrough[:, k * stride :]
+        of_lash[:, GAP, :n] = lash.twist
+        of_lash[:, ACCELERATION] = np.array(rates)[:, n + lash.acceleration_of]
+        fed[:, ACCELERATION] = np.array(inputs)[:, n + lash.acceleration_of]
+        if impulsive:  # the torque that keeps q'' at zero, also where nothing does
+            for flow, active in enumerate(flows_of(count, staged)):
+                opened = active._replace(closed=(*active.closed[:k], 0, *active.closed[k + 1 :]))
+                free_rates, free_inputs = _flow(inertia, damping, stiffness, load, lashes, staged, opened)
+                yielding = mobility[k]
+                of_lash[flow, FORCE] = lash.twist @ free_rates[n:] / yielding
+                fed[flow, FORCE] = lash.twist @ free_inputs[n:] / yielding
+        elif lash.separation_by_force:
+            of_lash[:, FORCE, :n] = lash.stiffness * lash.twist
+            of_lash[:, FORCE, n:] = lash.damping * lash.twist
+    for k, shaft in enumerate(staged, count * stride):
         functionals[:, k, :n] = shaft.twist
-    for k, (open_rates, open_inputs) in enumerate(open_flows * 2 if impulsive else []):
-        # the torque that keeps q'' at zero, also where nothing does
-        functionals[k, FORCE] = lash @ open_rates[n:] / mobility
-        feedthrough[k, FORCE] = lash @ open_inputs[n:] / mobility
-    if separation_by_force and not impulsive:
-        functionals[:, FORCE, :n] = contact_stiffness * lash
-        functionals[:, FORCE, n:] = contact_damping * lash
 
-    if impulsive:
-        tables = restitution_tables(staged)
-    else:
-        tables = indentation_tables(contact_stiffness, contact_damping, separation_by_force, staged)
     motions = rigid.shape.shape[1]
-    steady, carried = np.zeros((len(springs), 2 * n, driven)), np.zeros((len(springs), driven))
+    springs = [stiffness + _of_stages(staged, stages) for stages in stages_of(staged)]
+    steady, carried = np.zeros((len(springs), 2 * n, driven)), np.zeros((len(springs), count, driven))
     inertial = load - damping @ rigid.speeds - inertia * rigid.accelerations if motions else load
+    by_load = [TORQUE, *map(half_gap_of, range(count))]
     for k, spring in enumerate(springs if motions <= 1 else []):
         momentum = inertia[:, None] * rigid.shape
-        if staged and _is_loose(spring, inertia, lash, motions):
+        if staged and _is_loose(spring, inertia, twists, motions):
             steady[k] = np.nan  # no equilibrium, or many
             continue
-        contact = None if impulsive else contact_stiffness
-        angles = preload(spring, inertial, lash, momentum, contact)
-        steady[k, :n, :TORQUE_RATE], steady[k, n:, TORQUE] = angles, rigid.speeds
-        carried[k, :TORQUE_RATE] = contact_torque(spring, inertial, lash, angles)
-        for j, shaft in enumerate(staged, INPUTS):
-            angles = preload(spring, -shaft.twist, lash, momentum, contact)
-            steady[k, :n, j] = angles[:, TORQUE]
-            carried[k, j] = contact_torque(spring, -shaft.twist, lash, angles)[TORQUE]
+        contact = None if impulsive else np.array([lash.stiffness for lash in lashes])
+        angles = preload(spring, inertial, twists, momentum, contact)
+        steady[k, :n, by_load], steady[k, n:, TORQUE] = angles.T, rigid.speeds
+        carried[k][:, by_load] = contact_torques(spring, inertial, twists, contact, angles)
+        for j, shaft in enumerate(staged, constants):
+            angles = preload(spring, -shaft.twist, twists, momentum, contact)
+            steady[k, :n, j] = angles[:, 0]
+            carried[k, :, j] = contact_torques(spring, -shaft.twist, twists, contact, angles)[:, 0]
+    zeros = np.zeros((count, n))
     system = System(
-        rates=rates,
-        inputs=inputs,
+        general=() if count == 1 and not staged else (0,),
+        rates=np.array(rates),
+        inputs=np.array(inputs),
         functionals=functionals,
         feedthrough=feedthrough,
-        lash=np.concatenate([np.zeros(n), lash]),
+        stride=stride,
+        lashes=np.hstack([zeros, twists]),
         inertias=n,
         ramps=int(ramps),
-        **tables._asdict(),
+        **build_tables(lashes, staged)._asdict(),
         impulsive=int(impulsive),
-        impulse=np.concatenate([np.zeros(n), lash / inertia / mobility]),
-        restitution=restitution if restitution is not None else 0.0,
-        locking_speed=locking_speed if locking_speed is not None else -LOCKING_SHARE,
+        impulse=np.hstack([zeros, twists / inertia / mobility[:, None]]),
+        restitution=np.array([lash.restitution or 0.0 for lash in lashes]),
+        locking_speed=np.array(
+            [-LOCKING_SHARE if lash.locking_speed is None else lash.locking_speed for lash in lashes]
+        ),
         preload=steady,
         contact_torque=carried,
         drift=np.ascontiguousarray(np.kron(np.eye(2)[:, : 1 if rigid.is_dragged else 2], rigid.shape)),
         end_time=end_time,
-        sticking_time=sticking_time,
+        sticking_time=np.array([lash.sticking_time for lash in lashes]),
         status=int(Status.OK if motions <= 1 else Status.NO_EQUILIBRIUM),
     )
     return system if wave_rates is None else _with_wave(system, wave_rates)
+
+
+def _flow(
+    inertia: FloatArray,
+    damping: FloatArray,
+    stiffness: FloatArray,
+    load: FloatArray,
+    lashes: Sequence[Lash],
+    staged: Sequence[StagedShaft],
+    active: FlowOf,
+) -> tuple[FloatArray, FloatArray]:
+    """A and B of a flow: (2n, 2n), (2n, I)."""
+    n, constants = inertia.size, INPUTS + len(lashes) - 1
+    stiffness = stiffness + _of_stages(staged, active.stages)
+    closed = [(k, lash) for k, lash in enumerate(lashes) if active.closed[k] and lash.restitution is None]
+    for _, lash in closed:
+        coupling = lash.twist[:, None] * lash.twist
+        damping, stiffness = damping + lash.damping * coupling, stiffness + lash.stiffness * coupling
+    rates, inputs = chain(inertia, damping, stiffness, load, constants + len(staged))
+    for k, lash in closed:
+        inputs[n:, half_gap_of(k)] = lash.stiffness * lash.twist / inertia
+    for k, shaft in enumerate(staged, constants):
+        inputs[n:, k] = -shaft.twist / inertia
+    if lashes[0].restitution is None:
+        return rates, inputs
+    return locked(rates, inputs, inertia, np.array([lash.twist for lash in lashes]), active.closed)
 
 
 def _with_wave(system: System, wave_rates: FloatArray) -> System:
@@ -228,7 +265,7 @@ def _with_wave(system: System, wave_rates: FloatArray) -> System:
         rates=rates,
         inputs=_wider(system.inputs.swapaxes(1, 2)).swapaxes(1, 2).copy(),
         functionals=functionals,
-        lash=_wider(system.lash),
+        lashes=_wider(system.lashes),
         impulse=_wider(system.impulse),
         preload=_wider(system.preload.swapaxes(1, 2)).swapaxes(1, 2).copy(),
     )
@@ -242,12 +279,13 @@ def _of_stages(staged: Sequence[StagedShaft], stages: tuple[int, ...]) -> FloatA
     return sum(parts, 0.0)
 
 
-def _is_loose(stiffness: FloatArray, inertia: FloatArray, lash: FloatArray, motions: int) -> bool:
-    """Whether springs and the closed lash leave the driveline more rigid-body motions than it has in other stages."""
+def _is_loose(stiffness: FloatArray, inertia: FloatArray, lashes: FloatArray, motions: int) -> bool:
+    """Whether springs and the closed lashes leave the driveline more rigid-body motions than it has in other stages."""
     root = np.sqrt(inertia)
     scaled = stiffness / (root[:, None] * root)
-    tied = lash / root
-    scaled = scaled + np.abs(scaled).max(initial=0.0) * tied[:, None] * tied / (tied @ tied)
+    tied = lashes / root
+    units = tied / np.linalg.norm(tied, axis=1, keepdims=True)
+    scaled = scaled + np.abs(scaled).max(initial=0.0) * units.T @ units
     squared = np.linalg.eigvalsh(scaled)
     return bool(np.count_nonzero(squared <= _SINGULAR * squared[-1]) > motions)
 

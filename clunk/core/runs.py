@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.jit import unowned_inlined
-from clunk.core.regimes import System
+from clunk.core.regimes import System, gap_input, lashes_of
 from clunk.core.tables import TORQUE, TORQUE_RATE
 
 FloatArray = npt.NDArray[np.float64]
@@ -24,15 +24,17 @@ class Start(NamedTuple):
 
     x: FloatArray  # (N,)  [rad, rad/s]
     regime: int  # the one that x is in
-    half_gap: float  # φ/2  [rad]
+    before: FloatArray  # (INPUTS + L - 1 or more,)  d before the load step  [N m, rad, N m/s, rad]
     loads: FloatArray  # (loads, P, PIECE)  [s, N m, N m/s]
     load: int  # which of them is the run's
 
 
 class Log(NamedTuple):
-    """Buffers for a run's events, of which event 0 is the load step, and for the state at each."""
+    """Buffers for a run's events, of which event 0 is the load step, and for what goes with each; L lashes."""
 
     events: npt.NDArray[np.void]  # (capacity,) EVENT
+    extremes: FloatArray  # (capacity, L, 2)  largest and smallest acceleration of the phase that follows  [rad/s2]
+    margins: FloatArray  # (L,)  how near each lash came to another label, see clunk.core.exact.run; NaN by rk4
     states: FloatArray  # (capacity, N)  [rad, rad/s]; or no rows at all, and none are kept
 
 
@@ -42,7 +44,6 @@ class Outcome(NamedTuple):
     status: int  # see clunk.core.status
     written: int  # events written, the load step included
     quality: int  # QUALITY_COMPLETE where it was proved that nothing follows; exact: QUALITY_GRAZING too
-    margin: float  # see clunk.core.exact.run; NaN by rk4, which knows none
     end: float  # s after the load step
 
 
@@ -52,6 +53,13 @@ def piece_at(load: FloatArray, piece: int, time: float) -> int:
     while piece + 1 < load.shape[0] and load[piece + 1, BEGIN] <= time:
         piece += 1
     return piece
+
+
+@unowned_inlined
+def set_gaps(system: System, before: FloatArray, inputs: FloatArray) -> None:
+    """Set the half gaps, in the inputs d of a run, to those before the load step."""
+    for lash in range(lashes_of(system)):
+        inputs[gap_input(lash)] = before[gap_input(lash)]
 
 
 @unowned_inlined
@@ -74,16 +82,19 @@ def begin_wave(system: System, load: FloatArray, piece: int, x: FloatArray) -> N
 
 
 @unowned_inlined
-def record(log: Log, k: int, time: float, speed: float, kind: int, regime: int, side: int, x: FloatArray) -> None:
+def record(
+    log: Log, k: int, time: float, speed: float, kind: int, regime: int, lash: int, side: int, x: FloatArray
+) -> None:
     """Write event `k`, and the state at it; the extremes of the phase that it opens are still to come."""
     event = log.events[k]
     event.time = time
     event.speed = speed
     event.kind = kind
     event.regime = regime
+    event.lash = lash
     event.side = side
-    event.max_acceleration = -np.inf
-    event.min_acceleration = np.inf
+    for j in range(log.extremes.shape[1]):
+        log.extremes[k, j, 0], log.extremes[k, j, 1] = -np.inf, np.inf
     if log.states.shape[0] > k:
         for j in range(x.size):
             log.states[k, j] = x[j]

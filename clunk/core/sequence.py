@@ -21,24 +21,33 @@ OPPOSITE = 1
 
 @unowned
 def find_primaries(
-    events: npt.NDArray[np.void], count: int, sticking_time: float, primaries: npt.NDArray[np.int64]
+    events: npt.NDArray[np.void],
+    count: int,
+    lash: int,
+    initial_side: int,
+    sticking_time: float,
+    primaries: npt.NDArray[np.int64],
 ) -> int:
-    """Write the indices of the primary impacts among `events[:count]` to `primaries`; return how many there are.
+    """Write the indices of a lash's primary impacts among `events[:count]` to `primaries`; return how many there are.
 
     Parameters
     ----------
     events : (capacity,) EVENT
-        In order of time; event 0 is the load step, its `side` the preloaded flank (0: none).
+        In order of time; event 0 is the load step.
+    initial_side : int
+        The lash's preloaded flank (0: none).
     sticking_time : float  [s]
     primaries : (capacity,) int64
         Output.
     """
-    last_side = events[0].side
+    last_side = initial_side
     episode_began = -np.inf  # the preloaded contact has lasted for ever
     from_sticking = False
     impacts = 0
     for k in range(1, count):
         event = events[k]
+        if event.lash != lash:
+            continue
         if event.kind == TOUCH:
             if event.side != last_side or from_sticking:
                 primaries[impacts] = k

@@ -11,7 +11,7 @@ from clunk.core.jit import unowned
 
 @unowned
 def peak_to_peak(
-    events: npt.NDArray[np.void],
+    extremes: npt.NDArray[np.float64],
     count: int,
     primaries: npt.NDArray[np.int64],
     impacts: int,
@@ -24,15 +24,16 @@ def peak_to_peak(
 
     Parameters
     ----------
-    events : (capacity,) EVENT
+    extremes : (capacity, 2) float64  [rad/s2]
+        Largest and smallest acceleration of the phase behind each event.
     primaries : (capacity,) int64
-        Indices of the primary impacts in `events`.
+        Indices of the primary impacts among the events.
     severity : (capacity,) float64  [rad/s2]
         Output.
     """
     for i in range(impacts):
         end = primaries[i + 1] if i + 1 < impacts else count
-        largest, smallest = window_extremes(events, primaries[i], end)
+        largest, smallest = window_extremes(extremes, primaries[i], end)
         severity[i] = largest - smallest
     return root_of_squares(severity, impacts)
 
@@ -63,10 +64,13 @@ def root_of_squares(values: npt.NDArray[np.float64], count: int) -> float:
 
 
 @unowned
-def window_extremes(events: npt.NDArray[np.void], begin: int, end: int) -> tuple[float, float]:
-    """The largest and the smallest acceleration over the phases that `events[begin:end]` open  [rad/s2]."""
+def window_extremes(extremes: npt.NDArray[np.float64], begin: int, end: int) -> tuple[float, float]:
+    """The largest and the smallest acceleration over the phases behind the events from one to before another  [rad/s2].
+
+    extremes : as for `peak_to_peak`
+    """
     largest, smallest = -np.inf, np.inf
     for k in range(begin, end):
-        largest = max(largest, events[k].max_acceleration)
-        smallest = min(smallest, events[k].min_acceleration)
+        largest = max(largest, extremes[k, 0])
+        smallest = min(smallest, extremes[k, 1])
     return largest, smallest

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from clunk.core.events import LOCK, STAGE, TOUCH
 from clunk.core.jit import unowned, unowned_inlined
-from clunk.core.regimes import System
+from clunk.core.regimes import System, gap_input, inputs_of, lash_of, lashes_of
 from clunk.core.runs import Log, record
 from clunk.core.status import Status
 from clunk.core.tables import (
@@ -18,7 +18,6 @@ from clunk.core.tables import (
     CLOSED_POSITIVE,
     FORCE,
     GAP,
-    HALF_GAP,
     INPUTS,
     OPEN,
     TORQUE,
@@ -47,10 +46,10 @@ class Entry(NamedTuple):
 
 
 @unowned_inlined
-def weigh(weights: FloatArray, inputs: FloatArray) -> float:
-    """The sum of weights times inputs."""
+def weigh(weights: FloatArray, inputs: FloatArray, count: int) -> float:
+    """The sum of `count` weights times inputs."""
     total = weights[0] * inputs[0]
-    for k in range(1, weights.size):
+    for k in range(1, count):
         total += weights[k] * inputs[k]
     return float(total)
 
@@ -66,42 +65,55 @@ def set_weighed(system: System, regime: int, inputs: FloatArray, u: FloatArray) 
 def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int]:
     """Set `x` to steady motion in contact; return the status and the regime.
 
-    The initial flank is the one that carries the contact torque in it. Of the combinations of stages it is the first
-    one within which the shafts' steady twists lie.
+    The initial flanks are those that press in it. Of the regimes in which all lashes are closed it is the first one in
+    which they do, and within whose stages the shafts' steady twists lie; of springs that only ever resist there is one.
 
     Parameters
     ----------
-    inputs : (INPUTS or more,) float64
-        d before the load step  [N m, rad, N m/s].
+    inputs : (INPUTS + L - 1 or more,) float64
+        d before the load step  [N m, rad, N m/s, rad].
     x : (N,) float64  [rad, rad/s]
         Output.
     """
-    torque, half_gap = inputs[TORQUE], inputs[HALF_GAP]
-    for stage in range(system.preload.shape[0]):
-        by, first = system.preload[stage], stage * system.lash_states
-        carried = system.contact_torque[stage, TORQUE] * torque
-        for j in range(INPUTS, by.shape[1]):
-            carried += system.contact_torque[stage, j] * system.weights[first, j]
-        side = 1 if carried > 0.0 else -1
-        if not abs(carried) + system.contact_torque[stage, HALF_GAP] * half_gap > 0.0:
-            side = 0
+    lashes, stages, in_stage = lashes_of(system), system.preload.shape[0], False
+    for regime in range(system.regimes.size):
+        closed, presses = True, True
+        stage = regime // system.strides[lashes]
+        for lash in range(lashes):
+            closed = closed and system.contacts[regime, lash].closed != 0
+        if not closed:
+            continue
+        for lash in range(lashes):
+            torque = _of_inputs(system, regime, system.contact_torque[stage, lash], inputs)
+            presses = presses and system.contacts[regime, lash].side * torque > 0.0
+        if not presses and (in_stage or stages == 1):
+            continue
         for k in range(x.size):
-            x[k] = by[k, TORQUE] * torque + by[k, HALF_GAP] * side * half_gap
-            for j in range(INPUTS, by.shape[1]):
-                x[k] += by[k, j] * system.weights[first, j]
+            x[k] = _of_inputs(system, regime, system.preload[stage, k], inputs)
         # a call is dear: all of the system is handed over
-        if system.preload.shape[0] == 1 or _is_in_stage(system, first, x):
-            if system.preload.shape[0] > 1 and _is_beside_loose(system, first, x):
-                break
-            return (_OK if side != 0 else _NO_INITIAL_FLANK), first + closed_on(side)
-    return _NO_EQUILIBRIUM, OPEN
+        if stages == 1 or _is_in_stage(system, regime, x):
+            if stages > 1 and _is_beside_loose(system, regime, x):
+                return _NO_EQUILIBRIUM, OPEN
+            in_stage = True
+            if presses:
+                return _OK, regime
+    return (_NO_INITIAL_FLANK if in_stage or stages == 1 else _NO_EQUILIBRIUM), OPEN
+
+
+@unowned_inlined
+def _of_inputs(system: System, regime: int, by: FloatArray, inputs: FloatArray) -> float:
+    """What inputs amount to in a regime, each by its weight there and by so much; those not given are 1."""
+    total = by[0] * inputs[0] + by[1] * (system.weights[regime, 1] * inputs[1])
+    for k in range(2, inputs_of(system)):
+        total += by[k] * (system.weights[regime, k] * (inputs[k] if k < inputs.size else 1.0))
+    return float(total)
 
 
 @unowned_inlined
 def breakpoint_of(system: System, regime: int, guard: int) -> float:
     """The offset of a guard of a staged shaft, its breakpoint with the guard's sign  [rad]."""
     total = 0.0
-    for k in range(INPUTS, system.offsets.shape[2]):
+    for k in range(INPUTS + system.lashes.shape[0] - 1, system.offsets.shape[2]):
         total += system.offsets[regime, guard, k]
     return float(total)
 
@@ -133,45 +145,50 @@ def _is_beside_loose(system: System, regime: int, x: FloatArray) -> bool:
     for g in range(system.regimes[regime].guards):
         guard = system.guards[regime, g]
         is_at = guard.event_kind == STAGE and _within_stage(system, regime, g, x) == 0.0
-        if is_at and np.isnan(system.preload[guard.successor // system.lash_states, 0, TORQUE]):
+        if is_at and np.isnan(system.preload[guard.successor // system.strides[lashes_of(system)], 0, TORQUE]):
             return True
     return False
 
 
 @unowned
 def closed_on(side: int) -> int:
-    """The lash's state of contact on the flank of `side` (+1 or -1)."""
+    """The state of a lash in contact on the flank of `side` (+1 or -1)."""
     return CLOSED_POSITIVE if side > 0 else CLOSED_NEGATIVE
 
 
 @unowned_inlined
-def opened(system: System, regime: int) -> int:
-    """The regime of the same stages in which the lash is open."""
-    return regime - regime % system.lash_states
+def opened(system: System, regime: int, lash: int) -> int:
+    """The regime that differs in that a lash is open."""
+    stride = system.strides[lash]
+    return int(regime - regime % system.strides[lash + 1] // stride * stride)
 
 
 @unowned
 def regime_of(system: System, x: FloatArray, inputs: FloatArray) -> int:
-    """The regime of a state: the first one with a flank whose overlap and guards are not negative, else the open one.
+    """The regime of a state: of each lash the first flank whose overlap and guards are not negative, else it is open.
 
-    In the restitution model it is the open one; flanks that rest on each other lock by a touch at rest.
+    In the restitution model they are open; flanks that rest on each other lock by a touch at rest.
     """
-    first = 0
-    while first + system.lash_states < system.regimes.size and not _is_in_stage(system, first, x):
-        first += system.lash_states
+    lashes, first = lashes_of(system), 0
+    while first + system.strides[lashes] < system.regimes.size and not _is_in_stage(system, first, x):
+        first += system.strides[lashes]
     if system.impulsive != 0:
         return first + OPEN
-    for regime in range(first, first + system.lash_states):
-        row = system.regimes[regime]
-        inside = row.side != 0 and row.side * _functional(system, 0, GAP, x) >= inputs[HALF_GAP]
-        for g in range(row.guards):
-            guard = system.guards[regime, g]
-            value = guard.sign * _functional(system, row.flow, guard.functional, x)
-            within = value + weigh(system.offsets[regime, g], inputs) >= 0.0
-            inside = inside and (within or guard.event_kind == STAGE)
-        if inside:
-            return regime
-    return first + OPEN
+    chosen = first
+    for lash in range(lashes):
+        for regime in range(first, first + system.strides[lash + 1], system.strides[lash]):
+            side = system.contacts[regime, lash].side
+            overlap = side * _functional(system, 0, lash * system.stride + GAP, x)
+            inside = side != 0 and overlap >= inputs[gap_input(lash)]
+            for g in range(system.regimes[regime].guards):
+                guard = system.guards[regime, g]
+                value = guard.sign * _functional(system, system.regimes[regime].flow, guard.functional, x)
+                within = value + weigh(system.offsets[regime, g], inputs, inputs_of(system)) >= 0.0
+                inside = inside and (within or guard.lash != lash)
+            if inside:
+                chosen += regime - first
+                break
+    return chosen
 
 
 @unowned
@@ -185,7 +202,10 @@ def _functional(system: System, flow: int, which: int, x: FloatArray) -> float:
 @unowned_inlined
 def room_for_a_switch(system: System, inputs: FloatArray, log: Log, count: int) -> bool:
     """Whether the event buffer holds what one switch may write: up to a separation, a touch and its lock."""
-    most = 1 if system.impulsive == 0 else (2 if inputs[HALF_GAP] > 0.0 else 3)
+    most = 1
+    if system.impulsive != 0:
+        for lash in range(lashes_of(system)):
+            most = max(most, 2 if inputs[gap_input(lash)] > 0.0 else 3)
     return bool(count + most <= log.events.size)
 
 
@@ -199,8 +219,8 @@ def switch(
     inputs: FloatArray,
     log: Log,
     count: int,
-    fastest: float,
-) -> tuple[Entry, float]:
+    fastest: FloatArray,
+) -> Entry:
     """Leave a regime by one of its guards: record the event, reset the state where the contact does, name what follows.
 
     Parameters
@@ -209,22 +229,25 @@ def switch(
         State at the event; reset in place.
     log : Log
         Output, from `count` on.
-    fastest : float  [rad/s]
-        Touch so far; returned updated.
+    fastest : (L,) float64  [rad/s]
+        Touch of each lash so far; updated.
     """
     row = system.guards[regime, guard]
-    if row.event_kind == STAGE and log.states.shape[0] == 0:
-        return Entry(count, row.successor, row.zero_guard, row.zero_order), fastest
-    speed = 0.0
+    if row.event_kind == STAGE:
+        if log.states.shape[0] > 0:
+            record(log, count, time, 0.0, STAGE, row.successor, -1, 0, x)
+            count += 1
+        return Entry(count, row.successor, row.zero_guard, row.zero_order)
+    lash, speed = lash_of(system, regime, guard), 0.0
     for k in range(x.size):
-        speed += system.lash[k] * x[k]
-    if system.impulsive != 0 and row.event_kind != STAGE:
+        speed += system.lashes[lash, k] * x[k]
+    if system.impulsive != 0:
         if row.event_kind == TOUCH:
-            fastest = max(fastest, abs(speed))
-            return _strike(system, regime, guard, time, speed, x, inputs, log, count, fastest), fastest
-        return _release(system, regime, guard, time, x, inputs, log, count), fastest
-    record(log, count, time, speed, row.event_kind, row.successor, row.side, x)
-    return Entry(count + 1, row.successor, row.zero_guard, row.zero_order), fastest
+            fastest[lash] = max(fastest[lash], abs(speed))
+            return _strike(system, regime, guard, time, speed, x, inputs, log, count, fastest[lash])
+        return _release(system, regime, guard, time, x, inputs, log, count)
+    record(log, count, time, speed, row.event_kind, row.successor, lash, row.side, x)
+    return Entry(count + 1, row.successor, row.zero_guard, row.zero_order)
 
 
 @unowned
@@ -241,12 +264,12 @@ def _strike(
     fastest: float,
 ) -> Entry:
     """A touch of the restitution model, and the lock that may follow it at once."""
-    side = system.guards[regime, guard].side
-    successor, zero_order = _rebound(system, regime, x, inputs, side, speed, fastest)
-    record(log, count, time, speed, TOUCH, regime, side, x)
+    side, lash = system.guards[regime, guard].side, lash_of(system, regime, guard)
+    successor, zero_order = _rebound(system, regime, guard, x, inputs, speed, fastest)
+    record(log, count, time, speed, TOUCH, regime, lash, side, x)
     if successor == regime:
         return Entry(count + 1, regime, guard, zero_order)
-    record(log, count + 1, time, 0.0, LOCK, successor, side, x)
+    record(log, count + 1, time, 0.0, LOCK, successor, lash, side, x)
     return Entry(count + 2, successor, -1, 0)
 
 
@@ -262,24 +285,26 @@ def _release(
     count: int,
 ) -> Entry:
     """A separation of the restitution model; without a gap the flanks lock on the other side at once."""
-    row, side = system.guards[regime, guard], system.regimes[regime].side
-    _hold(system, x, side * inputs[HALF_GAP])  # released where it was held, but for what rounding has added up
-    record(log, count, time, 0.0, row.event_kind, row.successor, side, x)
-    if inputs[HALF_GAP] > 0.0:
-        torque_held, slope, scale = holding_torque(system, row.successor, x, inputs)
+    row, lash = system.guards[regime, guard], lash_of(system, regime, guard)
+    side, half_gap = row.side, inputs[gap_input(lash)]
+    _hold(system, lash, x, side * half_gap)  # released where it was held, but for what rounding has added up
+    record(log, count, time, 0.0, row.event_kind, row.successor, lash, side, x)
+    if half_gap > 0.0:
+        torque_held, slope, scale = holding_torque(system, row.successor, lash, x, inputs)
         # where a jump of the load parts them, q'' is not zero; nothing but the load's own slope may tell what zero is
         order = 2 if abs(torque_held) > _CLEARLY_NOT_ZERO * (scale + abs(slope) * time) else int(row.zero_order)
         return Entry(count + 1, row.successor, row.zero_guard, order)
     # locked flanks without a gap between them: no free state
-    successor = opened(system, regime) + closed_on(-side)
-    record(log, count + 1, time, 0.0, TOUCH, opened(system, regime), -side, x)
-    record(log, count + 2, time, 0.0, LOCK, successor, -side, x)
+    free = opened(system, regime, lash)
+    successor = free + closed_on(-side) * system.strides[lash]
+    record(log, count + 1, time, 0.0, TOUCH, free, lash, -side, x)
+    record(log, count + 2, time, 0.0, LOCK, successor, lash, -side, x)
     return Entry(count + 3, successor, 0, 1)
 
 
 @unowned
 def _rebound(
-    system: System, regime: int, x: FloatArray, inputs: FloatArray, side: int, speed: float, fastest: float
+    system: System, regime: int, guard: int, x: FloatArray, inputs: FloatArray, speed: float, fastest: float
 ) -> tuple[int, int]:
     """The velocities after a touch in an open regime, θ' -= (1 + e) q' M⁻¹l/(lᵀM⁻¹l) (report Eq. 2.9).
 
@@ -292,33 +317,35 @@ def _rebound(
     zero_order : int
         Of the guard of this flank in the open regime.
     """
-    tolerance = system.locking_speed if system.locking_speed >= 0.0 else -system.locking_speed * fastest
+    row, lash = system.guards[regime, guard], lash_of(system, regime, guard)
+    tolerance, restitution = system.locking_speed[lash], system.restitution[lash]
+    tolerance = tolerance if tolerance >= 0.0 else -tolerance * fastest
     # a rebound lower than the rounding of the gap cannot be followed
     place, pull, n = 0.0, 0.0, system.inertias
     for k in range(n, 2 * n):
-        weight = system.lash[k]
+        weight = system.lashes[lash, k]
         if weight != 0.0:
             place += abs(weight * x[k - n])
             pull += weight * _rate(system, regime, k, x, inputs)
     tolerance = max(tolerance, np.sqrt(2.0 * abs(pull) * ROUNDING * place))
-    if system.restitution * abs(speed) > tolerance:
+    if restitution * abs(speed) > tolerance:
         for k in range(x.size):
-            x[k] -= (1.0 + system.restitution) * speed * system.impulse[k]
+            x[k] -= (1.0 + restitution) * speed * system.impulse[lash, k]
         return regime, 1
-    _hold(system, x, side * inputs[HALF_GAP])
-    torque_held, slope, scale = holding_torque(system, regime, x, inputs)
-    pressing = side * torque_held
+    _hold(system, lash, x, row.side * inputs[gap_input(lash)])
+    torque_held, slope, scale = holding_torque(system, regime, lash, x, inputs)
+    pressing = row.side * torque_held
     if abs(pressing) <= ROUNDING * scale:  # zero: what it turns into decides
-        pressing = side * slope
-    return (opened(system, regime) + closed_on(side), 0) if pressing > 0.0 else (regime, 2)
+        pressing = row.side * slope
+    return (row.successor, 0) if pressing > 0.0 else (regime, 2)
 
 
 @unowned_inlined
 def _driven(system: System, regime: int, weights: FloatArray, inputs: FloatArray) -> float:
     """Weights times the torque and what the staged shafts add to it; of the restitution model, no gap has a weight."""
     total = weights[TORQUE] * inputs[TORQUE]
-    for k in range(INPUTS, weights.size):
-        total += weights[k] * system.weights[regime, k]
+    for k in range(INPUTS, inputs_of(system)):
+        total += weights[k] * system.weights[regime, k] * inputs[k]
     return float(total)
 
 
@@ -333,14 +360,16 @@ def _rate(system: System, regime: int, k: int, x: FloatArray, inputs: FloatArray
 
 
 @unowned
-def holding_torque(system: System, regime: int, x: FloatArray, inputs: FloatArray) -> tuple[float, float, float]:
+def holding_torque(
+    system: System, regime: int, lash: int, x: FloatArray, inputs: FloatArray
+) -> tuple[float, float, float]:
     """The torque that keeps q'' at zero, its rate of change in a regime, and the size of the terms that make it."""
-    flow = system.regimes[regime].flow
-    torque_held = _driven(system, regime, system.feedthrough[flow, FORCE], inputs)
-    slope = system.feedthrough[flow, FORCE, TORQUE] * inputs[TORQUE_RATE]
+    flow, force = system.regimes[regime].flow, lash * system.stride + FORCE
+    torque_held = _driven(system, regime, system.feedthrough[flow, force], inputs)
+    slope = system.feedthrough[flow, force, TORQUE] * inputs[TORQUE_RATE]
     scale = abs(torque_held)
     for k in range(x.size):
-        weight = system.functionals[flow, FORCE, k]
+        weight = system.functionals[flow, force, k]
         torque_held += weight * x[k]
         slope += weight * _rate(system, regime, k, x, inputs)
         scale += abs(weight * x[k])
@@ -348,25 +377,25 @@ def holding_torque(system: System, regime: int, x: FloatArray, inputs: FloatArra
 
 
 @unowned
-def _hold(system: System, x: FloatArray, gap: float) -> None:
+def _hold(system: System, lash: int, x: FloatArray, gap: float) -> None:
     """Make q = `gap` and q' = 0 without moving the centre of mass: by a share of the difference that its inertia sets.
 
     The last of the inertias at the lash that turn as q does, not through the gear ratio, then takes what is left of
     rounding, so that q' is zero to the last bit.
     """
-    n = system.inertias
+    n, row, impulse = system.inertias, system.lashes[lash], system.impulse[lash]
     for first, target in ((0, gap), (n, 0.0)):
         excess = -target
         last = -1
         for k in range(n):
-            excess += system.lash[n + k] * x[first + k]
+            excess += row[n + k] * x[first + k]
         rest = -target
         for k in range(n):
-            weight = system.lash[n + k]
+            weight = row[n + k]
             if weight != 0.0:
-                x[first + k] -= excess * system.impulse[n + k]
+                x[first + k] -= excess * impulse[n + k]
                 rest += weight * x[first + k]
                 if last < 0 or abs(weight) == 1.0:
                     last = k
-        rest -= system.lash[n + last] * x[first + last]
-        x[first + last] = -rest / system.lash[n + last]
+        rest -= row[n + last] * x[first + last]
+        x[first + last] = -rest / row[n + last]

@@ -1,29 +1,32 @@
-"""Tables of regimes: one for each state of the lash and each combination of stages of the staged shafts.
+"""Tables of regimes: one for each combination of states of the driveline's elements, lashes and staged shafts.
 
-For the indentation model (report §2.3.2) the lash has
+For the indentation model (report §2.3.2) a lash has
 
-    regime      flow     guards                       successor
+    state       flow     guards                       successor
     open        open     φ/2 - q,  q + φ/2            closed on the flank reached (touch)
     closed, s   closed   separation by gap:   s q - φ/2        open (separation)
                          separation by force: contact force    parted (separation)
     parted, s   open     s q - φ/2                    open (opening)
                          minus the contact force      closed (rejoin)
 
-where q = lash · θ = θi - ratio θj, and the contact torque is k (s q - φ/2) + c s q'. *Parted* exists only for
+where q = twist · θ = θi - ratio θj, and the contact torque is k (s q - φ/2) + c s q'. *Parted* exists only for
 separation by force: the flanks still overlap, but no longer press on each other.
 
-The restitution model (report §2.3.1) has the regimes open and closed too, but closed is the chain with q locked at
+The restitution model (report §2.3.1) has the states open and closed too, but closed is the chain with q locked at
 s φ/2, a constraint whose torque is the guard, and a touch *resets* the velocities (report Eq. 2.9): it rebounds into
-the open regime, or, below the locking speed and under a compressive torque, locks.
+the open state, or, below the locking speed and under a compressive torque, locks.
 
 A staged shaft's torque is continuous and piecewise linear in its twist. In stage i the twist lies between breakpoints
 i - 1 and i, which are two guards more; where one turns negative, the neighbouring stage follows, and nothing else
-changes. Regimes are numbered by the lash first: regime = state of the lash + states · combination of stages.
+changes.
+
+A regime is one state of each element: its guards are all of theirs, and one that turns negative changes the state of
+its own element. Regimes are numbered by the first lash's state first, and by the stages last.
 """
 
 import itertools
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -35,25 +38,31 @@ IntArray = npt.NDArray[np.int64]
 
 OPEN, CLOSED_POSITIVE, CLOSED_NEGATIVE, PARTED_POSITIVE, PARTED_NEGATIVE = range(5)
 TORQUE, HALF_GAP, TORQUE_RATE = range(3)
-INPUTS = 3  # and behind them a 1 for each staged shaft
-# The functionals: q, θ'' of one inertia, and the contact torque, signed like q: k q + c q', or the torque that locks q,
-# which is left out where no guard needs it, a functional less to step; then the twists of the staged shafts.
+INPUTS = 3  # of one lash; behind them the half gaps of the other lashes, and a 1 for each staged shaft
+# The functionals of a lash: q, θ'' of one inertia, and the contact torque, signed like q: k q + c q', or the torque
+# that locks q, which is left out where no guard needs it, a functional less to step. Behind those of the last lash come
+# the twists of the staged shafts.
 GAP, ACCELERATION, FORCE = range(3)
 
 REGIME = np.dtype(
     [
         ("flow", np.int64),
-        ("closed", np.int64),  # whether the flanks press on each other
-        ("side", np.int64),  # s
         ("guards", np.int64),  # how many end it
         ("watched", np.int64),  # how many rows it has: those that end it, then those that make a margin only
-        ("group", np.int64),  # runs in regimes with one flow and, but for the side, the same guards step together
+        ("group", np.int64),  # runs in regimes with one flow and, but for the sides, the same guards step together
+    ],
+    align=True,
+)
+
+CONTACT = np.dtype(
+    [
+        ("closed", np.int64),  # whether the flanks press on each other
+        ("side", np.int64),  # s
         ("of_gap", np.float64),  # margins in it are relative to of_gap · φ/2 + of_rest · what is at rest
         ("of_rest", np.float64),
     ],
     align=True,
 )
-
 
 GUARD = np.dtype(
     [
@@ -61,7 +70,8 @@ GUARD = np.dtype(
         ("sign", np.float64),
         ("successor", np.int64),  # the regime that follows where it turns negative, or -1
         ("event_kind", np.int64),  # the event that this is, or -1
-        ("side", np.int64),  # and the flank that the event concerns
+        ("lash", np.int64),  # the lash that the event concerns, or -1
+        ("side", np.int64),  # and its flank
         ("zero_guard", np.int64),  # the successor's guard that is zero on entry, or -1
         ("zero_order", np.int64),  # and how many of its derivatives, itself included, are
         ("makes_margin", np.int64),  # whether its turning back or its depth does
@@ -69,6 +79,28 @@ GUARD = np.dtype(
     ],
     align=True,
 )
+
+
+class Lash(NamedTuple):
+    """A lash with its contact, and what is asked of it.
+
+    twist : (n,) float64, q = twist · θ
+    stiffness, damping : float, of the contact  [N m/rad], [N m s/rad]
+    acceleration_of : int, index from 0 of the inertia whose acceleration is watched
+    sticking_time : float, a longer contact is sticking  [s]
+    separation_by_force : bool
+    restitution : float, e of the restitution model; without it the contact is the spring and damper of indentation
+    locking_speed : float, a rebound not faster than this locks  [rad/s]; None for `regimes.LOCKING_SHARE`
+    """
+
+    twist: FloatArray
+    stiffness: float
+    damping: float
+    acceleration_of: int
+    sticking_time: float
+    separation_by_force: bool = False
+    restitution: float | None = None
+    locking_speed: float | None = None
 
 
 class StagedShaft(NamedTuple):
@@ -100,66 +132,70 @@ class StagedShaft(NamedTuple):
 
 
 class _Guard(NamedTuple):
-    """A guard, sign · functional + offset · (an input of the run), and what follows where it turns negative."""
+    """A guard, sign · functional + offset · input, both of the element, and what follows where it turns negative."""
 
     functional: int
     sign: float
     offset: float
-    successor: int = -1
+    successor: int = -1  # state of the element
     event_kind: int = -1
-    zero_guard: int = -1
+    zero_guard: int = -1  # of the element in that state
     zero_order: int = 0
     makes_margin: bool = False
-    offset_by: int = HALF_GAP
 
 
-class _Regime(NamedTuple):
-    """A regime, its guards, and those functionals that end nothing, but whose turning back makes a margin."""
+class _State(NamedTuple):
+    """A state of an element, its guards, and those functionals that end nothing, but whose turning makes a margin."""
 
-    closed: bool
-    side: int
+    flow: int  # of the element's
+    weight: float  # of the element's input in u; of a lash the side
     guards: list[_Guard]
     watched: tuple[_Guard, ...] = ()
     of_gap: float = 0.0
     of_rest: float = 1.0
 
 
-def _indentation_states(stiffness: float, damping: float, separation_by_force: bool) -> list[_Regime]:
+class _Element(NamedTuple):
+    """What the torques of a driveline depend on in pieces: in each of its states they are linear."""
+
+    states: list[_State]
+    functional: int  # the first of its
+    input: int  # its half gap, or a 1
+    lash: int = -1  # its number, of a lash
+
+
+def _indentation_states(stiffness: float, damping: float, separation_by_force: bool) -> list[_State]:
     # at a touch the overlap is zero, but the contact force is c q' > 0, if there is damping
     order = 0 if separation_by_force and damping > 0.0 else 1
-    regimes = [_open(0 if order else -1, order)]
+    states = [_open(0 if order else -1, order)]
     for side, parted in ((1, PARTED_POSITIVE), (-1, PARTED_NEGATIVE)):
         if separation_by_force:
             # the flanks may press less than nothing on each other; a miss is near where they all but cease to overlap
             force = _Guard(FORCE, side, -stiffness, parted, SEPARATION, 1, 1)
-            regimes.append(_Regime(True, side, [force], (_Guard(GAP, side, -1.0, makes_margin=True),)))
+            states.append(_State(1, side, [force], (_Guard(GAP, side, -1.0, makes_margin=True),)))
         else:
             overlap = _Guard(GAP, side, -1.0, OPEN, SEPARATION, _reached(side), 1, makes_margin=True)
-            regimes.append(_Regime(True, side, [overlap]))
+            states.append(_State(1, side, [overlap]))
     for side, closed in ((1, CLOSED_POSITIVE), (-1, CLOSED_NEGATIVE)):
         if separation_by_force:
             opening = _Guard(GAP, side, -1.0, OPEN, OPENING, _reached(side), 1, makes_margin=True)
             rejoin = _Guard(FORCE, -side, stiffness, closed, REJOIN, 0, 1)
-            regimes.append(_Regime(False, side, [opening, rejoin]))
-    return regimes
+            states.append(_State(0, side, [opening, rejoin]))
+    return states
 
 
-def _restitution_states() -> list[_Regime]:
+def _restitution_states() -> list[_State]:
     # What follows a touch is decided at the touch; a separation leaves with value, slope and curvature of the gap zero.
     return [_open(-1, 0)] + [
-        _Regime(
-            True,
-            side,
-            [_Guard(FORCE, side, 0.0, OPEN, SEPARATION, _reached(side), zero_order=3, makes_margin=True)],
-        )
+        _State(1, side, [_Guard(FORCE, side, 0.0, OPEN, SEPARATION, _reached(side), zero_order=3, makes_margin=True)])
         for side in (1, -1)
     ]
 
 
-def _open(zero_guard: int, zero_order: int) -> _Regime:
-    """The open regime, by the guard of a closed one that is zero at a touch, and its order; margins are of the gap."""
-    return _Regime(
-        False,
+def _open(zero_guard: int, zero_order: int) -> _State:
+    """The open state, by the guard of a closed one that is zero at a touch, and its order; margins are of the gap."""
+    return _State(
+        0,
         0,
         [
             _Guard(GAP, -side, 1.0, closed, TOUCH, zero_guard, zero_order, makes_margin=True)
@@ -171,112 +207,142 @@ def _open(zero_guard: int, zero_order: int) -> _Regime:
 
 
 def _reached(side: int) -> int:
-    """The open regime's guard of the flank of `side`."""
+    """The open state's guard of the flank of `side`."""
     return 0 if side > 0 else 1
 
 
-class Tables(NamedTuple):
-    """The tables of `System`: R regimes in U groups, G guards at most, I inputs; see there."""
+def _stages(shaft: StagedShaft) -> list[_State]:
+    """The stages: the twist is below the breakpoint above, and above the one below.
 
-    regimes: npt.NDArray[np.void]
-    guards: npt.NDArray[np.void]
-    offsets: FloatArray
-    weights: FloatArray
-    leaders: IntArray
-    lash_states: int
+    Where one is passed, the guard of the way back is zero on entry: behind the way on, where there is one.
+    """
+    last = shaft.breakpoints.size
+    states = []
+    for stage, torque in enumerate(shaft.torques.tolist()):
+        guards = []
+        if stage < last:
+            guards.append(_Guard(0, -1.0, shaft.breakpoints[stage], stage + 1, STAGE, int(stage + 1 < last), 1))
+        if stage > 0:
+            guards.append(_Guard(0, 1.0, -shaft.breakpoints[stage - 1], stage - 1, STAGE, 0, 1))
+        states.append(_State(stage, torque, guards))
+    return states
+
+
+def half_gap_of(lash: int) -> int:
+    """The input that is the half gap of a lash."""
+    return HALF_GAP if lash == 0 else INPUTS + lash - 1
+
+
+def functionals_of(lashes: Sequence[Lash]) -> int:
+    """How many functionals each lash has."""
+    return 3 if any(lash.separation_by_force or lash.restitution is not None for lash in lashes) else 2
+
+
+def combinations(counts: Sequence[int]) -> list[tuple[int, ...]]:
+    """All combinations of one number each below these counts, in the order of regimes: the first one changes first."""
+    return [chosen[::-1] for chosen in itertools.product(*(range(count) for count in reversed(counts)))]
 
 
 def stages_of(staged: Sequence[StagedShaft]) -> list[tuple[int, ...]]:
     """The combinations of stages, one for each shaft, in the order in which regimes have them."""
-    return list(itertools.product(*(range(shaft.stiffness.size) for shaft in staged)))
+    return combinations([shaft.stiffness.size for shaft in staged])
 
 
-def indentation_tables(
-    stiffness: float, damping: float, separation_by_force: bool, staged: Sequence[StagedShaft]
-) -> Tables:
-    """Tables for a contact that is a spring and a damper; their numbers are the contact's  [N m/rad], [N m s/rad]."""
-    return _tables(
-        _indentation_states(stiffness, damping, separation_by_force), staged, 3 if separation_by_force else 2
-    )
+class FlowOf(NamedTuple):
+    """A flow by what is active in it: whether each lash is closed, and the stage of each staged shaft."""
+
+    closed: tuple[int, ...]
+    stages: tuple[int, ...]
 
 
-def restitution_tables(staged: Sequence[StagedShaft]) -> Tables:
-    """Tables for impacts of rigid flanks."""
-    return _tables(_restitution_states(), staged, 3)
+def flows_of(lashes: int, staged: Sequence[StagedShaft]) -> list[FlowOf]:
+    """The flows of a driveline in the order of their numbers."""
+    every = combinations([2] * lashes + [shaft.stiffness.size for shaft in staged])
+    return [FlowOf(active[:lashes], active[lashes:]) for active in every]
 
 
-def _tables(states: list[_Regime], staged: Sequence[StagedShaft], first_twist: int) -> Tables:
-    """The tables for a list of the lash's states and some staged shafts, whose twists are functionals from one on."""
-    combinations = stages_of(staged)
-    table = [
-        (stage, row._replace(guards=[*_in_stage(row.guards, stage * len(states)), *passing]))
-        for stage, stages in enumerate(combinations)
-        for state, row in enumerate(states)
-        for passing in [_breakpoints(staged, stages, first_twist, state, states, combinations)]
+class Tables(NamedTuple):
+    """The tables of `System`: R regimes in U groups, G guards at most, L lashes, I inputs; see there."""
+
+    regimes: npt.NDArray[np.void]
+    contacts: npt.NDArray[np.void]
+    guards: npt.NDArray[np.void]
+    offsets: FloatArray
+    weights: FloatArray
+    leaders: IntArray
+    strides: IntArray
+
+
+def build_tables(lashes: Sequence[Lash], staged: Sequence[StagedShaft]) -> Tables:
+    """The tables of all combinations of states."""
+    stride, inputs = functionals_of(lashes), INPUTS + len(lashes) - 1
+    elements = [
+        _Element(
+            _restitution_states()
+            if lash.restitution is not None
+            else _indentation_states(lash.stiffness, lash.damping, lash.separation_by_force),
+            k * stride,
+            half_gap_of(k),
+            k,
+        )
+        for k, lash in enumerate(lashes)
     ]
-    rows = [[*row.guards, *row.watched] for _, row in table]
-    most, inputs = max(map(len, rows)), INPUTS + len(staged)
-    regimes, guards = np.zeros(len(table), REGIME), np.zeros((len(table), most), GUARD)
-    offsets, weights = np.zeros((len(table), most, inputs)), np.ones((len(table), inputs))
-    alike = [_but_for_side(stage, row) for stage, row in table]
-    leaders = [k for k, key in enumerate(alike) if alike.index(key) == k]
-    for k, (stage, row) in enumerate(table):
-        flow = stage + row.closed * len(combinations)
-        group = leaders.index(alike.index(alike[k]))
-        regimes[k] = (flow, row.closed, row.side, len(row.guards), len(rows[k]), group, row.of_gap, row.of_rest)
-        weights[k, HALF_GAP] = row.side
-        weights[k, INPUTS:] = [shaft.torques[i] for shaft, i in zip(staged, combinations[stage], strict=True)]
-        for g, guard in enumerate(rows[k]):
-            side = row.side or (1 if guard.successor % len(states) == CLOSED_POSITIVE else -1)
-            first = [other.functional for other in rows[k]].index(guard.functional)
-            guards[k, g] = (*guard[:2], *guard[3:5], side, *guard[5:8], first)
-            offsets[k, g, guard.offset_by] = guard.offset
-    return Tables(regimes, guards, offsets, weights, np.array(leaders), len(states))
+    elements += [_Element(_stages(shaft), len(lashes) * stride + k, inputs + k) for k, shaft in enumerate(staged)]
+    return _product(elements, len(lashes), inputs + len(staged))
 
 
-def _in_stage(guards: list[_Guard], first: int) -> list[_Guard]:
-    """Guards whose successors are numbered from the first regime of a combination of stages on."""
-    return [guard._replace(successor=guard.successor + first) for guard in guards]
-
-
-def _breakpoints(
-    staged: Sequence[StagedShaft],
-    stages: tuple[int, ...],
-    first_twist: int,
-    state: int,
-    states: list[_Regime],
-    combinations: list[tuple[int, ...]],
-) -> list[_Guard]:
-    """The guards of a combination of stages: each shaft's twist below the breakpoint above it, and above the one below.
-
-    Where one is passed, the guard of the way back is zero on entry.
-    """
-    passing = []
-    for k, (shaft, stage) in enumerate(zip(staged, stages, strict=True)):
-        for way in (1, -1):
-            if not 0 <= stage + way < shaft.stiffness.size:
-                continue
-            following = (*stages[:k], stage + way, *stages[k + 1 :])
-            before = sum(
-                (i > 0) + (i + 1 < other.stiffness.size) for other, i in zip(staged[:k], stages[:k], strict=True)
+def _product(elements: list[_Element], lashes: int, inputs: int) -> Tables:
+    numbers = combinations([len(element.states) for element in elements])
+    strides = _strides([len(element.states) for element in elements])
+    flow_strides = _strides([1 + max(state.flow for state in element.states) for element in elements])
+    states = [[element.states[i] for element, i in zip(elements, number, strict=True)] for number in numbers]
+    rows = [
+        [(e, guard) for e, state in enumerate(active) for guard in state.guards]
+        + [(e, guard) for e, state in enumerate(active) for guard in state.watched]
+        for active in states
+    ]
+    most = max(map(len, rows))
+    regimes, contacts = np.zeros(len(states), REGIME), np.zeros((len(states), lashes), CONTACT)
+    guards, offsets = np.zeros((len(states), most), GUARD), np.zeros((len(states), most, inputs))
+    weights, leaders, alike = np.ones((len(states), inputs)), [], []
+    for k, active in enumerate(states):
+        flow = int(np.dot([state.flow for state in active], flow_strides[:-1]))
+        sides = [int(state.weight) for state in active[:lashes]]
+        functionals = [elements[e].functional + guard.functional for e, guard in rows[k]]
+        signs = [guard.sign * (sides[e] or 1 if e < lashes else 1) for e, guard in rows[k]]
+        key = flow, [side != 0 for side in sides], functionals, signs
+        if key not in alike:
+            alike.append(key)
+            leaders.append(k)
+        count = sum(len(state.guards) for state in active)
+        regimes[k] = (flow, count, len(rows[k]), alike.index(key))
+        for e, (element, state) in enumerate(zip(elements, active, strict=True)):
+            weights[k, element.input] = state.weight
+            if element.lash >= 0:
+                contacts[k, e] = (state.flow, sides[e], state.of_gap, state.of_rest)
+        for g, (e, guard) in enumerate(rows[k]):
+            element, successor, zero_guard = elements[e], -1, -1
+            if guard.successor >= 0:
+                successor = k + int(strides[e]) * (guard.successor - numbers[k][e])
+                if guard.zero_guard >= 0:
+                    zero_guard = sum(len(state.guards) for state in active[:e]) + guard.zero_guard
+            side = (sides[e] or (1 if guard.successor == CLOSED_POSITIVE else -1)) if element.lash >= 0 else 0
+            guards[k, g] = (
+                functionals[g],
+                guard.sign,
+                successor,
+                guard.event_kind,
+                element.lash,
+                side,
+                zero_guard,
+                guard.zero_order,
+                guard.makes_margin,
+                functionals.index(functionals[g]),
             )
-            back = len(states[state].guards) + before + int(way > 0 and stage + way + 1 < shaft.stiffness.size)
-            passing.append(
-                _Guard(
-                    first_twist + k,
-                    -way,
-                    way * shaft.breakpoints[stage if way > 0 else stage - 1],
-                    state + len(states) * combinations.index(following),
-                    STAGE,
-                    back,
-                    1,
-                    offset_by=INPUTS + k,
-                )
-            )
-    return passing
+            offsets[k, g, element.input] = guard.offset
+    return Tables(regimes, contacts, guards, offsets, weights, np.array(leaders), strides[: lashes + 1])
 
 
-def _but_for_side(stage: int, row: _Regime) -> tuple[Any, ...]:
-    """What regimes of a group have in common: their flow, and guards of the same functionals and signs but for side."""
-    guards = [(guard.functional, (row.side or 1) * guard.sign) for guard in (*row.guards, *row.watched)]
-    return stage, row.closed, row.side != 0, guards
+def _strides(counts: Sequence[int]) -> IntArray:
+    """By how much the number of a combination changes with each of its numbers, and how many combinations there are."""
+    return np.cumprod([1, *counts])

@@ -11,14 +11,14 @@ from clunk.core.exact import run as exact
 from clunk.core.exact.flows import Flows
 from clunk.core.exact.workspace import UNDER_WAY, make_workspace
 from clunk.core.jit import compiled, unowned
-from clunk.core.regimes import System
+from clunk.core.regimes import System, lashes_of
 from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import Steps
 from clunk.core.runs import Log, Outcome, Start
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries
 from clunk.core.severity import approach_velocity, peak_to_peak
 from clunk.core.status import INTERRUPTED, QUALITY_UNDECIDED, Status
-from clunk.core.tables import HALF_GAP, INPUTS, TORQUE
+from clunk.core.tables import INPUTS, TORQUE, half_gap_of
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -58,7 +58,7 @@ IMPACT = np.dtype(
 class Cases(NamedTuple):
     """The inputs of cells before the load step, and their loads after it: one for each cell, or one for all."""
 
-    before: FloatArray  # (cells, INPUTS)  d  [N m, rad, N m/s]
+    before: FloatArray  # (cells, INPUTS + L - 1)  d  [N m, rad, N m/s, rad]
     loads: FloatArray  # (cells or 1, P, PIECE)
 
     def at(self, index: npt.NDArray[np.intp]) -> "Cases":
@@ -67,26 +67,31 @@ class Cases(NamedTuple):
 
 
 class Output(NamedTuple):
-    """Buffers for the results of cells, and for their primary impacts, each cell's behind those of the cell before."""
+    """Buffers for the results of cells with L lashes, and for their primary impacts.
 
-    cells: npt.NDArray[np.void]  # (cells,) CELL
+    Behind each cell's impacts, lash by lash, are those of the next cell. Status and quality are a cell's, alike in all
+    of its lashes.
+    """
+
+    cells: npt.NDArray[np.void]  # (cells, L) CELL
     impacts: npt.NDArray[np.void]  # (capacity,) IMPACT
     logs: npt.NDArray[np.void]  # (cells, capacity) EVENT, behind a run's events as it was; or (0, 0)
     states: FloatArray  # (cells, capacity, N)  [rad, rad/s]  at these, changes of stage among them; or (0, 0, 0)
 
 
 class _Scratch(NamedTuple):
-    """Room for the primary impacts of one run: their events, Q_i and closing speeds."""
+    """Room for the primary impacts of a lash in one run: their events, Q_i and closing speeds."""
 
     primaries: npt.NDArray[np.int64]
     severity: FloatArray
     speeds: FloatArray
 
 
-def cases_of(torque_before: FloatArray, half_gap: FloatArray, loads: FloatArray) -> Cases:
-    """Cells with these torques before the load step [N m] and half gaps [rad], each (cells,), and these loads."""
-    before = np.zeros((half_gap.size, INPUTS))
-    before[:, TORQUE], before[:, HALF_GAP] = torque_before, half_gap
+def cases_of(torque_before: FloatArray, half_gaps: FloatArray, loads: FloatArray) -> Cases:
+    """Cells with these torques before the load step, (cells,) [N m], half gaps, (cells, L) [rad], and these loads."""
+    cells, lashes = half_gaps.shape
+    before = np.zeros((cells, INPUTS + lashes - 1))
+    before[:, TORQUE], before[:, [half_gap_of(lash) for lash in range(lashes)]] = torque_before, half_gaps
     return Cases(before, loads)
 
 
@@ -137,28 +142,24 @@ def by_rk4(
     stop: npt.NDArray[np.uint8],
 ) -> tuple[int, int]:
     """`run_tile` by RK4: one run after the other."""
-    cells, size = output.cells, system.lash.size
+    cells, size = output.cells, system.lashes.shape[1]
     capacity, states = _capacity(max_events, output)
-    x, log = np.empty(size), Log(np.empty(capacity, EVENT), np.empty((states, size)))
+    x, log = np.empty(size), _log(system, capacity, states)
     scratch = _scratch(max_events)
     written = 0
-    for k in range(first, cells.size):
+    for k in range(first, cells.shape[0]):
         if stop[0] != 0 or written + max_events > output.impacts.size:
             return k, written
         regime = _preloaded(system, cases.before[k], cells[k], x)
-        if cells[k].status != _OK:
+        if cells[k, 0].status != _OK:
             continue
-        load = k % cases.loads.shape[0]
-        half_gap = cases.before[k, HALF_GAP]
-        start = Start(x, regime, half_gap, cases.loads, load)
+        start = Start(x, regime, cases.before[k], cases.loads, k % cases.loads.shape[0])
         outcome = rk4.run(system, steps, start, log, stop)
         if outcome.status == INTERRUPTED:
             return k, written
-        primaries = _describe(system, undecided, outcome, log.events, max_events, cells[k], scratch)
         _keep(log, outcome.written, output, k)
-        _copy(log.events, primaries, cells[k].initial_side, scratch, output.impacts, written)
-        written += primaries
-    return cells.size, written
+        written += _describe(system, undecided, outcome, log, max_events, cells[k], scratch, output.impacts, written)
+    return cells.shape[0], written
 
 
 @compiled
@@ -176,27 +177,25 @@ def by_exact(
 
     They are over in any order; their impacts are put in that of the cells at the end.
     """
-    cells, impacts, size, waiting = output.cells, output.impacts, system.lash.size, output.cells.size - first
-    capacity, states = _capacity(max_events, output)
+    cells, impacts, size, lashes = output.cells, output.impacts, system.lashes.shape[1], lashes_of(system)
+    waiting, (capacity, states) = cells.shape[0] - first, _capacity(max_events, output)
     slots = min(UNDER_WAY, max(waiting, 1), max(_EVENT_MEMORY // capacity, 1))
-    x = np.empty(size)
-    space = make_workspace(
-        system, flows, cases.loads, np.empty((slots, capacity), EVENT), np.empty((slots, states, size))
-    )
+    x, events = np.empty(size), np.empty((slots, capacity), EVENT)
+    extremes, margins = np.empty((slots, capacity, lashes, 2)), np.empty((slots, lashes))
+    space = make_workspace(system, flows, cases.loads, events, extremes, margins, np.empty((slots, states, size)))
     pool, over, scratch = space.pool, space.queues.over, _scratch(max_events)
     free, spare = np.arange(slots), slots
     begins, pending = np.full(waiting, -1), np.ones(waiting, np.bool_)  # where its impacts are; whether it is not over
     admitted, oldest, written, full = first, first, 0, False
     while True:
-        while spare > 0 and admitted < cells.size and not full:
-            cell = cells[admitted]
-            regime = _preloaded(system, cases.before[admitted], cell, x)
-            if cell.status == _OK:
+        while spare > 0 and admitted < cells.shape[0] and not full:
+            before = cases.before[admitted]
+            regime = _preloaded(system, before, cells[admitted], x)
+            if cells[admitted, 0].status == _OK:
                 spare -= 1
                 slot = free[spare]
                 space.runs[slot].tag = admitted
-                load, half_gap = admitted % cases.loads.shape[0], cases.before[admitted, HALF_GAP]
-                exact.begin(space, slot, Start(x, regime, half_gap, cases.loads, load))
+                exact.begin(space, slot, Start(x, regime, before, cases.loads, admitted % cases.loads.shape[0]))
             else:
                 pending[admitted - first] = False
             admitted += 1
@@ -208,17 +207,17 @@ def by_exact(
         for n in range(pool.length[over]):
             slot = pool.waiting[over, n]
             row = space.runs[slot]
-            k, log = row.tag, space.events[slot]
+            k = row.tag
             free[spare] = slot
             spare += 1
-            outcome = Outcome(row.status, row.count, row.quality, exact.margin_of(space, slot), row.time)
-            primaries = _describe(system, undecided, outcome, log, max_events, cells[k], scratch)
-            _keep(Log(log, space.states[slot]), row.count, output, k)
+            log = Log(space.events[slot], space.extremes[slot], space.margins[slot], space.states[slot])
+            _keep(log, row.count, output, k)
+            outcome = Outcome(row.status, row.count, row.quality, row.time)
+            primaries = _describe(system, undecided, outcome, log, max_events, cells[k], scratch, impacts, written)
             # room is kept for the oldest, so that every call is through with one cell at least
             if written + primaries + (0 if k == oldest else max_events) > impacts.size:
                 full = True
                 continue
-            _copy(log, primaries, cells[k].initial_side, scratch, impacts, written)
             begins[k - first], pending[k - first] = written, False
             written += primaries
             while oldest < admitted and not pending[oldest - first]:
@@ -226,16 +225,30 @@ def by_exact(
         pool.length[over] = 0
     ordered, count = impacts[:written].copy(), 0
     for k in range(first, oldest):
-        for i in range(cells[k].primary_impacts):
-            impacts[count] = ordered[begins[k - first] + i]
-            count += 1
+        i = begins[k - first]
+        for lash in range(lashes):
+            for _ in range(cells[k, lash].primary_impacts):
+                impacts[count] = ordered[i]
+                i, count = i + 1, count + 1
     return oldest, count
+
+
+@compiled
+def _scratch(max_events: int) -> _Scratch:
+    return _Scratch(np.empty(max_events + 1, np.int64), np.empty(max_events + 1), np.empty(max_events + 1))
 
 
 @unowned
 def _capacity(max_events: int, output: Output) -> tuple[int, int]:
     """How many events and states there is room for in a run."""
     return (output.logs.shape[1], output.logs.shape[1]) if output.states.size > 0 else (max_events + 1, 0)
+
+
+@compiled
+def _log(system: System, capacity: int, states: int) -> Log:
+    """Room for the events of a run, and for so many states at them."""
+    lashes, size = lashes_of(system), system.lashes.shape[1]
+    return Log(np.empty(capacity, EVENT), np.empty((capacity, lashes, 2)), np.empty(lashes), np.empty((states, size)))
 
 
 @unowned
@@ -247,29 +260,24 @@ def _keep(log: Log, written: int, output: Output, k: int) -> None:
             output.states[k, i, j] = log.states[i, j]
 
 
-@compiled
-def _scratch(max_events: int) -> _Scratch:
-    return _Scratch(np.empty(max_events + 1, np.int64), np.empty(max_events + 1), np.empty(max_events + 1))
-
-
 @unowned
-def _preloaded(system: System, inputs: FloatArray, cell: Any, x: FloatArray) -> int:
+def _preloaded(system: System, inputs: FloatArray, cells: npt.NDArray[np.void], x: FloatArray) -> int:
     """Set a cell's state before the load step, and its status, which tells whether it can be run; return the regime."""
-    cell.pattern = 0
-    cell.severity = np.nan
-    cell.approach_velocity = np.nan
-    cell.last_event_time = np.nan
-    cell.margin = np.nan
-    cell.primary_impacts = 0
-    cell.touches = 0
-    cell.quality = 0
-    cell.initial_side = 0
-    cell.status = system.status
-    if system.status != _OK:
-        return 0
-    cell.status, regime = switching.preload(system, inputs, x)
-    if cell.status == _OK:
-        cell.initial_side = system.regimes[regime].side
+    status, regime = system.status, 0
+    if status == _OK:
+        status, regime = switching.preload(system, inputs, x)
+    for lash in range(lashes_of(system)):
+        cell = cells[lash]
+        cell.pattern = 0
+        cell.severity = np.nan
+        cell.approach_velocity = np.nan
+        cell.last_event_time = np.nan
+        cell.margin = np.nan
+        cell.primary_impacts = 0
+        cell.touches = 0
+        cell.quality = 0
+        cell.initial_side = system.contacts[regime, lash].side if status == _OK else 0
+        cell.status = status
     return int(regime)
 
 
@@ -278,56 +286,50 @@ def _describe(
     system: System,
     undecided: float,
     outcome: Outcome,
-    events: npt.NDArray[np.void],
+    log: Log,
     max_events: int,
-    cell: Any,
-    scratch: _Scratch,
-) -> int:
-    """Write the results of a run to its cell; return how many primary impacts it has."""
-    cell.status = outcome.status
-    if outcome.status != _OK:
-        return 0
-    count, last, touches = 0, 0, 0
-    for i in range(1, outcome.written):
-        if events[i].kind != STAGE:
-            count, last = count + 1, i
-        if events[i].kind == TOUCH:
-            touches += 1
-    if count > max_events:
-        cell.status = _EVENT_BUFFER_FULL
-        return 0
-    primaries, severity, speeds = scratch
-    cell.margin = outcome.margin
-    cell.quality = outcome.quality | (QUALITY_UNDECIDED if abs(outcome.margin) < undecided else 0)
-    count = find_primaries(events, outcome.written, system.sticking_time, primaries)
-    cell.severity = peak_to_peak(events, outcome.written, primaries, count, severity)
-    if system.impulsive != 0:  # the acceleration of an impulsive touch is not a number
-        cell.severity, severity[:count] = np.nan, np.nan
-    cell.approach_velocity = approach_velocity(events, primaries, count, speeds)
-    cell.pattern = np.uint64(1) if count <= LONGEST_PATTERN else np.uint64(0)
-    for i in range(count if count <= LONGEST_PATTERN else 0):
-        opposite = events[primaries[i]].side != cell.initial_side
-        cell.pattern = np.uint64(2) * cell.pattern + np.uint64(opposite)
-    cell.primary_impacts = count
-    cell.touches = touches
-    if last > 0:
-        cell.last_event_time = events[last].time
-    return int(count)
-
-
-@unowned
-def _copy(
-    events: npt.NDArray[np.void],
-    count: int,
-    side: int,
+    cells: npt.NDArray[np.void],
     scratch: _Scratch,
     impacts: npt.NDArray[np.void],
     first: int,
-) -> None:
-    """Write the `count` primary impacts of a run to `impacts`, from `first` on."""
-    for i in range(count):
-        event, impact = events[scratch.primaries[i]], impacts[first + i]
-        impact.time = event.time
-        impact.closing_speed = scratch.speeds[i]
-        impact.severity = scratch.severity[i]
-        impact.flank = INITIAL if event.side == side else OPPOSITE
+) -> int:
+    """Write the results of a run to its cell, and its primary impacts from `first` on; return how many they are.
+
+    Those that there is no room for are left out.
+    """
+    nearest, total, count = np.inf, 0, 0
+    for i in range(1, outcome.written):
+        count += log.events[i].kind != STAGE
+    status = _EVENT_BUFFER_FULL if outcome.status == _OK and count > max_events else outcome.status
+    for lash in range(lashes_of(system)):
+        cells[lash].status = status
+        nearest = min(nearest, abs(log.margins[lash]))
+    if status != _OK:
+        return 0
+    for lash in range(lashes_of(system)):
+        cell, events, (primaries, severity, speeds) = cells[lash], log.events, scratch
+        cell.margin = log.margins[lash]
+        cell.quality = outcome.quality | (QUALITY_UNDECIDED if nearest < undecided else 0)
+        side, sticking_time = int(cell.initial_side), system.sticking_time[lash]
+        count = find_primaries(events, outcome.written, lash, side, sticking_time, primaries)
+        cell.severity = peak_to_peak(log.extremes[:, lash], outcome.written, primaries, count, severity)
+        if system.impulsive != 0:  # the acceleration of an impulsive touch is not a number
+            cell.severity, severity[:count] = np.nan, np.nan
+        cell.approach_velocity = approach_velocity(events, primaries, count, speeds)
+        cell.pattern = np.uint64(1) if count <= LONGEST_PATTERN else np.uint64(0)
+        cell.primary_impacts = count
+        for i in range(1, outcome.written):
+            if events[i].lash == lash:
+                cell.last_event_time = events[i].time
+                if events[i].kind == TOUCH:
+                    cell.touches += 1
+        for i in range(count if count <= LONGEST_PATTERN else 0):
+            cell.pattern = np.uint64(2) * cell.pattern + np.uint64(events[primaries[i]].side != side)
+        for i in range(min(count, impacts.size - first - total)):
+            event, impact = events[primaries[i]], impacts[first + total + i]
+            impact.time = event.time
+            impact.closing_speed = speeds[i]
+            impact.severity = severity[i]
+            impact.flank = INITIAL if event.side == side else OPPOSITE
+        total += count
+    return total

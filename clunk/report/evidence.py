@@ -139,5 +139,5 @@ def _closed_modes(study: Study) -> Modes:
 
 def acceleration_range(run: Trajectory) -> tuple[float, float]:
     """Least and largest acceleration after the first primary impact  [rad/s2]."""
-    window = run.events[run.primaries[0] :]
-    return float(np.min(window["min_acceleration"])), float(np.max(window["max_acceleration"]))
+    window = run.extremes[run.primaries[0] :, run.lash]
+    return float(np.min(window[:, 1])), float(np.max(window[:, 0]))

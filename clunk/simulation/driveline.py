@@ -1,6 +1,6 @@
-"""A driveline: inertias joined by linear shafts, to each other, to ground or to neither, with one lash.
+"""A driveline: inertias joined by linear shafts, to each other, to ground or to neither, with lashes.
 
-M θ'' + C θ' + K θ = b T (report Eq. 2.6), where closing the lash adds a spring and a damper across it (Eq. 2.12).
+M θ'' + C θ' + K θ = b T (report Eq. 2.6), where closing a lash adds a spring and a damper across it (Eq. 2.12).
 """
 
 from collections.abc import Sequence
@@ -10,8 +10,9 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from clunk.core import tables
 from clunk.core.exact.flows import Chain, Flows, build_flows
-from clunk.core.reductions import chain, constrained, unconstrained
+from clunk.core.reductions import chain, constrained
 from clunk.core.regimes import RigidMotion, System, build_system
 from clunk.core.rk4.propagator import Steps, build_steps
 from clunk.core.status import Status
@@ -44,28 +45,28 @@ class Driveline:
     shafts: FloatArray  # (S, n)  twist of each shaft = row · θ
     shaft_stiffness: FloatArray  # (S,)  N m/rad, of staged shafts that at twist 0
     shaft_damping: FloatArray  # (S,)  N m s/rad
-    lash: FloatArray  # (n,)  q = lash · θ = θi - ratio θj
+    lashes: FloatArray  # (L, n)  q of each = row · θ = θi - ratio θj
+    contact_stiffnesses: FloatArray  # (L,)  N m/rad, of the closed lash: r² k34
+    contact_dampings: FloatArray  # (L,)  N m s/rad, r² c34
     load: FloatArray  # (n,)  1 at the loaded inertia
-    contact_stiffness: float  # N m/rad, of the closed lash: r² k34
-    contact_damping: float  # N m s/rad, r² c34
     staged: tuple[tuple[int, StagedShaft], ...] = ()  # shafts with stages, each with its row
 
     @classmethod
     def from_study(cls, study: Study) -> "Driveline":
         """The driveline that a study's config spells out."""
-        if len(study.lashes) > 1:
-            raise ClunkError("Several lashes can be described, but not run yet.")
-        n, shafts, contact = len(study.driveline.inertias), study.driveline.shafts, study.lashes[0].contact
+        n, shafts, lashes = len(study.driveline.inertias), study.driveline.shafts, study.lashes
+        if len(lashes) > 1 and any(lash.contact.model == "restitution" for lash in lashes):
+            raise ClunkError('Several lashes need the indentation model: give each contact.model = "indentation".')
         return cls(
             names=study.driveline.names or tuple(f"inertia {k}" for k in range(1, n + 1)),
             inertia=np.array(study.driveline.inertias, dtype=np.float64),
             shafts=_incidence(shafts, n),
             shaft_stiffness=np.array([_at_rest(shaft) for shaft in shafts], dtype=np.float64),
             shaft_damping=np.array([shaft.damping for shaft in shafts], dtype=np.float64),
-            lash=_incidence([study.lashes[0]], n)[0],
+            lashes=_incidence(lashes, n),
+            contact_stiffnesses=np.array([lash.radius**2 * lash.contact.stiffness for lash in lashes]),
+            contact_dampings=np.array([lash.radius**2 * lash.contact.damping for lash in lashes]),
             load=np.eye(n)[int(study.load.on) - 1],
-            contact_stiffness=study.lashes[0].radius ** 2 * contact.stiffness,
-            contact_damping=study.lashes[0].radius ** 2 * contact.damping,
             staged=tuple((k, _staged(shaft, n)) for k, shaft in enumerate(shafts) if shaft.breakpoints_deg),
         )
 
@@ -79,12 +80,32 @@ class Driveline:
         """(n, n) stiffness with the lash open  [N m/rad]."""
         return np.asarray((self.shafts.T * self.shaft_stiffness) @ self.shafts)
 
-    def matrices(self, *, closed: bool) -> tuple[FloatArray, FloatArray]:
-        """Damping and stiffness, (n, n) each, with the spring and damper of the closed lash or without."""
-        if not closed:
-            return self.damping, self.stiffness
-        coupling = np.outer(self.lash, self.lash)
-        return self.damping + self.contact_damping * coupling, self.stiffness + self.contact_stiffness * coupling
+    @property
+    def lash(self) -> FloatArray:
+        """(n,) q of the first lash = lash · θ."""
+        return np.asarray(self.lashes[0])
+
+    @property
+    def contact_stiffness(self) -> float:
+        """Of the first lash  [N m/rad]."""
+        return float(self.contact_stiffnesses[0])
+
+    @property
+    def contact_damping(self) -> float:
+        """Of the first lash  [N m s/rad]."""
+        return float(self.contact_dampings[0])
+
+    def matrices(self, *, closed: bool | Sequence[int]) -> tuple[FloatArray, FloatArray]:
+        """Damping and stiffness, (n, n) each, with the springs and dampers of closed lashes: of all, none, or some.
+
+        closed : (L,), whether each is, or one for all
+        """
+        damping, stiffness = self.damping, self.stiffness
+        for k in np.flatnonzero(np.broadcast_to(closed, len(self.lashes))):
+            coupling = np.outer(self.lashes[k], self.lashes[k])
+            damping = damping + self.contact_dampings[k] * coupling
+            stiffness = stiffness + self.contact_stiffnesses[k] * coupling
+        return damping, stiffness
 
     @cached_property
     def plain_stiffness(self) -> FloatArray:
@@ -120,19 +141,24 @@ class Driveline:
 
     @cached_property
     def rigid_motion(self) -> RigidMotion:
-        """The rigid-body motion with the lash closed, and what the load keeps up of it."""
-        springs = [*self.shafts[self.is_spring], self.lash]
+        """The rigid-body motion with the lashes closed, and what the load keeps up of it."""
+        springs = [*self.shafts[self.is_spring], *self.lashes]
         dampers = np.sqrt(self.shaft_damping)[:, None] * self.shafts
         return rigid.steady_motion(self.inertia, np.array(springs), dampers, self.load)
 
     @property
     def contact_period(self) -> float:
-        """T_c = 2π sqrt(J_red/k), with the two inertias at the lash in series, or the one at a lash to ground  [s]."""
-        mobility = float(np.sum(self.lash**2 / self.inertia))
-        return float(2.0 * np.pi / np.sqrt(self.contact_stiffness * mobility))
+        """T_c of the first lash  [s]."""
+        return float(self.contact_periods[0])
+
+    @property
+    def contact_periods(self) -> FloatArray:
+        """(L,) T_c = 2π sqrt(J_red/k), of the two inertias at a lash in series, or the one at a lash to ground  [s]."""
+        mobility = np.sum(self.lashes**2 / self.inertia, axis=1)
+        return np.asarray(2.0 * np.pi / np.sqrt(self.contact_stiffnesses * mobility))
 
     def modes(self, *, closed: bool) -> Modes:
-        """Natural frequencies and damping ratios with the lash closed or open."""
+        """Natural frequencies and damping ratios with all lashes closed or open."""
         rates, _ = chain(self.inertia, *self.matrices(closed=closed), self.load)
         eigenvalues = np.linalg.eigvals(rates)
         rounding = 1e-7 * np.abs(eigenvalues).max()  # a double zero, an undamped drift, is found to half the digits
@@ -178,32 +204,46 @@ def build(study: Study, *, waves: bool = False) -> System:
 
 
 def _build(study: Study, driveline: Driveline, wave_rates: FloatArray | None = None, *, ramps: bool = False) -> System:
-    contact = study.lashes[0].contact
-    restitution = contact.model == "restitution"
-    sticking_time = study.impacts.sticking_time
-    if restitution:
-        sticking_time = 0.0  # the locked state itself is sticking
-    elif sticking_time is None:
-        sticking_time = driveline.contact_period
-    assert study.impacts.acceleration_of is not None  # resolved by the config
     return build_system(
         inertia=driveline.inertia,
         damping=driveline.damping,
         stiffness=driveline.plain_stiffness if driveline.staged else driveline.stiffness,
         load=driveline.load,
-        lash=driveline.lash,
-        contact_stiffness=driveline.contact_stiffness,
-        contact_damping=driveline.contact_damping,
-        separation_by_force=contact.separation == "force",
-        acceleration_of=int(study.impacts.acceleration_of) - 1,
+        lashes=[
+            _core_lash(study, lash, watched, *of_driveline)
+            for lash, watched, *of_driveline in zip(
+                study.lashes,
+                study.watched,
+                driveline.lashes,
+                driveline.contact_stiffnesses,
+                driveline.contact_dampings,
+                driveline.contact_periods,
+                strict=True,
+            )
+        ],
         end_time=study.solver.end_time,
-        sticking_time=sticking_time,
         rigid=driveline.rigid_motion,
-        restitution=contact.restitution if restitution else None,
-        locking_speed=contact.locking_speed,
         wave_rates=wave_rates,
         ramps=ramps,
         staged=[shaft for _, shaft in driveline.staged],
+    )
+
+
+def _core_lash(
+    study: Study, lash: Lash, watched: int, twist: FloatArray, stiffness: float, damping: float, contact_period: float
+) -> tables.Lash:
+    """A lash as the core has it."""
+    restitution = lash.contact.model == "restitution"
+    sticking_time = study.impacts.sticking_time or float(contact_period)
+    return tables.Lash(
+        twist=twist,
+        stiffness=float(stiffness),
+        damping=float(damping),
+        acceleration_of=watched - 1,
+        sticking_time=0.0 if restitution else sticking_time,  # the locked state itself is sticking
+        separation_by_force=lash.contact.separation == "force",
+        restitution=lash.contact.restitution if restitution else None,
+        locking_speed=lash.contact.locking_speed,
     )
 
 
@@ -214,29 +254,31 @@ def _wave_rates(study: Study) -> FloatArray | None:
 
 
 def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
-    shape, chains = driveline.rigid_motion.shape, []
-    by_stages = [driveline.in_stages(stages) for stages in stages_of([shaft for _, shaft in driveline.staged])]
     restitution = study.lashes[0].contact.model == "restitution"
-    for closed in (False, True):
-        for line in by_stages:
-            springs = line.shafts[line.shaft_stiffness > 0.0]
-            if driveline.staged:
-                parts = rigid.rigid_motions(np.array([*springs, line.lash]) if closed else springs)
-            else:
-                parts = shape if closed or not shape.size else rigid.rigid_motions(springs)
-            chains.append(_locked_chain(line, parts) if closed and restitution else _chain(line, closed, parts))
+    staged = [shaft for _, shaft in driveline.staged]
+    chains = []
+    for closed, stages in tables.flows_of(len(driveline.lashes), staged):
+        line = driveline.in_stages(stages)
+        joints = [*line.shafts[line.shaft_stiffness > 0.0], *line.lashes[np.array(closed) > 0]]
+        if not staged and (all(closed) or not driveline.rigid_motion.shape.size):
+            parts = driveline.rigid_motion.shape
+        else:
+            parts = rigid.rigid_motions(np.array(joints).reshape(-1, line.inertia.size))
+        chains.append(_locked_chain(line, closed, parts) if restitution else _chain(line, closed, parts))
     return build_flows(system.rates, system.inputs, system.functionals, system.feedthrough, chains)
 
 
-def _chain(line: Driveline, closed: bool, parts: FloatArray) -> Chain:
-    return Chain(line.inertia, *line.matrices(closed=closed), *unconstrained(2 * line.inertia.size), parts)
+def _chain(line: Driveline, closed: tuple[int, ...], parts: FloatArray) -> Chain:
+    free = constrained(line.lashes, [0] * len(closed))
+    return Chain(line.inertia, *line.matrices(closed=closed), *free, parts)
 
 
-def _locked_chain(line: Driveline, parts: FloatArray) -> Chain:
-    """The chain with q locked; each row of its basis has at most one entry, so that its inertias stay diagonal."""
-    n, locked = line.inertia.size, constrained(line.lash)
-    basis, (damping, stiffness) = locked.expand[:n, : n - 1], line.matrices(closed=False)
-    pick = locked.pick[: n - 1, :n]
+def _locked_chain(line: Driveline, closed: tuple[int, ...], parts: FloatArray) -> Chain:
+    """The chain with lashes locked; each row of its basis has at most one entry, so that its inertias stay diagonal."""
+    n, locked = line.inertia.size, constrained(line.lashes, closed)
+    left = locked.expand.shape[1] // 2
+    basis, (damping, stiffness) = locked.expand[:n, :left], line.matrices(closed=False)
+    pick = locked.pick[:left, :n]
     return Chain(line.inertia @ basis**2, basis.T @ damping @ basis, basis.T @ stiffness @ basis, *locked, pick @ parts)
 
 
@@ -247,7 +289,7 @@ def steady_stages(study: Study) -> dict[int, int]:
         return {}
     system = _build(study, driveline)
     rest = preload(system, run_load(study)[0])
-    stages = stages_of([shaft for _, shaft in driveline.staged])[rest.regime // system.lash_states]
+    stages = stages_of([shaft for _, shaft in driveline.staged])[rest.regime // int(system.strides[-1])]
     return {k + 1: stage + 1 for (k, _), stage in zip(driveline.staged, stages, strict=True)}
 
 

@@ -22,13 +22,14 @@ import numpy.typing as npt
 from scipy.linalg import matrix_balance
 
 from clunk.core.events import REJOIN, SEPARATION, TOUCH
-from clunk.core.tables import HALF_GAP, TORQUE
+from clunk.core.tables import TORQUE, half_gap_of
 from clunk.simulation.driveline import Driveline, build
 from clunk.simulation.load import run_load
 from clunk.simulation.phases import Regime, inputs_of, regimes_of, stretches, with_wave
 from clunk.simulation.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
 _ORDER = 18  # of the power series, up to |A| t = 1/4: (2 |A| t)^18 / 18! is 1e-21
 
@@ -99,43 +100,49 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
     line, system = Driveline.from_study(study), build(study, waves=True)
     n, impulsive = line.inertia.size, bool(system.impulsive)
     before, load = run_load(study)
-    half_gap = float(before[HALF_GAP])
+    half_gaps = before[[half_gap_of(lash) for lash in range(len(line.lashes))]]
     regimes = regimes_of(system, before)
-    rows, contact_damping = np.vstack([line.shafts, line.lash]), 0.0 if impulsive else line.contact_damping
+    rows, contact_dampings = np.vstack([line.shafts, line.lashes]), line.contact_dampings * (not impulsive)
 
-    def indented(x: FloatArray, side: int) -> float:
-        overlap = side * (line.lash @ x[:n]) - half_gap
-        return 0.0 if impulsive else float(line.contact_stiffness * overlap**2 / 2.0)
+    def indented(x: FloatArray, sides: IntArray) -> FloatArray:
+        """(L,) what the contact of each lash stores at one of its flanks."""
+        overlaps = sides * (line.lashes @ x[:n]) - half_gaps
+        return np.asarray(line.contact_stiffnesses * overlaps**2 / 2.0 * (not impulsive))
+
+    def at_event(x: FloatArray, lash: int, side: int) -> float:
+        return float(indented(x, np.full(len(line.lashes), side))[lash])
 
     def stored(x: FloatArray, regime: Regime) -> tuple[float, tuple[float, ...], float]:
         """In the inertias, in each shaft and in the contact."""
         shafts = line.shaft_energy(x[:n])
-        contact = indented(x, regime.side) if regime.closed else 0.0
-        return float(line.inertia @ x[n : 2 * n] ** 2 / 2.0), tuple(shafts.tolist()), contact
+        contact = indented(x, regime.sides)[regime.closed > 0].sum()
+        return float(line.inertia @ x[n : 2 * n] ** 2 / 2.0), tuple(shafts.tolist()), float(contact)
 
     work, damped, x = 0.0, np.zeros(rows.shape[0]), states[0]
     for event, start, end in zip(events, states, np.append(events["time"][1:], trajectory.end), strict=True):
         x = start
         for stretch in stretches(load, float(event["time"]), float(end)):
-            inputs, x = inputs_of(half_gap, load, stretch.piece), with_wave(system, x, load, stretch)
+            inputs, x = inputs_of(before, load, stretch.piece), with_wave(system, x, load, stretch)
             regime, length = regimes_of(system, inputs)[event["regime"]], stretch.end - stretch.begin
             rates = regime.rates @ x + regime.forcing
             travel, taken = _integrals(regime.rates, _squares(rows, x.size), length)
             moved = travel @ rates
             work += float(inputs[TORQUE] * (line.load @ moved[:n])) + _work_of_wave(regime, x, line.load, length)
-            dampers = np.append(line.shaft_damping, contact_damping * regime.closed)
+            dampers = np.append(line.shaft_damping, contact_dampings * regime.closed)
             damped += dampers * np.einsum("i,kij,j->k", rates, taken, rates)
             x = x + moved
 
     lost = 0.0
     if impulsive:
         touches = events["kind"] == TOUCH
-        lost_squares = events["speed"][touches] ** 2 - (states[touches] @ system.lash[: 2 * n]) ** 2
-        lost = float(np.sum(lost_squares) / np.sum(line.lash**2 / line.inertia) / 2.0)
-    by_force = not impulsive and study.lashes[0].contact.separation == "force"
+        struck = line.lashes[events["lash"][touches]]
+        after = np.einsum("ij,ij->i", states[touches, n : 2 * n], struck)
+        lost_squares = events["speed"][touches] ** 2 - after**2
+        lost = float(np.sum(lost_squares / np.sum(struck**2 / line.inertia, axis=1)) / 2.0)
+    by_force = np.array([not impulsive and lash.contact.separation == "force" for lash in study.lashes])[events["lash"]]
     dropped, regained = (
-        math.fsum(map(indented, states[chosen], events["side"][chosen])) if by_force else 0.0
-        for chosen in (events["kind"] == SEPARATION, events["kind"] == REJOIN)
+        math.fsum(map(at_event, states[chosen], events["lash"][chosen], events["side"][chosen]))
+        for chosen in (by_force & (events["kind"] == SEPARATION), by_force & (events["kind"] == REJOIN))
     )
     kinetic_before, shafts_before, contact_before = stored(states[0], regimes[events["regime"][0]])
     kinetic_after, shafts_after, contact_after = stored(x, regimes[events["regime"][-1]])
@@ -147,8 +154,8 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
         shafts_after=shafts_after,
         contact_before=contact_before,
         contact_after=contact_after,
-        damped_in_shafts=tuple(damped[:-1].tolist()),
-        damped_in_contact=float(damped[-1]),
+        damped_in_shafts=tuple(damped[: len(line.shafts)].tolist()),
+        damped_in_contact=float(damped[len(line.shafts) :].sum()),
         lost_at_impacts=lost,
         dropped=dropped,
         regained=regained,

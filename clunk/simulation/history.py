@@ -17,12 +17,13 @@ import numpy.typing as npt
 from clunk.core.events import STAGE, TOUCH
 from clunk.core.regimes import System
 from clunk.core.status import Status
-from clunk.core.tables import HALF_GAP, TORQUE
+from clunk.core.tables import TORQUE
 from clunk.simulation.driveline import Driveline, build, steady_driveline
 from clunk.simulation.load import run_load
 from clunk.simulation.phases import Flow, apply, inputs_of, preload, regimes_of, stretches, with_wave
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.errors import ClunkError
+from clunk.study.models import Lash
 from clunk.study.study import Study
 
 FloatArray = npt.NDArray[np.float64]
@@ -86,19 +87,23 @@ class History:
         return self.trajectory.study
 
     @property
+    def _lash(self) -> Lash:
+        return self.study.lashes[self.trajectory.lash]
+
+    @property
     def half_gap(self) -> float:
         """Largest backlash coordinate of the open gap, r φ/2  [m]."""
-        return float(self.study.lashes[0].radius * np.deg2rad(self.study.lashes[0].backlash_deg) / 2)
+        return float(self._lash.radius * np.deg2rad(self._lash.backlash_deg) / 2)
 
     @property
     def is_restitution(self) -> bool:
         """Whether contact is an impulse, in which accelerations are not defined."""
-        return self.study.lashes[0].contact.model == "restitution"
+        return self._lash.contact.model == "restitution"
 
     @property
     def watched(self) -> int:
         """The inertia whose acceleration gives the severity, counted from 1."""
-        return self.study.watched[0]
+        return self.study.watched[self.trajectory.lash]
 
     @cached_property
     def twist(self) -> FloatArray:
@@ -121,7 +126,8 @@ class History:
         """The touches within the history."""
         events = self.trajectory.events
         row = np.flatnonzero(self.event >= 0)
-        row = row[events["kind"][self.event[row]] == TOUCH]
+        happened = events[self.event[row]]
+        row = row[(happened["kind"] == TOUCH) & (happened["lash"] == self.trajectory.lash)]
         k = self.event[row]
         primary = np.isin(k, self.trajectory.primaries)
         return Touches(row, events["side"][k], primary, events["time"][np.minimum(k + 1, events.size - 1)])
@@ -130,6 +136,7 @@ class History:
     def impacts(self) -> tuple[Impact, ...]:
         """The primary impacts, in order."""
         events, step_time = self.trajectory.events, self.study.load.step_time
+        extremes = self.trajectory.extremes[:, self.trajectory.lash]
         row = np.full(events.size + 1, self.time.size)
         sampled = np.flatnonzero(self.event >= 0)
         row[self.event[sampled]] = sampled
@@ -141,8 +148,8 @@ class History:
                 begin=float(step_time + events["time"][k]),
                 end=float(step_time + events["time"][following]) if following < events.size else np.inf,
                 rows=slice(int(row[k]), int(row[following])),
-                largest=float(events["max_acceleration"][k:following].max()),
-                smallest=float(events["min_acceleration"][k:following].min()),
+                largest=float(extremes[k:following, 0].max()),
+                smallest=float(extremes[k:following, 1].min()),
             )
             for number, (k, following) in enumerate(pairwise(limits), 1)
         )
@@ -180,7 +187,7 @@ def sample(
     rest = preload(system, inputs_before) if system.status != Status.NO_EQUILIBRIUM else None
     steady = (
         rest is not None
-        and rest.side == trajectory.initial_side
+        and np.array_equal(rest.sides, trajectory.initial_sides)
         and np.array_equal(rest.x[: 2 * system.inertias], trajectory.states[0])
     )
     step = study.solver.step if step is None else step
@@ -189,7 +196,7 @@ def sample(
         before = study.load.step_time if steady else 0.0
     begin, end = _span(trajectory, step, until, before, steady)
 
-    motion = _Motion(trajectory, system, load, inputs_before[HALF_GAP], step)
+    motion, lash = _Motion(trajectory, system, load, inputs_before, step), trajectory.lash
     gains = Driveline.from_study(study).rigid_motion.accelerations * inputs_before[TORQUE] + 0.0  # no -0.0
     phases = [_before_load_step(trajectory, system, gains, begin, min(end, 0.0), step)] if steady else []
     started = int(np.searchsorted(trajectory.phases["time"], end, side="right"))
@@ -212,7 +219,7 @@ def sample(
     if steady:
         torque[: lengths[0]] = inputs_before[TORQUE]
         acceleration[: lengths[0]] = gains  # by definition; the product leaves rounding
-    pressing = np.array([regime.side * regime.closed for regime in motion.regimes(0)])  # the side of the flank
+    pressing = np.array([(regime.sides * regime.closed)[lash] for regime in motion.regimes(0)])  # the side of the flank
     return History(
         name=study.title if name is None else name,
         trajectory=trajectory,
@@ -222,7 +229,7 @@ def sample(
         velocity=velocity,
         acceleration=acceleration,
         torque=torque,
-        backlash_coordinate=study.lashes[0].radius * apply(system.lash[None, n : 2 * n], angle)[:, 0],
+        backlash_coordinate=study.lashes[lash].radius * apply(system.lashes[lash : lash + 1, n : 2 * n], angle)[:, 0],
         contact=(-trajectory.initial_side * pressing[regime_of]).astype(np.int8),
         event=event,
     )
@@ -262,7 +269,7 @@ def _before_load_step(
     """The steady motion before the load step, with its constant acceleration, (n,)  [rad/s2]."""
     time = np.concatenate(([begin] if begin < end else [], _grid(begin, end, step) * step, [end]))
     angle, velocity = np.split(trajectory.states[0], 2)
-    t, wave = time[:, None], np.zeros((time.size, system.lash.size - trajectory.states.shape[1]))
+    t, wave = time[:, None], np.zeros((time.size, system.rates.shape[1] - trajectory.states.shape[1]))
     state = np.hstack([angle + t * (velocity + t * acceleration / 2.0), velocity + t * acceleration, wave])
     return _Phase(time, state + 0.0, int(trajectory.events["regime"][0]), 0, -1)  # no -0.0
 
@@ -270,9 +277,11 @@ def _before_load_step(
 class _Motion:
     """The motion of a run between its events, sampled."""
 
-    def __init__(self, trajectory: Trajectory, system: System, load: FloatArray, half_gap: float, step: float) -> None:
+    def __init__(
+        self, trajectory: Trajectory, system: System, load: FloatArray, before: FloatArray, step: float
+    ) -> None:
         self._trajectory, self._system, self._load, self._step = trajectory, system, load, step
-        self.inputs = functools.partial(inputs_of, half_gap, load)
+        self.inputs = functools.partial(inputs_of, before, load)
         self.regimes = functools.cache(lambda piece: regimes_of(system, self.inputs(piece)))
         self._flow = functools.lru_cache(2)(lambda piece: Flow(self.regimes(piece), step))
 
@@ -341,5 +350,5 @@ def _state_before(trajectory: Trajectory, system: System, k: int) -> FloatArray:
     event = trajectory.phases[k]
     if not system.impulsive or event["kind"] != TOUCH:
         return np.asarray(x)
-    lash, impulse = system.lash[: x.size], system.impulse[: x.size]
+    lash, impulse = system.lashes[event["lash"], : x.size], system.impulse[event["lash"], : x.size]
     return np.asarray(x + (event["speed"] - lash @ x) * impulse)

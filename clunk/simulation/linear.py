@@ -112,11 +112,11 @@ class _Response:
         contact = study.lashes[0].contact.model_copy(update={"model": "restitution"})
         locked = study.model_copy(update={"lash": study.lashes[0].model_copy(update={"contact": contact})})
         system = build(locked)
-        carried = system.contact_torque[0, TORQUE]
+        carried = system.contact_torque[0, 0, TORQUE]
         if carried == 0.0 or len(system.preload) > 1:
             return None
-        lash = system.lash[system.inertias : 2 * system.inertias]
-        expand, pick, _ = without_drift(constrained(lash), system.drift)
+        lashes = system.lashes[:, system.inertias : 2 * system.inertias]
+        expand, pick, _ = without_drift(constrained(lashes, [1]), system.drift)
         rate, right = np.linalg.eig(pick @ system.rates[1] @ expand)
         if rate.size == 0 or np.linalg.cond(right) > 1e10:
             return None

@@ -9,7 +9,7 @@ from clunk.core.channels import LARGEST, PEAK_TO_PEAK, Channels, tabulate
 from clunk.core.measures import Run, make_room, measure
 from clunk.core.regimes import System
 from clunk.core.sequence import find_primaries
-from clunk.core.tables import FORCE, HALF_GAP, INPUTS, stages_of
+from clunk.core.tables import FORCE, HALF_GAP, INPUTS, flows_of
 from clunk.simulation.driveline import Driveline, build
 from clunk.simulation.load import run_load
 from clunk.simulation.trajectory import Trajectory
@@ -38,13 +38,13 @@ def channels_of(study: Study, system: System, *, of_impacts: bool | None = None)
     """
     line, measures = Driveline.from_study(study), study.measures
     parts = parts_of(study)
-    stages = stages_of([shaft for _, shaft in line.staged])
+    active = flows_of(1, [shaft for _, shaft in line.staged])
     flows, size, driven = system.inputs.shape
     n = system.inertias
     rows = np.zeros((flows, 2 + len(measures), size + driven))
     for flow in range(flows):
-        stage, closed = line.in_stages(stages[flow % len(stages)]), flow >= len(stages)
-        if closed:
+        stage = line.in_stages(active[flow].stages)
+        if active[flow].closed[0]:
             rows[flow, 0] = _contact_torque(line, system, flow)
         rows[flow, 1, n : 2 * n] = line.lash
         for row, each, part in zip(rows[flow, 2:], measures, parts, strict=True):
@@ -101,7 +101,7 @@ def measured(trajectory: Trajectory) -> Measures:
     channels = channels_of(study, system, of_impacts=True)
     before, load = run_load(study)
     primaries = np.zeros(phases.size, np.int64)
-    impacts = find_primaries(phases, phases.size, system.sticking_time, primaries)
+    impacts = find_primaries(phases, phases.size, 0, trajectory.initial_side, float(system.sticking_time[0]), primaries)
     run = Run(load, float(before[HALF_GAP]), phases, trajectory.phase_states, phases.size, primaries, impacts)
     totals, of_impacts = np.zeros(len(NAMES) + len(study.measures)), np.zeros((impacts, len(NAMES)))
     measure(system, channels, run, make_room(system, channels), totals, of_impacts)

@@ -17,9 +17,10 @@ from clunk.core import switching
 from clunk.core.regimes import System
 from clunk.core.runs import BEGIN, LEVEL, SLOPE, WAVE, WAVE_PARTNER
 from clunk.core.status import Status
-from clunk.core.tables import HALF_GAP, INPUTS, TORQUE
+from clunk.core.tables import TORQUE
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
 
 class Regime(NamedTuple):
@@ -27,17 +28,17 @@ class Regime(NamedTuple):
 
     rates: FloatArray  # (N, N)
     forcing: FloatArray  # (N,)
-    side: int  # sign of q on the flank concerned, 0 for none
-    closed: bool  # whether the flanks press on each other
+    sides: IntArray  # (L,)  sign of q on each lash's flank concerned, 0 for none
+    closed: IntArray  # (L,)  whether its flanks press on each other
 
 
 def regimes_of(system: System, inputs: FloatArray) -> list[Regime]:
-    """The regimes of a system under constant inputs (T, φ/2)  [N m, rad]."""
+    """The regimes of a system under constant inputs (T, φ/2, T', …)  [N m, rad, N m/s]."""
     constants = np.ones(system.weights.shape[1] - inputs.size)
     driven = system.weights * np.concatenate([inputs, constants])
     return [
-        Regime(system.rates[row["flow"]], system.inputs[row["flow"]] @ u, int(row["side"]), bool(row["closed"]))
-        for row, u in zip(system.regimes, driven, strict=True)
+        Regime(system.rates[row["flow"]], system.inputs[row["flow"]] @ u, contacts["side"], contacts["closed"])
+        for row, contacts, u in zip(system.regimes, system.contacts, driven, strict=True)
     ]
 
 
@@ -46,16 +47,15 @@ class Preload(NamedTuple):
 
     status: Status
     regime: int
-    side: int  # of the initial flank, 0 for none
+    sides: IntArray  # (L,)  of the initial flanks, 0 for none
     x: FloatArray  # (N,)  [rad, rad/s]
 
 
 def preload(system: System, inputs: FloatArray) -> Preload:
     """Steady motion in contact under constant inputs."""
-    x = np.zeros(system.lash.size)
+    x = np.zeros(system.rates.shape[1])
     status, regime = switching.preload(system, inputs, x)
-    side = int(system.regimes[regime]["side"]) if status == Status.OK else 0
-    return Preload(Status(status), regime, side, x)
+    return Preload(Status(status), regime, system.contacts[regime]["side"] * (status == Status.OK), x)
 
 
 class Stretch(NamedTuple):
@@ -78,17 +78,17 @@ def stretches(load: FloatArray, begin: float, end: float) -> Iterator[Stretch]:
             return
 
 
-def inputs_of(half_gap: float, load: FloatArray, piece: int) -> FloatArray:
-    """The inputs d under a piece of a load  [N m, rad, N m/s], without its wave."""
-    inputs = np.zeros(INPUTS)
-    inputs[TORQUE], inputs[HALF_GAP] = load[piece, LEVEL], half_gap
+def inputs_of(before: FloatArray, load: FloatArray, piece: int) -> FloatArray:
+    """The inputs d, from those before the load step, under a piece of a load without its wave  [N m, rad, N m/s]."""
+    inputs = before.copy()
+    inputs[TORQUE] = load[piece, LEVEL]
     return inputs
 
 
 def with_wave(system: System, x: FloatArray, load: FloatArray, stretch: Stretch) -> FloatArray:
     """The state (θ, θ', w) at the beginning of a stretch, from (θ, θ')."""
     size = 2 * system.inertias
-    if system.lash.size == size:
+    if system.rates.shape[1] == size:
         return x
     row = load[stretch.piece]
     wave = np.array([row[WAVE], row[WAVE_PARTNER] + row[SLOPE]])

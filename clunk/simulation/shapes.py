@@ -36,7 +36,7 @@ def shuffle_mode(driveline: Driveline) -> int | None:
     the closed lash join to it turns in phase, if a spring holds that to ground; if none does, it turns in two parts
     without a node inside either, the engine's against the vehicle's.
     """
-    rows = [*driveline.shafts[driveline.shaft_stiffness > 0.0], driveline.lash]
+    rows = [*driveline.shafts[driveline.shaft_stiffness > 0.0], *driveline.lashes]
     turns = speeds_along(np.array(rows), int(np.argmax(driveline.load)))
     joints = [np.flatnonzero(row) for row in rows]
     pairs = [(int(ends[0]), int(ends[1])) for ends in joints if ends.size == 2]

@@ -59,13 +59,13 @@ class SmallGap(NamedTuple):
             raise SmallGapError(f"There is no response to draw: {explained(study, Status(system.status))}.")
         if modes.frequency.size == 0 or modes.damping_ratio[0] <= 0.0:
             raise SmallGapError("There is no decay to draw: the driveline has no damped oscillation in contact.")
-        before, after = (inputs * [1.0, 0.0, 0.0] for inputs in run_inputs(study))
+        before, after = (np.where(np.arange(inputs.size) == TORQUE, inputs, 0.0) for inputs in run_inputs(study))
         rest = preload(system, before)
-        if rest.side == 0:
+        if rest.sides[0] == 0:
             raise SmallGapError("There is no response to draw: the lash carries no torque before the load step.")
         frequency, damping_ratio = float(modes.frequency[0]), float(modes.damping_ratio[0])
         decay = 2.0 * np.pi * frequency * damping_ratio
-        start, end = (float(system.contact_torque[0, TORQUE] * inputs[TORQUE]) for inputs in (before, after))
+        start, end = (float(system.contact_torque[0, 0, TORQUE] * inputs[TORQUE]) for inputs in (before, after))
         crossing = np.log(abs((start - end) / end)) / decay if end != 0.0 and start != end else 0.0
         duration = max(1.35 * crossing, 3.0 / frequency)
         step = min(1.0 / (200.0 * frequency), study.solver.step * max(1.0, duration / study.solver.step / 20_000))

@@ -1,6 +1,6 @@
 """A single run of a study: its events, primary impacts and severity."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +14,7 @@ from clunk.core.runs import Log, Start
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.core.severity import peak_to_peak, root_of_squares
 from clunk.core.status import QUALITY_COMPLETE, Status
-from clunk.core.tables import HALF_GAP, INPUTS
+from clunk.core.tables import half_gap_of
 from clunk.simulation import driveline
 from clunk.simulation.load import run_load, torque_at, wave_rates
 from clunk.simulation.phases import preload
@@ -37,29 +37,58 @@ class Trajectory:
     """A run of one load step: its events, primary impacts and severity; n inertias, E events (the load step included).
 
     study : Study
-    initial_side : int, sign of q = θi - ratio θj on the initial flank
+    initial_sides : (L,) int64, sign of q = θi - ratio θj of each lash on its initial flank
     events : (E,) clunk.core.events.EVENT, times in s after the load step
     states : (E, 2n) float64, θ and θ' at each event  [rad, rad/s]
+    extremes : (E, L, 2) float64, largest and smallest acceleration of each lash until the next event  [rad/s2]
     phases : (P,) clunk.core.events.EVENT, the events and the changes of stage between them
     phase_states : (P, 2n) float64, θ and θ' at each of these
-    primaries : (P,) int64, indices of the primary impacts in `events`
-    impact_severity : (P,) float64, Q_i  [rad/s2]
+    primaries_of : indices of the primary impacts of each lash in `events`, (P,) int64
+    severities_of : Q_i of these  [rad/s2], (P,) float64
+    margins : (L,) float64, how near each lash came to another label (see clunk.core.exact.run); NaN by rk4
     complete : bool, whether it was proved that nothing follows
-    margin : float, how near the run came to another label (see clunk.core.exact.run); NaN where the method knows none
     end : float, where the run stopped  [s after the load step]
+    lash : int, index from 0 of the lash that label, severity and the like are of; `lashes` has one for each
     """
 
     study: Study
-    initial_side: int
+    initial_sides: npt.NDArray[np.int64]
     events: npt.NDArray[np.void]
     states: FloatArray
+    extremes: FloatArray
     phases: npt.NDArray[np.void]
     phase_states: FloatArray
-    primaries: npt.NDArray[np.int64]
-    impact_severity: FloatArray
+    primaries_of: tuple[npt.NDArray[np.int64], ...]
+    severities_of: tuple[FloatArray, ...]
+    margins: FloatArray
     complete: bool
-    margin: float
     end: float
+    lash: int = 0
+
+    @property
+    def lashes(self) -> tuple["Trajectory", ...]:
+        """The run with the label, severity and the like of each lash."""
+        return tuple(replace(self, lash=k) for k in range(len(self.primaries_of)))
+
+    @property
+    def initial_side(self) -> int:
+        """Sign of q on the initial flank."""
+        return int(self.initial_sides[self.lash])
+
+    @property
+    def primaries(self) -> npt.NDArray[np.int64]:
+        """(P,) indices of the primary impacts in `events`."""
+        return self.primaries_of[self.lash]
+
+    @property
+    def impact_severity(self) -> FloatArray:
+        """(P,) Q_i  [rad/s2]."""
+        return self.severities_of[self.lash]
+
+    @property
+    def margin(self) -> float:
+        """How near the run came to another label; NaN where the method knows none."""
+        return float(self.margins[self.lash])
 
     @cached_property
     def flanks(self) -> npt.NDArray[np.int64]:
@@ -79,7 +108,7 @@ class Trajectory:
     @property
     def touches(self) -> int:
         """Number of times the gap closed, chatter included."""
-        return int(np.count_nonzero(self.events["kind"] == TOUCH))
+        return int(np.count_nonzero((self.events["kind"] == TOUCH) & (self.events["lash"] == self.lash)))
 
     @property
     def severity(self) -> float:
@@ -104,9 +133,9 @@ class Trajectory:
         return KIND_NAMES[self.events["kind"][k]]
 
     def flank_name(self, k: int) -> str:
-        """The flank of event `k`."""
-        side = self.events["side"][k]
-        return "none" if side == 0 else ("initial" if side == self.initial_side else "opposite")
+        """The flank of event `k`, of the lash concerned."""
+        side, lash = self.events["side"][k], self.events["lash"][k]
+        return "none" if side == 0 else ("initial" if side == self.initial_sides[max(lash, 0)] else "opposite")
 
     @property
     def ending(self) -> str:
@@ -188,75 +217,83 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
     system, tables = driveline.prepare(study)
     before, pieces = run_load(study)
     if initial_state is None:
-        side, start = _preloaded(study, system, before, pieces)
+        sides, start = _preloaded(study, system, before, pieces)
     else:
         state = np.asarray(initial_state, dtype=np.float64)
-        side, start = _started_at(study, system, before[HALF_GAP], pieces, state)
-    capacity = study.solver.max_events + 1
-    if system.regimes.size > system.lash_states:
+        sides, start = _started_at(study, system, before, pieces, state)
+    capacity, lashes = study.solver.max_events + 1, len(study.lashes)
+    if system.regimes.size > system.strides[-1]:
         capacity *= switching.MOST_STAGES
-    log = Log(np.zeros(capacity, EVENT), np.zeros((capacity, system.lash.size)))
+    log = Log(
+        events=np.zeros(capacity, EVENT),
+        extremes=np.zeros((capacity, lashes, 2)),
+        margins=np.zeros(lashes),
+        states=np.zeros((capacity, system.rates.shape[1])),
+    )
     outcome = tile.run(system, tables, start, log, np.zeros(1, np.uint8))
     if outcome.status != Status.OK:
         raise SimulationError(_sentence(study, Status(outcome.status)))
     phases, states = log.events[: outcome.written].copy(), log.states[: outcome.written, : 2 * system.inertias].copy()
     is_event = phases["kind"] != STAGE
-    events = _without_stages(phases, is_event)
+    events, begins, (high, low) = phases[is_event].copy(), np.flatnonzero(is_event), log.extremes[: outcome.written].T
+    extremes = np.stack([np.maximum.reduceat(high, begins, 1), np.minimum.reduceat(low, begins, 1)]).T
     if len(events) > study.solver.max_events + 1:
         raise SimulationError(_sentence(study, Status.EVENT_BUFFER_FULL))
-    primaries, severity = np.zeros(capacity, np.int64), np.zeros(capacity)
-    impacts = find_primaries(events, len(events), system.sticking_time, primaries)
-    peak_to_peak(events, len(events), primaries, impacts, severity)
-    if system.impulsive:  # the acceleration of an impulsive touch is not a number
-        severity[:impacts] = np.nan
+    primaries_of, severities_of = [], []
+    begun = system.contacts[start.regime]["side"].tolist()
+    for lash, (side, sticking_time) in enumerate(zip(begun, system.sticking_time.tolist(), strict=True)):
+        primaries, severity = np.zeros(capacity, np.int64), np.zeros(capacity)
+        impacts = find_primaries(events, len(events), lash, side, sticking_time, primaries)
+        peak_to_peak(extremes[:, lash], len(events), primaries, impacts, severity)
+        if system.impulsive:  # the acceleration of an impulsive touch is not a number
+            severity[:impacts] = np.nan
+        primaries_of.append(primaries[:impacts].copy())
+        severities_of.append(severity[:impacts].copy())
     return Trajectory(
         study=study,
-        initial_side=side,
+        initial_sides=sides,
         events=events,
         states=states[is_event],
+        extremes=extremes,
         phases=phases,
         phase_states=states,
-        primaries=primaries[:impacts].copy(),
-        impact_severity=severity[:impacts].copy(),
+        primaries_of=tuple(primaries_of),
+        severities_of=tuple(severities_of),
+        margins=log.margins,
         complete=bool(outcome.quality & QUALITY_COMPLETE),
-        margin=float(outcome.margin),
         end=float(outcome.end),
     )
 
 
-def _without_stages(phases: npt.NDArray[np.void], is_event: npt.NDArray[np.bool_]) -> npt.NDArray[np.void]:
-    """The events alone, each with the extremes of the acceleration until the next one."""
-    events, begins = phases[is_event].copy(), np.flatnonzero(is_event)
-    events["max_acceleration"] = np.maximum.reduceat(phases["max_acceleration"], begins)
-    events["min_acceleration"] = np.minimum.reduceat(phases["min_acceleration"], begins)
-    return events
-
-
-def _preloaded(study: Study, system: System, before: FloatArray, pieces: FloatArray) -> tuple[int, Start]:
-    """The initial side and the start of a run from steady motion in contact."""
+def _preloaded(
+    study: Study, system: System, before: FloatArray, pieces: FloatArray
+) -> tuple[npt.NDArray[np.int64], Start]:
+    """The initial sides and the start of a run from steady motion in contact."""
     if system.status != Status.OK:
         raise SimulationError(_sentence(study, Status(system.status)))
     rest = preload(system, before)
     if rest.status != Status.OK:
         raise SimulationError(_sentence(study, rest.status))
-    return rest.side, Start(rest.x, rest.regime, before[HALF_GAP], pieces[None], 0)
+    return rest.sides, Start(rest.x, rest.regime, before, pieces[None], 0)
 
 
 def _started_at(
-    study: Study, system: System, half_gap: float, pieces: FloatArray, state: FloatArray
-) -> tuple[int, Start]:
-    """The initial side and the start of a run from a state (θ, θ')."""
+    study: Study, system: System, before: FloatArray, pieces: FloatArray, state: FloatArray
+) -> tuple[npt.NDArray[np.int64], Start]:
+    """The initial sides and the start of a run from a state (θ, θ')."""
     size = 2 * system.inertias
     if system.status == Status.UNSTABLE_STEP:
         raise SimulationError(_sentence(study, Status.UNSTABLE_STEP))
     if state.shape != (size,) or not np.all(np.isfinite(state)):
         raise SimulationError(f"The initial state must be {size} finite numbers, θ in rad and then θ' in rad/s.")
-    gap = float(state[: system.inertias] @ system.lash[system.inertias : size])
-    if system.impulsive and abs(gap) > half_gap * (1.0 + 1e-12):
+    gaps = system.lashes[:, system.inertias : size] @ state[: system.inertias]
+    half_gaps = before[[half_gap_of(lash) for lash in range(len(gaps))]]
+    if system.impulsive and np.any(np.abs(gaps) > half_gaps * (1.0 + 1e-12)):
         raise SimulationError("The initial state overlaps a flank, which the restitution model does not allow.")
-    x, inputs = np.zeros(system.lash.size), np.zeros(system.weights.shape[1])
-    x[:size], inputs[HALF_GAP], inputs[INPUTS:] = state, half_gap, 1.0
-    return 1 if gap >= 0.0 else -1, Start(x, switching.regime_of(system, x, inputs), half_gap, pieces[None], 0)
+    x, inputs = np.zeros(system.rates.shape[1]), np.ones(system.weights.shape[1])
+    x[:size], inputs[: before.size] = state, before
+    sides = np.where(gaps >= 0.0, 1, -1)
+    return sides, Start(x, switching.regime_of(system, x, inputs), before, pieces[None], 0)
 
 
 def _sentence(study: Study, status: Status) -> str:

@@ -132,7 +132,7 @@ class Grid:
         gaps = np.empty((count, len(self.study.lashes)))
         for k, (place, lash) in enumerate(zip(self.study.lash_places, self.study.lashes, strict=True)):
             gaps[:, k] = values.get(dotted((*place, "backlash_deg")), lash.backlash_deg)
-        return kernel.cases_of(before, np.deg2rad(gaps[:, 0]) / 2, pieces)
+        return kernel.cases_of(before, np.deg2rad(gaps) / 2, pieces)
 
     def groups(self, cells: Cells) -> Iterator[tuple[dict[str, float], npt.NDArray[np.intp]]]:
         """Cut cells into groups of the same structural values; yields these values and the positions in `cells`."""
@@ -180,7 +180,7 @@ class Grid:
         logs["time"] = np.nan
         for values, positions in self.groups(cells):
             part, events = cases.at(positions), logs[positions]
-            output = kernel.Output(np.zeros(len(positions), CELL), buffer, events, _NO_STATES)
+            output = kernel.Output(self._cells(len(positions)), buffer, events, _NO_STATES)
             rows, _ = self._run(values, part, output, np.zeros(1, np.uint8))
             records[positions], logs[positions] = rows.reshape(len(positions), -1), events
         return records, logs[:, : int((~np.isnan(logs["time"])).sum(axis=1).max(initial=0))]
@@ -200,7 +200,7 @@ class Grid:
 
         Returns CELL, one of each run and lash, and IMPACT, in pieces.
         """
-        output = kernel.Output(np.zeros(len(cases.before), CELL), buffer, _NO_LOGS, _NO_STATES)
+        output = kernel.Output(self._cells(len(cases.before)), buffer, _NO_LOGS, _NO_STATES)
         return self._run(values, cases, output, stop)
 
     def measured_group(
@@ -209,15 +209,15 @@ class Grid:
         """`run_group` with the measures of the study: records and impacts as the grid's layout has them."""
         system, _ = self.systems.prepared(values)
         channels = self.systems.channels(values)
-        capacity = (self.study.solver.max_events + 1) * (MOST_STAGES if system.regimes.size > system.lash_states else 1)
-        runs, size = len(cases.before), system.lash.size
+        capacity = (self.study.solver.max_events + 1) * (MOST_STAGES if system.regimes.size > system.strides[-1] else 1)
+        runs, size = len(cases.before), system.rates.shape[1]
         each = min(max(_STATES // capacity, 1), runs)
         logs, states = np.zeros((each, capacity), EVENT), np.empty((each, capacity, size))
         records, impacts = [np.zeros(0, self.layout.record)], [np.zeros(0, self.layout.detail)]
         for begin in range(0, runs, each):
             part = cases.at(np.arange(begin, min(begin + each, runs)))
             logs["time"] = np.nan
-            output = kernel.Output(np.zeros(len(part.before), CELL), buffer, logs, states)
+            output = kernel.Output(self._cells(len(part.before)), buffer, logs, states)
             cells, pieces = self._run(values, part, output, stop)
             details = np.concatenate([buffer[:0], *pieces])
             totals = np.full((cells.size, OF_IMPACTS + len(self.study.measures)), np.nan)
@@ -237,12 +237,15 @@ class Grid:
         system, tables = self.systems.prepared(values)
         solver = self.study.solver
         done, impacts = 0, []
-        while done < output.cells.size and not stop[0]:
+        while done < len(output.cells) and not stop[0]:
             done, written = kernel.run_tile(
                 system, tables, solver.margin_tolerance, cases, done, solver.max_events, output, stop
             )
             impacts.append(output.impacts[:written].copy())
-        return output.cells[:done], impacts
+        return output.cells[:done].ravel(), impacts
+
+    def _cells(self, runs: int) -> Records:
+        return np.zeros((runs, self.layout.lashes), CELL)
 
 
 def layout_of(study: Study) -> Layout:
@@ -282,6 +285,6 @@ def warm_up(study: Study) -> None:
     system, tables = driveline.prepare(study)
     cases, output = (
         Grid(study).cases({}, 0),
-        kernel.Output(np.zeros(0, CELL), np.zeros(0, IMPACT), _NO_LOGS, _NO_STATES),
+        kernel.Output(np.zeros((0, 1), CELL), np.zeros(0, IMPACT), _NO_LOGS, _NO_STATES),
     )
     kernel.run_tile(system, tables, 0.0, cases, 0, 1, output, np.zeros(1, np.uint8))

@@ -228,7 +228,7 @@ def label_of(run: np.ndarray, initial_side: int, sticking_time: float) -> str:
     events["side"][0] = initial_side
     events["time"][1:], events["kind"][1:], events["side"][1:] = run[:, 0], np.abs(run[:, 1]), np.sign(run[:, 1])
     primaries = np.zeros(len(run) + 1, np.int64)
-    found = find_primaries(events, len(events), sticking_time, primaries)
+    found = find_primaries(events, len(events), 0, initial_side, sticking_time, primaries)
     return label(np.where(events["side"][primaries[:found]] == initial_side, INITIAL, OPPOSITE))
 
 

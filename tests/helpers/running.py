@@ -13,6 +13,7 @@ from clunk.core.runs import LEVEL, PIECE, Log, Start
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
 from clunk.core.severity import peak_to_peak
 from clunk.core.status import QUALITY_COMPLETE, Status
+from clunk.core.tables import Lash
 from helpers.reference import Plant
 
 
@@ -55,23 +56,32 @@ def prepared(plant: Plant, step: float = 1e-4, end_time: float = 2.0, sticking_t
         damping=damping,
         stiffness=stiffness,
         load=plant.load,
-        lash=plant.twist,
-        contact_stiffness=plant.contact_stiffness,
-        contact_damping=plant.contact_damping,
-        separation_by_force=plant.separation == "force",
-        acceleration_of=plant.acceleration_of - 1,
+        lashes=[
+            Lash(
+                plant.twist,
+                plant.contact_stiffness,
+                plant.contact_damping,
+                plant.acceleration_of - 1,
+                plant.contact_period() if sticking_time is None else sticking_time,
+                plant.separation == "force",
+            )
+        ],
         end_time=end_time,
-        sticking_time=plant.contact_period() if sticking_time is None else sticking_time,
         rigid=held(plant.n),
     )
     return Prepared(system, build_steps(system, step))
+
+
+def empty_log(capacity: int, states: int) -> Log:
+    """Room for the events of a run with one lash, and the states at them."""
+    return Log(np.zeros(capacity, EVENT), np.zeros((capacity, 1, 2)), np.zeros(1), np.zeros((capacity, states)))
 
 
 def stepped(x: np.ndarray, regime: int, torque: float, half_gap: float) -> Start:
     """The start of a run under a constant torque from the load step on."""
     load = np.zeros((1, 1, PIECE))
     load[..., LEVEL] = torque
-    return Start(x, regime, half_gap, load, 0)
+    return Start(x, regime, np.array([torque, half_gap, 0.0]), load, 0)
 
 
 def unproved(run: Prepared) -> Prepared:
@@ -91,12 +101,12 @@ def core_run(
     else:
         x[:] = state
         regime = switching.regime_of(system, x, inputs) if regime is None else regime
-    events, states = np.zeros(capacity, EVENT), np.zeros((capacity, x.size))
-    status, count, quality, _, end = rk4.run(
-        system, run.steps, stepped(x, regime, plant.after, half_gap), Log(events, states), np.zeros(1, np.uint8)
-    )
+    log = empty_log(capacity, x.size)
+    start = stepped(x, regime, plant.after, half_gap)
+    status, count, quality, end = rk4.run(system, run.steps, start, log, np.zeros(1, np.uint8))
+    events, states = log.events, log.states
     complete = bool(quality & QUALITY_COMPLETE)
     primaries, severity = np.zeros(capacity, np.int64), np.zeros(capacity)
-    found = find_primaries(events, count, system.sticking_time, primaries)
-    total = peak_to_peak(events, count, primaries, found, severity)
+    found = find_primaries(events, count, 0, int(events[0]["side"]), float(system.sticking_time[0]), primaries)
+    total = peak_to_peak(log.extremes[:, 0], count, primaries, found, severity)
     return CoreRun(status, complete, end, events[:count], states[:count], x, primaries[:found], severity[:found], total)

@@ -179,16 +179,15 @@ def weighed_drift(inputs: FloatArray, at: int, weights: FloatArray, first: int, 
 
 @unowned_inlined
 def origin(
-    output: FloatArray, f: int, inputs: FloatArray, at: int, still: bool, ramps: bool, elapsed: Vector
+    output: FloatArray, f: int, inputs: FloatArray, at: int, driven: int, still: bool, ramps: bool, elapsed: Vector
 ) -> Origin:
     """A functional's origin after a time.
 
     output : (4, F, I) float64
-    inputs : (…, W) float64, from row `at` on
+    inputs : (…, W) float64, `driven` rows from `at` on
     still : whether it does not move
     ramps : whether the torque's rate of change can be other than zero
     """
-    driven = output.shape[2]
     first, order = f * driven, output.shape[1] * driven
     value = weighed(inputs, at, output, first, 1, driven, ramps)
     slope = curvature = jerk = vectors.splat(0.0)
@@ -203,9 +202,9 @@ def origin(
 
 
 @unowned_inlined
-def origin_slope(output: FloatArray, f: int, inputs: FloatArray, at: int) -> Vector:
+def origin_slope(output: FloatArray, f: int, inputs: FloatArray, at: int, driven: int) -> Vector:
     """What the torque's rate of change makes the slope of a functional's origin, of one that moves by nothing else."""
-    first = (output.shape[1] + f) * output.shape[2] + TORQUE_RATE
+    first = (output.shape[1] + f) * driven + TORQUE_RATE
     return vectors.load(inputs, at + TORQUE_RATE) * vectors.number(output, first)
 
 

@@ -26,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.lanes.vectors import ROW
-from clunk.core.tables import HALF_GAP, TORQUE, TORQUE_RATE
+from clunk.core.tables import TORQUE, TORQUE_RATE, half_gap_of
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -76,8 +76,8 @@ class Chain(NamedTuple):
 
     inertia : (m,) float64, the diagonal of M
     damping, stiffness : (m, m) float64
-    expand, pick : (2n, 2m), (2m, 2n) float64, of the driveline (θ, θ') = expand (θ, θ') + shift s φ/2, and back
-    shift : (2n,) float64
+    expand, pick : (2n, 2m), (2m, 2n) float64, of the driveline (θ, θ') = expand (θ, θ') + shift (s φ/2), and back
+    shift : (2n, L) float64, for the s φ/2 of each lash
     rigid : (m, k) float64, of a driveline that rolls all motions that twist no spring, each of other angles; else none
     """
 
@@ -148,12 +148,13 @@ def _fill(
     chain: Chain,
 ) -> None:
     """Flow `k`; the coordinates that a chain has fewer than the tables stay zero."""
-    scaled, still = _scale(chain), chain.shift.size
+    scaled, still = _scale(chain), len(chain.shift)
     into, back = scaled.into @ chain.pick, chain.expand @ scaled.back
     forcing = inputs[:still].copy()
-    forcing[:, HALF_GAP] += rates[:still, :still] @ chain.shift
+    gaps = [half_gap_of(lash) for lash in range(chain.shift.shape[1])]
+    forcing[:, gaps] += rates[:still, :still] @ chain.shift
     origin = back @ _particular(scaled, into @ forcing)
-    origin[0, :, HALF_GAP] += chain.shift
+    origin[0][:, gaps] += chain.shift
     tables.origin[k, :, :, :still] = origin.transpose(0, 2, 1)
     tables.origin_output[k] = _outputs(functionals[:, :still], origin, chain)
     tables.origin_output[k, 0] += feedthrough

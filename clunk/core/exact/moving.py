@@ -10,6 +10,7 @@ from clunk.core.exact.workspace import Workspace, field, is_still
 from clunk.core.jit import unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, WIDTH, Vector, fused
+from clunk.core.regimes import inputs_of
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -19,10 +20,10 @@ def to_coordinates(space: Workspace, flow: int) -> None:
     """From the states of the runs taken to their coordinates in a flow, and the amplitudes of these."""
     flows, work, away = space.flows, space.pool.work, space.moved
     size, states = flows.basis.shape[1], flows.coordinates.shape[1]
-    inputs, ramps = space.inputs_at, space.system.ramps != 0
+    inputs, driven, ramps = space.inputs_at, inputs_of(space.system), space.system.ramps != 0
     origins, coordinates = flows.origin[flow], flows.coordinates[flow]
     for k in range(states):
-        origin = weighed(work, inputs, origins, k, size, origins.shape[1], ramps)
+        origin = weighed(work, inputs, origins, k, size, driven, ramps)
         vectors.store(away, k, vectors.load(work, k) - origin)
     for c in range(size):
         total = vectors.splat(0.0)
@@ -38,7 +39,7 @@ def to_states(space: Workspace, flow: int, mask: int) -> None:
     flows, work, left = space.flows, space.pool.work, space.moved
     origins, basis, size = flows.origin[flow], flows.basis[flow], flows.basis.shape[1]
     elapsed = field(space, rows.ELAPSED)
-    driven = origins.shape[1]
+    driven = inputs_of(space.system)
     inputs, order, still = space.inputs_at, driven * size, is_still(space, flow) and flows.rolls[flow] == 0
     ramps, half = space.system.ramps != 0, 0.5 * elapsed * elapsed
     sixth = half * elapsed * A_THIRD

@@ -9,21 +9,24 @@ from clunk.core.jit import unowned_inlined
 # A run's numbers that steps change.
 ELAPSED = 0  # s, in the phase
 LEFT_OUT = 1  # how many of the fastest pairs are left out of the guards
-WINDOW_MAX, WINDOW_MIN = 2, 3  # extremes of the acceleration since the last primary impact
-PHASE_MAX, PHASE_MIN = 4, 5  # and in the phase
-ZERO = 6  # which guard is zero, and how many of its derivatives are, see `zero_of`
-SEEN, SEEN_SLOPE, SEEN_CURVATURE = 7, 8, 9  # the acceleration at the end of the last step
-TRY = 10  # s, the longest span that is proposed next
-CHANGING = 11
+ZERO = 2  # which guard is zero, and how many of its derivatives are, see `zero_of`
+TRY = 3  # s, the longest span that is proposed next
+_FIRST = 4
+# Then those of each lash, see `of_lash`.
+WINDOW_MAX, WINDOW_MIN = 0, 1  # extremes of the acceleration since the last primary impact
+PHASE_MAX, PHASE_MIN = 2, 3  # and in the phase
+SEEN, SEEN_SLOPE, SEEN_CURVATURE = 4, 5, 6  # the acceleration at the end of the last step
+_CHANGING = 7
 # And those that they do not change. A step reads 8 numbers at a time: with 32 in all it is 2 % quicker than with 40.
-MARGIN = 11
-LIMIT = 12  # s, from the phase's beginning to the end of the run, or of the load's piece
-HELD_FROM = 13  # s, from the phase's beginning until a contact has held for the sticking time
-SIDE = 14  # by which the guards' signs are those of the group's first regime: 1 or -1
-SCALE = 15  # of the guards' margins
-SHIFT = 16  # of each guard
-# Behind the last guard's: the regime's inputs, INPUTS of them, when the phase or the load's piece began, and whether
-# the load, which may change at LIMIT, has not come to rest. Without ramps and kinks, a step does not read the last two.
+MARGIN = 7
+HELD_FROM = 8  # s, from the phase's beginning until a contact has held for the sticking time
+SIDE = 9  # by which the guards' signs are those of the group's first regime: 1 or -1
+SCALE = 10  # of the guards' margins
+_OF_LASH = 11
+# Behind the last lash's: LIMIT, s, from the phase's beginning to the end of the run, or of the load's piece, see
+# `limit`; the SHIFT of each guard, see `shift`; the regime's inputs, when the phase or the load's piece began; and
+# whether the load, which may change at LIMIT, has not come to rest. Without ramps and kinks, a step does not read the
+# inputs behind the second, nor that.
 
 # A search's numbers, those that change most often first.
 TIME_LEFT = 0  # s; of a depth, in shortest spans
@@ -32,9 +35,9 @@ AT, AT_SLOPE, AT_CURVATURE, AT_JERK = 3, 4, 5, 6  # the origin's value and first
 BY_SIGN, BY_SHIFT = 7, 8  # what makes a guard of the functional
 COUNTS = 9  # s, how much of the time left there is when turns begin to count
 OF_A_SEARCH = 10
-# Which of a run's searches that is: of the acceleration's extremes, or of a depth; of a turn of each guard.
+# Which of a run's searches that is: of the extremes of each lash's acceleration, or of a depth; behind those, of a turn
+# of each guard.
 EXTREMES_SEARCH = DEPTH_SEARCH = 0
-TURN_SEARCH = 1  # and those behind it
 
 # How a step ends: it goes on, and a span will probably pass, or none will; or its phase does, for the end of the run,
 # because nothing can follow, because nothing is finite any more, or by an event.
@@ -51,3 +54,29 @@ def zero_of(guard: int, order: int) -> float:
 def guard_and_order(zero: float) -> tuple[int, int]:
     """The guard and the order of `zero_of`; without any, -1 and 0."""
     return (int(zero) // 4, int(zero) % 4) if zero > 0.0 else (-1, 0)
+
+
+@unowned_inlined
+def changing(lashes: int) -> int:
+    """How many numbers of a run steps change."""
+    return _FIRST + _CHANGING * lashes
+
+
+@unowned_inlined
+def of_lash(name: int, lash: int, lashes: int) -> int:
+    """Place of a number of one of the lashes."""
+    if name < _CHANGING:
+        return _FIRST + _CHANGING * lash + name
+    return _FIRST + _CHANGING * lashes + (_OF_LASH - _CHANGING) * lash + name - _CHANGING
+
+
+@unowned_inlined
+def limit(lashes: int) -> int:
+    """Place of LIMIT."""
+    return _FIRST + _OF_LASH * lashes
+
+
+@unowned_inlined
+def shift(guard: int, lashes: int) -> int:
+    """Place of a guard's SHIFT."""
+    return _FIRST + _OF_LASH * lashes + 1 + guard

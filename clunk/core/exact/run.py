@@ -16,40 +16,41 @@ so are the near misses, which give the run's margin: how near it came to another
 - of either sign: 1 - (length of a contact)/(sticking time), at each separation.
 """
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.events import LOAD_STEP, LOCK, OPENING, REJOIN, SEPARATION, STAGE, TOUCH
+from clunk.core.events import INSTANT, LOAD_STEP, LOCK, OPENING, REJOIN, SEPARATION, TOUCH
 from clunk.core.exact import curves, moving, rows
 from clunk.core.exact.flows import Flows
 from clunk.core.exact.search import DEPTH, EXTREMES, TURN, conclude, search
-from clunk.core.exact.step import GRAZING, origin_of_acceleration, take_step
+from clunk.core.exact.step import GRAZING, origin_of_acceleration, take_step, widen_extremes
 from clunk.core.exact.workspace import (
     Workspace,
     begin_search,
-    field,
     find_origin,
     log_of,
     make_workspace,
+    number_of,
     push_search,
     scale_of,
     set_field,
+    set_field_of,
+    set_number_of,
+    shift_of,
     sign_of,
     step_queue,
+    turn_search,
 )
 from clunk.core.jit import compiled, unowned, unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, put_back, take
 from clunk.core.lanes.vectors import WIDTH
-from clunk.core.regimes import System
-from clunk.core.runs import BEGIN, LEVEL, Log, Outcome, Start, begin_wave, piece_at, record, set_torque
+from clunk.core.regimes import System, gap_input, inputs_of, lash_of, lashes_of
+from clunk.core.runs import BEGIN, LEVEL, Log, Outcome, Start, begin_wave, piece_at, record, set_gaps, set_torque
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
 from clunk.core.switching import (
     MOST_STAGES,
     Entry,
-    breakpoint_of,
     holding_torque,
     room_for_a_switch,
     switch,
@@ -79,38 +80,46 @@ def run(system: System, flows: Flows, start: Start, log: Log, stop: npt.NDArray[
         Set to non-zero from another thread to abandon the run.
     """
     events, states = log.events.reshape(1, log.events.size), log.states.reshape(1, *log.states.shape)
-    space = make_workspace(system, flows, start.loads, events, states)
+    extremes, margins = log.extremes.reshape(1, *log.extremes.shape), log.margins.reshape(1, log.margins.size)
+    space = make_workspace(system, flows, start.loads, events, extremes, margins, states)
     begin(space, 0, start)
     advance(space, stop)
     row = space.runs[0]
     status = INTERRUPTED if space.pool.length[space.queues.over] == 0 else row.status
-    return Outcome(status, row.count, row.quality, margin_of(space, 0), row.time)
-
-
-@unowned_inlined
-def margin_of(space: Workspace, slot: int) -> float:
-    """How near a run came to another label: dimensionless, from -MOST to MOST."""
-    return float(space.numbers[slot, space.behind + rows.MARGIN])
+    return Outcome(status, row.count, row.quality, row.time)
 
 
 @unowned_inlined
 def begin(space: Workspace, slot: int, start: Start) -> None:
     """Put a run into an empty place of a workspace."""
-    row, numbers = space.runs[slot], space.numbers[slot, space.behind :]
-    side = space.system.regimes[start.regime].side
-    row.status, row.quality, row.last_side = _OK, 0, side
-    row.contact_began, row.from_sticking, row.fastest, row.stages = -np.inf, 0, 0.0, 0
+    row, system = space.runs[slot], space.system
+    row.status, row.quality, row.stages = _OK, 0, 0
     row.load, row.piece = start.load, piece_at(start.loads[start.load], 0, 0.0)
-    space.inputs[slot, HALF_GAP] = start.half_gap
-    begin_wave(space.system, start.loads[start.load], row.piece, start.x)
-    set_torque(space.system, start.loads[start.load], row.piece, 0.0, space.inputs[slot])
-    row.static = _static(space.system, space.flows, start)
-    numbers[rows.MARGIN] = MOST
-    # no acceleration counts before the first primary impact
-    numbers[rows.WINDOW_MAX], numbers[rows.WINDOW_MIN] = np.inf, -np.inf
-    record(log_of(space, slot), 0, 0.0, 0.0, LOAD_STEP, start.regime, side, start.x)
-    numbers[rows.PHASE_MAX], numbers[rows.PHASE_MIN] = -np.inf, np.inf
+    set_gaps(system, start.before, space.inputs[slot])
+    begin_wave(system, start.loads[start.load], row.piece, start.x)
+    set_torque(system, start.loads[start.load], row.piece, 0.0, space.inputs[slot])
+    for lash in range(lashes_of(system)):
+        play = space.plays[slot, lash]
+        play.last_side = system.contacts[start.regime, lash].side
+        play.contact_began, play.from_sticking = -np.inf, 0
+        play.static = _static(system, space.flows, start, lash, space.inputs[slot])
+        space.fastest[slot, lash] = 0.0
+        set_number_of(space, slot, rows.MARGIN, lash, MOST)
+        # no acceleration counts before the first primary impact
+        set_number_of(space, slot, rows.WINDOW_MAX, lash, np.inf)
+        set_number_of(space, slot, rows.WINDOW_MIN, lash, -np.inf)
+    side = system.contacts[start.regime, 0].side
+    record(log_of(space, slot), 0, 0.0, 0.0, LOAD_STEP, start.regime, -1, side, start.x)
+    _begin_phase(space, slot)
     _enter(space, slot, 0.0, start.x, Entry(written=1, regime=start.regime, zero_guard=-1, zero_order=0))
+
+
+@unowned_inlined
+def _begin_phase(space: Workspace, slot: int) -> None:
+    """Begin a run's phase, of whose acceleration nothing is known."""
+    for lash in range(lashes_of(space.system)):
+        set_number_of(space, slot, rows.PHASE_MAX, lash, -np.inf)
+        set_number_of(space, slot, rows.PHASE_MIN, lash, np.inf)
 
 
 @unowned_inlined
@@ -118,7 +127,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     """Enter a regime, or go on in it: the state, what it makes of the inputs and the guards, and the run's queue."""
     system, row, inputs = space.system, space.runs[slot], space.inputs[slot]
     numbers, regime = space.numbers[slot, space.behind :], entry.regime
-    numbers[rows.LIMIT], space.numbers[slot, space.kink_at] = system.end_time - time, 0.0
+    numbers[rows.limit(lashes_of(system))], space.numbers[slot, space.kink_at] = system.end_time - time, 0.0
     if space.loads.shape[1] > 1:
         _take_piece(space, slot, time, x)
     row.time, row.count, row.regime = time, entry.written, regime
@@ -127,14 +136,22 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
         space.numbers[slot, k] = x[k]  # a state for now; `_enter_coordinates` makes coordinates of it
     numbers[rows.ZERO] = rows.zero_of(entry.zero_guard, entry.zero_order)
     entered = system.regimes[regime]
-    held_from = row.contact_began + system.sticking_time - time
-    numbers[rows.HELD_FROM] = held_from if entered.closed != 0 else -np.inf
-    for k in range(system.weights.shape[1]):
+    for k in range(inputs_of(system)):
         space.numbers[slot, space.inputs_at + k] = system.weights[regime, k] * inputs[k]
-    numbers[rows.SIDE] = -1.0 if entered.side * system.regimes[system.leaders[entered.group]].side < 0 else 1.0
-    numbers[rows.SCALE] = entered.of_gap * inputs[HALF_GAP] + entered.of_rest * row.static
+    for lash in range(lashes_of(system)):
+        contact, play = system.contacts[regime, lash], space.plays[slot, lash]
+        held_from = play.contact_began + system.sticking_time[lash] - time
+        mirrored = contact.side * system.contacts[system.leaders[entered.group], lash].side < 0
+        scale = contact.of_gap * inputs[gap_input(lash)] + contact.of_rest * play.static
+        set_number_of(space, slot, rows.HELD_FROM, lash, held_from if contact.closed != 0 else -np.inf)
+        set_number_of(space, slot, rows.SIDE, lash, -1.0 if mirrored else 1.0)
+        set_number_of(space, slot, rows.SCALE, lash, scale)
+        if len(system.general) > 0:
+            play.window_max = number_of(space, slot, rows.WINDOW_MAX, lash)
+            play.window_min = number_of(space, slot, rows.WINDOW_MIN, lash)
     for n in range(entered.watched):
-        numbers[rows.SHIFT + n] = weigh(system.offsets[regime, n], inputs)
+        shift = weigh(system.offsets[regime, n], inputs, inputs_of(system))
+        numbers[rows.shift(n, lashes_of(system))] = shift
     push(space.pool, space.queues.enter + system.regimes[regime].group, slot)
 
 
@@ -148,7 +165,7 @@ def _take_piece(space: Workspace, slot: int, time: float, x: FloatArray) -> None
         begin_wave(space.system, load, piece, x)
     set_torque(space.system, load, piece, time, space.inputs[slot])
     if piece + 1 < load.shape[0]:
-        numbers[rows.LIMIT] = min(space.system.end_time, load[piece + 1, BEGIN]) - time
+        numbers[rows.limit(lashes_of(space.system))] = min(space.system.end_time, load[piece + 1, BEGIN]) - time
         space.numbers[slot, space.kink_at] = 1.0
 
 
@@ -191,23 +208,21 @@ def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
 def _enter_coordinates(space: Workspace, flow: int, count: int) -> None:
     """From the states of the runs taken to their coordinates in a flow, with the acceleration as it is there."""
     flows, work, size, zero = space.flows, space.pool.work, space.flows.basis.shape[1], vectors.splat(0.0)
+    lashes = lashes_of(space.system)
     moving.to_coordinates(space, flow)
-    acceleration = curves.evaluate_again(
-        flows.watch[flow, ACCELERATION], work, size, zero, 0, curves.Curve(zero, zero, zero, zero, zero)
-    )
-    origin = origin_of_acceleration(space, flow, zero)
-    seen = acceleration.value + origin.value
     set_field(space, rows.ELAPSED, zero)
     set_field(space, rows.LEFT_OUT, zero)
     set_field(space, rows.TRY, zero + np.inf)
-    set_field(space, rows.WINDOW_MAX, vectors.larger(field(space, rows.WINDOW_MAX), seen))
-    set_field(space, rows.WINDOW_MIN, vectors.smaller(field(space, rows.WINDOW_MIN), seen))
-    set_field(space, rows.PHASE_MAX, vectors.larger(field(space, rows.PHASE_MAX), seen))
-    set_field(space, rows.PHASE_MIN, vectors.smaller(field(space, rows.PHASE_MIN), seen))
-    set_field(space, rows.SEEN, seen)
-    set_field(space, rows.SEEN_SLOPE, acceleration.slope + origin.slope)
-    set_field(space, rows.SEEN_CURVATURE, acceleration.curvature)
-    put_back(space.pool, space.numbers, space.behind + rows.CHANGING, (1 << count) - 1)
+    for lash in range(lashes):
+        watch = flows.watch[flow, lash * space.system.stride + ACCELERATION]
+        acceleration = curves.evaluate_again(watch, work, size, zero, 0, curves.Curve(zero, zero, zero, zero, zero))
+        origin = origin_of_acceleration(space, flow, lash, zero)
+        seen = acceleration.value + origin.value
+        widen_extremes(space, lash, seen)
+        set_field_of(space, rows.SEEN, lash, seen)
+        set_field_of(space, rows.SEEN_SLOPE, lash, acceleration.slope + origin.slope)
+        set_field_of(space, rows.SEEN_CURVATURE, lash, acceleration.curvature)
+    put_back(space.pool, space.numbers, space.behind + rows.changing(lashes), (1 << count) - 1)
 
 
 @unowned_inlined
@@ -217,30 +232,31 @@ def _follow(space: Workspace, slot: int) -> None:
     numbers, each, queues = space.numbers[slot, space.behind :], space.searches_each, space.queues
     now = row.time + numbers[rows.ELAPSED]
     if row.seeks_extremes != 0:
-        row.seeks_extremes = 0
-        wanted = space.searches[slot * each + rows.EXTREMES_SEARCH, space.behind :]
-        wanted[rows.TOP], wanted[rows.BOTTOM] = numbers[rows.WINDOW_MAX], numbers[rows.WINDOW_MIN]
-        push_search(space, queues.extremes, slot, rows.EXTREMES_SEARCH, ACCELERATION)
+        lash = 0 if len(space.system.general) == 0 else vectors.first_of(row.seeks_extremes)
+        row.seeks_extremes &= row.seeks_extremes - 1
+        wanted = space.searches[slot * each + rows.EXTREMES_SEARCH + lash, space.behind :]
+        wanted[rows.TOP] = number_of(space, slot, rows.WINDOW_MAX, lash)
+        wanted[rows.BOTTOM] = number_of(space, slot, rows.WINDOW_MIN, lash)
+        functional = lash * space.system.stride + ACCELERATION
+        push_search(space, queues.extremes, slot, rows.EXTREMES_SEARCH + lash, functional)
     elif row.seeks_turns != 0:
         guard = vectors.first_of(row.seeks_turns)
         row.seeks_turns &= row.seeks_turns - 1
-        wanted = space.searches[slot * each + rows.TURN_SEARCH + guard, space.behind :]
-        wanted[rows.TOP], wanted[rows.BOTTOM] = (
-            abs(numbers[rows.MARGIN]) * scale_of(space, slot, guard),
-            np.inf,
-        )
-        push_search(
-            space, queues.turn, slot, rows.TURN_SEARCH + guard, space.system.guards[row.regime, guard].functional
-        )
+        turn = turn_search(space, guard)
+        wanted = space.searches[slot * each + turn, space.behind :]
+        margin = number_of(space, slot, rows.MARGIN, lash_of(space.system, row.regime, guard))
+        wanted[rows.TOP], wanted[rows.BOTTOM] = abs(margin) * scale_of(space, slot, guard), np.inf
+        push_search(space, queues.turn, slot, turn, space.system.guards[row.regime, guard].functional)
     elif row.ended == rows.BY_EVENT:
         scale = scale_of(space, slot, row.guard)
-        if row.depth_known == 0 and scale > 0.0 and _label_hangs_on_depth(space.system, row, now):
+        if row.depth_known == 0 and scale > 0.0 and _label_hangs_on_depth(space, slot, now):
             functional = space.system.guards[row.regime, row.guard].functional
             find_origin(space, slot, functional)
             sign = sign_of(space, slot, row.guard)
-            begin_search(space, slot, rows.DEPTH_SEARCH, _MOST_SPANS, sign, numbers[rows.SHIFT + row.guard])
+            begin_search(space, slot, rows.DEPTH_SEARCH, _MOST_SPANS, sign, shift_of(space, slot, row.guard))
             wanted = space.searches[slot * each + rows.DEPTH_SEARCH, space.behind :]
-            wanted[rows.TOP] = abs(numbers[rows.MARGIN]) * scale
+            margin = number_of(space, slot, rows.MARGIN, lash_of(space.system, row.regime, row.guard))
+            wanted[rows.TOP] = abs(margin) * scale
             push_search(space, queues.depth, slot, rows.DEPTH_SEARCH, functional)
         else:
             _switch(space, slot)
@@ -266,35 +282,38 @@ def _go_on(space: Workspace, slot: int, time: float) -> None:
     There the torque that locks the flanks may jump or bend, and be least: a miss that no step sees.
     """
     system, row, inputs = space.system, space.runs[slot], space.inputs[slot]
-    numbers = space.numbers[slot, space.behind :]
-    x, regime = space.state[slot, : system.lash.size], system.regimes[row.regime]
-    entry = Entry(row.count, row.regime, *rows.guard_and_order(numbers[rows.ZERO]))
-    locked = system.impulsive != 0 and regime.closed != 0
-    torque, slope = 0.0, 0.0
-    if locked:
+    x, lashes = space.state[slot, : system.lashes.shape[1]], lashes_of(system)
+    entry = Entry(row.count, row.regime, *rows.guard_and_order(space.numbers[slot, space.behind + rows.ZERO]))
+    if system.impulsive != 0:
         set_torque(system, space.loads[row.load], row.piece, time, inputs)
-        torque, slope, _ = holding_torque(system, row.regime, x, inputs)
+        for lash in range(lashes):
+            space.held[lash, 0], space.held[lash, 1], _ = holding_torque(system, row.regime, lash, x, inputs)
     _enter(space, slot, time, x, entry)
-    scale = scale_of(space, slot, 0)
-    if locked and scale > 0.0:
-        torque_after, slope_after, _ = holding_torque(system, row.regime, x, inputs)
-        jump, rounding = regime.side * (torque_after - torque), GRAZING * scale
-        falls = regime.side * slope < 0.0 or jump < -rounding
-        rises = regime.side * slope_after > 0.0 or jump > rounding
-        least = min(regime.side * torque, regime.side * torque_after) / scale
-        if falls and rises and 0.0 <= least < abs(numbers[rows.MARGIN]):
-            numbers[rows.MARGIN] = least
+    for lash in range(lashes if system.impulsive != 0 else 0):
+        contact, scale = system.contacts[row.regime, lash], number_of(space, slot, rows.SCALE, lash)
+        if contact.closed == 0 or not scale > 0.0:
+            continue
+        torque, slope = space.held[lash, 0], space.held[lash, 1]
+        torque_after, slope_after, _ = holding_torque(system, row.regime, lash, x, inputs)
+        jump, rounding = contact.side * (torque_after - torque), GRAZING * scale
+        falls = contact.side * slope < 0.0 or jump < -rounding
+        rises = contact.side * slope_after > 0.0 or jump > rounding
+        least = min(contact.side * torque, contact.side * torque_after) / scale
+        if falls and rises and 0.0 <= least < abs(number_of(space, slot, rows.MARGIN, lash)):
+            set_number_of(space, slot, rows.MARGIN, lash, least)
 
 
 @unowned_inlined
-def _label_hangs_on_depth(system: System, row: Any, now: float) -> bool:
-    """Whether the label hangs on how deep the guard goes that ended a run's phase."""
-    guard = system.guards[row.regime, row.guard]
+def _label_hangs_on_depth(space: Workspace, slot: int, now: float) -> bool:
+    """Whether a label hangs on how deep the guard goes that ended a run's phase."""
+    system, row = space.system, space.runs[slot]
+    guard, lash = system.guards[row.regime, row.guard], lash_of(system, row.regime, row.guard)
+    play = space.plays[slot, lash]
     if guard.event_kind == TOUCH:  # a crossing
-        return bool(guard.side != row.last_side)
+        return bool(guard.side != play.last_side)
     if guard.event_kind == OPENING:  # by force: it counts after a contact that held
-        return bool(row.from_sticking != 0)
-    return bool(guard.event_kind == SEPARATION and now - row.contact_began > system.sticking_time)
+        return bool(play.from_sticking != 0)
+    return bool(guard.event_kind == SEPARATION and now - play.contact_began > system.sticking_time[lash])
 
 
 @unowned_inlined
@@ -302,16 +321,29 @@ def _end(space: Workspace, slot: int, status: int, time: float) -> None:
     """End a run."""
     row = space.runs[slot]
     row.status, row.time = status, time
+    for lash in range(lashes_of(space.system)):
+        space.margins[slot, lash] = number_of(space, slot, rows.MARGIN, lash)
     _close_phase(space, slot)
     push(space.pool, space.queues.over, slot)
 
 
 @unowned_inlined
 def _close_phase(space: Workspace, slot: int) -> None:
-    """Write the extremes of the acceleration to the event that began a run's phase."""
-    last = space.events[slot, space.runs[slot].count - 1]
-    last.max_acceleration = space.numbers[slot, space.behind + rows.PHASE_MAX]
-    last.min_acceleration = space.numbers[slot, space.behind + rows.PHASE_MIN]
+    """Write the extremes of the accelerations to the event that began a run's phase."""
+    last = space.runs[slot].count - 1
+    for lash in range(lashes_of(space.system)):
+        space.extremes[slot, last, lash, 0] = number_of(space, slot, rows.PHASE_MAX, lash)
+        space.extremes[slot, last, lash, 1] = number_of(space, slot, rows.PHASE_MIN, lash)
+
+
+@unowned_inlined
+def _forget_phase(space: Workspace, slot: int) -> None:
+    """Forget the extremes of a phase that lasted no time."""
+    _begin_phase(space, slot)
+    for lash in range(lashes_of(space.system)):
+        play = space.plays[slot, lash]
+        set_number_of(space, slot, rows.WINDOW_MAX, lash, play.window_max)
+        set_number_of(space, slot, rows.WINDOW_MIN, lash, play.window_min)
 
 
 @unowned_inlined
@@ -319,7 +351,7 @@ def _switch(space: Workspace, slot: int) -> None:
     """A guard turned negative: take what that says of the run's margin, and enter the regime that follows."""
     system, row, inputs, log = space.system, space.runs[slot], space.inputs[slot], log_of(space, slot)
     numbers = space.numbers[slot, space.behind :]
-    x, time, total = space.state[slot, : system.lash.size], row.time + numbers[rows.ELAPSED], 0.0
+    x, time, total = space.state[slot, : system.lashes.shape[1]], row.time + numbers[rows.ELAPSED], 0.0
     for k in range(x.size):
         total += abs(x[k])
     if not np.isfinite(total):
@@ -330,63 +362,73 @@ def _switch(space: Workspace, slot: int) -> None:
         return
     if system.ramps != 0:
         set_torque(system, space.loads[row.load], row.piece, time, inputs)
-    numbers[rows.MARGIN] = _margin_of_an_event(space, slot, x, time)
-    entry, row.fastest = switch(system, row.regime, row.guard, time, x, inputs, log, row.count, row.fastest)
+    _take_margin(space, slot, x, time)
+    if len(system.general) > 0 and time - log.events[row.count - 1].time < INSTANT:
+        _forget_phase(space, slot)
+    entry = switch(system, row.regime, row.guard, time, x, inputs, log, row.count, space.fastest[slot])
     if entry.written == row.count:  # a stage that is not written: the phase goes on
         row.stages += 1
     else:
         _close_phase(space, slot)
-        numbers[rows.PHASE_MAX], numbers[rows.PHASE_MIN] = -np.inf, np.inf  # of the phase that begins
+        _begin_phase(space, slot)
     for k in range(row.count, entry.written):
         event = log.events[k]
+        if event.lash < 0:
+            continue
+        lash = 0 if len(system.general) == 0 else event.lash
+        play = space.plays[slot, lash]
         if event.kind == TOUCH:
-            if event.side != row.last_side or row.from_sticking != 0:
+            if event.side != play.last_side or play.from_sticking != 0:
                 # a primary impact, by the rule of `sequence.find_primaries`: its window is empty, anything counts
-                numbers[rows.WINDOW_MAX], numbers[rows.WINDOW_MIN] = -np.inf, np.inf
-            row.last_side, row.contact_began, row.from_sticking = event.side, time, 0
+                set_number_of(space, slot, rows.WINDOW_MAX, lash, -np.inf)
+                set_number_of(space, slot, rows.WINDOW_MIN, lash, np.inf)
+            play.last_side, play.contact_began, play.from_sticking = event.side, time, 0
         elif event.kind == LOCK:
-            row.contact_began = time
+            play.contact_began = time
         elif event.kind == SEPARATION:
-            row.from_sticking = int(time - row.contact_began > system.sticking_time)
+            play.from_sticking = int(time - play.contact_began > system.sticking_time[lash])
     _enter(space, slot, time, x, entry)
 
 
 @unowned_inlined
-def _margin_of_an_event(space: Workspace, slot: int, x: FloatArray, time: float) -> float:
-    """A run's margin after an event at state `x`."""
-    system, row, half_gap = space.system, space.runs[slot], space.inputs[slot, HALF_GAP]
-    margin, event_kind = margin_of(space, slot), system.guards[row.regime, row.guard].event_kind
-    age = time - row.contact_began
-    if event_kind == SEPARATION and abs(age - system.sticking_time) < abs(margin) * system.sticking_time:
-        margin = 1.0 - age / system.sticking_time
-    if event_kind == REJOIN and age > system.sticking_time and row.static > 0.0:
+def _take_margin(space: Workspace, slot: int, x: FloatArray, time: float) -> None:
+    """Take what an event at state `x` says of the margin of its lash."""
+    system, row = space.system, space.runs[slot]
+    guard, lash = system.guards[row.regime, row.guard], lash_of(system, row.regime, row.guard)
+    if guard.event_kind != SEPARATION and guard.event_kind != REJOIN:
+        return
+    play, margin = space.plays[slot, lash], number_of(space, slot, rows.MARGIN, lash)
+    age, sticking_time = time - play.contact_began, system.sticking_time[lash]
+    if guard.event_kind == SEPARATION and abs(age - sticking_time) < abs(margin) * sticking_time:
+        margin = 1.0 - age / sticking_time
+    if guard.event_kind == REJOIN and age > sticking_time and play.static > 0.0:
         # the overlap is least here or soon after: where it all but vanishes, rounding decides which
-        overlap = -half_gap
+        overlap, gap = -space.inputs[slot, gap_input(lash)], lash * system.stride + GAP
         for k in range(x.size):
-            overlap += system.regimes[row.regime].side * system.functionals[0, GAP, k] * x[k]
-        if max(overlap, 0.0) / row.static < abs(margin):
-            margin = max(overlap, 0.0) / row.static
-    return float(margin)
+            overlap += guard.side * system.functionals[0, gap, k] * x[k]
+        if max(overlap, 0.0) / play.static < abs(margin):
+            margin = max(overlap, 0.0) / play.static
+    set_number_of(space, slot, rows.MARGIN, lash, margin)
 
 
 @unowned
-def _static(system: System, flows: Flows, start: Start) -> float:
-    """The overlap of the flanks, or the torque that locks them, at rest under the torque that the load ends at.
+def _static(system: System, flows: Flows, start: Start, lash: int, inputs: FloatArray) -> float:
+    """The overlap of a lash's flanks, or the torque that locks them, at rest under the torque that the load ends at.
 
     Without such rest, what it is at the load step.
     """
-    f, torque = FORCE if system.impulsive != 0 else GAP, start.loads[start.load, -1, LEVEL]
-    offset = 0.0 if system.impulsive != 0 else start.half_gap
-    most = 0.0
+    f = lash * system.stride + (FORCE if system.impulsive != 0 else GAP)
+    torque, most = start.loads[start.load, -1, LEVEL], 0.0
+    offset = 0.0 if system.impulsive != 0 else inputs[gap_input(lash)]
     for regime in range(system.regimes.size):
-        row = system.regimes[regime]
-        rests = row.closed != 0 and flows.steady[row.flow] != 0
-        if rests and system.preload.shape[0] > 1:
-            rests = _rests(system, flows, regime, torque, start.half_gap)
+        contact = system.contacts[regime, lash]
+        rests = contact.closed != 0 and flows.steady[system.regimes[regime].flow] != 0
+        if rests and len(system.general) > 0:
+            rests = _rests(system, flows, regime, lash, torque, inputs)
         if rests:
-            value = _at_rest(system, flows, regime, f, torque, start.half_gap)
-            most = max(most, row.side * value - offset)
-    side, flow = system.regimes[start.regime].side, system.regimes[start.regime].flow
+            value = _at_rest(system, flows, regime, f, torque, inputs)
+            most = max(most, contact.side * value - offset)
+    side, flow = system.contacts[start.regime, lash].side, system.regimes[start.regime].flow
     if most > 0.0 or side == 0:
         return float(most)
     value = 0.0
@@ -396,22 +438,22 @@ def _static(system: System, flows: Flows, start: Start) -> float:
 
 
 @unowned_inlined
-def _at_rest(system: System, flows: Flows, regime: int, f: int, torque: float, half_gap: float) -> float:
+def _at_rest(system: System, flows: Flows, regime: int, f: int, torque: float, inputs: FloatArray) -> float:
     """A functional of the particular solution of a regime under a torque."""
     output = flows.origin_output[system.regimes[regime].flow, 0, f]
-    value = output[TORQUE] * torque + output[HALF_GAP] * (system.weights[regime, HALF_GAP] * half_gap)
-    for k in range(INPUTS, output.size):
-        value += output[k] * system.weights[regime, k]
+    value = output[TORQUE] * torque + output[HALF_GAP] * (system.weights[regime, HALF_GAP] * inputs[HALF_GAP])
+    for k in range(INPUTS, inputs_of(system)):
+        value += output[k] * (system.weights[regime, k] * inputs[k])
     return float(value)
 
 
 @unowned
-def _rests(system: System, flows: Flows, regime: int, torque: float, half_gap: float) -> bool:
-    """Whether a regime's particular solution under a torque lies within its stages."""
+def _rests(system: System, flows: Flows, regime: int, lash: int, torque: float, inputs: FloatArray) -> bool:
+    """Whether a regime's particular solution under a torque ends by no guard of a staged shaft or another lash."""
     for g in range(system.regimes[regime].guards):
         guard = system.guards[regime, g]
-        if guard.event_kind == STAGE:
-            value = _at_rest(system, flows, regime, guard.functional, torque, half_gap)
-            if guard.sign * value + breakpoint_of(system, regime, g) < 0.0:
+        if guard.lash != lash:
+            value = guard.sign * _at_rest(system, flows, regime, guard.functional, torque, inputs)
+            if value + weigh(system.offsets[regime, g], inputs, inputs_of(system)) < 0.0:
                 return False
     return True

@@ -15,11 +15,21 @@ import numpy.typing as npt
 from clunk.core.exact import curves, moving, polynomial, rows, taylor
 from clunk.core.exact.flows import TERMS
 from clunk.core.exact.step import GRAZING
-from clunk.core.exact.workspace import Workspace, field, is_still, scale_of, set_field
+from clunk.core.exact.workspace import (
+    Workspace,
+    field,
+    is_still,
+    number_of,
+    scale_of,
+    set_field,
+    set_number_of,
+    turn_search,
+)
 from clunk.core.jit import unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, push_all, put_back
 from clunk.core.lanes.vectors import WIDTH, Vector
+from clunk.core.regimes import lash_of
 from clunk.core.status import QUALITY_GRAZING
 
 FloatArray = npt.NDArray[np.float64]
@@ -216,22 +226,29 @@ def conclude(space: Workspace, sought: int, queue: int, count: int, done: int) -
         done &= done - 1
         item = space.pool.items[lane]
         slot = item // space.searches_each
-        numbers, run = space.numbers[slot, space.behind :], space.runs[slot]
+        run = space.runs[slot]
         top, bottom = space.pool.work[space.behind + rows.TOP, lane], space.pool.work[space.behind + rows.BOTTOM, lane]
         if sought == TURN:
-            guard = item - slot * space.searches_each - rows.TURN_SEARCH
+            guard = item - slot * space.searches_each - turn_search(space, 0)
+            lash = lash_of(space.system, run.regime, guard)
             nearest = bottom / scale_of(space, slot, guard)
-            if nearest < abs(numbers[rows.MARGIN]):
-                numbers[rows.MARGIN] = max(nearest, 0.0)
+            if nearest < abs(number_of(space, slot, rows.MARGIN, lash)):
+                set_number_of(space, slot, rows.MARGIN, lash, max(nearest, 0.0))
                 if nearest <= GRAZING:
                     run.quality |= QUALITY_GRAZING
         elif sought == DEPTH:
-            scale = scale_of(space, slot, run.guard)
-            if max(bottom, 0.0) < abs(numbers[rows.MARGIN]) * scale:
-                numbers[rows.MARGIN] = -max(bottom, 0.0) / scale
+            scale, lash = scale_of(space, slot, run.guard), lash_of(space.system, run.regime, run.guard)
+            if max(bottom, 0.0) < abs(number_of(space, slot, rows.MARGIN, lash)) * scale:
+                set_number_of(space, slot, rows.MARGIN, lash, -max(bottom, 0.0) / scale)
             run.depth_known = 1
         else:
-            numbers[rows.WINDOW_MAX], numbers[rows.WINDOW_MIN] = top, bottom
-            numbers[rows.PHASE_MAX] = max(numbers[rows.PHASE_MAX], top)
-            numbers[rows.PHASE_MIN] = min(numbers[rows.PHASE_MIN], bottom)
+            lash = 0 if len(space.system.general) == 0 else item - slot * space.searches_each - rows.EXTREMES_SEARCH
+            set_number_of(space, slot, rows.WINDOW_MAX, lash, top)
+            set_number_of(space, slot, rows.WINDOW_MIN, lash, bottom)
+            largest, smallest = (
+                number_of(space, slot, rows.PHASE_MAX, lash),
+                number_of(space, slot, rows.PHASE_MIN, lash),
+            )
+            set_number_of(space, slot, rows.PHASE_MAX, lash, max(largest, top))
+            set_number_of(space, slot, rows.PHASE_MIN, lash, min(smallest, bottom))
         push(space.pool, space.queues.follow, slot)

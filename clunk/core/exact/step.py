@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.events import STAGE
+from clunk.core.events import INSTANT
 from clunk.core.exact import curves, moving, polynomial, rows, taylor
 from clunk.core.exact.curves import load_curve, store_curve
 from clunk.core.exact.flows import TERMS
@@ -27,15 +27,21 @@ from clunk.core.exact.workspace import (
     begin_acceleration_search,
     begin_search,
     field,
+    field_of,
     find_origin,
     is_still,
+    number_of,
     set_field,
+    set_field_of,
+    shift_of,
     sign_of,
+    turn_search,
 )
 from clunk.core.jit import unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push_all, put_back
 from clunk.core.lanes.vectors import WIDTH, Vector
+from clunk.core.regimes import inputs_of, lash_of, lashes_of
 from clunk.core.status import QUALITY_GRAZING
 from clunk.core.switching import ROUNDING
 from clunk.core.tables import ACCELERATION
@@ -66,7 +72,6 @@ class _Lanes(NamedTuple):
     grazing: int  # a guard all but turned negative
     happened: int  # an event, whose guard is in the first of the notes
     deep: int  # whose guard goes certainly deeper than the margin is
-    extremes: int  # the acceleration may have an extreme that counts
 
 
 @unowned_inlined
@@ -81,10 +86,10 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     size, zero, present = flows.basis.shape[1], vectors.splat(0.0), (1 << count) - 1
     shortest, most_left_out = flows.span[flow, 0], min(flows.ringing[flow], size // 2 - 1)
     elapsed, left_out = field(space, rows.ELAPSED), field(space, rows.LEFT_OUT)
-    time_left = field(space, rows.LIMIT) - elapsed
+    time_left = field(space, rows.limit(lashes_of(system))) - elapsed
 
     _evaluate_guards(space, regime, left_out, most_left_out)
-    acceleration, sixth, may_widen = _may_widen_window(space, flow, time_left)
+    may_widen = _may_widen_windows(space, flow, time_left)
     settled, kinks, at_most = 0, 0, field(space, rows.TRY)
     if flows.steady[flow] != 0:
         settled = _stay_positive(space, regime) & ~may_widen & present
@@ -125,7 +130,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     # that no event depends on where that end is.
     failed = 0 if short else (failed | (h > time_left)) & advancing
     advancing &= ~failed
-    extremes = _watch_acceleration(space, flow, acceleration, sixth, h, may_widen & advancing)
+    extremes = _watch_accelerations(space, flow, h, advancing)
     misses = _find_misses(space, regime, left_out, event, h, advancing)
     set_field(space, rows.LEFT_OUT, vectors.choose(sunk, 0.0, left_out))
     set_field(space, rows.ZERO, zero)
@@ -138,7 +143,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     arrived = ends & kinks & ~lost
     if (happened | arrived) != 0:
         moving.to_states(space, flow, happened | arrived)
-    put_back(pool, space.numbers, space.behind + rows.CHANGING, advancing)
+    put_back(pool, space.numbers, space.behind + rows.changing(lashes_of(system)), advancing)
     _set_where_they_were(space, rows.LEFT_OUT, zero, blocked)
     _set_where_they_were(space, rows.TRY, _NEXT_TRY * h, failed)
 
@@ -149,7 +154,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     else:
         push_all(pool, space.queues.short + group, advancing & ~special)
     push_all(pool, space.queues.follow, special)
-    _note_outcomes(space, regime, special, _Lanes(settled, lost, ends, close, grazing, happened, deep, extremes))
+    _note_outcomes(space, regime, special, _Lanes(settled, lost, ends, close, grazing, happened, deep))
 
 
 @unowned_inlined
@@ -159,7 +164,9 @@ def _note_outcomes(space: Workspace, regime: int, special: int, lanes: _Lanes) -
         lane = vectors.first_of(special)
         special &= special - 1
         run, bit = space.runs[space.pool.items[lane]], 1 << lane
-        run.seeks_extremes, run.seeks_turns = lanes.extremes >> lane & 1, 0
+        run.seeks_extremes, run.seeks_turns = 0, 0
+        for n in range(lashes_of(space.system)):
+            run.seeks_extremes |= (space.seeks_extremes[n] >> lane & 1) << n
         for n in range(space.system.regimes[regime].watched):
             run.seeks_turns |= (space.guard_lanes[n] >> lane & 1) << n
         run.depth_known = lanes.deep >> lane & 1
@@ -206,7 +213,7 @@ def _find_origin(space: Workspace, flow: int, f: int, at: int) -> None:
     """Write a functional's origin to `outputs`."""
     output, elapsed, first = space.flows.origin_output[flow], field(space, rows.ELAPSED), space.inputs_at
     still, ramps = is_still(space, flow), space.system.ramps != 0
-    origin = curves.origin(output, f, space.pool.work, first, still, ramps, elapsed)
+    origin = curves.origin(output, f, space.pool.work, first, inputs_of(space.system), still, ramps, elapsed)
     vectors.store(space.outputs, at + _ORIGIN, origin.value)
     vectors.store(space.outputs, at + _ORIGIN + 1, origin.slope)
     vectors.store(space.outputs, at + _ORIGIN + 2, origin.curvature)
@@ -228,7 +235,7 @@ def _load_origin(outputs: FloatArray, at: int) -> curves.Origin:
 def _guard(space: Workspace, regime: int, n: int, at: int) -> curves.Curve:
     """Guard n, less the sway of the pairs that are left out, by the functional that is kept from row `at` on."""
     flow, outputs = space.system.regimes[regime].flow, space.outputs
-    shift = field(space, rows.SHIFT + n) - vectors.load(outputs, at + _RING)
+    shift = _shift(space, n) - vectors.load(outputs, at + _RING)
     slower, origin = load_curve(outputs, at + _SLOWER), _load_origin(outputs, at)
     return curves.as_guard(slower, origin, is_still(space, flow), _sign(space, regime, n), shift)
 
@@ -236,19 +243,33 @@ def _guard(space: Workspace, regime: int, n: int, at: int) -> curves.Curve:
 @unowned_inlined
 def _sign(space: Workspace, regime: int, n: int) -> Vector:
     """The sign by which a functional makes guard n."""
-    return field(space, rows.SIDE) * space.system.guards[regime, n].sign
+    lash, sign = lash_of(space.system, regime, n), space.system.guards[regime, n].sign
+    return field_of(space, rows.SIDE, lash) * sign if lash >= 0 else vectors.splat(sign)
+
+
+@unowned_inlined
+def _shift(space: Workspace, n: int) -> Vector:
+    """The shift that makes guard n of its functional."""
+    return field(space, rows.shift(n, lashes_of(space.system)))
+
+
+@unowned_inlined
+def _lash(space: Workspace, regime: int, n: int) -> int:
+    """The lash whose margin guard n makes; of a guard that makes none, any."""
+    return max(lash_of(space.system, regime, n), 0)
 
 
 @unowned_inlined
 def _scale(space: Workspace, regime: int, n: int) -> Vector:
     """The scale of the margin of guard n; 0 where it makes none."""
-    return field(space, rows.SCALE) * float(space.system.guards[regime, n].makes_margin)
+    scale = field_of(space, rows.SCALE, _lash(space, regime, n))
+    return scale * float(space.system.guards[regime, n].makes_margin)
 
 
 @unowned_inlined
 def _bar(space: Workspace, regime: int, n: int) -> Vector:
     """How low guard n has to turn back to make the margin smaller, or how deep an event's guard may at most go."""
-    return vectors.magnitude(field(space, rows.MARGIN)) * _scale(space, regime, n)
+    return vectors.magnitude(field_of(space, rows.MARGIN, _lash(space, regime, n))) * _scale(space, regime, n)
 
 
 @unowned_inlined
@@ -262,37 +283,50 @@ def _zero_order(space: Workspace, n: int) -> Vector:
 
 
 @unowned_inlined
-def origin_of_acceleration(space: Workspace, flow: int, elapsed: Vector) -> curves.Origin:
-    """The acceleration's origin, which moves only under a ramp, even where the flow drifts."""
-    output, first = space.flows.origin_output[flow], space.inputs_at
-    ramps = space.system.ramps != 0
-    origin = curves.origin(output, ACCELERATION, space.pool.work, first, True, ramps, elapsed)
+def origin_of_acceleration(space: Workspace, flow: int, lash: int, elapsed: Vector) -> curves.Origin:
+    """The origin of a lash's acceleration, which moves only under a ramp, even where the flow drifts."""
+    output, first, f = space.flows.origin_output[flow], space.inputs_at, lash * space.system.stride + ACCELERATION
+    ramps, driven = space.system.ramps != 0, inputs_of(space.system)
+    origin = curves.origin(output, f, space.pool.work, first, driven, True, ramps, elapsed)
     if not ramps:
         return origin
-    slope = curves.origin_slope(output, ACCELERATION, space.pool.work, first)
+    slope = curves.origin_slope(output, f, space.pool.work, first, driven)
     return curves.Origin(origin.value + elapsed * slope, slope, origin.curvature, origin.jerk)
 
 
 @unowned_inlined
-def _may_widen_window(space: Workspace, flow: int, time_left: Vector) -> tuple[curves.Origin, Vector, int]:
-    """Where the acceleration can come to exceed what its window holds, until the end of the run or of the load's piece.
+def widen_extremes(space: Workspace, lash: int, seen: Vector) -> None:
+    """Take a value of a lash's acceleration into the extremes of its window and of the phase."""
+    set_field_of(space, rows.WINDOW_MAX, lash, vectors.larger(field_of(space, rows.WINDOW_MAX, lash), seen))
+    set_field_of(space, rows.WINDOW_MIN, lash, vectors.smaller(field_of(space, rows.WINDOW_MIN, lash), seen))
+    set_field_of(space, rows.PHASE_MAX, lash, vectors.larger(field_of(space, rows.PHASE_MAX, lash), seen))
+    set_field_of(space, rows.PHASE_MIN, lash, vectors.smaller(field_of(space, rows.PHASE_MIN, lash), seen))
 
-    Returns
-    -------
-    origin : Origin
-    sixth : Vector
-        A bound of the acceleration's sixth derivative.
-    may_widen : int
+
+@unowned_inlined
+def _may_widen_windows(space: Workspace, flow: int, time_left: Vector) -> int:
+    """Where an acceleration can come to exceed what its window holds, until the end of the run or of the load's piece.
+
+    Each lash's lanes are in `may_widen`, and what is known of its acceleration at the step's beginning in
+    `accelerations`.
     """
-    flows, work, size = space.flows, space.pool.work, space.flows.basis.shape[1]
-    origin = origin_of_acceleration(space, flow, field(space, rows.ELAPSED))
-    _, sixth, swing = curves.bounds(flows.watch[flow, ACCELERATION], work, size)
-    high, low = field(space, rows.WINDOW_MAX), field(space, rows.WINDOW_MIN)
-    largest = smallest = origin.value
-    if space.system.ramps != 0:
-        last = origin.value + origin.slope * time_left
-        largest, smallest = vectors.larger(largest, last), vectors.smaller(smallest, last)
-    return origin, sixth, (largest + swing > high) | (smallest - swing < low)
+    flows, work, size, may_widen = space.flows, space.pool.work, space.flows.basis.shape[1], 0
+    for lash in range(lashes_of(space.system)):
+        origin = origin_of_acceleration(space, flow, lash, field(space, rows.ELAPSED))
+        watch = flows.watch[flow, lash * space.system.stride + ACCELERATION]
+        _, sixth, swing = curves.bounds(watch, work, size)
+        high, low = field_of(space, rows.WINDOW_MAX, lash), field_of(space, rows.WINDOW_MIN, lash)
+        largest = smallest = origin.value
+        if space.system.ramps != 0:
+            last = origin.value + origin.slope * time_left
+            largest, smallest = vectors.larger(largest, last), vectors.smaller(smallest, last)
+        lanes = (largest + swing > high) | (smallest - swing < low)
+        vectors.store(space.accelerations, 3 * lash, origin.value)
+        vectors.store(space.accelerations, 3 * lash + 1, origin.slope)
+        vectors.store(space.accelerations, 3 * lash + 2, sixth)
+        space.may_widen[lash] = lanes
+        may_widen |= lanes
+    return int(may_widen)
 
 
 @unowned_inlined
@@ -302,7 +336,7 @@ def _stay_positive(space: Workspace, regime: int) -> int:
     for n in range(space.system.regimes[regime].watched):
         at = space.system.guards[regime, n].alike * OF_OUTPUT
         at_rest = _sign(space, regime, n) * vectors.load(space.outputs, at + _ORIGIN)
-        least = at_rest + field(space, rows.SHIFT + n) - vectors.load(space.outputs, at + _SWAY)
+        least = at_rest + _shift(space, n) - vectors.load(space.outputs, at + _SWAY)
         stay &= (least > 0.0) & (least >= _bar(space, regime, n))
     return stay
 
@@ -422,10 +456,10 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
                     space.guard_lanes[m] &= ~first
                     guard = vectors.choose(first, float(m), guard)
                     sign = vectors.choose(first, _sign(space, regime, m), sign)
-                    shift = vectors.choose(first, field(space, rows.SHIFT + m), shift)
+                    shift = vectors.choose(first, _shift(space, m), shift)
                     of_this = _scale(space, regime, m)
-                    if system.guards[regime, m].event_kind == STAGE:
-                        of_this = vectors.magnitude(field(space, rows.SHIFT + m))
+                    if lash_of(system, regime, m) < 0:
+                        of_this = vectors.magnitude(_shift(space, m))
                     scale = vectors.choose(first, of_this, scale)
                     order = vectors.choose(first, _zero_order(space, m), order)
             if near == 0:
@@ -434,7 +468,12 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
             origin = _load_origin(outputs, at)
             taylor.expand(flows.series[flow, f], space.pool.work, size, shortest, sign, shift, origin, series)
             noise = vectors.magnitude(origin.value) + vectors.magnitude(shift) + vectors.load(outputs, at + _SWAY)
-            crosses, bad, grazes, s = _first_zero(space, near, order, ROUNDING * noise, scale, part)
+            noise = ROUNDING * noise
+            if len(system.general) > 0:  # another lash's event at the same time may have been located first
+                instant = vectors.magnitude(vectors.load(series, 1)) * (INSTANT / shortest)
+                instant = vectors.choose(field(space, rows.ELAPSED) == 0.0, instant, 0.0)
+                noise = vectors.larger(noise, instant)
+            crosses, bad, grazes, s = _first_zero(space, near, order, noise, scale, part)
             lost |= bad
             grazing |= grazes
             crosses &= (event < 0.0) | (s < part)
@@ -567,46 +606,63 @@ def _prove(space: Workspace, regime: int, left_out: Vector, most_left_out: int, 
 
 
 @unowned_inlined
-def _watch_acceleration(
-    space: Workspace, flow: int, origin: curves.Origin, sixth: Vector, h: Vector, may_widen: int
-) -> int:
-    """See what the acceleration did within a time h, and begin to search its extremes where one may count.
+def _watch_accelerations(space: Workspace, flow: int, h: Vector, advancing: int) -> int:
+    """See what the accelerations did within a time h, and begin to search their extremes where one may count.
 
-    origin : at the step's beginning
-    may_widen : the lanes where it can exceed what its window holds; returns those in which to search
+    Returns the lanes in which to search; each lash's are in `seeks_extremes`.
+    """
+    extremes = 0
+    for lash in range(lashes_of(space.system)):
+        lanes = _watch_acceleration(space, flow, lash, h, space.may_widen[lash] & advancing)
+        space.seeks_extremes[lash] = lanes
+        extremes |= lanes
+    return int(extremes)
+
+
+@unowned_inlined
+def _watch_acceleration(space: Workspace, flow: int, lash: int, h: Vector, may_widen: int) -> int:
+    """`_watch_accelerations` for one lash.
+
+    may_widen : the lanes where its acceleration can exceed what its window holds
     """
     work, notes, size, zero = space.pool.work, space.notes, space.flows.basis.shape[1], vectors.splat(0.0)
-    start = curves.Curve(
-        field(space, rows.SEEN), field(space, rows.SEEN_SLOPE), field(space, rows.SEEN_CURVATURE), zero, sixth
+    origin_value, origin_slope = (
+        vectors.load(space.accelerations, 3 * lash),
+        vectors.load(space.accelerations, 3 * lash + 1),
     )
-    seen = curves.evaluate_again(space.flows.watch[flow, ACCELERATION], work, size, zero, 0, start)
-    last, slope = seen.value + origin.value, seen.slope
+    sixth = vectors.load(space.accelerations, 3 * lash + 2)
+    start = curves.Curve(
+        field_of(space, rows.SEEN, lash),
+        field_of(space, rows.SEEN_SLOPE, lash),
+        field_of(space, rows.SEEN_CURVATURE, lash),
+        zero,
+        sixth,
+    )
+    watch = space.flows.watch[flow, lash * space.system.stride + ACCELERATION]
+    seen = curves.evaluate_again(watch, work, size, zero, 0, start)
+    last, slope = seen.value + origin_value, seen.slope
     if space.system.ramps != 0:
-        last, slope = last + h * origin.slope, slope + origin.slope
+        last, slope = last + h * origin_slope, slope + origin_slope
     end = curves.Curve(last, slope, seen.curvature, zero, sixth)
-    high = vectors.larger(field(space, rows.WINDOW_MAX), last)
-    low = vectors.smaller(field(space, rows.WINDOW_MIN), last)
     turns = 0
     if may_widen != 0:
+        high = vectors.larger(field_of(space, rows.WINDOW_MAX, lash), last)
+        low = vectors.smaller(field_of(space, rows.WINDOW_MIN, lash), last)
         least, greatest, remainder = curves.between(start, end, h)
         monotone, _ = curves.turns_not(start, end, remainder, zero, h)
         turns = ((greatest > high) | (least < low)) & may_widen & ~monotone
-    set_field(space, rows.WINDOW_MAX, high)
-    set_field(space, rows.WINDOW_MIN, low)
-    set_field(space, rows.PHASE_MAX, vectors.larger(field(space, rows.PHASE_MAX), last))
-    set_field(space, rows.PHASE_MIN, vectors.smaller(field(space, rows.PHASE_MIN), last))
-    set_field(space, rows.SEEN, last)
-    set_field(space, rows.SEEN_SLOPE, slope)
-    set_field(space, rows.SEEN_CURVATURE, seen.curvature)
+    widen_extremes(space, lash, last)
+    set_field_of(space, rows.SEEN, lash, last)
+    set_field_of(space, rows.SEEN_SLOPE, lash, slope)
+    set_field_of(space, rows.SEEN_CURVATURE, lash, seen.curvature)
     if turns != 0:
         vectors.store(notes, 0, h)
-        vectors.store(notes, 1, origin.value)
-        vectors.store(notes, 2, origin.slope)
         mask = turns
         while mask != 0:
             lane = vectors.first_of(mask)
             mask &= mask - 1
-            begin_acceleration_search(space, space.pool.items[lane], notes[0, lane], notes[1, lane], notes[2, lane])
+            value, slope_here = space.accelerations[3 * lash, lane], space.accelerations[3 * lash + 1, lane]
+            begin_acceleration_search(space, space.pool.items[lane], lash, notes[0, lane], value, slope_here)
     return int(turns)
 
 
@@ -616,20 +672,14 @@ def _find_misses(space: Workspace, regime: int, left_out: Vector, event: Vector,
 
     A miss is what turned back on the way; but a guard that was level at the beginning, rounding would have turn.
     """
-    system, guards, outputs, elapsed = (
-        space.system,
-        space.guards,
-        space.outputs,
-        field(space, rows.ELAPSED),
-    )
-    held_from, misses = field(space, rows.HELD_FROM), 0
-    counts = advancing & (elapsed > held_from)
+    system, guards, outputs, elapsed, misses = space.system, space.guards, space.outputs, field(space, rows.ELAPSED), 0
     for n in range(system.regimes[regime].watched):
+        held_from = field_of(space, rows.HELD_FROM, _lash(space, regime, n))
         row, at = n * OF_GUARD, system.guards[regime, n].alike * OF_OUTPUT
         start, end = load_curve(guards, row + _START), load_curve(guards, row + _END)
         least, remainder = vectors.load(guards, row + _LEAST), vectors.load(guards, row + _REMAINDER)
         fresh = (_zero_order(space, n) > 1.0) & (held_from <= 0.0)
-        may = counts & (_scale(space, regime, n) > 0.0) & ~(event == float(n)) & ~fresh
+        may = advancing & (elapsed > held_from) & (_scale(space, regime, n) > 0.0) & ~(event == float(n)) & ~fresh
         may &= vectors.smaller(vectors.smaller(start.value, end.value), least) < _bar(space, regime, n)
         monotone, crest = curves.turns_not(start, end, remainder, vectors.load(outputs, at + _SLOPE_BOUND), h)
         may &= ~monotone & ~(crest & (left_out == 0.0))
@@ -650,12 +700,11 @@ def _begin_turn_searches(space: Workspace, regime: int, n: int, h: Vector, elaps
         lane = vectors.first_of(mask)
         mask &= mask - 1
         slot = space.pool.items[lane]
-        numbers = space.numbers[slot, space.behind :]
         find_origin(space, slot, space.system.guards[regime, n].functional)
-        sign = sign_of(space, slot, n)
-        begin_search(space, slot, rows.TURN_SEARCH + n, notes[0, lane], sign, numbers[rows.SHIFT + n])
-        wanted = space.searches[slot * space.searches_each + rows.TURN_SEARCH + n, space.behind :]
-        wanted[rows.COUNTS] = notes[1, lane] - numbers[rows.HELD_FROM]
+        turn, sign = turn_search(space, n), sign_of(space, slot, n)
+        begin_search(space, slot, turn, notes[0, lane], sign, shift_of(space, slot, n))
+        wanted = space.searches[slot * space.searches_each + turn, space.behind :]
+        wanted[rows.COUNTS] = notes[1, lane] - number_of(space, slot, rows.HELD_FROM, _lash(space, regime, n))
 
 
 @unowned_inlined

@@ -14,7 +14,7 @@ from clunk.core.jit import compiled, unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import Pool, aligned, make_pool, push, whole
 from clunk.core.lanes.vectors import WIDTH, Vector
-from clunk.core.regimes import System
+from clunk.core.regimes import System, inputs_of, lash_of, lashes_of
 from clunk.core.runs import Log
 from clunk.core.switching import weigh
 from clunk.core.tables import INPUTS, TORQUE_RATE
@@ -33,10 +33,8 @@ RUN = np.dtype(
         ("quality", np.int64),
         ("count", np.int64),  # events so far
         ("regime", np.int64),
-        ("last_side", np.int64),
-        ("from_sticking", np.int64),
         ("stages", np.int64),  # changes of stage so far that are not written
-        ("seeks_extremes", np.int64),  # whether the last step's are yet to be searched for
+        ("seeks_extremes", np.int64),  # the lashes whose extremes in the last step are yet to be searched for, as bits
         ("seeks_turns", np.int64),  # the guards whose turns in the last step are yet to be searched for, as bits
         ("load", np.int64),  # its row of the loads
         ("piece", np.int64),  # of the load
@@ -44,9 +42,18 @@ RUN = np.dtype(
         ("guard", np.int64),  # the one that ended it, by an event
         ("depth_known", np.int64),  # whether the depth of that guard is known, or known to be no concern of the margin
         ("time", np.float64),  # s, when the phase began; after the end, when the run did
+    ],
+    align=True,
+)
+
+PLAY = np.dtype(  # of a run in one lash
+    [
+        ("last_side", np.int64),
+        ("from_sticking", np.int64),
         ("contact_began", np.float64),  # s, of the last contact
-        ("fastest", np.float64),  # rad/s, of the touches so far
         ("static", np.float64),  # what is at rest: overlap, rad, or locking torque
+        ("window_max", np.float64),  # rad/s2, extremes of the acceleration in the window before the phase
+        ("window_min", np.float64),
     ],
     align=True,
 )
@@ -58,7 +65,7 @@ class Queues(NamedTuple):
     span: int  # a step of a span
     short: int  # a step of a part of the shortest span
     enter: int  # entering a regime
-    extremes: int  # searching the extremes of the acceleration, after a step
+    extremes: int  # searching the extremes of a lash's acceleration, after a step
     turn: int  # searching the lowest turn of a guard, after a step
     depth: int  # searching how deep a guard would go, after an event
     over: int  # finished runs
@@ -66,41 +73,58 @@ class Queues(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Runs under way, S at most, with what one thread needs to take steps with them; N states, G guards, W lanes."""
+    """Runs under way, S at most, with what one thread needs to take steps with them.
+
+    N states, G guards, L lashes, W lanes.
+    """
 
     system: System
     flows: Flows
     pool: Pool
     queues: Queues
     numbers: FloatArray  # (S + 1, …)  of each run; the last row is scratch for unused lanes
-    searches: FloatArray  # ((S + 1) (G + 1), …)  of each run's searches; the last row is scratch again
-    searches_each: int  # G + 1
+    searches: FloatArray  # ((S + 1) (L + G), …)  of each run's searches; the last row is scratch again
+    searches_each: int  # L + G
     behind: int  # where the numbers that `rows` names begin in a row
     inputs_at: int  # and where the inputs do
     kink_at: int  # and whether the load has not come to rest
     read: int  # numbers of a run that a step reads
     runs: npt.NDArray[np.void]  # (S + 1,) RUN
+    plays: npt.NDArray[np.void]  # (S + 1, L) PLAY
+    fastest: FloatArray  # (S, L)  rad/s, of the touches of each lash so far
     loads: FloatArray  # (loads, P, PIECE)
     inputs: FloatArray  # (S, I)  d of each run, when its phase or its load's piece began
     state: FloatArray  # (S + 1, C)  [rad, rad/s]  of each run at the end of its phase
     events: npt.NDArray[np.void]  # (S, capacity) EVENT
+    extremes: FloatArray  # (S, capacity, L, 2)
+    margins: FloatArray  # (S, L)  of each run at its end
     states: FloatArray  # (S, capacity, N), or (S, 0, N)
     # scratch of a step
     outputs: FloatArray  # (G OF_OUTPUT, W)  see clunk.core.exact.step
     guards: FloatArray  # (G OF_GUARD, W)
     guard_lanes: IntArray  # (G,)
+    accelerations: FloatArray  # (3L, W)  of each: its origin's value and slope, and a bound of its sixth derivative
+    may_widen: IntArray  # (L,)  lanes in which it can exceed what its window holds
+    seeks_extremes: IntArray  # (L,)  lanes in which it may have had an extreme that counts
     series: FloatArray  # (TERMS, W)
     moved: FloatArray  # (3C, W)
     notes: FloatArray  # (NOTES, W)  for what is done for a lane alone
     offsets: IntArray  # (W,)
     origin: FloatArray  # (4,)
+    held: FloatArray  # (L, 2)  the torque that locks each lash where the load jumps or bends, and its rate of change
     alone: FloatArray  # (2, TERMS)  a series alone, and its zeros
     ladder: FloatArray  # (TERMS, TERMS)
 
 
 @compiled
 def make_workspace(
-    system: System, flows: Flows, loads: FloatArray, events: npt.NDArray[np.void], states: FloatArray
+    system: System,
+    flows: Flows,
+    loads: FloatArray,
+    events: npt.NDArray[np.void],
+    extremes: FloatArray,
+    margins: FloatArray,
+    states: FloatArray,
 ) -> Workspace:
     """Room for as many runs as there are rows of events, none of which has begun.
 
@@ -108,19 +132,20 @@ def make_workspace(
     ----------
     loads : (loads, P, PIECE) float64
     events : (S, capacity) EVENT
+    extremes : (S, capacity, L, 2) float64
+    margins : (S, L) float64
     states : (S, capacity or 0, N) float64
     """
     slots, size, most = events.shape[0], flows.basis.shape[1], system.guards.shape[1]
     # in order: span, short, enter, each by group; extremes, turn, depth, each by flow and functional; over; follow
     groups, functionals = system.leaders.size, flows.watch.shape[0] * flows.watch.shape[1]
-    extremes = 3 * groups
-    over = extremes + 3 * functionals
-    queues = Queues(0, groups, 2 * groups, extremes, extremes + functionals, extremes + 2 * functionals, over, over + 1)
-    behind = size * 3 // 2
-    inputs_at = behind + rows.SHIFT + most
-    driven = system.weights.shape[1]
+    first = 3 * groups
+    over = first + 3 * functionals
+    queues = Queues(0, groups, 2 * groups, first, first + functionals, first + 2 * functionals, over, over + 1)
+    behind, lashes, driven = size * 3 // 2, lashes_of(system), inputs_of(system)
+    inputs_at = behind + rows.shift(most, lashes)
     kink_at = inputs_at + driven
-    of_a_run = kink_at + 1
+    of_a_run, each = kink_at + 1, lashes + most
     read = whole(of_a_run if system.ramps != 0 or loads.shape[1] > 1 or driven > INPUTS else inputs_at + TORQUE_RATE)
     return Workspace(
         system=system,
@@ -128,26 +153,34 @@ def make_workspace(
         pool=make_pool(over + 2, slots, of_a_run),
         queues=queues,
         numbers=aligned(slots + 1, whole(of_a_run)),
-        searches=aligned((slots + 1) * (most + 1), whole(behind + rows.OF_A_SEARCH)),
-        searches_each=most + 1,
+        searches=aligned((slots + 1) * each, whole(behind + rows.OF_A_SEARCH)),
+        searches_each=each,
         behind=behind,
         inputs_at=inputs_at,
         kink_at=kink_at,
         read=read,
         runs=np.zeros(slots + 1, RUN),
+        plays=np.zeros((slots + 1, lashes), PLAY),
+        fastest=np.zeros((slots, lashes)),
         loads=loads,
         inputs=np.ones((slots, driven)),
         state=aligned(slots + 1, size),
         events=events,
+        extremes=extremes,
+        margins=margins,
         states=states,
         outputs=aligned(most * OF_OUTPUT, WIDTH),
         guards=aligned(most * OF_GUARD, WIDTH),
         guard_lanes=np.zeros(most, np.int64),
+        accelerations=aligned(3 * lashes, WIDTH),
+        may_widen=np.zeros(lashes, np.int64),
+        seeks_extremes=np.zeros(lashes, np.int64),
         series=aligned(TERMS, WIDTH),
         moved=aligned(3 * size, WIDTH),
         notes=aligned(NOTES, WIDTH),
         offsets=np.zeros(WIDTH, np.int64),
         origin=np.zeros(4),
+        held=np.zeros((lashes, 2)),
         alone=np.zeros((2, TERMS)),
         ladder=np.zeros((TERMS, TERMS)),
     )
@@ -166,6 +199,42 @@ def set_field(space: Workspace, name: int, values: Vector) -> None:
 
 
 @unowned_inlined
+def field_of(space: Workspace, name: int, lash: int) -> Vector:
+    """Load one number of a lash of each of the items that have been taken."""
+    return field(space, rows.of_lash(name, lash, lashes_of(space.system)))
+
+
+@unowned_inlined
+def set_field_of(space: Workspace, name: int, lash: int, values: Vector) -> None:
+    """Set one number of a lash of each of the items that have been taken."""
+    set_field(space, rows.of_lash(name, lash, lashes_of(space.system)), values)
+
+
+@unowned_inlined
+def number_of(space: Workspace, slot: int, name: int, lash: int) -> float:
+    """One number of a lash in a run."""
+    return float(space.numbers[slot, space.behind + rows.of_lash(name, lash, lashes_of(space.system))])
+
+
+@unowned_inlined
+def set_number_of(space: Workspace, slot: int, name: int, lash: int, value: float) -> None:
+    """Set one number of a lash in a run."""
+    space.numbers[slot, space.behind + rows.of_lash(name, lash, lashes_of(space.system))] = value
+
+
+@unowned_inlined
+def shift_of(space: Workspace, slot: int, guard: int) -> float:
+    """The shift that makes a guard of a functional of a run."""
+    return float(space.numbers[slot, space.behind + rows.shift(guard, lashes_of(space.system))])
+
+
+@unowned_inlined
+def turn_search(space: Workspace, guard: int) -> int:
+    """The one of a run's searches that is of a turn of a guard."""
+    return lashes_of(space.system) + guard
+
+
+@unowned_inlined
 def is_still(space: Workspace, flow: int) -> bool:
     """Whether no origin of a flow moves, whatever the inputs of a run are."""
     return bool(space.flows.steady[flow] != 0 and space.system.ramps == 0)
@@ -181,14 +250,16 @@ def sign_of(space: Workspace, slot: int, guard: int) -> float:
 @unowned_inlined
 def scale_of(space: Workspace, slot: int, guard: int) -> float:
     """The scale of a guard's margin; 0 where it makes none."""
-    row = space.system.guards[space.runs[slot].regime, guard]
-    return float(space.numbers[slot, space.behind + rows.SCALE]) if row.makes_margin != 0 else 0.0
+    regime = space.runs[slot].regime
+    if space.system.guards[regime, guard].makes_margin == 0:
+        return 0.0
+    return number_of(space, slot, rows.SCALE, lash_of(space.system, regime, guard))
 
 
 @unowned_inlined
 def log_of(space: Workspace, slot: int) -> Log:
     """The events of a run, and its states."""
-    return Log(space.events[slot], space.states[slot])
+    return Log(space.events[slot], space.extremes[slot], space.margins[slot], space.states[slot])
 
 
 @unowned_inlined
@@ -228,18 +299,21 @@ def find_origin(space: Workspace, slot: int, functional: int) -> None:
     output = space.flows.origin_output[space.system.regimes[space.runs[slot].regime].flow]
     numbers, origin = space.numbers[slot, space.behind :], space.origin
     inputs, elapsed = space.numbers[slot, space.inputs_at : space.kink_at], numbers[rows.ELAPSED]
-    value, slope = weigh(output[0, functional], inputs), weigh(output[1, functional], inputs)
-    curvature, jerk = weigh(output[2, functional], inputs), weigh(output[3, functional], inputs)
+    driven = inputs_of(space.system)
+    value, slope = weigh(output[0, functional], inputs, driven), weigh(output[1, functional], inputs, driven)
+    curvature, jerk = weigh(output[2, functional], inputs, driven), weigh(output[3, functional], inputs, driven)
     origin[0] = value + elapsed * (slope + 0.5 * elapsed * (curvature + elapsed / 3.0 * jerk))
     origin[1] = slope + elapsed * (curvature + 0.5 * elapsed * jerk)
     origin[2], origin[3] = curvature + elapsed * jerk, jerk
 
 
 @unowned_inlined
-def begin_acceleration_search(space: Workspace, slot: int, length: float, value: float, slope: float) -> None:
-    """Begin to search the extremes of the acceleration, whose origin has a value and a slope."""
+def begin_acceleration_search(
+    space: Workspace, slot: int, lash: int, length: float, value: float, slope: float
+) -> None:
+    """Begin to search the extremes of a lash's acceleration, whose origin has a value and a slope."""
     space.origin[0], space.origin[1], space.origin[2], space.origin[3] = value, slope, 0.0, 0.0
-    begin_search(space, slot, rows.EXTREMES_SEARCH, length, 1.0, 0.0)
+    begin_search(space, slot, rows.EXTREMES_SEARCH + lash, length, 1.0, 0.0)
 
 
 @unowned_inlined

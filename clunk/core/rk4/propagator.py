@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.reductions import constrained, unconstrained, with_wave, without_drift
+from clunk.core.reductions import constrained, with_wave, without_drift
 from clunk.core.regimes import System
-from clunk.core.tables import ACCELERATION, HALF_GAP
+from clunk.core.tables import ACCELERATION, half_gap_of
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -130,7 +130,8 @@ def _modal_bound(system: System, step: float) -> tuple[dict[str, Any], bool]:
         states = mechanical  # a ramp
     rates, inputs = system.rates[:, :states, :states], system.inputs[:, :states]
     functionals, feedthrough = system.functionals[:, :, :states], system.feedthrough
-    locked = constrained(system.lash[system.inertias : mechanical]) if system.impulsive else unconstrained(mechanical)
+    lashes = system.lashes[:, system.inertias : mechanical]
+    gaps = [half_gap_of(lash) for lash in range(len(lashes))]
     provable = np.zeros(flows, dtype=np.int64)
     mode_rows = np.zeros((flows, 2, size, size))
     mode_reach = np.zeros((flows, functionals.shape[1], size))
@@ -138,7 +139,7 @@ def _modal_bound(system: System, step: float) -> tuple[dict[str, Any], bool]:
     rest_functional = np.zeros((flows, functionals.shape[1], driven))
     stable = True
     for flow in range(flows):
-        reduction = unconstrained(mechanical) if 2 * flow < flows else locked
+        reduction = constrained(lashes, [system.impulsive * (flow >> lash & 1) for lash in range(len(lashes))])
         expand, pick, shift = with_wave(without_drift(reduction, system.drift), states - mechanical)
         reduced = pick @ rates[flow] @ expand
         eigenvalues, right = np.linalg.eig(reduced)
@@ -158,12 +159,12 @@ def _modal_bound(system: System, step: float) -> tuple[dict[str, Any], bool]:
         mode_rows[flow, 0, :count, :states], mode_rows[flow, 1, :count, :states] = left.real, left.imag
         mode_reach[flow, :, :count] = weight * np.abs(functionals[flow] @ expand @ right)
         forcing = inputs[flow].copy()
-        forcing[:, HALF_GAP] += rates[flow] @ shift
+        forcing[:, gaps] += rates[flow] @ shift
         rest_state[flow, :states] = -expand @ np.linalg.solve(reduced, pick @ forcing)
-        rest_state[flow, :states, HALF_GAP] += shift
+        rest_state[flow, :states, gaps] += shift.T
         rest_functional[flow] = functionals[flow] @ rest_state[flow, :states] + feedthrough[flow]
     if system.drift.shape[1] < 2:  # nothing accelerates for good; the product above leaves rounding
-        rest_functional[:, ACCELERATION] = 0.0
+        rest_functional[:, ACCELERATION : len(lashes) * system.stride : system.stride] = 0.0
     bound = {
         "provable": provable,
         "mode_rows": mode_rows,

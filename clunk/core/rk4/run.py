@@ -7,22 +7,22 @@ and the rest of the step is finished in the successor regime, so that the time g
 Where another piece of the load begins, a step is cut short, and the grid begins anew.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.events import LOAD_STEP
+from clunk.core.events import INSTANT, LOAD_STEP
 from clunk.core.jit import compiled, unowned, unowned_inlined
-from clunk.core.regimes import System
+from clunk.core.regimes import System, inputs_of, lashes_of
 from clunk.core.rk4 import quartic
 from clunk.core.rk4.propagator import BEND, BLOCK, Steps
 from clunk.core.rk4.settling import settled
-from clunk.core.rk4.step import Phase, acceleration_extremes, enter, expand, finish, first_event, make_phase
-from clunk.core.runs import BEGIN, Log, Outcome, Start, begin_wave, piece_at, record, set_torque
+from clunk.core.rk4.step import Phase, enter, expand, finish, first_event, make_phase, widen_extremes
+from clunk.core.runs import BEGIN, Log, Outcome, Start, begin_wave, piece_at, record, set_gaps, set_torque
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
 from clunk.core.switching import MOST_STAGES, Entry, room_for_a_switch, switch
-from clunk.core.tables import ACCELERATION, HALF_GAP
+from clunk.core.tables import ACCELERATION
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -74,28 +74,27 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
         Set to non-zero from another thread to abandon the run.
     """
     x, phase, full, load = start.x, make_phase(system), _make_full(steps), start.loads[start.load]
-    inputs = np.ones(system.weights.shape[1])
-    inputs[HALF_GAP] = start.half_gap
+    inputs, fastest = np.ones(inputs_of(system)), np.zeros(lashes_of(system))
+    set_gaps(system, start.before, inputs)
+    log.margins[:] = np.nan
     entry = Entry(_unknown(1), start.regime, _unknown(-1), _unknown(0))
-    record(log, 0, 0.0, 0.0, LOAD_STEP, entry.regime, system.regimes[entry.regime].side, x)
+    record(log, 0, 0.0, 0.0, LOAD_STEP, entry.regime, -1, system.contacts[entry.regime, 0].side, x)
     piece = piece_at(load, 0, 0.0)
     begin, grid = _begin_piece(system, steps, load, piece, x, inputs)
-    index, offset, fastest, spanned, stages = 0, 0.0, 0.0, 1, 0  # the time is begin + index · step + offset
+    index, offset, spanned, stages = 0, 0.0, 1, 0  # the time is begin + index · step + offset
     while True:
         flow, zero_guard = system.regimes[entry.regime].flow, entry.zero_guard
         enter(phase, system, entry.regime, inputs)
         _combine(steps.transfer_input[flow], phase.inputs, full.affine)
         _combine(steps.block_input[flow], phase.inputs, full.block_affine)
-        opened = log.events[entry.written - 1]
+        extremes = log.extremes[entry.written - 1]
         while True:
             length, spanned = _next_length(grid, index, offset)
             expand(system, flow, x, phase)
             s, guard = first_event(system, entry.regime, phase, max(length, 0.0), zero_guard, entry.zero_order)
-            high, low = acceleration_extremes(system, flow, phase, s)
-            opened.max_acceleration = max(opened.max_acceleration, high)
-            opened.min_acceleration = min(opened.min_acceleration, low)
+            widen_extremes(system, flow, phase, s, extremes)
             if not finish(phase, s, x):
-                return Outcome(_NON_FINITE, entry.written, 0, np.nan, begin + index * grid.step + offset)
+                return Outcome(_NON_FINITE, entry.written, 0, begin + index * grid.step + offset)
             if guard >= 0:
                 offset += s
                 break
@@ -106,28 +105,19 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
             clear, over = True, False
             while clear and not over and index < grid.full:
                 budget = min(_BETWEEN_LOOKS, grid.full - index)
-                taken, high, low = _coast(
-                    steps,
-                    system.regimes[entry.regime],
-                    phase,
-                    full,
-                    budget,
-                    opened.max_acceleration,
-                    opened.min_acceleration,
-                )
-                opened.max_acceleration, opened.min_acceleration = high, low
+                taken = _coast(system, steps, entry.regime, phase, full, budget, extremes)
                 index += taken
                 clear = taken == budget
                 if stop[0] != 0:
-                    return Outcome(INTERRUPTED, entry.written, 0, np.nan, begin + index * grid.step)
+                    return Outcome(INTERRUPTED, entry.written, 0, begin + index * grid.step)
                 if clear and (taken == _BETWEEN_LOOKS or index == grid.full) and piece + 1 == load.shape[0]:
-                    over = settled(system, steps, entry.regime, phase, full.z, log.events, entry.written)
+                    over = settled(system, steps, entry.regime, start.regime, phase, full.z, log, entry.written)
             x[:] = full.z[: x.size]
             if over:
-                return Outcome(_OK, entry.written, QUALITY_COMPLETE, np.nan, begin + index * grid.step)
+                return Outcome(_OK, entry.written, QUALITY_COMPLETE, begin + index * grid.step)
             if index >= grid.last:
                 if piece + 1 == load.shape[0] or load[piece + 1, BEGIN] >= system.end_time:
-                    return Outcome(_OK, entry.written, 0, np.nan, system.end_time)
+                    return Outcome(_OK, entry.written, 0, system.end_time)
                 piece = piece_at(load, piece + 1, load[piece + 1, BEGIN])
                 begin, grid = _begin_piece(system, steps, load, piece, x, inputs)
                 index, offset = 0, 0.0
@@ -137,12 +127,14 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
 
         time = begin + index * grid.step + offset
         if not room_for_a_switch(system, inputs, log, entry.written):
-            return Outcome(_EVENT_BUFFER_FULL, entry.written, 0, np.nan, time)
+            return Outcome(_EVENT_BUFFER_FULL, entry.written, 0, time)
         written = entry.written
-        entry, fastest = switch(system, entry.regime, guard, time, x, inputs, log, written, fastest)
+        if len(system.general) > 0 and time - log.events[written - 1].time < INSTANT:
+            extremes[:, 0], extremes[:, 1] = -np.inf, np.inf
+        entry = switch(system, entry.regime, guard, time, x, inputs, log, written, fastest)
         stages += entry.written == written
         if stages > MOST_STAGES * log.events.size:
-            return Outcome(_EVENT_BUFFER_FULL, written, 0, np.nan, time)
+            return Outcome(_EVENT_BUFFER_FULL, written, 0, time)
         if spanned == 2 and offset >= grid.step:
             index, offset = index + 1, offset - grid.step
 
@@ -229,31 +221,28 @@ def _advance(transfer: FloatArray, affine: FloatArray, z: FloatArray, out: Float
 
 @unowned
 def _coast(
-    steps: Steps, row: Any, phase: Phase, full: _Full, budget: int, largest: float, smallest: float
-) -> tuple[int, float, float]:
-    """Take up to `budget` full steps, stopping before the first one in which a guard might turn negative.
+    system: System, steps: Steps, regime: int, phase: Phase, full: _Full, budget: int, extremes: FloatArray
+) -> int:
+    """Take up to `budget` full steps, and return how many: it stops before one in which a guard might turn negative.
 
     On a step, a guard is at least the smaller of its end values less its bend (see `propagator.BEND`); the same bounds
     the acceleration's excess over its end values. Steps go by the block, and one by one where a block is in doubt.
 
-    row : REGIME
-
-    Returns
-    -------
-    taken : int
-    largest, smallest : float  [rad/s2]
-        The acceleration's extremes, updated.
+    extremes : (L, 2) float64  [rad/s2]
+        Of each lash's acceleration, updated.
     """
+    row = system.regimes[regime]
     transfer, block, z, after = steps.transfer[row.flow], steps.block[row.flow], full.z, full.after
-    columns, outputs = transfer.shape[0], steps.observe.shape[2]
-    width, acceleration = columns + outputs, columns + 4 * ACCELERATION
-    taken = 0
+    columns, outputs, lashes = transfer.shape[0], steps.observe.shape[2], lashes_of(system)
+    width, taken = columns + outputs, 0
     while taken < budget:
         singly = 1
         if taken + BLOCK <= budget:
             _advance(block, full.block_affine, z, after)
             if _clears(phase, row.guards, columns, outputs, z, after, BLOCK):
-                largest, smallest = _watch_block(z, after, acceleration, outputs, largest, smallest)
+                for lash in range(lashes):
+                    at = columns + 4 * (lash * system.stride + ACCELERATION)
+                    _watch_block(z, after, at, outputs, extremes[lash])
                 for k in range(columns):
                     z[k] = after[k]
                 last = (BLOCK - 1) * outputs
@@ -265,12 +254,14 @@ def _coast(
         for _ in range(singly):
             _advance(transfer, full.affine, z, after)
             if not _clears(phase, row.guards, columns, outputs, z, after, 1):
-                return taken, largest, smallest
-            largest, smallest = _watch(z, after, acceleration, acceleration, largest, smallest)
+                return taken
+            for lash in range(lashes):
+                at = columns + 4 * (lash * system.stride + ACCELERATION)
+                _watch(z, after, at, at, extremes[lash])
             for k in range(width):
                 z[k] = after[k]
             taken += 1
-    return taken, largest, smallest
+    return taken
 
 
 @unowned_inlined
@@ -292,21 +283,18 @@ def _clears(
 
 
 @unowned_inlined
-def _watch_block(
-    z: FloatArray, after: FloatArray, at: int, outputs: int, largest: float, smallest: float
-) -> tuple[float, float]:
-    """Update the acceleration's extremes by a block of steps."""
+def _watch_block(z: FloatArray, after: FloatArray, at: int, outputs: int, extremes: FloatArray) -> None:
+    """Update an acceleration's extremes by a block of steps."""
     high, low, bend = z[at], z[at], _bend(z, at)
     for k in range(BLOCK):
         high, low = max(high, after[at + k * outputs]), min(low, after[at + k * outputs])
         if k + 1 < BLOCK:
             bend = max(bend, _bend(after, at + k * outputs))
-    if high + bend > largest or low - bend < smallest:
-        largest, smallest = _watch(z, after, at, at, largest, smallest)
+    if high + bend > extremes[0] or low - bend < extremes[1]:
+        _watch(z, after, at, at, extremes)
         for k in range(BLOCK - 1):
             begin = at + k * outputs
-            largest, smallest = _watch(after, after, begin, begin + outputs, largest, smallest)
-    return largest, smallest
+            _watch(after, after, begin, begin + outputs, extremes)
 
 
 @unowned_inlined
@@ -315,15 +303,13 @@ def _bend(z: FloatArray, at: int) -> float:
 
 
 @unowned_inlined
-def _watch(
-    before: FloatArray, after: FloatArray, begin: int, end: int, largest: float, smallest: float
-) -> tuple[float, float]:
-    """Update the acceleration's extremes by one step from `before[begin]` to `after[end]`."""
+def _watch(before: FloatArray, after: FloatArray, begin: int, end: int, extremes: FloatArray) -> None:
+    """Update an acceleration's extremes by one step from `before[begin]` to `after[end]`."""
     a, next_a = before[begin], after[end]
-    largest, smallest = max(largest, next_a), min(smallest, next_a)
+    largest, smallest = max(extremes[0], next_a), min(extremes[1], next_a)
     bend = _bend(before, begin)
     if max(a, next_a) + bend > largest or min(a, next_a) - bend < smallest:
         c2, c3, c4 = before[begin + 1] / BEND[1], before[begin + 2] / BEND[2], before[begin + 3] / BEND[3]
         high, low = quartic.extremes(a, next_a - a - c2 - c3 - c4, c2, c3, c4, 1.0)
         largest, smallest = max(largest, high), min(smallest, low)
-    return largest, smallest
+    extremes[0], extremes[1] = largest, smallest

@@ -4,9 +4,10 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.jit import compiled
-from clunk.core.regimes import System
+from clunk.core.regimes import System, lashes_of
 from clunk.core.rk4.propagator import Steps
 from clunk.core.rk4.step import Phase
+from clunk.core.runs import Log
 from clunk.core.sequence import find_primaries
 from clunk.core.severity import window_extremes
 from clunk.core.switching import weigh
@@ -20,12 +21,13 @@ def settled(
     system: System,
     steps: Steps,
     regime: int,
+    first_regime: int,
     phase: Phase,
     x: FloatArray,
-    events: npt.NDArray[np.void],
+    log: Log,
     count: int,
 ) -> bool:
-    """Whether it is proved that no event follows, and no acceleration beyond the extremes of the open window.
+    """Whether it is proved that no event follows, and no acceleration beyond the extremes of the open windows.
 
     Every functional stays within its rest value plus or minus the sum of its modes' present amplitudes, for ever.
     """
@@ -35,17 +37,23 @@ def settled(
     reach = _reach(steps, flow, phase, x)
     for guard in range(system.regimes[regime].guards):
         functional = system.guards[regime, guard].functional
-        at_rest = phase.sign[guard] * weigh(steps.rest_functional[flow, functional], phase.inputs)
+        at_rest = phase.sign[guard] * weigh(steps.rest_functional[flow, functional], phase.inputs, phase.inputs.size)
         if not at_rest + phase.shift[guard] > (1.0 + 1e-9) * reach[functional]:
             return False
-    primaries = np.empty(events.size, np.int64)
-    impacts = find_primaries(events, count, system.sticking_time, primaries)
-    if impacts == 0 or system.impulsive != 0:  # nothing is asked of the acceleration
+    if system.impulsive != 0:  # nothing is asked of the acceleration
         return True
-    largest, smallest = window_extremes(events, primaries[impacts - 1], count)
-    at_rest = weigh(steps.rest_functional[flow, ACCELERATION], phase.inputs)
-    swing = (1.0 + 1e-9) * reach[ACCELERATION]
-    return bool(largest >= at_rest + swing and smallest <= at_rest - swing)
+    primaries = np.empty(log.events.size, np.int64)
+    for lash in range(lashes_of(system)):
+        side = system.contacts[first_regime, lash].side
+        impacts = find_primaries(log.events, count, lash, side, system.sticking_time[lash], primaries)
+        if impacts > 0:  # else nothing is asked of the acceleration either
+            largest, smallest = window_extremes(log.extremes[:, lash], primaries[impacts - 1], count)
+            acceleration = lash * system.stride + ACCELERATION
+            at_rest = weigh(steps.rest_functional[flow, acceleration], phase.inputs, phase.inputs.size)
+            swing = (1.0 + 1e-9) * reach[acceleration]
+            if not (largest >= at_rest + swing and smallest <= at_rest - swing):
+                return False
+    return True
 
 
 @compiled

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from clunk.core.events import INSTANT
 from clunk.core.jit import compiled, unowned
-from clunk.core.regimes import System
+from clunk.core.regimes import System, inputs_of, lashes_of
 from clunk.core.rk4 import quartic
 from clunk.core.switching import ROUNDING, set_weighed, weigh
 from clunk.core.tables import ACCELERATION
@@ -33,7 +34,11 @@ def make_phase(system: System) -> Phase:
     most = system.guards.shape[1]
     driven = system.weights.shape[1]
     return Phase(
-        np.empty(driven), np.empty(most, np.int64), np.empty(most), np.empty(most), np.empty((5, system.lash.size))
+        np.empty(driven),
+        np.empty(most, np.int64),
+        np.empty(most),
+        np.empty(most),
+        np.empty((5, system.lashes.shape[1])),
     )
 
 
@@ -44,7 +49,7 @@ def enter(phase: Phase, system: System, regime: int, inputs: FloatArray) -> None
     for g in range(system.regimes[regime].guards):
         row = system.guards[regime, g]
         phase.at[g], phase.sign[g] = 4 * row.functional, row.sign
-        phase.shift[g] = weigh(system.offsets[regime, g], inputs)
+        phase.shift[g] = weigh(system.offsets[regime, g], inputs, inputs_of(system))
 
 
 @unowned
@@ -59,7 +64,7 @@ def expand(system: System, flow: int, x: FloatArray, phase: Phase) -> None:
             for k in range(size):
                 value += system.rates[flow, row, k] * taylor[order - 1, k]
             if order == 1:
-                value += weigh(system.inputs[flow, row], phase.inputs)
+                value += weigh(system.inputs[flow, row], phase.inputs, inputs_of(system))
             taylor[order, row] = value / order
 
 
@@ -70,7 +75,8 @@ def first_event(
     """When the first of the regime's guards turns negative within `length`, and which; (length, -1) if none does.
 
     Where the last event left a guard at zero, with or without its first derivatives, those zeros are divided out; a
-    guard within rounding of zero is taken to be zero, so that its derivatives decide.
+    guard within rounding of zero is taken to be zero, so that its derivatives decide. Where there is more than one
+    lash, so is one that is within an instant of it: another lash's event may have been located first.
     """
     earliest, which = length, -1
     for guard in range(system.regimes[regime].guards):
@@ -79,8 +85,10 @@ def first_event(
             system, system.regimes[regime].flow, system.guards[regime, guard].functional, phase
         )
         c0, c1, c2, c3, c4 = sign * c0 + shift, sign * c1, sign * c2, sign * c3, sign * c4
-        order = zero_order if guard == zero_guard else 0
-        if order == 0 and abs(c0) <= ROUNDING * (scale + abs(shift)):
+        order, rounding = zero_order if guard == zero_guard else 0, ROUNDING * (scale + abs(shift))
+        if len(system.general) > 0:
+            rounding = max(rounding, INSTANT * abs(c1))
+        if order == 0 and abs(c0) <= rounding:
             order = 1
         for _ in range(order):
             c0, c1, c2, c3, c4 = c1, c2, c3, c4, 0.0
@@ -91,10 +99,12 @@ def first_event(
 
 
 @unowned
-def acceleration_extremes(system: System, flow: int, phase: Phase, length: float) -> tuple[float, float]:
-    """The largest and the smallest acceleration on the step, both ends included  [rad/s2]."""
-    c0, c1, c2, c3, c4, _ = _quartic(system, flow, ACCELERATION, phase)
-    return quartic.extremes(c0, c1, c2, c3, c4, length)
+def widen_extremes(system: System, flow: int, phase: Phase, length: float, extremes: FloatArray) -> None:
+    """Update the extremes of each lash's acceleration, (L, 2), by those on the step, both ends included  [rad/s2]."""
+    for lash in range(lashes_of(system)):
+        c0, c1, c2, c3, c4, _ = _quartic(system, flow, lash * system.stride + ACCELERATION, phase)
+        high, low = quartic.extremes(c0, c1, c2, c3, c4, length)
+        extremes[lash, 0], extremes[lash, 1] = max(extremes[lash, 0], high), min(extremes[lash, 1], low)
 
 
 @unowned
@@ -110,7 +120,7 @@ def finish(phase: Phase, s: float, x: FloatArray) -> bool:
 @unowned
 def _quartic(system: System, flow: int, which: int, phase: Phase) -> tuple[float, float, float, float, float, float]:
     """A functional over the step: the coefficients of its quartic, and the size of the terms that make the first."""
-    driven, taylor = weigh(system.feedthrough[flow, which], phase.inputs), phase.taylor
+    driven, taylor = weigh(system.feedthrough[flow, which], phase.inputs, inputs_of(system)), phase.taylor
     c0, c1, c2, c3, c4, scale = driven, 0.0, 0.0, 0.0, 0.0, abs(driven)
     for k in range(taylor.shape[1]):
         weight = system.functionals[flow, which, k]

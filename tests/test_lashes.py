@@ -1,0 +1,185 @@
+"""Several lashes: both methods beside the independent reference, and known special cases."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import reference
+from helpers.agreement import NUDGE
+from helpers.randomplants import element_plant, nudged
+from helpers.reference import Lash, Plant
+
+from clunk.api import sweep
+from clunk.simulation.driveline import build
+from clunk.simulation.energy import balance
+from clunk.simulation.trajectory import SimulationError, simulate
+from clunk.study.config import study_from_text
+from clunk.study.errors import ClunkError
+
+NEAR = {"exact": 1e-9, "rk4": 1e-6}  # s; rk4's own error at a step of 20 µs is some 1e-8 s
+END_TIME = 0.3  # s
+GEARBOX = Lash((2, 3), 0.05, 2600.0, 0.6)
+AXLE = Lash((3, 4), 0.02, 2600.0, 0.6)
+CHAIN = Plant(
+    inertias=(0.024, 0.002, 0.003, 0.002),
+    shafts=((1, 2, 31.3, 0.08), (4, "ground", 31.3, 0.1), (1, "ground", 0.0, 0.1)),
+    lash=(),
+    other_lashes=(GEARBOX, AXLE),
+    acceleration_of=3,
+)
+
+
+def study_of(plant, method="exact", step=2e-5, end_time=END_TIME):
+    return study_from_text(reference.config_of(plant, method=method, step=step, end_time=end_time))
+
+
+def expected(plant):
+    """Kind, flank and lash of each event, from 0, and their times, by the reference."""
+    events = [event for event in reference.run(plant, END_TIME)[0][1:] if event.kind != "stage"]
+    happened = [(event.kind, event.side, int(event.element.split()[1]) - 1) for event in events]
+    return happened, np.array([event.time for event in events])
+
+
+def happened_in(run):
+    return [(run.kind_name(k), int(event["side"]), int(event["lash"])) for k, event in enumerate(run.events)][1:]
+
+
+def same_as_the_reference(plant, method):
+    """As far as two runs of the reference agree that begin a little apart."""
+    happened, times = expected(plant)
+    nudged_times = expected(nudged(plant, None, NUDGE)[0])[1]
+    count = min(times.size, nudged_times.size)
+    unresolved = np.flatnonzero(np.abs(times[:count] - nudged_times[:count]) > 0.3 * NEAR[method])
+    count = int(unresolved[0]) if unresolved.size else count
+    run = simulate(study_of(plant, method))
+    assert happened_in(run)[:count] == happened[:count]
+    assert run.events["time"][1 : count + 1] == pytest.approx(times[:count], abs=NEAR[method])
+    assert balance(run).relative_residual < (1e-9 if method == "exact" else 1e-5)
+
+
+@pytest.mark.parametrize(("method", "lashes", "seeds"), [("exact", 2, 8), ("exact", 3, 5), ("rk4", 2, 3)])
+def test_events_are_those_of_the_reference(method, lashes, seeds):
+    for seed in range(seeds):
+        same_as_the_reference(element_plant(seed, lashes), method)
+
+
+def test_events_with_staged_shafts_are_those_of_the_reference():
+    for seed in range(3):
+        same_as_the_reference(element_plant(seed, 2, 1), "exact")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(250))
+@pytest.mark.parametrize("lashes", [2, 3])
+def test_events_are_those_of_the_reference_in_many_drivelines(lashes, seed):
+    same_as_the_reference(element_plant(seed, lashes), "exact")
+
+
+@pytest.mark.parametrize("method", ["exact", "rk4"])
+def test_a_second_lash_that_never_opens_leaves_the_first_one_alone(method):
+    """A spring of the stiffness and damping of its contact in its place: a load that keeps pressing it."""
+    shut = Lash((3, 4), 0.02, 500.0, 0.3)
+    spring = (3, 4, 500.0, 0.3)
+    pressed = replace(CHAIN, other_lashes=(replaced(GEARBOX, backlash=0.001), shut), before=-8.0, after=-7.0)
+    joined = replace(pressed, other_lashes=pressed.other_lashes[:1], shafts=(*CHAIN.shafts, spring))
+    run, plain = simulate(study_of(pressed, method)), simulate(study_of(joined, method))
+    assert run.lashes[1].label == "NI"
+    assert run.lashes[1].severity == 0.0
+    assert happened_in(run) == happened_in(plain)
+    assert run.events["time"] == pytest.approx(plain.events["time"], abs=1e-11)
+
+
+def replaced(lash, **values):
+    return lash._replace(**values)
+
+
+@pytest.mark.parametrize("method", ["exact", "rk4"])
+def test_the_order_in_the_file_does_not_matter(method):
+    run = simulate(study_of(CHAIN, method))
+    swapped = simulate(study_of(replace(CHAIN, other_lashes=(AXLE, GEARBOX)), method))
+    other = [(kind, side, 1 - lash) for kind, side, lash in happened_in(swapped)]
+    assert happened_in(run) == other
+    assert run.events["time"] == pytest.approx(swapped.events["time"], abs=1e-12)
+    for one, two in zip(run.lashes, reversed(swapped.lashes), strict=True):
+        assert one.label == two.label
+        assert one.impact_severity == pytest.approx(two.impact_severity, rel=1e-9)
+
+
+def forked(order):
+    """Two equal branches at one hub, each with a lash; `order` numbers the branches."""
+    first, second = order
+    return Plant(
+        inertias=(0.024, 0.002, 0.002),
+        shafts=((1, "ground", 0.0, 0.1), (2, "ground", 31.3, 0.1), (3, "ground", 31.3, 0.1)),
+        lash=(),
+        other_lashes=(Lash((1, first), 0.05, 2600.0, 0.6), Lash((1, second), 0.05, 2600.0, 0.6)),
+        acceleration_of=1,
+    )
+
+
+@pytest.mark.parametrize("method", ["exact", "rk4"])
+def test_equal_branches_strike_together(method):
+    """One after the other at one time, and as one lash of twice the stiffness between the hub and both."""
+    joined = Plant(
+        inertias=(0.024, 0.004),
+        shafts=((1, "ground", 0.0, 0.1), (2, "ground", 62.6, 0.2)),
+        lash=(),
+        other_lashes=(Lash((1, 2), 0.05, 5200.0, 1.2),),
+        acceleration_of=1,
+    )
+    run, plain = simulate(study_of(forked((2, 3)), method)), simulate(study_of(joined, method))
+    assert len(run.events) == 2 * len(plain.events) - 1
+    assert run.events["time"][1::2] == pytest.approx(plain.events["time"][1:], abs=1e-11)
+    assert run.events["time"][2::2] == pytest.approx(plain.events["time"][1:], abs=1e-11)
+    for lash in run.lashes:
+        assert lash.label == plain.label
+        assert lash.impact_severity == pytest.approx(plain.impact_severity, rel=1e-8)
+        assert lash.approach_velocity == pytest.approx(plain.approach_velocity, rel=1e-9)
+    mirrored = simulate(study_of(forked((3, 2)), method))
+    assert [lash.label for lash in mirrored.lashes] == [lash.label for lash in run.lashes]
+    assert mirrored.events["time"] == pytest.approx(run.events["time"], abs=1e-12)
+
+
+def test_two_lashes_in_series_of_which_one_has_no_gap():
+    """A gapless lash passes from flank to flank without ever being open: it is a spring, which the tests above know."""
+    gapless = Lash((3, 4), 0.0, 500.0, 0.0)
+    run = simulate(study_of(replace(CHAIN, other_lashes=(GEARBOX, gapless))))
+    spring = replace(CHAIN, other_lashes=(GEARBOX,), shafts=(*CHAIN.shafts, (3, 4, 500.0, 0.0)))
+    plain = simulate(study_of(spring))
+    of_first = run.events[(run.events["lash"] == 0)]
+    assert of_first["time"] == pytest.approx(plain.events["time"][1:], abs=1e-9)
+    assert run.lashes[0].label == plain.label
+    assert run.lashes[0].impact_severity == pytest.approx(plain.impact_severity, rel=1e-7)
+
+
+def test_both_methods_and_a_sweep_agree():
+    run, other = simulate(study_of(CHAIN)), simulate(study_of(CHAIN, "rk4"))
+    assert happened_in(run) == happened_in(other)
+    assert run.events["time"] == pytest.approx(other.events["time"], abs=1e-7)
+    axis = '[[sweep.axes]]\nparameter = "lash[2].backlash_deg"\nvalues = [0.5, 1.1459155902616465]\n'
+    results = sweep(study_from_text(reference.config_of(CHAIN, method="exact", end_time=END_TIME) + axis), workers=1)
+    for k, lash in enumerate(run.lashes):
+        of_lash = results.of_lash(str(k + 1))
+        assert of_lash.label_map[1] == lash.label
+        assert of_lash.severity[1] == pytest.approx(lash.severity, rel=1e-9)
+        assert of_lash.touches[1] == lash.touches
+
+
+def test_every_lash_presses_its_own_flank_before_the_load_step():
+    """A reversing gear between them turns the second one's torque; in a loop they share it, or one carries nothing."""
+    turned = replace(CHAIN, other_lashes=(replaced(GEARBOX, ratio=-1.0), AXLE))
+    assert simulate(study_of(CHAIN)).initial_sides.tolist() == [-1, -1]
+    assert simulate(study_of(turned)).initial_sides.tolist() == [-1, 1]
+    parallel = replace(CHAIN, shafts=(*CHAIN.shafts, (3, 4, 31.3, 0.0)), other_lashes=(GEARBOX, AXLE))
+    torques = build(study_of(parallel)).contact_torque[0]
+    assert torques[0, 0] == pytest.approx(1.0, rel=1e-9)  # in series
+    assert 0.0 < torques[1, 0] < 1.0
+    slack = replace(parallel, other_lashes=(GEARBOX, replaced(AXLE, backlash=1.0)))
+    with pytest.raises(SimulationError, match="No initial flank"):
+        simulate(study_of(slack))
+
+
+def test_several_lashes_of_rigid_flanks_are_refused():
+    rigid = replace(CHAIN, other_lashes=(replaced(GEARBOX, restitution=0.5), replaced(AXLE, restitution=0.5)))
+    with pytest.raises(ClunkError, match="need the indentation model"):
+        simulate(study_of(rigid))
