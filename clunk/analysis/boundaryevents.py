@@ -73,19 +73,20 @@ def events_between(runs: PointRuns, one: Floats, other: Floats) -> Codes:
     A touch is a grazing of its flank, another one is where a contact that held ended. With the same events, a contact
     has held for the sticking time in one run only. Returns numbers in `EVENTS`, (n,).
     """
-    parts = [_differences(*part, runs.study.solver.end_time) for part in runs.pairs(one, other)]
+    parts = [_differences(*part, runs.study.solver.end_time, runs.lash) for part in runs.pairs(one, other)]
     return np.concatenate([np.zeros(0, np.int64), *parts])
 
 
-def _differences(records: Records, logs: Events, end_time: float) -> Codes:
-    """Events that differ, from CELL (n, 2) and EVENT (n, 2, events)."""
+def _differences(records: Records, logs: Events, end_time: float, lash: int) -> Codes:
+    """Events of a lash that differ, from its CELL (n, 2) and EVENT (n, 2, events)."""
     sides = np.where(records["status"] == Status.OK, records["initial_side"], 0)
-    times = np.where(logs["kind"] == STAGE, np.nan, logs["time"])  # a change of a shaft's stage makes no label
+    # neither a change of a shaft's stage nor an event of another lash makes a label
+    times = np.where((logs["kind"] == STAGE) | ((logs["lash"] >= 0) & (logs["lash"] != lash)), np.nan, logs["time"])
     order = np.argsort(np.isnan(times), axis=2, kind="stable")
     logs, times = np.take_along_axis(logs, order, 2), np.take_along_axis(times, order, 2)
     is_event = ~np.isnan(times)
     differ = np.abs(times[:, 0] - times[:, 1]) > _SAME_TIME * end_time
-    for name in ("kind", "side", "lash"):
+    for name in ("kind", "side"):
         differ |= logs[name][:, 0] != logs[name][:, 1]
     differ |= ~is_event.all(axis=1)  # behind the last event of one
     first = np.argmax(differ, axis=1)

@@ -23,6 +23,7 @@ from clunk.simulation.measures import measured
 from clunk.simulation.trajectory import Trajectory, simulate
 from clunk.study.document import dotted
 from clunk.study.errors import ClunkError
+from clunk.study.lashes import lash_position
 from clunk.study.loads import PROFILES
 from clunk.study.parameters import get_value, nominal_value
 from clunk.study.problems import ConfigError
@@ -168,7 +169,7 @@ def sensitivity(
     point = operating_point(study)
     names = of or default_quantities(point)
     quantities = tuple(dict.fromkeys(outcome_of(name, point, _NO_NUMBER, SensitivityError) for name in names))
-    nominal = simulate(point)
+    nominal = simulate(point).lashes[lash_position(lash, study.lash_names)]
     sample = saltelli_sample(point)
     _refuse_forbidden_draws(point, sample)
     runs = _runs(measuring(point, quantities), sample)
@@ -342,7 +343,8 @@ def _nominal_value(outcome: Outcome, nominal: Trajectory) -> float:
     if outcome.quantity == "primary_impacts":
         value = float(nominal.primaries.size)
     elif outcome.quantity == "last_event_time":
-        value = float(nominal.events["time"][-1]) if len(nominal.events) > 1 else math.nan
+        times = nominal.events["time"][nominal.events["lash"] == nominal.lash]
+        value = float(times[-1]) if times.size else math.nan
     elif outcome.quantity in MEASURED:
         value = float(getattr(nominal, outcome.quantity))
     else:

@@ -85,6 +85,7 @@ class EventPair:
     """
 
     name: str
+    lash: str
     flank: str
     rk4: float
     exact: float
@@ -232,26 +233,26 @@ def by(study: Study, method: Method) -> Study:
 def pair_events(rk4: Trajectory, exact: Trajectory) -> tuple[EventPair, ...]:
     """The events of a run by both methods, in order of time.
 
-    Two events are the same where they have one name and flank and each is the other's nearest: an event that one
+    Two events are the same where they have one name, lash and flank and each is the other's nearest: an event that one
     method lacks does not shift all that follow.
     """
     pairs = []
     times = [_times_by_event(run) for run in (rk4, exact)]
-    for name, flank in {**times[0], **times[1]}:
-        a, b = (np.array(by_event.get((name, flank), [])) for by_event in times)
+    for event in {**times[0], **times[1]}:
+        a, b = (np.array(by_event.get(event, [])) for by_event in times)
         apart = np.abs(a[:, None] - b)
         nearest = apart.argmin(axis=1) if b.size else np.empty(0, np.intp)  # of b, for each of a
         matched = [(k, m) for k, m in enumerate(nearest.tolist()) if apart[:, m].argmin() == k]
-        pairs += [EventPair(name, flank, float(a[k]), float(b[m])) for k, m in matched]
-        pairs += [EventPair(name, flank, time, math.nan) for time in np.delete(a, [k for k, _ in matched]).tolist()]
-        pairs += [EventPair(name, flank, math.nan, time) for time in np.delete(b, [m for _, m in matched]).tolist()]
+        pairs += [EventPair(*event, float(a[k]), float(b[m])) for k, m in matched]
+        pairs += [EventPair(*event, time, math.nan) for time in np.delete(a, [k for k, _ in matched]).tolist()]
+        pairs += [EventPair(*event, math.nan, time) for time in np.delete(b, [m for _, m in matched]).tolist()]
     return tuple(sorted(pairs, key=lambda pair: pair.rk4 if math.isnan(pair.exact) else pair.exact))
 
 
-def _times_by_event(run: Trajectory) -> dict[tuple[str, str], list[float]]:
-    times: dict[tuple[str, str], list[float]] = {}
+def _times_by_event(run: Trajectory) -> dict[tuple[str, str, str], list[float]]:
+    times: dict[tuple[str, str, str], list[float]] = {}
     for k, time_of_event in enumerate(run.events["time"].tolist()):
-        times.setdefault((run.kind_name(k), run.flank_name(k)), []).append(time_of_event)
+        times.setdefault((run.kind_name(k), run.lash_name(k), run.flank_name(k)), []).append(time_of_event)
     return times
 
 

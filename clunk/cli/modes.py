@@ -24,7 +24,8 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     """Print natural frequencies, damping ratios and small-gap thresholds.
 
     Of each mode also the share of each inertia in its kinetic energy, and which mode is the shuffle: the lowest in
-    which all inertias swing in phase or, where nothing holds the driveline, the engine's side against the vehicle's.
+    which all inertias swing in phase or, where nothing holds the driveline, the engine's side against the vehicle's. Of
+    several lashes, all are closed or open, and there are no thresholds.
 
     Example: clunk modes configs/nominal.toml
     """
@@ -43,7 +44,10 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     }
     names = driveline.names
     shuffle = shuffle_mode(driveline)
-    thresholds = {"lowest mode": one_mode_thresholds(study), "all modes": rigid_contact_thresholds(study)}
+    several = len(study.lashes) > 1
+    periods = dict(zip(study.lash_names, driveline.contact_periods.tolist(), strict=True))
+    thresholds = {"lowest mode": one_mode_thresholds, "all modes": rigid_contact_thresholds}
+    ratios_above = {name: of(study) for name, of in thresholds.items() if not several}
     if as_json:
         record: dict[str, Any] = {
             state: {
@@ -54,15 +58,15 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
             }
             for state, eigen in states.items()
         }
-        record["thresholds"] = {name: ratios.tolist() for name, ratios in thresholds.items()}
+        record["thresholds"] = {name: ratios.tolist() for name, ratios in ratios_above.items()}
         record |= {"inertias": names, "shuffle": None if shuffle is None else shuffle + 1}
         record |= {"stages": stages} if stages else {}
-        tables.print_record(record | {"contact_period": driveline.contact_period})
+        tables.print_record(record | {"contact_period": tables.of_lashes(periods)})
         return
     for k, stage in stages.items():
         click.echo(f"shaft {k} in stage {stage}, as before the load step")
     for state, eigen in states.items():
-        click.echo(f"lash {state}")
+        click.echo(f"{'all lashes' if several else 'lash'} {state}")
         click.echo("  mode  frequency [Hz]  damping ζ [-]  share of kinetic energy")
         for k, (frequency, ratio) in enumerate(zip(eigen.frequency, eigen.damping_ratio, strict=True), 1):
             moved = _largest_shares(shares[state][k - 1].tolist(), names)
@@ -76,13 +80,16 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
         for rate in rates[rates > 0.0]:
             click.echo(f"     -  does not oscillate; decays at {rate:.4g} 1/s")
         click.echo()
-    click.echo(f"contact period T_c  {1e3 * driveline.contact_period:.2f} ms")
+    for name, period in periods.items():
+        click.echo(f"contact period T_c  {1e3 * period:.2f} ms{f', {name}' if several else ''}")
     steps = steps_a_period(study)
     click.echo(f"solver.step         {study.solver.step:g} s, {steps:.1f} steps a period of the fastest mode")
+    if several:
+        return
     click.echo()
     click.echo("load ratio σr of an ideal step above which one more impact appears as the\nbacklash vanishes")
     click.echo("  impacts       " + "".join(f"{n:>8}" for n in range(1, 5)))
-    for name, ratios in thresholds.items():
+    for name, ratios in ratios_above.items():
         click.echo(f"  {name:<14}" + ("".join(f"{ratio:>8.2f}" for ratio in ratios) or "    none"))
     click.echo("(lowest mode: σr = exp(2π ζ1 (n - 1/2)); all modes: with the lash locked)")
 

@@ -43,6 +43,7 @@ class Drawing(NamedTuple):
 @click.argument("source", type=PATH)
 @set_option
 @at_option
+@click.option("--lash", metavar="NAME", help="Of several lashes, draw only this one.")
 @click.option("--overlay", metavar="KEY=V1,V2,…", multiple=True, help="A run for each value. May be repeated.")
 @click.option("-o", "--output", type=PATH, help="Picture (.png .svg .pdf), or data (.csv .h5).")
 @click.option("--figure", type=click.Choice(_FIGURES), default="everything", help="Which picture [everything].")
@@ -55,6 +56,7 @@ def simulate(
     source: Path,
     overrides: tuple[str, ...],
     at: tuple[str, ...],
+    lash: str | None,
     overlay: tuple[str, ...],
     output: Path | None,
     as_json: bool,
@@ -74,6 +76,7 @@ def simulate(
     from clunk.results import targets
     from clunk.simulation.energy import balance
     from clunk.simulation.trajectory import simulate as run
+    from clunk.study.lashes import lash_position
 
     options = Drawing(**drawing)
     options.check(output)
@@ -86,6 +89,7 @@ def simulate(
     terminal.say_if_compiling(*(study.solver.method for _, study in studies))
     for _, study in studies:
         terminal.warn_of_coarse_step(study, study.solver.method)
+    positions = [lash_position(lash, study.lash_names) for _, study in studies]
     runs = [(name, run(study)) for name, study in studies]
     if as_json:
         records = [
@@ -104,7 +108,9 @@ def simulate(
             click.echo()
             print_energy(trajectory, balance(trajectory))
     if output is not None:
-        _save_runs(runs, output, options)
+        if lash is not None:
+            runs = [(name, each.lashes[k]) for (name, each), k in zip(runs, positions, strict=True)]
+        _save_runs(runs, output, options, each_lash=lash is None)
 
 
 def _studies_to_simulate(
@@ -143,7 +149,8 @@ def _studies_to_simulate(
     return studies
 
 
-def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, options: Drawing) -> None:
+def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, options: Drawing, *, each_lash: bool) -> None:
+    """Save or draw runs; each_lash : whether pictures show every lash, or that of the trajectories alone."""
     from clunk.results import historyfile, targets
     from clunk.simulation import history as histories
 
@@ -163,12 +170,12 @@ def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, options: Drawin
         end = max(end, options.around + 0.6 * options.width)
     drawn = [histories.sample(trajectory, options.step, end, name=name) for name, trajectory in runs]
     draw = {
-        "everything": lambda: figures.simulation_figure(drawn),
+        "everything": lambda: figures.simulation_figure(drawn, each_lash=each_lash),
         "angles": lambda: figures.angles(drawn),
         "speeds": lambda: figures.speeds(drawn),
-        "backlash": lambda: figures.backlash(drawn),
+        "backlash": lambda: figures.backlash(drawn, each_lash=each_lash),
         "closeup": lambda: figures.closeup(drawn, options.around, options.width),
-        "acceleration": lambda: figures.acceleration(drawn),
+        "acceleration": lambda: figures.acceleration(drawn, each_lash=each_lash),
         "small-gap": lambda: small_gap(runs[0][1].study.title, SmallGap.of(runs[0][1].study)),
     }
     terminal.save_picture(draw[options.figure](), output)
@@ -176,10 +183,10 @@ def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, options: Drawin
 
 def print_trajectory(trajectory: Trajectory) -> None:
     """Print the events and the summary of a run."""
-    from clunk.simulation.trajectory import EVENT_COLUMNS
-
-    widths = "{:>11}  {:<10}  {:<8}  {:>10}  {:<9}  {:>11}"
-    for row in (EVENT_COLUMNS, *trajectory.event_table()):
+    rows = trajectory.event_table()
+    lash = f"{{:<{max(len(row[2]) for row in rows)}}}  " if len(trajectory.lashes) > 1 else ""
+    widths = f"{{:>11}}  {{:<10}}  {lash}{{:<8}}  {{:>10}}  {{:<9}}  {{:>11}}"
+    for row in rows:
         click.echo(widths.format(*row).rstrip())
     click.echo(f"{trajectory.end:11.7f}  end: {trajectory.ending}")
     click.echo()
@@ -220,20 +227,27 @@ def measures_record(trajectory: Trajectory) -> dict[str, Any]:
 
 
 def trajectory_record(trajectory: Trajectory) -> dict[str, Any]:
-    """A run for JSON."""
-    primaries, load = set(trajectory.primaries.tolist()), trajectory.load
-    return {
-        "label": trajectory.label,
-        "severity": trajectory.severity,
-        "approach_velocity": trajectory.approach_velocity,
-        "impact_severity": trajectory.impact_severity.tolist(),
+    """A run for JSON; of several lashes `lashes` has what is of each, by name."""
+    primaries, load = {k for each in trajectory.lashes for k in each.primaries.tolist()}, trajectory.load
+    several = len(trajectory.lashes) > 1
+    of_lashes = {
+        name: {
+            "label": each.label,
+            "severity": each.severity,
+            "approach_velocity": each.approach_velocity,
+            "impact_severity": each.impact_severity.tolist(),
+            "margin": each.margin,
+        }
+        for name, each in zip(trajectory.study.lash_names, trajectory.lashes, strict=True)
+    }
+    return ({"lashes": of_lashes} if several else next(iter(of_lashes.values()))) | {
         "complete": trajectory.complete,
-        "margin": trajectory.margin,
         "end": trajectory.end,
         "events": [
             {
                 "time": float(event["time"]),
                 "event": trajectory.kind_name(k),
+                **({"lash": trajectory.lash_name(k)} if several else {}),
                 "flank": trajectory.flank_name(k),
                 "relative_velocity": float(event["speed"]),
                 "load": float(load[k]),
@@ -249,7 +263,7 @@ def print_energy(trajectory: Trajectory, balance: EnergyBalance) -> None:
     """Print the energy balance of a run: stored before and after, taken by dampers and flanks, and the residual."""
     from clunk.simulation.driveline import Driveline
 
-    driveline, contact = trajectory.study.driveline, trajectory.study.lashes[0].contact
+    driveline, contacts = trajectory.study.driveline, [lash.contact for lash in trajectory.study.lashes]
     shafts = [f"shaft {k}, {shaft.between[0]}-{shaft.between[1]}" for k, shaft in enumerate(driveline.shafts, 1)]
     rows = [
         ("inertias", balance.kinetic_before, balance.kinetic_after, 0.0),
@@ -261,9 +275,9 @@ def print_energy(trajectory: Trajectory, balance: EnergyBalance) -> None:
     for name, before, after, damped in rows:
         click.echo(f"{name:<20}{before:>14.6g}{after:>14.6g}{after - before:>14.6g}{damped:>14.6g}")
     click.echo(f"{'work of the load':<20}{balance.work:>14.6g}")
-    if contact.model == "restitution":
+    if contacts[0].model == "restitution":
         click.echo(f"{'lost at impacts':<20}{balance.lost_at_impacts:>14.6g}")
-    elif contact.separation == "force":
+    elif any(contact.separation == "force" for contact in contacts):
         click.echo(f"{'dropped at partings':<20}{balance.dropped:>14.6g}")
         click.echo(f"{'regained at rejoins':<20}{balance.regained:>14.6g}")
     residual = f"{balance.residual:>14.6g}, {balance.relative_residual:.1e} of the largest energy"

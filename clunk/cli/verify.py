@@ -104,18 +104,24 @@ def _print_cell_counts(result: Verification) -> None:
 
 def _print_event_pairs(result: Verification) -> None:
     happened = [pair for pair in result.events if pair.name != "load step"]
-    click.echo("    rk4 [s]   exact [s]  difference  event       flank" if happened else "no events")
+    several = len(result.study.lashes) > 1
+    wide = max(map(len, result.study.lash_names)) if several else 0
+    lash = f"  {'lash':<{wide}}" if several else ""
+    click.echo(f"    rk4 [s]   exact [s]  difference  event     {lash}  flank" if happened else "no events")
     for pair in happened:
         times = f"{phrases.number(pair.rk4, '.7f'):>11} {phrases.number(pair.exact, '.7f'):>11}"
         difference = phrases.number(pair.rk4 - pair.exact, "+.1e")
-        click.echo(f"{times}  {difference:>10}  {pair.name:<10}  {pair.flank}")
-    click.echo()
-    click.echo(f"{'':<12}{'rk4':<24}exact")
-    labels = [results.labels[int(results.sequence.flat[0])] for results in (result.rk4, result.exact)]
-    click.echo(f"{'label':<12}{labels[0]:<24}{labels[1]}")
-    click.echo(f"{'touches':<12}{result.rk4.touches.flat[0]:<24}{result.exact.touches.flat[0]}")
+        lash = f"  {pair.lash:<{wide}}" if several else ""
+        click.echo(f"{times}  {difference:>10}  {pair.name:<10}{lash}  {pair.flank}")
     flag = "flagged" if result.flagged.any() else f"solver.margin_tolerance is {result.study.solver.margin_tolerance:g}"
-    click.echo(f"{'margin':<12}{'-':<24}{phrases.number(float(result.exact.margin.flat[0]), '+.3g')}; {flag}")
+    for name, rk4 in result.rk4.by_lash().items():
+        exact = result.exact.of_lash(name)
+        click.echo()
+        click.echo(f"{name if several else '':<12}{'rk4':<24}exact")
+        labels = [str(results.label_map.flat[0]) for results in (rk4, exact)]
+        click.echo(f"{'label':<12}{labels[0]:<24}{labels[1]}")
+        click.echo(f"{'touches':<12}{rk4.touches.flat[0]:<24}{exact.touches.flat[0]}")
+        click.echo(f"{'margin':<12}{'-':<24}{phrases.number(float(exact.margin.flat[0]), '+.3g')}; {flag}")
 
 
 def _print_largest(result: Verification) -> None:
@@ -250,7 +256,9 @@ def as_record(result: Verification) -> dict[str, Any]:
             for cell in result.disagreements(flagged=flagged)
         ],
         "events": [
-            {"event": event.name, "flank": event.flank, "rk4": event.rk4, "exact": event.exact}
+            {"event": event.name}
+            | ({"lash": event.lash} if len(result.study.lashes) > 1 else {})
+            | {"flank": event.flank, "rk4": event.rk4, "exact": event.exact}
             for event in result.events
         ],
     }

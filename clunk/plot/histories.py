@@ -3,7 +3,7 @@
 Several runs are drawn over each other, told apart by colour and dashes, those of the indentation model the more solid.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import cycle
 from typing import Any
@@ -33,16 +33,21 @@ from clunk.study.loads import PROFILES, STEP_KEYS, numbers
 from clunk.study.problems import listing
 
 Runs = Sequence[History]
+_Panel = tuple[Callable[[Axes, Sequence[Curve]], None], float]  # draws it, and its share of the height
 
 _LINE = 1.3  # points
 _PATTERNS: tuple[Any, ...] = ("solid", style.DASHED, (0, (1.2, 1.2)), (0, (6.0, 1.2, 1.2, 1.2)))
 _BEFORE = 0.4  # share of a close-up's width before the moment that it is around
 
 
-def simulation_figure(runs: Runs) -> Figure:
-    """Load, angles, backlash coordinate and acceleration of runs on one time axis."""
-    panels = (draw_torque, 0.9), (draw_angles, 3.0), (draw_backlash, 2.4), (draw_acceleration, 2.6)
-    return _stacked(runs, panels, 9.2, marks=True)
+def simulation_figure(runs: Runs, *, each_lash: bool = True) -> Figure:
+    """Load, angles, backlash coordinate and acceleration of runs on one time axis, the latter two of each lash."""
+    panels: list[_Panel] = [(draw_torque, 0.9), (draw_angles, 3.0)]
+    if each_lash and (lashes := _lash_count(runs)) > 1:
+        for lash in range(lashes):
+            panels += _of_lash(draw_backlash, lash, 2.4), _of_lash(draw_acceleration, lash, 2.6)
+        return _stacked(runs, panels, 4.6 + 4.6 * lashes, marks=True, outcomes=False)
+    return _stacked(runs, [*panels, (draw_backlash, 2.4), (draw_acceleration, 2.6)], 9.2, marks=True)
 
 
 def angles(runs: Runs) -> Figure:
@@ -56,11 +61,14 @@ def speeds(runs: Runs) -> Figure:
 
 
 @style.styled()
-def backlash(runs: Runs) -> Figure:
+def backlash(runs: Runs, *, each_lash: bool = True) -> Figure:
     """The backlash coordinate in its gap, every touch marked (Figure 3.2).
 
-    Runs that differ in their contact alone share a panel; every other one has its own.
+    Runs that differ in their contact alone share a panel; every other one has its own. Of several lashes each has one.
     """
+    if each_lash and (lashes := _lash_count(runs)) > 1:
+        panels_of_lashes = [_of_lash(draw_backlash, lash, 1.0) for lash in range(lashes)]
+        return _stacked(runs, panels_of_lashes, 1.5 + 2.3 * lashes, marks=True, outcomes=False)
     panels: list[Runs] = [[run for run in runs if run.setup == setup] for setup in dict.fromkeys(r.setup for r in runs)]
     if len(panels) > 1:  # a panel's title says what its runs have in common, and runs alike look alike
         panels = [_shortened(panel) for panel in panels]
@@ -109,8 +117,14 @@ def closeup(runs: Runs, around: float | None = None, width: float = 0.1) -> Figu
 
 
 @style.styled()
-def acceleration(runs: Runs) -> Figure:
-    """The acceleration behind the severity, with each impact's peak-to-peak value Q_i (Figure 3.6); a panel per run."""
+def acceleration(runs: Runs, *, each_lash: bool = True) -> Figure:
+    """The acceleration behind the severity, with each impact's peak-to-peak value Q_i (Figure 3.6).
+
+    There is a panel for each run or, of several lashes, for each of these.
+    """
+    if each_lash and (lashes := _lash_count(runs)) > 1:
+        panels = [_of_lash(draw_acceleration, lash, 1.0) for lash in range(lashes)]
+        return _stacked(runs, panels, 1.6 + 2.6 * lashes, outcomes=False)
     figure, axes = _frame(runs, (1.0,) * len(runs), 1.6 + (3.2 if len(runs) == 1 else 2.6) * len(runs))
     for ax, (run, look) in zip(axes, _curves(runs), strict=True):
         if ax is not axes[0]:
@@ -119,6 +133,29 @@ def acceleration(runs: Runs) -> Figure:
         if len(runs) > 1:
             ax.set_title(f"{style.plain(run.name)}: {run.trajectory.label}", loc="right", fontsize=9.0)
     return _finished(figure, axes, runs, legend=False)  # each panel names its run
+
+
+def _lash_count(runs: Runs) -> int:
+    """Number of lashes that all runs have."""
+    return min((len(run.lashes) for run in runs), default=1)
+
+
+def _of_lash(draw: Callable[[Axes, Sequence[Curve]], None], lash: int, share: float) -> _Panel:
+    """Panel of one of several lashes, with its name and, of a single run, its label."""
+
+    def draw_lash(ax: Axes, curves: Sequence[Curve]) -> None:
+        views = [(run.lashes[lash], look) for run, look in curves]
+        draw(ax, views)
+        label = f": {views[0][0].trajectory.label}" if len(views) == 1 else ""
+        look: dict[str, Any] = {"ha": "right", "va": "top", "zorder": 7, "path_effects": style.halo()}
+        name = style.plain(_lash_name(views[0][0])) + label
+        ax.text(0.99, 0.97, name, transform=ax.transAxes, fontsize=9.0, **look)
+
+    return draw_lash, share
+
+
+def _lash_name(run: History) -> str:
+    return run.study.lash_names[run.trajectory.lash]
 
 
 def _closeup_range(runs: Runs, within: Iterable[Bools], side: int) -> tuple[float, float]:
@@ -142,12 +179,14 @@ def _closeup_range(runs: Runs, within: Iterable[Bools], side: int) -> tuple[floa
 
 
 @style.styled()
-def _stacked(runs: Runs, panels: Sequence[tuple[Any, float]], height: float, *, marks: bool = False) -> Figure:
+def _stacked(
+    runs: Runs, panels: Sequence[_Panel], height: float, *, marks: bool = False, outcomes: bool = True
+) -> Figure:
     """Panels over one time axis, each a function that draws it and its share of the height."""
     figure, axes = _frame(runs, [share for _, share in panels], height)
     for ax, (draw, _) in zip(axes, panels, strict=True):
         draw(ax, _curves(runs))
-    return _finished(figure, axes, runs, marks=marks)
+    return _finished(figure, axes, runs, marks=marks, outcomes=outcomes)
 
 
 def _frame(runs: Runs, heights: Sequence[float], height: float) -> tuple[Figure, list[Axes]]:
@@ -168,20 +207,28 @@ def _frame(runs: Runs, heights: Sequence[float], height: float) -> tuple[Figure,
     return figure, axes
 
 
-def _finished(figure: Figure, axes: Sequence[Axes], runs: Runs, *, marks: bool = False, legend: bool = True) -> Figure:
-    """The figure with titles above, and below a legend of the runs and of the marks."""
+def _finished(
+    figure: Figure,
+    axes: Sequence[Axes],
+    runs: Runs,
+    *,
+    marks: bool = False,
+    legend: bool = True,
+    outcomes: bool = True,
+) -> Figure:
+    """The figure with titles above, and below a legend of the runs and of the marks; outcomes : of the lash in view."""
     titles, cases = {run.study.title for run in runs}, {_case(run) for run in runs}
     title = titles.pop() if len(titles) == len(cases) == 1 else "Runs compared"
     loads = dict.fromkeys(PROFILES[run.study.load.profile].name for run in runs)
     line = listing([*loads]) + (f", {cases.pop()}" if len(cases) == 1 else "")
-    if len(runs) == 1:
+    if len(runs) == 1 and outcomes:
         line = f"{line}: {_outcome(runs[0])}"
     style.set_titles(figure, axes[0], title, line, parse_math=True)
     handles: list[Artist] = []
     if legend and len(runs) > 1:
         names = [run.name for run in runs]
         for name, (run, look) in {run.name: (run, look) for run, look in _curves(runs)}.items():
-            outcome = f": {_outcome(run)}" if names.count(name) == 1 else ""
+            outcome = f": {_outcome(run)}" if outcomes and names.count(name) == 1 else ""
             handles.append(Line2D([], [], **look, label=style.plain(name) + outcome))
     if marks and any(run.touches.row.size for run in runs):
         for primary, text in ((True, "primary impact"), (False, "secondary impact (chatter)")):
@@ -213,13 +260,15 @@ def _case(run: History) -> str:
     elif load.profile == "pulse":
         text = f"T = {before:g} → {load.final_torque:g} → {after:g} N m"
     parts = [text, *numbers(dict(load), without=STEP_KEYS)]
-    return f"{', '.join(parts).replace('-', MINUS)}, {style.symbol_text('φθ')} = {run.study.lashes[0].backlash_deg:g}°"
+    gaps = "/".join(f"{lash.backlash_deg:g}°" for lash in run.study.lashes)
+    return f"{', '.join(parts).replace('-', MINUS)}, {style.symbol_text('φθ')} = {gaps}"
 
 
 def _outcome(run: History) -> str:
-    """The label of a run, and its severity where it has one."""
+    """The label of a run and its severity, where it has one; of one of several lashes with its name."""
     severity = run.trajectory.severity
-    return run.trajectory.label + (f", Q = {severity:.0f} rad/s²" if severity > 0.0 else "")
+    name = f"{_lash_name(run)} " if len(run.lashes) > 1 else ""
+    return name + run.trajectory.label + (f", Q = {severity:.0f} rad/s²" if severity > 0.0 else "")
 
 
 def _shortened(runs: Runs) -> Runs:

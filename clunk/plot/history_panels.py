@@ -85,7 +85,7 @@ def draw_backlash(ax: Axes, curves: Sequence[Curve], limits: tuple[float, float]
     if limits is None:
         reach = max(1.2 * widest, *(1.05e3 * np.abs(run.backlash_coordinate).max() for run in runs))
         # locked flanks without a gap stay together but for rounding, which is nothing to look at
-        limits = (-reach, reach) if reach > 1e-9 * max(run.study.lashes[0].radius for run in runs) else (-1.0, 1.0)
+        limits = (-reach, reach) if reach > 1e-9 * max(run.lash.radius for run in runs) else (-1.0, 1.0)
     ax.set_ylim(*limits)
     _name_flanks(ax, widest, {run.trajectory.initial_side for run in runs})
 

@@ -29,20 +29,26 @@ def save_csv(path: str | os.PathLike[str], history: History) -> None:
     names = ["time_s", "after_step_s"]
     for quantity, unit in (("theta", "rad"), ("theta_dot", "rad_per_s"), ("theta_ddot", "rad_per_s2")):
         names += [f"{quantity}_{inertia}_{unit}" for inertia in range(1, n + 1)]
-    names += ["torque_Nm", "backlash_coordinate_m", "contact", "event", "flank"]
+    several = len(trajectory.lashes) > 1
+    suffixes = [f"_{lash}" for lash in range(1, len(trajectory.lashes) + 1)] if several else [""]
+    names += ["torque_Nm", *(f"backlash_coordinate{suffix}_m" for suffix in suffixes)]
+    names += [*(f"contact{suffix}" for suffix in suffixes), "event", *(["lash"] if several else []), "flank"]
     columns = (history.time, history.after_step, history.angle, history.velocity, history.acceleration)
-    numbers = np.column_stack((*columns, history.torque, history.backlash_coordinate))
+    numbers = np.column_stack((*columns, history.torque, history.backlash_coordinates))
+    empty = "," * (1 + several)
 
     def write(stream: BinaryIO) -> None:
         stream.write((",".join(names) + "\n").encode())
         for start in range(0, history.time.size, _ROWS):
             rows = slice(start, start + _ROWS)
             lines = []
-            for row, contact, event in zip(
-                numbers[rows].tolist(), history.contact[rows].tolist(), history.event[rows].tolist(), strict=True
+            for row, contacts, event in zip(
+                numbers[rows].tolist(), history.contacts[rows].tolist(), history.event[rows].tolist(), strict=True
             ):
-                what = f"{event_name(trajectory, event)},{trajectory.flank_name(event)}" if event >= 0 else ","
-                lines.append(f"{','.join(map(repr, row))},{contact},{what}\n")  # repr: shortest that reads back equal
+                lash = f"{trajectory.lash_name(event)}," if several else ""
+                what = f"{event_name(trajectory, event)},{lash}{trajectory.flank_name(event)}" if event >= 0 else empty
+                pressing = ",".join(map(str, contacts))
+                lines.append(f"{','.join(map(repr, row))},{pressing},{what}\n")  # repr: shortest that reads back equal
             stream.write("".join(lines).encode())
 
     with writing(path, HistoryError) as target:
@@ -54,7 +60,8 @@ def event_name(trajectory: Trajectory, k: int) -> str:
     name = trajectory.kind_name(k)
     if trajectory.events["kind"][k] != TOUCH:
         return name
-    return f"{'primary' if k in trajectory.primaries else 'secondary'} {name}"
+    is_primary = any(k in each.primaries for each in trajectory.lashes)
+    return f"{'primary' if is_primary else 'secondary'} {name}"
 
 
 def save_hdf5(path: str | os.PathLike[str], history: History) -> None:
@@ -72,8 +79,9 @@ def _write_hdf5(file: h5py.File, history: History) -> None:
     set_text(file, "Conventions", CONVENTIONS)
     file.attrs["schema_version"] = np.int32(SCHEMA_VERSION)
     set_text(file, "clunk_version", __version__)
-    set_text(file, "label", trajectory.label)
-    file.attrs["severity"] = trajectory.severity
+    if len(trajectory.lashes) == 1:
+        set_text(file, "label", trajectory.label)
+        file.attrs["severity"] = trajectory.severity
     file.attrs["config"] = to_toml(study)  # variable length: it may be longer than an object header allows
     set_text(file, "config_digest", digest(study))
 
@@ -92,20 +100,35 @@ def _write_hdf5(file: h5py.File, history: History) -> None:
     put("theta_dot", history.velocity, "rad s-1", "angular velocity", [time, inertia])
     put("theta_ddot", history.acceleration, "rad s-2", "angular acceleration", [time, inertia])
     put("torque", history.torque, "N m", "load torque", [time])
-    put("backlash_coordinate", history.backlash_coordinate, "m", "backlash coordinate: radius times gap angle", [time])
-    put("contact", history.contact, "1", "flank in contact", [time])
+    scales = [time]
+    coordinates, contacts = history.backlash_coordinate, history.contact
+    if len(trajectory.lashes) > 1:
+        lash = create_scale(file, "lash", np.array(study.lash_names), {"long_name": "lash"})
+        labels = np.array([each.label for each in trajectory.lashes], object)
+        file.create_dataset("label", data=labels, dtype=h5py.string_dtype(), track_order=True).dims[0].attach_scale(
+            lash
+        )
+        severities = np.array([each.severity for each in trajectory.lashes])
+        put("severity", severities, "rad s-2", "severity Q", [lash])
+        scales, coordinates, contacts = [time, lash], history.backlash_coordinates, history.contacts
+    put("backlash_coordinate", coordinates, "m", "backlash coordinate: radius times gap angle", scales)
+    put("contact", contacts, "1", "flank in contact", scales)
 
     events = trajectory.events
     numbers = np.arange(events.size, dtype=np.int32)
     event = create_scale(file, "event", numbers, {"units": "1", "long_name": "number of the event, 0 the load step"})
-    flank = np.where(events["side"] == trajectory.initial_side, INITIAL, OPPOSITE)
+    initial_sides = trajectory.initial_sides[np.maximum(events["lash"], 0)]
+    flank = np.where(events["side"] == initial_sides, INITIAL, OPPOSITE)
     rank, severity = np.zeros(events.size, np.int8), np.full(events.size, np.nan)
     rank[events["kind"] == TOUCH] = 2
-    rank[trajectory.primaries] = 1
-    severity[trajectory.primaries] = trajectory.impact_severity
+    for each in trajectory.lashes:
+        rank[each.primaries], severity[each.primaries] = 1, each.impact_severity
     put("event_time", events["time"], "s", "time of the event after the load step", [event])
     put("event_kind", events["kind"].astype(np.int8), "1", "what happens", [event])
     put("event_flank", np.where(events["side"] == 0, NONE, flank).astype(np.int8), "1", "flank of the event", [event])
+    if len(trajectory.lashes) > 1:
+        numbers = (events["lash"] + 1).astype(np.int8)
+        put("event_lash", numbers, "1", "number of the lash concerned, 0 at the load step", [event])
     put("event_speed", events["speed"], "rad s-1", "relative velocity across the lash just before", [event])
     put("event_impact", rank, "1", "whether the event is an impact", [event])
     put("event_severity", severity, "rad s-2", "peak-to-peak acceleration until the next primary impact", [event])

@@ -139,8 +139,8 @@ class Map(Description, ABC):
 
     @property
     def counts_of_lashes(self) -> dict[str, dict[str, int]]:
-        """The counts of each lash, by name."""
-        return {name: part.counts() for name, part in self.by_lash().items()}
+        """The counts of each lash, by name; of several lashes without the labels that only others have."""
+        return counts_by_lash({name: part.counts() for name, part in self.by_lash().items()})
 
     def by_lash(self) -> dict[str, Self]:
         """The map of each lash, by name."""
@@ -202,6 +202,16 @@ def count_labels(labels: tuple[str, ...], sequence: npt.NDArray[np.int16]) -> di
     """Number of cells of each label, in the labels' order, and last of ``failed``."""
     cells = np.bincount(sequence.ravel().astype(np.intp) - FAILED_CODE, minlength=len(labels) + 1)
     return {label: int(cells[code - FAILED_CODE]) for code, label in enumerate(labels)} | {FAILED: int(cells[0])}
+
+
+def counts_by_lash(counts: dict[str, dict[str, int]]) -> dict[str, dict[str, int]]:
+    """Counts by lash; of several lashes each without the labels that only others have."""
+    if len(counts) == 1:
+        return counts
+    return {
+        name: {label: count for label, count in each.items() if count or label == FAILED}
+        for name, each in counts.items()
+    }
 
 
 def require_codes(labels: tuple[str, ...], sequence: npt.NDArray[np.int16]) -> None:

@@ -25,7 +25,7 @@ from clunk.results.boundaryfile import names_of, read_boundaries, write_boundari
 from clunk.results.checksum import matches_checksum
 from clunk.results.files import reason, writing
 from clunk.results.labels import FAILED
-from clunk.results.maps import Description, count_labels, require_array, require_codes
+from clunk.results.maps import Description, count_labels, counts_by_lash, require_array, require_codes
 from clunk.results.netcdf import (
     CONVENTIONS,
     Image,
@@ -370,10 +370,12 @@ def _header_of(file: h5py.File, checksum: bool) -> Header:
         coordinates=tuple(_axis_of(file[name]) for name in coordinates),
         labels=labels,
         counts=count_labels(labels, codes),
-        counts_of_lashes={
-            name: count_labels(labels, codes[..., k] if name else codes)
-            for k, name in enumerate(axes[-1].words or [""])
-        },
+        counts_of_lashes=counts_by_lash(
+            {
+                name: count_labels(labels, codes[..., k] if name else codes)
+                for k, name in enumerate(axes[-1].words or [""])
+            }
+        ),
         config=get_text(file, "config"),
         config_digest=get_text(file, "config_digest"),
         content_digest=get_text(file, "content_digest"),

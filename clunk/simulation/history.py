@@ -6,7 +6,7 @@ searched again.
 
 import functools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
@@ -77,8 +77,8 @@ class History:
     velocity: FloatArray  # (M, n)  rad/s, θ'
     acceleration: FloatArray  # (M, n)  rad/s2, θ''; without the impulses of the restitution model
     torque: FloatArray  # (M,)  N m, the load
-    backlash_coordinate: FloatArray  # (M,)  m, x_b = r q
-    contact: npt.NDArray[np.int8]  # (M,)  the flank that presses: -1 initial, +1 opposite, 0 none
+    backlash_coordinates: FloatArray  # (M, L)  m, x_b = r q of each lash
+    contacts: npt.NDArray[np.int8]  # (M, L)  the flank of each that presses: -1 initial, +1 opposite, 0 none
     event: npt.NDArray[np.int64]  # (M,)  the row's index in the trajectory's events, -1 where there is none
 
     @property
@@ -87,18 +87,34 @@ class History:
         return self.trajectory.study
 
     @property
-    def _lash(self) -> Lash:
+    def lash(self) -> Lash:
+        """The lash in view."""
         return self.study.lashes[self.trajectory.lash]
+
+    @property
+    def lashes(self) -> tuple["History", ...]:
+        """The history with the backlash, contact, touches and impacts of each lash."""
+        return tuple(replace(self, trajectory=each) for each in self.trajectory.lashes)
+
+    @property
+    def backlash_coordinate(self) -> FloatArray:
+        """(M,) x_b = r q  [m]."""
+        return self.backlash_coordinates[:, self.trajectory.lash]
+
+    @property
+    def contact(self) -> npt.NDArray[np.int8]:
+        """(M,) the flank that presses: -1 initial, +1 opposite, 0 none."""
+        return self.contacts[:, self.trajectory.lash]
 
     @property
     def half_gap(self) -> float:
         """Largest backlash coordinate of the open gap, r φ/2  [m]."""
-        return float(self._lash.radius * np.deg2rad(self._lash.backlash_deg) / 2)
+        return float(self.lash.radius * np.deg2rad(self.lash.backlash_deg) / 2)
 
     @property
     def is_restitution(self) -> bool:
         """Whether contact is an impulse, in which accelerations are not defined."""
-        return self._lash.contact.model == "restitution"
+        return self.lash.contact.model == "restitution"
 
     @property
     def watched(self) -> int:
@@ -118,8 +134,9 @@ class History:
 
     @property
     def setup(self) -> str:
-        """Driveline, lash and load of the run without its contact, as text to compare."""
-        return repr((self.study.driveline, self.study.lashes[0].model_dump(exclude={"contact"}), self.study.load))
+        """Driveline, lashes and load of the run without their contacts, and the lash in view, as text to compare."""
+        lashes = [lash.model_dump(exclude={"contact"}) for lash in self.study.lashes]
+        return repr((self.study.driveline, lashes, self.study.load, self.trajectory.lash))
 
     @cached_property
     def touches(self) -> Touches:
@@ -196,7 +213,7 @@ def sample(
         before = study.load.step_time if steady else 0.0
     begin, end = _span(trajectory, step, until, before, steady)
 
-    motion, lash = _Motion(trajectory, system, load, inputs_before, step), trajectory.lash
+    motion = _Motion(trajectory, system, load, inputs_before, step)
     gains = Driveline.from_study(study).rigid_motion.accelerations * inputs_before[TORQUE] + 0.0  # no -0.0
     phases = [_before_load_step(trajectory, system, gains, begin, min(end, 0.0), step)] if steady else []
     started = int(np.searchsorted(trajectory.phases["time"], end, side="right"))
@@ -219,7 +236,8 @@ def sample(
     if steady:
         torque[: lengths[0]] = inputs_before[TORQUE]
         acceleration[: lengths[0]] = gains  # by definition; the product leaves rounding
-    pressing = np.array([(regime.sides * regime.closed)[lash] for regime in motion.regimes(0)])  # the side of the flank
+    pressing = np.array([regime.sides * regime.closed for regime in motion.regimes(0)])  # the side of each lash's flank
+    radii = np.array([lash.radius for lash in study.lashes])
     return History(
         name=study.title if name is None else name,
         trajectory=trajectory,
@@ -229,8 +247,8 @@ def sample(
         velocity=velocity,
         acceleration=acceleration,
         torque=torque,
-        backlash_coordinate=study.lashes[lash].radius * apply(system.lashes[lash : lash + 1, n : 2 * n], angle)[:, 0],
-        contact=(-trajectory.initial_side * pressing[regime_of]).astype(np.int8),
+        backlash_coordinates=radii * apply(system.lashes[:, n : 2 * n], angle),
+        contacts=(-trajectory.initial_sides * pressing[regime_of]).astype(np.int8),
         event=event,
     )
 

@@ -52,6 +52,8 @@ class SmallGap(NamedTuple):
         """The response of a study's driveline to its load. Raises SmallGapError where there is none:
         without steady motion or oscillation, or with a load that does not reach the lash."""
         driveline, system = Driveline.from_study(study), build(study)
+        if len(study.lashes) > 1:
+            raise SmallGapError("There is no one response to draw: several lashes do not change sides together.")
         if driveline.staged:
             raise SmallGapError("There is no one response to draw: shafts with stages are not linear.")
         modes = driveline.modes(closed=True)

@@ -24,7 +24,7 @@ from clunk.study.summaries import Rows, as_html, as_text, html_table
 
 FloatArray = npt.NDArray[np.float64]
 
-EVENT_COLUMNS = ("time [s]", "event", "flank", "q' [rad/s]", "impact", "Qi [rad/s²]")
+_EVENT_COLUMNS = ("time [s]", "event", "flank", "q' [rad/s]", "impact", "Qi [rad/s²]")
 _SHOWN_EVENTS = 40  # in a notebook
 
 
@@ -142,10 +142,16 @@ class Trajectory:
         """The reason why the run stopped."""
         return "nothing can follow" if self.complete else "the end time; more may follow"
 
+    def lash_name(self, k: int) -> str:
+        """The name of the lash that event `k` concerns; empty at the load step."""
+        lash = self.events["lash"][k]
+        return self.study.lash_names[lash] if lash >= 0 else ""
+
     def summary(self) -> Rows:
-        """The run in a few lines for people: (name, value) pairs."""
+        """The run in a few lines for people: (name, value) pairs; of several lashes a line for each."""
+        touches = sum(each.touches for each in self.lashes)
+        events = ("events", f"{len(self.events) - 1}, {touches} of them touches")
         rows = [
-            ("events", f"{len(self.events) - 1}, {self.touches} of them touches"),
             ("primary impacts", self.letters or "none"),
             ("label", self.label),
             ("severity Q", _severity(self.severity, " rad/s²")),
@@ -153,30 +159,36 @@ class Trajectory:
         ]
         if not np.isnan(self.margin):
             rows.append(("margin", f"{MOST:g} or more" if self.margin >= MOST else f"{self.margin:+.3g}"))
-        return rows
+        return [events, *rows] if len(self.lashes) == 1 else [events, *map(_line, self.lashes)]
 
     def event_table(self) -> list[tuple[str, ...]]:
-        """The events after the load step as texts, by `EVENT_COLUMNS`."""
-        ranks = {int(k): rank for rank, k in enumerate(self.primaries)}
-        rows: list[tuple[str, ...]] = []
+        """Headings, and the events after the load step as texts; of several lashes with a column for the lash."""
+        ranks = {int(k): (each, rank) for each in self.lashes for rank, k in enumerate(each.primaries)}
+        rows: list[tuple[str, ...]] = [_EVENT_COLUMNS]
         for k, event in enumerate(self.events[1:], 1):
             impact = "primary" if k in ranks else "secondary" if event["kind"] == TOUCH else ""
-            severity = _severity(self.impact_severity[ranks[k]]) if k in ranks else ""
+            severity = ""
+            if k in ranks:
+                each, rank = ranks[k]
+                severity = _severity(each.impact_severity[rank])
             texts = f"{event['time']:.7f}", self.kind_name(k), self.flank_name(k), f"{event['speed']:+.6f}"
             rows.append((*texts, impact, severity))
-        return rows
+        if len(self.lashes) == 1:
+            return rows
+        names = ["lash", *map(self.lash_name, range(1, len(self.events)))]
+        return [(*row[:2], name, *row[2:]) for row, name in zip(rows, names, strict=True)]
 
     def __repr__(self) -> str:
         ended = ("ended", f"{self.end:.4g} s after the load step: {self.ending}")
         return as_text(f"clunk.Trajectory of {self.study.title!r}", [*self.summary(), ended])
 
     def _repr_html_(self) -> str:
-        events = self.event_table()
+        columns, *events = self.event_table()
         shown = events[:_SHOWN_EVENTS]
         if len(events) > len(shown):
-            shown.append((f"… {len(events) - len(shown)} more", *[""] * (len(EVENT_COLUMNS) - 1)))
-        shown.append((f"{self.end:.7f}", f"end: {self.ending}", *[""] * (len(EVENT_COLUMNS) - 2)))
-        return as_html(self.study.title, html_table(self.summary()), html_table(shown, EVENT_COLUMNS))
+            shown.append((f"… {len(events) - len(shown)} more", *[""] * (len(columns) - 1)))
+        shown.append((f"{self.end:.7f}", f"end: {self.ending}", *[""] * (len(columns) - 2)))
+        return as_html(self.study.title, html_table(self.summary()), html_table(shown, columns))
 
 
 def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Trajectory:
@@ -299,6 +311,13 @@ def _started_at(
 def _sentence(study: Study, status: Status) -> str:
     text = driveline.explained(study, status)
     return text[0].upper() + text[1:] + "."
+
+
+def _line(run: Trajectory) -> tuple[str, str]:
+    """The name of a run's lash, and its label and severity in one line."""
+    label = f"{run.label} ({run.letters})" if run.letters else run.label
+    hardness = f"Q {_severity(run.severity, ' rad/s²')}, V {run.approach_velocity:.5g} rad/s"
+    return run.study.lash_names[run.lash], f"{label}, {hardness}"
 
 
 def _severity(value: float, unit: str = "") -> str:
