@@ -111,7 +111,6 @@ def test_the_schema_allows_one_lash_and_several():
             "sweep.axes[1].parameter",
             "changes the angle of lash[2].gap_mm; give lash[2].backlash_deg",
         ),
-        (TWO, ['impacts.quantities=["energy"]'], "impacts.quantities", "in drivelines with one lash only"),
         ("lash = []\ndriveline.preset = 'car'", [], "lash", "a table, or an array of tables, [[lash]]"),
     ],
 )

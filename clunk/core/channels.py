@@ -18,7 +18,8 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 TERMS = 20  # a multiple of four
-CONTACT_TORQUE, CLOSING = 0, 1  # the first two channels, signed like q and q'; those of measures follow
+CONTACT_TORQUE, CLOSING = 0, 1  # the first channels of a lash, signed like q and q'
+OF_LASH = 2  # and how many these are; behind those of the last lash come the measures
 PEAK_TO_PEAK, LARGEST = 0, 1  # reductions of a channel over a run
 
 _STEP = 1.4  # of 1/rate: the next term is 1.4^20/20! = 3e-16
@@ -27,24 +28,24 @@ _SOUND = 1e-11  # of a projector: how little P P - P and P M - M P may be
 
 
 class Channels(NamedTuple):
-    """The channels of a driveline; L flows, V levels, C channels, Z = N + I numbers in z."""
+    """The channels of a driveline; K flows, V levels, L lashes, C channels, Z = N + I numbers in z."""
 
-    lengths: FloatArray  # (L, V)  s, of a step
-    begins: FloatArray  # (L, V)  s into a stretch, from when on a level may be used; 0 for the first
-    steps: FloatArray  # (L, V, Z, Z)  exp(M h) for a step of length h, transposed
-    rates: FloatArray  # (L, V, Z, Z)  M h, without the modes that have died down, transposed
-    series: FloatArray  # (L, V, C, Z, TERMS)  coefficients by z, of powers of t/h
+    lengths: FloatArray  # (K, V)  s, of a step
+    begins: FloatArray  # (K, V)  s into a stretch, from when on a level may be used; 0 for the first
+    steps: FloatArray  # (K, V, Z, Z)  exp(M h) for a step of length h, transposed
+    rates: FloatArray  # (K, V, Z, Z)  M h, without the modes that have died down, transposed
+    series: FloatArray  # (K, V, C, Z, TERMS)  coefficients by z, of powers of t/h
     of_impacts: int  # whether primary impacts are measured too
-    reductions: IntArray  # (C - 2,)  of each measure
-    contact_stiffness: float  # N m/rad
-    contact_damping: float  # N m s/rad
-    mobility: float  # 1/(kg m2), of q: q'' of a unit torque across the open lash
+    reductions: IntArray  # (C - OF_LASH L,)  of each measure
+    contact_stiffness: FloatArray  # (L,)  N m/rad
+    contact_damping: FloatArray  # (L,)  N m s/rad
+    mobility: FloatArray  # (L,)  1/(kg m2), of q: q'' of a unit torque across the open lash
 
 
 def tabulate(system: System, rows: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Lengths, begins, steps, rates and series of `Channels`.
 
-    rows : (L, C, Z) float64, channel = row · z in each flow
+    rows : (K, C, Z) float64, channel = row · z in each flow
     """
     flows = [
         _levels(generator, channels, system) for generator, channels in zip(_generators(system), rows, strict=True)
@@ -59,7 +60,7 @@ def tabulate(system: System, rows: FloatArray) -> tuple[FloatArray, FloatArray, 
 
 
 def _generators(system: System) -> FloatArray:
-    """(L, Z, Z) float64, M of each flow."""
+    """(K, Z, Z) float64, M of each flow."""
     flows, size, driven = system.inputs.shape
     generators = np.zeros((flows, size + driven, size + driven))
     generators[:, :size, :size], generators[:, :size, size:] = system.rates, system.inputs

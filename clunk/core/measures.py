@@ -4,8 +4,8 @@ A walk from event to event over the states that the run has recorded, by the flo
 time where it was proved that nothing follows. Nothing is searched for but extremes, so the walk is the same whatever
 method made the run. A state that lasts no time does not count.
 
-An impact reaches from its touch to the next primary impact, or the end time, as for Q_i. In that time the flanks
-press on one flank only, and
+An impact reaches from its touch to the lash's next primary impact, or the end time, as for Q_i. In that time the lash
+presses on one flank only, and
 
     impulse      ∫ τ dt, τ the contact torque, positive where it presses; with what a touch of rigid flanks passes on
     peak torque  the largest τ; not a number where a touch is impulsive
@@ -18,17 +18,16 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.channels import CLOSING, CONTACT_TORQUE, PEAK_TO_PEAK, TERMS, Channels
-from clunk.core.events import REJOIN, SEPARATION, TOUCH
+from clunk.core.channels import CLOSING, CONTACT_TORQUE, OF_LASH, PEAK_TO_PEAK, TERMS, Channels
+from clunk.core.events import INSTANT, REJOIN, SEPARATION, TOUCH
 from clunk.core.extremes import NODES, integral, integral_of_square, widened
 from clunk.core.jit import compiled, unowned
-from clunk.core.regimes import System
-from clunk.core.runs import BEGIN, begin_wave, piece_at, set_torque
+from clunk.core.regimes import System, gap_input
+from clunk.core.runs import BEGIN, begin_wave, piece_at, set_gaps, set_torque
 from clunk.core.sequence import find_primaries
 from clunk.core.severity import root_of_squares
 from clunk.core.status import Status
 from clunk.core.switching import set_weighed
-from clunk.core.tables import HALF_GAP
 from clunk.core.tile import Cases
 
 FloatArray = npt.NDArray[np.float64]
@@ -41,15 +40,15 @@ OF_IMPACTS = 3
 
 
 class Run(NamedTuple):
-    """A finished run; P pieces, E events and changes of stage, n inertias."""
+    """A finished run; P pieces, E events and changes of stage, n inertias, L lashes."""
 
     load: FloatArray  # (P, PIECE)
-    half_gap: float  # φ/2  [rad]
+    before: FloatArray  # (INPUTS + L - 1 or more,)  d before the load step  [N m, rad, N m/s, rad]
     events: npt.NDArray[np.void]  # (capacity,) EVENT, E of them
     states: FloatArray  # (capacity, N)  [rad, rad/s]
     written: int  # E
-    primaries: IntArray  # (capacity,) indices of the primary impacts in `events`
-    impacts: int  # and how many there are
+    primaries: IntArray  # (L, capacity) indices of each lash's primary impacts in `events`
+    impacts: IntArray  # (L,) and how many there are
 
 
 class Room(NamedTuple):
@@ -62,12 +61,14 @@ class Room(NamedTuple):
     inputs: FloatArray  # (I,)  d
     low: FloatArray  # (C,)  range of each channel so far
     high: FloatArray  # (C,)
+    impact: IntArray  # (L,)  the last primary impact of each lash, or -1
+    row: IntArray  # (L,)  and the row of its values, or -1 where they are not wanted
 
 
 @compiled
 def make_room(system: System, channels: Channels) -> Room:
     """Scratch for walks over runs of a driveline."""
-    size, count = channels.rates.shape[2], channels.series.shape[2]
+    size, count, lashes = channels.rates.shape[2], channels.series.shape[2], system.lashes.shape[0]
     return Room(
         z=np.zeros(size),
         moved=np.zeros((2, size)),
@@ -76,6 +77,8 @@ def make_room(system: System, channels: Channels) -> Room:
         inputs=np.ones(system.weights.shape[1]),
         low=np.zeros(count),
         high=np.zeros(count),
+        impact=np.zeros(lashes, np.int64),
+        row=np.zeros(lashes, np.int64),
     )
 
 
@@ -96,24 +99,27 @@ def measure_runs(
     ----------
     cases, cells, logs, states
         Of a tile, as `tile.Output`; in `logs` the times behind a run's events are NaN.
-    totals : (cells, OF_IMPACTS + measures) float64
+    totals : (cells, L, OF_IMPACTS + measures) float64
         Output, see `measure`.
     of_impacts : (impacts, OF_IMPACTS) float64
         Output, each cell's behind those of the cell before.
     """
-    room, primaries, first = make_room(system, channels), np.empty(logs.shape[1], np.int64), 0
-    for k in range(cells.size):
-        impacts = cells[k].primary_impacts
-        if cells[k].status == _OK:
+    room, first, lashes = make_room(system, channels), 0, system.lashes.shape[0]
+    primaries, impacts = np.empty((lashes, logs.shape[1]), np.int64), np.zeros(lashes, np.int64)
+    for k in range(cells.shape[0]):
+        for lash in range(lashes):
+            impacts[lash] = cells[k, lash].primary_impacts
+        if cells[k, 0].status == _OK:
             written = 0
             while written < logs.shape[1] and not np.isnan(logs[k, written].time):
                 written += 1
-            side = system.contacts[logs[k, 0].regime, 0].side
-            find_primaries(logs[k], written, 0, side, system.sticking_time[0], primaries)
-            load, half_gap = cases.loads[k % cases.loads.shape[0]], cases.before[k, HALF_GAP]
-            run = Run(load, half_gap, logs[k], states[k], written, primaries, impacts)
-            measure(system, channels, run, room, totals[k], of_impacts[first : first + impacts])
-        first += impacts
+            for lash in range(lashes):
+                side, sticking_time = int(cells[k, lash].initial_side), system.sticking_time[lash]
+                find_primaries(logs[k], written, lash, side, sticking_time, primaries[lash])
+            load = cases.loads[k % cases.loads.shape[0]]
+            run = Run(load, cases.before[k], logs[k], states[k], written, primaries, impacts)
+            measure(system, channels, run, room, totals[k], of_impacts[first : first + impacts.sum()])
+        first += impacts.sum()
 
 
 @unowned
@@ -124,31 +130,29 @@ def measure(
 
     Parameters
     ----------
-    totals : (OF_IMPACTS + measures,) float64
-        Output: roots of the summed squares of the impacts' values, then the measures.
+    totals : (L, OF_IMPACTS + measures) float64
+        Output, for each lash: roots of the summed squares of its impacts' values, then the measures.
     of_impacts : (impacts, OF_IMPACTS) float64
-        Output, if `channels.of_impacts`: impulse [N m s], peak torque [N m] and energy [J] of each.
+        Output, if `channels.of_impacts`: impulse [N m s], peak torque [N m] and energy [J] of each, lash by lash.
     """
-    size, n, impact, piece = system.rates.shape[1], 2 * system.inertias, -1, 0
-    x = room.z[:size]
-    room.inputs[HALF_GAP] = run.half_gap
+    size, n, piece, lashes = system.rates.shape[1], 2 * system.inertias, 0, system.lashes.shape[0]
+    x, shortest = room.z[:size], INSTANT if lashes > 1 else 0.0
+    set_gaps(system, run.before, room.inputs)
     begin_wave(system, run.load, 0, x)
-    room.low[:], room.high[:] = np.inf, -np.inf
+    room.low[:], room.high[:], room.impact[:], room.row[:] = np.inf, -np.inf, -1, -1
     of_impacts[:] = 0.0
     for k in range(run.written):
         event = run.events[k]
         for j in range(n):
             x[j] = run.states[k, j]
         if channels.of_impacts != 0:
-            if impact + 1 < run.impacts and run.primaries[impact + 1] == k:
-                impact += 1
-                room.low[CONTACT_TORQUE], room.high[CONTACT_TORQUE] = 0.0, 0.0
-            if impact >= 0:
-                _add_event(system, channels, run, k, x, of_impacts[impact])
+            _begin_impacts(run, room, k)
+            if event.lash >= 0 and room.row[event.lash] >= 0:
+                _add_event(system, channels, run, k, x, of_impacts[room.row[event.lash]])
         time, end = event.time, system.end_time
         if k + 1 < run.written:
             end = run.events[k + 1].time
-        while time < end:
+        while end - time > shortest:
             now = piece_at(run.load, piece, time)
             if now != piece:
                 piece = now
@@ -158,18 +162,37 @@ def measure(
                 until = min(end, run.load[piece + 1, BEGIN])
             set_torque(system, run.load, piece, time, room.inputs)
             set_weighed(system, event.regime, room.inputs, room.z[size:])
-            _follow(system, channels, event.regime, until - time, room, impact, of_impacts)
+            _follow(system, channels, event.regime, until - time, room, of_impacts)
             time = until
-    for i in range(run.impacts if channels.of_impacts != 0 else 0):
+    first = 0
+    for lash in range(lashes):
+        last = first + run.impacts[lash]
+        for j in range(OF_IMPACTS):
+            totals[lash, j] = np.nan
+            if channels.of_impacts != 0:
+                if system.impulsive != 0 and j == PEAK_TORQUE:
+                    of_impacts[first:last, j] = np.nan
+                totals[lash, j] = root_of_squares(of_impacts[first:last, j], run.impacts[lash])
+        first = last
         if system.impulsive != 0:
-            of_impacts[i, PEAK_TORQUE] = np.nan
-    for j in range(OF_IMPACTS):
-        totals[j] = root_of_squares(of_impacts[:, j], run.impacts) if channels.of_impacts != 0 else np.nan
-    if system.impulsive != 0:
-        totals[PEAK_TORQUE] = np.nan
-    for m in range(channels.reductions.size):
-        low, high = room.low[CLOSING + 1 + m], room.high[CLOSING + 1 + m]
-        totals[OF_IMPACTS + m] = high - low if channels.reductions[m] == PEAK_TO_PEAK else max(-low, high)
+            totals[lash, PEAK_TORQUE] = np.nan
+        for m in range(channels.reductions.size):
+            low, high = room.low[OF_LASH * lashes + m], room.high[OF_LASH * lashes + m]
+            is_swing = channels.reductions[m] == PEAK_TO_PEAK
+            totals[lash, OF_IMPACTS + m] = high - low if is_swing else max(-low, high)
+
+
+@unowned
+def _begin_impacts(run: Run, room: Room, k: int) -> None:
+    """Begin the values of a lash whose primary impact event `k` is."""
+    first = 0
+    for lash in range(run.impacts.size):
+        following = room.impact[lash] + 1
+        if following < run.impacts[lash] and run.primaries[lash, following] == k:
+            room.impact[lash], room.row[lash] = following, first + following
+            torque = OF_LASH * lash + CONTACT_TORQUE
+            room.low[torque], room.high[torque] = 0.0, 0.0
+        first += run.impacts[lash]
 
 
 @unowned
@@ -180,41 +203,41 @@ def _add_event(system: System, channels: Channels, run: Run, k: int, x: FloatArr
         if event.kind == TOUCH:
             after = 0.0
             for j in range(x.size):
-                after += system.lashes[0, j] * x[j]
-            values[IMPULSE] += abs(event.speed - after) / channels.mobility
-            values[ENERGY] += 0.5 * (event.speed**2 - after**2) / channels.mobility
+                after += system.lashes[event.lash, j] * x[j]
+            values[IMPULSE] += abs(event.speed - after) / channels.mobility[event.lash]
+            values[ENERGY] += 0.5 * (event.speed**2 - after**2) / channels.mobility[event.lash]
         return
     if event.kind in (SEPARATION, REJOIN):
-        overlap = -run.half_gap
+        overlap = -run.before[gap_input(event.lash)]
         for j in range(system.inertias):
-            overlap += event.side * system.lashes[0, system.inertias + j] * x[j]
-        stored = 0.5 * channels.contact_stiffness * overlap**2
+            overlap += event.side * system.lashes[event.lash, system.inertias + j] * x[j]
+        stored = 0.5 * channels.contact_stiffness[event.lash] * overlap**2
         values[ENERGY] += stored if event.kind == SEPARATION else -stored
 
 
 @unowned
-def _follow(
-    system: System, channels: Channels, regime: int, span: float, room: Room, impact: int, of_impacts: FloatArray
-) -> None:
+def _follow(system: System, channels: Channels, regime: int, span: float, room: Room, of_impacts: FloatArray) -> None:
     """Follow the flow of a regime from `room.z` over a time, within which neither regime nor piece of the load ends."""
-    row, z, series = system.contacts[regime, 0], room.z, room.series
+    z, series, lashes = room.z, room.series, system.lashes.shape[0]
     flow, level, elapsed = system.regimes[regime].flow, 0, 0.0
-    presses = row.closed != 0 and impact >= 0 and channels.of_impacts != 0
     while elapsed < span:
         while level + 1 < channels.begins.shape[1] and channels.begins[flow, level + 1] <= elapsed:
             level += 1
         length = channels.lengths[flow, level]
         share = min((span - elapsed) / length, 1.0)
-        if presses:
-            values = of_impacts[impact]
-            _expand(channels.series[flow, level, CLOSING], z, series)
-            values[ENERGY] += channels.contact_damping * length * integral_of_square(series, share, room.nodes)
-            _expand(channels.series[flow, level, CONTACT_TORQUE], z, series)
-            values[IMPULSE] += row.side * length * integral(series, share)
-            low, high = widened(series, share, room.low[CONTACT_TORQUE], room.high[CONTACT_TORQUE])
-            room.low[CONTACT_TORQUE], room.high[CONTACT_TORQUE] = low, high
-            values[PEAK_TORQUE] = high if row.side > 0 else -low
-        for c in range(CLOSING + 1, room.low.size):
+        for lash in range(lashes):
+            contact, torque = system.contacts[regime, lash], OF_LASH * lash + CONTACT_TORQUE
+            if contact.closed == 0 or room.row[lash] < 0:
+                continue
+            values = of_impacts[room.row[lash]]
+            _expand(channels.series[flow, level, OF_LASH * lash + CLOSING], z, series)
+            damped = length * integral_of_square(series, share, room.nodes)
+            values[ENERGY] += channels.contact_damping[lash] * damped
+            _expand(channels.series[flow, level, torque], z, series)
+            values[IMPULSE] += contact.side * length * integral(series, share)
+            room.low[torque], room.high[torque] = widened(series, share, room.low[torque], room.high[torque])
+            values[PEAK_TORQUE] = room.high[torque] if contact.side > 0 else -room.low[torque]
+        for c in range(OF_LASH * lashes, room.low.size):
             _expand(channels.series[flow, level, c], z, series)
             room.low[c], room.high[c] = widened(series, share, room.low[c], room.high[c])
         if share < 1.0:

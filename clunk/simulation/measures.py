@@ -5,11 +5,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.channels import LARGEST, PEAK_TO_PEAK, Channels, tabulate
+from clunk.core.channels import CLOSING, CONTACT_TORQUE, LARGEST, OF_LASH, PEAK_TO_PEAK, Channels, tabulate
 from clunk.core.measures import Run, make_room, measure
 from clunk.core.regimes import System
 from clunk.core.sequence import find_primaries
-from clunk.core.tables import FORCE, HALF_GAP, INPUTS, flows_of
+from clunk.core.tables import FORCE, flows_of, half_gap_of
 from clunk.simulation.driveline import Driveline, build
 from clunk.simulation.load import run_load
 from clunk.simulation.trajectory import Trajectory
@@ -23,8 +23,8 @@ FloatArray = npt.NDArray[np.float64]
 class Measures(NamedTuple):
     """What was measured of a run.
 
-    totals : by name, the roots of the summed squares of the impacts' values, and the config's measures
-    of_impacts : by name, (P,) float64, impulse [N m s], peak torque [N m] and energy [J] of each primary impact
+    totals : by name, the roots of the summed squares of the values of a lash's impacts, and the config's measures
+    of_impacts : by name, (P,) float64, impulse [N m s], peak torque [N m] and energy [J] of its primary impacts
     """
 
     totals: dict[str, float]
@@ -36,21 +36,21 @@ def channels_of(study: Study, system: System, *, of_impacts: bool | None = None)
 
     of_impacts : whether primary impacts are measured too; by default if the config says so
     """
-    line, measures = Driveline.from_study(study), study.measures
-    parts = parts_of(study)
-    active = flows_of(1, [shaft for _, shaft in line.staged])
-    flows, size, driven = system.inputs.shape
-    n = system.inertias
-    rows = np.zeros((flows, 2 + len(measures), size + driven))
-    for flow in range(flows):
-        stage = line.in_stages(active[flow].stages)
-        if active[flow].closed[0]:
-            rows[flow, 0] = _contact_torque(line, system, flow)
-        rows[flow, 1, n : 2 * n] = line.lash
-        for row, each, part in zip(rows[flow, 2:], measures, parts, strict=True):
-            row[:] = _row(each, part, stage, line, system, flow, rows[flow, 0])
+    line, measures, parts = Driveline.from_study(study), study.measures, parts_of(study)
+    n, lashes = system.inertias, len(line.lashes)
+    _, size, driven = system.inputs.shape
+    flows = flows_of(lashes, [shaft for _, shaft in line.staged])
+    rows = np.zeros((len(flows), OF_LASH * lashes + len(measures), size + driven))
+    for flow, active in enumerate(flows):
+        for lash, row in enumerate(line.lashes):
+            of_lash = rows[flow, OF_LASH * lash :]
+            if active.closed[lash]:
+                of_lash[CONTACT_TORQUE] = _contact_torque(line, system, flow, lash)
+            of_lash[CLOSING, n : 2 * n] = row
+        for row, each, part in zip(rows[flow, OF_LASH * lashes :], measures, parts, strict=True):
+            row[:] = _row(each, part, line.in_stages(active.stages), line, system, flow, rows[flow])
     lengths, begins, steps, rates, series = tabulate(system, rows)
-    impulsive = bool(system.impulsive)
+    pressed = 0.0 if system.impulsive else 1.0
     return Channels(
         lengths,
         begins,
@@ -59,51 +59,58 @@ def channels_of(study: Study, system: System, *, of_impacts: bool | None = None)
         series,
         of_impacts=int(bool(study.impacts.quantities) if of_impacts is None else of_impacts),
         reductions=np.array([{"peak-to-peak": PEAK_TO_PEAK}.get(each.reduce, LARGEST) for each in measures], np.int64),
-        contact_stiffness=0.0 if impulsive else line.contact_stiffness,
-        contact_damping=0.0 if impulsive else line.contact_damping,
-        mobility=float(np.sum(line.lash**2 / line.inertia)),
+        contact_stiffness=pressed * line.contact_stiffnesses,
+        contact_damping=pressed * line.contact_dampings,
+        mobility=np.sum(line.lashes**2 / line.inertia, axis=1),
     )
 
 
-def _contact_torque(line: Driveline, system: System, flow: int) -> FloatArray:
-    """The contact torque of a closed flow by state and inputs, signed like q."""
+def _contact_torque(line: Driveline, system: System, flow: int, lash: int) -> FloatArray:
+    """The torque across a lash, closed in a flow, by state and inputs, signed like q."""
     if system.impulsive:
-        return np.concatenate([system.functionals[flow, FORCE], system.feedthrough[flow, FORCE]])
-    n, row = system.inertias, np.zeros(sum(system.inputs.shape[1:]))
-    row[:n], row[n : 2 * n] = line.contact_stiffness * line.lash, line.contact_damping * line.lash
-    row[system.rates.shape[1] + HALF_GAP] = -line.contact_stiffness
+        force = lash * system.stride + FORCE
+        return np.concatenate([system.functionals[flow, force], system.feedthrough[flow, force]])
+    n, row, stiffness = system.inertias, np.zeros(sum(system.inputs.shape[1:])), line.contact_stiffnesses[lash]
+    row[:n], row[n : 2 * n] = stiffness * line.lashes[lash], line.contact_dampings[lash] * line.lashes[lash]
+    row[system.rates.shape[1] + half_gap_of(lash)] = -stiffness
     return row
 
 
 def _row(
-    measure: Measure, part: Part, stage: Driveline, line: Driveline, system: System, flow: int, contact: FloatArray
+    measure: Measure, part: Part, stage: Driveline, line: Driveline, system: System, flow: int, channels: FloatArray
 ) -> FloatArray:
-    """What a measure is of, by state and inputs in a flow."""
+    """What a measure is of, by state and inputs in a flow whose first channels are those of the lashes."""
     n, size, k = system.inertias, system.rates.shape[1], part.number
     if measure.quantity == "acceleration":
         return np.concatenate([system.rates[flow, n + k], system.inputs[flow, n + k]])
     if measure.quantity == "contact torque":
-        return contact
-    row, twist = np.zeros(contact.size), line.lash if part.element == "lash" else line.shafts[k]
+        torque: FloatArray = channels[OF_LASH * k + CONTACT_TORQUE]
+        return torque
+    row, twist = np.zeros(channels.shape[1]), line.lashes[k] if part.element == "lash" else line.shafts[k]
     if measure.quantity == "twist":
         row[:n] = twist
         return row
     row[:n], row[n : 2 * n] = stage.shaft_stiffness[k] * twist, stage.shaft_damping[k] * twist
     staged = [shaft for shaft, _ in line.staged]
     if k in staged:
-        row[size + INPUTS + staged.index(k)] = 1.0
+        row[size + half_gap_of(len(line.lashes)) + staged.index(k)] = 1.0  # behind the half gaps
     return row
 
 
 def measured(trajectory: Trajectory) -> Measures:
-    """Measures of one run: of its primary impacts, and those of its config."""
+    """Measures of one run: of the primary impacts of its lash, and those of its config."""
     study, system, phases = trajectory.study, build(trajectory.study, waves=True), trajectory.phases
     channels = channels_of(study, system, of_impacts=True)
     before, load = run_load(study)
-    primaries = np.zeros(phases.size, np.int64)
-    impacts = find_primaries(phases, phases.size, 0, trajectory.initial_side, float(system.sticking_time[0]), primaries)
-    run = Run(load, float(before[HALF_GAP]), phases, trajectory.phase_states, phases.size, primaries, impacts)
-    totals, of_impacts = np.zeros(len(NAMES) + len(study.measures)), np.zeros((impacts, len(NAMES)))
+    lashes = len(study.lashes)
+    primaries, impacts = np.zeros((lashes, phases.size), np.int64), np.zeros(lashes, np.int64)
+    for lash, (side, sticking_time) in enumerate(zip(trajectory.initial_sides, system.sticking_time, strict=True)):
+        impacts[lash] = find_primaries(phases, phases.size, lash, side, float(sticking_time), primaries[lash])
+    run = Run(load, before, phases, trajectory.phase_states, phases.size, primaries, impacts)
+    totals, of_impacts = np.zeros((lashes, len(NAMES) + len(study.measures))), np.zeros((impacts.sum(), len(NAMES)))
     measure(system, channels, run, make_room(system, channels), totals, of_impacts)
-    names = (*NAMES, *(each.name for each in study.measures))
-    return Measures(dict(zip(names, totals.tolist(), strict=True)), dict(zip(NAMES, of_impacts.T, strict=True)))
+    names, part = (*NAMES, *(each.name for each in study.measures)), np.cumsum(impacts)[:-1]
+    of_lash = np.split(of_impacts, part)[trajectory.lash]
+    return Measures(
+        dict(zip(names, totals[trajectory.lash].tolist(), strict=True)), dict(zip(NAMES, of_lash.T, strict=True))
+    )

@@ -75,12 +75,6 @@ def _inertias(config: Config) -> Iterator[Finding]:
 def _lashes(config: Config) -> Iterator[Finding]:
     """Require lashes whose names differ from each other and from numbers, and that have one contact model."""
     names, models = config.lash_names, [lash.contact.model for lash in config.lashes]
-    measured: dict[Place, bool] = {
-        ("impacts", "quantities"): bool(config.impacts.quantities),
-        ("measures",): bool(config.measures),
-    }
-    if len(names) > 1:
-        yield from ((place, "measured in drivelines with one lash only") for place, asked in measured.items() if asked)
     for k, (place, lash) in enumerate(zip(config.lash_places, config.lashes, strict=True)):
         if lash.name is not None and (lash.name.isdigit() or not lash.name.strip() or set(lash.name) & set("[]")):
             text = f"found {shorten(lash.name)}; a name must not be empty, a number, or have brackets in it"

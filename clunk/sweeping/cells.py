@@ -218,16 +218,16 @@ class Grid:
             part = cases.at(np.arange(begin, min(begin + each, runs)))
             logs["time"] = np.nan
             output = kernel.Output(self._cells(len(part.before)), buffer, logs, states)
-            cells, pieces = self._run(values, part, output, stop)
-            details = np.concatenate([buffer[:0], *pieces])
-            totals = np.full((cells.size, OF_IMPACTS + len(self.study.measures)), np.nan)
+            rows, pieces = self._run(values, part, output, stop)
+            cells, details = rows.reshape(-1, self.layout.lashes), np.concatenate([buffer[:0], *pieces])
+            totals = np.full((*cells.shape, OF_IMPACTS + len(self.study.measures)), np.nan)
             of_impacts = np.full((details.size, OF_IMPACTS), np.nan)
             measure_runs(system, channels, part, cells, logs, states, totals, of_impacts)
             names = self.study.impacts.quantities
-            columns = [*(IMPACT_MEASURES.index(name) for name in names), *range(OF_IMPACTS, totals.shape[1])]
-            records.append(_joined(cells, self.layout.record, totals[:, columns]))
+            columns = [*(IMPACT_MEASURES.index(name) for name in names), *range(OF_IMPACTS, totals.shape[2])]
+            records.append(_joined(rows, self.layout.record, totals[..., columns].reshape(rows.size, -1)))
             impacts.append(_joined(details, self.layout.detail, of_impacts[:, columns[: len(names)]]))
-            if cells.size < len(part.before):
+            if len(cells) < len(part.before):
                 break
         return np.concatenate(records), impacts
 
