@@ -1,6 +1,8 @@
-"""Results of several lashes: their axis in memory, in files and in exports, and the map of each lash alone."""
+"""Results of several lashes: their axis in memory, files and exports, the map of each alone, and commands on them."""
 
 import csv
+import json
+import re
 from dataclasses import replace
 
 import h5py
@@ -9,10 +11,16 @@ import pytest
 from scipy.io import loadmat
 
 import clunk
+from clunk.cli import main
 from clunk.results import export, store
+from clunk.results.historyfile import save_csv
 from clunk.results.quantities import CELL_QUANTITIES, REGIME_QUANTITIES
 from clunk.results.regimemap import Results
+from clunk.simulation.history import sample
 from clunk.study.axes import ResultAxis, lash_axis
+from clunk.sweeping.assembly import RegimeReduction
+from clunk.sweeping.cells import Grid
+from clunk.sweeping.tiles import from_bytes, to_pieces
 
 NAMES = ("gear", "differential")
 
@@ -156,3 +164,168 @@ def test_exports_have_a_row_for_each_lash_of_each_cell(two, tmp_path):
     arrays = loadmat(tmp_path / "two.mat", simplify_cells=True)
     assert arrays["lash"].tolist() == list(NAMES)
     np.testing.assert_array_equal(arrays["severity"], two.severity)
+
+
+# --- Runs of several lashes ------------------------------------------------------------------------------------------
+
+RIG = """
+[driveline]
+preset = "boere-2008"
+shafts = [
+    {between = [1, 2], stiffness = 31.3, damping = 0.08},
+    {between = [4, "ground"], stiffness = 31.3, damping = 0.1},
+    {between = [1, "ground"], stiffness = 0.0, damping = 0.1},
+]
+[solver]
+method = "exact"
+end_time = 1.0
+[[lash]]
+name = "gear"
+between = ["pinion", "ring"]
+backlash_deg = 6.0
+radius = 0.08
+contact = {stiffness = 4.092e5, damping = 94.0}
+[[lash]]
+name = "joint"
+between = ["flange", "pinion"]
+backlash_deg = 3.0
+radius = 0.08
+contact = {stiffness = 4.092e5, damping = 94.0}
+"""
+
+
+def axes(ratios, gaps, lash=2):
+    """Axes of so many load ratios up to 4 and, if any, so many gaps of a lash."""
+    text = f'[[sweep.axes]]\nparameter = "load.ratio"\nstart = 0.0\nstop = 4.0\ncount = {ratios}\n'
+    values = np.linspace(1.0, 5.0, gaps).tolist()
+    return text + f'[[sweep.axes]]\nparameter = "lash[{lash}].backlash_deg"\nvalues = {values}\n' * (gaps > 0)
+
+
+def rig(*counts):
+    return clunk.study_from_text(RIG + (axes(*counts) if counts else ""))
+
+
+@pytest.fixture(scope="module")
+def swept():
+    return clunk.sweep(rig(9, 5))
+
+
+def test_a_cell_of_a_map_is_its_run_lash_by_lash(swept):
+    assert swept.lashes == ("gear", "joint")
+    for ratio, gap in ((2.0, 3.0), (4.0, 1.0)):
+        run = clunk.simulate(clunk.replace_values(rig(), {"load.ratio": ratio, "lash[2].backlash_deg": gap}))
+        for name, each in zip(swept.lashes, run.lashes, strict=True):
+            cell = swept.of_lash(name).cell({"load.ratio": ratio, "lash[2].backlash_deg": gap})
+            assert (cell["label"], cell["touches"]) == (each.label, each.touches)
+            # the log with states locates extremes of the same flow, to rounding
+            np.testing.assert_allclose(cell["impact_severity"], each.impact_severity, rtol=1e-9)
+
+
+def test_the_order_of_lashes_in_the_file_changes_no_label(swept):
+    head, gear, joint = RIG.split("[[lash]]")
+    swapped = clunk.sweep(clunk.study_from_text(f"{head}[[lash]]{joint}[[lash]]{gear}{axes(9, 5, lash=1)}"))
+    for name in swept.lashes:
+        assert (swapped.of_lash(name).label_map == swept.of_lash(name).label_map).all()
+
+
+def test_tiles_in_any_order_give_the_same_map(swept):
+    study, stop = rig(9, 5), np.zeros(1, np.uint8)
+    grid, reduction = Grid(study), RegimeReduction(study)
+    for cells in np.split(np.random.default_rng(3).permutation(45), [1, 7, 30]):
+        raw = b"".join(to_pieces([grid.run(cells, stop)], bytes(32)))
+        reduction.add(from_bytes(raw, bytes(32), grid.layout))
+        reduction.add(grid.run(cells[:3], stop))  # which are there already
+    assert equal(reduction.result({}), swept)
+
+
+def test_a_refined_map_runs_cells_where_the_label_of_any_lash_changes():
+    study = rig(121, 1)
+    dense, refined = clunk.sweep(study), clunk.sweep(study, refine=True)
+    inferred = refined.of_lash().inferred
+    assert inferred.any()
+    assert (refined.of_lash("joint").inferred == inferred).all()
+    assert (refined.label_map == dense.label_map).all()
+    assert (refined.initial_side == dense.initial_side).all()
+
+
+@pytest.mark.parametrize("lash", ["gear", "joint"])
+def test_thresholds_are_those_of_the_lash_that_is_named(lash, swept):
+    study = rig(9, 1)
+    located = clunk.thresholds(study, along="load.ratio", of="double_sided", lash=lash)
+    assert located.lash == lash
+    assert located.value.size
+    for value in located.value:
+        run = {
+            side: clunk.simulate(clunk.replace_values(study, {"load.ratio": value + side, "lash[2].backlash_deg": 1.0}))
+            for side in (-1e-6, 1e-6)
+        }
+        k = swept.lashes.index(lash)
+        assert ["DS" in each.lashes[k].label for each in run.values()] == [False, True]
+
+
+def test_boundaries_of_a_lash_stay_with_it(tmp_path):
+    results = clunk.sweep(rig(9, 0), boundaries=True, lash="joint")
+    assert results.boundaries.lash == "joint"
+    clunk.write_results(tmp_path / "traced.h5", results)
+    again = clunk.read_results(tmp_path / "traced.h5")
+    assert again.of_lash("joint").boundaries.vertices.tolist() == results.boundaries.vertices.tolist()
+    assert again.of_lash("gear").boundaries is None
+    assert again.at_lash("joint").boundaries is not None
+
+
+def test_tolerances_and_sensitivities_know_the_lashes():
+    draw = (
+        '[[sweep.tolerances]]\nparameter = "lash[{}].backlash_deg"\ndistribution = "uniform"\nlow = 2.0\nhigh = 4.0\n'
+    )
+    drawn = f"{draw.format(1)}{draw.format(2)}[sweep.sampling]\ncount = 16\n"
+    study = clunk.study_from_text(RIG + axes(3, 0) + drawn)
+    tolerances = clunk.tolerance_map(study)
+    assert tolerances.runs.shape == (3, 2, len(tolerances.labels) + 1)
+    alone = tolerances.of_lash("joint")
+    np.testing.assert_array_equal(alone.severity_mean, tolerances.severity_mean[..., 1])
+    shares = clunk.sensitivity(study, of=["severity"], lash="joint").indices[0]
+    assert shares.nominal == clunk.simulate(rig()).lashes[1].severity
+
+
+def test_commands_take_a_lash_by_name(two, path, capsys, monkeypatch):
+    def run(*arguments):
+        monkeypatch.setattr("sys.argv", ["clunk", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stopped:
+            main()
+        return stopped.value.code, *capsys.readouterr()
+
+    code, out, _ = run("info", path)
+    assert code == 0
+    assert "lashes    gear, differential" in out
+    code, out, _ = run("plot", path, "--lash", "differential", "--quantity", "regimes", "-o", path.with_name("one.svg"))
+    assert code == 0
+    assert "differential" in path.with_name("one.svg").read_text("utf-8")
+    code, out, err = run("plot", path, "--lash", "rear")
+    assert code == 2
+    assert "there are gear and differential" in err
+    config = path.with_name("rig.toml")
+    config.write_text(RIG)
+    code, out, _ = run("simulate", config, "--set", "load.ratio=2.0")
+    assert code == 0
+    assert re.search(r"touch +joint +\w+", out)
+    assert re.search(r"^gear +\S+ \(", out, re.MULTILINE)
+    code, out, _ = run("simulate", config, "--json", "--set", "load.ratio=2.0")
+    assert list(json.loads(out)["lashes"]) == ["gear", "joint"]
+    code, out, _ = run("modes", config)
+    assert "all lashes closed" in out
+
+
+def test_a_history_has_the_backlash_of_each_lash(tmp_path):
+    run = clunk.simulate(clunk.replace_values(rig(), {"load.ratio": 2.0}))
+    history = sample(run, step=1e-3)
+    for k, (view, lash) in enumerate(zip(history.lashes, run.study.lashes, strict=True)):
+        one, other = (int(end) - 1 for end in lash.between)
+        q = history.angle[:, one] - history.angle[:, other]
+        np.testing.assert_allclose(view.backlash_coordinate, lash.radius * q, rtol=1e-12, atol=1e-15)
+        touched = np.abs(view.backlash_coordinate[view.touches.row])
+        np.testing.assert_allclose(touched, view.half_gap, rtol=1e-9)
+        assert view.touches.row.size == run.lashes[k].touches
+    save_csv(tmp_path / "run.csv", history)
+    head, first = (tmp_path / "run.csv").read_text().splitlines()[:2]
+    assert head.endswith("backlash_coordinate_1_m,backlash_coordinate_2_m,contact_1,contact_2,event,lash,flank")
+    assert len(first.split(",")) == len(head.split(","))
