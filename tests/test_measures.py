@@ -377,3 +377,13 @@ def test_a_map_of_two_lashes_has_each_one_s_impacts_and_the_same_measures(tmp_pa
         assert cell["impact_energy"] == pytest.approx(single.of_impacts["energy"], rel=1e-12)
         hit = single.totals["hit_1" if name == "gearbox" else "hit_2"]
         assert single.of_impacts["peak_torque"].max() <= hit * (1.0 + 1e-12)  # which counts the first contact too
+
+
+def test_a_run_of_two_lashes_is_told_lash_by_lash(tmp_path):
+    (tmp_path / "two.toml").write_text(TWO_LASHES + "[impacts]\nquantities = ['energy']\n", encoding="utf-8")
+    printed = CliRunner().invoke(cli, ["simulate", str(tmp_path / "two.toml"), "--json"])
+    lashes = json.loads(printed.stdout)["lashes"]
+    for name, each in zip(lashes, simulate(study_from_text(TWO_LASHES)).lashes, strict=True):
+        assert lashes[name]["impact_measures"]["energy"] == pytest.approx(measured(each).of_impacts["energy"])
+    printed = CliRunner().invoke(cli, ["simulate", str(tmp_path / "two.toml")])
+    assert printed.stdout.count("J; of the impacts") == 2

@@ -12,6 +12,7 @@ from clunk.cli import cells, phrases, tables, terminal
 from clunk.cli.options import PATH, at_option, json_option, set_option
 
 if TYPE_CHECKING:
+    from clunk.results.quantities import Quantity
     from clunk.simulation.energy import EnergyBalance
     from clunk.simulation.trajectory import Trajectory
     from clunk.study.study import Study
@@ -93,10 +94,7 @@ def simulate(
     runs = [(name, run(study)) for name, study in studies]
     if as_json:
         records = [
-            {"run": name}
-            | trajectory_record(trajectory)
-            | measures_record(trajectory)
-            | {"energy": energy_record(balance(trajectory))}
+            {"run": name} | trajectory_record(trajectory) | {"energy": energy_record(balance(trajectory))}
             for name, trajectory in runs
         ]
         tables.print_record(records if overlay else records[0])
@@ -199,12 +197,16 @@ def print_measures(trajectory: Trajectory) -> None:
     """Print what the config asks for besides Q and V, of the run and, one after the other, of its primary impacts."""
     from clunk.results.quantities import measured_quantities
 
-    record = measures_record(trajectory)
-    if not record:
-        return
     study = trajectory.study
+    if not study.measured:
+        return
     quantities = measured_quantities(study.impacts.quantities, [dict(each) for each in study.measures])
     click.echo()
+    by_lash = dict(zip(study.lash_names, map(measures_record, trajectory.lashes), strict=True))
+    tables.print_lashes(by_lash, lambda record: _print_record(record, quantities))
+
+
+def _print_record(record: dict[str, Any], quantities: dict[str, Quantity]) -> None:
     for name, value in record["measures"].items():
         of_impacts = " ".join(phrases.number(each, ".6g") for each in record["impact_measures"].get(name, ()))
         each = f"; of the impacts {of_impacts}" if of_impacts else ""
@@ -237,6 +239,7 @@ def trajectory_record(trajectory: Trajectory) -> dict[str, Any]:
             "approach_velocity": each.approach_velocity,
             "impact_severity": each.impact_severity.tolist(),
             "margin": each.margin,
+            **measures_record(each),
         }
         for name, each in zip(trajectory.study.lash_names, trajectory.lashes, strict=True)
     }
