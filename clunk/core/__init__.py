@@ -14,6 +14,9 @@ run begins with and leaves behind), then one of two methods, and `events`, `sequ
 
 `lanes`: `vectors` and `pool`, by which many runs take their steps side by side.
 
+`measures` walks over a finished run whose states were kept, along `channels` (quantities as series in time), with
+`extremes` for their turns and integrals; nothing of a run depends on it.
+
 A sweep enters by `tile.run_tile`: for each cell `_preloaded`, then `run.begin` and `run.advance` of the exact method or
 `rk4.run.run`, and at the end `_describe`; a single run by `tile.run`. `sequence.label` makes the text of a label.
 
