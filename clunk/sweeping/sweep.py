@@ -73,12 +73,13 @@ class Job:
         if not design.shape:
             raise SweepError("There is nothing to sweep: the config has no [[sweep.axes]] and no [[sweep.samples]].")
         on_disk = None if self.directory is None else self.directory.path
-        refuse_if_too_large(design.shape, on_disk)
+        lashes = len(self.study.lashes)
+        refuse_if_too_large((*design.shape, lashes) if lashes > 1 else design.shape, on_disk)
         if has_tolerances(self.study):
             if self.study.measured:
                 raise SweepError("A tolerance map has Q alone: leave out impacts.quantities and [[measures]].")
             return ToleranceReduction(self.study)
-        scratch = scratch_for(design.cells, on_disk)
+        scratch = scratch_for(design.cells * lashes, on_disk)
         if self.earlier is not None:
             return MendedReduction(self.study, self.earlier, scratch)
         if self.refine:
