@@ -1,9 +1,10 @@
 """The numerical core: a switched linear system, its flow, its events, and what they amount to.
 
 Nothing here knows files, units of the config or people; it imports numpy, numba and its llvmlite only. One load step,
-in reading order: `regimes` (the system as data), `switching` (preload, and what happens at an event), `runs` (what a
-run begins with and leaves behind), then one of two methods, and `events`, `sequence` and `severity` (label, Q and V),
-`tile` (many runs), `jit` (how all of it is compiled).
+in reading order: `tables` (elements, and regimes as combinations of their states), `regimes` (the system as data),
+`switching` (preload, and what happens at an event), `runs` (what a run begins with and leaves behind), then one of two
+methods, and `events`, `sequence` and `severity` (label, Q and V), `tile` (many runs), `jit` (how all of it is
+compiled: once for a driveline of one lash and nothing else, and once for all others).
 
 `rk4`: `run` (a run from preload to end), `step` and `quartic` (one short step with everything in it located),
 `propagator` (full steps as matrices), `settling` (when a run is over).
@@ -22,15 +23,16 @@ A sweep enters by `tile.run_tile`: for each cell `_preloaded`, then `run.begin` 
 
 Words
 -----
+element     a lash or a staged shaft: a part whose torque is linear in pieces, in one of its states at a time
 flow        x' = A x + B u, with its functionals; regimes may share one
-functional  a number that is linear in the state and the inputs: the gap, the contact force, an acceleration
-regime      a flow, the side of the flank in contact, and the guards that end it
+functional  a number that is linear in the state and the inputs: the gap of a lash, its contact force, an acceleration
+regime      a state of each element: a flow, the sides of the flanks in contact, and the guards that end it
 guard       a functional, signed and shifted, that is positive within a regime and ends it where it turns negative
 event       a guard turning negative, with the regime that follows; also the load step itself
 phase       what lies between two events
-inputs      d = (T, φ/2) of a run; u = (T, s φ/2) of a regime
-window      from one primary impact to the next, over which the acceleration's extremes make Q_i
-margin      how near a run came to another label: positive by what did not happen, negative by what did
+inputs      d = (T, φ/2, …) of a run; u = (T, s φ/2, …) of a regime
+window      from one primary impact of a lash to its next, over which the acceleration's extremes make Q_i
+margin      how near a lash came to another label: positive by what did not happen, negative by what did
 turn        a point where a functional turns back; depth: how far a guard would fall beyond zero before it does
 load step   the change of the torque at time zero
 step        rk4: a step of the time grid; exact: a span, or a part of the shortest, that runs take together
@@ -38,7 +40,7 @@ span        one of a ladder of time intervals, two an octave, for which a flow's
 origin      a particular solution of a flow, which the modal coordinates are measured from
 pair        two modal coordinates that belong together; its amplitude never grows, its sway is what it adds at most
 left out    of a step's guards: the fastest pairs, whose sway is subtracted instead; how many, in LEFT_OUT
-group       regimes with one flow and the same functionals, whose runs take steps together
+group       regimes with one flow and, but for the sides, the same guards, whose runs take steps together
 miss        a turn of a guard above zero; grazing: one within rounding of zero, or an event that all but did not happen
 ring, sway  how far the pairs that are left out, or all pairs, move a functional at most from now on
 bar         how low a guard has to turn back to make the run's margin smaller

@@ -11,6 +11,7 @@ from clunk.core.exact import run as exact
 from clunk.core.exact.flows import Flows
 from clunk.core.exact.workspace import UNDER_WAY, make_workspace
 from clunk.core.jit import compiled, unowned
+from clunk.core.lanes.vectors import WIDTH
 from clunk.core.regimes import System, lashes_of
 from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import Steps
@@ -26,7 +27,7 @@ _OK = int(Status.OK)
 _EVENT_BUFFER_FULL = int(Status.EVENT_BUFFER_FULL)
 
 LONGEST_PATTERN = 62
-_EVENT_MEMORY = 1_000_000  # events that there is room for at a time: 56 MB
+_EVENT_MEMORY = 1_000_000  # events that there is room for at a time: 48 MB, and 16 MB for each lash
 
 CELL = np.dtype(
     [
@@ -179,7 +180,10 @@ def by_exact(
     """
     cells, impacts, size, lashes = output.cells, output.impacts, system.lashes.shape[1], lashes_of(system)
     waiting, (capacity, states) = cells.shape[0] - first, _capacity(max_events, output)
-    slots = min(UNDER_WAY, max(waiting, 1), max(_EVENT_MEMORY // capacity, 1))
+    # of several lashes, runs wait in more queues, which are to be as long
+    queues = 3 * (system.leaders.size + flows.watch.shape[0] * flows.watch.shape[1])
+    under_way = UNDER_WAY if len(system.general) == 0 else max(UNDER_WAY, WIDTH * queues)
+    slots = min(under_way, max(waiting, 1), max(_EVENT_MEMORY // capacity, 1))
     x, events = np.empty(size), np.empty((slots, capacity), EVENT)
     extremes, margins = np.empty((slots, capacity, lashes, 2)), np.empty((slots, lashes))
     space = make_workspace(system, flows, cases.loads, events, extremes, margins, np.empty((slots, states, size)))
