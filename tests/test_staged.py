@@ -75,7 +75,9 @@ def same_as_the_reference(seed):
     events = [event for event in reference.run(plant, 0.5)[0] if event.kind != "stage"]
     times = np.array([event.time for event in events])
     if not np.allclose(times, run.events["time"][: times.size], rtol=0.0, atol=NEAR):
-        nudged_events = [event for event in reference.run(*nudged(plant, None, NUDGE), 0.5)[0] if event.kind != "stage"]
+        nudged_events = [
+            event for event in reference.run(nudged(plant, None, NUDGE)[0], 0.5)[0] if event.kind != "stage"
+        ]
         apart = np.array([event.time for event in nudged_events])[: times.size] - times[: len(nudged_events)]
         times = times[: np.flatnonzero(np.abs(apart) > NEAR)[0]]  # later ones are not resolved
     count = times.size

@@ -268,15 +268,20 @@ def print_energy(trajectory: Trajectory, balance: EnergyBalance) -> None:
 
     driveline, contacts = trajectory.study.driveline, [lash.contact for lash in trajectory.study.lashes]
     shafts = [f"shaft {k}, {shaft.between[0]}-{shaft.between[1]}" for k, shaft in enumerate(driveline.shafts, 1)]
+    shaft_terms = balance.shafts_before, balance.shafts_after, balance.damped_in_shafts, balance.rubbed_in_shafts
     rows = [
-        ("inertias", balance.kinetic_before, balance.kinetic_after, 0.0),
-        *zip(shafts, balance.shafts_before, balance.shafts_after, balance.damped_in_shafts, strict=True),
-        ("contact", balance.contact_before, balance.contact_after, balance.damped_in_contact),
-        ("together", balance.stored_before, balance.stored_after, balance.damped),
+        ("inertias", balance.kinetic_before, balance.kinetic_after, 0.0, 0.0),
+        *zip(shafts, *shaft_terms, strict=True),
+        ("contact", balance.contact_before, balance.contact_after, balance.damped_in_contact, 0.0),
+        ("together", balance.stored_before, balance.stored_after, balance.damped, balance.rubbed),
     ]
-    click.echo(f"{'energy [J]':<20}{'before':>14}{'after':>14}{'change':>14}{'damped':>14}")
-    for name, before, after, damped in rows:
-        click.echo(f"{name:<20}{before:>14.6g}{after:>14.6g}{after - before:>14.6g}{damped:>14.6g}")
+    rubs = any(shaft.friction for shaft in driveline.shafts)
+    columns = ("before", "after", "change", "damped", "rubbed")[: 5 if rubs else 4]
+    width = 12 if rubs else 14  # 80 columns in all
+    click.echo(f"{'energy [J]':<20}" + "".join(f"{column:>{width}}" for column in columns))
+    for name, before, after, damped, rubbed in rows:
+        numbers = (before, after, after - before, damped, rubbed)[: len(columns)]
+        click.echo(f"{name:<20}" + "".join(f"{number:>{width}.6g}" for number in numbers))
     click.echo(f"{'work of the load':<20}{balance.work:>14.6g}")
     if contacts[0].model == "restitution":
         click.echo(f"{'lost at impacts':<20}{balance.lost_at_impacts:>14.6g}")

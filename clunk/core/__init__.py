@@ -2,9 +2,9 @@
 
 Nothing here knows files, units of the config or people; it imports numpy, numba and its llvmlite only. One load step,
 in reading order: `tables` (elements, and regimes as combinations of their states), `regimes` (the system as data),
-`switching` (preload, and what happens at an event), `runs` (what a run begins with and leaves behind), then one of two
-methods, and `events`, `sequence` and `severity` (label, Q and V), `tile` (many runs), `jit` (how all of it is
-compiled: once for a driveline of one lash and nothing else, and once for all others).
+`switching` (preload, and what happens at an event), `rubbing` (which frictions stick then), `runs` (what a run begins
+with and leaves behind), then one of two methods, and `events`, `sequence` and `severity` (label, Q and V), `tile` (many
+runs), `jit` (how all of it is compiled: once for a driveline of one lash and nothing else, and once for all others).
 
 `rk4`: `run` (a run from preload to end), `step` and `quartic` (one short step with everything in it located),
 `propagator` (full steps as matrices), `settling` (when a run is over).
@@ -23,7 +23,7 @@ A sweep enters by `tile.run_tile`: for each cell `_preloaded`, then `run.begin` 
 
 Words
 -----
-element     a lash or a staged shaft: a part whose torque is linear in pieces, in one of its states at a time
+element     a lash, a staged shaft or a friction: its torque is linear in pieces, in one of its states at a time
 flow        x' = A x + B u, with its functionals; regimes may share one
 functional  a number that is linear in the state and the inputs: the gap of a lash, its contact force, an acceleration
 regime      a state of each element: a flow, the sides of the flanks in contact, and the guards that end it
@@ -45,7 +45,7 @@ miss        a turn of a guard above zero; grazing: one within rounding of zero, 
 ring, sway  how far the pairs that are left out, or all pairs, move a functional at most from now on
 bar         how low a guard has to turn back to make the run's margin smaller
 static      the overlap or the locking torque at rest in contact, which margins of a contact are relative to
-sticking    a contact that lasts longer than the sticking time
+sticking    a contact that lasts longer than the sticking time; also of a friction, whose twist rests
 slot        the place of a run among those that are under way; follow: sending it on after a step or a search
 lane        one of the numbers in a vector register; mask: an int whose bits are lanes
 queue       runs, or searches, that wait for the same; pool: all queues, and the items taken from one of them

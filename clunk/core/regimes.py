@@ -1,11 +1,11 @@
 """A driveline with lashes as a switched linear system: a list of regimes, as data.
 
 A run has the inputs d = (T, φ/2, T', …, 1, …): load torque, half gap of the first lash, the torque's rate of change,
-the half gaps of the other lashes, and a 1 for each staged shaft. Within a regime x' = A x + B u, with x = (θ, θ') and
-u = weights · d, each input by the regime's own weight: u = (T, s φ/2, T', …, c, …), s the side of a lash's flank in
-contact (0: none), and c the torque at twist 0 of the line that a staged shaft's torque is on. Between kinks of the load
-T' is constant; a load that swings or decays adds its wave w to x = (θ, θ', w), w' = S w, whose first number is added to
-the torque.
+the half gaps of the other lashes, a 1 for each staged shaft, and for each friction a 1 and the twist at which it
+sticks. Within a regime x' = A x + B u, with x = (θ, θ') and u = weights · d, each input by the regime's own weight:
+u = (T, s φ/2, T', …, c, …), s the side of a lash's flank in contact (0: none), and c the torque at twist 0 of the line
+that a staged shaft's torque is on, or the torque of a friction that slips. Between kinks of the load T' is constant; a
+load that swings or decays adds its wave w to x = (θ, θ', w), w' = S w, whose first number is added to the torque.
 
 A regime ends when one of its *guards*, sign · functional(x, u) + offsets · d, positive inside it, turns negative;
 `clunk.core.tables` names its successor.
@@ -25,9 +25,13 @@ from clunk.core.tables import (
     ACCELERATION,
     FORCE,
     GAP,
+    HOLDING,
     INPUTS,
+    OF_FRICTION,
+    RATE,
     TORQUE,
     FlowOf,
+    Friction,
     Lash,
     StagedShaft,
     build_tables,
@@ -70,12 +74,16 @@ class System(NamedTuple):
     offsets: FloatArray  # (R, G, I)  of each guard
     weights: FloatArray  # (R, I)  u = weights · d
     leaders: IntArray  # (U,)  the first regime of each group
-    strides: IntArray  # (L + 1,)  by how much a regime's number changes with each lash's state; and of all of them
+    strides: IntArray  # (E + 1,)  by how much a regime's number changes with the state of each lash, shaft and friction
     # touches of the restitution model
     impulsive: int  # whether a touch resets the velocities
     impulse: FloatArray  # (L, N)  change of x per unit of q'
     restitution: FloatArray  # (L,)  e
     locking_speed: FloatArray  # (L,)  rad/s; a negative one is relative to the fastest touch of the run so far
+    # frictions
+    frictions: FloatArray  # (M, N)  rate of twist = frictions · x
+    friction_torques: FloatArray  # (M,)  F  [N m]
+    excess: IntArray  # (K,)  whether a friction sticks in a flow that the others hold without it
     # before the step
     preload: FloatArray  # (S, N, I)  steady motion in contact at the load step, in each combination of stages, by u
     contact_torque: FloatArray  # (S, L, I)  the torque across each lash in it, signed like q
@@ -102,6 +110,36 @@ def inputs_of(system: System) -> int:
 
 
 @unowned_inlined
+def frictions_of(system: System) -> int:
+    """The number of frictions."""
+    return 0 if len(system.general) == 0 else system.frictions.shape[0]
+
+
+@unowned_inlined
+def state_of_friction(system: System, regime: int, friction: int) -> int:
+    """The state of a friction in a regime: one of `tables.STICKS` and those behind it."""
+    return int(regime // stride_of_friction(system, friction) % 3)
+
+
+@unowned_inlined
+def stride_of_friction(system: System, friction: int) -> int:
+    """By how much a regime's number changes with the state of a friction."""
+    return int(system.strides[system.strides.size - 1 - system.frictions.shape[0] + friction])
+
+
+@unowned_inlined
+def input_of_friction(system: System, friction: int) -> int:
+    """The input that is 1 for a friction; the one behind it is the twist at which it sticks."""
+    return int(system.weights.shape[1] - OF_FRICTION * (system.frictions.shape[0] - friction))
+
+
+@unowned_inlined
+def rate_of_friction(system: System, friction: int) -> int:
+    """The functional that is the rate of twist of a friction; the one behind it is the torque that holds it."""
+    return int(system.functionals.shape[1] - OF_FRICTION * (system.frictions.shape[0] - friction))
+
+
+@unowned_inlined
 def lash_of(system: System, regime: int, guard: int) -> int:
     """The lash that a guard is of, or -1."""
     return 0 if len(system.general) == 0 else system.guards[regime, guard].lash
@@ -114,6 +152,12 @@ class RigidMotion(NamedTuple):
     speeds: FloatArray  # (n,)  constant speeds under a load of 1 N m, where dampers resist  [rad/s]
     accelerations: FloatArray  # (n,)  where none does  [rad/s2]
     is_dragged: bool  # whether dampers resist
+
+
+def rubs(friction: Friction, rigid: RigidMotion) -> bool:
+    """Whether a friction would slip in steady motion."""
+    terms = friction.twist * rigid.speeds
+    return bool(rigid.shape.shape[1] == 1 and abs(terms.sum()) > _SINGULAR * np.abs(terms).sum())
 
 
 def held(n: int) -> RigidMotion:
@@ -133,6 +177,7 @@ def build_system(
     wave_rates: FloatArray | None = None,
     ramps: bool = False,
     staged: Sequence[StagedShaft] = (),
+    frictions: Sequence[Friction] = (),
 ) -> System:
     """The switched linear system of a driveline with lashes (report Eqs 2.6, and 2.12 or 2.9).
 
@@ -154,16 +199,20 @@ def build_system(
         Whether the torque's rate of change, an input, can be other than zero.
     staged : of StagedShaft
         Shafts whose stiffness is not part of `stiffness`.
+    frictions : of Friction
     """
     n, count, stride = inertia.size, len(lashes), functionals_of(lashes)
     impulsive, constants = lashes[0].restitution is not None, INPUTS + count - 1
-    driven, twists = constants + len(staged), np.array([lash.twist for lash in lashes])
+    rubbing, twists = constants + len(staged), np.array([lash.twist for lash in lashes])
+    driven, every = rubbing + OF_FRICTION * len(frictions), flows_of(count, staged, len(frictions))
     mobility = (twists**2 / inertia).sum(axis=1)
-    rates, inputs = zip(
-        *(_flow(inertia, damping, stiffness, load, lashes, staged, active) for active in flows_of(count, staged)),
-        strict=True,
-    )
-    functionals = np.zeros((len(rates), count * stride + len(staged), 2 * n))
+
+    def flow_of(active: FlowOf) -> tuple[FloatArray, FloatArray]:
+        return _flow(inertia, damping, stiffness, load, lashes, staged, frictions, active)
+
+    rates, inputs = zip(*map(flow_of, every), strict=True)
+    first_rate = count * stride + len(staged)
+    functionals = np.zeros((len(rates), first_rate + OF_FRICTION * len(frictions), 2 * n))
     feedthrough = np.zeros((*functionals.shape[:2], driven))
     for k, lash in enumerate(lashes):
         of_lash, fed = functionals[:, k * stride :], feedthrough[:, k * stride :]
@@ -171,9 +220,9 @@ def build_system(
         of_lash[:, ACCELERATION] = np.array(rates)[:, n + lash.acceleration_of]
         fed[:, ACCELERATION] = np.array(inputs)[:, n + lash.acceleration_of]
         if impulsive:  # the torque that keeps q'' at zero, also where nothing does
-            for flow, active in enumerate(flows_of(count, staged)):
+            for flow, active in enumerate(every):
                 opened = active._replace(closed=(*active.closed[:k], 0, *active.closed[k + 1 :]))
-                free_rates, free_inputs = _flow(inertia, damping, stiffness, load, lashes, staged, opened)
+                free_rates, free_inputs = flow_of(opened)
                 yielding = mobility[k]
                 of_lash[flow, FORCE] = lash.twist @ free_rates[n:] / yielding
                 fed[flow, FORCE] = lash.twist @ free_inputs[n:] / yielding
@@ -182,6 +231,19 @@ def build_system(
             of_lash[:, FORCE, n:] = lash.damping * lash.twist
     for k, shaft in enumerate(staged, count * stride):
         functionals[:, k, :n] = shaft.twist
+    excess = np.zeros(len(rates), np.int64)
+    for k, friction in enumerate(frictions):
+        rate, torque = first_rate + OF_FRICTION * k + RATE, rubbing + OF_FRICTION * k
+        for flow, active in enumerate(every):
+            free_rates, free_inputs = flow_of(active._replace(stuck=(*active.stuck[:k], 0, *active.stuck[k + 1 :])))
+            yielding = -friction.twist @ free_inputs[n:, torque]
+            is_held = yielding <= _SINGULAR * np.sum(friction.twist**2 / inertia)
+            if not is_held:
+                functionals[flow, rate, n:] = friction.twist
+                functionals[flow, rate + HOLDING] = friction.twist @ free_rates[n:] / yielding
+                feedthrough[flow, rate + HOLDING] = friction.twist @ free_inputs[n:] / yielding
+                feedthrough[flow, rate + HOLDING, torque] = 0.0
+            excess[flow] |= is_held and active.stuck[k]
 
     motions = rigid.shape.shape[1]
     springs = [stiffness + _of_stages(staged, stages) for stages in stages_of(staged)]
@@ -201,9 +263,13 @@ def build_system(
             angles = preload(spring, -shaft.twist, twists, momentum, contact)
             steady[k, :n, j] = angles[:, 0]
             carried[k, :, j] = contact_torques(spring, -shaft.twist, twists, contact, angles)[:, 0]
-    zeros = np.zeros((count, n))
+    zeros, tables = np.zeros((count, n)), build_tables(lashes, staged, frictions)
+    for k in range(len(frictions)):  # a rate that stays zero ends nothing
+        rate = first_rate + OF_FRICTION * k + RATE
+        is_held = ~functionals[tables.regimes["flow"], rate].any(axis=1)[:, None]
+        tables.offsets[is_held & (tables.guards["functional"] == rate), rubbing + OF_FRICTION * k] = 1.0
     system = System(
-        general=() if count == 1 and not staged else (0,),
+        general=() if count == 1 and not staged and not frictions else (0,),
         rates=np.array(rates),
         inputs=np.array(inputs),
         functionals=functionals,
@@ -212,19 +278,24 @@ def build_system(
         lashes=np.hstack([zeros, twists]),
         inertias=n,
         ramps=int(ramps),
-        **build_tables(lashes, staged)._asdict(),
+        **tables._asdict(),
         impulsive=int(impulsive),
         impulse=np.hstack([zeros, twists / inertia / mobility[:, None]]),
         restitution=np.array([lash.restitution or 0.0 for lash in lashes]),
         locking_speed=np.array(
             [-LOCKING_SHARE if lash.locking_speed is None else lash.locking_speed for lash in lashes]
         ),
+        frictions=np.array([[*zeros[0], *friction.twist] for friction in frictions]).reshape(-1, 2 * n),
+        friction_torques=np.array([friction.torque for friction in frictions], np.float64),
+        excess=excess,
         preload=steady,
         contact_torque=carried,
         drift=np.ascontiguousarray(np.kron(np.eye(2)[:, : 1 if rigid.is_dragged else 2], rigid.shape)),
         end_time=end_time,
         sticking_time=np.array([lash.sticking_time for lash in lashes]),
-        status=int(Status.OK if motions <= 1 else Status.NO_EQUILIBRIUM),
+        status=int(
+            Status.NO_EQUILIBRIUM if motions > 1 or any(rubs(friction, rigid) for friction in frictions) else Status.OK
+        ),
     )
     return system if wave_rates is None else _with_wave(system, wave_rates)
 
@@ -236,6 +307,7 @@ def _flow(
     load: FloatArray,
     lashes: Sequence[Lash],
     staged: Sequence[StagedShaft],
+    frictions: Sequence[Friction],
     active: FlowOf,
 ) -> tuple[FloatArray, FloatArray]:
     """A and B of a flow: (2n, 2n), (2n, I)."""
@@ -245,14 +317,19 @@ def _flow(
     for _, lash in closed:
         coupling = lash.twist[:, None] * lash.twist
         damping, stiffness = damping + lash.damping * coupling, stiffness + lash.stiffness * coupling
-    rates, inputs = chain(inertia, damping, stiffness, load, constants + len(staged))
+    rubbing = constants + len(staged)
+    rates, inputs = chain(inertia, damping, stiffness, load, rubbing + OF_FRICTION * len(frictions))
     for k, lash in closed:
         inputs[n:, half_gap_of(k)] = lash.stiffness * lash.twist / inertia
     for k, shaft in enumerate(staged, constants):
         inputs[n:, k] = -shaft.twist / inertia
-    if lashes[0].restitution is None:
+    for k, friction in enumerate(frictions):
+        inputs[n:, rubbing + OF_FRICTION * k] = -friction.twist / inertia
+    locks = lashes[0].restitution is not None
+    if not locks and not any(active.stuck):
         return rates, inputs
-    return locked(rates, inputs, inertia, np.array([lash.twist for lash in lashes]), active.closed)
+    twists = np.array([lash.twist for lash in lashes] + [friction.twist for friction in frictions])
+    return locked(rates, inputs, inertia, twists, [*(locks * closed for closed in active.closed), *active.stuck])
 
 
 def _with_wave(system: System, wave_rates: FloatArray) -> System:
@@ -266,6 +343,7 @@ def _with_wave(system: System, wave_rates: FloatArray) -> System:
         inputs=_wider(system.inputs.swapaxes(1, 2)).swapaxes(1, 2).copy(),
         functionals=functionals,
         lashes=_wider(system.lashes),
+        frictions=_wider(system.frictions),
         impulse=_wider(system.impulse),
         preload=_wider(system.preload.swapaxes(1, 2)).swapaxes(1, 2).copy(),
     )

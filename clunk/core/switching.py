@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from clunk.core import rubbing
 from clunk.core.events import LOCK, STAGE, TOUCH
 from clunk.core.jit import unowned, unowned_inlined
-from clunk.core.regimes import System, gap_input, inputs_of, lash_of, lashes_of
+from clunk.core.regimes import System, frictions_of, gap_input, inputs_of, lash_of, lashes_of
 from clunk.core.runs import Log, record
 from clunk.core.status import Status
 from clunk.core.tables import (
@@ -76,7 +77,7 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int
         Output.
     """
     lashes, stages, in_stage = lashes_of(system), system.preload.shape[0], False
-    for regime in range(system.regimes.size):
+    for regime in range(stages * system.strides[lashes]):
         closed, presses = True, True
         stage = regime // system.strides[lashes]
         for lash in range(lashes):
@@ -118,6 +119,13 @@ def breakpoint_of(system: System, regime: int, guard: int) -> float:
     return float(total)
 
 
+@unowned_inlined
+def _is_of_stage(system: System, regime: int, guard: int) -> bool:
+    """Whether a guard is of a staged shaft; what follows where a friction's ends is not known beforehand."""
+    row = system.guards[regime, guard]
+    return bool(row.event_kind == STAGE and row.successor >= 0)
+
+
 @unowned
 def _within_stage(system: System, regime: int, guard: int, x: FloatArray) -> float:
     """How far the twist of a staged shaft lies within a breakpoint, as a share of both; 0 where rounding decides."""
@@ -134,7 +142,7 @@ def _within_stage(system: System, regime: int, guard: int, x: FloatArray) -> flo
 def _is_in_stage(system: System, regime: int, x: FloatArray) -> bool:
     """Whether the twists of the staged shafts lie, but for rounding, within the stages of a regime."""
     for g in range(system.regimes[regime].guards):
-        if system.guards[regime, g].event_kind == STAGE and _within_stage(system, regime, g, x) < 0.0:
+        if _is_of_stage(system, regime, g) and _within_stage(system, regime, g, x) < 0.0:
             return False
     return True
 
@@ -144,7 +152,7 @@ def _is_beside_loose(system: System, regime: int, x: FloatArray) -> bool:
     """Whether a staged shaft's twist is at a breakpoint behind which no stiffness tells what it is."""
     for g in range(system.regimes[regime].guards):
         guard = system.guards[regime, g]
-        is_at = guard.event_kind == STAGE and _within_stage(system, regime, g, x) == 0.0
+        is_at = _is_of_stage(system, regime, g) and _within_stage(system, regime, g, x) == 0.0
         if is_at and np.isnan(system.preload[guard.successor // system.strides[lashes_of(system)], 0, TORQUE]):
             return True
     return False
@@ -170,8 +178,11 @@ def regime_of(system: System, x: FloatArray, inputs: FloatArray) -> int:
     In the restitution model they are open; flanks that rest on each other lock by a touch at rest.
     """
     lashes, first = lashes_of(system), 0
-    while first + system.strides[lashes] < system.regimes.size and not _is_in_stage(system, first, x):
+    while first + system.strides[lashes] < system.preload.shape[0] * system.strides[lashes] and not _is_in_stage(
+        system, first, x
+    ):
         first += system.strides[lashes]
+    first = rubbing.in_motion(system, first, x)
     if system.impulsive != 0:
         return first + OPEN
     chosen = first
@@ -206,6 +217,8 @@ def room_for_a_switch(system: System, inputs: FloatArray, log: Log, count: int) 
     if system.impulsive != 0:
         for lash in range(lashes_of(system)):
             most = max(most, 2 if inputs[gap_input(lash)] > 0.0 else 3)
+    if frictions_of(system) > 0:  # one of them may begin to slip
+        most += 1
     return bool(count + most <= log.events.size)
 
 
@@ -234,10 +247,13 @@ def switch(
     """
     row = system.guards[regime, guard]
     if row.event_kind == STAGE:
+        successor, zero_guard, zero_order = row.successor, row.zero_guard, row.zero_order
+        if successor < 0:
+            successor, zero_guard, zero_order = rubbing.settle(system, regime, guard, x, inputs)
         if log.states.shape[0] > 0:
-            record(log, count, time, 0.0, STAGE, row.successor, -1, 0, x)
+            record(log, count, time, 0.0, STAGE, successor, -1, 0, x)
             count += 1
-        return Entry(count, row.successor, row.zero_guard, row.zero_order)
+        return Entry(count, successor, zero_guard, zero_order)
     lash, speed = lash_of(system, regime, guard), 0.0
     for k in range(x.size):
         speed += system.lashes[lash, k] * x[k]
@@ -248,6 +264,23 @@ def switch(
         return _release(system, regime, guard, time, x, inputs, log, count)
     record(log, count, time, speed, row.event_kind, row.successor, lash, row.side, x)
     return Entry(count + 1, row.successor, row.zero_guard, row.zero_order)
+
+
+@unowned_inlined
+def after_rubbing(system: System, entry: Entry, time: float, x: FloatArray, inputs: FloatArray, log: Log) -> Entry:
+    """Entry into the regime in which no friction sticks that cannot: torques or rates may have jumped."""
+    if frictions_of(system) == 0:
+        return entry
+    regime, zero_guard, zero_order = rubbing.settle(system, entry.regime, -1, x, inputs)
+    if regime == entry.regime:
+        return entry
+    count = entry.written
+    if log.states.shape[0] > 0:
+        record(log, count, time, 0.0, STAGE, regime, -1, 0, x)
+        count += 1
+    if entry.zero_guard >= 0:  # frictions come last: it has the same number
+        return Entry(count, regime, entry.zero_guard, entry.zero_order)
+    return Entry(count, regime, zero_guard, zero_order)
 
 
 @unowned

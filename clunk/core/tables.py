@@ -1,4 +1,4 @@
-"""Tables of regimes: one for each combination of states of the driveline's elements, lashes and staged shafts.
+"""Tables of regimes: one for each combination of states of the driveline's elements: lashes, staged shafts, frictions.
 
 For the indentation model (report §2.3.2) a lash has
 
@@ -20,8 +20,11 @@ A staged shaft's torque is continuous and piecewise linear in its twist. In stag
 i - 1 and i, which are two guards more; where one turns negative, the neighbouring stage follows, and nothing else
 changes.
 
+A friction across a shaft (Coulomb's, static and kinetic alike) sticks, its twist held as a true constraint whose torque
+is at most F either way, or slips with a torque of F against the rate of twist; `clunk.core.rubbing` says which follows.
+
 A regime is one state of each element: its guards are all of theirs, and one that turns negative changes the state of
-its own element. Regimes are numbered by the first lash's state first, and by the stages last.
+its own element. Regimes are numbered by the first lash's state first, then by the stages, and by the frictions last.
 """
 
 import itertools
@@ -38,11 +41,16 @@ IntArray = npt.NDArray[np.int64]
 
 OPEN, CLOSED_POSITIVE, CLOSED_NEGATIVE, PARTED_POSITIVE, PARTED_NEGATIVE = range(5)
 TORQUE, HALF_GAP, TORQUE_RATE = range(3)
-INPUTS = 3  # of one lash; behind them the half gaps of the other lashes, and a 1 for each staged shaft
+# Of one lash; behind them the half gaps of the other lashes, a 1 for each staged shaft, and for each friction a 1 and
+# the twist at which it sticks.
+INPUTS = 3
+OF_FRICTION = 2  # inputs, and functionals too
 # The functionals of a lash: q, θ'' of one inertia, and the contact torque, signed like q: k q + c q', or the torque
 # that locks q, which is left out where no guard needs it, a functional less to step. Behind those of the last lash come
-# the twists of the staged shafts.
+# the twists of the staged shafts, and of each friction the rate of twist and the torque that holds it where it sticks.
 GAP, ACCELERATION, FORCE = range(3)
+RATE, HOLDING = range(2)
+STICKS, SLIPS_FORWARD, SLIPS_BACKWARD = range(3)  # states of a friction
 
 REGIME = np.dtype(
     [
@@ -129,6 +137,17 @@ class StagedShaft(NamedTuple):
         stages = np.searchsorted(self.breakpoints, nodes)
         torques = self.stiffness[stages] * nodes + self.torques[stages]
         return float(np.sign(twist) * np.sum((torques[1:] + torques[:-1]) * np.diff(nodes)) / 2.0)
+
+
+class Friction(NamedTuple):
+    """Coulomb friction across a shaft.
+
+    twist : (n,) float64, its twist is twist · θ
+    torque : float, F  [N m]
+    """
+
+    twist: FloatArray
+    torque: float
 
 
 class _Guard(NamedTuple):
@@ -228,9 +247,21 @@ def _stages(shaft: StagedShaft) -> list[_State]:
     return states
 
 
+def _slips(friction: Friction) -> list[_State]:
+    """A friction that sticks, or slips either way; what follows is not known beforehand."""
+    torque = friction.torque
+    sticks = _State(1, 0.0, [_Guard(HOLDING, -way, torque, event_kind=STAGE) for way in (1, -1)])
+    return [sticks, *(_State(0, way * torque, [_Guard(RATE, way, 0.0, event_kind=STAGE)]) for way in (1, -1))]
+
+
 def half_gap_of(lash: int) -> int:
     """The input that is the half gap of a lash."""
     return HALF_GAP if lash == 0 else INPUTS + lash - 1
+
+
+def held_inputs(lashes: int, frictions: int, inputs: int) -> list[int]:
+    """The inputs that are the twists at which constraints hold: of `inputs`, those of each lash and friction."""
+    return [*map(half_gap_of, range(lashes)), *(inputs - OF_FRICTION * k + 1 for k in range(frictions, 0, -1))]
 
 
 def functionals_of(lashes: Sequence[Lash]) -> int:
@@ -249,16 +280,18 @@ def stages_of(staged: Sequence[StagedShaft]) -> list[tuple[int, ...]]:
 
 
 class FlowOf(NamedTuple):
-    """A flow by what is active in it: whether each lash is closed, and the stage of each staged shaft."""
+    """A flow by what is active in it: whether lashes are closed, the stages of shafts, and whether frictions stick."""
 
     closed: tuple[int, ...]
     stages: tuple[int, ...]
+    stuck: tuple[int, ...]
 
 
-def flows_of(lashes: int, staged: Sequence[StagedShaft]) -> list[FlowOf]:
+def flows_of(lashes: int, staged: Sequence[StagedShaft], frictions: int) -> list[FlowOf]:
     """The flows of a driveline in the order of their numbers."""
-    every = combinations([2] * lashes + [shaft.stiffness.size for shaft in staged])
-    return [FlowOf(active[:lashes], active[lashes:]) for active in every]
+    shafts = lashes + len(staged)
+    every = combinations([2] * lashes + [shaft.stiffness.size for shaft in staged] + [2] * frictions)
+    return [FlowOf(active[:lashes], active[lashes:shafts], active[shafts:]) for active in every]
 
 
 class Tables(NamedTuple):
@@ -273,7 +306,7 @@ class Tables(NamedTuple):
     strides: IntArray
 
 
-def build_tables(lashes: Sequence[Lash], staged: Sequence[StagedShaft]) -> Tables:
+def build_tables(lashes: Sequence[Lash], staged: Sequence[StagedShaft], frictions: Sequence[Friction]) -> Tables:
     """The tables of all combinations of states."""
     stride, inputs = functionals_of(lashes), INPUTS + len(lashes) - 1
     elements = [
@@ -287,8 +320,14 @@ def build_tables(lashes: Sequence[Lash], staged: Sequence[StagedShaft]) -> Table
         )
         for k, lash in enumerate(lashes)
     ]
-    elements += [_Element(_stages(shaft), len(lashes) * stride + k, inputs + k) for k, shaft in enumerate(staged)]
-    return _product(elements, len(lashes), inputs + len(staged))
+    functionals = len(lashes) * stride
+    elements += [_Element(_stages(shaft), functionals + k, inputs + k) for k, shaft in enumerate(staged)]
+    functionals, inputs = functionals + len(staged), inputs + len(staged)
+    elements += [
+        _Element(_slips(friction), functionals + OF_FRICTION * k, inputs + OF_FRICTION * k)
+        for k, friction in enumerate(frictions)
+    ]
+    return _product(elements, len(lashes), inputs + OF_FRICTION * len(frictions))
 
 
 def _product(elements: list[_Element], lashes: int, inputs: int) -> Tables:
@@ -340,7 +379,7 @@ def _product(elements: list[_Element], lashes: int, inputs: int) -> Tables:
                 functionals.index(functionals[g]),
             )
             offsets[k, g, element.input] = guard.offset
-    return Tables(regimes, contacts, guards, offsets, weights, np.array(leaders), strides[: lashes + 1])
+    return Tables(regimes, contacts, guards, offsets, weights, np.array(leaders), strides)
 
 
 def _strides(counts: Sequence[int]) -> IntArray:

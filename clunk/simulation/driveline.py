@@ -4,7 +4,7 @@ M θ'' + C θ' + K θ = b T (report Eq. 2.6), where closing a lash adds a spring
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,11 +12,11 @@ import numpy.typing as npt
 
 from clunk.core import tables
 from clunk.core.exact.flows import Chain, Flows, build_flows
-from clunk.core.reductions import chain, constrained
-from clunk.core.regimes import RigidMotion, System, build_system
+from clunk.core.reductions import Reduction, chain, constrained
+from clunk.core.regimes import RigidMotion, System, build_system, rubs
 from clunk.core.rk4.propagator import Steps, build_steps
 from clunk.core.status import Status
-from clunk.core.tables import StagedShaft, stages_of
+from clunk.core.tables import Friction, StagedShaft, stages_of
 from clunk.simulation import rigid
 from clunk.simulation.load import is_moving, run_load, wave_rates
 from clunk.simulation.phases import preload
@@ -25,6 +25,8 @@ from clunk.study.models import Lash, Shaft
 from clunk.study.study import Study
 
 FloatArray = npt.NDArray[np.float64]
+
+_SIDE_BY_SIDE = 1e-12  # of a unit vector, by which twists of shafts side by side may differ: rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,13 +52,17 @@ class Driveline:
     contact_dampings: FloatArray  # (L,)  N m s/rad, r² c34
     load: FloatArray  # (n,)  1 at the loaded inertia
     staged: tuple[tuple[int, StagedShaft], ...] = ()  # shafts with stages, each with its row
+    shaft_friction: FloatArray = field(default_factory=lambda: np.zeros(0))  # (S,)  N m, or none
 
     @classmethod
     def from_study(cls, study: Study) -> "Driveline":
         """The driveline that a study's config spells out."""
         n, shafts, lashes = len(study.driveline.inertias), study.driveline.shafts, study.lashes
-        if len(lashes) > 1 and any(lash.contact.model == "restitution" for lash in lashes):
-            raise ClunkError('Several lashes need the indentation model: give each contact.model = "indentation".')
+        if any(lash.contact.model == "restitution" for lash in lashes):
+            if len(lashes) > 1:
+                raise ClunkError('Several lashes need the indentation model: give each contact.model = "indentation".')
+            if any(shaft.friction for shaft in shafts):
+                raise ClunkError('Friction needs the indentation model: give lash.contact.model = "indentation".')
         return cls(
             names=study.driveline.names or tuple(f"inertia {k}" for k in range(1, n + 1)),
             inertia=np.array(study.driveline.inertias, dtype=np.float64),
@@ -68,6 +74,7 @@ class Driveline:
             contact_dampings=np.array([lash.radius**2 * lash.contact.damping for lash in lashes]),
             load=np.eye(n)[int(study.load.on) - 1],
             staged=tuple((k, _staged(shaft, n)) for k, shaft in enumerate(shafts) if shaft.breakpoints_deg),
+            shaft_friction=np.array([shaft.friction for shaft in shafts], dtype=np.float64),
         )
 
     @cached_property
@@ -106,6 +113,21 @@ class Driveline:
             damping = damping + self.contact_dampings[k] * coupling
             stiffness = stiffness + self.contact_stiffnesses[k] * coupling
         return damping, stiffness
+
+    @cached_property
+    def frictions(self) -> tuple[tuple[Friction, FloatArray], ...]:
+        """The frictions, those side by side as one, each with the share that every shaft has in it, (S,)."""
+        frictions: list[tuple[Friction, FloatArray]] = []
+        units = self.shafts / np.maximum(np.linalg.norm(self.shafts, axis=1, keepdims=True), 1e-300)
+        rest = self.shaft_friction.copy()
+        for k in range(rest.size):
+            beside = np.abs(units @ units[k]) > 1.0 - _SIDE_BY_SIDE
+            ratios = np.abs(self.shafts @ self.shafts[k]) / (self.shafts[k] @ self.shafts[k] or 1.0)
+            torques = np.where(beside, rest * ratios, 0.0)
+            if rest[k] and torques.any():
+                frictions.append((Friction(self.shafts[k], float(torques.sum())), torques / torques.sum()))
+                rest[beside] = 0.0
+        return tuple(frictions)
 
     @cached_property
     def plain_stiffness(self) -> FloatArray:
@@ -190,6 +212,13 @@ def explained(study: Study, status: Status) -> str:
     if status != Status.NO_EQUILIBRIUM:
         return status.sentence
     driveline = Driveline.from_study(study)
+    for friction, shares in driveline.frictions:
+        if rubs(friction, driveline.rigid_motion):
+            shaft = int(np.flatnonzero(shares)[0]) + 1
+            return (
+                f"no steady motion before the load step that is the only one: the friction of shaft {shaft} carries "
+                "nothing in it, and the driveline rolls at a speed at which that shaft slips"
+            )
     if driveline.rigid_motion.shape.shape[1] <= 1:
         return (
             "no steady motion before the load step that is the only one: a staged shaft carries a torque at which a "
@@ -226,6 +255,7 @@ def _build(study: Study, driveline: Driveline, wave_rates: FloatArray | None = N
         wave_rates=wave_rates,
         ramps=ramps,
         staged=[shaft for _, shaft in driveline.staged],
+        frictions=[friction for friction, _ in driveline.frictions],
     )
 
 
@@ -256,30 +286,29 @@ def _wave_rates(study: Study) -> FloatArray | None:
 def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
     restitution = study.lashes[0].contact.model == "restitution"
     staged = [shaft for _, shaft in driveline.staged]
-    chains = []
-    for closed, stages in tables.flows_of(len(driveline.lashes), staged):
+    rubbing = np.array([friction.twist for friction, _ in driveline.frictions]).reshape(-1, driveline.inertia.size)
+    twists, chains = np.vstack([driveline.lashes, rubbing]), []
+    for closed, stages, stuck in tables.flows_of(len(driveline.lashes), staged, len(rubbing)):
         line = driveline.in_stages(stages)
-        joints = [*line.shafts[line.shaft_stiffness > 0.0], *line.lashes[np.array(closed) > 0]]
-        if not staged and (all(closed) or not driveline.rigid_motion.shape.size):
+        joints = [*line.shafts[line.shaft_stiffness > 0.0], *twists[np.array([*closed, *stuck]) > 0]]
+        if not staged and not any(stuck) and (all(closed) or not driveline.rigid_motion.shape.size):
             parts = driveline.rigid_motion.shape
         else:
             parts = rigid.rigid_motions(np.array(joints).reshape(-1, line.inertia.size))
-        chains.append(_locked_chain(line, closed, parts) if restitution else _chain(line, closed, parts))
-    return build_flows(system.rates, system.inputs, system.functionals, system.feedthrough, chains)
+        ties = constrained(twists, [*(restitution * lash for lash in closed), *stuck])
+        chains.append(_chain(line, (0,) * len(closed) if restitution else closed, ties, parts))
+    held = tables.held_inputs(len(driveline.lashes), len(rubbing), system.inputs.shape[2])
+    return build_flows(system.rates, system.inputs, system.functionals, system.feedthrough, chains, held)
 
 
-def _chain(line: Driveline, closed: tuple[int, ...], parts: FloatArray) -> Chain:
-    free = constrained(line.lashes, [0] * len(closed))
-    return Chain(line.inertia, *line.matrices(closed=closed), *free, parts)
-
-
-def _locked_chain(line: Driveline, closed: tuple[int, ...], parts: FloatArray) -> Chain:
-    """The chain with lashes locked; each row of its basis has at most one entry, so that its inertias stay diagonal."""
-    n, locked = line.inertia.size, constrained(line.lashes, closed)
-    left = locked.expand.shape[1] // 2
-    basis, (damping, stiffness) = locked.expand[:n, :left], line.matrices(closed=False)
-    pick = locked.pick[:left, :n]
-    return Chain(line.inertia @ basis**2, basis.T @ damping @ basis, basis.T @ stiffness @ basis, *locked, pick @ parts)
+def _chain(line: Driveline, closed: tuple[int, ...], ties: Reduction, parts: FloatArray) -> Chain:
+    """The chain with contacts and ties; each row of its basis has one entry at most: its inertias stay diagonal."""
+    damping, stiffness = line.matrices(closed=closed)
+    n, left = line.inertia.size, ties.expand.shape[1] // 2
+    if left == n:
+        return Chain(line.inertia, damping, stiffness, *ties, parts)
+    basis, pick = ties.expand[:n, :left], ties.pick[:left, :n]
+    return Chain(line.inertia @ basis**2, basis.T @ damping @ basis, basis.T @ stiffness @ basis, *ties, pick @ parts)
 
 
 def steady_stages(study: Study) -> dict[int, int]:
@@ -289,7 +318,9 @@ def steady_stages(study: Study) -> dict[int, int]:
         return {}
     system = _build(study, driveline)
     rest = preload(system, run_load(study)[0])
-    stages = stages_of([shaft for _, shaft in driveline.staged])[rest.regime // int(system.strides[-1])]
+    stages = stages_of([shaft for _, shaft in driveline.staged])[
+        rest.regime // int(system.strides[len(driveline.lashes)])
+    ]
     return {k + 1: stage + 1 for (k, _), stage in zip(driveline.staged, stages, strict=True)}
 
 

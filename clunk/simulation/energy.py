@@ -22,7 +22,7 @@ import numpy.typing as npt
 from scipy.linalg import matrix_balance
 
 from clunk.core.events import REJOIN, SEPARATION, TOUCH
-from clunk.core.tables import TORQUE, half_gap_of
+from clunk.core.tables import TORQUE, half_gap_of, held_inputs
 from clunk.simulation.driveline import Driveline, build
 from clunk.simulation.load import run_load
 from clunk.simulation.phases import Regime, inputs_of, regimes_of, stretches, with_wave
@@ -47,6 +47,7 @@ class EnergyBalance:
     contact_after: float
     damped_in_shafts: tuple[float, ...]  # (S,)
     damped_in_contact: float
+    rubbed_in_shafts: tuple[float, ...]  # (S,) taken by friction
     lost_at_impacts: float  # of the restitution model
     dropped: float  # left in flanks that overlap as they part, of separation by force
     regained: float  # of it found again where such flanks rejoin before they have opened
@@ -67,16 +68,22 @@ class EnergyBalance:
         return math.fsum((*self.damped_in_shafts, self.damped_in_contact))
 
     @property
+    def rubbed(self) -> float:
+        """Energy taken by friction  [J]."""
+        return math.fsum(self.rubbed_in_shafts)
+
+    @property
     def residual(self) -> float:
         """Sources less sinks: zero for an exact run  [J]."""
         sources = self.stored_before, self.work, self.regained
-        sinks = self.stored_after, self.damped, self.lost_at_impacts, self.dropped
+        sinks = self.stored_after, self.damped, self.rubbed, self.lost_at_impacts, self.dropped
         return math.fsum((*sources, *(-sink for sink in sinks)))
 
     @property
     def largest(self) -> float:
         """The largest term of the balance  [J]."""
-        terms = self.stored_before, self.work, self.stored_after, self.damped, self.lost_at_impacts, self.dropped
+        sinks = self.stored_after, self.damped, self.rubbed, self.lost_at_impacts, self.dropped
+        terms = self.stored_before, self.work, *sinks
         return max(abs(term) for term in terms)
 
     @property
@@ -118,7 +125,9 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
         contact = indented(x, regime.sides)[regime.closed > 0].sum()
         return float(line.inertia @ x[n : 2 * n] ** 2 / 2.0), tuple(shafts.tolist()), float(contact)
 
-    work, damped, x = 0.0, np.zeros(rows.shape[0]), states[0]
+    work, damped, rubbed, x = 0.0, np.zeros(rows.shape[0]), np.zeros(len(line.shafts)), states[0]
+    held = held_inputs(len(line.lashes), len(line.frictions), system.weights.shape[1])
+    torques = [twist - 1 for twist in held[len(line.lashes) :]]
     for event, start, end in zip(events, states, np.append(events["time"][1:], trajectory.end), strict=True):
         x = start
         for stretch in stretches(load, float(event["time"]), float(end)):
@@ -130,6 +139,8 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
             work += float(inputs[TORQUE] * (line.load @ moved[:n])) + _work_of_wave(regime, x, line.load, length)
             dampers = np.append(line.shaft_damping, contact_dampings * regime.closed)
             damped += dampers * np.einsum("i,kij,j->k", rates, taken, rates)
+            for (friction, shares), torque in zip(line.frictions, torques, strict=True):
+                rubbed += shares * system.weights[event["regime"], torque] * (friction.twist @ moved[:n])
             x = x + moved
 
     lost = 0.0
@@ -156,6 +167,7 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
         contact_after=contact_after,
         damped_in_shafts=tuple(damped[: len(line.shafts)].tolist()),
         damped_in_contact=float(damped[len(line.shafts) :].sum()),
+        rubbed_in_shafts=tuple(rubbed.tolist()),
         lost_at_impacts=lost,
         dropped=dropped,
         regained=regained,

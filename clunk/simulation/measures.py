@@ -9,7 +9,7 @@ from clunk.core.channels import CLOSING, CONTACT_TORQUE, LARGEST, OF_LASH, PEAK_
 from clunk.core.measures import Run, make_room, measure
 from clunk.core.regimes import System
 from clunk.core.sequence import find_primaries
-from clunk.core.tables import FORCE, flows_of, half_gap_of
+from clunk.core.tables import FORCE, HOLDING, OF_FRICTION, FlowOf, flows_of, half_gap_of
 from clunk.simulation.driveline import Driveline, build
 from clunk.simulation.load import run_load
 from clunk.simulation.trajectory import Trajectory
@@ -39,7 +39,7 @@ def channels_of(study: Study, system: System, *, of_impacts: bool | None = None)
     line, measures, parts = Driveline.from_study(study), study.measures, parts_of(study)
     n, lashes = system.inertias, len(line.lashes)
     _, size, driven = system.inputs.shape
-    flows = flows_of(lashes, [shaft for _, shaft in line.staged])
+    flows = flows_of(lashes, [shaft for _, shaft in line.staged], len(line.frictions))
     rows = np.zeros((len(flows), OF_LASH * lashes + len(measures), size + driven))
     for flow, active in enumerate(flows):
         for lash, row in enumerate(line.lashes):
@@ -48,7 +48,7 @@ def channels_of(study: Study, system: System, *, of_impacts: bool | None = None)
                 of_lash[CONTACT_TORQUE] = _contact_torque(line, system, flow, lash)
             of_lash[CLOSING, n : 2 * n] = row
         for row, each, part in zip(rows[flow, OF_LASH * lashes :], measures, parts, strict=True):
-            row[:] = _row(each, part, line.in_stages(active.stages), line, system, flow, rows[flow])
+            row[:] = _row(each, part, active, line, system, flow, rows[flow])
     lengths, begins, steps, rates, series = tabulate(system, rows)
     pressed = 0.0 if system.impulsive else 1.0
     return Channels(
@@ -77,7 +77,7 @@ def _contact_torque(line: Driveline, system: System, flow: int, lash: int) -> Fl
 
 
 def _row(
-    measure: Measure, part: Part, stage: Driveline, line: Driveline, system: System, flow: int, channels: FloatArray
+    measure: Measure, part: Part, active: FlowOf, line: Driveline, system: System, flow: int, channels: FloatArray
 ) -> FloatArray:
     """What a measure is of, by state and inputs in a flow whose first channels are those of the lashes."""
     n, size, k = system.inertias, system.rates.shape[1], part.number
@@ -90,10 +90,22 @@ def _row(
     if measure.quantity == "twist":
         row[:n] = twist
         return row
+    stage = line.in_stages(active.stages)
     row[:n], row[n : 2 * n] = stage.shaft_stiffness[k] * twist, stage.shaft_damping[k] * twist
     staged = [shaft for shaft, _ in line.staged]
     if k in staged:
         row[size + half_gap_of(len(line.lashes)) + staged.index(k)] = 1.0  # behind the half gaps
+    torque, holding = (
+        shape[-1] - OF_FRICTION * len(active.stuck) for shape in (row.shape, system.functionals.shape[:2])
+    )
+    for (friction, shares), sticks in zip(line.frictions, active.stuck, strict=True):
+        share = shares[k] * np.sign(twist @ friction.twist)
+        if sticks:
+            at = flow, holding + HOLDING
+            row += share * np.concatenate([system.functionals[at], system.feedthrough[at]])
+        else:
+            row[torque] += share
+        torque, holding = torque + OF_FRICTION, holding + OF_FRICTION
     return row
 
 

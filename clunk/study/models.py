@@ -53,6 +53,7 @@ class Shaft(Table):
     stiffness : float, or one for each stage
     breakpoints_deg : twists between the stages, ascending
     stiffness_per_deg : float or None, instead of stiffness, which it becomes
+    friction : float, Coulomb torque against the rate of twist, and anything up to that while it sticks
     """
 
     name: Text | None = None
@@ -76,6 +77,7 @@ class Shaft(Table):
         | None
     ) = None
     damping: Annotated[NotNegative, Quantity("damping of shaft {}", "c{}", "N m s/rad")]
+    friction: Annotated[NotNegative, Quantity("friction of shaft {}", "F{}", "N m")] = 0.0
 
     @model_validator(mode="before")
     @classmethod

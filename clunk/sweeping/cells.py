@@ -209,7 +209,8 @@ class Grid:
         """`run_group` with the measures of the study: records and impacts as the grid's layout has them."""
         system, _ = self.systems.prepared(values)
         channels = self.systems.channels(values)
-        capacity = (self.study.solver.max_events + 1) * (MOST_STAGES if system.regimes.size > system.strides[-1] else 1)
+        has_stages = system.regimes.size > system.strides[len(system.lashes)]
+        capacity = (self.study.solver.max_events + 1) * (MOST_STAGES if has_stages else 1)
         runs, size = len(cases.before), system.rates.shape[1]
         each = min(max(_STATES // capacity, 1), runs)
         logs, states = np.zeros((each, capacity), EVENT), np.empty((each, capacity, size))

@@ -26,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.lanes.vectors import ROW
-from clunk.core.tables import TORQUE, TORQUE_RATE, half_gap_of
+from clunk.core.tables import TORQUE, TORQUE_RATE
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -77,7 +77,7 @@ class Chain(NamedTuple):
     inertia : (m,) float64, the diagonal of M
     damping, stiffness : (m, m) float64
     expand, pick : (2n, 2m), (2m, 2n) float64, of the driveline (θ, θ') = expand (θ, θ') + shift (s φ/2), and back
-    shift : (2n, L) float64, for the s φ/2 of each lash
+    shift : (2n, L + M) float64, for the s φ/2 of each lash and the twist of each friction that sticks
     rigid : (m, k) float64, of a driveline that rolls all motions that twist no spring, each of other angles; else none
     """
 
@@ -96,6 +96,7 @@ def build_flows(
     functionals: FloatArray,
     feedthrough: FloatArray,
     chains: list[Chain],
+    held: list[int],
 ) -> Flows:
     """Tables of the open and the closed flow; the arrays are those of `regimes.System`.
 
@@ -122,7 +123,7 @@ def build_flows(
         rolls=np.zeros(flows, np.int64),
     )
     for k, chain in enumerate(chains):
-        _fill(tables, k, rates[k], inputs[k], functionals[k], feedthrough[k], chain)
+        _fill(tables, k, rates[k], inputs[k], functionals[k], feedthrough[k], chain, held)
     return tables
 
 
@@ -146,15 +147,15 @@ def _fill(
     functionals: FloatArray,
     feedthrough: FloatArray,
     chain: Chain,
+    held: list[int],
 ) -> None:
     """Flow `k`; the coordinates that a chain has fewer than the tables stay zero."""
     scaled, still = _scale(chain), len(chain.shift)
     into, back = scaled.into @ chain.pick, chain.expand @ scaled.back
     forcing = inputs[:still].copy()
-    gaps = [half_gap_of(lash) for lash in range(chain.shift.shape[1])]
-    forcing[:, gaps] += rates[:still, :still] @ chain.shift
+    forcing[:, held] += rates[:still, :still] @ chain.shift
     origin = back @ _particular(scaled, into @ forcing)
-    origin[0][:, gaps] += chain.shift
+    origin[0][:, held] += chain.shift
     tables.origin[k, :, :, :still] = origin.transpose(0, 2, 1)
     tables.origin_output[k] = _outputs(functionals[:, :still], origin, chain)
     tables.origin_output[k, 0] += feedthrough

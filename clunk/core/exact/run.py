@@ -45,12 +45,14 @@ from clunk.core.jit import compiled, unowned, unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, put_back, take
 from clunk.core.lanes.vectors import WIDTH
-from clunk.core.regimes import System, gap_input, inputs_of, lash_of, lashes_of
+from clunk.core.regimes import System, frictions_of, gap_input, inputs_of, lash_of, lashes_of
+from clunk.core.rubbing import stick_all
 from clunk.core.runs import BEGIN, LEVEL, Log, Outcome, Start, begin_wave, piece_at, record, set_gaps, set_torque
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
 from clunk.core.switching import (
     MOST_STAGES,
     Entry,
+    after_rubbing,
     holding_torque,
     room_for_a_switch,
     switch,
@@ -96,6 +98,7 @@ def begin(space: Workspace, slot: int, start: Start) -> None:
     row.status, row.quality, row.stages = _OK, 0, 0
     row.load, row.piece = start.load, piece_at(start.loads[start.load], 0, 0.0)
     set_gaps(system, start.before, space.inputs[slot])
+    stick_all(system, start.x, space.inputs[slot])
     begin_wave(system, start.loads[start.load], row.piece, start.x)
     set_torque(system, start.loads[start.load], row.piece, 0.0, space.inputs[slot])
     for lash in range(lashes_of(system)):
@@ -130,6 +133,13 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     numbers[rows.limit(lashes_of(system))], space.numbers[slot, space.kink_at] = system.end_time - time, 0.0
     if space.loads.shape[1] > 1:
         _take_piece(space, slot, time, x)
+    if frictions_of(system) > 0:
+        row.count = entry.written
+        entry = after_rubbing(system, entry, time, x, inputs, log_of(space, slot))
+        regime = entry.regime
+        if entry.written > row.count:
+            _close_phase(space, slot)
+            _begin_phase(space, slot)
     row.time, row.count, row.regime = time, entry.written, regime
     row.seeks_extremes, row.seeks_turns, row.depth_known = 0, 0, 0
     for k in range(x.size):

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from clunk.core.reductions import constrained, with_wave, without_drift
 from clunk.core.regimes import System
-from clunk.core.tables import ACCELERATION, half_gap_of
+from clunk.core.tables import ACCELERATION, held_inputs
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -130,8 +130,10 @@ def _modal_bound(system: System, step: float) -> tuple[dict[str, Any], bool]:
         states = mechanical  # a ramp
     rates, inputs = system.rates[:, :states, :states], system.inputs[:, :states]
     functionals, feedthrough = system.functionals[:, :, :states], system.feedthrough
-    lashes = system.lashes[:, system.inertias : mechanical]
-    gaps = [half_gap_of(lash) for lash in range(len(lashes))]
+    joints = np.vstack([system.lashes, system.frictions])[:, system.inertias : mechanical]
+    lashes, rubbing = len(system.lashes), len(system.frictions)
+    held = held_inputs(lashes, rubbing, driven)
+    stuck_stride = flows >> rubbing
     provable = np.zeros(flows, dtype=np.int64)
     mode_rows = np.zeros((flows, 2, size, size))
     mode_reach = np.zeros((flows, functionals.shape[1], size))
@@ -139,8 +141,11 @@ def _modal_bound(system: System, step: float) -> tuple[dict[str, Any], bool]:
     rest_functional = np.zeros((flows, functionals.shape[1], driven))
     stable = True
     for flow in range(flows):
-        reduction = constrained(lashes, [system.impulsive * (flow >> lash & 1) for lash in range(len(lashes))])
-        expand, pick, shift = with_wave(without_drift(reduction, system.drift), states - mechanical)
+        ties = [system.impulsive * (flow >> lash & 1) for lash in range(lashes)]
+        ties += [flow // (stuck_stride << k) & 1 for k in range(rubbing)]
+        rolls = system.drift[:, : 0 if (joints[np.array(ties) > 0] @ system.drift[: system.inertias]).any() else None]
+        reduction = constrained(joints, ties)
+        expand, pick, shift = with_wave(without_drift(reduction, rolls), states - mechanical)
         reduced = pick @ rates[flow] @ expand
         eigenvalues, right = np.linalg.eig(reduced)
         eigenvalues, right = eigenvalues.astype(np.complex128), right.astype(np.complex128)
@@ -159,12 +164,12 @@ def _modal_bound(system: System, step: float) -> tuple[dict[str, Any], bool]:
         mode_rows[flow, 0, :count, :states], mode_rows[flow, 1, :count, :states] = left.real, left.imag
         mode_reach[flow, :, :count] = weight * np.abs(functionals[flow] @ expand @ right)
         forcing = inputs[flow].copy()
-        forcing[:, gaps] += rates[flow] @ shift
+        forcing[:, held] += rates[flow] @ shift
         rest_state[flow, :states] = -expand @ np.linalg.solve(reduced, pick @ forcing)
-        rest_state[flow, :states, gaps] += shift.T
+        rest_state[flow, :states, held] += shift.T
         rest_functional[flow] = functionals[flow] @ rest_state[flow, :states] + feedthrough[flow]
     if system.drift.shape[1] < 2:  # nothing accelerates for good; the product above leaves rounding
-        rest_functional[:, ACCELERATION : len(lashes) * system.stride : system.stride] = 0.0
+        rest_functional[:, ACCELERATION : lashes * system.stride : system.stride] = 0.0
     bound = {
         "provable": provable,
         "mode_rows": mode_rows,

@@ -19,9 +19,10 @@ from clunk.core.rk4 import quartic
 from clunk.core.rk4.propagator import BEND, BLOCK, Steps
 from clunk.core.rk4.settling import settled
 from clunk.core.rk4.step import Phase, enter, expand, finish, first_event, make_phase, widen_extremes
+from clunk.core.rubbing import stick_all
 from clunk.core.runs import BEGIN, Log, Outcome, Start, begin_wave, piece_at, record, set_gaps, set_torque
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
-from clunk.core.switching import MOST_STAGES, Entry, room_for_a_switch, switch
+from clunk.core.switching import MOST_STAGES, Entry, after_rubbing, room_for_a_switch, switch
 from clunk.core.tables import ACCELERATION
 
 FloatArray = npt.NDArray[np.float64]
@@ -76,6 +77,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
     x, phase, full, load = start.x, make_phase(system), _make_full(steps), start.loads[start.load]
     inputs, fastest = np.ones(inputs_of(system)), np.zeros(lashes_of(system))
     set_gaps(system, start.before, inputs)
+    stick_all(system, x, inputs)
     log.margins[:] = np.nan
     entry = Entry(_unknown(1), start.regime, _unknown(-1), _unknown(0))
     record(log, 0, 0.0, 0.0, LOAD_STEP, entry.regime, -1, system.contacts[entry.regime, 0].side, x)
@@ -83,6 +85,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
     begin, grid = _begin_piece(system, steps, load, piece, x, inputs)
     index, offset, spanned, stages = 0, 0.0, 1, 0  # the time is begin + index · step + offset
     while True:
+        entry = after_rubbing(system, entry, begin + index * grid.step + offset, x, inputs, log)
         flow, zero_guard = system.regimes[entry.regime].flow, entry.zero_guard
         enter(phase, system, entry.regime, inputs)
         _combine(steps.transfer_input[flow], phase.inputs, full.affine)
@@ -121,9 +124,10 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
                 piece = piece_at(load, piece + 1, load[piece + 1, BEGIN])
                 begin, grid = _begin_piece(system, steps, load, piece, x, inputs)
                 index, offset = 0, 0.0
-                enter(phase, system, entry.regime, inputs)
-                _combine(steps.transfer_input[flow], phase.inputs, full.affine)
-                _combine(steps.block_input[flow], phase.inputs, full.block_affine)
+                break
+        if guard < 0:  # another piece of the load
+            entry = Entry(entry.written, entry.regime, -1, 0)
+            continue
 
         time = begin + index * grid.step + offset
         if not room_for_a_switch(system, inputs, log, entry.written):

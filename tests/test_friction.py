@@ -1,0 +1,275 @@
+"""Coulomb friction: known answers, beside the independent reference, and known special cases."""
+
+import numpy as np
+import pytest
+from helpers import reference
+from helpers.agreement import NUDGE, kinds_of
+from helpers.randomplants import element_plant, nudged
+
+from clunk.api import sweep
+from clunk.core.events import STAGE
+from clunk.simulation.driveline import Driveline
+from clunk.simulation.energy import balance
+from clunk.simulation.history import sample
+from clunk.simulation.trajectory import SimulationError, simulate
+from clunk.study.config import load_study, study_from_text
+from clunk.study.errors import ClunkError
+from clunk.study.problems import ConfigError
+from clunk.study.study import replace_values
+
+METHODS = {"exact": ['solver.method="exact"'], "rk4": ['solver.method="rk4"', "solver.step=1e-4"]}
+BEARINGS = ["driveline.shafts[3].friction=0.2", "driveline.shafts[4].friction=0.1"]
+NEAR = 1e-9  # s, between two exact codes over up to a hundred events; chatter multiplies rounding
+
+# An inertia with a lash of its own, which never closes, so that there is one.
+OPEN_LASH = """
+[lash]
+between = [1, "ground"]
+backlash_deg = 90.0
+radius = 0.1
+[lash.contact]
+stiffness = 1e4
+damping = 0.0
+[impacts]
+acceleration_of = 1
+"""
+
+
+def nominal(*overrides):
+    return load_study("configs/nominal.toml", [*overrides])
+
+
+def changes(run):
+    """Times of all changes that a friction made, and the states then."""
+    is_change = run.phases["kind"] == STAGE
+    return run.phases["time"][is_change], run.phase_states[is_change]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_an_oscillator_is_that_of_siconos(method):
+    """1 kg m2 on 1 N m/rad, friction 1, from 12 rad and 6 rad/s: circles about -1 and 1 in turn, each half period
+    shorter by 2 F/k (siconos-tutorials, FrictionOscillator); its first turn and its rest are stored too."""
+    text = f"""
+[driveline]
+inertias = [1.0, 1.0]
+[[driveline.shafts]]
+between = [2, "ground"]
+stiffness = 1.0
+damping = 0.0
+friction = 1.0
+[[driveline.shafts]]
+between = [1, "ground"]
+stiffness = 1.0
+damping = 0.0
+{OPEN_LASH}
+[load]
+on = 1
+initial_torque = 0.0
+final_torque = 0.0
+[solver]
+method = "{method}"
+step = 1e-3
+end_time = 30.0
+"""
+    run = simulate(study_from_text(text), initial_state=[0.0, 12.0, 0.0, 6.0])
+    times, states = changes(run)
+    radius, phase = np.hypot(13.0, 6.0), np.arctan2(6.0, 13.0)
+    rounding = 1e-11 if method == "exact" else 1e-9  # of rk4: h⁴ t/120 with h = 1e-3, and nothing else
+    assert times == pytest.approx(phase + np.pi * np.arange(8), abs=rounding)
+    turns = (radius - 1.0 - 2.0 * np.arange(8)) * (-1.0) ** np.arange(8)
+    assert states[:, 1] == pytest.approx(turns, abs=10.0 * rounding)
+    assert (states[0, 1], times[0]) == pytest.approx((13.31782106, 0.43240778), abs=6e-9)
+    assert (abs(states[-1, 1]), times[-1]) == pytest.approx((0.68217894, 22.423556), abs=5e-7)
+    assert run.complete  # it sticks where its spring pulls with less than F
+    energy = balance(run)
+    way = np.abs(np.diff(np.concatenate([[12.0], states[:, 1]]))).sum()
+    assert energy.rubbed == pytest.approx(way, rel=1e-8)  # F = 1 N m
+    assert energy.relative_residual < 1e-8
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_clutch_and_a_brake_are_those_of_modelica(method):
+    """Modelica Standard Library, Mechanics.Rotational.Examples.Friction; its stored results are good to some 1e-5."""
+
+    def study(profile, brake, end_time):
+        return study_from_text(f"""
+[driveline]
+inertias = [1.0, 1.0, 0.05, 1.0]
+[[driveline.shafts]]
+between = [2, 3]
+stiffness = 0.0
+damping = 0.0
+friction = 80.0
+[[driveline.shafts]]
+between = [3, 4]
+stiffness = 160.0
+damping = 1.0
+[[driveline.shafts]]
+between = [4, "ground"]
+stiffness = 0.0
+damping = 0.0
+friction = {brake}
+[[driveline.shafts]]
+between = [1, "ground"]
+stiffness = 1.0
+damping = 0.0
+{OPEN_LASH}
+[load]
+on = 2
+step_time = 0.0
+initial_torque = 0.0
+final_torque = 0.0
+{profile}
+[solver]
+method = "{method}"
+step = 1e-4
+end_time = {end_time}
+""")
+
+    sine = f'profile = "sine"\namplitude = 200.0\nfrequency = {50.0 / np.pi!r}'
+    swung = simulate(study(sine, 0.0, 0.5), initial_state=[0.0] * 5 + [100.0, 90.0, 90.0])
+    times, _ = changes(swung)
+    assert times == pytest.approx([0.0067797090, 0.0593400564, 0.1092894952], abs=2e-6)
+    if method == "exact":
+        assert times[0] == pytest.approx(0.0067797089, abs=1e-10)  # closed form
+    history = sample(swung, step=0.5, until=0.5)
+    state = np.concatenate([history.angle[-1], history.velocity[-1]])
+    assert history.after_step[-1] == 0.5
+    later = simulate(study("", 800.0, 2.5), initial_state=state)
+    times, _ = changes(later)
+    assert 0.5 + times == pytest.approx([0.5342486454, 0.6406138053, 1.6636397837], abs=2e-5)
+    final = sample(later, step=2.5, until=2.5).velocity[-1]
+    assert final[1] == pytest.approx(2.289891, abs=3e-5)
+    assert final[3] == pytest.approx(0.0, abs=1e-9)  # the brake holds
+
+
+def same_as_the_reference(plant, method="exact", near=NEAR):
+    study = study_from_text(reference.config_of(plant, step=2e-5, end_time=0.5, method=method))
+    rolls = Driveline.from_study(study).rigid_motion
+    if rolls.is_dragged:
+        rubs = [friction.twist @ rolls.speeds for friction, _ in Driveline.from_study(study).frictions]
+        if np.abs(rubs).max() > 1e-9:
+            with pytest.raises(SimulationError, match="friction of shaft"):
+                simulate(study)
+            return
+    run = simulate(study)
+    assert balance(run).relative_residual < (1e-9 if method == "exact" else 1e-6)
+
+    def touches_and_separations(which):
+        return [event for event in reference.run(which, 0.5)[0] if event.kind not in ("stage", "slip", "stick")]
+
+    events = touches_and_separations(plant)
+    times = np.array([event.time for event in events])
+    if times.size != len(run.events) or not np.allclose(times, run.events["time"], rtol=0.0, atol=near):
+        moved = np.array([event.time for event in touches_and_separations(nudged(plant, None, NUDGE)[0])])
+        both = min(moved.size, times.size)
+        apart = np.flatnonzero(np.abs(moved[:both] - times[:both]) > near)
+        times = times[: apart[0] if apart.size else both]  # later ones are not resolved
+        assert moved.size != len(events) or apart.size, "the run has other events"
+    assert kinds_of(run)[: times.size] == [(event.kind, event.side) for event in events[: times.size]]
+    assert run.events["time"][: times.size] == pytest.approx(times, abs=near)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_events_are_those_of_the_reference(seed):
+    """One to three frictions, some side by side, some in loops, where their torques are not unique."""
+    same_as_the_reference(element_plant(seed, lashes=1, frictions=1 + seed % 3))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(12, 500))
+def test_events_are_those_of_the_reference_in_many_drivelines(seed):
+    same_as_the_reference(element_plant(seed, lashes=1 + seed % 2, staged=seed % 3 == 0, frictions=1 + seed % 3))
+
+
+@pytest.mark.parametrize("seed", range(12, 18))
+def test_rk4_has_the_events_of_the_reference(seed):
+    same_as_the_reference(element_plant(seed, lashes=1, frictions=1 + seed % 3), "rk4", near=1e-5)
+
+
+@pytest.mark.parametrize("method", METHODS)
+class TestFriction:
+    def test_of_no_torque_it_is_none(self, method):
+        without = simulate(nominal(*METHODS[method]))
+        run = simulate(nominal(*METHODS[method], "driveline.shafts[3].friction=0.0"))
+        assert run.events.tobytes() == without.events.tobytes()
+
+    def test_bearings_side_by_side_share_it(self, method):
+        """0.2 N m in one bearing, or in two: the same run; and their energies are as their torques."""
+        one = simulate(nominal(*METHODS[method], "driveline.shafts[4].friction=0.2"))
+        shafts = [shaft.model_dump(exclude_none=True) for shaft in one.study.driveline.shafts]
+        halves = [shafts[0], shafts[1], shafts[2], shafts[3] | {"friction": 0.15}]
+        halves.append({"between": (1, "ground"), "stiffness": 0.0, "damping": 0.0, "friction": 0.05})
+        both = simulate(replace_values(one.study, {}).model_copy(update={"driveline": with_shafts(one.study, halves)}))
+        assert both.events["time"] == pytest.approx(one.events["time"], abs=1e-12)
+        rubbed = balance(both).rubbed_in_shafts
+        assert rubbed[3] == pytest.approx(3.0 * rubbed[4], rel=1e-12)
+        assert sum(rubbed) == pytest.approx(balance(one).rubbed, rel=1e-9)
+
+    def test_a_sweep_has_the_runs_of_simulate(self, method):
+        """What sticks and slips is not written in a sweep, and does not count as an event."""
+        axis = ["sweep.axes=[{parameter='load.ratio', values=[2.0, 5.0]}]"]
+        study = nominal(*METHODS[method], *BEARINGS, *axis)
+        results = sweep(study, workers=1)
+        for k, ratio in enumerate((2.0, 5.0)):
+            run = simulate(replace_values(study, {"load.ratio": ratio}))
+            assert len(run.phases) > len(run.events)
+            assert results.label_map[k] == run.label
+            assert results.severity[k] == pytest.approx(run.severity, rel=1e-12)
+            assert results.last_event_time[k] == run.events["time"][-1]
+
+    def test_the_order_of_shafts_does_not_matter(self, method):
+        study = nominal(*METHODS[method], *BEARINGS)
+        shafts = [shaft.model_dump(exclude_none=True) for shaft in study.driveline.shafts]
+        turned = simulate(study.model_copy(update={"driveline": with_shafts(study, shafts[::-1])}))
+        assert turned.events["time"] == pytest.approx(simulate(study).events["time"], abs=1e-10)
+
+
+def with_shafts(study, shafts):
+    return type(study.driveline).model_validate(
+        study.driveline.model_dump(exclude_none=True) | {"shafts": tuple(shafts)}
+    )
+
+
+def test_both_methods_and_a_mirrored_driveline_agree():
+    """rk4's step of 1e-4 s: its times are off by some 1e-7 s."""
+    run, other = (simulate(nominal(*METHODS[method], *BEARINGS)) for method in METHODS)
+    assert kinds_of(run) == kinds_of(other)
+    assert run.events["time"] == pytest.approx(other.events["time"], abs=2e-6)
+    mirrored = simulate(nominal(*METHODS["exact"], *BEARINGS, "load.static_torque=1.0"))
+    assert mirrored.events["time"] == pytest.approx(run.events["time"], abs=1e-10)
+    assert list(mirrored.events["side"]) == list(-run.events["side"])
+
+
+def test_what_sticks_holds_up_to_its_friction():
+    """A torque that goes from -1 N m to -10 N m at 10 N m/s, of which a bearing takes 2 N m before it slips."""
+    ramp = ["load.profile='ramp'", "load.duration=0.9", "load.static_torque=-10.0", "load.ratio=-0.9"]
+    held = ["driveline.shafts[4].friction=2.0", "solver.end_time=0.3"]
+    times, _ = changes(simulate(nominal(*METHODS["exact"], *ramp, *held)))
+    assert times[0] == pytest.approx(0.2, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        (["driveline.shafts[1].friction=-0.1"], "shafts[1].friction"),
+        (["driveline.shafts[1].friktion=0.1"], "friction"),
+    ],
+)
+def test_a_wrong_friction_is_refused(overrides, said):
+    with pytest.raises(ConfigError, match=said.replace("[", r"\[")):
+        nominal(*overrides)
+
+
+def test_friction_and_rigid_flanks_are_refused():
+    with pytest.raises(ClunkError, match="Friction needs the indentation model"):
+        simulate(nominal("driveline.shafts[4].friction=0.1", "lash.contact.model='restitution'"))
+
+
+def test_a_friction_that_slips_before_the_load_step_is_refused():
+    """The car's wheels roll at constant speed; a bearing that rubs would have to carry nothing there."""
+    study = load_study("configs/car_tip_out.toml")
+    shafts = [shaft.model_dump(exclude_none=True) for shaft in study.driveline.shafts]
+    shafts.append({"between": (1, "ground"), "stiffness": 0.0, "damping": 0.01, "friction": 1.0})
+    with pytest.raises(SimulationError, match=f"friction of shaft {len(shafts)}"):
+        simulate(study.model_copy(update={"driveline": with_shafts(study, shafts)}))
