@@ -1,6 +1,8 @@
 """What every test may use."""
 
 import os
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 
 import pytest
 from hypothesis import settings
@@ -15,6 +17,8 @@ settings.register_profile("clunk", deadline=None, derandomize=True)
 settings.load_profile("clunk")
 
 NOMINAL = '[driveline]\npreset = "boere-2008"\n[lash]\nbacklash_deg = 6.0\n[load]\nratio = 5.0\n'
+SHAFT = "[[driveline.shafts]]\nbetween = {}\nstiffness = 31.3\ndamping = 0.04\n"
+RUBBING = NOMINAL + SHAFT.format([1, 2]) + SHAFT.format([2, 3]) + "friction = 0.3\n" + SHAFT.format('[4, "ground"]')
 LINE = '[[sweep.axes]]\nparameter = "load.ratio"\nstart = 0.0\nstop = 10.0\ncount = 121\n'
 
 
@@ -26,9 +30,16 @@ def pytest_configure(config: pytest.Config) -> None:
     """
     if config.getoption("numprocesses", None) and not hasattr(config, "workerinput"):
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-        for method in ("rk4", "exact"):
-            simulate(study_from_text(f'{NOMINAL}[solver]\nmethod = "{method}"\n'))
-            sweep(study_from_text(f'{NOMINAL}[solver]\nmethod = "{method}"\n{LINE}'), refine=True)
+        some = any(argument.endswith(".py") or "::" in argument for argument in config.args)
+        with ProcessPoolExecutor(2, get_context("spawn")) as processes:
+            list(processes.map(_compile, (NOMINAL,) if some else (RUBBING, NOMINAL)))
+
+
+def _compile(driveline: str) -> None:
+    """Use all kernels: of a driveline with one lash and nothing else, or of others."""
+    for method in ("rk4", "exact"):
+        simulate(study_from_text(f'{driveline}[solver]\nmethod = "{method}"\n'))
+        sweep(study_from_text(f'{driveline}[solver]\nmethod = "{method}"\n{LINE}'), refine=True)
 
 
 @pytest.fixture(scope="session")

@@ -55,7 +55,7 @@ def study_of(plant, method="exact", step=1e-4, end_time=1.0):
 def steady(plant):
     """Side of the initial flank, angles and speeds."""
     rest = preload(build(study_of(plant)), np.array([plant.before, plant.backlash / 2]))
-    return rest.side, *np.split(rest.x, 2)
+    return int(rest.sides[0]), *np.split(rest.x, 2)
 
 
 @pytest.mark.parametrize("contact", CONTACTS.values(), ids=CONTACTS)
