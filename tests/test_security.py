@@ -15,9 +15,11 @@ from clunk.study.problems import ConfigError
 
 
 def test_no_key_of_a_config_is_a_path():
-    """Its texts are a title, names of inertias, parameters of axes, and words to choose from."""
+    """Its texts are a title, names, parameters of axes, and words to choose from."""
     free = {place for place, key in keys().items() if key.must_be == "text on one line"}
-    assert free == {("title",), ("driveline", "names", "#")}
+    lashes = {("lash", "name"), ("lash", "#", "name")}
+    shafts = {("driveline", "names", "#"), ("driveline", "shafts", "#", "name")}
+    assert free == {("title",), *lashes, *shafts, ("measures", "#", "name")}
 
 
 @pytest.mark.parametrize(

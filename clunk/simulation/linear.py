@@ -110,7 +110,10 @@ class _Response:
     def of(cls, study: Study) -> "_Response | None":
         """None where there is no static torque across the lash, no eigenbasis to speak of, or a shaft with stages."""
         contact = study.lashes[0].contact.model_copy(update={"model": "restitution"})
-        locked = study.model_copy(update={"lash": study.lashes[0].model_copy(update={"contact": contact})})
+        shafts = tuple(shaft.model_copy(update={"friction": 0.0}) for shaft in study.driveline.shafts)
+        line = study.driveline.model_copy(update={"shafts": shafts})  # linear: friction is none
+        lash = study.lashes[0].model_copy(update={"contact": contact})
+        locked = study.model_copy(update={"lash": lash, "driveline": line})
         system = build(locked)
         carried = system.contact_torque[0, 0, TORQUE]
         if carried == 0.0 or len(system.preload) > 1:

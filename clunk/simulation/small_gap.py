@@ -54,8 +54,8 @@ class SmallGap(NamedTuple):
         driveline, system = Driveline.from_study(study), build(study)
         if len(study.lashes) > 1:
             raise SmallGapError("There is no one response to draw: several lashes do not change sides together.")
-        if driveline.staged:
-            raise SmallGapError("There is no one response to draw: shafts with stages are not linear.")
+        if driveline.staged or driveline.frictions:
+            raise SmallGapError("There is no one response to draw: shafts with stages or friction are not linear.")
         modes = driveline.modes(closed=True)
         if system.status != Status.OK:
             raise SmallGapError(f"There is no response to draw: {explained(study, Status(system.status))}.")

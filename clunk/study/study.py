@@ -114,6 +114,9 @@ def content(study: Study) -> dict[str, Any]:
     for table, key in [*factors, (plain["load"], "scale")]:
         if table[key] == 1.0:  # as configs and digests of earlier versions have it
             del table[key]
+    for shaft in plain["driveline"]["shafts"]:
+        if shaft["friction"] == 0.0:
+            del shaft["friction"]
     for table, key in ((plain, "measures"), (plain["impacts"], "quantities")):
         if not table[key]:
             del table[key]
