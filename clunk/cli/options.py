@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from clunk.cli import completion
+
 EXIT_INTERNAL = 1
 EXIT_USAGE = 2
 EXIT_FAILED_CELLS = 3
@@ -19,13 +21,19 @@ set_option = click.option(
     "overrides",
     multiple=True,
     metavar="KEY=VALUE",
+    shell_complete=completion.assignments,
     help="Override a key of the config, for example --set load.ratio=7; a path begins in the current directory. May be "
     "repeated.",
 )
 
 
 at_option = click.option(
-    "--at", "at", multiple=True, metavar="KEY=VALUE", help="Value of a swept key. May be repeated."
+    "--at",
+    "at",
+    multiple=True,
+    metavar="KEY=VALUE",
+    shell_complete=completion.places,
+    help="Value of a swept key. May be repeated.",
 )
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clunk.cli import cells, terminal
+from clunk.cli import cells, completion, terminal
 from clunk.cli.options import PATH, at_option
 
 if TYPE_CHECKING:
@@ -23,10 +23,24 @@ if TYPE_CHECKING:
     "--quantity", metavar="NAME", help="One picture only: regimes, severity, approach_velocity, touches, margin, …"
 )
 @at_option
-@click.option("--facet", "facets", multiple=True, metavar="KEY", help="A map for each value; twice: rows, columns.")
+@click.option(
+    "--facet",
+    "facets",
+    multiple=True,
+    metavar="KEY",
+    shell_complete=completion.swept,
+    help="A map for each value; twice: rows, columns.",
+)
 @click.option("--lash", metavar="NAME", help="Of several lashes, this one; --facet lash: side by side [each].")
-@click.option("--x", metavar="KEY", help="From left to right, of axes walked together or of a sample.")
-@click.option("--y", metavar="KEY", help="Upwards, of a sample; without it a quantity over --x.")
+@click.option(
+    "--x",
+    metavar="KEY",
+    shell_complete=completion.swept,
+    help="From left to right, of axes walked together or of a sample.",
+)
+@click.option(
+    "--y", metavar="KEY", shell_complete=completion.swept, help="Upwards, of a sample; without it a quantity over --x."
+)
 def plot(
     file: Path,
     output: Path | None,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from clunk.cli import cells, phrases, tables, terminal
+from clunk.cli import cells, completion, phrases, tables, terminal
 from clunk.cli.options import PATH, at_option, json_option, set_option
 
 if TYPE_CHECKING:
@@ -45,7 +45,13 @@ class Drawing(NamedTuple):
 @set_option
 @at_option
 @click.option("--lash", metavar="NAME", help="Of several lashes, draw only this one.")
-@click.option("--overlay", metavar="KEY=V1,V2,…", multiple=True, help="A run for each value. May be repeated.")
+@click.option(
+    "--overlay",
+    metavar="KEY=V1,V2,…",
+    shell_complete=completion.assignments,
+    multiple=True,
+    help="A run for each value. May be repeated.",
+)
 @click.option("-o", "--output", type=PATH, help="Picture (.png .svg .pdf), or data (.csv .h5).")
 @click.option("--figure", type=click.Choice(_FIGURES), default="everything", help="Which picture [everything].")
 @click.option("--around", type=float, metavar="T", help="Of a close-up: its moment [first impact], s.")

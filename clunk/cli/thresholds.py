@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clunk.cli import phrases, tables, terminal
+from clunk.cli import completion, phrases, tables, terminal
 from clunk.cli.options import EXIT_FAILED_CELLS, PATH, json_option, lash_option, set_option, workers_option
 from clunk.sweeping import progress
 
@@ -27,7 +27,13 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
 
 @click.command()
 @click.argument("config", type=PATH)
-@click.option("--along", required=True, metavar="KEY", help="The axis of CONFIG along which they are looked for.")
+@click.option(
+    "--along",
+    required=True,
+    metavar="KEY",
+    shell_complete=completion.swept,
+    help="The axis of CONFIG along which they are looked for.",
+)
 @click.option(
     "--of",
     "outcome",

@@ -7,7 +7,7 @@ Neither are the ends of shafts and lashes: another topology is another study.
 
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 from clunk.study.document import Place, dotted, items_of, parse_place, value_at
@@ -53,9 +53,21 @@ def names_of(document: Mapping[str, Any]) -> Names:
 
 def parameters(document: Mapping[str, Any]) -> list[str]:
     """The parameters of a document; of long lists the first."""
+    return _keys(document, [pattern for pattern, key in keys().items() if key.quantity is not None])
+
+
+def settable(document: Mapping[str, Any]) -> list[str]:
+    """The keys of a document, also of those that it leaves out, that hold neither a table nor several."""
+    tables = {pattern for pattern, key in keys().items() if key.children}
+    tables |= {pattern[:-1] for pattern in tables if pattern[-1:] == (ITEM,)}
+    return _keys(document, [pattern for pattern in keys() if pattern not in tables])
+
+
+def _keys(document: Mapping[str, Any], patterns: Iterable[Place]) -> list[str]:
+    """The keys of a document that have these patterns; of long lists the first."""
     known: list[Place] = []
-    for pattern, key in keys().items():
-        places: list[Place] = [()] if key.quantity is not None else []
+    for pattern in patterns:
+        places: list[Place] = [()]
         for step in pattern:
             if step != ITEM:  # a list has items, and no keys
                 places = [at for at in places if not items_of(value_at(document, at))]

@@ -1,0 +1,102 @@
+"""`clunk completion`: what shells complete on a line of clunk, and the script that has them ask for it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from clunk.study.axes import ResultAxis
+    from clunk.study.study import Study
+
+# A key that is completed ends in =, and its value follows without a blank. fish knows that; to the others it is said.
+_NO_BLANK = {
+    "bash": ("COMPREPLY+=($value)", "COMPREPLY+=($value)\n            [[ $value == *= ]] && compopt -o nospace"),
+    "zsh": ("compadd -U", 'compadd -S "${${completions[1]##*=}:+ }" -U'),
+    "fish": ("", ""),
+}
+
+
+@click.command()
+@click.argument("shell", type=click.Choice(("bash", "zsh", "fish")))
+def completion(shell: str) -> None:
+    """Print a script for SHELL that completes commands, options and files.
+
+    The keys of --set, --at, --along and the like are those of the config or results file on the line.
+
+    \b
+    Examples:
+      clunk completion bash > ~/.local/share/bash-completion/completions/clunk
+      clunk completion zsh > ~/.zfunc/_clunk
+      clunk completion fish > ~/.config/fish/completions/clunk.fish
+    """
+    from click.shell_completion import get_completion_class
+
+    from clunk.cli import cli
+
+    shells = get_completion_class(shell)
+    assert shells is not None
+    click.echo(shells(cli, {}, "clunk", "_CLUNK_COMPLETE").source().replace(*_NO_BLANK[shell]), nl=False)
+
+
+def assignments(context: click.Context, option: click.Parameter, incomplete: str) -> list[str]:
+    """Beginnings of KEY=VALUE for each key of the config on the line that `--set` may change."""
+    from clunk.study.parameters import settable
+
+    study, axes = _study(context), swept(context, option, incomplete)
+    keys = [] if study is None else settable(study.model_dump(exclude_none=True))
+    return [f"{key}=" for key in keys if key.startswith(incomplete) and key not in axes]
+
+
+def places(context: click.Context, option: click.Parameter, incomplete: str) -> list[str]:
+    """Beginnings of KEY=VALUE for each swept key of the file on the line."""
+    return [f"{key}=" for key in swept(context, option, incomplete)]
+
+
+def swept(context: click.Context, _option: click.Parameter, incomplete: str) -> list[str]:
+    """Swept keys of the config or results file on the line."""
+    return [axis.parameter for axis in _axes(context) if axis.parameter.startswith(incomplete)]
+
+
+def _axes(context: click.Context) -> list[ResultAxis]:
+    """Axes and coordinates of the file on the line; none where it cannot be read."""
+    path = _path(context)
+    if path is not None and path.suffix == ".h5":
+        from clunk.results.store import StoreError, read_header
+
+        try:
+            header = read_header(path)
+        except StoreError:
+            return []
+        return [*header.axes, *header.coordinates]
+    from clunk.study.designs import design_of
+
+    study = _study(context)
+    design = None if study is None else design_of(study)
+    return [] if design is None else [*design.axes, *design.coordinates]
+
+
+def _study(context: click.Context) -> Study | None:
+    """Study of the file on the line; None where it has none."""
+    from clunk.study.config import load_study, study_from_text
+    from clunk.study.errors import ClunkError
+
+    path = _path(context)
+    try:
+        if path is not None and path.suffix == ".h5":
+            from clunk.results.store import read_header
+
+            return study_from_text(read_header(path).config)
+        return None if path is None else load_study(path)
+    except ClunkError:
+        return None
+
+
+def _path(context: click.Context) -> Path | None:
+    """The file that the command reads. While an option lacks its value, click leaves arguments in `args`."""
+    names = [each.name for each in context.command.params if isinstance(each, click.Argument)]
+    words = [*(context.params.get(name or "") for name in names), *context.args]
+    paths = [Path(word) for word in words if word is not None]
+    return next((path for path in paths if path.is_file()), None)
