@@ -24,6 +24,7 @@ from clunk.cli import cli
 from clunk.study.config import load_study, study_from_text
 from clunk.study.designs import design_of, design_of_points
 from clunk.study.document import KeyLines, dotted, parse_place
+from clunk.study.fits import Fit
 from clunk.study.keys import PRESETS, json_schema
 from clunk.study.loads import Load
 from clunk.study.measures import Measure
@@ -217,10 +218,10 @@ def test_starter_spells_the_preset_out():
 def test_starter_names_every_key():
     keys = set(re.findall(r"^(?:# )?([a-z_]+) = ", STARTER, re.MULTILINE))
     models = (Study, DrivelineConfig, Shaft, Lash, Load, Impacts, Measure, Axis, Sweep, Sampling, *get_args(Draw))
-    models += tuple(Study.model_fields[name].annotation for name in ("solver",))
+    models += (Fit, *(Study.model_fields[name].annotation for name in ("solver",)))
     models += (Lash.model_fields["contact"].annotation,)
     tables = {"driveline", "lash", "load", "solver", "impacts", "measures", "sweep", "shafts", "contact"}
-    tables |= {"axes", "samples", "tolerances", "sampling"}
+    tables |= {"axes", "samples", "tolerances", "sampling", "fit", "parameters"}
     assert keys == {name for model in models for name in model.model_fields} - tables | {"preset"}
 
 

@@ -8,13 +8,13 @@ import os
 import re
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.resources.abc import Traversable
 from pathlib import Path
 
 import numpy as np
 
-from clunk.results.labels import normalised_label
+from clunk.results.labels import flanks_of_label, normalised_label
 from clunk.study.axes import ResultAxis
 from clunk.study.document import read_text
 from clunk.study.errors import ClunkError
@@ -28,6 +28,11 @@ class ExperimentError(ClunkError):
     """Measurements that cannot be read or compared; its text is one sentence for the user."""
 
 
+IMPACT_QUANTITIES = ("impact_time", "impact_closing_speed", "impact_severity")  # as in results files
+DETECTION_SPEED = "detection_speed"
+_OF_IMPACTS = re.compile(rf"({'|'.join(IMPACT_QUANTITIES)})_([1-9]\d{{0,2}}|std)")
+
+
 @dataclass(frozen=True)
 class Measurement:
     """A measured point: values of the parameters, and the label of its impacts.
@@ -35,11 +40,17 @@ class Measurement:
     line : of the file, from 1
     values : in the order of the experiment's columns, in the parameters' units
     label : in clunk's notation, for example DS(1)SS(1)
+    impacts : quantity -> its measured values by primary impact from 0, of `IMPACT_QUANTITIES`, in their units
+    std : quantity -> standard deviation of its measured values
+    detection_speed : closing speed below which an impact would not have been seen  [rad/s]
     """
 
     line: int
     values: tuple[float, ...]
     label: str
+    impacts: Mapping[str, Mapping[int, float]] = field(default_factory=dict)
+    std: Mapping[str, float] = field(default_factory=dict)
+    detection_speed: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -51,6 +62,7 @@ class Experiment:
     measurements : one or more
     remarks : the file's comment lines without their #
     caveat : what keeps the measurements from being a test of the model; from a comment that begins with "caveat:"
+    text : of the file
     """
 
     name: str
@@ -58,6 +70,7 @@ class Experiment:
     measurements: tuple[Measurement, ...]
     remarks: tuple[str, ...] = ()
     caveat: str = CAVEAT
+    text: str = ""
 
 
 Tables = Mapping[str, Traversable]  # by name: CSV files that come with a package
@@ -72,7 +85,10 @@ def read_experiment(path: str | os.PathLike[str], tables: Tables | None = None) 
     """Read measurements from a CSV file in UTF-8, or from one of `tables` by its name.
 
     The first line that is no comment (#) names the columns: one for each parameter, as in a results file
-    (``load_ratio``) or in a config (``load.ratio``), in the parameter's unit, and ``label``.
+    (``load_ratio``) or in a config (``load.ratio``), in the parameter's unit, and ``label``. There may be measured
+    quantities of the primary impacts besides, ``impact_time_1`` and so on (also ``impact_closing_speed_1`` and
+    ``impact_severity_1``), blank where they were not measured, with their standard deviation, ``impact_time_std``, and
+    ``detection_speed``, the closing speed below which an impact would not have been seen.
 
     Parameters
     ----------
@@ -85,7 +101,12 @@ def read_experiment(path: str | os.PathLike[str], tables: Tables | None = None) 
     ExperimentError
         Where the file cannot be read, with the number of the line that is wrong.
     """
-    lines = _text_of(path, tables or {}).replace("\r\n", "\n").replace("\r", "\n").splitlines(keepends=True)
+    return experiment_of(_text_of(path, tables or {}), path)
+
+
+def experiment_of(text: str, path: str | os.PathLike[str]) -> Experiment:
+    """Measurements of a CSV file's text; path : its name. As `read_experiment` otherwise."""
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").splitlines(keepends=True)
     remarks = tuple(line.lstrip().lstrip("#").strip() for line in lines if line.lstrip().startswith("#"))
     # Blank in place of a comment, so that the reader's count of lines is the file's.
     reader = csv.reader(("\n" if line.lstrip().startswith("#") else line for line in lines), strict=True)
@@ -109,10 +130,11 @@ def read_experiment(path: str | os.PathLike[str], tables: Tables | None = None) 
     caveats = [remark.split(":", 1)[1].strip() for remark in remarks if remark.lower().startswith("caveat:")]
     return Experiment(
         name=Path(path).name,
-        columns=tuple(column for column in columns if column != "label"),
+        columns=tuple(column for column in columns if not _is_measured(column)),
         measurements=tuple(measurements),
         remarks=tuple(remark for remark in remarks if remark and not remark.lower().startswith("caveat:")),
         caveat=caveats[0] if caveats and caveats[0] else CAVEAT,
+        text=text,
     )
 
 
@@ -132,15 +154,20 @@ def _columns(cells: list[str], where: str) -> list[str]:
     """Names of the columns as they are in results files, "label" among them."""
     if len(cells) == 1 and ";" in cells[0]:
         raise ExperimentError(f"{where}: columns must be separated by commas, and numbers written with points.")
-    columns = [cell if cell == "label" else _variable(cell, where) for cell in cells]
+    columns = [cell if _is_measured(cell) else _variable(cell, where) for cell in cells]
     if "label" not in columns:
         raise ExperimentError(f"{where}: there is no column named label.")
-    if len(columns) == 1:
+    if all(map(_is_measured, columns)):
         raise ExperimentError(f"{where}: there is no column of a parameter, for example load_ratio.")
     twice = [name for name, count in Counter(columns).items() if count > 1]
     if twice:
         raise ExperimentError(f"{where}: there is more than one column {twice[0]}.")
     return columns
+
+
+def _is_measured(column: str) -> bool:
+    """Whether a column holds what was measured, rather than the operating point's parameters."""
+    return column in ("label", DETECTION_SPEED) or _OF_IMPACTS.fullmatch(column) is not None
 
 
 def _variable(column: str, where: str) -> str:
@@ -163,16 +190,20 @@ def _variable_of(parameter: str) -> str:
 def _measurement(columns: list[str], cells: list[str], where: str, line: int) -> Measurement:
     if len(cells) != len(columns):
         raise ExperimentError(f"{where}: there are {len(cells)} columns here and {len(columns)} names of columns.")
-    values = []
+    numbers: dict[str, float] = {}
     label = ""
     for column, cell in zip(columns, cells, strict=True):
         if column == "label":
             try:
                 label = normalised_label(cell)
+                flanks_of_label(label)
             except ValueError:
                 raise ExperimentError(
-                    f"{where}: {shorten(cell)} is no label; labels are written like NI, SS(1), DS(1)SS(1) or D(1)+S(1)."
+                    f"{where}: {shorten(cell)} is no label of any sequence; labels are written like NI, SS(1), "
+                    "DS(1)SS(1) or D(1)+S(1)."
                 ) from None
+            continue
+        if not cell and column != DETECTION_SPEED and _is_measured(column):
             continue
         try:
             value = float(cell)
@@ -180,5 +211,34 @@ def _measurement(columns: list[str], cells: list[str], where: str, line: int) ->
             value = math.nan
         if not math.isfinite(value):
             raise ExperimentError(f"{where}: {column} must be a finite number, not {shorten(cell)}.")
-        values.append(value)
-    return Measurement(line, tuple(values), label)
+        if _is_measured(column) and (value < 0.0 or (value == 0.0 and column.endswith("_std"))):
+            raise ExperimentError(f"{where}: {column} must be greater than 0, not {shorten(cell)}.")
+        numbers[column] = value
+    values = tuple(value for column, value in numbers.items() if not _is_measured(column))
+    impacts, std = _impacts_of(numbers, label, where)
+    return Measurement(line, values, label, impacts, std, numbers.get(DETECTION_SPEED, 0.0))
+
+
+def _impacts_of(
+    numbers: Mapping[str, float], label: str, where: str
+) -> tuple[dict[str, dict[int, float]], dict[str, float]]:
+    """Measured quantities of the impacts of a row, and their standard deviations."""
+    impacts: dict[str, dict[int, float]] = {}
+    std: dict[str, float] = {}
+    count = len(flanks_of_label(label))
+    for column, value in numbers.items():
+        words = _OF_IMPACTS.fullmatch(column)
+        if words is None:
+            continue
+        quantity, number = words.groups()
+        if number == "std":
+            std[quantity] = value
+        elif int(number) > count:
+            impacts_of_label = f"{count} primary impact{'' if count == 1 else 's'}"
+            raise ExperimentError(f"{where}: {column} is given, and {label} has {impacts_of_label}.")
+        else:
+            impacts.setdefault(quantity, {})[int(number) - 1] = value
+    for quantity in impacts:
+        if quantity not in std:
+            raise ExperimentError(f"{where}: {quantity} is given without its standard deviation, {quantity}_std.")
+    return impacts, std

@@ -22,7 +22,7 @@ from clunk.study.errors import ClunkError
 
 _COMMANDS = (
     *("sweep", "plot", "simulate", "modes", "info", "export", "init", "help", "completion"),
-    *("compare", "verify", "sensitivity", "thresholds", "reproduce"),
+    *("compare", "fit", "verify", "sensitivity", "thresholds", "reproduce"),
 )
 
 

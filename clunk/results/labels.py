@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from itertools import groupby
 
+from clunk.core.sequence import INITIAL, OPPOSITE, label
+
 FAILED = "failed"  # in the place of the label of a run that failed
 FAILED_CODE = -1
 
@@ -34,3 +36,16 @@ def normalised_label(text: str) -> str:
     terms = [(full.get(name, name), int(count)) for name, count in re.findall(term, bare)]
     runs = groupby(terms, key=lambda run: run[0])
     return "".join(f"{name}({sum(count for _, count in run)})" for name, run in runs)
+
+
+def flanks_of_label(text: str) -> tuple[int, ...]:
+    """Flanks of the primary impacts of a label in clunk's notation, +1 opposite and -1 initial; none of NI.
+
+    Raises ValueError where no sequence of impacts has that label, as DS(1)OS(1).
+    """
+    of_excursion = {"SS": (INITIAL,), "DS": (OPPOSITE, INITIAL), "OS": (OPPOSITE,), "CR": (OPPOSITE,)}
+    terms = re.findall(r"(DS|SS|OS|CR)\((\d+)\)", text)
+    flanks = tuple(flank for name, count in terms for flank in of_excursion[name] * int(count))
+    if label(flanks) != text:
+        raise ValueError(f"no sequence of impacts has the label {text}")
+    return flanks

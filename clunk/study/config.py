@@ -175,11 +175,11 @@ def _unwrap_lash(document: dict[str, Any]) -> None:
 
 
 def _entries(document: Mapping[str, Any]) -> list[tuple[Place, dict[str, Any]]]:
-    """The axes, samples and tolerances of a document that are tables, each with its place."""
+    """The axes, samples, tolerances and fitted parameters of a document that are tables, each with its place."""
     return [
-        (("sweep", name, k), entry)
-        for name in ("axes", "samples", "tolerances")
-        for k, entry in enumerate(items_of(value_at(document, ("sweep", name))))
+        ((table, name, k), entry)
+        for table, name in (("sweep", "axes"), ("sweep", "samples"), ("sweep", "tolerances"), ("fit", "parameters"))
+        for k, entry in enumerate(items_of(value_at(document, (table, name))))
         if isinstance(entry, dict)
     ]
 

@@ -119,7 +119,7 @@ def design_of_points(study: Study, points: Mapping[str, npt.ArrayLike]) -> Desig
     """
     columns = {dotted(located(study, key)[0]): np.asarray(values).tolist() for key, values in points.items()}
     axes = [{"parameter": parameter, "values": values} for parameter, values in columns.items()]
-    document = {**study.model_dump(exclude={"sweep"}), "sweep": {"design": "zip", "axes": axes}}
+    document = {**study.model_dump(exclude={"sweep", "fit"}), "sweep": {"design": "zip", "axes": axes}}
     walked, findings = validated(Study, document)
     if walked is not None:
         return design_of(walked)
@@ -162,9 +162,10 @@ def _unswept_value(study: Study, parameter: str) -> float:
 
 
 def unused_parameters(study: Study) -> list[str]:
-    """Swept or drawn keys that change nothing in the study's contact model."""
+    """Swept, drawn or fitted keys that change nothing in the study's contact model."""
     sweep = study.sweep
     swept = [each.parameter for each in (*sweep.axes, *sweep.samples, *sweep.tolerances)] if sweep else []
+    swept += [each.parameter for each in study.fit.parameters] if study.fit else []
     if study.lashes[0].contact.model == "restitution":
         unused = {"lash.contact.stiffness", "lash.contact.damping", "impacts.sticking_time", "impacts.acceleration_of"}
     else:

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, Tag, model_validator
 
 from clunk.study.document import Place, items_of
+from clunk.study.fits import Fit
 from clunk.study.lashes import lash_name
 from clunk.study.loads import Load
 from clunk.study.measures import Measure
@@ -226,6 +227,7 @@ class Config(Table):
     impacts: Impacts
     measures: tuple[Measure, ...] = ()
     sweep: Sweep | None = None
+    fit: Fit | None = None
 
     @model_validator(mode="before")
     @classmethod

@@ -28,7 +28,7 @@ Sizes = Sequence[tuple[float, Place]]  # positive numbers, each with its place
 
 def broken_rules(config: Config) -> list[Finding]:
     """Findings of all rules on a config; draws are only looked at where nothing else is wrong."""
-    rules = (_inertias, _lashes, _steps, _sizes, _swept, _times, broken_measures)
+    rules = (_inertias, _lashes, _steps, _sizes, _swept, _times, _fitted, broken_measures)
     findings = [finding for rule in rules for finding in rule(config)]
     return findings or list(_drawn(config))
 
@@ -306,7 +306,6 @@ def _drawn(config: Config) -> Iterator[Finding]:
     table, draws = ("samples", sweep.samples) if sweep.samples else ("tolerances", sweep.tolerances)
     points = sweep.sampling.points(len(draws))
     axes = {axis.parameter: axis.grid for axis in sweep.axes}
-    document = config.model_dump(exclude={"sweep"})
     drawn_times: dict[int, Reach] = {}
     for k, draw in enumerate(draws):
         place, key, value_of_study = located(config, draw.parameter)
@@ -316,21 +315,45 @@ def _drawn(config: Config) -> Iterator[Finding]:
         extremes = [values.min(), values.max(), *([values.flat[np.abs(values).argmin()]] if key.not_zero else [])]
         for value in map(float, extremes):
             number = int(np.nonzero(values == value)[0][0]) + 1 if math.isfinite(value) else 1
-            text = f"draw {number} of {len(drawn)} makes {draw.parameter} {value:.6g}"
-            if not math.isfinite(value) or not key.allows(value):
-                bound = "; bound the distribution with low and high" if draw.distribution != "uniform" else ""
-                yield ("sweep", table, k), f"{text}; it must be {key.must_be}{bound}"
-                break
-            crossing = _crossing(config, draw.parameter, np.array([value]))
-            if crossing is not None:
-                yield ("sweep", table, k), crossing
+            text = _forbidden(draw, value, f"draw {number} of {len(drawn)} makes {draw.parameter} {value:.6g}", config)
+            if text is not None:
+                yield ("sweep", table, k), text
                 break
             if place[:2] == ("load", "times"):  # held against the others below
                 drawn_times[int(place[2])] = ("sweep", table, k), np.array(extremes), False
-                continue
-            drawn_config = Config.model_validate({**with_value(document, place, value), "sweep": sweep})
-            broken = next((f for rule in (_steps, _sizes) for f in rule(drawn_config)), None)
-            if broken is not None:
-                yield ("sweep", table, k), f"{text}; {broken[1]}"
-                break
     yield from _times(config, drawn_times)
+
+
+def _forbidden(draw: Draw, value: float, what: str, config: Config) -> str | None:
+    """Reason why a drawn key cannot have a value, beginning with `what`; None where it can."""
+    place, key, _ = located(config, draw.parameter)
+    if not math.isfinite(value) or not key.allows(value):
+        bound = "; bound the distribution with low and high" if draw.distribution != "uniform" else ""
+        return f"{what}; it must be {key.must_be}{bound}"
+    crossing = _crossing(config, draw.parameter, np.array([value]))
+    if crossing is not None or place[:2] == ("load", "times"):
+        return crossing
+    drawn = Config.model_validate(with_value(config.model_dump(exclude={"sweep", "fit"}), place, value))
+    drawn = drawn.model_copy(update={"sweep": config.sweep})
+    return next((f"{what}; {text}" for rule in (_steps, _sizes) for _, text in rule(drawn)), None)
+
+
+def _fitted(config: Config) -> Iterator[Finding]:
+    """Require fitted parameters that can be drawn, with priors that allow nothing that a config may not hold.
+
+    A measured key's factor or offset acts on measured values, which are not known here.
+    """
+    document = config.model_dump(exclude={"sweep", "fit"})
+    for k, prior in enumerate(config.fit.parameters if config.fit is not None else ()):
+        parameter = prior.parameter
+        text = complaint(parameter, document) or load_complaint(parameter, config)
+        text = text or _undrawable(prior, "fit", {}, config)
+        if text is not None:
+            yield ("fit", "parameters", k, "parameter"), text
+            continue
+        nominal = located(config, parameter)[2]
+        for value in map(float, prior.applied(prior.quantiles([0.0, 1.0], nominal), nominal)):
+            text = None if math.isnan(nominal) else _forbidden(prior, value, f"it allows {value:.6g}", config)
+            if text is not None:
+                yield ("fit", "parameters", k), text
+                break

@@ -81,7 +81,7 @@ def _gap(lash: Lash, swept: Collection[str]) -> str:
 
 
 def replace_values(study: Study, values: Mapping[str, float]) -> Study:
-    """The study with other values, each in its parameter's unit; its sweep is left alone.
+    """The study with other values, each in its parameter's unit; its sweep and fit are left alone.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def replace_values(study: Study, values: Mapping[str, float]) -> Study:
     >>> [clunk.simulate(clunk.replace_values(study, {"load.ratio": ratio})).label for ratio in (1.0, 2.0, 5.0)]
     ['NI', 'SS(1)', 'DS(1)SS(1)']
     """
-    document = study.model_dump(exclude={"sweep"})
+    document = study.model_dump(exclude={"sweep", "fit"})
     for parameter, value in values.items():
         place, key, _ = located(study, parameter)
         plain = value.item() if hasattr(value, "item") else value
@@ -104,7 +104,7 @@ def replace_values(study: Study, values: Mapping[str, float]) -> Study:
     replaced, findings = validated(Study, document)
     if replaced is None:
         raise report("the study with these values", [Problem(dotted(place), None, text) for place, text in findings])
-    return replaced.model_copy(update={"sweep": study.sweep})
+    return replaced.model_copy(update={"sweep": study.sweep, "fit": study.fit})
 
 
 def content(study: Study) -> dict[str, Any]:
@@ -138,12 +138,13 @@ def to_toml(study: Study) -> str:
 
 
 def digest(study: Study) -> str:
-    """SHA-256 of everything that decides the results: physics, solver and sweep; neither the title nor names.
+    """SHA-256 of everything that decides the results: physics, solver and sweep; not the title, names, or a fit.
 
     A swept key's own value does not count, since no cell has it.
     """
     decisive = content(study)
     del decisive["title"]
+    decisive.pop("fit", None)
     decisive["driveline"].pop("names", None)
     for lash in _lash_tables(decisive):
         lash.pop("name", None)

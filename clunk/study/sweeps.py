@@ -212,7 +212,7 @@ def _distribution(name: str, n: Mapping[str, float]) -> Any:
 
 
 Draw = Uniform | Normal | Lognormal | Triangular
-_Draws = Annotated[tuple[Annotated[Draw, Field(discriminator="distribution")], ...], Field(min_length=1)]
+Draws = Annotated[tuple[Annotated[Draw, Field(discriminator="distribution")], ...], Field(min_length=1)]
 
 
 class Sampling(Table):
@@ -251,8 +251,8 @@ class Sweep(Table):
 
     design: Literal["grid", "zip"] = "grid"
     axes: Annotated[tuple[Axis, ...], Field(min_length=1)] = ()
-    samples: _Draws = ()
-    tolerances: _Draws = ()
+    samples: Draws = ()
+    tolerances: Draws = ()
     sampling: Sampling = Sampling()
 
     def contradictions(self) -> Iterator[Finding]:

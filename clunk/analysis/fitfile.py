@@ -1,0 +1,162 @@
+"""Files of fits: HDF5 laid out as netCDF-4."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from clunk import __version__
+from clunk.analysis.fitparts import FitError
+from clunk.analysis.fitruns import MATCH, Records, target_of
+from clunk.analysis.fitting import Fewer, Fitted, identity, label_of
+from clunk.analysis.measurements import experiment_of
+from clunk.results.files import reason, writing
+from clunk.results.labels import FAILED, FAILED_CODE
+from clunk.results.netcdf import (
+    CONVENTIONS,
+    Image,
+    create_scale,
+    create_variable,
+    get_text,
+    set_flags,
+    set_text,
+    write_file,
+)
+from clunk.study.config import study_from_text
+from clunk.study.study import to_toml
+
+SCHEMA_VERSION = 1
+_CONTENT = "fit"
+
+# Names in the file -> fields of MATCH, unit, long name; `sequence` beside them
+_MATCHES = {
+    "distance": ("distance", "1", "logarithm of the change of a measured value that brings about the measured label"),
+    "distance_axis": ("axis", "1", "number of that value's column, from 0; -1 where none brings it about"),
+    "distance_change": ("change", "1", "the change itself, with its sign"),
+    "misfit": (
+        "misfit",
+        "1",
+        "minus the logarithm of the likelihood of the measured times, speeds and severities",
+    ),
+    "status": ("status", "1", "status of the run: 0 is ok"),
+}
+
+
+def save(path: str | os.PathLike[str], fitted: Fitted, lash: str | None, scratch: Path | None = None) -> None:
+    """Write a fit to an HDF5 file, whole or not at all; lash : as `fit` took it. Raises FitError."""
+    with writing(path, FitError) as target:
+        write_file(target, lambda file: _fill(file, fitted, lash), scratch)
+
+
+def _fill(file: Image, fitted: Fitted, lash: str | None) -> None:
+    set_text(file, "title", fitted.study.title)
+    set_text(file, "Conventions", CONVENTIONS)
+    set_text(file, "content", _CONTENT)
+    file.attrs["schema_version"] = np.int32(SCHEMA_VERSION)
+    set_text(file, "clunk_version", __version__)
+    file.attrs["config"] = to_toml(fitted.study)
+    set_text(file, "fit_digest", identity(fitted.study, fitted.experiment, lash))
+    file.attrs["measurements"] = fitted.experiment.text
+    set_text(file, "measurements_name", fitted.experiment.name)
+    set_text(file, "lash", lash or "")
+    for name in ("candidates", "failed"):
+        file.attrs[name] = np.int64(getattr(fitted, name))
+    names = np.array([f"{prior.parameter} ({prior.draws})" for prior in fitted.priors])
+    parameter = create_scale(file, "parameter", names, {"long_name": "fitted parameter, and what its number is"})
+    scales = {
+        name: create_scale(file, name, np.arange(1, count + 1, dtype=np.int32), {"units": "1", "long_name": words})
+        for name, count, words in (
+            ("measurement", len(fitted.points), "number of the measurement"),
+            ("draw", len(fitted.coordinates), "number of the draw"),
+            ("fewer", max(len(fitted.fewer), 1), "number of parameters of a fit of the first ones alone"),
+        )
+    }
+    measurement, draw = scales["measurement"], scales["draw"]
+
+    def write(name: str, values: npt.NDArray[np.generic], words: str, *along: h5py.Dataset) -> h5py.Dataset:
+        variable = create_variable(file, name, values.dtype, {"units": "1", "long_name": words}, along)
+        variable[...] = values
+        return variable
+
+    write("estimate", fitted.estimate, "number of the best candidate", parameter)
+    write("number", fitted.draws, "number of a draw", draw, parameter)
+    write("coordinate", fitted.coordinates, "draw where the prior is standard normal", draw, parameter)
+    write("weight", fitted.weights, "weight of a draw; all add up to 1", draw)
+    write("log_density", fitted.log_density, "logarithm of the density that proposed a draw, over the prior", draw)
+    write("best_distance", fitted.best_distances, "least distance of any candidate", measurement)
+    blocks: dict[str, tuple[Records, tuple[h5py.Dataset, ...]]] = {"": (fitted.matches, (draw, measurement))}
+    blocks |= {f"{name}_": (getattr(fitted, f"{name}_matches"), (measurement,)) for name in ("estimate", "nominal")}
+    every = np.unique(np.concatenate([fitted.wanted, *(each["pattern"].ravel() for each, _ in blocks.values())]))
+    labels = {int(pattern): label_of(int(pattern)) for pattern in every if pattern}
+    codes = {
+        pattern: code for code, pattern in enumerate(sorted(labels, key=lambda each: (each.bit_length(), labels[each])))
+    }
+    meanings = {FAILED_CODE: FAILED} | {code: labels[pattern] for pattern, code in codes.items()}
+    codes[0] = FAILED_CODE
+
+    def sequences(patterns: npt.NDArray[np.uint64]) -> npt.NDArray[np.int16]:
+        unique, inverse = np.unique(patterns, return_inverse=True)
+        return np.array([codes[int(each)] for each in unique], np.int16)[inverse.reshape(patterns.shape)]
+
+    set_flags(write("measured_sequence", sequences(fitted.wanted), "measured label", measurement), meanings)
+    for prefix, (matches, along) in blocks.items():
+        set_flags(write(f"{prefix}sequence", sequences(matches["pattern"]), "label", *along), meanings)
+        for name, (field, _, words) in _MATCHES.items():
+            write(prefix + name, matches[field].astype(matches[field].dtype.newbyteorder("=")), words, *along)
+    for name in ("met", "predicted", "effective"):
+        values = np.array([getattr(each, name) for each in fitted.fewer] or [0], np.float64)
+        write(f"fewer_{name}", values, f"{name}, of a fit of the first parameters alone", scales["fewer"])
+
+
+def load(path: str | os.PathLike[str]) -> tuple[Fitted, str]:
+    """Read a fit and the digest of everything that decided it. Raises FitError."""
+    try:
+        with h5py.File(path, "r") as file:
+            if file.attrs.get("content") is None or get_text(file, "content") != _CONTENT:
+                raise FitError(f"{path} holds no fit.")
+            return _loaded(file), get_text(file, "fit_digest")
+    except (OSError, KeyError, ValueError) as error:
+        raise FitError(f"{path} cannot be read as a fit: {reason(error)}.") from error
+
+
+def _loaded(file: h5py.File) -> Fitted:
+    def matches(prefix: str) -> Records:
+        sequence = file[f"{prefix}sequence"]
+        meanings = get_text(sequence, "flag_meanings").split()
+        patterns = {
+            int(code): 0 if text == FAILED else target_of(text).pattern
+            for code, text in zip(sequence.attrs["flag_values"], meanings, strict=True)
+        }
+        unique, inverse = np.unique(sequence[...], return_inverse=True)
+        records = np.zeros(sequence.shape, MATCH)
+        records["pattern"] = np.array([patterns[int(code)] for code in unique], np.uint64)[
+            inverse.reshape(sequence.shape)
+        ]
+        for name, (field, *_) in _MATCHES.items():
+            records[field] = file[prefix + name][...]
+        return records
+
+    study = study_from_text(file.attrs["config"], source="the fit's config")
+    assert study.fit is not None
+    columns = zip(*(file[f"fewer_{name}"][...].tolist() for name in ("met", "predicted", "effective")), strict=True)
+    fewer = [Fewer(k, int(met), int(predicted), size) for k, (met, predicted, size) in enumerate(columns, 1)]
+    lash = get_text(file, "lash")
+    return Fitted(
+        study=study,
+        experiment=experiment_of(file.attrs["measurements"], get_text(file, "measurements_name")),
+        lash=lash or study.lash_names[0],
+        estimate=file["estimate"][...],
+        estimate_matches=matches("estimate_"),
+        nominal_matches=matches("nominal_"),
+        coordinates=file["coordinate"][...],
+        matches=matches(""),
+        log_density=file["log_density"][...],
+        best_distances=file["best_distance"][...],
+        fewer=tuple(fewer)[: len(study.fit.parameters) - 1],
+        candidates=int(file.attrs["candidates"]),
+        failed=int(file.attrs["failed"]),
+    )

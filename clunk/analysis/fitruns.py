@@ -1,0 +1,273 @@
+"""Runs of candidate drivelines at measured operating points: their sequences, and how far these are from the measured.
+
+A candidate that misses a measured label is run at neighbouring operating points too, with each measured value a little
+smaller or greater. The least such change, in the logarithm of a value, that brings about the measured label is the
+distance: unlike a run's margin, which says how near *any* other label is, and saturates, it speaks of the measured one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from difflib import SequenceMatcher
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.analysis.measurements import Experiment, ExperimentError
+from clunk.analysis.outcomes import measuring
+from clunk.core.sequence import OPPOSITE
+from clunk.core.status import Status
+from clunk.core.tile import LONGEST_PATTERN
+from clunk.results.labels import flanks_of_label
+from clunk.study.axes import variable_of
+from clunk.study.designs import Column, Design
+from clunk.study.document import dotted
+from clunk.study.keys import key_at
+from clunk.study.parameters import located, nominal_value, parameters
+from clunk.study.study import Study
+from clunk.study.sweeps import Draw
+from clunk.sweeping.assembly import flanks_of
+from clunk.sweeping.cells import Grid, Systems
+from clunk.sweeping.engines import Stop, available_cores, run_tile
+
+FloatArray = npt.NDArray[np.float64]
+Cells = npt.NDArray[np.intp]
+Records = npt.NDArray[np.void]
+Worth = Callable[[Records], npt.NDArray[np.bool_]]
+
+# A candidate's run at a measured operating point: the flanks as bits behind a leading 1 (0: failed), the distance to
+# the measured label, the number of the axis along which it was found (-1: nowhere), the signed change there, the misfit
+# of the impacts' measured quantities, and the run's status.
+MATCH = np.dtype(
+    [("pattern", "u8"), ("distance", "f8"), ("axis", "i8"), ("change", "f8"), ("misfit", "f8"), ("status", "u1")]
+)
+
+RINGS = (0.1, 0.3, 0.9)  # logarithm of the changes at which the measured label is looked for
+_HALVINGS = 3  # of the last ring's width
+_EDIT = 0.5  # distance of each impact too many or too few, beyond the last ring
+_OUTLIERS = 0.02  # share of measured quantities that are far off
+_OUTLIER_SCALE = 10.0  # of these, in standard deviations
+_PIECES = 4  # for each worker, so that all end together
+
+
+class Target(NamedTuple):
+    """A measured sequence, and the measured quantities of its impacts."""
+
+    flanks: tuple[int, ...]
+    pattern: int
+    impacts: Mapping[str, Mapping[int, float]]
+    std: Mapping[str, float]
+
+
+class CandidateRuns:
+    """Runs of candidates, each a value for every prior's number, at the operating points of an experiment.
+
+    study : Study
+    experiment : Experiment
+    priors : of the numbers that make a candidate
+    engine : of threads
+    lash : position of the one that was measured
+    axes : dotted keys of the measured columns
+    wanted : patterns of the measured labels
+    count : number of runs so far
+    """
+
+    def __init__(
+        self, study: Study, experiment: Experiment, priors: Sequence[Draw], engine: Executor, lash: int = 0
+    ) -> None:
+        self.study = measuring(study, ()).model_copy(update={"sweep": None, "fit": None})
+        self.experiment, self.priors, self.lash, self.count = experiment, tuple(priors), lash, 0
+        self.axes = axes_of(self.study, experiment)
+        self.points = np.array([each.values for each in experiment.measurements])
+        self.targets = [target_of(each.label, each.impacts, each.std) for each in experiment.measurements]
+        self._speeds = np.array([each.detection_speed for each in experiment.measurements])
+        self._engine, self._workers = engine, getattr(engine, "_max_workers", None) or available_cores()
+        self._edits_of: dict[tuple[int, int], float] = {}
+        self.wanted = np.array([each.pattern for each in self.targets], np.uint64)
+        self._numbers = tuple(dict.fromkeys(name for each in self.targets for name in each.impacts))
+
+    def __call__(self, candidates: FloatArray, worth: Worth | None = None) -> Records:
+        """Run candidates, (n, priors), at all operating points.
+
+        worth : tells of MATCH without distances of missed labels, (n, points), which candidates need these, (n,) bool
+
+        Returns MATCH, (n, points); the distances are 0 of candidates that do not need them.
+        """
+        systems = Systems(self.study)  # of these candidates only: there are too many to keep
+        matches = np.zeros((len(candidates), len(self.points)), MATCH)
+        every = np.indices(matches.shape).reshape(2, -1)
+        patterns, status, impacts = self._run(
+            candidates, every[0], every[1], np.zeros((every.shape[1], len(self.axes))), systems
+        )
+        matches["pattern"], matches["status"] = (each.reshape(matches.shape) for each in (patterns, status))
+        matches["axis"] = -1
+        matches["misfit"] = self._misfits(every[1], patterns, impacts).reshape(matches.shape)
+        missed = np.flatnonzero(patterns != self.wanted[every[1]])
+        if worth is not None:
+            missed = missed[worth(matches)[every[0, missed]]]
+        self._look_around(candidates, matches.reshape(-1), missed, every, systems)
+        return matches
+
+    def _look_around(
+        self, candidates: FloatArray, matches: Records, missed: Cells, every: npt.NDArray[np.intp], systems: Systems
+    ) -> None:
+        """Find the distances of runs that missed the measured label."""
+        ways = [(axis, sign) for axis in range(len(self.axes)) for sign in (-1.0, 1.0)]
+        reach, edits = np.zeros(len(matches)), np.full(len(matches), np.inf)
+        left = missed
+        for ring, inner in zip(RINGS, (0.0, *RINGS), strict=False):
+            if not left.size:
+                return
+            runs = np.repeat(left, len(ways))
+            changes = np.zeros((runs.size, len(self.axes)))
+            for way, (axis, sign) in enumerate(ways):
+                changes[way :: len(ways), axis] = sign * ring
+            patterns, _, _ = self._run(candidates, every[0, runs], every[1, runs], changes, systems)
+            hits = (patterns == self.wanted[every[1, runs]]).reshape(-1, len(ways))
+            hit, way = hits.any(axis=1), hits.argmax(axis=1)
+            close = left[hit]
+            matches["axis"][close] = [ways[each][0] for each in way[hit]]
+            signs = np.array([ways[each][1] for each in way[hit]])
+            low, high = np.full(close.size, inner), np.full(close.size, ring)
+            for _ in range(_HALVINGS):
+                middle = (low + high) / 2.0
+                changes = np.zeros((close.size, len(self.axes)))
+                changes[np.arange(close.size), matches["axis"][close]] = signs * middle
+                patterns_there, _, _ = self._run(candidates, every[0, close], every[1, close], changes, systems)
+                there = patterns_there == self.wanted[every[1, close]]
+                low, high = np.where(there, low, middle), np.where(there, middle, high)
+            matches["distance"][close], matches["change"][close] = high, signs * high
+            for k, pattern in zip(runs, patterns, strict=True):
+                edits[k] = min(edits[k], self._edits(every[1, k], int(pattern)))
+            left = left[~hit]
+        reach[left] = RINGS[-1] + _EDIT * edits[left]
+        matches["distance"][left] = reach[left]
+
+    def _run(
+        self,
+        candidates: FloatArray,
+        candidate: Cells,
+        point: Cells,
+        changes: FloatArray,
+        systems: Systems,
+    ) -> tuple[npt.NDArray[np.uint64], npt.NDArray[np.uint8], Records]:
+        """Run candidates at changed operating points: patterns, statuses, and seen impacts with their run's number.
+
+        candidate, point : (n,) numbers, in ascending order of candidates
+        changes : (n, axes), of the logarithms of the measured values
+        """
+        values = self.values(candidates[candidate], self.points[point] * np.exp(changes))
+        allowed = np.ones(candidate.size, bool)
+        for parameter, column in values.items():
+            key = key_at(located(self.study, parameter)[0])
+            assert key is not None
+            allowed &= (column <= key.highest) & ((column > key.lowest) if key.above else (column >= key.lowest))
+        runs = np.flatnonzero(allowed)
+        patterns, status = np.zeros(candidate.size, np.uint64), np.full(candidate.size, Status.NON_FINITE, np.uint8)
+        if not runs.size:
+            return patterns, status, np.zeros(0, [("run", "i8")])
+        columns = tuple(Column(key, 0, column[runs]) for key, column in values.items())
+        grid, stop = Grid(self.study, Design((runs.size,), columns, run=0), systems), Stop()
+        self.count += runs.size
+        begins = np.flatnonzero(np.diff(candidate[runs], prepend=-1))  # no candidate is prepared twice
+        cuts = begins[np.unique(np.linspace(0, begins.size, _PIECES * self._workers + 1)[1:-1].astype(int))]
+        pieces = [piece for piece in np.split(np.arange(runs.size), np.unique(cuts)) if piece.size]
+        try:
+            tiles = list(self._engine.map(lambda cells: run_tile(grid, cells, stop), pieces))
+        finally:
+            stop.set()
+        lashes = grid.layout.lashes
+        records = np.concatenate([tile.records for tile in tiles])
+        impacts = np.concatenate([tile.details for tile in tiles])
+        row = np.repeat(np.arange(records.size), records["primary_impacts"])
+        of_lash = row % lashes == self.lash
+        impacts, row = impacts[of_lash], runs[row[of_lash] // lashes]
+        status[runs] = records["status"][self.lash :: lashes]
+        seen = impacts["closing_speed"] >= self._speeds[point[row]]
+        impacts, row = impacts[seen], row[seen]
+        counts = np.bincount(row, minlength=candidate.size)
+        behind = np.repeat(np.cumsum(counts), counts) - 1 - np.arange(row.size)  # impacts of the run behind each
+        bits = np.where(impacts["flank"] == OPPOSITE, np.uint64(1), np.uint64(0)) << np.minimum(behind, 63).astype(
+            np.uint64
+        )
+        patterns[runs] = np.uint64(1) << np.minimum(counts[runs], LONGEST_PATTERN).astype(np.uint64)
+        np.add.at(patterns, row, bits)
+        patterns[(status != Status.OK) | (counts > LONGEST_PATTERN)] = 0
+        numbered = np.zeros(row.size, [("run", "i8"), *((name, "f8") for name in self._numbers)])
+        numbered["run"] = row
+        for name in self._numbers:
+            numbered[name] = impacts[name.removeprefix("impact_")]
+        return patterns, status, numbered
+
+    def values(self, candidates: FloatArray, measured: FloatArray) -> dict[str, FloatArray]:
+        """Values of every parameter in runs of candidates, (n, priors), at measured values, (n, axes)."""
+        values = {key: measured[:, k] for k, key in enumerate(self.axes)}
+        for prior, numbers in zip(self.priors, candidates.T, strict=True):
+            before = values.get(prior.parameter, nominal_value(self.study, prior.parameter))
+            values[prior.parameter] = prior.applied(numbers, before)
+        return values
+
+    def _misfits(self, point: Cells, patterns: npt.NDArray[np.uint64], impacts: Records) -> FloatArray:
+        """Misfit of the impacts' quantities in some runs: minus the logarithm of their relative likelihood."""
+        misfits = np.zeros(point.size)
+        if not self._numbers:
+            return misfits
+        begins = np.searchsorted(impacts["run"], np.arange(point.size))
+        pairs, of_pair = np.unique(np.stack([point.astype(np.uint64), patterns]), axis=1, return_inverse=True)
+        order = np.argsort(of_pair.reshape(-1), kind="stable")
+        ends = np.cumsum(np.bincount(of_pair.reshape(-1)))
+        for (at, pattern), runs in zip(pairs.T.tolist(), np.split(order, ends[:-1]), strict=True):
+            target = self.targets[at]
+            partner = partners(target.flanks, flanks_of(pattern) if pattern else ())
+            for name, measured in target.impacts.items():
+                for number, value in measured.items():
+                    computed = impacts[name][begins[runs] + partner[number]] if number in partner else 0.0
+                    misfits[runs] += outlier_misfit((value - computed) / target.std[name])
+        return misfits
+
+    def _edits(self, point: int, pattern: int) -> float:
+        """Number of impacts too many or too few of a pattern; of a failed run, of all."""
+        if (point, pattern) not in self._edits_of:
+            flanks, computed = self.targets[point].flanks, flanks_of(pattern) if pattern else ()
+            edits = len(flanks) + len(computed) - 2 * len(partners(flanks, computed))
+            self._edits_of[point, pattern] = float(edits)
+        return self._edits_of[point, pattern]
+
+
+def axes_of(study: Study, experiment: Experiment) -> tuple[str, ...]:
+    """Dotted keys of the measured columns. Raises ExperimentError where the study has no such parameter."""
+    known = {variable_of(name): name for name in parameters(study.model_dump(exclude_none=True))}
+    for column in experiment.columns:
+        if column not in known:
+            raise ExperimentError(f"The column {column} of {experiment.name} is no parameter of this config.")
+    return tuple(dotted(located(study, known[column])[0]) for column in experiment.columns)
+
+
+def target_of(
+    label: str, impacts: Mapping[str, Mapping[int, float]] | None = None, std: Mapping[str, float] | None = None
+) -> Target:
+    """Measured sequence of a label. Raises ExperimentError where it has too many impacts."""
+    flanks = flanks_of_label(label)
+    if len(flanks) > LONGEST_PATTERN:
+        raise ExperimentError(f"{label} has {len(flanks)} primary impacts; at most {LONGEST_PATTERN} can be fitted.")
+    pattern = int("1" + "".join("1" if flank == OPPOSITE else "0" for flank in flanks), 2)
+    return Target(flanks, pattern, impacts or {}, std or {})
+
+
+def partners(measured: Sequence[int], computed: Sequence[int]) -> dict[int, int]:
+    """Impacts of two sequences that correspond: number of the measured -> number of the computed one."""
+    blocks = SequenceMatcher(None, measured, computed, autojunk=False).get_matching_blocks()
+    return {a + k: b + k for a, b, size in blocks for k in range(size)}
+
+
+def outlier_misfit(deviation: FloatArray | float) -> FloatArray:
+    """Minus the logarithm of a normal density with a few outliers, less that at 0; deviation : in standard deviations.
+
+    It grows as the square near 0 and as the logarithm far away, so that one bad value decides nothing.
+    """
+    z = np.asarray(deviation, np.float64)
+    peak = (1.0 - _OUTLIERS) + _OUTLIERS * np.sqrt(2.0 / np.pi) / _OUTLIER_SCALE
+    tail = _OUTLIERS * np.sqrt(2.0 / np.pi) / _OUTLIER_SCALE / (1.0 + (z / _OUTLIER_SCALE) ** 2)
+    return np.asarray(-np.log(((1.0 - _OUTLIERS) * np.exp(-(z**2) / 2.0) + tail) / peak))

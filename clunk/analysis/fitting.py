@@ -1,0 +1,467 @@
+"""Fit of parameters to measured sequences of impacts: the best candidate, and an ensemble of all that are probable."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.analysis.fitensemble import Population, effective_size, sample, weights_of
+from clunk.analysis.fitparts import FitError, Populations
+from clunk.analysis.fitpredictions import Prediction, left_out_groups, losses, predict_left_out, probabilities
+from clunk.analysis.fitruns import CandidateRuns, Records, axes_of, target_of
+from clunk.analysis.measurements import Experiment
+from clunk.core.sequence import label
+from clunk.core.status import Status
+from clunk.results.labels import FAILED
+from clunk.study.fits import Fit
+from clunk.study.keys import key_at
+from clunk.study.lashes import lash_position
+from clunk.study.parameters import located, nominal_value
+from clunk.study.rules import load_complaint
+from clunk.study.study import Study, to_toml
+from clunk.study.sweeps import Draw
+from clunk.sweeping.assembly import flanks_of
+from clunk.sweeping.parts import WorkingDirectory
+from clunk.sweeping.progress import Progress
+from clunk.sweeping.sweep import engine_of
+
+FloatArray = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+Patterns = npt.NDArray[np.uint64]
+
+INTERVAL = (0.05, 0.95)  # quantiles of the ensemble that bound a parameter
+UNDETERMINED = 0.7  # standard deviation, of the prior's, from which on the data leave a combination undetermined
+_NEGLIGIBLE = 30.0  # logarithm of how much less likely than the best a candidate is whose distances do not matter
+_SEARCHED = 16  # candidates of a population of the search, for each parameter
+
+
+@dataclass(frozen=True, eq=False)
+class Fewer:
+    """A fit of the first parameters alone, the others being nominal.
+
+    parameters : number of them
+    met : most labels met by any of its draws
+    predicted : number of labels predicted from the other measurements
+    effective : effective size of its ensemble
+    """
+
+    parameters: int
+    met: int
+    predicted: int
+    effective: float
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Outcome of a fit of d parameters to n measurements.
+
+    study : Study, with its [fit]
+    experiment : Experiment
+    lash : name of the lash that was measured
+    estimate : (d,) numbers of the best candidate: values, factors or offsets, as the priors draw
+    estimate_matches, nominal_matches : (n,) MATCH, of the best candidate and of the config as it is
+    coordinates : (N, d) of the ensemble's draws, in which the prior is standard normal
+    matches : (N, n) MATCH, of the ensemble's draws
+    log_density : (N,) of their proposals, over the prior
+    best_distances : (n,) least distance of any candidate's label from the measured one; 0 where one has met it
+    fewer : fits of fewer parameters
+    candidates : number that have been run
+    failed : number of candidates of which some run failed
+    """
+
+    study: Study
+    experiment: Experiment
+    lash: str
+    estimate: FloatArray
+    estimate_matches: Records
+    nominal_matches: Records
+    coordinates: FloatArray
+    matches: Records
+    log_density: FloatArray
+    best_distances: FloatArray
+    fewer: tuple[Fewer, ...]
+    candidates: int
+    failed: int
+
+    @property
+    def fit(self) -> Fit:
+        """The study's [fit]."""
+        assert self.study.fit is not None
+        return self.study.fit
+
+    @property
+    def priors(self) -> tuple[Draw, ...]:
+        """The prior of each parameter."""
+        return self.fit.parameters
+
+    @cached_property
+    def axes(self) -> tuple[str, ...]:
+        """Dotted keys of the measured columns."""
+        return axes_of(self.study, self.experiment)
+
+    @cached_property
+    def points(self) -> FloatArray:
+        """(n, axes) measured values."""
+        return np.array([each.values for each in self.experiment.measurements])
+
+    @cached_property
+    def wanted(self) -> Patterns:
+        """(n,) patterns of the measured labels."""
+        return np.array([target_of(each.label).pattern for each in self.experiment.measurements], np.uint64)
+
+    @cached_property
+    def weights(self) -> FloatArray:
+        """(N,) of the draws."""
+        return weights_of(losses(self.matches, self.wanted, self.fit), self.log_density)
+
+    @cached_property
+    def draws(self) -> FloatArray:
+        """(N, d) numbers of the ensemble's draws."""
+        return numbers_at(self.study, self.priors, self.coordinates)
+
+    @property
+    def effective(self) -> float:
+        """Effective size of the ensemble."""
+        return effective_size(self.weights)
+
+    def met(self, matches: Records) -> int:
+        """Number of labels that a candidate meets, of its (n,) MATCH."""
+        return int(np.count_nonzero(matches["pattern"] == self.wanted))
+
+    def intervals(self, shares: Sequence[float] = INTERVAL) -> FloatArray:
+        """(d, shares) quantiles of each parameter in the ensemble."""
+        return weighted_quantiles(self.draws, self.weights, shares)
+
+    def prior_intervals(self, shares: Sequence[float] = INTERVAL) -> FloatArray:
+        """(d, shares) quantiles of each prior."""
+        nominal = [nominal_value(self.study, prior.parameter) for prior in self.priors]
+        return np.array([prior.quantiles(shares, value) for prior, value in zip(self.priors, nominal, strict=True)])
+
+    @cached_property
+    def combinations(self) -> tuple[FloatArray, FloatArray]:
+        """Spread, (d,), and direction, (d, d) by row, of the ensemble's principal axes, the widest first.
+
+        Both are in the coordinates in which the prior is standard normal: a spread of 1 is the prior's.
+        """
+        offsets = self.coordinates - self.weights @ self.coordinates
+        variances, directions = np.linalg.eigh((offsets * self.weights[:, None]).T @ offsets)
+        return np.sqrt(np.maximum(variances[::-1], 0.0)), directions.T[::-1]
+
+    @cached_property
+    def probabilities(self) -> list[dict[str, float]]:
+        """Probability of each label at each measured point, the largest first."""
+        every = probabilities(self.matches["pattern"], self.weights)
+        return [{label_of(pattern): share for pattern, share in each.items()} for each in every]
+
+    @cached_property
+    def predictions(self) -> list[Prediction]:
+        """Labels predicted from other measurements, for each way to leave some out."""
+        return [
+            predict_left_out(self.matches, self.log_density, self.wanted, self.points, self.fit, groups, what)
+            for what, groups in left_out_groups(self.points, self.axes).items()
+        ]
+
+    def warnings(self) -> list[str]:
+        """Sentences on what makes the fit doubtful."""
+        sentences = []
+        count, parameters = len(self.points), len(self.priors)
+        if parameters > count:
+            sentences.append(f"There are more parameters, {parameters}, than measurements, {count}.")
+        if self.effective < self.fit.effective_draws:
+            sentences.append(
+                f"The ensemble is worth {self.effective:.0f} draws, not {self.fit.effective_draws}: its intervals are "
+                "rough; raise fit.draws."
+            )
+        predicted = int(np.count_nonzero(self.predictions[0].predicted == self.wanted))
+        best = max(self.fewer, key=lambda each: (each.predicted, -each.parameters), default=None)
+        if best is not None and best.predicted >= predicted:
+            first = "first parameter alone predicts" if best.parameters == 1 else f"first {best.parameters} predict"
+            sentences.append(
+                f"More parameters predict no better: all {parameters} predict {predicted} of {count} labels from the "
+                f"other measurements, the {first} {best.predicted}."
+            )
+        for rule in ("majority", "nearest"):
+            by_rule = int(np.count_nonzero(getattr(self.predictions[0], rule) == self.wanted))
+            if by_rule >= predicted:
+                what = {"majority": "the most frequent label", "nearest": "the label of the nearest measurement"}[rule]
+                sentences.append(f"The fit predicts {predicted} of {count} labels, and {what} predicts {by_rule}.")
+        if self.failed:
+            sentences.append(f"{self.failed:,} candidates failed at some operating points, which count as missed.")
+        return sentences
+
+
+@dataclass
+class _Best:
+    """The best candidate so far, and how near any has come to each measurement."""
+
+    wanted: Patterns
+    loss: float = math.inf
+    numbers: FloatArray = field(default_factory=lambda: np.zeros(0))
+    matches: Records | None = None
+    distances: FloatArray | float = math.inf
+    failed: int = 0
+
+    def take(self, candidates: FloatArray, matches: Records, found: FloatArray) -> None:
+        k = int(found.argmin())
+        if found[k] < self.loss:
+            self.loss, self.numbers, self.matches = float(found[k]), candidates[k], matches[k]
+        met = matches["pattern"] == self.wanted
+        # what is not met, and has no distance, was not looked for
+        distances = np.where(met, 0.0, np.where(matches["distance"] > 0.0, matches["distance"], np.inf))
+        self.distances = np.minimum(self.distances, distances.min(axis=0))
+        self.failed += int((matches["status"] != Status.OK).any(axis=1).sum())
+
+
+def fit(
+    study: Study,
+    experiment: Experiment,
+    *,
+    lash: str | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+    directory: WorkingDirectory | None = None,
+) -> Fitted:
+    """Fit the parameters of a study's [fit] to measured sequences of impacts.
+
+    Parameters
+    ----------
+    study : Study
+        With [[fit.parameters]]; its sweep is left aside.
+    experiment : Experiment
+    lash : str, optional
+        Of several lashes, the one that was measured, by name or number; by default the first.
+    workers : int, optional
+        Threads; by default one for each core that this process may use.
+    progress : callable(done, total), optional
+        Called with the number of candidates after each population.
+    directory : WorkingDirectory, optional
+        Open; finished populations are kept there, and taken up from there.
+
+    Raises
+    ------
+    FitError, ExperimentError
+        Where the measurements do not go with the study, or a prior with them.
+    """
+    check(study, experiment)
+    assert study.fit is not None
+    settings, priors = study.fit, study.fit.parameters
+    position = lash_position(lash, study.lash_names)
+    with engine_of(None, workers) as engine:
+        runs = CandidateRuns(study, experiment, priors, engine, position)
+        populations = Populations(runs, identity(study, experiment, lash), directory, progress, planned(settings))
+        best = _Best(runs.wanted)
+        nominal = np.array([nominal_number(study, prior) for prior in priors])
+        nominal_matches = populations(nominal[None], lambda matches: np.ones(1, bool))[0]
+        _search(study, populations, best, nominal)
+        ensemble, matches = _ensemble(study, populations, best, nominal, len(priors))
+        fewer = []
+        for count in range(1, len(priors)):
+            part, of_part = _ensemble(study, populations, None, nominal, count)
+            predicted = predict_left_out(
+                of_part, part.log_density, runs.wanted, runs.points, settings, range(len(runs.points)), ""
+            ).predicted
+            hits = of_part["pattern"] == runs.wanted
+            weights = weights_of(part.losses, part.log_density)
+            fewer.append(
+                Fewer(
+                    count,
+                    int(hits.sum(axis=1).max()),
+                    int((predicted == runs.wanted).sum()),
+                    effective_size(weights),
+                )
+            )
+        if progress is not None:
+            progress(populations.candidates, populations.candidates)
+    assert best.matches is not None
+    return Fitted(
+        study=study,
+        experiment=experiment,
+        lash=study.lash_names[position],
+        estimate=best.numbers,
+        estimate_matches=best.matches,
+        nominal_matches=nominal_matches,
+        coordinates=ensemble.draws,
+        matches=matches,
+        log_density=ensemble.log_density,
+        best_distances=np.asarray(best.distances),
+        fewer=tuple(fewer),
+        candidates=populations.candidates,
+        failed=best.failed,
+    )
+
+
+def _search(study: Study, populations: Populations, best: _Best, nominal: FloatArray) -> None:
+    """Look for the best candidate by differential evolution, a population a sweep."""
+    from scipy.optimize import differential_evolution
+    from scipy.stats import norm, qmc
+
+    settings = study.fit
+    assert settings is not None
+    priors, wanted = settings.parameters, best.wanted
+    size = min(max(_SEARCHED * len(priors), 32), settings.candidates)
+    if size < 5:  # of which no differential evolution is possible
+        return
+    first = qmc.Sobol(len(priors), seed=np.random.default_rng([settings.seed, 0, 1])).random(size)
+    first[0] = [_share_below(study, prior, number) for prior, number in zip(priors, nominal, strict=True)]
+    parents = np.full(size, np.inf)
+
+    def loss(trials: FloatArray) -> FloatArray:
+        nonlocal parents
+        shares = np.clip(trials.T, 1e-12, 1.0 - 1e-12)
+        candidates = numbers_at(study, priors, np.asarray(norm.ppf(shares)))
+        # a trial that cannot replace its parent whatever its distances are is not looked at further
+        matches = populations(candidates, lambda near: losses(near, wanted, settings) <= parents[: len(near)])
+        values = losses(matches, wanted, settings)
+        best.take(candidates, matches, values)
+        parents = np.minimum(parents, values)
+        return values
+
+    differential_evolution(
+        loss,
+        [(0.0, 1.0)] * len(priors),
+        init=first,
+        maxiter=max(settings.candidates // size - 1, 0),
+        tol=1e-3,
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+        seed=np.random.default_rng([settings.seed, 0, 2]),
+    )
+
+
+def _ensemble(
+    study: Study, populations: Populations, best: _Best | None, nominal: FloatArray, count: int
+) -> tuple[Population, Records]:
+    """Ensemble of the first parameters, the others being nominal, and its draws' MATCH."""
+    settings = study.fit
+    assert settings is not None
+    priors, wanted = settings.parameters, populations.runs.wanted
+    every: list[Records] = []
+    least = np.inf
+
+    def loss(draws: FloatArray) -> FloatArray:
+        nonlocal least
+        candidates = np.tile(nominal, (len(draws), 1))
+        candidates[:, :count] = numbers_at(study, priors[:count], draws)
+
+        def matters(near: Records) -> Bools:
+            bounds = losses(near, wanted, settings)
+            return np.asarray(bounds <= min(least, bounds.min()) + _NEGLIGIBLE)
+
+        matches = populations(candidates, matters)
+        values = losses(matches, wanted, settings)
+        if best is not None:
+            best.take(candidates, matches, values)
+        every.append(matches)
+        least = min(least, float(values.min()))
+        return values
+
+    population = sample(loss, count, settings.effective_draws, settings.draws, settings.seed)
+    return population, np.concatenate(every)
+
+
+# --- Parameters and their priors -------------------------------------------------------------------------------------
+
+
+def numbers_at(study: Study, priors: Sequence[Draw], coordinates: FloatArray) -> FloatArray:
+    """Numbers of some priors at coordinates, (n, priors), in which they are standard normal."""
+    from scipy.stats import norm
+
+    columns = [
+        prior.quantiles(norm.cdf(column), nominal_value(study, prior.parameter))
+        for prior, column in zip(priors, coordinates.T, strict=True)
+    ]
+    return np.stack(columns, axis=1)
+
+
+def nominal_number(study: Study, prior: Draw) -> float:
+    """Number of a prior at which its parameter has the config's value."""
+    return {"factor": 1.0, "offset": 0.0}.get(prior.draws, nominal_value(study, prior.parameter))
+
+
+def _share_below(study: Study, prior: Draw, number: float) -> float:
+    """Share of a prior below a number."""
+    shares = np.linspace(0.0, 1.0, 1025)
+    return float(np.interp(number, prior.quantiles(shares, nominal_value(study, prior.parameter)), shares))
+
+
+def weighted_quantiles(values: FloatArray, weights: FloatArray, shares: Sequence[float]) -> FloatArray:
+    """(d, shares) quantiles of the columns of values, (n, d), with weights, (n,)."""
+    quantiles = np.empty((values.shape[1], len(shares)))
+    for k, column in enumerate(values.T):
+        order = np.argsort(column, kind="stable")
+        middle = np.cumsum(weights[order]) - weights[order] / 2.0
+        quantiles[k] = np.interp(shares, middle, column[order])
+    return quantiles
+
+
+def label_of(pattern: int) -> str:
+    """Label of a pattern."""
+    return label(flanks_of(pattern)) if pattern else FAILED
+
+
+# --- What is refused before anything runs ----------------------------------------------------------------------------
+
+
+def check(study: Study, experiment: Experiment) -> None:
+    """Refuse measurements that do not go with a study. Raises FitError, ExperimentError."""
+    if study.fit is None:
+        raise FitError("There is nothing to fit: the config has no [[fit.parameters]], one for each parameter.")
+    if len(experiment.measurements) < 2:
+        raise FitError(
+            f"{experiment.name} has one measurement; a fit needs two or more, to predict each from the others."
+        )
+    axes = axes_of(study, experiment)
+    for axis in axes:
+        if (text := load_complaint(axis, study)) is not None:
+            raise FitError(f"{experiment.name}: {text}.")
+    for measurement in experiment.measurements:
+        target_of(measurement.label)
+        if "impact_severity" in measurement.impacts and study.lashes[0].contact.model == "restitution":
+            raise FitError("impact_severity is not defined for the restitution model; impact_closing_speed is.")
+        for axis, value in zip(axes, measurement.values, strict=True):
+            _check_axis(study, axis, value, f"{experiment.name}, line {measurement.line}")
+
+
+def _check_axis(study: Study, axis: str, value: float, where: str) -> None:
+    """Refuse a measured value that its key does not allow, or at which a prior makes it one. Raises FitError."""
+    assert study.fit is not None
+    key = key_at(located(study, axis)[0])
+    assert key is not None
+    if not key.allows(value):
+        raise FitError(f"{where}: found {axis} = {value:g}; it must be {key.must_be}.")
+    priors = [prior for prior in study.fit.parameters if prior.parameter == axis]
+    for prior in priors:
+        if prior.draws == "value":
+            raise FitError(
+                f'{axis} is measured: what is fitted must act on the measured values; set draws = "factor" or "offset".'
+            )
+    for numbers in product(*(prior.quantiles([0.0, 1.0], value) for prior in priors)):
+        changed = value
+        for prior, number in zip(priors, numbers, strict=True):
+            changed = float(prior.applied(number, changed))
+        if not key.allows(changed):
+            raise FitError(
+                f"{where}: the prior allows {axis} = {changed:.6g}, and it must be {key.must_be}; bound it with low "
+                "and high."
+            )
+
+
+def identity(study: Study, experiment: Experiment, lash: str | None) -> str:
+    """SHA-256 of everything that decides a fit: the study without its title and sweep, the measurements, the lash."""
+    decisive = to_toml(study.model_copy(update={"sweep": None, "title": "-"}))
+    rows = [(each.values, each.label, each.impacts, each.std, each.detection_speed) for each in experiment.measurements]
+    text = f"{decisive}\n{experiment.columns}\n{rows}\n{lash_position(lash, study.lash_names)}"
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def planned(settings: Fit) -> int:
+    """Number of candidates that a fit may take."""
+    return settings.candidates + settings.draws * len(settings.parameters)

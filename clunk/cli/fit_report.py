@@ -1,0 +1,142 @@
+"""Fits as text for 80 columns and as records for JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from clunk.analysis.fitreasons import reason_of
+from clunk.analysis.fitting import UNDETERMINED, Fitted, label_of
+from clunk.cli import phrases
+
+
+def report(fitted: Fitted) -> Iterator[str]:
+    """A fit as lines for 80 columns."""
+    yield from _labels_met(fitted)
+    yield ""
+    yield from _parameters(fitted)
+    yield ""
+    yield from _predictions(fitted)
+    yield ""
+    yield from _not_met(fitted)
+
+
+def _labels_met(fitted: Fitted) -> Iterator[str]:
+    count = len(fitted.points)
+    met, before = fitted.met(fitted.estimate_matches), fitted.met(fitted.nominal_matches)
+    yield f"labels met      {met} of {count} by the best candidate; {before} by the config as it is"
+    pairs = zip(fitted.probabilities, fitted.experiment.measurements, strict=True)
+    likely = sum(next(iter(shares)) == measurement.label for shares, measurement in pairs)
+    yield f"                {likely} of {count} are the most probable label of the ensemble"
+    yield f"ensemble        {len(fitted.weights):,} draws, worth {fitted.effective:.0f}"
+
+
+def _parameters(fitted: Fitted) -> Iterator[str]:
+    rows = [["parameter", "", "estimate", "5 %", "95 %", "prior 5 %", "95 %"]]
+    for prior, estimate, interval, before in zip(
+        fitted.priors, fitted.estimate, fitted.intervals(), fitted.prior_intervals(), strict=True
+    ):
+        numbers = [f"{number:.4g}" for number in (estimate, *interval, *before)]
+        rows.append([prior.parameter, prior.draws, *numbers])
+    yield from phrases.table(rows, [False, False] + [True] * 5)
+    yield from _undetermined(fitted)
+
+
+def _undetermined(fitted: Fitted) -> Iterator[str]:
+    spreads, directions = fitted.combinations
+    for spread, direction in zip(spreads, directions, strict=True):
+        if spread >= UNDETERMINED:
+            largest = direction[abs(direction).argmax()]
+            parts = [
+                f"{share * (1.0 if largest > 0.0 else -1.0):+.2f} {prior.parameter}"
+                for share, prior in zip(direction, fitted.priors, strict=True)
+                if abs(share) > 0.2 * abs(largest)
+            ]
+            left = f"{spread:.0%} of the prior's spread is left"
+            text = f"undetermined: {' '.join(parts)} (in the priors' standard deviations), {left}"
+            yield phrases.fill(text, "  ", "    ")
+
+
+def _predictions(fitted: Fitted) -> Iterator[str]:
+    count = len(fitted.points)
+    rows = [["left out at a time", "predicted", "most frequent", "nearest", "worth"]]
+    for each in fitted.predictions:
+        hits = [str(int((labels == fitted.wanted).sum())) for labels in (each.predicted, each.majority, each.nearest)]
+        what = "a measurement" if each.what == "measurement" else f"a value of {each.what}"
+        rows.append([what, *hits, f"{each.effective:.0f}"])
+    yield f"labels predicted from the other measurements, of {count}"
+    yield from phrases.table(rows, [False] + [True] * 4)
+    if fitted.fewer:
+        yield ""
+        yield "fits of fewer parameters, the others as in the config"
+        rows = [["parameters", "most met", "predicted", "worth"]]
+        for few in fitted.fewer:
+            rows.append([str(few.parameters), str(few.met), str(few.predicted), f"{few.effective:.0f}"])
+        yield from phrases.table(rows, [True] * 4)
+
+
+def _not_met(fitted: Fitted) -> Iterator[str]:
+    """Measurements that the best candidate does not meet, and what would have to change."""
+    missed = [k for k, match in enumerate(fitted.estimate_matches) if match["pattern"] != fitted.wanted[k]]
+    if not missed:
+        yield "The best candidate meets all labels."
+        return
+    yield "not met by the best candidate"
+    for k in missed:
+        measurement, match = fitted.experiment.measurements[k], fitted.estimate_matches[k]
+        at = ", ".join(f"{axis} = {value:g}" for axis, value in zip(fitted.axes, measurement.values, strict=True))
+        nobody = "" if fitted.best_distances[k] == 0.0 else "; no candidate meets it"
+        computed = label_of(int(match["pattern"]))
+        yield phrases.fill(f"{at}: measured {measurement.label}, computed {computed}{nobody}", "  ", "    ")
+        yield phrases.fill(reason_of(fitted, k), "    ", "    ")
+
+
+def as_record(fitted: Fitted) -> dict[str, object]:
+    """A fit for JSON."""
+    wanted = fitted.wanted
+    return {
+        "title": fitted.study.title,
+        "measurements": fitted.experiment.name,
+        "points": len(wanted),
+        "met": fitted.met(fitted.estimate_matches),
+        "met_by_config": fitted.met(fitted.nominal_matches),
+        "candidates": fitted.candidates,
+        "draws": len(fitted.weights),
+        "effective_draws": fitted.effective,
+        "parameters": [
+            prior.model_dump(exclude_none=True)
+            | {"estimate": float(estimate), "interval": interval.tolist(), "prior_interval": before.tolist()}
+            for prior, estimate, interval, before in zip(
+                fitted.priors, fitted.estimate, fitted.intervals(), fitted.prior_intervals(), strict=True
+            )
+        ],
+        "combinations": [
+            {"spread": float(spread), "direction": direction.tolist()}
+            for spread, direction in zip(*fitted.combinations, strict=True)
+        ],
+        "predictions": [
+            {"left_out": each.what, "effective_draws": each.effective}
+            | {name: int((getattr(each, name) == wanted).sum()) for name in ("predicted", "majority", "nearest")}
+            for each in fitted.predictions
+        ],
+        "fewer": [vars(each) for each in fitted.fewer],
+        "measured": [
+            {
+                "at": dict(zip(fitted.axes, measurement.values, strict=True)),
+                "label": measurement.label,
+                "computed": label_of(int(match["pattern"])),
+                "probabilities": shares,
+                "met_by_some": bool(best == 0.0),
+            }
+            | ({} if match["pattern"] == wanted[k] else {"reason": reason_of(fitted, k)})
+            for k, (measurement, match, shares, best) in enumerate(
+                zip(
+                    fitted.experiment.measurements,
+                    fitted.estimate_matches,
+                    fitted.probabilities,
+                    fitted.best_distances,
+                    strict=True,
+                )
+            )
+        ],
+        "warnings": fitted.warnings(),
+    }

@@ -1,0 +1,210 @@
+"""Fits to measured sequences: known parameters are recovered, a stopped fit goes on, and bad input is refused."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from clunk.analysis import fitfile, fitting
+from clunk.analysis.fitensemble import effective_size, sample, weights_of
+from clunk.analysis.fitparts import FitError
+from clunk.analysis.fitpredictions import losses
+from clunk.analysis.fitreasons import order_of_events, reason_of
+from clunk.analysis.fitruns import MATCH, outlier_misfit, partners
+from clunk.analysis.measurements import Experiment, ExperimentError, experiment_of
+from clunk.api import run_points
+from clunk.cli import cli
+from clunk.results.labels import flanks_of_label
+from clunk.study.config import study_from_text
+from clunk.study.fits import Fit
+from clunk.study.problems import ConfigError
+from clunk.study.study import Study, digest
+from clunk.sweeping.parts import WorkingDirectory
+
+RIG = '[driveline]\npreset = "boere-2008"\n[solver]\nmethod = "exact"\nend_time = 1.0\n'
+SMALL = "[fit]\ncandidates = 64\ndraws = 128\neffective_draws = 20\n"
+PRIOR = '[[fit.parameters]]\nparameter = "{}"\ndistribution = "uniform"\ndraws = "{}"\nlow = {}\nhigh = {}\n'
+GAP = PRIOR.format("lash.backlash_deg", "factor", 0.7, 1.6)
+TRUE_GAP = 1.3  # of the model over the measured one
+
+
+def study_of(*priors: str, fit: str = SMALL) -> Study:
+    return study_from_text(RIG + fit + "".join(priors))
+
+
+@pytest.fixture(scope="module")
+def measured() -> Experiment:
+    """Runs of the rig at gaps that were measured too small, with times."""
+    ratios, gaps = (each.ravel() for each in np.meshgrid([2.0, 4.0, 6.0, 9.0], [3.0, 8.0]))
+    runs = run_points(study_from_text(RIG), {"load.ratio": ratios, "lash.backlash_deg": TRUE_GAP * gaps})
+    lines = ["load_ratio,lash_backlash_deg,label,impact_time_1,impact_time_std"]
+    for k, (ratio, gap) in enumerate(zip(ratios, gaps, strict=True)):
+        lines.append(f"{ratio},{gap},{runs.label_map[k]},{runs.impact_time[runs.first_impact[k]]:.6f},0.0005")
+    return experiment_of("\n".join(lines), "rig.csv")
+
+
+@pytest.mark.parametrize(("text", "letters"), [("NI", ""), ("DS(1)SS(1)", "OII"), ("OS(1)DS(2)CR(1)", "OOIOIO")])
+def test_a_label_has_the_flanks_of_its_excursions(text: str, letters: str) -> None:
+    assert "".join("O" if flank > 0 else "I" for flank in flanks_of_label(text)) == letters
+
+
+@pytest.mark.parametrize("text", ["CR(2)", "DS(1)OS(1)", "OS(1)SS(1)", "CR(1)SS(1)"])
+def test_a_label_of_no_sequence_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="no sequence"):
+        flanks_of_label(text)
+
+
+def test_importance_sampling_finds_a_gaussian_posterior_far_from_the_prior() -> None:
+    # likelihood N(3, 0.05²) in the first coordinate: posterior mean 3/(1 + 0.05²), spread about 0.05; the second: prior
+    population = sample(lambda draws: (draws[:, 0] - 3.0) ** 2 / (2 * 0.05**2), 2, effective=500, most=8192, seed=1)
+    weights = weights_of(population.losses, population.log_density)
+    assert effective_size(weights) >= 500
+    mean = weights @ population.draws
+    spread = np.sqrt(weights @ (population.draws - mean) ** 2)
+    # standard errors with 500 draws: 1/sqrt(500) = 0.045 of a spread; four of them
+    expected = np.array([0.05 / np.sqrt(1.0025), 1.0])
+    assert np.all(np.abs(mean - [3.0 / 1.0025, 0.0]) < 4 * 0.045 * expected)
+    np.testing.assert_allclose(spread, expected, rtol=4 * 0.045 / np.sqrt(2.0))
+
+
+def test_one_bad_time_costs_its_logarithm_and_no_more() -> None:
+    assert outlier_misfit(0.0) == 0.0
+    assert outlier_misfit(1.0) == pytest.approx(0.5, rel=0.01)  # normal near 0
+    assert outlier_misfit(1e4) < 2.5 * outlier_misfit(1e2)
+
+
+def test_a_miss_more_costs_less_where_many_are_missed_and_grows_with_the_distance() -> None:
+    fit = Fit.model_validate({"parameters": ({"parameter": "load.ratio", "distribution": "normal", "std": 1.0},)})
+    wanted = np.full(20, 2, np.uint64)
+    matches = np.zeros((21, 20), MATCH)
+    for misses in range(21):
+        matches["pattern"][misses] = np.where(np.arange(20) < misses, 3, 2)
+    costs = np.diff(losses(matches, wanted, fit))
+    assert costs[0] > 2.0
+    assert np.all(np.diff(costs) < 0.0)
+    far = matches.copy()
+    far["distance"][:, 0] = 0.2
+    assert losses(far, wanted, fit)[5] - losses(matches, wanted, fit)[5] == pytest.approx(0.2 / fit.scatter)
+
+
+def test_impacts_of_two_sequences_correspond_by_their_flanks() -> None:
+    assert partners((1, -1, -1), (1, -1, 1, -1, -1)) in ({0: 2, 1: 3, 2: 4}, {0: 0, 1: 1, 2: 4})
+    assert partners((-1,), ()) == {}
+
+
+@pytest.mark.parametrize(
+    ("measured", "computed", "words"),
+    [
+        ("SS(1)", "DS(1)", "Impact 1 would have to be on the initial flank"),
+        ("DS(2)", "DS(1)SS(1)", "Impact 3 would have to be on the opposite flank"),
+        ("DS(1)SS(1)", "DS(1)", "once more"),
+        ("NI", "SS(1)", "stay at the initial flank"),
+    ],
+)
+def test_reasons_name_the_first_impact_that_differs(measured: str, computed: str, words: str) -> None:
+    assert words in order_of_events(flanks_of_label(measured), flanks_of_label(computed))
+
+
+def test_a_fit_recovers_the_scale_of_the_gap_and_comes_back_from_its_file(measured: Experiment, tmp_path: Path) -> None:
+    fitted = fitting.fit(study_of(GAP), measured)
+    assert fitted.met(fitted.estimate_matches) == len(measured.measurements)
+    low, high = fitted.intervals()[0]
+    assert low <= TRUE_GAP <= high
+    assert high - low < 0.1  # eight times known to 0.5 ms leave about 0.05, a single one 0.15
+    assert fitted.estimate[0] == pytest.approx(TRUE_GAP, abs=0.05)
+    assert fitted.combinations[0][0] < 0.3
+    path = tmp_path / "fit.h5"
+    fitfile.save(path, fitted, None)
+    again, identity = fitfile.load(path)
+    assert identity == fitting.identity(study_of(GAP), measured, None)
+    assert np.array_equal(again.matches, fitted.matches)
+    assert again.probabilities == fitted.probabilities
+    assert again.warnings() == fitted.warnings()
+
+
+def test_a_fit_that_is_stopped_goes_on_to_the_same_result(measured: Experiment, tmp_path: Path) -> None:
+    study, calls = study_of(GAP), 0
+
+    def stop_in_the_ensemble(_done: int, _planned: int) -> None:
+        nonlocal calls
+        calls += 1
+        if calls == 4:
+            raise KeyboardInterrupt
+
+    whole = fitting.fit(study, measured)
+    with WorkingDirectory(tmp_path / "fit.h5") as directory:
+        with pytest.raises(KeyboardInterrupt):
+            fitting.fit(study, measured, directory=directory, progress=stop_in_the_ensemble)
+        kept = len(directory.parts())
+        again = fitting.fit(study, measured, directory=directory)
+    assert kept == 4
+    assert np.array_equal(again.matches, whole.matches)
+    assert np.array_equal(again.estimate, whole.estimate)
+    assert again.effective == whole.effective
+
+
+def test_a_measured_label_that_nobody_meets_is_missed_with_a_reason(measured: Experiment) -> None:
+    first, *others = measured.measurements
+    wrong = replace(measured, measurements=(replace(first, label="DS(9)"), *others))
+    fitted = fitting.fit(study_of(GAP), wrong)
+    assert fitted.best_distances[0] > 0.9  # beyond the last ring
+    assert fitted.met(fitted.estimate_matches) == len(measured.measurements) - 1
+    assert fitted.intervals()[0, 0] <= TRUE_GAP <= fitted.intervals()[0, 1]
+    assert "No change of one measured value" in reason_of(fitted, 0)
+
+
+def test_a_fit_does_not_change_the_digest_of_a_sweep() -> None:
+    assert digest(study_of(GAP)) == digest(study_from_text(RIG))
+
+
+HEADER = "load_ratio,lash_backlash_deg,label"
+CSV = HEADER + "\n2,3,SS(1)\n5,6,DS(1)SS(1)\n"
+SPEED = HEADER + ",impact_closing_speed_{0},impact_closing_speed_std\n2,3,SS(1),1,{1}\n5,6,SS(1),,\n"
+SEVERITY = HEADER + ",impact_severity_1,impact_severity_std\n2,3,SS(1),1,1\n5,6,SS(1),1,1\n"
+
+
+@pytest.mark.parametrize(
+    ("config", "csv", "words"),
+    [
+        ("", CSV, "nothing to fit: the config has no [[fit.parameters]]"),
+        (GAP, CSV.replace("SS(1)\n5", "CR(2)\n5"), 'line 2: "CR(2)" is no label of any sequence'),
+        (GAP, HEADER + "\n2,3,SS(1)\n", "has one measurement"),
+        (GAP, SPEED.format(2, 1), "impact_closing_speed_2 is given, and SS(1) has 1 primary impact"),
+        (GAP, SPEED.format(1, ""), "without its standard deviation"),
+        (GAP, CSV.replace("load_ratio", "load_initial_torque"), "the load is given by"),
+        (GAP.replace("factor", "value"), CSV, "must act on the measured values"),
+        (PRIOR.format("lash.backlash_deg", "offset", -4.0, 4.0), CSV, "line 2: the prior allows lash.backlash_deg ="),
+        (
+            PRIOR.format("driveline.inertias[4]", "factor", -1.0, 1.0),
+            CSV,
+            "it allows -0.002; it must be a number",
+        ),
+        (PRIOR.format("driveline.inertia", "factor", 0.5, 1.0), CSV, "no key"),
+        (PRIOR.format("load.on", "factor", 0.5, 1.0), CSV, "cannot be drawn"),
+        (GAP + GAP, CSV, "fitted by fit.parameters[1] already"),
+        ('[lash.contact]\nmodel = "restitution"\n' + GAP, SEVERITY, "not defined for the restitution model"),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused_at_once(config: str, csv: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_text(RIG + config)
+    (tmp_path / "rig.csv").write_text(csv)
+    ran = CliRunner().invoke(cli, ["fit", str(tmp_path / "rig.toml"), str(tmp_path / "rig.csv")])
+    assert ran.exit_code == 1
+    assert isinstance(ran.exception, ConfigError | FitError | ExperimentError)
+    assert words in " ".join(str(ran.exception).split())
+
+
+def test_more_parameters_than_measurements_are_warned_of(tmp_path: Path) -> None:
+    names = ["lash.contact.damping", "driveline.shafts[3].damping"]
+    fit = "[fit]\ncandidates = 1\ndraws = 64\neffective_draws = 1\n"
+    priors = "".join(PRIOR.format(name, "factor", 0.9, 1.1) for name in names)
+    (tmp_path / "rig.toml").write_text(RIG + fit + GAP + priors)
+    (tmp_path / "rig.csv").write_text(CSV)
+    command = ["fit", str(tmp_path / "rig.toml"), str(tmp_path / "rig.csv"), "-o", str(tmp_path / "fit.h5")]
+    first, second = (CliRunner().invoke(cli, command) for _ in range(2))
+    assert first.exit_code == second.exit_code == 0
+    assert "more parameters, 3, than measurements, 2" in " ".join(first.output.split())
+    assert first.stdout == second.stdout
+    assert "already complete" in second.output
