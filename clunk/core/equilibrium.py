@@ -1,4 +1,7 @@
-"""Steady motion in contact, before the load step: angles and contact torque, per unit of load and gap."""
+"""Steady motion in contact, before the load step: angles and contact torque, per unit of load and gap.
+
+Numbers of drivelines have their usual shape for one, and an axis more in front for each of a batch.
+"""
 
 import numpy as np
 import numpy.typing as npt
@@ -23,29 +26,43 @@ def preload(
         Stiffnesses of the contacts; without them q is locked.
     """
     if contact is None:
-        n = load.size
+        n = load.shape[-1]
         expand, _, shift = (part[:n] for part in constrained(lashes, [1] * len(lashes)))
         basis = expand[:, : expand.shape[1] // 2]
-        forces = np.column_stack([load, -stiffness @ shift])
-        kept = np.column_stack([np.zeros(momentum.shape[1]), -momentum.T @ shift])
+        forces = _beside(load, -stiffness @ shift)
+        momenta = -np.swapaxes(momentum, -1, -2) @ shift
+        kept = _beside(np.zeros(momenta.shape[:-1]), momenta)
         rest: FloatArray = basis @ _solve(basis.T @ stiffness @ basis, basis.T @ forces, basis.T @ momentum, kept)
-        rest[:, 1:] += shift
+        rest[..., 1:] += shift
         return rest
     closed = stiffness
-    for lash, contact_stiffness in zip(lashes, contact, strict=True):
-        closed = closed + contact_stiffness * lash[:, None] * lash
-    forces = np.column_stack([load, *(contact[:, None] * lashes)])
-    return _solve(closed, forces, momentum, np.zeros((momentum.shape[1], 1 + len(lashes))))
+    for k, lash in enumerate(lashes):
+        closed = closed + contact[..., k, None, None] * lash[:, None] * lash
+    forces = _beside(load, np.swapaxes(contact[..., None] * lashes, -1, -2))
+    return _solve(closed, forces, momentum, np.zeros((*momentum.shape[:-2], momentum.shape[-1], 1 + len(lashes))))
+
+
+def _beside(column: FloatArray, columns: FloatArray) -> FloatArray:
+    """A column in front of others."""
+    return np.concatenate([np.broadcast_to(column, columns.shape[:-1])[..., None], columns], axis=-1)
 
 
 def _solve(matrix: FloatArray, forces: FloatArray, momentum: FloatArray, kept: FloatArray) -> FloatArray:
     """The angles at which a stiffness matrix balances forces and whose momenta, if there are any, are `kept`."""
-    count = momentum.shape[1]
+    n, count = momentum.shape[-2:]
     if not count:
         return np.asarray(np.linalg.solve(matrix, forces), np.float64)
-    scale = np.abs(matrix).max(initial=0.0) / np.abs(momentum).max() or 1.0
-    bordered = np.block([[matrix, scale * momentum], [scale * momentum.T, np.zeros((count, count))]])
-    return np.asarray(np.linalg.solve(bordered, np.vstack([forces, scale * kept]))[: len(matrix)], np.float64)
+    scale = _largest(matrix) / _largest(momentum)
+    scale = np.where(scale > 0.0, scale, 1.0)[..., None, None]
+    bordered = np.zeros((*matrix.shape[:-2], n + count, n + count))
+    bordered[..., :n, :n], bordered[..., :n, n:] = matrix, scale * momentum
+    bordered[..., n:, :n] = scale * np.swapaxes(momentum, -1, -2)
+    right = np.concatenate([forces, scale * kept], axis=-2)
+    return np.asarray(np.linalg.solve(bordered, right)[..., :n, :], np.float64)
+
+
+def _largest(matrices: FloatArray) -> FloatArray:
+    return np.asarray(np.abs(matrices).max(axis=(-2, -1), initial=0.0))
 
 
 def contact_torques(
@@ -60,14 +77,14 @@ def contact_torques(
     angles : (n, 1 + L) float64
     """
     count = len(lashes)
-    torques = np.zeros((count, 1 + count))
+    torques = np.zeros((*angles.shape[:-2], count, 1 + count))
     if contact is not None:
-        torques[:] = contact[:, None] * (lashes @ angles - np.eye(count, 1 + count, 1))
+        torques[:] = contact[..., None] * (lashes @ angles - np.eye(count, 1 + count, 1))
     missing = -stiffness @ angles - lashes.T @ torques
-    missing[:, 0] += load
+    missing[..., 0] += load
     torques += np.linalg.pinv(lashes.T) @ missing
     # a load that does not reach the lash, or a gap that does not load it, leaves rounding only
-    scale = np.full(1 + count, np.abs(stiffness).max(initial=0.0) + 1e-300)
-    scale[0] = 1.0
+    scale = np.ones((*angles.shape[:-2], 1, 1 + count))
+    scale[..., 1:] = _largest(stiffness)[..., None, None] + 1e-300
     torques[np.abs(torques) <= 1e-11 * scale] = 0.0
     return torques

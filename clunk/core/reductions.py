@@ -16,13 +16,13 @@ _FITS = 1e-9  # a rate across a lash, relative to those of its ends, that is rou
 def chain(
     inertia: FloatArray, damping: FloatArray, stiffness: FloatArray, load: FloatArray, driven: int = INPUTS
 ) -> tuple[FloatArray, FloatArray]:
-    """A and B of M θ'' + C θ' + K θ = b T, where B has `driven` columns."""
-    n = inertia.size
-    rates, inputs = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, driven))
-    rates[:n, n:] = np.eye(n)
-    rates[n:, :n] = -stiffness / inertia[:, None]
-    rates[n:, n:] = -damping / inertia[:, None]
-    inputs[n:, TORQUE] = load / inertia
+    """A and B of M θ'' + C θ' + K θ = b T, where B has `driven` columns; of one driveline, or of each of a batch."""
+    *batch, n = inertia.shape
+    rates, inputs = np.zeros((*batch, 2 * n, 2 * n)), np.zeros((*batch, 2 * n, driven))
+    rates[..., :n, n:] = np.eye(n)
+    rates[..., n:, :n] = -stiffness / inertia[..., None]
+    rates[..., n:, n:] = -damping / inertia[..., None]
+    inputs[..., n:, TORQUE] = load / inertia
     return rates, inputs
 
 
@@ -38,17 +38,18 @@ def locked(
     closed : (L,) of int
         Whether each is.
     """
-    n = inertia.size
+    n = inertia.shape[-1]
     rates, inputs = rates.copy(), inputs.copy()
     basis = constrained(lashes, closed).expand[:n]
     for matrix in (rates, inputs):
-        matrix[n:][~basis.any(axis=1)] = 0.0  # tied to ground
+        matrix[..., n:, :][..., ~basis.any(axis=1), :] = 0.0  # tied to ground
         for column in basis[:, : basis.shape[1] // 2].T:
             tied = np.flatnonzero(column)
             if tied.size > 1:
-                motion, inertias = column[tied], inertia[tied]
-                torques = (inertias * motion) @ matrix[n + tied]
-                matrix[n + tied] = motion[:, None] * (torques / np.sum(inertias * motion**2))
+                motion, inertias = column[tied], inertia[..., tied]
+                torques = (inertias * motion)[..., None, :] @ matrix.take(n + tied, axis=-2)
+                together = np.sum(inertias * motion**2, axis=-1)[..., None, None]
+                matrix[..., n + tied, :] = motion[:, None] * (torques / together)
     return rates, inputs
 
 

@@ -94,6 +94,12 @@ class System(NamedTuple):
     status: int  # why this system cannot be run, or OK
 
 
+# the fields that have an axis more in front in the systems of a batch: all others are the same in all of it
+OF_EACH = (
+    *("rates", "inputs", "functionals", "feedthrough", "offsets", "impulse", "restitution", "locking_speed"),
+    *("preload", "contact_torque", "sticking_time"),
+)
+
 gap_input = unowned_inlined(half_gap_of)
 
 
@@ -149,8 +155,8 @@ class RigidMotion(NamedTuple):
     """Motion of a driveline that twists no spring and no closed lash, if there is one, and what keeps it up."""
 
     shape: FloatArray  # (n, k)  speeds, relative to each other, of each of the k motions; more than one are refused
-    speeds: FloatArray  # (n,)  constant speeds under a load of 1 N m, where dampers resist  [rad/s]
-    accelerations: FloatArray  # (n,)  where none does  [rad/s2]
+    speeds: FloatArray  # (…, n)  constant speeds under a load of 1 N m, where dampers resist  [rad/s]
+    accelerations: FloatArray  # (…, n)  where none does  [rad/s2]
     is_dragged: bool  # whether dampers resist
 
 
@@ -181,6 +187,9 @@ def build_system(
 ) -> System:
     """The switched linear system of a driveline with lashes (report Eqs 2.6, and 2.12 or 2.9).
 
+    Or those of a batch of drivelines alike but for numbers, without staged shafts and frictions: inertias, dampings,
+    stiffnesses, speeds and the numbers of lashes then have an axis more in front, and so have the fields of `OF_EACH`.
+
     Parameters
     ----------
     inertia : (n,) float64  [kg m2]
@@ -201,37 +210,37 @@ def build_system(
         Shafts whose stiffness is not part of `stiffness`.
     frictions : of Friction
     """
-    n, count, stride = inertia.size, len(lashes), functionals_of(lashes)
+    (*batch, n), count, stride = inertia.shape, len(lashes), functionals_of(lashes)
     impulsive, constants = lashes[0].restitution is not None, INPUTS + count - 1
     rubbing, twists = constants + len(staged), np.array([lash.twist for lash in lashes])
     driven, every = rubbing + OF_FRICTION * len(frictions), flows_of(count, staged, len(frictions))
-    mobility = (twists**2 / inertia).sum(axis=1)
+    mobility = (twists**2 / inertia[..., None, :]).sum(axis=-1)
 
     def flow_of(active: FlowOf) -> tuple[FloatArray, FloatArray]:
         return _flow(inertia, damping, stiffness, load, lashes, staged, frictions, active)
 
-    rates, inputs = zip(*map(flow_of, every), strict=True)
+    rates, inputs = (np.stack(matrices, axis=-3) for matrices in zip(*map(flow_of, every), strict=True))
     first_rate = count * stride + len(staged)
-    functionals = np.zeros((len(rates), first_rate + OF_FRICTION * len(frictions), 2 * n))
-    feedthrough = np.zeros((*functionals.shape[:2], driven))
+    functionals = np.zeros((*batch, len(every), first_rate + OF_FRICTION * len(frictions), 2 * n))
+    feedthrough = np.zeros((*functionals.shape[:-1], driven))
     for k, lash in enumerate(lashes):
-        of_lash, fed = functionals[:, k * stride :], feedthrough[:, k * stride :]
-        of_lash[:, GAP, :n] = lash.twist
-        of_lash[:, ACCELERATION] = np.array(rates)[:, n + lash.acceleration_of]
-        fed[:, ACCELERATION] = np.array(inputs)[:, n + lash.acceleration_of]
+        of_lash, fed = functionals[..., k * stride :, :], feedthrough[..., k * stride :, :]
+        of_lash[..., GAP, :n] = lash.twist
+        of_lash[..., ACCELERATION, :] = rates[..., n + lash.acceleration_of, :]
+        fed[..., ACCELERATION, :] = inputs[..., n + lash.acceleration_of, :]
         if impulsive:  # the torque that keeps q'' at zero, also where nothing does
             for flow, active in enumerate(every):
                 opened = active._replace(closed=(*active.closed[:k], 0, *active.closed[k + 1 :]))
                 free_rates, free_inputs = flow_of(opened)
-                yielding = mobility[k]
-                of_lash[flow, FORCE] = lash.twist @ free_rates[n:] / yielding
-                fed[flow, FORCE] = lash.twist @ free_inputs[n:] / yielding
+                yielding = mobility[..., k, None]
+                of_lash[..., flow, FORCE, :] = lash.twist @ free_rates[..., n:, :] / yielding
+                fed[..., flow, FORCE, :] = lash.twist @ free_inputs[..., n:, :] / yielding
         elif lash.separation_by_force:
-            of_lash[:, FORCE, :n] = lash.stiffness * lash.twist
-            of_lash[:, FORCE, n:] = lash.damping * lash.twist
+            of_lash[..., FORCE, :n] = _in_each_flow(lash.stiffness) * lash.twist
+            of_lash[..., FORCE, n:] = _in_each_flow(lash.damping) * lash.twist
     for k, shaft in enumerate(staged, count * stride):
         functionals[:, k, :n] = shaft.twist
-    excess = np.zeros(len(rates), np.int64)
+    excess = np.zeros(len(every), np.int64)
     for k, friction in enumerate(frictions):
         rate, torque = first_rate + OF_FRICTION * k + RATE, rubbing + OF_FRICTION * k
         for flow, active in enumerate(every):
@@ -247,31 +256,36 @@ def build_system(
 
     motions = rigid.shape.shape[1]
     springs = [stiffness + _of_stages(staged, stages) for stages in stages_of(staged)]
-    steady, carried = np.zeros((len(springs), 2 * n, driven)), np.zeros((len(springs), count, driven))
-    inertial = load - damping @ rigid.speeds - inertia * rigid.accelerations if motions else load
+    steady = np.zeros((*batch, len(springs), 2 * n, driven))
+    carried = np.zeros((*batch, len(springs), count, driven))
+    inertial = load
+    if motions:
+        inertial = load - (damping @ rigid.speeds[..., None])[..., 0] - inertia * rigid.accelerations
     by_load = [TORQUE, *map(half_gap_of, range(count))]
     for k, spring in enumerate(springs if motions <= 1 else []):
-        momentum = inertia[:, None] * rigid.shape
+        momentum = inertia[..., None] * rigid.shape
         if staged and _is_loose(spring, inertia, twists, motions):
             steady[k] = np.nan  # no equilibrium, or many
             continue
-        contact = None if impulsive else np.array([lash.stiffness for lash in lashes])
+        contact = None if impulsive else _of_lashes([lash.stiffness for lash in lashes])
         angles = preload(spring, inertial, twists, momentum, contact)
-        steady[k, :n, by_load], steady[k, n:, TORQUE] = angles.T, rigid.speeds
-        carried[k][:, by_load] = contact_torques(spring, inertial, twists, contact, angles)
+        moving, held_by = steady[..., k, :, :], carried[..., k, :, :]
+        moving[..., :n, by_load], moving[..., n:, TORQUE] = angles, rigid.speeds
+        held_by[..., by_load] = contact_torques(spring, inertial, twists, contact, angles)
         for j, shaft in enumerate(staged, constants):
             angles = preload(spring, -shaft.twist, twists, momentum, contact)
             steady[k, :n, j] = angles[:, 0]
             carried[k, :, j] = contact_torques(spring, -shaft.twist, twists, contact, angles)[:, 0]
     zeros, tables = np.zeros((count, n)), build_tables(lashes, staged, frictions)
+    tables = tables._replace(offsets=np.array(np.broadcast_to(tables.offsets, (*batch, *tables.offsets.shape[-3:]))))
     for k in range(len(frictions)):  # a rate that stays zero ends nothing
         rate = first_rate + OF_FRICTION * k + RATE
         is_held = ~functionals[tables.regimes["flow"], rate].any(axis=1)[:, None]
         tables.offsets[is_held & (tables.guards["functional"] == rate), rubbing + OF_FRICTION * k] = 1.0
     system = System(
         general=() if count == 1 and not staged and not frictions else (0,),
-        rates=np.array(rates),
-        inputs=np.array(inputs),
+        rates=rates,
+        inputs=inputs,
         functionals=functionals,
         feedthrough=feedthrough,
         stride=stride,
@@ -280,10 +294,10 @@ def build_system(
         ramps=int(ramps),
         **tables._asdict(),
         impulsive=int(impulsive),
-        impulse=np.hstack([zeros, twists / inertia / mobility[:, None]]),
-        restitution=np.array([lash.restitution or 0.0 for lash in lashes]),
-        locking_speed=np.array(
-            [-LOCKING_SHARE if lash.locking_speed is None else lash.locking_speed for lash in lashes]
+        impulse=_behind_zeros(twists / inertia[..., None, :] / mobility[..., None]),
+        restitution=_of_lashes([0.0 if lash.restitution is None else lash.restitution for lash in lashes], batch),
+        locking_speed=_of_lashes(
+            [-LOCKING_SHARE if lash.locking_speed is None else lash.locking_speed for lash in lashes], batch
         ),
         frictions=np.array([[*zeros[0], *friction.twist] for friction in frictions]).reshape(-1, 2 * n),
         friction_torques=np.array([friction.torque for friction in frictions], np.float64),
@@ -292,7 +306,7 @@ def build_system(
         contact_torque=carried,
         drift=np.ascontiguousarray(np.kron(np.eye(2)[:, : 1 if rigid.is_dragged else 2], rigid.shape)),
         end_time=end_time,
-        sticking_time=np.array([lash.sticking_time for lash in lashes]),
+        sticking_time=_of_lashes([lash.sticking_time for lash in lashes], batch),
         status=int(
             Status.NO_EQUILIBRIUM if motions > 1 or any(rubs(friction, rigid) for friction in frictions) else Status.OK
         ),
@@ -311,16 +325,17 @@ def _flow(
     active: FlowOf,
 ) -> tuple[FloatArray, FloatArray]:
     """A and B of a flow: (2n, 2n), (2n, I)."""
-    n, constants = inertia.size, INPUTS + len(lashes) - 1
+    n, constants = inertia.shape[-1], INPUTS + len(lashes) - 1
     stiffness = stiffness + _of_stages(staged, active.stages)
     closed = [(k, lash) for k, lash in enumerate(lashes) if active.closed[k] and lash.restitution is None]
     for _, lash in closed:
         coupling = lash.twist[:, None] * lash.twist
-        damping, stiffness = damping + lash.damping * coupling, stiffness + lash.stiffness * coupling
+        damping = damping + _in_each_flow(lash.damping) * coupling
+        stiffness = stiffness + _in_each_flow(lash.stiffness) * coupling
     rubbing = constants + len(staged)
     rates, inputs = chain(inertia, damping, stiffness, load, rubbing + OF_FRICTION * len(frictions))
     for k, lash in closed:
-        inputs[n:, half_gap_of(k)] = lash.stiffness * lash.twist / inertia
+        inputs[..., n:, half_gap_of(k)] = np.asarray(lash.stiffness)[..., None] * lash.twist / inertia
     for k, shaft in enumerate(staged, constants):
         inputs[n:, k] = -shaft.twist / inertia
     for k, friction in enumerate(frictions):
@@ -334,18 +349,18 @@ def _flow(
 
 def _with_wave(system: System, wave_rates: FloatArray) -> System:
     """A system with two states more, w, the first of which is added to the torque."""
-    flows, size = system.rates.shape[:2]
-    rates, functionals = np.zeros((flows, size + 2, size + 2)), _wider(system.functionals)
-    rates[:, :size, :size], rates[:, size:, size:] = system.rates, wave_rates
-    rates[:, :size, size], functionals[:, :, size] = system.inputs[:, :, TORQUE], system.feedthrough[:, :, TORQUE]
+    *flows, size, _ = system.rates.shape
+    rates, functionals = np.zeros((*flows, size + 2, size + 2)), _wider(system.functionals)
+    rates[..., :size, :size], rates[..., size:, size:] = system.rates, wave_rates
+    rates[..., :size, size], functionals[..., size] = system.inputs[..., TORQUE], system.feedthrough[..., TORQUE]
     return system._replace(
         rates=rates,
-        inputs=_wider(system.inputs.swapaxes(1, 2)).swapaxes(1, 2).copy(),
+        inputs=_wider(system.inputs.swapaxes(-1, -2)).swapaxes(-1, -2).copy(),
         functionals=functionals,
         lashes=_wider(system.lashes),
         frictions=_wider(system.frictions),
         impulse=_wider(system.impulse),
-        preload=_wider(system.preload.swapaxes(1, 2)).swapaxes(1, 2).copy(),
+        preload=_wider(system.preload.swapaxes(-1, -2)).swapaxes(-1, -2).copy(),
     )
 
 
@@ -355,6 +370,21 @@ def _of_stages(staged: Sequence[StagedShaft], stages: tuple[int, ...]) -> FloatA
         shaft.stiffness[stage] * shaft.twist[:, None] * shaft.twist for shaft, stage in zip(staged, stages, strict=True)
     )
     return sum(parts, 0.0)
+
+
+def _of_lashes(numbers: Sequence[FloatArray | float], batch: Sequence[int] = ()) -> FloatArray:
+    """(…, L) a number of each lash."""
+    return np.stack([np.broadcast_to(number, batch or np.shape(number)) for number in numbers], axis=-1, dtype=float)
+
+
+def _in_each_flow(number: FloatArray | float) -> FloatArray:
+    """A number of a driveline, or of each of a batch, to be multiplied by a matrix."""
+    return np.asarray(number)[..., None, None]
+
+
+def _behind_zeros(array: FloatArray) -> FloatArray:
+    """An array whose last dimension is twice as long, by zeros in front."""
+    return np.concatenate([np.zeros_like(array), array], axis=-1)
 
 
 def _is_loose(stiffness: FloatArray, inertia: FloatArray, lashes: FloatArray, motions: int) -> bool:

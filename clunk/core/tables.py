@@ -39,6 +39,8 @@ from clunk.core.events import OPENING, REJOIN, SEPARATION, STAGE, TOUCH
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
+Number = float | FloatArray  # of a driveline, or of each in a batch, (D,)
+
 OPEN, CLOSED_POSITIVE, CLOSED_NEGATIVE, PARTED_POSITIVE, PARTED_NEGATIVE = range(5)
 TORQUE, HALF_GAP, TORQUE_RATE = range(3)
 # Of one lash; behind them the half gaps of the other lashes, a 1 for each staged shaft, and for each friction a 1 and
@@ -93,7 +95,7 @@ class Lash(NamedTuple):
     """A lash with its contact, and what is asked of it.
 
     twist : (n,) float64, q = twist · θ
-    stiffness, damping : float, of the contact  [N m/rad], [N m s/rad]
+    stiffness, damping : float or (D,) float64 in a batch of drivelines, of the contact  [N m/rad], [N m s/rad]
     acceleration_of : int, index from 0 of the inertia whose acceleration is watched
     sticking_time : float, a longer contact is sticking  [s]
     separation_by_force : bool
@@ -102,13 +104,13 @@ class Lash(NamedTuple):
     """
 
     twist: FloatArray
-    stiffness: float
-    damping: float
+    stiffness: Number
+    damping: Number
     acceleration_of: int
-    sticking_time: float
+    sticking_time: Number
     separation_by_force: bool = False
-    restitution: float | None = None
-    locking_speed: float | None = None
+    restitution: Number | None = None
+    locking_speed: Number | None = None
 
 
 class StagedShaft(NamedTuple):
@@ -155,7 +157,7 @@ class _Guard(NamedTuple):
 
     functional: int
     sign: float
-    offset: float
+    offset: Number
     successor: int = -1  # state of the element
     event_kind: int = -1
     zero_guard: int = -1  # of the element in that state
@@ -183,9 +185,9 @@ class _Element(NamedTuple):
     lash: int = -1  # its number, of a lash
 
 
-def _indentation_states(stiffness: float, damping: float, separation_by_force: bool) -> list[_State]:
+def _indentation_states(stiffness: Number, damping: Number, separation_by_force: bool) -> list[_State]:
     # at a touch the overlap is zero, but the contact force is c q' > 0, if there is damping
-    order = 0 if separation_by_force and damping > 0.0 else 1
+    order = 0 if separation_by_force and np.all(np.asarray(damping) > 0.0) else 1
     states = [_open(0 if order else -1, order)]
     for side, parted in ((1, PARTED_POSITIVE), (-1, PARTED_NEGATIVE)):
         if separation_by_force:
@@ -295,7 +297,10 @@ def flows_of(lashes: int, staged: Sequence[StagedShaft], frictions: int) -> list
 
 
 class Tables(NamedTuple):
-    """The tables of `System`: R regimes in U groups, G guards at most, L lashes, I inputs; see there."""
+    """The tables of `System`: R regimes in U groups, G guards at most, L lashes, I inputs; see there.
+
+    In a batch of drivelines whose guards differ, offsets have an axis more in front.
+    """
 
     regimes: npt.NDArray[np.void]
     contacts: npt.NDArray[np.void]
@@ -342,7 +347,8 @@ def _product(elements: list[_Element], lashes: int, inputs: int) -> Tables:
     ]
     most = max(map(len, rows))
     regimes, contacts = np.zeros(len(states), REGIME), np.zeros((len(states), lashes), CONTACT)
-    guards, offsets = np.zeros((len(states), most), GUARD), np.zeros((len(states), most, inputs))
+    batch = max((np.shape(guard.offset) for row in rows for _, guard in row), default=())
+    guards, offsets = np.zeros((len(states), most), GUARD), np.zeros((*batch, len(states), most, inputs))
     weights, leaders, alike = np.ones((len(states), inputs)), [], []
     for k, active in enumerate(states):
         flow = int(np.dot([state.flow for state in active], flow_strides[:-1]))
@@ -378,7 +384,7 @@ def _product(elements: list[_Element], lashes: int, inputs: int) -> Tables:
                 guard.makes_margin,
                 functionals.index(functionals[g]),
             )
-            offsets[k, g, element.input] = guard.offset
+            offsets[..., k, g, element.input] = guard.offset
     return Tables(regimes, contacts, guards, offsets, weights, np.array(leaders), strides)
 
 

@@ -16,7 +16,7 @@ from clunk.core.reductions import Reduction, chain, constrained
 from clunk.core.regimes import RigidMotion, System, build_system, rubs
 from clunk.core.rk4.propagator import Steps, build_steps
 from clunk.core.status import Status
-from clunk.core.tables import Friction, StagedShaft, stages_of
+from clunk.core.tables import Friction, Number, StagedShaft, stages_of
 from clunk.simulation import rigid
 from clunk.simulation.load import is_moving, run_load, wave_rates
 from clunk.simulation.phases import preload
@@ -40,7 +40,11 @@ class Modes:
 
 @dataclass(frozen=True, eq=False)
 class Driveline:
-    """The matrices of a driveline; n inertias, S shafts."""
+    """The matrices of a driveline; n inertias, S shafts.
+
+    In a batch of drivelines that are alike but for numbers, inertias, stiffnesses and dampings have an axis more in
+    front, and so have the matrices; it has neither staged shafts nor friction.
+    """
 
     names: tuple[str, ...]  # (n,)  of the inertias
     inertia: FloatArray  # (n,)  kg m2
@@ -80,12 +84,12 @@ class Driveline:
     @cached_property
     def damping(self) -> FloatArray:
         """(n, n) damping with the lash open  [N m s/rad]."""
-        return np.asarray((self.shafts.T * self.shaft_damping) @ self.shafts)
+        return _across(self.shafts, self.shaft_damping)
 
     @cached_property
     def stiffness(self) -> FloatArray:
         """(n, n) stiffness with the lash open  [N m/rad]."""
-        return np.asarray((self.shafts.T * self.shaft_stiffness) @ self.shafts)
+        return _across(self.shafts, self.shaft_stiffness)
 
     @property
     def lash(self) -> FloatArray:
@@ -110,8 +114,8 @@ class Driveline:
         damping, stiffness = self.damping, self.stiffness
         for k in np.flatnonzero(np.broadcast_to(closed, len(self.lashes))):
             coupling = np.outer(self.lashes[k], self.lashes[k])
-            damping = damping + self.contact_dampings[k] * coupling
-            stiffness = stiffness + self.contact_stiffnesses[k] * coupling
+            damping = damping + self.contact_dampings[..., k, None, None] * coupling
+            stiffness = stiffness + self.contact_stiffnesses[..., k, None, None] * coupling
         return damping, stiffness
 
     @cached_property
@@ -134,12 +138,12 @@ class Driveline:
         """(n, n) stiffness with the lash open, without the shafts that have stages  [N m/rad]."""
         plain = self.shaft_stiffness.copy()
         plain[[k for k, _ in self.staged]] = 0.0
-        return np.asarray((self.shafts.T * plain) @ self.shafts)
+        return _across(self.shafts, plain)
 
     @cached_property
     def is_spring(self) -> npt.NDArray[np.bool_]:
         """(S,) whether a shaft has a stiffness, in any stage."""
-        springs = self.shaft_stiffness > 0.0
+        springs = np.atleast_2d(self.shaft_stiffness)[0] > 0.0
         for k, shaft in self.staged:
             springs[k] = shaft.stiffness.any()
         return springs
@@ -165,7 +169,7 @@ class Driveline:
     def rigid_motion(self) -> RigidMotion:
         """The rigid-body motion with the lashes closed, and what the load keeps up of it."""
         springs = [*self.shafts[self.is_spring], *self.lashes]
-        dampers = np.sqrt(self.shaft_damping)[:, None] * self.shafts
+        dampers = np.sqrt(self.shaft_damping)[..., None] * self.shafts
         return rigid.steady_motion(self.inertia, np.array(springs), dampers, self.load)
 
     @property
@@ -176,7 +180,7 @@ class Driveline:
     @property
     def contact_periods(self) -> FloatArray:
         """(L,) T_c = 2π sqrt(J_red/k), of the two inertias at a lash in series, or the one at a lash to ground  [s]."""
-        mobility = np.sum(self.lashes**2 / self.inertia, axis=1)
+        mobility = np.sum(self.lashes**2 / self.inertia[..., None, :], axis=-1)
         return np.asarray(2.0 * np.pi / np.sqrt(self.contact_stiffnesses * mobility))
 
     def modes(self, *, closed: bool) -> Modes:
@@ -195,9 +199,12 @@ class Driveline:
         )
 
 
-def prepare(study: Study) -> tuple[System, Steps | Flows]:
-    """The switched linear system of a study, and the tables of its method: ready to run."""
-    driveline = Driveline.from_study(study)
+def prepare(study: Study, driveline: Driveline | None = None) -> tuple[System, Steps | Flows]:
+    """The switched linear system of a study, and the tables of its method: ready to run.
+
+    driveline : with other numbers than the study's; a batch makes a batch of systems and tables, by the exact method
+    """
+    driveline = driveline or Driveline.from_study(study)
     if study.solver.method == "exact":  # to which a ramp is an input
         rates = wave_rates(study.load)
         system = _build(study, driveline, rates, ramps=rates is None and is_moving(study.load))
@@ -244,9 +251,9 @@ def _build(study: Study, driveline: Driveline, wave_rates: FloatArray | None = N
                 study.lashes,
                 study.watched,
                 driveline.lashes,
-                driveline.contact_stiffnesses,
-                driveline.contact_dampings,
-                driveline.contact_periods,
+                np.moveaxis(driveline.contact_stiffnesses, -1, 0),
+                np.moveaxis(driveline.contact_dampings, -1, 0),
+                np.moveaxis(driveline.contact_periods, -1, 0),
                 strict=True,
             )
         ],
@@ -260,15 +267,15 @@ def _build(study: Study, driveline: Driveline, wave_rates: FloatArray | None = N
 
 
 def _core_lash(
-    study: Study, lash: Lash, watched: int, twist: FloatArray, stiffness: float, damping: float, contact_period: float
+    study: Study, lash: Lash, watched: int, twist: FloatArray, stiffness: Number, damping: Number, period: Number
 ) -> tables.Lash:
     """A lash as the core has it."""
     restitution = lash.contact.model == "restitution"
-    sticking_time = study.impacts.sticking_time or float(contact_period)
+    sticking_time = study.impacts.sticking_time or period
     return tables.Lash(
         twist=twist,
-        stiffness=float(stiffness),
-        damping=float(damping),
+        stiffness=stiffness,
+        damping=damping,
         acceleration_of=watched - 1,
         sticking_time=0.0 if restitution else sticking_time,  # the locked state itself is sticking
         separation_by_force=lash.contact.separation == "force",
@@ -286,15 +293,16 @@ def _wave_rates(study: Study) -> FloatArray | None:
 def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
     restitution = study.lashes[0].contact.model == "restitution"
     staged = [shaft for _, shaft in driveline.staged]
-    rubbing = np.array([friction.twist for friction, _ in driveline.frictions]).reshape(-1, driveline.inertia.size)
+    n = driveline.inertia.shape[-1]
+    rubbing = np.array([friction.twist for friction, _ in driveline.frictions]).reshape(-1, n)
     twists, chains = np.vstack([driveline.lashes, rubbing]), []
     for closed, stages, stuck in tables.flows_of(len(driveline.lashes), staged, len(rubbing)):
         line = driveline.in_stages(stages)
-        joints = [*line.shafts[line.shaft_stiffness > 0.0], *twists[np.array([*closed, *stuck]) > 0]]
+        joints = [*line.shafts[line.is_spring], *twists[np.array([*closed, *stuck]) > 0]]
         if not staged and not any(stuck) and (all(closed) or not driveline.rigid_motion.shape.size):
             parts = driveline.rigid_motion.shape
         else:
-            parts = rigid.rigid_motions(np.array(joints).reshape(-1, line.inertia.size))
+            parts = rigid.rigid_motions(np.array(joints).reshape(-1, n))
         ties = constrained(twists, [*(restitution * lash for lash in closed), *stuck])
         chains.append(_chain(line, (0,) * len(closed) if restitution else closed, ties, parts))
     held = tables.held_inputs(len(driveline.lashes), len(rubbing), system.inputs.shape[2])
@@ -304,11 +312,12 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
 def _chain(line: Driveline, closed: tuple[int, ...], ties: Reduction, parts: FloatArray) -> Chain:
     """The chain with contacts and ties; each row of its basis has one entry at most: its inertias stay diagonal."""
     damping, stiffness = line.matrices(closed=closed)
-    n, left = line.inertia.size, ties.expand.shape[1] // 2
+    n, left = line.inertia.shape[-1], ties.expand.shape[1] // 2
     if left == n:
         return Chain(line.inertia, damping, stiffness, *ties, parts)
     basis, pick = ties.expand[:n, :left], ties.pick[:left, :n]
-    return Chain(line.inertia @ basis**2, basis.T @ damping @ basis, basis.T @ stiffness @ basis, *ties, pick @ parts)
+    inertia = (line.inertia[..., None, :] @ basis**2)[..., 0, :]
+    return Chain(inertia, basis.T @ damping @ basis, basis.T @ stiffness @ basis, *ties, pick @ parts)
 
 
 def steady_stages(study: Study) -> dict[int, int]:
@@ -338,6 +347,11 @@ def steps_a_period(study: Study) -> float:
     system = build(study)
     fastest = float(np.abs(np.linalg.eigvals(system.rates).imag).max())
     return 2.0 * np.pi / (fastest * study.solver.step) if fastest > 0.0 else float("inf")
+
+
+def _across(joints: FloatArray, sizes: FloatArray) -> FloatArray:
+    """(n, n) the matrix of springs or dampers, by the twists of their joints."""
+    return np.asarray((joints.T * sizes[..., None, :]) @ joints)
 
 
 def _at_rest(shaft: Shaft) -> float:

@@ -52,21 +52,21 @@ def steady_motion(inertia: FloatArray, springs: FloatArray, dampers: FloatArray,
 
     Parameters
     ----------
-    inertia : (n,) float64  [kg m2]
+    inertia : (n,) float64, or (D, n) of a batch of drivelines  [kg m2]
     springs : (m, n) float64
         Twists of the joints with stiffness, the closed lash among them.
-    dampers : (S, n) float64
+    dampers : (S, n) float64, or (D, S, n), of which all or none of a damper are zero
         Twists of the dampers, times the root of their damping.
     load : (n,) float64
         1 at the loaded inertia.
     """
     shape = rigid_motions(springs)
-    speeds = accelerations = np.zeros(inertia.size)
+    speeds = accelerations = np.zeros(inertia.shape)
     slips = _twists(dampers, shape[:, 0]) if shape.shape[1] == 1 else np.zeros(0)
     if slips.any():
-        speeds = shape[:, 0] * (shape[:, 0] @ load) / (slips @ slips)
+        speeds = shape[:, 0] * (shape[:, 0] @ load) / (slips[..., None, :] @ slips[..., None])[..., 0]
     elif shape.shape[1] == 1:
-        accelerations = shape[:, 0] * (shape[:, 0] @ load) / (inertia @ shape[:, 0] ** 2)
+        accelerations = shape[:, 0] * (shape[:, 0] @ load) / (inertia[..., None, :] @ shape**2)[..., 0]
     return RigidMotion(shape, speeds, accelerations, bool(slips.any()))
 
 

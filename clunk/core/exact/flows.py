@@ -74,6 +74,8 @@ class Flows(NamedTuple):
 class Chain(NamedTuple):
     """A chain M θ'' + C θ' + K θ = … in m angles without constraint, and how they lie in the n of the driveline.
 
+    Or those of D drivelines, whose numbers then have an axis more in front.
+
     inertia : (m,) float64, the diagonal of M
     damping, stiffness : (m, m) float64
     expand, pick : (2n, 2m), (2m, 2n) float64, of the driveline (θ, θ') = expand (θ, θ') + shift (s φ/2), and back
@@ -89,6 +91,27 @@ class Chain(NamedTuple):
     shift: FloatArray
     rigid: FloatArray
 
+    def of(self, drivelines: IntArray) -> "Chain":
+        """The chains of some drivelines of a batch."""
+        matrices = self.inertia[drivelines], self.damping[drivelines], self.stiffness[drivelines]
+        return Chain(*matrices, *self[len(matrices) :])
+
+
+class _Unlike(Exception):
+    """Drivelines of a batch differ in more than numbers: `parts`, positions of those that are alike."""
+
+    def __init__(self, parts: list[IntArray]) -> None:
+        super().__init__()
+        self.parts = parts
+
+
+def _alike(patterns: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """The pattern that D drivelines have in common; patterns : (D, …). Raises _Unlike where they differ."""
+    if (patterns != patterns[:1]).any():
+        _, part_of = np.unique(patterns.reshape(len(patterns), -1), axis=0, return_inverse=True)
+        raise _Unlike([np.flatnonzero(part_of.ravel() == part) for part in range(part_of.max() + 1)])
+    return np.asarray(patterns[0])
+
 
 def build_flows(
     rates: FloatArray,
@@ -98,33 +121,46 @@ def build_flows(
     chains: list[Chain],
     held: list[int],
 ) -> Flows:
-    """Tables of the open and the closed flow; the arrays are those of `regimes.System`.
+    """Tables of each flow; the arrays are those of `regimes.System`, of one driveline or of a batch.
 
-    Few and whole array operations: a sweep over inertias, stiffnesses or dampings builds these for each of its values.
+    Of a batch all tables have an axis more in front. The bits of a driveline do not depend on its batch.
     """
-    flows, states = rates.shape[:2]
-    count, driven = functionals.shape[1], inputs.shape[2]
+    batch, (flows, states) = rates.shape[:-3], rates.shape[-3:-1]
+    count, driven = functionals.shape[-2], inputs.shape[-1]
     blocks = -(-states // ROW)
     size = blocks * ROW
+    many = batch or (1,)
     tables = Flows(
-        origin=np.zeros((flows, 4, driven, size)),
-        origin_output=np.zeros((flows, 4, count, driven)),
-        coordinates=np.zeros((flows, states, size)),
-        basis=np.zeros((flows, size, size)),
-        modal=np.zeros(flows, np.int64),
-        ringing=np.zeros(flows, np.int64),
-        span=np.zeros((flows, SPANS)),
-        propagator=np.zeros((flows, SPANS, blocks, 3, ROW)),
-        power=np.zeros((flows, TERMS, blocks, 2, ROW)),
-        generator=np.zeros((flows, size, size)),
-        watch=np.zeros((flows, count, 2 * size, ROW)),
-        series=np.zeros((flows, count, size, LONG)),
-        steady=np.zeros(flows, np.int64),
-        rolls=np.zeros(flows, np.int64),
+        origin=np.zeros((*many, flows, 4, driven, size)),
+        origin_output=np.zeros((*many, flows, 4, count, driven)),
+        coordinates=np.zeros((*many, flows, states, size)),
+        basis=np.zeros((*many, flows, size, size)),
+        modal=np.zeros((*many, flows), np.int64),
+        ringing=np.zeros((*many, flows), np.int64),
+        span=np.zeros((*many, flows, SPANS)),
+        propagator=np.zeros((*many, flows, SPANS, blocks, 3, ROW)),
+        power=np.zeros((*many, flows, TERMS, blocks, 2, ROW)),
+        generator=np.zeros((*many, flows, size, size)),
+        watch=np.zeros((*many, flows, count, 2 * size, ROW)),
+        series=np.zeros((*many, flows, count, size, LONG)),
+        steady=np.zeros((*many, flows), np.int64),
+        rolls=np.zeros((*many, flows), np.int64),
     )
+    arrays = rates, inputs, functionals, feedthrough
     for k, chain in enumerate(chains):
-        _fill(tables, k, rates[k], inputs[k], functionals[k], feedthrough[k], chain, held)
-    return tables
+        matrices = _Matrices(*(array[..., k, :, :].reshape(*many, *array.shape[-2:]) for array in arrays))
+        numbers = (array.reshape(*many, *array.shape[len(batch) :]) for array in chain[:3])
+        _fill(Flows(*(table[:, k] for table in tables)), matrices, Chain(*numbers, *chain[3:]), held)
+    return tables if batch else Flows(*(table[0] for table in tables))
+
+
+class _Matrices(NamedTuple):
+    """A flow of D drivelines, as `regimes.System` has it."""
+
+    rates: FloatArray  # (D, N, N)
+    inputs: FloatArray  # (D, N, I)
+    functionals: FloatArray  # (D, F, N)
+    feedthrough: FloatArray  # (D, F, I)
 
 
 class _Scaled(NamedTuple):
@@ -133,35 +169,39 @@ class _Scaled(NamedTuple):
     A mode without stiffness takes the softest other one's ω, to scale only.
     """
 
-    into: FloatArray  # (2m, 2m)  (θ, θ') -> z
+    into: FloatArray  # (D, 2m, 2m)  (θ, θ') -> z
     back: FloatArray
     generator: FloatArray  # z' = generator z
     drift: BoolArray  # (2m,)  displacements that nothing depends on, and the velocities that only they depend on
 
 
-def _fill(
-    tables: Flows,
-    k: int,
-    rates: FloatArray,
-    inputs: FloatArray,
-    functionals: FloatArray,
-    feedthrough: FloatArray,
-    chain: Chain,
-    held: list[int],
-) -> None:
-    """Flow `k`; the coordinates that a chain has fewer than the tables stay zero."""
+def _fill(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int]) -> None:
+    """Tables of one flow of D drivelines, (D, …); what they differ in but for numbers, they are divided by."""
+    try:
+        _fill_alike(tables, matrices, chain, held)
+    except _Unlike as unlike:
+        for part in unlike.parts:
+            some = Flows(*(np.zeros_like(table[part]) for table in tables))
+            _fill(some, _Matrices(*(array[part] for array in matrices)), chain.of(part), held)
+            for table, filled in zip(tables, some, strict=True):
+                table[part] = filled
+
+
+def _fill_alike(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int]) -> None:
+    """`_fill` of drivelines that are alike; the coordinates that a chain has fewer than the tables stay zero."""
+    rates, inputs, functionals, feedthrough = matrices
     scaled, still = _scale(chain), len(chain.shift)
     into, back = scaled.into @ chain.pick, chain.expand @ scaled.back
-    forcing = inputs[:still].copy()
-    forcing[:, held] += rates[:still, :still] @ chain.shift
-    origin = back @ _particular(scaled, into @ forcing)
-    origin[0][:, held] += chain.shift
-    tables.origin[k, :, :, :still] = origin.transpose(0, 2, 1)
-    tables.origin_output[k] = _outputs(functionals[:, :still], origin, chain)
-    tables.origin_output[k, 0] += feedthrough
-    tables.origin_output[k, 1, :, TORQUE_RATE] += feedthrough[:, TORQUE]
-    tables.steady[k] = not _outputs(functionals[:, :still], back[:, scaled.drift], chain).any()
-    tables.rolls[k] = tables.steady[k] and scaled.drift.any()
+    forcing = inputs[:, :still].copy()
+    forcing[..., held] += rates[:, :still, :still] @ chain.shift
+    origin = back[:, None] @ _particular(scaled, into @ forcing)
+    origin[:, 0][..., held] += chain.shift
+    tables.origin[..., :still] = origin.swapaxes(-1, -2)
+    tables.origin_output[:] = _outputs(functionals[:, None, :, :still], origin, chain)
+    tables.origin_output[:, 0] += feedthrough
+    tables.origin_output[:, 1, :, TORQUE_RATE] += feedthrough[..., TORQUE]
+    tables.steady[:] = ~_outputs(functionals[..., :still], back[..., scaled.drift], chain).any(axis=(-2, -1))
+    tables.rolls[:] = tables.steady * scaled.drift.any()
 
     modes = _modes(scaled)
     if modes is None:
@@ -169,40 +209,43 @@ def _fill(
     else:
         vectors, inverse, block = modes
         into, back = inverse @ into, back @ vectors
-        tables.ringing[k] = np.count_nonzero(block.diagonal(-1)[::2])
+        tables.ringing[:] = np.count_nonzero(block[:, 1::2, ::2].diagonal(axis1=-2, axis2=-1), axis=-1)
     modal, growth = modes is not None, 1.0
-    unseen = ~block.any(axis=0) & ~_outputs(functionals[:, :still], back, chain).any(axis=0)
-    into[unseen], back[:, unseen], block[unseen] = into[unseen] / _FAR, back[:, unseen] * _FAR, block[unseen] / _FAR
-    if rates.shape[0] > still:
-        wave = rates[still:, still:]
-        into, back, block, resonates = _with_wave(into, back, block, into @ rates[:still, still], wave, modal)
+    unseen = _alike(~block.any(axis=-2) & ~_outputs(functionals[..., :still], back, chain).any(axis=-2))
+    into[:, unseen], block[:, unseen] = into[:, unseen] / _FAR, block[:, unseen] / _FAR
+    back[..., unseen] *= _FAR
+    if rates.shape[-1] > still:
+        drive = into @ np.ascontiguousarray(rates[:, :still, still])[..., None]
+        into, back, block, resonates = _with_wave(into, back, block, drive[..., 0], rates[:, still:, still:], modal)
         if resonates or not modal:
             modal, growth = False, _GROWTH
-            tables.steady[k] = tables.ringing[k] = 0
-    tables.modal[k] = modal
-    fastest = math.sqrt((block * block).sum(axis=1).max(initial=0.0)) if modal else float(np.linalg.norm(block, 2))
-    shortest = 2.0 ** math.floor(math.log2(_SHORTEST / fastest)) if fastest > 0.0 else 1.0
-    tables.span[k] = shortest * _LADDER
+            tables.steady[:] = tables.ringing[:] = 0
+    tables.modal[:] = modal
+    fastest = np.sqrt((block * block).sum(axis=-1).max(axis=-1, initial=0.0)) if modal else _norm(block)
+    fastest[fastest == 0.0] = _SHORTEST
+    shortest = np.ldexp(1.0, np.frexp(_SHORTEST / fastest)[1] - 1)
+    tables.span[:] = shortest[:, None] * _LADDER
 
-    states, size = tables.coordinates.shape[1:]
-    place = _places(size)[: into.shape[0]]
-    generator, basis = tables.generator[k], tables.basis[k]
-    tables.coordinates[k][:, place], basis[place, :states] = into.T, back.T
-    generator[place[:, None], place] = shortest * block
+    states, size = tables.coordinates.shape[-2:]
+    place = _places(size)[: into.shape[1]]
+    generator, basis = tables.generator, tables.basis
+    tables.coordinates[..., place], basis[:, place, :states] = into.swapaxes(-1, -2), back.swapaxes(-1, -2)
+    generator[:, place[:, None], place] = shortest[:, None, None] * block
     if modal:
         pairs = _pairs(generator)
-        _propagate(pairs, _halves(np.isin(np.arange(size), place[: unseen.size][unseen])), tables.propagator[k])
-        _expand(pairs, tables.power[k])
+        _propagate(pairs, _halves(np.isin(np.arange(size), place[: unseen.size][unseen])), tables.propagator)
+        _expand(pairs, tables.power)
 
-    derivatives = np.empty((TERMS, functionals.shape[0], size))  # by the time over the shortest span
-    derivatives[0] = _outputs(functionals, basis[:, :states].T, chain)
+    derivatives = np.empty((TERMS, *functionals.shape[:2], size))  # by the time over the shortest span
+    derivatives[0] = _outputs(functionals, basis[..., :states].swapaxes(-1, -2), chain)
     for j in range(1, TERMS):
         np.matmul(derivatives[j - 1], generator, out=derivatives[j])
-    tables.series[k][:, :, :TERMS] = (_TAYLOR[:, None, None] * derivatives).transpose(1, 2, 0)
-    slow = derivatives / (shortest ** np.arange(TERMS))[:, None, None]
-    watch = tables.watch[k].reshape(functionals.shape[0], 2, -1, 2, BLOCK, ROW)
-    watch[:, 0, ..., VALUE : CURVATURE + 1] = _halves(slow[: CURVATURE + 1]).transpose(1, 2, 3, 4, 0)
-    watch[:, 1, :, 0, :, JERK : SIXTH + 1] = (growth * _reach(slow[list(_BOUNDED)], modal)).transpose(1, 2, 3, 0)
+    tables.series[..., :TERMS] = np.moveaxis(_TAYLOR[:, None, None, None] * derivatives, 0, -1)
+    orders = np.arange(max(_BOUNDED) + 1)[:, None, None, None]
+    slow = derivatives[: orders.size] / shortest[:, None, None] ** orders
+    watch = tables.watch.reshape(*functionals.shape[:2], 2, -1, 2, BLOCK, ROW)
+    watch[:, :, 0, ..., VALUE : CURVATURE + 1] = np.moveaxis(_halves(slow[: CURVATURE + 1]), 0, -1)
+    watch[:, :, 1, :, 0, :, JERK : SIXTH + 1] = np.moveaxis(growth * _reach(slow[list(_BOUNDED)], modal), 0, -1)
 
 
 def _outputs(functionals: FloatArray, columns: FloatArray, chain: Chain) -> FloatArray:
@@ -234,66 +277,67 @@ def _reach(rows: FloatArray, modal: bool) -> FloatArray:
 
 
 def _scale(chain: Chain) -> _Scaled:
-    m = chain.inertia.size
-    root = np.sqrt(chain.inertia)
-    squared, rotated = _undamped_modes(chain.stiffness / (root[:, None] * root), root[:, None] * chain.rigid)
-    shapes = rotated / root[:, None]
-    free = squared <= _ROUNDING * squared.max(initial=0.0)
+    count, m = chain.inertia.shape
+    root = np.sqrt(chain.inertia)[..., None]
+    squared, rotated = _undamped_modes(chain.stiffness / (root * root.swapaxes(-1, -2)), root * chain.rigid)
+    shapes = rotated / root
+    free = _alike(squared <= _ROUNDING * squared.max(axis=-1, initial=0.0, keepdims=True))
     drifting = bool(free.any())
     if np.count_nonzero(free) > 1:  # among the free shapes those apart that are not damped either
-        shapes[:, free] = shapes[:, free] @ np.linalg.eigh(shapes[:, free].T @ chain.damping @ shapes[:, free])[1]
-    stiffness, damping = shapes.T @ chain.stiffness @ shapes, shapes.T @ chain.damping @ shapes
+        damped = shapes[..., free].swapaxes(-1, -2) @ chain.damping @ shapes[..., free]
+        shapes[..., free] = shapes[..., free] @ np.linalg.eigh(damped)[1]
+    across = shapes.swapaxes(-1, -2)
+    stiffness, damping = across @ chain.stiffness @ shapes, across @ chain.damping @ shapes
     undamped = free
     if drifting:
-        stiffness[free], stiffness[:, free] = 0.0, 0.0
-        friction = damping.diagonal()
-        undamped = free & (friction <= _ROUNDING * friction.max(initial=0.0))
-        damping[undamped], damping[:, undamped] = 0.0, 0.0
-        squared = np.where(free, squared[~free].min(initial=np.inf), squared)
+        stiffness[:, free], stiffness[..., free] = 0.0, 0.0
+        friction = damping.diagonal(axis1=-2, axis2=-1)
+        undamped = _alike(free & (friction <= _ROUNDING * friction.max(axis=-1, initial=0.0, keepdims=True)))
+        damping[:, undamped], damping[..., undamped] = 0.0, 0.0
+        squared = np.where(free, squared[:, ~free].min(axis=-1, initial=np.inf, keepdims=True), squared)
         squared[np.isinf(squared)] = 1.0
 
-    frequency = np.sqrt(squared)
-    generator, into, back = np.zeros((3, 2 * m, 2 * m))
-    generator[:m, m:].flat[:: m + 1] = frequency
-    generator[m:, :m] = -stiffness / frequency
-    generator[m:, m:] = -damping
-    into[m:, m:], back[m:, m:] = shapes.T * chain.inertia, shapes
-    into[:m, :m], back[:m, :m] = frequency[:, None] * into[m:, m:], shapes / frequency
+    frequency, each = np.sqrt(squared), np.arange(m)
+    generator, into, back = np.zeros((3, count, 2 * m, 2 * m))
+    generator[:, each, m + each] = frequency
+    generator[:, m:, :m] = -stiffness / frequency[:, None]
+    generator[:, m:, m:] = -damping
+    into[:, m:, m:], back[:, m:, m:] = across * chain.inertia[:, None], shapes
+    into[:, :m, :m], back[:, :m, :m] = frequency[..., None] * into[:, m:, m:], shapes / frequency[:, None]
     return _Scaled(into, back, generator, np.concatenate((free, undamped)))
 
 
 def _undamped_modes(stiffness: FloatArray, rigid: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Eigenvalues, increasing, and eigenvectors of a symmetric matrix, of which some at zero are known to rounding."""
-    motions = rigid.shape[1]
+    """Eigenvalues, increasing, and eigenvectors of symmetric matrices, of which some at zero are known to rounding."""
+    motions = rigid.shape[-1]
     if not motions:
         return np.linalg.eigh(stiffness)
-    others = np.linalg.qr(rigid, mode="complete")[0][:, motions:]
-    squared, rotated = np.linalg.eigh(others.T @ stiffness @ others)
-    known = rigid / np.linalg.norm(rigid, axis=0)
-    return np.concatenate([np.zeros(motions), squared]), np.hstack([known, others @ rotated])
+    others = np.linalg.qr(rigid, mode="complete")[0][..., motions:]
+    squared, rotated = np.linalg.eigh(others.swapaxes(-1, -2) @ stiffness @ others)
+    known = rigid / np.linalg.norm(rigid, axis=-2, keepdims=True)
+    zeros = np.zeros((len(rigid), motions))
+    return np.concatenate([zeros, squared], axis=-1), np.concatenate([known, others @ rotated], axis=-1)
 
 
 def _particular(scaled: _Scaled, forcing: FloatArray) -> FloatArray:
-    """p0 to p3 with p0 + p1 t + p2 t²/2 + p3 t³/6 a solution of z' = generator z + forcing: (4, 2m, inputs).
+    """p0 to p3 with p0 + p1 t + p2 t²/2 + p3 t³/6 a solution of z' = generator z + forcing: (D, 4, 2m, inputs).
 
     That to the torque's rate of change is one to the torque's forcing times t.
     """
     generator, drift = scaled.generator, scaled.drift
-    particular, stays = np.zeros((4, *forcing.shape)), ~drift
+    particular, stays = np.zeros((4, *forcing.shape)), np.flatnonzero(~drift)
     p0, p1, p2, p3 = particular
-    if not drift.any():
-        p0[:] = -np.linalg.solve(generator, forcing)
-        p1[:, TORQUE_RATE] = p0[:, TORQUE]
-        p0[:, TORQUE_RATE] = np.linalg.solve(generator, p1[:, TORQUE_RATE])
-        return particular
-    p0[stays] = -np.linalg.solve(generator[stays][:, stays], forcing[stays])
-    p1[stays, TORQUE_RATE] = p0[stays, TORQUE]
-    p0[stays, TORQUE_RATE] = np.linalg.solve(generator[stays][:, stays], p1[stays, TORQUE_RATE])
-    p1[drift] = generator[drift] @ p0 + forcing[drift]
-    p2[drift] = generator[drift] @ p1
-    p2[drift, TORQUE_RATE] += forcing[drift, TORQUE]
-    p3[drift, TORQUE_RATE] = generator[drift] @ p2[:, TORQUE_RATE]
-    return particular
+    within = generator.take(stays, axis=-2).take(stays, axis=-1) if drift.any() else generator
+    p0[:, stays] = -np.linalg.solve(within, forcing[:, stays])
+    p1[:, stays, TORQUE_RATE] = p0[:, stays, TORQUE]
+    p0[:, stays, TORQUE_RATE] = np.linalg.solve(within, p1[:, stays, TORQUE_RATE, None])[..., 0]
+    if drift.any():
+        along, pushed = generator.take(np.flatnonzero(drift), axis=-2), forcing[:, drift]
+        p1[:, drift] = along @ p0 + pushed
+        p2[:, drift] = along @ p1
+        p2[:, drift, TORQUE_RATE] += pushed[..., TORQUE]
+        p3[:, drift, TORQUE_RATE] = (along @ p2[..., TORQUE_RATE, None])[..., 0]
+    return particular.swapaxes(0, 1)
 
 
 def _with_wave(
@@ -306,97 +350,115 @@ def _with_wave(
 
     Returns the three, and whether there is such a resonance.
     """
-    size, states = block.shape[0], into.shape[1]
-    rate = complex(wave[0, 0], wave[0, 1])
-    resonates = modal and bool(np.abs(np.linalg.eigvals(block) - rate).min(initial=np.inf) <= _RESONANCE * abs(rate))
-    both, generator = np.zeros((size, 2)), np.zeros((size + 2, size + 2))
-    generator[:size, :size], generator[size:, size:] = block, wave
-    scale = 1.0
+    (count, size), states = drive.shape, into.shape[-1]
+    rate = wave[:, 0, 0] + 1j * wave[:, 0, 1]
+    away = np.abs(np.linalg.eigvals(block) - rate[:, None]).min(axis=-1, initial=np.inf)
+    resonates = modal and bool(_alike(away <= _RESONANCE * np.abs(rate)))
+    both, generator = np.zeros((count, size, 2)), np.zeros((count, size + 2, size + 2))
+    generator[:, :size, :size], generator[:, size:, size:] = block, wave
+    scale = np.ones((count, 1, 1))
     if modal and not resonates:  # X is linear in (1, 0) and (0, 1): a system of twice the size
-        both[:, 0] = -drive
-        system = np.kron(block, np.eye(2)) - np.kron(np.eye(size), wave.T)
-        both[:] = np.linalg.solve(system, both.ravel()).reshape(size, 2)
+        both[..., 0] = -drive
+        system = np.kron(block, np.eye(2)) - np.kron(np.eye(size), wave.swapaxes(-1, -2))
+        both[:] = np.linalg.solve(system, both.reshape(count, -1, 1)).reshape(count, size, 2)
     else:
-        fastest = float(np.linalg.norm(block, 2))
-        scale = float(np.linalg.norm(drive)) / fastest if fastest > 0.0 and np.any(drive) else 1.0
-        generator[:size, size] = drive / scale
-    wider_into, wider_back = np.zeros((size + 2, states + 2)), np.zeros((states + 2, size + 2))
-    wider_into[:size, :states], wider_into[:size, states:] = into, -both
-    wider_back[:states, :size], wider_back[:states, size:] = back, back @ both
-    wider_into[size:, states:], wider_back[states:, size:] = scale * np.eye(2), np.eye(2) / scale
+        fastest = _norm(block)
+        length = np.sqrt(drive[:, None] @ drive[..., None])[:, 0, 0]
+        scaled = (fastest > 0.0) & drive.any(axis=-1)
+        scale[scaled, 0, 0] = length[scaled] / fastest[scaled]
+        generator[:, :size, size] = drive / scale[..., 0]
+    wider_into, wider_back = np.zeros((count, size + 2, states + 2)), np.zeros((count, states + 2, size + 2))
+    wider_into[:, :size, :states], wider_into[:, :size, states:] = into, -both
+    wider_back[:, :states, :size], wider_back[:, :states, size:] = back, back @ both
+    wider_into[:, size:, states:], wider_back[:, states:, size:] = scale * np.eye(2), np.eye(2) / scale
     return wider_into, wider_back, generator, resonates
 
 
+def _norm(matrices: FloatArray) -> FloatArray:
+    """The largest singular values."""
+    return np.asarray(np.linalg.norm(matrices, 2, axis=(-2, -1)), np.float64)
+
+
 def _modes(scaled: _Scaled) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """A real eigenbasis, its inverse, and the generator in it; None where it is badly conditioned.
+    """Real eigenbases, their inverses, and the generators in them, (D, 2m, 2m); None where badly conditioned.
 
     Oscillating modes first, fastest first; then drifts, undamped and damped, then what is overdamped.
     """
     generator, drift = scaled.generator, scaled.drift
-    size = generator.shape[0]
+    count, size, _ = generator.shape
     drifting = bool(drift.any())
     if drifting:
-        stays = ~drift
-        eigenvalues, right = np.linalg.eig(generator[stays][:, stays])
-        vectors = np.zeros((size, eigenvalues.size), right.dtype)
-        vectors[stays] = right
-        vectors[drift] = generator[drift][:, stays] @ right / eigenvalues
+        stays = np.flatnonzero(~drift)
+        kept = generator.take(stays, axis=-1)
+        eigenvalues, right = np.linalg.eig(kept.take(stays, axis=-2))
+        vectors = np.zeros((count, size, stays.size), right.dtype)
+        vectors[:, stays] = right
+        vectors[:, drift] = kept.take(np.flatnonzero(drift), axis=-2) @ right / eigenvalues[:, None]
     else:
         eigenvalues, vectors = np.linalg.eig(generator)
-    fastest_first = np.argsort(-np.abs(eigenvalues), kind="stable")
-    eigenvalues, vectors = eigenvalues[fastest_first], vectors[:, fastest_first]
+    fastest_first = np.argsort(-np.abs(eigenvalues), axis=-1, kind="stable")
+    eigenvalues = np.take_along_axis(eigenvalues, fastest_first, axis=-1)
+    vectors = np.take_along_axis(vectors, fastest_first[:, None], axis=-1)
     sigma, omega = np.minimum(eigenvalues.real, 0.0), eigenvalues.imag  # a chain is passive: growth is rounding
-    rings, decays = np.flatnonzero(omega > 0.0), np.flatnonzero(omega == 0.0)
+    _alike(np.stack([np.count_nonzero(omega > 0.0, axis=-1), np.count_nonzero(omega == 0.0, axis=-1)], axis=-1))
+    rings, decays = (np.nonzero(chosen)[1].reshape(count, -1) for chosen in (omega > 0.0, omega == 0.0))
+
+    def vectors_of(modes: IntArray) -> npt.NDArray[Any]:
+        return np.take_along_axis(vectors, modes[:, None], axis=-1)
+
+    def rates_of(modes: IntArray) -> FloatArray:
+        return np.take_along_axis(sigma, modes, axis=-1)
 
     unit = _unit(size)
-    basis, block = np.zeros((size, size)), np.zeros((size, size))
-    end = 2 * rings.size
-    basis[:, 0:end:2], basis[:, 1:end:2] = vectors[:, rings].real, vectors[:, rings].imag
-    at = np.arange(0, end, 2)
-    block[at, at] = block[at + 1, at + 1] = sigma[rings]
-    block[at, at + 1], block[at + 1, at] = omega[rings], -omega[rings]
+    basis, block = np.zeros((count, size, size)), np.zeros((count, size, size))
+    end = 2 * rings.shape[1]
+    basis[..., 0:end:2], basis[..., 1:end:2] = vectors_of(rings).real, vectors_of(rings).imag
+    at, turning = np.arange(0, end, 2), np.take_along_axis(omega, rings, axis=-1)
+    block[:, at, at] = block[:, at + 1, at + 1] = rates_of(rings)
+    block[:, at, at + 1], block[:, at + 1, at] = turning, -turning
     for k in np.flatnonzero(drift[size // 2 :]):
-        block[end, end + 1] = 1.0
-        basis[:, end], basis[:, end + 1] = unit[k] * generator[k, k + size // 2], unit[k + size // 2]
+        block[:, end, end + 1] = 1.0
+        basis[..., end], basis[..., end + 1] = unit[k] * generator[:, k, k + size // 2, None], unit[k + size // 2]
         end += 2
     damped = np.flatnonzero(drift[: size // 2] & ~drift[size // 2 :])
     slowest = _velocities_of(damped, vectors, decays)
     if slowest.size:
-        far = np.zeros((size, slowest.size))  # the displacement that is left to go while such a velocity decays
-        far[damped] = vectors[damped][:, slowest].real
-        near = vectors[:, slowest].real - far
-        lengths, speeds = np.linalg.norm(far, axis=0), np.linalg.norm(near, axis=0)
-        at = np.arange(end, end + 2 * slowest.size, 2)
-        basis[:, at], basis[:, at + 1] = far / lengths, near / speeds
-        block[at, at + 1], block[at + 1, at + 1] = sigma[slowest] * lengths / speeds, sigma[slowest]
-        end += 2 * slowest.size
-        decays, damped = decays[: -slowest.size], damped[:0]
-    at = np.arange(end, end + decays.size)
-    basis[:, at], block[at, at] = vectors[:, decays].real, sigma[decays]
-    basis[damped, np.arange(end + decays.size, size)] = 1.0
+        far = np.zeros((count, size, damped.size))  # the displacement that is left to go while such a velocity decays
+        far[:, damped] = vectors_of(slowest)[:, damped].real
+        near = vectors_of(slowest).real - far
+        lengths, speeds = np.linalg.norm(far, axis=-2), np.linalg.norm(near, axis=-2)
+        at = np.arange(end, end + 2 * damped.size, 2)
+        basis[..., at], basis[..., at + 1] = far / lengths[:, None], near / speeds[:, None]
+        block[:, at, at + 1], block[:, at + 1, at + 1] = rates_of(slowest) * lengths / speeds, rates_of(slowest)
+        end += 2 * damped.size
+        decays, damped = decays[:, : -damped.size], damped[:0]
+    at = np.arange(end, end + decays.shape[1])
+    basis[..., at], block[:, at, at] = vectors_of(decays).real, rates_of(decays)
+    basis[:, damped, np.arange(end + decays.shape[1], size)] = 1.0
     try:
         inverse = np.linalg.inv(basis)
     except np.linalg.LinAlgError:
+        if count > 1:
+            raise _Unlike([np.array([k]) for k in range(count)]) from None
         return None
     # by the Frobenius norms, at most as many times larger as there are coordinates, the condition is known sooner
-    bound = math.sqrt((basis * basis).sum() * (inverse * inverse).sum())
-    if not bound <= _MAX_CONDITION and size and not np.linalg.cond(basis) <= _MAX_CONDITION:
+    sound = np.sqrt((basis * basis).sum(axis=(-2, -1)) * (inverse * inverse).sum(axis=(-2, -1))) <= _MAX_CONDITION
+    if size and not sound.all():
+        sound[~sound] = np.linalg.cond(basis[~sound]) <= _MAX_CONDITION
+    if not _alike(sound | (size == 0)):
         return None
     return basis, inverse @ (2.0 * unit - basis @ inverse), block
 
 
 def _velocities_of(damped: IntArray, vectors: npt.NDArray[Any], decays: IntArray) -> IntArray:
     """The slowest decaying modes, as many as there are damped drifts, if it is these that they move, and no fewer."""
-    if not 0 < damped.size <= decays.size:
-        return decays[:0]
-    slowest = decays[-damped.size :]
-    moved = np.linalg.svd(_normalised(vectors[damped][:, slowest].real), compute_uv=False)
-    return slowest if moved[-1] > _APART else slowest[:0]
-
-
-def _normalised(columns: FloatArray) -> FloatArray:
-    lengths = np.linalg.norm(columns, axis=0)
-    return np.asarray(columns / np.where(lengths > 0.0, lengths, 1.0))
+    if not 0 < damped.size <= decays.shape[1]:
+        return decays[:, :0]
+    slowest = decays[:, -damped.size :]
+    columns = np.take_along_axis(vectors[:, damped], slowest[:, None], axis=-1).real
+    lengths = np.linalg.norm(columns, axis=-2, keepdims=True)
+    moved = np.linalg.svd(columns / np.where(lengths > 0.0, lengths, 1.0), compute_uv=False)
+    return slowest if _alike(moved[:, -1] > _APART) else slowest[:, :0]
 
 
 @functools.cache
@@ -405,52 +467,53 @@ def _unit(size: int) -> FloatArray:
 
 
 class _Pairs(NamedTuple):
-    """A block-diagonal generator: of each pair its block [[σ1, ω], [-ω, σ2]], or [[0, ω], [0, σ2]] for a drift."""
+    """Block-diagonal generators: of each pair its block [[σ1, ω], [-ω, σ2]], or [[0, ω], [0, σ2]] for a drift."""
 
-    sigma: FloatArray  # (B, 2, 4)
-    omega: FloatArray  # (B, 4)
-    drift: BoolArray  # (B, 4)
+    sigma: FloatArray  # (D, B, 2, 4)
+    omega: FloatArray  # (D, B, 4)
+    drift: BoolArray  # (D, B, 4)
 
 
 def _pairs(generator: FloatArray) -> _Pairs:
-    one, other = _halves(np.arange(generator.shape[0])).transpose(1, 0, 2)
-    omega = generator[one, other]
-    return _Pairs(_halves(generator.diagonal()), omega, omega != -generator[other, one])
+    one, other = _halves(np.arange(generator.shape[-1])).transpose(1, 0, 2)
+    omega = generator[:, one, other]
+    return _Pairs(_halves(generator.diagonal(axis1=-2, axis2=-1)), omega, omega != -generator[:, other, one])
 
 
 def _propagate(pairs: _Pairs, unseen: BoolArray, result: FloatArray) -> None:
     """exp(generator · span) over the spans of the ladder, and the decay of the amplitudes.
 
     unseen : (B, 2, 4), coordinates that no functional sees, and amplitudes need not bound
-    result : (SPANS, B, 3, 8)
+    result : (D, SPANS, B, 3, 8)
     """
-    decay, angle = np.exp(_LADDER[:, None, None, None] * pairs.sigma), _LADDER[:, None, None] * pairs.omega
-    halves, drifting = result.reshape(*result.shape[:-1], 2, BLOCK), pairs.drift.any()
-    turning = np.where(pairs.drift, 0.0, angle) if drifting else angle
-    halves[:, :, SELF] = decay * np.cos(turning)[:, :, None]
+    ladder, drift = _LADDER[:, None, None], pairs.drift[:, None]
+    decay, angle = np.exp(ladder[..., None] * pairs.sigma[:, None]), ladder * pairs.omega[:, None]
+    halves, drifting = result.reshape(*result.shape[:-1], 2, BLOCK), drift.any()
+    turning = np.where(drift, 0.0, angle) if drifting else angle
+    halves[..., SELF, :, :] = decay * np.cos(turning)[..., None, :]
     sine = np.sin(turning)
-    halves[:, :, CROSS, 0], halves[:, :, CROSS, 1] = decay[:, :, 0] * sine, -decay[:, :, 1] * sine
-    halves[:, :, DECAY] = np.where(unseen, 0.0, decay).max(axis=2)[:, :, None]
+    halves[..., CROSS, 0, :], halves[..., CROSS, 1, :] = decay[..., 0, :] * sine, -decay[..., 1, :] * sine
+    halves[..., DECAY, :, :] = np.where(unseen, 0.0, decay).max(axis=-2, keepdims=True)
     if drifting:
-        speed = _LADDER[:, None, None] * pairs.sigma[:, 1]
+        speed = ladder * pairs.sigma[:, None, :, 1]
         with np.errstate(invalid="ignore"):
             share = np.where(speed != 0.0, np.expm1(speed) / speed, 1.0)
-        halves[:, :, CROSS, 0] += np.where(pairs.drift, angle * share, 0.0)
+        halves[..., CROSS, 0, :] += np.where(drift, angle * share, 0.0)
 
 
 def _expand(pairs: _Pairs, result: FloatArray) -> None:
     """generator^k / k! for k from 0 on.
 
-    result : (TERMS, B, 2, 8)
+    result : (D, TERMS, B, 2, 8)
     """
     power = np.empty((TERMS, *pairs.sigma.shape), np.complex128)
-    power[0], power.real[1:], power.imag[1:] = 1.0, pairs.sigma, np.where(pairs.drift, 0.0, pairs.omega)[:, None]
+    power[0], power.real[1:], power.imag[1:] = 1.0, pairs.sigma, np.where(pairs.drift, 0.0, pairs.omega)[..., None, :]
     np.multiply.accumulate(power, axis=0, out=power)
-    power *= _TAYLOR[:, None, None, None]
-    halves = result.reshape(*result.shape[:-1], 2, BLOCK)
-    halves[:, :, SELF] = power.real
-    halves[:, :, CROSS, 0], halves[:, :, CROSS, 1] = power.imag[:, :, 0], -power.imag[:, :, 1]
+    power *= _TAYLOR[:, None, None, None, None]
+    halves = np.moveaxis(result.reshape(*result.shape[:-1], 2, BLOCK), 1, 0)
+    halves[..., SELF, :, :] = power.real
+    halves[..., CROSS, 0, :], halves[..., CROSS, 1, :] = power.imag[..., 0, :], -power.imag[..., 1, :]
     if pairs.drift.any():
         # ω σ^(k-1) / k!
-        going = halves[:-1, :, SELF, 1] * pairs.omega / np.arange(1, TERMS)[:, None, None]
-        halves[1:, :, CROSS, 0] += np.where(pairs.drift, going, 0.0)
+        going = halves[:-1, ..., SELF, 1, :] * pairs.omega / np.arange(1, TERMS)[:, None, None, None]
+        halves[1:, ..., CROSS, 0, :] += np.where(pairs.drift, going, 0.0)
