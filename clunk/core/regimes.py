@@ -277,7 +277,8 @@ def build_system(
             steady[k, :n, j] = angles[:, 0]
             carried[k, :, j] = contact_torques(spring, -shaft.twist, twists, contact, angles)[:, 0]
     zeros, tables = np.zeros((count, n)), build_tables(lashes, staged, frictions)
-    tables = tables._replace(offsets=np.array(np.broadcast_to(tables.offsets, (*batch, *tables.offsets.shape[-3:]))))
+    offsets = np.broadcast_to(tables.offsets, (*batch, *tables.offsets.shape[-3:])).copy(order="C")
+    tables = tables._replace(offsets=offsets)
     for k in range(len(frictions)):  # a rate that stays zero ends nothing
         rate = first_rate + OF_FRICTION * k + RATE
         is_held = ~functionals[tables.regimes["flow"], rate].any(axis=1)[:, None]

@@ -81,6 +81,11 @@ class Driveline:
             shaft_friction=np.array([shaft.friction for shaft in shafts], dtype=np.float64),
         )
 
+    def of_batch(self, number: int) -> "Driveline":
+        """One driveline of a batch."""
+        names = ("inertia", "shaft_stiffness", "shaft_damping", "contact_stiffnesses", "contact_dampings")
+        return replace(self, **{name: getattr(self, name)[number] for name in names})
+
     @cached_property
     def damping(self) -> FloatArray:
         """(n, n) damping with the lash open  [N m s/rad]."""
@@ -143,7 +148,7 @@ class Driveline:
     @cached_property
     def is_spring(self) -> npt.NDArray[np.bool_]:
         """(S,) whether a shaft has a stiffness, in any stage."""
-        springs = np.atleast_2d(self.shaft_stiffness)[0] > 0.0
+        springs: npt.NDArray[np.bool_] = np.atleast_2d(self.shaft_stiffness)[0] > 0.0
         for k, shaft in self.staged:
             springs[k] = shaft.stiffness.any()
         return springs

@@ -6,6 +6,8 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import tomli_w
 
 from clunk.study.document import dotted, items_of, with_value
@@ -105,6 +107,20 @@ def replace_values(study: Study, values: Mapping[str, float]) -> Study:
     if replaced is None:
         raise report("the study with these values", [Problem(dotted(place), None, text) for place, text in findings])
     return replaced.model_copy(update={"sweep": study.sweep, "fit": study.fit})
+
+
+def refuse_points(study: Study, parameters: Sequence[str], values: npt.NDArray[np.float64]) -> None:
+    """Refuse values, (points, parameters), of which one is not allowed: the first, as `replace_values` would.
+
+    All are looked at together, by the least and the greatest of each parameter; only where one of these may not be,
+    each point by itself.
+    """
+    ends = zip(parameters, values.min(axis=0).tolist(), values.max(axis=0).tolist(), strict=True) if values.size else ()
+    axes = [{"parameter": parameter, "values": (least, greatest)} for parameter, least, greatest in ends]
+    document = study.model_dump(exclude={"sweep"})
+    if validated(Study, {**document, "sweep": {"design": "zip", "axes": axes}})[0] is None:
+        for point in values.tolist():
+            replace_values(study, dict(zip(parameters, point, strict=True)))
 
 
 def content(study: Study) -> dict[str, Any]:

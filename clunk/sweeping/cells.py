@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from clunk.core.regimes import System
 from clunk.core.rk4.propagator import Steps
 from clunk.core.switching import MOST_STAGES
 from clunk.simulation import driveline
+from clunk.simulation.batches import MOST, prepare_many
 from clunk.simulation.load import loads_of
 from clunk.simulation.measures import channels_of
 from clunk.study.designs import Cells, Design, FloatArray, design_of
@@ -37,7 +38,7 @@ CELL, IMPACT = kernel.CELL, kernel.IMPACT
 
 _BACKLASH = re.compile(r"lash(\[\d+\])?\.backlash_deg")
 _RATES = {"smooth": "load.duration", "lag": "load.time_constant", "sine": "load.frequency"}  # how fast a wave swings
-KEPT_SYSTEMS = 4096  # about 20 KB each
+KEPT_SYSTEMS = 4096  # about 30 KB each
 _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
 _NO_LOGS, _NO_STATES = np.zeros((0, 0), EVENT), np.zeros((0, 0, 0))
 _STATES = 1 << 16  # events whose states there is room for at a time: 8 MB, which the caches nearly hold
@@ -81,6 +82,20 @@ class Systems:
             if len(self._kept) > KEPT_SYSTEMS:
                 self._kept.popitem(last=False)
         return prepared
+
+    def prepare(self, points: Sequence[Mapping[str, float]]) -> None:
+        """Prepare the systems at some values of structural parameters together, for `prepared` to return them."""
+        with self._lock:
+            missing = {key: None for point in points if (key := tuple(point.items())) not in self._kept}
+        if len(missing) < 2:
+            return
+        parameters = [parameter for parameter, _ in next(iter(missing))]
+        values = np.array([[value for _, value in key] for key in missing])
+        prepared = prepare_many(self._study, parameters, values)
+        with self._lock:
+            self._kept |= zip(missing, prepared, strict=True)
+            while len(self._kept) > KEPT_SYSTEMS:
+                self._kept.popitem(last=False)
 
     def channels(self, values: Mapping[str, float]) -> Channels:
         """The channels of the study's measures with these values of structural parameters."""
@@ -147,6 +162,14 @@ class Grid:
         for values, end, begin in zip(unique.tolist(), ends, [0, *ends[:-1]], strict=True):
             yield dict(zip(self._structural, values, strict=True)), order[begin:end]
 
+    def _prepared_groups(self, cells: Cells) -> Iterator[tuple[dict[str, float], npt.NDArray[np.intp]]]:
+        """`groups`, whose systems are prepared many at a time."""
+        groups = list(self.groups(cells))
+        for begin in range(0, len(groups), MOST):
+            some = groups[begin : begin + MOST]
+            self.systems.prepare([values for values, _ in some])
+            yield from some
+
     def run(self, cells: Cells, stop: Flag) -> Tile:
         """Run cells; the tile has those that were done before `stop` was set."""
         cases = self.cases(self.design.at(cells), cells.size)
@@ -161,7 +184,7 @@ class Grid:
         known = np.zeros(records.size, bool)
         impacts: list[Records] = [none]
         owners: list[npt.NDArray[np.intp]] = [np.zeros(0, np.intp)]
-        for values, positions in self.groups(cells):
+        for values, positions in self._prepared_groups(cells):
             if stop[0]:
                 break
             finished, pieces = run_group(values, cases.at(positions), buffer, stop)
@@ -178,7 +201,7 @@ class Grid:
         records = np.zeros((cells.size, self.layout.lashes), CELL)
         logs = np.zeros((cells.size, self.study.solver.max_events + 1), EVENT)
         logs["time"] = np.nan
-        for values, positions in self.groups(cells):
+        for values, positions in self._prepared_groups(cells):
             part, events = cases.at(positions), logs[positions]
             output = kernel.Output(self._cells(len(positions)), buffer, events, _NO_STATES)
             rows, _ = self._run(values, part, output, np.zeros(1, np.uint8))

@@ -97,7 +97,7 @@ class Chain(NamedTuple):
         return Chain(*matrices, *self[len(matrices) :])
 
 
-class _Unlike(Exception):
+class _UnlikeError(Exception):
     """Drivelines of a batch differ in more than numbers: `parts`, positions of those that are alike."""
 
     def __init__(self, parts: list[IntArray]) -> None:
@@ -106,10 +106,10 @@ class _Unlike(Exception):
 
 
 def _alike(patterns: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """The pattern that D drivelines have in common; patterns : (D, …). Raises _Unlike where they differ."""
+    """The pattern that D drivelines have in common; patterns : (D, …). Raises _UnlikeError where they differ."""
     if (patterns != patterns[:1]).any():
         _, part_of = np.unique(patterns.reshape(len(patterns), -1), axis=0, return_inverse=True)
-        raise _Unlike([np.flatnonzero(part_of.ravel() == part) for part in range(part_of.max() + 1)])
+        raise _UnlikeError([np.flatnonzero(part_of.ravel() == part) for part in range(part_of.max() + 1)])
     return np.asarray(patterns[0])
 
 
@@ -149,9 +149,9 @@ def build_flows(
     arrays = rates, inputs, functionals, feedthrough
     for k, chain in enumerate(chains):
         matrices = _Matrices(*(array[..., k, :, :].reshape(*many, *array.shape[-2:]) for array in arrays))
-        numbers = (array.reshape(*many, *array.shape[len(batch) :]) for array in chain[:3])
-        _fill(Flows(*(table[:, k] for table in tables)), matrices, Chain(*numbers, *chain[3:]), held)
-    return tables if batch else Flows(*(table[0] for table in tables))
+        numbers = [array.reshape(*many, *array.shape[len(batch) :]) for array in chain[:3]]
+        _fill(Flows._make(table[:, k] for table in tables), matrices, Chain._make([*numbers, *chain[3:]]), held)
+    return tables if batch else Flows._make(table[0] for table in tables)
 
 
 class _Matrices(NamedTuple):
@@ -179,9 +179,9 @@ def _fill(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int]) -> 
     """Tables of one flow of D drivelines, (D, …); what they differ in but for numbers, they are divided by."""
     try:
         _fill_alike(tables, matrices, chain, held)
-    except _Unlike as unlike:
+    except _UnlikeError as unlike:
         for part in unlike.parts:
-            some = Flows(*(np.zeros_like(table[part]) for table in tables))
+            some = Flows._make(np.zeros_like(table[part]) for table in tables)
             _fill(some, _Matrices(*(array[part] for array in matrices)), chain.of(part), held)
             for table, filled in zip(tables, some, strict=True):
                 table[part] = filled
@@ -211,7 +211,8 @@ def _fill_alike(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int
         into, back = inverse @ into, back @ vectors
         tables.ringing[:] = np.count_nonzero(block[:, 1::2, ::2].diagonal(axis1=-2, axis2=-1), axis=-1)
     modal, growth = modes is not None, 1.0
-    unseen = _alike(~block.any(axis=-2) & ~_outputs(functionals[..., :still], back, chain).any(axis=-2))
+    seen = _outputs(functionals[..., :still], back, chain)
+    unseen = _alike(~np.any(block, axis=-2) & ~np.any(seen, axis=-2))
     into[:, unseen], block[:, unseen] = into[:, unseen] / _FAR, block[:, unseen] / _FAR
     back[..., unseen] *= _FAR
     if rates.shape[-1] > still:
@@ -439,13 +440,13 @@ def _modes(scaled: _Scaled) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         inverse = np.linalg.inv(basis)
     except np.linalg.LinAlgError:
         if count > 1:
-            raise _Unlike([np.array([k]) for k in range(count)]) from None
+            raise _UnlikeError([np.array([k]) for k in range(count)]) from None
         return None
     # by the Frobenius norms, at most as many times larger as there are coordinates, the condition is known sooner
     sound = np.sqrt((basis * basis).sum(axis=(-2, -1)) * (inverse * inverse).sum(axis=(-2, -1))) <= _MAX_CONDITION
     if size and not sound.all():
         sound[~sound] = np.linalg.cond(basis[~sound]) <= _MAX_CONDITION
-    if not _alike(sound | (size == 0)):
+    if size and not _alike(sound):
         return None
     return basis, inverse @ (2.0 * unit - basis @ inverse), block
 
