@@ -134,9 +134,7 @@ def test_outcomes_that_come_back_are_counted_at_each_value():
 
 def test_each_drawn_driveline_is_prepared_once(monkeypatch):
     prepare_many, prepared = sweeping.prepare_many, []
-    monkeypatch.setattr(
-        sweeping, "prepare_many", lambda *points: prepared.extend(points[2]) or prepare_many(*points)
-    )
+    monkeypatch.setattr(sweeping, "prepare_many", lambda *points: prepared.extend(points[2]) or prepare_many(*points))
     thresholds(
         study(FEW, RATIO.replace("load.ratio", "lash.backlash_deg"), INERTIA), along="lash.backlash_deg", workers=1
     )

@@ -1,0 +1,95 @@
+"""Drivelines prepared many at a time have the bits that each has alone, and the same errors."""
+
+import numpy as np
+import pytest
+from helpers import reference
+from helpers.randomplants import general_plants, plants
+from helpers.reference import Plant
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+import clunk
+from clunk.simulation import batches, driveline
+from clunk.study.config import study_from_text
+from clunk.study.parameters import located
+from clunk.study.study import replace_values
+
+CRITICAL = Plant(
+    inertias=(0.02, 0.01),
+    shafts=((1, "ground", 2.0, 0.4), (2, "ground", 3.0, 0.1)),
+    lash=(1, 2),
+    contact_damping=0.6,
+    acceleration_of=1,
+)  # whose first inertia alone is critically damped by 0.4 N m s/rad
+
+
+def same_as_alone(study, points):
+    """Assert that all arrays of all systems and tables are the same, to the last bit and the layout."""
+    together = batches.prepare_many(study, list(points), np.column_stack(list(points.values())))
+    for k, prepared in enumerate(together):
+        alone = driveline.prepare(replace_values(study, {key: float(column[k]) for key, column in points.items()}))
+        for one, other in zip(alone, prepared, strict=True):
+            for name in one._fields:
+                expected, field = np.asarray(getattr(one, name)), np.asarray(getattr(other, name))
+                assert np.array_equal(expected, field, equal_nan=expected.dtype.kind == "f"), (k, name)
+                assert (expected.dtype, expected.strides) == (field.dtype, field.strides), (k, name)
+
+
+def sizes_of(study):
+    """The parameters of a study that a batch takes as arrays, with their values."""
+    shafts, inertias = range(1, len(study.driveline.shafts) + 1), range(1, len(study.driveline.inertias) + 1)
+    keys = [f"driveline.inertias[{k}]" for k in inertias]
+    keys += [f"driveline.shafts[{k}].{key}" for k in shafts for key in ("stiffness", "damping")]
+    keys += ["lash.contact.stiffness", "lash.contact.damping", "lash.radius"]
+    return {key: located(study, key)[2] for key in keys}
+
+
+@settings(max_examples=15)
+@given(st.one_of(plants(), general_plants(), general_plants(restitution=0.5)), st.integers(0, 2**32 - 1))
+def test_random_drivelines_have_the_bits_that_each_has_alone(drawn, seed):
+    plant, _ = drawn
+    assume(not plant.profile.phase)  # which no config has
+    study = study_from_text(reference.config_of(plant, method="exact"))
+    random = np.random.default_rng(seed)
+    points = {}
+    for key, value in sizes_of(study).items():
+        factors = random.uniform(0.7, 1.3, 5)
+        factors[0] = 1.0
+        factors[4] = "damping" not in key  # without any damping
+        points[key] = value * factors
+    same_as_alone(study, points)
+
+
+def test_of_drivelines_about_critical_damping_each_is_what_it_is_alone():
+    study = study_from_text(reference.config_of(CRITICAL, method="exact"))
+    dampings = np.array([0.3, 0.4, 0.5, 0.4 + 1e-12, 0.0, 3.0])
+    same_as_alone(study, {"driveline.shafts[1].damping": dampings})
+    tables = [flows for _, flows in batches.prepare_many(study, ["driveline.shafts[1].damping"], dampings[:, None])]
+    assert [int(each.modal[0]) for each in tables] == [1, 0, 1, 0, 1, 1]
+
+
+def test_keys_that_are_no_sizes_can_change_beside_them():
+    study = study_from_text(reference.config_of(Plant(), method="exact"))
+    points = {
+        "lash.ratio": np.array([1.0, 2.0, 1.0, 2.0]),
+        "driveline.inertias[3]": np.array([0.002, 0.002, 0.003, 0.004]),
+        "driveline.shafts[2].stiffness": np.array([31.3, 0.0, 20.0, 30.0]),
+        "impacts.sticking_time": np.array([4e-3, 4e-3, 5e-3, 4e-3]),
+    }
+    same_as_alone(study, points)
+
+
+@pytest.mark.parametrize("method", ["exact", "rk4"])
+def test_staged_shafts_friction_and_rk4_are_prepared_one_by_one(method):
+    study = clunk.load_study("configs/clutch_damper.toml", [f"solver.method='{method}'"])
+    same_as_alone(study, {"driveline.inertias[2]": np.array([0.9, 1.1]) * study.driveline.inertias[1]})
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, 1e31])
+def test_the_first_value_that_is_not_allowed_is_refused_as_if_alone(value):
+    study = study_from_text(reference.config_of(Plant(), method="exact"))
+    with pytest.raises(clunk.ConfigError) as alone:
+        replace_values(study, {"driveline.inertias[3]": value})
+    with pytest.raises(clunk.ConfigError) as together:
+        batches.prepare_many(study, ["driveline.inertias[3]"], np.array([[0.002], [value], [-2.0]]))
+    assert str(together.value) == str(alone.value)
