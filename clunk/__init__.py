@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from clunk.analysis.thresholds import ThresholdError, Thresholds, thresholds
     from clunk.analysis.verification import Verification
     from clunk.api import draw, run_points, sweep, tolerance_map, verify
+    from clunk.explorer.server import Explorer, explore
+    from clunk.explorer.subject import ExplorerError
     from clunk.plot import PlotError
     from clunk.results.boundaries import Boundaries
     from clunk.results.datasets import open_results, to_dataset
@@ -42,6 +44,8 @@ __all__ = [
     "ClunkError",
     "ConfigError",
     "EngineError",
+    "Explorer",
+    "ExplorerError",
     "PartsError",
     "PlotError",
     "Results",
@@ -58,6 +62,7 @@ __all__ = [
     "Trajectory",
     "Verification",
     "draw",
+    "explore",
     "load_study",
     "open_results",
     "plot",
@@ -84,6 +89,8 @@ _HOME = {
     "ClunkError": "study.errors",
     "ConfigError": "study.problems",
     "EngineError": "sweeping.engines",
+    "Explorer": "explorer.server",
+    "ExplorerError": "explorer.subject",
     "PartsError": "sweeping.parts",
     "PlotError": "plot",
     "Results": "results.regimemap",
@@ -100,6 +107,7 @@ _HOME = {
     "Trajectory": "simulation.trajectory",
     "Verification": "analysis.verification",
     "draw": "api",
+    "explore": "explorer.server",
     "load_study": "study.config",
     "open_results": "results.datasets",
     "read_results": "results.store:read",

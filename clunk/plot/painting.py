@@ -94,7 +94,7 @@ def paint_regimes(ax: Axes, layers: Layers, *, linewidth: float = 0.9) -> None:
         for label in layers.present:
             fill_label(ax, layers.boundaries, layers.view, label, {"facecolor": palette[label]})
     for code in layers.regions.present if layers.boundaries is None else ():
-        x, y, margin = _part(layers, code)
+        x, y, margin = margin_of(layers, code)
         if code != FAILED_CODE and margin.max() > 0.0:
             ax.contourf(x, y, margin, levels=[0.0, np.inf], colors=[palette[layers.labels[code]]], zorder=1)
     draw_boundaries(ax, layers, color=INK, linewidth=linewidth)
@@ -127,7 +127,7 @@ def hatch_failed(ax: Axes, layers: Layers) -> None:
         fill_label(ax, layers.boundaries, layers.view, FAILED, hatched)
         return
     look: dict[str, Any] = {"colors": [FAILED_FILL], "hatches": ["//////"], "zorder": 1}
-    filled = ax.contourf(*_part(layers, FAILED_CODE), levels=[0.0, np.inf], **look)
+    filled = ax.contourf(*margin_of(layers, FAILED_CODE), levels=[0.0, np.inf], **look)
     filled.set_edgecolor(FAILED_HATCH)
     filled.set_linewidth(0.0)
 
@@ -139,7 +139,7 @@ def draw_boundaries(ax: Axes, layers: Layers, *, color: str, linewidth: float) -
         return
     present = layers.regions.present
     for code in present if len(present) > 1 else ():
-        x, y, margin = _part(layers, code)
+        x, y, margin = margin_of(layers, code)
         if margin.min() < 0.0 < margin.max():
             ax.contour(x, y, margin, levels=[0.0], colors=[color], linewidths=linewidth, zorder=3)
 
@@ -157,7 +157,7 @@ def mark_undecided(ax: Axes, layers: Layers) -> None:
     ax.plot(layers.view.x.values[cells[0]], upward, gid="undecided", **look)
 
 
-def _part(layers: Layers, code: int) -> tuple[Floats, Floats, Scores]:
+def margin_of(layers: Layers, code: int) -> tuple[Floats, Floats, Scores]:
     """The fine points among which a label's cells are, and its margin there, rows along y."""
     (columns, rows), margin = layers.regions.margin(code)
     x, y = layers.regions.fine_values(layers.view)

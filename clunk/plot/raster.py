@@ -66,9 +66,9 @@ class Raster:
             cells = np.clip(np.searchsorted(edges, x) - 1, 0, len(codes) - 1)
             return cls(ax, np.broadcast_to(codes[cells], (height, width)))
         if layers.boundaries is not None:
-            nearest = layers.codes[np.ix_(*map(_fine_index, (x, y), layers.view.axes, (1, 1)))].T
+            nearest = layers.codes[np.ix_(*map(fine_index, (x, y), layers.view.axes, (1, 1)))].T
             return cls(ax, codes_at(layers.boundaries, layers.view, x, y, nearest))
-        columns, rows = map(_fine_index, (x, y), layers.view.axes, layers.regions.factor)
+        columns, rows = map(fine_index, (x, y), layers.view.axes, layers.regions.factor)
         return cls(ax, layers.regions.label[np.ix_(columns, rows)].T)
 
     @property
@@ -146,7 +146,7 @@ class Raster:
         self.label = free
 
 
-def _fine_index(values: Floats, axis: ResultAxis, factor: int) -> npt.NDArray[np.intp]:
+def fine_index(values: Floats, axis: ResultAxis, factor: int) -> npt.NDArray[np.intp]:
     """Index of the fine point nearest to each value of an axis."""
     to, _ = ruler(axis)
     samples = axis.values

@@ -9,7 +9,7 @@ import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from matplotlib import colors, patheffects, style
@@ -167,11 +167,15 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> None:
     suffix = path.suffix.lower().removeprefix(".")
     if suffix not in _FORMATS:
         raise PlotError(f"{path} cannot be drawn: its name must end in {', '.join('.' + name for name in _FORMATS)}.")
-    # Nothing of the moment goes into the file, so that the same results give the same bytes.
-    metadata: dict[str, Any] = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[suffix]
-    options: dict[str, Any] = {"pil_kwargs": {"optimize": True}} if suffix == "png" else {}
     try:
-        with styled():
-            write_whole(path, lambda target: figure.savefig(target, format=suffix, metadata=metadata, **options))
+        write_whole(path, lambda target: encode(figure, suffix, target))
     except OSError as error:
         raise PlotError(f"{path} cannot be written: {reason(error)}.") from error
+
+
+def encode(figure: Figure, suffix: str, target: BinaryIO) -> None:
+    """Write a figure to a stream as png, svg or pdf; the same figure gives the same bytes."""
+    metadata: dict[str, Any] = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[suffix]
+    options: dict[str, Any] = {"pil_kwargs": {"optimize": True}} if suffix == "png" else {}
+    with styled():
+        figure.savefig(target, format=suffix, metadata=metadata, **options)

@@ -20,10 +20,15 @@ _ROWS = 4096  # of a CSV file, written at once
 
 
 def save_csv(path: str | os.PathLike[str], history: History) -> None:
+    """Write a history as comma-separated values, as `write_csv`. Raises HistoryError."""
+    with writing(path, HistoryError) as target:
+        write_whole(target, lambda stream: write_csv(stream, history))
+
+
+def write_csv(stream: BinaryIO, history: History) -> None:
     """Write a history as comma-separated values, to full precision, with the units in the names of the columns.
 
-    The last two columns are text, empty but in the row that follows an event: what it is, and its flank. Raises
-    HistoryError.
+    The last two columns are text, empty but in the row that follows an event: what it is, and its flank.
     """
     n, trajectory = history.angle.shape[1], history.trajectory
     names = ["time_s", "after_step_s"]
@@ -37,22 +42,18 @@ def save_csv(path: str | os.PathLike[str], history: History) -> None:
     numbers = np.column_stack((*columns, history.torque, history.backlash_coordinates))
     empty = "," * (1 + several)
 
-    def write(stream: BinaryIO) -> None:
-        stream.write((",".join(names) + "\n").encode())
-        for start in range(0, history.time.size, _ROWS):
-            rows = slice(start, start + _ROWS)
-            lines = []
-            for row, contacts, event in zip(
-                numbers[rows].tolist(), history.contacts[rows].tolist(), history.event[rows].tolist(), strict=True
-            ):
-                lash = f"{trajectory.lash_name(event)}," if several else ""
-                what = f"{event_name(trajectory, event)},{lash}{trajectory.flank_name(event)}" if event >= 0 else empty
-                pressing = ",".join(map(str, contacts))
-                lines.append(f"{','.join(map(repr, row))},{pressing},{what}\n")  # repr: shortest that reads back equal
-            stream.write("".join(lines).encode())
-
-    with writing(path, HistoryError) as target:
-        write_whole(target, write)
+    stream.write((",".join(names) + "\n").encode())
+    for start in range(0, history.time.size, _ROWS):
+        rows = slice(start, start + _ROWS)
+        lines = []
+        for row, contacts, event in zip(
+            numbers[rows].tolist(), history.contacts[rows].tolist(), history.event[rows].tolist(), strict=True
+        ):
+            lash = f"{trajectory.lash_name(event)}," if several else ""
+            what = f"{event_name(trajectory, event)},{lash}{trajectory.flank_name(event)}" if event >= 0 else empty
+            pressing = ",".join(map(str, contacts))
+            lines.append(f"{','.join(map(repr, row))},{pressing},{what}\n")  # repr: shortest that reads back equal
+        stream.write("".join(lines).encode())
 
 
 def event_name(trajectory: Trajectory, k: int) -> str:

@@ -20,6 +20,7 @@ from clunk.core.status import Status
 from clunk.core.tables import TORQUE
 from clunk.simulation.driveline import Driveline, build, steady_driveline
 from clunk.simulation.load import run_load
+from clunk.simulation.measures import torque_across
 from clunk.simulation.phases import Flow, apply, inputs_of, preload, regimes_of, stretches, with_wave
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.errors import ClunkError
@@ -79,6 +80,7 @@ class History:
     torque: FloatArray  # (M,)  N m, the load
     backlash_coordinates: FloatArray  # (M, L)  m, x_b = r q of each lash
     contacts: npt.NDArray[np.int8]  # (M, L)  the flank of each that presses: -1 initial, +1 opposite, 0 none
+    contact_torques: FloatArray  # (M, L)  N m, across each lash, signed like q; without the impulses of restitution
     event: npt.NDArray[np.int64]  # (M,)  the row's index in the trajectory's events, -1 where there is none
 
     @property
@@ -105,6 +107,11 @@ class History:
     def contact(self) -> npt.NDArray[np.int8]:
         """(M,) the flank that presses: -1 initial, +1 opposite, 0 none."""
         return self.contacts[:, self.trajectory.lash]
+
+    @property
+    def contact_torque(self) -> FloatArray:
+        """(M,) torque across the lash, signed like q  [N m]."""
+        return self.contact_torques[:, self.trajectory.lash]
 
     @property
     def half_gap(self) -> float:
@@ -227,14 +234,24 @@ def sample(
     n = system.inertias
     angle, velocity = state[:, :n], state[:, n : 2 * n]
     acceleration, torque = np.empty_like(angle), state[:, 2 * n :][:, :1].sum(axis=1)
-    for piece in range(len(load)):
-        under = piece_of == piece
-        torque[under] += motion.inputs(piece)[TORQUE]
-        for number, regime in enumerate(motion.regimes(piece) if under.any() else ()):
-            rows = under & (regime_of == number)
-            acceleration[rows] = apply(regime.rates[n : 2 * n], state[rows]) + regime.forcing[n : 2 * n]
+    contact_torques, line = np.zeros((len(after_step), len(study.lashes))), Driveline.from_study(study)
     if steady:
-        torque[: lengths[0]] = inputs_before[TORQUE]
+        piece_of[: lengths[0]] = -1
+    for piece in range(-1, len(load)):
+        under = piece_of == piece
+        inputs = motion.inputs(piece) if piece >= 0 else inputs_before
+        torque[under] += inputs[TORQUE]
+        for number in np.unique(regime_of[under]):
+            rows, regime = under & (regime_of == number), motion.regimes(0)[number]
+            driven = system.weights[number] * np.concatenate([inputs, np.ones(system.weights.shape[1] - inputs.size)])
+            for lash in np.flatnonzero(regime.closed).tolist():
+                across = torque_across(line, system, system.regimes[number]["flow"], lash)
+                by_state, by_inputs = np.split(across, [state.shape[1]])
+                contact_torques[rows, lash] = apply(by_state[None], state[rows])[:, 0] + by_inputs @ driven
+            if piece >= 0:
+                regime = motion.regimes(piece)[number]
+                acceleration[rows] = apply(regime.rates[n : 2 * n], state[rows]) + regime.forcing[n : 2 * n]
+    if steady:
         acceleration[: lengths[0]] = gains  # by definition; the product leaves rounding
     pressing = np.array([regime.sides * regime.closed for regime in motion.regimes(0)])  # the side of each lash's flank
     radii = np.array([lash.radius for lash in study.lashes])
@@ -249,6 +266,7 @@ def sample(
         torque=torque,
         backlash_coordinates=radii * apply(system.lashes[:, n : 2 * n], angle),
         contacts=(-trajectory.initial_sides * pressing[regime_of]).astype(np.int8),
+        contact_torques=contact_torques,
         event=event,
     )
 

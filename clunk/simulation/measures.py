@@ -45,7 +45,7 @@ def channels_of(study: Study, system: System, *, of_impacts: bool | None = None)
         for lash, row in enumerate(line.lashes):
             of_lash = rows[flow, OF_LASH * lash :]
             if active.closed[lash]:
-                of_lash[CONTACT_TORQUE] = _contact_torque(line, system, flow, lash)
+                of_lash[CONTACT_TORQUE] = torque_across(line, system, flow, lash)
             of_lash[CLOSING, n : 2 * n] = row
         for row, each, part in zip(rows[flow, OF_LASH * lashes :], measures, parts, strict=True):
             row[:] = _row(each, part, active, line, system, flow, rows[flow])
@@ -65,7 +65,7 @@ def channels_of(study: Study, system: System, *, of_impacts: bool | None = None)
     )
 
 
-def _contact_torque(line: Driveline, system: System, flow: int, lash: int) -> FloatArray:
+def torque_across(line: Driveline, system: System, flow: int, lash: int) -> FloatArray:
     """The torque across a lash, closed in a flow, by state and inputs, signed like q."""
     if system.impulsive:
         force = lash * system.stride + FORCE

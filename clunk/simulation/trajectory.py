@@ -151,6 +151,10 @@ class Trajectory:
         """The run in a few lines for people: (name, value) pairs; of several lashes a line for each."""
         touches = sum(each.touches for each in self.lashes)
         events = ("events", f"{len(self.events) - 1}, {touches} of them touches")
+        return [events, *(self.outcome() if len(self.lashes) == 1 else map(_line, self.lashes))]
+
+    def outcome(self) -> Rows:
+        """The lash's impacts, label and severity for people: (name, value) pairs."""
         rows = [
             ("primary impacts", self.letters or "none"),
             ("label", self.label),
@@ -159,7 +163,7 @@ class Trajectory:
         ]
         if not np.isnan(self.margin):
             rows.append(("margin", f"{MOST:g} or more" if self.margin >= MOST else f"{self.margin:+.3g}"))
-        return [events, *rows] if len(self.lashes) == 1 else [events, *map(_line, self.lashes)]
+        return rows
 
     def event_table(self) -> list[tuple[str, ...]]:
         """Headings, and the events after the load step as texts; of several lashes with a column for the lash."""

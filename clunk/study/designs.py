@@ -166,9 +166,13 @@ def unused_parameters(study: Study) -> list[str]:
     sweep = study.sweep
     swept = [each.parameter for each in (*sweep.axes, *sweep.samples, *sweep.tolerances)] if sweep else []
     swept += [each.parameter for each in study.fit.parameters] if study.fit else []
+    return [parameter for parameter in swept if is_unused(study, parameter)]
+
+
+def is_unused(study: Study, parameter: str) -> bool:
+    """Whether a key changes nothing in the study's contact model."""
     if study.lashes[0].contact.model == "restitution":
         unused = {"lash.contact.stiffness", "lash.contact.damping", "impacts.sticking_time", "impacts.acceleration_of"}
     else:
         unused = {"lash.contact.restitution", "lash.contact.locking_speed"}
-    unused.add("load.step_time")
-    return [parameter for parameter in swept if re.sub(r"^lash\[\d+\]", "lash", parameter) in unused]
+    return re.sub(r"^lash\[\d+\]", "lash", parameter) in unused | {"load.step_time"}

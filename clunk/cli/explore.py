@@ -1,0 +1,89 @@
+"""`clunk explore`: a page in the browser with a map and the motion in the cell that is pointed at."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from clunk.cli import terminal
+from clunk.cli.options import PATH, set_option
+
+if TYPE_CHECKING:
+    from clunk.results.regimemap import Results
+
+
+@click.command()
+@click.argument("source", type=PATH)
+@set_option
+@click.option("--no-browser", is_flag=True, help="Only print the address of the page.")
+@click.option("--port", type=click.IntRange(1, 65535), help="Port of this machine [any that is free].")
+def explore(source: Path, overrides: tuple[str, ...], no_browser: bool, port: int | None) -> None:
+    """Open a page in the browser: point at a map, see the motion.
+
+    SOURCE is a results file, or a config, of which every few cells are run and the others inferred. The page is for
+    this machine alone; Ctrl-C ends it.
+
+    \b
+    Examples:
+      clunk explore results/figure_3_4.h5
+      clunk explore configs/ramp.toml --set solver.method=exact
+    """
+    # the matrices of a run are small, and threads of BLAS that wait for each other take longer than their work
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from clunk.explorer.subject import ExplorerError
+
+    try:
+        import bokeh  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise ExplorerError("The explorer needs Bokeh, which is not installed: pip install 'clunk[explore]'") from error
+    results = _results_of(source, overrides)
+    from clunk.explorer.server import explore as serve
+
+    explorer = serve(results, name=source.stem, port=port or 0, browser=False)
+    click.echo(explorer.url)
+    click.echo("Ctrl-C ends it", err=True)
+    if not no_browser:
+        explorer.open_browser()
+    try:
+        explorer.wait()
+    except KeyboardInterrupt:
+        explorer.stop()
+
+
+def _results_of(source: Path, overrides: tuple[str, ...]) -> Results:
+    """The results of a file, or of a config that is swept now."""
+    from clunk.explorer.subject import ExplorerError
+    from clunk.results.regimemap import Results
+
+    if source.suffix == ".h5":
+        from clunk.results.store import read_map
+
+        if overrides:
+            raise click.UsageError("--set goes with a config; on the page, the numbers of a file have sliders.")
+        results = read_map(source)
+        if not isinstance(results, Results):
+            raise ExplorerError(f"{source} holds a tolerance map; the explorer shows regime maps.")
+        return results
+    from clunk.study.config import load_study
+    from clunk.study.designs import has_tolerances, nominal
+    from clunk.sweeping.cells import warm_up
+    from clunk.sweeping.progress import shown
+    from clunk.sweeping.sweep import Job
+
+    study = load_study(source, overrides)
+    if has_tolerances(study):
+        study = nominal(study)
+        terminal.complain("tolerances are left aside; this is the nominal map")
+    if study.sweep is None or not (study.sweep.axes or study.sweep.samples):
+        raise ExplorerError(f"{source} has no [[sweep.axes]]: the page needs one axis or two for its map.")
+    terminal.warn_of_coarse_step(study, study.solver.method)
+    terminal.say_if_compiling(study.solver.method)
+    warm_up(study)
+    job = Job(study, refine=study.sweep.design == "grid" and not study.sweep.samples)
+    with shown(job.design.cells) as report:
+        swept = job.run(progress=report)
+    assert isinstance(swept, Results)
+    return swept

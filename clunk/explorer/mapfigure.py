@@ -1,0 +1,125 @@
+"""The figure of the map: its image, boundaries and labels, and marks of the cells that runs are shown of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from bokeh.models import ColorBar, ColumnDataSource, DataRange1d, LinearColorMapper, Range1d
+from bokeh.plotting import figure
+
+from clunk.explorer.pictures import Picture
+from clunk.plot.plane import ruler
+from clunk.plot.style import INK, LINE_COLOURS
+from clunk.study.axes import ResultAxis
+
+RUN_COLOURS = (INK, *LINE_COLOURS[:2])  # of the run that is shown, and of those that are pinned
+
+Mark = tuple[float, float, str]  # x, y and colour
+
+
+def axis_title(axis: ResultAxis) -> str:
+    """Name, symbol and unit of an axis as plain text."""
+    name = axis.name or axis.parameter
+    unit = "" if axis.unit in ("", "1") else f"[{axis.unit}]"
+    return " ".join(part for part in (name[:1].upper() + name[1:], axis.symbol, unit) if part)
+
+
+class MapFigure:
+    """A map over two axes, or a curve over one on bands of the labels' colours; one picture takes another's place."""
+
+    def __init__(self, axes: Sequence[ResultAxis]) -> None:
+        self._axes = axes
+        is_map = len(axes) > 1
+        self.figure = plot = figure(
+            name="map",
+            x_axis_type="log" if axes[0].is_geometric else "linear",
+            y_axis_type="log" if is_map and axes[1].is_geometric else "linear",
+            x_range=_range(axes[0]),
+            y_range=_range(axes[1]) if is_map else DataRange1d(),
+            x_axis_label=axis_title(axes[0]),
+            y_axis_label=axis_title(axes[1]) if is_map else "",
+            tools="pan,wheel_zoom,box_zoom,reset",
+            sizing_mode="stretch_both",
+            min_height=240,
+            margin=0,
+        )
+        plot.toolbar.logo = None
+        plot.grid.visible = False
+        self._image = _source("image", "x", "y", "dw", "dh")
+        self._bands = _source("x0", "x1", "colour")
+        self._lines = _source("xs", "ys")
+        self._points = _source("x", "y")
+        self._texts = _source("x", "y", "text")
+        self._marks = _source("x", "y", "colour")
+        self._mapper = LinearColorMapper(palette=["#000000", "#ffffff"], low=0.0, high=1.0)
+        self._bar = ColorBar(color_mapper=self._mapper, width=10, visible=False)
+        plot.add_layout(self._bar, "right")
+        text = {"text_align": "center", "text_baseline": "middle", "text_font_size": "14px", "text_color": INK}
+        if is_map:
+            plot.image_rgba("image", "x", "y", "dw", "dh", source=self._image)
+            lines = plot.multi_line("xs", "ys", source=self._lines, color=INK, line_width=0.9)
+            self._boundaries = lines.glyph
+            plot.scatter("x", "y", source=self._points, size=2.5, color=INK)
+            plot.text("x", "y", "text", source=self._texts, **text)
+        else:
+            plot.vstrip("x0", "x1", source=self._bands, color="colour", level="underlay")
+            plot.line("x", "y", source=self._points, color=INK, line_width=1.5)
+        for width, colour in ((6.0, "white"), (2.5, "colour")):
+            plot.scatter("x", "y", source=self._marks, size=13, fill_alpha=0.0, line_width=width, line_color=colour)
+
+    def show(self, picture: Picture, name: str) -> None:
+        """Show a picture of a quantity of this name; labels are written where no quantity is drawn."""
+        if len(self._axes) > 1:
+            self._show_map(picture)
+        else:
+            assert picture.edges is not None
+            assert picture.curve is not None
+            colours = [f"#{pixel & 255:02x}{pixel >> 8 & 255:02x}{pixel >> 16 & 255:02x}" for pixel in picture.pixels]
+            self._bands.data = {"x0": picture.edges[:-1], "x1": picture.edges[1:], "colour": colours}
+            self._points.data = {"x": picture.curve[:, 0], "y": picture.curve[:, 1]}
+            self.figure.yaxis.axis_label = name
+
+    def _show_map(self, picture: Picture) -> None:
+        (x, width), (y, height) = ((axis.values.min(), np.ptp(axis.values)) for axis in self._axes)
+        self._image.data = {"image": [picture.pixels], "x": [x], "y": [y], "dw": [width], "dh": [height]}
+        self._lines.data = {"xs": [line[:, 0] for line in picture.lines], "ys": [line[:, 1] for line in picture.lines]}
+        self._points.data = {"x": picture.dots[:, 0], "y": picture.dots[:, 1]}
+        names = ("text", "x", "y")
+        columns = zip(*picture.texts, strict=True) if picture.texts else ((), (), ())
+        self._texts.data = {name: list(column) for name, column in zip(names, columns, strict=True)}
+        shades = picture.shades
+        self._bar.visible = shades is not None
+        self._boundaries.line_color = INK if shades is None or shades.has_dark_lines else "white"
+        if shades is not None:
+            self._mapper.update(palette=shades.colours, low=shades.low, high=shades.high)
+            self._bar.title = shades.label
+
+    def mark(self, marks: Sequence[Mark]) -> None:
+        """Put rings around cells, the last on top."""
+        columns = zip(*marks, strict=True) if marks else ((), (), ())
+        self._marks.data = {name: list(each) for name, each in zip(("x", "y", "colour"), columns, strict=True)}
+
+    def nearest(self, x: float, y: float) -> tuple[float, ...] | None:
+        """Values of the axes in the cell at a point; None beyond the map."""
+        point = (x, y)[: len(self._axes)]
+        at = []
+        for axis, value in zip(self._axes, point, strict=True):
+            low, high = float(axis.values.min()), float(axis.values.max())
+            if not low <= value <= high:
+                return None
+            to, _ = ruler(axis)
+            at.append(float(axis.values[int(np.argmin(np.abs(to(axis.values) - to(value))))]))
+        return tuple(at)
+
+
+def _source(*names: str) -> ColumnDataSource:
+    return ColumnDataSource(data={name: [] for name in names})
+
+
+def _range(axis: ResultAxis) -> Range1d:
+    low, high = float(axis.values.min()), float(axis.values.max())
+    if low == high:
+        half = 0.5 * (abs(low) or 1.0)
+        low, high = low - half, high + half
+    return Range1d(low, high, bounds=(low, high))

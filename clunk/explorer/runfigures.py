@@ -1,0 +1,168 @@
+"""The figures of runs: load, lash coordinate, acceleration and contact torque over one time axis."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from bokeh.events import Reset
+from bokeh.models import BoxAnnotation, ColumnDataSource, DataRange1d, Range1d, Span
+from bokeh.plotting import figure
+
+from clunk.explorer.curves import Floats, thinned
+from clunk.explorer.mapfigure import RUN_COLOURS
+from clunk.plot.style import FAINT_INK, INK
+from clunk.simulation.history import History
+
+_COLUMNS = 1000  # spans of time that a screen tells apart
+_MOST_ARROWS = 12  # impacts; more arrows than these would hide the curve
+_LEFT = 64  # pixels left of all panels, so that their time axes lie under each other
+
+
+class _Panel(NamedTuple):
+    name: str
+    label: str
+    values: Callable[[History], Floats]
+    share: float  # of the height
+
+
+_PANELS = (
+    _Panel("torque", "load [N m]", lambda run: run.torque, 0.7),
+    _Panel("lash", "lash x_b [mm]", lambda run: 1e3 * run.backlash_coordinate, 1.4),
+    _Panel("acceleration", "θ'' [rad/s²]", lambda run: run.acceleration[:, run.watched - 1], 1.4),
+    _Panel("contact", "contact [N m]", lambda run: run.contact_torque, 1.1),
+)
+
+
+class RunFigures:
+    """Panels of one run and of those that are pinned beside it, thinned anew for what the time axis shows."""
+
+    def __init__(self) -> None:
+        self._runs: Sequence[History | None] = [None] * len(RUN_COLOURS)
+        self._time = Range1d(0.0, 1.0)
+        self._whole = (0.0, 1.0)
+        self._is_setting = False
+        self._steps: list[Span] = []
+        self._curves: dict[tuple[str, int], ColumnDataSource] = {}
+        self.figures = {panel.name: self._figure(panel) for panel in _PANELS}
+        lash, acceleration = self.figures["lash"], self.figures["acceleration"]
+        self._gap = BoxAnnotation(fill_color="#e4e4e4", fill_alpha=1.0, level="underlay", line_color=None)
+        lash.add_layout(self._gap)
+        self._flanks = _source("x", "y", "text")
+        small = {"text_font_size": "11px", "text_color": FAINT_INK, "x_offset": 4}
+        lash.text("x", "y", "text", source=self._flanks, text_baseline="middle", **small)
+        self._touches = _source("x", "y", "angle", "fill", "colour", "size")
+        look = {"line_color": "colour", "fill_color": "fill", "size": "size", "angle": "angle"}
+        lash.scatter("x", "y", source=self._touches, marker="triangle", **look)
+        self._arrows = _source("x", "low", "high", "text")
+        acceleration.segment("x", "low", "x", "high", source=self._arrows, color=INK, line_width=1.0)
+        for end, angle in (("low", np.pi), ("high", 0.0)):
+            acceleration.scatter("x", end, source=self._arrows, marker="triangle", size=5, color=INK, angle=angle)
+        text = {"text_align": "center", "text_baseline": "bottom", "text_font_size": "11px", "y_offset": -2}
+        acceleration.text("x", "high", "text", source=self._arrows, **text)
+        for name in ("start", "end"):
+            self._time.on_change(name, self._on_zoom)
+
+    def _figure(self, panel: _Panel) -> Any:
+        plot = figure(
+            name=panel.name,
+            x_range=self._time,
+            y_range=DataRange1d(range_padding=0.25),
+            y_axis_label=panel.label,
+            tools="xpan,xwheel_zoom,xbox_zoom,reset",
+            active_drag="xbox_zoom",
+            toolbar_location="right" if panel is _PANELS[0] else None,
+            sizing_mode="stretch_both",
+            min_height=int(64 * panel.share),
+            styles={"flex": f"{panel.share} 1 0"},
+            min_border_left=_LEFT,
+            min_border_bottom=2,
+            min_border_top=2,
+            margin=0,
+        )
+        plot.toolbar.logo = None
+        plot.yaxis.ticker.desired_num_ticks = 3 if panel.share < 1.0 else 5
+        plot.xgrid.visible = False
+        plot.ygrid.grid_line_color = "#e6e6e6"
+        plot.outline_line_color = None
+        if panel is _PANELS[-1]:
+            plot.xaxis.axis_label = "time [s]"
+        else:
+            plot.xaxis.major_label_text_font_size = "0px"
+        step = Span(location=0.0, dimension="height", line_color=FAINT_INK, line_dash="dotted", line_width=1.0)
+        plot.add_layout(step)
+        self._steps.append(step)
+        for k in reversed(range(len(RUN_COLOURS))):
+            source = self._curves[panel.name, k] = _source("x", "y")
+            plot.line("x", "y", source=source, color=RUN_COLOURS[k], line_width=1.6 if k else 1.3)
+        plot.on_event(Reset, lambda _: self._time.update(start=self._whole[0], end=self._whole[1]))
+        return plot
+
+    def show(self, runs: Sequence[History | None], *, keeps_zoom: bool) -> None:
+        """Show a run and those that are pinned; None where there is none."""
+        present = [run for run in runs if run is not None]
+        self._runs = runs
+        if not present:
+            for source in self._curves.values():
+                source.data = {"x": [], "y": []}
+            self._marks(None)
+            return
+        whole = float(min(run.time[0] for run in present)), float(max(run.time[-1] for run in present))
+        is_zoomed = (self._time.start, self._time.end) != self._whole
+        self._whole = whole
+        for step in self._steps:
+            step.location = present[0].study.load.step_time
+        if not (keeps_zoom and is_zoomed):
+            self._is_setting = True
+            self._time.update(start=whole[0], end=whole[1])
+            self._is_setting = False
+        self._draw()
+        self._marks(runs[0])
+
+    def _on_zoom(self, _attribute: str, _old: float, _new: float) -> None:
+        if not self._is_setting:
+            self._draw()
+
+    def _draw(self) -> None:
+        begin, end = float(self._time.start), float(self._time.end)
+        for panel in _PANELS:
+            for k, run in enumerate(self._runs):
+                time, values = np.zeros(0), np.zeros(0)
+                if run is not None:
+                    time, values = thinned(run.time, panel.values(run), begin, end, _COLUMNS)
+                self._curves[panel.name, k].data = {"x": time, "y": values}
+
+    def _marks(self, run: History | None) -> None:
+        """Gap, flanks, touches and Q_i of the run that is shown."""
+        if run is None:
+            for source in (self._flanks, self._touches, self._arrows):
+                source.data = {name: [] for name in source.data}
+            return
+        half = 1e3 * run.half_gap
+        self._gap.update(bottom=-half, top=half)
+        side = run.trajectory.initial_side
+        names = {side * half: "initial flank", -side * half: "opposite flank"} if half > 0.0 else {0.0: "no gap"}
+        self._flanks.data = {"x": [self._whole[0]] * len(names), "y": list(names), "text": list(names.values())}
+        row, sides, primary, _ = run.touches
+        self._touches.data = {
+            "x": run.time[row],
+            "y": 1e3 * run.backlash_coordinate[row],
+            "angle": np.where(sides > 0, 0.0, np.pi),
+            "fill": [RUN_COLOURS[0] if each else "white" for each in primary],
+            "colour": [RUN_COLOURS[0]] * row.size,
+            "size": np.where(primary, 10, 6),
+        }
+        offset = 0.012 * (self._whole[1] - self._whole[0])
+        impacts = [] if run.is_restitution else [each for each in run.impacts if each.rows.stop > each.rows.start]
+        impacts = impacts if len(impacts) <= _MOST_ARROWS else []
+        self._arrows.data = {
+            "x": [each.begin + offset for each in impacts],
+            "low": [each.smallest for each in impacts],
+            "high": [each.largest for each in impacts],
+            "text": [f"Q{each.number} = {each.severity:.0f}" for each in impacts],
+        }
+
+
+def _source(*names: str) -> ColumnDataSource:
+    return ColumnDataSource(data={name: [] for name in names})

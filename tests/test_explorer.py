@@ -1,0 +1,288 @@
+"""The explorer without a browser: what it computes, and what its server refuses."""
+
+import http.client
+import threading
+import time
+from html import escape
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from conftest import NOMINAL
+from hypothesis import given
+from hypothesis import strategies as st
+
+from clunk import ClunkError, simulate, sweep
+from clunk.cli import cli
+from clunk.explorer.controls import adjustable, slider_range
+from clunk.explorer.curves import thinned
+from clunk.explorer.newest import Newest
+from clunk.explorer.pictures import picture_of
+from clunk.explorer.subject import Subject
+from clunk.plot.style import palette_of
+from clunk.simulation.history import sample
+from clunk.study.config import study_from_text
+from clunk.study.keys import Key
+
+AXES = """
+[[sweep.axes]]
+parameter = "lash.backlash_deg"
+values = [2.0, 6.0, 10.0]
+[[sweep.axes]]
+parameter = "load.ratio"
+start = 0.0
+stop = 10.0
+count = 5
+"""
+EXACT = '[solver]\nmethod = "exact"\n'
+
+
+@pytest.fixture(scope="module")
+def subject():
+    return Subject.of(sweep(study_from_text(NOMINAL + EXACT + AXES)), "nominal")
+
+
+class TestCurves:
+    @given(st.integers(2, 3000), st.integers(1, 50), st.integers(0, 2**32 - 1))
+    def test_a_thinned_curve_keeps_ends_and_extremes_of_every_column_and_no_more_points_than_stated(
+        self, size, columns, seed
+    ):
+        random = np.random.default_rng(seed)
+        time_of, values = np.sort(random.random(size)), random.normal(size=size)
+        thin_time, thin = thinned(time_of, values, 0.0, 1.0, columns)
+        assert thin.size <= max(4 * columns + 8, 0)
+        assert (thin_time[0], thin_time[-1]) == (time_of[0], time_of[-1])
+        for k in range(columns):
+            whole, part = (
+                v[(t >= k / columns) & (t < (k + 1) / columns)] for t, v in ((time_of, values), (thin_time, thin))
+            )
+            if whole.size:
+                # a time within rounding of a column's edge may count to its neighbour
+                assert part.min() >= whole.min()
+                assert part.max() <= whole.max()
+        assert (thin.min(), thin.max()) == (values.min(), values.max())
+
+    def test_a_jump_moves_by_a_column_at_most(self):
+        at = np.concatenate([np.linspace(0.0, 0.5, 5000), np.linspace(0.5, 1.0, 5000)])
+        thin_time, thin = thinned(at, np.repeat([0.0, 1.0], 5000), 0.0, 1.0, 100)
+        jump = int(np.argmax(thin > 0.5))
+        assert 0.49 <= thin_time[jump - 1] <= 0.5 <= thin_time[jump] <= 0.51
+
+    def test_a_part_is_cut_with_a_point_on_either_side(self):
+        at = np.arange(100.0)
+        assert thinned(at, at, 10.5, 20.5, 1000)[0].tolist() == list(range(10, 22))
+
+
+class TestNewest:
+    def test_only_the_newest_request_is_finished(self):
+        done, began, errors = [], threading.Event(), []
+        newest = Newest("test", errors.append)
+
+        def work(number):
+            def run(request):
+                began.set()
+                deadline = time.monotonic() + 10.0
+                while number == 0 and time.monotonic() < deadline:
+                    request.go_on()
+                done.append(number)
+
+            return run
+
+        newest.submit(work(0))
+        assert began.wait(10.0)
+        finished = threading.Event()
+        newest.submit(work(1))
+        newest.submit(lambda request: (work(2)(request), finished.set()))
+        assert finished.wait(10.0)
+        assert 0 not in done
+        assert done[-1] == 2
+        newest.submit(lambda request: 1 / 0)
+        deadline = time.monotonic() + 10.0
+        while not errors and time.monotonic() < deadline:
+            time.sleep(0.01)
+        newest.close()
+        assert isinstance(errors[0], ZeroDivisionError)
+
+
+class TestSubject:
+    def test_the_load_ratio_is_x_and_further_axes_are_slices(self, subject):
+        assert [axis.parameter for axis in subject.plane] == ["load.ratio", "lash.backlash_deg"]
+        text = AXES + '[[sweep.axes]]\nparameter = "lash.contact.damping"\nvalues = [50.0, 94.0]\n'
+        three = Subject.of(sweep(study_from_text(NOMINAL + EXACT + text)))
+        assert [axis.parameter for axis in three.plane] == ["load.ratio", "lash.backlash_deg"]
+        assert [axis.parameter for axis in three.slices] == ["lash.contact.damping"]
+        part = three.stored({"lash.contact.damping": 94.0})
+        assert np.array_equal(part.sequence[..., 0], subject.results.sequence)
+
+    def test_a_run_is_that_of_its_cell(self, subject):
+        run = subject.run({"load.ratio": 5.0, "lash.backlash_deg": 6.0}, {}).trajectory
+        cell = subject.results.cell({"load.ratio": 5.0, "lash.backlash_deg": 6.0})
+        assert (run.label, run.severity, run.touches) == (cell["label"], cell["severity"], cell["touches"])
+
+    def test_the_map_with_other_numbers_is_that_of_its_config(self, subject):
+        numbers = {"lash.contact.damping": 40.0}
+        computed = subject.full_map({}, numbers, lambda *_: None, refine=False)
+        config = study_from_text(subject.config({"load.ratio": 7.5, "lash.backlash_deg": 10.0}, numbers))
+        again = sweep(config)
+        assert again.config_digest == computed.config_digest
+        assert np.array_equal(again.severity, computed.severity)
+        run = subject.run({"load.ratio": 7.5, "lash.backlash_deg": 10.0}, numbers).trajectory
+        assert np.array_equal(simulate(config).events, run.events)
+
+    def test_of_runs_of_a_sample_the_map_is_a_strip(self):
+        text = NOMINAL + EXACT + '[[sweep.samples]]\nparameter = "load.ratio"\ndistribution = "uniform"\n'
+        results = sweep(study_from_text(text + "low = 2.0\nhigh = 8.0\n[sweep.sampling]\ncount = 4\n"))
+        sampled = Subject.of(results)
+        assert [axis.parameter for axis in sampled.plane] == ["run"]
+        ratio = float(results.coordinates[0].values[2])
+        assert sampled.values({"run": 3.0}) == {"load.ratio": ratio}
+        assert sampled.run({"run": 3.0}, {}).trajectory.severity == results.severity[2]
+        assert picture_of(results, "severity", 1).curve[:, 1].tolist() == results.severity.tolist()
+
+
+class TestPictures:
+    def test_pixels_have_the_colours_of_the_labels_of_their_cells(self, subject):
+        picture = picture_of(subject.results, "regimes", 2)
+        palette = palette_of(subject.results.labels)
+        label = subject.results.cell({"load.ratio": 5.0, "lash.backlash_deg": 6.0})["label"]
+        rows, columns = picture.pixels.shape
+        pixel = int(picture.pixels[rows // 2, columns // 2])
+        assert "#" + "".join(f"{pixel >> shift & 255:02x}" for shift in (0, 8, 16)) == palette[label]
+        assert {label for label, *_ in picture.legend} == set(subject.results.label_map.ravel())
+
+    def test_a_quantity_has_its_own_scale(self, subject):
+        shades = picture_of(subject.results, "severity", 2).shades
+        assert shades.high == subject.results.severity.max()
+        assert "rad/s²" in shades.label
+
+
+class TestControls:
+    def test_there_is_a_slider_for_each_number_that_is_not_swept_and_changes_something(self, subject):
+        keys = adjustable(subject.study, {"load.ratio", "lash.backlash_deg"})
+        assert "lash.contact.stiffness" in keys
+        assert not {"load.ratio", "lash.contact.restitution", "load.step_time"} & set(keys)
+
+    @pytest.mark.parametrize("value", [0.0, 94.0, -3.0, 4e5])
+    def test_the_range_of_a_slider_holds_its_number(self, value):
+        start, end, step = slider_range(value, Key(""))
+        assert start <= value <= end
+        assert 50 <= (end - start) / step <= 250
+
+
+@pytest.mark.parametrize("model", ["indentation", "restitution"])
+@pytest.mark.parametrize("method", ["exact", "rk4"])
+def test_the_contact_torque_is_what_the_other_torques_leave(model, method, nominal):
+    """J4 θ4'' + c θ4' + k θ4 of the wheel that is held to ground by shaft 3 alone; but at jumps to rounding."""
+    study = study_from_text(NOMINAL + f'[lash.contact]\nmodel = "{model}"\n[solver]\nmethod = "{method}"\n')
+    history = sample(simulate(study), until=0.6)
+    shaft = study.driveline.shafts[2]
+    theta, speed, acceleration = (each[:, 3] for each in (history.angle, history.velocity, history.acceleration))
+    left = study.driveline.inertias[3] * acceleration + shaft.damping * speed + shaft.stiffness * theta
+    assert np.abs(left - history.contact_torque).max() < 1e-9 * np.abs(left).max()
+    assert history.contact_torque[0] == pytest.approx(-6.0, rel=1e-9)
+
+
+bokeh = pytest.importorskip("bokeh", reason="the explorer's page needs Bokeh")
+
+
+@pytest.fixture(scope="module")
+def explorer(subject):
+    from clunk.explorer.server import explore
+
+    running = explore(subject.results, browser=False)
+    yield running
+    running.stop()
+
+
+def answer(explorer, path, **headers):
+    connection = http.client.HTTPConnection("127.0.0.1", explorer.port, timeout=10)
+    connection.putrequest("GET", path, skip_host="Host" in headers)
+    for name, value in headers.items():
+        connection.putheader(name.replace("_", "-"), value)
+    connection.endheaders()
+    response = connection.getresponse()
+    body = response.read() if response.status != 101 else b""
+    connection.close()
+    return response.status, dict(response.getheaders()), body
+
+
+class TestServer:
+    def test_the_page_comes_from_this_machine_alone(self, explorer):
+        token = explorer.url.split("/")[3]
+        status, headers, body = answer(explorer, f"/{token}/")
+        assert status == 200
+        assert headers["Content-Security-Policy"].startswith("default-src 'self'")
+        assert b"https://" not in body
+        assert explorer.url.startswith("http://127.0.0.1:")
+        assert len(token) >= 20
+
+    @pytest.mark.parametrize("path", ["/", "/ws", "/static/js/bokeh.min.js", "/autoload.js", "/metadata", "/wrong/"])
+    def test_without_the_token_there_is_nothing(self, explorer, path):
+        assert answer(explorer, path)[0] == 404
+
+    @pytest.mark.parametrize(
+        "path",
+        ["static/../../../../etc/passwd", "static/%2e%2e/%2e%2e/server/server.py", "static//etc/passwd", "static/js/"],
+    )
+    def test_no_path_leads_to_another_file(self, explorer, path):
+        assert answer(explorer, f"/{explorer.url.split('/')[3]}/{path}")[0] in (403, 404)
+
+    @pytest.mark.parametrize(("origin", "status"), [("http://example.com", 403), (None, 101)])
+    def test_a_page_of_another_origin_cannot_connect(self, explorer, origin, status):
+        token = explorer.url.split("/")[3]
+        headers = {
+            "Upgrade": "websocket",
+            "Connection": "Upgrade",
+            "Sec_WebSocket_Version": "13",
+            "Sec_WebSocket_Key": "dGhlIHNhbXBsZSBub25jZQ==",
+            "Sec_WebSocket_Protocol": "bokeh, none",
+            "Origin": origin or explorer.url.rsplit("/", 2)[0],
+        }
+        assert answer(explorer, f"/{token}/ws", **headers)[0] == status
+
+    def test_a_port_in_use_is_said_to_be(self, explorer, subject):
+        from clunk.explorer.server import explore
+
+        with pytest.raises(ClunkError, match=f"Port {explorer.port} of this machine cannot be used: address already"):
+            explore(subject.results, port=explorer.port, browser=False)
+
+    def test_a_second_explorer_has_a_port_and_a_token_of_its_own(self, explorer, subject):
+        from clunk.explorer.server import explore
+
+        second = explore(subject.results, browser=False)
+        assert second.url.split("/")[2:4] != explorer.url.split("/")[2:4]
+        assert answer(second, f"/{explorer.url.split('/')[3]}/")[0] == 404
+        second.stop()
+        with pytest.raises(OSError, match="refused"):
+            answer(second, "/")
+
+
+class TestPage:
+    def test_titles_and_names_are_text(self):
+        from bokeh.document import Document
+
+        from clunk.explorer.page import Page
+
+        hostile = "<script>alert(1)</script>"
+        text = f'title = "{hostile}"\n' + NOMINAL.replace("[lash]", f'[lash]\nname = "{hostile}"')
+        page = Page(document := Document(), Subject.of(sweep(study_from_text(text + EXACT + AXES))))
+        try:
+            assert escape(hostile) in document.get_model_by_name("title").text
+            assert hostile not in document.get_model_by_name("title").text
+        finally:
+            page.close()
+
+
+def test_what_cannot_be_explored_is_said(tmp_path):
+    config = tmp_path / "study.toml"
+    config.write_text(NOMINAL)
+    outcome = CliRunner().invoke(cli, ["explore", str(config)])
+    assert isinstance(outcome.exception, ClunkError)
+    assert "no [[sweep.axes]]" in str(outcome.exception)
+    outcome = CliRunner().invoke(cli, ["explore", str(tmp_path / "none.h5")])
+    assert "none.h5 cannot be read" in str(outcome.exception)
+
+
+def test_numbers_that_are_not_allowed_are_refused_by_the_rules_of_a_config(subject):
+    with pytest.raises(ClunkError, match="stiffness"):
+        subject.run({"load.ratio": 5.0, "lash.backlash_deg": 6.0}, {"lash.contact.stiffness": -1.0})
