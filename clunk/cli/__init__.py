@@ -21,7 +21,7 @@ from clunk.cli.options import EXIT_INTERNAL, EXIT_INTERRUPTED, EXIT_TERMINATED, 
 from clunk.study.errors import ClunkError
 
 _COMMANDS = (
-    *("sweep", "plot", "explore", "simulate", "modes", "info", "export", "init", "help", "completion"),
+    *("sweep", "plot", "explore", "simulate", "modes", "info", "report", "export", "init", "help", "completion"),
     *("compare", "fit", "verify", "sensitivity", "thresholds", "reproduce"),
 )
 

@@ -90,21 +90,11 @@ def print_tolerances(tolerances: ToleranceMap) -> None:
 
 
 def print_boundaries(boundaries: Boundaries) -> None:
-    """Print how many boundaries there are, the labels that meet at each junction and the area of each label."""
+    """Print how many boundaries there are, and the labels that meet at each junction."""
     ((name, numbers),) = boundaries.summary()
     click.echo(f"{name} {numbers}")
-    places = boundaries.vertices if len(boundaries.axes) == 1 else boundaries.junctions
-    names = [axis.parameter for axis in boundaries.axes]
-    if len(boundaries.axes) == 1:
-        met = [[curve.left, curve.right, curve.event.replace("_", " ")] for curve in boundaries.curves]
-    else:
-        met = [[", ".join(labels)] for _, labels in boundaries.meetings]
-    if not met:
-        return
-    heads = ["below", "above", "event"] if len(boundaries.axes) == 1 else ["labels that meet"]
-    rows = [[phrases.number(value, ".10g") for value in place] for place in places.tolist()]
-    lines = [[*names, *heads], *([*row, *each] for row, each in zip(rows, met, strict=True))]
-    for line in phrases.table(lines, [True] * len(names)):
+    rows = boundaries.meeting_rows()
+    for line in phrases.table(rows, [True] * len(boundaries.axes)) if len(rows) > 1 else ():
         click.echo(line)
 
 

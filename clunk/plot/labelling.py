@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from scipy import ndimage
 
 from clunk.plot.layers import Layers
-from clunk.plot.notes import failed_notes, label_notes, set_notes, undecided_notes
+from clunk.plot.notes import failed_notes, label_notes, note_columns, set_notes, undecided_notes
 from clunk.plot.plane import Bools
 from clunk.plot.raster import Place, Raster, centres_that_fit, corners_that_fit, rotate
 from clunk.plot.style import CENTRED, INK, freeze_layout
@@ -27,6 +27,7 @@ _SMALLEST_LEADER = 2e-4  # of the map's area: a smaller region is only noted, a 
 _SMALLEST_REPEAT = 1e-3  # of the map's area: a further region of a label that has its text already
 _MOST_PARTS = 4  # regions of one label that are looked at, the largest first
 _MOST_NOTES = 24
+_MOST_ROWS = 8  # of notes: more would leave no map
 
 
 def label_and_note(figure: Figure, ax: Axes, layers: Layers, more: Sequence[Artist] = ()) -> None:
@@ -37,6 +38,8 @@ def label_and_note(figure: Figure, ax: Axes, layers: Layers, more: Sequence[Arti
 
     def notes(labels: list[str]) -> list[Artist]:
         swatches = label_notes(layers, labels, _MOST_NOTES, counted=True)
+        if swatches and len(swatches) > (room := _MOST_ROWS * note_columns(figure, swatches)):
+            swatches = label_notes(layers, labels, room - 1, counted=True)
         return [*swatches, *failed_notes(layers.failed), *undecided_notes(layers.undecided), *more]
 
     noted: set[str] = set()

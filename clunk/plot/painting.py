@@ -17,7 +17,7 @@ from clunk.plot.network import draw_curves, fill_label
 from clunk.plot.notes import DOT, failed_notes, set_notes, undefined_notes
 from clunk.plot.plane import Floats, cell_edges, scale_axes
 from clunk.plot.regions import Scores
-from clunk.plot.style import FAILED_FILL, FAILED_HATCH, INK, UNDEFINED, new_figure, palette_of, set_titles
+from clunk.plot.style import FAILED_FILL, FAILED_HATCH, INK, MOST_POINTS, UNDEFINED, new_figure, palette_of, set_titles
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.quantities import Quantity
 
@@ -154,6 +154,7 @@ def mark_undecided(ax: Axes, layers: Layers) -> None:
     transform = ax.transData if is_map else ax.get_xaxis_transform()
     size = float(np.clip(0.6 * _MAP / max(layers.codes.shape), 1.3, 3.0))
     look: dict[str, Any] = DOT | {"markersize": size, "transform": transform, "zorder": 4}
+    look["rasterized"] = cells[0].size > MOST_POINTS
     ax.plot(layers.view.x.values[cells[0]], upward, gid="undecided", **look)
 
 

@@ -117,7 +117,8 @@ def _layers(results: Results, quantity: str) -> Layers:
 def _look(count: int) -> dict[str, Any]:
     """Look of the points: seen one by one in a small sample, and as a cloud in a large one."""
     size = float(np.clip(6.5 * (256.0 / count) ** 0.35, 1.6, 6.5))
-    return {"s": size**2, "edgecolors": style.INK, "linewidths": 0.5 if size > 3.0 else 0.0}
+    edges = {"edgecolors": style.INK, "linewidths": 0.5 if size > 3.0 else 0.0}
+    return {"s": size**2, "rasterized": count > style.MOST_POINTS, **edges}
 
 
 def _draw_labels(ax: Axes, layers: Layers, x: Floats, y: Floats) -> list[Artist]:

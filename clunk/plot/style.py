@@ -25,6 +25,7 @@ from clunk.study.errors import ClunkError
 _FORMATS = ("png", "svg", "pdf")
 SIZE = (7.0, 5.2)  # inches
 HISTORY_WIDTH = 7.2  # inches
+MOST_POINTS = 10_000  # that a vector file has one by one: more would take seconds to show
 _TITLE_MARGIN = 0.08  # inches, at the right of a title
 _DPI = 150
 INK = "#1c2126"

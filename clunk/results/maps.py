@@ -174,7 +174,11 @@ class Map(Description, ABC):
         return as_text(f"clunk.{type(self).__name__} {self.title!r}", [*self.summary(), *self._label_rows()])
 
     def _repr_html_(self) -> str:
-        return as_html(self.title, html_table(self.summary()), html_table(self._label_rows(), ("label", self._measure)))
+        return as_html(self.title, *self.html_tables())
+
+    def html_tables(self) -> tuple[str, str]:
+        """The summary and the labels as tables of HTML."""
+        return html_table(self.summary()), html_table(self._label_rows(), ("label", self._measure))
 
 
 def parameters_of(axes: Sequence[ResultAxis], coordinates: Sequence[ResultAxis]) -> tuple[ResultAxis, ...]:

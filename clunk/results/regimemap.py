@@ -194,7 +194,7 @@ class Results(Map):
 
     def _label_rows(self) -> Rows:
         cells = self.sequence.size
-        return [(label, share(n, cells)) for label, n in self.counts().items() if n or label != FAILED]
+        return [(label, share(n, cells)) for label, n in self.counts().items() if n]
 
     def padded(self, name: str, start: int = 0, stop: int | None = None) -> npt.NDArray[Any]:
         """Array of an `impact_…` quantity as shape + (max_impacts,), padded with NaN (floats) or 0 (integers).

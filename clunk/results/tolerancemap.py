@@ -120,7 +120,7 @@ class ToleranceMap(Map):
 
     def _label_rows(self) -> Rows:
         shares = self.shares().items()
-        return [(label, f"{part:.4%} of all runs") for label, part in shares if part or label != FAILED]
+        return [(label, f"{part:.4%} of all runs") for label, part in shares if part]
 
 
 def most_likely(runs: npt.NDArray[np.int32]) -> npt.NDArray[np.int16]:

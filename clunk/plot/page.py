@@ -1,0 +1,107 @@
+"""A page on a results file: its maps as vector graphics, its numbers and its config, in one file of HTML.
+
+Nothing in it runs and nothing is fetched: its head forbids both, and texts of the results are escaped.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from html import escape
+
+from matplotlib.figure import Figure
+
+from clunk.analysis.small_gap import thresholds_of
+from clunk.core.status import Status
+from clunk.plot.drawing import default_quantities, draw
+from clunk.plot.plane import SurplusAxesError
+from clunk.plot.style import PlotError, styled
+from clunk.results.regimemap import Results
+from clunk.results.tolerancemap import ToleranceMap
+from clunk.study.summaries import html_table
+
+_STYLE = """
+body { color: #1c2126; font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 60em; padding: 0 1em }
+h1 { font-size: 1.5em } h2 { border-bottom: 1px solid #ccc; font-size: 1.15em; margin-top: 2em } h3 { font-size: 1em }
+svg { display: block; height: auto; margin: 1em 0; width: 100% }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; margin: 1em 0 }
+td, th { border-bottom: 1px solid #e4e4e4; padding: 0.2em 1.2em 0.2em 0; vertical-align: top }
+td { overflow-wrap: break-word }
+pre { background: #f6f6f4; font-size: 13px; overflow-x: auto; padding: 0.8em }
+@media print { pre { white-space: pre-wrap } svg { break-inside: avoid } }
+"""
+_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+
+
+def page(results: Results | ToleranceMap, commands: Sequence[str], digests: Sequence[tuple[str, str]]) -> str:
+    """HTML of the page on a map.
+
+    commands : lines of a shell by which the map and the page are made again from the config
+    digests : name and value of what tells whether it is the same
+
+    Raises SurplusAxesError where more axes have several values than pictures show.
+    """
+    title = escape(results.title.strip() or "Impact regimes")
+    parts = [part for name in results.lash_names for part in _part(results.at_lash(name), name)]
+    again = "\n".join(escape(line) for line in commands)
+    provenance = [*((name.removesuffix("_version"), value) for name, value in results.attributes.items()), *digests]
+    body = [
+        *(f"<h1>{title}</h1>", *parts),
+        *("<h2>How to make it again</h2>", f"<pre>{again}</pre>"),
+        *("<h2>Versions and digests</h2>", html_table(provenance)),
+        *("<h2>Config</h2>", f"<pre>{escape(results.config)}</pre>"),
+    ]
+    head = [
+        *('<meta charset="utf-8">', f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'),
+        *('<meta name="viewport" content="width=device-width">', f"<title>{title}</title>"),
+        f"<style>{_STYLE}</style>",
+    ]
+    lines = ["<!doctype html>", '<html lang="en">', "<head>", *head, "</head>", "<body>", *body, "</body>", "</html>"]
+    return "\n".join(lines) + "\n"
+
+
+def _part(part: Results | ToleranceMap, lash: str) -> Iterator[str]:
+    """The pictures and numbers of one lash."""
+    thresholds = thresholds_of(part)
+    if part.lashes:
+        yield f"<h2>{escape(lash)}</h2>"
+    for name in default_quantities(part):
+        try:
+            yield _svg(_figure(part, name, thresholds), name)
+        except SurplusAxesError:
+            raise
+        except PlotError as error:
+            yield f"<p>{escape(str(error))}</p>"
+    summary, labels = part.html_tables()
+    yield f"{summary}<h3>Labels</h3>{labels}"
+    counts = ((status, int((part.status == status).sum())) for status in Status if status != Status.OK)
+    failures = [(f"{count:,}", status.sentence) for status, count in counts if count]
+    if failures:
+        yield html_table(failures, ("failed cells", "why"))
+    changing = {axis.parameter for axis in part.axes if len(axis.values) > 1} - {"lash.backlash_deg"}
+    if thresholds and len(changing) == 1:  # others would change them
+        values = ", ".join(f"{value:.6g}" for value in thresholds)
+        yield "<h3>Thresholds as the backlash vanishes</h3>"
+        yield f"<p>One more impact appears at {escape(changing.pop())} = {values} (lowest mode).</p>"
+    boundaries = part.boundaries if isinstance(part, Results) else None
+    if boundaries is not None:
+        heads, *rows = boundaries.meeting_rows()
+        areas = [(label, f"{100.0 * area:.6g} %") for label, area in boundaries.areas.items()]
+        yield f"<h3>Boundaries</h3>{html_table(rows, heads)}{html_table(areas, ('label', 'share of the map'))}"
+
+
+def _figure(part: Results | ToleranceMap, name: str, thresholds: Sequence[float]) -> Figure:
+    """The figure of a quantity; of three or four axes a family of maps."""
+    try:
+        return draw(part, name, thresholds)
+    except SurplusAxesError as surplus:
+        return draw(part, name, thresholds, facets=surplus.facets)
+
+
+def _svg(figure: Figure, name: str) -> str:
+    """A figure as an element of HTML, without the metadata and the declarations of a file."""
+    stream = io.BytesIO()
+    with styled():
+        figure.savefig(stream, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
+    text = stream.getvalue().decode()
+    return text[text.index("<svg") :].replace("<svg", f'<svg role="img" aria-label="{escape(name)}"', 1)

@@ -1,0 +1,164 @@
+"""The page on a results file needs nothing but itself, holds texts as text, and tells how to make it again."""
+
+import re
+import shlex
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from test_cli import SMALL, clunk, here  # noqa: F401  fixtures
+from test_store import BACKLASH, INERTIA, RATIO
+from test_store import example as example_without_config
+
+from clunk.plot import scatter_map
+from clunk.plot.page import page
+from clunk.plot.style import MOST_POINTS, save
+from clunk.results import store
+from clunk.study.axes import RUN, ResultAxis
+
+CONFIG = SMALL[: SMALL.index("[[sweep")]
+LINE = SMALL[: SMALL.rindex("[[sweep")] + "[lash]\nbacklash_deg = 6.0\n"
+
+
+class Page(HTMLParser):
+    """The elements of a page with their attributes, and the texts within each kind of element."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.elements, self.texts, self._open = [], {}, []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+        if tag != "meta":
+            self._open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self._open.pop() == tag
+
+    def handle_data(self, data):
+        if self._open:
+            self.texts.setdefault(self._open[-1], []).append(data)
+
+    @property
+    def tags(self):
+        return [tag for tag, _ in self.elements]
+
+
+def example(*axes):
+    """Results of cells that were all run."""
+    results = example_without_config(*axes)
+    return replace(results, config=CONFIG, quality=np.zeros(results.shape, np.uint8))
+
+
+def page_of(results):
+    return Page(page(results, ["clunk sweep a.toml"], [("content digest", "cd" * 32)]))
+
+
+@pytest.fixture(scope="module")
+def read():
+    return page_of(example(RATIO, BACKLASH))
+
+
+def test_a_page_asks_for_nothing_and_runs_nothing(read):
+    assert read.tags.count("svg") == 2
+    assert not {"script", "link", "iframe", "object", "embed", "form", "a", "base"} & set(read.tags)
+    sources = [value for _, each in read.elements for name, value in each.items() if name.endswith(("href", "src"))]
+    assert sources
+    assert all(source.startswith(("#", "data:image/png")) for source in sources)
+    assert not [name for _, each in read.elements for name in each if name.startswith("on")]
+    assert not [text for text in read.texts["style"] if "url(" in text or "@import" in text]
+    (policy,) = (each["content"] for _, each in read.elements if each.get("http-equiv") == "Content-Security-Policy")
+    assert policy.startswith("default-src 'none'")
+
+
+def test_a_page_has_the_numbers_and_the_config_of_its_results(read):
+    results = example(RATIO, BACKLASH)
+    cells = read.texts["td"]
+    for label, count in results.counts().items():
+        assert cells[cells.index(label) + 1].startswith(f"{count} cell")
+    assert cells[cells.index("1") + 1] == "the state became infinite or undefined"
+    assert cells[cells.index("cpu") + 1] == results.attributes["cpu"]
+    assert cells[cells.index("content digest") + 1] == "cd" * 32
+    assert read.texts["pre"] == ["clunk sweep a.toml", results.config]
+
+
+@pytest.mark.parametrize("text", ["<script>alert(1)</script>", "</title></svg><img src=x onerror=alert(1)>", "--><b>&"])
+def test_texts_of_a_file_are_text(text):
+    lashes = ResultAxis("lash", np.array([1.0, 2.0]), "lash", "", "1", (text, "second"))
+    results, config = example(RATIO, lashes), f"{CONFIG}# {text}"
+    read = page_of(replace(results, title=text, config=config, attributes={"cpu": text}))
+    assert read.texts["title"] == read.texts["h1"] == [text]
+    assert text in read.texts["h2"]
+    assert text in read.texts["td"]
+    assert read.texts["pre"][-1] == config
+    assert not {"script", "img", "b"} & set(read.tags)
+    assert read.tags.count("svg") == len(lashes.words)
+
+
+@pytest.mark.parametrize("option", ["--boundaries", "--refine"])
+def test_the_commands_of_a_page_make_the_same_results_from_its_config(clunk, here, option):  # noqa: F811
+    (here / "first.toml").write_text(LINE.replace("step = 2e-4", 'method = "exact"'))
+    assert clunk("sweep", "first.toml", "-o", "first.h5", option)[0] == 0
+    assert clunk("report", "first.h5")[0] == 0
+    read = Page((here / "first.html").read_text("utf-8"))
+    commands, config = read.texts["pre"]
+    (here / "first.toml").write_text(config)
+    digest = store.read_header(here / "first.h5").content_digest
+    (here / "first.h5").unlink()
+    for line in commands.splitlines()[1:]:
+        assert clunk(*shlex.split(line)[1:])[0] == 0
+    assert store.read_header(here / "first.h5").content_digest == digest
+    assert digest in read.texts["td"]
+    again = Page((here / "first.html").read_text("utf-8"))
+    assert again.texts["pre"] == read.texts["pre"]
+    thresholds = next(text for text in read.texts["p"] if "load.ratio" in text)
+    assert re.findall(r"\d+\.\d\d", thresholds) == ["1.46", "3.12", "6.69", "14.31"]  # Table 3.1
+    if option == "--boundaries":
+        (first, *_) = store.read(here / "first.h5").boundaries.vertices[:, 0]
+        assert f"{first:.10g}" in read.texts["td"]
+
+
+def test_three_axes_are_a_family_of_maps_and_a_slice_is_one(clunk, here):  # noqa: F811
+    store.write(here / "map.h5", example(INERTIA, RATIO, BACKLASH))
+    at = ["--at", "driveline.inertias[4]=0.002", "--at", "load.ratio=5"]
+    for name, options, swept in (("out/family.html", [], (3, 5, 4)), ("slice.html", at, (1, 1, 4))):
+        assert clunk("report", "map.h5", "-o", name, *options)[0] == 0
+        read = Page((here / name).read_text("utf-8"))
+        counts = [re.search(r"(\d+) values", text) for text in read.texts["td"]]
+        assert tuple(int(count[1]) for count in counts if count) == swept
+        assert read.tags.count("svg") == (1 if options else 2)
+        assert shlex.split(read.texts["pre"][0].splitlines()[-1])[5:] == options
+
+
+def test_bad_usage_gives_one_sentence_and_writes_nothing(clunk, here):  # noqa: F811
+    further = [ResultAxis(f"driveline.inertias[{k}]", np.array([1.0, 2.0]), "", "", "kg m2") for k in (1, 2, 3)]
+    store.write(here / "five.h5", example(RATIO, BACKLASH, *further))
+    (here / "folder.html").mkdir()
+    for arguments, sentence in {
+        ("five.h5", "-o", "map.pdf"): "map.pdf cannot be written: its name must end in .html.",
+        ("five.h5", "-o", "folder.html"): "folder.html is a directory; name a file in it.",
+        ("nothing.h5",): "nothing.h5 cannot be read",
+        ("five.h5",): "also give --at",
+        ("five.h5", "--at", "load.ratio=50"): "load.ratio is swept from 0 to 10",
+    }.items():
+        code, _, err = clunk("report", *arguments)
+        assert code == 2
+        assert sentence in " ".join(err.split())
+    assert not [path for path in here.glob("*.html") if path.is_file()]
+
+
+@pytest.mark.parametrize("count", [100, MOST_POINTS + 1])
+def test_a_cloud_of_points_is_not_a_path_for_each(tmp_path, count):
+    rng = np.random.default_rng(1)
+    run = ResultAxis(RUN, np.arange(1.0, count + 1.0), "run", "", "1")
+    x, y = (replace(axis, values=rng.uniform(0.5, 10.0, count)) for axis in (RATIO, BACKLASH))
+    results = replace(example(run), coordinates=(x, y), quality=np.zeros(count, np.uint8))
+    save(scatter_map(results, x.parameter, y.parameter), tmp_path / "cloud.svg")
+    text = (tmp_path / "cloud.svg").read_text("utf-8")
+    assert (text.count("<use") > count) == (count == 100)
+    assert ("<image" in text) == (count > 100)
