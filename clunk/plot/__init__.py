@@ -6,8 +6,8 @@ in a region of its own label however small that is.
 
 `layers` is what the painter (`painting`) needs of a map; `notes` and `labelling` explain it; `maps`, `facets`,
 `certainty`, `comparisons`, `strips` and `scatter` make the figures, and `drawing` chooses among them. Figures of runs
-are in `histories` and `small_gap`, of severities in `profiles`, of sensitivities in `indices`. `page` puts the figures of a
-file on one page.
+are in `histories` and `small_gap`, of severities in `profiles`, of sensitivities in `indices`. `page` puts the
+figures of a file on one page.
 """
 
 from clunk.plot.drawing import default_quantities, draw
