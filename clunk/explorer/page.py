@@ -9,33 +9,33 @@ import math
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from html import escape
 from importlib.resources import files
 from pathlib import PurePath
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from bokeh.document import Document
-from bokeh.events import ConnectionLost, DocumentReady, MenuItemClick, MouseLeave, MouseMove, Tap
-from bokeh.models import Button, Column, ColumnDataSource, CustomJS, Div, Dropdown, Row, Select, Toggle
+from bokeh.events import ConnectionLost, DocumentReady, MouseLeave, MouseMove, Tap
+from bokeh.models import Button, Column, ColumnDataSource, CustomJS, Div, Row, Select, Toggle
 
-from clunk.analysis.small_gap import thresholds_of
 from clunk.explorer.controls import Controls
 from clunk.explorer.mapfigure import RUN_COLOURS, MapFigure, Mark
 from clunk.explorer.newest import Newest, Request
 from clunk.explorer.pictures import Picture, picture_of
 from clunk.explorer.runfigures import RunFigures
 from clunk.explorer.subject import Subject
-from clunk.plot import draw
 from clunk.plot.layers import quantities_of
 from clunk.plot.plane import number_text, value_text
 from clunk.plot.style import encode
-from clunk.results.historyfile import write_csv
 from clunk.results.regimemap import Results
-from clunk.simulation.energy import EnergyBalance, balance
-from clunk.simulation.history import History
 from clunk.study.errors import ClunkError
 from clunk.study.summaries import html_table
+
+if TYPE_CHECKING:
+    from clunk.simulation.energy import EnergyBalance
+    from clunk.simulation.history import History
 
 _SAVED = ("map.png", "map.svg", "run.png", "run.svg", "run.csv", "config.toml")
 _TYPES = {"png": "image/png", "svg": "image/svg+xml", "csv": "text/csv", "toml": "application/toml"}
@@ -70,6 +70,7 @@ class Page:
         self._run: Shown | None = None
         self._pins: list[Shown] = []
         self._pins_next = False
+        self._requested: tuple[dict[str, float], dict[str, float]] | None = None
 
         results, study = subject.results, subject.study
         self._map = MapFigure(subject.plane)
@@ -84,13 +85,15 @@ class Page:
         self._pin = Button(label="pin this run", name="pin", **small)
         self._unpin = Button(label="unpin", name="unpin", **small)
         self._reset = Button(label="numbers of the file", name="reset", visible=False, **small)
-        self._save = Dropdown(label="save …", menu=[(name, name) for name in _SAVED], name="save", **small)
+        saved = [("", "save …"), *((name, name) for name in _SAVED)]
+        self._save = Select(value="", options=saved, name="save", width=130, **small)
         wide = {"sizing_mode": "stretch_width", "margin": (2, 6, 2, 6)}
         title = f"<b>{escape(results.title.strip() or 'Impact regimes')}</b>"
         self._title = Div(text=title, name="title", styles={"font-size": "16px"}, **wide)
         self._status = Div(text="", name="status", render_as_text=True, styles={"color": "#5b646c"}, **wide)
         self._legend = Div(text="", name="legend", styles={"line-height": "20px"}, **wide)
-        self._header = Div(text="", name="header", **wide)
+        # of one height, or all panels would be laid out anew with every run
+        self._header = Div(text="", name="header", height=62, styles={"overflow": "hidden"}, **wide)
         self._compared = Div(text="", name="compared", **wide)
         self._table = Div(text="", name="events", styles={"overflow-y": "auto", "font-size": "12px"}, **wide)
         self._table.update(sizing_mode="stretch_both", min_height=80, max_height=170)
@@ -150,7 +153,7 @@ class Page:
         self._pin.on_click(lambda *_: self._pin_run())
         self._unpin.on_click(lambda *_: self._unpin_runs())
         self._reset.on_click(lambda *_: self._controls.reset())
-        self._save.on_event(MenuItemClick, lambda event: self._save_as(event.item))
+        self._save.on_change("value", lambda _attribute, _old, name: self._save_as(name))
         self._keys.on_change("data", lambda _attribute, _old, _new: self._on_key())
         self._download.js_on_change("data", CustomJS(code=_asset("download.js")))
         self._document.js_on_event(DocumentReady, CustomJS(args={"keys": self._keys}, code=_asset("page.js")))
@@ -177,6 +180,7 @@ class Page:
         self._cell, self._hovered = cell, None
         self._mark()
         self._request_run()
+        self._pin_where_wanted()
 
     def _on_key(self) -> None:
         (key,), (steps,) = self._keys.data["key"], self._keys.data["steps"]
@@ -244,8 +248,13 @@ class Page:
             return
         cell = self._cell if self._hovered is None else self._hovered
         values, numbers = self._values(cell), dict(self._active_numbers())
+        if (values, numbers) == self._requested:
+            return
+        self._requested = values, numbers
 
         def work(request: Request) -> None:
+            from clunk.simulation.energy import balance
+
             try:
                 history = self._subject.run(values, numbers)
             except ClunkError as error:
@@ -266,22 +275,25 @@ class Page:
 
     def _show_run(self, shown: Shown) -> None:
         self._run = shown
-        if self._pins_next and shown.cell == self._cell:
+        self._show_runs()
+        self._pin_where_wanted()
+
+    def _pin_where_wanted(self) -> None:
+        """Pin the run of a shift-click once it is there."""
+        if self._pins_next and self._run is not None and self._run.cell == self._cell:
             self._pins_next = False
             self._pin_run()
-        else:
-            self._show_runs()
 
     def _show_runs(self) -> None:
         if self._run is None:
             return
         lash = self._lash_position
+        self._show_header(self._run.history, None)
         shown = [self._run, *self._pins]
         histories: list[History | None] = [each.history.lashes[lash] for each in shown]
         self._panels.show([*histories, *[None] * (len(RUN_COLOURS) - len(histories))], keeps_zoom=True)
         history = histories[0]
         assert history is not None
-        self._show_header(self._run.history, None)
         columns, *events = history.trajectory.event_table()
         ending = (f"{history.trajectory.end:.7f}", f"end: {history.trajectory.ending}", *[""] * (len(columns) - 2))
         self._table.text = html_table([*events, ending], columns)
@@ -333,9 +345,12 @@ class Page:
         self._reset.visible = bool(numbers)
 
         def show(results: Results, status: str) -> None:
+            from clunk.analysis.small_gap import thresholds_of
+
             picture = picture_of(results.of_lash(lash), quantity, len(subject.plane))
-            marks = thresholds_of(results) if quantity == "regimes" else []
-            self._soon(partial(self._show_map, results, picture, marks, status))
+            self._soon(partial(self._show_map, results, picture, status))
+            thresholds = thresholds_of(results) if quantity == "regimes" else []
+            self._soon(partial(self._show_legend, picture, thresholds))
 
         def work(request: Request) -> None:
             def progress(done: int, total: int) -> None:
@@ -344,6 +359,7 @@ class Page:
 
             if not numbers:
                 show(subject.stored(slices), "the map of the file")
+                subject.prepare(lambda text: self._soon(partial(self._say, text)))
                 return
             self._soon(partial(self._say, "computing the map …"))
             coarse = subject.coarse_map(slices, numbers, lambda *_: request.go_on())
@@ -356,9 +372,14 @@ class Page:
 
         self._newest_map.submit(work)
 
-    def _show_map(self, results: Results, picture: Picture, thresholds: list[float], status: str) -> None:
+    def _show_map(self, results: Results, picture: Picture, status: str) -> None:
         self._results = results
         self._map.show(picture, _quantity_name(results, self._quantity.value))
+        self._show_legend(picture, [])
+        self._say(status)
+        self._mark()
+
+    def _show_legend(self, picture: Picture, thresholds: list[float]) -> None:
         swatch = '<span style="background: {}; border: 1px solid #1c2126">&emsp;</span>&nbsp;{}&nbsp;{}'
         entries = [swatch.format(colour, escape(label), share) for label, colour, share in picture.legend]
         if len(picture.dots):
@@ -366,8 +387,6 @@ class Page:
         if thresholds:
             entries.append(f"thresholds for vanishing backlash: {', '.join(f'{each:.2f}' for each in thresholds)}")
         self._legend.text = " &nbsp; ".join(entries)
-        self._say(status)
-        self._mark()
 
     def _mark(self) -> None:
         cells = [(pin.cell, colour) for pin, colour in zip(self._pins, RUN_COLOURS[1:], strict=False)]
@@ -380,6 +399,7 @@ class Page:
 
     def _save_as(self, name: str) -> None:
         """Make one of `_SAVED` in a thread, and hand it to the browser as a download."""
+        self._save.value = ""
         if name not in _SAVED or self._run is None or self._results is None:
             return
         what, _, suffix = name.partition(".")
@@ -388,6 +408,11 @@ class Page:
         numbers, values = self._active_numbers(), self._values(self._cell)
 
         def make(target: io.BytesIO) -> None:
+            from clunk.analysis.small_gap import thresholds_of
+            from clunk.plot.drawing import draw
+            from clunk.plot.histories import simulation_figure
+            from clunk.results.historyfile import write_csv
+
             if name == "config.toml":
                 target.write(self._subject.config(values, numbers).encode())
             elif name == "run.csv":
@@ -396,8 +421,6 @@ class Page:
                 part = results.at_lash(lash)
                 encode(draw(part, quantity, thresholds_of(part)), suffix, target)
             else:
-                from clunk.plot.histories import simulation_figure
-
                 encode(simulation_figure([_named(each, self._place(each)) for each in runs]), suffix, target)
 
         def work() -> None:
@@ -439,8 +462,6 @@ def _asset(name: str) -> str:
 
 
 def _named(shown: Shown, name: str) -> History:
-    from dataclasses import replace
-
     return replace(shown.history, name=name)
 
 

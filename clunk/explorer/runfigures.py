@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from bokeh.events import Reset
@@ -13,7 +13,9 @@ from bokeh.plotting import figure
 from clunk.explorer.curves import Floats, thinned
 from clunk.explorer.mapfigure import RUN_COLOURS
 from clunk.plot.style import FAINT_INK, INK
-from clunk.simulation.history import History
+
+if TYPE_CHECKING:
+    from clunk.simulation.history import History
 
 _COLUMNS = 1000  # spans of time that a screen tells apart
 _MOST_ARROWS = 12  # impacts; more arrows than these would hide the curve
@@ -44,7 +46,8 @@ class RunFigures:
         self._whole = (0.0, 1.0)
         self._is_setting = False
         self._steps: list[Span] = []
-        self._curves: dict[tuple[str, int], ColumnDataSource] = {}
+        # all curves of all panels in one source: each source that changes is a message, and a redrawing
+        self._curves = _source(*(f"{panel.name}_{axis}" for panel in _PANELS for axis in "xy"), "colour")
         self.figures = {panel.name: self._figure(panel) for panel in _PANELS}
         lash, acceleration = self.figures["lash"], self.figures["acceleration"]
         self._gap = BoxAnnotation(fill_color="#e4e4e4", fill_alpha=1.0, level="underlay", line_color=None)
@@ -93,9 +96,7 @@ class RunFigures:
         step = Span(location=0.0, dimension="height", line_color=FAINT_INK, line_dash="dotted", line_width=1.0)
         plot.add_layout(step)
         self._steps.append(step)
-        for k in reversed(range(len(RUN_COLOURS))):
-            source = self._curves[panel.name, k] = _source("x", "y")
-            plot.line("x", "y", source=source, color=RUN_COLOURS[k], line_width=1.6 if k else 1.3)
+        plot.multi_line(f"{panel.name}_x", f"{panel.name}_y", source=self._curves, color="colour", line_width=1.4)
         plot.on_event(Reset, lambda _: self._time.update(start=self._whole[0], end=self._whole[1]))
         return plot
 
@@ -104,8 +105,7 @@ class RunFigures:
         present = [run for run in runs if run is not None]
         self._runs = runs
         if not present:
-            for source in self._curves.values():
-                source.data = {"x": [], "y": []}
+            self._draw()
             self._marks(None)
             return
         whole = float(min(run.time[0] for run in present)), float(max(run.time[-1] for run in present))
@@ -126,12 +126,12 @@ class RunFigures:
 
     def _draw(self) -> None:
         begin, end = float(self._time.start), float(self._time.end)
+        shown = [(run, colour) for run, colour in zip(self._runs, RUN_COLOURS, strict=False) if run is not None][::-1]
+        data: dict[str, list[Any]] = {"colour": [colour for _, colour in shown]}
         for panel in _PANELS:
-            for k, run in enumerate(self._runs):
-                time, values = np.zeros(0), np.zeros(0)
-                if run is not None:
-                    time, values = thinned(run.time, panel.values(run), begin, end, _COLUMNS)
-                self._curves[panel.name, k].data = {"x": time, "y": values}
+            curves = [thinned(run.time, panel.values(run), begin, end, _COLUMNS) for run, _ in shown]
+            data[f"{panel.name}_x"], data[f"{panel.name}_y"] = [x for x, _ in curves], [y for _, y in curves]
+        self._curves.data = data
 
     def _marks(self, run: History | None) -> None:
         """Gap, flanks, touches and Q_i of the run that is shown."""
@@ -143,7 +143,9 @@ class RunFigures:
         self._gap.update(bottom=-half, top=half)
         side = run.trajectory.initial_side
         names = {side * half: "initial flank", -side * half: "opposite flank"} if half > 0.0 else {0.0: "no gap"}
-        self._flanks.data = {"x": [self._whole[0]] * len(names), "y": list(names), "text": list(names.values())}
+        flanks = {"x": [self._whole[0]] * len(names), "y": list(names), "text": list(names.values())}
+        if flanks != self._flanks.data:
+            self._flanks.data = flanks
         row, sides, primary, _ = run.touches
         self._touches.data = {
             "x": run.time[row],

@@ -1,19 +1,21 @@
-"""What is explored: the results of a file, and the maps and runs of its study with other numbers."""
+"""What is explored: the results of a file, and the maps and runs of its study with other numbers.
+
+What runs is imported when it is first needed: the stored map is on the page by then, half a second earlier.
+"""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clunk.results.maps import parameters_of, values_at
 from clunk.results.regimemap import Results
-from clunk.simulation.history import History, sample, shown_until
-from clunk.simulation.trajectory import simulate
 from clunk.study.axes import LASH, RUN, ResultAxis
 from clunk.study.config import study_from_text
 from clunk.study.designs import Column, Design, design_of, nominal
@@ -21,8 +23,10 @@ from clunk.study.errors import ClunkError
 from clunk.study.parameters import nominal_value
 from clunk.study.study import Study, replace_values, to_toml
 from clunk.study.sweeps import Sweep
-from clunk.sweeping.progress import Progress
-from clunk.sweeping.sweep import sweep
+
+if TYPE_CHECKING:
+    from clunk.simulation.history import History
+    from clunk.sweeping.progress import Progress
 
 _USUAL = ("load.ratio", "lash.backlash_deg")  # stay on the map where there are more axes
 _COARSE = 41  # values of an axis, of the map that is shown first
@@ -97,6 +101,9 @@ class Subject:
 
     def run(self, cell: Numbers, numbers: Numbers) -> History:
         """The motion in a cell, with other numbers. Raises SimulationError, ConfigError."""
+        from clunk.simulation.history import sample, shown_until
+        from clunk.simulation.trajectory import simulate
+
         trajectory = simulate(self.study_at(cell, numbers))
         until = shown_until(trajectory)
         events_end = trajectory.study.load.step_time + trajectory.end
@@ -119,8 +126,20 @@ class Subject:
         swept = self.study_of_map(slices, numbers).sweep
         return to_toml(self.study_at(cell, numbers).model_copy(update={"sweep": swept}))
 
+    def prepare(self, say: Callable[[str], None]) -> None:
+        """Load what sweeps need, so that the first one does not wait for it; say : called before kernels compile."""
+        from clunk.sweeping.cells import compiling_note, warm_up
+
+        if note := compiling_note(self.study.solver.method):
+            say(note)
+        warm_up(self.study)
+        if note:
+            say("compiled")
+
     def coarse_map(self, slices: Numbers, numbers: Numbers, progress: Progress) -> Results | None:
         """The map of every few values of its axes; None where all are few."""
+        from clunk.sweeping.sweep import sweep
+
         study = self.study_of_map(slices, numbers)
         if self.has_runs or all(len(axis.values) <= _COARSE for axis in self.plane):
             return None
@@ -133,6 +152,8 @@ class Subject:
 
     def full_map(self, slices: Numbers, numbers: Numbers, progress: Progress, *, refine: bool) -> Results:
         """The map at all values of its axes; refine : whether to infer cells whose neighbours tell their labels."""
+        from clunk.sweeping.sweep import sweep
+
         study = self.study_of_map(slices, numbers)
         if self.has_runs:
             return sweep(study, progress=progress).at(slices)

@@ -1,0 +1,285 @@
+"""The explorer's page in a real browser, as a user sees it: headless Chromium, driven by selenium."""
+
+import base64
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from html import escape
+from pathlib import Path
+
+import pytest
+from conftest import NOMINAL
+
+from clunk import explore, load_study, replace_values, simulate, sweep, write_results
+from clunk.study.config import study_from_text
+
+pytest.importorskip("bokeh", reason="the explorer's page needs Bokeh")
+webdriver = pytest.importorskip("selenium.webdriver", reason="a browser is driven by selenium")
+ActionChains = webdriver.ActionChains
+Keys = pytest.importorskip("selenium.webdriver.common.keys").Keys
+Service = pytest.importorskip("selenium.webdriver.chrome.service").Service
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+DRIVER = shutil.which("chromedriver")
+pytestmark = pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="there is no Chromium with its chromedriver")
+
+CONFIG = Path(__file__).parent.parent / "configs/figure_3_4.toml"
+CELLS = ((2.0, 2.0), (9.0, 1.0), (5.0, 6.0))  # load ratio, backlash in degrees; the first run is that of the last
+PATIENCE = 30.0  # s
+HELPERS = """
+window.model = (name) => window.Bokeh?.documents[0]?.get_model_by_name(name) ?? null;
+window.place = (name, x, y) => {
+  const view = Bokeh.index.find_one(model(name));
+  const box = view.el.getBoundingClientRect();
+  return [box.left + view.frame.x_scale.compute(x), box.top + view.frame.y_scale.compute(y)].map(Math.round);
+};
+"""
+
+
+class Browser:
+    """A headless browser, and what the tests do with it."""
+
+    def __init__(self, folder: Path) -> None:
+        options = webdriver.ChromeOptions()
+        options.binary_location = CHROMIUM
+        flags = ("headless=new", "no-sandbox", "disable-gpu", "disable-quic", "no-first-run", "disable-sync")
+        flags += ("disable-background-networking", "disable-component-update", "window-size=1280,800")
+        for flag in (*flags, f"user-data-dir={folder / 'profile'}"):
+            options.add_argument(f"--{flag}")
+        options.add_experimental_option("prefs", {"download.default_directory": str(folder)})
+        options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+        self.driver = webdriver.Chrome(options, Service(DRIVER))
+        self.driver.get("about:blank")
+        self.requests()
+
+    def open(self, url: str) -> None:
+        self.driver.get(url)
+        self.driver.execute_script(HELPERS)
+
+    def requests(self) -> list[str]:
+        messages = (json.loads(entry["message"])["message"] for entry in self.driver.get_log("performance"))
+        sent = [each["params"]["request"]["url"] for each in messages if each["method"] == "Network.requestWillBeSent"]
+        return [url for url in sent if not url.startswith(("data:", "blob:", "chrome:"))]
+
+    def problems(self) -> list[str]:
+        return [each["message"] for each in self.driver.get_log("browser") if each["level"] == "SEVERE"]
+
+    def text(self, name: str) -> str:
+        return self.driver.execute_script("return model(arguments[0])?.text ?? ''", name)
+
+    def wait(self, what, *, message: str) -> None:
+        deadline = time.monotonic() + PATIENCE
+        while not what():
+            assert time.monotonic() < deadline, f"{message}; {self.problems()}"
+            time.sleep(0.01)
+
+    def wait_for(self, name: str, *parts: str) -> None:
+        self.wait(lambda: all(part in self.text(name) for part in parts), message=f"no {parts} in {name}")
+
+    def point(self, x: float, y: float, *, click: bool = False, shift: bool = False, name: str = "map") -> None:
+        left, top = self.driver.execute_script("return place(...arguments)", name, x, y)
+        if shift:
+            ActionChains(self.driver).key_down(Keys.SHIFT).perform()
+        actions = ActionChains(self.driver, duration=0)
+        actions.w3c_actions.pointer_action.move_to_location(left, top)
+        if click:
+            actions.w3c_actions.pointer_action.click()
+        actions.perform()
+        if shift:
+            ActionChains(self.driver).key_up(Keys.SHIFT).perform()
+
+
+@pytest.fixture(scope="module")
+def study():
+    return load_study(CONFIG, ["solver.method='exact'"])
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    browser = Browser(tmp_path_factory.mktemp("browser"))
+    yield browser
+    browser.driver.quit()
+
+
+@pytest.fixture(scope="module")
+def running(study, tmp_path_factory):
+    """`clunk explore` of a stored 201 x 201 map, its address and the moment of its start."""
+    file = tmp_path_factory.mktemp("explored") / "map.h5"
+    write_results(file, sweep(study))
+    began = time.perf_counter()
+    command = [sys.executable, "-c", "from clunk.cli import main; main()", "explore", str(file), "--no-browser"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        yield process, process.stdout.readline().strip(), began
+        process.kill()
+
+
+@pytest.fixture(scope="module")
+def page(browser, running):
+    """The page with its first map and run."""
+    _, url, began = running
+    browser.open(url)
+    browser.wait_for("legend", "DS(1)SS(1)")
+    print(f"\nfrom the command to the first map: {time.perf_counter() - began:.2f} s")
+    browser.wait_for("header", "energy")
+    return browser
+
+
+def expected(study, numbers):
+    """Texts of the page on the run of a cell."""
+    run = simulate(replace_values(study.model_copy(update={"sweep": None}), numbers))
+    rows = run.outcome()
+    return [f">{run.label}<", *(escape(f"{name} {text}") for name, text in rows if name != "label")]
+
+
+def cell(ratio, backlash):
+    return {"load.ratio": ratio, "lash.backlash_deg": backlash}
+
+
+class TestPage:
+    def test_a_click_shows_the_run_that_clunk_simulate_makes_of_the_cell(self, page, study):
+        for ratio, backlash in CELLS:
+            watch(page)
+            page.point(ratio, backlash, click=True)
+            page.wait_for(
+                "header", f"σr = {ratio:g}, φθ = {backlash:g} degrees", *expected(study, cell(ratio, backlash))
+            )
+            print(f"from a click to the run on the screen: {watched(page):.0f} ms")
+            page.wait_for("header", "energy")
+        events = simulate(replace_values(study, cell(*CELLS[-1]))).event_table()
+        page.wait_for("events", *events[1], *events[-1][:2])
+
+    def test_the_run_under_the_pointer_is_shown_while_it_is_on_the_map(self, page):
+        page.point(5.0, 6.0, click=True)
+        page.wait_for("header", "σr = 5, φθ = 6 degrees")
+        page.point(7.5, 12.0)
+        page.wait_for("header", "σr = 7.5, φθ = 12 degrees")
+        page.point(0.5, 0.0, name="torque")
+        page.wait_for("header", "σr = 5, φθ = 6 degrees")
+
+    def test_two_more_runs_are_pinned_and_keys_move_and_unpin(self, page):
+        page.point(2.0, 2.0, click=True, shift=True)
+        page.wait_for("compared", "σr = 2, φθ = 2 degrees: DS(1)")
+        page.point(9.0, 1.0, click=True)
+        page.wait_for("header", "σr = 9, φθ = 1 degrees")
+        body = page.driver.find_element("tag name", "body")
+        body.send_keys("p")
+        page.wait_for("compared", "σr = 2, φθ = 2 degrees", "σr = 9, φθ = 1 degrees: DS(3)")
+        page.point(0.5, 0.0, name="torque")
+        body.send_keys(Keys.ARROW_RIGHT)
+        body.send_keys(Keys.ARROW_UP)
+        page.wait_for("header", "σr = 9.05, φθ = 1.1 degrees")
+        body.send_keys("u")
+        page.wait(lambda: not page.text("compared"), message="runs stay pinned")
+
+    def test_a_number_changes_the_run_at_once_and_then_the_map(self, page, study):
+        page.point(5.0, 6.0, click=True)
+        page.wait_for("header", "σr = 5, φθ = 6 degrees")
+        for damping in (60.0, 47.0):
+            watch(page)
+            page.driver.execute_script("model('number lash.contact.damping').value = arguments[0]", damping)
+            page.wait_for("header", f"lash.contact.damping = {damping:g}")
+            page.wait(lambda: "the full map" in page.driver.execute_script("return window.maps"), message="no map")
+            for name, milliseconds in page.driver.execute_script("return window.maps").items():
+                print(f"from a number to {name}: {milliseconds:.0f} ms")
+        numbers = {"lash.contact.damping": damping}
+        page.wait_for("header", "lash.contact.damping = 47", *expected(study, cell(5.0, 6.0) | numbers))
+        changed = sweep(replace_values(study, numbers), refine=True)
+        shares = {label: f"{100.0 * count / changed.sequence.size:.3g} %" for label, count in changed.counts().items()}
+        page.wait_for("legend", *(f"{label}&nbsp;{share}" for label, share in shares.items() if label != "failed"))
+        page.driver.execute_script("model('slider lash.contact.damping').value = 94.0")
+        page.wait_for("status", "the map of the file")
+
+    def test_quantities_are_drawn_and_what_is_seen_is_saved(self, page, study):
+        page.driver.execute_script("model('quantity').value = 'severity'")
+        page.wait(
+            lambda: page.driver.execute_script("return model('map').right.some((each) => each.visible && each.title)"),
+            message="no colour bar",
+        )
+        page.driver.execute_script("model('quantity').value = 'regimes'")
+        page.point(5.0, 6.0, click=True)
+        page.wait_for("header", "σr = 5, φθ = 6 degrees", "energy")
+        for name, start in (
+            ("config.toml", "title = "),
+            ("run.csv", "time_s,"),
+            ("map.svg", "<?xml"),
+            ("run.png", "\x89PNG"),
+        ):
+            save(page, name)
+            content = page.driver.execute_script("return model('download').data.content[0]")
+            assert base64.b64decode(content).decode("latin-1").startswith(start)
+            if name == "config.toml":
+                config = study_from_text(base64.b64decode(content).decode())
+        assert sweep(config).config_digest == sweep(study).config_digest
+        assert simulate(config).label == "DS(1)SS(1)"
+
+    def test_nothing_came_from_another_host_and_nothing_went_wrong(self, page, running):
+        _, url, _ = running
+        requests = page.requests()
+        assert len(requests) > 3
+        assert all(each.startswith(url.rsplit("/", 2)[0] + "/") for each in requests)
+        assert page.problems() == []
+
+    @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX")
+    def test_after_ctrl_c_the_page_says_that_the_explorer_has_ended(self, page, running):
+        process, *_ = running
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 0
+        page.wait(lambda: page.driver.find_elements("id", "ended"), message="nothing is said")
+
+
+def save(page, name):
+    page.driver.execute_script("model('save').value = arguments[0]", name)
+    page.wait(
+        lambda: page.driver.execute_script(
+            "return (model('download').data.name[0] ?? '').endsWith(arguments[0])", name
+        ),
+        message=f"no {name}",
+    )
+
+
+def watch(page):
+    """Note when the run and the maps that follow are on the screen, in ms after a click or a change."""
+    page.driver.execute_script(
+        """
+        window.began = performance.now();
+        window.maps = {};
+        window.ended = null;
+        if (!window.watches) {
+          window.watches = true;
+          const begin = () => { window.began = performance.now(); window.ended = null; };
+          window.addEventListener("pointerdown", begin, true);
+          const drawn = (note) => () => requestAnimationFrame(() => setTimeout(() => note(performance.now() - began)));
+          model("header").properties.text.change.connect(drawn((ms) => { window.ended ??= ms; }));
+          model("status").properties.text.change.connect(() => {
+            const text = model("status").text;
+            const name = text.startsWith("computed with") ? "the full map" : "the coarse map";
+            if (name[4] == "f" || text.includes("every few")) drawn((ms) => { window.maps[name] = ms; })();
+          });
+        }
+        """
+    )
+
+
+def watched(page):
+    page.wait(lambda: page.driver.execute_script("return window.ended"), message="no change")
+    return page.driver.execute_script("return window.ended")
+
+
+def test_a_title_of_markup_is_shown_as_text(browser):
+    hostile = "<script>document.title = 'taken'</script><img src=x onerror=alert(1)>"
+    text = f'title = "{hostile}"\n' + NOMINAL.replace("[lash]", f'[lash]\nname = "{hostile}"')
+    axes = '[[sweep.axes]]\nparameter = "load.ratio"\nvalues = [1.0, 5.0]\n[solver]\nmethod = "exact"\n'
+    explorer = explore(sweep(study_from_text(text + axes)), browser=False)
+    try:
+        browser.driver.get("about:blank")  # away from a page whose explorer may have ended
+        browser.requests(), browser.problems()
+        browser.open(explorer.url)
+        browser.wait_for("header", "energy")
+        assert browser.driver.title == f"clunk: {hostile}"
+        assert not any("/x" in url[-3:] for url in browser.requests())
+        assert browser.problems() == []
+    finally:
+        explorer.stop()
