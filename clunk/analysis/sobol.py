@@ -207,6 +207,8 @@ def operating_point(study: Study) -> Study:
             f"{swept.tolerances[0].parameter} is the only parameter with a tolerance, and all of the variance is "
             "its own; Sobol indices need two or more."
         )
+    if any(draw.distribution == "listed" for draw in swept.tolerances):
+        raise SensitivityError("Listed draws belong together; Sobol indices need draws that are independent.")
     count = swept.sampling.count
     if count < _FEWEST or count & (count - 1):
         power = max(_FEWEST, 2 ** math.floor(math.log2(count)))

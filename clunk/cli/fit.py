@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 @click.argument("measurements", type=PATH)
 @set_option
 @click.option("-o", "--output", type=PATH, help="File of the fit [results/CONFIG-fit.h5].")
+@click.option("--plot", "picture", type=PATH, help="Also draw maps, ensemble and probabilities: .png .svg .pdf.")
+@click.option("--write", "fitted_config", type=PATH, help="Also write the fitted config (.toml), to be swept.")
+@click.option("--tolerances", type=click.IntRange(1), help="With --write: so many draws of the ensemble as tolerances.")
 @lash_option
 @workers_option
 @click.option("--restart", is_flag=True, help="Neither go on with a stopped fit nor keep a finished one.")
@@ -35,6 +38,9 @@ def fit(
     measurements: Path,
     overrides: tuple[str, ...],
     output: Path | None,
+    picture: Path | None,
+    fitted_config: Path | None,
+    tolerances: int | None,
     lash: str | None,
     workers: int | None,
     restart: bool,
@@ -48,9 +54,13 @@ def fit(
 
     \b
     Example:
-      clunk fit configs/fit_table_4_1.toml table_4_1 -o results/rig.h5
+      clunk fit configs/fit_table_4_1.toml table_4_1 -o results/rig.h5 \\
+          --plot rig.png --write rig.toml
     """
+    if tolerances is not None and fitted_config is None:
+        raise click.UsageError("--tolerances goes with --write.")
     from clunk.analysis import fitfile, fitting
+    from clunk.analysis.fittedstudy import require_single_draws
     from clunk.analysis.measurements import read_experiment
     from clunk.cli.fit_report import as_record, report
     from clunk.report.tables import TABLES
@@ -61,8 +71,14 @@ def fit(
     study = load_study(config, overrides)
     experiment = read_experiment(measurements, TABLES)
     fitting.check(study, experiment)
+    if tolerances is not None:
+        require_single_draws(study)
     target = output or Path("results") / f"{config.stem}-fit.h5"
     targets.check(target, targets.RESULTS, reads=config)
+    if picture is not None:
+        targets.check(picture, targets.PICTURES)
+    if fitted_config is not None:
+        targets.check(fitted_config, (".toml",), reads=config)
     digest = fitting.identity(study, experiment, lash)
     finished = None
     if target.exists() and not force:
@@ -80,6 +96,10 @@ def fit(
         tables.print_record(as_record(finished))
     else:
         click.echo("\n".join(report(finished)))
+    if fitted_config is not None:
+        _write(finished, fitted_config, tolerances or 0)
+    if picture is not None:
+        _draw(finished, picture, workers)
     for sentence in finished.warnings():
         terminal.complain(f"warning: {sentence}")
 
@@ -132,3 +152,30 @@ def _run(
     seconds = time.perf_counter() - began
     click.echo(f"{fitted.candidates:,} candidates in {seconds:.1f} s -> {target}", err=True)
     return fitted
+
+
+def _write(fitted: Fitted, path: Path, tolerances: int) -> None:
+    """Write the fitted config, with the ensemble as tolerances if they are asked for."""
+    from clunk.analysis.fitparts import FitError
+    from clunk.analysis.fittedstudy import as_comment, fitted_study
+    from clunk.results.files import write_whole, writing
+    from clunk.study.study import to_toml
+
+    text = as_comment(fitted) + to_toml(fitted_study(fitted, tolerances))
+    with writing(path, FitError):
+        write_whole(path, lambda file: file.write(text.encode()))
+    terminal.say_written(path)
+
+
+def _draw(fitted: Fitted, path: Path, workers: int | None) -> None:
+    """Draw the pictures of a fit: PATH-ensemble, PATH-labels and, of two measured parameters, PATH-maps."""
+    from clunk.analysis.fitmaps import FitMapError, fit_maps
+    from clunk.plot import fit as figures
+
+    pictures = {"ensemble": figures.corner(fitted), "labels": figures.label_probabilities(fitted)}
+    try:
+        pictures["maps"] = figures.measured_on_maps(fit_maps(fitted, workers), fitted)
+    except FitMapError as error:
+        terminal.complain(f"note: {error}")
+    for name, figure in pictures.items():
+        terminal.save_picture(figure, path.with_name(f"{path.stem}-{name}{path.suffix}"))

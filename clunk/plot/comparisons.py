@@ -114,7 +114,7 @@ def experiment_map(results: Results, comparison: ExperimentComparison) -> Figure
         if len(missing) <= len(more):
             break
         more = missing
-    _draw_points(ax, values, points)
+    draw_points(ax, values, points)
     for point, x, y in placed:
         _write_measured(ax, point, x, y)
     return figure
@@ -220,7 +220,7 @@ def _write_measured(ax: Axes, point: Point, x: float, y: float) -> None:
     ax.text(x, y, point.measured, fontsize=_POINT_TEXT, parse_math=False, gid="measured", **look)
 
 
-def _draw_points(ax: Axes, values: Floats, points: Sequence[Point]) -> None:
+def draw_points(ax: Axes, values: Floats, points: Sequence[Point]) -> None:
     """Draw the measured points."""
     common: dict[str, Any] = {"linestyle": "none", "clip_on": False, "zorder": 6}
     for (x, y), point in zip(values, points, strict=True):

@@ -151,7 +151,7 @@ def drawn_numbers(study: Study, draws: Sequence[Draw]) -> list[FloatArray]:
     """Numbers that the study's sampling draws for each of these, (count,) each: values, factors or offsets."""
     assert study.sweep is not None
     points = study.sweep.sampling.points(len(draws))
-    return [draw.quantiles(points[:, k], _unswept_value(study, draw.parameter)) for k, draw in enumerate(draws)]
+    return [draw.sample(points[:, k], _unswept_value(study, draw.parameter)) for k, draw in enumerate(draws)]
 
 
 def _unswept_value(study: Study, parameter: str) -> float:

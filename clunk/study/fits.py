@@ -27,7 +27,7 @@ class Fit(Table):
     draws: Annotated[int, Field(ge=64, le=MOST_DRAWS)] = 8192
     seed: Annotated[int, Field(ge=0)] = 0
     wrong_labels: Annotated[float, Field(gt=0, lt=1)] = 0.1
-    scatter: Positive = 0.1
+    scatter: Positive = 0.2
 
     def contradictions(self) -> Iterator[Finding]:
         """Require that no two entries draw the same number."""

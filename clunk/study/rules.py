@@ -310,7 +310,7 @@ def _drawn(config: Config) -> Iterator[Finding]:
     for k, draw in enumerate(draws):
         place, key, value_of_study = located(config, draw.parameter)
         nominal = axes.get(draw.parameter, np.array([value_of_study]))
-        drawn = draw.quantiles(points[:, k], float(nominal[0]))  # around a swept value it does not use this
+        drawn = draw.sample(points[:, k], float(nominal[0]))  # around a swept value it does not use this
         values = draw.applied(drawn[:, None], np.array([nominal.min(), nominal.max()]))
         extremes = [values.min(), values.max(), *([values.flat[np.abs(values).argmin()]] if key.not_zero else [])]
         for value in map(float, extremes):

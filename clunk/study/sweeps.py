@@ -149,6 +149,10 @@ class _Drawn(Table):
         # the inverse of a distribution function is rounded: no value may leave the bounds for that
         return np.clip(values, low, high) if (low, high) != (None, None) else values
 
+    def sample(self, points: FloatArray, nominal: float) -> FloatArray:
+        """Numbers of the sample whose points have these coordinates, (count,) in [0, 1)."""
+        return self.quantiles(points, nominal)
+
     def applied(self, drawn: npt.ArrayLike, nominal: npt.ArrayLike) -> FloatArray:
         """Values of the key, from the numbers that were drawn and its nominal value."""
         drawn, nominal = np.asarray(drawn, np.float64), np.asarray(nominal, np.float64)
@@ -198,6 +202,25 @@ class Triangular(_Drawn):
     high: float
 
 
+class Listed(_Drawn):
+    """Numbers one for each draw, as many as the sample has: those of the same draw belong together."""
+
+    distribution: Literal["listed"]
+    values: Annotated[tuple[float, ...], Field(min_length=1, max_length=MOST_DRAWS)]
+
+    def numbers(self, nominal: float) -> dict[str, float]:
+        """Least and greatest number."""
+        return {"low": min(self.values), "high": max(self.values)}
+
+    def quantiles(self, probability: npt.ArrayLike, nominal: float) -> FloatArray:
+        """Quantiles of the numbers."""
+        return np.asarray(np.quantile(np.array(self.values), np.asarray(probability, np.float64)), np.float64)
+
+    def sample(self, points: FloatArray, nominal: float) -> FloatArray:
+        """The numbers themselves."""
+        return np.array(self.values)
+
+
 def _distribution(name: str, n: Mapping[str, float]) -> Any:
     """Frozen scipy distribution of this name with these parameters, not truncated."""
     from scipy import stats  # most of a second: only where something is drawn
@@ -211,7 +234,7 @@ def _distribution(name: str, n: Mapping[str, float]) -> Any:
     return stats.triang((n["mode"] - n["low"]) / (n["high"] - n["low"]), n["low"], n["high"] - n["low"])
 
 
-Draw = Uniform | Normal | Lognormal | Triangular
+Draw = Uniform | Normal | Lognormal | Triangular | Listed
 Draws = Annotated[tuple[Annotated[Draw, Field(discriminator="distribution")], ...], Field(min_length=1)]
 
 
@@ -273,6 +296,11 @@ class Sweep(Table):
             yield ("samples",), "samples and tolerances are given together; give one of the two"
         elif self.samples and self.design == "zip":
             yield ("samples",), 'samples do not go with design = "zip"; give one of the two'
+        for name, draws in (("samples", self.samples), ("tolerances", self.tolerances)):
+            for k, draw in enumerate(draws):
+                if isinstance(draw, Listed) and len(draw.values) != self.sampling.count:
+                    text = f"found {len(draw.values)} values, and sweep.sampling.count is {self.sampling.count}"
+                    yield (name, k, "values"), text
         cells = math.prod(counts if self.design == "grid" else counts[:1])
         cells *= self.sampling.count if self.samples else 1
         if cells > LARGEST_GRID:

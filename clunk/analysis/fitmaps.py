@@ -1,0 +1,82 @@
+"""Maps of a fit over the measured parameters: of the config as it is, and of the best candidate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from clunk.analysis.fittedstudy import fitted_study
+from clunk.analysis.fitting import Fitted
+from clunk.results.labels import FAILED_CODE
+from clunk.results.regimemap import Results
+from clunk.study.axes import ResultAxis
+from clunk.study.errors import ClunkError
+from clunk.study.keys import key_at
+from clunk.study.parameters import located
+from clunk.study.study import Study
+from clunk.study.sweeps import Axis, Sweep
+from clunk.sweeping.sweep import sweep
+
+WHICH = ("nominal", "fitted")
+_COUNT = 81  # values of an axis that the config does not sweep
+_BEYOND = 0.15  # of the measured span, on either side of it
+
+
+class FitMapError(ClunkError):
+    """A fit of which no map over two parameters can be made; its text is one sentence for the user."""
+
+
+def fit_maps(fitted: Fitted, workers: int | None = None) -> Results:
+    """Map of the two measured parameters, as they were measured, before and after the fit along a first axis, `fit`.
+
+    Raises FitMapError unless two parameters were measured, each at two values or more.
+    """
+    axes = tuple(_axis(fitted, k) for k in range(len(fitted.axes)) if np.ptp(fitted.points[:, k]) > 0.0)
+    if len(axes) != 2:
+        raise FitMapError(f"A map has two measured parameters that vary; {fitted.experiment.name} has {len(axes)}.")
+    first = zip(fitted.axes, fitted.points[0].tolist(), strict=True)
+    varying = [axis.parameter for axis in axes]
+    fixed = tuple(Axis(parameter=key, values=(value,)) for key, value in first if key not in varying)
+    study = fitted.study.model_copy(update={"sweep": Sweep(axes=(*axes, *fixed))})
+    before = _swept(study.model_copy(update={"fit": None}), fitted.lash, workers)
+    after = _swept(fitted_study(replace(fitted, study=study)), fitted.lash, workers)
+    return _stacked(before, replace(after, axes=before.axes))
+
+
+def _axis(fitted: Fitted, k: int) -> Axis:
+    """The config's axis over a measured parameter, or one that reaches a little beyond the measured values."""
+    parameter, values = fitted.axes[k], fitted.points[:, k]
+    sweep = fitted.study.sweep
+    for axis in sweep.axes if sweep is not None and sweep.design == "grid" else ():
+        if axis.parameter == parameter and axis.count_of_values > 1:
+            return axis
+    key = key_at(located(fitted.study, parameter)[0])
+    assert key is not None
+    beyond = _BEYOND * float(np.ptp(values))
+    start, stop = max(values.min() - beyond, key.lowest), min(values.max() + beyond, key.highest)
+    if key.above and start == key.lowest:
+        start = float(values.min())
+    return Axis(parameter=parameter, start=float(start), stop=float(stop), count=_COUNT)
+
+
+def _swept(study: Study, lash: str, workers: int | None) -> Results:
+    results = sweep(study, workers=workers)
+    return results.of_lash(lash if len(study.lashes) > 1 else None)
+
+
+def _stacked(before: Results, after: Results) -> Results:
+    """Two maps of the same axes behind one another, with labels in common."""
+    labels = tuple(dict.fromkeys((*before.labels, *after.labels)))
+    parts: dict[str, Any] = {
+        name: np.concatenate([before.values(name)[None], after.values(name)[None]])
+        if not quantity.dimension
+        else np.concatenate([before.values(name), after.values(name)])
+        for name, quantity in before.quantities.items()
+    }
+    codes = [np.array([*map(labels.index, each.labels), FAILED_CODE], np.int16) for each in (before, after)]
+    parts["sequence"] = np.stack([codes[0][before.sequence], codes[1][after.sequence]])
+    measured = {name: parts.pop(name) for name in before.measured}
+    which = ResultAxis("fit", np.array([1.0, 2.0]), "candidate", "", "1", WHICH)
+    return replace(before, axes=(which, *before.axes), labels=labels, measured=measured, **parts)

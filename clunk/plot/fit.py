@@ -1,0 +1,156 @@
+"""Figures of fits: measured labels on the maps before and after, the ensemble, and the labels' probabilities."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib import ticker
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from clunk.analysis.fitmaps import WHICH
+from clunk.analysis.fitting import Fitted, weighted_quantiles
+from clunk.analysis.trends import compare_experiment
+from clunk.plot import style
+from clunk.plot.comparisons import draw_points
+from clunk.plot.facets import facet_map
+from clunk.results.regimemap import Results
+from clunk.study.parameters import quantity
+
+_PANEL = 1.9  # inches, of the corner plot
+_ROW = 0.24  # inches, of a measurement
+_BARS = 7.2  # inches, width
+_SHOWN = 1500  # draws
+_BINS = 30
+_ENDS = (0.002, 0.998)  # quantiles of the ensemble, between which it is drawn
+_LEAST = 0.02  # probability of a label that is in the legend
+_ENSEMBLE, _ESTIMATE = style.LINE_COLOURS[0], style.LINE_COLOURS[1]
+
+
+@style.styled()
+def measured_on_maps(results: Results, fitted: Fitted) -> Figure:
+    """The measured labels on the maps before and after the fit, side by side: filled points agree, others do not.
+
+    results : of `clunk.analysis.fitmaps.fit_maps`
+
+    Raises PlotError where the maps cannot be drawn.
+    """
+    figure = facet_map(results, ["fit"])
+    for number, (ax, which) in enumerate(zip(figure.axes, WHICH, strict=False), 1):
+        part = results.at({"fit": float(number)})
+        comparison = compare_experiment(part, fitted.experiment)
+        columns = [fitted.axes.index(axis.parameter) for axis in part.axes[1:] if len(axis.values) > 1]
+        points = fitted.points[:, columns]
+        draw_points(ax, points, comparison.points)
+        for at, measurement in zip(points, fitted.experiment.measurements, strict=True):
+            look: dict[str, Any] = style.CENTRED | {"path_effects": style.halo(1.6), "zorder": 7, "parse_math": False}
+            ax.annotate(measurement.label, at, (0, -8), textcoords="offset points", fontsize=5.5, **look)
+        ax.set_title(f"{which}: {comparison.agreeing} of {comparison.counted} labels", loc="left", fontsize=9.0)
+    return figure
+
+
+@style.styled()
+def corner(fitted: Fitted) -> Figure:
+    """The ensemble: each parameter's distribution, and each two together; the lines are the best candidate's."""
+    count = len(fitted.priors)
+    figure = style.new_figure((1.2 + max(count, 2) * _PANEL, 1.2 + max(count, 2) * _PANEL))
+    grid = figure.subplots(count, count, squeeze=False, sharex="col")
+    picked = np.random.default_rng(fitted.fit.seed).choice(len(fitted.weights), _SHOWN, p=fitted.weights)
+    draws, ends = fitted.draws[picked], weighted_quantiles(fitted.draws, fitted.weights, _ENDS)
+    names = [_name(fitted, k) for k in range(count)]
+    for row in range(count):
+        for column in range(count):
+            ax = grid[row, column]
+            if column > row:
+                ax.remove()
+                continue
+            if column == row:
+                _draw_one(ax, fitted, row, ends[row])
+            else:
+                ax.scatter(draws[:, column], draws[:, row], s=3.0, color=_ENSEMBLE, alpha=0.25, linewidths=0)
+                ax.axhline(fitted.estimate[row], color=_ESTIMATE, linewidth=0.9)
+                ax.axvline(fitted.estimate[column], color=_ESTIMATE, linewidth=0.9)
+                ax.set_ylim(_around(ends[row], fitted.estimate[row]))
+            if column == 0 and row > 0:
+                ax.set_ylabel(names[row])
+            elif column != row:
+                ax.tick_params(labelleft=False)
+            if row == count - 1:
+                ax.set_xlabel(names[column])
+            ax.tick_params(labelsize=8.0)
+            ax.xaxis.set_major_locator(ticker.MaxNLocator(4))
+    line = f"{len(fitted.weights):,} draws, worth {fitted.effective:.0f}; lines: best candidate; dashed: prior"
+    style.set_titles(figure, grid[0, 0], f"{fitted.study.title}: ensemble", line)
+    style.freeze_layout(figure, grid[0, 0])
+    return figure
+
+
+def _draw_one(ax: Axes, fitted: Fitted, k: int, ends: np.ndarray[tuple[int], np.dtype[np.float64]]) -> None:
+    """Draw the distribution of a parameter, its interval and its prior."""
+    low, high = _around(ends, fitted.estimate[k])
+    edges = np.linspace(low, high, _BINS + 1)
+    heights, _ = np.histogram(fitted.draws[:, k], edges, weights=fitted.weights)
+    ax.stairs(heights / np.diff(edges), edges, fill=True, color=_ENSEMBLE, alpha=0.5)
+    shares = np.linspace(0.0, 1.0, 2001)[1:-1]
+    below = np.interp(edges, fitted.prior_intervals(tuple(shares))[k], shares, 0.0, 1.0)
+    ax.stairs(np.diff(below) / np.diff(edges), edges, color=style.INK, linestyle="--", linewidth=0.8)
+    ax.axvline(fitted.estimate[k], color=_ESTIMATE, linewidth=1.2)
+    for bound in fitted.intervals()[k]:
+        ax.axvline(bound, color=_ENSEMBLE, linewidth=0.8)
+    ax.set_xlim(low, high)
+    ax.set_yticks([])
+
+
+def _around(ends: np.ndarray[tuple[int], np.dtype[np.float64]], estimate: float) -> tuple[float, float]:
+    """Limits that hold the ensemble's ends and the estimate."""
+    low, high = min(ends[0], estimate), max(ends[1], estimate)
+    beyond = 0.05 * (high - low) or 0.05 * abs(high) or 1.0
+    return float(low - beyond), float(high + beyond)
+
+
+def _name(fitted: Fitted, k: int) -> str:
+    """Name of a parameter, and its unit where it is no factor."""
+    prior = fitted.priors[k]
+    described = quantity(prior.parameter)
+    symbol = style.symbol_text(described.symbol.split("=")[0].strip()) or style.plain(described.name)
+    unit = "" if described.unit == "1" else f" [{described.unit}]"
+    return {"factor": f"factor of {symbol}", "offset": f"offset of {symbol}{unit}"}.get(prior.draws, symbol + unit)
+
+
+@style.styled()
+def label_probabilities(fitted: Fitted) -> Figure:
+    """The ensemble's probability of each label at each measured point; the measured label's part is framed."""
+    measurements, shares = fitted.experiment.measurements, fitted.probabilities
+    labels = tuple(dict.fromkeys([*(each.label for each in measurements), *(text for each in shares for text in each)]))
+    palette = style.palette_of(labels)
+    figure = style.new_figure((_BARS, 1.3 + _ROW * len(measurements)))
+    ax = figure.add_subplot()
+    for row, (measurement, probabilities) in enumerate(zip(measurements, shares, strict=True)):
+        left = 0.0
+        for text, share in probabilities.items():
+            is_measured = text == measurement.label
+            look: dict[str, Any] = {
+                "edgecolor": style.INK if is_measured else "white",
+                "linewidth": 1.4 if is_measured else 0.4,
+            }
+            ax.barh(row, share, left=left, height=0.78, color=palette.get(text, style.FAILED_FILL), **look)
+            left += share
+    symbols = [style.symbol_text(quantity(axis).symbol.split("=")[0].strip()) or axis for axis in fitted.axes]
+    names = [
+        ", ".join(f"{symbol} = {value:g}" for symbol, value in zip(symbols, each.values, strict=True))
+        + f":  {each.label}"
+        for each in measurements
+    ]
+    ax.set_yticks(range(len(names)), names, fontsize=8.0)
+    ax.set_ylim(len(names) - 0.4, -0.6)
+    ax.set_xlim(0.0, 1.0)
+    ax.set_xlabel("probability of the label")
+    frequent = [text for text in labels if any(each.get(text, 0.0) >= _LEAST for each in shares)]
+    handles = [Patch(color=palette.get(text, style.FAILED_FILL), label=text) for text in frequent]
+    figure.legend(handles=handles, loc="outside lower center", ncols=5, frameon=False)
+    line = f"framed: the measured label; ensemble of {len(fitted.weights):,} draws"
+    style.set_titles(figure, ax, f"{fitted.study.title}: predicted labels", line)
+    style.freeze_layout(figure, ax)
+    return figure
