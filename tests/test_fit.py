@@ -13,14 +13,15 @@ from clunk.analysis.fitparts import FitError
 from clunk.analysis.fitpredictions import losses
 from clunk.analysis.fitreasons import order_of_events, reason_of
 from clunk.analysis.fitruns import MATCH, outlier_misfit, partners
+from clunk.analysis.fittedstudy import fitted_study
 from clunk.analysis.measurements import Experiment, ExperimentError, experiment_of
-from clunk.api import run_points
+from clunk.api import run_points, sweep, tolerance_map
 from clunk.cli import cli
 from clunk.results.labels import flanks_of_label
-from clunk.study.config import study_from_text
+from clunk.study.config import load_study, study_from_text
 from clunk.study.fits import Fit
 from clunk.study.problems import ConfigError
-from clunk.study.study import Study, digest
+from clunk.study.study import Study, digest, to_toml
 from clunk.sweeping.parts import WorkingDirectory
 
 RIG = '[driveline]\npreset = "boere-2008"\n[solver]\nmethod = "exact"\nend_time = 1.0\n'
@@ -109,7 +110,7 @@ def test_reasons_name_the_first_impact_that_differs(measured: str, computed: str
 
 def test_a_fit_recovers_the_scale_of_the_gap_and_comes_back_from_its_file(measured: Experiment, tmp_path: Path) -> None:
     fitted = fitting.fit(study_of(GAP), measured)
-    assert fitted.met(fitted.estimate_matches) == len(measured.measurements)
+    assert fitted.met == len(measured.measurements)
     low, high = fitted.intervals()[0]
     assert low <= TRUE_GAP <= high
     assert high - low < 0.1  # eight times known to 0.5 ms leave about 0.05, a single one 0.15
@@ -150,7 +151,7 @@ def test_a_measured_label_that_nobody_meets_is_missed_with_a_reason(measured: Ex
     wrong = replace(measured, measurements=(replace(first, label="DS(9)"), *others))
     fitted = fitting.fit(study_of(GAP), wrong)
     assert fitted.best_distances[0] > 0.9  # beyond the last ring
-    assert fitted.met(fitted.estimate_matches) == len(measured.measurements) - 1
+    assert fitted.met == len(measured.measurements) - 1
     assert fitted.intervals()[0, 0] <= TRUE_GAP <= fitted.intervals()[0, 1]
     assert "No change of one measured value" in reason_of(fitted, 0)
 
@@ -196,15 +197,55 @@ def test_what_cannot_be_fitted_is_refused_at_once(config: str, csv: str, words: 
     assert words in " ".join(str(ran.exception).split())
 
 
-def test_more_parameters_than_measurements_are_warned_of(tmp_path: Path) -> None:
+def test_a_fit_is_printed_drawn_and_written_and_read_again(tmp_path: Path) -> None:
     names = ["lash.contact.damping", "driveline.shafts[3].damping"]
     fit = "[fit]\ncandidates = 1\ndraws = 64\neffective_draws = 1\n"
     priors = "".join(PRIOR.format(name, "factor", 0.9, 1.1) for name in names)
     (tmp_path / "rig.toml").write_text(RIG + fit + GAP + priors)
     (tmp_path / "rig.csv").write_text(CSV)
     command = ["fit", str(tmp_path / "rig.toml"), str(tmp_path / "rig.csv"), "-o", str(tmp_path / "fit.h5")]
-    first, second = (CliRunner().invoke(cli, command) for _ in range(2))
+    more = ["--plot", str(tmp_path / "fit.png"), "--write", str(tmp_path / "fitted.toml"), "--tolerances", "8"]
+    first, second = (CliRunner().invoke(cli, command + options) for options in (more, []))
     assert first.exit_code == second.exit_code == 0
     assert "more parameters, 3, than measurements, 2" in " ".join(first.output.split())
     assert first.stdout == second.stdout
     assert "already complete" in second.output
+    assert {path.name for path in tmp_path.glob("*.png")} == {"fit-ensemble.png", "fit-labels.png", "fit-maps.png"}
+    assert len(load_study(tmp_path / "fitted.toml").sweep.tolerances) == 3
+
+
+AXES = '[[sweep.axes]]\nparameter = "{}"\nvalues = {}\n'
+
+
+def test_the_fitted_config_has_the_labels_of_the_best_candidate_where_they_were_measured(measured: Experiment) -> None:
+    ratios, gaps = (sorted({each.values[k] for each in measured.measurements}) for k in (0, 1))
+    axes = AXES.format("load.ratio", ratios) + AXES.format("lash.backlash_deg", gaps)
+    damping = PRIOR.format("lash.contact.damping", "factor", 0.8, 1.2)
+    fitted = fitting.fit(study_from_text(RIG + axes + SMALL + GAP + damping), measured)
+    study = fitted_study(fitted)
+    assert study.fit is None
+    assert study.sweep.axes[1].values == pytest.approx(fitted.estimate[0] * np.array(gaps))
+    computed = [fitting.label_of(int(pattern)) for pattern in fitted.estimate_matches["pattern"]]
+    assert sweep(study).label_map.T.ravel().tolist() == computed  # measured with the load ratio first
+
+
+def test_tolerances_of_the_ensemble_are_its_draws_together(measured: Experiment) -> None:
+    damping = PRIOR.format("lash.contact.damping", "factor", 0.8, 1.2)
+    axes = AXES.format("load.ratio", [2.0, 6.0])
+    fitted = fitting.fit(study_from_text(RIG + axes + SMALL + GAP + damping), measured)
+    tolerant = fitted_study(fitted, 16)
+    relative = np.array([draw.values for draw in tolerant.sweep.tolerances]).T
+    differences = relative[:, None, :] * fitted.estimate - fitted.draws[None]
+    assert np.abs(differences).max(axis=2).min(axis=1) == pytest.approx(np.zeros(16), abs=1e-12)
+    assert tolerance_map(tolerant).draws == 16
+    with pytest.raises(ConfigError, match="found 16 values"):
+        study_from_text(to_toml(tolerant), overrides=["sweep.sampling.count=8"])
+
+
+def test_a_factor_and_an_offset_of_one_key_are_no_tolerance(tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_text(RIG + GAP + PRIOR.format("lash.backlash_deg", "offset", -0.5, 0.5))
+    (tmp_path / "rig.csv").write_text(CSV)
+    written = ["--write", str(tmp_path / "fitted.toml"), "--tolerances", "8"]
+    ran = CliRunner().invoke(cli, ["fit", str(tmp_path / "rig.toml"), str(tmp_path / "rig.csv"), *written])
+    assert isinstance(ran.exception, FitError)
+    assert "a tolerance is one of them" in str(ran.exception)

@@ -45,7 +45,7 @@ MATCH = np.dtype(
 )
 
 RINGS = (0.1, 0.3, 0.9)  # logarithm of the changes at which the measured label is looked for
-_HALVINGS = 3  # of the last ring's width
+_BETWEEN = 3  # further changes between two rings
 _EDIT = 0.5  # distance of each impact too many or too few, beyond the last ring
 _OUTLIERS = 0.02  # share of measured quantities that are far off
 _OUTLIER_SCALE = 10.0  # of these, in standard deviations
@@ -113,37 +113,40 @@ class CandidateRuns:
     def _look_around(
         self, candidates: FloatArray, matches: Records, missed: Cells, every: npt.NDArray[np.intp], systems: Systems
     ) -> None:
-        """Find the distances of runs that missed the measured label."""
-        ways = [(axis, sign) for axis in range(len(self.axes)) for sign in (-1.0, 1.0)]
-        reach, edits = np.zeros(len(matches)), np.full(len(matches), np.inf)
-        left = missed
-        for ring, inner in zip(RINGS, (0.0, *RINGS), strict=False):
-            if not left.size:
-                return
-            runs = np.repeat(left, len(ways))
-            changes = np.zeros((runs.size, len(self.axes)))
-            for way, (axis, sign) in enumerate(ways):
-                changes[way :: len(ways), axis] = sign * ring
-            patterns, _, _ = self._run(candidates, every[0, runs], every[1, runs], changes, systems)
-            hits = (patterns == self.wanted[every[1, runs]]).reshape(-1, len(ways))
-            hit, way = hits.any(axis=1), hits.argmax(axis=1)
-            close = left[hit]
-            matches["axis"][close] = [ways[each][0] for each in way[hit]]
-            signs = np.array([ways[each][1] for each in way[hit]])
-            low, high = np.full(close.size, inner), np.full(close.size, ring)
-            for _ in range(_HALVINGS):
-                middle = (low + high) / 2.0
-                changes = np.zeros((close.size, len(self.axes)))
-                changes[np.arange(close.size), matches["axis"][close]] = signs * middle
-                patterns_there, _, _ = self._run(candidates, every[0, close], every[1, close], changes, systems)
-                there = patterns_there == self.wanted[every[1, close]]
-                low, high = np.where(there, low, middle), np.where(there, middle, high)
-            matches["distance"][close], matches["change"][close] = high, signs * high
-            for k, pattern in zip(runs, patterns, strict=True):
-                edits[k] = min(edits[k], self._edits(every[1, k], int(pattern)))
-            left = left[~hit]
-        reach[left] = RINGS[-1] + _EDIT * edits[left]
-        matches["distance"][left] = reach[left]
+        """Find the distances of runs that missed the measured label: on rings around the point, then between two.
+
+        All rings at once: a driveline's call of the kernel takes as long as some dozen runs of it.
+        """
+        if not missed.size:
+            return
+        ways = [(ring, axis, sign) for ring in RINGS for axis in range(len(self.axes)) for sign in (-1.0, 1.0)]
+        radius, axis, sign = (np.array(each) for each in zip(*ways, strict=True))
+
+        def patterns_at(runs: Cells, axes: Cells, changes: FloatArray) -> npt.NDArray[np.uint64]:
+            of_axes = np.zeros((runs.size, len(self.axes)))
+            of_axes[np.arange(runs.size), axes] = changes
+            return self._run(candidates, every[0, runs], every[1, runs], of_axes, systems)[0]
+
+        count, wanted = len(ways), self.wanted[every[1, missed]][:, None]
+        around = np.repeat(missed, count), np.tile(axis, missed.size), np.tile(sign * radius, missed.size)
+        patterns = patterns_at(*around).reshape(-1, count)
+        hits = patterns == wanted
+        hit, first = hits.any(axis=1), hits.argmax(axis=1)  # the first is on the smallest ring
+        edits = [
+            min(self._edits(int(point), int(pattern)) for pattern in set(row.tolist()))
+            for point, row in zip(every[1, missed[~hit]], patterns[~hit], strict=True)
+        ]
+        matches["distance"][missed[~hit]] = RINGS[-1] + _EDIT * np.array(edits)
+        close, way = missed[hit], first[hit]
+        inner = np.array([0.0, *RINGS])[np.searchsorted(RINGS, radius[way])]
+        steps = np.linspace(inner, radius[way], _BETWEEN + 2, axis=1)[:, 1:]  # the last is the ring
+        between = np.repeat(close, _BETWEEN), np.repeat(axis[way], _BETWEEN)
+        changes = (sign[way][:, None] * steps[:, :-1]).ravel()
+        there = patterns_at(*between, changes).reshape(-1, _BETWEEN) == wanted[hit]
+        nearest = np.where(there.any(axis=1), there.argmax(axis=1), _BETWEEN)
+        matches["distance"][close] = steps[np.arange(close.size), nearest]
+        matches["axis"][close] = axis[way]
+        matches["change"][close] = sign[way] * matches["distance"][close]
 
     def _run(
         self,

@@ -76,7 +76,7 @@ def _with_tolerances(fitted: Fitted, sweep: dict[str, Any], draws: int) -> dict[
 
 def as_comment(fitted: Fitted) -> str:
     """Comment lines of TOML on what was fitted."""
-    met = f"{fitted.met(fitted.estimate_matches)} of {len(fitted.points)} labels"
+    met = f"{fitted.met} of {len(fitted.points)} labels"
     lines = [f"# Fitted to {fitted.experiment.name}: {met}."]
     for prior, number, (low, high) in zip(fitted.priors, fitted.estimate, fitted.intervals(), strict=True):
         measured = " of the measured value" if prior.parameter in fitted.axes else ""

@@ -131,9 +131,14 @@ class Fitted:
         """Effective size of the ensemble."""
         return effective_size(self.weights)
 
-    def met(self, matches: Records) -> int:
-        """Number of labels that a candidate meets, of its (n,) MATCH."""
-        return int(np.count_nonzero(matches["pattern"] == self.wanted))
+    def hits(self, patterns: Patterns) -> int:
+        """Number of measured labels that some patterns, (n,), meet."""
+        return int(np.count_nonzero(patterns == self.wanted))
+
+    @property
+    def met(self) -> int:
+        """Number of labels that the best candidate meets."""
+        return self.hits(self.estimate_matches["pattern"])
 
     def intervals(self, shares: Sequence[float] = INTERVAL) -> FloatArray:
         """(d, shares) quantiles of each parameter in the ensemble."""
@@ -179,7 +184,7 @@ class Fitted:
                 f"The ensemble is worth {self.effective:.0f} draws, not {self.fit.effective_draws}: its intervals are "
                 "rough; raise fit.draws."
             )
-        predicted = int(np.count_nonzero(self.predictions[0].predicted == self.wanted))
+        predicted = self.hits(self.predictions[0].predicted)
         best = max(self.fewer, key=lambda each: (each.predicted, -each.parameters), default=None)
         if best is not None and best.predicted >= predicted:
             first = "first parameter alone predicts" if best.parameters == 1 else f"first {best.parameters} predict"
@@ -188,7 +193,7 @@ class Fitted:
                 f"other measurements, the {first} {best.predicted}."
             )
         for rule in ("majority", "nearest"):
-            by_rule = int(np.count_nonzero(getattr(self.predictions[0], rule) == self.wanted))
+            by_rule = self.hits(getattr(self.predictions[0], rule))
             if by_rule >= predicted:
                 what = {"majority": "the most frequent label", "nearest": "the label of the nearest measurement"}[rule]
                 sentences.append(f"The fit predicts {predicted} of {count} labels, and {what} predicts {by_rule}.")
@@ -260,10 +265,10 @@ def fit(
         nominal = np.array([nominal_number(study, prior) for prior in priors])
         nominal_matches = populations(nominal[None], lambda matches: np.ones(1, bool))[0]
         _search(study, populations, best, nominal)
-        ensemble, matches = _ensemble(study, populations, best, nominal, len(priors))
+        ensemble, matches = draw_ensemble(study, populations, best, nominal, len(priors))
         fewer = []
         for count in range(1, len(priors)):
-            part, of_part = _ensemble(study, populations, None, nominal, count)
+            part, of_part = draw_ensemble(study, populations, None, nominal, count)
             predicted = predict_left_out(
                 of_part, part.log_density, runs.wanted, runs.points, settings, range(len(runs.points)), ""
             ).predicted
@@ -336,7 +341,7 @@ def _search(study: Study, populations: Populations, best: _Best, nominal: FloatA
     )
 
 
-def _ensemble(
+def draw_ensemble(
     study: Study, populations: Populations, best: _Best | None, nominal: FloatArray, count: int
 ) -> tuple[Population, Records]:
     """Ensemble of the first parameters, the others being nominal, and its draws' MATCH."""

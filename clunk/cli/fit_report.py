@@ -22,7 +22,7 @@ def report(fitted: Fitted) -> Iterator[str]:
 
 def _labels_met(fitted: Fitted) -> Iterator[str]:
     count = len(fitted.points)
-    met, before = fitted.met(fitted.estimate_matches), fitted.met(fitted.nominal_matches)
+    met, before = fitted.met, fitted.hits(fitted.nominal_matches["pattern"])
     yield f"labels met      {met} of {count} by the best candidate; {before} by the config as it is"
     pairs = zip(fitted.probabilities, fitted.experiment.measurements, strict=True)
     likely = sum(next(iter(shares)) == measurement.label for shares, measurement in pairs)
@@ -60,7 +60,7 @@ def _predictions(fitted: Fitted) -> Iterator[str]:
     count = len(fitted.points)
     rows = [["left out at a time", "predicted", "most frequent", "nearest", "worth"]]
     for each in fitted.predictions:
-        hits = [str(int((labels == fitted.wanted).sum())) for labels in (each.predicted, each.majority, each.nearest)]
+        hits = [str(fitted.hits(labels)) for labels in (each.predicted, each.majority, each.nearest)]
         what = "a measurement" if each.what == "measurement" else f"a value of {each.what}"
         rows.append([what, *hits, f"{each.effective:.0f}"])
     yield f"labels predicted from the other measurements, of {count}"
@@ -97,8 +97,8 @@ def as_record(fitted: Fitted) -> dict[str, object]:
         "title": fitted.study.title,
         "measurements": fitted.experiment.name,
         "points": len(wanted),
-        "met": fitted.met(fitted.estimate_matches),
-        "met_by_config": fitted.met(fitted.nominal_matches),
+        "met": fitted.met,
+        "met_by_config": fitted.hits(fitted.nominal_matches["pattern"]),
         "candidates": fitted.candidates,
         "draws": len(fitted.weights),
         "effective_draws": fitted.effective,
@@ -115,7 +115,7 @@ def as_record(fitted: Fitted) -> dict[str, object]:
         ],
         "predictions": [
             {"left_out": each.what, "effective_draws": each.effective}
-            | {name: int((getattr(each, name) == wanted).sum()) for name in ("predicted", "majority", "nearest")}
+            | {name: fitted.hits(getattr(each, name)) for name in ("predicted", "majority", "nearest")}
             for each in fitted.predictions
         ],
         "fewer": [vars(each) for each in fitted.fewer],

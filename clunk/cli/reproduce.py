@@ -42,7 +42,7 @@ def reproduce(output: Path, workers: int | None, coarsen: int, table: Path | Non
     from clunk.sweeping.sweep import cell_count
 
     targets.check(output / "figure_3_1.png", targets.PICTURES)
-    terminal.say_if_compiling("rk4")
+    terminal.say_if_compiling("rk4", "exact")
     total = sum(cell_count(study) for study in map_studies(coarsen).values())
     with progress.shown(total) as show:
         maps = run_maps(coarsen, workers, show)

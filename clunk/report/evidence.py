@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from clunk.analysis.fitting import Fitted, fit
 from clunk.analysis.measurements import read_experiment
 from clunk.analysis.trends import ExperimentComparison, compare_experiment
 from clunk.report.tables import TABLES
@@ -22,6 +23,24 @@ CONTACTS = ("indentation", "restitution")
 
 _DRIVELINE = '[driveline]\npreset = "boere-2008"\n'
 _AXIS = '[[sweep.axes]]\nparameter = "{}"\nstart = 0.0\nstop = {}\ncount = {}\n'
+# The rig's gaps in the model: so many times the measured ones, and so many degrees more.
+_GAPS = """title = "Table 4.1 with the rig's gaps matched"
+[fit]
+candidates = 320
+draws = 2048
+[[fit.parameters]]
+parameter = "lash.backlash_deg"
+distribution = "uniform"
+draws = "factor"
+low = 0.2
+high = 10.0
+[[fit.parameters]]
+parameter = "lash.backlash_deg"
+distribution = "uniform"
+draws = "offset"
+low = -0.1
+high = 12.0
+"""
 _BY_RESTITUTION = 'lash.contact.model="restitution"'
 _AS_PRINTED = 'driveline.preset="boere-2008-as-printed"'
 MAPS = {  # by field of `Maps`: title, values an axis, overrides
@@ -131,6 +150,12 @@ class Evidence:
     def measured(self) -> ExperimentComparison:
         """Table 4.1 on the map of the indentation model."""
         return compare_experiment(self.maps.indentation, read_experiment("table_4_1", TABLES))
+
+    @cached_property
+    def fitted(self) -> Fitted:
+        """The rig's gaps fitted to Table 4.1."""
+        study = study_from_text(_GAPS + _DRIVELINE, overrides=['solver.method="exact"'])
+        return fit(study, read_experiment("table_4_1", TABLES))
 
 
 def _closed_modes(study: Study) -> Modes:

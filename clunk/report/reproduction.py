@@ -9,7 +9,9 @@ from matplotlib.figure import Figure
 
 from clunk import plot
 from clunk.analysis.comparison import compare
+from clunk.analysis.fitmaps import fit_maps
 from clunk.plot import comparisons, histories, profiles
+from clunk.plot.fit import measured_on_maps
 from clunk.plot.small_gap import small_gap
 from clunk.report.claims import Claim, Verdict
 from clunk.report.evidence import MAPS, NOMINAL_RATIO, RATIOS, Evidence
@@ -103,4 +105,5 @@ def figures(e: Evidence) -> list[Job]:
         ("figure_3_7_velocity_restitution", lambda: plot.quantity_map(maps.restitution, "approach_velocity")),
         ("figure_4_4_trend", lambda: profiles.severity_profiles(maps.indentation, (2.5, 4.6, 6.7, 8.5, 10.0))),
         ("table_4_1", lambda: comparisons.experiment_map(maps.indentation, e.measured)),
+        ("table_4_1_fitted", lambda: measured_on_maps(fit_maps(e.fitted), e.fitted)),
     ]
