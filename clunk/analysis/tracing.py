@@ -28,8 +28,13 @@ _THINNEST = 1e-6  # of the map, a region that is looked for where touches change
 _NEARER = np.append(
     1 / np.array([64, 16, 8, 4, 2]), 1.0 - 0.5 ** np.array([2, 4, 8, 14, 20, 26])
 )  # of a way to a corner
-_SHARPER = 1e4  # than other crossings are those from which a triple point follows
-_SHORT = 1e-8  # of the map, lines that end in a triple point
+_SHARP = 1e-13  # of the map, crossings from which a triple point follows
+_SETTLED = 1e-10  # of the map, by which a triple point moves at last
+_NEEDLE = 5e-8  # of the map, a triangle so narrow that its crossings tell where lines meet, and no directions
+_RADII = 1e-7, 1e-8  # of the map, of circles around a junction: the smaller they are, the straighter lines leave them
+_SHARPER = 1e-3  # of a circle's radius, crossings on it
+_ANGLES = np.arange(16) * np.pi / 8 + 0.1
+_DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
 _PARALLEL = 1e-12  # determinant of the equations of lines that have no point in common
 _MOST_STEPS = 12  # towards a triple point, 5 as a rule
 _MOST_ROUNDS = 12  # of new nodes
@@ -170,6 +175,8 @@ class Lines:
             crossings = self.position(keys_of(nodes, np.roll(nodes, -1, axis=1)).ravel()).reshape(-1, 3, 2)
             positions, outcome = self.triangles.positions[nodes], self.triangles.outcome[nodes]
             points = triple_points(self.run, positions, outcome, crossings)
+            for radius in _RADII:
+                points = sharpened(self.run, points, radius)
             self.triples |= {tuple(corners): point for corners, point in zip(new, points, strict=True)}
 
     def _bend(self, segments: Segments, rails: Rails) -> bool:
@@ -260,11 +267,12 @@ def triple_points(run: Run, corners: Floats, labels: Codes, crossings: Floats) -
     labels : (n, 3)
     crossings : (n, 3, 2), on the way from each corner to the next one
     """
-    corners, crossings, active = corners.copy(), crossings.copy(), np.arange(len(corners))
+    corners, crossings, every = corners.copy(), crossings.copy(), np.arange(len(corners))
     after = np.roll(crossings, -1, axis=1)
-    nearest = np.argmin(np.hypot(*np.moveaxis(after - crossings, 2, 0)), axis=1)
-    guess: Floats = 0.5 * (crossings + after)[active, nearest]  # as in a needle they meet near its tip
-    for step in range(_MOST_STEPS):
+    apart = np.hypot(*np.moveaxis(after - crossings, 2, 0))
+    guess: Floats = 0.5 * (crossings + after)[every, np.argmin(apart, axis=1)]  # in a needle they meet near its tip
+    active = every[apart.min(axis=1) > _NEEDLE]
+    for _ in range(_MOST_STEPS):
         # on the way to each corner, the nearest points from which on the label is the corner's
         ways = corners[active] - guess[active, None]
         places = guess[active, None, None] + ways[:, :, None] * _NEARER[:, None]
@@ -272,8 +280,6 @@ def triple_points(run: Run, corners: Floats, labels: Codes, crossings: Floats) -
         fits = (runs["outcome"] == labels[active][..., None]).all(axis=1)
         nearest = np.argmax(np.cumprod(fits[:, ::-1], axis=1)[:, ::-1], axis=1)
         able = fits[:, -1]
-        tip = np.argmax(runs["outcome"][:, :, -1] != labels[active], axis=1)  # a corner within 1e-9 of other labels
-        guess[active[~able]] = corners[active[~able], tip[~able]]
         active, nearest, places, runs = active[able], nearest[able], places[able], runs[able]
         if not active.size:
             break
@@ -281,7 +287,7 @@ def triple_points(run: Run, corners: Floats, labels: Codes, crossings: Floats) -
         corner_runs = runs[np.arange(active.size), :, nearest]
         begin, end = nearer.reshape(-1, 2), np.roll(nearer, -1, axis=1).reshape(-1, 2)
         pairs = corner_runs.ravel(), np.roll(corner_runs, -1, axis=1).ravel()
-        low, high = located(run, begin, end, *pairs, TOLERANCE / _SHARPER)
+        low, high = located(run, begin, end, *pairs, _SHARP)
         _, first, counts = np.unique(low["cell"], return_index=True, return_counts=True)
         way = end - begin
         middle = 0.5 * (low["value"] + high["value"])[first] / np.maximum(np.hypot(*way.T), 1e-300)
@@ -305,11 +311,38 @@ def triple_points(run: Run, corners: Floats, labels: Codes, crossings: Floats) -
         matrix[rests], right[rests] = np.eye(2), new[rests, np.argmax(at_once[rests], axis=1)]
         solvable |= rests
         active = active[solvable]
-        solution = np.linalg.solve(matrix[solvable], right[solvable][..., None])[..., 0]
-        guess[active] = np.clip(solution, 0.0, 1.0)
-        if step:  # the first crossings are not sharp
-            active = active[np.ptp(corners[active], axis=1).max(axis=1) > _SHORT]
+        solution = np.clip(np.linalg.solve(matrix[solvable], right[solvable][..., None])[..., 0], 0.0, 1.0)
+        moved = np.abs(solution - guess[active]).max(axis=1)
+        guess[active] = solution
+        active = active[moved > _SETTLED]
     return guess
+
+
+def sharpened(run: Run, points: Floats, radius: float) -> Floats:
+    """The points (n, 2), within the map where the lines meet that leave two circles around each of them.
+
+    A junction of four labels is found in needles as narrow as crossings are sharp, whose directions say nothing.
+    """
+    points, size = points.copy(), len(_DIRECTIONS)
+    inside = np.flatnonzero((np.abs(points - 0.5) < 0.5 - radius).all(axis=1))
+    circles = points[inside, None, None] + np.array([radius, 0.25 * radius])[:, None, None] * _DIRECTIONS
+    runs = run(circles.reshape(-1, 2)).reshape(circles.shape[:3])
+    at = np.flatnonzero(runs["outcome"] != np.roll(runs["outcome"], -1, axis=2))
+    after = np.where(at % size == size - 1, at + 1 - size, at + 1)
+    begin, end = circles.reshape(-1, 2)[at], circles.reshape(-1, 2)[after]
+    low, high = located(run, begin, end, runs.ravel()[at], runs.ravel()[after], _SHARPER * radius)
+    cell = low["cell"]
+    share = 0.5 * (low["value"] + high["value"]) / np.hypot(*(end - begin).T)[cell]
+    crossings = begin[cell] + share[:, None] * (end - begin)[cell]
+    circle, lines = at[cell] // size, np.stack([low["outcome"], high["outcome"]], axis=1)
+    for k, point in enumerate(inside.tolist()):
+        outer, inner = (np.flatnonzero(circle == number) for number in (2 * k, 2 * k + 1))
+        outer, inner = (each[np.lexsort(lines[each].T)] for each in (outer, inner))
+        if 2 < outer.size == inner.size and (lines[outer] == lines[inner]).all():
+            along = crossings[inner] - crossings[outer]
+            normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None]
+            points[point] = np.linalg.lstsq(normal, (normal * crossings[inner]).sum(axis=1), rcond=None)[0]
+    return points
 
 
 def bent(
