@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.jit import unowned
+from clunk.core.jit import part
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -15,7 +15,7 @@ _FROM_MIDDLE, _WEIGHTS = np.polynomial.legendre.leggauss(NODES)
 _PLACES = 0.5 + 0.5 * _FROM_MIDDLE  # of the interval
 
 
-@unowned
+@part
 def value_at(series: FloatArray, at: float) -> float:
     """Value of the polynomial with coefficients `series`, lowest order first."""
     value = 0.0
@@ -24,7 +24,7 @@ def value_at(series: FloatArray, at: float) -> float:
     return value
 
 
-@unowned
+@part
 def integral(series: FloatArray, length: float) -> float:
     """Integral of a polynomial from 0 to `length`."""
     total = 0.0
@@ -33,7 +33,7 @@ def integral(series: FloatArray, length: float) -> float:
     return total
 
 
-@unowned
+@part
 def integral_of_square(series: FloatArray, length: float, values: FloatArray) -> float:
     """Integral of a polynomial's square from 0 to `length`; `values` (NODES,) is scratch."""
     for n in range(NODES):
@@ -47,7 +47,7 @@ def integral_of_square(series: FloatArray, length: float, values: FloatArray) ->
     return 0.5 * length * total
 
 
-@unowned
+@part
 def widened(series: FloatArray, length: float, low: float, high: float) -> tuple[float, float]:
     """The range from `low` to `high`, widened by all values of a polynomial from 0 to `length`.
 
@@ -88,7 +88,7 @@ def widened(series: FloatArray, length: float, low: float, high: float) -> tuple
     return low, high
 
 
-@unowned
+@part
 def _turn(series: FloatArray, width: float) -> float:
     """Place where the slope of a polynomial changes its sign between 0 and `width`; 0 where it does not."""
     first, last, at = 0.0, width, 0.5 * width
@@ -115,7 +115,7 @@ def _turn(series: FloatArray, width: float) -> float:
     return at
 
 
-@unowned
+@part
 def _shift(series: FloatArray, by: float) -> None:
     """Expand a polynomial about another place."""
     for k in range(series.size - 1):

@@ -18,6 +18,8 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core.caching import FunctionCache
 
+from clunk.core.partial import PartCompiler
+
 _KEPT_DAYS = 30  # for which kernels are kept that nothing uses
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -111,6 +113,10 @@ compiled = _kept()
 # Without reference counts, each change of which is an atomic operation: for what allocates nothing, and is called so
 # often that they would take longer than its work.
 unowned = _kept(_nrt=False)
-# And in the machine code of their caller; by numba itself, arrays would be counted at each use. Only compiled functions
-# can call these: without the wrappers for others, which unpack all arguments, they compile in a quarter of the time.
-unowned_inlined = _uncached(_nrt=False, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+# The same for what only compiled functions call. It is optimised and made machine code with its callers, and once only:
+# numba would do so with each function and all that it calls, for functions of functions again and again.
+part = _uncached(_nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=PartCompiler)
+# And in the machine code of their callers; by numba itself, arrays would be counted at each use.
+unowned_inlined = _uncached(
+    _nrt=False, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=PartCompiler
+)

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from clunk.core.channels import CLOSING, CONTACT_TORQUE, OF_LASH, PEAK_TO_PEAK, TERMS, Channels
 from clunk.core.events import INSTANT, REJOIN, SEPARATION, TOUCH
 from clunk.core.extremes import NODES, integral, integral_of_square, widened
-from clunk.core.jit import compiled, unowned
+from clunk.core.jit import compiled, part, unowned
 from clunk.core.regimes import System, gap_input
 from clunk.core.runs import BEGIN, begin_wave, piece_at, set_gaps, set_torque
 from clunk.core.sequence import find_primaries
@@ -182,7 +182,7 @@ def measure(
             totals[lash, OF_IMPACTS + m] = high - low if is_swing else max(-low, high)
 
 
-@unowned
+@part
 def _begin_impacts(run: Run, room: Room, k: int) -> None:
     """Begin the values of a lash whose primary impact event `k` is."""
     first = 0
@@ -195,7 +195,7 @@ def _begin_impacts(run: Run, room: Room, k: int) -> None:
         first += run.impacts[lash]
 
 
-@unowned
+@part
 def _add_event(system: System, channels: Channels, run: Run, k: int, x: FloatArray, values: FloatArray) -> None:
     """Add to an impact's impulse and energy what event `k` passes on or takes at once."""
     event = run.events[k]
@@ -215,7 +215,7 @@ def _add_event(system: System, channels: Channels, run: Run, k: int, x: FloatArr
         values[ENERGY] += stored if event.kind == SEPARATION else -stored
 
 
-@unowned
+@part
 def _follow(system: System, channels: Channels, regime: int, span: float, room: Room, of_impacts: FloatArray) -> None:
     """Follow the flow of a regime from `room.z` over a time, within which neither regime nor piece of the load ends."""
     z, series, lashes = room.z, room.series, system.lashes.shape[0]
@@ -249,7 +249,7 @@ def _follow(system: System, channels: Channels, regime: int, span: float, room: 
         elapsed += length
 
 
-@unowned
+@part
 def _expand(columns: FloatArray, z: FloatArray, series: FloatArray) -> None:
     """Set `series` to z · columns; four sums at a time take 111 ns, one 187 ns."""
     for k in range(0, TERMS, 4):
@@ -262,7 +262,7 @@ def _expand(columns: FloatArray, z: FloatArray, series: FloatArray) -> None:
         series[k], series[k + 1], series[k + 2], series[k + 3] = first, second, third, fourth
 
 
-@unowned
+@part
 def _move_within(rates: FloatArray, share: float, room: Room) -> None:
     """Move z by a share of a step, by its series."""
     term, following = room.moved[0], room.moved[1]
@@ -275,7 +275,7 @@ def _move_within(rates: FloatArray, share: float, room: Room) -> None:
             room.z[j] += term[j]
 
 
-@unowned
+@part
 def _multiply(columns: FloatArray, vector: FloatArray, product: FloatArray) -> None:
     """Set `product` to vector · columns."""
     for i in range(product.size):

@@ -10,7 +10,7 @@ torque of F, either way, and a rate of twist that stays zero.
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.jit import unowned
+from clunk.core.jit import part
 from clunk.core.regimes import (
     System,
     frictions_of,
@@ -29,16 +29,16 @@ _KICK = 1e-13  # of what it could be: the rate with which a friction sets off th
 _MOMENT = 1e-3  # s, of the acceleration's terms, which say what that could be where all rests
 
 
-@unowned
+@part
 def stick_all(system: System, x: FloatArray, inputs: FloatArray) -> None:
-    """Let all frictions stick at the twist that they have."""
+    """Set the twists at which frictions stick, inputs of a run, to those of a state  [rad]."""
     for k in range(frictions_of(system)):
         inputs[input_of_friction(system, k) + 1] = _twist(system, k, x)
 
 
-@unowned
+@part
 def in_motion(system: System, regime: int, x: FloatArray) -> int:
-    """The regime that differs in that frictions slip as the state says, where it says that they do."""
+    """The regime in which each friction whose rate of twist is not zero slips that way; the others are as they were."""
     for k in range(frictions_of(system)):
         rate, most = _rate(system, k, x)
         if abs(rate) > _WITHIN * most:
@@ -47,7 +47,7 @@ def in_motion(system: System, regime: int, x: FloatArray) -> int:
     return regime
 
 
-@unowned
+@part
 def settle(system: System, regime: int, ended: int, x: FloatArray, inputs: FloatArray) -> tuple[int, int, int]:
     """The regime that follows one in which a friction's guard turned negative, or in which torques or rates may jump.
 
@@ -124,11 +124,12 @@ def settle(system: System, regime: int, ended: int, x: FloatArray, inputs: Float
     return best, zero_guard, zero_order
 
 
-@unowned
+@part
 def _misfit(system: System, regime: int, friction: int, x: FloatArray, inputs: FloatArray) -> float:
-    """By how much a friction at rest misses its state in a regime: torque beyond F, or acceleration backward.
+    """By how much a friction at rest misses its state in a regime, as a share of the terms; 0 where it fits.
 
-    At the limit of a state, a little where it is about to leave it.
+    Where it sticks that is the torque beyond F, where it slips the acceleration the other way. At the limit of a state
+    it is `_WITHIN` if the friction is about to leave it.
     """
     state, most = state_of_friction(system, regime, friction), system.friction_torques[friction]
     if state == STICKS:
@@ -146,9 +147,9 @@ def _misfit(system: System, regime: int, friction: int, x: FloatArray, inputs: F
     return _WITHIN if leaves and beyond > -_WITHIN * size else 0.0
 
 
-@unowned
+@part
 def _holding(system: System, regime: int, friction: int, x: FloatArray, inputs: FloatArray) -> tuple[float, float]:
-    """The torque that holds a friction in a regime, and the size of its terms."""
+    """The torque that holds a friction in a regime, and the sum of its terms' magnitudes  [N m]."""
     flow, functional, value, size = system.regimes[regime].flow, rate_of_friction(system, friction) + HOLDING, 0.0, 0.0
     for k in range(x.size):
         term = system.functionals[flow, functional, k] * x[k]
@@ -159,9 +160,9 @@ def _holding(system: System, regime: int, friction: int, x: FloatArray, inputs: 
     return value, size
 
 
-@unowned
+@part
 def _holding_slope(system: System, regime: int, friction: int, x: FloatArray, inputs: FloatArray) -> float:
-    """The rate of change of the torque that holds a friction in a regime."""
+    """The rate of change of the torque that holds a friction in a regime  [N m/s]."""
     flow, functional = system.regimes[regime].flow, rate_of_friction(system, friction) + HOLDING
     value = system.feedthrough[flow, functional, TORQUE] * inputs[TORQUE_RATE]
     for k in range(x.size):
@@ -170,9 +171,9 @@ def _holding_slope(system: System, regime: int, friction: int, x: FloatArray, in
     return float(value)
 
 
-@unowned
+@part
 def _change(system: System, regime: int, k: int, x: FloatArray, inputs: FloatArray) -> tuple[float, float]:
-    """The rate of change of state `k` in a regime, and the size of its terms."""
+    """The rate of change of state `k` in a regime, and the sum of its terms' magnitudes."""
     flow, value, size = system.regimes[regime].flow, 0.0, 0.0
     for j in range(x.size):
         term = system.rates[flow, k, j] * x[j]
@@ -183,9 +184,9 @@ def _change(system: System, regime: int, k: int, x: FloatArray, inputs: FloatArr
     return value, size
 
 
-@unowned
+@part
 def _speeds_up(system: System, regime: int, friction: int, x: FloatArray, inputs: FloatArray) -> tuple[float, float]:
-    """The rate of change of a friction's rate of twist in a regime, and the size of its terms."""
+    """The second derivative of a friction's twist in a regime, and the sum of its terms' magnitudes  [rad/s2]."""
     value, size = 0.0, 0.0
     for k in range(system.inertias, 2 * system.inertias):
         weight = system.frictions[friction, k]
@@ -195,9 +196,9 @@ def _speeds_up(system: System, regime: int, friction: int, x: FloatArray, inputs
     return value, size
 
 
-@unowned
+@part
 def _jerk(system: System, regime: int, friction: int, x: FloatArray, inputs: FloatArray) -> float:
-    """The rate of change of that."""
+    """The third derivative of a friction's twist in a regime  [rad/s3]."""
     flow, value = system.regimes[regime].flow, 0.0
     for k in range(system.inertias, 2 * system.inertias):
         weight = system.frictions[friction, k]
@@ -209,9 +210,9 @@ def _jerk(system: System, regime: int, friction: int, x: FloatArray, inputs: Flo
     return value
 
 
-@unowned
+@part
 def _rate(system: System, friction: int, x: FloatArray) -> tuple[float, float]:
-    """The rate of twist of a friction, and what it could be at most with the speeds that there are."""
+    """The rate of twist of a friction, and the most that it could be at the fastest inertia's speed  [rad/s]."""
     value, weights, fastest = 0.0, 0.0, 0.0
     for k in range(system.inertias, 2 * system.inertias):
         value += system.frictions[friction, k] * x[k]
@@ -220,16 +221,16 @@ def _rate(system: System, friction: int, x: FloatArray) -> tuple[float, float]:
     return value, weights * fastest
 
 
-@unowned
+@part
 def _twist(system: System, friction: int, x: FloatArray) -> float:
-    """The twist of a friction's shaft."""
+    """The twist of a friction's shaft  [rad]."""
     value = 0.0
     for k in range(system.inertias):
         value += system.frictions[friction, system.inertias + k] * x[k]
     return value
 
 
-@unowned
+@part
 def _is_held(system: System, regime: int, friction: int) -> bool:
     """Whether the rate of twist of a friction stays zero for others, so that it has no functional."""
     rate, flow = rate_of_friction(system, friction), system.regimes[regime].flow
@@ -239,7 +240,7 @@ def _is_held(system: System, regime: int, friction: int) -> bool:
     return bool(weights == 0.0)
 
 
-@unowned
+@part
 def _guard_of(system: System, regime: int, friction: int) -> int:
     """The guard of a friction that slips."""
     rate = rate_of_friction(system, friction)
@@ -249,9 +250,9 @@ def _guard_of(system: System, regime: int, friction: int) -> int:
     return -1
 
 
-@unowned
+@part
 def _set_off(system: System, friction: int, rate: float, x: FloatArray) -> None:
-    """Add a rate of twist across a friction, above rounding but no more."""
+    """Add a rate of twist  [rad/s] across a friction to a state, along the friction's row."""
     weights = 0.0
     for k in range(system.inertias, 2 * system.inertias):
         weights += system.frictions[friction, k] ** 2

@@ -6,7 +6,7 @@ Q_i = max θ'' - min θ'' and Q = sqrt(sum Q_i²) are report Eqs 3.2 and 3.3.
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.jit import unowned
+from clunk.core.jit import part, unowned
 
 
 @unowned
@@ -38,7 +38,7 @@ def peak_to_peak(
     return root_of_squares(severity, impacts)
 
 
-@unowned
+@part
 def approach_velocity(
     events: npt.NDArray[np.void], primaries: npt.NDArray[np.int64], impacts: int, speeds: npt.NDArray[np.float64]
 ) -> float:
@@ -63,7 +63,7 @@ def root_of_squares(values: npt.NDArray[np.float64], count: int) -> float:
     return float(np.sqrt(total))
 
 
-@unowned
+@part
 def window_extremes(extremes: npt.NDArray[np.float64], begin: int, end: int) -> tuple[float, float]:
     """The largest and the smallest acceleration over the phases behind the events from one to before another  [rad/s2].
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from clunk.core import rubbing
 from clunk.core.events import LOCK, STAGE, TOUCH
-from clunk.core.jit import unowned, unowned_inlined
+from clunk.core.jit import part, unowned, unowned_inlined
 from clunk.core.regimes import System, frictions_of, gap_input, inputs_of, lash_of, lashes_of
 from clunk.core.runs import Log, record
 from clunk.core.status import Status
@@ -126,7 +126,7 @@ def _is_of_stage(system: System, regime: int, guard: int) -> bool:
     return bool(row.event_kind == STAGE and row.successor >= 0)
 
 
-@unowned
+@part
 def _within_stage(system: System, regime: int, guard: int, x: FloatArray) -> float:
     """How far the twist of a staged shaft lies within a breakpoint, as a share of both; 0 where rounding decides."""
     row, value = system.guards[regime, guard], breakpoint_of(system, regime, guard)
@@ -138,7 +138,7 @@ def _within_stage(system: System, regime: int, guard: int, x: FloatArray) -> flo
     return value / scale if abs(value) > _WITHIN * scale else 0.0
 
 
-@unowned
+@part
 def _is_in_stage(system: System, regime: int, x: FloatArray) -> bool:
     """Whether the twists of the staged shafts lie, but for rounding, within the stages of a regime."""
     for g in range(system.regimes[regime].guards):
@@ -147,7 +147,7 @@ def _is_in_stage(system: System, regime: int, x: FloatArray) -> bool:
     return True
 
 
-@unowned
+@part
 def _is_beside_loose(system: System, regime: int, x: FloatArray) -> bool:
     """Whether a staged shaft's twist is at a breakpoint behind which no stiffness tells what it is."""
     for g in range(system.regimes[regime].guards):
@@ -158,7 +158,7 @@ def _is_beside_loose(system: System, regime: int, x: FloatArray) -> bool:
     return False
 
 
-@unowned
+@part
 def closed_on(side: int) -> int:
     """The state of a lash in contact on the flank of `side` (+1 or -1)."""
     return CLOSED_POSITIVE if side > 0 else CLOSED_NEGATIVE
@@ -202,7 +202,7 @@ def regime_of(system: System, x: FloatArray, inputs: FloatArray) -> int:
     return chosen
 
 
-@unowned
+@part
 def _functional(system: System, flow: int, which: int, x: FloatArray) -> float:
     value = 0.0
     for k in range(x.size):
@@ -283,7 +283,7 @@ def after_rubbing(system: System, entry: Entry, time: float, x: FloatArray, inpu
     return Entry(count, regime, zero_guard, zero_order)
 
 
-@unowned
+@part
 def _strike(
     system: System,
     regime: int,
@@ -306,7 +306,7 @@ def _strike(
     return Entry(count + 2, successor, -1, 0)
 
 
-@unowned
+@part
 def _release(
     system: System,
     regime: int,
@@ -335,7 +335,7 @@ def _release(
     return Entry(count + 3, successor, 0, 1)
 
 
-@unowned
+@part
 def _rebound(
     system: System, regime: int, guard: int, x: FloatArray, inputs: FloatArray, speed: float, fastest: float
 ) -> tuple[int, int]:
@@ -392,7 +392,7 @@ def _rate(system: System, regime: int, k: int, x: FloatArray, inputs: FloatArray
     return float(rate)
 
 
-@unowned
+@part
 def holding_torque(
     system: System, regime: int, lash: int, x: FloatArray, inputs: FloatArray
 ) -> tuple[float, float, float]:
@@ -409,7 +409,7 @@ def holding_torque(
     return torque_held, slope, scale
 
 
-@unowned
+@part
 def _hold(system: System, lash: int, x: FloatArray, gap: float) -> None:
     """Make q = `gap` and q' = 0 without moving the centre of mass: by a share of the difference that its inertia sets.
 

@@ -10,8 +10,9 @@ from clunk.core.events import EVENT, STAGE, TOUCH
 from clunk.core.exact import run as exact
 from clunk.core.exact.flows import Flows
 from clunk.core.exact.workspace import UNDER_WAY, make_workspace
-from clunk.core.jit import compiled, unowned
+from clunk.core.jit import compiled, part
 from clunk.core.lanes.vectors import WIDTH
+from clunk.core.references import keep, refer
 from clunk.core.regimes import System, lashes_of
 from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import Steps
@@ -143,7 +144,8 @@ def by_rk4(
     stop: npt.NDArray[np.uint8],
 ) -> tuple[int, int]:
     """`run_tile` by RK4: one run after the other."""
-    cells, size = output.cells, system.lashes.shape[1]
+    system, steps, output, cells = refer(system), refer(steps), refer(output), output.cells
+    size = system.lashes.shape[1]
     capacity, states = _capacity(max_events, output)
     x, log = np.empty(size), _log(system, capacity, states)
     scratch = _scratch(max_events)
@@ -178,17 +180,19 @@ def by_exact(
 
     They are over in any order; their impacts are put in that of the cells at the end.
     """
-    cells, impacts, size, lashes = output.cells, output.impacts, system.lashes.shape[1], lashes_of(system)
-    waiting, (capacity, states) = cells.shape[0] - first, _capacity(max_events, output)
+    system, flows, size = refer(system), refer(flows), system.lashes.shape[1]
+    capacity, states = _capacity(max_events, output)
     # of several lashes, runs wait in more queues, which are to be as long
     queues = 3 * (system.leaders.size + flows.watch.shape[0] * flows.watch.shape[1])
     under_way = UNDER_WAY if len(system.general) == 0 else max(UNDER_WAY, WIDTH * queues)
-    slots = min(under_way, max(waiting, 1), max(_EVENT_MEMORY // capacity, 1))
-    x, events = np.empty(size), np.empty((slots, capacity), EVENT)
-    extremes, margins = np.empty((slots, capacity, lashes, 2)), np.empty((slots, lashes))
-    space = make_workspace(system, flows, cases.loads, events, extremes, margins, np.empty((slots, states, size)))
-    pool, over, scratch = space.pool, space.queues.over, _scratch(max_events)
-    free, spare = np.arange(slots), slots
+    slots = min(under_way, max(output.cells.shape[0] - first, 1), max(_EVENT_MEMORY // capacity, 1))
+    events, extremes = np.empty((slots, capacity), EVENT), np.empty((slots, capacity, lashes_of(system), 2))
+    margins, at_events = np.empty((slots, lashes_of(system))), np.empty((slots, states, size))
+    owner = make_workspace(system, flows, cases.loads, events, extremes, margins, at_events)
+    space, output, cells, impacts = refer(owner), refer(output), output.cells, output.impacts
+    pool, over, scratch, x = space.pool, space.queues.over, _scratch(max_events), np.empty(size)
+    waiting, lashes, spare = cells.shape[0] - first, lashes_of(system), slots
+    free = np.arange(slots)
     begins, pending = np.full(waiting, -1), np.ones(waiting, np.bool_)  # where its impacts are; whether it is not over
     admitted, oldest, written, full = first, first, 0, False
     while True:
@@ -234,6 +238,7 @@ def by_exact(
             for _ in range(cells[k, lash].primary_impacts):
                 impacts[count] = ordered[i]
                 i, count = i + 1, count + 1
+    keep(owner)
     return oldest, count
 
 
@@ -242,7 +247,7 @@ def _scratch(max_events: int) -> _Scratch:
     return _Scratch(np.empty(max_events + 1, np.int64), np.empty(max_events + 1), np.empty(max_events + 1))
 
 
-@unowned
+@part
 def _capacity(max_events: int, output: Output) -> tuple[int, int]:
     """How many events and states there is room for in a run."""
     return (output.logs.shape[1], output.logs.shape[1]) if output.states.size > 0 else (max_events + 1, 0)
@@ -255,7 +260,7 @@ def _log(system: System, capacity: int, states: int) -> Log:
     return Log(np.empty(capacity, EVENT), np.empty((capacity, lashes, 2)), np.empty(lashes), np.empty((states, size)))
 
 
-@unowned
+@part
 def _keep(log: Log, written: int, output: Output, k: int) -> None:
     """Copy the events of a run, and the states at them, if they are wanted."""
     for i in range(written if output.logs.size > 0 else 0):
@@ -264,7 +269,7 @@ def _keep(log: Log, written: int, output: Output, k: int) -> None:
             output.states[k, i, j] = log.states[i, j]
 
 
-@unowned
+@part
 def _preloaded(system: System, inputs: FloatArray, cells: npt.NDArray[np.void], x: FloatArray) -> int:
     """Set a cell's state before the load step, and its status, which tells whether it can be run; return the regime."""
     status, regime = system.status, 0
@@ -285,7 +290,7 @@ def _preloaded(system: System, inputs: FloatArray, cells: npt.NDArray[np.void], 
     return int(regime)
 
 
-@unowned
+@part
 def _describe(
     system: System,
     undecided: float,

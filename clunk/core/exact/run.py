@@ -41,10 +41,11 @@ from clunk.core.exact.workspace import (
     step_queue,
     turn_search,
 )
-from clunk.core.jit import compiled, unowned, unowned_inlined
+from clunk.core.jit import compiled, part, unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, put_back, take
 from clunk.core.lanes.vectors import WIDTH
+from clunk.core.references import keep, refer
 from clunk.core.regimes import System, frictions_of, gap_input, inputs_of, lash_of, lashes_of
 from clunk.core.rubbing import stick_all
 from clunk.core.runs import BEGIN, LEVEL, Log, Outcome, Start, begin_wave, piece_at, record, set_gaps, set_torque
@@ -83,12 +84,15 @@ def run(system: System, flows: Flows, start: Start, log: Log, stop: npt.NDArray[
     """
     events, states = log.events.reshape(1, log.events.size), log.states.reshape(1, *log.states.shape)
     extremes, margins = log.extremes.reshape(1, *log.extremes.shape), log.margins.reshape(1, log.margins.size)
-    space = make_workspace(system, flows, start.loads, events, extremes, margins, states)
+    owner = make_workspace(refer(system), refer(flows), start.loads, events, extremes, margins, states)
+    space = refer(owner)
     begin(space, 0, start)
     advance(space, stop)
     row = space.runs[0]
     status = INTERRUPTED if space.pool.length[space.queues.over] == 0 else row.status
-    return Outcome(status, row.count, row.quality, row.time)
+    outcome = Outcome(status, row.count, row.quality, row.time)
+    keep(owner)
+    return outcome
 
 
 @unowned_inlined
@@ -179,7 +183,7 @@ def _take_piece(space: Workspace, slot: int, time: float, x: FloatArray) -> None
         space.numbers[slot, space.kink_at] = 1.0
 
 
-@unowned
+@part
 def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
     """Take steps until some runs are over, or `stop` is set. They wait in the queue `over`.
 
@@ -421,7 +425,7 @@ def _take_margin(space: Workspace, slot: int, x: FloatArray, time: float) -> Non
     set_number_of(space, slot, rows.MARGIN, lash, margin)
 
 
-@unowned
+@part
 def _static(system: System, flows: Flows, start: Start, lash: int, inputs: FloatArray) -> float:
     """The overlap of a lash's flanks, or the torque that locks them, at rest under the torque that the load ends at.
 
@@ -457,7 +461,7 @@ def _at_rest(system: System, flows: Flows, regime: int, f: int, torque: float, i
     return float(value)
 
 
-@unowned
+@part
 def _rests(system: System, flows: Flows, regime: int, lash: int, torque: float, inputs: FloatArray) -> bool:
     """Whether a regime's particular solution under a torque ends by no guard of a staged shaft or another lash."""
     for g in range(system.regimes[regime].guards):

@@ -8,7 +8,7 @@ step's length. Finding an event is finding a zero of p, without integrating anyt
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.jit import unowned
+from clunk.core.jit import part, unowned
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -75,7 +75,7 @@ def stationary_points(c1: float, c2: float, c3: float, c4: float, length: float)
     return count, s1, s2, s3
 
 
-@unowned
+@part
 def _quadratic_roots(a0: float, a1: float, a2: float, length: float) -> tuple[float, float]:
     """The two zeros of a0 + a1 s + a2 s^2, in order; one that is not in (0, length) is replaced by `length`."""
     first, second = length, length

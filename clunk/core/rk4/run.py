@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.events import INSTANT, LOAD_STEP
-from clunk.core.jit import compiled, unowned, unowned_inlined
+from clunk.core.jit import compiled, part, unowned_inlined
+from clunk.core.references import refer
 from clunk.core.regimes import System, inputs_of, lashes_of
 from clunk.core.rk4 import quartic
 from clunk.core.rk4.propagator import BEND, BLOCK, Steps
@@ -74,6 +75,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
     stop : (1,) uint8
         Set to non-zero from another thread to abandon the run.
     """
+    system, steps = refer(system), refer(steps)
     x, phase, full, load = start.x, make_phase(system), _make_full(steps), start.loads[start.load]
     inputs, fastest = np.ones(inputs_of(system)), np.zeros(lashes_of(system))
     set_gaps(system, start.before, inputs)
@@ -143,7 +145,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
             index, offset = index + 1, offset - grid.step
 
 
-@unowned
+@part
 def _begin_piece(
     system: System, steps: Steps, load: FloatArray, piece: int, x: FloatArray, inputs: FloatArray
 ) -> tuple[float, _Grid]:
@@ -177,7 +179,7 @@ def _make_full(steps: Steps) -> _Full:
     return _Full(affine, block_affine, np.zeros(affine.size), np.zeros(block_affine.size))
 
 
-@unowned
+@part
 def _combine(weights: FloatArray, inputs: FloatArray, out: FloatArray) -> None:
     """out = weightsᵀ inputs."""
     for r in range(out.size):
@@ -187,7 +189,7 @@ def _combine(weights: FloatArray, inputs: FloatArray, out: FloatArray) -> None:
             out[r] += weights[k, r] * inputs[k]
 
 
-@unowned
+@part
 def _load(steps: Steps, flow: int, phase: Phase, x: FloatArray, full: _Full) -> None:
     """Put a state and its outputs where `_coast` steps them."""
     columns, z = steps.transfer.shape[1], full.z
@@ -223,7 +225,7 @@ def _advance(transfer: FloatArray, affine: FloatArray, z: FloatArray, out: Float
             )
 
 
-@unowned
+@part
 def _coast(
     system: System, steps: Steps, regime: int, phase: Phase, full: _Full, budget: int, extremes: FloatArray
 ) -> int:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.events import INSTANT
-from clunk.core.jit import compiled, unowned
+from clunk.core.jit import compiled, part
 from clunk.core.regimes import System, inputs_of, lashes_of
 from clunk.core.rk4 import quartic
 from clunk.core.switching import ROUNDING, set_weighed, weigh
@@ -42,7 +42,7 @@ def make_phase(system: System) -> Phase:
     )
 
 
-@unowned
+@part
 def enter(phase: Phase, system: System, regime: int, inputs: FloatArray) -> None:
     """Begin a phase in a regime; `inputs` are d of the run."""
     set_weighed(system, regime, inputs, phase.inputs)
@@ -52,7 +52,7 @@ def enter(phase: Phase, system: System, regime: int, inputs: FloatArray) -> None
         phase.shift[g] = weigh(system.offsets[regime, g], inputs, inputs_of(system))
 
 
-@unowned
+@part
 def expand(system: System, flow: int, x: FloatArray, phase: Phase) -> None:
     """The step as a polynomial of its length: RK4's own for a linear regime."""
     taylor, size = phase.taylor, x.size
@@ -68,7 +68,7 @@ def expand(system: System, flow: int, x: FloatArray, phase: Phase) -> None:
             taylor[order, row] = value / order
 
 
-@unowned
+@part
 def first_event(
     system: System, regime: int, phase: Phase, length: float, zero_guard: int, zero_order: int
 ) -> tuple[float, int]:
@@ -98,7 +98,7 @@ def first_event(
     return earliest, which
 
 
-@unowned
+@part
 def widen_extremes(system: System, flow: int, phase: Phase, length: float, extremes: FloatArray) -> None:
     """Update the extremes of each lash's acceleration, (L, 2), by those on the step, both ends included  [rad/s2]."""
     for lash in range(lashes_of(system)):
@@ -107,7 +107,7 @@ def widen_extremes(system: System, flow: int, phase: Phase, length: float, extre
         extremes[lash, 0], extremes[lash, 1] = max(extremes[lash, 0], high), min(extremes[lash, 1], low)
 
 
-@unowned
+@part
 def finish(phase: Phase, s: float, x: FloatArray) -> bool:
     """Set `x` to the state after time `s` of the expanded step; return whether it is finite."""
     taylor, finite = phase.taylor, True
@@ -117,7 +117,7 @@ def finish(phase: Phase, s: float, x: FloatArray) -> bool:
     return finite
 
 
-@unowned
+@part
 def _quartic(system: System, flow: int, which: int, phase: Phase) -> tuple[float, float, float, float, float, float]:
     """A functional over the step: the coefficients of its quartic, and the size of the terms that make the first."""
     driven, taylor = weigh(system.feedthrough[flow, which], phase.inputs, inputs_of(system)), phase.taylor

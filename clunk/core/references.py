@@ -1,0 +1,97 @@
+"""Named tuples by reference, in compiled functions.
+
+numba passes a named tuple by value: each number and each field of each array in it is an argument, some 600 for a
+workspace, in every call. A reference is one, and has the tuple's attributes; a named tuple within it is a reference
+too. Nothing else differs, but compiling takes a third of the time.
+"""
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+from llvmlite import ir
+from numba.core import cgutils
+from numba.core.imputils import impl_ret_borrowed
+from numba.core.typing.templates import AttributeTemplate, infer_getattr
+from numba.extending import intrinsic, lower_getattr_generic, models, register_model, types
+
+Tuple = TypeVar("Tuple")
+
+
+class Reference(types.Type):
+    """The type of a reference to a named tuple."""
+
+    def __init__(self, of: Any) -> None:
+        self.of = of
+        super().__init__(name=f"Reference({of})")
+
+    def field(self, name: str) -> tuple[int, Any]:
+        """The position and the type of one of the tuple's fields."""
+        index = self.of.fields.index(name)
+        return index, tuple(self.of)[index]
+
+
+@register_model(Reference)
+class _Model(models.PrimitiveModel):
+    def __init__(self, manager: Any, reference: Reference) -> None:
+        super().__init__(manager, reference, cgutils.voidptr_t)
+
+
+@infer_getattr
+class _Attributes(AttributeTemplate):
+    key = Reference
+
+    def generic_resolve(self, reference: Reference, name: str) -> Any:
+        if name not in reference.of.fields:
+            return None
+        _, field = reference.field(name)
+        return Reference(field) if isinstance(field, types.BaseNamedTuple) else field
+
+
+@lower_getattr_generic(Reference)
+def _attribute(context: Any, builder: ir.IRBuilder, reference: Reference, pointer: Any, name: str) -> Any:
+    index, field = reference.field(name)
+    values = builder.bitcast(pointer, context.get_value_type(reference.of).as_pointer())
+    at = cgutils.gep_inbounds(builder, values, 0, index)
+    if isinstance(field, types.BaseNamedTuple):
+        return builder.bitcast(at, cgutils.voidptr_t)
+    return impl_ret_borrowed(context, builder, field, _load(builder, at))
+
+
+def _load(builder: ir.IRBuilder, at: Any) -> Any:
+    """Load a value part by part, each marked as one that never changes: stores elsewhere leave it in its register."""
+    pointee = at.type.pointee
+    if isinstance(pointee, (ir.LiteralStructType, ir.ArrayType)):
+        value = ir.Constant(pointee, ir.Undefined)
+        for k in range(len(pointee)):
+            value = builder.insert_value(value, _load(builder, cgutils.gep_inbounds(builder, at, 0, k)), k)
+        return value
+    value = builder.load(at)
+    value.set_metadata("invariant.load", builder.module.add_metadata([]))
+    return value
+
+
+def _refer(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
+    at = builder.bitcast(cgutils.alloca_once_value(builder, arguments[0]), cgutils.voidptr_t)
+    # Nothing is known of the pointer that this returns, so that no load is moved to before the values are there.
+    opaque = ir.FunctionType(cgutils.voidptr_t, [cgutils.voidptr_t])
+    return builder.asm(opaque, "", "=r,0,~{memory}", [at], side_effect=True)
+
+
+def _same(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
+    return arguments[0]
+
+
+@intrinsic
+def _reference(_: Any, values: Any) -> Any:
+    return (values(values), _same) if isinstance(values, Reference) else (Reference(values)(values), _refer)
+
+
+@intrinsic
+def _until_here(_: Any, values: Any) -> Any:
+    return types.none(values), lambda context, builder, signature, arguments: context.get_dummy_value()
+
+
+# A reference to a named tuple, good in the compiled function that was passed the tuple. One that is made there is freed
+# after its last use, which `keep` is.
+refer = cast(Callable[[Tuple], Tuple], _reference)
+keep = cast(Callable[[object], None], _until_here)
