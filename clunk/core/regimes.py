@@ -82,7 +82,7 @@ class System(NamedTuple):
     locking_speed: FloatArray  # (L,)  rad/s; a negative one is relative to the fastest touch of the run so far
     # frictions
     frictions: FloatArray  # (M, N)  rate of twist = frictions · x
-    friction_torques: FloatArray  # (M,)  F  [N m]
+    friction_torques: FloatArray  # (M,)  the most that each holds  [N m]
     excess: IntArray  # (K,)  whether a friction sticks in a flow that the others hold without it
     # before the step
     preload: FloatArray  # (S, N, I)  steady motion in contact at the load step, in each combination of stages, by u
@@ -301,7 +301,7 @@ def build_system(
             [-LOCKING_SHARE if lash.locking_speed is None else lash.locking_speed for lash in lashes], batch
         ),
         frictions=np.array([[*zeros[0], *friction.twist] for friction in frictions]).reshape(-1, 2 * n),
-        friction_torques=np.array([friction.torque for friction in frictions], np.float64),
+        friction_torques=np.array([friction.most for friction in frictions], np.float64),
         excess=excess,
         preload=steady,
         contact_torque=carried,

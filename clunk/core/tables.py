@@ -53,6 +53,7 @@ OF_FRICTION = 2  # inputs, and functionals too
 GAP, ACCELERATION, FORCE = range(3)
 RATE, HOLDING = range(2)
 STICKS, SLIPS_FORWARD, SLIPS_BACKWARD = range(3)  # states of a friction
+_ABOVE = 1e-9  # of F: more than rounding, less than any measurement
 
 REGIME = np.dtype(
     [
@@ -150,6 +151,11 @@ class Friction(NamedTuple):
 
     twist: FloatArray
     torque: float
+
+    @property
+    def most(self) -> float:
+        """The torque that it holds where it sticks: above F by so little that a load equal to F does not part it."""
+        return self.torque * (1.0 + _ABOVE)
 
 
 class _Guard(NamedTuple):
@@ -252,7 +258,7 @@ def _stages(shaft: StagedShaft) -> list[_State]:
 def _slips(friction: Friction) -> list[_State]:
     """A friction that sticks, or slips either way; what follows is not known beforehand."""
     torque = friction.torque
-    sticks = _State(1, 0.0, [_Guard(HOLDING, -way, torque, event_kind=STAGE) for way in (1, -1)])
+    sticks = _State(1, 0.0, [_Guard(HOLDING, -way, friction.most, event_kind=STAGE) for way in (1, -1)])
     return [sticks, *(_State(0, way * torque, [_Guard(RATE, way, 0.0, event_kind=STAGE)]) for way in (1, -1))]
 
 
