@@ -316,7 +316,7 @@ def _shown(progress: bool | Progress, cells: int, *studies: Study) -> Iterator[P
     if progress is False or cells == 0:
         yield None
     elif progress is True:
-        if note := compiling_note(*(study.solver.method for study in studies)):
+        if note := compiling_note(*studies):
             print(note, file=sys.stderr)
         for study in studies:
             sweeping.warm_up(study)

@@ -10,7 +10,8 @@ def thresholds_of(results: Map) -> list[float]:
     """Values of the swept load at which one more impact appears as the backlash vanishes.
 
     They are those of the first load ratio or torque that changes, for a driveline in which all other keys have the
-    values of these results; empty where there is none, and of several lashes, which do not open one by one.
+    values of these results; empty where there is none, where shafts have friction, of which the linear view knows
+    nothing, and of several lashes, which do not open one by one.
     """
     if results.lashes:
         return []
@@ -19,6 +20,8 @@ def thresholds_of(results: Map) -> list[float]:
     if parameter is None:
         return []
     study = study_from_text(results.config, source="the results file's config")
+    if any(shaft.friction for shaft in study.driveline.shafts):
+        return []
     fixed = {axis.parameter: float(axis.values[0]) for axis in results.parameters if len(axis.values) == 1}
     study = replace_values(study, fixed)
     return [float(value) for value in thresholds_on(study, parameter, one_mode_thresholds(study))]

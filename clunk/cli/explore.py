@@ -80,7 +80,7 @@ def _results_of(source: Path, overrides: tuple[str, ...]) -> Results:
     if study.sweep is None or not (study.sweep.axes or study.sweep.samples):
         raise ExplorerError(f"{source} has no [[sweep.axes]]: the page needs one axis or two for its map.")
     terminal.warn_of_coarse_step(study, study.solver.method)
-    terminal.say_if_compiling(study.solver.method)
+    terminal.say_if_compiling(study)
     warm_up(study)
     job = Job(study, refine=study.sweep.design == "grid" and not study.sweep.samples)
     with shown(job.design.cells) as report:

@@ -136,7 +136,7 @@ def _run(
     terminal.warn_of_coarse_step(study, study.solver.method)
     for parameter in unused_parameters(study.model_copy(update={"sweep": None})):
         click.echo(f"note: {parameter} is fitted, but changes nothing in this model", err=True)
-    terminal.say_if_compiling(study.solver.method)
+    terminal.say_if_compiling(study)
     warm_up(study)
     began = time.perf_counter()
     try:

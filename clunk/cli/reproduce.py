@@ -35,6 +35,7 @@ def reproduce(output: Path, workers: int | None, coarsen: int, table: Path | Non
       clunk reproduce
       clunk reproduce --table results/README.md
     """
+    from clunk.analysis.verification import METHODS, by
     from clunk.report import reproduction
     from clunk.report.claims import claims as claims_of
     from clunk.report.evidence import Evidence, map_studies, run_maps
@@ -42,8 +43,9 @@ def reproduce(output: Path, workers: int | None, coarsen: int, table: Path | Non
     from clunk.sweeping.sweep import cell_count
 
     targets.check(output / "figure_3_1.png", targets.PICTURES)
-    terminal.say_if_compiling("rk4", "exact")
-    total = sum(cell_count(study) for study in map_studies(coarsen).values())
+    studies = [*map_studies(coarsen).values()]
+    terminal.say_if_compiling(*(by(studies[0], method) for method in METHODS))
+    total = sum(map(cell_count, studies))
     with progress.shown(total) as show:
         maps = run_maps(coarsen, workers, show)
     evidence = Evidence(maps)

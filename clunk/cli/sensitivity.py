@@ -73,7 +73,7 @@ def sensitivity(
     terminal.warn_of_coarse_step(point, point.solver.method)
     for parameter in unused_parameters(point):
         click.echo(f"note: {parameter} is drawn, but changes nothing in this model", err=True)
-    terminal.say_if_compiling(point.solver.method)
+    terminal.say_if_compiling(point)
     warm_up(point)
     began = time.perf_counter()
     with progress.shown(sobol.run_count(point), "runs") as show:

@@ -133,7 +133,7 @@ def _run(job: Job, opening: AbstractContextManager[Executor], finish: Finish | N
     terminal.warn_of_coarse_step(study, study.solver.method)
     for parameter in unused_parameters(study):
         click.echo(f"note: {parameter} is swept, but changes nothing in this model", err=True)
-    terminal.say_if_compiling(study.solver.method)
+    terminal.say_if_compiling(study)
     warm_up(study)
     is_reported = False
     try:

@@ -112,7 +112,7 @@ def thresholds(
             raise click.UsageError("--draws has no picture; -o FILE.csv or FILE.h5 takes the thresholds of each draw.")
         (toleranced_plot if is_toleranced else plot).curve_axes(axes)
     terminal.warn_of_coarse_step(study, study.solver.method)
-    terminal.say_if_compiling(study.solver.method)
+    terminal.say_if_compiling(study)
     warm_up(study)
     began = time.perf_counter()
     with progress.shown(analysis.scan_count(study), "runs") as show:

@@ -34,14 +34,14 @@ def verify(config: Path, overrides: tuple[str, ...], workers: int | None, as_jso
       clunk verify configs/smoke.toml
       clunk verify configs/figure_3_4.toml --set solver.step=5e-5
     """
-    from clunk.analysis.verification import METHODS
+    from clunk.analysis.verification import METHODS, by
     from clunk.analysis.verification import verify as run_both_methods
     from clunk.study.config import load_study
     from clunk.sweeping.sweep import cell_count
 
     study = load_study(config, overrides)
     terminal.warn_of_coarse_step(study, "rk4")
-    terminal.say_if_compiling(*METHODS)
+    terminal.say_if_compiling(*(by(study, method) for method in METHODS))
     with progress.shown(len(METHODS) * max(cell_count(study), 1)) as show:
         result = run_both_methods(study, workers=workers, progress=show)
     if as_json:

@@ -130,7 +130,7 @@ class Subject:
         """Load what sweeps need, so that the first one does not wait for it; say : called before kernels compile."""
         from clunk.sweeping.cells import compiling_note, warm_up
 
-        if note := compiling_note(self.study.solver.method):
+        if note := compiling_note(self.study):
             say(note)
         warm_up(self.study)
         if note:

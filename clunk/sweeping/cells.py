@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import threading
 from collections import OrderedDict
@@ -14,10 +15,11 @@ import numpy.typing as npt
 from clunk.core import tile as kernel
 from clunk.core.channels import Channels
 from clunk.core.events import EVENT
+from clunk.core.exact import run as exact
 from clunk.core.exact.flows import Flows
-from clunk.core.jit import is_cold
 from clunk.core.measures import OF_IMPACTS, measure_runs
 from clunk.core.regimes import System
+from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import Steps
 from clunk.core.switching import MOST_STAGES
 from clunk.simulation import driveline
@@ -40,6 +42,9 @@ _BACKLASH = re.compile(r"lash(\[\d+\])?\.backlash_deg")
 _RATES = {"smooth": "load.duration", "lag": "load.time_constant", "sine": "load.frequency"}  # how fast a wave swings
 KEPT_SYSTEMS = 4096  # about 30 KB each
 _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
+_COMPILING = {"rk4": (60, 80), "exact": (120, 180)}  # s, for one lash and nothing else, and in general
+_KERNELS: dict[str, tuple[Any, Any]] = {"rk4": (kernel.by_rk4, rk4.run), "exact": (kernel.by_exact, exact.run)}
+_OF_GENERAL = " for drivelines with stages, friction or several lashes"
 _NO_LOGS, _NO_STATES = np.zeros((0, 0), EVENT), np.zeros((0, 0, 0))
 _STATES = 1 << 16  # events whose states there is room for at a time: 8 MB, which the caches nearly hold
 _TILE_POINTS = 2**19  # of tabulated loads: 20 MB where each cell has its own
@@ -295,13 +300,27 @@ def _joined(records: Records, layout: np.dtype[np.void], columns: FloatArray) ->
     return joined
 
 
-def compiling_note(*methods: str) -> str:
-    """Sentence on the time that these methods' kernels take to compile; empty where that has been done."""
-    cold = [method for method in dict.fromkeys(methods) if is_cold(method)]
+def compiling_note(*studies: Study, single: bool = False) -> str:
+    """Sentence on the time that the kernels of these studies take to compile; empty where that has been done.
+
+    single : whether for single runs, and not for sweeps
+    """
+    cold = {}
+    for study in studies:
+        (system, _), method = driveline.prepare(study), study.solver.method
+        if not _is_compiled(_KERNELS[method][single], system):
+            cold[method + _OF_GENERAL * len(system.general)] = _COMPILING[method][len(system.general)]
     if not cold:
         return ""
-    seconds = 20 * len(cold) + 20 * ("exact" in cold)
-    return f"compiling {' and '.join(cold)}, once for this installation (about {seconds} s) …"
+    return f"compiling {' and '.join(cold)}, once for this installation (about {sum(cold.values())} s) …"
+
+
+def _is_compiled(dispatcher: Any, system: System) -> bool:
+    """Whether a kernel is compiled for systems of such a type, in this process or on the disk."""
+    signatures = [*dispatcher.overloads]
+    with contextlib.suppress(Exception):  # whatever reading a damaged index raises: the kernel is compiled again then
+        signatures += [signature for signature, *_ in dispatcher._cache._cache_file._load_index()]
+    return any(signature[0] == dispatcher.typeof_pyval(system) for signature in signatures)
 
 
 def warm_up(study: Study) -> None:
