@@ -7,10 +7,12 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from conftest import RUBBING
 from test_cli import SMALL, clunk, here  # noqa: F401  fixtures
 from test_store import BACKLASH, INERTIA, RATIO
 from test_store import example as example_without_config
 
+from clunk.analysis.small_gap import thresholds_of
 from clunk.plot import scatter_map
 from clunk.plot.page import page
 from clunk.plot.style import MOST_POINTS, save
@@ -150,6 +152,13 @@ def test_bad_usage_gives_one_sentence_and_writes_nothing(clunk, here):  # noqa: 
         assert code == 2
         assert sentence in " ".join(err.split())
     assert not [path for path in here.glob("*.html") if path.is_file()]
+
+
+def test_thresholds_of_a_driveline_with_friction_are_not_told():
+    """Those of the linear view without friction would be too low."""
+    results = example(RATIO, BACKLASH)
+    assert thresholds_of(results)
+    assert not thresholds_of(replace(results, config=RUBBING))
 
 
 @pytest.mark.parametrize("count", [100, MOST_POINTS + 1])
