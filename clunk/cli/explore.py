@@ -82,7 +82,8 @@ def _results_of(source: Path, overrides: tuple[str, ...]) -> Results:
     terminal.warn_of_coarse_step(study, study.solver.method)
     terminal.say_if_compiling(study)
     warm_up(study)
-    job = Job(study, refine=study.sweep.design == "grid" and not study.sweep.samples)
+    is_map = study.sweep.design == "grid" and not study.sweep.samples and len(study.sweep.axes) > 1
+    job = Job(study, refine=is_map)
     with shown(job.design.cells) as report:
         swept = job.run(progress=report)
     assert isinstance(swept, Results)

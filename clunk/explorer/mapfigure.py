@@ -96,7 +96,10 @@ class MapFigure:
             self._bar.title = shades.label
 
     def mark(self, marks: Sequence[Mark]) -> None:
-        """Put rings around cells, the last on top."""
+        """Put rings around cells, the last on top; over one axis, where the curve is."""
+        if len(self._axes) == 1:
+            x, y = (np.asarray(self._points.data[name], float) for name in "xy")
+            marks = [(at, float(y[np.argmin(np.abs(x - at))]) if x.size else 0.0, colour) for at, _, colour in marks]
         columns = zip(*marks, strict=True) if marks else ((), (), ())
         self._marks.data = {name: list(each) for name, each in zip(("x", "y", "colour"), columns, strict=True)}
 

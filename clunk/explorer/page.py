@@ -26,6 +26,7 @@ from clunk.explorer.newest import Newest, Request
 from clunk.explorer.pictures import Picture, picture_of
 from clunk.explorer.runfigures import RunFigures
 from clunk.explorer.subject import Subject
+from clunk.plot.drawing import draw, hardness
 from clunk.plot.layers import quantities_of
 from clunk.plot.plane import number_text, value_text
 from clunk.plot.style import encode
@@ -41,7 +42,8 @@ _SAVED = ("map.png", "map.svg", "run.png", "run.svg", "run.csv", "config.toml")
 _TYPES = {"png": "image/png", "svg": "image/svg+xml", "csv": "text/csv", "toml": "application/toml"}
 _PINS = len(RUN_COLOURS) - 1
 _ARROWS = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowDown": (0, -1), "ArrowUp": (0, 1)}
-_HELP = "click: a run · shift-click or p: pin it · u: unpin · arrows: next cell · f: follow the pointer"
+_HELP = "click: keep a run · shift-click or p: pin it · u: unpin · arrows: next cell · f: follow"
+_OWN = "the map with the config's own numbers"
 _drawing = threading.Lock()  # matplotlib's style is one for all threads
 
 Cell = tuple[float, ...]  # values of the map's axes
@@ -76,15 +78,18 @@ class Page:
         self._map = MapFigure(subject.plane)
         self._panels = RunFigures()
         options = {"width": 190, "margin": (0, 6, 4, 6)}
-        names = [(name, _quantity_name(results, name)) for name in quantities_of(results)]
-        self._quantity = Select(value="regimes", options=names, name="quantity", **options)
+        # over one axis, labels are the colours under a curve
+        names = quantities_of(results)[len(subject.plane) == 1 :]
+        first = names[0] if len(subject.plane) > 1 else hardness(results)
+        described = [(name, _quantity_name(results, name)) for name in names]
+        self._quantity = Select(value=first, options=described, name="quantity", **options)
         self._lash = Select(value=results.lash_names[0], options=list(results.lash_names), name="lash", **options)
         self._lash.visible = bool(results.lashes)
         small = {"height": 30, "margin": (0, 6, 4, 0)}
         self._follow = Toggle(label="follow the pointer", active=True, name="follow", **small)
         self._pin = Button(label="pin this run", name="pin", **small)
         self._unpin = Button(label="unpin", name="unpin", **small)
-        self._reset = Button(label="numbers of the file", name="reset", visible=False, **small)
+        self._reset = Button(label="reset the numbers", name="reset", visible=False, **small)
         saved = [("", "save …"), *((name, name) for name in _SAVED)]
         self._save = Select(value="", options=saved, name="save", width=130, **small)
         wide = {"sizing_mode": "stretch_width", "margin": (2, 6, 2, 6)}
@@ -344,6 +349,8 @@ class Page:
         quantity, lash = self._quantity.value, self._lash.value
         self._reset.visible = bool(numbers)
 
+        refine = quantity == "regimes"  # of anything else, an inferred cell has no value
+
         def show(results: Results, status: str) -> None:
             from clunk.analysis.small_gap import thresholds_of
 
@@ -357,18 +364,18 @@ class Page:
                 request.go_on()
                 self._soon(partial(self._say, f"computing the map: {done:,} of {total:,} cells"))
 
-            if not numbers:
-                show(subject.stored(slices), "the map of the file")
+            if not numbers and (refine or not subject.results.inferred.any()):
+                show(subject.stored(slices), _OWN)
                 subject.prepare(lambda text: self._soon(partial(self._say, text)))
                 return
             self._soon(partial(self._say, "computing the map …"))
-            coarse = subject.coarse_map(slices, numbers, lambda *_: request.go_on())
+            coarse = subject.coarse_map(slices, numbers, request.go_on, refine=refine)
             request.go_on()
             if coarse is not None:
                 show(coarse, "computing the map: every few cells are shown")
-            full = subject.full_map(slices, numbers, progress, refine=quantity == "regimes")
+            full = subject.full_map(slices, numbers, progress, refine=refine)
             request.go_on()
-            show(full, "computed with these numbers; it is in no file")
+            show(full, "the map with these numbers, which is in no file" if numbers else _OWN)
 
         self._newest_map.submit(work)
 
@@ -409,7 +416,6 @@ class Page:
 
         def make(target: io.BytesIO) -> None:
             from clunk.analysis.small_gap import thresholds_of
-            from clunk.plot.drawing import draw
             from clunk.plot.histories import simulation_figure
             from clunk.results.historyfile import write_csv
 

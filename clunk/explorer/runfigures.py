@@ -48,13 +48,15 @@ class RunFigures:
         self._steps: list[Span] = []
         # all curves of all panels in one source: each source that changes is a message, and a redrawing
         self._curves = _source(*(f"{panel.name}_{axis}" for panel in _PANELS for axis in "xy"), "colour")
+        unit = [[0.0, 1.0]]  # a line to begin with: without any, ranges are complained of in the browser's console
+        self._curves.data = dict.fromkeys(self._curves.data, unit) | {"colour": ["white"]}
         self.figures = {panel.name: self._figure(panel) for panel in _PANELS}
         lash, acceleration = self.figures["lash"], self.figures["acceleration"]
         self._gap = BoxAnnotation(fill_color="#e4e4e4", fill_alpha=1.0, level="underlay", line_color=None)
         lash.add_layout(self._gap)
-        self._flanks = _source("x", "y", "text")
+        self._flanks = _source("x", "y", "text", "baseline")
         small = {"text_font_size": "11px", "text_color": FAINT_INK, "x_offset": 4}
-        lash.text("x", "y", "text", source=self._flanks, text_baseline="middle", **small)
+        lash.text("x", "y", "text", source=self._flanks, text_baseline="baseline", **small)
         self._touches = _source("x", "y", "angle", "fill", "colour", "size")
         look = {"line_color": "colour", "fill_color": "fill", "size": "size", "angle": "angle"}
         lash.scatter("x", "y", source=self._touches, marker="triangle", **look)
@@ -73,6 +75,7 @@ class RunFigures:
             x_range=self._time,
             y_range=DataRange1d(range_padding=0.25),
             y_axis_label=panel.label,
+            lod_threshold=None,
             tools="xpan,xwheel_zoom,xbox_zoom,reset",
             active_drag="xbox_zoom",
             toolbar_location="right" if panel is _PANELS[0] else None,
@@ -85,6 +88,7 @@ class RunFigures:
             margin=0,
         )
         plot.toolbar.logo = None
+        plot.yaxis.axis_label_text_font_size = "11px"
         plot.yaxis.ticker.desired_num_ticks = 3 if panel.share < 1.0 else 5
         plot.xgrid.visible = False
         plot.ygrid.grid_line_color = "#e6e6e6"
@@ -143,7 +147,8 @@ class RunFigures:
         self._gap.update(bottom=-half, top=half)
         side = run.trajectory.initial_side
         names = {side * half: "initial flank", -side * half: "opposite flank"} if half > 0.0 else {0.0: "no gap"}
-        flanks = {"x": [self._whole[0]] * len(names), "y": list(names), "text": list(names.values())}
+        flanks: dict[str, list[Any]] = {"y": list(names), "text": list(names.values())}
+        flanks |= {"x": [self._whole[0]] * len(names), "baseline": ["top" if y > 0.0 else "bottom" for y in names]}
         if flanks != self._flanks.data:
             self._flanks.data = flanks
         row, sides, primary, _ = run.touches

@@ -136,7 +136,7 @@ class Subject:
         if note:
             say("compiled")
 
-    def coarse_map(self, slices: Numbers, numbers: Numbers, progress: Progress) -> Results | None:
+    def coarse_map(self, slices: Numbers, numbers: Numbers, progress: Progress, *, refine: bool) -> Results | None:
         """The map of every few values of its axes; None where all are few."""
         from clunk.sweeping.sweep import sweep
 
@@ -148,7 +148,7 @@ class Subject:
             values = column.values[_every_few(len(column.values))]
             shape.append(len(values))
             columns.append(Column(column.parameter, k, values))
-        return sweep(study, Design(tuple(shape), tuple(columns)), refine=True, progress=progress)
+        return sweep(study, Design(tuple(shape), tuple(columns)), refine=refine, progress=progress)
 
     def full_map(self, slices: Numbers, numbers: Numbers, progress: Progress, *, refine: bool) -> Results:
         """The map at all values of its axes; refine : whether to infer cells whose neighbours tell their labels."""

@@ -92,8 +92,8 @@ def default_quantities(
     if _has_runs(drawn) and not facets:
         is_map = not _is_path(drawn) and (y is not None or (x is None and len(parameter_choice(drawn)) > 1))
     if not is_map:
-        return [_hardness(drawn)]
-    return ["regimes"] if drawn.inferred.any() else ["regimes", _hardness(drawn)]
+        return [hardness(drawn)]
+    return ["regimes"] if drawn.inferred.any() else ["regimes", hardness(drawn)]
 
 
 def _has_runs(results: Results) -> bool:
@@ -101,14 +101,14 @@ def _has_runs(results: Results) -> bool:
     return any(axis.parameter == RUN and len(axis.values) > 1 for axis in results.axes)
 
 
-def _hardness(results: Results) -> str:
+def hardness(results: Results) -> str:
     """The quantity that tells how hard impacts are."""
     return "severity" if np.isfinite(results.severity).any() else "approach_velocity"
 
 
 def _curve_quantity(results: Results, quantity: str) -> str:
     """The quantity that goes upwards: with labels in the same picture there is one beside the regimes."""
-    return _hardness(results) if quantity == "regimes" else quantity
+    return hardness(results) if quantity == "regimes" else quantity
 
 
 def _is_path(results: Results) -> bool:
