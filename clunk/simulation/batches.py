@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import repeat
 
 import numpy as np
 import numpy.typing as npt
@@ -68,14 +69,10 @@ def _prepare_alike(study: Study, sizes: dict[Place, FloatArray], count: int) -> 
         return [driveline.prepare(study, lines.of_batch(k)) for k in range(count)]
     system, flows = driveline.prepare(study, lines)
     assert isinstance(flows, Flows)
-    columns = {name: getattr(system, name) for name in OF_EACH}
-    return [
-        (
-            system._replace(**{name: column[k] for name, column in columns.items()}),
-            Flows._make(table[k] for table in flows),
-        )
-        for k in range(count)
-    ]
+    fields = (field if name in OF_EACH else repeat(field) for name, field in zip(system._fields, system, strict=True))
+    return list(
+        zip(map(System._make, zip(*fields, strict=False)), map(Flows._make, zip(*flows, strict=True)), strict=True)
+    )
 
 
 def _with_sizes(study: Study, line: Driveline, sizes: dict[Place, FloatArray], count: int) -> Driveline:

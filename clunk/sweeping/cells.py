@@ -35,6 +35,7 @@ from clunk.sweeping.tiles import Layout, Tile
 Records = npt.NDArray[np.void]
 Flag = npt.NDArray[np.uint8]  # (1,); set by another thread, it ends the work within a run
 Prepared = tuple[System, Steps | Flows]  # a system and its method's tables
+Group = tuple[dict[str, float], npt.NDArray[np.intp]]  # structural values, and positions of cells that have them
 
 CELL, IMPACT = kernel.CELL, kernel.IMPACT
 
@@ -154,7 +155,7 @@ class Grid:
             gaps[:, k] = values.get(dotted((*place, "backlash_deg")), lash.backlash_deg)
         return kernel.cases_of(before, np.deg2rad(gaps) / 2, pieces)
 
-    def groups(self, cells: Cells) -> Iterator[tuple[dict[str, float], npt.NDArray[np.intp]]]:
+    def groups(self, cells: Cells) -> Iterator[Group]:
         """Cut cells into groups of the same structural values; yields these values and the positions in `cells`."""
         if not self._structural:
             yield {}, np.arange(cells.size)
@@ -167,9 +168,8 @@ class Grid:
         for values, end, begin in zip(unique.tolist(), ends, [0, *ends[:-1]], strict=True):
             yield dict(zip(self._structural, values, strict=True)), order[begin:end]
 
-    def _prepared_groups(self, cells: Cells) -> Iterator[tuple[dict[str, float], npt.NDArray[np.intp]]]:
-        """`groups`, whose systems are prepared many at a time."""
-        groups = list(self.groups(cells))
+    def _prepared(self, groups: Sequence[Group]) -> Iterator[Group]:
+        """Groups, whose systems are prepared many at a time."""
         for begin in range(0, len(groups), MOST):
             some = groups[begin : begin + MOST]
             self.systems.prepare([values for values, _ in some])
@@ -184,21 +184,32 @@ class Grid:
         if not self._structural:
             records, pieces = run_group({}, cases, buffer, stop)
             return Tile(cells[: records.size // self.layout.lashes], records, np.concatenate([none, *pieces]))
-        lashes = self.layout.lashes
-        records = np.zeros(cells.size * lashes, self.layout.record)
-        known = np.zeros(records.size, bool)
+        groups = list(self.groups(cells))
+        every = np.concatenate([positions for _, positions in groups])
+        cases, begin = cases.at(every), 0
+        rows: list[Records] = [np.zeros(0, self.layout.record)]
         impacts: list[Records] = [none]
-        owners: list[npt.NDArray[np.intp]] = [np.zeros(0, np.intp)]
-        for values, positions in self._prepared_groups(cells):
+        done: list[npt.NDArray[np.intp]] = []
+        for values, positions in self._prepared(groups):
             if stop[0]:
                 break
-            finished, pieces = run_group(values, cases.at(positions), buffer, stop)
-            done = self.layout.rows(positions)[: finished.size]
-            records[done], known[done] = finished, True
+            finished, pieces = run_group(values, _part(cases, begin, begin + positions.size), buffer, stop)
+            begin += positions.size
+            done.append(positions[: finished.size // self.layout.lashes])
+            rows.append(finished)
             impacts += pieces
-            owners.append(np.repeat(done, finished["primary_impacts"]))
-        in_order = np.argsort(np.concatenate(owners), kind="stable")
-        return Tile(cells[known[::lashes]], records[known], np.concatenate(impacts)[in_order])
+        # with the type, which numpy would otherwise find anew for each piece
+        records = np.concatenate(rows, dtype=self.layout.record)
+        details = np.concatenate(impacts, dtype=self.layout.detail)
+        return self._in_order(cells, np.concatenate([every[:0], *done]), records, details)
+
+    def _in_order(self, cells: Cells, positions: npt.NDArray[np.intp], records: Records, details: Records) -> Tile:
+        """The tile of those cells that are at some positions, from their records and impacts in the order of these."""
+        first, order = np.argsort(positions), np.empty_like(positions)
+        order[first] = np.arange(positions.size)
+        owners = np.repeat(self.layout.rows(order), records["primary_impacts"])
+        in_order = np.argsort(owners, kind="stable")
+        return Tile(cells[positions[first]], records[self.layout.rows(first)], details[in_order])
 
     def logged(self, cells: Cells) -> tuple[Records, Records]:
         """Run cells and keep their events: CELL (n, lashes), and EVENT (n, events), times NaN behind the last one."""
@@ -206,7 +217,7 @@ class Grid:
         records = np.zeros((cells.size, self.layout.lashes), CELL)
         logs = np.zeros((cells.size, self.study.solver.max_events + 1), EVENT)
         logs["time"] = np.nan
-        for values, positions in self._prepared_groups(cells):
+        for values, positions in self._prepared(list(self.groups(cells))):
             part, events = cases.at(positions), logs[positions]
             output = kernel.Output(self._cells(len(positions)), buffer, events, _NO_STATES)
             rows, _ = self._run(values, part, output, np.zeros(1, np.uint8))
@@ -244,7 +255,7 @@ class Grid:
         logs, states = np.zeros((each, capacity), EVENT), np.empty((each, capacity, size))
         records, impacts = [np.zeros(0, self.layout.record)], [np.zeros(0, self.layout.detail)]
         for begin in range(0, runs, each):
-            part = cases.at(np.arange(begin, min(begin + each, runs)))
+            part = _part(cases, begin, begin + each)
             logs["time"] = np.nan
             output = kernel.Output(self._cells(len(part.before)), buffer, logs, states)
             rows, pieces = self._run(values, part, output, stop)
@@ -282,6 +293,12 @@ def layout_of(study: Study) -> Layout:
     names = study.impacts.quantities
     measures = [(name, "f8") for name in (*names, *(each.name for each in study.measures))]
     return Layout(_with(CELL, measures), _with(IMPACT, measures[: len(names)]), "primary_impacts", len(study.lashes))
+
+
+def _part(cases: kernel.Cases, begin: int, end: int) -> kernel.Cases:
+    """The cells from one position to before another."""
+    loads = cases.loads if len(cases.loads) == 1 else cases.loads[begin:end]
+    return kernel.Cases(cases.before[begin:end], loads)
 
 
 def _with(record: np.dtype[np.void], fields: list[tuple[str, str]]) -> np.dtype[np.void]:

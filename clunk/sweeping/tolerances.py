@@ -16,6 +16,7 @@ from clunk.core.status import Status
 from clunk.core.tile import LONGEST_PATTERN
 from clunk.results.labels import FAILED_CODE
 from clunk.results.tolerancemap import QUANTILES, ToleranceMap
+from clunk.simulation.batches import MOST
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import Cells, FloatArray, design_of, drawn_numbers
 from clunk.study.parameters import nominal_value, quantity
@@ -90,7 +91,9 @@ class SampleRunner:
         order = [self.draws, *((begin + np.arange(self.draws)) % self.draws)]
         for values, positions in self.grid.groups(cells):
             nominal, rows = {key: column[positions] for key, column in at.items()}, self.layout.rows(positions)
-            for draw in order:
+            for k, draw in enumerate(order):
+                if self._new_systems and k % MOST == 0:
+                    self.grid.systems.prepare([self._at(each, values, {})[0] for each in order[max(k, 1) : k + MOST]])
                 system, driving = (values, nominal) if draw == self.draws else self._at(draw, values, nominal)
                 cases = self.grid.cases({**driving, **system}, positions.size)
                 records, impacts = self.grid.run_group(system, cases, buffer, stop)

@@ -488,7 +488,10 @@ def _propagate(pairs: _Pairs, unseen: BoolArray, result: FloatArray) -> None:
     result : (D, SPANS, B, 3, 8)
     """
     ladder, drift = _LADDER[:, None, None], pairs.drift[:, None]
-    decay, angle = np.exp(ladder[..., None] * pairs.sigma[:, None]), ladder * pairs.omega[:, None]
+    rates, angle = ladder[..., None] * pairs.sigma[:, None], ladder * pairs.omega[:, None]
+    decay, apart = np.empty_like(rates), (pairs.sigma[:, :, 0] != pairs.sigma[:, :, 1]).any(axis=0)
+    decay[:] = np.exp(rates[..., :1, :])  # which of all takes longest: once where both rates are the same
+    decay[:, :, :, 1][..., apart] = np.exp(rates[:, :, :, 1][..., apart])
     halves, drifting = result.reshape(*result.shape[:-1], 2, BLOCK), drift.any()
     turning = np.where(drift, 0.0, angle) if drifting else angle
     halves[..., SELF, :, :] = decay * np.cos(turning)[..., None, :]
