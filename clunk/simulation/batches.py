@@ -18,7 +18,7 @@ from clunk.study.study import Study, refuse_points, replace_values
 
 FloatArray = npt.NDArray[np.float64]
 
-MOST = 1024  # drivelines of a batch: 30 MB of tables, and of each the share in 5 ms of interpreting is small
+MOST = 512  # drivelines of a batch: 14 MB of tables, and of each the share in 5 ms of interpreting is small
 
 
 def prepare_many(study: Study, parameters: Sequence[str], values: FloatArray) -> list[tuple[System, Steps | Flows]]:
