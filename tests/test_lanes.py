@@ -15,10 +15,11 @@ ARITHMETIC = (operator.add, operator.sub, operator.mul, operator.truediv)
 COMPARISONS = (operator.gt, operator.ge, operator.lt, operator.le, operator.eq)
 RANDOM = np.random.default_rng(1)
 NAN, INF = np.nan, np.inf
-A = np.array([[*RANDOM.normal(size=7), 1.0, 2.0, NAN, 3.0, NAN, INF, -INF, 0.0, -0.0]])
-B = np.array([[*RANDOM.normal(size=7), 1.0, NAN, 2.0, INF, NAN, INF, INF, -0.0, 2.0]])
+# as many as there are lanes, eight or sixteen
+A = np.array([[*RANDOM.normal(size=7), 1.0, 2.0, NAN, 3.0, NAN, INF, -INF, 0.0, -0.0]])[:, -WIDTH:]
+B = np.array([[*RANDOM.normal(size=7), 1.0, NAN, 2.0, INF, NAN, INF, INF, -0.0, 2.0]])[:, -WIDTH:]
 ALL = (1 << WIDTH) - 1
-BITS = (0, 1, ALL, 1 << WIDTH - 1, 0b1010_0110_0000_1001)
+BITS = (0, 1, ALL, 1 << WIDTH - 1, 0b1010_0110_0000_1001 & ALL)
 
 
 @unowned_inlined
