@@ -460,7 +460,7 @@ def random_guards(random):
 def test_where_low_is_positive_a_guard_stays_so():
     """Its third derivative jumps from one bound to the other on the way."""
     random, kept = np.random.default_rng(1), 0
-    for _ in range(100):
+    for _ in range(1600 // WIDTH):
         guard, h, found = random_guards(random), 10.0 ** random.uniform(-2.0, 4.0, WIDTH), np.zeros((2, WIDTH))
         find_low(guard, h, found)
         positive = found[0] > 0.0
@@ -524,7 +524,7 @@ def ends_of(curves, h, sixth):
 def test_between_its_ends_a_function_is_where_they_say():
     """The bounds hold, monotone and concave functions are told, and most of them are."""
     random, t, told = np.random.default_rng(1), np.linspace(0.0, 1.0, 200), np.zeros(4, int)
-    for _ in range(100):
+    for _ in range(1600 // WIDTH):
         curves, h, sixth = random_curves(random)
         found, ends = np.zeros((2, WIDTH)), ends_of(curves, h, sixth)
         monotone, bent = (holds(bits) for bits in find_between(ends, np.zeros(WIDTH), h, found))
@@ -574,7 +574,7 @@ def test_a_crossing_is_a_zero_of_the_companion_matrix():
     """Wherever one is claimed, and most are found; where none is claimed, there is none."""
     random = np.random.default_rng(1)
     claimed, there = 0, 0
-    for _ in range(60):
+    for _ in range(960 // WIDTH):
         c, results = random_series(random), np.zeros((3, WIDTH))
         length = random_lengths(random, c)
         found, none = (holds(bits) for bits in cross(c, length, results))
@@ -625,7 +625,7 @@ def test_a_turning_point_is_a_zero_of_the_slope():
     """Wherever one is claimed, and most are found; where none is claimed, there is none."""
     random = np.random.default_rng(2)
     claimed, there = 0, 0
-    for _ in range(60):
+    for _ in range(960 // WIDTH):
         slopes, results = random_series(random)[:-1], np.zeros((1, WIDTH))
         length = random_lengths(random, slopes)
         slopes *= random.choice([-1.0, 1.0], WIDTH)
