@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import expm
 
 from clunk.core import switching
 from clunk.core.regimes import System
@@ -92,7 +91,7 @@ def with_wave(system: System, x: FloatArray, load: FloatArray, stretch: Stretch)
         return x
     row = load[stretch.piece]
     wave = np.array([row[WAVE], row[WAVE_PARTNER] + row[SLOPE]])
-    return np.concatenate([x[:size], expm((stretch.begin - row[BEGIN]) * system.rates[0, size:, size:]) @ wave])
+    return np.concatenate([x[:size], _exponential((stretch.begin - row[BEGIN]) * system.rates[0, size:, size:]) @ wave])
 
 
 class Flow:
@@ -108,7 +107,7 @@ class Flow:
     def states(self, regime: int, x: FloatArray, offset: float, count: int) -> FloatArray:
         """(count, N) the states at offset, offset + step, … after the state `x`  [rad, rad/s]."""
         z = np.empty((count, x.size + 1))
-        z[0] = expm(offset * self._matrices[regime]) @ np.append(x, 1.0)
+        z[0] = _exponential(offset * self._matrices[regime]) @ np.append(x, 1.0)
         filled, doubling = 1, 0
         while filled < count:  # 2^k rows and the 2^k-th power of a step give the next 2^k rows
             more = min(filled, count - filled)
@@ -120,10 +119,17 @@ class Flow:
         """exp(2^doubling · step · M)."""
         powers = self._powers.setdefault(regime, [])
         if not powers:
-            powers.append(np.asarray(expm(self._step * self._matrices[regime])))
+            powers.append(_exponential(self._step * self._matrices[regime]))
         while len(powers) <= doubling:
             powers.append(powers[-1] @ powers[-1])
         return powers[doubling]
+
+
+def _exponential(matrix: FloatArray) -> FloatArray:
+    """exp(matrix)."""
+    from scipy.linalg import expm  # a fifth of a second, which runs without histories do not take
+
+    return np.asarray(expm(matrix))
 
 
 def apply(matrix: FloatArray, rows: FloatArray) -> FloatArray:
