@@ -1,6 +1,8 @@
 """The explorer without a browser: what it computes, and what its server refuses."""
 
 import http.client
+import subprocess
+import sys
 import threading
 import time
 from html import escape
@@ -281,6 +283,14 @@ def test_what_cannot_be_explored_is_said(tmp_path):
     assert "no [[sweep.axes]]" in str(outcome.exception)
     outcome = CliRunner().invoke(cli, ["explore", str(tmp_path / "none.h5")])
     assert "none.h5 cannot be read" in str(outcome.exception)
+
+
+def test_without_bokeh_the_command_names_the_package_to_install(tmp_path):
+    command = "import sys; sys.modules['bokeh'] = None; from clunk.cli import main; main()"
+    arguments = [sys.executable, "-c", command, "explore", str(tmp_path / "map.h5")]
+    run = subprocess.run(arguments, capture_output=True, text=True, check=False)
+    assert run.returncode == 2
+    assert "pip install 'clunk[explore]'" in " ".join(run.stderr.split())
 
 
 def test_numbers_that_are_not_allowed_are_refused_by_the_rules_of_a_config(subject):

@@ -33,15 +33,9 @@ def explore(source: Path, overrides: tuple[str, ...], no_browser: bool, port: in
     """
     # the matrices of a run are small, and threads of BLAS that wait for each other take longer than their work
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from clunk.explorer.subject import ExplorerError
-
-    try:
-        import bokeh  # noqa: F401
-    except ModuleNotFoundError as error:
-        raise ExplorerError("The explorer needs Bokeh, which is not installed: pip install 'clunk[explore]'") from error
-    results = _results_of(source, overrides)
     from clunk.explorer.server import explore as serve
 
+    results = _results_of(source, overrides)
     explorer = serve(results, name=source.stem, port=port or 0, browser=False)
     click.echo(explorer.url)
     click.echo("Ctrl-C ends it", err=True)

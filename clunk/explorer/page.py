@@ -412,7 +412,6 @@ class Page:
         what, _, suffix = name.partition(".")
         runs, results = [self._run, *self._pins], self._results
         quantity, lash = self._quantity.value, self._lash.value
-        numbers, values = self._active_numbers(), self._values(self._cell)
 
         def make(target: io.BytesIO) -> None:
             from clunk.analysis.small_gap import thresholds_of
@@ -420,7 +419,7 @@ class Page:
             from clunk.results.historyfile import write_csv
 
             if name == "config.toml":
-                target.write(self._subject.config(values, numbers).encode())
+                target.write(self._subject.config(runs[0].values, runs[0].numbers).encode())
             elif name == "run.csv":
                 write_csv(target, runs[0].history)
             elif what == "map":

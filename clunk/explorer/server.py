@@ -15,22 +15,27 @@ import webbrowser
 from html import escape
 from typing import Any
 
-from bokeh.application import Application
-from bokeh.application.handlers.function import FunctionHandler
-from bokeh.document import Document
-from bokeh.resources import Resources
-from bokeh.server.server import BaseServer
-from bokeh.server.tornado import BokehTornado
-from bokeh.server.views.static_handler import StaticHandler
-from tornado.httpserver import HTTPServer
-from tornado.httputil import HTTPHeaders
-from tornado.ioloop import IOLoop
-from tornado.web import OutputTransform
-
-from clunk.explorer.page import Page
 from clunk.explorer.subject import ExplorerError, Subject
 from clunk.results.files import reason
 from clunk.results.regimemap import Results
+
+try:
+    from bokeh.application import Application
+    from bokeh.application.handlers.function import FunctionHandler
+    from bokeh.document import Document
+    from bokeh.resources import Resources
+    from bokeh.server.server import BaseServer
+    from bokeh.server.tornado import BokehTornado
+    from bokeh.server.views.static_handler import StaticHandler
+    from tornado.httpserver import HTTPServer
+    from tornado.httputil import HTTPHeaders
+    from tornado.ioloop import IOLoop
+    from tornado.web import OutputTransform
+
+    from clunk.explorer.page import Page
+except ModuleNotFoundError as error:
+    needs = f"The explorer needs Bokeh, which is not installed (no {error.name})"
+    raise ExplorerError(f"{needs}: pip install 'clunk[explore]'") from error
 
 HOST = "127.0.0.1"
 _HEADERS = {
