@@ -271,6 +271,7 @@ class TestPage:
         try:
             assert escape(hostile) in document.get_model_by_name("title").text
             assert hostile not in document.get_model_by_name("title").text
+            assert not document.get_model_by_name("of lash").visible
         finally:
             page.close()
 

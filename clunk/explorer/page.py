@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
 _SAVED = ("map.png", "map.svg", "run.png", "run.svg", "run.csv", "config.toml")
 _TYPES = {"png": "image/png", "svg": "image/svg+xml", "csv": "text/csv", "toml": "application/toml"}
+_LISTED = 16  # labels below the map
 _PINS = len(RUN_COLOURS) - 1
 _ARROWS = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowDown": (0, -1), "ArrowUp": (0, 1)}
 _HELP = "click: keep a run · shift-click or p: pin it · u: unpin · arrows: next cell · f: follow"
@@ -83,7 +84,7 @@ class Page:
         first = names[0] if len(subject.plane) > 1 else hardness(results)
         described = [(name, _quantity_name(results, name)) for name in names]
         self._quantity = Select(value=first, options=described, name="quantity", **options)
-        self._lash = Select(value=results.lash_names[0], options=list(results.lash_names), name="lash", **options)
+        self._lash = Select(value=results.lash_names[0], options=list(results.lash_names), name="of lash", **options)
         self._lash.visible = bool(results.lashes)
         small = {"height": 30, "margin": (0, 6, 4, 0)}
         self._follow = Toggle(label="follow the pointer", active=True, name="follow", **small)
@@ -388,7 +389,9 @@ class Page:
 
     def _show_legend(self, picture: Picture, thresholds: list[float]) -> None:
         swatch = '<span style="background: {}; border: 1px solid #1c2126">&emsp;</span>&nbsp;{}&nbsp;{}'
-        entries = [swatch.format(colour, escape(label), share) for label, colour, share in picture.legend]
+        entries = [swatch.format(colour, escape(label), share) for label, colour, share in picture.legend[:_LISTED]]
+        if len(picture.legend) > _LISTED:
+            entries.append(f"and {len(picture.legend) - _LISTED} more")
         if len(picture.dots):
             entries.append(f"● undecided: {len(picture.dots):,} cells")
         if thresholds:
