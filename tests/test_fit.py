@@ -146,6 +146,13 @@ def test_a_fit_that_is_stopped_goes_on_to_the_same_result(measured: Experiment, 
     assert again.effective == whole.effective
 
 
+def test_finished_cells_of_a_sweep_are_not_overwritten(measured: Experiment, tmp_path: Path) -> None:
+    with WorkingDirectory(tmp_path / "fit.h5") as directory:
+        (directory.path / "manifest.json").write_text("{}")
+        with pytest.raises(FitError, match="holds an unfinished sweep"):
+            fitting.fit(study_of(GAP), measured, directory=directory)
+
+
 def test_a_measured_label_that_nobody_meets_is_missed_with_a_reason(measured: Experiment) -> None:
     first, *others = measured.measurements
     wrong = replace(measured, measurements=(replace(first, label="DS(9)"), *others))

@@ -88,7 +88,7 @@ def _fill(file: Image, fitted: Fitted, lash: str | None) -> None:
     write("weight", fitted.weights, "weight of a draw; all add up to 1", draw)
     write("log_density", fitted.log_density, "logarithm of the density that proposed a draw, over the prior", draw)
     write("best_distance", fitted.best_distances, "least distance of any candidate", measurement)
-    blocks: dict[str, tuple[Records, tuple[h5py.Dataset, ...]]] = {"": (fitted.matches, (draw, measurement))}
+    blocks: dict[str, tuple[Records, tuple[h5py.Dataset, ...]]] = {"draw_": (fitted.matches, (draw, measurement))}
     blocks |= {f"{name}_": (getattr(fitted, f"{name}_matches"), (measurement,)) for name in ("estimate", "nominal")}
     every = np.unique(np.concatenate([fitted.wanted, *(each["pattern"].ravel() for each, _ in blocks.values())]))
     labels = {int(pattern): label_of(int(pattern)) for pattern in every if pattern}
@@ -153,7 +153,7 @@ def _loaded(file: h5py.File) -> Fitted:
         estimate_matches=matches("estimate_"),
         nominal_matches=matches("nominal_"),
         coordinates=file["coordinate"][...],
-        matches=matches(""),
+        matches=matches("draw_"),
         log_density=file["log_density"][...],
         best_distances=file["best_distance"][...],
         fewer=tuple(fewer)[: len(study.fit.parameters) - 1],

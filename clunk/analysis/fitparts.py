@@ -34,6 +34,8 @@ class Populations:
     directory : open; None keeps nothing
     progress, planned : called with the number of candidates so far, and this number in all
     candidates, taken_up : numbers so far, and of these that were on the disk
+
+    Raises FitError where the directory holds a sweep.
     """
 
     def __init__(
@@ -46,6 +48,10 @@ class Populations:
     ) -> None:
         self.runs, self.directory, self.progress, self.planned = runs, directory, progress, planned
         self.candidates = self.taken_up = self._number = 0
+        if directory is not None and (directory.path / "manifest.json").exists():
+            raise FitError(
+                f"{directory.path} holds an unfinished sweep: finish that one, or begin anew with --restart."
+            )
         self._chain = hashlib.sha256(f"{identity} {versions()} {MATCH.descr}".encode()).digest()
 
     def __call__(self, candidates: FloatArray, worth: Worth) -> Records:
