@@ -106,7 +106,7 @@ class Controls:
             start=min(start, value), end=max(end, value), step=step, value=value, show_value=False, title=""
         )
         slider.update(sizing_mode="stretch_width", margin=(6, 12, 0, 6), name=f"slider {key}")
-        box = NumericInput(value=value, mode="float", width=84, margin=(0, 6, 0, 0), name=f"number {key}")
+        box = NumericInput(value=value, mode="float", width=112, margin=(0, 6, 0, 0), name=f"number {key}")
 
         def change(source: str, _attribute: str, _old: float, new: float | None) -> None:
             if new is None or not allowed.allows(new):

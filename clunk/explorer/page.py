@@ -388,7 +388,8 @@ class Page:
         self._mark()
 
     def _show_legend(self, picture: Picture, thresholds: list[float]) -> None:
-        swatch = '<span style="background: {}; border: 1px solid #1c2126">&emsp;</span>&nbsp;{}&nbsp;{}'
+        square = '<span style="background: {}; border: 1px solid #1c2126">&emsp;</span>'
+        swatch = f'<span style="white-space: nowrap">{square}&nbsp;{{}}&nbsp;{{}}</span>'
         entries = [swatch.format(colour, escape(label), share) for label, colour, share in picture.legend[:_LISTED]]
         if len(picture.legend) > _LISTED:
             entries.append(f"and {len(picture.legend) - _LISTED} more")

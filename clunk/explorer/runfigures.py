@@ -151,7 +151,8 @@ class RunFigures:
         flanks |= {"x": [self._whole[0]] * len(names), "baseline": ["top" if y > 0.0 else "bottom" for y in names]}
         if flanks != self._flanks.data:
             self._flanks.data = flanks
-        row, sides, primary, _ = run.touches
+        on_top = np.argsort(run.touches.primary, kind="stable")  # primary ones last
+        row, sides, primary = (each[on_top] for each in run.touches[:3])
         self._touches.data = {
             "x": run.time[row],
             "y": 1e3 * run.backlash_coordinate[row],
