@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from html import escape
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from conftest import NOMINAL
 from hypothesis import given
 from hypothesis import strategies as st
 
-from clunk import ClunkError, simulate, sweep
+from clunk import ClunkError, load_study, simulate, sweep
 from clunk.cli import cli
 from clunk.explorer.controls import adjustable, slider_range
 from clunk.explorer.curves import thinned
@@ -25,7 +26,9 @@ from clunk.plot.style import palette_of
 from clunk.simulation.history import sample
 from clunk.study.config import study_from_text
 from clunk.study.keys import Key
+from clunk.study.parameters import located
 
+CONFIGS = Path(__file__).parent.parent / "configs"
 AXES = """
 [[sweep.axes]]
 parameter = "lash.backlash_deg"
@@ -163,6 +166,14 @@ class TestControls:
         keys = adjustable(subject.study, {"load.ratio", "lash.backlash_deg"})
         assert "lash.contact.stiffness" in keys
         assert not {"load.ratio", "lash.contact.restitution", "load.step_time"} & set(keys)
+
+    @pytest.mark.parametrize("name", sorted(path.stem for path in CONFIGS.glob("*.toml")))
+    def test_the_numbers_of_every_config_have_sliders(self, name):
+        study = load_study(CONFIGS / f"{name}.toml")
+        for key, value in adjustable(study, set()).items():
+            start, end, step = slider_range(value, located(study, key)[1])
+            assert start < end
+            assert step > 0.0
 
     @pytest.mark.parametrize("value", [0.0, 94.0, -3.0, 4e5])
     def test_the_range_of_a_slider_holds_its_number(self, value):
