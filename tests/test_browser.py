@@ -110,7 +110,9 @@ def running(study, tmp_path_factory):
     file = tmp_path_factory.mktemp("explored") / "map.h5"
     write_results(file, sweep(study))
     began = time.perf_counter()
-    command = [sys.executable, "-c", "from clunk.cli import main; main()", "explore", str(file), "--no-browser"]
+    # -P: the package that is installed, as in this process, whose kernels are compiled
+    command = [sys.executable, "-P", "-c", "from clunk.cli import main; main()"]
+    command += ["explore", str(file), "--no-browser"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         yield process, process.stdout.readline().strip(), began
         process.kill()
