@@ -2,7 +2,7 @@
 
 numba passes a named tuple by value: each number and each field of each array in it is an argument, some 600 for a
 workspace, in every call. A reference is one, and has the tuple's attributes; a named tuple within it is a reference
-too. Nothing else differs, but compiling takes a third of the time.
+too. Nothing else differs, but the exact method has a sixth of the code to compile (23 instead of 142 MB of LLVM's).
 """
 
 from collections.abc import Callable
