@@ -270,7 +270,6 @@ def watched(page):
     return page.driver.execute_script("return window.ended")
 
 
-@pytest.mark.slow  # beside the rest of the suite its explorer has once taken over a minute
 def test_a_title_of_markup_is_shown_as_text(browser):
     hostile = "<script>document.title = 'taken'</script><img src=x onerror=alert(1)>"
     text = f'title = "{hostile}"\n' + NOMINAL.replace("[lash]", f'[lash]\nname = "{hostile}"')

@@ -1,5 +1,6 @@
 """The explorer without a browser: what it computes, and what its server refuses."""
 
+import asyncio
 import http.client
 import subprocess
 import sys
@@ -285,6 +286,30 @@ class TestPage:
             assert not document.get_model_by_name("of lash").visible
         finally:
             page.close()
+
+    def test_the_first_run_is_shown_however_late_its_session_begins(self, subject):
+        """A session takes what threads asked of its document before it began in no order: an energy before its run."""
+        from bokeh.document import Document
+        from bokeh.server.session import ServerSession
+        from tornado.ioloop import IOLoop
+
+        from clunk.explorer.page import Page
+
+        async def header_of_a_late_session():
+            page = Page(document := Document(), subject)
+            await asyncio.sleep(0.5)  # of which a run takes some hundredths
+            assert len(document.session_callbacks) == 1
+            session = ServerSession("any", document, IOLoop.current())
+            header = document.get_model_by_name("header")
+            deadline = time.monotonic() + 20.0
+            while "energy" not in header.text and time.monotonic() < deadline:
+                await asyncio.sleep(0.01)
+            text = header.text
+            page.close()
+            await session.with_document_locked(session.destroy)
+            return text
+
+        assert "energy" in asyncio.run(header_of_a_late_session())
 
 
 def test_what_cannot_be_explored_is_said(tmp_path):

@@ -113,9 +113,8 @@ class Page:
         self._controls = Controls(study, subject.slices, swept, self._on_slice, self._on_number)
         self._listen()
         self._add_roots()
-        self._is_ready = True
-        self._request_map()
-        self._request_run()
+        # not before there is a session: it takes the changes that threads have asked for until then in any order
+        document.add_next_tick_callback(self._begin)
 
     def close(self) -> None:
         """End the threads of the page."""
@@ -164,6 +163,10 @@ class Page:
         self._download.js_on_change("data", CustomJS(code=_asset("download.js")))
         self._document.js_on_event(DocumentReady, CustomJS(args={"keys": self._keys}, code=_asset("page.js")))
         self._document.js_on_event(ConnectionLost, CustomJS(code=_asset("ended.js")))
+
+    def _begin(self) -> None:
+        self._is_ready = True
+        self._request_both()
 
     # --- What the user does ------------------------------------------------------------------------------------------
 
