@@ -328,6 +328,31 @@ class TestTangency:
         assert len(labels) == 2
 
 
+@pytest.mark.parametrize(
+    ("ratio", "begin", "inside", "end"), [(1.7, 0.5, 0.559, 0.6), (2.5, 4.2, 4.237, 4.3), (5.95, 4.2, 4.22, 4.23)]
+)
+def test_the_margin_vanishes_at_both_borders_of_a_thin_region(ratio, begin, inside, end):
+    """Where a contact that held ends, the flank may be touched again; at the other border it just is not.
+
+    At 1e-8 and 1e-6 of a degree from a border a margin is in proportion to that, as what is linear in the backlash is,
+    with a slope of at most 1 a degree. The second term is the last bracket's width, the rounding of the angles.
+    """
+    labels = set()
+    for outside in (begin, end):
+        low, high = inside, outside
+        first = exact(reference.boere(ratio, inside)).label
+        while abs(high - low) > 1e-13:
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if exact(reference.boere(ratio, middle)).label == first else (low, middle)
+        for edge, away in ((low, inside - outside), (high, outside - inside)):
+            near, far = (exact(reference.boere(ratio, edge + np.copysign(step, away))) for step in (1e-8, 1e-6))
+            assert near.label == far.label
+            assert near.margin == pytest.approx(0.01 * far.margin, rel=1e-3, abs=1e-12)
+            assert 0.0 < (near.margin if near.label != first else -near.margin) < 1e-8
+            labels.add(near.label)
+    assert len(labels) == 2
+
+
 def test_grazing_is_said_of_a_flank_reached_within_rounding():
     """Among neighbouring load ratios there is one whose excursion ends within 1e-12 of the gap from the flank."""
 

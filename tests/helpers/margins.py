@@ -3,8 +3,8 @@
 Positive, what did not happen: the least distance to a flank at a turning point inside an open phase, as a share of the
 whole gap; the least overlap of the flanks (restitution: the torque that holds) at a turning point inside a contact
 phase later than the sticking time after the touch, as a share of its static value under the torque after the load step.
-Negative, what did: how deep a crossing, or the end of sticking (by force: the opening), would go until it turned back,
-were the guard not to act; and one less the age over the sticking time, of either sign, for every separation.
+Negative, what did: how deep a primary touch, or the end of sticking (by force: the opening), would go until it turned
+back, were the guard not to act; and one less the age over the sticking time, of either sign, for every separation.
 """
 
 from bisect import bisect_right
@@ -115,11 +115,11 @@ def candidates(plant, events, end, sticking):
         if following is None:
             break
         age = following.time - began
-        crossing = following.kind == "touch" and following.side != last_side
-        if following.kind == "separation":
-            stuck = age > sticking
+        primary = following.kind == "touch" and (following.side != last_side or stuck)
+        if following.kind in ("touch", "separation"):
+            stuck = following.kind == "separation" and age > sticking
         parting = following.kind == ("opening" if by_force else "separation") and stuck
-        if (crossing or parting) and scale > 0.0:
+        if (primary or parting) and scale > 0.0:
 
             def crossed(k, mode=mode, following=following):
                 guards = flow.regime(k, (mode,)).guards

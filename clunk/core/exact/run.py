@@ -11,8 +11,8 @@ so are the near misses, which give the run's margin: how near it came to another
 - positive, what did not happen: the distance to a flank where the gap coordinate turned back, as a share of the whole
   gap; and where a contact held, later than the sticking time, the least overlap of the flanks (restitution: the least
   torque that locks them), as a share of its value at rest;
-- negative, what did: how much further a crossing, or the end of a sticking contact, would have gone, were the contact
-  not to change;
+- negative, what did: how much further a primary touch, or the end of a sticking contact, would have gone, were the
+  contact not to change;
 - of either sign: 1 - (length of a contact)/(sticking time), at each separation.
 """
 
@@ -323,8 +323,8 @@ def _label_hangs_on_depth(space: Workspace, slot: int, now: float) -> bool:
     system, row = space.system, space.runs[slot]
     guard, lash = system.guards[row.regime, row.guard], lash_of(system, row.regime, row.guard)
     play = space.plays[slot, lash]
-    if guard.event_kind == TOUCH:  # a crossing
-        return bool(guard.side != play.last_side)
+    if guard.event_kind == TOUCH:  # a primary one
+        return bool(guard.side != play.last_side or play.from_sticking != 0)
     if guard.event_kind == OPENING:  # by force: it counts after a contact that held
         return bool(play.from_sticking != 0)
     return bool(guard.event_kind == SEPARATION and now - play.contact_began > system.sticking_time[lash])
