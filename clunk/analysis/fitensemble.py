@@ -97,9 +97,9 @@ def sample(
     ----------
     loss_of : of draws, (n, dimensions), minus the logarithm of their likelihood, (n,)
     """
-    from scipy.stats import norm, qmc
+    from scipy.stats import norm
 
-    first = qmc.Sobol(dimensions, seed=np.random.default_rng([seed, 0])).random(min(POPULATION, most))
+    first = sobol_points(min(POPULATION, most), dimensions, np.random.default_rng([seed, 0]))
     draws = np.asarray(norm.ppf(np.clip(first, 1e-12, 1.0 - 1e-12)), np.float64)
     population = Population(draws, loss_of(draws), [Proposal(draws[:0], np.eye(dimensions))], [len(draws)])
     while len(population.draws) < most:
@@ -114,6 +114,13 @@ def sample(
         population.proposals.append(proposal)
         population.counts.append(len(draws))
     return population
+
+
+def sobol_points(count: int, dimensions: int, generator: np.random.Generator) -> FloatArray:
+    """The first points, (count, dimensions), of a scrambled Sobol sequence."""
+    from scipy.stats import qmc
+
+    return np.asarray(qmc.Sobol(dimensions, seed=generator).random_base2((count - 1).bit_length())[:count])
 
 
 def proposal_after(population: Population, log_density: FloatArray, generator: np.random.Generator) -> Proposal:

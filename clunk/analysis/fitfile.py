@@ -31,12 +31,12 @@ from clunk.study.study import to_toml
 
 SCHEMA_VERSION = 1
 _CONTENT = "fit"
+_NUMBERS = ("axis", "candidates", "failed")
 
 # Names in the file -> fields of MATCH, unit, long name; `sequence` beside them
 _MATCHES = {
     "distance": ("distance", "1", "logarithm of the change of a measured value that brings about the measured label"),
-    "distance_axis": ("axis", "1", "number of that value's column, from 0; -1 where none brings it about"),
-    "distance_change": ("change", "1", "the change itself, with its sign"),
+    "distance_change": ("change", "1", "the change itself, with its sign; 0 where none brings it about"),
     "misfit": (
         "misfit",
         "1",
@@ -63,7 +63,7 @@ def _fill(file: Image, fitted: Fitted, lash: str | None) -> None:
     file.attrs["measurements"] = fitted.experiment.text
     set_text(file, "measurements_name", fitted.experiment.name)
     set_text(file, "lash", lash or "")
-    for name in ("candidates", "failed"):
+    for name in _NUMBERS:
         file.attrs[name] = np.int64(getattr(fitted, name))
     names = np.array([f"{prior.parameter} ({prior.draws})" for prior in fitted.priors])
     parameter = create_scale(file, "parameter", names, {"long_name": "fitted parameter, and what its number is"})
@@ -157,6 +157,5 @@ def _loaded(file: h5py.File) -> Fitted:
         log_density=file["log_density"][...],
         best_distances=file["best_distance"][...],
         fewer=tuple(fewer)[: len(study.fit.parameters) - 1],
-        candidates=int(file.attrs["candidates"]),
-        failed=int(file.attrs["failed"]),
+        **{name: int(file.attrs[name]) for name in _NUMBERS},
     )

@@ -36,9 +36,8 @@ def order_of_events(measured: tuple[int, ...], computed: tuple[int, ...]) -> str
 
 
 def _remedy(fitted: Fitted, match: Records) -> str:
-    """Sentence on the least change of a measured value that brings about the measured label."""
-    axis = int(match["axis"])
-    if axis < 0:
-        return "No change of one measured value brings about the measured label."
-    factor = math.exp(float(match["change"]))
-    return f"At {factor:.2f} times {fitted.axes[axis]} it would be the measured label."
+    """Sentence on the least change of the measured value that brings about the measured label."""
+    axis, change = fitted.axes[fitted.axis], float(match["change"])
+    if change == 0.0:
+        return f"No change of {axis} alone brings about the measured label."
+    return f"At {math.exp(change):.2f} times {axis} it would be the measured label."

@@ -1,8 +1,9 @@
 """Runs of candidate drivelines at measured operating points: their sequences, and how far these are from the measured.
 
-A candidate that misses a measured label is run at neighbouring operating points too, with each measured value a little
-smaller or greater. The least such change, in the logarithm of a value, that brings about the measured label is the
-distance: unlike a run's margin, which says how near *any* other label is, and saturates, it speaks of the measured one.
+A candidate that misses a measured label is run at neighbouring operating points too, along one axis: the
+measured value with which labels change most is a little smaller or greater. The least such change, in its logarithm,
+that brings about the measured label is the distance: unlike a run's margin, which says how near *any* other label is,
+and saturates, it speaks of the measured one.
 """
 
 from __future__ import annotations
@@ -35,21 +36,21 @@ from clunk.sweeping.engines import Stop, available_cores, run_tile
 FloatArray = npt.NDArray[np.float64]
 Cells = npt.NDArray[np.intp]
 Records = npt.NDArray[np.void]
+Patterns = npt.NDArray[np.uint64]
 Worth = Callable[[Records], npt.NDArray[np.bool_]]
 
 # A candidate's run at a measured operating point: the flanks as bits behind a leading 1 (0: failed), the distance to
-# the measured label, the number of the axis along which it was found (-1: nowhere), the signed change there, the misfit
-# of the impacts' measured quantities, and the run's status.
-MATCH = np.dtype(
-    [("pattern", "u8"), ("distance", "f8"), ("axis", "i8"), ("change", "f8"), ("misfit", "f8"), ("status", "u1")]
-)
+# the measured label, the signed change that brings it about (0: none does), the misfit of the impacts' measured
+# quantities, and the run's status.
+MATCH = np.dtype([("pattern", "u8"), ("distance", "f8"), ("change", "f8"), ("misfit", "f8"), ("status", "u1")])
 
-RINGS = (0.1, 0.3, 0.9)  # logarithm of the changes at which the measured label is looked for
-_BETWEEN = 3  # further changes between two rings
+# Logarithms of the changes at which the measured label is looked for, then closer by, and farther out
+_FIRST, _CLOSER, _FARTHER = 0.3, (0.05, 0.1, 0.2), (0.45, 0.65, 0.9)
+_TRIED = 16  # draws of the prior that tell along which axis labels change most
 _EDIT = 0.5  # distance of each impact too many or too few, beyond the last ring
 _OUTLIERS = 0.02  # share of measured quantities that are far off
 _OUTLIER_SCALE = 10.0  # of these, in standard deviations
-_PIECES = 4  # for each worker, so that all end together
+_PIECE = 64  # candidates that a worker takes at a time: fewer are prepared at more cost each
 
 
 class Target(NamedTuple):
@@ -70,6 +71,7 @@ class CandidateRuns:
     engine : of threads
     lash : position of the one that was measured
     axes : dotted keys of the measured columns
+    axis : number of the one along which labels change most
     wanted : patterns of the measured labels
     count : number of runs so far
     """
@@ -84,9 +86,9 @@ class CandidateRuns:
         self.targets = [target_of(each.label, each.impacts, each.std) for each in experiment.measurements]
         self._speeds = np.array([each.detection_speed for each in experiment.measurements])
         self._engine, self._workers = engine, getattr(engine, "_max_workers", None) or available_cores()
-        self._edits_of: dict[tuple[int, int], float] = {}
         self.wanted = np.array([each.pattern for each in self.targets], np.uint64)
         self._numbers = tuple(dict.fromkeys(name for each in self.targets for name in each.impacts))
+        self.axis = self._telling_axis() if len(self.axes) > 1 else 0
 
     def __call__(self, candidates: FloatArray, worth: Worth | None = None) -> Records:
         """Run candidates, (n, priors), at all operating points.
@@ -98,11 +100,8 @@ class CandidateRuns:
         systems = Systems(self.study)  # of these candidates only: there are too many to keep
         matches = np.zeros((len(candidates), len(self.points)), MATCH)
         every = np.indices(matches.shape).reshape(2, -1)
-        patterns, status, impacts = self._run(
-            candidates, every[0], every[1], np.zeros((every.shape[1], len(self.axes))), systems
-        )
+        patterns, status, impacts = self._run(candidates, every, self.points[every[1]], systems)
         matches["pattern"], matches["status"] = (each.reshape(matches.shape) for each in (patterns, status))
-        matches["axis"] = -1
         matches["misfit"] = self._misfits(every[1], patterns, impacts).reshape(matches.shape)
         missed = np.flatnonzero(patterns != self.wanted[every[1]])
         if worth is not None:
@@ -111,72 +110,86 @@ class CandidateRuns:
         return matches
 
     def _look_around(
-        self, candidates: FloatArray, matches: Records, missed: Cells, every: npt.NDArray[np.intp], systems: Systems
+        self, candidates: FloatArray, matches: Records, missed: Cells, every: Cells, systems: Systems
     ) -> None:
-        """Find the distances of runs that missed the measured label: on rings around the point, then between two.
+        """Find the distances of runs that missed the measured label, on either side of the point.
 
-        All rings at once: a driveline's call of the kernel takes as long as some dozen runs of it.
+        First at one change. Then, on the side where the label is there, closer by; if it is on none, closer by where
+        the label there is another one, and farther out where it is no less like the measured one.
         """
         if not missed.size:
             return
-        ways = [(ring, axis, sign) for ring in RINGS for axis in range(len(self.axes)) for sign in (-1.0, 1.0)]
-        radius, axis, sign = (np.array(each) for each in zip(*ways, strict=True))
+        runs, computed = every[:, missed], matches["pattern"][missed]
 
-        def patterns_at(runs: Cells, axes: Cells, changes: FloatArray) -> npt.NDArray[np.uint64]:
-            of_axes = np.zeros((runs.size, len(self.axes)))
-            of_axes[np.arange(runs.size), axes] = changes
-            return self._run(candidates, every[0, runs], every[1, runs], of_axes, systems)[0]
+        def edits_at(rows: Cells, changes: FloatArray) -> tuple[Patterns, FloatArray]:
+            point = runs[1, rows]
+            patterns = self._run(candidates, runs[:, rows], self._beside(point, self.axis, changes), systems)[0]
+            return patterns, self._edits(point, patterns)
 
-        count, wanted = len(ways), self.wanted[every[1, missed]][:, None]
-        around = np.repeat(missed, count), np.tile(axis, missed.size), np.tile(sign * radius, missed.size)
-        patterns = patterns_at(*around).reshape(-1, count)
-        hits = patterns == wanted
-        hit, first = hits.any(axis=1), hits.argmax(axis=1)  # the first is on the smallest ring
-        edits = [
-            min(self._edits(int(point), int(pattern)) for pattern in set(row.tolist()))
-            for point, row in zip(every[1, missed[~hit]], patterns[~hit], strict=True)
+        row, side = np.repeat(np.arange(missed.size), 2), np.tile([-1.0, 1.0], missed.size)
+        patterns, edits = edits_at(row, side * _FIRST)
+        hits = edits == 0.0
+        hit = np.repeat(hits.reshape(-1, 2).any(axis=1), 2)
+        closer = np.where(hit, hits, patterns != computed[row])
+        farther = ~hit & (edits <= self._edits(runs[1], computed)[row])
+        steps = np.array([*_CLOSER, *_FARTHER])
+        again, step = np.nonzero(np.where(steps < _FIRST, closer[:, None], farther[:, None]))
+        changes = np.concatenate([side * _FIRST, side[again] * steps[step]])
+        edits = np.concatenate([edits, edits_at(row[again], changes[row.size :])[1]])
+        row = np.concatenate([row, row[again]])
+        distances = np.where(edits == 0.0, np.abs(changes), _FARTHER[-1] + _EDIT * edits)
+        order = np.lexsort((changes, distances, row))
+        nearest = order[np.searchsorted(row[order], np.arange(missed.size))]
+        matches["distance"][missed] = distances[nearest]
+        matches["change"][missed] = np.where(edits[nearest] == 0.0, changes[nearest], 0.0)
+
+    def _beside(self, point: Cells, axis: int, changes: FloatArray) -> FloatArray:
+        """Measured values of points, (n, axes), with changes of the logarithm of the one along an axis."""
+        measured = self.points[point]
+        measured[:, axis] *= np.exp(changes)
+        return measured
+
+    def _telling_axis(self) -> int:
+        """Number of the axis along which labels change most, by some draws of the prior."""
+        normal = np.random.default_rng(0).standard_normal((_TRIED, len(self.priors)))
+        candidates, systems = numbers_at(self.study, self.priors, normal), Systems(self.study)
+        runs = np.indices((_TRIED, len(self.points))).reshape(2, -1)
+        at = self._run(candidates, runs, self.points[runs[1]], systems)[0]
+        changed = [
+            sum(
+                int((self._run(candidates, runs, self._beside(runs[1], axis, change), systems)[0] != at).sum())
+                for change in (np.array(-_FIRST), np.array(_FIRST))
+            )
+            for axis in range(len(self.axes))
         ]
-        matches["distance"][missed[~hit]] = RINGS[-1] + _EDIT * np.array(edits)
-        close, way = missed[hit], first[hit]
-        inner = np.array([0.0, *RINGS])[np.searchsorted(RINGS, radius[way])]
-        steps = np.linspace(inner, radius[way], _BETWEEN + 2, axis=1)[:, 1:]  # the last is the ring
-        between = np.repeat(close, _BETWEEN), np.repeat(axis[way], _BETWEEN)
-        changes = (sign[way][:, None] * steps[:, :-1]).ravel()
-        there = patterns_at(*between, changes).reshape(-1, _BETWEEN) == wanted[hit]
-        nearest = np.where(there.any(axis=1), there.argmax(axis=1), _BETWEEN)
-        matches["distance"][close] = steps[np.arange(close.size), nearest]
-        matches["axis"][close] = axis[way]
-        matches["change"][close] = sign[way] * matches["distance"][close]
+        return int(np.argmax(changed))
 
     def _run(
-        self,
-        candidates: FloatArray,
-        candidate: Cells,
-        point: Cells,
-        changes: FloatArray,
-        systems: Systems,
-    ) -> tuple[npt.NDArray[np.uint64], npt.NDArray[np.uint8], Records]:
-        """Run candidates at changed operating points: patterns, statuses, and seen impacts with their run's number.
+        self, candidates: FloatArray, runs: Cells, measured: FloatArray, systems: Systems
+    ) -> tuple[Patterns, npt.NDArray[np.uint8], Records]:
+        """Run candidates at measured values: patterns, statuses, and seen impacts with their run's number.
 
-        candidate, point : (n,) numbers, in ascending order of candidates
-        changes : (n, axes), of the logarithms of the measured values
+        runs : (2, n) numbers of candidates, in ascending order, and of points
+        measured : (n, axes)
         """
-        values = self.values(candidates[candidate], self.points[point] * np.exp(changes))
+        candidate, point = runs
+        values = self.values(candidates[candidate], measured)
         allowed = np.ones(candidate.size, bool)
         for parameter, column in values.items():
             key = key_at(located(self.study, parameter)[0])
             assert key is not None
             allowed &= (column <= key.highest) & ((column > key.lowest) if key.above else (column >= key.lowest))
-        runs = np.flatnonzero(allowed)
+        ran = np.flatnonzero(allowed)
         patterns, status = np.zeros(candidate.size, np.uint64), np.full(candidate.size, Status.NON_FINITE, np.uint8)
-        if not runs.size:
+        if not ran.size:
             return patterns, status, np.zeros(0, [("run", "i8")])
-        columns = tuple(Column(key, 0, column[runs]) for key, column in values.items())
-        grid, stop = Grid(self.study, Design((runs.size,), columns, run=0), systems), Stop()
-        self.count += runs.size
-        begins = np.flatnonzero(np.diff(candidate[runs], prepend=-1))  # no candidate is prepared twice
-        cuts = begins[np.unique(np.linspace(0, begins.size, _PIECES * self._workers + 1)[1:-1].astype(int))]
-        pieces = [piece for piece in np.split(np.arange(runs.size), np.unique(cuts)) if piece.size]
+        columns = tuple(Column(key, 0, column[ran]) for key, column in values.items())
+        grid, stop = Grid(self.study, Design((ran.size,), columns, run=0), systems), Stop()
+        self.count += ran.size
+        begins = np.flatnonzero(np.diff(candidate[ran], prepend=-1))  # no candidate is prepared twice
+        shares = self._workers * -(-begins.size // (_PIECE * self._workers))
+        cuts = begins[np.linspace(0, begins.size, shares + 1)[:-1].astype(int)]
+        pieces = [piece for piece in np.split(np.arange(ran.size), np.unique(cuts)) if piece.size]
         try:
             tiles = list(self._engine.map(lambda cells: run_tile(grid, cells, stop), pieces))
         finally:
@@ -186,8 +199,8 @@ class CandidateRuns:
         impacts = np.concatenate([tile.details for tile in tiles])
         row = np.repeat(np.arange(records.size), records["primary_impacts"])
         of_lash = row % lashes == self.lash
-        impacts, row = impacts[of_lash], runs[row[of_lash] // lashes]
-        status[runs] = records["status"][self.lash :: lashes]
+        impacts, row = impacts[of_lash], ran[row[of_lash] // lashes]
+        status[ran] = records["status"][self.lash :: lashes]
         seen = impacts["closing_speed"] >= self._speeds[point[row]]
         impacts, row = impacts[seen], row[seen]
         counts = np.bincount(row, minlength=candidate.size)
@@ -195,7 +208,7 @@ class CandidateRuns:
         bits = np.where(impacts["flank"] == OPPOSITE, np.uint64(1), np.uint64(0)) << np.minimum(behind, 63).astype(
             np.uint64
         )
-        patterns[runs] = np.uint64(1) << np.minimum(counts[runs], LONGEST_PATTERN).astype(np.uint64)
+        patterns[ran] = np.uint64(1) << np.minimum(counts[ran], LONGEST_PATTERN).astype(np.uint64)
         np.add.at(patterns, row, bits)
         patterns[(status != Status.OK) | (counts > LONGEST_PATTERN)] = 0
         numbered = np.zeros(row.size, [("run", "i8"), *((name, "f8") for name in self._numbers)])
@@ -212,7 +225,7 @@ class CandidateRuns:
             values[prior.parameter] = prior.applied(numbers, before)
         return values
 
-    def _misfits(self, point: Cells, patterns: npt.NDArray[np.uint64], impacts: Records) -> FloatArray:
+    def _misfits(self, point: Cells, patterns: Patterns, impacts: Records) -> FloatArray:
         """Misfit of the impacts' quantities in some runs: minus the logarithm of their relative likelihood."""
         misfits = np.zeros(point.size)
         if not self._numbers:
@@ -230,13 +243,25 @@ class CandidateRuns:
                     misfits[runs] += outlier_misfit((value - computed) / target.std[name])
         return misfits
 
-    def _edits(self, point: int, pattern: int) -> float:
-        """Number of impacts too many or too few of a pattern; of a failed run, of all."""
-        if (point, pattern) not in self._edits_of:
-            flanks, computed = self.targets[point].flanks, flanks_of(pattern) if pattern else ()
-            edits = len(flanks) + len(computed) - 2 * len(partners(flanks, computed))
-            self._edits_of[point, pattern] = float(edits)
-        return self._edits_of[point, pattern]
+    def _edits(self, point: Cells, patterns: Patterns) -> FloatArray:
+        """Number of impacts too many or too few of patterns at some points; of a failed run, of all."""
+        pairs, of_pair = np.unique(np.stack([point.astype(np.uint64), patterns]), axis=1, return_inverse=True)
+        edits = []
+        for at, pattern in pairs.T.tolist():
+            flanks, computed = self.targets[at].flanks, flanks_of(pattern) if pattern else ()
+            edits.append(len(flanks) + len(computed) - 2.0 * len(partners(flanks, computed)))
+        return np.array(edits)[of_pair.reshape(-1)]
+
+
+def numbers_at(study: Study, priors: Sequence[Draw], coordinates: FloatArray) -> FloatArray:
+    """Numbers of some priors at coordinates, (n, priors), in which they are standard normal."""
+    from scipy.stats import norm
+
+    columns = [
+        prior.quantiles(norm.cdf(column), nominal_value(study, prior.parameter))
+        for prior, column in zip(priors, coordinates.T, strict=True)
+    ]
+    return np.stack(columns, axis=1)
 
 
 def axes_of(study: Study, experiment: Experiment) -> tuple[str, ...]:

@@ -12,10 +12,10 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.fitensemble import Population, effective_size, sample, weights_of
+from clunk.analysis.fitensemble import Population, effective_size, sample, sobol_points, weights_of
 from clunk.analysis.fitparts import FitError, Populations
 from clunk.analysis.fitpredictions import Prediction, left_out_groups, losses, predict_left_out, probabilities
-from clunk.analysis.fitruns import CandidateRuns, Records, axes_of, target_of
+from clunk.analysis.fitruns import CandidateRuns, Records, axes_of, numbers_at, target_of
 from clunk.analysis.measurements import Experiment
 from clunk.core.sequence import label
 from clunk.core.status import Status
@@ -72,6 +72,7 @@ class Fitted:
     log_density : (N,) of their proposals, over the prior
     best_distances : (n,) least distance of any candidate's label from the measured one; 0 where one has met it
     fewer : fits of fewer parameters
+    axis : number of the measured column along which labels change most
     candidates : number that have been run
     failed : number of candidates of which some run failed
     """
@@ -87,6 +88,7 @@ class Fitted:
     log_density: FloatArray
     best_distances: FloatArray
     fewer: tuple[Fewer, ...]
+    axis: int
     candidates: int
     failed: int
 
@@ -297,6 +299,7 @@ def fit(
         log_density=ensemble.log_density,
         best_distances=np.asarray(best.distances),
         fewer=tuple(fewer),
+        axis=runs.axis,
         candidates=populations.candidates,
         failed=best.failed,
     )
@@ -305,7 +308,7 @@ def fit(
 def _search(study: Study, populations: Populations, best: _Best, nominal: FloatArray) -> None:
     """Look for the best candidate by differential evolution, a population a sweep."""
     from scipy.optimize import differential_evolution
-    from scipy.stats import norm, qmc
+    from scipy.stats import norm
 
     settings = study.fit
     assert settings is not None
@@ -313,7 +316,7 @@ def _search(study: Study, populations: Populations, best: _Best, nominal: FloatA
     size = min(max(_SEARCHED * len(priors), 32), settings.candidates)
     if size < 5:  # of which no differential evolution is possible
         return
-    first = qmc.Sobol(len(priors), seed=np.random.default_rng([settings.seed, 0, 1])).random(size)
+    first = sobol_points(size, len(priors), np.random.default_rng([settings.seed, 0, 1]))
     first[0] = [_share_below(study, prior, number) for prior, number in zip(priors, nominal, strict=True)]
     parents = np.full(size, np.inf)
 
@@ -373,17 +376,6 @@ def draw_ensemble(
 
 
 # --- Parameters and their priors -------------------------------------------------------------------------------------
-
-
-def numbers_at(study: Study, priors: Sequence[Draw], coordinates: FloatArray) -> FloatArray:
-    """Numbers of some priors at coordinates, (n, priors), in which they are standard normal."""
-    from scipy.stats import norm
-
-    columns = [
-        prior.quantiles(norm.cdf(column), nominal_value(study, prior.parameter))
-        for prior, column in zip(priors, coordinates.T, strict=True)
-    ]
-    return np.stack(columns, axis=1)
 
 
 def nominal_number(study: Study, prior: Draw) -> float:
