@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 import clunk
 from clunk.simulation import batches, driveline
 from clunk.study.config import study_from_text
+from clunk.study.designs import design_of_points
 from clunk.study.parameters import located
 from clunk.study.study import replace_values
+from clunk.sweeping.cells import Grid
 
 CRITICAL = Plant(
     inertias=(0.02, 0.01),
@@ -23,10 +25,15 @@ CRITICAL = Plant(
 )  # whose first inertia alone is critically damped by 0.4 N m s/rad
 
 
+def prepared_of(study, points):
+    """Systems and tables by the positions of their points."""
+    many = batches.prepare_many(study, list(points), np.column_stack(list(points.values())))
+    return {k: batch.of(n) for positions, batch in many for n, k in enumerate(positions.tolist())}
+
+
 def same_as_alone(study, points):
     """Assert that all arrays of all systems and tables are the same, to the last bit and the layout."""
-    together = batches.prepare_many(study, list(points), np.column_stack(list(points.values())))
-    for k, prepared in enumerate(together):
+    for k, prepared in prepared_of(study, points).items():
         alone = driveline.prepare(replace_values(study, {key: float(column[k]) for key, column in points.items()}))
         for one, other in zip(alone, prepared, strict=True):
             for name in one._fields:
@@ -44,28 +51,47 @@ def sizes_of(study):
     return {key: located(study, key)[2] for key in keys}
 
 
+def points_of(study, seed, count):
+    """Values of all sizes, `count` each, within 30 % of a study's; the last of them without any damping."""
+    random, points = np.random.default_rng(seed), {}
+    for key, value in sizes_of(study).items():
+        factors = random.uniform(0.7, 1.3, count)
+        factors[0] = 1.0
+        factors[-1] = "damping" not in key
+        points[key] = value * factors
+    return points
+
+
 @settings(max_examples=15)
 @given(st.one_of(plants(), general_plants(), general_plants(restitution=0.5)), st.integers(0, 2**32 - 1))
 def test_random_drivelines_have_the_bits_that_each_has_alone(drawn, seed):
     plant, _ = drawn
     assume(not plant.profile.phase)  # which no config has
     study = study_from_text(reference.config_of(plant, method="exact"))
-    random = np.random.default_rng(seed)
-    points = {}
-    for key, value in sizes_of(study).items():
-        factors = random.uniform(0.7, 1.3, 5)
-        factors[0] = 1.0
-        factors[4] = "damping" not in key  # without any damping
-        points[key] = value * factors
-    same_as_alone(study, points)
+    same_as_alone(study, points_of(study, seed, 5))
+
+
+@settings(max_examples=15)
+@given(st.one_of(plants(), general_plants(), general_plants(restitution=0.5)), st.integers(0, 2**32 - 1))
+def test_runs_of_many_drivelines_side_by_side_have_the_bits_that_each_has_alone(drawn, seed):
+    """Results and events: of one or several lashes, stages, frictions, by gap, force or impulse, under any load."""
+    plant, _ = drawn
+    assume(not plant.profile.phase)
+    study = study_from_text(reference.config_of(plant, method="exact", end_time=0.3))
+    grid, many = Grid(study, design_of_points(study, points_of(study, seed, 24))), np.arange(24)
+    records, events = grid.logged(many)
+    for k in many:
+        alone, of_alone = grid.logged(many[k : k + 1])
+        assert alone.tobytes() == records[k].tobytes()
+        assert of_alone.tobytes() == events[k : k + 1, : of_alone.shape[1]].tobytes()
 
 
 def test_of_drivelines_about_critical_damping_each_is_what_it_is_alone():
     study = study_from_text(reference.config_of(CRITICAL, method="exact"))
     dampings = np.array([0.3, 0.4, 0.5, 0.4 + 1e-12, 0.0, 3.0])
     same_as_alone(study, {"driveline.shafts[1].damping": dampings})
-    tables = [flows for _, flows in batches.prepare_many(study, ["driveline.shafts[1].damping"], dampings[:, None])]
-    assert [int(each.modal[0]) for each in tables] == [1, 0, 1, 0, 1, 1]
+    tables = prepared_of(study, {"driveline.shafts[1].damping": dampings})
+    assert [int(tables[k][1].modal[0]) for k in range(dampings.size)] == [1, 0, 1, 0, 1, 1]
 
 
 def test_keys_that_are_no_sizes_can_change_beside_them():

@@ -13,10 +13,10 @@ from numpy.polynomial.polynomial import polyder, polyint, polyval
 from scipy.linalg import expm
 
 from clunk.core.exact import curves, moving, taylor
-from clunk.core.exact.flows import BLOCK, CROSS, SLOPE, SPANS, TERMS, VALUE
+from clunk.core.exact.flows import BLOCK, CROSS, JERK, SPANS, TERMS
 from clunk.core.jit import compiled
 from clunk.core.lanes import vectors
-from clunk.core.lanes.vectors import WIDTH
+from clunk.core.lanes.vectors import ROW, WIDTH
 from clunk.core.tables import ACCELERATION, GAP, INPUTS, TORQUE_RATE
 from clunk.simulation import driveline
 from clunk.simulation.trajectory import simulate
@@ -48,7 +48,8 @@ def observe(watch, output, f, steady, work, size, inputs, times, results):
     """Value, slope and curvature of a functional, its origin included."""
     none = vectors.splat(0.0)
     seen = curves.evaluate_again(watch, work, size, none, 0, curves.Curve(none, none, none, none, none))
-    origin = curves.origin(output, f, inputs, 0, output.shape[2], steady, True, vectors.load(times, 0))
+    functionals, driven = output.shape[1:]
+    origin = curves.origin(output, f, functionals, inputs, 0, driven, steady, True, vectors.load(times, 0))
     vectors.store(results, 0, seen.value + origin.value)
     vectors.store(results, 1, seen.slope + origin.slope)
     vectors.store(results, 2, seen.curvature + origin.curvature)
@@ -76,12 +77,12 @@ JERKING, SIXTHS, SWAYING, RINGING, RUSHING = range(6, 11)
 def expand(series, work, size, shortest, sides, rest, c):
     sign, shift = vectors.load(sides, 0), vectors.load(sides, 1)
     origin = curves.Origin(vectors.load(rest, 0), vectors.load(rest, 1), vectors.load(rest, 2), vectors.load(rest, 3))
-    taylor.expand(series, work, size, shortest, sign, shift, origin, c)
+    taylor.expand(series, work, size, vectors.splat(shortest), sign, shift, origin, c)
 
 
 @compiled
 def find_longest(shortest, guards, rest, results):
-    h, k = curves.longest(shortest, guards, 0, 5, 2, vectors.load(rest, 0))
+    h, k = curves.longest(vectors.splat(shortest), guards, 0, 5, 2, vectors.load(rest, 0))
     vectors.store(results, 0, h)
     vectors.store(results, 1, k)
 
@@ -266,6 +267,11 @@ class Flow:
         look(self.watch[f], work, self.count, np.full(WIDTH, levels, float), deepest, results)
         return results
 
+    def weights(self, f):
+        """(3, C): what multiplies the coordinates to a functional, its slope and its curvature."""
+        blocks = self.watch[f, :, :JERK].reshape(-1, 3, ROW)
+        return np.moveaxis(blocks, 1, 0).reshape(3, -1)
+
     def output(self, x, u):
         """(…, F, W): the functionals."""
         return self.functionals @ x + self.feedthrough @ u
@@ -373,7 +379,7 @@ def test_the_gap_coordinate_is_no_difference_of_large_numbers(flow):
         pytest.skip("knows no modes")
     x, _ = flow.starts()
     y = flow.coordinates.T @ x
-    terms = np.abs(flow.watch[GAP, : flow.count, VALUE, None] * y).sum(axis=0)
+    terms = np.abs(flow.weights(GAP)[0][:, None] * y).sum(axis=0)
     sizes = np.abs(x) * np.repeat([1.0, 1.0 / flow.pace], flow.size // 2)[:, None]
     assert np.all(terms <= 3.0 * sizes.sum(axis=0))
 
@@ -418,12 +424,12 @@ def test_the_fastest_pairs_can_be_left_out(flow):
     y, scale = flow.coordinates.T @ states, np.abs(flow.functionals) @ flow.scale(*states)
     for f in range(len(flow.watch)):
         seen = flow.look(f, flow.enter_lanes(x, u), levels, deepest)
-        terms = [flow.watch[f, : flow.count, n] @ (y * both(pairs < levels)) for n in (VALUE, SLOPE)]
+        terms = [weights @ (y * both(pairs < levels)) for weights in flow.weights(f)[:2]]
         for bound, values, pace in zip((RINGING, RUSHING), terms, (1.0, flow.pace), strict=True):
             assert np.all(np.abs(values).max(axis=0) <= seen[bound] + TIGHT * scale[f] * pace)
             assert np.all(seen[bound][levels == 0] == 0.0)
         for first, chosen in ((0, pairs >= levels), (3, (pairs == levels) & (levels < deepest))):
-            alone = flow.watch[f, : flow.count, :3].T @ (y[0] * both(chosen))
+            alone = flow.weights(f) @ (y[0] * both(chosen))
             rounding = TIGHT * scale[f] * flow.pace ** np.arange(3)[:, None]
             assert np.all(np.abs(seen[first : first + 3] - alone) <= rounding)
 

@@ -115,7 +115,10 @@ compiled = _kept()
 unowned = _kept(_nrt=False)
 # The same for what only compiled functions call. It is optimised and made machine code with its callers, and once only:
 # numba would do so with each function and all that it calls, for functions of functions again and again.
-part = _uncached(_nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=PartCompiler)
+# An option that is not given would be that of the function which is being compiled and calls it.
+part = _uncached(
+    _nrt=False, forceinline=False, no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=PartCompiler
+)
 # And in the machine code of their callers; by numba itself, arrays would be counted at each use.
 unowned_inlined = _uncached(
     _nrt=False, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=PartCompiler

@@ -8,6 +8,8 @@ too. Nothing else differs, but the exact method has a sixth of the code to compi
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
+import numpy as np
+import numpy.typing as npt
 from llvmlite import ir
 from numba.core import cgutils
 from numba.core.imputils import impl_ret_borrowed
@@ -91,7 +93,57 @@ def _until_here(_: Any, values: Any) -> Any:
     return types.none(values), lambda context, builder, signature, arguments: context.get_dummy_value()
 
 
+@intrinsic
+def _words(_: Any, values: Any) -> Any:
+    def emit(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
+        return context.get_constant(types.intp, -(-context.get_abi_sizeof(context.get_value_type(values.of)) // 8))
+
+    return types.intp(values), emit
+
+
+def _row(context: Any, builder: ir.IRBuilder, kept: Any, value: Any, row: Any, of: Any) -> Any:
+    """A pointer to the tuple in a row of an array of words."""
+    array = context.make_array(kept)(context, builder, value)
+    at = cgutils.get_item_pointer(context, builder, kept, array, [row, context.get_constant(types.intp, 0)])
+    return builder.bitcast(at, context.get_value_type(of).as_pointer())
+
+
+@intrinsic
+def _put(_: Any, values: Any, each: Any, k: Any, kept: Any) -> Any:
+    def emit(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
+        pointers = zip((values.of, each.of), arguments, strict=False)
+        first, others = (builder.bitcast(at, context.get_value_type(of).as_pointer()) for of, at in pointers)
+        to = _row(context, builder, kept, arguments[3], arguments[2], values.of)
+        builder.store(builder.load(first), to)
+        for n, name in enumerate(each.of.fields):
+            index, field = values.field(name)
+            batch = context.make_array(tuple(each.of)[n])(
+                context, builder, ref=cgutils.gep_inbounds(builder, others, 0, n)
+            )
+            array = context.make_array(field)(context, builder, ref=cgutils.gep_inbounds(builder, to, 0, index))
+            stride = builder.extract_value(batch.strides, 0)
+            start = builder.add(builder.ptrtoint(batch.data, stride.type), builder.mul(arguments[2], stride))
+            array.data = builder.inttoptr(start, array.data.type)
+        return context.get_dummy_value()
+
+    return types.none(values, each, types.intp, kept), emit
+
+
+@intrinsic
+def _reference_at(_: Any, kept: Any, k: Any, like: Any) -> Any:
+    def emit(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
+        return builder.bitcast(_row(context, builder, kept, arguments[0], arguments[1], like.of), cgutils.voidptr_t)
+
+    return like(kept, types.intp, like), emit
+
+
 # A reference to a named tuple, good in the compiled function that was passed the tuple. One that is made there is freed
 # after its last use, which `keep` is.
 refer = cast(Callable[[Tuple], Tuple], _reference)
 keep = cast(Callable[[object], None], _until_here)
+# How many words of an array of int64 hold a named tuple, of which there is a reference.
+words_of = cast(Callable[[object], int], _words)
+# Keep in row k of such an array a tuple whose arrays, those that `each` names, are the kth of the arrays there.
+put = cast(Callable[[object, object, int, npt.NDArray[np.int64]], None], _put)
+# A reference to the tuple that is kept in a row, of the same type as another reference.
+reference_at = cast(Callable[[npt.NDArray[np.int64], int, Tuple], Tuple], _reference_at)

@@ -94,11 +94,21 @@ class System(NamedTuple):
     status: int  # why this system cannot be run, or OK
 
 
-# the fields that have an axis more in front in the systems of a batch: all others are the same in all of it
-OF_EACH = (
-    *("rates", "inputs", "functionals", "feedthrough", "offsets", "impulse", "restitution", "locking_speed"),
-    *("preload", "contact_torque", "sticking_time"),
-)
+class Each(NamedTuple):
+    """Those fields of `System` in which drivelines of a batch differ, with an axis more in front."""
+
+    rates: FloatArray
+    inputs: FloatArray
+    functionals: FloatArray
+    feedthrough: FloatArray
+    offsets: FloatArray
+    impulse: FloatArray
+    restitution: FloatArray
+    locking_speed: FloatArray
+    preload: FloatArray
+    contact_torque: FloatArray
+    sticking_time: FloatArray
+
 
 gap_input = unowned_inlined(half_gap_of)
 
@@ -188,7 +198,7 @@ def build_system(
     """The switched linear system of a driveline with lashes (report Eqs 2.6, and 2.12 or 2.9).
 
     Or those of a batch of drivelines alike but for numbers, without staged shafts and frictions: inertias, dampings,
-    stiffnesses, speeds and the numbers of lashes then have an axis more in front, and so have the fields of `OF_EACH`.
+    stiffnesses, speeds and the numbers of lashes then have an axis more in front, and so have the fields of `Each`.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Many runs: one tile of a sweep, on one thread, without the interpreter lock."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -9,11 +9,11 @@ from clunk.core import switching
 from clunk.core.events import EVENT, STAGE, TOUCH
 from clunk.core.exact import run as exact
 from clunk.core.exact.flows import Flows
-from clunk.core.exact.workspace import UNDER_WAY, make_workspace
+from clunk.core.exact.workspace import UNDER_WAY, make_workspace, system_at, system_of
 from clunk.core.jit import compiled, part
 from clunk.core.lanes.vectors import WIDTH
 from clunk.core.references import keep, refer
-from clunk.core.regimes import System, lashes_of
+from clunk.core.regimes import Each, System, lashes_of
 from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import Steps
 from clunk.core.runs import Log, Outcome, Start
@@ -58,14 +58,17 @@ IMPACT = np.dtype(
 
 
 class Cases(NamedTuple):
-    """The inputs of cells before the load step, and their loads after it: one for each cell, or one for all."""
+    """What differs from cell to cell: of the loads and the drivelines, one for each cell, or one for all."""
 
-    before: FloatArray  # (cells, INPUTS + L - 1)  d  [N m, rad, N m/s, rad]
-    loads: FloatArray  # (cells or 1, P, PIECE)
+    before: FloatArray  # (cells, INPUTS + L - 1)  d before the load step  [N m, rad, N m/s, rad]
+    loads: FloatArray  # (cells or 1, P, PIECE)  after it
+    drivelines: npt.NDArray[np.int64]  # (cells or 1,)  which of a batch
 
-    def at(self, index: npt.NDArray[np.intp]) -> "Cases":
+    def at(self, index: npt.NDArray[np.intp] | slice) -> "Cases":
         """The cells at these positions."""
-        return Cases(self.before[index], self.loads if len(self.loads) == 1 else self.loads[index])
+        loads = self.loads if len(self.loads) == 1 else self.loads[index]
+        drivelines = self.drivelines if len(self.drivelines) == 1 else self.drivelines[index]
+        return Cases(self.before[index], loads, drivelines)
 
 
 class Output(NamedTuple):
@@ -94,18 +97,46 @@ def cases_of(torque_before: FloatArray, half_gaps: FloatArray, loads: FloatArray
     cells, lashes = half_gaps.shape
     before = np.zeros((cells, INPUTS + lashes - 1))
     before[:, TORQUE], before[:, [half_gap_of(lash) for lash in range(lashes)]] = torque_before, half_gaps
-    return Cases(before, loads)
+    return Cases(before, loads, np.zeros(1, np.int64))
+
+
+class Batch(NamedTuple):
+    """Drivelines that are alike but for numbers: one or, for the exact method, any number D of them."""
+
+    system: System  # of the first
+    each: Each  # what differs, with an axis of D in front
+    tables: Steps | Flows  # of one driveline; or with an axis of D in front
+
+    def of(self, driveline: int) -> tuple[System, Steps | Flows]:
+        """The system and the tables of one driveline."""
+        numbers = {name: array[driveline] for name, array in zip(Each._fields, self.each, strict=True)}
+        tables = self.tables
+        if isinstance(tables, Flows):
+            tables = Flows._make(table[driveline] for table in tables)
+        return self.system._replace(**numbers), tables
+
+    def only(self, driveline: int) -> "Batch":
+        """The batch of one of the drivelines."""
+        return self if len(self.each.rates) == 1 else batch_of(*self.of(driveline))
+
+
+def batch_of(system: System, tables: Steps | Flows) -> Batch:
+    """A batch of one driveline."""
+    each = Each._make(getattr(system, name)[None] for name in Each._fields)
+    return Batch(system, each, Flows._make(table[None] for table in tables) if isinstance(tables, Flows) else tables)
 
 
 def run(system: System, tables: Steps | Flows, start: Start, log: Log, stop: npt.NDArray[np.uint8]) -> Outcome:
     """Run one load step by the method that the tables are for: see `rk4.run.run` and `exact.run.run`."""
-    method: Any = exact.run if isinstance(tables, Flows) else rk4.run
-    return Outcome(*method(system, tables, start, log, stop))
+    if isinstance(tables, Flows):
+        _, each, flows = batch_of(system, tables)
+        assert isinstance(flows, Flows)
+        return Outcome(*exact.run(system, each, flows, start, log, stop))
+    return Outcome(*rk4.run(system, tables, start, log, stop))
 
 
 def run_tile(
-    system: System,
-    tables: Steps | Flows,
+    batch: Batch,
     undecided: float,
     cases: Cases,
     first: int,
@@ -117,8 +148,6 @@ def run_tile(
 
     Parameters
     ----------
-    system, tables
-        As `run` takes them.
     undecided : float
         Cells whose |margin| is below it are flagged.
 
@@ -127,8 +156,11 @@ def run_tile(
     done, written : int
         The first cell that was not run, and how many impacts were written.
     """
-    method: Any = by_exact if isinstance(tables, Flows) else by_rk4
-    done, written = method(system, tables, undecided, cases, first, max_events, output, stop)
+    system, each, tables = batch
+    if isinstance(tables, Flows):
+        done, written = by_exact(system, each, tables, undecided, cases, first, max_events, output, stop)
+    else:
+        done, written = by_rk4(system, tables, undecided, cases, first, max_events, output, stop)
     return done, written
 
 
@@ -168,6 +200,7 @@ def by_rk4(
 @compiled
 def by_exact(
     system: System,
+    each: Each,
     flows: Flows,
     undecided: float,
     cases: Cases,
@@ -180,15 +213,15 @@ def by_exact(
 
     They are over in any order; their impacts are put in that of the cells at the end.
     """
-    system, flows, size = refer(system), refer(flows), system.lashes.shape[1]
+    system, each, flows, size = refer(system), refer(each), refer(flows), system.lashes.shape[1]
     capacity, states = _capacity(max_events, output)
     # of several lashes, runs wait in more queues, which are to be as long
-    queues = 3 * (system.leaders.size + flows.watch.shape[0] * flows.watch.shape[1])
+    queues = 3 * (system.leaders.size + flows.watch.shape[1] * flows.watch.shape[2])
     under_way = UNDER_WAY if len(system.general) == 0 else max(UNDER_WAY, WIDTH * queues)
     slots = min(under_way, max(output.cells.shape[0] - first, 1), max(_EVENT_MEMORY // capacity, 1))
     events, extremes = np.empty((slots, capacity), EVENT), np.empty((slots, capacity, lashes_of(system), 2))
     margins, at_events = np.empty((slots, lashes_of(system))), np.empty((slots, states, size))
-    owner = make_workspace(system, flows, cases.loads, events, extremes, margins, at_events)
+    owner = make_workspace(system, each, flows, cases.loads, events, extremes, margins, at_events)
     space, output, cells, impacts = refer(owner), refer(output), output.cells, output.impacts
     pool, over, scratch, x = space.pool, space.queues.over, _scratch(max_events), np.empty(size)
     waiting, lashes, spare = cells.shape[0] - first, lashes_of(system), slots
@@ -197,13 +230,14 @@ def by_exact(
     admitted, oldest, written, full = first, first, 0, False
     while True:
         while spare > 0 and admitted < cells.shape[0] and not full:
-            before = cases.before[admitted]
-            regime = _preloaded(system, before, cells[admitted], x)
+            before, driveline = cases.before[admitted], cases.drivelines[admitted % cases.drivelines.size]
+            regime = _preloaded(system_at(space, driveline), before, cells[admitted], x)
             if cells[admitted, 0].status == _OK:
                 spare -= 1
                 slot = free[spare]
                 space.runs[slot].tag = admitted
-                exact.begin(space, slot, Start(x, regime, before, cases.loads, admitted % cases.loads.shape[0]))
+                load = admitted % cases.loads.shape[0]
+                exact.begin(space, slot, driveline, Start(x, regime, before, cases.loads, load))
             else:
                 pending[admitted - first] = False
             admitted += 1
@@ -221,7 +255,8 @@ def by_exact(
             log = Log(space.events[slot], space.extremes[slot], space.margins[slot], space.states[slot])
             _keep(log, row.count, output, k)
             outcome = Outcome(row.status, row.count, row.quality, row.time)
-            primaries = _describe(system, undecided, outcome, log, max_events, cells[k], scratch, impacts, written)
+            of_run = system_of(space, slot)
+            primaries = _describe(of_run, undecided, outcome, log, max_events, cells[k], scratch, impacts, written)
             # room is kept for the oldest, so that every call is through with one cell at least
             if written + primaries + (0 if k == oldest else max_events) > impacts.size:
                 full = True

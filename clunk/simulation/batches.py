@@ -1,15 +1,14 @@
 """Many drivelines prepared at once: the same study with other numbers, as arrays."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import repeat
 
 import numpy as np
 import numpy.typing as npt
 
 from clunk.core.exact.flows import Flows
-from clunk.core.regimes import OF_EACH, System
-from clunk.core.rk4.propagator import Steps
+from clunk.core.regimes import Each
+from clunk.core.tile import Batch, batch_of
 from clunk.simulation import driveline
 from clunk.simulation.driveline import Driveline
 from clunk.study.document import Place
@@ -17,14 +16,16 @@ from clunk.study.parameters import located
 from clunk.study.study import Study, refuse_points, replace_values
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.intp]
 
 MOST = 512  # drivelines of a batch: 14 MB of tables, and of each the share in 5 ms of interpreting is small
 
 
-def prepare_many(study: Study, parameters: Sequence[str], values: FloatArray) -> list[tuple[System, Steps | Flows]]:
+def prepare_many(study: Study, parameters: Sequence[str], values: FloatArray) -> list[tuple[IntArray, Batch]]:
     """The switched linear systems of a study with other values, and the tables of its method: see `driveline.prepare`.
 
-    The bits of each are those that it has alone.
+    In batches of those that are alike but for numbers, each with the positions of its drivelines in `values`. The bits
+    of each are those that it has alone.
 
     Parameters
     ----------
@@ -43,15 +44,15 @@ def prepare_many(study: Study, parameters: Sequence[str], values: FloatArray) ->
     # what is no spring or damper where it is zero, and any other value, makes another kind of driveline
     kinds = np.where(varied, values > 0.0, values)
     _, kind_of = np.unique(kinds, axis=0, return_inverse=True)
-    prepared: dict[int, tuple[System, Steps | Flows]] = {}
+    batches: list[tuple[IntArray, Batch]] = []
     for kind in range(kind_of.max(initial=-1) + 1):
         alike = np.flatnonzero(kind_of.ravel() == kind)
         for begin in range(0, alike.size, MOST):
             part = alike[begin : begin + MOST]
             first = replace_values(study, dict(zip(parameters, values[part[0]].tolist(), strict=True)))
             sizes = {place: values[part, k] for k, place in enumerate(places) if varied[k]}
-            prepared |= zip(part.tolist(), _prepare_alike(first, sizes, part.size), strict=True)
-    return [prepared[k] for k in range(len(values))]
+            batches += ((part[some], batch) for some, batch in _prepare_alike(first, sizes, part.size))
+    return batches
 
 
 def _is_size(place: Place) -> bool:
@@ -61,18 +62,29 @@ def _is_size(place: Place) -> bool:
     )
 
 
-def _prepare_alike(study: Study, sizes: dict[Place, FloatArray], count: int) -> list[tuple[System, Steps | Flows]]:
+def _prepare_alike(study: Study, sizes: dict[Place, FloatArray], count: int) -> Iterator[tuple[IntArray, Batch]]:
     """Prepare drivelines that differ from a study's in some sizes only, each (count,)."""
     line = Driveline.from_study(study)
     lines = _with_sizes(study, line, sizes, count)
     if study.solver.method != "exact" or line.staged or line.frictions:
-        return [driveline.prepare(study, lines.of_batch(k)) for k in range(count)]
+        for k in range(count):
+            yield np.array([k]), batch_of(*driveline.prepare(study, lines.of_batch(k)))
+        return
     system, flows = driveline.prepare(study, lines)
     assert isinstance(flows, Flows)
-    fields = (field if name in OF_EACH else repeat(field) for name, field in zip(system._fields, system, strict=True))
-    return list(
-        zip(map(System._make, zip(*fields, strict=False)), map(Flows._make, zip(*flows, strict=True)), strict=True)
-    )
+    each = Each._make(getattr(system, name) for name in Each._fields)
+    first = system._replace(**{name: array[0] for name, array in zip(Each._fields, each, strict=True)})
+    # what a step asks of a flow as a whole
+    shapes = np.concatenate([flows.modal, flows.ringing, flows.steady, flows.rolls], axis=1)
+    _, shape_of = np.unique(shapes, axis=0, return_inverse=True)
+    if not shape_of.any():
+        yield np.arange(count), Batch(first, each, flows)
+        return
+    for shape in range(shape_of.max() + 1):
+        some = np.flatnonzero(shape_of.ravel() == shape)
+        of_some = Each._make(array[some] for array in each)
+        alike = first._replace(**{name: array[0] for name, array in zip(Each._fields, of_some, strict=True)})
+        yield some, Batch(alike, of_some, Flows._make(table[some] for table in flows))
 
 
 def _with_sizes(study: Study, line: Driveline, sizes: dict[Place, FloatArray], count: int) -> Driveline:

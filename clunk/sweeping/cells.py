@@ -6,7 +6,7 @@ import contextlib
 import re
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,8 @@ from clunk.sweeping.tiles import Layout, Tile
 Records = npt.NDArray[np.void]
 Flag = npt.NDArray[np.uint8]  # (1,); set by another thread, it ends the work within a run
 Prepared = tuple[System, Steps | Flows]  # a system and its method's tables
+Point = Mapping[str, float]  # values of structural parameters
+Runs = tuple[Cells, Records, list[Records]]  # positions of runs, their records, and their impacts in pieces
 Group = tuple[dict[str, float], npt.NDArray[np.intp]]  # structural values, and positions of cells that have them
 
 CELL, IMPACT = kernel.CELL, kernel.IMPACT
@@ -48,6 +50,7 @@ _KERNELS: dict[str, tuple[Any, Any]] = {"rk4": (kernel.by_rk4, rk4.run), "exact"
 _OF_GENERAL = " for drivelines with stages, friction or several lashes"
 _NO_LOGS, _NO_STATES = np.zeros((0, 0), EVENT), np.zeros((0, 0, 0))
 _STATES = 1 << 16  # events whose states there is room for at a time: 8 MB, which the caches nearly hold
+_APART = 64  # runs of a driveline: so many are quicker without those of others beside them
 _TILE_POINTS = 2**19  # of tabulated loads: 20 MB where each cell has its own
 
 
@@ -66,50 +69,62 @@ class Systems:
 
     def __init__(self, study: Study, shared: Prepared | None = None) -> None:
         self._study = study
-        self._kept: OrderedDict[tuple[tuple[str, float], ...], Prepared] = OrderedDict()
+        self._kept: OrderedDict[tuple[tuple[str, float], ...], tuple[kernel.Batch, int]] = OrderedDict()
         if shared is not None:
-            self._kept[()] = shared
+            self._kept[()] = kernel.batch_of(*shared), 0
         self._channels: Channels | None = None  # without other values
         self._lock = threading.Lock()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self._study, self._kept.get(()))
+        return type(self), (self._study, self.prepared({}) if () in self._kept else None)
 
-    def prepared(self, values: Mapping[str, float]) -> Prepared:
+    def prepared(self, values: Point) -> Prepared:
         """The system and tables with these values of structural parameters."""
-        key = tuple(values.items())
-        with self._lock:
-            if (kept := self._kept.get(key)) is not None:
-                self._kept.move_to_end(key)
-                return kept
-        prepared = driveline.prepare(replace_values(self._study, values) if values else self._study)
-        with self._lock:
-            self._kept[key] = prepared
-            if len(self._kept) > KEPT_SYSTEMS:
-                self._kept.popitem(last=False)
-        return prepared
+        ((batch, number),) = self._of([values])
+        return batch.of(number)
 
-    def prepare(self, points: Sequence[Mapping[str, float]]) -> None:
-        """Prepare the systems at some values of structural parameters together, for `prepared` to return them."""
+    def batches(self, points: Sequence[Point]) -> Iterator[tuple[kernel.Batch, npt.NDArray[np.int64]]]:
+        """The drivelines at some points, which are prepared many at a time.
+
+        Yields batches, each with the number in it of every point, or -1.
+        """
+        for begin in range(0, len(points), MOST):
+            members: dict[int, tuple[kernel.Batch, npt.NDArray[np.int64]]] = {}
+            for k, (batch, number) in enumerate(self._of(points[begin : begin + MOST]), begin):
+                _, numbers = members.setdefault(id(batch), (batch, np.full(len(points), -1)))
+                numbers[k] = number
+            yield from members.values()
+
+    def _of(self, points: Sequence[Point]) -> list[tuple[kernel.Batch, int]]:
+        """The driveline at each point: its batch, and its number in that."""
+        keys = [tuple(point.items()) for point in points]
         with self._lock:
-            missing = {key: None for point in points if (key := tuple(point.items())) not in self._kept}
-        if len(missing) < 2:
-            return
-        parameters = [parameter for parameter, _ in next(iter(missing))]
-        values = np.array([[value for _, value in key] for key in missing])
-        prepared = prepare_many(self._study, parameters, values)
+            known = {key: self._kept[key] for key in keys if key in self._kept}
+        missing = list(dict.fromkeys(key for key in keys if key not in known))
+        if len(missing) == 1:  # also without any values
+            values = dict(missing[0])
+            prepared = driveline.prepare(replace_values(self._study, values) if values else self._study)
+            known[missing[0]] = kernel.batch_of(*prepared), 0
+        elif missing:  # of the same parameters
+            parameters = [parameter for parameter, _ in missing[0]]
+            columns = np.array([[value for _, value in key] for key in missing])
+            for positions, batch in prepare_many(self._study, parameters, columns):
+                known |= {missing[k]: (batch, number) for number, k in enumerate(positions.tolist())}
         with self._lock:
-            self._kept |= zip(missing, prepared, strict=True)
+            for key in keys:
+                self._kept[key] = known[key]
+                self._kept.move_to_end(key)
             while len(self._kept) > KEPT_SYSTEMS:
                 self._kept.popitem(last=False)
+        return [known[key] for key in keys]
 
-    def channels(self, values: Mapping[str, float]) -> Channels:
-        """The channels of the study's measures with these values of structural parameters."""
+    def channels(self, values: Point, system: System) -> Channels:
+        """The channels of the study's measures with these values of structural parameters, whose system this is."""
         with self._lock:
             if not values and self._channels is not None:
                 return self._channels
         study = replace_values(self._study, values) if values else self._study
-        channels = channels_of(study, self.prepared(values)[0])
+        channels = channels_of(study, system)
         if not values:
             self._channels = channels
         return channels
@@ -168,48 +183,87 @@ class Grid:
         for values, end, begin in zip(unique.tolist(), ends, [0, *ends[:-1]], strict=True):
             yield dict(zip(self._structural, values, strict=True)), order[begin:end]
 
-    def _prepared(self, groups: Sequence[Group]) -> Iterator[Group]:
-        """Groups, whose systems are prepared many at a time."""
-        for begin in range(0, len(groups), MOST):
-            some = groups[begin : begin + MOST]
-            self.systems.prepare([values for values, _ in some])
-            yield from some
-
     def run(self, cells: Cells, stop: Flag) -> Tile:
         """Run cells; the tile has those that were done before `stop` was set."""
         cases = self.cases(self.design.at(cells), cells.size)
-        buffer = self.impact_buffer(cells.size)
-        run_group = self.measured_group if self.study.measured else self.run_group
-        none = np.zeros(0, self.layout.detail)
-        if not self._structural:
-            records, pieces = run_group({}, cases, buffer, stop)
-            return Tile(cells[: records.size // self.layout.lashes], records, np.concatenate([none, *pieces]))
-        groups = list(self.groups(cells))
-        every = np.concatenate([positions for _, positions in groups])
-        cases, begin = cases.at(every), 0
-        rows: list[Records] = [np.zeros(0, self.layout.record)]
-        impacts: list[Records] = [none]
-        done: list[npt.NDArray[np.intp]] = []
-        for values, positions in self._prepared(groups):
-            if stop[0]:
-                break
-            finished, pieces = run_group(values, _part(cases, begin, begin + positions.size), buffer, stop)
-            begin += positions.size
-            done.append(positions[: finished.size // self.layout.lashes])
-            rows.append(finished)
-            impacts += pieces
-        # with the type, which numpy would otherwise find anew for each piece
-        records = np.concatenate(rows, dtype=self.layout.record)
-        details = np.concatenate(impacts, dtype=self.layout.detail)
-        return self._in_order(cells, np.concatenate([every[:0], *done]), records, details)
+        run_all = self._measured_runs if self.study.measured else self._runs
+        done, records, details = self._in_order(run_all(*self._points(cells), cases, stop), self.layout)
+        return Tile(cells[done], records, details)
 
-    def _in_order(self, cells: Cells, positions: npt.NDArray[np.intp], records: Records, details: Records) -> Tile:
-        """The tile of those cells that are at some positions, from their records and impacts in the order of these."""
+    def _points(self, cells: Cells) -> tuple[list[Point], Cells]:
+        """The different values of structural parameters, and which of them each cell has."""
+        point_of, points = np.zeros(cells.size, np.int64), list[Point]()
+        for values, positions in self.groups(cells):
+            point_of[positions] = len(points)
+            points.append(values)
+        return points, point_of
+
+    def run_cases(
+        self, points: Sequence[Point], point_of: Cells, cases: kernel.Cases, stop: Flag
+    ) -> tuple[Cells, Records, Records]:
+        """Run cases, each with the driveline at one of some points.
+
+        points : values of the structural parameters
+        point_of : (runs,)
+
+        Returns the positions of the runs that were done before `stop` was set, in order, and their CELL and IMPACT.
+        """
+        runs = self._runs(points, point_of, cases, stop)
+        return self._in_order(runs, Layout(CELL, IMPACT, self.layout.counted_by, self.layout.lashes))
+
+    def _in_order(self, runs: Iterable[Runs], layout: Layout) -> tuple[Cells, Records, Records]:
+        """Positions, records and impacts of runs in the order of their positions."""
+        done, rows, pieces = [np.zeros(0, np.int64)], [np.zeros(0, layout.record)], [np.zeros(0, layout.detail)]
+        for positions, finished, impacts in runs:
+            done.append(positions[: finished.size // layout.lashes])
+            rows.append(finished)
+            pieces += impacts
+        # with the type, which numpy would otherwise find anew for each piece
+        positions, records = np.concatenate(done), np.concatenate(rows, dtype=layout.record)
+        details = np.concatenate(pieces, dtype=layout.detail)
+        if (positions[1:] > positions[:-1]).all():
+            return positions, records, details
         first, order = np.argsort(positions), np.empty_like(positions)
         order[first] = np.arange(positions.size)
-        owners = np.repeat(self.layout.rows(order), records["primary_impacts"])
+        owners = np.repeat(layout.rows(order), records["primary_impacts"])
         in_order = np.argsort(owners, kind="stable")
-        return Tile(cells[positions[first]], records[self.layout.rows(first)], details[in_order])
+        return positions[first], records[layout.rows(first)], details[in_order]
+
+    def _runs(self, points: Sequence[Point], point_of: Cells, cases: kernel.Cases, stop: Flag) -> Iterator[Runs]:
+        """Runs of one batch of drivelines after the other."""
+        buffer = self.impact_buffer(point_of.size)
+        for batch, positions, part in self._by_batches(points, point_of, cases, _APART):
+            if stop[0]:
+                return
+            output = kernel.Output(self._cells(positions.size), buffer, _NO_LOGS, _NO_STATES)
+            yield positions, *self._run(batch, part, output, stop)
+
+    def _measured_runs(
+        self, points: Sequence[Point], point_of: Cells, cases: kernel.Cases, stop: Flag
+    ) -> Iterator[Runs]:
+        """`_runs` with the measures of the study: records and impacts as the grid's layout has them."""
+        buffer = self.impact_buffer(point_of.size)
+        for batch, positions, part in self._by_batches(points, point_of, cases, 0):
+            if stop[0]:
+                return
+            channels = self.systems.channels(points[point_of[positions[0]]], batch.system)
+            yield positions, *self._measured(batch, channels, part, buffer, stop)
+
+    def _by_batches(
+        self, points: Sequence[Point], point_of: Cells, cases: kernel.Cases, apart: int
+    ) -> Iterator[tuple[kernel.Batch, Cells, kernel.Cases]]:
+        """Cut runs by the batches of their drivelines, and by drivelines where each has `apart` runs or more."""
+        for batch, numbers in self.systems.batches(points):
+            of_runs = numbers[point_of]
+            positions = np.flatnonzero(of_runs >= 0)
+            drivelines = of_runs[positions]
+            used = np.unique(drivelines)
+            if used.size > 1 and positions.size < apart * used.size:
+                yield batch, positions, cases.at(positions)._replace(drivelines=drivelines)
+                continue
+            for each in used.tolist():
+                some = positions[drivelines == each] if used.size > 1 else positions
+                yield batch.only(each), some, cases.at(some)
 
     def logged(self, cells: Cells) -> tuple[Records, Records]:
         """Run cells and keep their events: CELL (n, lashes), and EVENT (n, events), times NaN behind the last one."""
@@ -217,37 +271,23 @@ class Grid:
         records = np.zeros((cells.size, self.layout.lashes), CELL)
         logs = np.zeros((cells.size, self.study.solver.max_events + 1), EVENT)
         logs["time"] = np.nan
-        for values, positions in self._prepared(list(self.groups(cells))):
-            part, events = cases.at(positions), logs[positions]
-            output = kernel.Output(self._cells(len(positions)), buffer, events, _NO_STATES)
-            rows, _ = self._run(values, part, output, np.zeros(1, np.uint8))
+        points, point_of = self._points(cells)
+        for batch, positions, part in self._by_batches(points, point_of, cases, _APART):
+            events = logs[positions]
+            output = kernel.Output(self._cells(positions.size), buffer, events, _NO_STATES)
+            rows, _ = self._run(batch, part, output, np.zeros(1, np.uint8))
             records[positions], logs[positions] = rows.reshape(len(positions), -1), events
         return records, logs[:, : int((~np.isnan(logs["time"])).sum(axis=1).max(initial=0))]
 
     def impact_buffer(self, runs: int) -> Records:
-        """Room for the primary impacts of up to `runs` runs, IMPACT; see `run_group`."""
+        """Room for the primary impacts of up to `runs` runs, IMPACT; see `run_cases`."""
         return np.zeros(8 * runs + self.study.solver.max_events, IMPACT)
 
-    def run_group(
-        self, values: Mapping[str, float], cases: kernel.Cases, buffer: Records, stop: Flag
+    def _measured(
+        self, batch: kernel.Batch, channels: Channels, cases: kernel.Cases, buffer: Records, stop: Flag
     ) -> tuple[Records, list[Records]]:
-        """Records and impacts of runs of one system, lash by lash, of those that were done before `stop` was set.
-
-        values : of the structural parameters
-        cases : torques and gap of each run
-        buffer : IMPACT, to work in; see `impact_buffer`
-
-        Returns CELL, one of each run and lash, and IMPACT, in pieces.
-        """
-        output = kernel.Output(self._cells(len(cases.before)), buffer, _NO_LOGS, _NO_STATES)
-        return self._run(values, cases, output, stop)
-
-    def measured_group(
-        self, values: Mapping[str, float], cases: kernel.Cases, buffer: Records, stop: Flag
-    ) -> tuple[Records, list[Records]]:
-        """`run_group` with the measures of the study: records and impacts as the grid's layout has them."""
-        system, _ = self.systems.prepared(values)
-        channels = self.systems.channels(values)
+        """Records and impacts of runs of one driveline, with measures."""
+        system = batch.system
         has_stages = system.regimes.size > system.strides[len(system.lashes)]
         capacity = (self.study.solver.max_events + 1) * (MOST_STAGES if has_stages else 1)
         runs, size = len(cases.before), system.rates.shape[1]
@@ -255,10 +295,10 @@ class Grid:
         logs, states = np.zeros((each, capacity), EVENT), np.empty((each, capacity, size))
         records, impacts = [np.zeros(0, self.layout.record)], [np.zeros(0, self.layout.detail)]
         for begin in range(0, runs, each):
-            part = _part(cases, begin, begin + each)
+            part = cases.at(slice(begin, begin + each))
             logs["time"] = np.nan
             output = kernel.Output(self._cells(len(part.before)), buffer, logs, states)
-            rows, pieces = self._run(values, part, output, stop)
+            rows, pieces = self._run(batch, part, output, stop)
             cells, details = rows.reshape(-1, self.layout.lashes), np.concatenate([buffer[:0], *pieces])
             totals = np.full((*cells.shape, OF_IMPACTS + len(self.study.measures)), np.nan)
             of_impacts = np.full((details.size, OF_IMPACTS), np.nan)
@@ -272,14 +312,14 @@ class Grid:
         return np.concatenate(records), impacts
 
     def _run(
-        self, values: Mapping[str, float], cases: kernel.Cases, output: kernel.Output, stop: Flag
+        self, batch: kernel.Batch, cases: kernel.Cases, output: kernel.Output, stop: Flag
     ) -> tuple[Records, list[Records]]:
-        system, tables = self.systems.prepared(values)
+        """CELL, one of each run and lash, of those that were done before `stop` was set; and IMPACT, in pieces."""
         solver = self.study.solver
         done, impacts = 0, []
         while done < len(output.cells) and not stop[0]:
             done, written = kernel.run_tile(
-                system, tables, solver.margin_tolerance, cases, done, solver.max_events, output, stop
+                batch, solver.margin_tolerance, cases, done, solver.max_events, output, stop
             )
             impacts.append(output.impacts[:written].copy())
         return output.cells[:done].ravel(), impacts
@@ -293,12 +333,6 @@ def layout_of(study: Study) -> Layout:
     names = study.impacts.quantities
     measures = [(name, "f8") for name in (*names, *(each.name for each in study.measures))]
     return Layout(_with(CELL, measures), _with(IMPACT, measures[: len(names)]), "primary_impacts", len(study.lashes))
-
-
-def _part(cases: kernel.Cases, begin: int, end: int) -> kernel.Cases:
-    """The cells from one position to before another."""
-    loads = cases.loads if len(cases.loads) == 1 else cases.loads[begin:end]
-    return kernel.Cases(cases.before[begin:end], loads)
 
 
 def _with(record: np.dtype[np.void], fields: list[tuple[str, str]]) -> np.dtype[np.void]:
@@ -342,9 +376,9 @@ def _is_compiled(dispatcher: Any, system: System) -> bool:
 
 def warm_up(study: Study) -> None:
     """Compile the kernel of a study's method, or load it, before a sweep rather than in the middle of it."""
-    system, tables = driveline.prepare(study)
+    batch = kernel.batch_of(*driveline.prepare(study))
     cases, output = (
         Grid(study).cases({}, 0),
         kernel.Output(np.zeros((0, 1), CELL), np.zeros(0, IMPACT), _NO_LOGS, _NO_STATES),
     )
-    kernel.run_tile(system, tables, 0.0, cases, 0, 1, output, np.zeros(1, np.uint8))
+    kernel.run_tile(batch, 0.0, cases, 0, 1, output, np.zeros(1, np.uint8))

@@ -1,7 +1,7 @@
 """Tolerance maps: every cell of a grid, run for the same sample of the toleranced parameters, reduced to statistics.
 
-A tile runs its cells draw by draw, since most draws are systems of their own, which all cells of a tile then share.
-Of a cell's runs only their outcomes are kept, each with its number of runs, and the statistics of their severity.
+Most draws are systems of their own, which all cells of a tile share. Of a cell's runs only their outcomes are kept,
+each with its number of runs, and the statistics of their severity.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from clunk.core.status import Status
 from clunk.core.tile import LONGEST_PATTERN
 from clunk.results.labels import FAILED_CODE
 from clunk.results.tolerancemap import QUANTILES, ToleranceMap
-from clunk.simulation.batches import MOST
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import Cells, FloatArray, design_of, drawn_numbers
 from clunk.study.parameters import nominal_value, quantity
@@ -85,22 +84,28 @@ class SampleRunner:
         severity = np.full((count, self.draws + 1), np.nan)
         status = np.zeros((count, self.draws + 1), np.uint8)
         long: list[Flanks] = []
-        buffer = self.grid.impact_buffer(cells.size)
         # tiles that run at the same time begin far apart, so that each prepares systems for the others
         begin = int(_GOLDEN * (cells[0] // cells.size) * self.draws)
         order = [self.draws, *((begin + np.arange(self.draws)) % self.draws)]
         for values, positions in self.grid.groups(cells):
             nominal, rows = {key: column[positions] for key, column in at.items()}, self.layout.rows(positions)
-            for k, draw in enumerate(order):
-                if self._new_systems and k % MOST == 0:
-                    self.grid.systems.prepare([self._at(each, values, {})[0] for each in order[max(k, 1) : k + MOST]])
-                system, driving = (values, nominal) if draw == self.draws else self._at(draw, values, nominal)
-                cases = self.grid.cases({**driving, **system}, positions.size)
-                records, impacts = self.grid.run_group(system, cases, buffer, stop)
-                if records.size < rows.size:
+            at_a_time = max(_TILE_RUNS // positions.size, 1)
+            for draws in (order[k : k + at_a_time] for k in range(0, len(order), at_a_time)):
+                drawn = [self._at(draw, values, nominal) for draw in draws]
+                columns = {
+                    key: np.concatenate([np.broadcast_to(column[key], positions.size) for column in every])
+                    for every in zip(*drawn, strict=True)
+                    for key in every[0]
+                }
+                cases = self.grid.cases(columns, len(draws) * positions.size)
+                point_of = np.repeat(np.arange(len(draws)), positions.size)
+                _, records, impacts = self.grid.run_cases([point for point, _ in drawn], point_of, cases, stop)
+                if records.size < len(draws) * rows.size:
                     return Tile(cells[:0], np.zeros(0, TOLERANCE_CELL), np.zeros(0, OUTCOME))
-                severity[rows, draw], status[rows, draw] = records["severity"], records["status"]
-                patterns[rows, draw] = _numbered(records, impacts, long)
+                at_draws = rows[:, None], np.array(draws)
+                severity[at_draws] = records["severity"].reshape(len(draws), -1).T
+                status[at_draws] = records["status"].reshape(len(draws), -1).T
+                patterns[at_draws] = _numbered(records, [impacts], long).reshape(len(draws), -1).T
         summaries = [_summary(patterns[k], severity[k], status[k], long) for k in range(count)]
         records = np.array([record for record, _ in summaries], TOLERANCE_CELL)
         return Tile(cells, records, np.array([each for _, outcomes in summaries for each in outcomes], OUTCOME))
@@ -108,15 +113,17 @@ class SampleRunner:
     def _at(
         self, draw: int, system: Mapping[str, float], cells: Mapping[str, FloatArray]
     ) -> tuple[dict[str, float], dict[str, FloatArray]]:
-        """Values at a draw, structural and of the cells, drawn around the nominal ones."""
+        """Values at a draw, structural and of the cells, drawn around the nominal ones; the last draw is these."""
         system, cells = dict(system), dict(cells)
         for tolerance in self._tolerances:
             parameter = tolerance.parameter
-            drawn, nominal = self.drawn[parameter][draw], nominal_value(self.grid.study, parameter)
-            if leaves_system(self.grid.study, parameter):
-                cells[parameter] = tolerance.applied(drawn, cells.get(parameter, nominal))
+            is_of_cells = leaves_system(self.grid.study, parameter)
+            nominal = (cells if is_of_cells else system).get(parameter, nominal_value(self.grid.study, parameter))
+            value = nominal if draw == self.draws else tolerance.applied(self.drawn[parameter][draw], nominal)
+            if is_of_cells:
+                cells[parameter] = np.asarray(value)
             else:
-                system[parameter] = float(tolerance.applied(drawn, system.get(parameter, nominal)))
+                system[parameter] = float(value)
         return system, cells
 
 

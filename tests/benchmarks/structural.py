@@ -147,9 +147,13 @@ def serve(pipe) -> None:
 
 def states_of(study: clunk.Study, values: dict[str, np.ndarray]) -> np.ndarray:
     """(runs, 8) the states at the load step."""
-    prepared = batches.prepare_many(study, DRAWN, np.stack([values[key] for key in DRAWN], axis=-1))
+    columns = np.stack([values[key] for key in DRAWN], axis=-1)
     before, _ = run_load(study)
-    return np.stack([preload(system, before).x for system, _ in prepared])
+    states = np.empty((len(columns), 2 * len(study.driveline.inertias)))
+    for positions, batch in batches.prepare_many(study, DRAWN, columns):
+        for number, k in enumerate(positions):
+            states[k] = preload(batch.of(number)[0], before).x
+    return states
 
 
 def main() -> None:

@@ -1,7 +1,7 @@
 """Functionals of runs side by side, one in each lane: their values, bounds of their derivatives, and what those prove.
 
 Of each run there are modal coordinates, C of them, and the amplitudes of their pairs. `work` has a row of lanes for
-each of these numbers, coordinates first. The other arrays are those of `flows.Flows`, for one flow and one functional.
+each of these numbers, coordinates first. The tables are those of `flows.Flows`, for one flow and one functional.
 """
 
 from typing import NamedTuple
@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.exact.flows import BLOCK, CURVATURE, JERK, SIXTH, SLOPE, SLOPE_BOUND, SWAY, VALUE
+from clunk.core.exact.flows import BLOCK, CURVATURE, JERK, SIXTH, SLOPE, SLOPE_BOUND, SWAY, VALUE, WATCHED
 from clunk.core.jit import unowned_inlined
 from clunk.core.lanes import vectors
-from clunk.core.lanes.vectors import ROW, Vector, fused
+from clunk.core.lanes.vectors import ROW, Table, Vector, fused
 from clunk.core.tables import INPUTS, TORQUE_RATE
 
 FloatArray = npt.NDArray[np.float64]
@@ -49,14 +49,14 @@ class Origin(NamedTuple):
 
 
 @unowned_inlined
-def weight(array: FloatArray, row: int, lane: int) -> float:
+def weight(table: Table, row: int, column: int) -> Vector | float:
     """A number of a table whose rows have eight."""
-    return float(vectors.number(array, row * ROW + lane))
+    return vectors.number(table, row * ROW + column)
 
 
 @unowned_inlined
 def evaluate(
-    watch: FloatArray, work: FloatArray, size: int, left_out: Vector, most_left_out: int
+    watch: Table, work: FloatArray, size: int, left_out: Vector, most_left_out: int
 ) -> tuple[Curve, Vector, Curve, Vector, Vector]:
     """A functional less its origin, and without its fastest pairs.
 
@@ -79,20 +79,23 @@ def evaluate(
     next_value, next_slope, next_curvature, next_jerk, next_sixth, next_sway = zero, zero, zero, zero, zero, zero
     for begin in range(0, size, ROW):
         for k in range(BLOCK):
-            p, number = begin + k, begin // 2 + k
+            p, number, at = begin + k, begin // 2 + k, begin // ROW * WATCHED + k
             one, other = vectors.load(work, p), vectors.load(work, p + BLOCK)
             amplitude = vectors.load(work, size + number)
-            a = fused(other, weight(watch, p + BLOCK, VALUE), one * weight(watch, p, VALUE))
-            b = fused(other, weight(watch, p + BLOCK, SLOPE), one * weight(watch, p, SLOPE))
-            c = fused(other, weight(watch, p + BLOCK, CURVATURE), one * weight(watch, p, CURVATURE))
-            jerking, swing = amplitude * weight(watch, size + p, JERK), amplitude * weight(watch, size + p, SWAY)
-            highest = amplitude * weight(watch, size + p, SIXTH)
+            a, b, c = (
+                _pair(watch, at + VALUE, one, other),
+                _pair(watch, at + SLOPE, one, other),
+                _pair(watch, at + CURVATURE, one, other),
+            )
+            jerking, swing = amplitude * vectors.number(watch, at + JERK), amplitude * vectors.number(watch, at + SWAY)
+            highest = amplitude * vectors.number(watch, at + SIXTH)
             if number < most_left_out:
-                slow, at = left_out <= float(number), left_out == float(number)
-                next_value, next_slope = vectors.choose(at, a, next_value), vectors.choose(at, b, next_slope)
-                next_curvature = vectors.choose(at, c, next_curvature)
-                next_jerk, next_sway = vectors.choose(at, jerking, next_jerk), vectors.choose(at, swing, next_sway)
-                next_sixth = vectors.choose(at, highest, next_sixth)
+                slow, fastest = left_out <= float(number), left_out == float(number)
+                next_value, next_slope = vectors.choose(fastest, a, next_value), vectors.choose(fastest, b, next_slope)
+                next_curvature = vectors.choose(fastest, c, next_curvature)
+                next_jerk = vectors.choose(fastest, jerking, next_jerk)
+                next_sway = vectors.choose(fastest, swing, next_sway)
+                next_sixth = vectors.choose(fastest, highest, next_sixth)
                 ringing += vectors.choose(slow, 0.0, swing)
                 a, b, c = vectors.choose(slow, a, 0.0), vectors.choose(slow, b, 0.0), vectors.choose(slow, c, 0.0)
                 jerking, swing = vectors.choose(slow, jerking, 0.0), vectors.choose(slow, swing, 0.0)
@@ -105,54 +108,58 @@ def evaluate(
 
 
 @unowned_inlined
-def slope_bound(watch: FloatArray, work: FloatArray, size: int, left_out: Vector, most_left_out: int) -> Vector:
+def _pair(watch: Table, at: int, one: Vector, other: Vector) -> Vector:
+    """What a pair of coordinates adds to the number of a functional that begins at a place of `watch`."""
+    return fused(other, vectors.number(watch, at + BLOCK), one * vectors.number(watch, at))
+
+
+@unowned_inlined
+def slope_bound(watch: Table, work: FloatArray, size: int, left_out: Vector, most_left_out: int) -> Vector:
     """What the fastest pairs of a functional add to its slope at most from now on."""
     total = vectors.splat(0.0)
     for pair in range(most_left_out):
-        p = pair + pair // BLOCK * BLOCK
-        fast = vectors.load(work, size + pair) * weight(watch, size + p, SLOPE_BOUND)
+        at = pair // BLOCK * WATCHED + pair % BLOCK
+        fast = vectors.load(work, size + pair) * vectors.number(watch, at + SLOPE_BOUND)
         total += vectors.choose(left_out > float(pair), fast, 0.0)
     return total
 
 
 @unowned_inlined
 def evaluate_again(
-    watch: FloatArray, work: FloatArray, size: int, left_out: Vector, most_left_out: int, before: Curve
+    watch: Table, work: FloatArray, size: int, left_out: Vector, most_left_out: int, before: Curve
 ) -> Curve:
     """The value, slope and curvature of `evaluate`, with the bounds that were known `before`."""
     zero = vectors.splat(0.0)
     value, slope, curvature = zero, zero, zero
     for begin in range(0, size, ROW):
         for k in range(BLOCK):
-            p, pair = begin + k, begin // 2 + k
+            p, pair, at = begin + k, begin // 2 + k, begin // ROW * WATCHED + k
             one, other = vectors.load(work, p), vectors.load(work, p + BLOCK)
             if pair < most_left_out:
                 slow = left_out <= float(pair)
                 one, other = vectors.choose(slow, one, 0.0), vectors.choose(slow, other, 0.0)
-            value += fused(other, weight(watch, p + BLOCK, VALUE), one * weight(watch, p, VALUE))
-            slope += fused(other, weight(watch, p + BLOCK, SLOPE), one * weight(watch, p, SLOPE))
-            curvature += fused(other, weight(watch, p + BLOCK, CURVATURE), one * weight(watch, p, CURVATURE))
+            value += _pair(watch, at + VALUE, one, other)
+            slope += _pair(watch, at + SLOPE, one, other)
+            curvature += _pair(watch, at + CURVATURE, one, other)
     return Curve(value, slope, curvature, before.jerk, before.sixth)
 
 
 @unowned_inlined
-def bounds(watch: FloatArray, work: FloatArray, size: int) -> tuple[Vector, Vector, Vector]:
+def bounds(watch: Table, work: FloatArray, size: int) -> tuple[Vector, Vector, Vector]:
     """What bounds from now on a functional's third and sixth derivatives, and its value less its origin."""
     zero = vectors.splat(0.0)
     jerk, sixth, sway = zero, zero, zero
     for begin in range(0, size, ROW):
         for k in range(BLOCK):
-            amplitude = vectors.load(work, size + begin // 2 + k)
-            jerk = fused(amplitude, weight(watch, size + begin + k, JERK), jerk)
-            sixth = fused(amplitude, weight(watch, size + begin + k, SIXTH), sixth)
-            sway = fused(amplitude, weight(watch, size + begin + k, SWAY), sway)
+            amplitude, at = vectors.load(work, size + begin // 2 + k), begin // ROW * WATCHED + k
+            jerk = fused(amplitude, vectors.number(watch, at + JERK), jerk)
+            sixth = fused(amplitude, vectors.number(watch, at + SIXTH), sixth)
+            sway = fused(amplitude, vectors.number(watch, at + SWAY), sway)
     return jerk, sixth, sway
 
 
 @unowned_inlined
-def weighed(
-    inputs: FloatArray, at: int, weights: FloatArray, first: int, stride: int, driven: int, ramps: bool
-) -> Vector:
+def weighed(inputs: FloatArray, at: int, weights: Table, first: int, stride: int, driven: int, ramps: bool) -> Vector:
     """Weights times inputs, which are `driven` rows of lanes from `at` on; rounded once a term.
 
     ramps : whether the torque's rate of change can be other than zero
@@ -169,7 +176,7 @@ def weighed(
 
 
 @unowned_inlined
-def weighed_drift(inputs: FloatArray, at: int, weights: FloatArray, first: int, stride: int, driven: int) -> Vector:
+def weighed_drift(inputs: FloatArray, at: int, weights: Table, first: int, stride: int, driven: int) -> Vector:
     """`weighed`, each product rounded: the slopes and curvatures of what drifts."""
     total = vectors.load(inputs, at) * vectors.number(weights, first)
     for k in range(1, driven):
@@ -179,16 +186,24 @@ def weighed_drift(inputs: FloatArray, at: int, weights: FloatArray, first: int, 
 
 @unowned_inlined
 def origin(
-    output: FloatArray, f: int, inputs: FloatArray, at: int, driven: int, still: bool, ramps: bool, elapsed: Vector
+    output: Table,
+    f: int,
+    functionals: int,
+    inputs: FloatArray,
+    at: int,
+    driven: int,
+    still: bool,
+    ramps: bool,
+    elapsed: Vector,
 ) -> Origin:
     """A functional's origin after a time.
 
-    output : (4, F, I) float64
+    output : of (4, F, I) numbers, functionals : F
     inputs : (…, W) float64, `driven` rows from `at` on
     still : whether it does not move
     ramps : whether the torque's rate of change can be other than zero
     """
-    first, order = f * driven, output.shape[1] * driven
+    first, order = f * driven, functionals * driven
     value = weighed(inputs, at, output, first, 1, driven, ramps)
     slope = curvature = jerk = vectors.splat(0.0)
     if not still:
@@ -202,9 +217,9 @@ def origin(
 
 
 @unowned_inlined
-def origin_slope(output: FloatArray, f: int, inputs: FloatArray, at: int, driven: int) -> Vector:
+def origin_slope(output: Table, f: int, functionals: int, inputs: FloatArray, at: int, driven: int) -> Vector:
     """What the torque's rate of change makes the slope of a functional's origin, of one that moves by nothing else."""
-    first = (output.shape[1] + f) * driven + TORQUE_RATE
+    first = (functionals + f) * driven + TORQUE_RATE
     return vectors.load(inputs, at + TORQUE_RATE) * vectors.number(output, first)
 
 
@@ -302,7 +317,7 @@ def guess(guard: Curve, h: Vector) -> Vector:
 
 @unowned_inlined
 def longest(
-    shortest: float, guards: FloatArray, first: int, stride: int, count: int, at_most: Vector
+    shortest: Vector, guards: FloatArray, first: int, stride: int, count: int, at_most: Vector
 ) -> tuple[Vector, Vector]:
     """The longest span of the ladder, at most `at_most`, up to which all guards stay positive by `guess`; its number.
 
@@ -311,7 +326,7 @@ def longest(
     guards : (…, W) float64
         `count` curves, the first from row `first` on, each `stride` rows behind the one before it.
     """
-    h, k = vectors.splat(shortest), vectors.splat(0.0)
+    h, k = shortest, vectors.splat(0.0)
     blocked = ~_passes(guards, first, stride, count, h, at_most)
     for octaves in (4, 1):  # the octave, of 16, in base 4: three at once, since each takes long to be known
         a, b, c = h * float(1 << octaves), h * float(1 << 2 * octaves), h * float(1 << 3 * octaves)

@@ -36,9 +36,12 @@ SPANS = 32  # two an octave
 BLOCK = ROW // 2  # pairs: their number is filled up to a multiple
 TERMS = 12  # of a Taylor series over the shortest span
 LONG = 2 * ROW  # room for its terms
-# columns of `Flows.watch`: a functional less its origin, its slope and curvature; what bounds from now on its third
-# derivative, its value less its origin, its slope and its sixth derivative
-VALUE, SLOPE, CURVATURE, JERK, SWAY, SLOPE_BOUND, SIXTH = range(7)
+# where in a block of `Flows.watch` begins what multiplies coordinates: to a functional less its origin, its slope and
+# curvature; and amplitudes: to what bounds from now on its third derivative, its value less its origin, its slope and
+# its sixth derivative
+VALUE, SLOPE, CURVATURE = range(0, 3 * ROW, ROW)
+JERK, SWAY, SLOPE_BOUND, SIXTH = range(3 * ROW, 3 * ROW + 4 * BLOCK, BLOCK)
+WATCHED = 3 * ROW + 4 * BLOCK
 _BOUNDED = (3, 0, 1, 6)  # the orders that JERK and what follows it bound
 SELF, CROSS, DECAY = range(3)  # of a 2 x 2 block: what multiplies a coordinate itself, and its partner
 _SHORTEST = 1.0 / 4.0  # |λ| times the shortest span: TERMS terms are then exact to rounding
@@ -65,7 +68,7 @@ class Flows(NamedTuple):
     propagator: FloatArray  # (K, SPANS, B, 3, 8)  over a span: each coordinate's SELF and CROSS share, and its DECAY
     power: FloatArray  # (K, TERMS, B, 2, 8)  SELF and CROSS of (Λ times the shortest span)^k / k!, for modes
     generator: FloatArray  # (K, C, C)  Λ times the shortest span
-    watch: FloatArray  # (K, F, 2C, 8)  coordinates, then amplitudes -> VALUE to CURVATURE; JERK to SIXTH
+    watch: FloatArray  # (K, F, B, WATCHED)  coordinates -> VALUE to CURVATURE, amplitudes -> JERK to SIXTH
     series: FloatArray  # (K, F, C, LONG)  y -> a functional's Taylor coefficients over the shortest span
     steady: IntArray  # (K,)  whether the functionals of the origin do not move under a constant torque
     rolls: IntArray  # (K,)  whether the origin does, all the same
@@ -141,7 +144,7 @@ def build_flows(
         propagator=np.zeros((*many, flows, SPANS, blocks, 3, ROW)),
         power=np.zeros((*many, flows, TERMS, blocks, 2, ROW)),
         generator=np.zeros((*many, flows, size, size)),
-        watch=np.zeros((*many, flows, count, 2 * size, ROW)),
+        watch=np.zeros((*many, flows, count, blocks, WATCHED)),
         series=np.zeros((*many, flows, count, size, LONG)),
         steady=np.zeros((*many, flows), np.int64),
         rolls=np.zeros((*many, flows), np.int64),
@@ -244,9 +247,12 @@ def _fill_alike(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int
     tables.series[..., :TERMS] = np.moveaxis(_TAYLOR[:, None, None, None] * derivatives, 0, -1)
     orders = np.arange(max(_BOUNDED) + 1)[:, None, None, None]
     slow = derivatives[: orders.size] / shortest[:, None, None] ** orders
-    watch = tables.watch.reshape(*functionals.shape[:2], 2, -1, 2, BLOCK, ROW)
-    watch[:, :, 0, ..., VALUE : CURVATURE + 1] = np.moveaxis(_halves(slow[: CURVATURE + 1]), 0, -1)
-    watch[:, :, 1, :, 0, :, JERK : SIXTH + 1] = np.moveaxis(growth * _reach(slow[list(_BOUNDED)], modal), 0, -1)
+    watch, bounds = (
+        tables.watch.reshape(*tables.watch.shape[:-1], -1, ROW),
+        growth * _reach(slow[list(_BOUNDED)], modal),
+    )
+    watch[..., : JERK // ROW, :] = np.moveaxis(slow[: JERK // ROW].reshape(-1, *watch.shape[:-2], ROW), 0, -2)
+    watch[..., JERK // ROW :, :] = np.moveaxis(bounds, 0, -2).reshape(*watch.shape[:-2], -1, ROW)
 
 
 def _outputs(functionals: FloatArray, columns: FloatArray, chain: Chain) -> FloatArray:

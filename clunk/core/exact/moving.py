@@ -3,13 +3,13 @@
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.exact import rows
+from clunk.core.exact import functionals, rows
 from clunk.core.exact.curves import A_THIRD, weighed, weighed_drift, weight
-from clunk.core.exact.flows import BLOCK, CROSS, DECAY, SELF, TERMS
-from clunk.core.exact.workspace import Workspace, field, is_still
-from clunk.core.jit import unowned_inlined
+from clunk.core.exact.flows import BLOCK, CROSS, DECAY, SELF, SPANS, TERMS
+from clunk.core.exact.workspace import Workspace, field, is_still, size_of
+from clunk.core.jit import part, unowned_inlined
 from clunk.core.lanes import vectors
-from clunk.core.lanes.vectors import ROW, WIDTH, Vector, fused
+from clunk.core.lanes.vectors import ROW, WIDTH, OfLanes, Table, Vector, fused
 from clunk.core.regimes import inputs_of
 
 FloatArray = npt.NDArray[np.float64]
@@ -18,10 +18,33 @@ FloatArray = npt.NDArray[np.float64]
 @unowned_inlined
 def to_coordinates(space: Workspace, flow: int) -> None:
     """From the states of the runs taken to their coordinates in a flow, and the amplitudes of these."""
-    flows, work, away = space.flows, space.pool.work, space.moved
-    size, states = flows.basis.shape[1], flows.coordinates.shape[1]
+    if space.mixed != 0:
+        _to_own_coordinates(space, flow)
+    else:
+        _to_coordinates(space, space.flows.origin[0, flow], space.flows.coordinates[0, flow])
+
+
+@part
+def _to_own_coordinates(space: Workspace, flow: int) -> None:
+    vectors.stay_apart()
+    count = space.flows.coordinates[0, 0].size
+    _gather_origins(space, flow, 1)
+    functionals.gather(space, space.flows.coordinates, flow * count, count, space.own_table)
+    _to_coordinates(space, OfLanes(space.own_inputs), OfLanes(space.own_table))
+
+
+@unowned_inlined
+def _gather_origins(space: Workspace, flow: int, orders: int) -> None:
+    """Gather the origins of a flow's coordinates, and so many derivatives less one."""
+    origins = space.flows.origin
+    count = origins[0, 0].size
+    functionals.gather(space, origins, flow * count, count // 4 * orders, space.own_inputs)
+
+
+@unowned_inlined
+def _to_coordinates(space: Workspace, origins: Table, coordinates: Table) -> None:
+    work, away, size, states = space.pool.work, space.moved, size_of(space), space.flows.coordinates.shape[2]
     inputs, driven, ramps = space.inputs_at, inputs_of(space.system), space.system.ramps != 0
-    origins, coordinates = flows.origin[flow], flows.coordinates[flow]
     for k in range(states):
         origin = weighed(work, inputs, origins, k, size, driven, ramps)
         vectors.store(away, k, vectors.load(work, k) - origin)
@@ -36,14 +59,36 @@ def to_coordinates(space: Workspace, flow: int) -> None:
 @unowned_inlined
 def to_states(space: Workspace, flow: int, mask: int) -> None:
     """From the coordinates in a flow to states: those of the lanes in a mask, into `space.state`."""
-    flows, work, left = space.flows, space.pool.work, space.moved
-    origins, basis, size = flows.origin[flow], flows.basis[flow], flows.basis.shape[1]
-    elapsed = field(space, rows.ELAPSED)
-    driven = inputs_of(space.system)
-    inputs, order, still = space.inputs_at, driven * size, is_still(space, flow) and flows.rolls[flow] == 0
+    flows, size = space.flows, size_of(space)
+    still = is_still(space, flow) and flows.rolls[0, flow] == 0
+    if space.mixed != 0:
+        _to_own_states(space, flow, still)
+    else:
+        _to_states(space, flows.origin[0, flow], flows.basis[0, flow], still)
+    unused = space.state.shape[0] - 1
+    for lane in range(WIDTH):
+        space.offsets[lane] = (space.pool.items[lane] if (mask >> lane) & 1 else unused) * size
+    for row in range(0, size, ROW):
+        vectors.scatter(space.moved, row, space.state, space.offsets, row)
+
+
+@part
+def _to_own_states(space: Workspace, flow: int, still: bool) -> None:
+    vectors.stay_apart()
+    count = space.flows.basis[0, 0].size
+    _gather_origins(space, flow, 1 if still else 4)
+    functionals.gather(space, space.flows.basis, flow * count, count, space.own_table)
+    _to_states(space, OfLanes(space.own_inputs), OfLanes(space.own_table), still)
+
+
+@unowned_inlined
+def _to_states(space: Workspace, origins: Table, basis: Table, still: bool) -> None:
+    """The states of the runs taken, into `space.moved`."""
+    work, left, size, elapsed = space.pool.work, space.moved, size_of(space), field(space, rows.ELAPSED)
+    inputs, driven, order = space.inputs_at, inputs_of(space.system), inputs_of(space.system) * size
     ramps, half = space.system.ramps != 0, 0.5 * elapsed * elapsed
     sixth = half * elapsed * A_THIRD
-    for n in range(flows.coordinates.shape[1]):
+    for n in range(space.flows.coordinates.shape[2]):
         origin = weighed(work, inputs, origins, n, size, driven, ramps)
         if not still:
             origin += weighed_drift(work, inputs, origins, order + n, size, driven) * elapsed
@@ -53,30 +98,51 @@ def to_states(space: Workspace, flow: int, mask: int) -> None:
         for j in range(size):
             away = fused(vectors.load(work, j), vectors.number(basis, j * size + n), away)
         vectors.store(left, n, origin + away)
-    unused = space.state.shape[0] - 1
-    for lane in range(WIDTH):
-        space.offsets[lane] = (space.pool.items[lane] if (mask >> lane) & 1 else unused) * size
-    for row in range(0, size, ROW):
-        vectors.scatter(left, row, space.state, space.offsets, row)
 
 
 @unowned_inlined
 def move_by_spans(space: Workspace, flow: int, numbers: Vector) -> None:
     """Move each of the items taken by the span of the ladder with its number; a negative one counts as 0."""
-    size, propagator = space.flows.basis.shape[1], space.flows.propagator[flow]
+    size, propagator, first = size_of(space), space.flows.propagator, flow * SPANS
     vectors.store(space.notes, 0, numbers)
     for lane in range(WIDTH):
-        space.offsets[lane] = int(max(vectors.number(space.notes, lane), 0.0)) * 3 * size
+        space.offsets[lane] = (first + int(max(vectors.number(space.notes, lane), 0.0))) * 3 * size
+    if space.mixed != 0:
+        _add_drivelines(space, propagator[0].size)
     for row in range(0, 3 * size, ROW):
         vectors.gather(propagator, space.offsets, row, space.moved, row)
     jump(space.moved, space.pool.work, size)
 
 
+@part
+def _add_drivelines(space: Workspace, each: int) -> None:
+    """Add to the offsets where the tables of a lane's driveline begin, each so long."""
+    vectors.stay_apart()
+    for lane in range(WIDTH):
+        space.offsets[lane] += space.drivelines[lane] * each
+
+
 @unowned_inlined
 def move_by_parts(space: Workspace, flow: int, part: Vector) -> None:
     """Move each of the items taken by a part of the shortest span."""
-    flows, size = space.flows, space.flows.basis.shape[1]
-    move(flows.power[flow], flows.generator[flow], flows.modal[flow] != 0, part, space.pool.work, size, space.moved)
+    flows, size, modes = space.flows, size_of(space), space.flows.modal[0, flow] != 0
+    if space.mixed != 0:
+        _move_by_own_parts(space, flow, modes, part)
+    else:
+        move(flows.power[0, flow], flows.generator[0, flow], modes, part, space.pool.work, size, space.moved)
+
+
+@part
+def _move_by_own_parts(space: Workspace, flow: int, modes: bool, part: Vector) -> None:
+    vectors.stay_apart()
+    flows, own = space.flows, OfLanes(space.own_table)
+    if modes:
+        count = flows.power[0, 0].size
+        functionals.gather(space, flows.power, flow * count, count, space.own_table)
+    else:
+        count = flows.generator[0, 0].size
+        functionals.gather(space, flows.generator, flow * count, count, space.own_table)
+    move(own, own, modes, part, space.pool.work, size_of(space), space.moved)
 
 
 @unowned_inlined
@@ -112,7 +178,7 @@ def measure(work: FloatArray, size: int) -> None:
 
 @unowned_inlined
 def move(
-    power: FloatArray, generator: FloatArray, modes: bool, part: Vector, work: FloatArray, size: int, moved: FloatArray
+    power: Table, generator: Table, modes: bool, part: Vector, work: FloatArray, size: int, moved: FloatArray
 ) -> None:
     """Move by a part of the shortest span, by the Taylor series of the exponential. `moved` is scratch, 2C rows."""
     if modes:

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.events import INSTANT, LOAD_STEP, LOCK, OPENING, REJOIN, SEPARATION, TOUCH
-from clunk.core.exact import curves, moving, rows
+from clunk.core.exact import curves, functionals, moving, rows
 from clunk.core.exact.flows import Flows
 from clunk.core.exact.search import DEPTH, EXTREMES, TURN, conclude, search
 from clunk.core.exact.step import GRAZING, origin_of_acceleration, take_step, widen_extremes
@@ -39,6 +39,8 @@ from clunk.core.exact.workspace import (
     shift_of,
     sign_of,
     step_queue,
+    system_at,
+    system_of,
     turn_search,
 )
 from clunk.core.jit import compiled, part, unowned_inlined
@@ -46,7 +48,7 @@ from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, put_back, take
 from clunk.core.lanes.vectors import WIDTH
 from clunk.core.references import keep, refer
-from clunk.core.regimes import System, frictions_of, gap_input, inputs_of, lash_of, lashes_of
+from clunk.core.regimes import Each, System, frictions_of, gap_input, inputs_of, lash_of, lashes_of
 from clunk.core.rubbing import stick_all
 from clunk.core.runs import BEGIN, LEVEL, Log, Outcome, Start, begin_wave, piece_at, record, set_gaps, set_torque
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
@@ -72,11 +74,13 @@ _MOST_SPANS = 1000.0  # of a depth: a guard that never turns back comes to rest
 
 
 @compiled
-def run(system: System, flows: Flows, start: Start, log: Log, stop: npt.NDArray[np.uint8]) -> Outcome:
+def run(system: System, each: Each, flows: Flows, start: Start, log: Log, stop: npt.NDArray[np.uint8]) -> Outcome:
     """Run from the load step to the end time, or until nothing can follow.
 
     Parameters
     ----------
+    system, each, flows
+        Of one driveline, as `make_workspace` takes them.
     log : Log
         Output.
     stop : (1,) uint8
@@ -84,9 +88,9 @@ def run(system: System, flows: Flows, start: Start, log: Log, stop: npt.NDArray[
     """
     events, states = log.events.reshape(1, log.events.size), log.states.reshape(1, *log.states.shape)
     extremes, margins = log.extremes.reshape(1, *log.extremes.shape), log.margins.reshape(1, log.margins.size)
-    owner = make_workspace(refer(system), refer(flows), start.loads, events, extremes, margins, states)
+    owner = make_workspace(refer(system), refer(each), refer(flows), start.loads, events, extremes, margins, states)
     space = refer(owner)
-    begin(space, 0, start)
+    begin(space, 0, 0, start)
     advance(space, stop)
     row = space.runs[0]
     status = INTERRUPTED if space.pool.length[space.queues.over] == 0 else row.status
@@ -96,10 +100,10 @@ def run(system: System, flows: Flows, start: Start, log: Log, stop: npt.NDArray[
 
 
 @unowned_inlined
-def begin(space: Workspace, slot: int, start: Start) -> None:
-    """Put a run into an empty place of a workspace."""
-    row, system = space.runs[slot], space.system
-    row.status, row.quality, row.stages = _OK, 0, 0
+def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
+    """Put a run of a driveline into an empty place of a workspace."""
+    row, system = space.runs[slot], system_at(space, driveline)
+    row.driveline, row.status, row.quality, row.stages = driveline, _OK, 0, 0
     row.load, row.piece = start.load, piece_at(start.loads[start.load], 0, 0.0)
     set_gaps(system, start.before, space.inputs[slot])
     stick_all(system, start.x, space.inputs[slot])
@@ -109,7 +113,7 @@ def begin(space: Workspace, slot: int, start: Start) -> None:
         play = space.plays[slot, lash]
         play.last_side = system.contacts[start.regime, lash].side
         play.contact_began, play.from_sticking = -np.inf, 0
-        play.static = _static(system, space.flows, start, lash, space.inputs[slot])
+        play.static = _static(system, space.flows, driveline, start, lash, space.inputs[slot])
         space.fastest[slot, lash] = 0.0
         set_number_of(space, slot, rows.MARGIN, lash, MOST)
         # no acceleration counts before the first primary impact
@@ -132,7 +136,7 @@ def _begin_phase(space: Workspace, slot: int) -> None:
 @unowned_inlined
 def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry) -> None:
     """Enter a regime, or go on in it: the state, what it makes of the inputs and the guards, and the run's queue."""
-    system, row, inputs = space.system, space.runs[slot], space.inputs[slot]
+    system, row, inputs = system_of(space, slot), space.runs[slot], space.inputs[slot]
     numbers, regime = space.numbers[slot, space.behind :], entry.regime
     numbers[rows.limit(lashes_of(system))], space.numbers[slot, space.kink_at] = system.end_time - time, 0.0
     if space.loads.shape[1] > 1:
@@ -198,11 +202,13 @@ def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
                 break
         if queue < queues.extremes:
             count, group = take(pool, queue, space.numbers, space.read), queue % space.system.leaders.size
-            short = queues.short <= queue < queues.enter
+            short, flow = queues.short <= queue < queues.enter, space.system.regimes[space.system.leaders[group]].flow
+            if space.mixed != 0:
+                functionals.find_drivelines(space, flow, 1)
+                functionals.gather_flow(space, flow)
             if queue >= queues.enter:  # and take the first step at once
-                flow = space.system.regimes[space.system.leaders[group]].flow
                 _enter_coordinates(space, flow, count)
-                short = space.flows.modal[flow] == 0
+                short = space.flows.modal[0, flow] == 0
             take_step(space, group, short, count)
         else:
             count, sought = take(pool, queue, space.searches, space.searches.shape[1]), EXTREMES
@@ -211,7 +217,10 @@ def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
                 sought, first = DEPTH, queues.depth
             elif queue >= queues.turn:
                 sought, first = TURN, queues.turn
-            flow, functional = divmod(queue - first, space.flows.watch.shape[1])
+            flow, functional = divmod(queue - first, space.flows.watch.shape[2])
+            if space.mixed != 0:
+                functionals.find_drivelines(space, flow, space.searches_each)
+                functionals.gather_functional(space, flow, functional)
             conclude(space, sought, queue, count, search(space, sought, flow, functional, count))
         for k in range(pool.length[queues.follow]):
             _follow(space, pool.waiting[queues.follow, k])
@@ -221,15 +230,14 @@ def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
 @unowned_inlined
 def _enter_coordinates(space: Workspace, flow: int, count: int) -> None:
     """From the states of the runs taken to their coordinates in a flow, with the acceleration as it is there."""
-    flows, work, size, zero = space.flows, space.pool.work, space.flows.basis.shape[1], vectors.splat(0.0)
-    lashes = lashes_of(space.system)
+    zero, lashes = vectors.splat(0.0), lashes_of(space.system)
     moving.to_coordinates(space, flow)
     set_field(space, rows.ELAPSED, zero)
     set_field(space, rows.LEFT_OUT, zero)
     set_field(space, rows.TRY, zero + np.inf)
     for lash in range(lashes):
-        watch = flows.watch[flow, lash * space.system.stride + ACCELERATION]
-        acceleration = curves.evaluate_again(watch, work, size, zero, 0, curves.Curve(zero, zero, zero, zero, zero))
+        f, unbounded = lash * space.system.stride + ACCELERATION, curves.Curve(zero, zero, zero, zero, zero)
+        acceleration = functionals.evaluate_again(space, flow, f, zero, 0, unbounded)
         origin = origin_of_acceleration(space, flow, lash, zero)
         seen = acceleration.value + origin.value
         widen_extremes(space, lash, seen)
@@ -295,7 +303,7 @@ def _go_on(space: Workspace, slot: int, time: float) -> None:
 
     There the torque that locks the flanks may jump or bend, and be least: a miss that no step sees.
     """
-    system, row, inputs = space.system, space.runs[slot], space.inputs[slot]
+    system, row, inputs = system_of(space, slot), space.runs[slot], space.inputs[slot]
     x, lashes = space.state[slot, : system.lashes.shape[1]], lashes_of(system)
     entry = Entry(row.count, row.regime, *rows.guard_and_order(space.numbers[slot, space.behind + rows.ZERO]))
     if system.impulsive != 0:
@@ -320,7 +328,7 @@ def _go_on(space: Workspace, slot: int, time: float) -> None:
 @unowned_inlined
 def _label_hangs_on_depth(space: Workspace, slot: int, now: float) -> bool:
     """Whether a label hangs on how deep the guard goes that ended a run's phase."""
-    system, row = space.system, space.runs[slot]
+    system, row = system_of(space, slot), space.runs[slot]
     guard, lash = system.guards[row.regime, row.guard], lash_of(system, row.regime, row.guard)
     play = space.plays[slot, lash]
     if guard.event_kind == TOUCH:  # a primary one
@@ -363,7 +371,7 @@ def _forget_phase(space: Workspace, slot: int) -> None:
 @unowned_inlined
 def _switch(space: Workspace, slot: int) -> None:
     """A guard turned negative: take what that says of the run's margin, and enter the regime that follows."""
-    system, row, inputs, log = space.system, space.runs[slot], space.inputs[slot], log_of(space, slot)
+    system, row, inputs, log = system_of(space, slot), space.runs[slot], space.inputs[slot], log_of(space, slot)
     numbers = space.numbers[slot, space.behind :]
     x, time, total = space.state[slot, : system.lashes.shape[1]], row.time + numbers[rows.ELAPSED], 0.0
     for k in range(x.size):
@@ -407,7 +415,7 @@ def _switch(space: Workspace, slot: int) -> None:
 @unowned_inlined
 def _take_margin(space: Workspace, slot: int, x: FloatArray, time: float) -> None:
     """Take what an event at state `x` says of the margin of its lash."""
-    system, row = space.system, space.runs[slot]
+    system, row = system_of(space, slot), space.runs[slot]
     guard, lash = system.guards[row.regime, row.guard], lash_of(system, row.regime, row.guard)
     if guard.event_kind != SEPARATION and guard.event_kind != REJOIN:
         return
@@ -426,7 +434,7 @@ def _take_margin(space: Workspace, slot: int, x: FloatArray, time: float) -> Non
 
 
 @part
-def _static(system: System, flows: Flows, start: Start, lash: int, inputs: FloatArray) -> float:
+def _static(system: System, flows: Flows, driveline: int, start: Start, lash: int, inputs: FloatArray) -> float:
     """The overlap of a lash's flanks, or the torque that locks them, at rest under the torque that the load ends at.
 
     Without such rest, what it is at the load step.
@@ -436,11 +444,11 @@ def _static(system: System, flows: Flows, start: Start, lash: int, inputs: Float
     offset = 0.0 if system.impulsive != 0 else inputs[gap_input(lash)]
     for regime in range(system.regimes.size):
         contact = system.contacts[regime, lash]
-        rests = contact.closed != 0 and flows.steady[system.regimes[regime].flow] != 0
+        rests = contact.closed != 0 and flows.steady[0, system.regimes[regime].flow] != 0
         if rests and len(system.general) > 0:
-            rests = _rests(system, flows, regime, lash, torque, inputs)
+            rests = _rests(system, flows, driveline, regime, lash, torque, inputs)
         if rests:
-            value = _at_rest(system, flows, regime, f, torque, inputs)
+            value = _at_rest(system, flows, driveline, regime, f, torque, inputs)
             most = max(most, contact.side * value - offset)
     side, flow = system.contacts[start.regime, lash].side, system.regimes[start.regime].flow
     if most > 0.0 or side == 0:
@@ -452,9 +460,11 @@ def _static(system: System, flows: Flows, start: Start, lash: int, inputs: Float
 
 
 @unowned_inlined
-def _at_rest(system: System, flows: Flows, regime: int, f: int, torque: float, inputs: FloatArray) -> float:
+def _at_rest(
+    system: System, flows: Flows, driveline: int, regime: int, f: int, torque: float, inputs: FloatArray
+) -> float:
     """A functional of the particular solution of a regime under a torque."""
-    output = flows.origin_output[system.regimes[regime].flow, 0, f]
+    output = flows.origin_output[driveline, system.regimes[regime].flow, 0, f]
     value = output[TORQUE] * torque + output[HALF_GAP] * (system.weights[regime, HALF_GAP] * inputs[HALF_GAP])
     for k in range(INPUTS, inputs_of(system)):
         value += output[k] * (system.weights[regime, k] * inputs[k])
@@ -462,12 +472,14 @@ def _at_rest(system: System, flows: Flows, regime: int, f: int, torque: float, i
 
 
 @part
-def _rests(system: System, flows: Flows, regime: int, lash: int, torque: float, inputs: FloatArray) -> bool:
+def _rests(
+    system: System, flows: Flows, driveline: int, regime: int, lash: int, torque: float, inputs: FloatArray
+) -> bool:
     """Whether a regime's particular solution under a torque ends by no guard of a staged shaft or another lash."""
     for g in range(system.regimes[regime].guards):
         guard = system.guards[regime, g]
         if guard.lash != lash:
-            value = guard.sign * _at_rest(system, flows, regime, guard.functional, torque, inputs)
+            value = guard.sign * _at_rest(system, flows, driveline, regime, guard.functional, torque, inputs)
             if value + weigh(system.offsets[regime, g], inputs, inputs_of(system)) < 0.0:
                 return False
     return True

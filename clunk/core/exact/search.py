@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.exact import curves, moving, polynomial, rows, taylor
+from clunk.core.exact import curves, functionals, moving, polynomial, rows, taylor
 from clunk.core.exact.flows import TERMS
 from clunk.core.exact.step import GRAZING
 from clunk.core.exact.workspace import (
@@ -23,6 +23,8 @@ from clunk.core.exact.workspace import (
     scale_of,
     set_field,
     set_number_of,
+    shortest_span,
+    size_of,
     turn_search,
 )
 from clunk.core.jit import unowned_inlined
@@ -53,8 +55,8 @@ def search(space: Workspace, sought: int, flow: int, f: int, count: int) -> int:
     sought : EXTREMES, TURN or DEPTH
     flow, f : the flow, and the functional searched in
     """
-    flows, work, series, still = space.flows, space.pool.work, space.series, is_still(space, flow)
-    size, zero, present, shortest = flows.basis.shape[1], vectors.splat(0.0), (1 << count) - 1, flows.span[flow, 0]
+    still, modal, shortest = is_still(space, flow), space.flows.modal[0, flow] != 0, shortest_span(space, flow)
+    zero, present = vectors.splat(0.0), (1 << count) - 1
     time_left, sign, shift = field(space, rows.TIME_LEFT), field(space, rows.BY_SIGN), field(space, rows.BY_SHIFT)
     origin = curves.Origin(
         field(space, rows.AT),
@@ -62,8 +64,8 @@ def search(space: Workspace, sought: int, flow: int, f: int, count: int) -> int:
         field(space, rows.AT_CURVATURE),
         field(space, rows.AT_JERK),
     )
-    jerk, sixth, _ = curves.bounds(flows.watch[flow, f], work, size)
-    seen = curves.evaluate_again(flows.watch[flow, f], work, size, zero, 0, curves.Curve(zero, zero, zero, jerk, sixth))
+    jerk, sixth, _ = functionals.bounds(space, flow, f)
+    seen = functionals.evaluate_again(space, flow, f, zero, 0, curves.Curve(zero, zero, zero, jerk, sixth))
     value = sign * (seen.value + origin.value) + shift
     slope, curvature = sign * (seen.slope + origin.slope), sign * (seen.curvature + origin.curvature)
     curve = curves.Curve(value, slope, curvature, jerk + vectors.magnitude(origin.jerk), sixth)
@@ -75,10 +77,10 @@ def search(space: Workspace, sought: int, flow: int, f: int, count: int) -> int:
         top, bottom = vectors.larger(top, value), vectors.smaller(bottom, value)
     known = _Known(curve, top, bottom, time_left - field(space, rows.COUNTS))
 
-    h, k, near = _longest_empty(known, sought, shortest, flows.modal[flow] != 0)
+    h, k, near = _longest_empty(known, sought, shortest, modal)
     near &= present & ~done
     if near != 0:
-        taylor.expand(flows.series[flow, f], work, size, shortest, sign, shift, origin, series)
+        functionals.expand(space, flow, f, sign, shift, origin)
         top, bottom, through = _search_series(space, known, sought, shortest, time_left, near)
         done |= through
 
@@ -90,11 +92,11 @@ def search(space: Workspace, sought: int, flow: int, f: int, count: int) -> int:
         time_left -= h
     done &= present
     if done != present:
-        if flows.modal[flow] != 0:
+        if modal:
             moving.move_by_spans(space, flow, k)
         else:
             moving.move_by_parts(space, flow, zero + 1.0)
-            moving.measure(work, size)
+            moving.measure(space.pool.work, size_of(space))
         if not still:
             bent = 0.5 * h * (origin.curvature + h * curves.A_THIRD * origin.jerk)
             set_field(space, rows.AT, origin.value + h * (origin.slope + bent))
@@ -108,12 +110,12 @@ def search(space: Workspace, sought: int, flow: int, f: int, count: int) -> int:
 
 
 @unowned_inlined
-def _longest_empty(known: _Known, sought: int, shortest: float, modes: bool) -> tuple[Vector, Vector, int]:
+def _longest_empty(known: _Known, sought: int, shortest: Vector, modes: bool) -> tuple[Vector, Vector, int]:
     """The longest span of the ladder with nothing to be found, its number, and the lanes where there is none.
 
     Without modes there is but the shortest span.
     """
-    h, k = vectors.splat(shortest), vectors.splat(0.0)
+    h, k = shortest, vectors.splat(0.0)
     near = ~_is_empty(known, sought, h)
     if modes:
         step = 8
@@ -149,7 +151,7 @@ def _is_empty(known: _Known, sought: int, h: Vector) -> int:
 
 @unowned_inlined
 def _search_series(
-    space: Workspace, known: _Known, sought: int, shortest: float, time_left: Vector, near: int
+    space: Workspace, known: _Known, sought: int, shortest: Vector, time_left: Vector, near: int
 ) -> tuple[Vector, Vector, int]:
     """Search the shortest span, whose series is `space.series`, in some lanes.
 

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.events import INSTANT
-from clunk.core.exact import curves, moving, polynomial, rows, taylor
+from clunk.core.exact import curves, functionals, moving, polynomial, rows, taylor
 from clunk.core.exact.curves import load_curve, store_curve
 from clunk.core.exact.flows import TERMS
 from clunk.core.exact.workspace import (
@@ -34,14 +34,16 @@ from clunk.core.exact.workspace import (
     set_field,
     set_field_of,
     shift_of,
+    shortest_span,
     sign_of,
+    size_of,
     turn_search,
 )
 from clunk.core.jit import unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push_all, put_back
 from clunk.core.lanes.vectors import WIDTH, Vector
-from clunk.core.regimes import inputs_of, lash_of, lashes_of
+from clunk.core.regimes import lash_of, lashes_of
 from clunk.core.status import QUALITY_GRAZING
 from clunk.core.switching import ROUNDING
 from clunk.core.tables import ACCELERATION
@@ -83,15 +85,15 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     system, flows, pool = space.system, space.flows, space.pool
     regime = system.leaders[group]
     flow = system.regimes[regime].flow
-    size, zero, present = flows.basis.shape[1], vectors.splat(0.0), (1 << count) - 1
-    shortest, most_left_out = flows.span[flow, 0], min(flows.ringing[flow], size // 2 - 1)
+    size, zero, present = size_of(space), vectors.splat(0.0), (1 << count) - 1
+    shortest, most_left_out = shortest_span(space, flow), min(flows.ringing[0, flow], size // 2 - 1)
     elapsed, left_out = field(space, rows.ELAPSED), field(space, rows.LEFT_OUT)
     time_left = field(space, rows.limit(lashes_of(system))) - elapsed
 
     _evaluate_guards(space, regime, left_out, most_left_out)
     may_widen = _may_widen_windows(space, flow, time_left)
     settled, kinks, at_most = 0, 0, field(space, rows.TRY)
-    if flows.steady[flow] != 0:
+    if flows.steady[0, flow] != 0:
         settled = _stay_positive(space, regime) & ~may_widen & present
     if space.loads.shape[1] > 1:
         kinks = vectors.load(pool.work, space.kink_at) > 0.0
@@ -103,7 +105,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
 
     event, ends, lost, grazing, blocked = zero - 1.0, 0, 0, 0, 0
     if short:
-        k, whole, part = zero - 1.0, zero + shortest, vectors.smaller(time_left / shortest, zero + 1.0)
+        k, whole, part = zero - 1.0, shortest, vectors.smaller(time_left / shortest, zero + 1.0)
         ends = (time_left <= shortest) & there
         event, part, lost, grazing = _find_event(space, regime, there, part)
         h = whole * part
@@ -118,7 +120,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     # and `space.numbers` at its beginning, where the searches of this step begin.
     if short:
         moving.move_by_parts(space, flow, part)
-        if flows.modal[flow] == 0:
+        if flows.modal[0, flow] == 0:
             moving.measure(pool.work, size)  # of modes, the amplitudes of before will do for so short a time
     else:
         moving.move_by_spans(space, flow, k)
@@ -148,7 +150,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     _set_where_they_were(space, rows.TRY, _NEXT_TRY * h, failed)
 
     special = (settled | lost | ends | grazing | happened | extremes | misses) & present
-    if flows.modal[flow] != 0:
+    if flows.modal[0, flow] != 0:
         push_all(pool, space.queues.short + group, (blocked | close & advancing) & ~special)
         push_all(pool, space.queues.span + group, (advancing & ~close | failed) & ~special)
     else:
@@ -185,20 +187,13 @@ def _note_outcomes(space: Workspace, regime: int, special: int, lanes: _Lanes) -
 @unowned_inlined
 def _evaluate_guards(space: Workspace, regime: int, left_out: Vector, most_left_out: int) -> None:
     """The guards at the step's beginning, without the pairs that are left out already."""
-    system, work, outputs, size = (
-        space.system,
-        space.pool.work,
-        space.outputs,
-        space.flows.basis.shape[1],
-    )
-    flow = system.regimes[regime].flow
+    system, outputs, flow = space.system, space.outputs, space.system.regimes[regime].flow
     for n in range(system.regimes[regime].watched):
         alike, f = system.guards[regime, n].alike, system.guards[regime, n].functional
         at = alike * OF_OUTPUT
         if alike == n:
-            slower, ring, pair, pair_sway, sway = curves.evaluate(
-                space.flows.watch[flow, f], work, size, left_out, most_left_out
-            )
+            evaluated = functionals.evaluate(space, flow, f, left_out, most_left_out)
+            slower, ring, pair, pair_sway, sway = evaluated
             store_curve(outputs, at + _SLOWER, slower)
             vectors.store(outputs, at + _RING, ring)
             store_curve(outputs, at + _PAIR, pair)
@@ -211,9 +206,7 @@ def _evaluate_guards(space: Workspace, regime: int, left_out: Vector, most_left_
 @unowned_inlined
 def _find_origin(space: Workspace, flow: int, f: int, at: int) -> None:
     """Write a functional's origin to `outputs`."""
-    output, elapsed, first = space.flows.origin_output[flow], field(space, rows.ELAPSED), space.inputs_at
-    still, ramps = is_still(space, flow), space.system.ramps != 0
-    origin = curves.origin(output, f, space.pool.work, first, inputs_of(space.system), still, ramps, elapsed)
+    origin = functionals.origin(space, flow, f, is_still(space, flow), field(space, rows.ELAPSED))
     vectors.store(space.outputs, at + _ORIGIN, origin.value)
     vectors.store(space.outputs, at + _ORIGIN + 1, origin.slope)
     vectors.store(space.outputs, at + _ORIGIN + 2, origin.curvature)
@@ -285,12 +278,11 @@ def _zero_order(space: Workspace, n: int) -> Vector:
 @unowned_inlined
 def origin_of_acceleration(space: Workspace, flow: int, lash: int, elapsed: Vector) -> curves.Origin:
     """The origin of a lash's acceleration, which moves only under a ramp, even where the flow drifts."""
-    output, first, f = space.flows.origin_output[flow], space.inputs_at, lash * space.system.stride + ACCELERATION
-    ramps, driven = space.system.ramps != 0, inputs_of(space.system)
-    origin = curves.origin(output, f, space.pool.work, first, driven, True, ramps, elapsed)
-    if not ramps:
+    f = lash * space.system.stride + ACCELERATION
+    origin = functionals.origin(space, flow, f, True, elapsed)
+    if space.system.ramps == 0:
         return origin
-    slope = curves.origin_slope(output, f, space.pool.work, first, driven)
+    slope = functionals.origin_slope(space, flow, f)
     return curves.Origin(origin.value + elapsed * slope, slope, origin.curvature, origin.jerk)
 
 
@@ -310,11 +302,10 @@ def _may_widen_windows(space: Workspace, flow: int, time_left: Vector) -> int:
     Each lash's lanes are in `may_widen`, and what is known of its acceleration at the step's beginning in
     `accelerations`.
     """
-    flows, work, size, may_widen = space.flows, space.pool.work, space.flows.basis.shape[1], 0
+    may_widen = 0
     for lash in range(lashes_of(space.system)):
         origin = origin_of_acceleration(space, flow, lash, field(space, rows.ELAPSED))
-        watch = flows.watch[flow, lash * space.system.stride + ACCELERATION]
-        _, sixth, swing = curves.bounds(watch, work, size)
+        _, sixth, swing = functionals.bounds(space, flow, lash * space.system.stride + ACCELERATION)
         high, low = field_of(space, rows.WINDOW_MAX, lash), field_of(space, rows.WINDOW_MIN, lash)
         largest = smallest = origin.value
         if space.system.ramps != 0:
@@ -369,7 +360,7 @@ def _propose_span(
     """
     system, guards, outputs = space.system, space.guards, space.outputs
     count, watched = system.regimes[regime].guards, system.regimes[regime].watched
-    shortest = space.flows.span[system.regimes[regime].flow, 0]
+    shortest = shortest_span(space, system.regimes[regime].flow)
     h, k = curves.longest(shortest, guards, _START, OF_GUARD, count, at_most)
     # where a guard is zero with its slope, its series decides
     starts_flat = 0
@@ -435,13 +426,13 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
     lost, grazing : int
         The lanes where nothing is finite any more, and where a guard all but turned negative.
     """
-    system, flows, outputs, series = space.system, space.flows, space.outputs, space.series
+    system, outputs, series = space.system, space.outputs, space.series
     flow, count = system.regimes[regime].flow, system.regimes[regime].guards
-    shortest, size, zero = flows.span[flow, 0], flows.basis.shape[1], vectors.splat(0.0)
+    shortest, zero = shortest_span(space, flow), vectors.splat(0.0)
     event, lost, grazing = zero - 1.0, 0, 0
     for n in range(count):
         start = load_curve(space.guards, n * OF_GUARD + _START)
-        near = ~(curves.low(start, zero + shortest) > 0.0) | (start.value < 0.0) | (_zero_order(space, n) >= 2.0)
+        near = ~(curves.low(start, shortest) > 0.0) | (start.value < 0.0) | (_zero_order(space, n) >= 2.0)
         space.guard_lanes[n] = near & there
     for n in range(count):
         alike, f = system.guards[regime, n].alike, system.guards[regime, n].functional
@@ -466,7 +457,7 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
                 break
             at = n * OF_OUTPUT
             origin = _load_origin(outputs, at)
-            taylor.expand(flows.series[flow, f], space.pool.work, size, shortest, sign, shift, origin, series)
+            functionals.expand(space, flow, f, sign, shift, origin)
             noise = vectors.magnitude(origin.value) + vectors.magnitude(shift) + vectors.load(outputs, at + _SWAY)
             noise = ROUNDING * noise
             if len(system.general) > 0:  # another lash's event at the same time may have been located first
@@ -555,11 +546,11 @@ def _first_zeros_one_by_one(space: Workspace, mask: int) -> int:
 @unowned_inlined
 def _bound_slopes_left_out(space: Workspace, regime: int, left_out: Vector, most_left_out: int) -> None:
     """Bound what the pairs that are left out add to the slopes of functionals, from the step's beginning on."""
-    system, size = space.system, space.flows.basis.shape[1]
+    system, flow = space.system, space.system.regimes[regime].flow
     for n in range(system.regimes[regime].watched):
         if system.guards[regime, n].alike == n:
-            watch = space.flows.watch[system.regimes[regime].flow, system.guards[regime, n].functional]
-            bound = curves.slope_bound(watch, space.pool.work, size, left_out, most_left_out)
+            f = system.guards[regime, n].functional
+            bound = functionals.slope_bound(space, flow, f, left_out, most_left_out)
             vectors.store(space.outputs, n * OF_OUTPUT + _SLOPE_BOUND, bound)
 
 
@@ -578,16 +569,14 @@ def _prove(space: Workspace, regime: int, left_out: Vector, most_left_out: int, 
     """
     system, guards, outputs = space.system, space.guards, space.outputs
     flow, count = system.regimes[regime].flow, system.regimes[regime].guards
-    shortest, size = vectors.splat(space.flows.span[flow, 0]), space.flows.basis.shape[1]
+    shortest = shortest_span(space, flow)
     failed, close, sunk = 0, 0, 0
     for n in range(system.regimes[regime].watched):
         alike, f = system.guards[regime, n].alike, system.guards[regime, n].functional
         at, row = alike * OF_OUTPUT, n * OF_GUARD
         if alike == n:
             before = load_curve(outputs, at + _SLOWER)
-            seen = curves.evaluate_again(
-                space.flows.watch[flow, f], space.pool.work, size, left_out, most_left_out, before
-            )
+            seen = functionals.evaluate_again(space, flow, f, left_out, most_left_out, before)
             store_curve(outputs, at + _SLOWER, seen)
             if not is_still(space, flow):
                 _find_origin(space, flow, f, at)
@@ -625,7 +614,7 @@ def _watch_acceleration(space: Workspace, flow: int, lash: int, h: Vector, may_w
 
     may_widen : the lanes where its acceleration can exceed what its window holds
     """
-    work, notes, size, zero = space.pool.work, space.notes, space.flows.basis.shape[1], vectors.splat(0.0)
+    notes, zero = space.notes, vectors.splat(0.0)
     origin_value, origin_slope = (
         vectors.load(space.accelerations, 3 * lash),
         vectors.load(space.accelerations, 3 * lash + 1),
@@ -638,8 +627,7 @@ def _watch_acceleration(space: Workspace, flow: int, lash: int, h: Vector, may_w
         zero,
         sixth,
     )
-    watch = space.flows.watch[flow, lash * space.system.stride + ACCELERATION]
-    seen = curves.evaluate_again(watch, work, size, zero, 0, start)
+    seen = functionals.evaluate_again(space, flow, lash * space.system.stride + ACCELERATION, zero, 0, start)
     last, slope = seen.value + origin_value, seen.slope
     if space.system.ramps != 0:
         last, slope = last + h * origin_slope, slope + origin_slope

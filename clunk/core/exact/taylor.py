@@ -10,17 +10,17 @@ from clunk.core.exact.curves import A_SIXTH, Origin, weight
 from clunk.core.exact.flows import TERMS
 from clunk.core.jit import unowned_inlined
 from clunk.core.lanes import vectors
-from clunk.core.lanes.vectors import Vector, fused
+from clunk.core.lanes.vectors import Table, Vector, fused
 
 FloatArray = npt.NDArray[np.float64]
 
 
 @unowned_inlined
 def expand(
-    series: FloatArray,
+    series: Table,
     work: FloatArray,
     size: int,
-    shortest: float,
+    shortest: Vector,
     sign: Vector,
     shift: Vector,
     origin: Origin,

@@ -9,12 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.exact import rows
-from clunk.core.exact.flows import TERMS, Flows
+from clunk.core.exact.flows import LONG, TERMS, Flows
 from clunk.core.jit import compiled, unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import Pool, aligned, make_pool, push, whole
 from clunk.core.lanes.vectors import WIDTH, Vector
-from clunk.core.regimes import System, inputs_of, lash_of, lashes_of
+from clunk.core.references import put, reference_at, words_of
+from clunk.core.regimes import Each, System, inputs_of, lash_of, lashes_of
 from clunk.core.runs import Log
 from clunk.core.switching import weigh
 from clunk.core.tables import INPUTS, TORQUE_RATE
@@ -29,6 +30,7 @@ OF_OUTPUT, OF_GUARD = 18, 17  # rows that a step keeps of a functional, and of a
 RUN = np.dtype(
     [
         ("tag", np.int64),  # the caller's
+        ("driveline", np.int64),
         ("status", np.int64),
         ("quality", np.int64),
         ("count", np.int64),  # events so far
@@ -78,8 +80,10 @@ class Workspace(NamedTuple):
     N states, G guards, L lashes, W lanes.
     """
 
-    system: System
-    flows: Flows
+    system: System  # of the first driveline; the others' regimes, guards and sizes are the same
+    systems: IntArray  # (D, …)  that of each driveline, see `system_at`
+    flows: Flows  # of all drivelines, with an axis in front
+    mixed: int  # whether runs that are taken together may have different drivelines
     pool: Pool
     queues: Queues
     numbers: FloatArray  # (S + 1, …)  of each run; the last row is scratch for unused lanes
@@ -110,6 +114,12 @@ class Workspace(NamedTuple):
     moved: FloatArray  # (3C, W)
     notes: FloatArray  # (NOTES, W)  for what is done for a lane alone
     offsets: IntArray  # (W,)
+    shortest: FloatArray  # (K, W)  the shortest span of each flow
+    drivelines: IntArray  # (W,)  of the items that have been taken, if they are mixed, and what is read of theirs:
+    own_watch: FloatArray  # (F 5C, W)
+    own_origins: FloatArray  # (4 F I, W)
+    own_inputs: FloatArray  # (4 I C, W)  the origins of the coordinates
+    own_table: FloatArray  # (…, W)  any other table
     origin: FloatArray  # (4,)
     held: FloatArray  # (L, 2)  the torque that locks each lash where the load jumps or bends, and its rate of change
     alone: FloatArray  # (2, TERMS)  a series alone, and its zeros
@@ -119,6 +129,7 @@ class Workspace(NamedTuple):
 @compiled
 def make_workspace(
     system: System,
+    each: Each,
     flows: Flows,
     loads: FloatArray,
     events: npt.NDArray[np.void],
@@ -130,31 +141,45 @@ def make_workspace(
 
     Parameters
     ----------
+    system, each : System, Each
+        Of the first driveline, and what differs in all of them.
+    flows : Flows
+        Of all drivelines, with an axis in front.
     loads : (loads, P, PIECE) float64
     events : (S, capacity) EVENT
     extremes : (S, capacity, L, 2) float64
     margins : (S, L) float64
     states : (S, capacity or 0, N) float64
     """
-    slots, size, most = events.shape[0], flows.basis.shape[1], system.guards.shape[1]
+    slots, size, most = events.shape[0], flows.basis.shape[3], system.guards.shape[1]
+    drivelines, count, functionals = flows.watch.shape[:3]
+    mixed = drivelines > 1
+    systems = np.empty((drivelines, words_of(system)), np.int64)
+    for k in range(drivelines):
+        put(system, each, k, systems)
+    shortest = aligned(count, WIDTH)
+    for k in range(count):
+        shortest[k] = flows.span[0, k, 0]
     # in order: span, short, enter, each by group; extremes, turn, depth, each by flow and functional; over; follow
-    groups, functionals = system.leaders.size, flows.watch.shape[0] * flows.watch.shape[1]
+    groups, searched = system.leaders.size, count * functionals
     first = 3 * groups
-    over = first + 3 * functionals
-    queues = Queues(0, groups, 2 * groups, first, first + functionals, first + 2 * functionals, over, over + 1)
+    over = first + 3 * searched
+    queues = Queues(0, groups, 2 * groups, first, first + searched, first + 2 * searched, over, over + 1)
     behind, lashes, driven = size * 3 // 2, lashes_of(system), inputs_of(system)
     inputs_at = behind + rows.shift(most, lashes)
     kink_at = inputs_at + driven
-    of_a_run, each = kink_at + 1, lashes + most
+    of_a_run, searches = kink_at + 1, lashes + most
     read = whole(of_a_run if system.ramps != 0 or loads.shape[1] > 1 or driven > INPUTS else inputs_at + TORQUE_RATE)
     return Workspace(
         system=system,
+        systems=systems,
         flows=flows,
+        mixed=int(mixed),
         pool=make_pool(over + 2, slots, of_a_run),
         queues=queues,
         numbers=aligned(slots + 1, whole(of_a_run)),
-        searches=aligned((slots + 1) * each, whole(behind + rows.OF_A_SEARCH)),
-        searches_each=each,
+        searches=aligned((slots + 1) * searches, whole(behind + rows.OF_A_SEARCH)),
+        searches_each=searches,
         behind=behind,
         inputs_at=inputs_at,
         kink_at=kink_at,
@@ -179,11 +204,41 @@ def make_workspace(
         moved=aligned(3 * size, WIDTH),
         notes=aligned(NOTES, WIDTH),
         offsets=np.zeros(WIDTH, np.int64),
+        shortest=shortest,
+        drivelines=np.zeros(WIDTH, np.int64),
+        own_watch=aligned(flows.watch[0, 0].size * mixed, WIDTH),
+        own_origins=aligned(flows.origin_output[0, 0].size * mixed, WIDTH),
+        own_inputs=aligned(flows.origin[0, 0].size * mixed, WIDTH),
+        own_table=aligned(max(flows.power[0, 0].size, size * max(size, LONG)) * mixed, WIDTH),
         origin=np.zeros(4),
         held=np.zeros((lashes, 2)),
         alone=np.zeros((2, TERMS)),
         ladder=np.zeros((TERMS, TERMS)),
     )
+
+
+@unowned_inlined
+def system_at(space: Workspace, driveline: int) -> System:
+    """The system of a driveline."""
+    return reference_at(space.systems, driveline, space.system)
+
+
+@unowned_inlined
+def system_of(space: Workspace, slot: int) -> System:
+    """The system of a run's driveline."""
+    return system_at(space, space.runs[slot].driveline)
+
+
+@unowned_inlined
+def size_of(space: Workspace) -> int:
+    """The number of coordinates."""
+    return int(space.flows.basis.shape[3])
+
+
+@unowned_inlined
+def shortest_span(space: Workspace, flow: int) -> Vector:
+    """The shortest span of a flow  [s]."""
+    return vectors.load(space.shortest, flow)
 
 
 @unowned_inlined
@@ -237,7 +292,7 @@ def turn_search(space: Workspace, guard: int) -> int:
 @unowned_inlined
 def is_still(space: Workspace, flow: int) -> bool:
     """Whether no origin of a flow moves, whatever the inputs of a run are."""
-    return bool(space.flows.steady[flow] != 0 and space.system.ramps == 0)
+    return bool(space.flows.steady[0, flow] != 0 and space.system.ramps == 0)
 
 
 @unowned_inlined
@@ -265,14 +320,14 @@ def log_of(space: Workspace, slot: int) -> Log:
 @unowned_inlined
 def queue_of(space: Workspace, first: int, flow: int, functional: int) -> int:
     """The queue of searches in a functional, behind the first of their kind."""
-    return int(first + flow * space.flows.watch.shape[1] + functional)
+    return int(first + flow * space.flows.watch.shape[2] + functional)
 
 
 @unowned_inlined
 def step_queue(space: Workspace, regime: int, near: bool) -> int:
     """The queue of the next step of a run: of a part of the shortest span where an event is near, or of a span."""
     row = space.system.regimes[regime]
-    short = near or space.flows.modal[row.flow] == 0
+    short = near or space.flows.modal[0, row.flow] == 0
     return int((space.queues.short if short else space.queues.span) + row.group)
 
 
@@ -296,7 +351,8 @@ def begin_search(space: Workspace, slot: int, search: int, length: float, sign: 
 @unowned_inlined
 def find_origin(space: Workspace, slot: int, functional: int) -> None:
     """A functional's origin where a run is, and its first three derivatives, into `space.origin`."""
-    output = space.flows.origin_output[space.system.regimes[space.runs[slot].regime].flow]
+    run = space.runs[slot]
+    output = space.flows.origin_output[run.driveline, space.system.regimes[run.regime].flow]
     numbers, origin = space.numbers[slot, space.behind :], space.origin
     inputs, elapsed = space.numbers[slot, space.inputs_at : space.kink_at], numbers[rows.ELAPSED]
     driven = inputs_of(space.system)

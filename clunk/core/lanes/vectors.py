@@ -9,8 +9,10 @@ Vector are loaded from, and stored to, rows of a contiguous array.
 
 import operator
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
 from llvmlite import ir
 from llvmlite.binding import get_host_cpu_features
 from numba import types
@@ -31,6 +33,15 @@ def _has_wide_registers() -> bool:
 WIDTH = 16 if _has_wide_registers() else 8
 ROW = 8  # numbers of a run that `gather` and `scatter` take at a time
 Vector = Any  # for mypy
+
+
+class OfLanes(NamedTuple):
+    """A table whose numbers differ from lane to lane."""
+
+    rows: npt.NDArray[np.float64]  # (numbers, W)
+
+
+Table = npt.NDArray[np.float64] | OfLanes  # whose numbers are in C order
 
 _ROW = ir.VectorType(ir.DoubleType(), WIDTH)
 _ANY = ir.Constant(_ROW, ir.Undefined)
@@ -92,6 +103,18 @@ def align_stack(typing: Any) -> Any:
 
 
 @_operation
+def stay_apart(typing: Any) -> Any:
+    """Keep the calling function out of its callers' code, and what leads to it out of their way."""
+
+    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        for attribute in ("noinline", "cold"):
+            builder.function.attributes.add(attribute)
+        return context.get_dummy_value()
+
+    return types.void(), emit
+
+
+@_operation
 def load(typing: Any, array: Any, row: Any) -> Any:
     """A row of an array."""
 
@@ -103,14 +126,21 @@ def load(typing: Any, array: Any, row: Any) -> Any:
 
 
 @_operation
-def number(typing: Any, array: Any, k: Any) -> Any:
-    """An element of an array, k not negative."""
+def number(typing: Any, table: Any, k: Any) -> Any:
+    """Element k of a table: a float of an array, and lanes of `OfLanes`; k not negative."""
 
     def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         data = context.make_array(signature.args[0])(context, builder, values[0]).data
         return builder.load(builder.gep(data, [values[1]]))
 
-    return types.float64(array, types.intp), emit
+    def emit_lanes(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        first = builder.mul(values[1], _INT(WIDTH))
+        rows = builder.extract_value(values[0], 0)
+        return _loaded(builder, _at(context, builder, signature.args[0][0], rows, first))
+
+    if isinstance(table, types.BaseNamedTuple):
+        return _LANES(table, types.intp), emit_lanes
+    return types.float64(table, types.intp), emit
 
 
 @_operation

@@ -1,0 +1,187 @@
+"""Functionals of the runs that have been taken, by the tables of the flow that these are in.
+
+Either all runs have one driveline, whose tables are read as they are; or each may have another, and what is read of
+theirs is gathered first, so that each lane has its own.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.core.exact import curves, taylor
+from clunk.core.exact.flows import LONG
+from clunk.core.exact.workspace import Workspace, is_still, shortest_span, size_of
+from clunk.core.jit import part, unowned_inlined
+from clunk.core.lanes import vectors
+from clunk.core.lanes.vectors import ROW, WIDTH, OfLanes, Vector
+from clunk.core.regimes import inputs_of
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@part
+def find_drivelines(space: Workspace, flow: int, of_an_item: int) -> None:
+    """Note the drivelines of the runs taken, or of the searches, and the shortest span of each in a flow.
+
+    of_an_item : how many items a run has
+    """
+    vectors.stay_apart()
+    for lane in range(WIDTH):
+        driveline = space.runs[space.pool.items[lane] // of_an_item].driveline
+        space.drivelines[lane] = driveline
+        space.shortest[flow, lane] = space.flows.span[driveline, flow, 0]
+
+
+@part
+def gather(space: Workspace, table: FloatArray, first: int, count: int, to: FloatArray) -> None:
+    """Gather `count` numbers, at least ROW, of a table of each lane's driveline, from `first` on.
+
+    table : (D, …) float64
+    to : (count or more, W) float64
+    """
+    vectors.stay_apart()
+    each = table.size // table.shape[0]
+    for lane in range(WIDTH):
+        space.offsets[lane] = space.drivelines[lane] * each + first
+    for row in range(0, count, ROW):
+        at = min(row, count - ROW)  # nothing is read behind the table's end
+        vectors.gather(table, space.offsets, at, to, at)
+
+
+@part
+def gather_flow(space: Workspace, flow: int) -> None:
+    """Gather what a step reads in any case: a flow's functionals and their origins."""
+    vectors.stay_apart()
+    flows = space.flows
+    watched, origins = flows.watch[0, 0].size, flows.origin_output[0, 0].size
+    gather(space, flows.watch, flow * watched, watched, space.own_watch)
+    read = origins // 4 if is_still(space, flow) and space.system.ramps == 0 else origins
+    gather(space, flows.origin_output, flow * origins, max(read, ROW), space.own_origins)
+
+
+@part
+def gather_functional(space: Workspace, flow: int, f: int) -> None:
+    """Gather one of a flow's functionals alone."""
+    vectors.stay_apart()
+    watch = space.flows.watch
+    watched = watch[0, 0, 0].size
+    gather(space, watch, (flow * watch.shape[2] + f) * watched, watched, space.own_watch[f * watched :])
+
+
+@unowned_inlined
+def own_watch(space: Workspace, f: int) -> OfLanes:
+    """What has been gathered of a functional."""
+    return OfLanes(space.own_watch[f * space.flows.watch[0, 0, 0].size :])
+
+
+@unowned_inlined
+def evaluate(
+    space: Workspace, flow: int, f: int, left_out: Vector, most_left_out: int
+) -> tuple[curves.Curve, Vector, curves.Curve, Vector, Vector]:
+    """`curves.evaluate` of the runs taken."""
+    if space.mixed != 0:
+        return _evaluate_own(space, f, left_out, most_left_out)
+    return curves.evaluate(space.flows.watch[0, flow, f], space.pool.work, size_of(space), left_out, most_left_out)
+
+
+@part
+def _evaluate_own(
+    space: Workspace, f: int, left_out: Vector, most_left_out: int
+) -> tuple[curves.Curve, Vector, curves.Curve, Vector, Vector]:
+    vectors.stay_apart()
+    return curves.evaluate(own_watch(space, f), space.pool.work, size_of(space), left_out, most_left_out)
+
+
+@unowned_inlined
+def evaluate_again(
+    space: Workspace, flow: int, f: int, left_out: Vector, most_left_out: int, before: curves.Curve
+) -> curves.Curve:
+    """`curves.evaluate_again` of the runs taken."""
+    if space.mixed != 0:
+        return _evaluate_own_again(space, f, left_out, most_left_out, before)
+    watch = space.flows.watch[0, flow, f]
+    return curves.evaluate_again(watch, space.pool.work, size_of(space), left_out, most_left_out, before)
+
+
+@part
+def _evaluate_own_again(
+    space: Workspace, f: int, left_out: Vector, most_left_out: int, before: curves.Curve
+) -> curves.Curve:
+    vectors.stay_apart()
+    watch, size = own_watch(space, f), size_of(space)
+    return curves.evaluate_again(watch, space.pool.work, size, left_out, most_left_out, before)
+
+
+@unowned_inlined
+def bounds(space: Workspace, flow: int, f: int) -> tuple[Vector, Vector, Vector]:
+    """`curves.bounds` of the runs taken."""
+    if space.mixed != 0:
+        return _bounds_own(space, f)
+    return curves.bounds(space.flows.watch[0, flow, f], space.pool.work, size_of(space))
+
+
+@part
+def _bounds_own(space: Workspace, f: int) -> tuple[Vector, Vector, Vector]:
+    vectors.stay_apart()
+    return curves.bounds(own_watch(space, f), space.pool.work, size_of(space))
+
+
+@unowned_inlined
+def slope_bound(space: Workspace, flow: int, f: int, left_out: Vector, most_left_out: int) -> Vector:
+    """`curves.slope_bound` of the runs taken."""
+    if space.mixed != 0:
+        return _slope_bound_own(space, f, left_out, most_left_out)
+    return curves.slope_bound(space.flows.watch[0, flow, f], space.pool.work, size_of(space), left_out, most_left_out)
+
+
+@part
+def _slope_bound_own(space: Workspace, f: int, left_out: Vector, most_left_out: int) -> Vector:
+    vectors.stay_apart()
+    return curves.slope_bound(own_watch(space, f), space.pool.work, size_of(space), left_out, most_left_out)
+
+
+@unowned_inlined
+def origin(space: Workspace, flow: int, f: int, still: bool, elapsed: Vector) -> curves.Origin:
+    """`curves.origin` of the runs taken."""
+    if space.mixed != 0:
+        return _origin_own(space, f, still, elapsed)
+    output, functionals, ramps = space.flows.origin_output, space.flows.origin_output.shape[3], space.system.ramps != 0
+    work, driven = space.pool.work, inputs_of(space.system)
+    return curves.origin(output[0, flow], f, functionals, work, space.inputs_at, driven, still, ramps, elapsed)
+
+
+@part
+def _origin_own(space: Workspace, f: int, still: bool, elapsed: Vector) -> curves.Origin:
+    vectors.stay_apart()
+    own, functionals, ramps = OfLanes(space.own_origins), space.flows.origin_output.shape[3], space.system.ramps != 0
+    work, driven = space.pool.work, inputs_of(space.system)
+    return curves.origin(own, f, functionals, work, space.inputs_at, driven, still, ramps, elapsed)
+
+
+@unowned_inlined
+def origin_slope(space: Workspace, flow: int, f: int) -> Vector:
+    """`curves.origin_slope` of the runs taken."""
+    work, at, driven = space.pool.work, space.inputs_at, inputs_of(space.system)
+    output, functionals = space.flows.origin_output, space.flows.origin_output.shape[3]
+    if space.mixed != 0:
+        return curves.origin_slope(OfLanes(space.own_origins), f, functionals, work, at, driven)
+    return curves.origin_slope(output[0, flow], f, functionals, work, at, driven)
+
+
+@unowned_inlined
+def expand(space: Workspace, flow: int, f: int, sign: Vector, shift: Vector, at: curves.Origin) -> None:
+    """`taylor.expand` of the runs taken, into `space.series`."""
+    shortest, work = shortest_span(space, flow), space.pool.work
+    if space.mixed != 0:
+        _expand_own(space, flow, f, sign, shift, at)
+    else:
+        series = space.flows.series[0, flow, f]
+        taylor.expand(series, work, size_of(space), shortest, sign, shift, at, space.series)
+
+
+@part
+def _expand_own(space: Workspace, flow: int, f: int, sign: Vector, shift: Vector, at: curves.Origin) -> None:
+    vectors.stay_apart()
+    size, shortest, series = size_of(space), shortest_span(space, flow), space.flows.series
+    gather(space, series, (flow * series.shape[2] + f) * size * LONG, size * LONG, space.own_table)
+    own = OfLanes(space.own_table)
+    taylor.expand(own, space.pool.work, size, shortest, sign, shift, at, space.series)
