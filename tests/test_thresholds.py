@@ -100,13 +100,14 @@ def test_the_feet_of_figure_3_4_are_those_of_the_linear_chain():
 
 
 def test_cells_do_not_depend_on_each_other_nor_on_the_order_of_axes_and_workers():
+    """Alone, a cell's brackets get more runs at a time, and end elsewhere within the tolerance of 1e-9 of the axis."""
     few = axis("load.ratio", 2.0, 10.0, 3)
     both = thresholds(study(few, LASH, of=RAMP[1:]), along="lash.backlash_deg", workers=1)
     turned = thresholds(study(LASH, few, of=RAMP[1:]), along="lash.backlash_deg", workers=2)
     assert both.cells() == turned.cells()
     for cell, ratio in enumerate((2.0, 6.0, 10.0)):
         alone = thresholds(study(LASH, of=(*RAMP[1:], f"load.ratio={ratio}")), along="lash.backlash_deg")
-        assert both.value[both.of_cell(cell)].tolist() == alone.value.tolist()
+        assert both.value[both.of_cell(cell)] == pytest.approx(alone.value, abs=20.0 * 1e-9)
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,10 @@
 """Brackets: pairs of runs of different outcome, narrowed side by side, a batch of runs for each step.
 
 What decides is the outcomes of a bracket's two ends. Where to look is said by a number of the runs (the margin, or how
-much a severity exceeds its bound): if it changes sign with them, where the inverse polynomial through the ends and the
-last points beyond them is zero, as in Alefeld, Potra and Shi 1995 (doi:10.1145/210089.210111); or, as the number may
-jump where the outcome changes, where the line through the last two values on one side is zero. A bracket that these do
-not narrow is halved now and then. Where further outcomes lie within a bracket, it becomes several.
+much a severity exceeds its bound), if it changes sign with them: where the inverse polynomial through the ends and the
+last points beyond them is zero, as in Alefeld, Potra and Shi 1995 (doi:10.1145/210089.210111). As the number may belong
+to another change, or jump at this one, a bracket that does not get narrow so is divided ever nearer to its middle.
+Where further outcomes lie within a bracket, it becomes several.
 """
 
 from __future__ import annotations
@@ -20,17 +20,14 @@ Bools = npt.NDArray[np.bool_]
 Points = npt.NDArray[np.void]  # POINT
 
 TOLERANCE = 1e-9  # of the span, the widest that a bracket ends by default
-_FEW = 64  # runs, which take no longer than their batch
-_MOST_SPREAD = 8
+_FEW = 64  # runs, which take little longer than one
+_MOST_SPREAD = 16  # of them in a bracket
 _BESIDE = 0.45  # tolerances from the expected place, so that a bracket of two such values is narrow
 _BENT = 0.2  # times the bracket's width squared, by which a secant may be off
 _SURE = 100.0  # tolerances by which polynomials of two orders differ, where the place of the higher one is right
-_AHEAD = 0.1  # of the way to it, by which an extrapolated place may be off
-_STRAIGHT = 300.0  # times that way, a share of it by which the place is off as it comes near
 _STALLED = 0.5  # of its width, which a bracket is expected to fall below
-_INTERPOLATION, _EXTRAPOLATION, _MIDDLE = range(3)  # ways to expect a place
-_INTERPOLATIONS = 2  # stalls, after which others are taken in turn
-_LATER = np.array([_MIDDLE, _EXTRAPOLATION, _EXTRAPOLATION])
+_NARROWED = 0.1  # of its width, below which the expected place was right
+_FARTHER = 8.0  # times as far from the nearer end, after each stall
 POINT = np.dtype([("cell", "i8"), ("value", "f8"), ("outcome", "i8"), ("measure", "f8"), ("touches", "i8")])
 
 
@@ -57,8 +54,7 @@ def narrow(
         ends, stalls, width = ends[wide], stalls[wide], width[wide]
         if not len(ends):
             break
-        way = np.where(stalls < _INTERPOLATIONS, _INTERPOLATION, _LATER[stalls % _LATER.size])
-        values, is_expected = _next(ends, way, span, tolerance)
+        values = _next(ends, stalls, span, tolerance)
         rows, columns = np.nonzero((ends["value"][:, 1:2] < values) & (values < ends["value"][:, 2:3]))
         points = np.concatenate([ends.ravel(), run(ends["cell"][rows, 0], values[rows, columns])])
         owner = np.concatenate([np.repeat(np.arange(len(ends)), 4), rows])
@@ -66,84 +62,63 @@ def narrow(
         points, owner = points[order], owner[order]
         at = np.flatnonzero((owner[:-3] == owner[3:]) & (points["outcome"][1:-2] != points["outcome"][2:-1]))
         ends, rows = points[at[:, None] + np.arange(4)], owner[at]
-        is_stalled = ends["value"][:, 2] - ends["value"][:, 1] > _STALLED * width[rows]
-        stalls = stalls[rows] + (is_stalled & is_expected[rows] | (way == _MIDDLE)[rows])
+        shrunk = (ends["value"][:, 2] - ends["value"][:, 1]) / width[rows]
+        fewer = np.where(shrunk > _NARROWED, np.maximum(stalls[rows] - 1, 0), 0)
+        stalls = np.where(shrunk > _STALLED, stalls[rows] + 1, fewer)
     ends = np.concatenate(narrowed)
     return ends[:, 1], ends[:, 2]
 
 
-def _next(ends: Points, way: Codes, span: float, tolerance: float) -> tuple[Floats, Bools]:
-    """Next values to run in each bracket, (n, m) with NaN for none, and whether a place is expected there.
+def _next(ends: Points, stalls: Codes, span: float, tolerance: float) -> Floats:
+    """Next values to run in each bracket, (n, m) with NaN for none.
 
-    They are beside that place, by as much as it may be off: on the side of the middle or, where it is right or the
-    measure jumps there, on both. Without such a place it is the middle. Where brackets are few, a run costs less than a
-    batch, and there are further ones: evenly spaced, and in a geometric series on either side of the expected place.
+    One is beside the place that is expected, towards the middle by as much as that may be off, by more after stalls;
+    without such a place it is the middle. Where the place is right there is one on its other side, and where brackets
+    are few, so that a run costs less than a batch, there are further ones, evenly spaced.
     """
     low, high = ends["value"][:, 1], ends["value"][:, 2]
     width, middle = high - low, 0.5 * (low + high)
-    interpolated, off = _interpolated(ends, span)
-    extrapolated, ahead = _extrapolated(ends)
-    crosses = (way == _INTERPOLATION) & (ends["measure"][:, 1] * ends["measure"][:, 2] < 0.0)
-    falls = (way == _EXTRAPOLATION) & (ahead > 0.0)
-    sure, is_expected = crosses & (off <= _SURE * tolerance), crosses | falls
-    place = np.select([crosses, falls], [interpolated, extrapolated], middle)
-    beside = np.select([sure, crosses, falls], [0.0, off, np.minimum(_AHEAD, _STRAIGHT / span * ahead) * ahead], 0.0)
-    beside = np.minimum(np.maximum(beside, _BESIDE * tolerance), np.abs(place - middle))
+    place, off = _expected(ends, span)
+    sure = off <= _SURE * tolerance
+    beside = np.maximum(np.where(sure, 0.0, off), _BESIDE * tolerance)
+    end = np.where(place < middle, low, high)
+    away = np.abs(place - end) + beside
+    away = np.minimum(np.where(stalls > 0, away * _FARTHER**stalls, away), 0.5 * width)
     towards = np.where(place < middle, 1.0, -1.0)
-    numbers = np.arange(1 + min(_FEW // len(ends), _MOST_SPREAD))
-    even = low[:, None] + width[:, None] * (numbers + 1) / (numbers.size + 1)
-    nearest = _BESIDE * tolerance / width[:, None]
-    away = np.where(numbers % 4, 1.0, -1.0) * width[:, None] * nearest ** (1.0 - numbers / numbers.size)
-    near = place[:, None] + towards[:, None] * away
-    is_near = is_expected[:, None] & (numbers % 2 == 0) & (low[:, None] < near) & (near < high[:, None])
-    values = np.where(is_near, near, even)
-    values[is_expected, -1] = (place + towards * beside)[is_expected]
-    return np.column_stack([values, np.where(sure | falls, place - towards * beside, np.nan)]), is_expected
+    first = np.where(np.isnan(place), middle, end + towards * away)
+    spread = min(_FEW // len(ends), _MOST_SPREAD)
+    even = low[:, None] + width[:, None] * np.arange(1, spread + 1) / (spread + 1)
+    return np.column_stack([first, np.where(sure, place - towards * beside, np.nan), even])
 
 
-def _extrapolated(ends: Points) -> tuple[Floats, Floats]:
-    """Where the line through the last two values on the side nearer to zero is zero, and the way to there from the end.
-
-    That is NaN where the two are of different outcome, and not positive where they rise. Where a bent curve led to the
-    bracket's other end, it is a tenth of the width before that.
-    """
-    values, measures = ends["value"], ends["measure"]
-    width, rows = values[:, 2] - values[:, 1], np.arange(len(ends))
-    side = 1 + np.argmin(np.abs(measures[:, 1:3]), axis=1)
-    before = 3 * side - 3
-    at, other = measures[rows, side], measures[rows, before]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ahead = at * np.abs(values[rows, side] - values[rows, before]) / (other - at)
-    ahead = np.where(ends["outcome"][rows, side] == ends["outcome"][rows, before], ahead, np.nan)
-    ahead = np.where(ahead >= width, 0.9 * width, ahead)
-    return np.where(side == 1, values[:, 1] + ahead, values[:, 2] - ahead), ahead
-
-
-def _interpolated(ends: Points, span: float) -> tuple[Floats, Floats]:
+def _expected(ends: Points, span: float) -> tuple[Floats, Floats]:
     """Where the measure is zero by the polynomial of the highest order that is sound, and how far the next is off it.
 
-    Its points are the bracket's ends and those beyond of the same outcome, between which the measure is monotonous.
+    Its points are the bracket's ends and those beyond of the same outcome, between which the measure is monotonous; it
+    is a polynomial in the measure, by Neville's scheme. NaN where the measure has one sign.
     """
-    values, outcome = ends["value"], ends["outcome"]
-    rising = ends["measure"] * np.sign(ends["measure"][:, 2:3])
-    place, off = _zero(ends, [1, 2]), _BENT / span * (values[:, 2] - values[:, 1]) ** 2
-    left = (outcome[:, 0] == outcome[:, 1]) & (rising[:, 0] < rising[:, 1])
-    right = (outcome[:, 2] == outcome[:, 3]) & (rising[:, 2] < rising[:, 3])
-    for can_be, columns in ((left, [0, 1, 2]), (right, [1, 2, 3]), (left & right, [0, 1, 2, 3])):
-        better = _zero(ends, columns)
-        sound = can_be & (values[:, 1] < better) & (better < values[:, 2])
-        with np.errstate(invalid="ignore"):
-            off = np.where(sound, np.abs(better - place), off)
-        place = np.where(sound, better, place)
-    return place, off
+    values, measures, outcome = (np.ascontiguousarray(ends[name].T) for name in ("value", "measure", "outcome"))
 
+    def zero(first: int, last: int, without_last: Floats, without_first: Floats) -> Floats:
+        """Value at measure zero of the polynomial through points first to last, by those of one point less."""
+        at: Floats = (measures[last] * without_last - measures[first] * without_first) / (
+            measures[last] - measures[first]
+        )
+        return at
 
-def _zero(ends: Points, columns: list[int]) -> Floats:
-    """Value at measure zero of the polynomial in the measure through these points of each bracket."""
-    measures, total = ends["measure"], np.zeros(len(ends))
     with np.errstate(invalid="ignore", divide="ignore"):
-        for i in columns:
-            others = [j for j in columns if j != i]
-            weights = [measures[:, j] / (measures[:, j] - measures[:, i]) for j in others]
-            total += ends["value"][:, i] * np.prod(weights, axis=0)
-    return total
+        before, place, after = (zero(k, k + 1, values[k], values[k + 1]) for k in range(3))
+        left, right = zero(0, 2, before, place), zero(1, 3, place, after)
+        steps = np.diff(measures, axis=0) * np.sign(measures[2] - measures[1])
+        rises = (steps > 0.0) & (outcome[:-1] == outcome[1:])
+        off = _BENT / span * (values[2] - values[1]) ** 2
+        for can_be, better in (
+            (rises[0], left),
+            (rises[2], right),
+            (rises[0] & rises[2], zero(0, 3, left, right)),
+        ):
+            sound = can_be & (values[1] <= better) & (better <= values[2])
+            off = np.where(sound, np.abs(better - place), off)
+            place = np.where(sound, better, place)
+        crosses = (measures[1] * measures[2] <= 0.0) & (measures[1] != measures[2])
+    return np.where(crosses, place, np.nan), np.where(crosses, off, np.nan)

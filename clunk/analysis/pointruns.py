@@ -27,7 +27,7 @@ Records = npt.NDArray[np.void]  # CELL
 Events = npt.NDArray[np.void]  # EVENT
 
 _EVENT_MEMORY = 500_000  # events that there is room for at a time, in each thread: 28 MB
-_ALONE = 200  # runs: fewer are not worth a second thread
+_ALONE = 100  # runs: fewer are not worth a second thread
 
 
 class PointRuns:

@@ -28,7 +28,7 @@ _THINNEST = 1e-6  # of the map, a region that is looked for where touches change
 _NEARER = np.append(
     1 / np.array([64, 16, 8, 4, 2]), 1.0 - 0.5 ** np.array([2, 4, 8, 14, 20, 26])
 )  # of a way to a corner
-_SHARP = 1e-13  # of the map, crossings from which a triple point follows
+_SHARP = 1e-13, 1e-7  # of the map and of a triangle, crossings from which a triple point follows
 _SETTLED = 1e-10  # of the map, by which a triple point moves at last
 _NEEDLE = 5e-8  # of the map, a triangle so narrow that its crossings tell where lines meet, and no directions
 _RADII = 1e-7, 1e-8  # of the map, of circles around a junction: the smaller they are, the straighter lines leave them
@@ -287,9 +287,9 @@ def triple_points(run: Run, corners: Floats, labels: Codes, crossings: Floats) -
         corner_runs = runs[np.arange(active.size), :, nearest]
         begin, end = nearer.reshape(-1, 2), np.roll(nearer, -1, axis=1).reshape(-1, 2)
         pairs = corner_runs.ravel(), np.roll(corner_runs, -1, axis=1).ravel()
-        low, high = located(run, begin, end, *pairs, _SHARP)
-        _, first, counts = np.unique(low["cell"], return_index=True, return_counts=True)
         way = end - begin
+        low, high = located(run, begin, end, *pairs, max(_SHARP[0], _SHARP[1] * np.hypot(*way.T).max()))
+        _, first, counts = np.unique(low["cell"], return_index=True, return_counts=True)
         middle = 0.5 * (low["value"] + high["value"])[first] / np.maximum(np.hypot(*way.T), 1e-300)
         new = (begin + middle[:, None] * way).reshape(-1, 3, 2)
         single = (counts == 1).reshape(-1, 3)
