@@ -1,8 +1,8 @@
 """The boundary network of a regime map over one or two axes: which labels meet where, to 1e-9 of each axis.
 
-Of two axes, the lines are traced (`clunk.analysis.tracing`), linked to curves and closed to regions
-(`clunk.analysis.network`), and each curve gets its event (`clunk.analysis.boundaryevents`). Of one axis, they are its
-thresholds (`clunk.analysis.thresholds`).
+Of two axes, regions thinner than a cell are looked for (`clunk.analysis.thin`), the lines are traced
+(`clunk.analysis.tracing`), linked to curves and closed to regions (`clunk.analysis.network`), and each curve gets its
+event (`clunk.analysis.boundaryevents`). Of one axis, they are its thresholds (`clunk.analysis.thresholds`).
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ from clunk.analysis.boundaryevents import events_between, split_by_event
 from clunk.analysis.brackets import Codes, Floats
 from clunk.analysis.network import SAME, junctions_of, paths_of, regions_of, rings_of
 from clunk.analysis.pointruns import RUN, PointRuns, Runs
+from clunk.analysis.thin import hidden
 from clunk.analysis.thresholds import thresholds
-from clunk.analysis.tracing import Lines, hidden
+from clunk.analysis.tracing import Lines
 from clunk.analysis.triangles import Triangles
 from clunk.results.boundaries import NO_LABEL, Boundaries
 from clunk.results.regimemap import Results

@@ -3,47 +3,24 @@
 The cells in which labels differ are cut into triangles. Where the ends of an edge differ, a crossing is located
 (`clunk.analysis.brackets`); a third label in between becomes a node, and a triangle of three labels has a triple point.
 Where a line is further from its chord than `CHORD`, further crossings are located within the triangle.
-
-Regions thinner than a cell are looked for along the lines on which the number of touches changes: such a region begins
-where a touch appears, and so lies on one side of that line, however thin it is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.brackets import POINT, TOLERANCE, Codes, Floats, Points, narrow
+from clunk.analysis.brackets import Codes, Floats
+from clunk.analysis.crossings import Run, as_runs, located
+from clunk.analysis.junctions import triple_points
 from clunk.analysis.network import Segments
-from clunk.analysis.pointruns import RUN, RUN_FIELDS, Runs
+from clunk.analysis.pointruns import RUN
 from clunk.analysis.triangles import Nodes, Triangles, ends_of, keys_of
-from clunk.core.exact.run import MOST
-from clunk.results.labels import FAILED_CODE
 
 CHORD = 1e-4  # of the map, that a line may be off its chord
-_THINNEST = 1e-6  # of the map, a region that is looked for where touches change
-_NEARER = np.append(
-    1 / np.array([64, 16, 8, 4, 2]), 1.0 - 0.5 ** np.array([2, 4, 8, 14, 20, 26])
-)  # of a way to a corner
-_SHARP = 1e-13, 1e-7  # of the map and of a triangle, crossings from which a triple point follows
-_SETTLED = 1e-10  # of the map, by which a triple point moves at last
-_NEEDLE = 5e-8  # of the map, a triangle so narrow that its crossings tell where lines meet, and no directions
-_RADII = 1e-7, 1e-8  # of the map, of circles around a junction: the smaller they are, the straighter lines leave them
-_SHARPER = 1e-3  # of a circle's radius, crossings on it
-_ANGLES = np.arange(16) * np.pi / 8 + 0.1
-_DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
-_PARALLEL = 1e-12  # determinant of the equations of lines that have no point in common
-_MOST_STEPS = 12  # towards a triple point, 5 as a rule
 _MOST_ROUNDS = 12  # of new nodes
-_TOUCHES = 2  # by which neighbours differ, where no margin is known
-_AROUND = np.array([0.9, 1.02])  # of the way to where a margin is expected to be zero, the next points
-_STAYS = 0.8, 2.0  # times itself, a margin that comes to no zero: a boundary passes by
-_STEEPER = 2.0  # than between known values, as the margin may fall between them
-
-Run = Callable[[Floats], Runs]  # of points (n, 2), on each axis from 0 to 1
 
 
 @dataclass
@@ -107,7 +84,7 @@ class Lines:
             if several.any():
                 next_ = begins[several] + k
                 between = 0.5 * (ends[next_, 1] + ends[next_ + 1, 0])
-                self.triangles.add(keys_of(begin, rest)[several], between, _as_runs(high[next_]))
+                self.triangles.add(keys_of(begin, rest)[several], between, as_runs(high[next_]))
             begin = after
         return bool((counts > 1).any())
 
@@ -175,8 +152,6 @@ class Lines:
             crossings = self.position(keys_of(nodes, np.roll(nodes, -1, axis=1)).ravel()).reshape(-1, 3, 2)
             positions, outcome = self.triangles.positions[nodes], self.triangles.outcome[nodes]
             points = triple_points(self.run, positions, outcome, crossings)
-            for radius in _RADII:
-                points = sharpened(self.run, points, radius)
             self.triples |= {tuple(corners): point for corners, point in zip(new, points, strict=True)}
 
     def _bend(self, segments: Segments, rails: Rails) -> bool:
@@ -219,130 +194,6 @@ class Rails:
 
 
 _ASKED = np.dtype([("cell", "i8"), ("x", "f8"), ("y", "f8"), ("run", RUN)])
-
-
-def located(
-    run: Run, low: Floats, high: Floats, below: Runs, above: Runs, tolerance: float = TOLERANCE
-) -> tuple[Points, Points]:
-    """Narrow brackets on straight lines between points (n, 2) of different labels, by default to 1e-9 of each axis.
-
-    below, above : (n,) runs at these points
-
-    The points that come back have the line's number as their cell, and the distance from its first end as their value.
-    """
-    lengths = np.hypot(*(high - low).T)
-    steps = np.divide(high - low, lengths[:, None], out=np.zeros_like(low), where=lengths[:, None] > 0.0)
-
-    def run_at(lines: Codes, distances: Floats) -> Points:
-        return _points(lines, distances, run(low[lines] + distances[:, None] * steps[lines]))
-
-    lines = np.arange(lengths.size)
-    begin, end = _points(lines, np.zeros(lines.size), below), _points(lines, lengths, above)
-    return narrow(begin, end, run_at, tolerance=tolerance)
-
-
-def _points(lines: Codes, distances: Floats, runs: Runs) -> Points:
-    points = np.zeros(lines.size, POINT)
-    points["cell"], points["value"] = lines, distances
-    for name in RUN_FIELDS:
-        points[name] = runs[name]
-    return points
-
-
-def _as_runs(points: Points) -> Runs:
-    runs = np.zeros(points.size, RUN)
-    for name in RUN_FIELDS:
-        runs[name] = points[name]
-    return runs
-
-
-def triple_points(run: Run, corners: Floats, labels: Codes, crossings: Floats) -> Floats:
-    """Points (n, 2) at which the three labels of triangles meet.
-
-    On the way from a guess to the corners are points of the same labels, and between these crossings. Lines through
-    two crossings of each pair of labels, these and earlier ones, meet in the next guess; so often that the lines are
-    short and straight. A pair that a fourth label parts is left out: where two boundaries cross, they are two lines.
-
-    corners : (n, 3, 2)
-    labels : (n, 3)
-    crossings : (n, 3, 2), on the way from each corner to the next one
-    """
-    corners, crossings, every = corners.copy(), crossings.copy(), np.arange(len(corners))
-    after = np.roll(crossings, -1, axis=1)
-    apart = np.hypot(*np.moveaxis(after - crossings, 2, 0))
-    guess: Floats = 0.5 * (crossings + after)[every, np.argmin(apart, axis=1)]  # in a needle they meet near its tip
-    active = every[apart.min(axis=1) > _NEEDLE]
-    for _ in range(_MOST_STEPS):
-        # on the way to each corner, the nearest points from which on the label is the corner's
-        ways = corners[active] - guess[active, None]
-        places = guess[active, None, None] + ways[:, :, None] * _NEARER[:, None]
-        runs = run(places.reshape(-1, 2)).reshape(places.shape[:3])
-        fits = (runs["outcome"] == labels[active][..., None]).all(axis=1)
-        nearest = np.argmax(np.cumprod(fits[:, ::-1], axis=1)[:, ::-1], axis=1)
-        able = fits[:, -1]
-        active, nearest, places, runs = active[able], nearest[able], places[able], runs[able]
-        if not active.size:
-            break
-        nearer = places[np.arange(active.size), :, nearest]
-        corner_runs = runs[np.arange(active.size), :, nearest]
-        begin, end = nearer.reshape(-1, 2), np.roll(nearer, -1, axis=1).reshape(-1, 2)
-        pairs = corner_runs.ravel(), np.roll(corner_runs, -1, axis=1).ravel()
-        way = end - begin
-        low, high = located(run, begin, end, *pairs, max(_SHARP[0], _SHARP[1] * np.hypot(*way.T).max()))
-        _, first, counts = np.unique(low["cell"], return_index=True, return_counts=True)
-        middle = 0.5 * (low["value"] + high["value"])[first] / np.maximum(np.hypot(*way.T), 1e-300)
-        new = (begin + middle[:, None] * way).reshape(-1, 3, 2)
-        single = (counts == 1).reshape(-1, 3)
-        along = new - crossings[active]
-        lengths = np.hypot(along[..., 0], along[..., 1])
-        normal = np.stack([-along[..., 1], along[..., 0]], 2) / np.maximum(lengths, 1e-300)[..., None]
-        weights = single & (lengths > TOLERANCE)
-        matrix = np.einsum("nk,nki,nkj->nij", weights, normal, normal)
-        right = np.einsum("nk,nki,nkj,nkj->ni", weights, normal, normal, new)
-        solvable = (weights.sum(axis=1) >= 2) & (np.linalg.det(matrix) > _PARALLEL)
-        # where the third label is between two, it ends elsewhere
-        opposite = np.roll(labels[active], -2, axis=1).ravel()[low["cell"]]
-        is_around = np.ones(single.shape, bool)
-        is_around.ravel()[low["cell"][low["outcome"] == opposite]] = False
-        around = is_around.all(axis=1)
-        corners[active[around]], crossings[active[around]] = nearer[around], new[around]
-        at_once = single & (lengths <= 0.01 * TOLERANCE)  # a crossing that stays where it is: the lines end there
-        rests = at_once.any(axis=1)
-        matrix[rests], right[rests] = np.eye(2), new[rests, np.argmax(at_once[rests], axis=1)]
-        solvable |= rests
-        active = active[solvable]
-        solution = np.clip(np.linalg.solve(matrix[solvable], right[solvable][..., None])[..., 0], 0.0, 1.0)
-        moved = np.abs(solution - guess[active]).max(axis=1)
-        guess[active] = solution
-        active = active[moved > _SETTLED]
-    return guess
-
-
-def sharpened(run: Run, points: Floats, radius: float) -> Floats:
-    """The points (n, 2), within the map where the lines meet that leave two circles around each of them.
-
-    A junction of four labels is found in needles as narrow as crossings are sharp, whose directions say nothing.
-    """
-    points, size = points.copy(), len(_DIRECTIONS)
-    inside = np.flatnonzero((np.abs(points - 0.5) < 0.5 - radius).all(axis=1))
-    circles = points[inside, None, None] + np.array([radius, 0.25 * radius])[:, None, None] * _DIRECTIONS
-    runs = run(circles.reshape(-1, 2)).reshape(circles.shape[:3])
-    at = np.flatnonzero(runs["outcome"] != np.roll(runs["outcome"], -1, axis=2))
-    after = np.where(at % size == size - 1, at + 1 - size, at + 1)
-    begin, end = circles.reshape(-1, 2)[at], circles.reshape(-1, 2)[after]
-    low, high = located(run, begin, end, runs.ravel()[at], runs.ravel()[after], _SHARPER * radius)
-    cell = low["cell"]
-    share = 0.5 * (low["value"] + high["value"]) / np.hypot(*(end - begin).T)[cell]
-    crossings = begin[cell] + share[:, None] * (end - begin)[cell]
-    circle, lines = at[cell] // size, np.stack([low["outcome"], high["outcome"]], axis=1)
-    for k, point in enumerate(inside.tolist()):
-        outer, inner = (np.flatnonzero(circle == number) for number in (2 * k, 2 * k + 1))
-        outer, inner = (each[np.lexsort(lines[each].T)] for each in (outer, inner))
-        if 2 < outer.size == inner.size and (lines[outer] == lines[inner]).all():
-            along = crossings[inner] - crossings[outer]
-            normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None]
-            points[point] = np.linalg.lstsq(normal, (normal * crossings[inner]).sum(axis=1), rcond=None)[0]
-    return points
 
 
 def bent(
@@ -402,78 +253,3 @@ def bent(
         segment = np.tile(segment, 2)
     located_points, owner, share = (np.concatenate(part) for part in zip(*points, strict=True))
     return located_points, owner, share, np.concatenate(asked)
-
-
-def hidden(run: Run, triangles: Triangles) -> tuple[Codes, Floats, Runs]:
-    """Nodes of another label on edges whose ends have one: keys of the edges, positions (n, 2), runs.
-
-    A region thinner than a cell begins where the margin falls to zero. Where it falls towards a node, so that it may be
-    zero before the next one, and is not small there, its zero is closed in on: from points at which it still falls, by
-    the line through the last two, and points beyond. Without margins that is done with jumps of the touches by two.
-    """
-    nodes, margin = triangles.runs, triangles.runs["measure"]
-    first, second, slope = _suspects(*(nodes[name].reshape(triangles.shape) for name in RUN_FIELDS))
-    begin, size, count = triangles.positions[first], np.abs(margin[first]), nodes["touches"][first]
-    step, sign = triangles.positions[second] - begin, np.sign(margin[first])
-    label, keys = triangles.outcome[first], keys_of(first, second)
-    edges, low, high = np.arange(first.size), np.zeros(first.size), np.ones(first.size)
-    new: list[tuple[Codes, Floats, Runs]] = [(keys[:0], np.zeros((0, 2)), nodes[:0])]
-    thinnest = _THINNEST / np.hypot(*step.T)
-    while edges.size:
-        with np.errstate(invalid="ignore", divide="ignore"):
-            ahead = size / slope
-        close = (ahead > 0.0) & (low + ahead < high)
-        ahead = np.where(close, ahead, 0.5 * (high - low))
-        around = _AROUND if (low > 0.0).any() or (high < 1.0).any() else _AROUND[:1]  # at first one for each of many
-        shares = low[:, None] + ahead[:, None] * around
-        shares[:, 1:] = np.minimum(shares[:, 1:], 0.5 * (shares[:, :1] + high[:, None]))
-        places = begin[edges, None] + shares[..., None] * step[edges, None]
-        runs = run(places.reshape(-1, 2)).reshape(shares.shape)
-        others = runs["outcome"] != label[edges, None]
-        shows, at = others.any(axis=1), np.argmax(others, axis=1)
-        new.append((keys[edges[shows]], places[shows, at[shows]], runs[shows, at[shows]]))
-        left = sign[edges] * runs["measure"][:, 0] / size  # of the margin
-        goes_on = ~shows & ~((_STAYS[0] < left) & (left < _STAYS[1]))
-        alike = runs["touches"] == count[edges, None]
-        for k, share in enumerate(shares.T):
-            after = sign[edges] * runs["measure"][:, k]
-            expected = size - slope * (share - low)
-            falls = (after < size) & (after > np.maximum(0.1 * expected, 0.02 * size))
-            falls = np.where(np.isnan(size), alike[:, k], falls) & (low < share) & (share < high)
-            with np.errstate(invalid="ignore", divide="ignore"):
-                slope = np.where(falls, (size - after) / (share - low), slope)
-            low, size = np.where(falls, share, low), np.where(falls, after, size)
-            high = np.where(falls, high, np.minimum(high, share))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            distance = size / slope
-        goes_on &= high - low > thinnest[edges]
-        goes_on &= np.isnan(distance) | ((distance > thinnest[edges]) & (distance < _STEEPER * (high - low)))
-        edges, low, high, size, slope = (part[goes_on] for part in (edges, low, high, size, slope))
-    every, places, shown = (np.concatenate(part) for part in zip(*new, strict=True))
-    every, at = np.unique(every, return_index=True)
-    return every, places[at], shown[at]
-
-
-def _suspects(outcome: Codes, margin: Floats, touches: Codes) -> tuple[Nodes, Nodes, Floats]:
-    """Both nodes of edges within which something may be hidden, and the margin's fall per edge up to the first."""
-    numbers, size = np.arange(outcome.size).reshape(outcome.shape), np.abs(margin)
-    size = np.where(size < MOST, size, np.nan)  # from there on margins are alike
-    suspects = []
-    for step in ((1, 0), (0, 1), (1, 1), (-1, 0), (0, -1), (-1, -1)):
-        before, at, after = (_moved(outcome.shape, step, k) for k in (-1, 0, 1))
-        fall = np.where(np.isnan(size[before]), MOST, size[before]) - size[at]
-        alike = (outcome[at] == outcome[after]) & (outcome[at] != FAILED_CODE)
-        known = (touches[at] >= 0) & (touches[after] >= 0)
-        jump = np.where(known, np.abs(touches[at] - touches[after]), 0)
-        is_fall = (fall > 0.0) & (size[at] <= _STEEPER * fall) & (~(size[after] < size[at]) | (jump > 0))
-        is_jump = np.isnan(margin[at]) & (jump >= _TOUCHES) & (sum(step) > 0)
-        suspect = alike & known & (is_fall | is_jump)
-        suspects.append((numbers[at][suspect], numbers[after][suspect], fall[suspect]))
-    first, second, falls = (np.concatenate(part) for part in zip(*suspects, strict=True))
-    return first, second, falls
-
-
-def _moved(shape: tuple[int, ...], step: tuple[int, int], times: int) -> tuple[slice, ...]:
-    """The nodes so many steps from all those that have a neighbour on both sides."""
-    rooms = zip(shape, step, strict=True)
-    return tuple(slice(abs(k) + times * k, size - abs(k) + times * k) for size, k in rooms)
