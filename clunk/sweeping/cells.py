@@ -91,8 +91,9 @@ class Systems:
         for begin in range(0, len(points), MOST):
             members: dict[int, tuple[kernel.Batch, npt.NDArray[np.int64]]] = {}
             for k, (batch, number) in enumerate(self._of(points[begin : begin + MOST]), begin):
-                _, numbers = members.setdefault(id(batch), (batch, np.full(len(points), -1)))
-                numbers[k] = number
+                if id(batch) not in members:
+                    members[id(batch)] = batch, np.full(len(points), -1)
+                members[id(batch)][1][k] = number
             yield from members.values()
 
     def _of(self, points: Sequence[Point]) -> list[tuple[kernel.Batch, int]]:
