@@ -7,8 +7,10 @@ compiled function elsewhere may use nothing of yet another file.
 
 import contextlib
 import hashlib
+import importlib
 import os
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -74,6 +76,23 @@ def _writable(directory: Path) -> Path:
         return Path(tempfile.mkdtemp(prefix="clunk-kernels-"))
 
 
+def _import_without_blas() -> None:
+    """Import numba's array functions, which ask for scipy's BLAS: a third of what a kernel takes to load; none uses it.
+
+    Whoever else in the process does has it imported then.
+    """
+    linear: Any = importlib.import_module("numba.np.linalg")
+    ensure = getattr(linear, "ensure_blas", None)
+    if ensure is None or "numba.np.arraymath" in sys.modules:
+        return
+    linear.ensure_blas = lambda: None
+    try:
+        arraymath: Any = importlib.import_module("numba.np.arraymath")
+        arraymath.ensure_blas = ensure
+    finally:
+        linear.ensure_blas = ensure
+
+
 class _Cache(FunctionCache):
     """numba's cache of one function; where it is damaged or cannot be written, that costs a compilation and no more."""
 
@@ -107,6 +126,7 @@ def _kept(**options: Any) -> Callable[[Function], Function]:
 
 
 _configure()  # before the first function is decorated
+_import_without_blas()
 # No fastmath: the same input gives the same bits, on any number of threads. Division by zero gives an infinity and no
 # exception: kernels never raise.
 compiled = _kept()
