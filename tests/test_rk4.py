@@ -7,8 +7,7 @@ import pytest
 from helpers import reference
 from helpers.running import core_run, empty_log, prepared, stepped, unproved
 
-from clunk.core import switching
-from clunk.core.rk4 import run as rk4
+from clunk.core import switching, tile
 from clunk.core.rk4.propagator import rk4_growth
 from clunk.core.status import INTERRUPTED, Status
 from clunk.core.tables import CLOSED_NEGATIVE, CLOSED_POSITIVE, OPEN, PARTED_POSITIVE
@@ -289,7 +288,7 @@ class TestHowARunEnds:
         (system, steps), x, half_gap = prepared(self.plant), np.zeros(8), self.plant.backlash / 2
         _, regime = switching.preload(system, np.array([self.plant.before, half_gap, 0.0]), x)
         start = stepped(x, regime, -1.0, half_gap)
-        status, *_ = rk4.run(system, steps, start, empty_log(64, 8), np.ones(1, np.uint8))
+        status, *_ = tile.run(system, steps, start, empty_log(64, 8), np.ones(1, np.uint8))
         assert status == INTERRUPTED
 
 

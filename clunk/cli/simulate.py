@@ -93,7 +93,7 @@ def simulate(
         targets.spare_a_sweep(output)
         if output.suffix.lower() in targets.DATA and len(studies) > 1:
             raise click.UsageError(f"{output} takes one run; leave --overlay out, or name a picture.")
-    terminal.say_if_compiling(*(study for _, study in studies), single=True)
+    terminal.say_if_compiling(*(study for _, study in studies))
     for _, study in studies:
         terminal.warn_of_coarse_step(study, study.solver.method)
     positions = [lash_position(lash, study.lash_names) for _, study in studies]

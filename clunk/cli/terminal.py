@@ -39,11 +39,11 @@ def warn_of_coarse_step(study: Study, method: str) -> None:
         )
 
 
-def say_if_compiling(*studies: Study, single: bool = False) -> None:
-    """Print a note where kernels are about to be compiled; single : for single runs, and not for sweeps."""
+def say_if_compiling(*studies: Study) -> None:
+    """Print a note where kernels are about to be compiled."""
     from clunk.sweeping.cells import compiling_note
 
-    note = compiling_note(*studies, single=single)
+    note = compiling_note(*studies)
     if note:
         click.echo(note, err=True)
 

@@ -12,19 +12,22 @@ runs), `jit` (how all of it is compiled: once for a driveline of one lash and no
 
 `exact`: `run` (a run, and what it does at an event), `step` (propose a span, prove it, or find the event), `search`
 (what is looked for within a step), `curves` (functionals and their bounds), `moving` (along the modes), `taylor` and
-`polynomial` (series over the shortest span), `flows` (the tables of modes), `rows` and `workspace` (a run's numbers).
+`polynomial` (series over the shortest span), `flows` (the tables of modes), `functionals` (what is read of them: of one
+driveline, or of each run's own), `rows` and `workspace` (a run's numbers).
 
 `lanes`: `vectors` and `pool`, by which many runs take their steps side by side.
 
 `measures` walks over a finished run whose states were kept, along `channels` (quantities as series in time), with
 `extremes` for their turns and integrals; nothing of a run depends on it.
 
-A sweep enters by `tile.run_tile`: for each cell `_preloaded`, then `run.begin` and `run.advance` of the exact method or
-`rk4.run.run`, and at the end `_describe`; a single run by `tile.run`. `sequence.label` makes the text of a label.
+A sweep enters by `tile.run_tile`: for each cell `_begin`, then `run.begin` and `run.advance` of the exact method or
+`rk4.run.run`, and at the end `_describe`; a single run by `tile.run`, a tile of one cell. `sequence.label` makes the
+text of a label.
 
 Words
 -----
 element     a lash, a staged shaft or a friction: its torque is linear in pieces, in one of its states at a time
+batch       drivelines that are alike but for numbers, whose runs may take steps together
 flow        x' = A x + B u, with its functionals; regimes may share one
 functional  a number that is linear in the state and the inputs: the gap of a lash, its contact force, an acceleration
 regime      a state of each element: a flow, the sides of the flanks in contact, and the guards that end it

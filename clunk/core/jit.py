@@ -139,6 +139,10 @@ unowned = _kept(_nrt=False)
 part = _uncached(
     _nrt=False, forceinline=False, no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=PartCompiler
 )
+# The same for what allocates.
+allocating_part = _uncached(
+    _nrt=True, forceinline=False, no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=PartCompiler
+)
 # And in the machine code of their callers; by numba itself, arrays would be counted at each use.
 unowned_inlined = _uncached(
     _nrt=False, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=PartCompiler

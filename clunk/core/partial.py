@@ -6,11 +6,15 @@ is called by another one is worked on three times. Here that is left to the oute
 
 from typing import Any
 
+from llvmlite.binding import address_of_symbol
 from numba import _dynfunc
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import AnalysisPass, register_pass
 from numba.core.typed_passes import AnnotateTypes, NativeLowering
+
+# What a part is where Python calls it: a function that sets a TypeError, and returns none.
+_REFUSES_PYTHON = address_of_symbol("PyErr_BadArgument") or 0
 
 
 @register_pass(mutates_CFG=False, analysis_only=True)
@@ -40,7 +44,8 @@ class _EndPart(AnalysisPass):
 
     def run_pass(self, state: Any) -> bool:
         lowered = state["cr"]
-        entry = _dynfunc.make_function(lowered.fndesc.lookup_module(), "part", "", 0, lowered.env, (state.library,))
+        module, named = lowered.fndesc.lookup_module(), (state.library,)
+        entry = _dynfunc.make_function(module, "part", "", _REFUSES_PYTHON, lowered.env, named)
         state.targetctx.insert_user_function(entry, lowered.fndesc, [state.library])
         state["cr"] = lowered._replace(cfunc=entry)
         return False

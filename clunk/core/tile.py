@@ -10,7 +10,7 @@ from clunk.core.events import EVENT, STAGE, TOUCH
 from clunk.core.exact import run as exact
 from clunk.core.exact.flows import Flows
 from clunk.core.exact.workspace import UNDER_WAY, make_workspace, system_at, system_of
-from clunk.core.jit import compiled, part
+from clunk.core.jit import allocating_part, compiled, part
 from clunk.core.lanes.vectors import WIDTH
 from clunk.core.references import keep, refer
 from clunk.core.regimes import Each, System, lashes_of
@@ -23,6 +23,7 @@ from clunk.core.status import INTERRUPTED, QUALITY_UNDECIDED, Status
 from clunk.core.tables import INPUTS, TORQUE, half_gap_of
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
 _OK = int(Status.OK)
 _EVENT_BUFFER_FULL = int(Status.EVENT_BUFFER_FULL)
@@ -62,7 +63,10 @@ class Cases(NamedTuple):
 
     before: FloatArray  # (cells, INPUTS + L - 1)  d before the load step  [N m, rad, N m/s, rad]
     loads: FloatArray  # (cells or 1, P, PIECE)  after it
-    drivelines: npt.NDArray[np.int64]  # (cells or 1,)  which of a batch
+    drivelines: IntArray  # (cells or 1,)  which of a batch
+    # where that is not steady motion in contact: the state at the load step, rk4 overwrites it by the one at the end
+    states: FloatArray = np.zeros((0, 0))  # (cells or 0, N)  [rad, rad/s]
+    regimes: IntArray = np.zeros(0, np.int64)  # (cells or 0,)  in which it is
 
     def at(self, index: npt.NDArray[np.intp] | slice) -> "Cases":
         """The cells at these positions."""
@@ -82,6 +86,8 @@ class Output(NamedTuple):
     impacts: npt.NDArray[np.void]  # (capacity,) IMPACT
     logs: npt.NDArray[np.void]  # (cells, capacity) EVENT, behind a run's events as it was; or (0, 0)
     states: FloatArray  # (cells, capacity, N)  [rad, rad/s]  at these, changes of stage among them; or (0, 0, 0)
+    extremes: FloatArray = np.zeros((0, 0, 0, 2))  # (cells or 0, capacity, L, 2)  see `runs.Log`
+    ends: FloatArray = np.zeros(0)  # (cells or 0,)  s after the load step
 
 
 class _Scratch(NamedTuple):
@@ -127,12 +133,27 @@ def batch_of(system: System, tables: Steps | Flows) -> Batch:
 
 
 def run(system: System, tables: Steps | Flows, start: Start, log: Log, stop: npt.NDArray[np.uint8]) -> Outcome:
-    """Run one load step by the method that the tables are for: see `rk4.run.run` and `exact.run.run`."""
-    if isinstance(tables, Flows):
-        _, each, flows = batch_of(system, tables)
-        assert isinstance(flows, Flows)
-        return Outcome(*exact.run(system, each, flows, start, log, stop))
-    return Outcome(*rk4.run(system, tables, start, log, stop))
+    """Run one load step by the method that the tables are for, from a given state.
+
+    Parameters
+    ----------
+    start : Start
+        rk4 overwrites its state by the one at the end.
+    log : Log
+        Output.
+    stop : (1,) uint8
+        Set to non-zero from another thread to abandon the run.
+    """
+    cells, ends = np.zeros((1, len(system.lashes)), CELL), np.zeros(1)
+    log.events["time"] = np.nan
+    impacts = np.zeros(len(system.lashes) * log.events.size, IMPACT)
+    output = Output(cells, impacts, log.events[None], log.states[None], log.extremes[None], ends)
+    regimes, loads = np.array([start.regime]), start.loads[start.load][None]
+    cases = Cases(start.before[None], loads, np.zeros(1, np.int64), start.x[None], regimes)
+    done, _ = run_tile(batch_of(system, tables), 0.0, cases, 0, log.events.size - 1, output, stop)
+    log.margins[:] = cells["margin"]
+    cell, written = cells[0, 0], int(np.count_nonzero(~np.isnan(log.events["time"])))
+    return Outcome(int(cell["status"]) if done else INTERRUPTED, written, int(cell["quality"]), float(ends[0]))
 
 
 def run_tile(
@@ -185,14 +206,16 @@ def by_rk4(
     for k in range(first, cells.shape[0]):
         if stop[0] != 0 or written + max_events > output.impacts.size:
             return k, written
-        regime = _preloaded(system, cases.before[k], cells[k], x)
+        regime = _begin(system, cases, k, cells[k], x)
         if cells[k, 0].status != _OK:
             continue
         start = Start(x, regime, cases.before[k], cases.loads, k % cases.loads.shape[0])
         outcome = rk4.run(system, steps, start, log, stop)
         if outcome.status == INTERRUPTED:
             return k, written
-        _keep(log, outcome.written, output, k)
+        if cases.regimes.size > 0:
+            cases.states[k] = x
+        _keep(log, outcome.written, outcome.end, output, k)
         written += _describe(system, undecided, outcome, log, max_events, cells[k], scratch, output.impacts, written)
     return cells.shape[0], written
 
@@ -231,7 +254,7 @@ def by_exact(
     while True:
         while spare > 0 and admitted < cells.shape[0] and not full:
             before, driveline = cases.before[admitted], cases.drivelines[admitted % cases.drivelines.size]
-            regime = _preloaded(system_at(space, driveline), before, cells[admitted], x)
+            regime = _begin(system_at(space, driveline), cases, admitted, cells[admitted], x)
             if cells[admitted, 0].status == _OK:
                 spare -= 1
                 slot = free[spare]
@@ -253,7 +276,7 @@ def by_exact(
             free[spare] = slot
             spare += 1
             log = Log(space.events[slot], space.extremes[slot], space.margins[slot], space.states[slot])
-            _keep(log, row.count, output, k)
+            _keep(log, row.count, row.time, output, k)
             outcome = Outcome(row.status, row.count, row.quality, row.time)
             of_run = system_of(space, slot)
             primaries = _describe(of_run, undecided, outcome, log, max_events, cells[k], scratch, impacts, written)
@@ -277,7 +300,7 @@ def by_exact(
     return oldest, count
 
 
-@compiled
+@allocating_part
 def _scratch(max_events: int) -> _Scratch:
     return _Scratch(np.empty(max_events + 1, np.int64), np.empty(max_events + 1), np.empty(max_events + 1))
 
@@ -288,7 +311,7 @@ def _capacity(max_events: int, output: Output) -> tuple[int, int]:
     return (output.logs.shape[1], output.logs.shape[1]) if output.states.size > 0 else (max_events + 1, 0)
 
 
-@compiled
+@allocating_part
 def _log(system: System, capacity: int, states: int) -> Log:
     """Room for the events of a run, and for so many states at them."""
     lashes, size = lashes_of(system), system.lashes.shape[1]
@@ -296,20 +319,29 @@ def _log(system: System, capacity: int, states: int) -> Log:
 
 
 @part
-def _keep(log: Log, written: int, output: Output, k: int) -> None:
-    """Copy the events of a run, and the states at them, if they are wanted."""
+def _keep(log: Log, written: int, end: float, output: Output, k: int) -> None:
+    """Copy the events of a run, and what goes with them, as far as it is wanted."""
     for i in range(written if output.logs.size > 0 else 0):
         output.logs[k, i] = log.events[i]
         for j in range(output.states.shape[2]):
             output.states[k, i, j] = log.states[i, j]
+        for lash in range(output.extremes.shape[2]):
+            output.extremes[k, i, lash, 0] = log.extremes[i, lash, 0]
+            output.extremes[k, i, lash, 1] = log.extremes[i, lash, 1]
+    if output.ends.size > 0:
+        output.ends[k] = end
 
 
 @part
-def _preloaded(system: System, inputs: FloatArray, cells: npt.NDArray[np.void], x: FloatArray) -> int:
-    """Set a cell's state before the load step, and its status, which tells whether it can be run; return the regime."""
+def _begin(system: System, cases: Cases, k: int, cells: npt.NDArray[np.void], x: FloatArray) -> int:
+    """Set cell k's state at the load step, and its status, which tells whether it can be run; return the regime."""
     status, regime = system.status, 0
-    if status == _OK:
-        status, regime = switching.preload(system, inputs, x)
+    if cases.regimes.size > 0:
+        status, regime = _OK, cases.regimes[k]
+        for j in range(x.size):
+            x[j] = cases.states[k, j]
+    elif status == _OK:
+        status, regime = switching.preload(system, cases.before[k], x)
     for lash in range(lashes_of(system)):
         cell = cells[lash]
         cell.pattern = 0

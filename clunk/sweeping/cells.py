@@ -15,11 +15,9 @@ import numpy.typing as npt
 from clunk.core import tile as kernel
 from clunk.core.channels import Channels
 from clunk.core.events import EVENT
-from clunk.core.exact import run as exact
 from clunk.core.exact.flows import Flows
 from clunk.core.measures import OF_IMPACTS, measure_runs
 from clunk.core.regimes import System
-from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import Steps
 from clunk.core.switching import MOST_STAGES
 from clunk.simulation import driveline
@@ -46,7 +44,7 @@ _RATES = {"smooth": "load.duration", "lag": "load.time_constant", "sine": "load.
 KEPT_SYSTEMS = 4096  # about 30 KB each
 _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
 _COMPILING = {"rk4": (40, 50), "exact": (60, 80)}  # s, for one lash and nothing else, and in general
-_KERNELS: dict[str, tuple[Any, Any]] = {"rk4": (kernel.by_rk4, rk4.run), "exact": (kernel.by_exact, exact.run)}
+_KERNELS: dict[str, Any] = {"rk4": kernel.by_rk4, "exact": kernel.by_exact}
 _OF_GENERAL = " for drivelines with stages, friction or several lashes"
 _NO_LOGS, _NO_STATES = np.zeros((0, 0), EVENT), np.zeros((0, 0, 0))
 _STATES = 1 << 16  # events whose states there is room for at a time: 8 MB, which the caches nearly hold
@@ -352,15 +350,12 @@ def _joined(records: Records, layout: np.dtype[np.void], columns: FloatArray) ->
     return joined
 
 
-def compiling_note(*studies: Study, single: bool = False) -> str:
-    """Sentence on the time that the kernels of these studies take to compile; empty where that has been done.
-
-    single : whether for single runs, and not for sweeps
-    """
+def compiling_note(*studies: Study) -> str:
+    """Sentence on the time that the kernels of these studies take to compile; empty where that has been done."""
     cold = {}
     for study in studies:
         (system, _), method = driveline.prepare(study), study.solver.method
-        if not _is_compiled(_KERNELS[method][single], system):
+        if not _is_compiled(_KERNELS[method], system):
             cold[method + _OF_GENERAL * len(system.general)] = _COMPILING[method][len(system.general)]
     if not cold:
         return ""

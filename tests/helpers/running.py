@@ -4,10 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from clunk.core import switching
+from clunk.core import switching, tile
 from clunk.core.events import EVENT, KIND_NAMES
 from clunk.core.regimes import System, build_system, held
-from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import Steps, build_steps
 from clunk.core.runs import LEVEL, PIECE, Log, Start
 from clunk.core.sequence import INITIAL, OPPOSITE, find_primaries, label
@@ -103,7 +102,7 @@ def core_run(
         regime = switching.regime_of(system, x, inputs) if regime is None else regime
     log = empty_log(capacity, x.size)
     start = stepped(x, regime, plant.after, half_gap)
-    status, count, quality, end = rk4.run(system, run.steps, start, log, np.zeros(1, np.uint8))
+    status, count, quality, end = tile.run(system, run.steps, start, log, np.zeros(1, np.uint8))
     events, states = log.events, log.states
     complete = bool(quality & QUALITY_COMPLETE)
     primaries, severity = np.zeros(capacity, np.int64), np.zeros(capacity)

@@ -29,7 +29,6 @@ from clunk.core.exact.workspace import (
     begin_search,
     find_origin,
     log_of,
-    make_workspace,
     number_of,
     push_search,
     scale_of,
@@ -43,15 +42,14 @@ from clunk.core.exact.workspace import (
     system_of,
     turn_search,
 )
-from clunk.core.jit import compiled, part, unowned_inlined
+from clunk.core.jit import part, unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, put_back, take
 from clunk.core.lanes.vectors import WIDTH
-from clunk.core.references import keep, refer
-from clunk.core.regimes import Each, System, frictions_of, gap_input, inputs_of, lash_of, lashes_of
+from clunk.core.regimes import System, frictions_of, gap_input, inputs_of, lash_of, lashes_of
 from clunk.core.rubbing import stick_all
-from clunk.core.runs import BEGIN, LEVEL, Log, Outcome, Start, begin_wave, piece_at, record, set_gaps, set_torque
-from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
+from clunk.core.runs import BEGIN, LEVEL, Start, begin_wave, piece_at, record, set_gaps, set_torque
+from clunk.core.status import QUALITY_COMPLETE, Status
 from clunk.core.switching import (
     MOST_STAGES,
     Entry,
@@ -71,32 +69,6 @@ _EVENT_BUFFER_FULL = int(Status.EVENT_BUFFER_FULL)
 
 MOST = 0.25  # margins from here on are all alike
 _MOST_SPANS = 1000.0  # of a depth: a guard that never turns back comes to rest
-
-
-@compiled
-def run(system: System, each: Each, flows: Flows, start: Start, log: Log, stop: npt.NDArray[np.uint8]) -> Outcome:
-    """Run from the load step to the end time, or until nothing can follow.
-
-    Parameters
-    ----------
-    system, each, flows
-        Of one driveline, as `make_workspace` takes them.
-    log : Log
-        Output.
-    stop : (1,) uint8
-        Set to non-zero from another thread to abandon the run.
-    """
-    events, states = log.events.reshape(1, log.events.size), log.states.reshape(1, *log.states.shape)
-    extremes, margins = log.extremes.reshape(1, *log.extremes.shape), log.margins.reshape(1, log.margins.size)
-    owner = make_workspace(refer(system), refer(each), refer(flows), start.loads, events, extremes, margins, states)
-    space = refer(owner)
-    begin(space, 0, 0, start)
-    advance(space, stop)
-    row = space.runs[0]
-    status = INTERRUPTED if space.pool.length[space.queues.over] == 0 else row.status
-    outcome = Outcome(status, row.count, row.quality, row.time)
-    keep(owner)
-    return outcome
 
 
 @unowned_inlined

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from clunk.core.exact import rows
 from clunk.core.exact.flows import LONG, TERMS, Flows
-from clunk.core.jit import compiled, unowned_inlined
+from clunk.core.jit import allocating_part, unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import Pool, aligned, make_pool, push, whole
 from clunk.core.lanes.vectors import WIDTH, Vector
@@ -126,7 +126,7 @@ class Workspace(NamedTuple):
     ladder: FloatArray  # (TERMS, TERMS)
 
 
-@compiled
+@allocating_part
 def make_workspace(
     system: System,
     each: Each,

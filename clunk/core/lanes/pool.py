@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.jit import compiled, unowned_inlined
+from clunk.core.jit import allocating_part, part, unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, WIDTH
 
@@ -27,7 +27,7 @@ class Pool(NamedTuple):
     places: IntArray  # (W,)  where the numbers of each begin in their array
 
 
-@compiled
+@allocating_part
 def make_pool(queues: int, items: int, numbers: int) -> Pool:
     """Empty queues, each with room for `items`, whose arrays have up to `numbers` columns."""
     return Pool(
@@ -39,13 +39,13 @@ def make_pool(queues: int, items: int, numbers: int) -> Pool:
     )
 
 
-@compiled
+@part
 def whole(count: int) -> int:
     """`count`, filled up to a multiple of what `gather` takes at a time."""
     return -(-count // ROW) * ROW
 
 
-@compiled
+@allocating_part
 def aligned(count: int, columns: int) -> FloatArray:
     """Zeros that begin where a register's worth of memory does."""
     flat = np.zeros(count * columns + ROW)

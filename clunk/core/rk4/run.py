@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.events import INSTANT, LOAD_STEP
-from clunk.core.jit import compiled, part, unowned_inlined
+from clunk.core.jit import allocating_part, part, unowned_inlined
 from clunk.core.references import refer
 from clunk.core.regimes import System, inputs_of, lashes_of
 from clunk.core.rk4 import quartic
@@ -56,13 +56,13 @@ class _Full(NamedTuple):
     after: FloatArray  # the same after a step or a block
 
 
-@compiled
+@part
 def _unknown(value: int) -> int:
     """An integer that numba does not know: for a known one it would compile again what that is passed to."""
     return int(np.int64(value))
 
 
-@compiled
+@allocating_part
 def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[np.uint8]) -> Outcome:
     """Run from the load step to the end time, or until it is proved that nothing can follow.
 
@@ -157,14 +157,14 @@ def _begin_piece(
     return begin, _grid_of(end - begin, steps.step)
 
 
-@compiled
+@part
 def _grid_of(end_time: float, step: float) -> _Grid:
     full = int(np.floor(end_time / step + 1e-9))
     rest = end_time - full * step
     return _Grid(step, full, rest, full + 1 if rest > 1e-9 * step else full)
 
 
-@compiled
+@part
 def _next_length(grid: _Grid, index: int, offset: float) -> tuple[float, int]:
     """How long the next step is, from an offset on, and how many of the grid's steps it is the end of."""
     length = (grid.step if index < grid.full else grid.rest) - offset
@@ -173,7 +173,7 @@ def _next_length(grid: _Grid, index: int, offset: float) -> tuple[float, int]:
     return length, 1
 
 
-@compiled
+@allocating_part
 def _make_full(steps: Steps) -> _Full:
     affine, block_affine = np.empty(steps.transfer.shape[2]), np.empty(steps.block.shape[2])
     return _Full(affine, block_affine, np.zeros(affine.size), np.zeros(block_affine.size))

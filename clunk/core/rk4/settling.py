@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.jit import compiled
+from clunk.core.jit import allocating_part
 from clunk.core.regimes import System, lashes_of
 from clunk.core.rk4.propagator import Steps
 from clunk.core.rk4.step import Phase
@@ -16,7 +16,7 @@ from clunk.core.tables import ACCELERATION
 FloatArray = npt.NDArray[np.float64]
 
 
-@compiled
+@allocating_part
 def settled(
     system: System,
     steps: Steps,
@@ -56,7 +56,7 @@ def settled(
     return True
 
 
-@compiled
+@allocating_part
 def _reach(steps: Steps, flow: int, phase: Phase, x: FloatArray) -> FloatArray:
     """How far each functional can get from its rest value from now on: its modes' amplitudes, summed."""
     size, watched = steps.mode_reach.shape[2], steps.mode_reach.shape[1]

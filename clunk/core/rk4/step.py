@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.events import INSTANT
-from clunk.core.jit import compiled, part
+from clunk.core.jit import allocating_part, part
 from clunk.core.regimes import System, inputs_of, lashes_of
 from clunk.core.rk4 import quartic
 from clunk.core.switching import ROUNDING, set_weighed, weigh
@@ -28,7 +28,7 @@ class Phase(NamedTuple):
     taylor: FloatArray  # (5, N)  x(s) = sum of taylor[k] s^k
 
 
-@compiled
+@allocating_part
 def make_phase(system: System) -> Phase:
     """Room for the phases of a run."""
     most = system.guards.shape[1]
