@@ -20,7 +20,7 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core.caching import FunctionCache
 
-from clunk.core.partial import PartCompiler
+from clunk.core.partial import Part, PartCompiler
 
 _KEPT_DAYS = 30  # for which kernels are kept that nothing uses
 
@@ -125,6 +125,18 @@ def _kept(**options: Any) -> Callable[[Function], Function]:
     return decorate
 
 
+def _part(**options: bool) -> Callable[[Function], Function]:
+    """Numba's njit for parts; an option that is not given would be that of the function that calls it."""
+
+    def decorate(function: Function) -> Function:
+        wrappers = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+        dispatcher: Any = _uncached(pipeline_class=PartCompiler, **wrappers, **options)(function)
+        dispatcher.__class__ = Part
+        return cast(Function, dispatcher)
+
+    return decorate
+
+
 _configure()  # before the first function is decorated
 _import_without_blas()
 # No fastmath: the same input gives the same bits, on any number of threads. Division by zero gives an infinity and no
@@ -135,15 +147,8 @@ compiled = _kept()
 unowned = _kept(_nrt=False)
 # The same for what only compiled functions call. It is optimised and made machine code with its callers, and once only:
 # numba would do so with each function and all that it calls, for functions of functions again and again.
-# An option that is not given would be that of the function which is being compiled and calls it.
-part = _uncached(
-    _nrt=False, forceinline=False, no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=PartCompiler
-)
+part = _part(_nrt=False, forceinline=False)
 # The same for what allocates.
-allocating_part = _uncached(
-    _nrt=True, forceinline=False, no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=PartCompiler
-)
+allocating_part = _part(_nrt=True, forceinline=False)
 # And in the machine code of their callers; by numba itself, arrays would be counted at each use.
-unowned_inlined = _uncached(
-    _nrt=False, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=PartCompiler
-)
+unowned_inlined = _part(_nrt=False, forceinline=True)

@@ -6,15 +6,12 @@ is called by another one is worked on three times. Here that is left to the oute
 
 from typing import Any
 
-from llvmlite.binding import address_of_symbol
 from numba import _dynfunc
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import AnalysisPass, register_pass
+from numba.core.registry import CPUDispatcher
 from numba.core.typed_passes import AnnotateTypes, NativeLowering
-
-# What a part is where Python calls it: a function that sets a TypeError, and returns none.
-_REFUSES_PYTHON = address_of_symbol("PyErr_BadArgument") or 0
 
 
 @register_pass(mutates_CFG=False, analysis_only=True)
@@ -44,8 +41,7 @@ class _EndPart(AnalysisPass):
 
     def run_pass(self, state: Any) -> bool:
         lowered = state["cr"]
-        module, named = lowered.fndesc.lookup_module(), (state.library,)
-        entry = _dynfunc.make_function(module, "part", "", _REFUSES_PYTHON, lowered.env, named)
+        entry = _dynfunc.make_function(lowered.fndesc.lookup_module(), "part", "", 0, lowered.env, (state.library,))
         state.targetctx.insert_user_function(entry, lowered.fndesc, [state.library])
         state["cr"] = lowered._replace(cfunc=entry)
         return False
@@ -60,6 +56,14 @@ class _Part(JITCodeLibrary):
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()
         self._finalized = True
+
+
+class Part(CPUDispatcher):
+    """A function that only compiled functions call."""
+
+    def __call__(self, *_: Any) -> Any:
+        """Raise TypeError: there is no code for Python to call."""
+        raise TypeError(f"{self.__name__} is called by compiled functions only")
 
 
 class PartCompiler(CompilerBase):
