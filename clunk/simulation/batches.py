@@ -21,11 +21,11 @@ IntArray = npt.NDArray[np.intp]
 MOST = 512  # drivelines of a batch: 14 MB of tables, and of each the share in 5 ms of interpreting is small
 
 
-def prepare_many(study: Study, parameters: Sequence[str], values: FloatArray) -> list[tuple[IntArray, Batch]]:
+def prepare_many(study: Study, parameters: Sequence[str], values: FloatArray) -> Iterator[tuple[IntArray, Batch]]:
     """The switched linear systems of a study with other values, and the tables of its method: see `driveline.prepare`.
 
-    In batches of those that are alike but for numbers, each with the positions of its drivelines in `values`. The bits
-    of each are those that it has alone.
+    Yields batches of those that are alike but for numbers, each with the positions of its drivelines in `values`. The
+    bits of each are those that it has alone.
 
     Parameters
     ----------
@@ -38,21 +38,21 @@ def prepare_many(study: Study, parameters: Sequence[str], values: FloatArray) ->
     ConfigError
         Where a value is not allowed, as `replace_values` does for the first such driveline.
     """
+    if not values.size:
+        return
     refuse_points(study, parameters, values)
     places = [located(study, parameter)[0] for parameter in parameters]
     varied = np.array([_is_size(place) for place in places])
     # what is no spring or damper where it is zero, and any other value, makes another kind of driveline
     kinds = np.where(varied, values > 0.0, values)
     _, kind_of = np.unique(kinds, axis=0, return_inverse=True)
-    batches: list[tuple[IntArray, Batch]] = []
     for kind in range(kind_of.max(initial=-1) + 1):
         alike = np.flatnonzero(kind_of.ravel() == kind)
+        first = replace_values(study, dict(zip(parameters, values[alike[0]].tolist(), strict=True)))
         for begin in range(0, alike.size, MOST):
             part = alike[begin : begin + MOST]
-            first = replace_values(study, dict(zip(parameters, values[part[0]].tolist(), strict=True)))
             sizes = {place: values[part, k] for k, place in enumerate(places) if varied[k]}
-            batches += ((part[some], batch) for some, batch in _prepare_alike(first, sizes, part.size))
-    return batches
+            yield from ((part[some], batch) for some, batch in _prepare_alike(first, sizes, part.size))
 
 
 def _is_size(place: Place) -> bool:

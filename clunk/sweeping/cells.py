@@ -6,7 +6,7 @@ import contextlib
 import re
 import threading
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from clunk.core.regimes import System
 from clunk.core.rk4.propagator import Steps
 from clunk.core.switching import MOST_STAGES
 from clunk.simulation import driveline
-from clunk.simulation.batches import MOST, prepare_many
+from clunk.simulation.batches import prepare_many
 from clunk.simulation.load import loads_of
 from clunk.simulation.measures import channels_of
 from clunk.study.designs import Cells, Design, FloatArray, design_of
@@ -33,14 +33,14 @@ from clunk.sweeping.tiles import Layout, Tile
 Records = npt.NDArray[np.void]
 Flag = npt.NDArray[np.uint8]  # (1,); set by another thread, it ends the work within a run
 Prepared = tuple[System, Steps | Flows]  # a system and its method's tables
-Point = Mapping[str, float]  # values of structural parameters
+_Key = tuple[tuple[str, ...], tuple[float, ...]]  # structural parameters, and their values
 Runs = tuple[Cells, Records, list[Records]]  # positions of runs, their records, and their impacts in pieces
-Group = tuple[dict[str, float], npt.NDArray[np.intp]]  # structural values, and positions of cells that have them
 
 CELL, IMPACT = kernel.CELL, kernel.IMPACT
 
 _BACKLASH = re.compile(r"lash(\[\d+\])?\.backlash_deg")
 _RATES = {"smooth": "load.duration", "lag": "load.time_constant", "sine": "load.frequency"}  # how fast a wave swings
+_NOMINAL: _Key = (), ()
 KEPT_SYSTEMS = 4096  # about 30 KB each
 _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
 _COMPILING = {"rk4": (40, 50), "exact": (60, 80)}  # s, for one lash and nothing else, and in general
@@ -67,57 +67,65 @@ class Systems:
 
     def __init__(self, study: Study, shared: Prepared | None = None) -> None:
         self._study = study
-        self._kept: OrderedDict[tuple[tuple[str, float], ...], tuple[kernel.Batch, int]] = OrderedDict()
+        self._kept: OrderedDict[_Key, tuple[kernel.Batch, int]] = OrderedDict()
         if shared is not None:
-            self._kept[()] = kernel.batch_of(*shared), 0
+            self._kept[_NOMINAL] = kernel.batch_of(*shared), 0
         self._channels: Channels | None = None  # without other values
         self._lock = threading.Lock()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self._study, self.prepared({}) if () in self._kept else None)
+        return type(self), (self._study, self.prepared({}) if _NOMINAL in self._kept else None)
 
-    def prepared(self, values: Point) -> Prepared:
+    def prepared(self, values: Mapping[str, float]) -> Prepared:
         """The system and tables with these values of structural parameters."""
-        ((batch, number),) = self._of([values])
-        return batch.of(number)
+        key = tuple(values), tuple(values.values())
+        with self._lock:
+            if (kept := self._kept.get(key)) is not None:
+                return kept[0].of(kept[1])
+        prepared = driveline.prepare(replace_values(self._study, values) if values else self._study)
+        self._keep({key: (kernel.batch_of(*prepared), 0)})
+        return prepared
 
-    def batches(self, points: Sequence[Point]) -> Iterator[tuple[kernel.Batch, npt.NDArray[np.int64]]]:
-        """The drivelines at some points, which are prepared many at a time.
+    def batches(self, parameters: tuple[str, ...], points: FloatArray) -> Iterator[tuple[kernel.Batch, Cells]]:
+        """The drivelines at some values of structural parameters, which are prepared many at a time.
 
-        Yields batches, each with the number in it of every point, or -1.
+        points : (D, parameters)
+
+        Yields batches, each with the number in it of every driveline, (D,), or -1.
         """
-        for begin in range(0, len(points), MOST):
-            members: dict[int, tuple[kernel.Batch, npt.NDArray[np.int64]]] = {}
-            for k, (batch, number) in enumerate(self._of(points[begin : begin + MOST]), begin):
-                if id(batch) not in members:
-                    members[id(batch)] = batch, np.full(len(points), -1)
-                members[id(batch)][1][k] = number
-            yield from members.values()
-
-    def _of(self, points: Sequence[Point]) -> list[tuple[kernel.Batch, int]]:
-        """The driveline at each point: its batch, and its number in that."""
-        keys = [tuple(point.items()) for point in points]
+        keys: dict[_Key, list[int]] = {}
+        for k, row in enumerate(points.tolist()):
+            keys.setdefault((parameters, tuple(row)), []).append(k)
         with self._lock:
             known = {key: self._kept[key] for key in keys if key in self._kept}
-        missing = list(dict.fromkeys(key for key in keys if key not in known))
+        missing = [key for key in keys if key not in known]
         if len(missing) == 1:  # also without any values
-            values = dict(missing[0])
-            prepared = driveline.prepare(replace_values(self._study, values) if values else self._study)
-            known[missing[0]] = kernel.batch_of(*prepared), 0
-        elif missing:  # of the same parameters
-            parameters = [parameter for parameter, _ in missing[0]]
-            columns = np.array([[value for _, value in key] for key in missing])
-            for positions, batch in prepare_many(self._study, parameters, columns):
-                known |= {missing[k]: (batch, number) for number, k in enumerate(positions.tolist())}
+            self.prepared(dict(zip(*missing[0], strict=True)))
+            known[missing[0]] = self._kept[missing[0]]
+            missing = []
+        self._keep(known)
+        members: dict[int, tuple[kernel.Batch, Cells]] = {}
+        for key, (batch, number) in known.items():
+            _, numbers = members.get(id(batch)) or members.setdefault(id(batch), (batch, np.full(len(points), -1)))
+            numbers[keys[key]] = number
+        yield from members.values()
+        for positions, batch in prepare_many(self._study, parameters, np.array([row for _, row in missing])):
+            some, numbers = [missing[k] for k in positions.tolist()], np.full(len(points), -1)
+            for number, key in enumerate(some):
+                numbers[keys[key]] = number
+            self._keep({key: (batch, number) for number, key in enumerate(some)})
+            yield batch, numbers
+
+    def _keep(self, drivelines: Mapping[_Key, tuple[kernel.Batch, int]]) -> None:
+        """Keep drivelines, as the latest."""
         with self._lock:
-            for key in keys:
-                self._kept[key] = known[key]
+            for key, each in drivelines.items():
+                self._kept[key] = each
                 self._kept.move_to_end(key)
             while len(self._kept) > KEPT_SYSTEMS:
                 self._kept.popitem(last=False)
-        return [known[key] for key in keys]
 
-    def channels(self, values: Point, system: System) -> Channels:
+    def channels(self, values: Mapping[str, float], system: System) -> Channels:
         """The channels of the study's measures with these values of structural parameters, whose system this is."""
         with self._lock:
             if not values and self._channels is not None:
@@ -135,6 +143,7 @@ class Grid:
     study : Study
     design : Design, by default that of the study's sweep
     systems : of this study, where some are known already
+    structural : the parameters that differ between the cells and with which the system does
     """
 
     runs = 1  # of each cell
@@ -146,7 +155,8 @@ class Grid:
         self.method: str = study.solver.method
         self.layout = layout_of(study)
         self.tile_cells = min(_TILE_CELLS[self.method], max(_TILE_POINTS // len(study.load.times or (0,)), 1))
-        self._structural = [each.parameter for each in self.design.columns if not leaves_system(study, each.parameter)]
+        parameters = (each.parameter for each in self.design.columns)
+        self.structural = tuple(key for key in parameters if not leaves_system(study, key))
 
     def __reduce__(self) -> tuple[Any, ...]:  # the shared system goes along, so that all processes have its bits
         self.shared()
@@ -158,7 +168,7 @@ class Grid:
 
     def shared(self) -> Prepared | None:
         """The system and tables that all cells share, if they do."""
-        return None if self._structural else self.systems.prepared({})
+        return None if self.structural else self.systems.prepared({})
 
     def cases(self, values: Mapping[str, float | FloatArray], count: int) -> kernel.Cases:
         """Torques and gaps of `count` cells with these values of parameters."""
@@ -169,45 +179,33 @@ class Grid:
             gaps[:, k] = values.get(dotted((*place, "backlash_deg")), lash.backlash_deg)
         return kernel.cases_of(before, np.deg2rad(gaps) / 2, pieces)
 
-    def groups(self, cells: Cells) -> Iterator[Group]:
-        """Cut cells into groups of the same structural values; yields these values and the positions in `cells`."""
-        if not self._structural:
-            yield {}, np.arange(cells.size)
-            return
+    def points(self, cells: Cells) -> tuple[FloatArray, Cells]:
+        """The different values of structural parameters, (D, parameters), and which of them each cell has."""
+        if not self.structural:
+            return np.zeros((1, 0)), np.zeros(cells.size, np.int64)
         at = self.design.at(cells)
-        combinations = np.stack([at[parameter] for parameter in self._structural], axis=1)
-        unique, group_of = np.unique(combinations, axis=0, return_inverse=True)
-        order = np.argsort(group_of.reshape(-1), kind="stable")
-        ends = np.cumsum(np.bincount(group_of.reshape(-1), minlength=len(unique)))
-        for values, end, begin in zip(unique.tolist(), ends, [0, *ends[:-1]], strict=True):
-            yield dict(zip(self._structural, values, strict=True)), order[begin:end]
+        combinations = np.stack([at[parameter] for parameter in self.structural], axis=1)
+        points, point_of = np.unique(combinations, axis=0, return_inverse=True)
+        return points, point_of.reshape(-1)
 
     def run(self, cells: Cells, stop: Flag) -> Tile:
         """Run cells; the tile has those that were done before `stop` was set."""
         cases = self.cases(self.design.at(cells), cells.size)
         run_all = self._measured_runs if self.study.measured else self._runs
-        done, records, details = self._in_order(run_all(*self._points(cells), cases, stop), self.layout)
+        done, records, details = self._in_order(run_all(self.structural, *self.points(cells), cases, stop), self.layout)
         return Tile(cells[done], records, details)
 
-    def _points(self, cells: Cells) -> tuple[list[Point], Cells]:
-        """The different values of structural parameters, and which of them each cell has."""
-        point_of, points = np.zeros(cells.size, np.int64), list[Point]()
-        for values, positions in self.groups(cells):
-            point_of[positions] = len(points)
-            points.append(values)
-        return points, point_of
-
     def run_cases(
-        self, points: Sequence[Point], point_of: Cells, cases: kernel.Cases, stop: Flag
+        self, parameters: tuple[str, ...], points: FloatArray, point_of: Cells, cases: kernel.Cases, stop: Flag
     ) -> tuple[Cells, Records, Records]:
         """Run cases, each with the driveline at one of some points.
 
-        points : values of the structural parameters
+        parameters, points : structural ones, and their values, (D, parameters)
         point_of : (runs,)
 
         Returns the positions of the runs that were done before `stop` was set, in order, and their CELL and IMPACT.
         """
-        runs = self._runs(points, point_of, cases, stop)
+        runs = self._runs(parameters, points, point_of, cases, stop)
         return self._in_order(runs, Layout(CELL, IMPACT, self.layout.counted_by, self.layout.lashes))
 
     def _in_order(self, runs: Iterable[Runs], layout: Layout) -> tuple[Cells, Records, Records]:
@@ -228,31 +226,34 @@ class Grid:
         in_order = np.argsort(owners, kind="stable")
         return positions[first], records[layout.rows(first)], details[in_order]
 
-    def _runs(self, points: Sequence[Point], point_of: Cells, cases: kernel.Cases, stop: Flag) -> Iterator[Runs]:
+    def _runs(
+        self, parameters: tuple[str, ...], points: FloatArray, point_of: Cells, cases: kernel.Cases, stop: Flag
+    ) -> Iterator[Runs]:
         """Runs of one batch of drivelines after the other."""
         buffer = self.impact_buffer(point_of.size)
-        for batch, positions, part in self._by_batches(points, point_of, cases, _APART):
+        for batch, positions, part in self._by_batches(parameters, points, point_of, cases, _APART):
             if stop[0]:
                 return
             output = kernel.Output(self._cells(positions.size), buffer, _NO_LOGS, _NO_STATES)
             yield positions, *self._run(batch, part, output, stop)
 
     def _measured_runs(
-        self, points: Sequence[Point], point_of: Cells, cases: kernel.Cases, stop: Flag
+        self, parameters: tuple[str, ...], points: FloatArray, point_of: Cells, cases: kernel.Cases, stop: Flag
     ) -> Iterator[Runs]:
         """`_runs` with the measures of the study: records and impacts as the grid's layout has them."""
         buffer = self.impact_buffer(point_of.size)
-        for batch, positions, part in self._by_batches(points, point_of, cases, 0):
+        for batch, positions, part in self._by_batches(parameters, points, point_of, cases, 0):
             if stop[0]:
                 return
-            channels = self.systems.channels(points[point_of[positions[0]]], batch.system)
+            values = points[point_of[positions[0]]].tolist()
+            channels = self.systems.channels(dict(zip(parameters, values, strict=True)), batch.system)
             yield positions, *self._measured(batch, channels, part, buffer, stop)
 
     def _by_batches(
-        self, points: Sequence[Point], point_of: Cells, cases: kernel.Cases, apart: int
+        self, parameters: tuple[str, ...], points: FloatArray, point_of: Cells, cases: kernel.Cases, apart: int
     ) -> Iterator[tuple[kernel.Batch, Cells, kernel.Cases]]:
         """Cut runs by the batches of their drivelines, and by drivelines where each has `apart` runs or more."""
-        for batch, numbers in self.systems.batches(points):
+        for batch, numbers in self.systems.batches(parameters, points):
             of_runs = numbers[point_of]
             positions = np.flatnonzero(of_runs >= 0)
             drivelines = of_runs[positions]
@@ -270,8 +271,8 @@ class Grid:
         records = np.zeros((cells.size, self.layout.lashes), CELL)
         logs = np.zeros((cells.size, self.study.solver.max_events + 1), EVENT)
         logs["time"] = np.nan
-        points, point_of = self._points(cells)
-        for batch, positions, part in self._by_batches(points, point_of, cases, _APART):
+        points, point_of = self.points(cells)
+        for batch, positions, part in self._by_batches(self.structural, points, point_of, cases, _APART):
             events = logs[positions]
             output = kernel.Output(self._cells(positions.size), buffer, events, _NO_STATES)
             rows, _ = self._run(batch, part, output, np.zeros(1, np.uint8))

@@ -71,7 +71,7 @@ class SampleRunner:
 
     def ordered(self, cells: Cells) -> Cells:
         """Cells in the order of their systems."""
-        return np.concatenate([cells[:0], *(cells[positions] for _, positions in self.grid.groups(cells))])
+        return cells[np.argsort(self.grid.points(cells)[1], kind="stable")]
 
     def shared(self) -> Prepared | None:
         """The system and tables that all runs share, if they do."""
@@ -79,52 +79,51 @@ class SampleRunner:
 
     def run(self, cells: Cells, stop: Flag) -> Tile:
         """Run cells; a tile that was stopped has none."""
-        at, count = self.grid.design.at(cells), cells.size * self.layout.lashes
+        count = cells.size * self.layout.lashes
         patterns = np.zeros((count, self.draws + 1), np.uint64)  # the nominal run last
         severity = np.full((count, self.draws + 1), np.nan)
         status = np.zeros((count, self.draws + 1), np.uint8)
         long: list[Flanks] = []
         # tiles that run at the same time begin far apart, so that each prepares systems for the others
         begin = int(_GOLDEN * (cells[0] // cells.size) * self.draws)
-        order = [self.draws, *((begin + np.arange(self.draws)) % self.draws)]
-        for values, positions in self.grid.groups(cells):
-            nominal, rows = {key: column[positions] for key, column in at.items()}, self.layout.rows(positions)
-            at_a_time = max(_TILE_RUNS // positions.size, 1)
-            for draws in (order[k : k + at_a_time] for k in range(0, len(order), at_a_time)):
-                drawn = [self._at(draw, values, nominal) for draw in draws]
-                columns = {
-                    key: np.concatenate([np.broadcast_to(column[key], positions.size) for column in every])
-                    for every in zip(*drawn, strict=True)
-                    for key in every[0]
-                }
-                cases = self.grid.cases(columns, len(draws) * positions.size)
-                point_of = np.repeat(np.arange(len(draws)), positions.size)
-                _, records, impacts = self.grid.run_cases([point for point, _ in drawn], point_of, cases, stop)
-                if records.size < len(draws) * rows.size:
-                    return Tile(cells[:0], np.zeros(0, TOLERANCE_CELL), np.zeros(0, OUTCOME))
-                at_draws = rows[:, None], np.array(draws)
-                severity[at_draws] = records["severity"].reshape(len(draws), -1).T
-                status[at_draws] = records["status"].reshape(len(draws), -1).T
-                patterns[at_draws] = _numbered(records, [impacts], long).reshape(len(draws), -1).T
+        order = np.concatenate([[self.draws], (begin + np.arange(self.draws)) % self.draws])
+        at_a_time = max(_TILE_RUNS // cells.size, 1)
+        points, point_of = self.grid.points(cells)
+        of_points = dict(zip(self.grid.structural, points.T, strict=True))
+        of_cells = {key: column for key, column in self.grid.design.at(cells).items() if key not in of_points}
+        for draws in (order[k : k + at_a_time] for k in range(0, order.size, at_a_time)):
+            structural = self._at(draws, of_points, len(points), True)
+            driving = self._at(draws, of_cells, cells.size, False)
+            every = np.stack([np.zeros((draws.size, len(points))), *structural.values()], axis=-1)
+            points_of = (np.arange(draws.size)[:, None] * len(points) + point_of).ravel()
+            driving |= {key: column[:, point_of] for key, column in structural.items()}
+            cases = self.grid.cases({key: column.ravel() for key, column in driving.items()}, points_of.size)
+            drawn = every.reshape(-1, every.shape[-1])[:, 1:]
+            _, records, impacts = self.grid.run_cases(tuple(structural), drawn, points_of, cases, stop)
+            if records.size < draws.size * count:
+                return Tile(cells[:0], np.zeros(0, TOLERANCE_CELL), np.zeros(0, OUTCOME))
+            severity[:, draws] = records["severity"].reshape(draws.size, -1).T
+            status[:, draws] = records["status"].reshape(draws.size, -1).T
+            patterns[:, draws] = _numbered(records, [impacts], long).reshape(draws.size, -1).T
         summaries = [_summary(patterns[k], severity[k], status[k], long) for k in range(count)]
         records = np.array([record for record, _ in summaries], TOLERANCE_CELL)
         return Tile(cells, records, np.array([each for _, outcomes in summaries for each in outcomes], OUTCOME))
 
     def _at(
-        self, draw: int, system: Mapping[str, float], cells: Mapping[str, FloatArray]
-    ) -> tuple[dict[str, float], dict[str, FloatArray]]:
-        """Values at a draw, structural and of the cells, drawn around the nominal ones; the last draw is these."""
-        system, cells = dict(system), dict(cells)
+        self, draws: Cells, nominal: Mapping[str, FloatArray], count: int, structural: bool
+    ) -> dict[str, FloatArray]:
+        """Values at some draws, (draws, count), around nominal ones, (count,); the last draw is these.
+
+        structural : whether of the parameters with which the system differs, or of the others
+        """
+        values = {key: np.tile(column, (draws.size, 1)) for key, column in nominal.items()}
         for tolerance in self._tolerances:
-            parameter = tolerance.parameter
-            is_of_cells = leaves_system(self.grid.study, parameter)
-            nominal = (cells if is_of_cells else system).get(parameter, nominal_value(self.grid.study, parameter))
-            value = nominal if draw == self.draws else tolerance.applied(self.drawn[parameter][draw], nominal)
-            if is_of_cells:
-                cells[parameter] = np.asarray(value)
-            else:
-                system[parameter] = float(value)
-        return system, cells
+            key, is_drawn = tolerance.parameter, draws < self.draws
+            if leaves_system(self.grid.study, key) != structural:
+                around = values.get(key, np.full((draws.size, count), nominal_value(self.grid.study, key)))
+                around[is_drawn] = tolerance.applied(self.drawn[key][draws[is_drawn], None], around[is_drawn])
+                values[key] = around
+        return values
 
 
 class ToleranceReduction(Reduction[ToleranceMap]):
