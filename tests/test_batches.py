@@ -117,5 +117,5 @@ def test_the_first_value_that_is_not_allowed_is_refused_as_if_alone(value):
     with pytest.raises(clunk.ConfigError) as alone:
         replace_values(study, {"driveline.inertias[3]": value})
     with pytest.raises(clunk.ConfigError) as together:
-        batches.prepare_many(study, ["driveline.inertias[3]"], np.array([[0.002], [value], [-2.0]]))
+        list(batches.prepare_many(study, ["driveline.inertias[3]"], np.array([[0.002], [value], [-2.0]])))
     assert str(together.value) == str(alone.value)

@@ -42,7 +42,9 @@ def _with_tuples(node: Any) -> Any:
     """A table with lists as tuples: strict models take no lists for tuples."""
     if isinstance(node, dict):
         return {key: _with_tuples(value) for key, value in node.items()}
-    return tuple(_with_tuples(item) for item in node) if isinstance(node, list | tuple) else node
+    if isinstance(node, list | tuple) and any(isinstance(item, dict | list | tuple) for item in node):
+        return tuple(_with_tuples(item) for item in node)
+    return tuple(node) if isinstance(node, list) else node
 
 
 def _place(location: Place) -> tuple[Place, str]:

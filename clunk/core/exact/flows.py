@@ -141,7 +141,7 @@ def build_flows(
         modal=np.zeros((*many, flows), np.int64),
         ringing=np.zeros((*many, flows), np.int64),
         span=np.zeros((*many, flows, SPANS)),
-        propagator=np.zeros((*many, flows, SPANS, blocks, 3, ROW)),
+        propagator=np.empty((*many, flows, SPANS, blocks, 3, ROW)),  # the most: in larger pages, if any
         power=np.zeros((*many, flows, TERMS, blocks, 2, ROW)),
         generator=np.zeros((*many, flows, size, size)),
         watch=np.zeros((*many, flows, count, blocks, WATCHED)),
@@ -239,6 +239,8 @@ def _fill_alike(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int
         pairs = _pairs(generator)
         _propagate(pairs, _halves(np.isin(np.arange(size), place[: unseen.size][unseen])), tables.propagator)
         _expand(pairs, tables.power)
+    else:
+        tables.propagator[:] = 0.0
 
     derivatives = np.empty((TERMS, *functionals.shape[:2], size))  # by the time over the shortest span
     derivatives[0] = _outputs(functionals, basis[..., :states].swapaxes(-1, -2), chain)
@@ -493,22 +495,26 @@ def _propagate(pairs: _Pairs, unseen: BoolArray, result: FloatArray) -> None:
     unseen : (B, 2, 4), coordinates that no functional sees, and amplitudes need not bound
     result : (D, SPANS, B, 3, 8)
     """
-    ladder, drift = _LADDER[:, None, None], pairs.drift[:, None]
-    rates, angle = ladder[..., None] * pairs.sigma[:, None], ladder * pairs.omega[:, None]
-    decay, apart = np.empty_like(rates), (pairs.sigma[:, :, 0] != pairs.sigma[:, :, 1]).any(axis=0)
-    decay[:] = np.exp(rates[..., :1, :])  # which of all takes longest: once where both rates are the same
-    decay[:, :, :, 1][..., apart] = np.exp(rates[:, :, :, 1][..., apart])
-    halves, drifting = result.reshape(*result.shape[:-1], 2, BLOCK), drift.any()
+    # one coordinate after the other, (…, D, SPANS), and each pass along memory
+    sigma, omega, drift = (np.moveaxis(array, 0, -1)[..., None] for array in pairs)
+    rates, angle, drifting = sigma * _LADDER, omega * _LADDER, drift.any()
+    decay = np.empty_like(rates)
+    decay[:, 0] = decay[:, 1] = np.exp(rates[:, 0])  # which of all takes longest: once where both rates are the same
+    for block, pair in np.argwhere((sigma[:, 0] != sigma[:, 1]).any(axis=(-2, -1))):
+        np.exp(rates[block, 1, pair], out=decay[block, 1, pair])
     turning = np.where(drift, 0.0, angle) if drifting else angle
-    halves[..., SELF, :, :] = decay * np.cos(turning)[..., None, :]
-    sine = np.sin(turning)
-    halves[..., CROSS, 0, :], halves[..., CROSS, 1, :] = decay[..., 0, :] * sine, -decay[..., 1, :] * sine
-    halves[..., DECAY, :, :] = np.where(unseen, 0.0, decay).max(axis=-2, keepdims=True)
+    cosine, sine = np.cos(turning), np.sin(turning)
+    table = np.empty((len(decay), 3, *decay.shape[1:]))
+    table[:, SELF], table[:, CROSS, 0] = decay * cosine[:, None], decay[:, 0] * sine
+    np.multiply(-decay[:, 1], sine, out=table[:, CROSS, 1])
+    decay[unseen] = 0.0
+    table[:, DECAY] = np.maximum(decay[:, 0], decay[:, 1])[:, None]
     if drifting:
-        speed = ladder * pairs.sigma[:, None, :, 1]
+        speed = sigma[:, 1] * _LADDER
         with np.errstate(invalid="ignore"):
             share = np.where(speed != 0.0, np.expm1(speed) / speed, 1.0)
-        halves[..., CROSS, 0, :] += np.where(drift, angle * share, 0.0)
+        table[:, CROSS, 0] += np.where(drift, angle * share, 0.0)
+    result.reshape(-1, SPANS, table[..., 0, 0].size)[:] = table.reshape(-1, *rates.shape[-2:]).transpose(1, 2, 0)
 
 
 def _expand(pairs: _Pairs, result: FloatArray) -> None:
