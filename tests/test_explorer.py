@@ -1,6 +1,5 @@
 """The explorer without a browser: what it computes, and what its server refuses."""
 
-import asyncio
 import http.client
 import subprocess
 import sys
@@ -20,9 +19,11 @@ from clunk import ClunkError, load_study, simulate, sweep
 from clunk.cli import cli
 from clunk.explorer.controls import adjustable, slider_range
 from clunk.explorer.curves import thinned
+from clunk.explorer.drawings import picture_of
 from clunk.explorer.newest import Newest
-from clunk.explorer.pictures import picture_of
+from clunk.explorer.pictures import cells_picture
 from clunk.explorer.subject import Subject
+from clunk.explorer.variations import Variations
 from clunk.plot.style import palette_of
 from clunk.simulation.history import sample
 from clunk.study.config import study_from_text
@@ -46,6 +47,11 @@ EXACT = '[solver]\nmethod = "exact"\n'
 @pytest.fixture(scope="module")
 def subject():
     return Subject.of(sweep(study_from_text(NOMINAL + EXACT + AXES)), "nominal")
+
+
+@pytest.fixture(scope="module")
+def variations(subject):
+    return Variations(subject)
 
 
 class TestCurves:
@@ -120,19 +126,19 @@ class TestSubject:
         part = three.stored({"lash.contact.damping": 94.0})
         assert np.array_equal(part.sequence[..., 0], subject.results.sequence)
 
-    def test_a_run_is_that_of_its_cell(self, subject):
-        run = subject.run({"load.ratio": 5.0, "lash.backlash_deg": 6.0}, {}).trajectory
+    def test_a_run_is_that_of_its_cell(self, subject, variations):
+        run = variations.run({"load.ratio": 5.0, "lash.backlash_deg": 6.0}, {}).trajectory
         cell = subject.results.cell({"load.ratio": 5.0, "lash.backlash_deg": 6.0})
         assert (run.label, run.severity, run.touches) == (cell["label"], cell["severity"], cell["touches"])
 
-    def test_the_map_with_other_numbers_is_that_of_its_config(self, subject):
+    def test_the_map_with_other_numbers_is_that_of_its_config(self, variations):
         numbers = {"lash.contact.damping": 40.0}
-        computed = subject.full_map({}, numbers, lambda *_: None, refine=False)
-        config = study_from_text(subject.config({"load.ratio": 7.5, "lash.backlash_deg": 10.0}, numbers))
+        computed = variations.full_map({}, numbers, lambda *_: None, refine=False)
+        config = study_from_text(variations.config({"load.ratio": 7.5, "lash.backlash_deg": 10.0}, numbers))
         again = sweep(config)
         assert again.config_digest == computed.config_digest
         assert np.array_equal(again.severity, computed.severity)
-        run = subject.run({"load.ratio": 7.5, "lash.backlash_deg": 10.0}, numbers).trajectory
+        run = variations.run({"load.ratio": 7.5, "lash.backlash_deg": 10.0}, numbers).trajectory
         assert np.array_equal(simulate(config).events, run.events)
 
     def test_of_runs_of_a_sample_the_map_is_a_strip(self):
@@ -142,7 +148,7 @@ class TestSubject:
         assert [axis.parameter for axis in sampled.plane] == ["run"]
         ratio = float(results.coordinates[0].values[2])
         assert sampled.values({"run": 3.0}) == {"load.ratio": ratio}
-        assert sampled.run({"run": 3.0}, {}).trajectory.severity == results.severity[2]
+        assert Variations(sampled).run({"run": 3.0}, {}).trajectory.severity == results.severity[2]
         assert picture_of(results, "severity", 1).curve[:, 1].tolist() == results.severity.tolist()
 
 
@@ -156,6 +162,12 @@ class TestPictures:
         assert "#" + "".join(f"{pixel >> shift & 255:02x}" for shift in (0, 8, 16)) == palette[label]
         assert {label for label, *_ in picture.legend} == set(subject.results.label_map.ravel())
 
+    def test_the_first_picture_has_the_cells_colours_and_the_same_legend(self, subject):
+        first, then = cells_picture(subject.results), picture_of(subject.results, "regimes", 2)
+        assert first.legend == then.legend
+        middle = first.pixels.shape[0] // 2
+        assert first.pixels[middle, middle] == then.pixels[middle, middle]
+
     def test_a_quantity_has_its_own_scale(self, subject):
         shades = picture_of(subject.results, "severity", 2).shades
         assert shades.high == subject.results.severity.max()
@@ -163,8 +175,8 @@ class TestPictures:
 
 
 class TestControls:
-    def test_there_is_a_slider_for_each_number_that_is_not_swept_and_changes_something(self, subject):
-        keys = adjustable(subject.study, {"load.ratio", "lash.backlash_deg"})
+    def test_there_is_a_slider_for_each_number_that_is_not_swept_and_changes_something(self, variations):
+        keys = adjustable(variations.study, {"load.ratio", "lash.backlash_deg"})
         assert "lash.contact.stiffness" in keys
         assert not {"load.ratio", "lash.contact.restitution", "load.step_time"} & set(keys)
 
@@ -227,10 +239,14 @@ class TestServer:
         assert status == 200
         assert headers["Content-Security-Policy"].startswith("default-src 'self'")
         assert b"https://" not in body
+        status, headers, body = answer(explorer, f"/{token}/drawn/autoload.js?bokeh-autoload-element=page")
+        assert status == 200
+        assert b"https://" not in body
+        assert not [name for name in headers if name.startswith("Access-Control")]
         assert explorer.url.startswith("http://127.0.0.1:")
         assert len(token) >= 20
 
-    @pytest.mark.parametrize("path", ["/", "/ws", "/static/js/bokeh.min.js", "/autoload.js", "/metadata", "/wrong/"])
+    @pytest.mark.parametrize("path", ["/", "/drawn/ws", "/static/js/bokeh.min.js", "/drawn/autoload.js", "/wrong/"])
     def test_without_the_token_there_is_nothing(self, explorer, path):
         assert answer(explorer, path)[0] == 404
 
@@ -252,7 +268,7 @@ class TestServer:
             "Sec_WebSocket_Protocol": "bokeh, none",
             "Origin": origin or explorer.url.rsplit("/", 2)[0],
         }
-        assert answer(explorer, f"/{token}/ws", **headers)[0] == status
+        assert answer(explorer, f"/{token}/drawn/ws", **headers)[0] == status
 
     def test_a_port_in_use_is_said_to_be(self, explorer, subject):
         from clunk.explorer.server import explore
@@ -271,45 +287,21 @@ class TestServer:
             answer(second, "/")
 
 
-class TestPage:
-    def test_titles_and_names_are_text(self):
-        from bokeh.document import Document
+def test_titles_and_names_are_text():
+    from bokeh.document import Document
 
-        from clunk.explorer.page import Page
+    from clunk.explorer.page import Page
+    from clunk.explorer.workbench import Workbench
 
-        hostile = "<script>alert(1)</script>"
-        text = f'title = "{hostile}"\n' + NOMINAL.replace("[lash]", f'[lash]\nname = "{hostile}"')
-        page = Page(document := Document(), Subject.of(sweep(study_from_text(text + EXACT + AXES))))
-        try:
-            assert escape(hostile) in document.get_model_by_name("title").text
-            assert hostile not in document.get_model_by_name("title").text
-            assert not document.get_model_by_name("of lash").visible
-        finally:
-            page.close()
-
-    def test_the_first_run_is_shown_however_late_its_session_begins(self, subject):
-        """A session takes what threads asked of its document before it began in no order: an energy before its run."""
-        from bokeh.document import Document
-        from bokeh.server.session import ServerSession
-        from tornado.ioloop import IOLoop
-
-        from clunk.explorer.page import Page
-
-        async def header_of_a_late_session():
-            page = Page(document := Document(), subject)
-            await asyncio.sleep(0.5)  # of which a run takes some hundredths
-            assert len(document.session_callbacks) == 1
-            session = ServerSession("any", document, IOLoop.current())
-            header = document.get_model_by_name("header")
-            deadline = time.monotonic() + 20.0
-            while "energy" not in header.text and time.monotonic() < deadline:
-                await asyncio.sleep(0.01)
-            text = header.text
-            page.close()
-            await session.with_document_locked(session.destroy)
-            return text
-
-        assert "energy" in asyncio.run(header_of_a_late_session())
+    hostile = "<script>alert(1)</script>"
+    text = f'title = "{hostile}"\n' + NOMINAL.replace("[lash]", f'[lash]\nname = "{hostile}"')
+    page = Page(document := Document(), subject := Subject.of(sweep(study_from_text(text + EXACT + AXES))))
+    workbench = Workbench(page, Variations(subject))
+    workbench.close()
+    page.close()
+    assert escape(hostile) in document.get_model_by_name("title").text
+    assert hostile not in document.get_model_by_name("title").text
+    assert not document.get_model_by_name("of lash").visible
 
 
 def test_what_cannot_be_explored_is_said(tmp_path):
@@ -330,6 +322,6 @@ def test_without_bokeh_the_command_names_the_package_to_install(tmp_path):
     assert "pip install 'clunk[explore]'" in " ".join(run.stderr.split())
 
 
-def test_numbers_that_are_not_allowed_are_refused_by_the_rules_of_a_config(subject):
+def test_numbers_that_are_not_allowed_are_refused_by_the_rules_of_a_config(variations):
     with pytest.raises(ClunkError, match="stiffness"):
-        subject.run({"load.ratio": 5.0, "lash.backlash_deg": 6.0}, {"lash.contact.stiffness": -1.0})
+        variations.run({"load.ratio": 5.0, "lash.backlash_deg": 6.0}, {"lash.contact.stiffness": -1.0})

@@ -1,396 +1,97 @@
-"""The page: a map on the left, the run in the cell that is pointed at on the right, sliders below the map."""
+"""The page as it opens: the stored map as its cells are, before anything that runs or draws is imported."""
 
 from __future__ import annotations
 
-import base64
-import io
 import logging
-import math
-import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from functools import partial
 from html import escape
 from importlib.resources import files
-from pathlib import PurePath
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any
 
+from bokeh.core.validation import silence
+from bokeh.core.validation.warnings import EMPTY_LAYOUT
 from bokeh.document import Document
 from bokeh.events import ConnectionLost, DocumentReady, MouseLeave, MouseMove, Tap
-from bokeh.models import Button, Column, ColumnDataSource, CustomJS, Div, Row, Select, Toggle
+from bokeh.models import Column, ColumnDataSource, CustomJS, Div, Row
 
-from clunk.explorer.controls import Controls
-from clunk.explorer.mapfigure import RUN_COLOURS, MapFigure, Mark
-from clunk.explorer.newest import Newest, Request
-from clunk.explorer.pictures import Picture, picture_of
-from clunk.explorer.runfigures import RunFigures
+from clunk.explorer.mapfigure import MapFigure
+from clunk.explorer.pictures import Picture, cells_picture
 from clunk.explorer.subject import Subject
-from clunk.plot.drawing import draw, hardness
-from clunk.plot.layers import quantities_of
-from clunk.plot.plane import number_text, value_text
-from clunk.plot.style import encode
-from clunk.results.regimemap import Results
 from clunk.study.errors import ClunkError
-from clunk.study.summaries import html_table
 
 if TYPE_CHECKING:
-    from clunk.simulation.energy import EnergyBalance
-    from clunk.simulation.history import History
+    from clunk.explorer.workbench import Workbench
 
-_SAVED = ("map.png", "map.svg", "run.png", "run.svg", "run.csv", "config.toml")
-_TYPES = {"png": "image/png", "svg": "image/svg+xml", "csv": "text/csv", "toml": "application/toml"}
+WIDE: dict[str, Any] = {"sizing_mode": "stretch_width", "margin": (2, 6, 2, 6)}
 _LISTED = 16  # labels below the map
-_PINS = len(RUN_COLOURS) - 1
-_ARROWS = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowDown": (0, -1), "ArrowUp": (0, 1)}
-_HELP = "click: keep a run · shift-click or p: pin it · u: unpin · arrows: next cell · f: follow"
-_OWN = "the map with the config's own numbers"
-_drawing = threading.Lock()  # matplotlib's style is one for all threads
-
-Cell = tuple[float, ...]  # values of the map's axes
-
-
-class Shown(NamedTuple):
-    """A run on the page, with what it takes to make it again."""
-
-    cell: Cell
-    values: dict[str, float]  # of all axes
-    numbers: dict[str, float]
-    history: History
+silence(EMPTY_LAYOUT)  # the page opens with some
 
 
 class Page:
-    """One page in one browser: its widgets, what is shown in them, and the threads that compute it."""
+    """One page in one browser: a map, and what its workbench puts around it once the browser has drawn that.
+
+    above, below, right : for the workbench: a row and a column around the map, and the right half
+    """
 
     def __init__(self, document: Document, subject: Subject) -> None:
-        self._document, self._subject = document, subject
-        self._numbers: dict[str, float] = {}
-        self._slices: dict[str, float] = {}
-        self._is_ready = False
-        self._results: Results | None = None
-        self._cell = self._first_cell()
-        self._hovered: Cell | None = None
-        self._run: Shown | None = None
-        self._pins: list[Shown] = []
-        self._pins_next = False
-        self._requested: tuple[dict[str, float], dict[str, float]] | None = None
-
-        results, study = subject.results, subject.study
-        self._map = MapFigure(subject.plane)
-        self._panels = RunFigures()
-        options = {"width": 190, "margin": (0, 6, 4, 6)}
-        # over one axis, labels are the colours under a curve
-        names = quantities_of(results)[len(subject.plane) == 1 :]
-        first = names[0] if len(subject.plane) > 1 else hardness(results)
-        described = [(name, _quantity_name(results, name)) for name in names]
-        self._quantity = Select(value=first, options=described, name="quantity", **options)
-        self._lash = Select(value=results.lash_names[0], options=list(results.lash_names), name="of lash", **options)
-        self._lash.visible = bool(results.lashes)
-        small = {"height": 30, "margin": (0, 6, 4, 0)}
-        self._follow = Toggle(label="follow the pointer", active=True, name="follow", **small)
-        self._pin = Button(label="pin this run", name="pin", **small)
-        self._unpin = Button(label="unpin", name="unpin", **small)
-        self._reset = Button(label="reset the numbers", name="reset", visible=False, **small)
-        saved = [("", "save …"), *((name, name) for name in _SAVED)]
-        self._save = Select(value="", options=saved, name="save", width=130, **small)
-        wide = {"sizing_mode": "stretch_width", "margin": (2, 6, 2, 6)}
-        title = f"<b>{escape(results.title.strip() or 'Impact regimes')}</b>"
-        self._title = Div(text=title, name="title", styles={"font-size": "16px"}, **wide)
-        self._status = Div(text="", name="status", render_as_text=True, styles={"color": "#5b646c"}, **wide)
-        self._legend = Div(text="", name="legend", styles={"line-height": "20px"}, **wide)
-        # of one height, or all panels would be laid out anew with every run
-        self._header = Div(text="", name="header", height=62, styles={"overflow": "hidden"}, **wide)
-        self._compared = Div(text="", name="compared", **wide)
-        self._table = Div(text="", name="events", styles={"overflow-y": "auto", "font-size": "12px"}, **wide)
-        self._table.update(sizing_mode="stretch_both", min_height=80, max_height=170)
-        self._keys = ColumnDataSource(data={"key": [], "steps": []}, name="keys")
-        self._download = ColumnDataSource(data={"name": [], "type": [], "content": []}, name="download")
-
-        self._newest_run = Newest("run", self._complain_soon)
-        self._newest_map = Newest("map", self._complain_soon)
-        self._files = ThreadPoolExecutor(1, thread_name_prefix="clunk file")
-        swept = {axis.parameter for axis in results.parameters}
-        self._controls = Controls(study, subject.slices, swept, self._on_slice, self._on_number)
-        self._listen()
+        self.document, self.subject = document, subject
+        self.map = MapFigure(subject.plane)
+        self.status = Div(text="…", name="status", render_as_text=True, styles={"color": "#5b646c"}, **WIDE)
+        self.legend = Div(text="", name="legend", styles={"line-height": "20px"}, **WIDE)
+        self.above = Row(children=[], sizing_mode="stretch_width", min_height=36)
+        self.below = Column(children=[], sizing_mode="stretch_width", max_height=190, min_height=150)
+        self.below.styles = {"overflow-y": "auto", "flex": "0 0 auto"}
+        self.right = Column(children=[], sizing_mode="stretch_both", styles={"flex": "1 1 0"})
+        self.keys = ColumnDataSource(data={"key": [], "steps": []}, name="keys")
+        self.download = ColumnDataSource(data={"name": [], "type": [], "content": []}, name="download")
+        self._workbench: Workbench | None = None
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix="clunk page")
+        self._has_begun = False
+        if len(subject.plane) == 2:
+            first = {axis.parameter: float(axis.values[len(axis.values) // 2]) for axis in subject.slices}
+            picture = cells_picture(subject.stored(first).of_lash())
+            self.map.show(picture, "")
+            self.show_legend(picture)
+        for event in (Tap, MouseMove, MouseLeave):  # what is listened to later, the browser does not hear of
+            self.map.figure.on_event(event, self._on_pointer)
         self._add_roots()
-        # not before there is a session: it takes the changes that threads have asked for until then in any order
-        document.add_next_tick_callback(self._begin)
+        # the document is the browser's by then: a session takes what threads ask of its document before in any order
+        document.on_event(DocumentReady, lambda _: self._begin())
+        document.js_on_event(ConnectionLost, CustomJS(code=_asset("ended.js")))
+        self.download.js_on_change("data", CustomJS(code=_asset("download.js")))
 
     def close(self) -> None:
         """End the threads of the page."""
-        self._newest_run.close()
-        self._newest_map.close()
-        self._files.shutdown(wait=False, cancel_futures=True)
+        self._worker.shutdown(wait=False, cancel_futures=True)
+        if self._workbench is not None:
+            self._workbench.close()
 
-    def _add_roots(self) -> None:
-        above = Row(children=[self._quantity, self._lash, self._follow, self._reset], sizing_mode="stretch_width")
-        controls = Column(
-            children=[self._controls.layout],
-            sizing_mode="stretch_width",
-            max_height=190,
-            styles={"overflow-y": "auto", "flex": "0 0 auto"},
-        )
-        left = Column(
-            children=[self._title, above, self._map.figure, self._legend, controls, self._status],
-            sizing_mode="stretch_both",
-            styles={"flex": "1 1 0"},
-        )
-        buttons = Row(children=[self._pin, self._unpin, self._save], sizing_mode="stretch_width")
-        right = Column(
-            children=[self._header, buttons, self._compared, *self._panels.figures.values(), self._table],
-            sizing_mode="stretch_both",
-            styles={"flex": "1 1 0"},
-        )
-        page = Row(children=[left, right], sizing_mode="stretch_both", styles={"height": "100vh"}, name="page")
-        self._document.add_root(page)
-        self._document.add_root(self._keys)
-        self._document.add_root(self._download)
-        self._document.title = f"clunk: {self._subject.results.title.strip() or 'impact regimes'}"
-        self._document.template = _asset("page.html")
+    def work(self, work: Callable[[], None]) -> None:
+        """Do something that takes a while in a thread, one after the other."""
 
-    def _listen(self) -> None:
-        self._map.figure.on_event(Tap, self._on_tap)
-        self._map.figure.on_event(MouseMove, self._on_move)
-        self._map.figure.on_event(MouseLeave, lambda _: self._hover(None))
-        self._quantity.on_change("value", lambda _attribute, _old, _new: self._request_map())
-        self._lash.on_change("value", lambda _attribute, _old, _new: self._on_lash())
-        self._follow.on_change("active", lambda _attribute, _old, _new: self._hover(None))
-        self._pin.on_click(lambda *_: self._pin_run())
-        self._unpin.on_click(lambda *_: self._unpin_runs())
-        self._reset.on_click(lambda *_: self._controls.reset())
-        self._save.on_change("value", lambda _attribute, _old, name: self._save_as(name))
-        self._keys.on_change("data", lambda _attribute, _old, _new: self._on_key())
-        self._download.js_on_change("data", CustomJS(code=_asset("download.js")))
-        self._document.js_on_event(DocumentReady, CustomJS(args={"keys": self._keys}, code=_asset("page.js")))
-        self._document.js_on_event(ConnectionLost, CustomJS(code=_asset("ended.js")))
-
-    def _begin(self) -> None:
-        self._is_ready = True
-        self._request_both()
-
-    # --- What the user does ------------------------------------------------------------------------------------------
-
-    def _on_tap(self, event: Tap) -> None:
-        cell = self._map.nearest(event.x, event.y)
-        if cell is not None:
-            self._pins_next = bool((event.modifiers or {}).get("shift"))
-            self._select(cell)
-
-    def _on_move(self, event: MouseMove) -> None:
-        if self._follow.active:
-            self._hover(self._map.nearest(event.x, event.y))
-
-    def _hover(self, cell: Cell | None) -> None:
-        if cell != self._hovered:
-            self._hovered = cell
-            self._request_run()
-
-    def _select(self, cell: Cell) -> None:
-        self._cell, self._hovered = cell, None
-        self._mark()
-        self._request_run()
-        self._pin_where_wanted()
-
-    def _on_key(self) -> None:
-        (key,), (steps,) = self._keys.data["key"], self._keys.data["steps"]
-        if key in _ARROWS:
-            cell = []
-            for axis, value, direction in zip(self._subject.plane, self._cell, _ARROWS[key], strict=False):
-                ascending = sorted(axis.values.tolist())
-                at = min(max(ascending.index(value) + direction * int(steps), 0), len(ascending) - 1)
-                cell.append(ascending[at])
-            self._select(tuple(cell))
-        elif key == "p":
-            self._pin_run()
-        elif key in ("u", "Escape"):
-            self._unpin_runs()
-        elif key == "f":
-            self._follow.active = not self._follow.active
-
-    def _on_lash(self) -> None:
-        self._request_map()
-        self._show_runs()
-
-    def _on_slice(self, parameter: str, value: float) -> None:
-        if self._slices.get(parameter) != value:
-            self._slices[parameter] = value
-            self._request_both()
-
-    def _on_number(self, parameter: str, value: float) -> None:
-        if self._numbers.get(parameter) != value:
-            self._numbers[parameter] = value
-            self._request_both()
-
-    def _request_both(self) -> None:
-        if self._is_ready:
-            self._request_run()
-            self._request_map()
-
-    def _pin_run(self) -> None:
-        if self._run is not None:
-            self._pins = [*self._pins, self._run][-_PINS:]
-            self._mark()
-            self._show_runs()
-
-    def _unpin_runs(self) -> None:
-        self._pins = []
-        self._mark()
-        self._show_runs()
-
-    # --- Runs --------------------------------------------------------------------------------------------------------
-
-    def _first_cell(self) -> Cell:
-        """The cell in which the config's own values lie, or else the middle one."""
-        at = []
-        for axis in self._subject.plane:
-            value = self._subject.number(axis.parameter)
-            low, high = axis.values.min(), axis.values.max()
-            at.append(float(axis.values[axis.nearest(value) if low <= value <= high else len(axis.values) // 2]))
-        return tuple(at)
-
-    def _values(self, cell: Cell) -> dict[str, float]:
-        axes = self._subject.plane
-        return {**self._slices, **{axis.parameter: value for axis, value in zip(axes, cell, strict=True)}}
-
-    def _request_run(self) -> None:
-        if not self._is_ready:
-            return
-        cell = self._cell if self._hovered is None else self._hovered
-        values, numbers = self._values(cell), dict(self._active_numbers())
-        if (values, numbers) == self._requested:
-            return
-        self._requested = values, numbers
-
-        def work(request: Request) -> None:
-            from clunk.simulation.energy import balance
-
+        def attempt() -> None:
             try:
-                history = self._subject.run(values, numbers)
-            except ClunkError as error:
-                self._soon(partial(self._refuse_run, str(error)))
-                return
-            request.go_on()
-            self._soon(partial(self._show_run, Shown(cell, values, numbers, history)))
-            energy = balance(history.trajectory)
-            request.go_on()
-            self._soon(partial(self._show_header, history, energy))
+                work()
+            except Exception as error:
+                self.complain_soon(error)
 
-        self._newest_run.submit(work)
+        self._worker.submit(attempt)
 
-    def _refuse_run(self, text: str) -> None:
-        self._run = None
-        self._panels.show([None] * len(RUN_COLOURS), keeps_zoom=True)
-        self._header.text, self._table.text = f"<b>no run</b>: {escape(text)}", ""
+    def soon(self, change: Callable[[], None]) -> None:
+        """Change the page in the thread of its events."""
+        self.document.add_next_tick_callback(change)
 
-    def _show_run(self, shown: Shown) -> None:
-        self._run = shown
-        self._show_runs()
-        self._pin_where_wanted()
+    def complain_soon(self, error: Exception) -> None:
+        """Say what went wrong in a thread."""
+        if not isinstance(error, ClunkError):
+            logging.getLogger(__name__).error("the explorer could not do what was asked", exc_info=error)
+        text = str(error) if isinstance(error, ClunkError) else f"internal error: {error!r}"
+        self.soon(partial(setattr, self.status, "text", text))
 
-    def _pin_where_wanted(self) -> None:
-        """Pin the run of a shift-click once it is there."""
-        if self._pins_next and self._run is not None and self._run.cell == self._cell:
-            self._pins_next = False
-            self._pin_run()
-
-    def _show_runs(self) -> None:
-        if self._run is None:
-            return
-        lash = self._lash_position
-        self._show_header(self._run.history, None)
-        shown = [self._run, *self._pins]
-        histories: list[History | None] = [each.history.lashes[lash] for each in shown]
-        self._panels.show([*histories, *[None] * (len(RUN_COLOURS) - len(histories))], keeps_zoom=True)
-        history = histories[0]
-        assert history is not None
-        columns, *events = history.trajectory.event_table()
-        ending = (f"{history.trajectory.end:.7f}", f"end: {history.trajectory.ending}", *[""] * (len(columns) - 2))
-        self._table.text = html_table([*events, ending], columns)
-        texts = [
-            f'<span style="color: {colour}">■</span> {escape(self._described(pin))}'
-            for pin, colour in zip(self._pins, RUN_COLOURS[1:], strict=False)
-        ]
-        self._compared.text = "<br>".join(texts)
-
-    def _described(self, shown: Shown) -> str:
-        """The place of a run, its label and severity."""
-        trajectory = shown.history.lashes[self._lash_position].trajectory
-        severity = "" if math.isnan(trajectory.severity) else f", Q = {trajectory.severity:.1f} rad/s²"
-        return f"{self._place(shown)}: {trajectory.label}{severity}"
-
-    def _place(self, shown: Shown) -> str:
-        results = self._subject.results
-        axes = {axis.parameter: axis for axis in (*results.axes, *results.coordinates)}
-        swept = self._subject.values(shown.values)
-        texts = [value_text(axes[name], value, symbol=True) for name, value in swept.items()]
-        texts += [f"{name} = {number_text(value)}" for name, value in shown.numbers.items()]
-        return ", ".join(texts)
-
-    def _show_header(self, history: History, energy: EnergyBalance | None) -> None:
-        if self._run is None or history is not self._run.history:
-            return
-        trajectory = history.lashes[self._lash_position].trajectory
-        facts = [f"{name} {text}" for name, text in trajectory.outcome() if name != "label"]
-        if energy is not None:
-            facts.append(_energy_text(energy))
-        label = f'<span style="font-size: 20px; font-weight: bold">{escape(trajectory.label)}</span>'
-        self._header.text = f"{label} &nbsp; {escape(self._place(self._run))}<br>{escape(' · '.join(facts))}"
-
-    # --- Maps --------------------------------------------------------------------------------------------------------
-
-    @property
-    def _lash_position(self) -> int:
-        return self._subject.results.lash_names.index(self._lash.value)
-
-    def _active_numbers(self) -> dict[str, float]:
-        """The numbers that differ from the config's."""
-        return {key: value for key, value in self._numbers.items() if value != self._subject.number(key)}
-
-    def _request_map(self) -> None:
-        if not self._is_ready:
-            return
-        subject, slices, numbers = self._subject, dict(self._slices), self._active_numbers()
-        quantity, lash = self._quantity.value, self._lash.value
-        self._reset.visible = bool(numbers)
-
-        refine = quantity == "regimes"  # of anything else, an inferred cell has no value
-
-        def show(results: Results, status: str) -> None:
-            from clunk.analysis.small_gap import thresholds_of
-
-            picture = picture_of(results.of_lash(lash), quantity, len(subject.plane))
-            self._soon(partial(self._show_map, results, picture, status))
-            thresholds = thresholds_of(results) if quantity == "regimes" else []
-            self._soon(partial(self._show_legend, picture, thresholds))
-
-        def work(request: Request) -> None:
-            def progress(done: int, total: int) -> None:
-                request.go_on()
-                self._soon(partial(self._say, f"computing the map: {done:,} of {total:,} cells"))
-
-            if not numbers and (refine or not subject.results.inferred.any()):
-                show(subject.stored(slices), _OWN)
-                subject.prepare(lambda text: self._soon(partial(self._say, text)))
-                return
-            self._soon(partial(self._say, "computing the map …"))
-            coarse = subject.coarse_map(slices, numbers, request.go_on, refine=refine)
-            request.go_on()
-            if coarse is not None:
-                show(coarse, "computing the map: every few cells are shown")
-            full = subject.full_map(slices, numbers, progress, refine=refine)
-            request.go_on()
-            show(full, "the map with these numbers, which is in no file" if numbers else _OWN)
-
-        self._newest_map.submit(work)
-
-    def _show_map(self, results: Results, picture: Picture, status: str) -> None:
-        self._results = results
-        self._map.show(picture, _quantity_name(results, self._quantity.value))
-        self._show_legend(picture, [])
-        self._say(status)
-        self._mark()
-
-    def _show_legend(self, picture: Picture, thresholds: list[float]) -> None:
+    def show_legend(self, picture: Picture, *notes: str) -> None:
+        """List the labels of a map, and notes."""
         square = '<span style="background: {}; border: 1px solid #1c2126">&emsp;</span>'
         swatch = f'<span style="white-space: nowrap">{square}&nbsp;{{}}&nbsp;{{}}</span>'
         entries = [swatch.format(colour, escape(label), share) for label, colour, share in picture.legend[:_LISTED]]
@@ -398,95 +99,40 @@ class Page:
             entries.append(f"and {len(picture.legend) - _LISTED} more")
         if len(picture.dots):
             entries.append(f"● undecided: {len(picture.dots):,} cells")
-        if thresholds:
-            entries.append(f"thresholds for vanishing backlash: {', '.join(f'{each:.2f}' for each in thresholds)}")
-        self._legend.text = " &nbsp; ".join(entries)
+        self.legend.text = " &nbsp; ".join([*entries, *notes])
 
-    def _mark(self) -> None:
-        cells = [(pin.cell, colour) for pin, colour in zip(self._pins, RUN_COLOURS[1:], strict=False)]
-        marks: list[Mark] = []
-        for cell, colour in [*cells, (self._cell, RUN_COLOURS[0])]:
-            marks.append((cell[0], cell[1] if len(cell) > 1 else 0.0, colour))
-        self._map.mark(marks)
+    def _add_roots(self) -> None:
+        title = Div(text=f"<b>{escape(self.subject.title)}</b>", name="title", styles={"font-size": "16px"}, **WIDE)
+        left = Column(
+            children=[title, self.above, self.map.figure, self.legend, self.below, self.status],
+            sizing_mode="stretch_both",
+            styles={"flex": "1 1 0"},
+        )
+        page = Row(children=[left, self.right], sizing_mode="stretch_both", styles={"height": "100vh"}, name="page")
+        for root in (page, self.keys, self.download):
+            self.document.add_root(root)
 
-    # --- Saving ------------------------------------------------------------------------------------------------------
+    def _on_pointer(self, event: Tap | MouseMove | MouseLeave) -> None:
+        if self._workbench is not None:
+            self._workbench.point(event)
 
-    def _save_as(self, name: str) -> None:
-        """Make one of `_SAVED` in a thread, and hand it to the browser as a download."""
-        self._save.value = ""
-        if name not in _SAVED or self._run is None or self._results is None:
-            return
-        what, _, suffix = name.partition(".")
-        runs, results = [self._run, *self._pins], self._results
-        quantity, lash = self._quantity.value, self._lash.value
+    def _begin(self) -> None:
+        """Build the workbench, once: what it imports takes a second, and the page stays alive meanwhile."""
+        if not self._has_begun:
+            self._has_begun = True
+            self.work(self._build)
 
-        def make(target: io.BytesIO) -> None:
-            from clunk.analysis.small_gap import thresholds_of
-            from clunk.plot.histories import simulation_figure
-            from clunk.results.historyfile import write_csv
+    def _build(self) -> None:
+        from clunk.explorer.variations import Variations
+        from clunk.explorer.workbench import Workbench
 
-            if name == "config.toml":
-                target.write(self._subject.config(runs[0].values, runs[0].numbers).encode())
-            elif name == "run.csv":
-                write_csv(target, runs[0].history)
-            elif what == "map":
-                part = results.at_lash(lash)
-                encode(draw(part, quantity, thresholds_of(part)), suffix, target)
-            else:
-                encode(simulation_figure([_named(each, self._place(each)) for each in runs]), suffix, target)
+        variations = Variations(self.subject)
 
-        def work() -> None:
-            target = io.BytesIO()
-            try:
-                with _drawing:
-                    make(target)
-            except ClunkError as error:
-                self._soon(partial(self._say, str(error)))
-                return
-            except Exception as error:
-                self._complain_soon(error)
-                return
-            stem = PurePath(self._subject.name).stem or "map"
-            content = base64.b64encode(target.getvalue()).decode()
-            data = {"name": [f"{stem}-{name}"], "type": [_TYPES[suffix]], "content": [content]}
-            self._soon(lambda: setattr(self._download, "data", data))
+        def furnish() -> None:
+            self._workbench = Workbench(self, variations)
 
-        self._files.submit(work)
-
-    # --- From threads ------------------------------------------------------------------------------------------------
-
-    def _soon(self, change: Callable[[], None]) -> None:
-        """Change the page in the thread of its events."""
-        self._document.add_next_tick_callback(change)
-
-    def _say(self, text: str) -> None:
-        self._status.text = f"{text}   ·   {_HELP}"
-
-    def _complain_soon(self, error: Exception) -> None:
-        if not isinstance(error, ClunkError):
-            logging.getLogger(__name__).error("the explorer could not do what was asked", exc_info=error)
-        text = str(error) if isinstance(error, ClunkError) else f"internal error: {error!r}"
-        self._soon(partial(self._say, text))
+        self.soon(furnish)
 
 
 def _asset(name: str) -> str:
     return files(__package__).joinpath(name).read_text("utf-8")
-
-
-def _named(shown: Shown, name: str) -> History:
-    return replace(shown.history, name=name)
-
-
-def _quantity_name(results: Results, name: str) -> str:
-    return "regimes" if name == "regimes" else results.quantities[name].plot_label
-
-
-def _energy_text(energy: EnergyBalance) -> str:
-    terms = {
-        "work of the load": energy.work,
-        "damped": energy.damped,
-        "rubbed": energy.rubbed,
-        "lost at impacts": energy.lost_at_impacts,
-    }
-    texts = [f"{name} {number_text(float(f'{value:.4g}'))} J" for name, value in terms.items() if value]
-    return f"energy: {', '.join(texts)}; residual {energy.relative_residual:.0e}" if texts else "energy: none"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from bokeh.events import Reset
@@ -13,9 +13,7 @@ from bokeh.plotting import figure
 from clunk.explorer.curves import Floats, thinned
 from clunk.explorer.mapfigure import RUN_COLOURS
 from clunk.plot.style import FAINT_INK, INK
-
-if TYPE_CHECKING:
-    from clunk.simulation.history import History
+from clunk.simulation.history import History
 
 _COLUMNS = 1000  # spans of time that a screen tells apart
 _MOST_ARROWS = 12  # impacts; more arrows than these would hide the curve

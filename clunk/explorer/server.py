@@ -13,31 +13,32 @@ import socket
 import threading
 import webbrowser
 from html import escape
-from typing import Any
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
 
 from clunk.explorer.subject import ExplorerError, Subject
 from clunk.results.files import reason
 from clunk.results.regimemap import Results
 
 try:
-    from bokeh.application import Application
-    from bokeh.application.handlers.function import FunctionHandler
-    from bokeh.document import Document
-    from bokeh.resources import Resources
-    from bokeh.server.server import BaseServer
-    from bokeh.server.tornado import BokehTornado
-    from bokeh.server.views.static_handler import StaticHandler
+    from bokeh.settings import settings
     from tornado.httpserver import HTTPServer
     from tornado.httputil import HTTPHeaders
     from tornado.ioloop import IOLoop
-    from tornado.web import OutputTransform
-
-    from clunk.explorer.page import Page
+    from tornado.routing import AnyMatches, PathMatches, Rule, RuleRouter
+    from tornado.template import Template
+    from tornado.web import Application, OutputTransform, RequestHandler, StaticFileHandler
 except ModuleNotFoundError as error:
     needs = f"The explorer needs Bokeh, which is not installed (no {error.name})"
     raise ExplorerError(f"{needs}: pip install 'clunk[explore]'") from error
 
+if TYPE_CHECKING:
+    from bokeh.document import Document
+    from bokeh.server.server import BaseServer
+
 HOST = "127.0.0.1"
+_SCRIPTS = ("bokeh", "bokeh-widgets")  # without those for tables, WebGL and TeX
+_DRAWN = "drawn"  # last part of the address at which Bokeh answers
 _HEADERS = {
     # Bokeh's own scripts make functions of the texts of callbacks, and styles within the page
     "Content-Security-Policy": "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; "
@@ -56,22 +57,25 @@ class _Headers(OutputTransform):
     def transform_first_chunk(
         self, status_code: int, headers: HTTPHeaders, chunk: bytes, finishing: bool
     ) -> tuple[int, HTTPHeaders, bytes]:
+        for name in [name for name in headers if name.startswith("Access-Control")]:
+            del headers[name]  # with which Bokeh would let pages of any origin read one of its scripts
         for name, value in _HEADERS.items():
             headers[name] = value
         return status_code, headers, chunk
 
 
-class _Pages(BokehTornado):  # type: ignore[misc]  # untyped
-    """Bokeh's application, whose scripts come from this server, whatever the environment says."""
+class _Opening(RequestHandler):
+    """The frame of the page: the browser has its scripts, of a megabyte, while the server imports what draws in it."""
 
-    def resources(self, absolute_url: str | bool | None = None) -> Resources:
-        """Addresses of the scripts."""
-        return Resources(
-            mode="server",
-            root_url=self._prefix + "/",
-            path_versioner=StaticHandler.append_version,
-            components=["bokeh", "bokeh-widgets"],  # without those for tables, WebGL and TeX
-        )
+    async def get(self) -> None:
+        """Write the head, and once Bokeh answers the rest."""
+        page = Template(files(__package__).joinpath("page.html").read_text("utf-8"))
+        self.write(page.generate(title=self.settings["title"], scripts=_SCRIPTS))
+        await self.flush()
+        await asyncio.shield(self.settings["attached"])
+        path = f"/{self.settings['token']}/{_DRAWN}"
+        script = f"{path}/autoload.js?resources=none&bokeh-autoload-element=page&bokeh-app-path={path}"
+        self.finish(f'<script src="{escape(script)}"></script></body></html>')
 
 
 class Explorer:
@@ -98,34 +102,54 @@ class Explorer:
             raise ExplorerError(f"Port {port} of this machine cannot be used: {reason(error)}.") from error
         self._socket.setblocking(False)
         self.port = self._socket.getsockname()[1]
-        token = secrets.token_urlsafe(16)
-        self.url = f"http://{HOST}:{self.port}/{token}/"
-        self._subject, self._token = subject, token
-        self._loop: IOLoop | None = None
+        self._token = secrets.token_urlsafe(16)
+        self.url = f"http://{HOST}:{self.port}/{self._token}/"
+        self._subject = subject
         self._has_started = threading.Event()
-        self._thread = threading.Thread(target=self._serve, name="clunk explorer", daemon=True)
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), name="clunk explorer", daemon=True)
         self._thread.start()
         self._has_started.wait()
 
-    def _serve(self) -> None:
-        asyncio.set_event_loop(asyncio.new_event_loop())
-        self._loop = IOLoop.current()
-        pages = _Pages(
-            {"/": Application(FunctionHandler(self._open))},
+    async def _serve(self) -> None:
+        self._loop, self._is_stopped = asyncio.get_running_loop(), asyncio.Event()
+        router = RuleRouter([])
+        http = HTTPServer(router)
+        attached = asyncio.create_task(self._attach(router, http))
+        options: dict[str, Any] = {"title": f"clunk: {self._subject.title}", "token": self._token, "attached": attached}
+        static = (rf"/{self._token}/static/(.*)", StaticFileHandler, {"path": settings.bokehjs_path()})
+        opening = Application([(rf"/{self._token}/", _Opening), static], transforms=[_Headers], **options)
+        router.add_rules([Rule(PathMatches(rf"/{self._token}/(static/.*)?"), opening)])
+        http.add_socket(self._socket)
+        self._has_started.set()
+        await self._is_stopped.wait()
+        server = await attached
+        server.stop()
+        await asyncio.sleep(0.1)
+        await http.close_all_connections()
+
+    async def _attach(self, router: RuleRouter, http: HTTPServer) -> BaseServer:
+        """Let Bokeh answer, once it is imported."""
+        await asyncio.to_thread(_import_pages)
+        from bokeh.application import Application as Pages
+        from bokeh.application.handlers.function import FunctionHandler
+        from bokeh.server.server import BaseServer
+        from bokeh.server.tornado import BokehTornado
+
+        pages = BokehTornado(
+            {f"/{_DRAWN}": Pages(FunctionHandler(self._open))},
             prefix=self._token,
             extra_websocket_origins=[f"{HOST}:{self.port}"],
             transforms=[_Headers],
             use_index=False,
         )
-        http = HTTPServer(pages)
-        http.add_socket(self._socket)
-        self._server = BaseServer(self._loop, pages, http)
-        self._server.start()
-        self._loop.add_callback(self._has_started.set)
-        self._loop.start()
-        self._loop.close(all_fds=True)
+        router.add_rules([Rule(AnyMatches(), pages)])
+        server = BaseServer(IOLoop.current(), pages, http)
+        server.start()
+        return server
 
     def _open(self, document: Document) -> None:
+        from clunk.explorer.page import Page
+
         page = Page(document, self._subject)
         document.on_session_destroyed(lambda _: page.close())
 
@@ -141,14 +165,8 @@ class Explorer:
     def stop(self) -> None:
         """End the server; pages that are open say so."""
         if self._thread.is_alive():
-            assert self._loop is not None
-            self._loop.add_callback(self._end)
+            self._loop.call_soon_threadsafe(self._is_stopped.set)
             self._thread.join()
-
-    def _end(self) -> None:
-        assert self._loop is not None
-        self._server.stop()
-        self._loop.call_later(0.1, self._loop.stop)
 
     def __repr__(self) -> str:
         return f"<clunk.Explorer at {self.url}>"
@@ -191,6 +209,14 @@ def explore(
     if browser or (browser is None and not _is_notebook()):
         explorer.open_browser()
     return explorer
+
+
+def _import_pages() -> None:
+    """Import in a thread what takes a second, so that the server sends scripts meanwhile."""
+    from importlib import import_module
+
+    for module in ("bokeh.server.tornado", "clunk.explorer.page"):
+        import_module(module)
 
 
 def _is_notebook() -> bool:

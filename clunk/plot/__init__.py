@@ -10,14 +10,17 @@ are in `histories` and `small_gap`, of severities in `profiles`, of sensitivitie
 figures of a file on one page.
 """
 
-from clunk.plot.drawing import default_quantities, draw
-from clunk.plot.facets import MOST_VALUES, facet_map, shown_values
-from clunk.plot.layers import QUANTITIES
-from clunk.plot.maps import quantity_map, regime_map, severity_map
-from clunk.plot.plane import SurplusAxesError
-from clunk.plot.scatter import scatter_curve, scatter_map
-from clunk.plot.strips import strip
-from clunk.plot.style import PlotError, save
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from clunk.plot.drawing import default_quantities, draw
+    from clunk.plot.facets import MOST_VALUES, facet_map, shown_values
+    from clunk.plot.layers import QUANTITIES
+    from clunk.plot.maps import quantity_map, regime_map, severity_map
+    from clunk.plot.plane import SurplusAxesError
+    from clunk.plot.scatter import scatter_curve, scatter_map
+    from clunk.plot.strips import strip
+    from clunk.plot.style import PlotError, save
 
 __all__ = [
     "MOST_VALUES",
@@ -36,3 +39,30 @@ __all__ = [
     "shown_values",
     "strip",
 ]
+
+_HOME = {
+    "MOST_VALUES": "facets",
+    "PlotError": "style",
+    "QUANTITIES": "layers",
+    "SurplusAxesError": "plane",
+    "default_quantities": "drawing",
+    "draw": "drawing",
+    "facet_map": "facets",
+    "quantity_map": "maps",
+    "regime_map": "maps",
+    "save": "style",
+    "scatter_curve": "scatter",
+    "scatter_map": "scatter",
+    "severity_map": "maps",
+    "shown_values": "facets",
+    "strip": "strips",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used: the explorer has colours on its page before matplotlib is there."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'clunk.plot' has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(f"clunk.plot.{_HOME[name]}"), name)

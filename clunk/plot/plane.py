@@ -6,16 +6,17 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib import ticker
-from matplotlib.axes import Axes
 
 from clunk.plot.style import MINUS, PlotError, plain, symbol_text
 from clunk.results.maps import Map
 from clunk.study.axes import RUN, ResultAxis
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
@@ -144,6 +145,8 @@ def scale_axes(ax: Axes, view: View) -> None:
 
 def scale_axis(ax: Axes, which: str, axis: ResultAxis) -> None:
     """Set name, unit, scale and ticks of one axis, "x" or "y"."""
+    from matplotlib import ticker
+
     ax.set(**{f"{which}label": axis_label(axis)})
     if axis.is_geometric:
         set_log_scale(ax, which, axis.values[0], axis.values[-1])
@@ -153,6 +156,8 @@ def scale_axis(ax: Axes, which: str, axis: ResultAxis) -> None:
 
 def set_log_scale(ax: Axes, which: str, low: float, high: float) -> None:
     """A logarithmic scale with plain numbers, some of them between the powers of ten: a short axis has few of those."""
+    from matplotlib import ticker
+
     ax.set(**{f"{which}scale": "log"})
     line = getattr(ax, f"{which}axis")
     line.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0) if math.log10(high / low) < 3 else (1.0,)))

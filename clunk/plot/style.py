@@ -1,26 +1,29 @@
-"""Style of all figures: colours, sizes, titles, and how they are saved."""
+"""Style of all figures: colours, sizes, titles, and how they are saved.
+
+matplotlib is imported when it is first drawn with: of the colours there are other users, which do not wait for it.
+"""
 
 from __future__ import annotations
 
-import io
 import os
 import re
 import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
-from matplotlib import colors, patheffects, style
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.text import Text
 
 from clunk.results.files import reason, write_whole
 from clunk.results.labels import double_sided, excursions
 from clunk.study.errors import ClunkError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.patheffects import AbstractPathEffect
+    from matplotlib.text import Text
 
 _FORMATS = ("png", "svg", "pdf")
 SIZE = (7.0, 5.2)  # inches
@@ -65,18 +68,10 @@ class PlotError(ClunkError):
 @contextmanager
 def styled() -> Iterator[None]:
     """Draw in clunk's style, whatever a user's matplotlibrc says."""
+    from matplotlib import style
+
     with style.context(["default", _STYLE]):
         yield
-
-
-class NotebookFigure(Figure):
-    """A figure that a notebook shows without pyplot."""
-
-    def _repr_png_(self) -> bytes:
-        picture = io.BytesIO()
-        with styled():
-            self.savefig(picture, format="png")
-        return picture.getvalue()
 
 
 def new_figure(size: tuple[float, float] = SIZE) -> Figure:
@@ -84,9 +79,9 @@ def new_figure(size: tuple[float, float] = SIZE) -> Figure:
 
     size : width and height  [inches]
     """
-    figure = NotebookFigure(figsize=size, dpi=_DPI, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
+    from clunk.plot.notebook import NotebookFigure
+
+    return NotebookFigure(figsize=size, dpi=_DPI, layout="constrained")
 
 
 def set_titles(figure: Figure, ax: Axes, title: str, line: str, *, parse_math: bool = False) -> None:
@@ -122,8 +117,10 @@ def _wrap(figure: Figure, title: Text, room: float) -> bool:
     return bool(title.get_text() != before)
 
 
-def halo(linewidth: float = 2.4, colour: str = "white") -> list[patheffects.AbstractPathEffect]:
+def halo(linewidth: float = 2.4, colour: str = "white") -> list[AbstractPathEffect]:
     """An outline around a text or a line, so that it is seen on any ground."""
+    from matplotlib import patheffects
+
     return [patheffects.withStroke(linewidth=linewidth, foreground=colour)]
 
 
@@ -151,12 +148,13 @@ def palette_of(labels: tuple[str, ...]) -> dict[str, str]:
         families.setdefault(double_sided(label), []).append(label)
     palette: dict[str, str] = {}
     for pairs, members in families.items():
-        hue = np.array(colors.to_rgb(HUES[pairs % len(HUES)]))
+        hue = np.frombuffer(bytes.fromhex(HUES[pairs % len(HUES)][1:]), np.uint8) / 255.0
         impacts = sorted((label for label in members if label != "NI"), key=lambda label: (excursions(label), label))
         # Three depths at least, so that a family of one or two is light and the same label looks alike across maps.
         depths = np.linspace(*_TINTS, max(3, len(impacts)))
         for label, depth in zip(impacts, depths, strict=False):
-            palette[label] = colors.to_hex(1.0 - depth * (1.0 - hue))
+            tint = np.rint(255.0 * (1.0 - depth * (1.0 - hue))).astype(np.uint8)
+            palette[label] = f"#{tint.tobytes().hex()}"
     if "NI" in labels:
         palette["NI"] = _NO_IMPACT
     return palette

@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 from itertools import groupby
 
-from clunk.core.sequence import INITIAL, OPPOSITE, label
-
 FAILED = "failed"  # in the place of the label of a run that failed
 FAILED_CODE = -1
 
@@ -43,6 +41,8 @@ def flanks_of_label(text: str) -> tuple[int, ...]:
 
     Raises ValueError where no sequence of impacts has that label, as DS(1)OS(1).
     """
+    from clunk.core.sequence import INITIAL, OPPOSITE, label  # numba's import takes a third of a second
+
     of_excursion = {"SS": (INITIAL,), "DS": (OPPOSITE, INITIAL), "OS": (OPPOSITE,), "CR": (OPPOSITE,)}
     terms = re.findall(r"(DS|SS|OS|CR)\((\d+)\)", text)
     flanks = tuple(flank for name, count in terms for flank in of_excursion[name] * int(count))

@@ -1,0 +1,108 @@
+"""Maps and runs of what is explored, with other numbers than the config's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from clunk.explorer.subject import Numbers, Subject
+from clunk.results.regimemap import Results
+from clunk.simulation.history import History, sample, shown_until
+from clunk.simulation.trajectory import simulate
+from clunk.study.axes import RUN
+from clunk.study.config import study_from_text
+from clunk.study.designs import Column, Design, design_of, nominal
+from clunk.study.parameters import nominal_value
+from clunk.study.study import Study, replace_values, to_toml
+from clunk.study.sweeps import Sweep
+from clunk.sweeping.cells import compiling_note, warm_up
+from clunk.sweeping.progress import Progress
+from clunk.sweeping.sweep import sweep
+
+_COARSE = 41  # values of an axis, of the map that is shown first
+
+
+class Variations:
+    """The study of some results, and what is computed of it.
+
+    study : its sweep included
+
+    Raises ConfigError where the results' config is not allowed any more.
+    """
+
+    study: Study
+
+    def __init__(self, subject: Subject) -> None:
+        self.subject = subject
+        self.study = nominal(study_from_text(subject.results.config, "the results' config"))
+
+    def number(self, key: str) -> float:
+        """The config's own value of a key; NaN where it has none."""
+        return nominal_value(self.study, key) if key != RUN else math.nan
+
+    def study_at(self, cell: Numbers, numbers: Numbers) -> Study:
+        """The study of a cell's run, without a sweep. Raises ConfigError where a number is not allowed."""
+        return replace_values(self.study.model_copy(update={"sweep": None}), {**self.subject.values(cell), **numbers})
+
+    def run(self, cell: Numbers, numbers: Numbers) -> History:
+        """The motion in a cell, with other numbers. Raises SimulationError, ConfigError."""
+        trajectory = simulate(self.study_at(cell, numbers))
+        until = shown_until(trajectory)
+        events_end = trajectory.study.load.step_time + trajectory.end
+        limit = trajectory.study.load.step_time + trajectory.study.solver.end_time
+        return sample(trajectory, until=min(max(until, events_end), limit))
+
+    def study_of_map(self, slices: Numbers, numbers: Numbers) -> Study:
+        """The study whose sweep is the map that is shown, with other numbers."""
+        study = replace_values(self.study.model_copy(update={"sweep": None}), {**_fixed(slices), **numbers})
+        if self.subject.has_runs:
+            return study.model_copy(update={"sweep": self.study.sweep})
+        assert self.study.sweep is not None
+        shown = {axis.parameter for axis in self.subject.plane}
+        axes = tuple(axis for axis in self.study.sweep.axes if axis.parameter in shown)
+        return study.model_copy(update={"sweep": Sweep(axes=axes)})
+
+    def config(self, cell: Numbers, numbers: Numbers) -> str:
+        """TOML with which `clunk sweep` gives the map that is shown, and `clunk simulate` the run of the cell."""
+        slices = {axis.parameter: cell[axis.parameter] for axis in self.subject.slices}
+        swept = self.study_of_map(slices, numbers).sweep
+        return to_toml(self.study_at(cell, numbers).model_copy(update={"sweep": swept}))
+
+    def prepare(self, say: Callable[[str], None]) -> None:
+        """Load what sweeps need, so that the first one does not wait for it; say : called before kernels compile."""
+        if note := compiling_note(self.study):
+            say(note)
+        warm_up(self.study)
+        if note:
+            say("compiled")
+
+    def coarse_map(self, slices: Numbers, numbers: Numbers, progress: Progress, *, refine: bool) -> Results | None:
+        """The map of every few values of its axes; None where all are few."""
+        study = self.study_of_map(slices, numbers)
+        if self.subject.has_runs or all(len(axis.values) <= _COARSE for axis in self.subject.plane):
+            return None
+        shape, columns = [], []
+        for k, column in enumerate(design_of(study).columns):
+            values = column.values[_every_few(len(column.values))]
+            shape.append(len(values))
+            columns.append(Column(column.parameter, k, values))
+        return sweep(study, Design(tuple(shape), tuple(columns)), refine=refine, progress=progress)
+
+    def full_map(self, slices: Numbers, numbers: Numbers, progress: Progress, *, refine: bool) -> Results:
+        """The map at all values of its axes; refine : whether to infer cells whose neighbours tell their labels."""
+        study = self.study_of_map(slices, numbers)
+        if self.subject.has_runs:
+            return sweep(study, progress=progress).at(slices)
+        return sweep(study, refine=refine, progress=progress)
+
+
+def _every_few(count: int) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """Positions of at most `_COARSE` of `count` values, both ends among them."""
+    return np.unique(np.rint(np.linspace(0, count - 1, min(count, _COARSE))).astype(np.intp))
+
+
+def _fixed(slices: Numbers) -> dict[str, float]:
+    """The slices that are values of keys: a run's number is none."""
+    return {parameter: value for parameter, value in slices.items() if parameter != RUN}

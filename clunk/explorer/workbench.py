@@ -1,0 +1,378 @@
+"""The workbench around the map: what is asked for with pointer, keys and widgets, and where it is shown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import partial
+from html import escape
+from typing import TYPE_CHECKING
+
+from bokeh.events import MouseLeave, MouseMove, Tap
+from bokeh.models import Button, Div, Row, Select, Toggle
+
+from clunk.analysis.small_gap import thresholds_of
+from clunk.explorer.controls import Controls
+from clunk.explorer.drawings import picture_of
+from clunk.explorer.mapfigure import RUN_COLOURS, Mark
+from clunk.explorer.newest import Newest, Request
+from clunk.explorer.page import WIDE
+from clunk.explorer.pictures import Picture
+from clunk.explorer.runfigures import RunFigures
+from clunk.explorer.saving import NAMES, Cell, Shown, download
+from clunk.explorer.variations import Variations
+from clunk.plot.drawing import hardness
+from clunk.plot.layers import quantities_of
+from clunk.plot.plane import number_text, value_text
+from clunk.results.regimemap import Results
+from clunk.simulation.energy import EnergyBalance, balance
+from clunk.simulation.history import History
+from clunk.study.errors import ClunkError
+from clunk.study.summaries import html_table
+
+if TYPE_CHECKING:
+    from clunk.explorer.page import Page
+
+_PINS = len(RUN_COLOURS) - 1
+_ARROWS = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowDown": (0, -1), "ArrowUp": (0, 1)}
+_HELP = "click: keep a run · shift-click or p: pin it · u: unpin · arrows: next cell · f: follow"
+_OWN = "the map with the config's own numbers"
+
+
+class Workbench:
+    """Widgets around a page's map, what is shown in them, and the threads that compute it."""
+
+    def __init__(self, page: Page, variations: Variations) -> None:
+        self._page, self._subject, self._variations = page, page.subject, variations
+        self._numbers: dict[str, float] = {}
+        self._slices: dict[str, float] = {}
+        self._is_ready = False
+        self._results: Results | None = None
+        self._cell = self._first_cell()
+        self._hovered: Cell | None = None
+        self._run: Shown | None = None
+        self._pins: list[Shown] = []
+        self._pins_next = False
+        self._requested: tuple[dict[str, float], dict[str, float]] | None = None
+
+        results = self._subject.results
+        self._panels = RunFigures()
+        options = {"width": 190, "margin": (0, 6, 4, 6)}
+        # over one axis, labels are the colours under a curve
+        names = quantities_of(results)[len(self._subject.plane) == 1 :]
+        first = names[0] if len(self._subject.plane) > 1 else hardness(results)
+        described = [(name, _quantity_name(results, name)) for name in names]
+        self._quantity = Select(value=first, options=described, name="quantity", **options)
+        self._lash = Select(value=results.lash_names[0], options=list(results.lash_names), name="of lash", **options)
+        self._lash.visible = bool(results.lashes)
+        small = {"height": 30, "margin": (0, 6, 4, 0)}
+        self._follow = Toggle(label="follow the pointer", active=True, name="follow", **small)
+        self._pin = Button(label="pin this run", name="pin", **small)
+        self._unpin = Button(label="unpin", name="unpin", **small)
+        self._reset = Button(label="reset the numbers", name="reset", visible=False, **small)
+        saved = [("", "save …"), *((name, name) for name in NAMES)]
+        self._save = Select(value="", options=saved, name="save", width=130, **small)
+        # of one height, or all panels would be laid out anew with every run
+        self._header = Div(text="", name="header", height=62, styles={"overflow": "hidden"}, **WIDE)
+        self._compared = Div(text="", name="compared", **WIDE)
+        self._table = Div(text="", name="events", styles={"overflow-y": "auto", "font-size": "12px"}, **WIDE)
+        self._table.update(sizing_mode="stretch_both", min_height=80, max_height=170)
+
+        self._newest_run = Newest("run", page.complain_soon)
+        self._newest_map = Newest("map", page.complain_soon)
+        swept = {axis.parameter for axis in results.parameters}
+        self._controls = Controls(variations.study, self._subject.slices, swept, self._on_slice, self._on_number)
+        self._listen()
+        self._furnish()
+        self._is_ready = True
+        self._request_both()
+
+    def close(self) -> None:
+        """End the threads."""
+        self._newest_run.close()
+        self._newest_map.close()
+
+    def _furnish(self) -> None:
+        buttons = Row(children=[self._pin, self._unpin, self._save], sizing_mode="stretch_width")
+        self._page.above.children = [self._quantity, self._lash, self._follow, self._reset]
+        self._page.below.children = [self._controls.layout]
+        self._page.right.children = [self._header, buttons, self._compared, *self._panels.figures.values(), self._table]
+
+    def _listen(self) -> None:
+        self._quantity.on_change("value", lambda _attribute, _old, _new: self._request_map())
+        self._lash.on_change("value", lambda _attribute, _old, _new: self._on_lash())
+        self._follow.on_change("active", lambda _attribute, _old, _new: self._hover(None))
+        self._pin.on_click(lambda *_: self._pin_run())
+        self._unpin.on_click(lambda *_: self._unpin_runs())
+        self._reset.on_click(lambda *_: self._controls.reset())
+        self._save.on_change("value", lambda _attribute, _old, name: self._save_as(name))
+        self._page.keys.on_change("data", lambda _attribute, _old, _new: self._on_key())
+
+    def _begin(self) -> None:
+        self._is_ready = True
+        self._request_both()
+
+    # --- What the user does ------------------------------------------------------------------------------------------
+
+    def point(self, event: Tap | MouseMove | MouseLeave) -> None:
+        """Follow the pointer over the map, or keep the cell that is clicked."""
+        cell = None if isinstance(event, MouseLeave) else self._page.map.nearest(event.x, event.y)
+        if isinstance(event, Tap):
+            if cell is not None:
+                self._pins_next = bool((event.modifiers or {}).get("shift"))
+                self._select(cell)
+        elif self._follow.active or cell is None:
+            self._hover(cell)
+
+    def _hover(self, cell: Cell | None) -> None:
+        if cell != self._hovered:
+            self._hovered = cell
+            self._request_run()
+
+    def _select(self, cell: Cell) -> None:
+        self._cell, self._hovered = cell, None
+        self._mark()
+        self._request_run()
+        self._pin_where_wanted()
+
+    def _on_key(self) -> None:
+        (key,), (steps,) = self._page.keys.data["key"], self._page.keys.data["steps"]
+        if key in _ARROWS:
+            cell = []
+            for axis, value, direction in zip(self._subject.plane, self._cell, _ARROWS[key], strict=False):
+                ascending = sorted(axis.values.tolist())
+                at = min(max(ascending.index(value) + direction * int(steps), 0), len(ascending) - 1)
+                cell.append(ascending[at])
+            self._select(tuple(cell))
+        elif key == "p":
+            self._pin_run()
+        elif key in ("u", "Escape"):
+            self._unpin_runs()
+        elif key == "f":
+            self._follow.active = not self._follow.active
+
+    def _on_lash(self) -> None:
+        self._request_map()
+        self._show_runs()
+
+    def _on_slice(self, parameter: str, value: float) -> None:
+        if self._slices.get(parameter) != value:
+            self._slices[parameter] = value
+            self._request_both()
+
+    def _on_number(self, parameter: str, value: float) -> None:
+        if self._numbers.get(parameter) != value:
+            self._numbers[parameter] = value
+            self._request_both()
+
+    def _request_both(self) -> None:
+        if self._is_ready:
+            self._request_run()
+            self._request_map()
+
+    def _pin_run(self) -> None:
+        if self._run is not None:
+            self._pins = [*self._pins, self._run][-_PINS:]
+            self._mark()
+            self._show_runs()
+
+    def _unpin_runs(self) -> None:
+        self._pins = []
+        self._mark()
+        self._show_runs()
+
+    # --- Runs --------------------------------------------------------------------------------------------------------
+
+    def _first_cell(self) -> Cell:
+        """The cell in which the config's own values lie, or else the middle one."""
+        at = []
+        for axis in self._subject.plane:
+            value = self._variations.number(axis.parameter)
+            low, high = axis.values.min(), axis.values.max()
+            at.append(float(axis.values[axis.nearest(value) if low <= value <= high else len(axis.values) // 2]))
+        return tuple(at)
+
+    def _values(self, cell: Cell) -> dict[str, float]:
+        axes = self._subject.plane
+        return {**self._slices, **{axis.parameter: value for axis, value in zip(axes, cell, strict=True)}}
+
+    def _request_run(self) -> None:
+        if not self._is_ready:
+            return
+        cell = self._cell if self._hovered is None else self._hovered
+        values, numbers = self._values(cell), dict(self._active_numbers())
+        if (values, numbers) == self._requested:
+            return
+        self._requested = values, numbers
+
+        def work(request: Request) -> None:
+            try:
+                history = self._variations.run(values, numbers)
+            except ClunkError as error:
+                self._page.soon(partial(self._refuse_run, str(error)))
+                return
+            request.go_on()
+            place = self._place(values, numbers)
+            self._page.soon(partial(self._show_run, Shown(cell, values, numbers, history, place)))
+            energy = balance(history.trajectory)
+            request.go_on()
+            self._page.soon(partial(self._show_header, history, energy))
+
+        self._newest_run.submit(work)
+
+    def _refuse_run(self, text: str) -> None:
+        self._run = None
+        self._panels.show([None] * len(RUN_COLOURS), keeps_zoom=True)
+        self._header.text, self._table.text = f"<b>no run</b>: {escape(text)}", ""
+
+    def _show_run(self, shown: Shown) -> None:
+        self._run = shown
+        self._show_runs()
+        self._pin_where_wanted()
+
+    def _pin_where_wanted(self) -> None:
+        """Pin the run of a shift-click once it is there."""
+        if self._pins_next and self._run is not None and self._run.cell == self._cell:
+            self._pins_next = False
+            self._pin_run()
+
+    def _show_runs(self) -> None:
+        if self._run is None:
+            return
+        lash = self._lash_position
+        self._show_header(self._run.history, None)
+        shown = [self._run, *self._pins]
+        histories: list[History | None] = [each.history.lashes[lash] for each in shown]
+        self._panels.show([*histories, *[None] * (len(RUN_COLOURS) - len(histories))], keeps_zoom=True)
+        history = histories[0]
+        assert history is not None
+        columns, *events = history.trajectory.event_table()
+        ending = (f"{history.trajectory.end:.7f}", f"end: {history.trajectory.ending}", *[""] * (len(columns) - 2))
+        self._table.text = html_table([*events, ending], columns)
+        texts = [
+            f'<span style="color: {colour}">■</span> {escape(self._described(pin))}'
+            for pin, colour in zip(self._pins, RUN_COLOURS[1:], strict=False)
+        ]
+        self._compared.text = "<br>".join(texts)
+
+    def _described(self, shown: Shown) -> str:
+        """The place of a run, its label and severity."""
+        trajectory = shown.history.lashes[self._lash_position].trajectory
+        severity = "" if math.isnan(trajectory.severity) else f", Q = {trajectory.severity:.1f} rad/s²"
+        return f"{shown.place}: {trajectory.label}{severity}"
+
+    def _place(self, values: Mapping[str, float], numbers: Mapping[str, float]) -> str:
+        """Values of all axes, and numbers, in words."""
+        results = self._subject.results
+        axes = {axis.parameter: axis for axis in (*results.axes, *results.coordinates)}
+        swept = self._subject.values(values)
+        texts = [value_text(axes[name], value, symbol=True) for name, value in swept.items()]
+        texts += [f"{name} = {number_text(value)}" for name, value in numbers.items()]
+        return ", ".join(texts)
+
+    def _show_header(self, history: History, energy: EnergyBalance | None) -> None:
+        if self._run is None or history is not self._run.history:
+            return
+        trajectory = history.lashes[self._lash_position].trajectory
+        facts = [f"{name} {text}" for name, text in trajectory.outcome() if name != "label"]
+        if energy is not None:
+            facts.append(_energy_text(energy))
+        label = f'<span style="font-size: 20px; font-weight: bold">{escape(trajectory.label)}</span>'
+        self._header.text = f"{label} &nbsp; {escape(self._run.place)}<br>{escape(' · '.join(facts))}"
+
+    # --- Maps --------------------------------------------------------------------------------------------------------
+
+    @property
+    def _lash_position(self) -> int:
+        return self._subject.results.lash_names.index(self._lash.value)
+
+    def _active_numbers(self) -> dict[str, float]:
+        """The numbers that differ from the config's."""
+        return {key: value for key, value in self._numbers.items() if value != self._variations.number(key)}
+
+    def _request_map(self) -> None:
+        if not self._is_ready:
+            return
+        subject, variations = self._subject, self._variations
+        slices, numbers = dict(self._slices), self._active_numbers()
+        quantity, lash = self._quantity.value, self._lash.value
+        self._reset.visible = bool(numbers)
+
+        refine = quantity == "regimes"  # of anything else, an inferred cell has no value
+
+        def show(results: Results, status: str) -> None:
+            picture = picture_of(results.of_lash(lash), quantity, len(subject.plane))
+            self._page.soon(partial(self._show_map, results, picture, status))
+            thresholds = thresholds_of(results) if quantity == "regimes" else []
+            self._page.soon(partial(self._page.show_legend, picture, *_thresholds(thresholds)))
+
+        def work(request: Request) -> None:
+            def progress(done: int, total: int) -> None:
+                request.go_on()
+                self._page.soon(partial(self._say, f"computing the map: {done:,} of {total:,} cells"))
+
+            if not numbers and (refine or not subject.results.inferred.any()):
+                show(subject.stored(slices), _OWN)
+                variations.prepare(lambda text: self._page.soon(partial(self._say, text)))
+                return
+            self._page.soon(partial(self._say, "computing the map …"))
+            coarse = variations.coarse_map(slices, numbers, request.go_on, refine=refine)
+            request.go_on()
+            if coarse is not None:
+                show(coarse, "computing the map: every few cells are shown")
+            full = variations.full_map(slices, numbers, progress, refine=refine)
+            request.go_on()
+            show(full, "the map with these numbers, which is in no file" if numbers else _OWN)
+
+        self._newest_map.submit(work)
+
+    def _show_map(self, results: Results, picture: Picture, status: str) -> None:
+        self._results = results
+        self._page.map.show(picture, _quantity_name(results, self._quantity.value))
+        self._page.show_legend(picture)
+        self._say(status)
+        self._mark()
+
+    def _mark(self) -> None:
+        cells = [(pin.cell, colour) for pin, colour in zip(self._pins, RUN_COLOURS[1:], strict=False)]
+        marks: list[Mark] = []
+        for cell, colour in [*cells, (self._cell, RUN_COLOURS[0])]:
+            marks.append((cell[0], cell[1] if len(cell) > 1 else 0.0, colour))
+        self._page.map.mark(marks)
+
+    def _save_as(self, name: str) -> None:
+        """Make a file in a thread, and hand it to the browser as a download."""
+        self._save.value = ""
+        if name not in NAMES or self._run is None or self._results is None:
+            return
+        runs, quantity = [self._run, *self._pins], self._quantity.value
+        part = self._results.at_lash(self._lash.value)
+
+        def work() -> None:
+            data = download(name, runs, self._variations, part, quantity)
+            self._page.soon(partial(setattr, self._page.download, "data", data))
+
+        self._page.work(work)
+
+    def _say(self, text: str) -> None:
+        self._page.status.text = f"{text}   ·   {_HELP}"
+
+
+def _thresholds(values: list[float]) -> list[str]:
+    """A note on the thresholds of vanishing backlash, if there are any."""
+    return [f"thresholds for vanishing backlash: {', '.join(f'{each:.2f}' for each in values)}"] if values else []
+
+
+def _quantity_name(results: Results, name: str) -> str:
+    return "regimes" if name == "regimes" else results.quantities[name].plot_label
+
+
+def _energy_text(energy: EnergyBalance) -> str:
+    terms = {
+        "work of the load": energy.work,
+        "damped": energy.damped,
+        "rubbed": energy.rubbed,
+        "lost at impacts": energy.lost_at_impacts,
+    }
+    texts = [f"{name} {number_text(float(f'{value:.4g}'))} J" for name, value in terms.items() if value]
+    return f"energy: {', '.join(texts)}; residual {energy.relative_residual:.0e}" if texts else "energy: none"
