@@ -10,12 +10,7 @@ from dataclasses import replace
 from pathlib import PurePath
 from typing import NamedTuple
 
-from clunk.analysis.small_gap import thresholds_of
 from clunk.explorer.variations import Variations
-from clunk.plot.drawing import draw
-from clunk.plot.histories import simulation_figure
-from clunk.plot.style import encode
-from clunk.results.historyfile import write_csv
 from clunk.results.regimemap import Results
 from clunk.simulation.history import History
 
@@ -44,6 +39,12 @@ def download(
     runs : the one that is shown, and those that are pinned
     results, quantity : of one lash's map
     """
+    from clunk.analysis.small_gap import thresholds_of
+    from clunk.plot.drawing import draw
+    from clunk.plot.histories import simulation_figure
+    from clunk.plot.style import encode
+    from clunk.results.historyfile import write_csv
+
     target = io.BytesIO()
     what, _, suffix = name.partition(".")
     with _drawing:

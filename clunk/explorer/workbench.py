@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Mapping
 from functools import partial
 from html import escape
@@ -13,7 +14,6 @@ from bokeh.models import Button, Div, Row, Select, Toggle
 
 from clunk.analysis.small_gap import thresholds_of
 from clunk.explorer.controls import Controls
-from clunk.explorer.drawings import picture_of
 from clunk.explorer.mapfigure import RUN_COLOURS, Mark
 from clunk.explorer.newest import Newest, Request
 from clunk.explorer.page import WIDE
@@ -21,7 +21,6 @@ from clunk.explorer.pictures import Picture
 from clunk.explorer.runfigures import RunFigures
 from clunk.explorer.saving import NAMES, Cell, Shown, download
 from clunk.explorer.variations import Variations
-from clunk.plot.drawing import hardness
 from clunk.plot.layers import quantities_of
 from clunk.plot.plane import number_text, value_text
 from clunk.results.regimemap import Results
@@ -36,6 +35,7 @@ if TYPE_CHECKING:
 _PINS = len(RUN_COLOURS) - 1
 _ARROWS = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowDown": (0, -1), "ArrowUp": (0, 1)}
 _HELP = "click: keep a run · shift-click or p: pin it · u: unpin · arrows: next cell · f: follow"
+_FIRST_RUN = 10.0  # s for which the first map waits for the first run: its cells are on the page
 _OWN = "the map with the config's own numbers"
 
 
@@ -53,6 +53,7 @@ class Workbench:
         self._run: Shown | None = None
         self._pins: list[Shown] = []
         self._pins_next = False
+        self._has_run = threading.Event()
         self._requested: tuple[dict[str, float], dict[str, float]] | None = None
 
         results = self._subject.results
@@ -60,7 +61,7 @@ class Workbench:
         options = {"width": 190, "margin": (0, 6, 4, 6)}
         # over one axis, labels are the colours under a curve
         names = quantities_of(results)[len(self._subject.plane) == 1 :]
-        first = names[0] if len(self._subject.plane) > 1 else hardness(results)
+        first = names[0] if len(self._subject.plane) > 1 else _hardness(results)
         described = [(name, _quantity_name(results, name)) for name in names]
         self._quantity = Select(value=first, options=described, name="quantity", **options)
         self._lash = Select(value=results.lash_names[0], options=list(results.lash_names), name="of lash", **options)
@@ -211,6 +212,8 @@ class Workbench:
             except ClunkError as error:
                 self._page.soon(partial(self._refuse_run, str(error)))
                 return
+            finally:
+                self._has_run.set()
             request.go_on()
             place = self._place(values, numbers)
             self._page.soon(partial(self._show_run, Shown(cell, values, numbers, history, place)))
@@ -301,6 +304,8 @@ class Workbench:
         refine = quantity == "regimes"  # of anything else, an inferred cell has no value
 
         def show(results: Results, status: str) -> None:
+            from clunk.explorer.drawings import picture_of  # matplotlib: the first run does not wait for it
+
             picture = picture_of(results.of_lash(lash), quantity, len(subject.plane))
             self._page.soon(partial(self._show_map, results, picture, status))
             thresholds = thresholds_of(results) if quantity == "regimes" else []
@@ -311,6 +316,7 @@ class Workbench:
                 request.go_on()
                 self._page.soon(partial(self._say, f"computing the map: {done:,} of {total:,} cells"))
 
+            self._has_run.wait(_FIRST_RUN)
             if not numbers and (refine or not subject.results.inferred.any()):
                 show(subject.stored(slices), _OWN)
                 variations.prepare(lambda text: self._page.soon(partial(self._say, text)))
@@ -361,6 +367,12 @@ class Workbench:
 def _thresholds(values: list[float]) -> list[str]:
     """A note on the thresholds of vanishing backlash, if there are any."""
     return [f"thresholds for vanishing backlash: {', '.join(f'{each:.2f}' for each in values)}"] if values else []
+
+
+def _hardness(results: Results) -> str:
+    from clunk.plot.drawing import hardness  # only where there is a curve, not a map
+
+    return hardness(results)
 
 
 def _quantity_name(results: Results, name: str) -> str:
