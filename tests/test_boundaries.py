@@ -153,6 +153,14 @@ def test_thin_regions_are_found_between_cells_of_one_label(finer):
     assert (runs.label_map == labels).mean() > 0.75  # the ends are cut where they are thinner than a chord is off
 
 
+def test_a_thin_region_is_followed_from_cell_to_cell():
+    """The one that ends at 2.5 degrees shows on few edges; it is followed over two cells, of 0.115 degrees each."""
+    swept = study(axis("load.ratio", 1.5, 2.2, 21), axis("lash.backlash_deg", 0.2, 2.5, 21))
+    thin = [region for region in clunk.sweep(swept, boundaries=True).boundaries.regions if region.label == "OS(1)DS(1)"]
+    rings = [region.rings[0] for region in thin]
+    assert min(ring[:, 1].min() for ring in rings if ring[:, 1].max() == 2.5) < 2.28  # 2.27 but for its tip
+
+
 def test_events_are_what_differs_between_the_two_runs(coarse):
     """At a grazing a run has one touch more, of almost no speed; at a sticking time both runs have the same events."""
     swept = figure(41)
