@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from collections.abc import Mapping
 from functools import partial
 from html import escape
@@ -17,7 +18,7 @@ from clunk.explorer.controls import Controls
 from clunk.explorer.mapfigure import RUN_COLOURS, Mark
 from clunk.explorer.newest import Newest, Request
 from clunk.explorer.page import WIDE
-from clunk.explorer.pictures import Picture
+from clunk.explorer.pictures import Picture, cells_picture
 from clunk.explorer.runfigures import RunFigures
 from clunk.explorer.saving import NAMES, Cell, Shown, download
 from clunk.explorer.variations import Variations
@@ -36,6 +37,8 @@ _PINS = len(RUN_COLOURS) - 1
 _ARROWS = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowDown": (0, -1), "ArrowUp": (0, 1)}
 _HELP = "click: keep a run · shift-click or p: pin it · u: unpin · arrows: next cell · f: follow"
 _FIRST_RUN = 10.0  # s for which the first map waits for the first run: its cells are on the page
+_OFTEN = 0.5  # s between two words of progress: for each, the browser lays the page out again, 0.1 s
+_COARSE = "computing the map: every few cells are shown"
 _OWN = "the map with the config's own numbers"
 
 
@@ -306,36 +309,43 @@ class Workbench:
         def show(results: Results, status: str) -> None:
             from clunk.explorer.drawings import picture_of  # matplotlib: the first run does not wait for it
 
-            picture = picture_of(results.of_lash(lash), quantity, len(subject.plane))
-            self._page.soon(partial(self._show_map, results, picture, status))
-            thresholds = thresholds_of(results) if quantity == "regimes" else []
-            self._page.soon(partial(self._page.show_legend, picture, *_thresholds(thresholds)))
+            part, thresholds = results.of_lash(lash), []
+            if status == _COARSE and quantity == "regimes" and len(subject.plane) == 2:
+                picture = cells_picture(part)
+            else:
+                picture = picture_of(part, quantity, len(subject.plane))
+                thresholds = thresholds_of(results) if quantity == "regimes" else []
+            self._page.soon(partial(self._show_map, results, picture, thresholds, status))
 
         def work(request: Request) -> None:
+            said = time.monotonic()
+
             def progress(done: int, total: int) -> None:
+                nonlocal said
                 request.go_on()
-                self._page.soon(partial(self._say, f"computing the map: {done:,} of {total:,} cells"))
+                if time.monotonic() > said + _OFTEN:
+                    said = time.monotonic()
+                    self._page.soon(partial(self._say, f"computing the map: {done:,} of {total:,} cells"))
 
             self._has_run.wait(_FIRST_RUN)
             if not numbers and (refine or not subject.results.inferred.any()):
                 show(subject.stored(slices), _OWN)
                 variations.prepare(lambda text: self._page.soon(partial(self._say, text)))
                 return
-            self._page.soon(partial(self._say, "computing the map …"))
-            coarse = variations.coarse_map(slices, numbers, request.go_on, refine=refine)
+            coarse = variations.coarse_map(slices, numbers, progress, refine=refine)
             request.go_on()
             if coarse is not None:
-                show(coarse, "computing the map: every few cells are shown")
+                show(coarse, _COARSE)
             full = variations.full_map(slices, numbers, progress, refine=refine)
             request.go_on()
             show(full, "the map with these numbers, which is in no file" if numbers else _OWN)
 
         self._newest_map.submit(work)
 
-    def _show_map(self, results: Results, picture: Picture, status: str) -> None:
+    def _show_map(self, results: Results, picture: Picture, thresholds: list[float], status: str) -> None:
         self._results = results
         self._page.map.show(picture, _quantity_name(results, self._quantity.value))
-        self._page.show_legend(picture)
+        self._page.show_legend(picture, *_thresholds(thresholds))
         self._say(status)
         self._mark()
 
