@@ -415,7 +415,7 @@ def test_bounds_of_derivatives_and_of_what_is_off_the_origin_hold_for_ever(flow)
 
 def test_the_fastest_pairs_can_be_left_out(flow):
     """Another number of them in each lane: oscillating modes, whose part in value and slope is bounded for ever."""
-    deepest = min(int(flow.ringing), flow.count // 2 - 1)
+    deepest = min(int(flow.oscillating), flow.count // 2 - 1)
     if deepest == 0:
         pytest.skip("knows no oscillating modes")
     x, u = flow.starts()

@@ -1,11 +1,12 @@
 """The numerical core: a switched linear system, its flow, its events, and what they amount to.
 
 Nothing here knows files, units of the config or people; it imports numpy, numba and its llvmlite only. One load step,
-in reading order: `tables` (elements, and regimes as combinations of their states), `regimes` (the system as data),
-`switching` (preload, and what happens at an event), `rubbing` (which frictions stick then), `runs` (what a run begins
-with and leaves behind), then one of two methods, and `events`, `sequence` and `severity` (label, Q and V), `tile` (many
-runs), `jit` (how all of it is compiled: once for a driveline of one lash and nothing else, and once for all others),
-`partial` (functions that are compiled with their callers alone) and `references` (systems and workspaces as arguments).
+in reading order: `tables` (elements, and regimes as combinations of their states), `regimes` (the system as data, with
+`equilibrium`: its steady motion), `switching` (preload, and what happens at an event), `rubbing` (which frictions stick
+then), `runs` (what a run begins with and leaves behind, and `status`: how it ended), then one of two methods, and
+`events`, `sequence` and `severity` (label, Q and V), `tile` (many runs), `jit` (how all of it is compiled: once for a
+driveline of one lash and nothing else, and once for all others), `partial` (functions that are compiled with their
+callers alone) and `references` (systems and workspaces as arguments).
 
 `rk4`: `run` (a run from preload to end), `step` and `quartic` (one short step with everything in it located),
 `propagator` (full steps as matrices), `settling` (when a run is over).
@@ -21,8 +22,8 @@ driveline, or of each run's own), `rows` and `workspace` (a run's numbers).
 `extremes` for their turns and integrals; nothing of a run depends on it.
 
 A sweep enters by `tile.run_tile`: for each cell `_begin`, then `run.begin` and `run.advance` of the exact method or
-`rk4.run.run`, and at the end `_describe`; a single run by `tile.run`, a tile of one cell. `sequence.label` makes the
-text of a label.
+`rk4.run.run`, and at the end `_describe`, which packs the primaries' flanks into a `pattern`; a single run by
+`tile.run`, a tile of one cell. Whoever reads the results unpacks the pattern, and has its label from `sequence.label`.
 
 Words
 -----
@@ -42,6 +43,8 @@ load step   the change of the torque at time zero
 step        rk4: a step of the time grid; exact: a span, or a part of the shortest, that runs take together
 span        one of a ladder of time intervals, two an octave, for which a flow's propagator is tabulated
 origin      a particular solution of a flow, which the modal coordinates are measured from
+steady      of a flow: the functionals of its origin rest under a constant torque; still: and so under this load
+rolls       of a steady flow: its angles go on all the same, which no functional depends on
 pair        two modal coordinates that belong together; its amplitude never grows, its sway is what it adds at most
 left out    of a step's guards: the fastest pairs, whose sway is subtracted instead; how many, in LEFT_OUT
 group       regimes with one flow and, but for the sides, the same guards, whose runs take steps together

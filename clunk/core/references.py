@@ -137,13 +137,15 @@ def _reference_at(_: Any, kept: Any, k: Any, like: Any) -> Any:
     return like(kept, types.intp, like), emit
 
 
-# A reference to a named tuple, good in the compiled function that was passed the tuple. One that is made there is freed
-# after its last use, which `keep` is.
+# A reference to a named tuple, good in the compiled function that was passed the tuple.
 refer = cast(Callable[[Tuple], Tuple], _reference)
-keep = cast(Callable[[object], None], _until_here)
+# The arrays of a tuple that is made in a function are freed after its last mention there: this is one, for where no
+# reference to it is used any more.
+keep_alive = cast(Callable[[object], None], _until_here)
 # How many words of an array of int64 hold a named tuple, of which there is a reference.
 words_of = cast(Callable[[object], int], _words)
-# Keep in row k of such an array a tuple whose arrays, those that `each` names, are the kth of the arrays there.
+# Copy the tuple into row k of such an array, with each of its arrays that `each` names pointing to `each.NAME[k]`. Rows
+# hold bare pointers: `each` is to outlive them.
 put = cast(Callable[[object, object, int, npt.NDArray[np.int64]], None], _put)
 # A reference to the tuple that is kept in a row, of the same type as another reference.
 reference_at = cast(Callable[[npt.NDArray[np.int64], int, Tuple], Tuple], _reference_at)

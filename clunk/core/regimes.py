@@ -63,7 +63,7 @@ class System(NamedTuple):
     inputs: FloatArray  # (K, N, I)  B of each flow
     functionals: FloatArray  # (K, F, N)  C of each flow
     feedthrough: FloatArray  # (K, F, I)  D of each flow
-    stride: int  # functionals of each lash
+    functionals_per_lash: int
     lashes: FloatArray  # (L, N)  q' = lashes · x
     inertias: int  # n
     ramps: int  # whether the torque's rate of change can be other than zero
@@ -74,7 +74,9 @@ class System(NamedTuple):
     offsets: FloatArray  # (R, G, I)  of each guard
     weights: FloatArray  # (R, I)  u = weights · d
     leaders: IntArray  # (U,)  the first regime of each group
-    strides: IntArray  # (E + 1,)  by how much a regime's number changes with the state of each lash, shaft and friction
+    regime_strides: (
+        IntArray  # (E + 1,)  by how much a regime's number changes with the state of each lash, shaft and friction
+    )
     # touches of the restitution model
     impulsive: int  # whether a touch resets the velocities
     impulse: FloatArray  # (L, N)  change of x per unit of q'
@@ -95,7 +97,7 @@ class System(NamedTuple):
 
 
 class Each(NamedTuple):
-    """Those fields of `System` in which drivelines of a batch differ, with an axis more in front."""
+    """Those fields of `System` that depend on inertias, stiffnesses, dampings and radii, of D drivelines: (D, …)."""
 
     rates: FloatArray
     inputs: FloatArray
@@ -140,7 +142,7 @@ def state_of_friction(system: System, regime: int, friction: int) -> int:
 @unowned_inlined
 def stride_of_friction(system: System, friction: int) -> int:
     """By how much a regime's number changes with the state of a friction."""
-    return int(system.strides[system.strides.size - 1 - system.frictions.shape[0] + friction])
+    return int(system.regime_strides[system.regime_strides.size - 1 - system.frictions.shape[0] + friction])
 
 
 @unowned_inlined
@@ -299,7 +301,7 @@ def build_system(
         inputs=inputs,
         functionals=functionals,
         feedthrough=feedthrough,
-        stride=stride,
+        functionals_per_lash=stride,
         lashes=np.hstack([zeros, twists]),
         inertias=n,
         ramps=int(ramps),

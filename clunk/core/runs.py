@@ -33,7 +33,9 @@ class Log(NamedTuple):
     """Buffers for a run's events, of which event 0 is the load step, and for what goes with each; L lashes."""
 
     events: npt.NDArray[np.void]  # (capacity,) EVENT
-    extremes: FloatArray  # (capacity, L, 2)  largest and smallest acceleration of the phase that follows  [rad/s2]
+    # (capacity, L, 2)  largest and smallest acceleration of the phase that follows  [rad/s2]; by the exact method
+    # perhaps of a phase before it in the same window: only the extremes of a whole window tell anything
+    extremes: FloatArray
     margins: FloatArray  # (L,)  how near each lash came to another label, see clunk.core.exact.run; NaN by rk4
     states: FloatArray  # (capacity, N)  [rad, rad/s]; or no rows at all, and none are kept
 

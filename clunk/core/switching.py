@@ -67,7 +67,7 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int
     """Set `x` to steady motion in contact; return the status and the regime.
 
     The initial flanks are those that press in it. Of the regimes in which all lashes are closed it is the first one in
-    which they do, and within whose stages the shafts' steady twists lie; of springs that only ever resist there is one.
+    which they do, and within whose stages the shafts' steady twists lie; there is one, as no stiffness is negative.
 
     Parameters
     ----------
@@ -77,9 +77,9 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int
         Output.
     """
     lashes, stages, in_stage = lashes_of(system), system.preload.shape[0], False
-    for regime in range(stages * system.strides[lashes]):
+    for regime in range(stages * system.regime_strides[lashes]):
         closed, presses = True, True
-        stage = regime // system.strides[lashes]
+        stage = regime // system.regime_strides[lashes]
         for lash in range(lashes):
             closed = closed and system.contacts[regime, lash].closed != 0
         if not closed:
@@ -91,7 +91,6 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int
             continue
         for k in range(x.size):
             x[k] = _of_inputs(system, regime, system.preload[stage, k], inputs)
-        # a call is dear: all of the system is handed over
         if stages == 1 or _is_in_stage(system, regime, x):
             if stages > 1 and _is_beside_loose(system, regime, x):
                 return _NO_EQUILIBRIUM, OPEN
@@ -153,7 +152,7 @@ def _is_beside_loose(system: System, regime: int, x: FloatArray) -> bool:
     for g in range(system.regimes[regime].guards):
         guard = system.guards[regime, g]
         is_at = _is_of_stage(system, regime, g) and _within_stage(system, regime, g, x) == 0.0
-        if is_at and np.isnan(system.preload[guard.successor // system.strides[lashes_of(system)], 0, TORQUE]):
+        if is_at and np.isnan(system.preload[guard.successor // system.regime_strides[lashes_of(system)], 0, TORQUE]):
             return True
     return False
 
@@ -167,8 +166,8 @@ def closed_on(side: int) -> int:
 @unowned_inlined
 def opened(system: System, regime: int, lash: int) -> int:
     """The regime that differs in that a lash is open."""
-    stride = system.strides[lash]
-    return int(regime - regime % system.strides[lash + 1] // stride * stride)
+    stride = system.regime_strides[lash]
+    return int(regime - regime % system.regime_strides[lash + 1] // stride * stride)
 
 
 @unowned
@@ -178,18 +177,18 @@ def regime_of(system: System, x: FloatArray, inputs: FloatArray) -> int:
     In the restitution model they are open; flanks that rest on each other lock by a touch at rest.
     """
     lashes, first = lashes_of(system), 0
-    while first + system.strides[lashes] < system.preload.shape[0] * system.strides[lashes] and not _is_in_stage(
-        system, first, x
-    ):
-        first += system.strides[lashes]
+    while first + system.regime_strides[lashes] < system.preload.shape[0] * system.regime_strides[
+        lashes
+    ] and not _is_in_stage(system, first, x):
+        first += system.regime_strides[lashes]
     first = rubbing.in_motion(system, first, x)
     if system.impulsive != 0:
         return first + OPEN
     chosen = first
     for lash in range(lashes):
-        for regime in range(first, first + system.strides[lash + 1], system.strides[lash]):
+        for regime in range(first, first + system.regime_strides[lash + 1], system.regime_strides[lash]):
             side = system.contacts[regime, lash].side
-            overlap = side * _functional(system, 0, lash * system.stride + GAP, x)
+            overlap = side * _functional(system, 0, lash * system.functionals_per_lash + GAP, x)
             inside = side != 0 and overlap >= inputs[gap_input(lash)]
             for g in range(system.regimes[regime].guards):
                 guard = system.guards[regime, g]
@@ -329,7 +328,7 @@ def _release(
         return Entry(count + 1, row.successor, row.zero_guard, order)
     # locked flanks without a gap between them: no free state
     free = opened(system, regime, lash)
-    successor = free + closed_on(-side) * system.strides[lash]
+    successor = free + closed_on(-side) * system.regime_strides[lash]
     record(log, count + 1, time, 0.0, TOUCH, free, lash, -side, x)
     record(log, count + 2, time, 0.0, LOCK, successor, lash, -side, x)
     return Entry(count + 3, successor, 0, 1)
@@ -397,7 +396,7 @@ def holding_torque(
     system: System, regime: int, lash: int, x: FloatArray, inputs: FloatArray
 ) -> tuple[float, float, float]:
     """The torque that keeps q'' at zero, its rate of change in a regime, and the size of the terms that make it."""
-    flow, force = system.regimes[regime].flow, lash * system.stride + FORCE
+    flow, force = system.regimes[regime].flow, lash * system.functionals_per_lash + FORCE
     torque_held = _driven(system, regime, system.feedthrough[flow, force], inputs)
     slope = system.feedthrough[flow, force, TORQUE] * inputs[TORQUE_RATE]
     scale = abs(torque_held)

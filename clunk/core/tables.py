@@ -314,7 +314,7 @@ class Tables(NamedTuple):
     offsets: FloatArray
     weights: FloatArray
     leaders: IntArray
-    strides: IntArray
+    regime_strides: IntArray
 
 
 def build_tables(lashes: Sequence[Lash], staged: Sequence[StagedShaft], frictions: Sequence[Friction]) -> Tables:

@@ -9,10 +9,10 @@ from clunk.core import switching
 from clunk.core.events import EVENT, STAGE, TOUCH
 from clunk.core.exact import run as exact
 from clunk.core.exact.flows import Flows
-from clunk.core.exact.workspace import UNDER_WAY, make_workspace, system_at, system_of
+from clunk.core.exact.workspace import UNDER_WAY, make_workspace, system_at, system_of, waiting_queues
 from clunk.core.jit import allocating_part, compiled, part
 from clunk.core.lanes.vectors import WIDTH
-from clunk.core.references import keep, refer
+from clunk.core.references import keep_alive, refer
 from clunk.core.regimes import Each, System, lashes_of
 from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import Steps
@@ -107,7 +107,11 @@ def cases_of(torque_before: FloatArray, half_gaps: FloatArray, loads: FloatArray
 
 
 class Batch(NamedTuple):
-    """Drivelines that are alike but for numbers: one or, for the exact method, any number D of them."""
+    """Drivelines that differ in inertias, stiffnesses, dampings and radii only: for rk4 one, else any number D of them.
+
+    All have the same `modal`, `oscillating`, `steady` and `rolls` in their `Flows` (`simulation.batches` sees to that),
+    and the same fields of `System` that `Each` does not name: of these the first driveline's are read for all.
+    """
 
     system: System  # of the first
     each: Each  # what differs, with an axis of D in front
@@ -215,7 +219,7 @@ def by_rk4(
             return k, written
         if cases.regimes.size > 0:
             cases.states[k] = x
-        _keep(log, outcome.written, outcome.end, output, k)
+        _copy_log(log, outcome.written, outcome.end, output, k)
         written += _describe(system, undecided, outcome, log, max_events, cells[k], scratch, output.impacts, written)
     return cells.shape[0], written
 
@@ -238,9 +242,8 @@ def by_exact(
     """
     system, each, flows, size = refer(system), refer(each), refer(flows), system.lashes.shape[1]
     capacity, states = _capacity(max_events, output)
-    # of several lashes, runs wait in more queues, which are to be as long
-    queues = 3 * (system.leaders.size + flows.watch.shape[1] * flows.watch.shape[2])
-    under_way = UNDER_WAY if len(system.general) == 0 else max(UNDER_WAY, WIDTH * queues)
+    # of several lashes there are more queues: enough runs that each may have as many as there are lanes
+    under_way = UNDER_WAY if len(system.general) == 0 else max(UNDER_WAY, WIDTH * waiting_queues(system, flows))
     slots = min(under_way, max(output.cells.shape[0] - first, 1), max(_EVENT_MEMORY // capacity, 1))
     events, extremes = np.empty((slots, capacity), EVENT), np.empty((slots, capacity, lashes_of(system), 2))
     margins, at_events = np.empty((slots, lashes_of(system))), np.empty((slots, states, size))
@@ -276,11 +279,12 @@ def by_exact(
             free[spare] = slot
             spare += 1
             log = Log(space.events[slot], space.extremes[slot], space.margins[slot], space.states[slot])
-            _keep(log, row.count, row.time, output, k)
+            _copy_log(log, row.count, row.time, output, k)
             outcome = Outcome(row.status, row.count, row.quality, row.time)
             of_run = system_of(space, slot)
             primaries = _describe(of_run, undecided, outcome, log, max_events, cells[k], scratch, impacts, written)
-            # room is kept for the oldest, so that every call is through with one cell at least
+            # Room stays free for the oldest, so that every call returns one cell at least. Cells behind one that is not
+            # done are run again by the next call.
             if written + primaries + (0 if k == oldest else max_events) > impacts.size:
                 full = True
                 continue
@@ -296,7 +300,7 @@ def by_exact(
             for _ in range(cells[k, lash].primary_impacts):
                 impacts[count] = ordered[i]
                 i, count = i + 1, count + 1
-    keep(owner)
+    keep_alive(owner)
     return oldest, count
 
 
@@ -319,7 +323,7 @@ def _log(system: System, capacity: int, states: int) -> Log:
 
 
 @part
-def _keep(log: Log, written: int, end: float, output: Output, k: int) -> None:
+def _copy_log(log: Log, written: int, end: float, output: Output, k: int) -> None:
     """Copy the events of a run, and what goes with them, as far as it is wanted."""
     for i in range(written if output.logs.size > 0 else 0):
         output.logs[k, i] = log.events[i]

@@ -75,7 +75,7 @@ def _prepare_alike(study: Study, sizes: dict[Place, FloatArray], count: int) -> 
     each = Each._make(getattr(system, name) for name in Each._fields)
     first = system._replace(**{name: array[0] for name, array in zip(Each._fields, each, strict=True)})
     # what a step asks of a flow as a whole
-    shapes = np.concatenate([flows.modal, flows.ringing, flows.steady, flows.rolls], axis=1)
+    shapes = np.concatenate([flows.modal, flows.oscillating, flows.steady, flows.rolls], axis=1)
     _, shape_of = np.unique(shapes, axis=0, return_inverse=True)
     if not shape_of.any():
         yield np.arange(count), Batch(first, each, flows)

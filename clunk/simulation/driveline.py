@@ -333,7 +333,7 @@ def steady_stages(study: Study) -> dict[int, int]:
     system = _build(study, driveline)
     rest = preload(system, run_load(study)[0])
     stages = stages_of([shaft for _, shaft in driveline.staged])[
-        rest.regime // int(system.strides[len(driveline.lashes)])
+        rest.regime // int(system.regime_strides[len(driveline.lashes)])
     ]
     return {k + 1: stage + 1 for (k, _), stage in zip(driveline.staged, stages, strict=True)}
 

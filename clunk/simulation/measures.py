@@ -68,7 +68,7 @@ def channels_of(study: Study, system: System, *, of_impacts: bool | None = None)
 def torque_across(line: Driveline, system: System, flow: int, lash: int) -> FloatArray:
     """The torque across a lash, closed in a flow, by state and inputs, signed like q."""
     if system.impulsive:
-        force = lash * system.stride + FORCE
+        force = lash * system.functionals_per_lash + FORCE
         return np.concatenate([system.functionals[flow, force], system.feedthrough[flow, force]])
     n, row, stiffness = system.inertias, np.zeros(sum(system.inputs.shape[1:])), line.contact_stiffnesses[lash]
     row[:n], row[n : 2 * n] = stiffness * line.lashes[lash], line.contact_dampings[lash] * line.lashes[lash]

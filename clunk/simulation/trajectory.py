@@ -238,7 +238,7 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
         state = np.asarray(initial_state, dtype=np.float64)
         sides, start = _started_at(study, system, before, pieces, state)
     capacity, lashes = study.solver.max_events + 1, len(study.lashes)
-    if system.regimes.size > system.strides[len(system.lashes)]:
+    if system.regimes.size > system.regime_strides[len(system.lashes)]:
         capacity *= switching.MOST_STAGES
     log = Log(
         events=np.zeros(capacity, EVENT),

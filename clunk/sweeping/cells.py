@@ -288,7 +288,7 @@ class Grid:
     ) -> tuple[Records, list[Records]]:
         """Records and impacts of runs of one driveline, with measures."""
         system = batch.system
-        has_stages = system.regimes.size > system.strides[len(system.lashes)]
+        has_stages = system.regimes.size > system.regime_strides[len(system.lashes)]
         capacity = (self.study.solver.max_events + 1) * (MOST_STAGES if has_stages else 1)
         runs, size = len(cases.before), system.rates.shape[1]
         each = min(max(_STATES // capacity, 1), runs)

@@ -368,8 +368,10 @@ def falls_by(guard: Curve) -> Vector:
 def between(start: Curve, end: Curve, h: Vector) -> tuple[Vector, Vector, Vector]:
     """What a function does within a time h, by its value, slope and curvature at both ends.
 
-    It is a polynomial of degree six but for the sixth derivative's part, and so within its Bernstein coefficients, of
-    which that part moves the middle one. The ends are the outer two: with them, the inner five bound it.
+    Over t from 0 to 1 it is the quintic through these six numbers, plus f⁽⁶⁾ h⁶/720 · t³ (t - 1)³ at some time within.
+    Since 20 t³ (1 - t)³ is the middle Bernstein polynomial of degree six, it lies between the least and the greatest of
+    the quintic's seven coefficients of that degree, the middle one widened by the bound of |f⁽⁶⁾| times h⁶/14400. The
+    outer two are the values at the ends.
 
     Returns
     -------

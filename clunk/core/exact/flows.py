@@ -63,7 +63,7 @@ class Flows(NamedTuple):
     coordinates: FloatArray  # (K, N, C)  x - origin -> y
     basis: FloatArray  # (K, C, C)  y -> x - origin, filled up
     modal: IntArray  # (K,)  whether the coordinates are modes
-    ringing: IntArray  # (K,)  how many pairs, from the first on and fastest first, are oscillating modes
+    oscillating: IntArray  # (K,)  how many pairs, from the first on and fastest first, are oscillating modes
     span: FloatArray  # (K, SPANS)  [s]
     propagator: FloatArray  # (K, SPANS, B, 3, 8)  over a span: each coordinate's SELF and CROSS share, and its DECAY
     power: FloatArray  # (K, TERMS, B, 2, 8)  SELF and CROSS of (Λ times the shortest span)^k / k!, for modes
@@ -139,7 +139,7 @@ def build_flows(
         coordinates=np.zeros((*many, flows, states, size)),
         basis=np.zeros((*many, flows, size, size)),
         modal=np.zeros((*many, flows), np.int64),
-        ringing=np.zeros((*many, flows), np.int64),
+        oscillating=np.zeros((*many, flows), np.int64),
         span=np.zeros((*many, flows, SPANS)),
         propagator=np.empty((*many, flows, SPANS, blocks, 3, ROW)),  # the most: in larger pages, if any
         power=np.zeros((*many, flows, TERMS, blocks, 2, ROW)),
@@ -193,17 +193,17 @@ def _fill(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int]) -> 
 def _fill_alike(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int]) -> None:
     """`_fill` of drivelines that are alike; the coordinates that a chain has fewer than the tables stay zero."""
     rates, inputs, functionals, feedthrough = matrices
-    scaled, still = _scale(chain), len(chain.shift)
+    scaled, unforced = _scale(chain), len(chain.shift)  # states but for a wave's
     into, back = scaled.into @ chain.pick, chain.expand @ scaled.back
-    forcing = inputs[:, :still].copy()
-    forcing[..., held] += rates[:, :still, :still] @ chain.shift
+    forcing = inputs[:, :unforced].copy()
+    forcing[..., held] += rates[:, :unforced, :unforced] @ chain.shift
     origin = back[:, None] @ _particular(scaled, into @ forcing)
     origin[:, 0][..., held] += chain.shift
-    tables.origin[..., :still] = origin.swapaxes(-1, -2)
-    tables.origin_output[:] = _outputs(functionals[:, None, :, :still], origin, chain)
+    tables.origin[..., :unforced] = origin.swapaxes(-1, -2)
+    tables.origin_output[:] = _outputs(functionals[:, None, :, :unforced], origin, chain)
     tables.origin_output[:, 0] += feedthrough
     tables.origin_output[:, 1, :, TORQUE_RATE] += feedthrough[..., TORQUE]
-    tables.steady[:] = ~_outputs(functionals[..., :still], back[..., scaled.drift], chain).any(axis=(-2, -1))
+    tables.steady[:] = ~_outputs(functionals[..., :unforced], back[..., scaled.drift], chain).any(axis=(-2, -1))
     tables.rolls[:] = tables.steady * scaled.drift.any()
 
     modes = _modes(scaled)
@@ -212,18 +212,19 @@ def _fill_alike(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int
     else:
         vectors, inverse, block = modes
         into, back = inverse @ into, back @ vectors
-        tables.ringing[:] = np.count_nonzero(block[:, 1::2, ::2].diagonal(axis1=-2, axis2=-1), axis=-1)
+        tables.oscillating[:] = np.count_nonzero(block[:, 1::2, ::2].diagonal(axis1=-2, axis2=-1), axis=-1)
     modal, growth = modes is not None, 1.0
-    seen = _outputs(functionals[..., :still], back, chain)
+    seen = _outputs(functionals[..., :unforced], back, chain)
     unseen = _alike(~np.any(block, axis=-2) & ~np.any(seen, axis=-2))
     into[:, unseen], block[:, unseen] = into[:, unseen] / _FAR, block[:, unseen] / _FAR
     back[..., unseen] *= _FAR
-    if rates.shape[-1] > still:
-        drive = into @ np.ascontiguousarray(rates[:, :still, still])[..., None]
-        into, back, block, resonates = _with_wave(into, back, block, drive[..., 0], rates[:, still:, still:], modal)
+    if rates.shape[-1] > unforced:
+        drive = into @ np.ascontiguousarray(rates[:, :unforced, unforced])[..., None]
+        wave_rates = rates[:, unforced:, unforced:]
+        into, back, block, resonates = _with_wave(into, back, block, drive[..., 0], wave_rates, modal)
         if resonates or not modal:
             modal, growth = False, _GROWTH
-            tables.steady[:] = tables.ringing[:] = 0
+            tables.steady[:] = tables.oscillating[:] = 0
     tables.modal[:] = modal
     fastest = np.sqrt((block * block).sum(axis=-1).max(axis=-1, initial=0.0)) if modal else _norm(block)
     fastest[fastest == 0.0] = _SHORTEST

@@ -19,14 +19,11 @@ FloatArray = npt.NDArray[np.float64]
 
 
 @part
-def find_drivelines(space: Workspace, flow: int, of_an_item: int) -> None:
-    """Note the drivelines of the runs taken, or of the searches, and the shortest span of each in a flow.
-
-    of_an_item : how many items a run has
-    """
+def note_drivelines(space: Workspace, flow: int, items_per_run: int) -> None:
+    """Write each lane's driveline to `space.drivelines`, and its shortest span of a flow to `space.shortest`."""
     vectors.stay_apart()
     for lane in range(WIDTH):
-        driveline = space.runs[space.pool.items[lane] // of_an_item].driveline
+        driveline = space.runs[space.pool.items[lane] // items_per_run].driveline
         space.drivelines[lane] = driveline
         space.shortest[flow, lane] = space.flows.span[driveline, flow, 0]
 
@@ -39,9 +36,9 @@ def gather(space: Workspace, table: FloatArray, first: int, count: int, to: Floa
     to : (count or more, W) float64
     """
     vectors.stay_apart()
-    each = table.size // table.shape[0]
+    numbers = table.size // table.shape[0]  # of a driveline
     for lane in range(WIDTH):
-        space.offsets[lane] = space.drivelines[lane] * each + first
+        space.offsets[lane] = space.drivelines[lane] * numbers + first
     for row in range(0, count, ROW):
         at = min(row, count - ROW)  # nothing is read behind the table's end
         vectors.gather(table, space.offsets, at, to, at)
@@ -53,9 +50,9 @@ def gather_flow(space: Workspace, flow: int) -> None:
     vectors.stay_apart()
     flows = space.flows
     watched, origins = flows.watch[0, 0].size, flows.origin_output[0, 0].size
-    gather(space, flows.watch, flow * watched, watched, space.own_watch)
-    read = origins // 4 if is_still(space, flow) and space.system.ramps == 0 else origins
-    gather(space, flows.origin_output, flow * origins, max(read, ROW), space.own_origins)
+    gather(space, flows.watch, flow * watched, watched, space.lane_watch)
+    read = origins // 4 if is_still(space, flow) else origins
+    gather(space, flows.origin_output, flow * origins, max(read, ROW), space.lane_output_origins)
 
 
 @part
@@ -64,13 +61,13 @@ def gather_functional(space: Workspace, flow: int, f: int) -> None:
     vectors.stay_apart()
     watch = space.flows.watch
     watched = watch[0, 0, 0].size
-    gather(space, watch, (flow * watch.shape[2] + f) * watched, watched, space.own_watch[f * watched :])
+    gather(space, watch, (flow * watch.shape[2] + f) * watched, watched, space.lane_watch[f * watched :])
 
 
 @unowned_inlined
-def own_watch(space: Workspace, f: int) -> OfLanes:
+def lane_watch(space: Workspace, f: int) -> OfLanes:
     """What has been gathered of a functional."""
-    return OfLanes(space.own_watch[f * space.flows.watch[0, 0, 0].size :])
+    return OfLanes(space.lane_watch[f * space.flows.watch[0, 0, 0].size :])
 
 
 @unowned_inlined
@@ -88,7 +85,7 @@ def _evaluate_own(
     space: Workspace, f: int, left_out: Vector, most_left_out: int
 ) -> tuple[curves.Curve, Vector, curves.Curve, Vector, Vector]:
     vectors.stay_apart()
-    return curves.evaluate(own_watch(space, f), space.pool.work, size_of(space), left_out, most_left_out)
+    return curves.evaluate(lane_watch(space, f), space.pool.work, size_of(space), left_out, most_left_out)
 
 
 @unowned_inlined
@@ -107,7 +104,7 @@ def _evaluate_own_again(
     space: Workspace, f: int, left_out: Vector, most_left_out: int, before: curves.Curve
 ) -> curves.Curve:
     vectors.stay_apart()
-    watch, size = own_watch(space, f), size_of(space)
+    watch, size = lane_watch(space, f), size_of(space)
     return curves.evaluate_again(watch, space.pool.work, size, left_out, most_left_out, before)
 
 
@@ -122,7 +119,7 @@ def bounds(space: Workspace, flow: int, f: int) -> tuple[Vector, Vector, Vector]
 @part
 def _bounds_own(space: Workspace, f: int) -> tuple[Vector, Vector, Vector]:
     vectors.stay_apart()
-    return curves.bounds(own_watch(space, f), space.pool.work, size_of(space))
+    return curves.bounds(lane_watch(space, f), space.pool.work, size_of(space))
 
 
 @unowned_inlined
@@ -136,7 +133,7 @@ def slope_bound(space: Workspace, flow: int, f: int, left_out: Vector, most_left
 @part
 def _slope_bound_own(space: Workspace, f: int, left_out: Vector, most_left_out: int) -> Vector:
     vectors.stay_apart()
-    return curves.slope_bound(own_watch(space, f), space.pool.work, size_of(space), left_out, most_left_out)
+    return curves.slope_bound(lane_watch(space, f), space.pool.work, size_of(space), left_out, most_left_out)
 
 
 @unowned_inlined
@@ -152,7 +149,11 @@ def origin(space: Workspace, flow: int, f: int, still: bool, elapsed: Vector) ->
 @part
 def _origin_own(space: Workspace, f: int, still: bool, elapsed: Vector) -> curves.Origin:
     vectors.stay_apart()
-    own, functionals, ramps = OfLanes(space.own_origins), space.flows.origin_output.shape[3], space.system.ramps != 0
+    own, functionals, ramps = (
+        OfLanes(space.lane_output_origins),
+        space.flows.origin_output.shape[3],
+        space.system.ramps != 0,
+    )
     work, driven = space.pool.work, inputs_of(space.system)
     return curves.origin(own, f, functionals, work, space.inputs_at, driven, still, ramps, elapsed)
 
@@ -163,7 +164,7 @@ def origin_slope(space: Workspace, flow: int, f: int) -> Vector:
     work, at, driven = space.pool.work, space.inputs_at, inputs_of(space.system)
     output, functionals = space.flows.origin_output, space.flows.origin_output.shape[3]
     if space.mixed != 0:
-        return curves.origin_slope(OfLanes(space.own_origins), f, functionals, work, at, driven)
+        return curves.origin_slope(OfLanes(space.lane_output_origins), f, functionals, work, at, driven)
     return curves.origin_slope(output[0, flow], f, functionals, work, at, driven)
 
 
@@ -182,6 +183,6 @@ def expand(space: Workspace, flow: int, f: int, sign: Vector, shift: Vector, at:
 def _expand_own(space: Workspace, flow: int, f: int, sign: Vector, shift: Vector, at: curves.Origin) -> None:
     vectors.stay_apart()
     size, shortest, series = size_of(space), shortest_span(space, flow), space.flows.series
-    gather(space, series, (flow * series.shape[2] + f) * size * LONG, size * LONG, space.own_table)
-    own = OfLanes(space.own_table)
+    gather(space, series, (flow * series.shape[2] + f) * size * LONG, size * LONG, space.lane_table)
+    own = OfLanes(space.lane_table)
     taylor.expand(own, space.pool.work, size, shortest, sign, shift, at, space.series)

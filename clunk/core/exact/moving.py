@@ -29,8 +29,8 @@ def _to_own_coordinates(space: Workspace, flow: int) -> None:
     vectors.stay_apart()
     count = space.flows.coordinates[0, 0].size
     _gather_origins(space, flow, 1)
-    functionals.gather(space, space.flows.coordinates, flow * count, count, space.own_table)
-    _to_coordinates(space, OfLanes(space.own_inputs), OfLanes(space.own_table))
+    functionals.gather(space, space.flows.coordinates, flow * count, count, space.lane_table)
+    _to_coordinates(space, OfLanes(space.lane_state_origins), OfLanes(space.lane_table))
 
 
 @unowned_inlined
@@ -38,7 +38,7 @@ def _gather_origins(space: Workspace, flow: int, orders: int) -> None:
     """Gather the origins of a flow's coordinates, and so many derivatives less one."""
     origins = space.flows.origin
     count = origins[0, 0].size
-    functionals.gather(space, origins, flow * count, count // 4 * orders, space.own_inputs)
+    functionals.gather(space, origins, flow * count, count // 4 * orders, space.lane_state_origins)
 
 
 @unowned_inlined
@@ -77,8 +77,8 @@ def _to_own_states(space: Workspace, flow: int, still: bool) -> None:
     vectors.stay_apart()
     count = space.flows.basis[0, 0].size
     _gather_origins(space, flow, 1 if still else 4)
-    functionals.gather(space, space.flows.basis, flow * count, count, space.own_table)
-    _to_states(space, OfLanes(space.own_inputs), OfLanes(space.own_table), still)
+    functionals.gather(space, space.flows.basis, flow * count, count, space.lane_table)
+    _to_states(space, OfLanes(space.lane_state_origins), OfLanes(space.lane_table), still)
 
 
 @unowned_inlined
@@ -135,13 +135,13 @@ def move_by_parts(space: Workspace, flow: int, part: Vector) -> None:
 @part
 def _move_by_own_parts(space: Workspace, flow: int, modes: bool, part: Vector) -> None:
     vectors.stay_apart()
-    flows, own = space.flows, OfLanes(space.own_table)
+    flows, own = space.flows, OfLanes(space.lane_table)
     if modes:
         count = flows.power[0, 0].size
-        functionals.gather(space, flows.power, flow * count, count, space.own_table)
+        functionals.gather(space, flows.power, flow * count, count, space.lane_table)
     else:
         count = flows.generator[0, 0].size
-        functionals.gather(space, flows.generator, flow * count, count, space.own_table)
+        functionals.gather(space, flows.generator, flow * count, count, space.lane_table)
     move(own, own, modes, part, space.pool.work, size_of(space), space.moved)
 
 

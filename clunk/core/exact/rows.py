@@ -1,7 +1,7 @@
-"""The rows of numbers by which runs take steps, and searches look for something.
+"""Where each number of a run, or of a search, lies in its row of `Workspace.numbers`, or of `Workspace.searches`.
 
-A row begins with the modal coordinates of a run, C of them, and the amplitudes of their pairs; what is named
-here comes behind them.
+A row begins with the modal coordinates, C of them, and the amplitudes of their pairs; places are counted from
+`Workspace.behind`, where these end. In the lanes of `Pool.work` they are rows.
 """
 
 from clunk.core.jit import unowned_inlined
@@ -30,18 +30,24 @@ _OF_LASH = 11
 
 # A search's numbers, those that change most often first.
 TIME_LEFT = 0  # s; of a depth, in shortest spans
-TOP, BOTTOM = 1, 2  # extremes: largest and smallest value so far; turn: both the lowest; depth: the bar, and the depth
+# of extremes the largest and the smallest value so far; of a turn, both the lowest so far; of a depth, the largest that
+# matters, and the depth
+TOP, BOTTOM = 1, 2
 AT, AT_SLOPE, AT_CURVATURE, AT_JERK = 3, 4, 5, 6  # the origin's value and first three derivatives
 BY_SIGN, BY_SHIFT = 7, 8  # what makes a guard of the functional
-COUNTS = 9  # s, how much of the time left there is when turns begin to count
+COUNTS = 9  # s: a turn counts while TIME_LEFT is at most this
 OF_A_SEARCH = 10
-# Which of a run's searches that is: of the extremes of each lash's acceleration, or of a depth; behind those, of a turn
-# of each guard.
+# Which of a run's searches that is: of the extremes of each lash's acceleration, or of a depth, which begins only after
+# those have ended; behind those, of a turn of each guard.
 EXTREMES_SEARCH = DEPTH_SEARCH = 0
 
-# How a step ends: it goes on, and a span will probably pass, or none will; or its phase does, for the end of the run,
-# because nothing can follow, because nothing is finite any more, or by an event.
-GOES_ON, NEARS, AT_END, SETTLED, LOST, BY_EVENT = range(6)
+# How a step ended.
+GOES_ON = 0  # the next one is of a span
+NEARS = 1  # the next one is of a part of the shortest span: a guard is near zero
+AT_END = 2  # of the run, or of the load's piece
+SETTLED = 3  # it is proved that nothing follows
+LOST = 4  # nothing is finite any more
+BY_EVENT = 5  # a guard turned negative: RUN's `guard`
 
 
 @unowned_inlined

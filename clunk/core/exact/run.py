@@ -27,7 +27,6 @@ from clunk.core.exact.step import GRAZING, origin_of_acceleration, take_step, wi
 from clunk.core.exact.workspace import (
     Workspace,
     begin_search,
-    find_origin,
     log_of,
     number_of,
     push_search,
@@ -35,6 +34,7 @@ from clunk.core.exact.workspace import (
     set_field,
     set_field_of,
     set_number_of,
+    set_search_origin,
     shift_of,
     sign_of,
     step_queue,
@@ -67,8 +67,8 @@ _OK = int(Status.OK)
 _NON_FINITE = int(Status.NON_FINITE)
 _EVENT_BUFFER_FULL = int(Status.EVENT_BUFFER_FULL)
 
-MOST = 0.25  # margins from here on are all alike
-_MOST_SPANS = 1000.0  # of a depth: a guard that never turns back comes to rest
+MOST = 0.25  # larger margins are not looked for, and written as this
+_MOST_SPANS = 1000.0  # the shortest ones, of the search for a depth: a guard that has not turned back then never will
 
 
 @unowned_inlined
@@ -176,7 +176,7 @@ def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
             count, group = take(pool, queue, space.numbers, space.read), queue % space.system.leaders.size
             short, flow = queues.short <= queue < queues.enter, space.system.regimes[space.system.leaders[group]].flow
             if space.mixed != 0:
-                functionals.find_drivelines(space, flow, 1)
+                functionals.note_drivelines(space, flow, 1)
                 functionals.gather_flow(space, flow)
             if queue >= queues.enter:  # and take the first step at once
                 _enter_coordinates(space, flow, count)
@@ -191,7 +191,7 @@ def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
                 sought, first = TURN, queues.turn
             flow, functional = divmod(queue - first, space.flows.watch.shape[2])
             if space.mixed != 0:
-                functionals.find_drivelines(space, flow, space.searches_each)
+                functionals.note_drivelines(space, flow, space.searches_each)
                 functionals.gather_functional(space, flow, functional)
             conclude(space, sought, queue, count, search(space, sought, flow, functional, count))
         for k in range(pool.length[queues.follow]):
@@ -208,7 +208,10 @@ def _enter_coordinates(space: Workspace, flow: int, count: int) -> None:
     set_field(space, rows.LEFT_OUT, zero)
     set_field(space, rows.TRY, zero + np.inf)
     for lash in range(lashes):
-        f, unbounded = lash * space.system.stride + ACCELERATION, curves.Curve(zero, zero, zero, zero, zero)
+        f, unbounded = (
+            lash * space.system.functionals_per_lash + ACCELERATION,
+            curves.Curve(zero, zero, zero, zero, zero),
+        )
         acceleration = functionals.evaluate_again(space, flow, f, zero, 0, unbounded)
         origin = origin_of_acceleration(space, flow, lash, zero)
         seen = acceleration.value + origin.value
@@ -231,7 +234,7 @@ def _follow(space: Workspace, slot: int) -> None:
         wanted = space.searches[slot * each + rows.EXTREMES_SEARCH + lash, space.behind :]
         wanted[rows.TOP] = number_of(space, slot, rows.WINDOW_MAX, lash)
         wanted[rows.BOTTOM] = number_of(space, slot, rows.WINDOW_MIN, lash)
-        functional = lash * space.system.stride + ACCELERATION
+        functional = lash * space.system.functionals_per_lash + ACCELERATION
         push_search(space, queues.extremes, slot, rows.EXTREMES_SEARCH + lash, functional)
     elif row.seeks_turns != 0:
         guard = vectors.first_of(row.seeks_turns)
@@ -245,7 +248,7 @@ def _follow(space: Workspace, slot: int) -> None:
         scale = scale_of(space, slot, row.guard)
         if row.depth_known == 0 and scale > 0.0 and _label_hangs_on_depth(space, slot, now):
             functional = space.system.guards[row.regime, row.guard].functional
-            find_origin(space, slot, functional)
+            set_search_origin(space, slot, functional)
             sign = sign_of(space, slot, row.guard)
             begin_search(space, slot, rows.DEPTH_SEARCH, _MOST_SPANS, sign, shift_of(space, slot, row.guard))
             wanted = space.searches[slot * each + rows.DEPTH_SEARCH, space.behind :]
@@ -396,8 +399,8 @@ def _take_margin(space: Workspace, slot: int, x: FloatArray, time: float) -> Non
     if guard.event_kind == SEPARATION and abs(age - sticking_time) < abs(margin) * sticking_time:
         margin = 1.0 - age / sticking_time
     if guard.event_kind == REJOIN and age > sticking_time and play.static > 0.0:
-        # the overlap is least here or soon after: where it all but vanishes, rounding decides which
-        overlap, gap = -space.inputs[slot, gap_input(lash)], lash * system.stride + GAP
+        # the overlap is least here or soon after: a near miss; where it is all but zero, rounding decides what follows
+        overlap, gap = -space.inputs[slot, gap_input(lash)], lash * system.functionals_per_lash + GAP
         for k in range(x.size):
             overlap += guard.side * system.functionals[0, gap, k] * x[k]
         if max(overlap, 0.0) / play.static < abs(margin):
@@ -411,7 +414,7 @@ def _static(system: System, flows: Flows, driveline: int, start: Start, lash: in
 
     Without such rest, what it is at the load step.
     """
-    f = lash * system.stride + (FORCE if system.impulsive != 0 else GAP)
+    f = lash * system.functionals_per_lash + (FORCE if system.impulsive != 0 else GAP)
     torque, most = start.loads[start.load, -1, LEVEL], 0.0
     offset = 0.0 if system.impulsive != 0 else inputs[gap_input(lash)]
     for regime in range(system.regimes.size):

@@ -4,8 +4,9 @@ A span is proposed by guess, and then moved by. Only where it is proved that the
 does it count; elsewhere a run stays where it was, and tries a shorter one next. Where not even the shortest span will
 probably pass, the guards are expanded into their Taylor series over it, whose first zero is the event.
 
-The fastest pairs of modes, LEFT_OUT of them, are taken out of the guards and bounded by their sway instead, as soon as
-that lets a longer span pass: what rings less than a guard is away from where it counts need not be resolved.
+The fastest pairs of modes, LEFT_OUT of them, are taken out of a guard, and the most that they can add, their sway, is
+subtracted instead, as soon as that lets a longer span pass; but only while the guard stays above its bar: below that a
+turn makes the margin, and has to be seen as it is.
 
 Between its parts a step keeps rows of lanes: OF_OUTPUT in `outputs` for each functional, OF_GUARD in `guards` for each
 guard. Guards of one functional share its rows, those from `alike * OF_OUTPUT` on, `alike` being the first such guard.
@@ -28,11 +29,11 @@ from clunk.core.exact.workspace import (
     begin_search,
     field,
     field_of,
-    find_origin,
     is_still,
     number_of,
     set_field,
     set_field_of,
+    set_search_origin,
     shift_of,
     shortest_span,
     sign_of,
@@ -86,7 +87,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     regime = system.leaders[group]
     flow = system.regimes[regime].flow
     size, zero, present = size_of(space), vectors.splat(0.0), (1 << count) - 1
-    shortest, most_left_out = shortest_span(space, flow), min(flows.ringing[0, flow], size // 2 - 1)
+    shortest, most_left_out = shortest_span(space, flow), min(flows.oscillating[0, flow], size // 2 - 1)
     elapsed, left_out = field(space, rows.ELAPSED), field(space, rows.LEFT_OUT)
     time_left = field(space, rows.limit(lashes_of(system))) - elapsed
 
@@ -199,12 +200,12 @@ def _evaluate_guards(space: Workspace, regime: int, left_out: Vector, most_left_
             store_curve(outputs, at + _PAIR, pair)
             vectors.store(outputs, at + _PAIR_SWAY, pair_sway)
             vectors.store(outputs, at + _SWAY, sway)
-            _find_origin(space, flow, f, at)
+            _store_origin(space, flow, f, at)
         store_curve(space.guards, n * OF_GUARD + _START, _guard(space, regime, n, at))
 
 
 @unowned_inlined
-def _find_origin(space: Workspace, flow: int, f: int, at: int) -> None:
+def _store_origin(space: Workspace, flow: int, f: int, at: int) -> None:
     """Write a functional's origin to `outputs`."""
     origin = functionals.origin(space, flow, f, is_still(space, flow), field(space, rows.ELAPSED))
     vectors.store(space.outputs, at + _ORIGIN, origin.value)
@@ -278,7 +279,7 @@ def _zero_order(space: Workspace, n: int) -> Vector:
 @unowned_inlined
 def origin_of_acceleration(space: Workspace, flow: int, lash: int, elapsed: Vector) -> curves.Origin:
     """The origin of a lash's acceleration, which moves only under a ramp, even where the flow drifts."""
-    f = lash * space.system.stride + ACCELERATION
+    f = lash * space.system.functionals_per_lash + ACCELERATION
     origin = functionals.origin(space, flow, f, True, elapsed)
     if space.system.ramps == 0:
         return origin
@@ -305,13 +306,13 @@ def _may_widen_windows(space: Workspace, flow: int, time_left: Vector) -> int:
     may_widen = 0
     for lash in range(lashes_of(space.system)):
         origin = origin_of_acceleration(space, flow, lash, field(space, rows.ELAPSED))
-        _, sixth, swing = functionals.bounds(space, flow, lash * space.system.stride + ACCELERATION)
+        _, sixth, sway = functionals.bounds(space, flow, lash * space.system.functionals_per_lash + ACCELERATION)
         high, low = field_of(space, rows.WINDOW_MAX, lash), field_of(space, rows.WINDOW_MIN, lash)
         largest = smallest = origin.value
         if space.system.ramps != 0:
             last = origin.value + origin.slope * time_left
             largest, smallest = vectors.larger(largest, last), vectors.smaller(smallest, last)
-        lanes = (largest + swing > high) | (smallest - swing < low)
+        lanes = (largest + sway > high) | (smallest - sway < low)
         vectors.store(space.accelerations, 3 * lash, origin.value)
         vectors.store(space.accelerations, 3 * lash + 1, origin.slope)
         vectors.store(space.accelerations, 3 * lash + 2, sixth)
@@ -368,7 +369,7 @@ def _propose_span(
         for n in range(count):
             starts_flat |= _zero_order(space, n) > 1.0
     k = vectors.choose(starts_flat, -1.0, k)
-    # nothing is left out where it would not tell a miss that counts from one that does not
+    # only while the guard stays above its bar: below it, a turn makes the margin
     one_more, worth = (left_out < float(most_left_out)) & ~starts_flat & ((k >= 0.0) | (left_out == 0.0)), 0
     for n in range(watched):
         at = system.guards[regime, n].alike * OF_OUTPUT
@@ -579,7 +580,7 @@ def _prove(space: Workspace, regime: int, left_out: Vector, most_left_out: int, 
             seen = functionals.evaluate_again(space, flow, f, left_out, most_left_out, before)
             store_curve(outputs, at + _SLOWER, seen)
             if not is_still(space, flow):
-                _find_origin(space, flow, f, at)
+                _store_origin(space, flow, f, at)
         start = load_curve(guards, row + _START)
         end = curves.with_bounds(_guard(space, regime, n, at), start)
         least, _, remainder = curves.between(start, end, h)
@@ -627,7 +628,9 @@ def _watch_acceleration(space: Workspace, flow: int, lash: int, h: Vector, may_w
         zero,
         sixth,
     )
-    seen = functionals.evaluate_again(space, flow, lash * space.system.stride + ACCELERATION, zero, 0, start)
+    seen = functionals.evaluate_again(
+        space, flow, lash * space.system.functionals_per_lash + ACCELERATION, zero, 0, start
+    )
     last, slope = seen.value + origin_value, seen.slope
     if space.system.ramps != 0:
         last, slope = last + h * origin_slope, slope + origin_slope
@@ -658,7 +661,8 @@ def _watch_acceleration(space: Workspace, flow: int, lash: int, h: Vector, may_w
 def _find_misses(space: Workspace, regime: int, left_out: Vector, event: Vector, h: Vector, advancing: int) -> int:
     """Begin to search the lowest turn of guards where one may be a near miss; the lanes of each into `guard_lanes`.
 
-    A miss is what turned back on the way; but a guard that was level at the beginning, rounding would have turn.
+    A miss is a turn within the step. Guards that are zero with their slope at the beginning are passed over: there,
+    rounding would show one.
     """
     system, guards, outputs, elapsed, misses = space.system, space.guards, space.outputs, field(space, rows.ELAPSED), 0
     for n in range(system.regimes[regime].watched):
@@ -666,11 +670,13 @@ def _find_misses(space: Workspace, regime: int, left_out: Vector, event: Vector,
         row, at = n * OF_GUARD, system.guards[regime, n].alike * OF_OUTPUT
         start, end = load_curve(guards, row + _START), load_curve(guards, row + _END)
         least, remainder = vectors.load(guards, row + _LEAST), vectors.load(guards, row + _REMAINDER)
-        fresh = (_zero_order(space, n) > 1.0) & (held_from <= 0.0)
-        may = advancing & (elapsed > held_from) & (_scale(space, regime, n) > 0.0) & ~(event == float(n)) & ~fresh
+        starts_level = (_zero_order(space, n) > 1.0) & (held_from <= 0.0)
+        may = (
+            advancing & (elapsed > held_from) & (_scale(space, regime, n) > 0.0) & ~(event == float(n)) & ~starts_level
+        )
         may &= vectors.smaller(vectors.smaller(start.value, end.value), least) < _bar(space, regime, n)
-        monotone, crest = curves.turns_not(start, end, remainder, vectors.load(outputs, at + _SLOPE_BOUND), h)
-        may &= ~monotone & ~(crest & (left_out == 0.0))
+        monotone, bends_down = curves.turns_not(start, end, remainder, vectors.load(outputs, at + _SLOPE_BOUND), h)
+        may &= ~monotone & ~(bends_down & (left_out == 0.0))
         space.guard_lanes[n] = may
         misses |= may
         if may != 0:
@@ -688,7 +694,7 @@ def _begin_turn_searches(space: Workspace, regime: int, n: int, h: Vector, elaps
         lane = vectors.first_of(mask)
         mask &= mask - 1
         slot = space.pool.items[lane]
-        find_origin(space, slot, space.system.guards[regime, n].functional)
+        set_search_origin(space, slot, space.system.guards[regime, n].functional)
         turn, sign = turn_search(space, n), sign_of(space, slot, n)
         begin_search(space, slot, turn, notes[0, lane], sign, shift_of(space, slot, n))
         wanted = space.searches[slot * space.searches_each + turn, space.behind :]

@@ -80,7 +80,7 @@ class Workspace(NamedTuple):
     N states, G guards, L lashes, W lanes.
     """
 
-    system: System  # of the first driveline; the others' regimes, guards and sizes are the same
+    system: System  # of the first driveline: for all but the fields of `Each`, which `system_of` a run has
     systems: IntArray  # (D, …)  that of each driveline, see `system_at`
     flows: Flows  # of all drivelines, with an axis in front
     mixed: int  # whether runs that are taken together may have different drivelines
@@ -115,11 +115,12 @@ class Workspace(NamedTuple):
     notes: FloatArray  # (NOTES, W)  for what is done for a lane alone
     offsets: IntArray  # (W,)
     shortest: FloatArray  # (K, W)  the shortest span of each flow
-    drivelines: IntArray  # (W,)  of the items that have been taken, if they are mixed, and what is read of theirs:
-    own_watch: FloatArray  # (F 5C, W)
-    own_origins: FloatArray  # (4 F I, W)
-    own_inputs: FloatArray  # (4 I C, W)  the origins of the coordinates
-    own_table: FloatArray  # (…, W)  any other table
+    drivelines: IntArray  # (W,)  of the items that have been taken, if they are mixed
+    # what is read of these drivelines' tables, gathered by `functionals`: a column for each lane
+    lane_watch: FloatArray  # (F 5C, W)
+    lane_output_origins: FloatArray  # (4 F I, W)
+    lane_state_origins: FloatArray  # (4 I C, W)
+    lane_table: FloatArray  # (…, W)  any other
     origin: FloatArray  # (4,)
     held: FloatArray  # (L, 2)  the torque that locks each lash where the load jumps or bends, and its rate of change
     alone: FloatArray  # (2, TERMS)  a series alone, and its zeros
@@ -163,7 +164,7 @@ def make_workspace(
     # in order: span, short, enter, each by group; extremes, turn, depth, each by flow and functional; over; follow
     groups, searched = system.leaders.size, count * functionals
     first = 3 * groups
-    over = first + 3 * searched
+    over = waiting_queues(system, flows)
     queues = Queues(0, groups, 2 * groups, first, first + searched, first + 2 * searched, over, over + 1)
     behind, lashes, driven = size * 3 // 2, lashes_of(system), inputs_of(system)
     inputs_at = behind + rows.shift(most, lashes)
@@ -206,15 +207,21 @@ def make_workspace(
         offsets=np.zeros(WIDTH, np.int64),
         shortest=shortest,
         drivelines=np.zeros(WIDTH, np.int64),
-        own_watch=aligned(flows.watch[0, 0].size * mixed, WIDTH),
-        own_origins=aligned(flows.origin_output[0, 0].size * mixed, WIDTH),
-        own_inputs=aligned(flows.origin[0, 0].size * mixed, WIDTH),
-        own_table=aligned(max(flows.power[0, 0].size, size * max(size, LONG)) * mixed, WIDTH),
+        lane_watch=aligned(flows.watch[0, 0].size * mixed, WIDTH),
+        lane_output_origins=aligned(flows.origin_output[0, 0].size * mixed, WIDTH),
+        lane_state_origins=aligned(flows.origin[0, 0].size * mixed, WIDTH),
+        lane_table=aligned(max(flows.power[0, 0].size, size * max(size, LONG)) * mixed, WIDTH),
         origin=np.zeros(4),
         held=np.zeros((lashes, 2)),
         alone=np.zeros((2, TERMS)),
         ladder=np.zeros((TERMS, TERMS)),
     )
+
+
+@unowned_inlined
+def waiting_queues(system: System, flows: Flows) -> int:
+    """The number of queues in which runs and searches wait: three for each group, and for each functional of a flow."""
+    return int(3 * (system.leaders.size + flows.watch.shape[1] * flows.watch.shape[2]))
 
 
 @unowned_inlined
@@ -349,7 +356,7 @@ def begin_search(space: Workspace, slot: int, search: int, length: float, sign: 
 
 
 @unowned_inlined
-def find_origin(space: Workspace, slot: int, functional: int) -> None:
+def set_search_origin(space: Workspace, slot: int, functional: int) -> None:
     """A functional's origin where a run is, and its first three derivatives, into `space.origin`."""
     run = space.runs[slot]
     output = space.flows.origin_output[run.driveline, space.system.regimes[run.regime].flow]

@@ -104,7 +104,7 @@ def align_stack(typing: Any) -> Any:
 
 @_operation
 def stay_apart(typing: Any) -> Any:
-    """Keep the calling function out of its callers' code, and what leads to it out of their way."""
+    """Mark the calling function noinline and cold: what it is seldom called for is not to slow its callers."""
 
     def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         for attribute in ("noinline", "cold"):

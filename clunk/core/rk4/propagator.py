@@ -169,7 +169,7 @@ def _modal_bound(system: System, step: float) -> tuple[dict[str, Any], bool]:
         rest_state[flow, :states, held] += shift.T
         rest_functional[flow] = functionals[flow] @ rest_state[flow, :states] + feedthrough[flow]
     if system.drift.shape[1] < 2:  # nothing accelerates for good; the product above leaves rounding
-        rest_functional[:, ACCELERATION : lashes * system.stride : system.stride] = 0.0
+        rest_functional[:, ACCELERATION : lashes * system.functionals_per_lash : system.functionals_per_lash] = 0.0
     bound = {
         "provable": provable,
         "mode_rows": mode_rows,

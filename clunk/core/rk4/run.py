@@ -247,7 +247,7 @@ def _coast(
             _advance(block, full.block_affine, z, after)
             if _clears(phase, row.guards, columns, outputs, z, after, BLOCK):
                 for lash in range(lashes):
-                    at = columns + 4 * (lash * system.stride + ACCELERATION)
+                    at = columns + 4 * (lash * system.functionals_per_lash + ACCELERATION)
                     _watch_block(z, after, at, outputs, extremes[lash])
                 for k in range(columns):
                     z[k] = after[k]
@@ -262,7 +262,7 @@ def _coast(
             if not _clears(phase, row.guards, columns, outputs, z, after, 1):
                 return taken
             for lash in range(lashes):
-                at = columns + 4 * (lash * system.stride + ACCELERATION)
+                at = columns + 4 * (lash * system.functionals_per_lash + ACCELERATION)
                 _watch(z, after, at, at, extremes[lash])
             for k in range(width):
                 z[k] = after[k]

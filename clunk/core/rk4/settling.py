@@ -48,7 +48,7 @@ def settled(
         impacts = find_primaries(log.events, count, lash, side, system.sticking_time[lash], primaries)
         if impacts > 0:  # else nothing is asked of the acceleration either
             largest, smallest = window_extremes(log.extremes[:, lash], primaries[impacts - 1], count)
-            acceleration = lash * system.stride + ACCELERATION
+            acceleration = lash * system.functionals_per_lash + ACCELERATION
             at_rest = weigh(steps.rest_functional[flow, acceleration], phase.inputs, phase.inputs.size)
             swing = (1.0 + 1e-9) * reach[acceleration]
             if not (largest >= at_rest + swing and smallest <= at_rest - swing):

@@ -102,7 +102,7 @@ def first_event(
 def widen_extremes(system: System, flow: int, phase: Phase, length: float, extremes: FloatArray) -> None:
     """Update the extremes of each lash's acceleration, (L, 2), by those on the step, both ends included  [rad/s2]."""
     for lash in range(lashes_of(system)):
-        c0, c1, c2, c3, c4, _ = _quartic(system, flow, lash * system.stride + ACCELERATION, phase)
+        c0, c1, c2, c3, c4, _ = _quartic(system, flow, lash * system.functionals_per_lash + ACCELERATION, phase)
         high, low = quartic.extremes(c0, c1, c2, c3, c4, length)
         extremes[lash, 0], extremes[lash, 1] = max(extremes[lash, 0], high), min(extremes[lash, 1], low)
 
