@@ -34,7 +34,7 @@ def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[
     unnamed += design.coordinates if len(unnamed) < len(missing) else ()
     if unnamed:
         listed = ", ".join(f"{axis.parameter} = {get_value(study, axis.parameter):g}" for axis in unnamed)
-        terminal.complain(f"swept keys at the config's own values: {listed}; --at names others")
+        terminal.complain(f"without --at: {listed}, the config's own values")
     run = named.pop(RUN, None)
     if run is not None:
         named |= {axis.parameter: float(axis.values[int(run) - 1]) for axis in design.coordinates}

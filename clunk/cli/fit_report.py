@@ -27,7 +27,7 @@ def _labels_met(fitted: Fitted) -> Iterator[str]:
     pairs = zip(fitted.probabilities, fitted.experiment.measurements, strict=True)
     likely = sum(next(iter(shares)) == measurement.label for shares, measurement in pairs)
     yield f"                {likely} of {count} are the most probable label of the ensemble"
-    yield f"ensemble        {len(fitted.weights):,} draws, worth {fitted.effective:.0f}"
+    yield f"ensemble        {len(fitted.weights):,} draws, effectively {fitted.effective:.0f}"
 
 
 def _parameters(fitted: Fitted) -> Iterator[str]:
@@ -58,7 +58,7 @@ def _undetermined(fitted: Fitted) -> Iterator[str]:
 
 def _predictions(fitted: Fitted) -> Iterator[str]:
     count = len(fitted.points)
-    rows = [["left out at a time", "predicted", "most frequent", "nearest", "worth"]]
+    rows = [["left out at a time", "predicted", "most frequent", "nearest", "effective draws"]]
     for each in fitted.predictions:
         hits = [str(fitted.hits(labels)) for labels in (each.predicted, each.majority, each.nearest)]
         what = "a measurement" if each.what == "measurement" else f"a value of {each.what}"
@@ -68,7 +68,7 @@ def _predictions(fitted: Fitted) -> Iterator[str]:
     if fitted.fewer:
         yield ""
         yield "fits of fewer parameters, the others as in the config"
-        rows = [["parameters", "most met", "predicted", "worth"]]
+        rows = [["parameters", "most met", "predicted", "effective draws"]]
         for few in fitted.fewer:
             rows.append([str(few.parameters), str(few.met), str(few.predicted), f"{few.effective:.0f}"])
         yield from phrases.table(rows, [True] * 4)

@@ -87,6 +87,9 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     if several:
         return
     click.echo()
+    if stages:
+        click.echo("no thresholds of a vanishing backlash: they hold for shafts without stages")
+        return
     click.echo("load ratio σr of an ideal step above which one more impact appears as the\nbacklash vanishes")
     click.echo("  impacts       " + "".join(f"{n:>8}" for n in range(1, 5)))
     for name, ratios in ratios_above.items():

@@ -45,7 +45,7 @@ def say_if_compiling(*studies: Study) -> None:
 
     note = compiling_note(*studies)
     if note:
-        click.echo(note, err=True)
+        click.echo(phrases.fill(note), err=True)
 
 
 def report_resumed(taken_up: int, discarded: int) -> None:

@@ -81,7 +81,7 @@ def corner(fitted: Fitted) -> Figure:
                 ax.set_xlabel(names[column])
             ax.tick_params(labelsize=8.0)
             ax.xaxis.set_major_locator(ticker.MaxNLocator(4))
-    line = f"{len(fitted.weights):,} draws, worth {fitted.effective:.0f}; lines: best candidate; dashed: prior"
+    line = f"{len(fitted.weights):,} draws, effectively {fitted.effective:.0f}; lines: best candidate; dashed: prior"
     style.set_titles(figure, grid[0, 0], f"{fitted.study.title}: ensemble", line)
     style.freeze_layout(figure, grid[0, 0])
     return figure
