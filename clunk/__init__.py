@@ -13,11 +13,15 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from clunk import plot
     from clunk.analysis.boundaries import BoundaryError
+    from clunk.analysis.fitparts import FitError
+    from clunk.analysis.fitted import Fitted
+    from clunk.analysis.fittedstudy import fitted_study
+    from clunk.analysis.measurements import ExperimentError
     from clunk.analysis.quantiles import threshold_quantiles
     from clunk.analysis.sobol import Sensitivity, SensitivityError, sensitivity
     from clunk.analysis.thresholds import ThresholdError, Thresholds, thresholds
     from clunk.analysis.verification import Verification
-    from clunk.api import draw, run_points, sweep, tolerance_map, verify
+    from clunk.api import draw, fit, run_points, sweep, tolerance_map, verify
     from clunk.explorer.server import Explorer, explore
     from clunk.explorer.subject import ExplorerError
     from clunk.plot import PlotError
@@ -44,8 +48,11 @@ __all__ = [
     "ClunkError",
     "ConfigError",
     "EngineError",
+    "ExperimentError",
     "Explorer",
     "ExplorerError",
+    "FitError",
+    "Fitted",
     "PartsError",
     "PlotError",
     "Results",
@@ -63,6 +70,8 @@ __all__ = [
     "Verification",
     "draw",
     "explore",
+    "fit",
+    "fitted_study",
     "load_study",
     "open_results",
     "plot",
@@ -89,8 +98,11 @@ _HOME = {
     "ClunkError": "study.errors",
     "ConfigError": "study.problems",
     "EngineError": "sweeping.engines",
+    "ExperimentError": "analysis.measurements",
     "Explorer": "explorer.server",
     "ExplorerError": "explorer.subject",
+    "FitError": "analysis.fitparts",
+    "Fitted": "analysis.fitted",
     "PartsError": "sweeping.parts",
     "PlotError": "plot",
     "Results": "results.regimemap",
@@ -108,6 +120,8 @@ _HOME = {
     "Verification": "analysis.verification",
     "draw": "api",
     "explore": "explorer.server",
+    "fit": "api",
+    "fitted_study": "analysis.fittedstudy",
     "load_study": "study.config",
     "open_results": "results.datasets",
     "read_results": "results.store:read",

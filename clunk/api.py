@@ -1,4 +1,4 @@
-"""Functions for scripts and notebooks beside `load_study` and `simulate`: sweeps, points, verification, pictures."""
+"""Functions for scripts and notebooks beside `load_study` and `simulate`: sweeps, points, fits, checks, pictures."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,10 +15,14 @@ from typing import TYPE_CHECKING
 
 import numpy.typing as npt
 
-from clunk.analysis import verification
+from clunk.analysis import fitfile, fitting, verification
 from clunk.analysis.boundaries import require_boundaries, with_boundaries
+from clunk.analysis.fitmaps import fit_maps
+from clunk.analysis.fitted import Fitted
+from clunk.analysis.measurements import read_experiment
 from clunk.analysis.small_gap import thresholds_of
 from clunk.analysis.verification import METHODS, Verification, by
+from clunk.report.tables import TABLES
 from clunk.results import targets
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
@@ -29,6 +33,7 @@ from clunk.study.problems import ConfigError
 from clunk.study.study import Study
 from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.cells import compiling_note
+from clunk.sweeping.parts import WorkingDirectory
 from clunk.sweeping.progress import Progress, shown
 from clunk.sweeping.reduction import AnyMap, SweepError
 
@@ -215,6 +220,79 @@ def run_points(
     return replace(results, config_digest=values.hexdigest())
 
 
+def fit(
+    study: Study,
+    measurements: str | os.PathLike[str],
+    output: str | os.PathLike[str] | None = None,
+    *,
+    progress: bool | Progress = False,
+    workers: int | None = None,
+    lash: str | None = None,
+    restart: bool = False,
+    force: bool = False,
+) -> Fitted:
+    """Fit the parameters of a study to measured sequences of impacts.
+
+    Parameters
+    ----------
+    study : Study
+        With [[fit.parameters]]; its sweep is left aside.
+    measurements : path of a CSV file
+        Operating points, their labels and what else was measured, as ``clunk help fit`` tells; or ``table_4_1``, the
+        report's.
+    output : path of a file (.h5), optional
+        As ``clunk fit`` writes it: finished candidates are kept on the disk, a fit that was stopped goes on when it is
+        called again, and one that is complete in the file is read instead of run.
+    lash : str, optional
+        Of several lashes, the one that was measured, by name or number; by default the first.
+    progress, workers, restart, force
+        As of `sweep`; candidates are counted.
+
+    Returns
+    -------
+    Fitted
+        `estimate` and `intervals()` of the parameters, `met` labels, `predictions`, `reasons` for the labels that are
+        not met, `warnings()` and all draws of the ensemble with their `weights`. `draw` makes its pictures, and
+        `fitted_study` the study that it gives.
+
+    Raises
+    ------
+    FitError, ExperimentError
+        Where the measurements cannot be read or do not go with the study, or a prior with them, or the file holds
+        something else.
+    TargetError, PartsError, KeyboardInterrupt
+        As of `sweep`.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> study = clunk.load_study("configs/fit_table_4_1.toml", ["fit.candidates=64", "fit.draws=512"])
+    >>> fitted = clunk.fit(study, "table_4_1")
+    >>> fitted.met, fitted.hits(fitted.nominal_matches["pattern"])
+    (15, 2)
+    >>> factor, offset = fitted.intervals()  # of 5 and 95 %
+    """
+    experiment = read_experiment(measurements, TABLES)
+    fitting.check(study, experiment)
+    path = None if output is None else Path(output)
+    if path is not None:
+        targets.check(path, targets.RESULTS)
+        finished = fitfile.finished(path, fitting.identity(study, experiment, lash), force)
+        if finished is not None and not restart:
+            return finished
+    assert study.fit is not None
+    with ExitStack() as stack:
+        directory = None if path is None else stack.enter_context(WorkingDirectory(path))
+        if directory is not None and restart:
+            directory.clear()
+        report = stack.enter_context(_shown(progress, fitting.planned(study.fit), study, what="candidates"))
+        fitted = fitting.fit(study, experiment, lash=lash, workers=workers, progress=report, directory=directory)
+        if path is not None and directory is not None:
+            fitfile.save(path, fitted, lash, directory.path)
+            directory.remove()
+    return fitted
+
+
 def verify(study: Study, *, progress: bool | Progress = False, workers: int | None = None) -> Verification:
     """Run a study by both methods, rk4 and exact, and compare.
 
@@ -242,15 +320,18 @@ def verify(study: Study, *, progress: bool | Progress = False, workers: int | No
         return verification.verify(study, workers=workers, progress=report)
 
 
-def draw(what: Results | ToleranceMap | Trajectory, quantity: str = "regimes", *, lash: str | None = None) -> Figure:
-    """The map of a sweep's results, or the picture of a run.
+def draw(
+    what: Results | ToleranceMap | Trajectory | Fitted, quantity: str = "regimes", *, lash: str | None = None
+) -> Figure:
+    """The map of a sweep's results, the picture of a run, or one of a fit.
 
     Parameters
     ----------
-    what : Results, ToleranceMap or Trajectory
+    what : Results, ToleranceMap, Trajectory or Fitted
     quantity : str
         Of results: regimes, severity, approach_velocity, primary_impacts, touches, last_event_time or margin. Of a
-        tolerance map: regimes, double_sided, severity (its mean), severity_5, severity_50 or severity_95.
+        tolerance map: regimes, double_sided, severity (its mean), severity_5, severity_50 or severity_95. Of a fit:
+        regimes (the maps before and after, with the measured labels, which are run for it), ensemble or labels.
     lash : str, optional
         Of a map of several lashes, the one to draw, by name or number; by default the first.
 
@@ -261,7 +342,7 @@ def draw(what: Results | ToleranceMap | Trajectory, quantity: str = "regimes", *
 
     Raises
     ------
-    PlotError
+    PlotError, FitMapError
         Where the results cannot be drawn so.
     TypeError
         Where it is something else, a Dataset for example.
@@ -278,6 +359,14 @@ def draw(what: Results | ToleranceMap | Trajectory, quantity: str = "regimes", *
     if isinstance(what, Results | ToleranceMap):
         what = what.at_lash(lash)
         return plot.draw(what, quantity, thresholds_of(what))
+    if isinstance(what, Fitted):
+        from clunk.plot.fit import FIGURES, measured_on_maps
+
+        if quantity == "regimes":
+            return measured_on_maps(fit_maps(what), what)
+        if quantity not in FIGURES:
+            raise plot.PlotError(f"There is no picture {quantity} of a fit; there are regimes, {', '.join(FIGURES)}.")
+        return FIGURES[quantity](what)
     if not isinstance(what, Trajectory):
         raise TypeError(
             f"draw takes Results or a Trajectory, not a {type(what).__name__}; clunk.read_results(path) gives Results."
@@ -311,7 +400,7 @@ def _run(
 
 
 @contextmanager
-def _shown(progress: bool | Progress, cells: int, *studies: Study) -> Iterator[Progress | None]:
+def _shown(progress: bool | Progress, cells: int, *studies: Study, what: str = "cells") -> Iterator[Progress | None]:
     """Function to report progress to; a bar is shown when the kernels that the studies need are compiled."""
     if progress is False or cells == 0:
         yield None
@@ -320,7 +409,7 @@ def _shown(progress: bool | Progress, cells: int, *studies: Study) -> Iterator[P
             print(note, file=sys.stderr)
         for study in studies:
             sweeping.warm_up(study)
-        with shown(cells) as report:
+        with shown(cells, what) as report:
             yield report
     else:
         yield progress

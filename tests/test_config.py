@@ -1039,6 +1039,12 @@ def sample(parameter: str, distribution: str, **numbers: float | str) -> str:
     return tomli_w.dumps({"parameter": parameter, "distribution": distribution, **numbers})
 
 
+def toleranced(*draws: str, low: float = 1.0) -> str:
+    """The preset with some tolerances of its backlash, 6 degrees."""
+    tables = (sample("lash.backlash_deg", "uniform", draws=each, low=low, high=1.5) for each in draws)
+    return "\n".join([PRESET, "[sweep.sampling]\ncount = 16", *(f"[[sweep.tolerances]]\n{each}" for each in tables)])
+
+
 STIFFNESS = "lash.contact.stiffness"
 DAMPING_AXIS = '[[sweep.axes]]\nparameter = "lash.contact.damping"\nvalues = [50.0, 94.0]\n'
 ZIP = PRESET + (
@@ -1069,6 +1075,12 @@ WRONG_DESIGNS = {
     "negative spread": (drawn(sample(STIFFNESS, "normal", std=-1.0)), "sweep.samples[1].std", "greater than 0"),
     "drawn twice": (drawn(*2 * [sample(STIFFNESS, "normal", draws="factor", std=0.1)]), "sweep.samples[2].parameter",
                     "drawn by sweep.samples[1] already"),
+    "two offsets": (toleranced("factor", "offset", "offset"), "sweep.tolerances[3].parameter",
+                    "drawn by sweep.tolerances[2] already"),
+    "value and factor": (toleranced("value", "factor"), "sweep.tolerances[2].parameter",
+                         "drawn by sweep.tolerances[1] already"),
+    "factor and offset": (toleranced("factor", "offset", low=-8.0), "sweep.tolerances[2]",
+                          "makes lash.backlash_deg -"),
     "drawn and swept": (drawn(sample("lash.contact.damping", "uniform", low=1.0, high=2.0)) + DAMPING_AXIS,
                         "sweep.samples[1].parameter", "swept by sweep.axes[1] already"),
     "whole number": (drawn(sample("load.on", "uniform", low=1.0, high=2.0)), "sweep.samples[1].parameter",

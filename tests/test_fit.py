@@ -1,5 +1,6 @@
 """Fits to measured sequences: known parameters are recovered, a stopped fit goes on, and bad input is refused."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,12 +8,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import clunk
 from clunk.analysis import fitfile, fitting
 from clunk.analysis.fitensemble import effective_size, sample, weights_of
 from clunk.analysis.fitparts import FitError
 from clunk.analysis.fitpredictions import losses
-from clunk.analysis.fitreasons import order_of_events, reason_of
-from clunk.analysis.fitruns import MATCH, outlier_misfit, partners
+from clunk.analysis.fitreasons import order_of_events
+from clunk.analysis.fitruns import MATCH, label_of, outlier_misfit, partners
 from clunk.analysis.fittedstudy import fitted_study
 from clunk.analysis.measurements import Experiment, ExperimentError, experiment_of
 from clunk.api import run_points, sweep, tolerance_map
@@ -22,6 +24,7 @@ from clunk.study.config import load_study, study_from_text
 from clunk.study.fits import Fit
 from clunk.study.problems import ConfigError
 from clunk.study.study import Study, digest, to_toml
+from clunk.study.sweeps import Draw
 from clunk.sweeping.parts import WorkingDirectory
 
 RIG = '[driveline]\npreset = "boere-2008"\n[solver]\nmethod = "exact"\nend_time = 1.0\n'
@@ -160,7 +163,7 @@ def test_a_measured_label_that_nobody_meets_is_missed_with_a_reason(measured: Ex
     assert fitted.best_distances[0] > 0.9  # beyond all changes that were tried
     assert fitted.met == len(measured.measurements) - 1
     assert fitted.intervals()[0, 0] <= TRUE_GAP <= fitted.intervals()[0, 1]
-    assert "No change of load.ratio alone" in reason_of(fitted, 0)
+    assert "No change of load.ratio alone" in fitted.reasons[0]
 
 
 def test_a_fit_does_not_change_the_digest_of_a_sweep() -> None:
@@ -232,27 +235,54 @@ def test_the_fitted_config_has_the_labels_of_the_best_candidate_where_they_were_
     study = fitted_study(fitted)
     assert study.fit is None
     assert study.sweep.axes[1].values == pytest.approx(fitted.estimate[0] * np.array(gaps))
-    computed = [fitting.label_of(int(pattern)) for pattern in fitted.estimate_matches["pattern"]]
+    computed = [label_of(int(pattern)) for pattern in fitted.estimate_matches["pattern"]]
     assert sweep(study).label_map.T.ravel().tolist() == computed  # measured with the load ratio first
 
 
-def test_tolerances_of_the_ensemble_are_its_draws_together(measured: Experiment) -> None:
-    damping = PRIOR.format("lash.contact.damping", "factor", 0.8, 1.2)
-    axes = AXES.format("load.ratio", [2.0, 6.0])
-    fitted = fitting.fit(study_from_text(RIG + axes + SMALL + GAP + damping), measured)
+@pytest.mark.parametrize(
+    "priors",
+    [
+        [PRIOR.format("lash.contact.damping", "factor", 0.8, 1.2)],
+        [PRIOR.format("lash.backlash_deg", "offset", -0.5, 0.5)],
+        [PRIOR.format("lash.contact.damping", "offset", -5, 5), PRIOR.format("lash.contact.damping", "value", 80, 99)],
+    ],
+)
+def test_tolerances_of_the_ensemble_make_the_values_of_its_draws(priors: list[str], measured: Experiment) -> None:
+    axes = AXES.format("load.ratio", [2.0, 6.0]) + AXES.format("lash.backlash_deg", [3.0, 8.0])
+    fitted = fitting.fit(study_from_text(RIG + axes + SMALL + GAP + "".join(priors)), measured)
     tolerant = fitted_study(fitted, 16)
-    relative = np.array([draw.values for draw in tolerant.sweep.tolerances]).T
-    differences = relative[:, None, :] * fitted.estimate - fitted.draws[None]
-    assert np.abs(differences).max(axis=2).min(axis=1) == pytest.approx(np.zeros(16), abs=1e-12)
-    assert tolerance_map(tolerant).draws == 16
+    map_of_draws = tolerance_map(study_from_text(to_toml(tolerant)))
+    assert map_of_draws.draws == 16
+    # measured gaps of 3 and 8 degrees and the nominal damping, by the fit's draws and by the tolerances
+    keys = dict.fromkeys(prior.parameter for prior in fitted.priors)
+    for key in keys:
+        for k, nominal in enumerate([3.0, 8.0] if key == "lash.backlash_deg" else [94.0]):
+            expected = made(fitted.priors, key, fitted.draws, nominal)
+            around = tolerant.sweep.axes[1].values[k] if key == "lash.backlash_deg" else tolerant.lash.contact.damping
+            listed = np.array([each.values for each in tolerant.sweep.tolerances]).T
+            values = made(tolerant.sweep.tolerances, key, listed, around)
+            assert abs(values[:, None] - expected).min(axis=1).max() < 1e-12 * nominal
     with pytest.raises(ConfigError, match="found 16 values"):
         study_from_text(to_toml(tolerant), overrides=["sweep.sampling.count=8"])
 
 
-def test_a_factor_and_an_offset_of_one_key_are_no_tolerance(tmp_path: Path) -> None:
-    (tmp_path / "rig.toml").write_text(RIG + GAP + PRIOR.format("lash.backlash_deg", "offset", -0.5, 0.5))
+def made(draws: Sequence[Draw], key: str, numbers: np.ndarray, value: float) -> np.ndarray:
+    """Values that some numbers, (n, draws), make of a key's."""
+    values = np.full(len(numbers), value)
+    for draw, column in zip(draws, numbers.T, strict=True):
+        if draw.parameter == key:
+            values = draw.applied(column, values)
+    return values
+
+
+def test_a_fit_into_a_file_is_made_once_and_then_read(tmp_path: Path) -> None:
     (tmp_path / "rig.csv").write_text(CSV)
-    written = ["--write", str(tmp_path / "fitted.toml"), "--tolerances", "8"]
-    ran = CliRunner().invoke(cli, ["fit", str(tmp_path / "rig.toml"), str(tmp_path / "rig.csv"), *written])
-    assert isinstance(ran.exception, FitError)
-    assert "a tolerance is one of them" in str(ran.exception)
+    study, path = study_of(GAP), tmp_path / "fit.h5"
+    first, again = (clunk.fit(study, tmp_path / "rig.csv", path) for _ in range(2))
+    assert np.array_equal(again.matches, first.matches)
+    assert f"labels met         {first.met} of 2" in repr(again)
+    with pytest.raises(FitError, match="another config"):
+        clunk.fit(study_of(GAP, fit=SMALL + "seed = 1\n"), tmp_path / "rig.csv", path)
+    assert clunk.draw(first, "ensemble").axes
+    with pytest.raises(clunk.PlotError, match="no picture severity of a fit"):
+        clunk.draw(first, "severity")

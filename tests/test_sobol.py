@@ -39,6 +39,7 @@ STRUCTURAL = (
     "driveline.shafts[3].stiffness",
 )
 DRIVING = {key: SPREAD[key] for key in ("load.ratio", "lash.backlash_deg")}
+LOOSE_RADIUS = '[[sweep.tolerances]]\nparameter = "lash.radius"\ndistribution = "normal"\nstd = 1e-4\n'
 NEAR_A_BOUNDARY = {  # at σr = 5 between DS(2) and DS(1)SS(1), which is at 3.75°
     "lash.backlash_deg": 'distribution = "normal"\nmean = 3.75\nstd = 0.05',
     "load.ratio": 'distribution = "normal"\nstd = 0.005',
@@ -183,6 +184,11 @@ def test_the_restitution_model_has_an_approach_velocity():
     [
         (study_from_text(POINT), [], r"no \[\[sweep.tolerances\]\]"),
         (study({"load.ratio": SPREAD["load.ratio"]}), [], "the only parameter"),
+        (
+            study_from_text(POINT + "".join(f'{LOOSE_RADIUS}draws = "{each}"\n' for each in ("factor", "offset"))),
+            [],
+            "lash.radius has two tolerances",
+        ),
         (study(DRIVING, count=100), [], "count = 100: .* take 64 or 128"),
         (study(DRIVING, count=4), [], "count = 4: .* take 16 or 32"),
         (study(DRIVING), ["sevrity"], "did you mean severity"),

@@ -11,8 +11,9 @@ import numpy.typing as npt
 
 from clunk import __version__
 from clunk.analysis.fitparts import FitError
-from clunk.analysis.fitruns import MATCH, Records, target_of
-from clunk.analysis.fitting import Fewer, Fitted, identity, label_of
+from clunk.analysis.fitruns import MATCH, Records, label_of, target_of
+from clunk.analysis.fitted import Fewer, Fitted
+from clunk.analysis.fitting import identity
 from clunk.analysis.measurements import experiment_of
 from clunk.results.files import reason, writing
 from clunk.results.labels import FAILED, FAILED_CODE
@@ -110,6 +111,25 @@ def _fill(file: Image, fitted: Fitted, lash: str | None) -> None:
     for name in ("met", "predicted", "effective"):
         values = np.array([getattr(each, name) for each in fitted.fewer] or [0], np.float64)
         write(f"fewer_{name}", values, f"{name}, of a fit of the first parameters alone", scales["fewer"])
+
+
+def finished(path: Path, digest: str, force: bool) -> Fitted | None:
+    """Fit of this identity that a file holds; None without a file, or where another one is to be overwritten.
+
+    Raises FitError where the file holds something else, and is not to be overwritten.
+    """
+    if not path.exists():
+        return None
+    ways_out = "Name another file, or overwrite it with --force (in Python, force=True)."
+    try:
+        fitted, its_digest = load(path)
+    except FitError as error:
+        if force:
+            return None
+        raise FitError(f"{error} It is in the way of the fit. {ways_out}") from error
+    if its_digest != digest and not force:
+        raise FitError(f"{path} holds the fit of another config or of other measurements. {ways_out}")
+    return fitted if its_digest == digest else None
 
 
 def load(path: str | os.PathLike[str]) -> tuple[Fitted, str]:

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from clunk.analysis.fitted import Fitted
 from clunk.analysis.fittedstudy import fitted_study
-from clunk.analysis.fitting import Fitted
 from clunk.results.labels import FAILED_CODE
 from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis

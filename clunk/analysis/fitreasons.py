@@ -5,20 +5,21 @@ from __future__ import annotations
 import math
 from itertools import zip_longest
 
-from clunk.analysis.fitruns import Records
-from clunk.analysis.fitting import Fitted
+import numpy as np
+
 from clunk.core.sequence import INITIAL
 from clunk.results.labels import flanks_of_label
 from clunk.sweeping.assembly import flanks_of
 
 
-def reason_of(fitted: Fitted, at: int) -> str:
-    """Sentence on why the best candidate misses a measurement; at : its number from 0."""
-    match: Records = fitted.estimate_matches[at]
+def reason_of(label: str, match: np.void, axis: str) -> str:
+    """Sentences on why a run, MATCH, misses a measured label; axis : key of the value that was changed."""
     if match["pattern"] == 0:
         return "The run failed."
-    measured = flanks_of_label(fitted.experiment.measurements[at].label)
-    return f"{order_of_events(measured, flanks_of(int(match['pattern'])))} {_remedy(fitted, match)}"
+    events = order_of_events(flanks_of_label(label), flanks_of(int(match["pattern"])))
+    if match["change"] == 0.0:
+        return f"{events} No change of {axis} alone brings about the measured label."
+    return f"{events} At {math.exp(match['change']):.2f} times {axis} it would be the measured label."
 
 
 def order_of_events(measured: tuple[int, ...], computed: tuple[int, ...]) -> str:
@@ -33,11 +34,3 @@ def order_of_events(measured: tuple[int, ...], computed: tuple[int, ...]) -> str
     if wanted == INITIAL:
         return f"Impact {number} would have to be on the initial flank, before the gap is crossed."
     return f"Impact {number} would have to be on the opposite flank, before the gap turns back."
-
-
-def _remedy(fitted: Fitted, match: Records) -> str:
-    """Sentence on the least change of the measured value that brings about the measured label."""
-    axis, change = fitted.axes[fitted.axis], float(match["change"])
-    if change == 0.0:
-        return f"No change of {axis} alone brings about the measured label."
-    return f"At {math.exp(change):.2f} times {axis} it would be the measured label."

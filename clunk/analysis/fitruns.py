@@ -18,10 +18,10 @@ import numpy.typing as npt
 
 from clunk.analysis.measurements import Experiment, ExperimentError
 from clunk.analysis.outcomes import measuring
-from clunk.core.sequence import OPPOSITE
+from clunk.core.sequence import OPPOSITE, label
 from clunk.core.status import Status
 from clunk.core.tile import LONGEST_PATTERN
-from clunk.results.labels import flanks_of_label
+from clunk.results.labels import FAILED, flanks_of_label
 from clunk.study.axes import variable_of
 from clunk.study.designs import Column, Design
 from clunk.study.document import dotted
@@ -282,6 +282,11 @@ def target_of(
         raise ExperimentError(f"{label} has {len(flanks)} primary impacts; at most {LONGEST_PATTERN} can be fitted.")
     pattern = int("1" + "".join("1" if flank == OPPOSITE else "0" for flank in flanks), 2)
     return Target(flanks, pattern, impacts or {}, std or {})
+
+
+def label_of(pattern: int) -> str:
+    """Label of a pattern."""
+    return label(flanks_of(pattern)) if pattern else FAILED
 
 
 def partners(measured: Sequence[int], computed: Sequence[int]) -> dict[int, int]:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from clunk.analysis.fitparts import FitError
-from clunk.analysis.fitting import Fitted
+from clunk.analysis.fitted import Fitted
 from clunk.study.document import with_value
 from clunk.study.parameters import located, nominal_value
 from clunk.study.study import Study, content
+
+FloatArray = npt.NDArray[np.float64]
 
 _SEED = 2  # of the picked draws, beside the fit's
 
@@ -22,10 +23,24 @@ def fitted_study(fitted: Fitted, draws: int = 0) -> Study:
     Values of measured keys, that of the config and those on its axes, are taken for measured ones: fitted factors and
     offsets are applied to them.
 
-    draws : number of the ensemble's draws to be tolerances around the estimate; 0 for none
+    Parameters
+    ----------
+    fitted : Fitted
+    draws : int
+        Number of the ensemble's draws to be tolerances around the estimate; 0 for none.
 
-    Raises FitError where one key is fitted by a factor and an offset, which are no single tolerance; ConfigError where
-    the config does not allow the values.
+    Raises
+    ------
+    ConfigError
+        Where the config does not allow the values.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> study = clunk.load_study("configs/fit_table_4_1.toml", ["fit.candidates=64", "fit.draws=512"])
+    >>> tolerant = clunk.fitted_study(clunk.fit(study, "table_4_1"), draws=32)
+    >>> [each.draws for each in tolerant.sweep.tolerances]
+    ['factor', 'offset']
     """
     study = fitted.study
     document = content(study.model_copy(update={"fit": None}))
@@ -44,14 +59,6 @@ def fitted_study(fitted: Fitted, draws: int = 0) -> Study:
     return Study.model_validate(document)
 
 
-def require_single_draws(study: Study) -> None:
-    """Refuse a key that is fitted by a factor and an offset, which are no single tolerance. Raises FitError."""
-    names = Counter(prior.parameter for prior in study.fit.parameters) if study.fit is not None else Counter()
-    twice = [name for name, count in names.items() if count > 1]
-    if twice:
-        raise FitError(f"{twice[0]} is fitted by a factor and an offset, and a tolerance is one of them.")
-
-
 def _value_at(document: dict[str, Any], place: tuple[Any, ...], value: float) -> float:
     """Value at a place of a document; `value` where it has none."""
     node: Any = document
@@ -61,17 +68,37 @@ def _value_at(document: dict[str, Any], place: tuple[Any, ...], value: float) ->
 
 
 def _with_tolerances(fitted: Fitted, sweep: dict[str, Any], draws: int) -> dict[str, Any]:
-    """A sweep's table whose tolerances are draws of the ensemble, relative to the estimate."""
-    require_single_draws(fitted.study)
+    """A sweep's table whose tolerances are draws of the ensemble, relative to the estimate.
+
+    Factors and offsets of a key make the value v to a v + b, and those of the estimate made it to e v + f: so that the
+    fitted value is to be multiplied by a/e, and then b - f a/e added.
+    """
     generator = np.random.default_rng([fitted.fit.seed, _SEED])
     picked = fitted.draws[generator.choice(len(fitted.weights), size=draws, p=fitted.weights)]
     tolerances = []
-    for prior, estimate, numbers in zip(fitted.priors, fitted.estimate, picked.T, strict=True):
-        relative = {"factor": numbers / estimate, "offset": numbers - estimate}.get(prior.draws, numbers)
-        table = {"parameter": prior.parameter, "distribution": "listed", "draws": prior.draws}
-        tolerances.append(table | {"values": tuple(relative.tolist())})
+    for key in dict.fromkeys(prior.parameter for prior in fitted.priors):
+        ways = {prior.draws for prior in fitted.priors if prior.parameter == key}
+        if "value" in ways:
+            relative = {"value": _made_of(fitted, key, 0.0, picked)}
+        else:
+            (b, a), (f, e) = ([_made_of(fitted, key, v, n) for v in (0.0, 1.0)] for n in (picked, fitted.estimate))
+            factor = (a - b) / (e - f) if "factor" in ways else np.ones(draws)
+            relative = {"factor": factor, "offset": b - f * factor}
+        for way, numbers in relative.items():
+            if way in ways:
+                table = {"parameter": key, "distribution": "listed", "draws": way}
+                tolerances.append(table | {"values": tuple(numbers.tolist())})
     without = {key: value for key, value in sweep.items() if key not in ("samples", "tolerances")}
     return without | {"tolerances": tuple(tolerances), "sampling": {"count": draws}}
+
+
+def _made_of(fitted: Fitted, key: str, value: float, numbers: FloatArray) -> FloatArray:
+    """Value that a fit's numbers, (…, d), make of another value of a key."""
+    made: FloatArray = np.full(numbers.shape[:-1], value)
+    for prior, column in zip(fitted.priors, np.moveaxis(numbers, -1, 0), strict=True):
+        if prior.parameter == key:
+            made = prior.applied(column, made)
+    return made
 
 
 def as_comment(fitted: Fitted) -> str:

@@ -209,6 +209,9 @@ def operating_point(study: Study) -> Study:
         )
     if any(draw.distribution == "listed" for draw in swept.tolerances):
         raise SensitivityError("Listed draws belong together; Sobol indices need draws that are independent.")
+    parameters = [draw.parameter for draw in swept.tolerances]
+    if twice := next((each for each in parameters if parameters.count(each) > 1), None):
+        raise SensitivityError(f"{twice} has two tolerances; Sobol indices are those of parameters with one each.")
     count = swept.sampling.count
     if count < _FEWEST or count & (count - 1):
         power = max(_FEWEST, 2 ** math.floor(math.log2(count)))

@@ -77,8 +77,7 @@ def _write_hdf5(file: h5py.File, thresholds: Thresholds) -> None:
     parameters = [axis.parameter for axis in thresholds.axes]
     if DRAW in parameters:
         assert study.sweep is not None
-        names, drawn = [each.parameter for each in study.sweep.tolerances], drawn_numbers(study, study.sweep.tolerances)
-        for each in sample_of(study, dict(zip(names, drawn, strict=True))):
+        for each in sample_of(study, drawn_numbers(study, study.sweep.tolerances)):
             attributes = {"units": each.unit, "long_name": each.name}
             scale = [cells[parameters.index(DRAW)]]
             create_variable(file, f"drawn_{each.variable}", np.float64, attributes, scale)[...] = each.values

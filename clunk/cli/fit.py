@@ -14,10 +14,8 @@ from clunk.cli.options import EXIT_INTERRUPTED, PATH, json_option, lash_option, 
 from clunk.sweeping import progress
 
 if TYPE_CHECKING:
-    from clunk.analysis.fitting import Fitted
-    from clunk.analysis.measurements import Experiment
+    from clunk.analysis.fitted import Fitted
     from clunk.study.study import Study
-    from clunk.sweeping.parts import WorkingDirectory
 
 
 @click.command()
@@ -60,77 +58,47 @@ def fit(
     if tolerances is not None and fitted_config is None:
         raise click.UsageError("--tolerances goes with --write.")
     from clunk.analysis import fitfile, fitting
-    from clunk.analysis.fittedstudy import require_single_draws
     from clunk.analysis.measurements import read_experiment
     from clunk.cli.fit_report import as_record, report
     from clunk.report.tables import TABLES
     from clunk.results import targets
     from clunk.study.config import load_study
-    from clunk.sweeping.parts import WorkingDirectory
 
     study = load_study(config, overrides)
     experiment = read_experiment(measurements, TABLES)
     fitting.check(study, experiment)
-    if tolerances is not None:
-        require_single_draws(study)
     target = output or Path("results") / f"{config.stem}-fit.h5"
     targets.check(target, targets.RESULTS, reads=config)
     if picture is not None:
         targets.check(picture, targets.PICTURES)
     if fitted_config is not None:
         targets.check(fitted_config, (".toml",), reads=config)
-    digest = fitting.identity(study, experiment, lash)
-    finished = None
-    if target.exists() and not force:
-        finished = _finished(target, digest)
-    if finished is not None and not restart:
+    fitted = fitfile.finished(target, fitting.identity(study, experiment, lash), force)
+    if fitted is not None and not restart:
         click.echo(f"{target} is already complete.", err=True)
     else:
-        with WorkingDirectory(target) as directory:
-            if restart:
-                directory.clear()
-            finished = _run(study, experiment, lash, workers, directory, target)
-            fitfile.save(target, finished, lash, directory.path)
-            directory.remove()
+        fitted = _run(study, measurements, target, lash, workers, restart, force)
     if as_json:
-        tables.print_record(as_record(finished))
+        tables.print_record(as_record(fitted))
     else:
-        click.echo("\n".join(report(finished)))
+        click.echo("\n".join(report(fitted)))
     if fitted_config is not None:
-        _write(finished, fitted_config, tolerances or 0)
+        _write(fitted, fitted_config, tolerances or 0)
     if picture is not None:
-        _draw(finished, picture, workers)
-    for sentence in finished.warnings():
+        _draw(fitted, picture, workers)
+    for sentence in fitted.warnings():
         terminal.complain(f"warning: {sentence}")
 
 
-def _finished(target: Path, digest: str) -> Fitted:
-    """Fit that a file holds already. Raises FitError where it is another one."""
-    from clunk.analysis import fitfile
-    from clunk.analysis.fitparts import FitError
-
-    ways_out = "Name another file, or overwrite it with --force."
-    try:
-        fitted, its_digest = fitfile.load(target)
-    except FitError as error:
-        raise FitError(f"{error} It is in the way of the fit. {ways_out}") from error
-    if its_digest != digest:
-        raise FitError(f"{target} holds the fit of another config or of other measurements. {ways_out}")
-    return fitted
-
-
 def _run(
-    study: Study,
-    experiment: Experiment,
-    lash: str | None,
-    workers: int | None,
-    directory: WorkingDirectory,
-    target: Path,
+    study: Study, measurements: Path, target: Path, lash: str | None, workers: int | None, restart: bool, force: bool
 ) -> Fitted:
     """Fit with a progress bar; print what is kept where it is stopped."""
-    from clunk.analysis import fitting
+    from clunk import api
+    from clunk.analysis.fitting import planned
     from clunk.study.designs import unused_parameters
     from clunk.sweeping.cells import warm_up
+    from clunk.sweeping.parts import WorkingDirectory
 
     assert study.fit is not None
     terminal.warn_of_coarse_step(study, study.solver.method)
@@ -140,9 +108,12 @@ def _run(
     warm_up(study)
     began = time.perf_counter()
     try:
-        with progress.shown(fitting.planned(study.fit), "candidates") as show:
-            fitted = fitting.fit(study, experiment, lash=lash, workers=workers, progress=show, directory=directory)
+        with progress.shown(planned(study.fit), "candidates") as show:
+            fitted = api.fit(
+                study, measurements, target, progress=show, lash=lash, workers=workers, restart=restart, force=force
+            )
     except (KeyboardInterrupt, SystemExit) as stopped:
+        directory = WorkingDirectory(target)
         kept = f"{len(directory.parts())} populations are kept in {directory.path}; the same command goes on from there"
         terminal.complain(f"stopped: {kept if directory.parts() else 'nothing was finished'}")
         if isinstance(stopped, SystemExit):
@@ -172,7 +143,7 @@ def _draw(fitted: Fitted, path: Path, workers: int | None) -> None:
     from clunk.analysis.fitmaps import FitMapError, fit_maps
     from clunk.plot import fit as figures
 
-    pictures = {"ensemble": figures.corner(fitted), "labels": figures.label_probabilities(fitted)}
+    pictures = {name: figure_of(fitted) for name, figure_of in figures.FIGURES.items()}
     try:
         pictures["maps"] = figures.measured_on_maps(fit_maps(fitted, workers), fitted)
     except FitMapError as error:

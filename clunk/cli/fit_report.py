@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from clunk.analysis.fitreasons import reason_of
-from clunk.analysis.fitting import UNDETERMINED, Fitted, label_of
+from clunk.analysis.fitruns import label_of
+from clunk.analysis.fitted import UNDETERMINED, Fitted
 from clunk.cli import phrases
 
 
@@ -76,18 +76,17 @@ def _predictions(fitted: Fitted) -> Iterator[str]:
 
 def _not_met(fitted: Fitted) -> Iterator[str]:
     """Measurements that the best candidate does not meet, and what would have to change."""
-    missed = [k for k, match in enumerate(fitted.estimate_matches) if match["pattern"] != fitted.wanted[k]]
-    if not missed:
+    if not fitted.reasons:
         yield "The best candidate meets all labels."
         return
     yield "not met by the best candidate"
-    for k in missed:
+    for k, reason in fitted.reasons.items():
         measurement, match = fitted.experiment.measurements[k], fitted.estimate_matches[k]
         at = ", ".join(f"{axis} = {value:g}" for axis, value in zip(fitted.axes, measurement.values, strict=True))
         nobody = "" if fitted.best_distances[k] == 0.0 else "; no candidate meets it"
         computed = label_of(int(match["pattern"]))
         yield phrases.fill(f"{at}: measured {measurement.label}, computed {computed}{nobody}", "  ", "    ")
-        yield phrases.fill(reason_of(fitted, k), "    ", "    ")
+        yield phrases.fill(reason, "    ", "    ")
 
 
 def as_record(fitted: Fitted) -> dict[str, object]:
@@ -127,7 +126,7 @@ def as_record(fitted: Fitted) -> dict[str, object]:
                 "probabilities": shares,
                 "met_by_some": bool(best == 0.0),
             }
-            | ({} if match["pattern"] == wanted[k] else {"reason": reason_of(fitted, k)})
+            | ({"reason": fitted.reasons[k]} if k in fitted.reasons else {})
             for k, (measurement, match, shares, best) in enumerate(
                 zip(
                     fitted.experiment.measurements,

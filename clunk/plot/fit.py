@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from clunk.analysis.fitmaps import WHICH
-from clunk.analysis.fitting import Fitted, weighted_quantiles
+from clunk.analysis.fitted import Fitted, weighted_quantiles
 from clunk.analysis.trends import compare_experiment
 from clunk.plot import style
 from clunk.plot.comparisons import draw_points
@@ -154,3 +155,6 @@ def label_probabilities(fitted: Fitted) -> Figure:
     style.set_titles(figure, ax, f"{fitted.study.title}: predicted labels", line)
     style.freeze_layout(figure, ax)
     return figure
+
+
+FIGURES: dict[str, Callable[[Fitted], Figure]] = {"ensemble": corner, "labels": label_probabilities}

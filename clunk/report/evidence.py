@@ -5,7 +5,8 @@ from functools import cache, cached_property
 
 import numpy as np
 
-from clunk.analysis.fitting import Fitted, fit
+from clunk.analysis.fitted import Fitted
+from clunk.analysis.fitting import fit
 from clunk.analysis.measurements import read_experiment
 from clunk.analysis.trends import ExperimentComparison, compare_experiment
 from clunk.report.tables import TABLES

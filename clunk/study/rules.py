@@ -205,13 +205,15 @@ def _swept(config: Config) -> Iterator[Finding]:
     swept: dict[str, Place] = {}
     drawn: dict[str, Place] = {}
     for name, taken, verb in (("axes", swept, "swept"), ("samples", drawn, "drawn"), ("tolerances", drawn, "drawn")):
-        for k, entry in enumerate(getattr(config.sweep, name)):
+        entries = getattr(config.sweep, name)
+        for k, entry in enumerate(entries):
             at: Place = ("sweep", name, k)
             parameter = entry.parameter
             text = complaint(parameter, document) or load_complaint(parameter, config)
             if text is None and name != "axes":
                 text = _undrawable(entry, name, swept, config)
-            if text is None and parameter in taken:
+            before = [each for each in entries[:k] if each.parameter == parameter]
+            if text is None and parameter in taken and not (name == "tolerances" and _go_together(*before, entry)):
                 text = f"{parameter} is {verb} by {dotted(taken[parameter])} already"
             if text is not None:
                 yield (*at, "parameter"), text
@@ -219,6 +221,11 @@ def _swept(config: Config) -> Iterator[Finding]:
             taken[parameter] = at
             if name == "axes":
                 yield from (((*at, *where), message) for where, message in _range(entry, config))
+
+
+def _go_together(*draws: Draw) -> bool:
+    """Whether tolerances of one key are a factor and an offset, one applied after the other."""
+    return sorted(each.draws for each in draws) == ["factor", "offset"]
 
 
 def _range(axis: Axis, config: Config) -> Iterator[Finding]:
@@ -307,11 +314,15 @@ def _drawn(config: Config) -> Iterator[Finding]:
     points = sweep.sampling.points(len(draws))
     axes = {axis.parameter: axis.grid for axis in sweep.axes}
     drawn_times: dict[int, Reach] = {}
+    reached: dict[str, FloatArray] = {}  # by the draws of a key so far
     for k, draw in enumerate(draws):
         place, key, value_of_study = located(config, draw.parameter)
         nominal = axes.get(draw.parameter, np.array([value_of_study]))
         drawn = draw.sample(points[:, k], float(nominal[0]))  # around a swept value it does not use this
-        values = draw.applied(drawn[:, None], np.array([nominal.min(), nominal.max()]))
+        before = reached.get(draw.parameter, np.array([nominal.min(), nominal.max()]))
+        values = reached[draw.parameter] = draw.applied(drawn[:, None], before)
+        if any(each.parameter == draw.parameter for each in draws[k + 1 :]):
+            continue
         extremes = [values.min(), values.max(), *([values.flat[np.abs(values).argmin()]] if key.not_zero else [])]
         for value in map(float, extremes):
             number = int(np.nonzero(values == value)[0][0]) + 1 if math.isfinite(value) else 1

@@ -6,7 +6,8 @@ each with its number of runs, and the statistics of their severity.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -51,7 +52,7 @@ class SampleRunner:
     """Cells of a study with tolerances, run for every draw of the sample and nominally.
 
     grid : Grid of the nominal cells
-    drawn : the sample, by parameter, each (draws,)
+    drawn : the sample, of each tolerance (draws,)
     draws : int, size of the sample
     tile_cells : int, the most cells of a tile, so that its memory does not depend on the size of the sample
     """
@@ -62,9 +63,8 @@ class SampleRunner:
         self.layout = Layout(TOLERANCE_CELL, OUTCOME, "outcomes", len(study.lashes))
         self._tolerances = study.sweep.tolerances
         self.draws = self.runs = study.sweep.sampling.count
-        numbers = drawn_numbers(study, self._tolerances)
-        self.drawn = {each.parameter: drawn for each, drawn in zip(self._tolerances, numbers, strict=True)}
-        self._new_systems = not all(leaves_system(study, parameter) for parameter in self.drawn)
+        self.drawn = drawn_numbers(study, self._tolerances)
+        self._new_systems = not all(leaves_system(study, each.parameter) for each in self._tolerances)
         self.method = self.grid.method
         room = _MOST_TILE_RUNS if self._new_systems and self.draws > KEPT_SYSTEMS else _TILE_RUNS
         self.tile_cells = max(1, room // self.draws)
@@ -117,11 +117,12 @@ class SampleRunner:
         structural : whether of the parameters with which the system differs, or of the others
         """
         values = {key: np.tile(column, (draws.size, 1)) for key, column in nominal.items()}
-        for tolerance in self._tolerances:
-            key, is_drawn = tolerance.parameter, draws < self.draws
+        is_drawn = draws < self.draws
+        for tolerance, numbers in zip(self._tolerances, self.drawn, strict=True):
+            key = tolerance.parameter
             if leaves_system(self.grid.study, key) != structural:
                 around = values.get(key, np.full((draws.size, count), nominal_value(self.grid.study, key)))
-                around[is_drawn] = tolerance.applied(self.drawn[key][draws[is_drawn], None], around[is_drawn])
+                around[is_drawn] = tolerance.applied(numbers[draws[is_drawn], None], around[is_drawn])
                 values[key] = around
         return values
 
@@ -173,15 +174,20 @@ class ToleranceReduction(Reduction[ToleranceMap]):
         )
 
 
-def sample_of(study: Study, drawn: Mapping[str, FloatArray]) -> tuple[ResultAxis, ...]:
-    """The sample as axes of results: the drawn numbers of each parameter, with name and unit."""
+def sample_of(study: Study, drawn: Sequence[FloatArray]) -> tuple[ResultAxis, ...]:
+    """The sample as axes of results: the drawn numbers of each tolerance, with name and unit.
+
+    Those of a key with a factor and an offset are named after these, too.
+    """
     assert study.sweep is not None
     sample = []
-    for tolerance in study.sweep.tolerances:
+    count = Counter(each.parameter for each in study.sweep.tolerances)
+    for tolerance, numbers in zip(study.sweep.tolerances, drawn, strict=True):
         parameter, draws, known = tolerance.parameter, tolerance.draws, quantity(tolerance.parameter)
         suffix = {"value": "", "factor": ": factor on its nominal value", "offset": ": offset from its nominal value"}
         unit = "1" if draws == "factor" else known.unit
-        sample.append(ResultAxis(parameter, drawn[parameter], known.name + suffix[draws], known.symbol, unit))
+        name = f"{parameter}.{draws}" if count[parameter] > 1 else parameter
+        sample.append(ResultAxis(name, numbers, known.name + suffix[draws], known.symbol, unit))
     return tuple(sample)
 
 
