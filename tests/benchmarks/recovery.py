@@ -18,6 +18,7 @@ from clunk.analysis import fitting
 from clunk.analysis.fitensemble import effective_size, weights_of
 from clunk.analysis.fitparts import Populations
 from clunk.analysis.fitruns import CandidateRuns
+from clunk.analysis.fitted import INTERVAL, weighted_quantiles
 from clunk.analysis.measurements import experiment_of
 from clunk.api import run_points
 from clunk.results.labels import flanks_of_label
@@ -82,7 +83,7 @@ def intervals(study, text, engine):
     population, _ = fitting.draw_ensemble(study, Populations(runs, ""), None, nominal, len(priors))
     weights = weights_of(population.losses, population.log_density)
     draws = fitting.numbers_at(study, priors, population.draws)
-    bounds = fitting.weighted_quantiles(draws, weights, fitting.INTERVAL)
+    bounds = weighted_quantiles(draws, weights, INTERVAL)
     return bounds, effective_size(weights), len(draws)
 
 
