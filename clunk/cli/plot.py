@@ -55,9 +55,9 @@ def plot(
 
     Of several lashes each has its own pictures, FILE-NAME-regimes.png and so on.
 
-    A map has two axes: of more, --at takes a slice, which is in the names of its pictures, and
-    --facet draws a map for each value. Of a refined sweep: the regimes. Of a tolerance map: the most
-    likely regimes, where they are uncertain, and how probable double-sided impacts are.
+    A map has two axes: of more, --at takes a slice, and --facet draws a map for each value. Of a
+    refined sweep: the regimes. Of a tolerance map: the most likely regimes, where they are uncertain, and
+    how probable double-sided impacts are.
 
     \b
     Examples:
@@ -74,7 +74,7 @@ def plot(
     from clunk.results.store import read_map
     from clunk.study.axes import LASH
 
-    base = output or file.with_name(f"{file.stem}{_of_slice(at)}.png")
+    base = output or file.with_suffix(".png")
     if not base.suffix:
         base = base.with_name(base.name + ".png")
     if output is not None:
@@ -107,11 +107,6 @@ def plot(
         shown = len(plots.shown_values(axis, len(facets))) if axis.parameter in facets else len(axis.values)
         if shown < len(axis.values):
             terminal.complain(f"{shown} of the {len(axis.values)} values of {axis.parameter} are drawn, evenly spaced")
-
-
-def _of_slice(at: tuple[str, ...]) -> str:
-    """What the name of a picture has for a slice, which is not to overwrite that of the whole map."""
-    return "".join(f"-{re.sub(r'[^0-9A-Za-z_.=-]+', '_', option)}" for option in at)
 
 
 def _options(error: SurplusAxesError) -> str:
