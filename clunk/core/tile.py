@@ -72,7 +72,9 @@ class Cases(NamedTuple):
         """The cells at these positions."""
         loads = self.loads if len(self.loads) == 1 else self.loads[index]
         drivelines = self.drivelines if len(self.drivelines) == 1 else self.drivelines[index]
-        return Cases(self.before[index], loads, drivelines)
+        if not self.regimes.size:
+            return Cases(self.before[index], loads, drivelines)
+        return Cases(self.before[index], loads, drivelines, self.states[index], self.regimes[index])
 
 
 class Output(NamedTuple):

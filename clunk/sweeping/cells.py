@@ -100,8 +100,7 @@ class Systems:
             known = {key: self._kept[key] for key in keys if key in self._kept}
         missing = [key for key in keys if key not in known]
         if len(missing) == 1:  # also without any values
-            self.prepared(dict(zip(*missing[0], strict=True)))
-            known[missing[0]] = self._kept[missing[0]]
+            known[missing[0]] = kernel.batch_of(*self.prepared(dict(zip(*missing[0], strict=True)))), 0
             missing = []
         self._keep(known)
         members: dict[int, tuple[kernel.Batch, Cells]] = {}

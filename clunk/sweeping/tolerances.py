@@ -94,11 +94,10 @@ class SampleRunner:
         for draws in (order[k : k + at_a_time] for k in range(0, order.size, at_a_time)):
             structural = self._at(draws, of_points, len(points), True)
             driving = self._at(draws, of_cells, cells.size, False)
-            every = np.stack([np.zeros((draws.size, len(points))), *structural.values()], axis=-1)
             points_of = (np.arange(draws.size)[:, None] * len(points) + point_of).ravel()
             driving |= {key: column[:, point_of] for key, column in structural.items()}
             cases = self.grid.cases({key: column.ravel() for key, column in driving.items()}, points_of.size)
-            drawn = every.reshape(-1, every.shape[-1])[:, 1:]
+            drawn = np.array([*structural.values()]).reshape(len(structural), draws.size * len(points)).T
             _, records, impacts = self.grid.run_cases(tuple(structural), drawn, points_of, cases, stop)
             if records.size < draws.size * count:
                 return Tile(cells[:0], np.zeros(0, TOLERANCE_CELL), np.zeros(0, OUTCOME))

@@ -82,11 +82,8 @@ def evaluate(
             p, number, at = begin + k, begin // 2 + k, begin // ROW * WATCHED + k
             one, other = vectors.load(work, p), vectors.load(work, p + BLOCK)
             amplitude = vectors.load(work, size + number)
-            a, b, c = (
-                _pair(watch, at + VALUE, one, other),
-                _pair(watch, at + SLOPE, one, other),
-                _pair(watch, at + CURVATURE, one, other),
-            )
+            a, b = _pair(watch, at + VALUE, one, other), _pair(watch, at + SLOPE, one, other)
+            c = _pair(watch, at + CURVATURE, one, other)
             jerking, swing = amplitude * vectors.number(watch, at + JERK), amplitude * vectors.number(watch, at + SWAY)
             highest = amplitude * vectors.number(watch, at + SIXTH)
             if number < most_left_out:

@@ -250,10 +250,8 @@ def _fill_alike(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int
     tables.series[..., :TERMS] = np.moveaxis(_TAYLOR[:, None, None, None] * derivatives, 0, -1)
     orders = np.arange(max(_BOUNDED) + 1)[:, None, None, None]
     slow = derivatives[: orders.size] / shortest[:, None, None] ** orders
-    watch, bounds = (
-        tables.watch.reshape(*tables.watch.shape[:-1], -1, ROW),
-        growth * _reach(slow[list(_BOUNDED)], modal),
-    )
+    bounds = growth * _reach(slow[list(_BOUNDED)], modal)
+    watch = tables.watch.reshape(*tables.watch.shape[:-1], -1, ROW)
     watch[..., : JERK // ROW, :] = np.moveaxis(slow[: JERK // ROW].reshape(-1, *watch.shape[:-2], ROW), 0, -2)
     watch[..., JERK // ROW :, :] = np.moveaxis(bounds, 0, -2).reshape(*watch.shape[:-2], -1, ROW)
 

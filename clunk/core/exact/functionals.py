@@ -65,7 +65,7 @@ def gather_functional(space: Workspace, flow: int, f: int) -> None:
 
 
 @unowned_inlined
-def lane_watch(space: Workspace, f: int) -> OfLanes:
+def watch_of_lanes(space: Workspace, f: int) -> OfLanes:
     """What has been gathered of a functional."""
     return OfLanes(space.lane_watch[f * space.flows.watch[0, 0, 0].size :])
 
@@ -76,16 +76,16 @@ def evaluate(
 ) -> tuple[curves.Curve, Vector, curves.Curve, Vector, Vector]:
     """`curves.evaluate` of the runs taken."""
     if space.mixed != 0:
-        return _evaluate_own(space, f, left_out, most_left_out)
+        return _evaluate_of_lanes(space, f, left_out, most_left_out)
     return curves.evaluate(space.flows.watch[0, flow, f], space.pool.work, size_of(space), left_out, most_left_out)
 
 
 @part
-def _evaluate_own(
+def _evaluate_of_lanes(
     space: Workspace, f: int, left_out: Vector, most_left_out: int
 ) -> tuple[curves.Curve, Vector, curves.Curve, Vector, Vector]:
     vectors.stay_apart()
-    return curves.evaluate(lane_watch(space, f), space.pool.work, size_of(space), left_out, most_left_out)
+    return curves.evaluate(watch_of_lanes(space, f), space.pool.work, size_of(space), left_out, most_left_out)
 
 
 @unowned_inlined
@@ -94,17 +94,17 @@ def evaluate_again(
 ) -> curves.Curve:
     """`curves.evaluate_again` of the runs taken."""
     if space.mixed != 0:
-        return _evaluate_own_again(space, f, left_out, most_left_out, before)
+        return _evaluate_again_of_lanes(space, f, left_out, most_left_out, before)
     watch = space.flows.watch[0, flow, f]
     return curves.evaluate_again(watch, space.pool.work, size_of(space), left_out, most_left_out, before)
 
 
 @part
-def _evaluate_own_again(
+def _evaluate_again_of_lanes(
     space: Workspace, f: int, left_out: Vector, most_left_out: int, before: curves.Curve
 ) -> curves.Curve:
     vectors.stay_apart()
-    watch, size = lane_watch(space, f), size_of(space)
+    watch, size = watch_of_lanes(space, f), size_of(space)
     return curves.evaluate_again(watch, space.pool.work, size, left_out, most_left_out, before)
 
 
@@ -112,50 +112,46 @@ def _evaluate_own_again(
 def bounds(space: Workspace, flow: int, f: int) -> tuple[Vector, Vector, Vector]:
     """`curves.bounds` of the runs taken."""
     if space.mixed != 0:
-        return _bounds_own(space, f)
+        return _bounds_of_lanes(space, f)
     return curves.bounds(space.flows.watch[0, flow, f], space.pool.work, size_of(space))
 
 
 @part
-def _bounds_own(space: Workspace, f: int) -> tuple[Vector, Vector, Vector]:
+def _bounds_of_lanes(space: Workspace, f: int) -> tuple[Vector, Vector, Vector]:
     vectors.stay_apart()
-    return curves.bounds(lane_watch(space, f), space.pool.work, size_of(space))
+    return curves.bounds(watch_of_lanes(space, f), space.pool.work, size_of(space))
 
 
 @unowned_inlined
 def slope_bound(space: Workspace, flow: int, f: int, left_out: Vector, most_left_out: int) -> Vector:
     """`curves.slope_bound` of the runs taken."""
     if space.mixed != 0:
-        return _slope_bound_own(space, f, left_out, most_left_out)
+        return _slope_bound_of_lanes(space, f, left_out, most_left_out)
     return curves.slope_bound(space.flows.watch[0, flow, f], space.pool.work, size_of(space), left_out, most_left_out)
 
 
 @part
-def _slope_bound_own(space: Workspace, f: int, left_out: Vector, most_left_out: int) -> Vector:
+def _slope_bound_of_lanes(space: Workspace, f: int, left_out: Vector, most_left_out: int) -> Vector:
     vectors.stay_apart()
-    return curves.slope_bound(lane_watch(space, f), space.pool.work, size_of(space), left_out, most_left_out)
+    return curves.slope_bound(watch_of_lanes(space, f), space.pool.work, size_of(space), left_out, most_left_out)
 
 
 @unowned_inlined
 def origin(space: Workspace, flow: int, f: int, still: bool, elapsed: Vector) -> curves.Origin:
     """`curves.origin` of the runs taken."""
     if space.mixed != 0:
-        return _origin_own(space, f, still, elapsed)
+        return _origin_of_lanes(space, f, still, elapsed)
     output, functionals, ramps = space.flows.origin_output, space.flows.origin_output.shape[3], space.system.ramps != 0
     work, driven = space.pool.work, inputs_of(space.system)
     return curves.origin(output[0, flow], f, functionals, work, space.inputs_at, driven, still, ramps, elapsed)
 
 
 @part
-def _origin_own(space: Workspace, f: int, still: bool, elapsed: Vector) -> curves.Origin:
+def _origin_of_lanes(space: Workspace, f: int, still: bool, elapsed: Vector) -> curves.Origin:
     vectors.stay_apart()
-    own, functionals, ramps = (
-        OfLanes(space.lane_output_origins),
-        space.flows.origin_output.shape[3],
-        space.system.ramps != 0,
-    )
-    work, driven = space.pool.work, inputs_of(space.system)
-    return curves.origin(own, f, functionals, work, space.inputs_at, driven, still, ramps, elapsed)
+    output, functionals = OfLanes(space.lane_output_origins), space.flows.origin_output.shape[3]
+    work, driven, ramps = space.pool.work, inputs_of(space.system), space.system.ramps != 0
+    return curves.origin(output, f, functionals, work, space.inputs_at, driven, still, ramps, elapsed)
 
 
 @unowned_inlined
@@ -171,18 +167,16 @@ def origin_slope(space: Workspace, flow: int, f: int) -> Vector:
 @unowned_inlined
 def expand(space: Workspace, flow: int, f: int, sign: Vector, shift: Vector, at: curves.Origin) -> None:
     """`taylor.expand` of the runs taken, into `space.series`."""
-    shortest, work = shortest_span(space, flow), space.pool.work
     if space.mixed != 0:
-        _expand_own(space, flow, f, sign, shift, at)
+        _expand_of_lanes(space, flow, f, sign, shift, at)
     else:
-        series = space.flows.series[0, flow, f]
-        taylor.expand(series, work, size_of(space), shortest, sign, shift, at, space.series)
+        series, shortest = space.flows.series[0, flow, f], shortest_span(space, flow)
+        taylor.expand(series, space.pool.work, size_of(space), shortest, sign, shift, at, space.series)
 
 
 @part
-def _expand_own(space: Workspace, flow: int, f: int, sign: Vector, shift: Vector, at: curves.Origin) -> None:
+def _expand_of_lanes(space: Workspace, flow: int, f: int, sign: Vector, shift: Vector, at: curves.Origin) -> None:
     vectors.stay_apart()
     size, shortest, series = size_of(space), shortest_span(space, flow), space.flows.series
     gather(space, series, (flow * series.shape[2] + f) * size * LONG, size * LONG, space.lane_table)
-    own = OfLanes(space.lane_table)
-    taylor.expand(own, space.pool.work, size, shortest, sign, shift, at, space.series)
+    taylor.expand(OfLanes(space.lane_table), space.pool.work, size, shortest, sign, shift, at, space.series)

@@ -19,13 +19,13 @@ FloatArray = npt.NDArray[np.float64]
 def to_coordinates(space: Workspace, flow: int) -> None:
     """From the states of the runs taken to their coordinates in a flow, and the amplitudes of these."""
     if space.mixed != 0:
-        _to_own_coordinates(space, flow)
+        _to_coordinates_of_lanes(space, flow)
     else:
         _to_coordinates(space, space.flows.origin[0, flow], space.flows.coordinates[0, flow])
 
 
 @part
-def _to_own_coordinates(space: Workspace, flow: int) -> None:
+def _to_coordinates_of_lanes(space: Workspace, flow: int) -> None:
     vectors.stay_apart()
     count = space.flows.coordinates[0, 0].size
     _gather_origins(space, flow, 1)
@@ -62,7 +62,7 @@ def to_states(space: Workspace, flow: int, mask: int) -> None:
     flows, size = space.flows, size_of(space)
     still = is_still(space, flow) and flows.rolls[0, flow] == 0
     if space.mixed != 0:
-        _to_own_states(space, flow, still)
+        _to_states_of_lanes(space, flow, still)
     else:
         _to_states(space, flows.origin[0, flow], flows.basis[0, flow], still)
     unused = space.state.shape[0] - 1
@@ -73,7 +73,7 @@ def to_states(space: Workspace, flow: int, mask: int) -> None:
 
 
 @part
-def _to_own_states(space: Workspace, flow: int, still: bool) -> None:
+def _to_states_of_lanes(space: Workspace, flow: int, still: bool) -> None:
     vectors.stay_apart()
     count = space.flows.basis[0, 0].size
     _gather_origins(space, flow, 1 if still else 4)
@@ -127,22 +127,22 @@ def move_by_parts(space: Workspace, flow: int, part: Vector) -> None:
     """Move each of the items taken by a part of the shortest span."""
     flows, size, modes = space.flows, size_of(space), space.flows.modal[0, flow] != 0
     if space.mixed != 0:
-        _move_by_own_parts(space, flow, modes, part)
+        _move_by_parts_of_lanes(space, flow, modes, part)
     else:
         move(flows.power[0, flow], flows.generator[0, flow], modes, part, space.pool.work, size, space.moved)
 
 
 @part
-def _move_by_own_parts(space: Workspace, flow: int, modes: bool, part: Vector) -> None:
+def _move_by_parts_of_lanes(space: Workspace, flow: int, modes: bool, part: Vector) -> None:
     vectors.stay_apart()
-    flows, own = space.flows, OfLanes(space.lane_table)
+    flows, table = space.flows, OfLanes(space.lane_table)
     if modes:
         count = flows.power[0, 0].size
         functionals.gather(space, flows.power, flow * count, count, space.lane_table)
     else:
         count = flows.generator[0, 0].size
         functionals.gather(space, flows.generator, flow * count, count, space.lane_table)
-    move(own, own, modes, part, space.pool.work, size_of(space), space.moved)
+    move(table, table, modes, part, space.pool.work, size_of(space), space.moved)
 
 
 @unowned_inlined

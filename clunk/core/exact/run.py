@@ -208,10 +208,8 @@ def _enter_coordinates(space: Workspace, flow: int, count: int) -> None:
     set_field(space, rows.LEFT_OUT, zero)
     set_field(space, rows.TRY, zero + np.inf)
     for lash in range(lashes):
-        f, unbounded = (
-            lash * space.system.functionals_per_lash + ACCELERATION,
-            curves.Curve(zero, zero, zero, zero, zero),
-        )
+        f = lash * space.system.functionals_per_lash + ACCELERATION
+        unbounded = curves.Curve(zero, zero, zero, zero, zero)
         acceleration = functionals.evaluate_again(space, flow, f, zero, 0, unbounded)
         origin = origin_of_acceleration(space, flow, lash, zero)
         seen = acceleration.value + origin.value
