@@ -1,5 +1,7 @@
 """Engines: work that grows while it is done, and any executor as an engine."""
 
+import faulthandler
+import signal
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
 
@@ -7,8 +9,10 @@ import numpy as np
 import pytest
 from test_sweeping import equal, figure_3_4
 
+from clunk.sweeping import signals
 from clunk.sweeping.cells import Grid
 from clunk.sweeping.engines import Work, run_tiles
+from clunk.sweeping.signals import Threads
 from clunk.sweeping.sweep import sweep
 
 
@@ -63,3 +67,43 @@ def test_any_executor_is_an_engine(engine):
     study = figure_3_4(9, step=2e-4)
     with ProcessPoolExecutor(2, get_context("spawn")) if engine == "processes" else engine as executor:
         assert equal(sweep(study, engine=executor), sweep(study))
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="timers are POSIX")
+def test_an_interrupt_at_any_moment_leaves_no_thread_waiting(monkeypatch):
+    """A lock that one leaves locked blocks a thread for ever, and closing the engine waits for that thread.
+
+    Where nothing defers them, one of some hundred interrupts does. Here the signal is that of a timer.
+    """
+
+    class Nothing:
+        tile_cells = 4
+
+        def ordered(self, cells):
+            return cells
+
+        def run(self, cells, stop):
+            return cells
+
+    class Interrupt(BaseException):
+        pass
+
+    def interrupt(_number, _frame):
+        raise Interrupt
+
+    def tiles_until_interrupted(seconds):
+        with Threads(2) as engine:
+            signal.setitimer(signal.ITIMER_REAL, seconds)
+            for _ in run_tiles(engine, Nothing(), Work(Nothing(), np.arange(1_000_000))):
+                pass
+
+    monkeypatch.setattr(signals, "_DEFERRED", (signal.SIGALRM,))
+    faulthandler.dump_traceback_later(60, exit=True)
+    previous = signal.signal(signal.SIGALRM, interrupt)
+    try:
+        for seconds in np.random.default_rng(1).uniform(0.0005, 0.003, 300):
+            with pytest.raises(Interrupt):
+                tiles_until_interrupted(seconds)
+    finally:
+        signal.signal(signal.SIGALRM, previous)
+        faulthandler.cancel_dump_traceback_later()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
@@ -24,6 +23,7 @@ from clunk.sweeping.engines import available_cores
 from clunk.sweeping.reduction import Flanks, Reduction, SweepError
 from clunk.sweeping.refinement import DOUBTFUL, Refinement, coarse_spacing
 from clunk.sweeping.scratch import Scratch
+from clunk.sweeping.signals import Threads
 from clunk.sweeping.tiles import Tile
 
 _SHORT = 1 << 12  # patterns below it, of up to eleven primaries, are looked up in a table
@@ -108,7 +108,7 @@ class RegimeReduction(Reduction[Results]):
 
     def for_each(self, function: Callable[[str], Any], names: Sequence[str]) -> dict[str, Any]:
         """Call a function with each name, in several threads; returns its values by name."""
-        with ThreadPoolExecutor(available_cores()) as pool:
+        with Threads(available_cores()) as pool:
             return dict(zip(names, pool.map(function, names), strict=True))
 
     def _codes_of(self, tile: Tile) -> npt.NDArray[np.int32]:

@@ -23,6 +23,7 @@ import numpy as np
 from clunk.study.designs import Cells
 from clunk.study.errors import ClunkError
 from clunk.sweeping.cells import Flag, Prepared
+from clunk.sweeping.signals import deferred_signals
 from clunk.sweeping.tiles import Layout, Tile
 
 _AHEAD = 2  # tiles handed to each worker; by the time that it could get to more, cells may be added that belong to them
@@ -126,13 +127,15 @@ def run_tiles(engine: Executor, runner: Runner, work: Work) -> Generator[Tile, N
                 running.add(engine.submit(run_tile, runner, work.take(most), stop))
             if not running:
                 return
-            finished, running = wait(running, timeout=0.2, return_when=FIRST_COMPLETED)
+            with deferred_signals():
+                finished, running = wait(running, timeout=0.2, return_when=FIRST_COMPLETED)
             for future in finished:
                 yield future.result()
     finally:
         stop.set()
-        for future in running:
-            future.cancel()
+        with deferred_signals():
+            for future in running:
+                future.cancel()
 
 
 def run_tile(runner: Runner, cells: Cells, stop: Stop) -> Tile:

@@ -6,7 +6,7 @@ import os
 import re
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext, suppress
 from functools import cached_property
 from pathlib import Path
@@ -25,6 +25,7 @@ from clunk.sweeping.progress import Progress
 from clunk.sweeping.provenance import provenance
 from clunk.sweeping.reduction import AnyMap, Reduction, SweepError
 from clunk.sweeping.scratch import refuse_if_too_large, scratch_for
+from clunk.sweeping.signals import Threads
 from clunk.sweeping.tolerances import ToleranceReduction
 
 __all__ = ["Job", "SweepError", "cell_count", "engine_of", "opened", "sweep", "warm_up"]
@@ -251,8 +252,8 @@ def engine_of(
     return Cluster(scheduler, workers, say)
 
 
-def _threads(workers: int | None) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(workers or available_cores(), thread_name_prefix="clunk")
+def _threads(workers: int | None) -> Threads:
+    return Threads(workers or available_cores(), thread_name_prefix="clunk")
 
 
 def sweep(
