@@ -17,6 +17,7 @@ import pytest
 from clunk.cli import cli, main
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.results.store import read
+from clunk.study.config import load_study
 
 ROOT = Path(__file__).parent.parent
 SMALL = """
@@ -118,6 +119,7 @@ def test_results_of_another_config_are_not_overwritten_without_force(clunk, smal
     code, _, err = clunk("sweep", small, "--set", "load.static_torque=-2.0")
     assert code == 2
     assert "--force" in err
+    assert "load.static_torque = -1.0 there, -2.0 here)" in " ".join(err.split())
     assert (here / "results/small.h5").read_bytes() == before
     code, _, _ = clunk("sweep", small, "--set", "load.static_torque=-2.0", "--force")
     assert code == 0
@@ -446,6 +448,26 @@ def test_init_writes_a_config_that_runs_and_spares_what_is_there(clunk, here, or
     assert "--force" in err
     assert (here / "study.toml").read_text() == text
     assert clunk("modes", "study.toml")[0] == 0
+    assert "study.toml" in text or origin
+    assert load_study("study.toml").title != "Untitled"
+
+
+def test_a_starter_taken_for_a_file_name_is_answered_with_the_command(clunk, here):
+    code, _, err = clunk("init", "car")
+    assert code == 2
+    assert "clunk init car.toml --from car" in err
+    assert clunk("init", "--from", "car")[0] == 0
+    assert [path.name for path in here.iterdir()] == ["car.toml"]
+
+
+def test_a_slice_s_picture_is_said_to_replace_another(clunk, small, here):
+    clunk("sweep", small)
+    at = ("--at", "load.ratio=4")
+    (here / "results/small-severity.png").write_bytes(b"of the whole map")
+    for options, says in (((), True), (("-o", "slice.png"), False)):
+        code, _, err = clunk("plot", "results/small.h5", *at, *options)
+        assert code == 0
+        assert ("small-severity.png is replaced" in " ".join(err.split())) == says
 
 
 def broken(table_and_key, line):
@@ -568,6 +590,7 @@ def test_an_unknown_quantity_or_picture_format_is_refused_by_name(clunk, small):
     code, _, err = clunk("plot", "results/small.h5", "--quantity", "severty")
     assert code == 2
     assert "severty" in err
+    assert "did you mean 'severity'?" in clunk("plot", "results/small.h5", "--quantity", "Q")[2]
     code, _, err = clunk("plot", "results/small.h5", "-o", "map.docx")
     assert code == 2
     assert "png" in err

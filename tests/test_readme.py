@@ -74,6 +74,13 @@ def test_the_commands_and_then_the_python_of_a_page_do_as_printed(page, checkout
     assert not failed, report.getvalue()
 
 
+@pytest.mark.parametrize("page", named(TOPICS))
+def test_code_of_a_topic_is_not_wrapped_in_a_terminal(page):
+    """80 columns, less a blank at either side, with which rich sets code off."""
+    code = "".join(blocks(page, r"\w*")).splitlines()
+    assert [line for line in code if len(line) > 78] == []
+
+
 @pytest.mark.parametrize("page", named(PAGES))
 def test_the_links_of_a_page_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8")):

@@ -216,6 +216,11 @@ def test_the_command_prints_and_writes_the_same_thresholds(command, tmp_path):
     assert "in 3 cells" in err
     _, out, _ = command(few + LASH, *exact, "--json", "-o", "t.nc")
     cells = json.loads(out)
+    (at_five,) = json.loads(command(few + LASH, *exact, "--json", "--at", "load.ratio=5.1")[1])
+    assert at_five["at"] == {"load.ratio": 5.0}
+    tolerance = 1e-9 * 20.0  # degrees, as promised
+    for row, same in zip(at_five["thresholds"], cells[1]["thresholds"], strict=True):
+        assert row == {**same, "value": pytest.approx(same["value"], abs=tolerance)}
     assert [cell["at"] for cell in cells] == [{"load.ratio": ratio} for ratio in (1.0, 5.0, 9.0)]
     rows = list(csv.DictReader((tmp_path / "t.csv").read_text().splitlines()))
     assert rows[0] == {"load.ratio": "1.0", "lash.backlash_deg": "", "below": "NI", "above": "NI"}
@@ -244,6 +249,8 @@ def test_what_never_changes_is_said_and_no_error(command):
     [
         (["-o", "t.txt"], 2, "must end in .csv, .h5, .json, .nc, .png, .svg, .pdf"),
         (["-o", "t.png"], 2, "the config has no other axis"),
+        (["--at", "load.ratio=5"], 2, "--at is for the axes other than load.ratio"),
+        (["--of", "Q<=8000"], 2, "did you mean severity?"),
         (["--set", "solver.max_events=8"], 3, "runs failed: more events than solver.max_events allows"),
     ],
 )

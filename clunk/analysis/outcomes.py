@@ -24,10 +24,10 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.results.labels import double_sided, normalised_label
-from clunk.results.quantities import CELL_QUANTITIES, Quantity, measured_quantities
+from clunk.results.quantities import CELL_QUANTITIES, Quantity, likely_name, measured_quantities
 from clunk.study.errors import ClunkError
 from clunk.study.measures import OF_IMPACTS
-from clunk.study.problems import listing, nearest, shorten
+from clunk.study.problems import listing, shorten
 from clunk.study.study import Study
 
 if TYPE_CHECKING:
@@ -175,6 +175,6 @@ def measuring(study: Study, outcomes: Iterable[Outcome]) -> Study:
 def _unknown(text: str, quantity: str, without: Mapping[str, str], numbers: Iterable[str]) -> str:
     known = [name for name in (LABEL, *numbers, DOUBLE_SIDED, CHATTER, NOMINAL) if name not in without]
     examples = ["severity<=8000", "label=DS(1)SS(1)"]
-    likely = nearest(quantity, [*known, *(name for name, sentence in without.items() if sentence)])
+    likely = likely_name(quantity, [*known, *(name for name, sentence in without.items() if sentence)])
     hint = f"; did you mean {likely}?" if likely else "."
     return f"There is no outcome {shorten(text)}; there are {listing([*known, *examples])}{hint}"

@@ -8,18 +8,23 @@ import click
 
 from clunk.cli.options import PATH
 
-_STARTERS = {"rig": ("starter.toml",), "car": ("car.toml", "car-sweep.toml")}  # the files that make each
+# The title and the files that make each; a preset has no title, and a title stands before tables.
+_STARTERS = {
+    "rig": ("", "starter.toml"),
+    "car": ('title = "A compact car lifts its foot"  # one line of text\n\n', "car.toml", "car-sweep.toml"),
+}
 
 
 @click.command()
-@click.argument("path", type=PATH, default="clunk.toml")
+@click.argument("path", type=PATH, required=False)
 @click.option("--from", "origin", type=click.Choice(tuple(_STARTERS)), default="rig", help="What to start from [rig].")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @click.option("--schema", is_flag=True, help="Print the JSON Schema by which editors check configs.")
-def init(path: Path, origin: str, force: bool, schema: bool) -> None:
-    """Write a commented starter config to PATH [clunk.toml]; - prints it.
+def init(path: Path | None, origin: str, force: bool, schema: bool) -> None:
+    """Write a commented starter config to PATH; - prints it.
 
-    The rig has every key there is; the car is a driveline that rolls, with gears, from engine to body.
+    The rig [clunk.toml] has every key there is; the car [car.toml] is a driveline that rolls, with gears, from engine
+    to body.
 
     Example: clunk init study.toml
 
@@ -36,11 +41,16 @@ def init(path: Path, origin: str, force: bool, schema: bool) -> None:
 
         click.echo(json.dumps(json_schema(), indent=2, ensure_ascii=False))
         return
+    if str(path) in _STARTERS:
+        raise click.UsageError(f"{path} is a starter and no file name: clunk init {path}.toml --from {path}")
+    path = path or Path("clunk.toml" if origin == "rig" else f"{origin}.toml")
+    title, *names = _STARTERS[origin]
     presets = files("clunk.study.presets")
-    text = "".join(presets.joinpath(name).read_text(encoding="utf-8") for name in _STARTERS[origin])
+    text = title + "".join(presets.joinpath(name).read_text(encoding="utf-8") for name in names)
     if str(path) == "-":
         click.echo(text, nl=False)
         return
+    text = text.replace("clunk.toml", path.name)
     if path.is_dir():
         raise click.ClickException(f"{path} is a directory; name a file in it.")
     if path.exists() and not force:

@@ -97,6 +97,8 @@ def plot(
                 figure = plots.draw(part, name, thresholds_of(part), **look)
             except plots.SurplusAxesError as error:
                 raise plots.PlotError(f"{error.problem}: also give {_options(error)}.") from error
+            if at and output is None and target.exists():
+                terminal.complain(f"{target} is replaced by a picture of the slice; -o names another file")
             plots.save(figure, target)
             click.echo(str(target))
     if isinstance(results, Results) and quantity is None and names == ["regimes"]:

@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING
 import click
 
 from clunk.cli import completion, phrases, tables, terminal
-from clunk.cli.options import EXIT_FAILED_CELLS, PATH, json_option, lash_option, set_option, workers_option
+from clunk.cli.cells import nearest_values
+from clunk.cli.options import (
+    EXIT_FAILED_CELLS,
+    PATH,
+    at_option,
+    json_option,
+    lash_option,
+    set_option,
+    workers_option,
+)
 from clunk.sweeping import progress
 
 if TYPE_CHECKING:
@@ -51,6 +60,7 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
 @click.option("--draws", is_flag=True, help="With tolerances: the thresholds of each drawn driveline instead.")
 @lash_option
 @set_option
+@at_option
 @workers_option
 @click.option("-o", "--output", type=PATH, help="Data (.csv .json .h5 .nc), or a picture (.png .svg .pdf).")
 @json_option
@@ -62,14 +72,15 @@ def thresholds(
     draws: bool,
     lash: str | None,
     overrides: tuple[str, ...],
+    at: tuple[str, ...],
     workers: int | None,
     output: Path | None,
     as_json: bool,
 ) -> None:
     """Locate all values of a swept key at which an outcome changes, to 1e-9 of its range.
 
-    They are told for every cell of CONFIG's other axes, with the outcomes below and above each. With
-    [[sweep.tolerances]]: where the outcome is the same in 50 % and in 95 % of the drawn drivelines.
+    They are told for every cell of CONFIG's other axes, or where --at says, with the outcomes below and
+    above each. With [[sweep.tolerances]]: where the outcome is the same in 50 % and in 95 % of the drawn drivelines.
 
     \b
     Examples:
@@ -85,12 +96,18 @@ def thresholds(
     from clunk.analysis.quantiles import check, threshold_quantiles
     from clunk.results import targets
     from clunk.study.config import load_study
-    from clunk.study.designs import has_tolerances, nominal
+    from clunk.study.designs import has_tolerances, nominal, with_axes_at
     from clunk.study.lashes import lash_position
     from clunk.sweeping.cells import warm_up
 
     study = load_study(config, overrides)
-    _, axes = analysis.axes_of(study, along)
+    scanned, axes = analysis.axes_of(study, along)
+    if at:
+        if any(place.partition("=")[0].strip() == scanned.parameter for place in at):
+            raise click.UsageError(f"--at is for the axes other than {along}, along which thresholds are looked for.")
+        swept = [axis for axis in axes if axis.parameter != analysis.DRAW]
+        study = with_axes_at(study, nearest_values(swept, (), at))
+        _, axes = analysis.axes_of(study, along)
     analysis.parse(outcome, study)
     lash_position(lash, study.lash_names)
     is_toleranced = has_tolerances(study)

@@ -16,10 +16,10 @@ from clunk.plot.plane import axis_span, drawn_axes
 from clunk.plot.scatter import parameter_choice, scatter_curve, scatter_map
 from clunk.plot.strips import strip
 from clunk.plot.style import PlotError
+from clunk.results.quantities import likely_name
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.study.axes import RUN
-from clunk.study.problems import nearest
 
 
 def draw(
@@ -47,7 +47,7 @@ def draw(
         return certainty.draw(drawn, quantity)
     known = quantities_of(drawn)
     if quantity not in known:
-        likely = nearest(quantity, known)
+        likely = likely_name(quantity, known)
         hint = f"did you mean {likely!r}? There" if likely else "there"
         raise PlotError(f"There is no quantity {quantity!r}; {hint} are {', '.join(known)}.")
     if y is not None and x is None:

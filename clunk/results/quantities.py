@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 
 from clunk.core.status import QUALITY_MEANINGS, Status
 from clunk.results.labels import FAILED, FAILED_CODE
+from clunk.study.problems import nearest
 
 _UNIT_SYMBOLS = {"1": "", "rad s-1": "rad/s", "rad s-2": "rad/s²"}
 _WORDS: dict[str, Mapping[int, str]] = {  # integer -> word
@@ -78,6 +79,13 @@ class Quantity:
         """Word of each code or bit, in a map with these labels; empty where the values are numbers."""
         # The failed code comes last: flag_meanings.split()[code] is then right for -1, too.
         return (dict(enumerate(labels)) if self.coded == "labels" else {}) | dict(_WORDS[self.coded])
+
+
+def likely_name(text: str, names: Iterable[str]) -> str | None:
+    """The name that a word most likely means: that of the quantity with this symbol, or the nearest one, if any."""
+    names = list(names)
+    symbols = {name: each.symbol for quantities in _MAPS.values() for name, each in quantities.items()}
+    return next((name for name in names if symbols.get(name) == text.strip()), None) or nearest(text, names)
 
 
 def _read() -> dict[str, dict[str, Quantity]]:

@@ -19,7 +19,7 @@ from clunk.study.document import dotted
 from clunk.study.parameters import located, nominal_value, quantity
 from clunk.study.problems import Problem, report
 from clunk.study.study import Study
-from clunk.study.sweeps import Draw
+from clunk.study.sweeps import Axis, Draw
 from clunk.study.validation import validated
 
 FloatArray = npt.NDArray[np.float64]
@@ -145,6 +145,16 @@ def nominal(study: Study) -> Study:
     if study.sweep is None:
         return study
     return study.model_copy(update={"sweep": study.sweep.model_copy(update={"tolerances": ()})})
+
+
+def with_axes_at(study: Study, values: Mapping[str, float]) -> Study:
+    """The study with some axes cut down to one value each; values : parameter -> value, in the key's unit."""
+    assert study.sweep is not None
+    axes = tuple(
+        Axis(parameter=axis.parameter, values=(values[axis.parameter],)) if axis.parameter in values else axis
+        for axis in study.sweep.axes
+    )
+    return study.model_copy(update={"sweep": study.sweep.model_copy(update={"axes": axes})})
 
 
 def drawn_numbers(study: Study, draws: Sequence[Draw]) -> list[FloatArray]:

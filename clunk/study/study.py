@@ -153,10 +153,10 @@ def to_toml(study: Study) -> str:
     return tomli_w.dumps(content(study))
 
 
-def digest(study: Study) -> str:
-    """SHA-256 of everything that decides the results: physics, solver and sweep; not the title, names, or a fit.
+def decisive_content(study: Study) -> dict[str, Any]:
+    """The part of a study that decides the results: physics, solver and sweep; not the title, names, or a fit.
 
-    A swept key's own value does not count, since no cell has it.
+    A swept key's own value does not count, since no cell has it: it is None.
     """
     decisive = content(study)
     del decisive["title"]
@@ -172,6 +172,12 @@ def digest(study: Study) -> str:
         del decisive["sweep"]["design"]  # sweeps of earlier versions know no other
     for axis in study.sweep.axes if study.sweep is not None else ():
         decisive = with_value(decisive, located(study, axis.parameter)[0], None)
+    return decisive
+
+
+def digest(study: Study) -> str:
+    """SHA-256 of everything that decides the results."""
+    decisive = decisive_content(study)
     canonical = json.dumps(decisive, sort_keys=True, separators=(",", ":"), allow_nan=False)
     canonical = re.sub(r"-0\.0(?=[,\]}])", "0.0", canonical)  # zeros are equal, whatever their signs
     return hashlib.sha256(canonical.encode("utf-8")).hexdigest()

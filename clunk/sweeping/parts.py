@@ -22,7 +22,7 @@ from typing import Any, BinaryIO, Self
 
 from clunk.results.files import reason, write_whole
 from clunk.study.errors import ClunkError
-from clunk.study.study import Study, content, digest
+from clunk.study.study import Study, decisive_content, digest
 from clunk.sweeping.provenance import versions
 from clunk.sweeping.reduction import AnyMap, Reduction
 from clunk.sweeping.tiles import Tile, from_bytes, to_pieces
@@ -120,9 +120,6 @@ class Parts:
         self.discarded = 0  # parts of other versions, or damaged
         self.taken_up = 0  # cells that have been read
         self.kept = 0  # cells that are on the disk
-        decisive = content(study)
-        del decisive["title"]
-        decisive["driveline"].pop("names", None)
         self._layout = reduction.runner.layout
         self._manifest = {
             "plan": reduction.plan,
@@ -132,7 +129,7 @@ class Parts:
         }
         # the digest identifies the study; its values are kept for the sentence on what differs
         self._origin = hashlib.sha256(json.dumps(self._manifest, sort_keys=True).encode()).digest()
-        self._manifest["study"] = dict(_flat(decisive))
+        self._manifest["study"] = flat(study)
         self._waiting: list[Tile] = []
         self._cells_waiting = 0
         self._number = max((int(path.name.removeprefix("part-")) for path in directory.parts()), default=0)
@@ -200,13 +197,13 @@ class Parts:
             earlier = json.loads(path.read_bytes())
             current = json.loads(json.dumps(self._manifest, default=str))
             differing = [key for key in ("config_digest", "plan", "versions") if earlier[key] != current[key]]
-            differences = _differences(earlier["study"], current["study"])
+            differing_values = differences(earlier["study"], current["study"])
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             with suppress(OSError):
                 path.unlink(missing_ok=True)
             return
         if "config_digest" in differing:
-            sweep = f"of another config ({'; '.join(differences) or 'the config'})"
+            sweep = f"of another config ({differing_values or 'the config'})"
         elif "plan" in differing:
             sweep = f"that runs {earlier['plan']}, not {current['plan']}"
         else:
@@ -219,23 +216,27 @@ class Parts:
         )
 
 
-def _flat(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    """The leaves of a document by dotted key, list items by number from 1."""
+def flat(study: Study) -> dict[str, Any]:
+    """Values of a study that decide its results, by dotted key, list items by number from 1."""
+    return dict(_leaves(decisive_content(study)))
+
+
+def _leaves(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     if isinstance(node, dict):
         for name, value in node.items():
-            yield from _flat(value, f"{key}.{name}" if key else name)
+            yield from _leaves(value, f"{key}.{name}" if key else name)
     elif isinstance(node, list | tuple) and any(isinstance(item, dict) for item in node):
         for number, value in enumerate(node, 1):
-            yield from _flat(value, f"{key}[{number}]")
+            yield from _leaves(value, f"{key}[{number}]")
     else:
         yield key, node
 
 
-def _differences(earlier: Mapping[str, Any], current: Mapping[str, Any]) -> list[str]:
-    """The first three keys in which two studies differ, with both values, and the number of others."""
+def differences(earlier: Mapping[str, Any], current: Mapping[str, Any]) -> str:
+    """The first five keys in which two studies differ, with both values, and how many more there are."""
     keys = [key for key in {**earlier, **current} if earlier.get(key) != current.get(key)]
-    lines = [f"{key} = {_shown(earlier.get(key))} there, {_shown(current.get(key))} here" for key in keys[:3]]
-    return [*lines, f"and {len(keys) - 3} more"] if len(keys) > 3 else lines
+    texts = [f"{key} = {_shown(earlier.get(key))} there, {_shown(current.get(key))} here" for key in keys[:5]]
+    return "; ".join([*texts, f"and {len(keys) - 5} more"] if len(keys) > 5 else texts)
 
 
 def _shown(value: Any) -> str:

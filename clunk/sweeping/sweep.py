@@ -13,14 +13,16 @@ from pathlib import Path
 
 from clunk.core.status import Status
 from clunk.results.regimemap import Results
-from clunk.results.store import StoreError, read, read_header, read_map, write
+from clunk.results.store import Header, StoreError, read, read_header, read_map, write
 from clunk.simulation.driveline import explained
+from clunk.study.config import study_from_text
 from clunk.study.designs import Design, design_of, has_tolerances
+from clunk.study.problems import ConfigError
 from clunk.study.study import Study, digest
 from clunk.sweeping.assembly import MendedReduction, RefinedReduction, RegimeReduction
 from clunk.sweeping.cells import Systems, warm_up
 from clunk.sweeping.engines import EngineError, Work, available_cores, run_tiles
-from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory
+from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory, differences, flat
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.provenance import provenance
 from clunk.sweeping.reduction import AnyMap, Reduction, SweepError
@@ -209,6 +211,13 @@ def opened(
         yield job
 
 
+def _differing(header: Header, study: Study) -> str:
+    """Keys and values in which a file's config differs from a study; the file's title where that cannot be told."""
+    with suppress(ConfigError):  # of a config that this version refuses
+        return differences(flat(study_from_text(header.config)), flat(study)) or repr(header.title)
+    return repr(header.title)
+
+
 def _complete_counts(path: Path, study: Study, *, restart: bool, refine: bool) -> dict[str, dict[str, int]] | None:
     """The counts of a file that holds this very sweep. Raises SweepError where it holds anything else."""
     try:
@@ -216,7 +225,7 @@ def _complete_counts(path: Path, study: Study, *, restart: bool, refine: bool) -
     except StoreError as error:
         raise SweepError(f"{error} It is in the way of the results. {_WAYS_OUT}") from error
     if header.config_digest != digest(study):
-        raise SweepError(f"{path} holds the results of another config ({header.title!r}). {_WAYS_OUT}")
+        raise SweepError(f"{path} holds the results of another config ({_differing(header, study)}). {_WAYS_OUT}")
     if restart:
         return None
     if "refinement" in header.attributes and not refine:
