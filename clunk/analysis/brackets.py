@@ -32,20 +32,16 @@ POINT = np.dtype([("cell", "i8"), ("value", "f8"), ("outcome", "i8"), ("measure"
 
 
 def narrow(
-    low: Points,
-    high: Points,
-    run: Callable[[Codes, Floats], Points],
-    span: float = 1.0,
-    tolerance: float = TOLERANCE,
+    ends: Points, run: Callable[[Codes, Floats], Points], span: float = 1.0, tolerance: float = TOLERANCE
 ) -> tuple[Points, Points]:
     """Narrow brackets to a tolerance, as a share of the span; returns their lower and their upper ends, in no order.
 
-    low, high : (n,) ends of different outcome, of the same cell and at ascending values
+    ends : (n, 4), at ascending values of one cell: the ends of a bracket, of different outcome, and before and behind
+        these the next points that are known there, or once more the ends
     run : runs cells at values, (m,) each
     """
     tolerance *= span
-    ends = np.stack([low, low, high, high], axis=1)  # each with the value before it on its side
-    stalls, narrowed = np.zeros(low.size, np.int64), [ends[:0]]
+    stalls, narrowed = np.zeros(len(ends), np.int64), [ends[:0]]
     while True:
         inner = ends["value"][:, 1:3]
         width, middle = inner[:, 1] - inner[:, 0], inner.mean(axis=1)

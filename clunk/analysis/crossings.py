@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,39 +11,53 @@ from clunk.analysis.brackets import POINT, TOLERANCE, Codes, Floats, Points, nar
 from clunk.analysis.pointruns import RUN, RUN_FIELDS, Runs
 
 Run = Callable[[Floats], Runs]  # of points (n, 2), on each axis from 0 to 1
+_ONCE_MORE = [0, 0, 1, 1]
 
 
-def located(
-    run: Run, low: Floats, high: Floats, below: Runs, above: Runs, tolerance: float = TOLERANCE
-) -> tuple[Points, Points]:
-    """Narrow brackets on straight lines between points (n, 2) of different labels, by default to 1e-9 of each axis.
+class Crossings(NamedTuple):
+    """Crossings in the order of their lines and along these: the lines' numbers, brackets (n, 2, 2), runs (n, 2)."""
 
-    below, above : (n,) runs at these points
+    lines: Codes
+    brackets: Floats
+    runs: Runs
 
-    The points that come back have the line's number as their cell, and the distance from its first end as their value.
+    @property
+    def places(self) -> Floats:
+        """Where they are, (n, 2)."""
+        places: Floats = self.brackets.mean(axis=1)
+        return places
+
+
+def located(run: Run, places: Floats, runs: Runs, tolerance: float = TOLERANCE) -> Crossings:
+    """Locate crossings on straight lines between points of different labels, by default to 1e-9 of each axis.
+
+    places, runs : (n, 2, 2) points and (n, 2) their runs; or (n, 4, 2) and (n, 4), with further points on these lines
+        before and behind them, or once more the ends
     """
-    lengths = np.hypot(*(high - low).T)
-    steps = np.divide(high - low, lengths[:, None], out=np.zeros_like(low), where=lengths[:, None] > 0.0)
+    if runs.shape[1] == 2:
+        places, runs = places[:, _ONCE_MORE], runs[:, _ONCE_MORE]
+    begin, steps = places[:, 1], places[:, 2] - places[:, 1]
+    lengths = np.hypot(*steps.T)[:, None]
+    steps = np.divide(steps, lengths, out=np.zeros_like(steps), where=lengths > 0.0)
 
     def run_at(lines: Codes, distances: Floats) -> Points:
-        return _points(lines, distances, run(low[lines] + distances[:, None] * steps[lines]))
+        return _points(lines, distances, run(begin[lines] + distances[:, None] * steps[lines]))
 
-    lines = np.arange(lengths.size)
-    begin, end = _points(lines, np.zeros(lines.size), below), _points(lines, lengths, above)
-    return narrow(begin, end, run_at, tolerance=tolerance)
+    distances = ((places - begin[:, None]) * steps[:, None]).sum(axis=2)
+    distances[:, 2] = lengths[:, 0]
+    lines = np.broadcast_to(np.arange(len(runs))[:, None], runs.shape)
+    low, high = narrow(_points(lines, distances, runs), run_at, tolerance=tolerance)
+    order = np.lexsort((low["value"], low["cell"]))
+    ends = np.stack([low, high], axis=1)[order]
+    lines, narrowed = ends["cell"][:, 0], np.zeros(ends.shape, RUN)
+    for name in RUN_FIELDS:
+        narrowed[name] = ends[name]
+    return Crossings(lines, begin[lines, None] + ends["value"][..., None] * steps[lines, None], narrowed)
 
 
 def _points(lines: Codes, distances: Floats, runs: Runs) -> Points:
-    points = np.zeros(lines.size, POINT)
+    points = np.zeros(lines.shape, POINT)
     points["cell"], points["value"] = lines, distances
     for name in RUN_FIELDS:
         points[name] = runs[name]
     return points
-
-
-def as_runs(points: Points) -> Runs:
-    """The runs at some points."""
-    runs = np.zeros(points.size, RUN)
-    for name in RUN_FIELDS:
-        runs[name] = points[name]
-    return runs

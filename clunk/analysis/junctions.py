@@ -51,13 +51,11 @@ def triple_points(run: Run, corners: Floats, labels: Codes, crossings: Floats) -
         nearer = places[np.arange(active.size), :, nearest]
         corner_runs = runs[np.arange(active.size), :, nearest]
         begin, end = nearer.reshape(-1, 2), np.roll(nearer, -1, axis=1).reshape(-1, 2)
-        pairs = corner_runs.ravel(), np.roll(corner_runs, -1, axis=1).ravel()
-        way = end - begin
-        low, high = located(run, begin, end, *pairs, max(_SHARP[0], _SHARP[1] * np.hypot(*way.T).max()))
-        _, first, counts = np.unique(low["cell"], return_index=True, return_counts=True)
-        middle = 0.5 * (low["value"] + high["value"])[first] / np.maximum(np.hypot(*way.T), 1e-300)
-        new = (begin + middle[:, None] * way).reshape(-1, 3, 2)
-        single = (counts == 1).reshape(-1, 3)
+        pairs = np.stack([corner_runs.ravel(), np.roll(corner_runs, -1, axis=1).ravel()], axis=1)
+        sharp = max(_SHARP[0], _SHARP[1] * np.hypot(*(end - begin).T).max())
+        ways = located(run, np.stack([begin, end], 1), pairs, sharp)
+        _, first, counts = np.unique(ways.lines, return_index=True, return_counts=True)
+        new, single = ways.places[first].reshape(-1, 3, 2), (counts == 1).reshape(-1, 3)
         along = new - crossings[active]
         lengths = np.hypot(along[..., 0], along[..., 1])
         normal = np.stack([-along[..., 1], along[..., 0]], 2) / np.maximum(lengths, 1e-300)[..., None]
@@ -66,9 +64,9 @@ def triple_points(run: Run, corners: Floats, labels: Codes, crossings: Floats) -
         right = np.einsum("nk,nki,nkj,nkj->ni", weights, normal, normal, new)
         solvable = (weights.sum(axis=1) >= 2) & (np.linalg.det(matrix) > _PARALLEL)
         # where the third label is between two, it ends elsewhere
-        opposite = np.roll(labels[active], -2, axis=1).ravel()[low["cell"]]
+        opposite = np.roll(labels[active], -2, axis=1).ravel()[ways.lines]
         is_around = np.ones(single.shape, bool)
-        is_around.ravel()[low["cell"][low["outcome"] == opposite]] = False
+        is_around.ravel()[ways.lines[ways.runs["outcome"][:, 0] == opposite]] = False
         around = is_around.all(axis=1)
         corners[active[around]], crossings[active[around]] = nearer[around], new[around]
         at_once = single & (lengths <= 0.01 * TOLERANCE)  # a crossing that stays where it is: the lines end there
@@ -97,16 +95,14 @@ def _sharpened(run: Run, points: Floats, radius: float) -> Floats:
     at = np.flatnonzero(runs["outcome"] != np.roll(runs["outcome"], -1, axis=2))
     after = np.where(at % size == size - 1, at + 1 - size, at + 1)
     begin, end = circles.reshape(-1, 2)[at], circles.reshape(-1, 2)[after]
-    low, high = located(run, begin, end, runs.ravel()[at], runs.ravel()[after], _SHARPER * radius)
-    cell = low["cell"]
-    share = 0.5 * (low["value"] + high["value"]) / np.hypot(*(end - begin).T)[cell]
-    crossings = begin[cell] + share[:, None] * (end - begin)[cell]
-    circle, lines = at[cell] // size, np.stack([low["outcome"], high["outcome"]], axis=1)
+    pairs = runs.ravel()[np.stack([at, after], 1)]
+    crossings = located(run, np.stack([begin, end], 1), pairs, _SHARPER * radius)
+    circle, lines, places = at[crossings.lines] // size, crossings.runs["outcome"], crossings.places
     for k, point in enumerate(inside.tolist()):
         outer, inner = (np.flatnonzero(circle == number) for number in (2 * k, 2 * k + 1))
         outer, inner = (each[np.lexsort(lines[each].T)] for each in (outer, inner))
         if 2 < outer.size == inner.size and (lines[outer] == lines[inner]).all():
-            along = crossings[inner] - crossings[outer]
+            along = places[inner] - places[outer]
             normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None]
-            points[point] = np.linalg.lstsq(normal, (normal * crossings[inner]).sum(axis=1), rcond=None)[0]
+            points[point] = np.linalg.lstsq(normal, (normal * places[inner]).sum(axis=1), rcond=None)[0]
     return points

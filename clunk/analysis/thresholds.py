@@ -368,7 +368,10 @@ class _Search:
     def located(self, points: Points) -> tuple[Points, Points]:
         """Narrow the brackets between neighbours whose outcomes differ; returns their lower and their upper ends."""
         apart = (points["cell"][:-1] == points["cell"][1:]) & (points["outcome"][:-1] != points["outcome"][1:])
-        return narrow(points[:-1][apart], points[1:][apart], self._run_within, float(np.ptp(self.along.values)))
+        at = np.flatnonzero(apart)
+        around = np.clip(at[:, None] + np.arange(-1, 3), 0, points.size - 1)
+        around = np.where(points["cell"][around] == points["cell"][at, None], around, at[:, None] + [0, 0, 1, 1])
+        return narrow(points[around], self._run_within, float(np.ptp(self.along.values)))
 
     def _run_within(self, cells: Codes, values: Floats) -> Points:
         if values.size > MOST_BRACKETS:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.analysis.brackets import Codes, Floats
-from clunk.analysis.crossings import Run, as_runs, located
+from clunk.analysis.crossings import Run, located
 from clunk.analysis.junctions import triple_points
 from clunk.analysis.network import Segments
 from clunk.analysis.pointruns import RUN
@@ -63,15 +63,11 @@ class Lines:
         differ = runs["outcome"][first] != runs["outcome"][second]
         keys = keys[differ & ~np.isin(keys, self.keys)]
         first, second = ends_of(keys)
-        low, high = located(self.run, positions[first], positions[second], runs[first], runs[second])
-        lengths = np.hypot(*(positions[second] - positions[first]).T)
-        order = np.lexsort((low["value"], low["cell"]))
-        low, high = low[order], high[order]
-        edges, begins, counts = np.unique(low["cell"], return_index=True, return_counts=True)
+        nodes = self.triangles.along(first, second)
+        crossings = located(self.run, positions[nodes], runs[nodes])
+        ends = crossings.brackets
+        edges, begins, counts = np.unique(crossings.lines, return_index=True, return_counts=True)
         begin, rest = ends_of(keys[edges])
-        shares = np.stack([low["value"], high["value"]], axis=1) / lengths[low["cell"]][:, None]
-        steps = positions[second] - positions[first]
-        ends = positions[first[low["cell"]], None] + shares[..., None] * steps[low["cell"], None]
         for k in range(counts.max(initial=0)):
             # the k-th crossing of each edge, and behind it a node, if there is another
             counted = counts > k
@@ -84,7 +80,7 @@ class Lines:
             if several.any():
                 next_ = begins[several] + k
                 between = 0.5 * (ends[next_, 1] + ends[next_ + 1, 0])
-                self.triangles.add(keys_of(begin, rest)[several], between, as_runs(high[next_]))
+                self.triangles.add(keys_of(begin, rest)[several], between, crossings.runs[next_, 1])
             begin = after
         return bool((counts > 1).any())
 
@@ -225,29 +221,24 @@ def bent(
         middles = sides.mean(axis=1)  # of the rails
         runs = run(middles.reshape(-1, 2)).reshape(-1, 2)
         clear = (runs["outcome"] == expected).all(axis=1)
-        low, high = located(run, middles[clear, 0], middles[clear, 1], *runs[clear].T)
-        lines, counts = np.unique(low["cell"], return_counts=True)
-        single = np.zeros(len(middles), bool)
-        single[np.flatnonzero(clear)[lines[counts == 1]]] = True
+        crossings = located(run, middles[clear], runs[clear])
+        counts = np.bincount(crossings.lines, minlength=int(clear.sum()))
+        single = clear.copy()
+        single[clear] = counts == 1
         asks = np.zeros(int((~single).sum()), _ASKED)
         asks["cell"], asks["run"] = segment[~single], runs[~single, 1]
         asks["x"], asks["y"] = middles[~single, 1].T
         asked.append(asks)
-        order = np.argsort(low["cell"], kind="stable")
-        keep = order[np.repeat(counts == 1, counts)]
-        begin, end = (middles[clear][low["cell"][keep], k] for k in (0, 1))
-        distance = 0.5 * (low["value"] + high["value"])[keep]
-        line = np.hypot(*(end - begin).T)
-        found = begin + (distance / line)[:, None] * (end - begin)
+        bends = crossings.places[counts[crossings.lines] == 1]
         segment, ends, sides, shares, middles = (part[single] for part in (segment, ends, sides, shares, middles))
         chord = ends[:, 1] - ends[:, 0]
-        aside = np.abs(chord[:, 0] * (found - ends[:, 0])[:, 1] - chord[:, 1] * (found - ends[:, 0])[:, 0])
+        aside = np.abs(chord[:, 0] * (bends - ends[:, 0])[:, 1] - chord[:, 1] * (bends - ends[:, 0])[:, 0])
         off = aside > CHORD * np.hypot(*chord.T)  # not where a region is thinner than that
-        found = found[off]
+        bends = bends[off]
         segment, ends, sides, shares, middles = (part[off] for part in (segment, ends, sides, shares, middles))
         middle_share = shares.mean(axis=1)
-        points.append((found, segment, middle_share))
-        ends = np.concatenate([np.stack([ends[:, 0], found], 1), np.stack([found, ends[:, 1]], 1)])
+        points.append((bends, segment, middle_share))
+        ends = np.concatenate([np.stack([ends[:, 0], bends], 1), np.stack([bends, ends[:, 1]], 1)])
         sides = np.concatenate([np.stack([sides[:, 0], middles], 1), np.stack([middles, sides[:, 1]], 1)])
         shares = np.concatenate([np.stack([shares[:, 0], middle_share], 1), np.stack([middle_share, shares[:, 1]], 1)])
         segment = np.tile(segment, 2)

@@ -15,6 +15,8 @@ from clunk.analysis.pointruns import Runs
 
 Nodes = npt.NDArray[np.int64]
 
+_OUTWARD = np.array([[-1], [1]])  # from the first and from the second end of an edge
+_STRAIGHT = 1e-12  # of the map: such a cross product is of one line
 _SHIFT = 32  # bits of a node's number in an edge's key
 
 
@@ -68,6 +70,19 @@ class Triangles:
         labels = self.outcome[self.corners]
         differ: Bools = (labels != labels[:, :1]).any(axis=1)
         return self.corners[differ]
+
+    def along(self, first: Nodes, second: Nodes) -> Nodes:
+        """The ends of edges between the next nodes of the map on the same lines, (n, 4), or these ends once more."""
+        ends, shape = np.stack([first, second], axis=1), np.array(self.shape)
+        way = self.positions[second] - self.positions[first]
+        steps = np.sign(way).astype(np.int64)[:, None] * _OUTWARD
+        beyond = np.stack(np.divmod(ends, shape[1]), axis=2) + steps
+        inside = (ends < shape.prod()) & ((beyond >= 0) & (beyond < shape)).all(axis=2)
+        numbers = np.where(inside, beyond @ [shape[1], 1], ends)
+        apart = self.positions[numbers] - self.positions[ends]
+        straight = np.abs(way[:, None, 0] * apart[..., 1] - way[:, None, 1] * apart[..., 0]) < _STRAIGHT
+        numbers = np.where(straight, numbers, ends)
+        return np.stack([numbers[:, 0], first, second, numbers[:, 1]], axis=1)
 
     def add(self, keys: Codes, positions: Floats, runs: Runs) -> None:
         """Add a node on each of these edges, of which none comes twice."""
