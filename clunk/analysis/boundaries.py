@@ -21,7 +21,7 @@ from clunk.analysis.pointruns import RUN, PointRuns, Runs
 from clunk.analysis.thin import hidden
 from clunk.analysis.thresholds import thresholds
 from clunk.analysis.tracing import Lines
-from clunk.analysis.triangles import Triangles
+from clunk.analysis.triangles import Triangles, keys_of
 from clunk.results.boundaries import NO_LABEL, Boundaries
 from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
@@ -135,9 +135,11 @@ def _of_plane(study: Study, results: Results, lash: int, workers: int | None) ->
         nodes["outcome"], nodes["measure"] = results.sequence[ascending], results.margin[ascending]
         nodes["touches"] = results.touches[ascending]
         triangles = Triangles(across, upward, nodes)
-        keys, places, runs = hidden(run, triangles)
-        if keys.size:
-            triangles.add(keys, places, runs)
+        hits = hidden(run, triangles)
+        if hits.size:
+            numbers = triangles.runs.size + np.arange(hits.size)
+            triangles.add(keys_of(hits["first"], hits["second"]), hits["place"], hits["run"])
+            triangles.keep_before(numbers, hits["beside"], hits["of_beside"])
         lines = Lines(triangles, run)
         segments = lines.trace()
         paths = paths_of(segments, lines.position)

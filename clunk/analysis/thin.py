@@ -8,13 +8,13 @@ followed from triangle to triangle.
 from __future__ import annotations
 
 from itertools import count
-from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from clunk.analysis.brackets import Codes, Floats
 from clunk.analysis.crossings import Run
-from clunk.analysis.pointruns import RUN_FIELDS, Runs
+from clunk.analysis.pointruns import RUN, RUN_FIELDS, Runs
 from clunk.analysis.triangles import Nodes, Triangles, keys_of
 from clunk.core.exact.run import MOST
 from clunk.results.labels import FAILED_CODE
@@ -30,61 +30,37 @@ _ASTRAY = 0.02  # of an edge, by which a region that is followed may be off the 
 _OPPOSITE = {(1, 0): ((1, 1), (0, -1)), (0, 1): ((1, 1), (-1, 0)), (1, 1): ((1, 0), (0, 1))}  # corners, by edge
 
 
-class Suspects(NamedTuple):
-    """Edges on which a margin may vanish beyond some point, in shares of the way from their first node on, (n,) each.
+Suspects = npt.NDArray[np.void]  # SUSPECT
+Hits = npt.NDArray[np.void]  # HIT
 
-    first, second : nodes of the same label
-    low, high : shares between which it may vanish
-    size, slope : |margin| at `low`, and by how much it falls per edge there
-    sign, touches : of the margin and number, at `low`
-    """
-
-    first: Nodes
-    second: Nodes
-    low: Floats
-    high: Floats
-    size: Floats
-    slope: Floats
-    sign: Floats
-    touches: Codes
-
-    def at(self, which: Codes) -> Suspects:
-        """Some of them."""
-        return Suspects._make(part[which] for part in self)
+# An edge between nodes of the same label, on which a margin may vanish: shares of the way between which it may, the run
+# at the lower one, and by how much |margin| falls per edge there.
+SUSPECT = np.dtype([("first", "i8"), ("second", "i8"), ("low", "f8"), ("high", "f8"), ("before", RUN), ("slope", "f8")])
+# A point of another label on such an edge, and the nearest point before it of the edge's own label.
+HIT = np.dtype(
+    [
+        *SUSPECT.descr,
+        ("share", "f8"),
+        ("place", "f8", 2),
+        ("run", RUN),
+        ("beside", "f8", 2),
+        ("of_beside", RUN),
+    ]
+)
 
 
-class Hits(NamedTuple):
-    """Points of another label on suspects, whose `low` is the last one before: share, position (n, 2), run."""
-
-    suspects: Suspects
-    shares: Floats
-    places: Floats
-    runs: Runs
-
-    @property
-    def keys(self) -> Codes:
-        """Keys of the edges."""
-        return keys_of(self.suspects.first, self.suspects.second)
-
-    def at(self, which: Codes) -> Hits:
-        """Some of them."""
-        return Hits(self.suspects.at(which), self.shares[which], self.places[which], self.runs[which])
-
-
-def hidden(run: Run, triangles: Triangles) -> tuple[Codes, Floats, Runs]:
-    """Nodes of another label on edges whose ends have one: keys of the edges, positions (n, 2), runs."""
-    suspects, every = _suspects(triangles), list[Hits]()
-    known = np.zeros(0, np.int64)
+def hidden(run: Run, triangles: Triangles) -> Hits:
+    """Nodes of another label on edges whose ends have one: HIT, one on each of these edges."""
+    suspects, every = _suspects(triangles), np.zeros(0, HIT)
     while True:
         hits = _hits(run, triangles, suspects)
-        keys, at = np.unique(hits.keys, return_index=True)
-        hits = hits.at(at[~np.isin(keys, known)])
-        every.append(hits)
-        known = np.append(known, hits.keys)
-        if not hits.keys.size:
-            break
-        suspects = _onward(run, triangles, hits, known)
-    return known, np.concatenate([each.places for each in every]), np.concatenate([each.runs for each in every])
+        known = keys_of(every["first"], every["second"])
+        keys, at = np.unique(keys_of(hits["first"], hits["second"]), return_index=True)
+        new = ~np.isin(keys, known)
+        if not new.any():
+            return every
+        every = np.concatenate([every, hits[at[new]]])
+        suspects = _onward(run, triangles, hits[at[new]], np.append(known, keys[new]))
 
 
 def _hits(run: Run, triangles: Triangles, suspects: Suspects) -> Hits:
@@ -94,14 +70,15 @@ def _hits(run: Run, triangles: Triangles, suspects: Suspects) -> Hits:
     zero before the next one, and is not small there, its zero is closed in on: from points at which it still falls, by
     the line through the last two, and points beyond. Without margins that is done with jumps of the touches by two.
     """
-    first, second, low, high, size, slope, sign, touches = suspects
-    begin, label = triangles.positions[first], triangles.outcome[first]
-    step, edges = triangles.positions[second] - begin, np.arange(first.size)
-    every = [Hits(suspects.at(edges[:0]), low[:0], begin[:0], triangles.runs[:0])]
+    begin, label = triangles.positions[suspects["first"]], triangles.outcome[suspects["first"]]
+    step, edges = triangles.positions[suspects["second"]] - begin, np.arange(suspects.size)
+    suspects, every = suspects.copy(), [np.zeros(0, HIT)]
     thinnest = _THINNEST / np.hypot(*step.T)
     for round_ in count():
         if not edges.size:
             break
+        low, high, before, slope = (suspects[name] for name in ("low", "high", "before", "slope"))
+        size, sign = np.abs(before["measure"]), np.sign(before["measure"])
         with np.errstate(invalid="ignore", divide="ignore"):
             ahead = size / slope
         zero = low + ahead
@@ -111,32 +88,34 @@ def _hits(run: Run, triangles: Triangles, suspects: Suspects) -> Hits:
         places = begin[edges, None] + shares[..., None] * step[edges, None]
         runs = run(places.reshape(-1, 2)).reshape(shares.shape)
         differs = runs["outcome"] != label[edges, None]
-        shows, at = np.flatnonzero(differs.any(axis=1)), np.argmax(differs, axis=1)
-        at = at[shows]
-        latest = suspects.at(edges[shows])._replace(low=low[shows], size=size[shows], slope=slope[shows])
-        every.append(Hits(latest, shares[shows, at], places[shows, at], runs[shows, at]))
-        left = sign[edges] * runs["measure"][:, 0] / size  # of the margin
+        left = sign * runs["measure"][:, 0] / size  # of the margin
         goes_on = ~differs.any(axis=1) & ~((_STAYS[0] < left) & (left < _STAYS[1]))
         beyond = shares[:, -1] - zero
         goes_on &= ~((beyond > 0.0) & (np.abs(runs["measure"][:, -1]) > _JUMP * slope * beyond))
-        alike = runs["touches"] == touches[edges, None]
+        shows = np.flatnonzero(differs.any(axis=1))
+        hits, at = np.zeros(shows.size, HIT), np.argmax(differs, axis=1)[shows]
+        for name in SUSPECT.names or ():
+            hits[name] = suspects[name][shows]
+        hits["share"], hits["place"], hits["run"] = shares[shows, at], places[shows, at], runs[shows, at]
+        is_first, lows = at == 0, begin[edges] + low[:, None] * step[edges]
+        hits["beside"] = np.where(is_first[:, None], lows[shows], places[shows, 0])
+        hits["of_beside"] = np.where(is_first, before[shows], runs[shows, 0])
+        every.append(hits)
         for k, share in enumerate(shares.T):
-            after = sign[edges] * runs["measure"][:, k]
+            size, after = np.abs(before["measure"]), sign * runs["measure"][:, k]
             expected = size - slope * (share - low)
             falls = (after < size) & (after > np.maximum(0.1 * expected, 0.02 * size))
-            falls = np.where(np.isnan(size), alike[:, k], falls) & (low < share) & (share < high)
-            with np.errstate(invalid="ignore", divide="ignore"):
-                slope = np.where(falls, (size - after) / (share - low), slope)
-            low, size = np.where(falls, share, low), np.where(falls, after, size)
-            high = np.where(falls, high, np.minimum(high, share))
+            falls = np.where(np.isnan(size), runs["touches"][:, k] == before["touches"], falls)
+            falls &= (low < share) & (share < high)
+            high[~falls] = np.minimum(high, share)[~falls]
+            slope[falls] = ((size - after)[falls]) / (share - low)[falls]
+            low[falls], before[falls] = share[falls], runs[falls, k]
         with np.errstate(invalid="ignore", divide="ignore"):
-            distance = size / slope
+            distance = np.abs(before["measure"]) / slope
         goes_on &= high - low > thinnest[edges]
         goes_on &= np.isnan(distance) | ((distance > thinnest[edges]) & (distance < _STEEPER * (high - low)))
-        edges, low, high, size, slope = (part[goes_on] for part in (edges, low, high, size, slope))
-    parts = (np.concatenate(part) for part in zip(*(each.suspects for each in every), strict=True))
-    shares, places, runs = (np.concatenate([each[k] for each in every]) for k in (1, 2, 3))
-    return Hits(Suspects._make(parts), shares, places, runs)
+        edges, suspects = edges[goes_on], suspects[goes_on]
+    return np.concatenate(every)
 
 
 def _onward(run: Run, triangles: Triangles, hits: Hits, known: Codes) -> Suspects:
@@ -145,15 +124,14 @@ def _onward(run: Run, triangles: Triangles, hits: Hits, known: Codes) -> Suspect
     The margin before a region has the region's direction. From the margin's slopes along the edge and across it follows
     where the next edge is reached; beside that place the suspects begin, on either side.
     """
-    edge, shape = hits.suspects, triangles.shape
-    positions, outcome = triangles.positions, triangles.outcome
-    begin = positions[edge.first]
-    along = positions[edge.second] - begin
+    shape, positions, outcome = triangles.shape, triangles.positions, triangles.outcome
+    begin, low = positions[hits["first"]], hits["low"][:, None]
+    along = positions[hits["second"]] - begin
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    aside = 0.5 * (hits.shares - edge.low)
-    beside = np.abs(run(begin + edge.low[:, None] * along + aside[:, None] * across)["measure"])
-    way = (beside - edge.size)[:, None] * along + (aside * edge.slope)[:, None] * across
-    corners, other = np.minimum(edge.first, edge.second), np.maximum(edge.first, edge.second)
+    aside = 0.5 * (hits["share"][:, None] - low)
+    beside = np.abs(run(begin + low * along + aside * across)["measure"])
+    way = (beside - np.abs(hits["before"]["measure"]))[:, None] * along + aside * hits["slope"][:, None] * across
+    corners, other = np.minimum(hits["first"], hits["second"]), np.maximum(hits["first"], hits["second"])
     row, column = np.divmod(corners, shape[1])
     steps = np.stack(np.divmod(other, shape[1]), axis=1) - np.stack([row, column], axis=1)
     reached = []
@@ -165,7 +143,7 @@ def _onward(run: Run, triangles: Triangles, hits: Hits, known: Codes) -> Suspect
             at, opposite = at[inside], (i * shape[1] + j)[inside]
             for start in (corners[at], other[at]):
                 far = positions[opposite] - positions[start]
-                apart = hits.places[at] - positions[start]
+                apart = hits["place"][at] - positions[start]
                 with np.errstate(invalid="ignore", divide="ignore"):
                     share = _cross(apart, way[at]) / _cross(far, way[at])
                 new = (share > 0.0) & (share < 1.0) & ~np.isin(keys_of(start, opposite), known)
@@ -183,11 +161,16 @@ def _onward(run: Run, triangles: Triangles, hits: Hits, known: Codes) -> Suspect
         low, high, before = ((1.0 - shares if turned else shares)[:, k] for k in (inner, last, outer))
         with np.errstate(invalid="ignore", divide="ignore"):
             slope = (size[:, outer] - size[:, inner]) / (low - before)
-        sign = np.sign(runs["measure"][:, inner])
-        each = Suspects(one, two, low, high, size[:, inner], slope, sign, runs["touches"][:, inner])
-        falls = (slope > 0.0) & (each.size < slope * (high + _ASTRAY - low))
-        both.append(each.at(np.flatnonzero(falls)))
-    return Suspects._make(np.concatenate(parts) for parts in zip(*both, strict=True))
+        falls = (slope > 0.0) & (size[:, inner] < slope * (high + _ASTRAY - low))
+        both.append(_suspected(one, two, low, high, runs[:, inner], slope)[falls])
+    return np.concatenate(both)
+
+
+def _suspected(first: Nodes, second: Nodes, low: Floats, high: Floats, before: Runs, slope: Floats) -> Suspects:
+    suspects = np.zeros(first.size, SUSPECT)
+    for name, values in zip(SUSPECT.names or (), (first, second, low, high, before, slope), strict=True):
+        suspects[name] = values
+    return suspects
 
 
 def _cross(one: Floats, other: Floats) -> Floats:
@@ -214,10 +197,8 @@ def _suspects(triangles: Triangles) -> Suspects:
         suspect = alike & known & (is_fall | is_jump)
         suspects.append((numbers[at][suspect], numbers[after][suspect], fall[suspect]))
     first, second, falls = (np.concatenate(part) for part in zip(*suspects, strict=True))
-    begins, margins = np.zeros(first.size), margin.ravel()[first]
-    return Suspects(
-        first, second, begins, begins + 1.0, np.abs(margins), falls, np.sign(margins), touches.ravel()[first]
-    )
+    begins = np.zeros(first.size)
+    return _suspected(first, second, begins, begins + 1.0, triangles.runs[first], falls)
 
 
 def _moved(shape: tuple[int, ...], step: tuple[int, int], times: int) -> tuple[slice, ...]:

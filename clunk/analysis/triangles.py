@@ -43,6 +43,7 @@ class Triangles:
         self.shape, outcome = runs.shape, runs["outcome"]
         self.positions: Floats = np.stack(np.meshgrid(across, upward, indexing="ij"), axis=-1).reshape(-1, 2)
         self.runs: Runs = runs.ravel()
+        self._before: Nodes = np.arange(self.runs.size)  # numbers of points before nodes, else the nodes'
         self.corners: Nodes = np.zeros((0, 3), np.int64)
         self._is_open: Bools = np.zeros((self.shape[0] - 1, self.shape[1] - 1), bool)
         alike = (outcome[:-1, :-1] == outcome[1:, :-1]) & (outcome[:-1, :-1] == outcome[:-1, 1:])
@@ -72,17 +73,35 @@ class Triangles:
         return self.corners[differ]
 
     def along(self, first: Nodes, second: Nodes) -> Nodes:
-        """The ends of edges between the next nodes of the map on the same lines, (n, 4), or these ends once more."""
+        """Four points on the lines of edges, (n, 4): those nearest to a crossing, and before and behind these the next.
+
+        They are the edge's ends and the next nodes of the map, or once more the ends; or the first end and a point that
+        is kept before the second one.
+        """
         ends, shape = np.stack([first, second], axis=1), np.array(self.shape)
         way = self.positions[second] - self.positions[first]
         steps = np.sign(way).astype(np.int64)[:, None] * _OUTWARD
         beyond = np.stack(np.divmod(ends, shape[1]), axis=2) + steps
         inside = (ends < shape.prod()) & ((beyond >= 0) & (beyond < shape)).all(axis=2)
         numbers = np.where(inside, beyond @ [shape[1], 1], ends)
-        apart = self.positions[numbers] - self.positions[ends]
-        straight = np.abs(way[:, None, 0] * apart[..., 1] - way[:, None, 1] * apart[..., 0]) < _STRAIGHT
-        numbers = np.where(straight, numbers, ends)
-        return np.stack([numbers[:, 0], first, second, numbers[:, 1]], axis=1)
+        numbers = np.stack([numbers[:, 0], self._before[second], numbers[:, 1]], axis=1)
+        apart = self.positions[numbers] - self.positions[first, None]
+        is_straight = np.abs(way[:, None, 0] * apart[..., 1] - way[:, None, 1] * apart[..., 0]) < _STRAIGHT
+        share = (apart[:, 1] * way).sum(axis=1) / (way * way).sum(axis=1)
+        is_between = is_straight[:, 1] & (share > 0.0) & (share < 1.0) & (numbers[:, 1] != second)
+        before = np.where(is_straight[:, 0] & ~is_between, numbers[:, 0], first)
+        behind = np.where(is_straight[:, 2], numbers[:, 2], second)
+        return np.stack([before, np.where(is_between, numbers[:, 1], first), second, behind], axis=1)
+
+    def keep_before(self, nodes: Nodes, positions: Floats, runs: Runs) -> None:
+        """Keep points before nodes on their edges, with no crossing nearer to the edges' ends."""
+        self._before[nodes] = self.runs.size + np.arange(nodes.size)
+        self._append(positions, runs)
+
+    def _append(self, positions: Floats, runs: Runs) -> None:
+        self._before = np.append(self._before, self.runs.size + np.arange(runs.size))
+        self.positions = np.concatenate([self.positions, positions])
+        self.runs = np.concatenate([self.runs, runs])
 
     def add(self, keys: Codes, positions: Floats, runs: Runs) -> None:
         """Add a node on each of these edges, of which none comes twice."""
@@ -91,8 +110,7 @@ class Triangles:
         middle = np.full(keys.size + 1, -1)  # the last is of edges that stay whole
         middle[:-1] = self.runs.size + order
         keys = keys[order]
-        self.positions = np.concatenate([self.positions, positions])
-        self.runs = np.concatenate([self.runs, runs])
+        self._append(positions, runs)
         every = keys_of(self.corners, np.roll(self.corners, -1, axis=1))
         at = np.minimum(np.searchsorted(keys, every), keys.size - 1)
         new = middle[np.where(keys[at] == every, at, -1)]  # on the edges behind each corner
