@@ -86,6 +86,33 @@ def test_runs_of_many_drivelines_side_by_side_have_the_bits_that_each_has_alone(
         assert of_alone.tobytes() == events[k : k + 1, : of_alone.shape[1]].tobytes()
 
 
+MEASURES = [
+    'impacts.quantities=["impulse", "peak_torque", "energy"]',
+    'measures=[{name="swing", quantity="acceleration", of=2, reduce="peak-to-peak"},'
+    '{name="wound_up", quantity="shaft torque", of=1, reduce="largest"}]',
+]
+
+
+@settings(max_examples=15)
+@given(st.one_of(plants(), general_plants(), general_plants(restitution=0.5)), st.integers(0, 2**32 - 1))
+def test_measures_of_many_drivelines_side_by_side_have_the_bits_that_each_has_alone(drawn, seed):
+    plant, _ = drawn
+    assume(not plant.profile.phase)
+    assume(plant.shafts)
+    study = study_from_text(reference.config_of(plant, method="exact", end_time=0.3), MEASURES)
+    grid, many, stop = (
+        Grid(study, design_of_points(study, points_of(study, seed, 12))),
+        np.arange(12),
+        np.zeros(1, "u1"),
+    )
+    together = grid.run(many, stop)
+    alone = [Grid(study, grid.design).run(many[k : k + 1], stop) for k in many]
+    for kind in ("records", "details"):
+        side_by_side, one_by_one = getattr(together, kind), np.concatenate([getattr(tile, kind) for tile in alone])
+        for name in side_by_side.dtype.names:
+            assert side_by_side[name].tobytes() == one_by_one[name].tobytes(), name
+
+
 def test_of_drivelines_about_critical_damping_each_is_what_it_is_alone():
     study = study_from_text(reference.config_of(CRITICAL, method="exact"))
     dampings = np.array([0.3, 0.4, 0.5, 0.4 + 1e-12, 0.0, 3.0])

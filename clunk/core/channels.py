@@ -6,6 +6,7 @@ channel hangs on the others alone, and steps may be longer: a flow has a *level*
 between its rates, with the time after which it may be used.
 """
 
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from clunk.core.tables import TORQUE, TORQUE_RATE
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+ComplexArray = npt.NDArray[np.complex128]
 
 TERMS = 20  # a multiple of four
 CONTACT_TORQUE, CLOSING = 0, 1  # the first channels of a lash, signed like q and q'
@@ -28,103 +30,143 @@ _SOUND = 1e-11  # of a projector: how little P P - P and P M - M P may be
 
 
 class Channels(NamedTuple):
-    """The channels of a driveline; K flows, V levels, L lashes, C channels, Z = N + I numbers in z."""
+    """The channels of D drivelines; K flows, V levels, L lashes, C channels, Z = N + I numbers in z.
 
-    lengths: FloatArray  # (K, V)  s, of a step
-    begins: FloatArray  # (K, V)  s into a stretch, from when on a level may be used; 0 for the first
-    steps: FloatArray  # (K, V, Z, Z)  exp(M h) for a step of length h, transposed
-    rates: FloatArray  # (K, V, Z, Z)  M h, without the modes that have died down, transposed
-    series: FloatArray  # (K, V, C, Z, TERMS)  coefficients by z, of powers of t/h
+    A level that a flow of a driveline does not have begins at infinity.
+    """
+
+    lengths: FloatArray  # (D, K, V)  s, of a step
+    begins: FloatArray  # (D, K, V)  s into a stretch, from when on a level may be used; 0 for the first
+    steps: FloatArray  # (D, K, V, Z, Z)  exp(M h) for a step of length h, transposed
+    rates: FloatArray  # (D, K, V, Z, Z)  M h, without the modes that have died down, transposed
+    series: FloatArray  # (D, K, V, C, Z, TERMS)  coefficients by z, of powers of t/h
     of_impacts: int  # whether primary impacts are measured too
     reductions: IntArray  # (C - OF_LASH L,)  of each measure
-    contact_stiffness: FloatArray  # (L,)  N m/rad
-    contact_damping: FloatArray  # (L,)  N m s/rad
-    mobility: FloatArray  # (L,)  1/(kg m2), of q: q'' of a unit torque across the open lash
+    contact_stiffness: FloatArray  # (D, L)  N m/rad
+    contact_damping: FloatArray  # (D, L)  N m s/rad
+    mobility: FloatArray  # (D, L)  1/(kg m2), of q: q'' of a unit torque across the open lash
+
+    def at(self, drivelines: npt.NDArray[np.intp] | list[int]) -> "Channels":
+        """Those of some drivelines."""
+        common = "of_impacts", "reductions"
+        return self._replace(**{name: getattr(self, name)[drivelines] for name in self._fields if name not in common})
 
 
-def tabulate(system: System, rows: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Lengths, begins, steps, rates and series of `Channels`.
+class Levels(NamedTuple):
+    """Those of some flows, F of them; see `Channels`."""
 
-    rows : (K, C, Z) float64, channel = row · z in each flow
+    lengths: FloatArray  # (F, V)
+    begins: FloatArray  # (F, V)
+    steps: FloatArray  # (F, V, Z, Z)
+    rates: FloatArray  # (F, V, Z, Z)
+    series: FloatArray  # (F, V, C, Z, TERMS)
+
+
+def tabulate(rates: FloatArray, inputs: FloatArray, channels: FloatArray, system: System) -> Levels:
+    """The levels of each flow of D drivelines, (D, K, V, …).
+
+    Parameters
+    ----------
+    rates, inputs : (D, K, N, N) and (D, K, N, I) float64
+        A and B of each flow.
+    channels : (D, K, C, Z) float64
+        Channel = row · z.
+    system : System
+        That is common to the drivelines but for these.
     """
-    flows = [
-        _levels(generator, channels, system) for generator, channels in zip(_generators(system), rows, strict=True)
-    ]
-    most = max(map(len, flows))
-    # levels that a flow does not have are never used
-    padded = [[*levels, *[levels[0]._replace(begin=np.inf)] * (most - len(levels))] for levels in flows]
-    lengths, begins, steps, rates, series = (
-        np.array([[level[k] for level in levels] for levels in padded]) for k in range(5)
-    )
-    return lengths, begins, steps, rates, series
+    *batch, size, driven = inputs.shape
+    generators = np.zeros((*batch, size + driven, size + driven))
+    generators[..., :size, :size], generators[..., :size, size:] = rates, inputs
+    generators[..., size + TORQUE, size + TORQUE_RATE] = system.ramps
+    flows, rows = (array.reshape(-1, *array.shape[-2:]) for array in (generators, channels))
+    levels = _levels(flows, rows, system.inertias, system.end_time)
+    return Levels._make(array.reshape(*batch, *array.shape[1:]) for array in levels)
 
 
-def _generators(system: System) -> FloatArray:
-    """(K, Z, Z) float64, M of each flow."""
-    flows, size, driven = system.inputs.shape
-    generators = np.zeros((flows, size + driven, size + driven))
-    generators[:, :size, :size], generators[:, :size, size:] = system.rates, system.inputs
-    generators[:, size + TORQUE, size + TORQUE_RATE] = system.ramps
-    return generators
-
-
-class _Level(NamedTuple):
-    """A level of a flow, as in `Channels`."""
-
-    length: float
-    begin: float
-    step: FloatArray
-    rates: FloatArray
-    series: FloatArray
-
-
-def _levels(generator: FloatArray, channels: FloatArray, system: System) -> list[_Level]:
-    """The levels of a flow, each with longer steps than the one before."""
-    n = system.inertias
+def _levels(generators: FloatArray, channels: FloatArray, n: int, end_time: float) -> Levels:
+    """The levels of flows, each with longer steps than the one before; (F, Z, Z) and (F, C, Z)."""
     # speeds in units in which they are of the size of the angles
-    unit = np.ones(len(generator))
-    unit[n : 2 * n] = np.sqrt(np.abs(generator[n : 2 * n, :n]).max(initial=0.0)) or 1.0
-    scaled = generator * unit / unit[:, None]
-    eigenvalues, right = np.linalg.eig(scaled)
-    others, left = np.linalg.eig(scaled.T)
-    sizes = np.abs(eigenvalues)
-    levels: list[_Level] = []
-    slowest, fastest = _STEP / system.end_time, float(sizes.max())
-    while True:
-        fast = sizes > fastest * (1.0 + 1e-6)
-        projector = np.eye(len(scaled))
-        decay = -float(eigenvalues.real[fast].max(initial=-np.inf))
-        if fast.any():
-            if not decay > 0.0:
-                break
-            columns, lines = right[:, fast], left[:, np.abs(others) > fastest * (1.0 + 1e-6)].T
-            projector = projector - (columns @ np.linalg.pinv(lines @ columns) @ lines).real
-        slow = scaled @ projector
-        wrong = [projector @ projector - projector, (projector @ scaled - slow) / max(float(sizes.max()), slowest)]
-        if not max(float(np.abs(part).max()) for part in wrong) <= _SOUND:
-            break
-        length = _STEP / max(fastest, slowest)
-        rates = (slow * length) * unit[:, None] / unit
-        terms = [channels @ (projector * unit[:, None] / unit)]
+    unit = np.ones(generators.shape[:2])
+    fastest = np.sqrt(np.abs(generators[:, n : 2 * n, :n]).max(axis=(1, 2), initial=0.0))
+    unit[:, n : 2 * n] = np.where(fastest > 0.0, fastest, 1.0)[:, None]
+    into, back = unit[:, None] / unit[..., None], unit[..., None] / unit[:, None]
+    scaled = generators * into
+    rates, right = _fastest_first(*np.linalg.eig(scaled))
+    others, left = _fastest_first(*np.linalg.eig(scaled.swapaxes(1, 2)))
+    sizes, slowest, levels = np.abs(rates), _STEP / end_time, list[Levels]()
+    fastest, going = sizes[:, 0], np.arange(len(sizes))
+    while going.size:
+        faster = fastest[:, None] * (1.0 + 1e-6)
+        fast = (sizes[going] > faster) & (np.abs(others[going]) > faster)
+        decay = -rates.real[going].max(axis=1, where=fast, initial=-np.inf)
+        projector = _without(fast, right[going], left[going])
+        slow = scaled[going] @ projector
+        wrong = np.abs(projector @ projector - projector).max(axis=(1, 2))
+        moved = np.abs(projector @ scaled[going] - slow).max(axis=(1, 2)) / np.maximum(sizes[going, 0], slowest)
+        sound = (decay > 0.0) & (wrong <= _SOUND) & (moved <= _SOUND)
+        going, fastest, decay, projector, slow = (each[sound] for each in (going, fastest, decay, projector, slow))
+
+        length = _STEP / np.maximum(fastest, slowest)
+        moving = (slow * length[:, None, None]) * back[going]
+        terms = [channels[going] @ (projector * back[going])]
         for k in range(1, TERMS):
-            terms.append(terms[-1] @ rates / k)
-        begin = _DIED_DOWN / decay if fast.any() else 0.0
-        levels.append(_Level(length, begin, _exponential(generator * length).T, rates.T, np.stack(terms, axis=2)))
-        slower = sizes[sizes <= fastest / 2.0]
-        if fastest <= slowest or not slower.size or not begin < system.end_time:
-            break
-        fastest = float(slower.max())
-    return levels
+            terms.append(terms[-1] @ moving / k)
+        begin = _DIED_DOWN / decay
+        steps = _exponential(generators[going] * length[:, None, None], sizes[going, 0] * length)
+        level = Levels(length, begin, steps.swapaxes(1, 2), moving.swapaxes(1, 2), np.stack(terms, axis=-1))
+        levels.append(_spread(level, going, levels[0]) if levels else level)
+
+        slower = np.where(sizes[going] <= fastest[:, None] / 2.0, sizes[going], -1.0).max(axis=1)
+        more = (fastest > slowest) & (slower >= 0.0) & (begin < end_time)
+        going, fastest = going[more], slower[more]
+    return Levels._make(np.stack(arrays, axis=1) for arrays in zip(*levels, strict=True))
 
 
-def _exponential(matrix: FloatArray) -> FloatArray:
-    """Matrix exponential, by the series of a part of the matrix that is squared again and again."""
-    halvings = max(0, int(np.ceil(np.log2(max(float(np.abs(np.linalg.eigvals(matrix)).max()), 1e-300)))) + 3)
-    part = matrix / 2.0**halvings
-    power = total = np.eye(len(matrix))
+def _fastest_first(rates: ComplexArray, vectors: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    order, rates, vectors = np.argsort(-np.abs(rates), axis=1, kind="stable"), rates + 0j, vectors + 0j
+    return np.take_along_axis(rates, order, axis=1), np.take_along_axis(vectors, order[:, None], axis=2)
+
+
+def _without(fast: npt.NDArray[np.bool_], right: ComplexArray, left: ComplexArray) -> FloatArray:
+    """Projectors along the fast modes, of which these are the right and, of the transpose, the left eigenvectors.
+
+    Not numbers where they can't be told apart.
+    """
+    identity = np.eye(fast.shape[1])
+    if not fast.any():
+        return np.broadcast_to(identity, right.shape).copy()
+    columns, lines = right * fast[:, None], (left * fast[:, None]).swapaxes(1, 2)
+    gram = lines @ columns + np.where(fast[:, None], 0.0, identity)
+    try:
+        across = np.linalg.solve(gram, lines)
+    except np.linalg.LinAlgError:
+        across = np.full_like(lines, np.nan)
+        for k in range(len(gram)):
+            with suppress(np.linalg.LinAlgError):
+                across[k] = np.linalg.solve(gram[k], lines[k])
+    return np.asarray(identity - (columns @ across).real)
+
+
+def _spread(level: Levels, flows: IntArray, first: Levels) -> Levels:
+    """The level of some flows among those of all; the others have their first one, which never begins."""
+    spread = Levels._make(array.copy() for array in first)
+    spread.begins[:] = np.inf
+    for array, some in zip(spread, level, strict=True):
+        array[flows] = some
+    return spread
+
+
+def _exponential(matrices: FloatArray, largest: FloatArray) -> FloatArray:
+    """Matrix exponentials, by the series of a part of each matrix that is squared again and again.
+
+    largest : (F,), of each matrix's eigenvalues by size
+    """
+    halvings = np.maximum(0, np.ceil(np.log2(np.maximum(largest, 1e-300))).astype(np.int64) + 3)
+    part = matrices * np.ldexp(1.0, -halvings)[:, None, None]
+    total = power = np.broadcast_to(np.eye(matrices.shape[-1]), matrices.shape)
     for k in range(1, TERMS):
         power = power @ part / k
         total = total + power
-    for _ in range(halvings):
-        total = total @ total
+    for k in range(halvings.max(initial=0)):
+        total = np.where((halvings > k)[:, None, None], total @ total, total)
     return np.asarray(total, np.float64)

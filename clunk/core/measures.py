@@ -67,8 +67,8 @@ class Room(NamedTuple):
 
 @compiled
 def make_room(system: System, channels: Channels) -> Room:
-    """Scratch for walks over runs of a driveline."""
-    size, count, lashes = channels.rates.shape[2], channels.series.shape[2], system.lashes.shape[0]
+    """Scratch for walks over runs of these drivelines."""
+    size, count, lashes = channels.rates.shape[3], channels.series.shape[3], system.lashes.shape[0]
     return Room(
         z=np.zeros(size),
         moved=np.zeros((2, size)),
@@ -85,6 +85,7 @@ def make_room(system: System, channels: Channels) -> Room:
 @compiled
 def measure_runs(
     system: System,
+    sticking_times: FloatArray,
     channels: Channels,
     cases: Cases,
     cells: npt.NDArray[np.void],
@@ -97,6 +98,8 @@ def measure_runs(
 
     Parameters
     ----------
+    system, sticking_times, channels
+        Of the drivelines of a batch: what they have in common, and what differs, (D, …).
     cases, cells, logs, states
         Of a tile, as `tile.Output`; in `logs` the times behind a run's events are NaN.
     totals : (cells, L, OF_IMPACTS + measures) float64
@@ -110,23 +113,29 @@ def measure_runs(
         for lash in range(lashes):
             impacts[lash] = cells[k, lash].primary_impacts
         if cells[k, 0].status == _OK:
-            written = 0
+            driveline, written = cases.drivelines[k % cases.drivelines.size], 0
             while written < logs.shape[1] and not np.isnan(logs[k, written].time):
                 written += 1
             for lash in range(lashes):
-                side, sticking_time = int(cells[k, lash].initial_side), system.sticking_time[lash]
+                side, sticking_time = int(cells[k, lash].initial_side), sticking_times[driveline, lash]
                 find_primaries(logs[k], written, lash, side, sticking_time, primaries[lash])
             load = cases.loads[k % cases.loads.shape[0]]
             run = Run(load, cases.before[k], logs[k], states[k], written, primaries, impacts)
-            measure(system, channels, run, room, totals[k], of_impacts[first : first + impacts.sum()])
+            measure(system, channels, driveline, run, room, totals[k], of_impacts[first : first + impacts.sum()])
         first += impacts.sum()
 
 
 @unowned
 def measure(
-    system: System, channels: Channels, run: Run, room: Room, totals: FloatArray, of_impacts: FloatArray
+    system: System,
+    channels: Channels,
+    driveline: int,
+    run: Run,
+    room: Room,
+    totals: FloatArray,
+    of_impacts: FloatArray,
 ) -> None:
-    """Measure a run.
+    """Measure a run of one of the drivelines.
 
     Parameters
     ----------
@@ -148,7 +157,7 @@ def measure(
         if channels.of_impacts != 0:
             _begin_impacts(run, room, k)
             if event.lash >= 0 and room.row[event.lash] >= 0:
-                _add_event(system, channels, run, k, x, of_impacts[room.row[event.lash]])
+                _add_event(system, channels, driveline, run, k, x, of_impacts[room.row[event.lash]])
         time, end = event.time, system.end_time
         if k + 1 < run.written:
             end = run.events[k + 1].time
@@ -162,7 +171,7 @@ def measure(
                 until = min(end, run.load[piece + 1, BEGIN])
             set_torque(system, run.load, piece, time, room.inputs)
             set_weighed(system, event.regime, room.inputs, room.z[size:])
-            _follow(system, channels, event.regime, until - time, room, of_impacts)
+            _follow(system, channels, driveline, event.regime, until - time, room, of_impacts)
             time = until
     first = 0
     for lash in range(lashes):
@@ -196,7 +205,9 @@ def _begin_impacts(run: Run, room: Room, k: int) -> None:
 
 
 @part
-def _add_event(system: System, channels: Channels, run: Run, k: int, x: FloatArray, values: FloatArray) -> None:
+def _add_event(
+    system: System, channels: Channels, driveline: int, run: Run, k: int, x: FloatArray, values: FloatArray
+) -> None:
     """Add to an impact's impulse and energy what event `k` passes on or takes at once."""
     event = run.events[k]
     if system.impulsive != 0:
@@ -204,46 +215,49 @@ def _add_event(system: System, channels: Channels, run: Run, k: int, x: FloatArr
             after = 0.0
             for j in range(x.size):
                 after += system.lashes[event.lash, j] * x[j]
-            values[IMPULSE] += abs(event.speed - after) / channels.mobility[event.lash]
-            values[ENERGY] += 0.5 * (event.speed**2 - after**2) / channels.mobility[event.lash]
+            values[IMPULSE] += abs(event.speed - after) / channels.mobility[driveline, event.lash]
+            values[ENERGY] += 0.5 * (event.speed**2 - after**2) / channels.mobility[driveline, event.lash]
         return
     if event.kind in (SEPARATION, REJOIN):
         overlap = -run.before[gap_input(event.lash)]
         for j in range(system.inertias):
             overlap += event.side * system.lashes[event.lash, system.inertias + j] * x[j]
-        stored = 0.5 * channels.contact_stiffness[event.lash] * overlap**2
+        stored = 0.5 * channels.contact_stiffness[driveline, event.lash] * overlap**2
         values[ENERGY] += stored if event.kind == SEPARATION else -stored
 
 
 @part
-def _follow(system: System, channels: Channels, regime: int, span: float, room: Room, of_impacts: FloatArray) -> None:
+def _follow(
+    system: System, channels: Channels, driveline: int, regime: int, span: float, room: Room, of_impacts: FloatArray
+) -> None:
     """Follow the flow of a regime from `room.z` over a time, within which neither regime nor piece of the load ends."""
     z, series, lashes = room.z, room.series, system.lashes.shape[0]
     flow, level, elapsed = system.regimes[regime].flow, 0, 0.0
+    begins, lengths = channels.begins[driveline, flow], channels.lengths[driveline, flow]
     while elapsed < span:
-        while level + 1 < channels.begins.shape[1] and channels.begins[flow, level + 1] <= elapsed:
+        while level + 1 < begins.size and begins[level + 1] <= elapsed:
             level += 1
-        length = channels.lengths[flow, level]
-        share = min((span - elapsed) / length, 1.0)
+        length = lengths[level]
+        rows, share = channels.series[driveline, flow, level], min((span - elapsed) / length, 1.0)
         for lash in range(lashes):
             contact, torque = system.contacts[regime, lash], OF_LASH * lash + CONTACT_TORQUE
             if contact.closed == 0 or room.row[lash] < 0:
                 continue
             values = of_impacts[room.row[lash]]
-            _expand(channels.series[flow, level, OF_LASH * lash + CLOSING], z, series)
+            _expand(rows[OF_LASH * lash + CLOSING], z, series)
             damped = length * integral_of_square(series, share, room.nodes)
-            values[ENERGY] += channels.contact_damping[lash] * damped
-            _expand(channels.series[flow, level, torque], z, series)
+            values[ENERGY] += channels.contact_damping[driveline, lash] * damped
+            _expand(rows[torque], z, series)
             values[IMPULSE] += contact.side * length * integral(series, share)
             room.low[torque], room.high[torque] = widened(series, share, room.low[torque], room.high[torque])
             values[PEAK_TORQUE] = room.high[torque] if contact.side > 0 else -room.low[torque]
         for c in range(OF_LASH * lashes, room.low.size):
-            _expand(channels.series[flow, level, c], z, series)
+            _expand(rows[c], z, series)
             room.low[c], room.high[c] = widened(series, share, room.low[c], room.high[c])
         if share < 1.0:
-            _move_within(channels.rates[flow, level], share, room)
+            _move_within(channels.rates[driveline, flow, level], share, room)
             break
-        _multiply(channels.steps[flow, level], z, room.moved[0])
+        _multiply(channels.steps[driveline, flow, level], z, room.moved[0])
         for j in range(z.size):
             z[j] = room.moved[0, j]
         elapsed += length

@@ -112,6 +112,11 @@ class Each(NamedTuple):
     sticking_time: FloatArray
 
 
+def alone(system: System) -> Each:
+    """What differs between drivelines, of one."""
+    return Each._make(getattr(system, name)[None] for name in Each._fields)
+
+
 gap_input = unowned_inlined(half_gap_of)
 
 

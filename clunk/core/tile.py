@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core import switching
+from clunk.core.channels import Channels
 from clunk.core.events import EVENT, STAGE, TOUCH
 from clunk.core.exact import run as exact
 from clunk.core.exact.flows import Flows
@@ -13,7 +14,7 @@ from clunk.core.exact.workspace import UNDER_WAY, make_workspace, system_at, sys
 from clunk.core.jit import allocating_part, compiled, part
 from clunk.core.lanes.vectors import WIDTH
 from clunk.core.references import keep_alive, refer
-from clunk.core.regimes import Each, System, lashes_of
+from clunk.core.regimes import Each, System, alone, lashes_of
 from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import Steps
 from clunk.core.runs import Log, Outcome, Start
@@ -118,6 +119,7 @@ class Batch(NamedTuple):
     system: System  # of the first
     each: Each  # what differs, with an axis of D in front
     tables: Steps | Flows  # of one driveline; or with an axis of D in front
+    channels: Channels | None = None  # what is measured, if anything is
 
     def of(self, driveline: int) -> tuple[System, Steps | Flows]:
         """The system and the tables of one driveline."""
@@ -129,13 +131,17 @@ class Batch(NamedTuple):
 
     def only(self, driveline: int) -> "Batch":
         """The batch of one of the drivelines."""
-        return self if len(self.each.rates) == 1 else batch_of(*self.of(driveline))
+        if len(self.each.rates) == 1:
+            return self
+        channels = None if self.channels is None else self.channels.at([driveline])
+        return batch_of(*self.of(driveline), channels)
 
 
-def batch_of(system: System, tables: Steps | Flows) -> Batch:
+def batch_of(system: System, tables: Steps | Flows, channels: Channels | None = None) -> Batch:
     """A batch of one driveline."""
-    each = Each._make(getattr(system, name)[None] for name in Each._fields)
-    return Batch(system, each, Flows._make(table[None] for table in tables) if isinstance(tables, Flows) else tables)
+    if isinstance(tables, Flows):
+        tables = Flows._make(table[None] for table in tables)
+    return Batch(system, alone(system), tables, channels)
 
 
 def run(system: System, tables: Steps | Flows, start: Start, log: Log, stop: npt.NDArray[np.uint8]) -> Outcome:
@@ -183,7 +189,7 @@ def run_tile(
     done, written : int
         The first cell that was not run, and how many impacts were written.
     """
-    system, each, tables = batch
+    system, each, tables, _ = batch
     if isinstance(tables, Flows):
         done, written = by_exact(system, each, tables, undecided, cases, first, max_events, output, stop)
     else:

@@ -6,11 +6,13 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from clunk.core.channels import Channels
 from clunk.core.exact.flows import Flows
-from clunk.core.regimes import Each
+from clunk.core.regimes import Each, System
 from clunk.core.tile import Batch, batch_of
 from clunk.simulation import driveline
 from clunk.simulation.driveline import Driveline
+from clunk.simulation.measures import channels_of
 from clunk.study.document import Place
 from clunk.study.parameters import located
 from clunk.study.study import Study, refuse_points, replace_values
@@ -19,6 +21,21 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 
 MOST = 512  # drivelines of a batch: 14 MB of tables, and of each the share in 5 ms of interpreting is small
+_MEASURED = 128  # of those whose channels are tabulated, which take some 100 KB each
+
+
+def prepare_one(study: Study) -> Batch:
+    """The switched linear system of a study, the tables of its method, and the channels of its measures, if any."""
+    return _prepared(study, Driveline.from_study(study))
+
+
+def _prepared(study: Study, line: Driveline) -> Batch:
+    alone = batch_of(*driveline.prepare(study, line))
+    return alone._replace(channels=_channels(study, line, alone.system, alone.each))
+
+
+def _channels(study: Study, line: Driveline, system: System, each: Each) -> Channels | None:
+    return channels_of(study, line, system, each) if study.measured else None
 
 
 def prepare_many(study: Study, parameters: Sequence[str], values: FloatArray) -> Iterator[tuple[IntArray, Batch]]:
@@ -49,8 +66,9 @@ def prepare_many(study: Study, parameters: Sequence[str], values: FloatArray) ->
     for kind in range(kind_of.max(initial=-1) + 1):
         alike = np.flatnonzero(kind_of.ravel() == kind)
         first = replace_values(study, dict(zip(parameters, values[alike[0]].tolist(), strict=True)))
-        for begin in range(0, alike.size, MOST):
-            part = alike[begin : begin + MOST]
+        most = _MEASURED if study.measured else MOST
+        for begin in range(0, alike.size, most):
+            part = alike[begin : begin + most]
             sizes = {place: values[part, k] for k, place in enumerate(places) if varied[k]}
             yield from ((part[some], batch) for some, batch in _prepare_alike(first, sizes, part.size))
 
@@ -68,23 +86,25 @@ def _prepare_alike(study: Study, sizes: dict[Place, FloatArray], count: int) -> 
     lines = _with_sizes(study, line, sizes, count)
     if study.solver.method != "exact" or line.staged or line.frictions:
         for k in range(count):
-            yield np.array([k]), batch_of(*driveline.prepare(study, lines.of_batch(k)))
+            yield np.array([k]), _prepared(study, lines.of_batch(k))
         return
     system, flows = driveline.prepare(study, lines)
     assert isinstance(flows, Flows)
     each = Each._make(getattr(system, name) for name in Each._fields)
     first = system._replace(**{name: array[0] for name, array in zip(Each._fields, each, strict=True)})
+    channels = _channels(study, lines, first, each)
     # what a step asks of a flow as a whole
     shapes = np.concatenate([flows.modal, flows.oscillating, flows.steady, flows.rolls], axis=1)
     _, shape_of = np.unique(shapes, axis=0, return_inverse=True)
     if not shape_of.any():
-        yield np.arange(count), Batch(first, each, flows)
+        yield np.arange(count), Batch(first, each, flows, channels)
         return
     for shape in range(shape_of.max() + 1):
         some = np.flatnonzero(shape_of.ravel() == shape)
         of_some = Each._make(array[some] for array in each)
         alike = first._replace(**{name: array[0] for name, array in zip(Each._fields, of_some, strict=True)})
-        yield some, Batch(alike, of_some, Flows._make(table[some] for table in flows))
+        tables = Flows._make(table[some] for table in flows)
+        yield some, Batch(alike, of_some, tables, None if channels is None else channels.at(some))
 
 
 def _with_sizes(study: Study, line: Driveline, sizes: dict[Place, FloatArray], count: int) -> Driveline:

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.events import STAGE, TOUCH
-from clunk.core.regimes import System
+from clunk.core.regimes import System, alone
 from clunk.core.status import Status
 from clunk.core.tables import TORQUE
 from clunk.simulation.driveline import Driveline, build, steady_driveline
@@ -245,7 +245,7 @@ def sample(
             rows, regime = under & (regime_of == number), motion.regimes(0)[number]
             driven = system.weights[number] * np.concatenate([inputs, np.ones(system.weights.shape[1] - inputs.size)])
             for lash in np.flatnonzero(regime.closed).tolist():
-                across = torque_across(line, system, system.regimes[number]["flow"], lash)
+                across = torque_across(line, system, alone(system), system.regimes[number]["flow"], lash)[0]
                 by_state, by_inputs = np.split(across, [state.shape[1]])
                 contact_torques[rows, lash] = apply(by_state[None], state[rows])[:, 0] + by_inputs @ driven
             if piece >= 0:

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from clunk.core.channels import CLOSING, CONTACT_TORQUE, LARGEST, OF_LASH, PEAK_TO_PEAK, Channels, tabulate
 from clunk.core.measures import Run, make_room, measure
-from clunk.core.regimes import System
+from clunk.core.regimes import Each, System, alone
 from clunk.core.sequence import find_primaries
 from clunk.core.tables import FORCE, HOLDING, OF_FRICTION, FlowOf, flows_of, half_gap_of
 from clunk.simulation.driveline import Driveline, build
@@ -31,88 +31,107 @@ class Measures(NamedTuple):
     of_impacts: dict[str, FloatArray]
 
 
-def channels_of(study: Study, system: System, *, of_impacts: bool | None = None) -> Channels:
+def channels_of(
+    study: Study, line: Driveline, system: System, each: Each, *, of_impacts: bool | None = None
+) -> Channels:
     """The channels of a study's measures.
 
-    of_impacts : whether primary impacts are measured too; by default if the config says so
+    Parameters
+    ----------
+    line : Driveline
+        Of the study, or a batch of D that have other numbers.
+    system, each
+        Of them, as in `clunk.core.tile.Batch`.
+    of_impacts : bool, optional
+        Whether primary impacts are measured too; by default if the config says so.
     """
-    line, measures, parts = Driveline.from_study(study), study.measures, parts_of(study)
+    measures, parts = study.measures, parts_of(study)
     n, lashes = system.inertias, len(line.lashes)
-    _, size, driven = system.inputs.shape
+    count, _, size, driven = each.inputs.shape
     flows = flows_of(lashes, [shaft for _, shaft in line.staged], len(line.frictions))
-    rows = np.zeros((len(flows), OF_LASH * lashes + len(measures), size + driven))
+    rows = np.zeros((count, len(flows), OF_LASH * lashes + len(measures), size + driven))
     for flow, active in enumerate(flows):
-        for lash, row in enumerate(line.lashes):
-            of_lash = rows[flow, OF_LASH * lash :]
+        for lash, twist in enumerate(line.lashes):
+            of_lash = rows[:, flow, OF_LASH * lash :]
             if active.closed[lash]:
-                of_lash[CONTACT_TORQUE] = torque_across(line, system, flow, lash)
-            of_lash[CLOSING, n : 2 * n] = row
-        for row, each, part in zip(rows[flow, OF_LASH * lashes :], measures, parts, strict=True):
-            row[:] = _row(each, part, active, line, system, flow, rows[flow])
-    lengths, begins, steps, rates, series = tabulate(system, rows)
+                of_lash[:, CONTACT_TORQUE] = torque_across(line, system, each, flow, lash)
+            of_lash[:, CLOSING, n : 2 * n] = twist
+        for m, (quantity, part) in enumerate(zip(measures, parts, strict=True)):
+            row = _row(quantity, part, active, line, system, each, flow, rows[:, flow])
+            rows[:, flow, OF_LASH * lashes + m] = row
+    levels = tabulate(each.rates, each.inputs, rows, system)
     pressed = 0.0 if system.impulsive else 1.0
     return Channels(
-        lengths,
-        begins,
-        steps,
-        rates,
-        series,
+        *levels,
         of_impacts=int(bool(study.impacts.quantities) if of_impacts is None else of_impacts),
         reductions=np.array([{"peak-to-peak": PEAK_TO_PEAK}.get(each.reduce, LARGEST) for each in measures], np.int64),
-        contact_stiffness=pressed * line.contact_stiffnesses,
-        contact_damping=pressed * line.contact_dampings,
-        mobility=np.sum(line.lashes**2 / line.inertia, axis=1),
+        contact_stiffness=pressed * np.atleast_2d(line.contact_stiffnesses),
+        contact_damping=pressed * np.atleast_2d(line.contact_dampings),
+        mobility=np.sum(line.lashes**2 / np.atleast_2d(line.inertia)[:, None], axis=-1),
     )
 
 
-def torque_across(line: Driveline, system: System, flow: int, lash: int) -> FloatArray:
-    """The torque across a lash, closed in a flow, by state and inputs, signed like q."""
+def torque_across(line: Driveline, system: System, each: Each, flow: int, lash: int) -> FloatArray:
+    """(D, Z) the torque across a lash, closed in a flow, by state and inputs, signed like q."""
     if system.impulsive:
         force = lash * system.functionals_per_lash + FORCE
-        return np.concatenate([system.functionals[flow, force], system.feedthrough[flow, force]])
-    n, row, stiffness = system.inertias, np.zeros(sum(system.inputs.shape[1:])), line.contact_stiffnesses[lash]
-    row[:n], row[n : 2 * n] = stiffness * line.lashes[lash], line.contact_dampings[lash] * line.lashes[lash]
-    row[system.rates.shape[1] + half_gap_of(lash)] = -stiffness
+        return _read(each, flow, force)
+    n, (count, _, size, driven) = system.inertias, each.inputs.shape
+    row, stiffness, damping = np.zeros((count, size + driven)), line.contact_stiffnesses, line.contact_dampings
+    row[:, :n] = stiffness[..., lash, None] * line.lashes[lash]
+    row[:, n : 2 * n] = damping[..., lash, None] * line.lashes[lash]
+    row[:, size + half_gap_of(lash)] = -stiffness[..., lash]
     return row
 
 
+def _read(each: Each, flow: int, functional: int) -> FloatArray:
+    """(D, Z) a functional of a flow, by state and inputs."""
+    return np.concatenate([each.functionals[:, flow, functional], each.feedthrough[:, flow, functional]], axis=-1)
+
+
 def _row(
-    measure: Measure, part: Part, active: FlowOf, line: Driveline, system: System, flow: int, channels: FloatArray
+    measure: Measure,
+    part: Part,
+    active: FlowOf,
+    line: Driveline,
+    system: System,
+    each: Each,
+    flow: int,
+    channels: FloatArray,
 ) -> FloatArray:
-    """What a measure is of, by state and inputs in a flow whose first channels are those of the lashes."""
-    n, size, k = system.inertias, system.rates.shape[1], part.number
+    """(D, Z) what a measure is of, by state and inputs in a flow whose first channels are those of the lashes."""
+    n, k, (count, _, size, driven) = system.inertias, part.number, each.inputs.shape
     if measure.quantity == "acceleration":
-        return np.concatenate([system.rates[flow, n + k], system.inputs[flow, n + k]])
+        return np.concatenate([each.rates[:, flow, n + k], each.inputs[:, flow, n + k]], axis=-1)
     if measure.quantity == "contact torque":
-        torque: FloatArray = channels[OF_LASH * k + CONTACT_TORQUE]
+        torque: FloatArray = channels[:, OF_LASH * k + CONTACT_TORQUE]
         return torque
-    row, twist = np.zeros(channels.shape[1]), line.lashes[k] if part.element == "lash" else line.shafts[k]
+    row, twist = np.zeros((count, size + driven)), line.lashes[k] if part.element == "lash" else line.shafts[k]
     if measure.quantity == "twist":
-        row[:n] = twist
+        row[:, :n] = twist
         return row
     stage = line.in_stages(active.stages)
-    row[:n], row[n : 2 * n] = stage.shaft_stiffness[k] * twist, stage.shaft_damping[k] * twist
+    row[:, :n] = stage.shaft_stiffness[..., k, None] * twist
+    row[:, n : 2 * n] = stage.shaft_damping[..., k, None] * twist
     staged = [shaft for shaft, _ in line.staged]
     if k in staged:
-        row[size + half_gap_of(len(line.lashes)) + staged.index(k)] = 1.0  # behind the half gaps
-    torque, holding = (
-        shape[-1] - OF_FRICTION * len(active.stuck) for shape in (row.shape, system.functionals.shape[:2])
-    )
+        row[:, size + half_gap_of(len(line.lashes)) + staged.index(k)] = 1.0  # behind the half gaps
+    behind = OF_FRICTION * len(active.stuck)
+    torque_at, holding = row.shape[-1] - behind, each.functionals.shape[-2] - behind
     for (friction, shares), sticks in zip(line.frictions, active.stuck, strict=True):
         share = shares[k] * np.sign(twist @ friction.twist)
         if sticks:
-            at = flow, holding + HOLDING
-            row += share * np.concatenate([system.functionals[at], system.feedthrough[at]])
+            row += share * _read(each, flow, holding + HOLDING)
         else:
-            row[torque] += share
-        torque, holding = torque + OF_FRICTION, holding + OF_FRICTION
+            row[:, torque_at] += share
+        torque_at, holding = torque_at + OF_FRICTION, holding + OF_FRICTION
     return row
 
 
 def measured(trajectory: Trajectory) -> Measures:
     """Measures of one run: of the primary impacts of its lash, and those of its config."""
     study, system, phases = trajectory.study, build(trajectory.study, waves=True), trajectory.phases
-    channels = channels_of(study, system, of_impacts=True)
+    channels = channels_of(study, Driveline.from_study(study), system, alone(system), of_impacts=True)
     before, load = run_load(study)
     lashes = len(study.lashes)
     primaries, impacts = np.zeros((lashes, phases.size), np.int64), np.zeros(lashes, np.int64)
@@ -120,7 +139,7 @@ def measured(trajectory: Trajectory) -> Measures:
         impacts[lash] = find_primaries(phases, phases.size, lash, side, float(sticking_time), primaries[lash])
     run = Run(load, before, phases, trajectory.phase_states, phases.size, primaries, impacts)
     totals, of_impacts = np.zeros((lashes, len(NAMES) + len(study.measures))), np.zeros((impacts.sum(), len(NAMES)))
-    measure(system, channels, run, make_room(system, channels), totals, of_impacts)
+    measure(system, channels, 0, run, make_room(system, channels), totals, of_impacts)
     names, part = (*NAMES, *(each.name for each in study.measures)), np.cumsum(impacts)[:-1]
     of_lash = np.split(of_impacts, part)[trajectory.lash]
     return Measures(

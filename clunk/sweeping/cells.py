@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core import tile as kernel
-from clunk.core.channels import Channels
 from clunk.core.events import EVENT
 from clunk.core.exact.flows import Flows
 from clunk.core.measures import OF_IMPACTS, measure_runs
@@ -21,9 +20,8 @@ from clunk.core.regimes import System
 from clunk.core.rk4.propagator import Steps
 from clunk.core.switching import MOST_STAGES
 from clunk.simulation import driveline
-from clunk.simulation.batches import prepare_many
+from clunk.simulation.batches import prepare_many, prepare_one
 from clunk.simulation.load import loads_of
-from clunk.simulation.measures import channels_of
 from clunk.study.designs import Cells, Design, FloatArray, design_of
 from clunk.study.document import dotted
 from clunk.study.measures import OF_IMPACTS as IMPACT_MEASURES
@@ -42,6 +40,7 @@ _BACKLASH = re.compile(r"lash(\[\d+\])?\.backlash_deg")
 _RATES = {"smooth": "load.duration", "lag": "load.time_constant", "sine": "load.frequency"}  # how fast a wave swings
 _NOMINAL: _Key = (), ()
 KEPT_SYSTEMS = 4096  # about 30 KB each
+_KEPT_MEASURED = 256  # some 100 KB more each
 _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
 _COMPILING = {"rk4": (25, 30), "exact": (60, 70)}  # s, for one lash and nothing else, and in general
 _KERNELS: dict[str, Any] = {"rk4": kernel.by_rk4, "exact": kernel.by_exact}
@@ -65,26 +64,29 @@ class Systems:
     shared : those without other values than the study's, where they are known already
     """
 
-    def __init__(self, study: Study, shared: Prepared | None = None) -> None:
+    def __init__(self, study: Study, shared: kernel.Batch | None = None) -> None:
         self._study = study
+        self._most = _KEPT_MEASURED if study.measured else KEPT_SYSTEMS
         self._kept: OrderedDict[_Key, tuple[kernel.Batch, int]] = OrderedDict()
         if shared is not None:
-            self._kept[_NOMINAL] = kernel.batch_of(*shared), 0
-        self._channels: Channels | None = None  # without other values
+            self._kept[_NOMINAL] = shared, 0
         self._lock = threading.Lock()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self._study, self.prepared({}) if _NOMINAL in self._kept else None)
+        return type(self), (self._study, self._alone({}) if _NOMINAL in self._kept else None)
 
     def prepared(self, values: Mapping[str, float]) -> Prepared:
         """The system and tables with these values of structural parameters."""
+        return self._alone(values).of(0)
+
+    def _alone(self, values: Mapping[str, float]) -> kernel.Batch:
         key = tuple(values), tuple(values.values())
         with self._lock:
             if (kept := self._kept.get(key)) is not None:
-                return kept[0].of(kept[1])
-        prepared = driveline.prepare(replace_values(self._study, values) if values else self._study)
-        self._keep({key: (kernel.batch_of(*prepared), 0)})
-        return prepared
+                return kept[0].only(kept[1])
+        batch = prepare_one(replace_values(self._study, values) if values else self._study)
+        self._keep({key: (batch, 0)})
+        return batch
 
     def batches(self, parameters: tuple[str, ...], points: FloatArray) -> Iterator[tuple[kernel.Batch, Cells]]:
         """The drivelines at some values of structural parameters, which are prepared many at a time.
@@ -100,7 +102,7 @@ class Systems:
             known = {key: self._kept[key] for key in keys if key in self._kept}
         missing = [key for key in keys if key not in known]
         if len(missing) == 1:  # also without any values
-            known[missing[0]] = kernel.batch_of(*self.prepared(dict(zip(*missing[0], strict=True)))), 0
+            known[missing[0]] = self._alone(dict(zip(*missing[0], strict=True))), 0
             missing = []
         self._keep(known)
         members: dict[int, tuple[kernel.Batch, Cells]] = {}
@@ -121,19 +123,8 @@ class Systems:
             for key, each in drivelines.items():
                 self._kept[key] = each
                 self._kept.move_to_end(key)
-            while len(self._kept) > KEPT_SYSTEMS:
+            while len(self._kept) > self._most:
                 self._kept.popitem(last=False)
-
-    def channels(self, values: Mapping[str, float], system: System) -> Channels:
-        """The channels of the study's measures with these values of structural parameters, whose system this is."""
-        with self._lock:
-            if not values and self._channels is not None:
-                return self._channels
-        study = replace_values(self._study, values) if values else self._study
-        channels = channels_of(study, system)
-        if not values:
-            self._channels = channels
-        return channels
 
 
 class Grid:
@@ -190,8 +181,8 @@ class Grid:
     def run(self, cells: Cells, stop: Flag) -> Tile:
         """Run cells; the tile has those that were done before `stop` was set."""
         cases = self.cases(self.design.at(cells), cells.size)
-        run_all = self._measured_runs if self.study.measured else self._runs
-        done, records, details = self._in_order(run_all(self.structural, *self.points(cells), cases, stop), self.layout)
+        runs = self._runs(self.structural, *self.points(cells), cases, stop, self.study.measured)
+        done, records, details = self._in_order(runs, self.layout)
         return Tile(cells[done], records, details)
 
     def run_cases(
@@ -226,38 +217,35 @@ class Grid:
         return positions[first], records[layout.rows(first)], details[in_order]
 
     def _runs(
-        self, parameters: tuple[str, ...], points: FloatArray, point_of: Cells, cases: kernel.Cases, stop: Flag
+        self,
+        parameters: tuple[str, ...],
+        points: FloatArray,
+        point_of: Cells,
+        cases: kernel.Cases,
+        stop: Flag,
+        measured: bool = False,
     ) -> Iterator[Runs]:
-        """Runs of one batch of drivelines after the other."""
+        """Runs of one batch of drivelines after the other; with the measures of the study, or without."""
         buffer = self.impact_buffer(point_of.size)
-        for batch, positions, part in self._by_batches(parameters, points, point_of, cases, _APART):
+        for batch, positions, part in self._by_batches(parameters, points, point_of, cases):
             if stop[0]:
                 return
-            output = kernel.Output(self._cells(positions.size), buffer, _NO_LOGS, _NO_STATES)
-            yield positions, *self._run(batch, part, output, stop)
-
-    def _measured_runs(
-        self, parameters: tuple[str, ...], points: FloatArray, point_of: Cells, cases: kernel.Cases, stop: Flag
-    ) -> Iterator[Runs]:
-        """`_runs` with the measures of the study: records and impacts as the grid's layout has them."""
-        buffer = self.impact_buffer(point_of.size)
-        for batch, positions, part in self._by_batches(parameters, points, point_of, cases, 0):
-            if stop[0]:
-                return
-            values = points[point_of[positions[0]]].tolist()
-            channels = self.systems.channels(dict(zip(parameters, values, strict=True)), batch.system)
-            yield positions, *self._measured(batch, channels, part, buffer, stop)
+            if measured:
+                yield positions, *self._measured(batch, part, buffer, stop)
+            else:
+                output = kernel.Output(self._cells(positions.size), buffer, _NO_LOGS, _NO_STATES)
+                yield positions, *self._run(batch, part, output, stop)
 
     def _by_batches(
-        self, parameters: tuple[str, ...], points: FloatArray, point_of: Cells, cases: kernel.Cases, apart: int
+        self, parameters: tuple[str, ...], points: FloatArray, point_of: Cells, cases: kernel.Cases
     ) -> Iterator[tuple[kernel.Batch, Cells, kernel.Cases]]:
-        """Cut runs by the batches of their drivelines, and by drivelines where each has `apart` runs or more."""
+        """Cut runs by the batches of their drivelines, and by drivelines where each has many."""
         for batch, numbers in self.systems.batches(parameters, points):
             of_runs = numbers[point_of]
             positions = np.flatnonzero(of_runs >= 0)
             drivelines = of_runs[positions]
             used = np.unique(drivelines)
-            if used.size > 1 and positions.size < apart * used.size:
+            if used.size > 1 and positions.size < _APART * used.size:
                 yield batch, positions, cases.at(positions)._replace(drivelines=drivelines)
                 continue
             for each in used.tolist():
@@ -271,7 +259,7 @@ class Grid:
         logs = np.zeros((cells.size, self.study.solver.max_events + 1), EVENT)
         logs["time"] = np.nan
         points, point_of = self.points(cells)
-        for batch, positions, part in self._by_batches(self.structural, points, point_of, cases, _APART):
+        for batch, positions, part in self._by_batches(self.structural, points, point_of, cases):
             events = logs[positions]
             output = kernel.Output(self._cells(positions.size), buffer, events, _NO_STATES)
             rows, _ = self._run(batch, part, output, np.zeros(1, np.uint8))
@@ -283,10 +271,11 @@ class Grid:
         return np.zeros(8 * runs + self.study.solver.max_events, IMPACT)
 
     def _measured(
-        self, batch: kernel.Batch, channels: Channels, cases: kernel.Cases, buffer: Records, stop: Flag
+        self, batch: kernel.Batch, cases: kernel.Cases, buffer: Records, stop: Flag
     ) -> tuple[Records, list[Records]]:
-        """Records and impacts of runs of one driveline, with measures."""
-        system = batch.system
+        """Records and impacts of runs with measures, as the grid's layout has them."""
+        system, channels = batch.system, batch.channels
+        assert channels is not None
         has_stages = system.regimes.size > system.regime_strides[len(system.lashes)]
         capacity = (self.study.solver.max_events + 1) * (MOST_STAGES if has_stages else 1)
         runs, size = len(cases.before), system.rates.shape[1]
@@ -301,7 +290,7 @@ class Grid:
             cells, details = rows.reshape(-1, self.layout.lashes), np.concatenate([buffer[:0], *pieces])
             totals = np.full((*cells.shape, OF_IMPACTS + len(self.study.measures)), np.nan)
             of_impacts = np.full((details.size, OF_IMPACTS), np.nan)
-            measure_runs(system, channels, part, cells, logs, states, totals, of_impacts)
+            measure_runs(system, batch.each.sticking_time, channels, part, cells, logs, states, totals, of_impacts)
             names = self.study.impacts.quantities
             columns = [*(IMPACT_MEASURES.index(name) for name in names), *range(OF_IMPACTS, totals.shape[2])]
             records.append(_joined(rows, self.layout.record, totals[..., columns].reshape(rows.size, -1)))
