@@ -429,6 +429,15 @@ def test_a_step_that_is_too_coarse_for_the_contact_is_warned_of(clunk):
     assert "39.5 steps a period" in out
 
 
+def test_shafts_that_replace_those_of_a_preset_are_warned_of(clunk, here):
+    (here / "car.toml").write_text(
+        '[driveline]\npreset = "car"\n[[driveline.shafts]]\nbetween = [4, 5]\nstiffness = 1e4\ndamping = 9.0\n'
+    )
+    _, out, err = clunk("modes", "car.toml")
+    assert err.startswith("warning: the file's one [[driveline.shafts]] replaces all 6 shafts of preset")
+    assert "warning" not in out
+
+
 def test_modes_names_what_each_mode_moves(clunk):
     _, out, _ = clunk("modes", ROOT / "configs/nominal.toml")
     assert "shuffle: motor 94 %" in out

@@ -24,6 +24,7 @@ from clunk.cli import cli
 from clunk.study.config import load_study, study_from_text
 from clunk.study.designs import design_of, design_of_points
 from clunk.study.document import KeyLines, dotted, parse_place
+from clunk.study.errors import ClunkWarning
 from clunk.study.fits import Fit
 from clunk.study.keys import PRESETS, json_schema
 from clunk.study.loads import Load
@@ -172,6 +173,58 @@ def test_contact_models_are_accepted(model):
 def test_torques_may_be_set_on_the_command_line():
     load = study_from_text(PRESET, overrides=["load.initial_torque=-6.0", "load.final_torque=0"]).load
     assert (load.initial_torque, load.final_torque, load.ratio) == (-6.0, 0.0, None)
+
+
+IN_MM = ONE_RUN.replace("backlash_deg = 6.0", "gap_mm = 8.0")
+PER_DEGREE = ONE_RUN.replace("stiffness = 31.3", "stiffness_per_deg = 0.5", 1)
+BY_STEP = ONE_RUN.replace("static_torque = -1.0\nratio = 5.0", "initial_torque = -6.0\nfinal_torque = -1.0")
+BY_TABLE = ONE_RUN.replace("static_torque = -1.0\nratio = 5.0", "times = [0, 1]\ntorques = [-6, -1]")
+BY_TABLE = BY_TABLE.replace("tip-out", "table")
+
+
+@pytest.mark.parametrize(
+    ("text", "overrides", "same"),
+    [
+        (ONE_RUN, ["lash.gap_mm=8.0"], IN_MM),
+        (IN_MM, ["lash.backlash_deg=6.0"], ONE_RUN),
+        (ONE_RUN, ["driveline.shafts[1].stiffness_per_deg=0.5"], PER_DEGREE),
+        (PER_DEGREE, ["driveline.shafts[1].stiffness=31.3"], ONE_RUN),
+        (BY_STEP, ["load.ratio=5.0", "load.static_torque=-1.0"], ONE_RUN),
+        (ONE_RUN, ["load.final_torque=-1.0", "load.initial_torque=-6.0"], BY_STEP),
+        (ONE_RUN, ["load.profile=table", "load.times=[0, 1]", "load.torques=[-6, -1]"], BY_TABLE),
+        (
+            WHOLE,
+            ["sweep.axes[1].values=[0.0, 5.0]"],
+            WHOLE.replace("start = 0.0\nstop = 10.0\ncount = 11", "values = [0.0, 5.0]"),
+        ),
+        (
+            WHOLE,
+            ["sweep.axes[2].start=1", "sweep.axes[2].stop=5", "sweep.axes[2].count=9"],
+            WHOLE.replace("values = [1.0, 2.0, 5.0]", "start = 1\nstop = 5\ncount = 9"),
+        ),
+    ],
+)
+def test_a_key_that_is_set_replaces_those_that_may_be_given_instead_of_it(text, overrides, same):
+    assert study_from_text(text, overrides=overrides) == study_from_text(same)
+
+
+def test_an_axis_sweeps_a_gap_that_is_given_in_another_unit():
+    study = study_from_text(WHOLE.replace("backlash_deg = 6.0", "gap_mm = 8.0"))
+    assert study.lash.backlash_deg == study_from_text(IN_MM).lash.backlash_deg
+    assert "sweep.axes[2] sweeps lash.backlash_deg" in str(errors_of(WHOLE, "lash.gap_mm=8.0"))
+
+
+def test_keys_that_are_set_beside_each_other_are_refused():
+    assert "given together" in str(errors_of(ONE_RUN, "lash.gap_mm=8.0", "lash.backlash_deg=6.0"))
+    assert "given together" in str(errors_of(ONE_RUN, "load.ratio=3.0", "load.initial_torque=6.0"))
+
+
+def test_shafts_that_replace_more_of_a_preset_are_warned_of():
+    shaft = "[[driveline.shafts]]\nbetween = [1, 2]\nstiffness = 30.0\ndamping = 0.1\n"
+    with pytest.warns(ClunkWarning, match=r"one \[\[driveline\.shafts\]\] replaces all 4 shafts of preset"):
+        study_from_text(PRESET + shaft)
+    study_from_text(PRESET + 4 * shaft)  # a driveline that is spelled out
+    study_from_text(PRESET + "inertias = [1.0, 1.0, 1.0, 1.0]\n" + shaft)
 
 
 def test_names_become_numbers():
@@ -666,7 +719,7 @@ def test_plain_word_needs_no_quotes():
         ("driveline.inertias[rign]=1", "driveline.inertias[rign]", "no inertia has this name"),
         ("driveline.shafts.damping=1", "driveline.shafts.damping", "is a list"),
         ("title.x=1", "title.x", "title is no table"),
-        ("lash.backlash_deg=7", "lash.backlash_deg", "sweep.axes[2] sweeps this key"),
+        ("lash.backlash_deg=7", "lash.backlash_deg", "sweep.axes[2] sweeps lash.backlash_deg"),
         ("sweep.axes[1].count=-1", "sweep.axes[1].count", "from 1"),
         ("sweep.axes[2].values=[500.0]", "sweep.axes[2].values[1]", "from 0 to 360"),
         ("driveline.preset=boere", "driveline.preset", "boere-2008"),

@@ -10,15 +10,16 @@ import io
 import os
 import signal
 import sys
+import warnings
 from importlib import import_module
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import click
 
 from clunk import __version__
 from clunk.cli import terminal
 from clunk.cli.options import EXIT_INTERNAL, EXIT_INTERRUPTED, EXIT_TERMINATED, EXIT_USAGE
-from clunk.study.errors import ClunkError
+from clunk.study.errors import ClunkError, ClunkWarning
 
 _COMMANDS = (
     *("sweep", "plot", "explore", "simulate", "modes", "info", "report", "export", "init", "help", "completion"),
@@ -44,6 +45,8 @@ class _Commands(click.Group):
 def main() -> NoReturn:
     """Entry point: runs the command and turns what a user can cause into one message and an exit code."""
     signal.signal(signal.SIGTERM, _terminate)
+    warnings.simplefilter("default", ClunkWarning)
+    warnings.showwarning = _warn
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without σ shows a ? instead of a traceback
@@ -68,6 +71,14 @@ def main() -> NoReturn:
         terminal.complain(str(error))
         sys.exit(EXIT_USAGE)
     sys.exit(0)
+
+
+def _warn(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+    """Print a warning: clunk's own in its words, others with where they come from."""
+    if issubclass(category, ClunkWarning):
+        terminal.complain(f"warning: {message}")
+    else:
+        click.echo(warnings.formatwarning(message, category, *place[:2]), err=True, nl=False)
 
 
 def _terminate(_signal: int, _frame: object) -> NoReturn:

@@ -43,11 +43,11 @@ def completion(shell: str) -> None:
 
 def assignments(context: click.Context, option: click.Parameter, incomplete: str) -> list[str]:
     """Beginnings of KEY=VALUE for each key of the config on the line that `--set` may change."""
-    from clunk.study.parameters import settable
+    from clunk.study.parameters import converted, settable
 
-    study, axes = _study(context), swept(context, option, incomplete)
+    study, axes = _study(context), swept(context, option, "")
     keys = [] if study is None else settable(study.model_dump(exclude_none=True))
-    return [f"{key}=" for key in keys if key.startswith(incomplete) and key not in axes]
+    return [f"{key}=" for key in keys if key.startswith(incomplete) and converted(key) not in axes]
 
 
 def places(context: click.Context, option: click.Parameter, incomplete: str) -> list[str]:

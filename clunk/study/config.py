@@ -8,7 +8,8 @@ about a run.
 
 import copy
 import tomllib
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Container, Mapping, Sequence
 from importlib.resources import files
 from os import PathLike
 from pathlib import Path
@@ -25,13 +26,21 @@ from clunk.study.document import (
     read_text,
     value_at,
 )
+from clunk.study.errors import ClunkWarning
 from clunk.study.keys import PRESETS, key_at
-from clunk.study.loads import TORQUES, read_trace, uses
+from clunk.study.loads import STEP_KEYS, TORQUES, read_trace, uses
 from clunk.study.parameters import complaint, names_of, place_of
 from clunk.study.problems import ConfigError, Problem, nearest, report, shorten
 from clunk.study.study import Study
 from clunk.study.tables import Finding
 from clunk.study.validation import validated
+
+# Of each table the groups of keys that are given instead of one another, besides a key and its other unit.
+_ALTERNATIVES: tuple[tuple[Place, tuple[tuple[str, ...], tuple[str, ...]]], ...] = (
+    (("load",), TORQUES),
+    (("load",), (("times", "torques"), ("file",))),
+    (("sweep", "axes"), (("values",), ("start", "stop", "count", "scale"))),
+)
 
 
 def load_study(path: str | PathLike[str], overrides: Sequence[str] = ()) -> Study:
@@ -101,6 +110,7 @@ def study_from_text(
     for place, value in sorted(assignments.items(), key=lambda item: item[0] != file):  # items of its lists come later
         resolved = place_of(dotted(place), names_of(document))
         noun = "lash" if place[0] == "lash" else "inertia"
+        _displace(document, resolved or place, value, kept={*assignments, *assigned})
         problem = f"no {noun} has this name" if resolved is None else assign(document, resolved, value)
         findings += [(place, problem)] if problem is not None else []
         assigned.append(resolved or place)
@@ -141,21 +151,53 @@ def _preset(raw: dict[str, Any], assignments: Mapping[Place, Any]) -> tuple[str,
         findings.append((place, f"found {shorten(name)}; {hint}{', '.join(map(shorten, PRESETS))}"))
         name = PRESETS[0]  # so that the rest of the file can be checked
     preset = tomllib.loads(files("clunk.study.presets").joinpath(f"{name}.toml").read_text(encoding="utf-8"))
-    presets_own, instead = TORQUES if "ratio" in preset["load"] else TORQUES[::-1]
+    _warn_of_fewer_shafts(name, preset, raw)
     swept = [axis.get("parameter") for at, axis in _entries(raw) if at[1] == "axes"]
-    profile = assignments.get(("load", "profile"), value_at(raw, ("load", "profile")))
-    if (
-        profile == "table"
-        or all(f"load.{key}" in swept for key in instead)
-        or any(("load", key) in assignments or value_at(raw, ("load", key)) is not None for key in instead)
-    ):
-        for key in presets_own:
-            del preset["load"][key]
+    together = [key for pair in TORQUES if all(f"load.{key}" in swept for key in pair) for key in pair]
+    of_file = [(table, key) for table in ("load", "lash") if isinstance(raw.get(table), dict) for key in raw[table]]
+    for at in (*of_file, *(("load", key) for key in together)):
+        _displace(preset, at)
+    profile: Place = ("load", "profile")
+    _displace(preset, profile, assignments.get(profile, value_at(raw, profile)))
     if items_of(assignments.get(("lash",), raw.get("lash"))):  # which replace the preset's lash as a whole
         preset.get("impacts", {}).pop("acceleration_of", None)
-    if ("lash", "gap_mm") in assignments or value_at(raw, ("lash", "gap_mm")) is not None:
-        del preset["lash"]["backlash_deg"]
     return name, preset, findings
+
+
+def _warn_of_fewer_shafts(name: str, preset: Mapping[str, Any], raw: Mapping[str, Any]) -> None:
+    """Warn of a file that seems to add shafts to a preset, or to change one: it replaces them all."""
+    shafts, of_preset = items_of(value_at(raw, ("driveline", "shafts"))), preset["driveline"]["shafts"]
+    if 0 < len(shafts) < len(of_preset) and value_at(raw, ("driveline", "inertias")) is None:
+        listed = (
+            "one [[driveline.shafts]] replaces" if len(shafts) == 1 else f"{len(shafts)} [[driveline.shafts]] replace"
+        )
+        text = f"the file's {listed} all {len(of_preset)} shafts of preset {shorten(name)}"
+        hint = "--set 'driveline.shafts[1].stiffness=900', for example, changes one of them"
+        warnings.warn(f"{text}; {hint}", ClunkWarning, stacklevel=4)
+
+
+def _displace(document: dict[str, Any], place: Place, value: Any = None, kept: Container[Place] = ()) -> None:
+    """Take out of a document what another layer's key stands instead of: another unit, the other torques and the like.
+
+    value : of that key
+    kept : keys that stay, to be refused beside it
+    """
+    names = STEP_KEYS if (place, value) == (("load", "profile"), "table") else _alternatives(place)
+    table = value_at(document, place[:-1])
+    for name in names if isinstance(table, dict) else ():
+        if (*place[:-1], name) not in kept:
+            table.pop(name, None)
+
+
+def _alternatives(place: Place) -> list[str]:
+    """Names of the keys beside a key that may be given instead of it."""
+    *table, name = place
+    at, around = tuple(step for step in table if isinstance(step, str)), key_at(tuple(table))
+    pairs = [pair for pattern, pair in _ALTERNATIVES if pattern == at]
+    for each in around.children if around else ():
+        key = key_at((*table, each))
+        pairs += [((each,), (key.other_unit_of,))] if key and key.other_unit_of else []
+    return [other for pair in pairs for one, two in (pair, pair[::-1]) if name in one for other in two]
 
 
 def _merged(preset: Mapping[str, Any], raw: Mapping[str, Any]) -> dict[str, Any]:
@@ -206,9 +248,7 @@ def _fill_in(document: dict[str, Any], assigned: Sequence[Place]) -> list[Findin
     assigned : keys that were set on the command line, which no axis may sweep
     """
     findings: list[Finding] = []
-    load = document.get("load")
-    torques = {key for key in load if load[key] is not None} if isinstance(load, dict) else set()
-    profile = str(value_at(load, ("profile",)) or "step")
+    profile = str(value_at(document, ("load", "profile")) or "step")
     for at, entry in _entries(document):
         parameter = entry.get("parameter")
         if not isinstance(parameter, str):
@@ -225,14 +265,17 @@ def _fill_in(document: dict[str, Any], assigned: Sequence[Place]) -> list[Findin
             findings.append(((*at, "parameter"), problem or "no key has this name"))
             continue
         entry["parameter"] = dotted(place)
-        if at[1] == "axes" and place in assigned:
+        instead = [(*place[:-1], name) for name in _alternatives(place)]
+        if at[1] == "axes":
             example = f"{dotted(at)}.{'start' if entry.get('values') is None else 'values'}"
-            findings.append((place, f"{dotted(at)} sweeps this key; set the axis instead, for example {example}"))
-        is_missing = value_at(document, place) is None
-        if place[0] == "load":  # where its profile has no such key, or it has the other torques, an error says so
-            is_missing &= uses(profile, str(place[-1])) and not any(
-                place[-1] in pair and torques & {*other} for pair, other in (TORQUES, TORQUES[::-1])
-            )
+            text = f"{dotted(at)} sweeps {dotted(place)}; name one of its values by --at, or set the axis, as {example}"
+            set_instead = (
+                instead if place[0] == "lash" else []
+            )  # of the other torques, the axis has an error of its own
+            findings += [(each, text) for each in (place, *set_instead) if each in assigned]
+        is_missing = not any(value_at(document, each) is not None for each in (place, *instead))
+        if place[0] == "load":  # where its profile has no such key, an error says so
+            is_missing &= uses(profile, str(place[-1]))
         if at[1] == "axes" and is_missing:
             # the axis's first value, or one that is allowed: what is wrong with the axis has an error of its own
             first = next(iter(items_of(entry.get("values"))), entry.get("start"))

@@ -63,6 +63,13 @@ def settable(document: Mapping[str, Any]) -> list[str]:
     return _keys(document, [pattern for pattern in keys() if pattern not in tables])
 
 
+def converted(key: str) -> str:
+    """The key that takes a number over where `key` is another unit of it; else `key` itself."""
+    place = parse_place(key)
+    known = None if place is None else key_at(place)
+    return dotted((*place[:-1], known.other_unit_of)) if place and known and known.other_unit_of else key
+
+
 def _keys(document: Mapping[str, Any], patterns: Iterable[Place]) -> list[str]:
     """The keys of a document that have these patterns; of long lists the first."""
     known: list[Place] = []
@@ -97,9 +104,7 @@ def complaint(parameter: str, document: Mapping[str, Any]) -> str | None:
             return f"{parameter} has {len(items_of(value_at(document, place)))} stages; name one, {parameter}[1]"
         return None
     if place is not None and key is not None and key.other_unit_of:
-        return (
-            f"{parameter} cannot be swept; sweep {dotted((*place[:-1], key.other_unit_of))} instead, which it becomes"
-        )
+        return f"{parameter} cannot be swept; sweep {converted(dotted(place))} instead, which it becomes"
     known = parameters(document)
     leaf = parameter.rsplit(".", 1)[-1]
     same_leaf = [name for name in known if name.rsplit(".", 1)[-1] == leaf or name.startswith(f"{parameter}[")]
