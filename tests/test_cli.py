@@ -101,6 +101,24 @@ def test_sweep_plot_and_info_work_on_a_small_grid(clunk, small, here):
     assert all((here / name).stat().st_size > 10_000 for name in out.split())
 
 
+def test_a_map_is_printed_with_a_letter_for_each_cell(clunk, small, monkeypatch):
+    """The last line of the map has the cells without a gap, from left to right those of rising load ratio."""
+    clunk("sweep", small)
+    plain = clunk("info", "results/small.h5")[1]
+    code, out, _ = clunk("info", "results/small.h5", "--map")
+    assert code == 0
+    assert out.startswith(plain)
+    assert max(map(len, out.splitlines())) <= 80
+    lines = out.removeprefix(plain).splitlines()
+    rows = [line.partition("|")[2] for line in lines if "|" in line]
+    meanings = dict(re.findall(r"(\S) (\S+)", " ".join(lines[lines.index("", 1) :])))
+    results = read("results/small.h5")
+    assert [[meanings[letter] for letter in row[::3]] for row in rows[::-1]] == results.label_map.T.tolist()
+    assert clunk("info", "results/small.h5", "--map", "--json")[0] == 2
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    assert out.removeprefix(plain) in clunk("sweep", small, "--restart")[1]
+
+
 def test_a_finished_sweep_is_not_run_again(clunk, small, here):
     clunk("sweep", small)
     before = (here / "results/small.h5").read_bytes()

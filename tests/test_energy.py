@@ -31,7 +31,8 @@ UNDAMPED = SHAFTS.format(a=0.0, b=0.0, last='{between = [4, "ground"], stiffness
 def run(contact, ratio=5.0, backlash=6.0, *, shafts="", lash="", method="rk4", step=2e-5, end_time=1.0):
     return simulate(
         study_from_text(
-            f'[driveline]\npreset = "boere-2008"\n{shafts}[lash]\nbacklash_deg = {backlash}\n{lash}\n'
+            f'[driveline]\npreset = "boere-2008"\ninertias = [0.024, 0.002, 0.002, 0.002]\n{shafts}'
+            f"[lash]\nbacklash_deg = {backlash}\n{lash}\n"
             f"[lash.contact]\n{contact}\n[load]\nratio = {ratio}\n"
             f'[solver]\nmethod = "{method}"\nstep = {step}\nend_time = {end_time}\nmax_events = 4096\n'
         )

@@ -14,15 +14,20 @@ from clunk.cli.options import PATH, json_option
 @click.command()
 @click.argument("file", type=PATH)
 @click.option("--config", "show_config", is_flag=True, help="Print the whole resolved config (TOML) instead.")
+@click.option("--map", "show_map", is_flag=True, help="Also print the map, a letter for each cell.")
 @click.option("--ranks", is_flag=True, help="Also tell how alike the measures of hardness order the cells.")
 @click.option("--check", is_flag=True, help="Also read it whole and compare it with its checksums.")
 @json_option
-def info(file: Path, show_config: bool, ranks: bool, check: bool, as_json: bool) -> None:
+def info(file: Path, show_config: bool, show_map: bool, ranks: bool, check: bool, as_json: bool) -> None:
     """Say what a results file holds: config, versions, regime counts.
 
-    Example: clunk info results/figure_3_4.h5 --check
+    \b
+    Examples:
+      clunk info results/figure_3_4.h5 --check
+      clunk info results/figure_3_4.h5 --map
     """
     from clunk.analysis.ranks import ranks_of
+    from clunk.cli.textmap import is_drawable
     from clunk.results import store
     from clunk.study.loads import PROFILES, numbers
 
@@ -30,6 +35,10 @@ def info(file: Path, show_config: bool, ranks: bool, check: bool, as_json: bool)
     tolerances = store.read_tolerance_map(file) if header.tolerance_map else None
     if ranks and tolerances is not None:
         raise click.UsageError(f"--ranks does not go with a tolerance map, which {file} holds.")
+    if show_map and as_json:
+        raise click.UsageError("--map is for people and does not go with --json; clunk export writes each cell.")
+    if show_map and not is_drawable(header.axes[:-1] if header.lashes else header.axes):
+        raise click.UsageError("--map shows one axis or two; of more, clunk plot --at draws a slice.")
     of_lashes = {name: ranks_of(each) for name, each in store.read(file).by_lash().items()} if ranks else {}
     if show_config:
         click.echo(header.config, nl=not header.config.endswith("\n"))
@@ -94,3 +103,6 @@ def info(file: Path, show_config: bool, ranks: bool, check: bool, as_json: bool)
             tables.print_lashes(of_lashes, lambda each: tables.print_ranks(each, header.axes))
     else:
         tables.print_lashes(tolerances.by_lash(), tables.print_tolerances)
+    if show_map:
+        click.echo()
+        tables.print_map(store.read_map(file))

@@ -161,6 +161,7 @@ def _run(job: Job, opening: AbstractContextManager[Executor], finish: Finish | N
 
 def _report(result: Results | ToleranceMap, job: Job, as_json: bool) -> int:
     """Print a map that has just been run; returns how many cells, or runs of a tolerance map, have failed."""
+    from clunk.cli.textmap import is_drawable
     from clunk.results.tolerancemap import ToleranceMap
 
     assert job.path is not None
@@ -174,4 +175,7 @@ def _report(result: Results | ToleranceMap, job: Job, as_json: bool) -> int:
         failed = tables.report_counts(result.counts_of_lashes, target, seconds, as_json)
         terminal.report_speed(*speed, inferred=job.refine)
         terminal.report_failures(result)
+    if sys.stdout.isatty() and not as_json and is_drawable(result.of_lash().axes):
+        click.echo()
+        tables.print_map(result)
     return failed

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from clunk.results.boundaries import Boundaries
     from clunk.results.tolerancemap import ToleranceMap
     from clunk.study.axes import ResultAxis
+    from clunk.sweeping.reduction import AnyMap
 
 Value = TypeVar("Value")
 
@@ -35,6 +36,14 @@ def report_counts(counts: dict[str, dict[str, int]], target: Path, seconds: floa
     else:
         print_lashes(counts, print_counts)
     return first["failed"]  # all lashes of a cell fail together
+
+
+def print_map(results: AnyMap) -> None:
+    """Print the map of each lash as text."""
+    from clunk.cli.textmap import text_map
+
+    maps = {name: text_map(part) for name, part in results.by_lash().items()}
+    print_lashes(maps, lambda lines: click.echo("\n".join(lines)))
 
 
 def of_lashes(values: dict[str, Any]) -> Any:
