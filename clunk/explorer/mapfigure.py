@@ -65,8 +65,9 @@ class MapFigure:
         else:
             plot.vstrip("x0", "x1", source=self._bands, color="colour", level="underlay")
             plot.line("x", "y", source=self._points, color=INK, line_width=1.5)
+        ring = {"source": self._marks, "size": 13, "fill_alpha": 0.0, "level": "overlay"}  # drawn without the rest
         for width, colour in ((6.0, "white"), (2.5, "colour")):
-            plot.scatter("x", "y", source=self._marks, size=13, fill_alpha=0.0, line_width=width, line_color=colour)
+            plot.scatter("x", "y", line_width=width, line_color=colour, **ring)
 
     def show(self, picture: Picture, name: str) -> None:
         """Show a picture of a quantity of this name; labels are written where no quantity is drawn."""

@@ -10,11 +10,9 @@ from html import escape
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
-from bokeh.core.validation import silence
-from bokeh.core.validation.warnings import EMPTY_LAYOUT
 from bokeh.document import Document
-from bokeh.events import ConnectionLost, DocumentReady, MouseLeave, MouseMove, Tap
-from bokeh.models import Column, ColumnDataSource, CustomJS, Div, Row
+from bokeh.events import ConnectionLost, DocumentReady, DoubleTap, MouseLeave, MouseMove, PointEvent, Press, Tap
+from bokeh.models import ColumnDataSource, CustomJS, Div, Pane, UIElement
 
 from clunk.explorer.mapfigure import MapFigure
 from clunk.explorer.pictures import Picture, cells_picture
@@ -25,8 +23,8 @@ if TYPE_CHECKING:
     from clunk.explorer.workbench import Workbench
 
 WIDE: dict[str, Any] = {"sizing_mode": "stretch_width", "margin": (2, 6, 2, 6)}
+CLICKS = (Tap, DoubleTap, Press)  # quick ones, wherever they are, and slow ones are other events to Bokeh
 _LISTED = 16  # labels below the map
-silence(EMPTY_LAYOUT)  # the page opens with some
 
 
 class Page:
@@ -40,10 +38,9 @@ class Page:
         self.map = MapFigure(subject.plane)
         self.status = Div(text="…", name="status", render_as_text=True, styles={"color": "#5b646c"}, **WIDE)
         self.legend = Div(text="", name="legend", styles={"line-height": "20px"}, **WIDE)
-        self.above = Row(children=[], sizing_mode="stretch_width", min_height=36)
-        self.below = Column(children=[], sizing_mode="stretch_width", max_height=190, min_height=150)
-        self.below.styles = {"overflow-y": "auto", "flex": "0 0 auto"}
-        self.right = Column(children=[], sizing_mode="stretch_both", styles={"flex": "1 1 0"})
+        self.above = box("row", min_height="36px", flex="none")
+        self.below = box("column", height="190px", flex="none", overflow_y="auto")
+        self.right = box("column", flex="1 1 0", min_width="0")
         self.keys = ColumnDataSource(data={"key": [], "steps": []}, name="keys")
         self.download = ColumnDataSource(data={"name": [], "type": [], "content": []}, name="download")
         self._workbench: Workbench | None = None
@@ -54,13 +51,13 @@ class Page:
             picture = cells_picture(subject.stored(first).of_lash())
             self.map.show(picture, "")
             self.show_legend(picture)
-        for event in (Tap, MouseMove, MouseLeave):  # what is listened to later, the browser does not hear of
+        for event in (*CLICKS, MouseMove, MouseLeave):  # what is listened to later, the browser does not hear of
             self.map.figure.on_event(event, self._on_pointer)
         self._add_roots()
         # the document is the browser's by then: a session takes what threads ask of its document before in any order
         document.on_event(DocumentReady, lambda _: self._begin())
-        document.js_on_event(ConnectionLost, CustomJS(code=_asset("ended.js")))
-        self.download.js_on_change("data", CustomJS(code=_asset("download.js")))
+        document.js_on_event(ConnectionLost, CustomJS(code=asset("ended.js")))
+        self.download.js_on_change("data", CustomJS(code=asset("download.js")))
 
     def close(self) -> None:
         """End the threads of the page."""
@@ -103,16 +100,13 @@ class Page:
 
     def _add_roots(self) -> None:
         title = Div(text=f"<b>{escape(self.subject.title)}</b>", name="title", styles={"font-size": "16px"}, **WIDE)
-        left = Column(
-            children=[title, self.above, self.map.figure, self.legend, self.below, self.status],
-            sizing_mode="stretch_both",
-            styles={"flex": "1 1 0"},
-        )
-        page = Row(children=[left, self.right], sizing_mode="stretch_both", styles={"height": "100vh"}, name="page")
+        left = box("column", flex="1 1 0", min_width="0")
+        left.elements = [title, self.above, self.map.figure, self.legend, self.below, self.status]
+        page = box("row", left, self.right, height="100vh")
         for root in (page, self.keys, self.download):
             self.document.add_root(root)
 
-    def _on_pointer(self, event: Tap | MouseMove | MouseLeave) -> None:
+    def _on_pointer(self, event: PointEvent) -> None:
         if self._workbench is not None:
             self._workbench.point(event)
 
@@ -134,5 +128,16 @@ class Page:
         self.soon(furnish)
 
 
-def _asset(name: str) -> str:
+def box(direction: str, *elements: UIElement, **styles: str) -> Pane:
+    """Elements in a row or a column, by CSS; styles : properties, with underscores.
+
+    Bokeh lays each out by itself. In its own rows and columns a change of one text lays the whole page out again, and
+    draws each figure, which takes 0.1 s.
+    """
+    names = {name.replace("_", "-"): value for name, value in styles.items()}
+    return Pane(elements=list(elements), styles={"display": "flex", "flex-direction": direction, **names})
+
+
+def asset(name: str) -> str:
+    """Text of a file of the explorer."""
     return files(__package__).joinpath(name).read_text("utf-8")

@@ -7,17 +7,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from bokeh.events import Reset
-from bokeh.models import BoxAnnotation, ColumnDataSource, DataRange1d, Range1d, Span
+from bokeh.models import BoxAnnotation, ColumnDataSource, CustomJS, DataRange1d, Div, Range1d, Span
 from bokeh.plotting import figure
 
 from clunk.explorer.curves import Floats, thinned
 from clunk.explorer.mapfigure import RUN_COLOURS
+from clunk.explorer.page import asset
 from clunk.plot.style import FAINT_INK, INK
 from clunk.simulation.history import History
 
 _COLUMNS = 1000  # spans of time that a screen tells apart
 _MOST_ARROWS = 12  # impacts; more arrows than these would hide the curve
-_LEFT = 64  # pixels left of all panels, so that their time axes lie under each other
+_LEFT, _RIGHT = 72, 32  # pixels beside all panels, so that their time axes lie under each other
 
 
 class _Panel(NamedTuple):
@@ -31,41 +32,53 @@ _PANELS = (
     _Panel("torque", "load [N m]", lambda run: run.torque, 0.7),
     _Panel("lash", "lash x_b [mm]", lambda run: 1e3 * run.backlash_coordinate, 1.4),
     _Panel("acceleration", "θ'' [rad/s²]", lambda run: run.acceleration[:, run.watched - 1], 1.4),
-    _Panel("contact", "contact [N m]", lambda run: run.contact_torque, 1.1),
+    _Panel("contact", "contact [N m]", lambda run: run.contact_torque, 1.6),
 )
 
 
 class RunFigures:
-    """Panels of one run and of those that are pinned beside it, thinned anew for what the time axis shows."""
+    """Panels of one run and of those that are pinned beside it, thinned anew for what the time axis shows.
 
-    def __init__(self) -> None:
-        self._runs: Sequence[History | None] = [None] * len(RUN_COLOURS)
+    All that a run changes goes to the browser in one message: it draws once, where a message for each part would have
+    it draw several times.
+
+    texts : by name, shown beside the panels
+    """
+
+    def __init__(self, **texts: Div) -> None:
+        self._runs: Sequence[History] = []
         self._time = Range1d(0.0, 1.0)
         self._whole = (0.0, 1.0)
         self._is_setting = False
         self._steps: list[Span] = []
-        # all curves of all panels in one source: each source that changes is a message, and a redrawing
+        # all curves of all panels in one source
         self._curves = _source(*(f"{panel.name}_{axis}" for panel in _PANELS for axis in "xy"), "colour")
         unit = [[0.0, 1.0]]  # a line to begin with: without any, ranges are complained of in the browser's console
         self._curves.data = dict.fromkeys(self._curves.data, unit) | {"colour": ["white"]}
         self.figures = {panel.name: self._figure(panel) for panel in _PANELS}
         lash, acceleration = self.figures["lash"], self.figures["acceleration"]
-        self._gap = BoxAnnotation(fill_color="#e4e4e4", fill_alpha=1.0, level="underlay", line_color=None)
-        lash.add_layout(self._gap)
-        self._flanks = _source("x", "y", "text", "baseline")
+        gap = BoxAnnotation(fill_color="#e4e4e4", fill_alpha=1.0, level="underlay", line_color=None)
+        lash.add_layout(gap)
+        flanks = _source("x", "y", "text", "baseline")
         small = {"text_font_size": "11px", "text_color": FAINT_INK, "x_offset": 4}
-        lash.text("x", "y", "text", source=self._flanks, text_baseline="baseline", **small)
-        self._touches = _source("x", "y", "angle", "fill", "colour", "size")
+        lash.text("x", "y", "text", source=flanks, text_baseline="baseline", **small)
+        touches = _source("x", "y", "angle", "fill", "colour", "size")
         look = {"line_color": "colour", "fill_color": "fill", "size": "size", "angle": "angle"}
-        lash.scatter("x", "y", source=self._touches, marker="triangle", **look)
-        self._arrows = _source("x", "low", "high", "text")
-        acceleration.segment("x", "low", "x", "high", source=self._arrows, color=INK, line_width=1.0)
+        lash.scatter("x", "y", source=touches, marker="triangle", **look)
+        arrows = _source("x", "low", "high", "text")
+        acceleration.segment("x", "low", "x", "high", source=arrows, color=INK, line_width=1.0)
         for end, angle in (("low", np.pi), ("high", 0.0)):
-            acceleration.scatter("x", end, source=self._arrows, marker="triangle", size=5, color=INK, angle=angle)
+            acceleration.scatter("x", end, source=arrows, marker="triangle", size=5, color=INK, angle=angle)
         text = {"text_align": "center", "text_baseline": "bottom", "text_font_size": "11px", "y_offset": -2}
-        acceleration.text("x", "high", "text", source=self._arrows, **text)
+        acceleration.text("x", "high", "text", source=arrows, **text)
         for name in ("start", "end"):
             self._time.on_change(name, self._on_zoom)
+        sources = {"curves": self._curves, "flanks": flanks, "touches": touches, "arrows": arrows}
+        self._marks = {name: list(source.data) for name, source in sources.items() if name != "curves"}
+        self._message = ColumnDataSource(data={})
+        changes = CustomJS(args={"models": {**sources, **texts, "gap": gap}}, code=asset("changes.js"))
+        self._message.js_on_change("data", changes)
+        self.figures["lash"].tags = [self._message]  # a part of the page, which is not drawn
 
     def _figure(self, panel: _Panel) -> Any:
         plot = figure(
@@ -76,11 +89,12 @@ class RunFigures:
             lod_threshold=None,
             tools="xpan,xwheel_zoom,xbox_zoom,reset",
             active_drag="xbox_zoom",
-            toolbar_location="right" if panel is _PANELS[0] else None,
+            toolbar_location="right" if panel.name == "lash" else None,
             sizing_mode="stretch_both",
             min_height=int(64 * panel.share),
             styles={"flex": f"{panel.share} 1 0"},
             min_border_left=_LEFT,
+            min_border_right=_RIGHT,
             min_border_bottom=2,
             min_border_top=2,
             margin=0,
@@ -88,13 +102,14 @@ class RunFigures:
         plot.toolbar.logo = None
         plot.yaxis.axis_label_text_font_size = "11px"
         plot.yaxis.ticker.desired_num_ticks = 3 if panel.share < 1.0 else 5
+        plot.axis.minor_tick_line_color = None
         plot.xgrid.visible = False
         plot.ygrid.grid_line_color = "#e6e6e6"
         plot.outline_line_color = None
         if panel is _PANELS[-1]:
             plot.xaxis.axis_label = "time [s]"
         else:
-            plot.xaxis.major_label_text_font_size = "0px"
+            plot.xaxis.visible = False
         step = Span(location=0.0, dimension="height", line_color=FAINT_INK, line_dash="dotted", line_width=1.0)
         plot.add_layout(step)
         self._steps.append(step)
@@ -102,72 +117,75 @@ class RunFigures:
         plot.on_event(Reset, lambda _: self._time.update(start=self._whole[0], end=self._whole[1]))
         return plot
 
-    def show(self, runs: Sequence[History | None], *, keeps_zoom: bool) -> None:
-        """Show a run and those that are pinned; None where there is none."""
-        present = [run for run in runs if run is not None]
+    def show(self, runs: Sequence[History], **texts: str) -> None:
+        """Show a run and those that are pinned, and texts; the time axis stays as the user has zoomed it."""
         self._runs = runs
-        if not present:
-            self._draw()
-            self._marks(None)
-            return
-        whole = float(min(run.time[0] for run in present)), float(max(run.time[-1] for run in present))
-        is_zoomed = (self._time.start, self._time.end) != self._whole
-        self._whole = whole
-        for step in self._steps:
-            step.location = present[0].study.load.step_time
-        if not (keeps_zoom and is_zoomed):
-            self._is_setting = True
-            self._time.update(start=whole[0], end=whole[1])
-            self._is_setting = False
-        self._draw()
-        self._marks(runs[0])
+        changes: dict[str, dict[str, Any]] = {name: {"text": text} for name, text in texts.items()}
+        if runs:
+            whole = float(min(run.time[0] for run in runs)), float(max(run.time[-1] for run in runs))
+            is_zoomed = (self._time.start, self._time.end) != self._whole
+            self._whole = whole
+            for step in self._steps:
+                step.location = runs[0].study.load.step_time
+            if not is_zoomed:
+                self._is_setting = True
+                self._time.update(start=whole[0], end=whole[1])
+                self._is_setting = False
+            half = 1e3 * runs[0].half_gap
+            changes |= {"gap": {"bottom": -half, "top": half}} | self._marks_of(runs[0])
+        else:
+            changes |= {name: {"data": {column: [] for column in columns}} for name, columns in self._marks.items()}
+        self._send({**changes, **self._drawn()})
+
+    def _send(self, changes: dict[str, dict[str, Any]]) -> None:
+        self._message.data = {name: [properties] for name, properties in changes.items()}
 
     def _on_zoom(self, _attribute: str, _old: float, _new: float) -> None:
         if not self._is_setting:
-            self._draw()
+            self._send(self._drawn())
 
-    def _draw(self) -> None:
+    def _drawn(self) -> dict[str, dict[str, Any]]:
+        """The curves of all runs within what the time axis shows."""
         begin, end = float(self._time.start), float(self._time.end)
-        shown = [(run, colour) for run, colour in zip(self._runs, RUN_COLOURS, strict=False) if run is not None][::-1]
+        shown = list(zip(self._runs, RUN_COLOURS, strict=False))[::-1]
         data: dict[str, list[Any]] = {"colour": [colour for _, colour in shown]}
         for panel in _PANELS:
             curves = [thinned(run.time, panel.values(run), begin, end, _COLUMNS) for run, _ in shown]
             data[f"{panel.name}_x"], data[f"{panel.name}_y"] = [x for x, _ in curves], [y for _, y in curves]
-        self._curves.data = data
+        return {"curves": {"data": data}}
 
-    def _marks(self, run: History | None) -> None:
-        """Gap, flanks, touches and Q_i of the run that is shown."""
-        if run is None:
-            for source in (self._flanks, self._touches, self._arrows):
-                source.data = {name: [] for name in source.data}
-            return
-        half = 1e3 * run.half_gap
-        self._gap.update(bottom=-half, top=half)
-        side = run.trajectory.initial_side
+    def _marks_of(self, run: History) -> dict[str, dict[str, Any]]:
+        """Flanks, touches and Q_i of the run that is shown."""
+        half, side = 1e3 * run.half_gap, run.trajectory.initial_side
         names = {side * half: "initial flank", -side * half: "opposite flank"} if half > 0.0 else {0.0: "no gap"}
-        flanks: dict[str, list[Any]] = {"y": list(names), "text": list(names.values())}
-        flanks |= {"x": [self._whole[0]] * len(names), "baseline": ["top" if y > 0.0 else "bottom" for y in names]}
-        if flanks != self._flanks.data:
-            self._flanks.data = flanks
         on_top = np.argsort(run.touches.primary, kind="stable")  # primary ones last
         row, sides, primary = (each[on_top] for each in run.touches[:3])
-        self._touches.data = {
-            "x": run.time[row],
-            "y": 1e3 * run.backlash_coordinate[row],
-            "angle": np.where(sides > 0, 0.0, np.pi),
-            "fill": [RUN_COLOURS[0] if each else "white" for each in primary],
-            "colour": [RUN_COLOURS[0]] * row.size,
-            "size": np.where(primary, 10, 6),
-        }
         offset = 0.012 * (self._whole[1] - self._whole[0])
         impacts = [] if run.is_restitution else [each for each in run.impacts if each.rows.stop > each.rows.start]
         impacts = impacts if len(impacts) <= _MOST_ARROWS else []
-        self._arrows.data = {
-            "x": [each.begin + offset for each in impacts],
-            "low": [each.smallest for each in impacts],
-            "high": [each.largest for each in impacts],
-            "text": [f"Q{each.number} = {each.severity:.0f}" for each in impacts],
+        marks: dict[str, dict[str, Any]] = {
+            "flanks": {
+                "x": [self._whole[0]] * len(names),
+                "y": list(names),
+                "text": list(names.values()),
+                "baseline": ["top" if y > 0.0 else "bottom" for y in names],
+            },
+            "touches": {
+                "x": run.time[row],
+                "y": 1e3 * run.backlash_coordinate[row],
+                "angle": np.where(sides > 0, 0.0, np.pi),
+                "fill": [RUN_COLOURS[0] if each else "white" for each in primary],
+                "colour": [RUN_COLOURS[0]] * row.size,
+                "size": np.where(primary, 10, 6),
+            },
+            "arrows": {
+                "x": [each.begin + offset for each in impacts],
+                "low": [each.smallest for each in impacts],
+                "high": [each.largest for each in impacts],
+                "text": [f"Q{each.number} = {each.severity:.0f}" for each in impacts],
+            },
         }
+        return {name: {"data": columns} for name, columns in marks.items()}
 
 
 def _source(*names: str) -> ColumnDataSource:

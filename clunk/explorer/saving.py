@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from clunk.explorer.variations import Variations
 from clunk.results.regimemap import Results
+from clunk.simulation.energy import EnergyBalance
 from clunk.simulation.history import History
 
 NAMES = ("map.png", "map.svg", "run.png", "run.svg", "run.csv", "config.toml")
@@ -28,6 +29,7 @@ class Shown(NamedTuple):
     values: dict[str, float]  # of all axes
     numbers: dict[str, float]
     history: History
+    energy: EnergyBalance
     place: str  # values and numbers in words
 
 

@@ -2,33 +2,29 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Mapping
 from functools import partial
-from html import escape
 from typing import TYPE_CHECKING
 
-from bokeh.events import MouseLeave, MouseMove, Tap
-from bokeh.models import Button, Div, Row, Select, Toggle
+from bokeh.events import MouseLeave, PointEvent
+from bokeh.models import Button, Select, Toggle
 
 from clunk.analysis.small_gap import thresholds_of
 from clunk.explorer.controls import Controls
 from clunk.explorer.mapfigure import RUN_COLOURS, Mark
 from clunk.explorer.newest import Newest, Request
-from clunk.explorer.page import WIDE
+from clunk.explorer.page import CLICKS, box
 from clunk.explorer.pictures import Picture, cells_picture
-from clunk.explorer.runfigures import RunFigures
+from clunk.explorer.runpanel import RunPanel
 from clunk.explorer.saving import NAMES, Cell, Shown, download
 from clunk.explorer.variations import Variations
 from clunk.plot.layers import quantities_of
 from clunk.plot.plane import number_text, value_text
 from clunk.results.regimemap import Results
-from clunk.simulation.energy import EnergyBalance, balance
-from clunk.simulation.history import History
+from clunk.simulation.energy import balance
 from clunk.study.errors import ClunkError
-from clunk.study.summaries import html_table
 
 if TYPE_CHECKING:
     from clunk.explorer.page import Page
@@ -60,7 +56,6 @@ class Workbench:
         self._requested: tuple[dict[str, float], dict[str, float]] | None = None
 
         results = self._subject.results
-        self._panels = RunFigures()
         options = {"width": 190, "margin": (0, 6, 4, 6)}
         # over one axis, labels are the colours under a curve
         names = quantities_of(results)[len(self._subject.plane) == 1 :]
@@ -76,11 +71,7 @@ class Workbench:
         self._reset = Button(label="reset the numbers", name="reset", visible=False, **small)
         saved = [("", "save …"), *((name, name) for name in NAMES)]
         self._save = Select(value="", options=saved, name="save", width=130, **small)
-        # of one height, or all panels would be laid out anew with every run
-        self._header = Div(text="", name="header", height=62, styles={"overflow": "hidden"}, **WIDE)
-        self._compared = Div(text="", name="compared", **WIDE)
-        self._table = Div(text="", name="events", styles={"overflow-y": "auto", "font-size": "12px"}, **WIDE)
-        self._table.update(sizing_mode="stretch_both", min_height=80, max_height=170)
+        self._panel = RunPanel()
 
         self._newest_run = Newest("run", page.complain_soon)
         self._newest_map = Newest("map", page.complain_soon)
@@ -97,10 +88,10 @@ class Workbench:
         self._newest_map.close()
 
     def _furnish(self) -> None:
-        buttons = Row(children=[self._pin, self._unpin, self._save], sizing_mode="stretch_width")
-        self._page.above.children = [self._quantity, self._lash, self._follow, self._reset]
-        self._page.below.children = [self._controls.layout]
-        self._page.right.children = [self._header, buttons, self._compared, *self._panels.figures.values(), self._table]
+        buttons = box("row", self._pin, self._unpin, self._save, flex="none")
+        self._page.above.elements = [self._quantity, self._lash, self._follow, self._reset]
+        self._page.below.elements = [self._controls.layout]
+        self._page.right.elements = self._panel.elements(buttons)
 
     def _listen(self) -> None:
         self._quantity.on_change("value", lambda _attribute, _old, _new: self._request_map())
@@ -118,10 +109,10 @@ class Workbench:
 
     # --- What the user does ------------------------------------------------------------------------------------------
 
-    def point(self, event: Tap | MouseMove | MouseLeave) -> None:
+    def point(self, event: PointEvent) -> None:
         """Follow the pointer over the map, or keep the cell that is clicked."""
         cell = None if isinstance(event, MouseLeave) else self._page.map.nearest(event.x, event.y)
-        if isinstance(event, Tap):
+        if isinstance(event, CLICKS):
             if cell is not None:
                 self._pins_next = bool((event.modifiers or {}).get("shift"))
                 self._select(cell)
@@ -218,18 +209,15 @@ class Workbench:
             finally:
                 self._has_run.set()
             request.go_on()
-            place = self._place(values, numbers)
-            self._page.soon(partial(self._show_run, Shown(cell, values, numbers, history, place)))
-            energy = balance(history.trajectory)
+            shown = Shown(cell, values, numbers, history, balance(history.trajectory), self._place(values, numbers))
             request.go_on()
-            self._page.soon(partial(self._show_header, history, energy))
+            self._page.soon(partial(self._show_run, shown))
 
         self._newest_run.submit(work)
 
     def _refuse_run(self, text: str) -> None:
         self._run = None
-        self._panels.show([None] * len(RUN_COLOURS), keeps_zoom=True)
-        self._header.text, self._table.text = f"<b>no run</b>: {escape(text)}", ""
+        self._panel.refuse(text)
 
     def _show_run(self, shown: Shown) -> None:
         self._run = shown
@@ -243,29 +231,8 @@ class Workbench:
             self._pin_run()
 
     def _show_runs(self) -> None:
-        if self._run is None:
-            return
-        lash = self._lash_position
-        self._show_header(self._run.history, None)
-        shown = [self._run, *self._pins]
-        histories: list[History | None] = [each.history.lashes[lash] for each in shown]
-        self._panels.show([*histories, *[None] * (len(RUN_COLOURS) - len(histories))], keeps_zoom=True)
-        history = histories[0]
-        assert history is not None
-        columns, *events = history.trajectory.event_table()
-        ending = (f"{history.trajectory.end:.7f}", f"end: {history.trajectory.ending}", *[""] * (len(columns) - 2))
-        self._table.text = html_table([*events, ending], columns)
-        texts = [
-            f'<span style="color: {colour}">■</span> {escape(self._described(pin))}'
-            for pin, colour in zip(self._pins, RUN_COLOURS[1:], strict=False)
-        ]
-        self._compared.text = "<br>".join(texts)
-
-    def _described(self, shown: Shown) -> str:
-        """The place of a run, its label and severity."""
-        trajectory = shown.history.lashes[self._lash_position].trajectory
-        severity = "" if math.isnan(trajectory.severity) else f", Q = {trajectory.severity:.1f} rad/s²"
-        return f"{shown.place}: {trajectory.label}{severity}"
+        if self._run is not None:
+            self._panel.show(self._run, self._pins, self._lash_position)
 
     def _place(self, values: Mapping[str, float], numbers: Mapping[str, float]) -> str:
         """Values of all axes, and numbers, in words."""
@@ -275,16 +242,6 @@ class Workbench:
         texts = [value_text(axes[name], value, symbol=True) for name, value in swept.items()]
         texts += [f"{name} = {number_text(value)}" for name, value in numbers.items()]
         return ", ".join(texts)
-
-    def _show_header(self, history: History, energy: EnergyBalance | None) -> None:
-        if self._run is None or history is not self._run.history:
-            return
-        trajectory = history.lashes[self._lash_position].trajectory
-        facts = [f"{name} {text}" for name, text in trajectory.outcome() if name != "label"]
-        if energy is not None:
-            facts.append(_energy_text(energy))
-        label = f'<span style="font-size: 20px; font-weight: bold">{escape(trajectory.label)}</span>'
-        self._header.text = f"{label} &nbsp; {escape(self._run.place)}<br>{escape(' · '.join(facts))}"
 
     # --- Maps --------------------------------------------------------------------------------------------------------
 
@@ -387,14 +344,3 @@ def _hardness(results: Results) -> str:
 
 def _quantity_name(results: Results, name: str) -> str:
     return "regimes" if name == "regimes" else results.quantities[name].plot_label
-
-
-def _energy_text(energy: EnergyBalance) -> str:
-    terms = {
-        "work of the load": energy.work,
-        "damped": energy.damped,
-        "rubbed": energy.rubbed,
-        "lost at impacts": energy.lost_at_impacts,
-    }
-    texts = [f"{name} {number_text(float(f'{value:.4g}'))} J" for name, value in terms.items() if value]
-    return f"energy: {', '.join(texts)}; residual {energy.relative_residual:.0e}" if texts else "energy: none"
