@@ -15,7 +15,11 @@ import pytest
 from clunk import load_study, sweep
 from clunk.cli import main
 from clunk.core.status import Status
-from clunk.results.quantities import REGIME_QUANTITIES, TOLERANCE_QUANTITIES
+from clunk.results.quantities import REGIME_QUANTITIES, TOLERANCE_QUANTITIES, measured_quantities
+from clunk.study.document import dotted
+from clunk.study.keys import ITEM, keys
+from clunk.study.measures import OF_IMPACTS
+from clunk.study.parameters import quantity
 
 ROOT = Path(__file__).parent.parent
 TOPICS = sorted((ROOT / "clunk/cli/help").glob("*.md"))
@@ -114,6 +118,18 @@ def test_ramps_end_in_the_labels_that_the_readme_tells(ratio, limits, labels):
 def test_enough_is_run_to_notice_a_fence_that_is_not_found():
     assert sum(len(list(commands(page))) for page in PAGES) >= 35
     assert sum(block.count(">>>") for page in PAGES for block in blocks(page, "python")) >= 15
+
+
+def test_the_words_have_every_symbol_with_its_quantity_key_and_unit():
+    text = (ROOT / "clunk/cli/help/words.md").read_text(encoding="utf-8")
+    described = re.findall(r"^\| (.*) \| (.*) \| `(.*)` \| (.*?) ?\|$", text, flags=re.MULTILINE)
+    quantities = (REGIME_QUANTITIES | measured_quantities(OF_IMPACTS, [])).values()
+    expected = [(each.symbol, each.words, each.name, each.unit_symbol) for each in quantities if each.symbol]
+    places = [place for place, key in keys().items() if key.quantity and place[:2] != ("lash", ITEM)]
+    for key in (dotted(tuple(0 if step == ITEM else step for step in place)) for place in places):
+        known = quantity(key)
+        expected.append((known.symbol, known.name, key, known.unit if known.unit != "1" else ""))
+    assert described == expected
 
 
 def test_the_file_format_has_every_variable_with_its_type_unit_and_dimension():
