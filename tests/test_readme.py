@@ -11,9 +11,11 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from clunk import load_study, sweep
 from clunk.cli import main
+from clunk.cli.help.page import show
 from clunk.core.status import Status
 from clunk.results.quantities import REGIME_QUANTITIES, TOLERANCE_QUANTITIES, measured_quantities
 from clunk.study.document import dotted
@@ -80,9 +82,12 @@ def test_the_commands_and_then_the_python_of_a_page_do_as_printed(page, checkout
 
 @pytest.mark.parametrize("page", named(TOPICS))
 def test_code_of_a_topic_is_not_wrapped_in_a_terminal(page):
-    """80 columns, less a blank at either side, with which rich sets code off."""
+    """80 columns, less a blank at either side, with which rich sets code off; nor is a table cut short."""
     code = "".join(blocks(page, r"\w*")).splitlines()
     assert [line for line in code if len(line) > 78] == []
+    terminal = io.StringIO()
+    show(page.read_text(encoding="utf-8"), Console(file=terminal, width=80))
+    assert terminal.getvalue().count("…") == page.read_text(encoding="utf-8").count("…")
 
 
 @pytest.mark.parametrize("page", named(PAGES))

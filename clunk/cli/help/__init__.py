@@ -28,8 +28,9 @@ def help(topic: str | None) -> None:  # noqa: A001  # as the command is named
         raise click.UsageError(f"no topic {topic!r}; there are {', '.join(topics)}.")
     elif sys.stdout.isatty():
         from rich.console import Console
-        from rich.markdown import Markdown
 
-        Console().print(Markdown(topics[topic]))
+        from clunk.cli.help.page import show
+
+        show(topics[topic], Console())
     else:
         click.echo(topics[topic], nl=False)
