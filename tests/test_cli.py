@@ -598,16 +598,27 @@ def test_a_broken_config_gives_one_clear_message_and_leaves_files_alone(clunk, h
         (["simulate", "small.toml", "--at", "load.torque=1"], "load.torque"),
         (["modes", "nowhere.toml"], "nowhere.toml"),
         (["init", "folder"], "folder"),
-        (["swep", "small.toml"], "swep"),
+        (["swep", "small.toml"], "did you mean sweep?"),
+        (["sweep", "smal.toml"], "did you mean small.toml?"),
+        (["sweep", "one.toml"], "clunk simulate runs it once"),
+        (["plot", "small.toml"], "clunk sweep small.toml makes one"),
+        (["plot", "smal.h5"], "did you mean results/small.h5?"),
+        (["simulate", "small.toml", "--at", "load.rato=1"], "load.rato is not swept; did you mean load.ratio?"),
+        (["simulate", "small.toml", "--at", "solver.step=1"], "--set sets other keys"),
+        (["thresholds", "small.toml"], "--along load.ratio or --along lash.backlash_deg"),
+        (["help", "configs"], "did you mean config?"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
 def test_bad_usage_gives_one_clear_message(clunk, here, small, arguments, named):
     (here / "folder").mkdir()
     (here / "notes.txt").write_text("not a results file")
+    (here / "one.toml").write_text('driveline.preset = "boere-2008"')
+    (here / "results").mkdir()
+    (here / "results/small.h5").touch()
     code, _, err = clunk(*arguments)
     assert code == 2
-    assert named in err
+    assert named in " ".join(err.split())
     assert "Traceback" not in err
     assert (here / "notes.txt").read_text() == "not a results file"
 
@@ -652,6 +663,12 @@ def test_a_signal_stops_a_sweep_and_keeps_what_is_done(tmp_path, number, code, w
 
 COMMANDS = cli.list_commands(click.Context(cli))
 HEAVY = {"numba", "matplotlib", "pydantic", "numpy", "scipy", "h5py", "rich"}
+
+
+def test_the_list_of_commands_cuts_no_sentence_short(clunk):
+    listed = clunk("--help")[1].partition("Commands:")[2].splitlines()[1:]
+    assert len(listed) == len(COMMANDS)
+    assert [line for line in listed if not line.endswith(".") or line.endswith("...")] == []
 
 
 def test_help_and_version_import_nothing_heavy():

@@ -260,6 +260,15 @@ def test_the_command_tells_what_it_cannot_do(command, arguments, code, message):
     assert message in " ".join(err.split())
 
 
+@pytest.mark.parametrize(("final", "says"), [(1.0, True), (-1.0, False)])
+def test_a_torque_that_reverses_is_noted_where_double_sided_impacts_are_asked_for(command, final, says):
+    torques = ("--set", "load.initial_torque=-6.0", "--set", f"load.final_torque={final}")
+    _, _, err = command(
+        axis("lash.backlash_deg", 4.0, 6.0, 2), "--along", "lash.backlash_deg", "--of", "double_sided", *torques
+    )
+    assert ("the torque reverses" in err) == says
+
+
 def test_pictures_have_a_curve_for_each_threshold():
     few = axis("load.ratio", 4.0, 8.0, 3)
     result = thresholds(study(few, DURATION, of=RAMP), along="load.duration", of="double_sided")

@@ -20,6 +20,7 @@ from clunk import __version__
 from clunk.cli import terminal
 from clunk.cli.options import EXIT_INTERNAL, EXIT_INTERRUPTED, EXIT_TERMINATED, EXIT_USAGE
 from clunk.study.errors import ClunkError, ClunkWarning
+from clunk.study.problems import nearest
 
 _COMMANDS = (
     *("sweep", "plot", "explore", "simulate", "modes", "info", "report", "export", "init", "help", "completion"),
@@ -41,6 +42,14 @@ class _Commands(click.Group):
         command: click.Command = getattr(import_module(f"clunk.cli.{cmd_name}"), cmd_name)
         return command
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The command that a line names; UsageError with the nearest one where there is none."""
+        if args and args[0] not in _COMMANDS and (likely := nearest(args[0], _COMMANDS)):
+            ctx.fail(f"No such command {args[0]!r}; did you mean {likely}?")
+        return super().resolve_command(ctx, args)
+
 
 def main() -> NoReturn:
     """Entry point: runs the command and turns what a user can cause into one message and an exit code."""
@@ -54,6 +63,9 @@ def main() -> NoReturn:
         cli.main(standalone_mode=False)
     except click.exceptions.Exit as error:
         sys.exit(error.exit_code)
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message(), err=True)
+        sys.exit(EXIT_USAGE)
     except click.UsageError as error:
         command = error.ctx.command_path if error.ctx else "clunk"
         terminal.complain(f"{error.format_message()}\nTry '{command} --help'.")

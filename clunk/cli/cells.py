@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from clunk.cli import terminal
+from clunk.study.problems import listing, nearest
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,7 +35,7 @@ def cell_values(study: Study, at: tuple[str, ...], *, all_needed: bool) -> dict[
     unnamed += design.coordinates if len(unnamed) < len(missing) else ()
     if unnamed:
         listed = ", ".join(f"{axis.parameter} = {get_value(study, axis.parameter):g}" for axis in unnamed)
-        terminal.complain(f"without --at: {listed}, the config's own values")
+        terminal.complain(f"note: without --at, as in the config: {listed}")
     run = named.pop(RUN, None)
     if run is not None:
         named |= {axis.parameter: float(axis.values[int(run) - 1]) for axis in design.coordinates}
@@ -58,8 +59,7 @@ def nearest_values(
         key, _, text = assignment.partition("=")
         key = key.strip()
         if key not in swept:
-            listed = ", ".join(swept) or "nothing"
-            raise click.UsageError(f"--at {assignment}: {key!r} is not swept; swept here: {listed}.")
+            raise click.UsageError(f"--at {assignment}: {_not_swept(key, [*swept])}.")
         axis = swept[key]
         lowest, highest = axis.values.min(), axis.values.max()
         try:
@@ -78,3 +78,12 @@ def nearest_values(
         if not np.isclose(nearest, wanted, rtol=1e-9, atol=0.0):
             terminal.complain(f"{key} = {nearest:.6g} is the nearest value of its axis")
     return values
+
+
+def _not_swept(key: str, swept: Sequence[str]) -> str:
+    """The reason why --at does not know a key, and what to name instead."""
+    likely = nearest(key, swept)
+    hint = f"; did you mean {likely}?" if likely else f"; swept are {listing(swept)}" if swept else ""
+    if not likely and any(option.name == "overrides" for option in click.get_current_context().command.params):
+        hint += "; --set sets other keys"
+    return f"{key} is not swept{hint}"

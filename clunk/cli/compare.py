@@ -20,9 +20,10 @@ from clunk.cli.options import EXIT_MISMATCH, PATH, json_option
 @click.option("--lash", metavar="NAME", help="Of several lashes, this one [all; with measurements the first].")
 @json_option
 def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, lash: str | None, as_json: bool) -> None:
-    """Compare the results file A with another, B, cell by cell; or with measurements.
+    """Compare a results file with another, or with measurements.
 
-    B is a results file of the same grid, a CSV file of measured labels, or table_4_1, the report's experiment.
+    Cell by cell: A is a results file, B one of the same grid, a CSV file of measured labels, or table_4_1, the report's
+    experiment.
 
     \b
     Examples:

@@ -22,9 +22,10 @@ _NO_BLANK = {
 @click.command()
 @click.argument("shell", type=click.Choice(("bash", "zsh", "fish")))
 def completion(shell: str) -> None:
-    """Print a script for SHELL that completes commands, options and files.
+    """Print a script by which a shell completes clunk's commands.
 
-    The keys of --set, --at, --along and the like are those of the config or results file on the line.
+    It also completes options and files. The keys of --set, --at, --along and the like are those of the config or
+    results file on the line.
 
     \b
     Examples:

@@ -15,12 +15,12 @@ from clunk.cli.options import PATH
 @click.argument("output", type=PATH)
 @click.option("--boundaries", is_flag=True, help="The boundaries instead of the map.")
 def export(file: Path, output: Path, boundaries: bool) -> None:
-    """Write the map of a results FILE, or its boundaries, for other programs.
+    """Write a map, or its boundaries, for other programs.
 
-    OUTPUT.csv has a row for each cell, codes as words and units in the header. OUTPUT.mat has the
-    variables of FILE as arrays. OUTPUT.geojson has the regions as polygons and the
-    boundaries between them as lines, if `clunk sweep --boundaries` has traced them; with
-    --boundaries OUTPUT.csv has a row for each of their vertices.
+    FILE is a results file. OUTPUT.csv has a row for each cell, codes as words and units in the header. OUTPUT.mat has
+    the variables of FILE as arrays. OUTPUT.geojson has the regions as polygons and the boundaries between them as
+    lines, if `clunk sweep --boundaries` has traced them; with --boundaries OUTPUT.csv has a row for each of their
+    vertices.
 
     \b
     Examples:

@@ -45,10 +45,11 @@ def fit(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Fit CONFIG's [[fit.parameters]] to MEASUREMENTS, a CSV file as clunk compare reads it, or table_4_1.
+    """Fit parameters of a driveline to measured labels.
 
-    Prints how many labels are met, each parameter's estimate and interval, what the data leave undetermined, and how
-    many labels are predicted from the other measurements. A fit that was stopped goes on.
+    The parameters are the [[fit.parameters]] of CONFIG, the MEASUREMENTS a CSV file as clunk compare reads it, or
+    table_4_1. Prints how many labels are met, each parameter's estimate and interval, what the data leave undetermined,
+    and how many labels are predicted from the other measurements. A fit that was stopped goes on.
 
     \b
     Example:

@@ -19,7 +19,9 @@ from clunk.cli.options import PATH, json_option
 @click.option("--check", is_flag=True, help="Also read it whole and compare it with its checksums.")
 @json_option
 def info(file: Path, show_config: bool, show_map: bool, ranks: bool, check: bool, as_json: bool) -> None:
-    """Say what a results file holds: config, versions, regime counts.
+    """Say what a results file holds.
+
+    Prints its axes, load, versions and how many cells each label has.
 
     \b
     Examples:

@@ -21,10 +21,10 @@ _STARTERS = {
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @click.option("--schema", is_flag=True, help="Print the JSON Schema by which editors check configs.")
 def init(path: Path | None, origin: str, force: bool, schema: bool) -> None:
-    """Write a commented starter config to PATH; - prints it.
+    """Write a commented starter config.
 
-    The rig [clunk.toml] has every key there is; the car [car.toml] is a driveline that rolls, with gears, from engine
-    to body.
+    PATH is the file, - prints it. The rig [clunk.toml] has every key there is; the car [car.toml] is a driveline that
+    rolls, with gears, from engine to body.
 
     Example: clunk init study.toml
 

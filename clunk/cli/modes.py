@@ -21,11 +21,11 @@ _FAINTEST = 0.05  # share of a mode's kinetic energy that is printed
 @set_option
 @json_option
 def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
-    """Print natural frequencies, damping ratios and small-gap thresholds.
+    """Print natural frequencies and damping ratios.
 
-    Of each mode also the share of each inertia in its kinetic energy, and which mode is the shuffle: the lowest in
-    which all inertias swing in phase or, where nothing holds the driveline, the engine's side against the vehicle's. Of
-    several lashes, all are closed or open, and there are no thresholds.
+    Also the thresholds of a vanishing backlash, the share of each inertia in the kinetic energy of each mode, and which
+    mode is the shuffle: the lowest in which all inertias swing in phase or, where nothing holds the driveline, the
+    engine's side against the vehicle's. Of several lashes, all are closed or open, and there are no thresholds.
 
     Example: clunk modes configs/nominal.toml
     """

@@ -51,9 +51,10 @@ def plot(
     x: str | None,
     y: str | None,
 ) -> None:
-    """Draw the maps of a results file: the regimes and their severity.
+    """Draw the maps of a results file.
 
-    Of several lashes each has its own pictures, FILE-NAME-regimes.png and so on.
+    They are its regimes and their severity. Of several lashes each has its own pictures, FILE-NAME-regimes.png and so
+    on.
 
     A map has two axes: of more, --at takes a slice, and --facet draws a map for each value. Of a
     refined sweep: the regimes. Of a tolerance map: the most likely regimes, where they are uncertain, and

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 @click.option("-o", "--output", type=PATH, help="Page: .html [FILE.html].")
 @at_option
 def report(file: Path, output: Path | None, at: tuple[str, ...]) -> None:
-    """Write a page of HTML on a results FILE: its maps, thresholds, config, versions and digests.
+    """Write a page of HTML on a results file.
 
-    It is one file, which asks for no other. Of three or four axes it has a map for each value of the further ones, or a
-    slice by --at.
+    It has the maps, thresholds, config, versions and digests of FILE. It is one file, which asks for no other. Of three
+    or four axes it has a map for each value of the further ones, or a slice by --at.
 
     Example: clunk report results/figure_3_4.h5 -o report.html
     """

@@ -25,10 +25,11 @@ if TYPE_CHECKING:
 @click.option("--table", type=PATH, help="Also write the claims into this Markdown file.")
 @json_option
 def reproduce(output: Path, workers: int | None, coarsen: int, table: Path | None, as_json: bool) -> None:
-    """Recompute the report: every number and claim beside ours, every figure redrawn.
+    """Recompute the report that clunk is built on.
 
-    Exits with 4 where a claim that is known to agree no longer does. The file of --table has the comments
-    <!-- claims: errors --> and <!-- claims: agrees -->, each with an <!-- end --> after it; the tables go between.
+    Every number and claim stands beside ours, every figure is redrawn. Exits with 4 where a claim that is known to
+    agree no longer does. The file of --table has the comments <!-- claims: errors --> and <!-- claims: agrees -->, each
+    with an <!-- end --> after it; the tables go between.
 
     \b
     Examples:

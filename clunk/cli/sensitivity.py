@@ -47,10 +47,10 @@ def sensitivity(
     output: Path | None,
     as_json: bool,
 ) -> None:
-    """Tell which of CONFIG's tolerances the spread at one operating point comes from.
+    """Tell from which tolerances the spread of an outcome comes.
 
-    Prints first-order and total Sobol indices, from n (d + 2) runs for d tolerances; n is sweep.sampling.count, a power
-    of two.
+    Takes the tolerances of CONFIG at one operating point. Prints first-order and total Sobol indices, from n (d + 2)
+    runs for d tolerances; n is sweep.sampling.count, a power of two.
 
     \b
     Examples:

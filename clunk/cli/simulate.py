@@ -69,9 +69,10 @@ def simulate(
     as_json: bool,
     **drawing: Any,
 ) -> None:
-    """Run one load step; print its events, label and energy balance; draw or save it.
+    """Run one load step and print its events.
 
-    SOURCE is a config, or a results file of which --at names the cell.
+    Prints its label and energy balance, too, and draws or saves it. SOURCE is a config, or a results file of which --at
+    names the cell.
 
     \b
     Examples:

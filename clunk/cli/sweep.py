@@ -52,7 +52,7 @@ def sweep(
     retry_failed: bool,
     as_json: bool,
 ) -> None:
-    """Run the grid of CONFIG in parallel and write a results file.
+    """Run the grid of a config and write a results file.
 
     Stopped by whatever, the same command goes on where it was.
 

@@ -38,7 +38,6 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
 @click.argument("config", type=PATH)
 @click.option(
     "--along",
-    required=True,
     metavar="KEY",
     shell_complete=completion.swept,
     help="The axis of CONFIG along which they are looked for.",
@@ -66,7 +65,7 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
 @json_option
 def thresholds(
     config: Path,
-    along: str,
+    along: str | None,
     outcome: str,
     quantiles: tuple[float, ...] | None,
     draws: bool,
@@ -77,10 +76,11 @@ def thresholds(
     output: Path | None,
     as_json: bool,
 ) -> None:
-    """Locate all values of a swept key at which an outcome changes, to 1e-9 of its range.
+    """Locate the values of a key at which an outcome changes.
 
-    They are told for every cell of CONFIG's other axes, or where --at says, with the outcomes below and
-    above each. With [[sweep.tolerances]]: where the outcome is the same in 50 % and in 95 % of the drawn drivelines.
+    All of them, to 1e-9 of the key's axis, are told for every cell of CONFIG's other axes, or where --at says, with the
+    outcomes below and above each. With [[sweep.tolerances]]: where the outcome is the same in 50 % and in 95 % of the
+    drawn drivelines.
 
     \b
     Examples:
@@ -93,14 +93,19 @@ def thresholds(
     """
     from clunk.analysis import thresholdfile
     from clunk.analysis import thresholds as analysis
+    from clunk.analysis.outcomes import DOUBLE_SIDED
     from clunk.analysis.quantiles import check, threshold_quantiles
     from clunk.results import targets
+    from clunk.simulation.load import load_step
     from clunk.study.config import load_study
     from clunk.study.designs import has_tolerances, nominal, with_axes_at
     from clunk.study.lashes import lash_position
     from clunk.sweeping.cells import warm_up
 
     study = load_study(config, overrides)
+    if along is None:
+        swept_keys = [axis.parameter for axis in study.sweep.axes] if study.sweep else []
+        raise click.UsageError(f"Along which axis? Name one: --along {' or --along '.join(swept_keys or ['KEY'])}.")
     scanned, axes = analysis.axes_of(study, along)
     if at:
         if any(place.partition("=")[0].strip() == scanned.parameter for place in at):
@@ -108,8 +113,13 @@ def thresholds(
         swept = [axis for axis in axes if axis.parameter != analysis.DRAW]
         study = with_axes_at(study, nearest_values(swept, (), at))
         _, axes = analysis.axes_of(study, along)
-    analysis.parse(outcome, study)
+    asked = analysis.parse(outcome, study)
     lash_position(lash, study.lash_names)
+    torques = load_step(study.load)
+    if asked.quantity == DOUBLE_SIDED and torques.before * torques.after < 0.0:
+        terminal.complain(
+            "note: the torque reverses, so that teeth cross even without a double-sided impact: CR(1) is none"
+        )
     is_toleranced = has_tolerances(study)
     if (draws or quantiles) and not is_toleranced:
         raise analysis.ThresholdError("--quantiles and --draws need [[sweep.tolerances]], and the config has none.")

@@ -24,10 +24,11 @@ if TYPE_CHECKING:
 @workers_option
 @json_option
 def verify(config: Path, overrides: tuple[str, ...], workers: int | None, as_json: bool) -> None:
-    """Run CONFIG by both methods, rk4 and exact, and compare labels, events and severity.
+    """Run a config by both methods and compare the results.
 
-    Exact is guarded: it cannot skip an event, to rounding, for this model. Where labels differ in a cell that it does
-    not flag (undecided or grazing), the exit code is 4. A config without axes is compared event by event.
+    The methods are rk4 and exact; labels, events and severity are compared. Exact is guarded: it cannot skip an event,
+    to rounding, for this model. Where labels differ in a cell that it does not flag (undecided or grazing), the exit
+    code is 4. A config without axes is compared event by event.
 
     \b
     Examples:

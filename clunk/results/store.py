@@ -43,6 +43,7 @@ from clunk.results.quantities import REGIME_QUANTITIES, TOLERANCE_QUANTITIES, Qu
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import QUANTILES, ToleranceMap
 from clunk.study.axes import LASH, RUN, ResultAxis, lash_axis
+from clunk.study.document import nearest_file
 from clunk.study.errors import ClunkError
 
 SCHEMA_VERSION = 2  # of a regime map
@@ -297,13 +298,15 @@ def opened(path: str | os.PathLike[str], *, header_only: bool = False) -> Iterat
     try:
         stored = path.open("rb")  # Python's own errors are clearer than HDF5's
     except OSError as error:
-        raise StoreError(f"{path} cannot be read: {reason(error)}.") from error
+        hint = nearest_file(path, ".h5", "results") or "."
+        raise StoreError(f"{path} cannot be read: {reason(error)}{hint}") from error
     try:
         with stored:
             on_disk = header_only or os.fstat(stored.fileno()).st_size > _LARGE_FILE
             source = stored if on_disk else io.BytesIO(stored.read())
             if source.read(8) != b"\x89HDF\r\n\x1a\n":
-                raise StoreError(f"{path} is not a results file of clunk: it is not HDF5.")
+                hint = f"; clunk sweep {path} makes one" if path.suffix == ".toml" else ""
+                raise StoreError(f"{path} is not a results file of clunk: it is not HDF5{hint}.")
             checksum = matches_checksum(source)  # before HDF5 sees it
             with h5py.File(source, "r") as file:
                 if "schema_version" not in file.attrs or "sequence" not in file:

@@ -40,7 +40,8 @@ def read_text(
         with Path(path).open("rb") as file:
             data = file.read(_LARGEST_FILE + 1)
     except FileNotFoundError:
-        raise _refusal(f"{path} does not exist{_nearest_file(Path(path)) if known is None else known}") from None
+        known = nearest_file(Path(path), ".toml", "configs") or "." if known is None else known
+        raise _refusal(f"{path} does not exist{known}") from None
     except IsADirectoryError:
         raise _refusal(f"{path} is a directory; {noun} is {form}.") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
@@ -105,13 +106,16 @@ def _refusal(sentence: str, line: int | None = None) -> ConfigError:
     return ConfigError(sentence, [Problem("", line, sentence)])
 
 
-def _nearest_file(path: Path) -> str:
-    try:
-        names = [entry.name for entry in path.parent.iterdir() if entry.suffix == ".toml"]
-    except OSError:
-        return "."
-    name = nearest(path.name, names)
-    return f"; did you mean {path.with_name(name)}?" if name else "."
+def nearest_file(path: Path, suffix: str, usual: str) -> str:
+    """Question after a file of a similar name, beside one that does not exist or in the usual folder; or nothing."""
+    if path.exists():
+        return ""
+    for folder in (path.parent, path.parent / usual):
+        with contextlib.suppress(OSError):
+            name = nearest(path.name, [entry.name for entry in folder.iterdir() if entry.suffix == suffix])
+            if name:
+                return f"; did you mean {folder / name}?"
+    return ""
 
 
 def _is_too_deep(node: object, room: int = _DEEPEST) -> bool:

@@ -35,6 +35,10 @@ __all__ = ["Job", "SweepError", "cell_count", "engine_of", "opened", "sweep", "w
 HAS_TOLERANCES = "The study has [[sweep.tolerances]]: clunk.tolerance_map runs it."
 Finish = Callable[[AnyMap], AnyMap]  # adds to a map
 
+_NO_SWEEP = (
+    "There is nothing to sweep: the config has no [[sweep.axes]] and no [[sweep.samples]] (clunk help designs). "
+    "clunk simulate runs it once."
+)
 _WAYS_OUT = "Name another file, or overwrite it with --force (in Python, force=True)."
 
 
@@ -74,7 +78,7 @@ class Job:
         """Empty arrays of the map. Raises SweepError where nothing can run, or the arrays don't fit in memory."""
         design = self.design
         if not design.shape:
-            raise SweepError("There is nothing to sweep: the config has no [[sweep.axes]] and no [[sweep.samples]].")
+            raise SweepError(_NO_SWEEP)
         on_disk = None if self.directory is None else self.directory.path
         lashes = len(self.study.lashes)
         refuse_if_too_large((*design.shape, lashes) if lashes > 1 else design.shape, on_disk)

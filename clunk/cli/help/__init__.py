@@ -7,6 +7,8 @@ from importlib.resources import files
 
 import click
 
+from clunk.study.problems import nearest
+
 
 @click.command()
 @click.argument("topic", required=False)
@@ -25,7 +27,9 @@ def help(topic: str | None) -> None:  # noqa: A001  # as the command is named
         for name, text in topics.items():
             click.echo(f"{name:<{width}}  {text.splitlines()[0].partition(': ')[2]}")
     elif topic not in topics:
-        raise click.UsageError(f"no topic {topic!r}; there are {', '.join(topics)}.")
+        likely = nearest(topic, topics)
+        hint = f"did you mean {likely}? There" if likely else "there"
+        raise click.UsageError(f"no topic {topic!r}; {hint} are {', '.join(topics)}.")
     elif sys.stdout.isatty():
         from rich.console import Console
 
