@@ -165,8 +165,8 @@ class TestPictures:
     def test_the_first_picture_has_the_cells_colours_and_the_same_legend(self, subject):
         first, then = cells_picture(subject.results), picture_of(subject.results, "regimes", 2)
         assert first.legend == then.legend
-        middle = first.pixels.shape[0] // 2
-        assert first.pixels[middle, middle] == then.pixels[middle, middle]
+        middles = [each.pixels[tuple(size // 2 for size in each.pixels.shape)] for each in (first, then)]
+        assert middles[0] == middles[1]
 
     def test_a_quantity_has_its_own_scale(self, subject):
         shades = picture_of(subject.results, "severity", 2).shades

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from bokeh.models import ColorBar, ColumnDataSource, DataRange1d, LinearColorMapper, Range1d
+from bokeh.models import ColorBar, ColumnDataSource, DataRange1d, LinearColorMapper, Model, Range1d
 from bokeh.plotting import figure
 
+from clunk.explorer.message import Changes
 from clunk.explorer.pictures import Picture
 from clunk.plot.plane import ruler
 from clunk.plot.style import INK, LINE_COLOURS
@@ -26,7 +28,10 @@ def axis_title(axis: ResultAxis) -> str:
 
 
 class MapFigure:
-    """A map over two axes, or a curve over one on bands of the labels' colours; one picture takes another's place."""
+    """A map over two axes, or a curve over one on bands of the labels' colours; one picture takes another's place.
+
+    models : what a picture changes, by name
+    """
 
     def __init__(self, axes: Sequence[ResultAxis]) -> None:
         self._axes = axes
@@ -46,60 +51,64 @@ class MapFigure:
         )
         plot.toolbar.logo = None
         plot.grid.visible = False
-        self._image = _source("image", "x", "y", "dw", "dh")
-        self._bands = _source("x0", "x1", "colour")
-        self._lines = _source("xs", "ys")
-        self._points = _source("x", "y")
-        self._texts = _source("x", "y", "text")
-        self._marks = _source("x", "y", "colour")
-        self._mapper = LinearColorMapper(palette=["#000000", "#ffffff"], low=0.0, high=1.0)
-        self._bar = ColorBar(color_mapper=self._mapper, width=10, visible=False)
-        plot.add_layout(self._bar, "right")
+        image, bands = _source("image", "x", "y", "dw", "dh"), _source("x0", "x1", "colour")
+        lines, points, texts = _source("x", "y"), _source("x", "y"), _source("x", "y", "text")
+        self._marks, self._curve = _source("x", "y", "colour"), np.zeros((0, 2))
+        shades = LinearColorMapper(palette=["#000000", "#ffffff"], low=0.0, high=1.0)
+        bar = ColorBar(color_mapper=shades, width=10, visible=False)
+        plot.add_layout(bar, "right")
+        self.models: dict[str, Model] = {"image": image, "bands": bands, "lines": lines, "points": points}
+        self.models |= {"texts": texts, "shades": shades, "bar": bar, "y axis": plot.yaxis[0]}
         text = {"text_align": "center", "text_baseline": "middle", "text_font_size": "14px", "text_color": INK}
         if is_map:
-            plot.image_rgba("image", "x", "y", "dw", "dh", source=self._image)
-            lines = plot.multi_line("xs", "ys", source=self._lines, color=INK, line_width=0.9)
-            self._boundaries = lines.glyph
-            plot.scatter("x", "y", source=self._points, size=2.5, color=INK)
-            plot.text("x", "y", "text", source=self._texts, **text)
+            plot.image_rgba("image", "x", "y", "dw", "dh", source=image)
+            self.models["boundaries"] = plot.line("x", "y", source=lines, color=INK, line_width=0.9).glyph
+            plot.scatter("x", "y", source=points, size=2.5, color=INK)
+            plot.text("x", "y", "text", source=texts, **text)
         else:
-            plot.vstrip("x0", "x1", source=self._bands, color="colour", level="underlay")
-            plot.line("x", "y", source=self._points, color=INK, line_width=1.5)
+            plot.vstrip("x0", "x1", source=bands, color="colour", level="underlay")
+            plot.line("x", "y", source=points, color=INK, line_width=1.5)
         ring = {"source": self._marks, "size": 13, "fill_alpha": 0.0, "level": "overlay"}  # drawn without the rest
         for width, colour in ((6.0, "white"), (2.5, "colour")):
             plot.scatter("x", "y", line_width=width, line_color=colour, **ring)
 
-    def show(self, picture: Picture, name: str) -> None:
-        """Show a picture of a quantity of this name; labels are written where no quantity is drawn."""
+    def changes(self, picture: Picture, name: str) -> Changes:
+        """What a picture of a quantity of this name changes of the models."""
         if len(self._axes) > 1:
-            self._show_map(picture)
-        else:
-            assert picture.edges is not None
-            assert picture.curve is not None
-            colours = [f"#{pixel & 255:02x}{pixel >> 8 & 255:02x}{pixel >> 16 & 255:02x}" for pixel in picture.pixels]
-            self._bands.data = {"x0": picture.edges[:-1], "x1": picture.edges[1:], "colour": colours}
-            self._points.data = {"x": picture.curve[:, 0], "y": picture.curve[:, 1]}
-            self.figure.yaxis.axis_label = name
+            return self._map_changes(picture)
+        assert picture.edges is not None
+        assert picture.curve is not None
+        self._curve = picture.curve
+        colours = [f"#{pixel & 255:02x}{pixel >> 8 & 255:02x}{pixel >> 16 & 255:02x}" for pixel in picture.pixels]
+        return {
+            "bands": {"data": {"x0": picture.edges[:-1], "x1": picture.edges[1:], "colour": colours}},
+            "points": {"data": {"x": self._curve[:, 0], "y": self._curve[:, 1]}},
+            "y axis": {"axis_label": name},
+        }
 
-    def _show_map(self, picture: Picture) -> None:
+    def _map_changes(self, picture: Picture) -> Changes:
         (x, width), (y, height) = ((axis.values.min(), np.ptp(axis.values)) for axis in self._axes)
-        self._image.data = {"image": [picture.pixels], "x": [x], "y": [y], "dw": [width], "dh": [height]}
-        self._lines.data = {"xs": [line[:, 0] for line in picture.lines], "ys": [line[:, 1] for line in picture.lines]}
-        self._points.data = {"x": picture.dots[:, 0], "y": picture.dots[:, 1]}
-        names = ("text", "x", "y")
-        columns = zip(*picture.texts, strict=True) if picture.texts else ((), (), ())
-        self._texts.data = {name: list(column) for name, column in zip(names, columns, strict=True)}
-        shades = picture.shades
-        self._bar.visible = shades is not None
-        self._boundaries.line_color = INK if shades is None or shades.has_dark_lines else "white"
+        # one line with gaps: each of a hundred lines would be two buffers of the message
+        gap = np.full((1, 2), np.nan)
+        line = np.concatenate([part for each in picture.lines for part in (each, gap)] or [gap])
+        shades, names = picture.shades, ("text", "x", "y")
+        texts = zip(*picture.texts, strict=True) if picture.texts else ((), (), ())
+        changes: dict[str, dict[str, Any]] = {
+            "image": {"data": {"image": [picture.pixels], "x": [x], "y": [y], "dw": [width], "dh": [height]}},
+            "lines": {"data": {"x": line[:, 0], "y": line[:, 1]}},
+            "points": {"data": {"x": picture.dots[:, 0], "y": picture.dots[:, 1]}},
+            "texts": {"data": {name: list(column) for name, column in zip(names, texts, strict=True)}},
+            "boundaries": {"line_color": INK if shades is None or shades.has_dark_lines else "white"},
+            "bar": {"visible": False} if shades is None else {"visible": True, "title": shades.label},
+        }
         if shades is not None:
-            self._mapper.update(palette=shades.colours, low=shades.low, high=shades.high)
-            self._bar.title = shades.label
+            changes["shades"] = {"palette": shades.colours, "low": shades.low, "high": shades.high}
+        return changes
 
     def mark(self, marks: Sequence[Mark]) -> None:
         """Put rings around cells, the last on top; over one axis, where the curve is."""
         if len(self._axes) == 1:
-            x, y = (np.asarray(self._points.data[name], float) for name in "xy")
+            x, y = self._curve.T
             marks = [(at, float(y[np.argmin(np.abs(x - at))]) if x.size else 0.0, colour) for at, _, colour in marks]
         columns = zip(*marks, strict=True) if marks else ((), (), ())
         self._marks.data = {name: list(each) for name, each in zip(("x", "y", "colour"), columns, strict=True)}

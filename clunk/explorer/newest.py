@@ -17,13 +17,18 @@ class Request:
     def __init__(self) -> None:
         self._is_superseded = threading.Event()
 
+    @property
+    def is_superseded(self) -> bool:
+        """Whether a newer request has come."""
+        return self._is_superseded.is_set()
+
     def supersede(self) -> None:
         """Tell the work to stop."""
         self._is_superseded.set()
 
     def go_on(self, *_: object) -> None:
         """Raise Superseded where the work is no longer wanted; takes what progress functions are called with."""
-        if self._is_superseded.is_set():
+        if self.is_superseded:
             self._stop()
 
     def _stop(self) -> NoReturn:
@@ -53,7 +58,12 @@ class Newest:
             if self._running is not None:
                 self._running.supersede()
             self._waiting = Request(), work
-            self._changed.notify()
+            self._changed.notify_all()
+
+    def wait(self, seconds: float) -> None:
+        """Wait until there is nothing to do, for so long at most."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._waiting is None and self._running is None, seconds)
 
     def close(self) -> None:
         """Stop what runs and end the thread."""
@@ -61,7 +71,7 @@ class Newest:
             if self._running is not None:
                 self._running.supersede()
             self._waiting, self._is_closed = None, True
-            self._changed.notify()
+            self._changed.notify_all()
 
     def _loop(self) -> None:
         while True:
@@ -80,3 +90,4 @@ class Newest:
             finally:
                 with self._changed:
                     self._running = None
+                    self._changed.notify_all()

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from html import escape
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from bokeh.document import Document
@@ -15,6 +14,7 @@ from bokeh.events import ConnectionLost, DocumentReady, DoubleTap, MouseLeave, M
 from bokeh.models import ColumnDataSource, CustomJS, Div, Pane, UIElement
 
 from clunk.explorer.mapfigure import MapFigure
+from clunk.explorer.message import Message, asset
 from clunk.explorer.pictures import Picture, cells_picture
 from clunk.explorer.subject import Subject
 from clunk.study.errors import ClunkError
@@ -37,7 +37,9 @@ class Page:
         self.document, self.subject = document, subject
         self.map = MapFigure(subject.plane)
         self.status = Div(text="…", name="status", render_as_text=True, styles={"color": "#5b646c"}, **WIDE)
-        self.legend = Div(text="", name="legend", styles={"line-height": "20px"}, **WIDE)
+        # of one height, or the map would be drawn anew with every legend
+        fixed = {"line-height": "20px", "flex": "none", "overflow-y": "auto"}
+        self.legend = Div(text="", name="legend", height=62, styles=fixed, **WIDE)
         self.above = box("row", min_height="36px", flex="none")
         self.below = box("column", height="190px", flex="none", overflow_y="auto")
         self.right = box("column", flex="1 1 0", min_width="0")
@@ -49,8 +51,10 @@ class Page:
         if len(subject.plane) == 2:
             first = {axis.parameter: float(axis.values[len(axis.values) // 2]) for axis in subject.slices}
             picture = cells_picture(subject.stored(first).of_lash())
-            self.map.show(picture, "")
-            self.show_legend(picture)
+            self.legend.text = legend_text(picture)
+            for name, properties in self.map.changes(picture, "").items():
+                self.map.models[name].update(**properties)
+        self._message = Message(legend=self.legend, status=self.status, **self.map.models)
         for event in (*CLICKS, MouseMove, MouseLeave):  # what is listened to later, the browser does not hear of
             self.map.figure.on_event(event, self._on_pointer)
         self._add_roots()
@@ -87,23 +91,17 @@ class Page:
         text = str(error) if isinstance(error, ClunkError) else f"internal error: {error!r}"
         self.soon(partial(setattr, self.status, "text", text))
 
-    def show_legend(self, picture: Picture, *notes: str) -> None:
-        """List the labels of a map, and notes."""
-        square = '<span style="background: {}; border: 1px solid #1c2126">&emsp;</span>'
-        swatch = f'<span style="white-space: nowrap">{square}&nbsp;{{}}&nbsp;{{}}</span>'
-        entries = [swatch.format(colour, escape(label), share) for label, colour, share in picture.legend[:_LISTED]]
-        if len(picture.legend) > _LISTED:
-            entries.append(f"and {len(picture.legend) - _LISTED} more")
-        if len(picture.dots):
-            entries.append(f"● undecided: {len(picture.dots):,} cells")
-        self.legend.text = " &nbsp; ".join([*entries, *notes])
+    def show_map(self, picture: Picture, quantity: str, status: str, *notes: str) -> None:
+        """Show the map of a quantity, with notes in its legend, and say what it is."""
+        texts = {"legend": {"text": legend_text(picture, *notes)}, "status": {"text": status}}
+        self._message.send({**self.map.changes(picture, quantity), **texts})
 
     def _add_roots(self) -> None:
         title = Div(text=f"<b>{escape(self.subject.title)}</b>", name="title", styles={"font-size": "16px"}, **WIDE)
         left = box("column", flex="1 1 0", min_width="0")
         left.elements = [title, self.above, self.map.figure, self.legend, self.below, self.status]
         page = box("row", left, self.right, height="100vh")
-        for root in (page, self.keys, self.download):
+        for root in (page, self.keys, self.download, self._message.source):
             self.document.add_root(root)
 
     def _on_pointer(self, event: PointEvent) -> None:
@@ -128,6 +126,18 @@ class Page:
         self.soon(furnish)
 
 
+def legend_text(picture: Picture, *notes: str) -> str:
+    """The labels of a map with their colours and shares, and notes."""
+    square = '<span style="background: {}; border: 1px solid #1c2126">&emsp;</span>'
+    swatch = f'<span style="white-space: nowrap">{square}&nbsp;{{}}&nbsp;{{}}</span>'
+    entries = [swatch.format(colour, escape(label), share) for label, colour, share in picture.legend[:_LISTED]]
+    if len(picture.legend) > _LISTED:
+        entries.append(f"and {len(picture.legend) - _LISTED} more")
+    if len(picture.dots):
+        entries.append(f"● undecided: {len(picture.dots):,} cells")
+    return " &nbsp; ".join([*entries, *notes])
+
+
 def box(direction: str, *elements: UIElement, **styles: str) -> Pane:
     """Elements in a row or a column, by CSS; styles : properties, with underscores.
 
@@ -136,8 +146,3 @@ def box(direction: str, *elements: UIElement, **styles: str) -> Pane:
     """
     names = {name.replace("_", "-"): value for name, value in styles.items()}
     return Pane(elements=list(elements), styles={"display": "flex", "flex-direction": direction, **names})
-
-
-def asset(name: str) -> str:
-    """Text of a file of the explorer."""
-    return files(__package__).joinpath(name).read_text("utf-8")

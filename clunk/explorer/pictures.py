@@ -18,6 +18,7 @@ from clunk.study.axes import ResultAxis
 Pixels = npt.NDArray[np.uint32]
 
 _PIXELS = 640  # of an image, across and upward
+_FEW_PIXELS = 160  # of an image of few cells
 
 
 class Shades(NamedTuple):
@@ -60,14 +61,15 @@ def cells_picture(results: Results) -> Picture:
     view = View.of(results, 2)
     labels = results.labels if results.boundaries is None else results.boundaries.labels
     codes = view.arrange(results.sequence)
-    columns, rows = (cells_of(axis, pixel_centres(axis)) for axis in view.axes)
+    pixels = _FEW_PIXELS if max(codes.shape) < _FEW_PIXELS // 4 else _PIXELS
+    columns, rows = (cells_of(axis, pixel_centres(axis, pixels)) for axis in view.axes)
     return Picture(label_colours(labels)[codes[np.ix_(columns, rows)].T], legend_of(labels, codes))
 
 
-def pixel_centres(axis: ResultAxis) -> Floats:
+def pixel_centres(axis: ResultAxis, pixels: int = _PIXELS) -> Floats:
     """Centres of an image's pixels along an ascending axis, in its unit."""
     to, back = ruler(axis)
-    edges = np.linspace(to(axis.values[0]), to(axis.values[-1]), _PIXELS + 1)
+    edges = np.linspace(to(axis.values[0]), to(axis.values[-1]), pixels + 1)
     return np.asarray(back(0.5 * (edges[1:] + edges[:-1])), np.float64)
 
 

@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from bokeh.events import Reset
-from bokeh.models import BoxAnnotation, ColumnDataSource, CustomJS, DataRange1d, Div, Range1d, Span
+from bokeh.models import BoxAnnotation, ColumnDataSource, DataRange1d, Div, Range1d, Span
 from bokeh.plotting import figure
 
 from clunk.explorer.curves import Floats, thinned
 from clunk.explorer.mapfigure import RUN_COLOURS
-from clunk.explorer.page import asset
+from clunk.explorer.message import Changes, Message
 from clunk.plot.style import FAINT_INK, INK
 from clunk.simulation.history import History
 
@@ -39,10 +39,7 @@ _PANELS = (
 class RunFigures:
     """Panels of one run and of those that are pinned beside it, thinned anew for what the time axis shows.
 
-    All that a run changes goes to the browser in one message: it draws once, where a message for each part would have
-    it draw several times.
-
-    texts : by name, shown beside the panels
+    texts : by name, what is written beside the panels
     """
 
     def __init__(self, **texts: Div) -> None:
@@ -75,10 +72,8 @@ class RunFigures:
             self._time.on_change(name, self._on_zoom)
         sources = {"curves": self._curves, "flanks": flanks, "touches": touches, "arrows": arrows}
         self._marks = {name: list(source.data) for name, source in sources.items() if name != "curves"}
-        self._message = ColumnDataSource(data={})
-        changes = CustomJS(args={"models": {**sources, **texts, "gap": gap}}, code=asset("changes.js"))
-        self._message.js_on_change("data", changes)
-        self.figures["lash"].tags = [self._message]  # a part of the page, which is not drawn
+        self._message = Message(gap=gap, **sources, **texts)
+        lash.tags = [self._message.source]  # a part of the page that is not drawn
 
     def _figure(self, panel: _Panel) -> Any:
         plot = figure(
@@ -132,19 +127,16 @@ class RunFigures:
                 self._time.update(start=whole[0], end=whole[1])
                 self._is_setting = False
             half = 1e3 * runs[0].half_gap
-            changes |= {"gap": {"bottom": -half, "top": half}} | self._marks_of(runs[0])
+            changes |= {"gap": {"bottom": -half, "top": half}, **self._marks_of(runs[0])}
         else:
             changes |= {name: {"data": {column: [] for column in columns}} for name, columns in self._marks.items()}
-        self._send({**changes, **self._drawn()})
-
-    def _send(self, changes: dict[str, dict[str, Any]]) -> None:
-        self._message.data = {name: [properties] for name, properties in changes.items()}
+        self._message.send({**changes, **self._drawn()})
 
     def _on_zoom(self, _attribute: str, _old: float, _new: float) -> None:
         if not self._is_setting:
-            self._send(self._drawn())
+            self._message.send(self._drawn())
 
-    def _drawn(self) -> dict[str, dict[str, Any]]:
+    def _drawn(self) -> Changes:
         """The curves of all runs within what the time axis shows."""
         begin, end = float(self._time.start), float(self._time.end)
         shown = list(zip(self._runs, RUN_COLOURS, strict=False))[::-1]

@@ -21,7 +21,7 @@ from clunk.sweeping.cells import compiling_note, warm_up
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.sweep import sweep
 
-_COARSE = 41  # values of an axis, of the map that is shown first
+_COARSE = 31  # values of an axis, of the map that is shown first
 
 
 class Variations:

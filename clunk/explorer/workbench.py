@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Mapping
 from functools import partial
@@ -31,8 +30,8 @@ if TYPE_CHECKING:
 
 _PINS = len(RUN_COLOURS) - 1
 _ARROWS = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowDown": (0, -1), "ArrowUp": (0, 1)}
-_HELP = "click: keep a run · shift-click or p: pin it · u: unpin · arrows: next cell · f: follow"
-_FIRST_RUN = 10.0  # s for which the first map waits for the first run: its cells are on the page
+_HELP = "   ·   click: keep a run · shift-click or p: pin it · u: unpin · arrows: next cell · f: follow"
+_FIRST_RUN, _RUN = 10.0, 0.2  # s for which a map waits for a run at most; the first run imports much
 _OFTEN = 0.5  # s between two words of progress: for each, the browser lays the page out again, 0.1 s
 _COARSE = "computing the map: every few cells are shown"
 _OWN = "the map with the config's own numbers"
@@ -52,7 +51,6 @@ class Workbench:
         self._run: Shown | None = None
         self._pins: list[Shown] = []
         self._pins_next = False
-        self._has_run = threading.Event()
         self._requested: tuple[dict[str, float], dict[str, float]] | None = None
 
         results = self._subject.results
@@ -206,8 +204,6 @@ class Workbench:
             except ClunkError as error:
                 self._page.soon(partial(self._refuse_run, str(error)))
                 return
-            finally:
-                self._has_run.set()
             request.go_on()
             shown = Shown(cell, values, numbers, history, balance(history.trajectory), self._place(values, numbers))
             request.go_on()
@@ -263,7 +259,7 @@ class Workbench:
 
         refine = quantity == "regimes"  # of anything else, an inferred cell has no value
 
-        def show(results: Results, status: str) -> None:
+        def show(request: Request, results: Results, status: str) -> None:
             from clunk.explorer.drawings import picture_of  # matplotlib: the first run does not wait for it
 
             part, thresholds = results.of_lash(lash), []
@@ -272,7 +268,7 @@ class Workbench:
             else:
                 picture = picture_of(part, quantity, len(subject.plane))
                 thresholds = thresholds_of(results) if quantity == "regimes" else []
-            self._page.soon(partial(self._show_map, results, picture, thresholds, status))
+            self._page.soon(lambda: self._show_map(request, results, picture, thresholds, status))
 
         def work(request: Request) -> None:
             said = time.monotonic()
@@ -284,26 +280,29 @@ class Workbench:
                     said = time.monotonic()
                     self._page.soon(partial(self._say, f"computing the map: {done:,} of {total:,} cells"))
 
-            self._has_run.wait(_FIRST_RUN)
+            self._newest_run.wait(_FIRST_RUN if self._results is None else _RUN)  # it is wanted at once
             if not numbers and (refine or not subject.results.inferred.any()):
-                show(subject.stored(slices), _OWN)
+                show(request, subject.stored(slices), _OWN)
                 variations.prepare(lambda text: self._page.soon(partial(self._say, text)))
                 return
             coarse = variations.coarse_map(slices, numbers, progress, refine=refine)
             request.go_on()
             if coarse is not None:
-                show(coarse, _COARSE)
+                show(request, coarse, _COARSE)
             full = variations.full_map(slices, numbers, progress, refine=refine)
             request.go_on()
-            show(full, "the map with these numbers, which is in no file" if numbers else _OWN)
+            show(request, full, "the map with these numbers, which is in no file" if numbers else _OWN)
 
         self._newest_map.submit(work)
 
-    def _show_map(self, results: Results, picture: Picture, thresholds: list[float], status: str) -> None:
+    def _show_map(
+        self, request: Request, results: Results, picture: Picture, thresholds: list[float], status: str
+    ) -> None:
+        if request.is_superseded:
+            return
         self._results = results
-        self._page.map.show(picture, _quantity_name(results, self._quantity.value))
-        self._page.show_legend(picture, *_thresholds(thresholds))
-        self._say(status)
+        quantity = _quantity_name(results, self._quantity.value)
+        self._page.show_map(picture, quantity, f"{status}{_HELP}", *_thresholds(thresholds))
         self._mark()
 
     def _mark(self) -> None:
@@ -328,7 +327,7 @@ class Workbench:
         self._page.work(work)
 
     def _say(self, text: str) -> None:
-        self._page.status.text = f"{text}   ·   {_HELP}"
+        self._page.status.text = f"{text}{_HELP}"
 
 
 def _thresholds(values: list[float]) -> list[str]:
