@@ -112,6 +112,7 @@ def simulate(
             print_trajectory(trajectory)
             click.echo()
             print_energy(trajectory, balance(trajectory))
+        click.echo("\n" + phrases.fill(_legend(runs[0][1].study)))
     if output is not None:
         if lash is not None:
             runs = [(name, each.lashes[k]) for (name, each), k in zip(runs, positions, strict=True)]
@@ -184,6 +185,23 @@ def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, options: Drawin
         "small-gap": lambda: small_gap(runs[0][1].study.title, SmallGap.of(runs[0][1].study)),
     }
     terminal.save_picture(draw[options.figure](), output)
+
+
+def _legend(study: Study) -> str:
+    """What the symbols in the tables of a run mean."""
+    from clunk.simulation.driveline import Driveline
+
+    names = Driveline.from_study(study).names
+    first, second = study.lashes[0].between
+    ratio = f"{study.lashes[0].ratio:g} " if study.lashes[0].ratio != 1.0 else ""
+    ends = [str(end) if end == "ground" else names[int(end) - 1] for end in (first, second)]
+    gap = f"the gap, {ends[0]} less {ratio}{ends[1]}," if len(study.lashes) == 1 else "a lash's gap"
+    of = study.impacts.acceleration_of
+    whose = "the lash's first inertia" if of is None else names[of - 1]
+    return (
+        f"(time: after the load step; q': rate of {gap} just before the event; Qi: peak-to-peak acceleration of {whose} from a primary impact to "
+        "the next; O, I: primary impacts on the opposite and the initial flank; more: clunk help words)"
+    )
 
 
 def print_trajectory(trajectory: Trajectory) -> None:
