@@ -111,8 +111,9 @@ def simulate(
                 click.echo(("\n" if k else "") + name)
             print_trajectory(trajectory)
             click.echo()
+            if k == 0:
+                click.echo(phrases.fill(_legend(trajectory.study)) + "\n")
             print_energy(trajectory, balance(trajectory))
-        click.echo("\n" + phrases.fill(_legend(runs[0][1].study)))
     if output is not None:
         if lash is not None:
             runs = [(name, each.lashes[k]) for (name, each), k in zip(runs, positions, strict=True)]
