@@ -368,7 +368,7 @@ class TestCommandLine:
             (["four.h5", *FACETS[:2], *FACETS[:2]], "is there twice"),
             (["four.h5", *FACETS, "--at", "load.ratio=1"], "beside the facets 1 of"),
             (["four.h5", "--x", "load.ratio"], "x and y are for axes that are walked together and for samples"),
-            (["four.h5", "--at", "load.ration=1"], "'load.ration' is not swept"),
+            (["four.h5", "--at", "load.ration=1"], "load.ration is not swept; did you mean load.ratio?"),
             (["four.h5", "--at", "load.ratio=11"], "swept from 0 to 10"),
             (["zip.h5", "--x", "load.ratio"], "neither rises nor falls throughout the runs; x may be"),
             (["zip.h5", "--x", "lash.radius"], "does not change in these results"),

@@ -227,7 +227,9 @@ def _share_below(study: Study, prior: Draw, number: float) -> float:
 def check(study: Study, experiment: Experiment) -> None:
     """Refuse measurements that do not go with a study. Raises FitError, ExperimentError."""
     if study.fit is None:
-        raise FitError("There is nothing to fit: the config has no [[fit.parameters]], one for each parameter.")
+        raise FitError(
+            "There is nothing to fit: the config has no [[fit.parameters]], one for each parameter (clunk help fit)."
+        )
     if len(experiment.measurements) < 2:
         raise FitError(
             f"{experiment.name} has one measurement; a fit needs two or more, to predict each from the others."

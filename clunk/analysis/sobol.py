@@ -199,8 +199,8 @@ def operating_point(study: Study) -> Study:
     swept = study.sweep
     if swept is None or not swept.tolerances:
         raise SensitivityError(
-            "There is nothing whose share could be told: the config has no [[sweep.tolerances]], one for each "
-            "parameter that is drawn."
+            "There is no spread to divide: the config has no [[sweep.tolerances]], one for each parameter that is "
+            "drawn (clunk help tolerances)."
         )
     if len(swept.tolerances) == 1:
         raise SensitivityError(

@@ -59,7 +59,7 @@ def nearest_values(
         key, _, text = assignment.partition("=")
         key = key.strip()
         if key not in swept:
-            raise click.UsageError(f"--at {assignment}: {_not_swept(key, [*swept])}.")
+            raise click.UsageError(f"--at {assignment}: {_not_swept(key, [*swept])}")
         axis = swept[key]
         lowest, highest = axis.values.min(), axis.values.max()
         try:
@@ -83,7 +83,8 @@ def nearest_values(
 def _not_swept(key: str, swept: Sequence[str]) -> str:
     """The reason why --at does not know a key, and what to name instead."""
     likely = nearest(key, swept)
-    hint = f"; did you mean {likely}?" if likely else f"; swept are {listing(swept)}" if swept else ""
-    if not likely and any(option.name == "overrides" for option in click.get_current_context().command.params):
-        hint += "; --set sets other keys"
-    return f"{key} is not swept{hint}"
+    if likely:
+        return f"{key} is not swept; did you mean {likely}?"
+    takes_others = any(option.name == "overrides" for option in click.get_current_context().command.params)
+    listed = f"; swept are {listing(swept)}" if swept else ""
+    return f"{key} is not swept{listed}{'; --set sets other keys' if takes_others else ''}."

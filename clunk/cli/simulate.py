@@ -200,8 +200,9 @@ def _legend(study: Study) -> str:
     of = study.impacts.acceleration_of
     whose = "the lash's first inertia" if of is None else names[of - 1]
     return (
-        f"(time: after the load step; q': rate of {gap} just before the event; Qi: peak-to-peak acceleration of {whose} from a primary impact to "
-        "the next; O, I: primary impacts on the opposite and the initial flank; more: clunk help words)"
+        f"(time: after the load step; q': rate of {gap} just before the event; Qi: peak-to-peak acceleration of "
+        f"{whose} from a primary impact to the next; O, I: primary impacts on the opposite and the initial flank; "
+        "more: clunk help words)"
     )
 
 

@@ -66,7 +66,10 @@ def report_speed(
     each = f" x {draws:,} draws" if draws else ""
     click.echo(f"{phrases.cells(total)}{each} in {seconds:.1f} s{rate} -> {target}", err=True)
     if inferred:
-        click.echo(f"{ran:,} of them were run; the others are inferred from their neighbours", err=True)
+        others = (
+            "the others are inferred from their neighbours" if ran < total else "so coarse a grid has none to infer"
+        )
+        click.echo(f"{ran:,} of them were run; {others}", err=True)
 
 
 def report_failures(results: Results | ToleranceMap, how: str = "") -> None:

@@ -20,6 +20,7 @@ from clunk.results.quantities import likely_name
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.study.axes import RUN
+from clunk.study.measures import OF_IMPACTS
 
 
 def draw(
@@ -49,7 +50,8 @@ def draw(
     if quantity not in known:
         likely = likely_name(quantity, known)
         hint = f"did you mean {likely!r}? There" if likely else "there"
-        raise PlotError(f"There is no quantity {quantity!r}; {hint} are {', '.join(known)}.")
+        end = f"; impacts.quantities = [{quantity!r}] in the config measures it" if quantity in OF_IMPACTS else ""
+        raise PlotError(f"There is no quantity {quantity!r}; {hint} are {', '.join(known)}{end}.")
     if y is not None and x is None:
         raise PlotError("y goes with x, which is missing.")
     if _has_runs(drawn) and not facets:

@@ -101,7 +101,8 @@ def _facet_axes(results: Results, facets: Sequence[str]) -> list[ResultAxis]:
     rest = [axis for name, axis in changing.items() if name not in facets]
     if len(rest) < 2:
         count, names = len(rest) or "none", ", ".join(changing)
-        raise PlotError(f"Each map of a family needs two axes, and beside the facets {count} of {names} is left.")
+        problem = f"A map needs two axes, and beside the facets {count} of {names} is left"
+        raise PlotError(f"{problem}; leave out a facet, or take a slice with --at instead.")
     if len(rest) > 2:
         names = ", ".join(axis.parameter for axis in rest)
         text = f"Each map of a family shows two axes, and beside the facets {len(rest)} are left ({names})"

@@ -29,8 +29,8 @@ from clunk.study.document import (
 from clunk.study.errors import ClunkWarning
 from clunk.study.keys import PRESETS, key_at
 from clunk.study.loads import STEP_KEYS, TORQUES, read_trace, uses
-from clunk.study.parameters import complaint, names_of, place_of
-from clunk.study.problems import ConfigError, Problem, nearest, report, shorten
+from clunk.study.parameters import Names, complaint, names_of, place_of
+from clunk.study.problems import ConfigError, Problem, listing, nearest, report, shorten
 from clunk.study.study import Study
 from clunk.study.tables import Finding
 from clunk.study.validation import validated
@@ -108,10 +108,10 @@ def study_from_text(
     findings += _load_trace(document, folder) if file not in assignments else []
     assigned: list[Place] = []
     for place, value in sorted(assignments.items(), key=lambda item: item[0] != file):  # items of its lists come later
-        resolved = place_of(dotted(place), names_of(document))
-        noun = "lash" if place[0] == "lash" else "inertia"
+        names = names_of(document)
+        resolved = place_of(dotted(place), names)
         _displace(document, resolved or place, value, kept={*assignments, *assigned})
-        problem = f"no {noun} has this name" if resolved is None else assign(document, resolved, value)
+        problem = _unknown_name(place, names) if resolved is None else assign(document, resolved, value)
         findings += [(place, problem)] if problem is not None else []
         assigned.append(resolved or place)
         findings += _load_trace(document, ".") if place == file else []
@@ -162,6 +162,12 @@ def _preset(raw: dict[str, Any], assignments: Mapping[Place, Any]) -> tuple[str,
     if items_of(assignments.get(("lash",), raw.get("lash"))):  # which replace the preset's lash as a whole
         preset.get("impacts", {}).pop("acceleration_of", None)
     return name, preset, findings
+
+
+def _unknown_name(place: Place, names: Names) -> str:
+    noun, known = ("lash", names.lashes) if place[0] == "lash" else ("inertia", names.inertias)
+    listed = listing([shorten(name) for name in known[:8]])
+    return f"no {noun} has this name; {f'the names are {listed}' if known else 'none has a name'}"
 
 
 def _warn_of_fewer_shafts(name: str, preset: Mapping[str, Any], raw: Mapping[str, Any]) -> None:
