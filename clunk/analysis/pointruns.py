@@ -16,8 +16,8 @@ from clunk.results.labels import FAILED_CODE, excursions
 from clunk.study.designs import Column, Design
 from clunk.study.study import Study
 from clunk.sweeping.assembly import flanks_of, long_sequences
-from clunk.sweeping.cells import Grid, Systems
-from clunk.sweeping.engines import Stop, available_cores, run_tile
+from clunk.sweeping.cells import Grid
+from clunk.sweeping.engines import Stop, available_cores
 
 RUN_FIELDS = ("outcome", "measure", "touches")
 RUN = np.dtype([*zip(RUN_FIELDS, ("i8", "f8", "i8"), strict=True)])
@@ -49,38 +49,40 @@ class PointRuns:
         self._engine, self._workers = engine, getattr(engine, "_max_workers", None) or available_cores()
         self._codes = {text: code for code, text in enumerate(labels)}
         self._code_of_pattern: dict[int, int] = {}
-        self._systems = Systems(self.study)  # so that a driveline is prepared once for all batches
+        design = Design((1,), tuple(Column(key, 0, np.zeros(1)) for key in self.parameters), run=0)
+        self._grid = Grid(self.study, design)  # one for all batches, so that a driveline is prepared once
 
-    def _grid(self, values: Floats) -> Grid:
-        """The cells at some points; values : (n, parameters), in their units."""
-        columns = tuple(Column(key, 0, values[:, k]) for k, key in enumerate(self.parameters))
-        design = Design((len(values),), columns, run=0)
-        return Grid(self.study, design, self._systems)
+    def _values(self, values: Floats) -> tuple[dict[str, Floats], int]:
+        """Values of each parameter at points, (n, parameters), and the number of points."""
+        return dict(zip(self.parameters, values.T, strict=True)), len(values)
 
     def __call__(self, values: Floats) -> Runs:
         """Run points; values : (n, parameters), in their units. Returns (n,) RUN."""
-        runs = np.zeros(len(values), RUN)
-        if not runs.size:
-            return runs
-        grid, stop = self._grid(values), Stop()
-        pieces = np.array_split(np.arange(runs.size), self._workers if runs.size > _ALONE else 1)
+        grid, stop, size = self._grid, Stop(), len(values)
+
+        def run(part: Floats) -> tuple[Records, Records]:
+            at = self._values(part)
+            return grid.run_cases(grid.structural, *grid.points(*at), grid.cases(*at), stop.flag)[1:]
+
+        parts = np.array_split(values, self._workers) if size > _ALONE else [values] if size else []
         try:
-            each = map if len(pieces) == 1 else self._engine.map
-            tiles = list(each(lambda cells: run_tile(grid, cells, stop), pieces))
+            finished = [run(part) for part in parts] if len(parts) < 2 else [*self._engine.map(run, parts)]
         finally:
             stop.set()
-        for cells, tile in zip(pieces, tiles, strict=True):
-            lashes = grid.layout.lashes
-            records = tile.records[self.lash :: lashes]
-            part = runs[cells[0] : cells[-1] + 1]
-            part["measure"], part["touches"] = records["margin"], records["touches"]
-            patterns, inverse = np.unique(records["pattern"], return_inverse=True)
-            part["outcome"] = np.array([self._of_pattern(pattern) for pattern in patterns.tolist()])[inverse]
-            for row, flanks in long_sequences(tile.records, [tile.details]):
-                if row % lashes == self.lash:
-                    part["outcome"][row // lashes] = self._code(label(flanks))
-            part["outcome"][records["status"] != Status.OK] = FAILED_CODE
-        self.count += runs.size
+        self.count += size
+        return np.concatenate([np.zeros(0, RUN), *(self._described(*part) for part in finished)])
+
+    def _described(self, records: Records, impacts: Records) -> Runs:
+        """RUN of the records of runs, and of their impacts."""
+        lashes, rows = self._grid.layout.lashes, records[self.lash :: self._grid.layout.lashes]
+        runs = np.zeros(rows.size, RUN)
+        runs["measure"], runs["touches"] = rows["margin"], rows["touches"]
+        patterns, inverse = np.unique(rows["pattern"], return_inverse=True)
+        runs["outcome"] = np.array([self._of_pattern(pattern) for pattern in patterns.tolist()])[inverse]
+        for row, flanks in long_sequences(records, [impacts]):
+            if row % lashes == self.lash:
+                runs["outcome"][row // lashes] = self._code(label(flanks))
+        runs["outcome"][rows["status"] != Status.OK] = FAILED_CODE
         return runs
 
     def pairs(self, one: Floats, other: Floats) -> Iterator[tuple[Records, Events]]:
@@ -92,8 +94,8 @@ class PointRuns:
         pieces = [*range(0, len(one), min(most, max(-(-len(one) // self._workers), _ALONE // 2)))]
 
         def run(begin: int, end: int) -> tuple[Records, Events]:
-            grid = self._grid(np.stack([one[begin:end], other[begin:end]], 1).reshape(-1, len(self.parameters)))
-            records, logs = grid.logged(np.arange(2 * (end - begin)))
+            both = np.stack([one[begin:end], other[begin:end]], 1).reshape(-1, len(self.parameters))
+            records, logs = self._grid.logged(*self._values(both))
             return records[:, self.lash].reshape(-1, 2), logs.reshape(end - begin, 2, -1)
 
         ends = [*pieces[1:], len(one)]

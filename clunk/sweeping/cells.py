@@ -169,19 +169,23 @@ class Grid:
             gaps[:, k] = values.get(dotted((*place, "backlash_deg")), lash.backlash_deg)
         return kernel.cases_of(before, np.deg2rad(gaps) / 2, pieces)
 
-    def points(self, cells: Cells) -> tuple[FloatArray, Cells]:
-        """The different values of structural parameters, (D, parameters), and which of them each cell has."""
+    def points(self, values: Mapping[str, FloatArray], count: int) -> tuple[FloatArray, Cells]:
+        """The different values of structural parameters, (D, parameters), and which of them each of the cells has.
+
+        values : of each parameter in `count` cells
+        """
         if not self.structural:
-            return np.zeros((1, 0)), np.zeros(cells.size, np.int64)
-        at = self.design.at(cells)
-        combinations = np.stack([at[parameter] for parameter in self.structural], axis=1)
+            return np.zeros((1, 0)), np.zeros(count, np.int64)
+        combinations = np.stack([values[parameter] for parameter in self.structural], axis=1)
         points, point_of = np.unique(combinations, axis=0, return_inverse=True)
         return points, point_of.reshape(-1)
 
     def run(self, cells: Cells, stop: Flag) -> Tile:
         """Run cells; the tile has those that were done before `stop` was set."""
-        cases = self.cases(self.design.at(cells), cells.size)
-        runs = self._runs(self.structural, *self.points(cells), cases, stop, self.study.measured)
+        values = self.design.at(cells)
+        cases = self.cases(values, cells.size)
+        points = self.points(values, cells.size)
+        runs = self._runs(self.structural, *points, cases, stop, self.study.measured)
         done, records, details = self._in_order(runs, self.layout)
         return Tile(cells[done], records, details)
 
@@ -241,6 +245,9 @@ class Grid:
     ) -> Iterator[tuple[kernel.Batch, Cells, kernel.Cases]]:
         """Cut runs by the batches of their drivelines, and by drivelines where each has many."""
         for batch, numbers in self.systems.batches(parameters, points):
+            if len(points) == 1:
+                yield batch.only(int(numbers[0])), np.arange(point_of.size), cases
+                continue
             of_runs = numbers[point_of]
             positions = np.flatnonzero(of_runs >= 0)
             drivelines = of_runs[positions]
@@ -252,18 +259,23 @@ class Grid:
                 some = positions[drivelines == each] if used.size > 1 else positions
                 yield batch.only(each), some, cases.at(some)
 
-    def logged(self, cells: Cells) -> tuple[Records, Records]:
-        """Run cells and keep their events: CELL (n, lashes), and EVENT (n, events), times NaN behind the last one."""
-        cases, buffer = self.cases(self.design.at(cells), cells.size), self.impact_buffer(cells.size)
-        records = np.zeros((cells.size, self.layout.lashes), CELL)
-        logs = np.zeros((cells.size, self.study.solver.max_events + 1), EVENT)
+    def logged(self, values: Mapping[str, FloatArray], count: int) -> tuple[Records, Records]:
+        """Run cells with these values of parameters and keep their events.
+
+        Returns CELL (count, lashes), and EVENT (count, events), times NaN behind the last one.
+        """
+        cases, buffer = self.cases(values, count), self.impact_buffer(count)
+        records = np.zeros((count, self.layout.lashes), CELL)
+        logs = np.zeros((count, self.study.solver.max_events + 1), EVENT)
         logs["time"] = np.nan
-        points, point_of = self.points(cells)
+        points, point_of = self.points(values, count)
         for batch, positions, part in self._by_batches(self.structural, points, point_of, cases):
-            events = logs[positions]
+            events = logs[positions] if positions.size < count else logs
             output = kernel.Output(self._cells(positions.size), buffer, events, _NO_STATES)
             rows, _ = self._run(batch, part, output, np.zeros(1, np.uint8))
-            records[positions], logs[positions] = rows.reshape(len(positions), -1), events
+            records[positions] = rows.reshape(len(positions), -1)
+            if events is not logs:
+                logs[positions] = events
         return records, logs[:, : int((~np.isnan(logs["time"])).sum(axis=1).max(initial=0))]
 
     def impact_buffer(self, runs: int) -> Records:

@@ -71,7 +71,7 @@ class SampleRunner:
 
     def ordered(self, cells: Cells) -> Cells:
         """Cells in the order of their systems."""
-        return cells[np.argsort(self.grid.points(cells)[1], kind="stable")]
+        return cells[np.argsort(self.grid.points(self.grid.design.at(cells), cells.size)[1], kind="stable")]
 
     def shared(self) -> Prepared | None:
         """The system and tables that all runs share, if they do."""
@@ -88,9 +88,10 @@ class SampleRunner:
         begin = int(_GOLDEN * (cells[0] // cells.size) * self.draws)
         order = np.concatenate([[self.draws], (begin + np.arange(self.draws)) % self.draws])
         at_a_time = max(_TILE_RUNS // cells.size, 1)
-        points, point_of = self.grid.points(cells)
+        nominal = self.grid.design.at(cells)
+        points, point_of = self.grid.points(nominal, cells.size)
         of_points = dict(zip(self.grid.structural, points.T, strict=True))
-        of_cells = {key: column for key, column in self.grid.design.at(cells).items() if key not in of_points}
+        of_cells = {key: column for key, column in nominal.items() if key not in of_points}
         for draws in (order[k : k + at_a_time] for k in range(0, order.size, at_a_time)):
             structural = self._at(draws, of_points, len(points), True)
             driving = self._at(draws, of_cells, cells.size, False)
