@@ -3,7 +3,8 @@
 What decides is the outcomes of a bracket's two ends. Where to look is said by a number of the runs (the margin, or how
 much a severity exceeds its bound), if it changes sign with them: where the inverse polynomial through the ends and the
 last points beyond them is zero, as in Alefeld, Potra and Shi 1995 (doi:10.1145/210089.210111). As the number may belong
-to another change, or jump at this one, a bracket that does not get narrow so is divided ever nearer to its middle.
+to another change, or jump at this one, a bracket that does not get narrow so is divided where the secant of either side
+leads, and in its middle.
 Where further outcomes lie within a bracket, it becomes several.
 """
 
@@ -20,14 +21,15 @@ Bools = npt.NDArray[np.bool_]
 Points = npt.NDArray[np.void]  # POINT
 
 TOLERANCE = 1e-9  # of the span, the widest that a bracket ends by default
-_FEW = 64  # runs, which take little longer than one
+_FEW = 32  # runs, which take little longer than one
 _MOST_SPREAD = 16  # of them in a bracket
 _BESIDE = 0.45  # tolerances from the expected place, so that a bracket of two such values is narrow
 _BENT = 0.2  # times the bracket's width squared, by which a secant may be off
 _SURE = 100.0  # tolerances by which polynomials of two orders differ, where the place of the higher one is right
 _STALLED = 0.5  # of its width, which a bracket is expected to fall below
 _NARROWED = 0.1  # of its width, below which the expected place was right
-_FARTHER = 8.0  # times as far from the nearer end, after each stall
+_FARTHEST = 0.8  # of a bracket, that a secant of one side is followed
+_OUTER, _INNER = [0, 3], [1, 2]  # of a bracket's points: the two ends, and before and behind them
 POINT = np.dtype([("cell", "i8"), ("value", "f8"), ("outcome", "i8"), ("measure", "f8"), ("touches", "i8")])
 
 
@@ -68,23 +70,28 @@ def narrow(
 def _next(ends: Points, stalls: Codes, span: float, tolerance: float) -> Floats:
     """Next values to run in each bracket, (n, m) with NaN for none.
 
-    One is beside the place that is expected, towards the middle by as much as that may be off, by more after stalls;
-    without such a place it is the middle. Where the place is right there is one on its other side, and where brackets
-    are few, so that a run costs less than a batch, there are further ones, evenly spaced.
+    Two are on either side of the place that is expected, by as much as that may be off. Where there is no such place or
+    the bracket has stalled, they are where the measure would be zero by the secants of either side, and without these,
+    or after more stalls, the middle. Where brackets are few, so that a run costs less than a batch, there are further
+    ones, evenly spaced.
     """
     low, high = ends["value"][:, 1], ends["value"][:, 2]
     width, middle = high - low, 0.5 * (low + high)
+    sizes, alike = np.abs(ends["measure"]), ends["outcome"][:, _OUTER] == ends["outcome"][:, _INNER]
+    falls = np.where(alike, sizes[:, _OUTER] - sizes[:, _INNER], 0.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ahead = sizes[:, _INNER] / falls * np.abs(ends["value"][:, _OUTER] - ends["value"][:, _INNER])
+    ahead = np.where(falls > 0.0, np.minimum(ahead, _FARTHEST * width[:, None]), np.nan)
     place, off = _expected(ends, span)
-    sure = off <= _SURE * tolerance
-    beside = np.maximum(np.where(sure, 0.0, off), _BESIDE * tolerance)
-    end = np.where(place < middle, low, high)
-    away = np.abs(place - end) + beside
-    away = np.minimum(np.where(stalls > 0, away * _FARTHER**stalls, away), 0.5 * width)
-    towards = np.where(place < middle, 1.0, -1.0)
-    first = np.where(np.isnan(place), middle, end + towards * away)
+    # a measure that rises towards the bracket belongs to another change
+    unknown = np.isnan(place) | (stalls > 0) | (falls < 0.0).any(axis=1)
+    beside = np.maximum(np.where(off <= _SURE * tolerance, 0.0, off), _BESIDE * tolerance)
+    first = np.where(unknown, low + ahead[:, 0], place - beside)
+    second = np.where(unknown, high - ahead[:, 1], place + beside)
+    halved = unknown & (np.isnan(ahead).all(axis=1) | (stalls > 1))
     spread = min(_FEW // len(ends), _MOST_SPREAD)
     even = low[:, None] + width[:, None] * np.arange(1, spread + 1) / (spread + 1)
-    return np.column_stack([first, np.where(sure, place - towards * beside, np.nan), even])
+    return np.column_stack([first, second, np.where(halved, middle, np.nan), even])
 
 
 def _expected(ends: Points, span: float) -> tuple[Floats, Floats]:
