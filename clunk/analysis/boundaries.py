@@ -18,10 +18,9 @@ from clunk.analysis.boundaryevents import events_between, split_by_event
 from clunk.analysis.brackets import Codes, Floats
 from clunk.analysis.network import SAME, junctions_of, paths_of, regions_of, rings_of
 from clunk.analysis.pointruns import RUN, PointRuns, Runs
-from clunk.analysis.thin import hidden
 from clunk.analysis.thresholds import thresholds
 from clunk.analysis.tracing import Lines
-from clunk.analysis.triangles import Triangles, keys_of
+from clunk.analysis.triangles import Triangles
 from clunk.results.boundaries import NO_LABEL, Boundaries
 from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
@@ -135,11 +134,6 @@ def _of_plane(study: Study, results: Results, lash: int, workers: int | None) ->
         nodes["outcome"], nodes["measure"] = results.sequence[ascending], results.margin[ascending]
         nodes["touches"] = results.touches[ascending]
         triangles = Triangles(across, upward, nodes)
-        hits = hidden(run, triangles)
-        if hits.size:
-            numbers = triangles.runs.size + np.arange(hits.size)
-            triangles.add(keys_of(hits["first"], hits["second"]), hits["place"], hits["run"])
-            triangles.keep_before(numbers, hits["beside"], hits["of_beside"])
         lines = Lines(triangles, run)
         segments = lines.trace()
         paths = paths_of(segments, lines.position)

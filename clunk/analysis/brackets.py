@@ -4,7 +4,7 @@ What decides is the outcomes of a bracket's two ends. Where to look is said by a
 much a severity exceeds its bound), if it changes sign with them: where the inverse polynomial through the ends and the
 last points beyond them is zero, as in Alefeld, Potra and Shi 1995 (doi:10.1145/210089.210111). As the number may belong
 to another change, or jump at this one, a bracket that does not get narrow so is divided where the secant of either side
-leads, and in its middle.
+leads, and ever nearer to its middle.
 Where further outcomes lie within a bracket, it becomes several.
 """
 
@@ -29,6 +29,7 @@ _SURE = 100.0  # tolerances by which polynomials of two orders differ, where the
 _STALLED = 0.5  # of its width, which a bracket is expected to fall below
 _NARROWED = 0.1  # of its width, below which the expected place was right
 _FARTHEST = 0.8  # of a bracket, that a secant of one side is followed
+_LEAST = 1e-6  # of a bracket, from its ends
 _OUTER, _INNER = [0, 3], [1, 2]  # of a bracket's points: the two ends, and before and behind them
 POINT = np.dtype([("cell", "i8"), ("value", "f8"), ("outcome", "i8"), ("measure", "f8"), ("touches", "i8")])
 
@@ -71,27 +72,30 @@ def _next(ends: Points, stalls: Codes, span: float, tolerance: float) -> Floats:
     """Next values to run in each bracket, (n, m) with NaN for none.
 
     Two are on either side of the place that is expected, by as much as that may be off. Where there is no such place or
-    the bracket has stalled, they are where the measure would be zero by the secants of either side, and without these,
-    or after more stalls, the middle. Where brackets are few, so that a run costs less than a batch, there are further
-    ones, evenly spaced.
+    the bracket has stalled, they are where the measure would be zero by the secants of either side; without these, or
+    after more stalls, one is midway, by the geometric mean, between the place that the measures' sizes tell and the
+    bracket's middle. Where brackets are few, so that a run costs less than a batch, there are further ones, evenly
+    spaced.
     """
-    low, high = ends["value"][:, 1], ends["value"][:, 2]
-    width, middle = high - low, 0.5 * (low + high)
+    low, width = ends["value"][:, 1], ends["value"][:, 2] - ends["value"][:, 1]
     sizes, alike = np.abs(ends["measure"]), ends["outcome"][:, _OUTER] == ends["outcome"][:, _INNER]
     falls = np.where(alike, sizes[:, _OUTER] - sizes[:, _INNER], 0.0)
     with np.errstate(invalid="ignore", divide="ignore"):
         ahead = sizes[:, _INNER] / falls * np.abs(ends["value"][:, _OUTER] - ends["value"][:, _INNER])
+        share = sizes[:, 1] / (sizes[:, 1] + sizes[:, 2])
     ahead = np.where(falls > 0.0, np.minimum(ahead, _FARTHEST * width[:, None]), np.nan)
     place, off = _expected(ends, span)
     # a measure that rises towards the bracket belongs to another change
     unknown = np.isnan(place) | (stalls > 0) | (falls < 0.0).any(axis=1)
     beside = np.maximum(np.where(off <= _SURE * tolerance, 0.0, off), _BESIDE * tolerance)
     first = np.where(unknown, low + ahead[:, 0], place - beside)
-    second = np.where(unknown, high - ahead[:, 1], place + beside)
-    halved = unknown & (np.isnan(ahead).all(axis=1) | (stalls > 1))
+    second = np.where(unknown, low + width - ahead[:, 1], place + beside)
+    divided = unknown & (np.isnan(ahead).all(axis=1) | (stalls > 1))
+    share = np.clip(np.nan_to_num(share, nan=0.5), _LEAST, 1.0 - _LEAST)
+    share = np.where(share < 0.5, np.sqrt(0.5 * share), 1.0 - np.sqrt(0.5 * (1.0 - share)))
     spread = min(_FEW // len(ends), _MOST_SPREAD)
     even = low[:, None] + width[:, None] * np.arange(1, spread + 1) / (spread + 1)
-    return np.column_stack([first, second, np.where(halved, middle, np.nan), even])
+    return np.column_stack([first, second, np.where(divided, low + share * width, np.nan), even])
 
 
 def _expected(ends: Points, span: float) -> tuple[Floats, Floats]:

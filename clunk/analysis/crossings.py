@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from clunk.analysis.brackets import POINT, TOLERANCE, Codes, Floats, Points, narrow
 from clunk.analysis.pointruns import RUN, RUN_FIELDS, Runs
+from clunk.analysis.searches import Run
 
-Run = Callable[[Floats], Runs]  # of points (n, 2), on each axis from 0 to 1
 _ONCE_MORE = [0, 0, 1, 1]
 
 

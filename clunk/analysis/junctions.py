@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from clunk.analysis.brackets import TOLERANCE, Codes, Floats
-from clunk.analysis.crossings import Run, located
+from clunk.analysis.crossings import located
+from clunk.analysis.searches import Run
 
 _NEARER = np.append(
     1 / np.array([64, 16, 8, 4, 2]), 1.0 - 0.5 ** np.array([2, 4, 8, 14, 20, 26])
@@ -14,7 +15,7 @@ _SHARP = 1e-13, 1e-7  # of the map and of a triangle, crossings from which a tri
 _SETTLED = 1e-10  # of the map, by which a triple point moves at last
 _NEEDLE = 5e-8  # of the map, a triangle so narrow that its crossings tell where lines meet, and no directions
 _RADII = 1e-7, 1e-8  # of the map, of circles around a junction: the smaller they are, the straighter lines leave them
-_SHARPER = 1e-3  # of a circle's radius, crossings on it
+_SHARPER = 2e-4  # of a circle's radius, crossings on it
 _ANGLES = np.arange(16) * np.pi / 8 + 0.1
 _DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
 _PARALLEL = 1e-12  # determinant of the equations of lines that have no point in common

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.analysis.brackets import Codes, Floats
-from clunk.analysis.crossings import Run
 from clunk.analysis.pointruns import RUN, RUN_FIELDS, Runs
+from clunk.analysis.searches import Run
 from clunk.analysis.triangles import Nodes, Triangles, keys_of
 from clunk.core.exact.run import MOST
 from clunk.results.labels import FAILED_CODE
@@ -181,7 +181,7 @@ def _cross(one: Floats, other: Floats) -> Floats:
 
 def _suspects(triangles: Triangles) -> Suspects:
     """Edges of a map within which something may be hidden."""
-    nodes = triangles.runs.reshape(triangles.shape)
+    nodes = triangles.runs[: triangles.shape[0] * triangles.shape[1]].reshape(triangles.shape)
     outcome, margin, touches = (nodes[name] for name in RUN_FIELDS)
     numbers, size = np.arange(outcome.size).reshape(outcome.shape), np.abs(margin)
     size = np.where(size < MOST, size, np.nan)  # from there on margins are alike

@@ -8,15 +8,18 @@ Where a line is further from its chord than `CHORD`, further crossings are locat
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from clunk.analysis.brackets import Codes, Floats
-from clunk.analysis.crossings import Run, located
+from clunk.analysis.crossings import located
 from clunk.analysis.junctions import triple_points
 from clunk.analysis.network import Segments
 from clunk.analysis.pointruns import RUN
+from clunk.analysis.searches import Run, side_by_side
+from clunk.analysis.thin import hidden
 from clunk.analysis.triangles import Nodes, Triangles, ends_of, keys_of
 
 CHORD = 1e-4  # of the map, that a line may be off its chord
@@ -46,15 +49,36 @@ class Lines:
 
     def trace(self) -> Segments:
         """Locate everything; returns the segments."""
+        hits, _ = side_by_side(self.run, lambda run: hidden(run, self.triangles), self._locate)
+        if hits.size:
+            numbers = self.triangles.runs.size + np.arange(hits.size)
+            self.triangles.add(keys_of(hits["first"], hits["second"]), hits["place"], hits["run"])
+            self.triangles.keep_before(numbers, hits["beside"], hits["of_beside"])
         for _ in range(_MOST_ROUNDS):
-            while self._locate():
-                pass
-            segments, rails = self._segments()
-            if not self._bend(segments, rails):
+            self._locate(self.run)
+            two, three = self._mixed()
+            rails_of_two = self._rails_of_two(two)
+            search = partial(self._bend, rails=rails_of_two), partial(self._locate_triples, triangles=three)
+            asked, _ = side_by_side(self.run, *search)
+            rails_of_three = self._rails_of_three(three)
+            asked = np.concatenate([asked, self._bend(self.run, rails_of_three)])
+            keys, first = np.unique(asked["cell"], return_index=True)
+            if not keys.size:
                 break
-        return segments
+            self.triangles.add(keys, asked["place"][first], asked["run"][first])
+        (begin, end), (left, right) = (
+            np.concatenate(parts).T
+            for parts in ((rails_of_two.nodes, rails_of_three.nodes), (rails_of_two.labels, rails_of_three.labels))
+        )
+        points = [self.inner[name] for name in (*rails_of_two.names, *rails_of_three.names)]
+        return Segments(begin, end, left, right, {k: inner for k, inner in enumerate(points) if len(inner)})
 
-    def _locate(self) -> bool:
+    def _locate(self, run: Run) -> None:
+        """Locate crossings on edges, and on further edges where they have several."""
+        while self._locate_new(run):
+            pass
+
+    def _locate_new(self, run: Run) -> bool:
         """Locate crossings on new edges; returns whether there are new nodes, and so further edges."""
         mixed = self.triangles.mixed
         keys = np.unique(keys_of(mixed, np.roll(mixed, -1, axis=1)))
@@ -64,7 +88,7 @@ class Lines:
         keys = keys[differ & ~np.isin(keys, self.keys)]
         first, second = ends_of(keys)
         nodes = self.triangles.along(first, second)
-        crossings = located(self.run, positions[nodes], runs[nodes])
+        crossings = located(run, positions[nodes], runs[nodes])
         ends = crossings.brackets
         edges, begins, counts = np.unique(crossings.lines, return_index=True, return_counts=True)
         begin, rest = ends_of(keys[edges])
@@ -103,98 +127,90 @@ class Lines:
         positions[~on_edge] = self.met[-1 - nodes[~on_edge]]
         return positions
 
-    def _segments(self) -> tuple[Segments, Rails]:
-        """The segments, one for each triangle of two labels and three for one of three, and where they may run."""
+    def _mixed(self) -> tuple[Nodes, Nodes]:
+        """Triangles of two labels, (n, 3), the corner of the other label first, and triangles of three."""
         mixed = self.triangles.mixed
         labels = self.triangles.outcome[mixed]
-        is_triple = (labels[:, 0] != labels[:, 1]) & (labels[:, 1] != labels[:, 2]) & (labels[:, 2] != labels[:, 0])
-        two, three = mixed[~is_triple], mixed[is_triple]
-        labels = self.triangles.outcome[two]
-        turns = np.select([labels[:, 1] == labels[:, 2], labels[:, 0] == labels[:, 2]], [0, 1], 2)
-        two = np.take_along_axis(two, (turns[:, None] + np.arange(3)) % 3, 1)  # the corner of the other label first
-        self._locate_triples(three)
-        outcome, positions = self.triangles.outcome, self.triangles.positions
-        centre = np.array([self.triples[tuple(corners)] for corners in three.tolist()]).reshape(-1, 2)
-        numbers = np.tile(-1 - np.arange(len(three)), 3)
-        self.met, self.met_labels = centre, np.sort(outcome[three], axis=1)
-        a, b = (np.concatenate([np.roll(three, -k, axis=1)[:, 0] for k in range(s, s + 3)]) for s in (0, 1))
-        tips = np.tile(centre, (3, 1))
-        segments = Segments(
-            begin=np.concatenate([keys_of(two[:, 0], two[:, 1]), numbers]),
-            end=np.concatenate([keys_of(two[:, 0], two[:, 2]), keys_of(a, b)]),
-            left=outcome[np.concatenate([two[:, 0], b])],
-            right=outcome[np.concatenate([two[:, 1], a])],
-            inner={},
-        )
-        rails = Rails(
-            begin=np.concatenate([self.position(segments.begin[: len(two)]), tips]),
-            end=self.position(segments.end),
-            left=np.stack([np.concatenate([positions[two[:, 0]], tips]), positions[np.concatenate([two[:, 0], b])]], 1),
-            right=np.stack(
-                [np.concatenate([positions[two[:, 1]], tips]), positions[np.concatenate([two[:, 2], a])]], 1
-            ),
-            far=np.concatenate([keys_of(two[:, 1], two[:, 2]), np.full(a.size, -1)]),
-            names=[
-                *map(tuple, two.tolist()),
-                *((*triple, k) for k in range(3) for triple in map(tuple, three.tolist())),
-            ],
-        )
-        return segments, rails
+        alike = labels == np.roll(labels, -1, axis=1)
+        two, three = mixed[alike.any(axis=1)], mixed[~alike.any(axis=1)]
+        turns = np.argmax(np.roll(alike[alike.any(axis=1)], -1, axis=1), axis=1)
+        return np.take_along_axis(two, (turns[:, None] + np.arange(3)) % 3, 1), three
 
-    def _locate_triples(self, triangles: Nodes) -> None:
+    def _rails_of_two(self, triangles: Nodes) -> Rails:
+        """Rails of the segments of triangles with two labels, one for each."""
+        edges = keys_of(triangles[:, :1], triangles[:, 1:])
+        return Rails(
+            nodes=edges,
+            labels=self.triangles.outcome[triangles[:, :2]],
+            ends=self.position(edges.ravel()).reshape(-1, 2, 2),
+            sides=self.triangles.positions[triangles[:, [[0, 1], [0, 2]]]],
+            far=keys_of(triangles[:, 1], triangles[:, 2]),
+            names=[*map(tuple, triangles.tolist())],
+        )
+
+    def _rails_of_three(self, triangles: Nodes) -> Rails:
+        """Rails of the segments of triangles with three labels, three for each, from its triple point on."""
+        names = [*map(tuple, triangles.tolist())]
+        self.met = np.array([self.triples[name] for name in names]).reshape(-1, 2)
+        self.met_labels = np.sort(self.triangles.outcome[triangles], axis=1)
+        corners = np.concatenate([np.roll(triangles, -k, axis=1)[:, 1::-1] for k in range(3)])  # left and right
+        nodes = np.stack([np.tile(-1 - np.arange(len(triangles)), 3), keys_of(*corners.T)], axis=1)
+        tips = np.tile(self.met[:, None], (3, 2, 1))
+        return Rails(
+            nodes=nodes,
+            labels=self.triangles.outcome[corners],
+            ends=self.position(nodes.ravel()).reshape(-1, 2, 2),
+            sides=np.stack([tips, self.triangles.positions[corners]], axis=1),
+            far=np.full(len(nodes), -1),
+            names=[(*name, k) for k in range(3) for name in names],
+        )
+
+    def _locate_triples(self, run: Run, triangles: Nodes) -> None:
         new = [corners for corners in triangles.tolist() if tuple(corners) not in self.triples]
         if new:
             nodes = np.array(new)
             crossings = self.position(keys_of(nodes, np.roll(nodes, -1, axis=1)).ravel()).reshape(-1, 3, 2)
             positions, outcome = self.triangles.positions[nodes], self.triangles.outcome[nodes]
-            points = triple_points(self.run, positions, outcome, crossings)
+            points = triple_points(run, positions, outcome, crossings)
             self.triples |= {tuple(corners): point for corners, point in zip(new, points, strict=True)}
 
-    def _bend(self, segments: Segments, rails: Rails) -> bool:
-        """Follow lines that are bent within triangles; returns whether there are new nodes."""
+    def _bend(self, run: Run, rails: Rails) -> npt.NDArray[np.void]:
+        """Follow lines that are bent within triangles; returns nodes to add, _ASKED, with the edges' keys as cells."""
         todo = np.array([k for k, name in enumerate(rails.names) if name not in self.inner], np.int64)
-        points, owner, share, asked = bent(self.run, segments.left, segments.right, rails, todo)
+        points, owner, share, asked = bent(run, rails, todo)
         order = np.lexsort((share, owner))
         points, owner = points[order], owner[order]
         begins = np.searchsorted(owner, np.append(todo, len(rails.names)))
         for k, number in enumerate(todo.tolist()):
             self.inner[rails.names[number]] = points[begins[k] : begins[k + 1]]
-        if asked.size:
-            keys, first = np.unique(rails.far[asked["cell"]], return_index=True)
-            keys, asked = keys[keys >= 0], asked[first[keys >= 0]]
-            if keys.size:
-                self.triangles.add(keys, np.stack([asked["x"], asked["y"]], 1), asked["run"])
-                return True
-        segments.inner.update(
-            {k: self.inner[name] for k, name in enumerate(rails.names) if len(self.inner.get(name, ()))}
-        )
-        return False
+        asked["cell"] = rails.far[asked["cell"]]
+        return asked[asked["cell"] >= 0]
 
 
 @dataclass(frozen=True, eq=False)
 class Rails:
     """Room of segments: beside each end of one, a point of either label, on lines that no other segment crosses.
 
-    begin, end : (n, 2) ends of the segments
-    left, right : (n, 2, 2) points on either side, at the begin and at the end
+    nodes : (n, 2) keys of the edges on which the segments begin and end, or of triple points -1 - their number
+    labels : (n, 2) codes on the left and on the right
+    ends : (n, 2, 2) where they begin and end
+    sides : (n, 2, 2, 2) points on the left and on the right, at the begin and at the end
     far : (n,) key of the edge that is the right rail of a triangle with two labels, else -1
     names : of each segment
     """
 
-    begin: Floats
-    end: Floats
-    left: Floats
-    right: Floats
+    nodes: Codes
+    labels: Codes
+    ends: Floats
+    sides: Floats
     far: Codes
     names: list[tuple[int, ...]]
 
 
-_ASKED = np.dtype([("cell", "i8"), ("x", "f8"), ("y", "f8"), ("run", RUN)])
+_ASKED = np.dtype([("cell", "i8"), ("place", "f8", 2), ("run", RUN)])
 
 
-def bent(
-    run: Run, left: Codes, right: Codes, rails: Rails, todo: Codes
-) -> tuple[Floats, Codes, Floats, npt.NDArray[np.void]]:
+def bent(run: Run, rails: Rails, todo: Codes) -> tuple[Floats, Codes, Floats, npt.NDArray[np.void]]:
     """Points on lines between the ends of segments, so many that no chord is off its line by more than `CHORD`.
 
     A line is within that of its chord if the labels are those of its sides as far from the chord's middle. Else it is
@@ -204,8 +220,7 @@ def bent(
     """
     points: list[tuple[Floats, Codes, Floats]] = [(np.zeros((0, 2)), todo[:0], np.zeros(0))]
     asked = [np.zeros(0, _ASKED)]
-    segment, ends = todo, np.stack([rails.begin[todo], rails.end[todo]], 1)
-    sides = np.stack([rails.left[todo], rails.right[todo]], 2)  # segment, begin or end, side, axis
+    segment, ends, sides = todo, rails.ends[todo], rails.sides[todo]
     shares = np.tile([0.0, 1.0], (todo.size, 1))
     while segment.size:
         chord = ends[:, 1] - ends[:, 0]
@@ -214,7 +229,7 @@ def bent(
         segment, ends, sides, shares = segment[long], ends[long], sides[long], shares[long]
         normal = np.stack([-chord[long, 1], chord[long, 0]], 1) / length[long, None]
         middle = ends.mean(axis=1)
-        expected = np.stack([left[segment], right[segment]], 1)
+        expected = rails.labels[segment]
         beside = np.clip(np.stack([middle + CHORD * normal, middle - CHORD * normal], 1), 0.0, 1.0)
         off = (run(beside.reshape(-1, 2))["outcome"].reshape(-1, 2) != expected).any(axis=1)
         segment, ends, sides, shares, expected = segment[off], ends[off], sides[off], shares[off], expected[off]
@@ -227,7 +242,7 @@ def bent(
         single[clear] = counts == 1
         asks = np.zeros(int((~single).sum()), _ASKED)
         asks["cell"], asks["run"] = segment[~single], runs[~single, 1]
-        asks["x"], asks["y"] = middles[~single, 1].T
+        asks["place"] = middles[~single, 1]
         asked.append(asks)
         bends = crossings.places[counts[crossings.lines] == 1]
         segment, ends, sides, shares, middles = (part[single] for part in (segment, ends, sides, shares, middles))

@@ -84,14 +84,15 @@ class Triangles:
         beyond = np.stack(np.divmod(ends, shape[1]), axis=2) + steps
         inside = (ends < shape.prod()) & ((beyond >= 0) & (beyond < shape)).all(axis=2)
         numbers = np.where(inside, beyond @ [shape[1], 1], ends)
-        numbers = np.stack([numbers[:, 0], self._before[second], numbers[:, 1]], axis=1)
+        nearest = self._before[second]
+        numbers = np.stack([numbers[:, 0], nearest, numbers[:, 1]], axis=1)
         apart = self.positions[numbers] - self.positions[first, None]
         is_straight = np.abs(way[:, None, 0] * apart[..., 1] - way[:, None, 1] * apart[..., 0]) < _STRAIGHT
         share = (apart[:, 1] * way).sum(axis=1) / (way * way).sum(axis=1)
-        is_between = is_straight[:, 1] & (share > 0.0) & (share < 1.0) & (numbers[:, 1] != second)
+        is_between = is_straight[:, 1] & (share > 0.0) & (share < 1.0) & (nearest != second)
         before = np.where(is_straight[:, 0] & ~is_between, numbers[:, 0], first)
         behind = np.where(is_straight[:, 2], numbers[:, 2], second)
-        return np.stack([before, np.where(is_between, numbers[:, 1], first), second, behind], axis=1)
+        return np.stack([before, np.where(is_between, nearest, first), second, behind], axis=1)
 
     def keep_before(self, nodes: Nodes, positions: Floats, runs: Runs) -> None:
         """Keep points before nodes on their edges, with no crossing nearer to the edges' ends."""
