@@ -13,6 +13,7 @@ from helpers.feet import feet_of_figure_3_4
 import clunk
 from clunk.analysis.boundaries import BoundaryError, boundaries
 from clunk.analysis.network import Ring, _contains
+from clunk.analysis.searches import side_by_side
 from clunk.analysis.thresholds import thresholds
 from clunk.cli import main
 from clunk.results.boundaries import Boundaries
@@ -177,6 +178,28 @@ def test_events_are_what_differs_between_the_two_runs(coarse):
         assert {run.label for run in runs} == {curve.left, curve.right}
         same = np.array_equal(*(run.events["kind"][: min(len(each.events) for each in runs)] for run in runs))
         assert (curve.event == "sticking_time_reached") == (same and runs[0].touches == runs[1].touches)
+
+
+def test_searches_side_by_side_get_the_runs_of_their_own_points_and_end_with_what_a_run_raises():
+    batches = []
+
+    def run(places):
+        batches.append(len(places))
+        if places.max() > 2.5:
+            raise KeyboardInterrupt
+        return places[:, 0]
+
+    def search(first, steps):
+        def steps_of(run):
+            return [run(np.full((3, 2), first + 0.1 * k)).tolist() for k in range(steps)]
+
+        return steps_of
+
+    results = side_by_side(run, search(1.0, 3), search(2.0, 1))
+    assert results == [[[1.0 + 0.1 * k] * 3 for k in range(3)], [[2.0] * 3]]
+    assert batches == [6, 3, 3]  # together as long as both search
+    with pytest.raises(KeyboardInterrupt):
+        side_by_side(run, search(1.0, 3), search(2.4, 3))
 
 
 def test_failed_cells_are_a_label():

@@ -17,7 +17,7 @@ from clunk.study.designs import Column, Design
 from clunk.study.study import Study
 from clunk.sweeping.assembly import flanks_of, long_sequences
 from clunk.sweeping.cells import Grid
-from clunk.sweeping.engines import Stop, available_cores
+from clunk.sweeping.engines import available_cores
 
 RUN_FIELDS = ("outcome", "measure", "touches")
 RUN = np.dtype([*zip(RUN_FIELDS, ("i8", "f8", "i8"), strict=True)])
@@ -58,17 +58,17 @@ class PointRuns:
 
     def __call__(self, values: Floats) -> Runs:
         """Run points; values : (n, parameters), in their units. Returns (n,) RUN."""
-        grid, stop, size = self._grid, Stop(), len(values)
+        grid, stop, size = self._grid, np.zeros(1, np.uint8), len(values)
 
         def run(part: Floats) -> tuple[Records, Records]:
             at = self._values(part)
-            return grid.run_cases(grid.structural, *grid.points(*at), grid.cases(*at), stop.flag)[1:]
+            return grid.run_cases(grid.structural, *grid.points(*at), grid.cases(*at), stop)[1:]
 
         parts = np.array_split(values, self._workers) if size > _ALONE else [values] if size else []
         try:
             finished = [run(part) for part in parts] if len(parts) < 2 else [*self._engine.map(run, parts)]
         finally:
-            stop.set()
+            stop[0] = 1
         self.count += size
         return np.concatenate([np.zeros(0, RUN), *(self._described(*part) for part in finished)])
 

@@ -1,11 +1,10 @@
-"""Searches that run points side by side: what each of them waits for is run in one batch."""
+"""Searches that run points side by side: what all of them wait for is run in one batch."""
 
 from __future__ import annotations
 
-import functools
-import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -14,59 +13,57 @@ from clunk.analysis.brackets import Floats
 from clunk.analysis.pointruns import Runs
 
 Run = Callable[[Floats], Runs]  # of points (n, 2), on each axis from 0 to 1
+_Requests = SimpleQueue[
+    tuple[int, Floats, "Future[Runs] | None"]
+]  # of a search, by number; at its end without a future
 
 
 def side_by_side(run: Run, *searches: Callable[[Run], Any]) -> list[Any]:
     """Do searches at the same time, each in a thread of its own, and return their results.
 
-    They get a function in the place of `run`. It waits until all searches that are not over yet have called it, and
-    runs their points together, in the order of the searches, so that all is as if they had been done alone.
+    A search gets a function in the place of `run`, which waits until all searches that are not over have called theirs.
+    This thread then runs all points together, in the order of the searches. What it raises, they raise.
     """
-    shared = _Batches(run, len(searches))
+    requests: _Requests = SimpleQueue()
 
     def search(number: int) -> Any:
+        def run_later(places: Floats) -> Runs:
+            answer: Future[Runs] = Future()
+            requests.put((number, places, answer))
+            return answer.result()
+
         try:
-            return searches[number](functools.partial(shared.run, number))
+            return searches[number](run_later)
         finally:
-            shared.leave()
+            requests.put((number, np.zeros((0, 2)), None))
 
     with ThreadPoolExecutor(len(searches)) as threads:
-        return [*threads.map(search, range(len(searches)))]
+        results = [threads.submit(search, number) for number in range(len(searches))]
+        _answer(run, requests, len(searches))
+    return [result.result() for result in results]
 
 
-class _Batches:
-    """Points that searches wait for, by the number of the search."""
-
-    def __init__(self, run: Run, searches: int) -> None:
-        self._run, self._searches = run, searches
-        self._waiting: dict[int, tuple[Floats, Future[Runs]]] = {}
-        self._turn = threading.Lock()
-
-    def run(self, number: int, places: Floats) -> Runs:
-        """Run points of a search."""
-        runs: Future[Runs] = Future()
-        with self._turn:
-            self._waiting[number] = places, runs
-            self._run_all()
-        return runs.result()
-
-    def leave(self) -> None:
-        """End a search."""
-        with self._turn:
-            self._searches -= 1
-            self._run_all()
-
-    def _run_all(self) -> None:
-        """Run all points, if no search is still to call."""
-        if len(self._waiting) < self._searches or not self._waiting:
-            return
-        waiting = [self._waiting.pop(number) for number in sorted(self._waiting)]
-        every = [places for places, _ in waiting]
+def _answer(run: Run, requests: _Requests, searches: int) -> None:
+    """Run what so many searches wait for, until all are over."""
+    waiting: dict[int, tuple[Floats, Future[Runs]]] = {}
+    failure: BaseException | None = None
+    while searches:
         try:
-            parts = np.split(self._run(np.concatenate(every)), np.cumsum([len(places) for places in every])[:-1])
-        except BaseException as error:
-            for _, runs in waiting:
-                runs.set_exception(error)
-            return
-        for part, (_, runs) in zip(parts, waiting, strict=True):
-            runs.set_result(part)
+            number, places, answer = requests.get()
+            if answer is None:
+                searches -= 1
+            else:
+                waiting[number] = places, answer
+            if failure is None and waiting and len(waiting) == searches:
+                every = [waiting[number][0] for number in sorted(waiting)]
+                parts = np.split(run(np.concatenate(every)), np.cumsum([len(places) for places in every])[:-1])
+                for number, part in zip(sorted(waiting), parts, strict=True):
+                    waiting.pop(number)[1].set_result(part)
+        except BaseException as error:  # an interrupt, too, ends the searches first
+            failure = error
+        if failure is not None:
+            for _, answer in waiting.values():
+                answer.set_exception(failure)
+            waiting.clear()
+    if failure is not None:
+        raise failure

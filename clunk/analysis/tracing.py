@@ -57,20 +57,17 @@ class Lines:
         for _ in range(_MOST_ROUNDS):
             self._locate(self.run)
             two, three = self._mixed()
-            rails_of_two = self._rails_of_two(two)
-            search = partial(self._bend, rails=rails_of_two), partial(self._locate_triples, triangles=three)
+            known = np.array([tuple(corners) in self.triples for corners in three.tolist()], bool)
+            rails = self._rails_of_two(two).joined(self._rails_of_three(three[known]))
+            search = partial(self._bend, rails=rails), partial(self._locate_triples, triangles=three[~known])
             asked, _ = side_by_side(self.run, *search)
-            rails_of_three = self._rails_of_three(three)
-            asked = np.concatenate([asked, self._bend(self.run, rails_of_three)])
-            keys, first = np.unique(asked["cell"], return_index=True)
-            if not keys.size:
+            if known.all() and not asked.size:
                 break
-            self.triangles.add(keys, asked["place"][first], asked["run"][first])
-        (begin, end), (left, right) = (
-            np.concatenate(parts).T
-            for parts in ((rails_of_two.nodes, rails_of_three.nodes), (rails_of_two.labels, rails_of_three.labels))
-        )
-        points = [self.inner[name] for name in (*rails_of_two.names, *rails_of_three.names)]
+            keys, first = np.unique(asked["cell"], return_index=True)
+            if keys.size:
+                self.triangles.add(keys, asked["place"][first], asked["run"][first])
+        (begin, end), (left, right) = rails.nodes.T, rails.labels.T
+        points = [self.inner[name] for name in rails.names]
         return Segments(begin, end, left, right, {k: inner for k, inner in enumerate(points) if len(inner)})
 
     def _locate(self, run: Run) -> None:
@@ -166,13 +163,12 @@ class Lines:
         )
 
     def _locate_triples(self, run: Run, triangles: Nodes) -> None:
-        new = [corners for corners in triangles.tolist() if tuple(corners) not in self.triples]
-        if new:
-            nodes = np.array(new)
-            crossings = self.position(keys_of(nodes, np.roll(nodes, -1, axis=1)).ravel()).reshape(-1, 3, 2)
-            positions, outcome = self.triangles.positions[nodes], self.triangles.outcome[nodes]
+        if len(triangles):
+            edges = keys_of(triangles, np.roll(triangles, -1, axis=1))
+            crossings = self.position(edges.ravel()).reshape(-1, 3, 2)
+            positions, outcome = self.triangles.positions[triangles], self.triangles.outcome[triangles]
             points = triple_points(run, positions, outcome, crossings)
-            self.triples |= {tuple(corners): point for corners, point in zip(new, points, strict=True)}
+            self.triples |= zip(map(tuple, triangles.tolist()), points, strict=True)
 
     def _bend(self, run: Run, rails: Rails) -> npt.NDArray[np.void]:
         """Follow lines that are bent within triangles; returns nodes to add, _ASKED, with the edges' keys as cells."""
@@ -205,6 +201,17 @@ class Rails:
     sides: Floats
     far: Codes
     names: list[tuple[int, ...]]
+
+    def joined(self, other: Rails) -> Rails:
+        """These and other ones behind them."""
+        return Rails(
+            nodes=np.concatenate([self.nodes, other.nodes]),
+            labels=np.concatenate([self.labels, other.labels]),
+            ends=np.concatenate([self.ends, other.ends]),
+            sides=np.concatenate([self.sides, other.sides]),
+            far=np.concatenate([self.far, other.far]),
+            names=[*self.names, *other.names],
+        )
 
 
 _ASKED = np.dtype([("cell", "i8"), ("place", "f8", 2), ("run", RUN)])

@@ -309,7 +309,8 @@ def flanks_of(pattern: int) -> Flanks:
 
 def long_sequences(records: Records, impacts: Sequence[Records]) -> Iterator[tuple[int, Flanks]]:
     """Positions and flanks of the runs whose sequences are too long for a pattern; impacts : IMPACT, in pieces."""
-    long = np.flatnonzero((records["pattern"] == 0) & (records["status"] == Status.OK))
+    long = np.flatnonzero(records["pattern"] == 0)
+    long = long[records["status"][long] == Status.OK]
     if long.size:
         flanks, ends = np.concatenate(impacts)["flank"], np.cumsum(records["primary_impacts"])
         for k in long.tolist():
