@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from queue import SimpleQueue
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from clunk.analysis.brackets import Floats
 from clunk.analysis.pointruns import Runs
+from clunk.sweeping.signals import Threads, deferred_signals
 
 Run = Callable[[Floats], Runs]  # of points (n, 2), on each axis from 0 to 1
 _Requests = SimpleQueue[
@@ -37,7 +38,7 @@ def side_by_side(run: Run, *searches: Callable[[Run], Any]) -> list[Any]:
         finally:
             requests.put((number, np.zeros((0, 2)), None))
 
-    with ThreadPoolExecutor(len(searches)) as threads:
+    with Threads(len(searches)) as threads:
         results = [threads.submit(search, number) for number in range(len(searches))]
         _answer(run, requests, len(searches))
     return [result.result() for result in results]
@@ -49,21 +50,24 @@ def _answer(run: Run, requests: _Requests, searches: int) -> None:
     failure: BaseException | None = None
     while searches:
         try:
-            number, places, answer = requests.get()
-            if answer is None:
-                searches -= 1
-            else:
-                waiting[number] = places, answer
+            with deferred_signals():
+                number, places, answer = requests.get()
+                if answer is None:
+                    searches -= 1
+                else:
+                    waiting[number] = places, answer
             if failure is None and waiting and len(waiting) == searches:
-                every = [waiting[number][0] for number in sorted(waiting)]
+                numbers = sorted(waiting)
+                every = [waiting[number][0] for number in numbers]
                 parts = np.split(run(np.concatenate(every)), np.cumsum([len(places) for places in every])[:-1])
-                for number, part in zip(sorted(waiting), parts, strict=True):
-                    waiting.pop(number)[1].set_result(part)
+                with deferred_signals():
+                    for number, part in zip(numbers, parts, strict=True):
+                        waiting.pop(number)[1].set_result(part)
         except BaseException as error:  # an interrupt, too, ends the searches first
             failure = error
         if failure is not None:
-            for _, answer in waiting.values():
-                answer.set_exception(failure)
-            waiting.clear()
+            with deferred_signals():
+                while waiting:
+                    waiting.popitem()[1][1].set_exception(failure)
     if failure is not None:
         raise failure
