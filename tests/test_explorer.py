@@ -1,6 +1,7 @@
 """The explorer without a browser: what it computes, and what its server refuses."""
 
 import http.client
+import queue
 import subprocess
 import sys
 import threading
@@ -23,7 +24,7 @@ from clunk.explorer.drawings import picture_of
 from clunk.explorer.newest import Newest
 from clunk.explorer.pictures import cells_picture
 from clunk.explorer.subject import Subject
-from clunk.explorer.variations import Variations
+from clunk.explorer.variations import Variations, of_one_cell
 from clunk.plot.style import palette_of
 from clunk.simulation.history import sample
 from clunk.study.config import study_from_text
@@ -151,8 +152,24 @@ class TestSubject:
         assert Variations(sampled).run({"run": 3.0}, {}).trajectory.severity == results.severity[2]
         assert picture_of(results, "severity", 1).curve[:, 1].tolist() == results.severity.tolist()
 
+    def test_of_one_cell_there_is_a_run_and_no_map(self):
+        alone = Variations(Subject.of(sweep(of_one_cell(study_from_text(NOMINAL + EXACT)))))
+        assert (alone.subject.plane, alone.subject.slices, alone.subject.swept) == ((), (), ())
+        numbers = {"load.ratio": 9.0}
+        again = simulate(study_from_text(alone.config({}, numbers)))
+        assert np.array_equal(alone.run({}, numbers).trajectory.events, again.events)
+        assert again.study.sweep is None
+
 
 class TestPictures:
+    def test_a_strip_has_an_edge_where_the_label_changes(self):
+        results = sweep(study_from_text(NOMINAL + EXACT + AXES[AXES.rindex("[[") :].replace("count = 5", "count = 41")))
+        picture = picture_of(results, "severity", 1)
+        labels = results.label_map
+        changes = np.flatnonzero(labels[1:] != labels[:-1])
+        assert picture.edges[1:-1].tolist() == pytest.approx(0.25 * changes + 0.125)
+        assert picture.pixels.size == changes.size + 1
+
     def test_pixels_have_the_colours_of_the_labels_of_their_cells(self, subject):
         picture = picture_of(subject.results, "regimes", 2)
         palette = palette_of(subject.results.labels)
@@ -304,12 +321,35 @@ def test_titles_and_names_are_text():
     assert not document.get_model_by_name("of lash").visible
 
 
+@pytest.mark.parametrize("axes", ["", AXES[: AXES.rindex("[[")], AXES])
+def test_a_run_comes_with_its_header_events_and_energy_in_one_message(axes, monkeypatch):
+    """A header of its own for the energy could come before the run it is of, and lays the page out twice."""
+    from bokeh.document import Document
+
+    from clunk.explorer.message import Message
+    from clunk.explorer.page import Page
+    from clunk.explorer.workbench import Workbench
+
+    sent, waiting = [], queue.Queue()
+    monkeypatch.setattr(Message, "send", lambda _, changes: sent.append(changes))
+    study = study_from_text(NOMINAL + EXACT + axes)
+    subject = Subject.of(sweep(study if axes else of_one_cell(study)))
+    page = Page(Document(), subject)
+    monkeypatch.setattr(page, "soon", waiting.put)
+    workbench = Workbench(page, Variations(subject))
+    try:
+        while not any("curves" in changes for changes in sent):
+            waiting.get(timeout=60.0)()
+    finally:
+        workbench.close()
+        page.close()
+    (run,) = (changes for changes in sent if "curves" in changes)
+    assert "energy: work of the load" in run["header"]["text"]
+    assert run["events"]["text"].count("<tr>") > 3
+    assert not [changes for changes in sent if "header" in changes and changes is not run]
+
+
 def test_what_cannot_be_explored_is_said(tmp_path):
-    config = tmp_path / "study.toml"
-    config.write_text(NOMINAL)
-    outcome = CliRunner().invoke(cli, ["explore", str(config)])
-    assert isinstance(outcome.exception, ClunkError)
-    assert "no [[sweep.axes]]" in str(outcome.exception)
     outcome = CliRunner().invoke(cli, ["explore", str(tmp_path / "none.h5")])
     assert "none.h5 cannot be read" in str(outcome.exception)
 

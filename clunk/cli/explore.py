@@ -61,6 +61,7 @@ def _results_of(source: Path, overrides: tuple[str, ...]) -> Results:
         if not isinstance(results, Results):
             raise ExplorerError(f"{source} holds a tolerance map; the explorer shows regime maps.")
         return results
+    from clunk.explorer.variations import of_one_cell
     from clunk.study.config import load_study
     from clunk.study.designs import has_tolerances, nominal
     from clunk.sweeping.cells import warm_up
@@ -72,7 +73,8 @@ def _results_of(source: Path, overrides: tuple[str, ...]) -> Results:
         study = nominal(study)
         terminal.complain("tolerances are left aside; this is the nominal map")
     if study.sweep is None or not (study.sweep.axes or study.sweep.samples):
-        raise ExplorerError(f"{source} has no [[sweep.axes]]: the page needs one axis or two for its map.")
+        study = of_one_cell(study)
+    assert study.sweep is not None
     terminal.warn_of_coarse_step(study, study.solver.method)
     terminal.say_if_compiling(study)
     warm_up(study)

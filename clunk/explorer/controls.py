@@ -18,6 +18,8 @@ from clunk.study.study import Study
 
 # In this order, those that the config has; a lash's stand for those of each lash.
 _FIRST = (
+    "load.ratio",
+    "lash.backlash_deg",
     "load.duration",
     "load.time_constant",
     "lash.contact.stiffness",
@@ -27,7 +29,6 @@ _FIRST = (
     "driveline.shafts[1].stiffness",
     "load.static_torque",
 )
-_SHOWN = 4  # sliders to begin with
 _STEPS = 200  # of a slider
 
 OnNumber = Callable[[str, float], None]
@@ -62,10 +63,17 @@ class Controls:
     """A column of sliders.
 
     on_slice, on_number : called with a key and its new value
+    shown : numbers that have sliders to begin with
     """
 
     def __init__(
-        self, study: Study, slices: tuple[ResultAxis, ...], swept: set[str], on_slice: OnNumber, on_number: OnNumber
+        self,
+        study: Study,
+        slices: tuple[ResultAxis, ...],
+        swept: set[str],
+        on_slice: OnNumber,
+        on_number: OnNumber,
+        shown: int,
     ) -> None:
         self._study, self._on_number = study, on_number
         self._values = adjustable(study, swept)
@@ -75,7 +83,7 @@ class Controls:
         self._more = Select(title="", options=[], name="more", sizing_mode="stretch_width", margin=(2, 6, 2, 6))
         self._more.on_change("value", self._on_more)
         self.layout = Column(children=[], name="controls", sizing_mode="stretch_width")
-        for key in list(self._values)[:_SHOWN]:
+        for key in list(self._values)[:shown]:
             self._add(key)
         self._arrange()
 

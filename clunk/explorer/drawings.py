@@ -36,6 +36,8 @@ def picture_of(results: Results, quantity: str, dimensions: int) -> Picture:
 
 def _strip(layers: Layers) -> Picture:
     edges, codes = layers.bands
+    first = np.flatnonzero(np.diff(codes, prepend=codes[0] - 1))  # of the bands of a label that lie side by side
+    edges, codes = np.append(edges[first], edges[-1]), codes[first]
     values = layers.values if layers.quantity != "regimes" else np.full(layers.codes.shape, np.nan)
     return Picture(
         pixels=label_colours(layers.labels)[codes],

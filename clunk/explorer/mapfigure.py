@@ -66,7 +66,7 @@ class MapFigure:
             plot.scatter("x", "y", source=points, size=2.5, color=INK)
             plot.text("x", "y", "text", source=texts, **text)
         else:
-            plot.vstrip("x0", "x1", source=bands, color="colour", level="underlay")
+            plot.vstrip("x0", "x1", source=bands, fill_color="colour", line_color=INK, line_width=0.9, level="underlay")
             plot.line("x", "y", source=points, color=INK, line_width=1.5)
         ring = {"source": self._marks, "size": 13, "fill_alpha": 0.0, "level": "overlay"}  # drawn without the rest
         for width, colour in ((6.0, "white"), (2.5, "colour")):

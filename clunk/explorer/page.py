@@ -35,28 +35,30 @@ class Page:
 
     def __init__(self, document: Document, subject: Subject) -> None:
         self.document, self.subject = document, subject
-        self.map = MapFigure(subject.plane)
+        self.map = MapFigure(subject.plane) if subject.plane else None
         self.status = Div(text="…", name="status", render_as_text=True, styles={"color": "#5b646c"}, **WIDE)
         # of one height, or the map would be drawn anew with every legend
         fixed = {"line-height": "20px", "flex": "none", "overflow-y": "auto"}
         self.legend = Div(text="", name="legend", height=62, styles=fixed, **WIDE)
         self.above = box("row", min_height="36px", flex="none")
-        self.below = box("column", height="190px", flex="none", overflow_y="auto")
+        room = {"height": "190px", "flex": "none"} if self.map else {"flex": "1 1 0"}
+        self.below = box("column", overflow_y="auto", **room)
         self.right = box("column", flex="1 1 0", min_width="0")
         self.keys = ColumnDataSource(data={"key": [], "steps": []}, name="keys")
         self.download = ColumnDataSource(data={"name": [], "type": [], "content": []}, name="download")
         self._workbench: Workbench | None = None
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="clunk page")
         self._has_begun = False
-        if len(subject.plane) == 2:
+        if self.map and len(subject.plane) == 2:
             first = {axis.parameter: float(axis.values[len(axis.values) // 2]) for axis in subject.slices}
             picture = cells_picture(subject.stored(first).of_lash())
             self.legend.text = legend_text(picture)
             for name, properties in self.map.changes(picture, "").items():
                 self.map.models[name].update(**properties)
-        self._message = Message(legend=self.legend, status=self.status, **self.map.models)
-        for event in (*CLICKS, MouseMove, MouseLeave):  # what is listened to later, the browser does not hear of
-            self.map.figure.on_event(event, self._on_pointer)
+        self._message = Message(legend=self.legend, status=self.status, **(self.map.models if self.map else {}))
+        if self.map:
+            for event in (*CLICKS, MouseMove, MouseLeave):  # what is listened to later, the browser does not hear of
+                self.map.figure.on_event(event, self._on_pointer)
         self._add_roots()
         # the document is the browser's by then: a session takes what threads ask of its document before in any order
         document.on_event(DocumentReady, lambda _: self._begin())
@@ -94,12 +96,13 @@ class Page:
     def show_map(self, picture: Picture, quantity: str, status: str, *notes: str) -> None:
         """Show the map of a quantity, with notes in its legend, and say what it is."""
         texts = {"legend": {"text": legend_text(picture, *notes)}, "status": {"text": status}}
-        self._message.send({**self.map.changes(picture, quantity), **texts})
+        self._message.send({**(self.map.changes(picture, quantity) if self.map else {}), **texts})
 
     def _add_roots(self) -> None:
         title = Div(text=f"<b>{escape(self.subject.title)}</b>", name="title", styles={"font-size": "16px"}, **WIDE)
         left = box("column", flex="1 1 0", min_width="0")
-        left.elements = [title, self.above, self.map.figure, self.legend, self.below, self.status]
+        drawn = [self.map.figure, self.legend] if self.map else []
+        left.elements = [title, self.above, *drawn, self.below, self.status]
         page = box("row", left, self.right, height="100vh")
         for root in (page, self.keys, self.download, self._message.source):
             self.document.add_root(root)

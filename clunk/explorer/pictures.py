@@ -37,7 +37,7 @@ class Picture:
 
     pixels : (rows, columns) uint32, colours of a map from below, evenly spaced along its axes as they are scaled; or of
         a strip (columns,)
-    edges : (columns + 1,) of a strip's bands
+    edges : (columns + 1,) of a strip's bands, where the label changes
     lines : boundaries, each (n, 2), in the axes' units
     dots : (n, 2) undecided cells
     texts : label, x and y, of each that has room in its region

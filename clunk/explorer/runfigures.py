@@ -29,7 +29,7 @@ class _Panel(NamedTuple):
 
 
 _PANELS = (
-    _Panel("torque", "load [N m]", lambda run: run.torque, 0.7),
+    _Panel("torque", "load [N m]", lambda run: run.torque, 0.9),
     _Panel("lash", "lash x_b [mm]", lambda run: 1e3 * run.backlash_coordinate, 1.4),
     _Panel("acceleration", "θ'' [rad/s²]", lambda run: run.acceleration[:, run.watched - 1], 1.4),
     _Panel("contact", "contact [N m]", lambda run: run.contact_torque, 1.6),

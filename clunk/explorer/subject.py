@@ -1,4 +1,4 @@
-"""What is explored: results, and which of their axes a map of them has.
+"""What is explored: results, and which of their axes a map of them has; of results of a single cell only its run.
 
 It imports nothing that runs, validates or draws: the stored map is on the page before these are there.
 """
@@ -26,7 +26,7 @@ class ExplorerError(ClunkError):
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """Results, and the one or two axes of the map.
+    """Results, and the axes of the map.
 
     results : of all axes and lashes
     name : for files that are saved
@@ -49,16 +49,26 @@ class Subject:
 
     @cached_property
     def plane(self) -> tuple[ResultAxis, ...]:
-        """The axes of the map, x first: two, or one where no more than one changes."""
-        changing = [axis for axis in self._axes if len(axis.values) > 1] or self._axes[:1]
-        ranked = sorted(changing, key=lambda axis: (axis.parameter == RUN, axis.parameter not in _USUAL))
+        """The axes of the map, x first: two, one where no more than one changes, or none where there is one cell."""
+        ranked = sorted(self._changing, key=lambda axis: (axis.parameter == RUN, axis.parameter not in _USUAL))
         chosen = [axis for k, axis in enumerate(ranked[:2]) if k == 0 or axis.parameter != RUN]  # runs have no order
         return tuple(sorted(chosen, key=lambda axis: (axis.parameter != "load.ratio", self._axes.index(axis))))
 
     @cached_property
     def slices(self) -> tuple[ResultAxis, ...]:
         """The further axes, of which the map shows one value each."""
-        return tuple(axis for axis in self._axes if axis not in self.plane)
+        return tuple(axis for axis in self._changing if axis not in self.plane)
+
+    @cached_property
+    def fixed(self) -> dict[str, float]:
+        """Values of the keys that are axes of one value."""
+        alone = [axis for axis in self._axes if axis not in self._changing and axis.parameter != RUN]
+        return {axis.parameter: float(axis.values[0]) for axis in alone}
+
+    @property
+    def swept(self) -> tuple[ResultAxis, ...]:
+        """The parameters that differ from cell to cell."""
+        return tuple(axis for axis in self.results.parameters if len(axis.values) > 1 and axis.parameter != LASH)
 
     @property
     def has_runs(self) -> bool:
@@ -71,10 +81,14 @@ class Subject:
 
     def values(self, cell: Numbers) -> dict[str, float]:
         """Values of the swept keys in a cell, from values of the axes, `run` included."""
-        at = [axis.nearest(cell[axis.parameter]) for axis in self._axes]
+        at = [axis.nearest(cell.get(axis.parameter, axis.values[0])) for axis in self._axes]
         swept = values_at(self._axes, at, self.results.coordinates)
         names = [axis.parameter for axis in parameters_of(self._axes, self.results.coordinates)]
         return dict(zip(names, swept, strict=True))
+
+    @cached_property
+    def _changing(self) -> tuple[ResultAxis, ...]:
+        return tuple(axis for axis in self._axes if len(axis.values) > 1)
 
     @cached_property
     def _axes(self) -> tuple[ResultAxis, ...]:

@@ -16,7 +16,7 @@ from clunk.study.config import study_from_text
 from clunk.study.designs import Column, Design, design_of, nominal
 from clunk.study.parameters import nominal_value
 from clunk.study.study import Study, replace_values, to_toml
-from clunk.study.sweeps import Sweep
+from clunk.study.sweeps import Axis, Sweep
 from clunk.sweeping.cells import compiling_note, warm_up
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.sweep import sweep
@@ -56,7 +56,8 @@ class Variations:
 
     def study_of_map(self, slices: Numbers, numbers: Numbers) -> Study:
         """The study whose sweep is the map that is shown, with other numbers."""
-        study = replace_values(self.study.model_copy(update={"sweep": None}), {**_fixed(slices), **numbers})
+        fixed = {**self.subject.fixed, **_fixed(slices), **numbers}
+        study = replace_values(self.study.model_copy(update={"sweep": None}), fixed)
         if self.subject.has_runs:
             return study.model_copy(update={"sweep": self.study.sweep})
         assert self.study.sweep is not None
@@ -66,6 +67,8 @@ class Variations:
 
     def config(self, cell: Numbers, numbers: Numbers) -> str:
         """TOML with which `clunk sweep` gives the map that is shown, and `clunk simulate` the run of the cell."""
+        if not self.subject.plane:
+            return to_toml(self.study_at(cell, numbers))
         slices = {axis.parameter: cell[axis.parameter] for axis in self.subject.slices}
         swept = self.study_of_map(slices, numbers).sweep
         return to_toml(self.study_at(cell, numbers).model_copy(update={"sweep": swept}))
@@ -96,6 +99,13 @@ class Variations:
         if self.subject.has_runs:
             return sweep(study, progress=progress).at(slices)
         return sweep(study, refine=refine, progress=progress)
+
+
+def of_one_cell(study: Study) -> Study:
+    """A study without a sweep as one of a single cell, so that it has results."""
+    key = "solver.end_time"  # any key does that every study has
+    axis = Axis(parameter=key, values=(nominal_value(study, key),))
+    return study.model_copy(update={"sweep": Sweep(axes=(axis,))})
 
 
 def _every_few(count: int) -> np.ndarray[tuple[int], np.dtype[np.intp]]:

@@ -33,6 +33,7 @@ _ARROWS = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowDown": (0, -1), "Ar
 _HELP = "   ·   click: keep a run · shift-click or p: pin it · u: unpin · arrows: next cell · f: follow"
 _FIRST_RUN, _RUN = 10.0, 0.2  # s for which a map waits for a run at most; the first run imports much
 _OFTEN = 0.5  # s between two words of progress: for each, the browser lays the page out again, 0.1 s
+_LISTED = 12  # values in a note below the map
 _COARSE = "computing the map: every few cells are shown"
 _OWN = "the map with the config's own numbers"
 
@@ -59,22 +60,24 @@ class Workbench:
         names = quantities_of(results)[len(self._subject.plane) == 1 :]
         first = names[0] if len(self._subject.plane) > 1 else _hardness(results)
         described = [(name, _quantity_name(results, name)) for name in names]
-        self._quantity = Select(value=first, options=described, name="quantity", **options)
+        has_map = page.map is not None
+        self._quantity = Select(value=first, options=described, name="quantity", visible=has_map, **options)
         self._lash = Select(value=results.lash_names[0], options=list(results.lash_names), name="of lash", **options)
         self._lash.visible = bool(results.lashes)
         small = {"height": 30, "margin": (0, 6, 4, 0)}
-        self._follow = Toggle(label="follow the pointer", active=True, name="follow", **small)
+        self._follow = Toggle(label="follow the pointer", active=True, name="follow", visible=has_map, **small)
         self._pin = Button(label="pin this run", name="pin", **small)
         self._unpin = Button(label="unpin", name="unpin", **small)
         self._reset = Button(label="reset the numbers", name="reset", visible=False, **small)
-        saved = [("", "save …"), *((name, name) for name in NAMES)]
+        saved = [("", "save …"), *((name, name) for name in NAMES if has_map or not name.startswith("map"))]
         self._save = Select(value="", options=saved, name="save", width=130, **small)
         self._panel = RunPanel()
 
         self._newest_run = Newest("run", page.complain_soon)
         self._newest_map = Newest("map", page.complain_soon)
-        swept = {axis.parameter for axis in results.parameters}
-        self._controls = Controls(variations.study, self._subject.slices, swept, self._on_slice, self._on_number)
+        swept = {axis.parameter for axis in self._subject.swept}
+        on_change = self._on_slice, self._on_number
+        self._controls = Controls(variations.study, self._subject.slices, swept, *on_change, shown=4 if has_map else 12)
         self._listen()
         self._furnish()
         self._is_ready = True
@@ -101,14 +104,11 @@ class Workbench:
         self._save.on_change("value", lambda _attribute, _old, name: self._save_as(name))
         self._page.keys.on_change("data", lambda _attribute, _old, _new: self._on_key())
 
-    def _begin(self) -> None:
-        self._is_ready = True
-        self._request_both()
-
     # --- What the user does ------------------------------------------------------------------------------------------
 
     def point(self, event: PointEvent) -> None:
         """Follow the pointer over the map, or keep the cell that is clicked."""
+        assert self._page.map is not None
         cell = None if isinstance(event, MouseLeave) else self._page.map.nearest(event.x, event.y)
         if isinstance(event, CLICKS):
             if cell is not None:
@@ -234,8 +234,8 @@ class Workbench:
         """Values of all axes, and numbers, in words."""
         results = self._subject.results
         axes = {axis.parameter: axis for axis in (*results.axes, *results.coordinates)}
-        swept = self._subject.values(values)
-        texts = [value_text(axes[name], value, symbol=True) for name, value in swept.items()]
+        swept, changing = self._subject.values(values), {axis.parameter for axis in self._subject.swept}
+        texts = [value_text(axes[name], value, symbol=True) for name, value in swept.items() if name in changing]
         texts += [f"{name} = {number_text(value)}" for name, value in numbers.items()]
         return ", ".join(texts)
 
@@ -256,6 +256,9 @@ class Workbench:
         slices, numbers = dict(self._slices), self._active_numbers()
         quantity, lash = self._quantity.value, self._lash.value
         self._reset.visible = bool(numbers)
+        if not subject.plane:
+            self._say("a run with these numbers, which are in no file" if numbers else "the run of this config")
+            return
 
         refine = quantity == "regimes"  # of anything else, an inferred cell has no value
 
@@ -302,10 +305,14 @@ class Workbench:
             return
         self._results = results
         quantity = _quantity_name(results, self._quantity.value)
-        self._page.show_map(picture, quantity, f"{status}{_HELP}", *_thresholds(thresholds))
+        changes = [] if picture.edges is None else picture.edges[1:-1].tolist()
+        notes = [*_listed("thresholds for vanishing backlash", thresholds), *_listed("label changes", changes)]
+        self._page.show_map(picture, quantity, f"{status}{_HELP}", *notes)
         self._mark()
 
     def _mark(self) -> None:
+        if self._page.map is None:
+            return
         cells = [(pin.cell, colour) for pin, colour in zip(self._pins, RUN_COLOURS[1:], strict=False)]
         marks: list[Mark] = []
         for cell, colour in [*cells, (self._cell, RUN_COLOURS[0])]:
@@ -315,10 +322,10 @@ class Workbench:
     def _save_as(self, name: str) -> None:
         """Make a file in a thread, and hand it to the browser as a download."""
         self._save.value = ""
-        if name not in NAMES or self._run is None or self._results is None:
+        if name not in NAMES or self._run is None or (self._results is None and self._page.map):
             return
         runs, quantity = [self._run, *self._pins], self._quantity.value
-        part = self._results.at_lash(self._lash.value)
+        part = (self._results or self._subject.results).at_lash(self._lash.value)
 
         def work() -> None:
             data = download(name, runs, self._variations, part, quantity)
@@ -330,9 +337,9 @@ class Workbench:
         self._page.status.text = f"{text}{_HELP}"
 
 
-def _thresholds(values: list[float]) -> list[str]:
-    """A note on the thresholds of vanishing backlash, if there are any."""
-    return [f"thresholds for vanishing backlash: {', '.join(f'{each:.2f}' for each in values)}"] if values else []
+def _listed(what: str, values: list[float]) -> list[str]:
+    """A note on values of an axis, if there are any and they are few."""
+    return [f"{what}: {', '.join(f'{each:.4g}' for each in values)}"] if 0 < len(values) <= _LISTED else []
 
 
 def _hardness(results: Results) -> str:
