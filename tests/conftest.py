@@ -18,7 +18,8 @@ settings.load_profile("clunk")
 
 NOMINAL = '[driveline]\npreset = "boere-2008"\n[lash]\nbacklash_deg = 6.0\n[load]\nratio = 5.0\n'
 SHAFT = "[[driveline.shafts]]\nbetween = {}\nstiffness = 31.3\ndamping = 0.04\n"
-RUBBING = NOMINAL + SHAFT.format([1, 2]) + SHAFT.format([2, 3]) + "friction = 0.3\n" + SHAFT.format('[4, "ground"]')
+SPELLED_OUT = NOMINAL.replace("preset", "inertias = [0.024, 0.002, 0.002, 0.002]\npreset")
+RUBBING = SPELLED_OUT + SHAFT.format([1, 2]) + SHAFT.format([2, 3]) + "friction = 0.3\n" + SHAFT.format('[4, "ground"]')
 LINE = '[[sweep.axes]]\nparameter = "load.ratio"\nstart = 0.0\nstop = 10.0\ncount = 121\n'
 
 

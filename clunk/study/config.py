@@ -171,9 +171,13 @@ def _unknown_name(place: Place, names: Names) -> str:
 
 
 def _warn_of_fewer_shafts(name: str, preset: Mapping[str, Any], raw: Mapping[str, Any]) -> None:
-    """Warn of a file that seems to add shafts to a preset, or to change one: it replaces them all."""
+    """Warn of a file that seems to add shafts to a preset, or to change one: it replaces them all.
+
+    With inertias of its own, or a lash in another place, it has a driveline of its own.
+    """
     shafts, of_preset = items_of(value_at(raw, ("driveline", "shafts"))), preset["driveline"]["shafts"]
-    if 0 < len(shafts) < len(of_preset) and value_at(raw, ("driveline", "inertias")) is None:
+    own = (("driveline", "inertias"), ("lash", "between"), ("lash", 0))
+    if 0 < len(shafts) < len(of_preset) and all(value_at(raw, place) is None for place in own):
         listed = (
             "one [[driveline.shafts]] replaces" if len(shafts) == 1 else f"{len(shafts)} [[driveline.shafts]] replace"
         )
