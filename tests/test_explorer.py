@@ -16,7 +16,7 @@ from conftest import NOMINAL
 from hypothesis import given
 from hypothesis import strategies as st
 
-from clunk import ClunkError, load_study, simulate, sweep
+from clunk import ClunkError, load_study, simulate, sweep, tolerance_map
 from clunk.cli import cli
 from clunk.explorer.controls import adjustable, slider_range
 from clunk.explorer.curves import thinned
@@ -25,7 +25,9 @@ from clunk.explorer.newest import Newest
 from clunk.explorer.pictures import cells_picture
 from clunk.explorer.subject import Subject
 from clunk.explorer.variations import Variations, of_one_cell
+from clunk.plot import certainty
 from clunk.plot.style import palette_of
+from clunk.results.tolerancemap import CERTAIN
 from clunk.simulation.history import sample
 from clunk.study.config import study_from_text
 from clunk.study.keys import Key
@@ -159,6 +161,50 @@ class TestSubject:
         again = simulate(study_from_text(alone.config({}, numbers)))
         assert np.array_equal(alone.run({}, numbers).trajectory.events, again.events)
         assert again.study.sweep is None
+
+
+class TestTolerances:
+    """A small tolerance map: damping between half and double, in 8 draws."""
+
+    @pytest.fixture
+    def subject(self):
+        drawn = '[[sweep.tolerances]]\nparameter = "lash.contact.damping"\ndistribution = "uniform"\nlow = 47.0\n'
+        drawn += "high = 188.0\n[sweep.sampling]\ncount = 8\n"
+        return Subject.of(tolerance_map(study_from_text(NOMINAL + EXACT + AXES + drawn)))
+
+    def test_a_cell_has_its_nominal_run_and_the_probability_of_each_label(self, subject):
+        cell = {"load.ratio": 5.0, "lash.backlash_deg": 6.0}
+        run = Variations(subject).run(cell, {}).trajectory
+        assert run.label == subject.results.labels[subject.results.nominal_sequence[1, 2]]
+        text = subject.likelihood(cell, subject.results.lash_names[0])
+        assert text.startswith("of 8 draws: ")
+        shares = [float(part.split()[-2]) for part in text.removeprefix("of 8 draws: ").split(", ")]
+        assert shares == sorted(shares, reverse=True)
+        assert sum(shares) == pytest.approx(100.0, abs=0.5)  # three figures of each
+
+    def test_its_config_is_that_of_the_map_and_with_other_numbers_that_of_the_nominal_one(self, subject):
+        cell, variations = {"load.ratio": 5.0, "lash.backlash_deg": 6.0}, Variations(subject)
+        assert (
+            tolerance_map(study_from_text(variations.config(cell, {}))).config_digest == subject.results.config_digest
+        )
+        assert not study_from_text(variations.config(cell, {"lash.contact.stiffness": 3e5})).sweep.tolerances
+
+    def test_its_colours_are_paler_where_the_label_is_less_certain(self, subject):
+        palette = palette_of(tuple(subject.results.labels[code] for code in np.unique(subject.results.sequence)))
+        picture = picture_of(subject.results, "regimes", 2)
+        full = {int(colour[1:], 16) for colour in palette.values()}
+        rows, columns = (size - 1 for size in picture.pixels.shape)
+        for row, column in np.ndindex(subject.results.shape):
+            at = rows * row // 2, columns * column // 4
+            pixel = int(picture.pixels[at])
+            shown = int(f"{pixel & 255:02x}{pixel >> 8 & 255:02x}{pixel >> 16 & 255:02x}", 16)
+            assert (shown in full) == (subject.results.certainty[row, column] >= CERTAIN)
+
+    @pytest.mark.parametrize("quantity", ["double_sided", "severity", "severity_95"])
+    def test_its_probabilities_and_quantiles_have_colours(self, subject, quantity):
+        shades = picture_of(subject.results, quantity, 2).shades
+        assert shades.low <= shades.high
+        assert shades.label == certainty.QUANTITIES[quantity]
 
 
 class TestPictures:

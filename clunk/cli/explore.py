@@ -13,6 +13,7 @@ from clunk.cli.options import PATH, set_option
 
 if TYPE_CHECKING:
     from clunk.results.regimemap import Results
+    from clunk.results.tolerancemap import ToleranceMap
 
 
 @click.command()
@@ -47,20 +48,14 @@ def explore(source: Path, overrides: tuple[str, ...], no_browser: bool, port: in
         explorer.stop()
 
 
-def _results_of(source: Path, overrides: tuple[str, ...]) -> Results:
+def _results_of(source: Path, overrides: tuple[str, ...]) -> Results | ToleranceMap:
     """The results of a file, or of a config that is swept now."""
-    from clunk.explorer.subject import ExplorerError
-    from clunk.results.regimemap import Results
-
     if source.suffix == ".h5":
         from clunk.results.store import read_map
 
         if overrides:
             raise click.UsageError("--set goes with a config; on the page, the numbers of a file have sliders.")
-        results = read_map(source)
-        if not isinstance(results, Results):
-            raise ExplorerError(f"{source} holds a tolerance map; the explorer shows regime maps.")
-        return results
+        return read_map(source)
     from clunk.explorer.variations import of_one_cell
     from clunk.study.config import load_study
     from clunk.study.designs import has_tolerances, nominal
@@ -71,7 +66,7 @@ def _results_of(source: Path, overrides: tuple[str, ...]) -> Results:
     study = load_study(source, overrides)
     if has_tolerances(study):
         study = nominal(study)
-        terminal.complain("tolerances are left aside; this is the nominal map")
+        terminal.complain("tolerances are left aside; for their map, sweep first and explore the file")
     if study.sweep is None or not (study.sweep.axes or study.sweep.samples):
         study = of_one_cell(study)
     assert study.sweep is not None
@@ -81,6 +76,4 @@ def _results_of(source: Path, overrides: tuple[str, ...]) -> Results:
     is_map = study.sweep.design == "grid" and not study.sweep.samples and len(study.sweep.axes) > 1
     job = Job(study, refine=is_map)
     with shown(job.design.cells) as report:
-        swept = job.run(progress=report)
-    assert isinstance(swept, Results)
-    return swept
+        return job.run(progress=report)

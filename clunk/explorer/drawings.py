@@ -10,6 +10,7 @@ from matplotlib.cm import ScalarMappable
 from scipy import ndimage
 
 from clunk.explorer.pictures import Picture, Pixels, Shades, cells_of, label_colours, legend_of, packed, pixel_centres
+from clunk.plot import certainty
 from clunk.plot.layers import Layers
 from clunk.plot.network import codes_at
 from clunk.plot.painting import Colours, margin_of
@@ -18,20 +19,29 @@ from clunk.plot.raster import corners_that_fit, fine_index
 from clunk.plot.style import FAILED_FILL, UNDEFINED
 from clunk.results.labels import FAILED_CODE
 from clunk.results.regimemap import Results
+from clunk.results.tolerancemap import ToleranceMap
 
 _SKIP = 4  # of the image, between the pixels among which labels are placed
 _WIDTH, _HEIGHT = 2, 5  # of these pixels, that a character of a label takes
 _SHADES = 256
 
 
-def picture_of(results: Results, quantity: str, dimensions: int) -> Picture:
+def picture_of(results: Results | ToleranceMap, quantity: str, dimensions: int) -> Picture:
     """The picture of one lash's map over this many axes. Raises PlotError where the quantity has no value at all."""
-    if quantity == "regimes":
+    paleness, colours = None, None
+    if isinstance(results, ToleranceMap):
+        if quantity == "regimes":
+            layers = certainty.likely_layers(results, dimensions)
+            paleness = layers.view.arrange(certainty.paleness(results.certainty))
+        else:
+            layers, colours = certainty.layers_of_quantity(results, dimensions, quantity)
+    elif quantity == "regimes":
         layers = Layers.of(results, dimensions)
     else:
         layers = Layers.of_quantity(results, dimensions, quantity)
         layers.require_values()
-    return _map(layers) if dimensions == 2 else _strip(layers)
+        colours = Colours.of(layers.described, layers.values)
+    return _map(layers, colours, paleness) if dimensions == 2 else _strip(layers)
 
 
 def _strip(layers: Layers) -> Picture:
@@ -47,19 +57,20 @@ def _strip(layers: Layers) -> Picture:
     )
 
 
-def _map(layers: Layers) -> Picture:
+def _map(layers: Layers, shades: Colours | None, paleness: Floats | None) -> Picture:
     view = layers.view
     x, y = (pixel_centres(axis) for axis in view.axes)
     labels = _label_raster(layers, x, y)
     undecided = np.argwhere(layers.undecided)
     dots = np.column_stack([axis.values[at] for axis, at in zip(view.axes, undecided.T, strict=True)])
     lines, legend = _lines(layers), _legend(layers)
-    if layers.quantity == "regimes":
-        texts = _texts(labels, layers, x, y)
-        return Picture(label_colours(layers.labels)[labels], legend, lines, dots, texts)
-    shades = Colours.of(layers.described, layers.values)
-    mappable = ScalarMappable(shades.norm, shades.cmap)
     columns, rows = (cells_of(axis, at) for axis, at in zip(view.axes, (x, y), strict=True))
+    if shades is None:
+        pixels, texts = label_colours(layers.labels)[labels], _texts(labels, layers, x, y)
+        if paleness is not None:
+            pixels = _whitened(pixels, paleness[np.ix_(columns, rows)].T)
+        return Picture(pixels, legend, lines, dots, texts)
+    mappable = ScalarMappable(shades.norm, shades.cmap)
     values = layers.values[np.ix_(columns, rows)].T
     pixels = np.where(np.isnan(values), packed(UNDEFINED), _packed_rows(mappable.to_rgba(values, bytes=True)))
     pixels[labels == FAILED_CODE] = packed(FAILED_FILL)
@@ -115,6 +126,12 @@ def _texts(labels: npt.NDArray[np.int16], layers: Layers, x: Floats, y: Floats) 
 def _legend(layers: Layers) -> list[tuple[str, str, str]]:
     drawn = () if layers.boundaries is None else layers.boundaries.region_label.tolist()
     return legend_of(layers.labels, layers.codes, drawn)
+
+
+def _whitened(pixels: Pixels, amounts: Floats) -> Pixels:
+    """Pixels taken towards white by these amounts, 0 to 1."""
+    rgba = np.ascontiguousarray(pixels).view(np.uint8).reshape(*pixels.shape, 4)
+    return _packed_rows((rgba + amounts[..., None] * (255.0 - rgba)).astype(np.uint8))
 
 
 def _packed_rows(rgba: npt.NDArray[np.uint8]) -> Pixels:

@@ -36,8 +36,9 @@ class Page:
     def __init__(self, document: Document, subject: Subject) -> None:
         self.document, self.subject = document, subject
         self.map = MapFigure(subject.plane) if subject.plane else None
-        self.status = Div(text="…", name="status", render_as_text=True, styles={"color": "#5b646c"}, **WIDE)
-        # of one height, or the map would be drawn anew with every legend
+        # both of one height, or the map would be drawn anew with every text
+        one_line = {"color": "#5b646c", "flex": "none", "overflow": "hidden", "white-space": "nowrap"}
+        self.status = Div(text="…", name="status", render_as_text=True, height=20, styles=one_line, **WIDE)
         fixed = {"line-height": "20px", "flex": "none", "overflow-y": "auto"}
         self.legend = Div(text="", name="legend", height=62, styles=fixed, **WIDE)
         self.above = box("row", min_height="36px", flex="none")

@@ -13,6 +13,7 @@ from clunk.plot.plane import Codes, Floats, View, cell_edges, ruler
 from clunk.plot.style import FAILED_FILL, palette_of
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.regimemap import Results
+from clunk.results.tolerancemap import ToleranceMap
 from clunk.study.axes import ResultAxis
 
 Pixels = npt.NDArray[np.uint32]
@@ -56,10 +57,11 @@ class Picture:
     curve: Floats | None = None
 
 
-def cells_picture(results: Results) -> Picture:
+def cells_picture(results: Results | ToleranceMap) -> Picture:
     """The picture of one lash's regimes over two axes without boundaries, each pixel of the nearest cell's colour."""
     view = View.of(results, 2)
-    labels = results.labels if results.boundaries is None else results.boundaries.labels
+    traced = results.boundaries if isinstance(results, Results) else None
+    labels = results.labels if traced is None else traced.labels
     codes = view.arrange(results.sequence)
     pixels = _FEW_PIXELS if max(codes.shape) < _FEW_PIXELS // 4 else _PIXELS
     columns, rows = (cells_of(axis, pixel_centres(axis, pixels)) for axis in view.axes)

@@ -32,13 +32,14 @@ class RunPanel:
         """Header, these buttons, pinned runs, figures and table, from above."""
         return [self._header, buttons, self._compared, *self._figures.figures.values(), self._table]
 
-    def show(self, run: Shown, pins: Sequence[Shown], lash: int) -> None:
-        """Show the motion of one lash in a run, and in those that are pinned."""
+    def show(self, run: Shown, pins: Sequence[Shown], lash: int, note: str) -> None:
+        """Show the motion of one lash in a run, with a note, and in those that are pinned."""
         histories = [each.history.lashes[lash] for each in (run, *pins)]
         trajectory = histories[0].trajectory
         facts = [f"{name} {text}" for name, text in trajectory.outcome() if name != "label"]
         label = f'<span style="font-size: 20px; font-weight: bold">{escape(trajectory.label)}</span>'
-        header = f"{label} &nbsp; {escape(run.place)}<br>{escape(' · '.join([*facts, energy_text(run.energy)]))}"
+        facts = [*filter(None, [note]), *facts, energy_text(run.energy)]
+        header = f"{label} &nbsp; {escape(run.place)}<br>{escape(' · '.join(facts))}"
         columns, *events = trajectory.event_table()
         ending = (f"{trajectory.end:.7f}", f"end: {trajectory.ending}", *[""] * (len(columns) - 2))
         compared = [

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from clunk.explorer.subject import ExplorerError, Subject
 from clunk.results.files import reason
 from clunk.results.regimemap import Results
+from clunk.results.tolerancemap import ToleranceMap
 
 try:
     from bokeh.settings import settings
@@ -176,7 +177,7 @@ class Explorer:
 
 
 def explore(
-    results: Results, *, name: str | os.PathLike[str] = "map", port: int = 0, browser: bool | None = None
+    results: Results | ToleranceMap, *, name: str | os.PathLike[str] = "map", port: int = 0, browser: bool | None = None
 ) -> Explorer:
     """Serve a page on which a map is pointed at, and the motion there is seen.
 
@@ -185,7 +186,7 @@ def explore(
 
     Parameters
     ----------
-    results : Results
+    results : Results or ToleranceMap
     name : str
         With which the names of saved files begin.
     port : int

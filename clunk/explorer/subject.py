@@ -10,8 +10,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
+from clunk.results.labels import FAILED
 from clunk.results.maps import parameters_of, values_at
 from clunk.results.regimemap import Results
+from clunk.results.tolerancemap import ToleranceMap
 from clunk.study.axes import LASH, RUN, ResultAxis
 from clunk.study.errors import ClunkError
 
@@ -32,11 +34,11 @@ class Subject:
     name : for files that are saved
     """
 
-    results: Results
+    results: Results | ToleranceMap
     name: str
 
     @classmethod
-    def of(cls, results: Results, name: str | os.PathLike[str] = "map") -> Subject:
+    def of(cls, results: Results | ToleranceMap, name: str | os.PathLike[str] = "map") -> Subject:
         """The subject of some results. Raises ExplorerError where no run can be made of a cell."""
         if not results.config:
             raise ExplorerError("These results have no config, so that no run can be made of a cell.")
@@ -75,9 +77,24 @@ class Subject:
         """Whether some parameters lie together along `run`."""
         return any(axis.parameter == RUN for axis in self.results.axes)
 
-    def stored(self, slices: Numbers) -> Results:
+    def stored(self, slices: Numbers) -> Results | ToleranceMap:
         """The stored map at values of the further axes."""
         return self.results.at(slices) if slices else self.results
+
+    @property
+    def has_inferred(self) -> bool:
+        """Whether some cells were not run, so that they have a label and nothing else."""
+        return isinstance(self.results, Results) and bool(self.results.inferred.any())
+
+    def likelihood(self, cell: Numbers, lash: str) -> str:
+        """The probability of each label in a cell of a tolerance map; empty for a regime map."""
+        if not isinstance(self.results, ToleranceMap):
+            return ""
+        part = self.results.of_lash(lash)
+        at = tuple(axis.nearest(cell.get(axis.parameter, axis.values[0])) for axis in part.axes)
+        shares = zip((*part.labels, FAILED), part.probability[at].tolist(), strict=True)
+        likely = sorted(((share, label) for label, share in shares if share), reverse=True)
+        return f"of {part.draws:,} draws: " + ", ".join(f"{label} {100.0 * share:.3g} %" for share, label in likely)
 
     def values(self, cell: Numbers) -> dict[str, float]:
         """Values of the swept keys in a cell, from values of the axes, `run` included."""

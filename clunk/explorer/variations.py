@@ -13,7 +13,7 @@ from clunk.simulation.history import History, sample, shown_until
 from clunk.simulation.trajectory import simulate
 from clunk.study.axes import RUN
 from clunk.study.config import study_from_text
-from clunk.study.designs import Column, Design, design_of, nominal
+from clunk.study.designs import Column, Design, design_of, has_tolerances, nominal
 from clunk.study.parameters import nominal_value
 from clunk.study.study import Study, replace_values, to_toml
 from clunk.study.sweeps import Axis, Sweep
@@ -27,7 +27,7 @@ _COARSE = 31  # values of an axis, of the map that is shown first
 class Variations:
     """The study of some results, and what is computed of it.
 
-    study : its sweep included
+    study : its sweep included, without tolerances
 
     Raises ConfigError where the results' config is not allowed any more.
     """
@@ -36,7 +36,8 @@ class Variations:
 
     def __init__(self, subject: Subject) -> None:
         self.subject = subject
-        self.study = nominal(study_from_text(subject.results.config, "the results' config"))
+        self._toleranced = study_from_text(subject.results.config, "the results' config")
+        self.study = nominal(self._toleranced)
 
     def number(self, key: str) -> float:
         """The config's own value of a key; NaN where it has none."""
@@ -70,7 +71,11 @@ class Variations:
         if not self.subject.plane:
             return to_toml(self.study_at(cell, numbers))
         slices = {axis.parameter: cell[axis.parameter] for axis in self.subject.slices}
-        swept = self.study_of_map(slices, numbers).sweep
+        swept, whole = self.study_of_map(slices, numbers).sweep, self._toleranced.sweep
+        if has_tolerances(self._toleranced) and not numbers:
+            assert swept is not None
+            assert whole is not None
+            swept = swept.model_copy(update={"tolerances": whole.tolerances, "sampling": whole.sampling})
         return to_toml(self.study_at(cell, numbers).model_copy(update={"sweep": swept}))
 
     def prepare(self, say: Callable[[str], None]) -> None:

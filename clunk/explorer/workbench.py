@@ -19,9 +19,11 @@ from clunk.explorer.pictures import Picture, cells_picture
 from clunk.explorer.runpanel import RunPanel
 from clunk.explorer.saving import NAMES, Cell, Shown, download
 from clunk.explorer.variations import Variations
-from clunk.plot.layers import quantities_of
+from clunk.plot.layers import QUANTITIES, quantities_of
 from clunk.plot.plane import number_text, value_text
+from clunk.results.maps import share
 from clunk.results.regimemap import Results
+from clunk.results.tolerancemap import CERTAIN, ToleranceMap
 from clunk.simulation.energy import balance
 from clunk.study.errors import ClunkError
 
@@ -46,7 +48,8 @@ class Workbench:
         self._numbers: dict[str, float] = {}
         self._slices: dict[str, float] = {}
         self._is_ready = False
-        self._results: Results | None = None
+        self._results: Results | ToleranceMap | None = None
+        self._drawn = ""  # the quantity that the map shows
         self._cell = self._first_cell()
         self._hovered: Cell | None = None
         self._run: Shown | None = None
@@ -55,11 +58,10 @@ class Workbench:
         self._requested: tuple[dict[str, float], dict[str, float]] | None = None
 
         results = self._subject.results
-        options = {"width": 190, "margin": (0, 6, 4, 6)}
+        options = {"width": 260, "margin": (0, 6, 4, 6)}
         # over one axis, labels are the colours under a curve
-        names = quantities_of(results)[len(self._subject.plane) == 1 :]
-        first = names[0] if len(self._subject.plane) > 1 else _hardness(results)
-        described = [(name, _quantity_name(results, name)) for name in names]
+        described = list(_quantities(results).items())[len(self._subject.plane) == 1 :]
+        first = described[0][0] if len(self._subject.plane) > 1 else _hardness(results)
         has_map = page.map is not None
         self._quantity = Select(value=first, options=described, name="quantity", visible=has_map, **options)
         self._lash = Select(value=results.lash_names[0], options=list(results.lash_names), name="of lash", **options)
@@ -228,7 +230,9 @@ class Workbench:
 
     def _show_runs(self) -> None:
         if self._run is not None:
-            self._panel.show(self._run, self._pins, self._lash_position)
+            # other numbers are those of no map
+            note = "" if self._run.numbers else self._subject.likelihood(self._run.values, self._lash.value)
+            self._panel.show(self._run, self._pins, self._lash_position, note)
 
     def _place(self, values: Mapping[str, float], numbers: Mapping[str, float]) -> str:
         """Values of all axes, and numbers, in words."""
@@ -255,14 +259,17 @@ class Workbench:
         subject, variations = self._subject, self._variations
         slices, numbers = dict(self._slices), self._active_numbers()
         quantity, lash = self._quantity.value, self._lash.value
+        if numbers and isinstance(subject.results, ToleranceMap) and quantity not in QUANTITIES:
+            quantity = "regimes"  # of the nominal map: other numbers leave tolerances aside
         self._reset.visible = bool(numbers)
         if not subject.plane:
             self._say("a run with these numbers, which are in no file" if numbers else "the run of this config")
             return
 
+        kind = "nominal " if isinstance(subject.results, ToleranceMap) else ""
         refine = quantity == "regimes"  # of anything else, an inferred cell has no value
 
-        def show(request: Request, results: Results, status: str) -> None:
+        def show(request: Request, results: Results | ToleranceMap, status: str) -> None:
             from clunk.explorer.drawings import picture_of  # matplotlib: the first run does not wait for it
 
             part, thresholds = results.of_lash(lash), []
@@ -271,7 +278,7 @@ class Workbench:
             else:
                 picture = picture_of(part, quantity, len(subject.plane))
                 thresholds = thresholds_of(results) if quantity == "regimes" else []
-            self._page.soon(lambda: self._show_map(request, results, picture, thresholds, status))
+            self._page.soon(lambda: self._show_map(request, results, quantity, picture, thresholds, status))
 
         def work(request: Request) -> None:
             said = time.monotonic()
@@ -284,7 +291,7 @@ class Workbench:
                     self._page.soon(partial(self._say, f"computing the map: {done:,} of {total:,} cells"))
 
             self._newest_run.wait(_FIRST_RUN if self._results is None else _RUN)  # it is wanted at once
-            if not numbers and (refine or not subject.results.inferred.any()):
+            if not numbers and (refine or not subject.has_inferred):
                 show(request, subject.stored(slices), _OWN)
                 variations.prepare(lambda text: self._page.soon(partial(self._say, text)))
                 return
@@ -294,20 +301,27 @@ class Workbench:
                 show(request, coarse, _COARSE)
             full = variations.full_map(slices, numbers, progress, refine=refine)
             request.go_on()
-            show(request, full, "the map with these numbers, which is in no file" if numbers else _OWN)
+            show(request, full, f"the {kind}map with these numbers, which is in no file" if numbers else _OWN)
 
         self._newest_map.submit(work)
 
     def _show_map(
-        self, request: Request, results: Results, picture: Picture, thresholds: list[float], status: str
+        self,
+        request: Request,
+        results: Results | ToleranceMap,
+        quantity: str,
+        picture: Picture,
+        thresholds: list[float],
+        status: str,
     ) -> None:
         if request.is_superseded:
             return
-        self._results = results
-        quantity = _quantity_name(results, self._quantity.value)
+        self._results, self._drawn = results, quantity
         changes = [] if picture.edges is None else picture.edges[1:-1].tolist()
         notes = [*_listed("thresholds for vanishing backlash", thresholds), *_listed("label changes", changes)]
-        self._page.show_map(picture, quantity, f"{status}{_HELP}", *notes)
+        if isinstance(results, ToleranceMap) and quantity == "regimes" and picture.edges is None:
+            notes.append(f"paler: less than {CERTAIN:.0%} likely, {share(results.uncertain, results.sequence.size)}")
+        self._page.show_map(picture, _quantities(results)[quantity], f"{status}{_HELP}", *notes)
         self._mark()
 
     def _mark(self) -> None:
@@ -324,7 +338,7 @@ class Workbench:
         self._save.value = ""
         if name not in NAMES or self._run is None or (self._results is None and self._page.map):
             return
-        runs, quantity = [self._run, *self._pins], self._quantity.value
+        runs, quantity = [self._run, *self._pins], self._drawn
         part = (self._results or self._subject.results).at_lash(self._lash.value)
 
         def work() -> None:
@@ -342,11 +356,17 @@ def _listed(what: str, values: list[float]) -> list[str]:
     return [f"{what}: {', '.join(f'{each:.4g}' for each in values)}"] if 0 < len(values) <= _LISTED else []
 
 
-def _hardness(results: Results) -> str:
+def _hardness(results: Results | ToleranceMap) -> str:
     from clunk.plot.drawing import hardness  # only where there is a curve, not a map
 
-    return hardness(results)
+    return hardness(results) if isinstance(results, Results) else "severity"
 
 
-def _quantity_name(results: Results, name: str) -> str:
-    return "regimes" if name == "regimes" else results.quantities[name].plot_label
+def _quantities(results: Results | ToleranceMap) -> dict[str, str]:
+    """What can be drawn of results, with its name for people."""
+    if isinstance(results, ToleranceMap):
+        from clunk.plot import certainty  # with matplotlib, which regime maps do not wait for
+
+        return certainty.QUANTITIES
+    labels = {name: results.quantities[name].plot_label for name in quantities_of(results)[1:]}
+    return {"regimes": "regimes", **labels}

@@ -29,7 +29,8 @@ _SEVERITIES = {"severity": TOLERANCE_QUANTITIES["severity_mean"].plot_label} | {
     f"severity_{100 * level:g}": f"{100 * level:g} % {TOLERANCE_QUANTITIES['severity_quantiles'].heading_with_unit}"
     for level in QUANTILES
 }
-QUANTITIES = ("regimes", "double_sided", *_SEVERITIES)
+# by name, what its colours or its curve stand for
+QUANTITIES = {"regimes": "regimes", "double_sided": "Probability of a double-sided impact", **_SEVERITIES}
 
 # A cell's colour is taken towards white where its label is less certain than these, by so much.
 _FADES = ((CERTAIN, 0.30), (0.8, 0.55), (0.65, 0.80))
@@ -47,6 +48,32 @@ def draw(tolerances: ToleranceMap, quantity: str) -> Figure:
     return _quantity_map(tolerances, quantity)
 
 
+def layers_of_quantity(tolerances: ToleranceMap, dimensions: int, name: str) -> tuple[Layers, Colours]:
+    """Layers of a quantity over this many axes, and its colours. Raises PlotError where it is not defined."""
+    values = tolerances.double_sided if name == "double_sided" else _severity(tolerances, name)
+    layers = Layers.of(tolerances, dimensions, name, values)
+    if name == "double_sided":
+        percent = ticker.PercentFormatter(1.0, symbol=" %")
+        return layers, Colours(QUANTITIES[name], colors.Normalize(0.0, 1.0), _PROBABLE, formatter=percent)
+    return layers, Colours(QUANTITIES[name], colors.Normalize(np.nanmin(values), np.nanmax(values)))
+
+
+def likely_layers(tolerances: ToleranceMap, dimensions: int) -> Layers:
+    """Layers of the most likely labels, without those that are nowhere the most likely one."""
+    layers = Layers.of(tolerances, dimensions)
+    present = [layers.labels.index(label) for label in layers.present]
+    codes = np.where(layers.failed, FAILED_CODE, np.searchsorted(present, layers.codes)).astype(np.int16)
+    return replace(layers, labels=tuple(layers.present), codes=codes)
+
+
+def paleness(certainty: Floats) -> Floats:
+    """By how much colours are taken towards white, from the probability of the most likely label."""
+    amounts = np.zeros(certainty.shape)
+    for below, amount in _FADES:
+        amounts[certainty < below] = amount
+    return amounts
+
+
 def default_quantities(tolerances: ToleranceMap) -> list[str]:
     """Quantities that are drawn where none is named. Under the restitution model there is no severity."""
     if len(drawn_axes(tolerances)) == 1:
@@ -60,7 +87,7 @@ def likely_regimes(tolerances: ToleranceMap) -> Figure:
 
     Raises PlotError unless two axes were swept.
     """
-    layers = _present(Layers.of(tolerances, 2))
+    layers = likely_layers(tolerances, 2)
     figure, ax = new_map(layers, f"most likely of {tolerances.draws:,} draws")
     paint_regimes(ax, layers)
     _fade(ax, layers.view, layers.view.arrange(tolerances.certainty))
@@ -71,14 +98,7 @@ def likely_regimes(tolerances: ToleranceMap) -> Figure:
 @style.styled()
 def _quantity_map(tolerances: ToleranceMap, name: str) -> Figure:
     """A probability or a severity of every cell as colour, under the most likely regimes' boundaries."""
-    values = tolerances.double_sided if name == "double_sided" else _severity(tolerances, name)
-    layers = Layers.of(tolerances, 2, name, values)
-    if name == "double_sided":
-        percent = ticker.PercentFormatter(1.0, symbol=" %")
-        label = "Probability of a double-sided impact"
-        colours = Colours(label, colors.Normalize(0.0, 1.0), _PROBABLE, formatter=percent)
-    else:
-        colours = Colours(_SEVERITIES[name], colors.Normalize(np.nanmin(values), np.nanmax(values)))
+    layers, colours = layers_of_quantity(tolerances, 2, name)
     lines = layers.boundaries_note.replace("the regimes", "the most likely regimes")
     figure, ax = shaded_map(layers, colours, f"{tolerances.draws:,} draws; {lines}")
     style.freeze_layout(figure, ax)
@@ -147,13 +167,6 @@ def _severity(tolerances: ToleranceMap, name: str) -> Floats:
             "impulsive."
         )
     return values
-
-
-def _present(layers: Layers) -> Layers:
-    """Layers with those labels only that are the most likely one somewhere, and codes numbered by them."""
-    present = [layers.labels.index(label) for label in layers.present]
-    codes = np.where(layers.failed, FAILED_CODE, np.searchsorted(present, layers.codes)).astype(np.int16)
-    return replace(layers, labels=tuple(layers.present), codes=codes)
 
 
 def _fade(ax: Axes, view: View, certainty: Floats) -> None:
