@@ -696,6 +696,7 @@ def test_every_command_has_help_and_an_example_whose_options_are_real(clunk, nam
     description = out.split("Options:")[0].split("\n", 2)[2].replace("\\\n", " ")
     examples = re.findall(rf"clunk ({name} .*|{name}$)", description, flags=re.MULTILINE)
     assert examples
+    assert max(map(len, out.splitlines())) <= 80
     for example in examples:
         arguments = shlex.split(example.partition(" > ")[0])[1:]
         cli.get_command(None, name).make_context(name, arguments)  # raises UsageError

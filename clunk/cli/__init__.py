@@ -104,7 +104,8 @@ def cli() -> None:
     """Impact regime maps of drivelines with backlash.
 
     \b
-    clunk init study.toml                     write a commented starter config
-    clunk sweep configs/figure_3_4.toml       run its grid
-    clunk plot results/figure_3_4.h5          draw the regime and severity maps
+    clunk init study.toml          write a commented starter config
+    clunk sweep study.toml         run its grid
+    clunk plot results/study.h5    draw the regime and severity maps
+    clunk help words               what labels, symbols and terms mean
     """

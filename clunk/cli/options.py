@@ -33,7 +33,7 @@ at_option = click.option(
     multiple=True,
     metavar="KEY=VALUE",
     shell_complete=completion.places,
-    help="Value of a swept key. May be repeated.",
+    help="Value of a swept key, the nearest that its axis has. May be repeated.",
 )
 
 

@@ -55,7 +55,8 @@ def sensitivity(
     \b
     Examples:
       clunk sensitivity tolerances.toml --set sweep.sampling.count=4096
-      clunk sensitivity tolerances.toml --of severity --of double_sided -o bars.png
+      clunk sensitivity tolerances.toml --of severity --of double_sided \\
+          -o bars.png
     """
     from clunk.analysis import sobol
     from clunk.results import targets

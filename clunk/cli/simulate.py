@@ -53,7 +53,13 @@ class Drawing(NamedTuple):
     help="A run for each value. May be repeated.",
 )
 @click.option("-o", "--output", type=PATH, help="Picture (.png .svg .pdf), or data (.csv .h5).")
-@click.option("--figure", type=click.Choice(_FIGURES), default="everything", help="Which picture [everything].")
+@click.option(
+    "--figure",
+    type=click.Choice(_FIGURES),
+    default="everything",
+    metavar="NAME",
+    help=f"Which picture: {', '.join(_FIGURES)} [everything].",
+)
 @click.option("--around", type=float, metavar="T", help="Of a close-up: its moment [first impact], s.")
 @click.option("--width", type=float, default=0.1, metavar="T", help="Of a close-up: its length [0.1], s.")
 @click.option("--until", type=float, metavar="T", help="End of the time axis [when it has died down], s.")
@@ -77,7 +83,8 @@ def simulate(
     \b
     Examples:
       clunk simulate configs/nominal.toml --set load.ratio=7 -o run.png
-      clunk simulate results/figure_3_4.h5 --at load.ratio=5 --at lash.backlash_deg=6
+      clunk simulate results/figure_3_4.h5 --at load.ratio=5 \\
+          --at lash.backlash_deg=6
       clunk simulate configs/nominal.toml --figure closeup -o chatter.png \\
           --overlay lash.contact.model=indentation,restitution
     """

@@ -54,13 +54,15 @@ def sweep(
 ) -> None:
     """Run the grid of a config and write a results file.
 
-    Stopped by whatever, the same command goes on where it was.
+    CONFIG is a TOML file with [[sweep.axes]]. Stopped by whatever, the same command goes on where it was. In a
+    terminal a map of one or two axes is printed, too.
 
     \b
     Examples:
       clunk sweep configs/figure_3_4.toml --set solver.step=5e-5
       clunk sweep configs/figure_3_4.toml --refine --boundaries -o refined.h5
-      clunk sweep configs/figure_3_4.toml --retry-failed --set solver.max_events=4096
+      clunk sweep configs/figure_3_4.toml --retry-failed \\
+          --set solver.max_events=4096
       clunk sweep configs/figure_3_4.toml --scheduler tcp://localhost:8786
     """
     if retry_failed and (refine or force):

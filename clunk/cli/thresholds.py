@@ -78,7 +78,7 @@ def thresholds(
 ) -> None:
     """Locate the values of a key at which an outcome changes.
 
-    All of them, to 1e-9 of the key's axis, are told for every cell of CONFIG's other axes, or where --at says, with the
+    Finds all of them, to 1e-9 of the key's axis, for every cell of CONFIG's other axes or where --at says, with the
     outcomes below and above each. With [[sweep.tolerances]]: where the outcome is the same in 50 % and in 95 % of the
     drawn drivelines.
 

@@ -26,6 +26,7 @@ def help(topic: str | None) -> None:  # noqa: A001  # as the command is named
         width = max(map(len, topics))
         for name, text in topics.items():
             click.echo(f"{name:<{width}}  {text.splitlines()[0].partition(': ')[2]}")
+        click.echo("clunk help TOPIC shows one of them", err=True)
     elif topic not in topics:
         likely = nearest(topic, topics)
         hint = f"did you mean {likely}? There" if likely else "there"
