@@ -190,10 +190,10 @@ def test_searches_side_by_side_get_the_runs_of_their_own_points_and_end_with_wha
         return places[:, 0]
 
     def search(first, steps):
-        def steps_of(run):
-            return [run(np.full((3, 2), first + 0.1 * k)).tolist() for k in range(steps)]
-
-        return steps_of
+        runs = []
+        for k in range(steps):
+            runs.append((yield np.full((3, 2), first + 0.1 * k)).tolist())
+        return runs
 
     results = side_by_side(run, search(1.0, 3), search(2.0, 1))
     assert results == [[[1.0 + 0.1 * k] * 3 for k in range(3)], [[2.0] * 3]]

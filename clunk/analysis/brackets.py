@@ -10,7 +10,8 @@ Where further outcomes lie within a bracket, it becomes several.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -35,13 +36,16 @@ POINT = np.dtype([("cell", "i8"), ("value", "f8"), ("outcome", "i8"), ("measure"
 
 
 def narrow(
-    ends: Points, run: Callable[[Codes, Floats], Points], span: float = 1.0, tolerance: float = TOLERANCE
-) -> tuple[Points, Points]:
+    ends: Points,
+    run: Callable[[Codes, Floats], Generator[Any, Any, Points]],
+    span: float = 1.0,
+    tolerance: float = TOLERANCE,
+) -> Generator[Any, Any, tuple[Points, Points]]:
     """Narrow brackets to a tolerance, as a share of the span; returns their lower and their upper ends, in no order.
 
     ends : (n, 4), at ascending values of one cell: the ends of a bracket, of different outcome, and before and behind
         these the next points that are known there, or once more the ends
-    run : runs cells at values, (m,) each
+    run : runs cells at values, (m,) each; what it yields is yielded
     """
     tolerance *= span
     stalls, narrowed = np.zeros(len(ends), np.int64), [ends[:0]]
@@ -55,7 +59,8 @@ def narrow(
             break
         values = _next(ends, stalls, span, tolerance)
         rows, columns = np.nonzero((ends["value"][:, 1:2] < values) & (values < ends["value"][:, 2:3]))
-        points = np.concatenate([ends.ravel(), run(ends["cell"][rows, 0], values[rows, columns])])
+        new = yield from run(ends["cell"][rows, 0], values[rows, columns])
+        points = np.concatenate([ends.ravel(), new])
         owner = np.concatenate([np.repeat(np.arange(len(ends)), 4), rows])
         order = np.lexsort((points["value"], owner))
         points, owner = points[order], owner[order]

@@ -8,7 +8,7 @@ import numpy as np
 
 from clunk.analysis.brackets import POINT, TOLERANCE, Codes, Floats, Points, narrow
 from clunk.analysis.pointruns import RUN, RUN_FIELDS, Runs
-from clunk.analysis.searches import Run
+from clunk.analysis.searches import Search
 
 _ONCE_MORE = [0, 0, 1, 1]
 
@@ -27,7 +27,7 @@ class Crossings(NamedTuple):
         return places
 
 
-def located(run: Run, places: Floats, runs: Runs, tolerance: float = TOLERANCE) -> Crossings:
+def located(places: Floats, runs: Runs, tolerance: float = TOLERANCE) -> Search[Crossings]:
     """Locate crossings on straight lines between points of different labels, by default to 1e-9 of each axis.
 
     places, runs : (n, 2, 2) points and (n, 2) their runs; or (n, 4, 2) and (n, 4), with further points on these lines
@@ -39,13 +39,13 @@ def located(run: Run, places: Floats, runs: Runs, tolerance: float = TOLERANCE) 
     lengths = np.hypot(*steps.T)[:, None]
     steps = np.divide(steps, lengths, out=np.zeros_like(steps), where=lengths > 0.0)
 
-    def run_at(lines: Codes, distances: Floats) -> Points:
-        return _points(lines, distances, run(begin[lines] + distances[:, None] * steps[lines]))
+    def run_at(lines: Codes, distances: Floats) -> Search[Points]:
+        return _points(lines, distances, (yield begin[lines] + distances[:, None] * steps[lines]))
 
     distances = ((places - begin[:, None]) * steps[:, None]).sum(axis=2)
     distances[:, 2] = lengths[:, 0]
     lines = np.broadcast_to(np.arange(len(runs))[:, None], runs.shape)
-    low, high = narrow(_points(lines, distances, runs), run_at, tolerance=tolerance)
+    low, high = yield from narrow(_points(lines, distances, runs), run_at, tolerance=tolerance)
     order = np.lexsort((low["value"], low["cell"]))
     ends = np.stack([low, high], axis=1)[order]
     lines, narrowed = ends["cell"][:, 0], np.zeros(ends.shape, RUN)

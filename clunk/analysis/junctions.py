@@ -6,7 +6,7 @@ import numpy as np
 
 from clunk.analysis.brackets import TOLERANCE, Codes, Floats
 from clunk.analysis.crossings import located
-from clunk.analysis.searches import Run
+from clunk.analysis.searches import Search
 
 _NEARER = np.append(
     1 / np.array([64, 16, 8, 4, 2]), 1.0 - 0.5 ** np.array([2, 4, 8, 14, 20, 26])
@@ -22,7 +22,7 @@ _PARALLEL = 1e-12  # determinant of the equations of lines that have no point in
 _MOST_STEPS = 12  # towards a triple point, 5 as a rule
 
 
-def triple_points(run: Run, corners: Floats, labels: Codes, crossings: Floats) -> Floats:
+def triple_points(corners: Floats, labels: Codes, crossings: Floats) -> Search[Floats]:
     """Points (n, 2) at which the three labels of triangles meet.
 
     On the way from a guess to the corners are points of the same labels, and between these crossings. Lines through
@@ -42,7 +42,7 @@ def triple_points(run: Run, corners: Floats, labels: Codes, crossings: Floats) -
         # on the way to each corner, the nearest points from which on the label is the corner's
         ways = corners[active] - guess[active, None]
         places = guess[active, None, None] + ways[:, :, None] * _NEARER[:, None]
-        runs = run(places.reshape(-1, 2)).reshape(places.shape[:3])
+        runs = (yield places.reshape(-1, 2)).reshape(places.shape[:3])
         fits = (runs["outcome"] == labels[active][..., None]).all(axis=1)
         nearest = np.argmax(np.cumprod(fits[:, ::-1], axis=1)[:, ::-1], axis=1)
         able = fits[:, -1]
@@ -54,7 +54,7 @@ def triple_points(run: Run, corners: Floats, labels: Codes, crossings: Floats) -
         begin, end = nearer.reshape(-1, 2), np.roll(nearer, -1, axis=1).reshape(-1, 2)
         pairs = np.stack([corner_runs.ravel(), np.roll(corner_runs, -1, axis=1).ravel()], axis=1)
         sharp = max(_SHARP[0], _SHARP[1] * np.hypot(*(end - begin).T).max())
-        ways = located(run, np.stack([begin, end], 1), pairs, sharp)
+        ways = yield from located(np.stack([begin, end], 1), pairs, sharp)
         _, first, counts = np.unique(ways.lines, return_index=True, return_counts=True)
         new, single = ways.places[first].reshape(-1, 3, 2), (counts == 1).reshape(-1, 3)
         along = new - crossings[active]
@@ -80,11 +80,11 @@ def triple_points(run: Run, corners: Floats, labels: Codes, crossings: Floats) -
         guess[active] = solution
         active = active[moved > _SETTLED]
     for radius in _RADII:
-        guess = _sharpened(run, guess, radius)
+        guess = yield from _sharpened(guess, radius)
     return guess
 
 
-def _sharpened(run: Run, points: Floats, radius: float) -> Floats:
+def _sharpened(points: Floats, radius: float) -> Search[Floats]:
     """The points (n, 2), within the map where the lines meet that leave two circles around each of them.
 
     A junction of four labels is found in needles as narrow as crossings are sharp, whose directions say nothing.
@@ -92,12 +92,12 @@ def _sharpened(run: Run, points: Floats, radius: float) -> Floats:
     points, size = points.copy(), len(_DIRECTIONS)
     inside = np.flatnonzero((np.abs(points - 0.5) < 0.5 - radius).all(axis=1))
     circles = points[inside, None, None] + np.array([radius, 0.25 * radius])[:, None, None] * _DIRECTIONS
-    runs = run(circles.reshape(-1, 2)).reshape(circles.shape[:3])
+    runs = (yield circles.reshape(-1, 2)).reshape(circles.shape[:3])
     at = np.flatnonzero(runs["outcome"] != np.roll(runs["outcome"], -1, axis=2))
     after = np.where(at % size == size - 1, at + 1 - size, at + 1)
     begin, end = circles.reshape(-1, 2)[at], circles.reshape(-1, 2)[after]
     pairs = runs.ravel()[np.stack([at, after], 1)]
-    crossings = located(run, np.stack([begin, end], 1), pairs, _SHARPER * radius)
+    crossings = yield from located(np.stack([begin, end], 1), pairs, _SHARPER * radius)
     circle, lines, places = at[crossings.lines] // size, crossings.runs["outcome"], crossings.places
     for k, point in enumerate(inside.tolist()):
         outer, inner = (np.flatnonzero(circle == number) for number in (2 * k, 2 * k + 1))

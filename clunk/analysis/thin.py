@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from clunk.analysis.brackets import Codes, Floats
 from clunk.analysis.pointruns import RUN, RUN_FIELDS, Runs
-from clunk.analysis.searches import Run
+from clunk.analysis.searches import Search
 from clunk.analysis.triangles import Nodes, Triangles, keys_of
 from clunk.core.exact.run import MOST
 from clunk.results.labels import FAILED_CODE
@@ -49,21 +49,21 @@ HIT = np.dtype(
 )
 
 
-def hidden(run: Run, triangles: Triangles) -> Hits:
+def hidden(triangles: Triangles) -> Search[Hits]:
     """Nodes of another label on edges whose ends have one: HIT, one on each of these edges."""
     suspects, every = _suspects(triangles), np.zeros(0, HIT)
     while True:
-        hits = _hits(run, triangles, suspects)
+        hits = yield from _hits(triangles, suspects)
         known = keys_of(every["first"], every["second"])
         keys, at = np.unique(keys_of(hits["first"], hits["second"]), return_index=True)
         new = ~np.isin(keys, known)
         if not new.any():
             return every
         every = np.concatenate([every, hits[at[new]]])
-        suspects = _onward(run, triangles, hits[at[new]], np.append(known, keys[new]))
+        suspects = yield from _onward(triangles, hits[at[new]], np.append(known, keys[new]))
 
 
-def _hits(run: Run, triangles: Triangles, suspects: Suspects) -> Hits:
+def _hits(triangles: Triangles, suspects: Suspects) -> Search[Hits]:
     """Points of another label on suspects.
 
     A region thinner than a cell begins where the margin falls to zero. Where it falls towards a node, so that it may be
@@ -86,7 +86,7 @@ def _hits(run: Run, triangles: Triangles, suspects: Suspects) -> Hits:
         shares = low[:, None] + ahead[:, None] * _NEXT[min(round_, len(_NEXT) - 1)]
         shares = np.minimum(shares, 0.5 * (low + _BEFORE * ahead + high)[:, None])
         places = begin[edges, None] + shares[..., None] * step[edges, None]
-        runs = run(places.reshape(-1, 2)).reshape(shares.shape)
+        runs = (yield places.reshape(-1, 2)).reshape(shares.shape)
         differs = runs["outcome"] != label[edges, None]
         left = sign * runs["measure"][:, 0] / size  # of the margin
         goes_on = ~differs.any(axis=1) & ~((_STAYS[0] < left) & (left < _STAYS[1]))
@@ -118,7 +118,7 @@ def _hits(run: Run, triangles: Triangles, suspects: Suspects) -> Hits:
     return np.concatenate(every)
 
 
-def _onward(run: Run, triangles: Triangles, hits: Hits, known: Codes) -> Suspects:
+def _onward(triangles: Triangles, hits: Hits, known: Codes) -> Search[Suspects]:
     """Where regions go on: the edges by which they leave the triangles beside an edge on which they were hit.
 
     The margin before a region has the region's direction. From the margin's slopes along the edge and across it follows
@@ -129,7 +129,7 @@ def _onward(run: Run, triangles: Triangles, hits: Hits, known: Codes) -> Suspect
     along = positions[hits["second"]] - begin
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
     aside = 0.5 * (hits["share"][:, None] - low)
-    beside = np.abs(run(begin + low * along + aside * across)["measure"])
+    beside = np.abs((yield begin + low * along + aside * across)["measure"])
     way = (beside - np.abs(hits["before"]["measure"]))[:, None] * along + aside * hits["slope"][:, None] * across
     corners, other = np.minimum(hits["first"], hits["second"]), np.maximum(hits["first"], hits["second"])
     row, column = np.divmod(corners, shape[1])
@@ -154,7 +154,7 @@ def _onward(run: Run, triangles: Triangles, hits: Hits, known: Codes) -> Suspect
     first, second, share = first[at], second[at], share[at]
     shares = np.clip(share[:, None] + _ASTRAY * np.array([-2.0, -1.0, 1.0, 2.0]), 0.0, 1.0)
     places = positions[first, None] + shares[..., None] * (positions[second] - positions[first])[:, None]
-    runs = run(places.reshape(-1, 2)).reshape(shares.shape)
+    runs = (yield places.reshape(-1, 2)).reshape(shares.shape)
     size = np.where(runs["outcome"] == outcome[first, None], np.abs(runs["measure"]), np.nan)
     both = []
     for one, two, outer, inner, last, turned in ((first, second, 0, 1, 3, False), (second, first, 3, 2, 0, True)):

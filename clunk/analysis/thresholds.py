@@ -22,6 +22,7 @@ import numpy as np
 
 from clunk.analysis.brackets import POINT, Bools, Codes, Floats, Points, narrow
 from clunk.analysis.outcomes import CHATTER, LABEL, MEASURED, NOMINAL, Outcome, measuring, outcome_of
+from clunk.analysis.searches import Search, side_by_side
 from clunk.core.status import Status
 from clunk.results.labels import FAILED, FAILED_CODE, excursions
 from clunk.results.regimemap import Results
@@ -371,9 +372,16 @@ class _Search:
         at = np.flatnonzero(apart)
         around = np.clip(at[:, None] + np.arange(-1, 3), 0, points.size - 1)
         around = np.where(points["cell"][around] == points["cell"][at, None], around, at[:, None] + [0, 0, 1, 1])
-        return narrow(points[around], self._run_within, float(np.ptp(self.along.values)))
 
-    def _run_within(self, cells: Codes, values: Floats) -> Points:
+        def run_at(cells: Codes, values: Floats) -> Search[Points]:
+            return (yield np.column_stack([cells, values]))
+
+        narrowing = narrow(points[around], run_at, float(np.ptp(self.along.values)))
+        (ends,) = side_by_side(self._run_within, narrowing)
+        return ends[0], ends[1]
+
+    def _run_within(self, places: Floats) -> Points:
+        cells, values = places[:, 0].astype(np.int64), places[:, 1]
         if values.size > MOST_BRACKETS:
             name, key = self.outcome.name, self.along.parameter
             raise ThresholdError(f"{name} changes more than {MOST_BRACKETS:,} times along {key}: no threshold tells.")

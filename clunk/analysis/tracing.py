@@ -8,7 +8,6 @@ Where a line is further from its chord than `CHORD`, further crossings are locat
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +17,7 @@ from clunk.analysis.crossings import located
 from clunk.analysis.junctions import triple_points
 from clunk.analysis.network import Segments
 from clunk.analysis.pointruns import RUN
-from clunk.analysis.searches import Run, side_by_side
+from clunk.analysis.searches import Run, Search, side_by_side
 from clunk.analysis.thin import hidden
 from clunk.analysis.triangles import Nodes, Triangles, ends_of, keys_of
 
@@ -49,18 +48,17 @@ class Lines:
 
     def trace(self) -> Segments:
         """Locate everything; returns the segments."""
-        hits, _ = side_by_side(self.run, lambda run: hidden(run, self.triangles), self._locate)
+        hits, _ = side_by_side(self.run, hidden(self.triangles), self._locate())
         if hits.size:
             numbers = self.triangles.runs.size + np.arange(hits.size)
             self.triangles.add(keys_of(hits["first"], hits["second"]), hits["place"], hits["run"])
             self.triangles.keep_before(numbers, hits["beside"], hits["of_beside"])
         for _ in range(_MOST_ROUNDS):
-            self._locate(self.run)
+            side_by_side(self.run, self._locate())
             two, three = self._mixed()
             known = np.array([tuple(corners) in self.triples for corners in three.tolist()], bool)
             rails = self._rails_of_two(two).joined(self._rails_of_three(three[known]))
-            search = partial(self._bend, rails=rails), partial(self._locate_triples, triangles=three[~known])
-            asked, _ = side_by_side(self.run, *search)
+            asked, _ = side_by_side(self.run, self._bend(rails), self._locate_triples(three[~known]))
             if known.all() and not asked.size:
                 break
             keys, first = np.unique(asked["cell"], return_index=True)
@@ -70,12 +68,12 @@ class Lines:
         points = [self.inner[name] for name in rails.names]
         return Segments(begin, end, left, right, {k: inner for k, inner in enumerate(points) if len(inner)})
 
-    def _locate(self, run: Run) -> None:
+    def _locate(self) -> Search[None]:
         """Locate crossings on edges, and on further edges where they have several."""
-        while self._locate_new(run):
+        while (yield from self._locate_new()):
             pass
 
-    def _locate_new(self, run: Run) -> bool:
+    def _locate_new(self) -> Search[bool]:
         """Locate crossings on new edges; returns whether there are new nodes, and so further edges."""
         mixed = self.triangles.mixed
         keys = np.unique(keys_of(mixed, np.roll(mixed, -1, axis=1)))
@@ -85,7 +83,7 @@ class Lines:
         keys = keys[differ & ~np.isin(keys, self.keys)]
         first, second = ends_of(keys)
         nodes = self.triangles.along(first, second)
-        crossings = located(run, positions[nodes], runs[nodes])
+        crossings = yield from located(positions[nodes], runs[nodes])
         ends = crossings.brackets
         edges, begins, counts = np.unique(crossings.lines, return_index=True, return_counts=True)
         begin, rest = ends_of(keys[edges])
@@ -162,18 +160,18 @@ class Lines:
             names=[(*name, k) for k in range(3) for name in names],
         )
 
-    def _locate_triples(self, run: Run, triangles: Nodes) -> None:
+    def _locate_triples(self, triangles: Nodes) -> Search[None]:
         if len(triangles):
             edges = keys_of(triangles, np.roll(triangles, -1, axis=1))
             crossings = self.position(edges.ravel()).reshape(-1, 3, 2)
             positions, outcome = self.triangles.positions[triangles], self.triangles.outcome[triangles]
-            points = triple_points(run, positions, outcome, crossings)
+            points = yield from triple_points(positions, outcome, crossings)
             self.triples |= zip(map(tuple, triangles.tolist()), points, strict=True)
 
-    def _bend(self, run: Run, rails: Rails) -> npt.NDArray[np.void]:
+    def _bend(self, rails: Rails) -> Search[npt.NDArray[np.void]]:
         """Follow lines that are bent within triangles; returns nodes to add, _ASKED, with the edges' keys as cells."""
         todo = np.array([k for k, name in enumerate(rails.names) if name not in self.inner], np.int64)
-        points, owner, share, asked = bent(run, rails, todo)
+        points, owner, share, asked = yield from bent(rails, todo)
         order = np.lexsort((share, owner))
         points, owner = points[order], owner[order]
         begins = np.searchsorted(owner, np.append(todo, len(rails.names)))
@@ -217,7 +215,7 @@ class Rails:
 _ASKED = np.dtype([("cell", "i8"), ("place", "f8", 2), ("run", RUN)])
 
 
-def bent(run: Run, rails: Rails, todo: Codes) -> tuple[Floats, Codes, Floats, npt.NDArray[np.void]]:
+def bent(rails: Rails, todo: Codes) -> Search[tuple[Floats, Codes, Floats, npt.NDArray[np.void]]]:
     """Points on lines between the ends of segments, so many that no chord is off its line by more than `CHORD`.
 
     A line is within that of its chord if the labels are those of its sides as far from the chord's middle. Else it is
@@ -238,12 +236,12 @@ def bent(run: Run, rails: Rails, todo: Codes) -> tuple[Floats, Codes, Floats, np
         middle = ends.mean(axis=1)
         expected = rails.labels[segment]
         beside = np.clip(np.stack([middle + CHORD * normal, middle - CHORD * normal], 1), 0.0, 1.0)
-        off = (run(beside.reshape(-1, 2))["outcome"].reshape(-1, 2) != expected).any(axis=1)
+        off = ((yield beside.reshape(-1, 2))["outcome"].reshape(-1, 2) != expected).any(axis=1)
         segment, ends, sides, shares, expected = segment[off], ends[off], sides[off], shares[off], expected[off]
         middles = sides.mean(axis=1)  # of the rails
-        runs = run(middles.reshape(-1, 2)).reshape(-1, 2)
+        runs = (yield middles.reshape(-1, 2)).reshape(-1, 2)
         clear = (runs["outcome"] == expected).all(axis=1)
-        crossings = located(run, middles[clear], runs[clear])
+        crossings = yield from located(middles[clear], runs[clear])
         counts = np.bincount(crossings.lines, minlength=int(clear.sum()))
         single = clear.copy()
         single[clear] = counts == 1
