@@ -53,19 +53,21 @@ def narrow(
         inner = ends["value"][:, 1:3]
         width, middle = inner[:, 1] - inner[:, 0], inner.mean(axis=1)
         wide = (width > tolerance) & (inner[:, 0] < middle) & (middle < inner[:, 1])
-        narrowed.append(ends[~wide])
-        ends, stalls, width = ends[wide], stalls[wide], width[wide]
+        rest = np.flatnonzero(wide)  # `take` and `put` do with records in a tenth of the time what indexing does
+        narrowed.append(ends.take(np.flatnonzero(~wide), axis=0))
+        ends, stalls, width = ends.take(rest, axis=0), stalls[rest], width[rest]
         if not len(ends):
             break
         values = _next(ends, stalls, span, tolerance)
         rows, columns = np.nonzero((ends["value"][:, 1:2] < values) & (values < ends["value"][:, 2:3]))
-        new = yield from run(ends["cell"][rows, 0], values[rows, columns])
-        points = np.concatenate([ends.ravel(), new])
-        owner = np.concatenate([np.repeat(np.arange(len(ends)), 4), rows])
-        order = np.lexsort((points["value"], owner))
-        points, owner = points[order], owner[order]
-        at = np.flatnonzero((owner[:-3] == owner[3:]) & (points["outcome"][1:-2] != points["outcome"][2:-1]))
-        ends, rows = points[at[:, None] + np.arange(4)], owner[at]
+        points = np.zeros((len(ends), 4 + values.shape[1]), POINT)
+        points["value"], begins = np.nan, points.shape[1] * np.arange(len(ends))
+        points.put(begins[:, None] + np.arange(4), ends)
+        points.put(begins[rows] + 4 + columns, (yield from run(ends["cell"][rows, 0], values[rows, columns])))
+        points = points.take(begins[:, None] + np.argsort(points["value"], axis=1, kind="stable"))
+        is_end = (points["outcome"][:, 1:-2] != points["outcome"][:, 2:-1]) & ~np.isnan(points["value"][:, 3:])
+        rows, columns = np.nonzero(is_end)
+        ends = points.take((begins[rows] + columns)[:, None] + np.arange(4))
         shrunk = (ends["value"][:, 2] - ends["value"][:, 1]) / width[rows]
         fewer = np.where(shrunk > _NARROWED, np.maximum(stalls[rows] - 1, 0), 0)
         stalls = np.where(shrunk > _STALLED, stalls[rows] + 1, fewer)

@@ -47,7 +47,7 @@ def located(places: Floats, runs: Runs, tolerance: float = TOLERANCE) -> Search[
     lines = np.broadcast_to(np.arange(len(runs))[:, None], runs.shape)
     low, high = yield from narrow(_points(lines, distances, runs), run_at, tolerance=tolerance)
     order = np.lexsort((low["value"], low["cell"]))
-    ends = np.stack([low, high], axis=1)[order]
+    ends = np.stack([low, high], axis=1).take(order, axis=0)
     lines, narrowed = ends["cell"][:, 0], np.zeros(ends.shape, RUN)
     for name in RUN_FIELDS:
         narrowed[name] = ends[name]
