@@ -454,6 +454,7 @@ def test_shafts_that_replace_those_of_a_preset_are_warned_of(clunk, here):
     )
     _, out, err = clunk("modes", "car.toml")
     assert err.startswith("warning: the file's one [[driveline.shafts]] replaces all 6 shafts of preset")
+    assert "no stiffness joins input shaft and output shaft to engine" in " ".join(err.split())
     assert "warning" not in out
 
 

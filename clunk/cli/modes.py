@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clunk.cli import phrases, tables
+from clunk.cli import phrases, tables, terminal
 from clunk.cli.options import PATH, json_option, set_option
 
 if TYPE_CHECKING:
@@ -31,7 +31,8 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     """
     import numpy as np
 
-    from clunk.simulation.driveline import steady_driveline, steady_stages, steps_a_period
+    from clunk.core.status import Status
+    from clunk.simulation.driveline import explained, steady_driveline, steady_stages, steps_a_period
     from clunk.simulation.linear import one_mode_thresholds, rigid_contact_thresholds
     from clunk.simulation.shapes import kinetic_energy_shares, mode_shapes, shuffle_mode
     from clunk.study.config import load_study
@@ -42,6 +43,8 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     shares = {
         state: kinetic_energy_shares(driveline, mode_shapes(driveline, closed=state == "closed")) for state in states
     }
+    if driveline.rigid_motion.shape.shape[1] > 1:  # parts that turn by themselves
+        terminal.complain(f"warning: {explained(study, Status.NO_EQUILIBRIUM)}")
     names = driveline.names
     shuffle = shuffle_mode(driveline)
     several = len(study.lashes) > 1
