@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from clunk.results.tolerancemap import ToleranceMap
     from clunk.simulation.trajectory import SimulationError, Trajectory, simulate
     from clunk.study.config import load_study, study_from_text
-    from clunk.study.errors import ClunkError
+    from clunk.study.errors import ClunkError, ClunkWarning
     from clunk.study.problems import ConfigError
     from clunk.study.study import Study, replace_values
     from clunk.sweeping.engines import EngineError
@@ -46,6 +46,7 @@ __all__ = [
     "Boundaries",
     "BoundaryError",
     "ClunkError",
+    "ClunkWarning",
     "ConfigError",
     "EngineError",
     "ExperimentError",
@@ -96,6 +97,7 @@ _HOME = {
     "Boundaries": "results.boundaries",
     "BoundaryError": "analysis.boundaries",
     "ClunkError": "study.errors",
+    "ClunkWarning": "study.errors",
     "ConfigError": "study.problems",
     "EngineError": "sweeping.engines",
     "ExperimentError": "analysis.measurements",

@@ -56,6 +56,11 @@ def load_study(path: str | PathLike[str], overrides: Sequence[str] = ()) -> Stud
     ConfigError
         With everything that is wrong.
 
+    Warns
+    -----
+    ClunkWarning
+        Where the file has fewer shafts than its preset, all of which they replace.
+
     Examples
     --------
     >>> import clunk
