@@ -15,7 +15,7 @@ import numpy.typing as npt
 from clunk.analysis.brackets import Codes, Floats
 from clunk.analysis.pointruns import RUN, RUN_FIELDS, Runs
 from clunk.analysis.searches import Search
-from clunk.analysis.triangles import Nodes, Triangles, keys_of
+from clunk.analysis.triangles import Nodes, Triangles, cross, keys_of
 from clunk.core.exact.run import MOST
 from clunk.results.labels import FAILED_CODE
 
@@ -145,7 +145,7 @@ def _onward(triangles: Triangles, hits: Hits, known: Codes) -> Search[Suspects]:
                 far = positions[opposite] - positions[start]
                 apart = hits["place"][at] - positions[start]
                 with np.errstate(invalid="ignore", divide="ignore"):
-                    share = _cross(apart, way[at]) / _cross(far, way[at])
+                    share = cross(apart, way[at]) / cross(far, way[at])
                 new = (share > 0.0) & (share < 1.0) & ~np.isin(keys_of(start, opposite), known)
                 new &= (outcome[opposite] == outcome[corners[at]]) & (outcome[start] == outcome[corners[at]])
                 reached.append((start[new], opposite[new], share[new]))
@@ -171,12 +171,6 @@ def _suspected(first: Nodes, second: Nodes, low: Floats, high: Floats, before: R
     for name, values in zip(SUSPECT.names or (), (first, second, low, high, before, slope), strict=True):
         suspects[name] = values
     return suspects
-
-
-def _cross(one: Floats, other: Floats) -> Floats:
-    """Cross product of vectors, (n, 2) each."""
-    product: Floats = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
-    return product
 
 
 def _suspects(triangles: Triangles) -> Suspects:

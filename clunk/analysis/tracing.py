@@ -19,7 +19,7 @@ from clunk.analysis.network import Segments
 from clunk.analysis.pointruns import RUN
 from clunk.analysis.searches import Run, Search, side_by_side
 from clunk.analysis.thin import hidden
-from clunk.analysis.triangles import Nodes, Triangles, ends_of, keys_of
+from clunk.analysis.triangles import Nodes, Triangles, cross, ends_of, keys_of
 
 CHORD = 1e-4  # of the map, that a line may be off its chord
 _MOST_ROUNDS = 12  # of new nodes
@@ -218,8 +218,9 @@ _ASKED = np.dtype([("cell", "i8"), ("place", "f8", 2), ("run", RUN)])
 def bent(rails: Rails, todo: Codes) -> Search[tuple[Floats, Codes, Floats, npt.NDArray[np.void]]]:
     """Points on lines between the ends of segments, so many that no chord is off its line by more than `CHORD`.
 
-    A line is within that of its chord if the labels are those of its sides as far from the chord's middle. Else it is
-    located between the middles of the rails; where their labels are others, a node is asked for.
+    A line is within that of its chord if the labels are those of its sides as far from the chord, where that meets the
+    way between the middles of the rails. Else it is located on that way; where the middles have other labels, a node is
+    asked for.
 
     Returns the points (n, 2), their segments, their shares of the way along these; and _ASKED, nodes on the far edges.
     """
@@ -228,20 +229,26 @@ def bent(rails: Rails, todo: Codes) -> Search[tuple[Floats, Codes, Floats, npt.N
     segment, ends, sides = todo, rails.ends[todo], rails.sides[todo]
     shares = np.tile([0.0, 1.0], (todo.size, 1))
     while segment.size:
-        chord = ends[:, 1] - ends[:, 0]
-        length = np.hypot(*chord.T)
-        long = length > CHORD
+        long = np.hypot(*(ends[:, 1] - ends[:, 0]).T) > CHORD
         segment, ends, sides, shares = segment[long], ends[long], sides[long], shares[long]
-        normal = np.stack([-chord[long, 1], chord[long, 0]], 1) / length[long, None]
-        middle = ends.mean(axis=1)
-        expected = rails.labels[segment]
-        beside = np.clip(np.stack([middle + CHORD * normal, middle - CHORD * normal], 1), 0.0, 1.0)
-        off = ((yield beside.reshape(-1, 2))["outcome"].reshape(-1, 2) != expected).any(axis=1)
-        segment, ends, sides, shares, expected = segment[off], ends[off], sides[off], shares[off], expected[off]
-        middles = sides.mean(axis=1)  # of the rails
-        runs = (yield middles.reshape(-1, 2)).reshape(-1, 2)
+        middles, expected = sides.mean(axis=1), rails.labels[segment]  # of the rails, and the labels there
+        way, chord = middles[:, 1] - middles[:, 0], ends[:, 1] - ends[:, 0]
+        slant = cross(chord, way)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            at, apart = cross(chord, ends[:, 0] - middles[:, 0]) / slant, CHORD * np.hypot(*chord.T) / np.abs(slant)
+        across = np.nan_to_num(np.stack([at - apart, at + apart], 1), nan=0.5)
+        beside = middles[:, :1] + np.clip(across, 0.0, 1.0)[..., None] * way[:, None]
+        nearest = (yield beside.reshape(-1, 2)).reshape(-1, 2)
+        off = np.flatnonzero((nearest["outcome"] != expected).any(axis=1))
+        segment, ends, sides, shares, middles = (part[off] for part in (segment, ends, sides, shares, middles))
+        runs, expected = (yield middles.reshape(-1, 2)).reshape(-1, 2), expected[off]
         clear = (runs["outcome"] == expected).all(axis=1)
-        crossings = yield from located(middles[clear], runs[clear])
+        four = np.stack([runs[:, 0], nearest[off, 0], nearest[off, 1], runs[:, 1]], axis=1)
+        side = (four["outcome"][:, 1:3, None] == expected[:, None]).all(axis=1)  # all on the left, all on the right
+        around = np.select([side[:, :1], side[:, 1:]], [[1, 2, 3, 3], [0, 0, 1, 2]], [0, 0, 3, 3])
+        places = np.stack([middles[:, 0], beside[off, 0], beside[off, 1], middles[:, 1]], axis=1)
+        each = np.arange(off.size)[:, None]
+        crossings = yield from located(places[each, around][clear], four[each, around][clear])
         counts = np.bincount(crossings.lines, minlength=int(clear.sum()))
         single = clear.copy()
         single[clear] = counts == 1
@@ -252,7 +259,7 @@ def bent(rails: Rails, todo: Codes) -> Search[tuple[Floats, Codes, Floats, npt.N
         bends = crossings.places[counts[crossings.lines] == 1]
         segment, ends, sides, shares, middles = (part[single] for part in (segment, ends, sides, shares, middles))
         chord = ends[:, 1] - ends[:, 0]
-        aside = np.abs(chord[:, 0] * (bends - ends[:, 0])[:, 1] - chord[:, 1] * (bends - ends[:, 0])[:, 0])
+        aside = np.abs(cross(chord, bends - ends[:, 0]))
         off = aside > CHORD * np.hypot(*chord.T)  # not where a region is thinner than that
         bends = bends[off]
         segment, ends, sides, shares, middles = (part[off] for part in (segment, ends, sides, shares, middles))

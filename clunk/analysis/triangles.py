@@ -31,6 +31,12 @@ def ends_of(keys: Codes) -> tuple[Nodes, Nodes]:
     return keys >> _SHIFT, keys & ((1 << _SHIFT) - 1)
 
 
+def cross(one: Floats, other: Floats) -> Floats:
+    """Cross products of vectors, (..., 2) each."""
+    product: Floats = one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
+    return product
+
+
 class Triangles:
     """The triangles of a map's cells in which labels differ, and of such as get a node on an edge.
 
@@ -87,7 +93,7 @@ class Triangles:
         nearest = self._before[second]
         numbers = np.stack([numbers[:, 0], nearest, numbers[:, 1]], axis=1)
         apart = self.positions[numbers] - self.positions[first, None]
-        is_straight = np.abs(way[:, None, 0] * apart[..., 1] - way[:, None, 1] * apart[..., 0]) < _STRAIGHT
+        is_straight = np.abs(cross(way[:, None], apart)) < _STRAIGHT
         share = (apart[:, 1] * way).sum(axis=1) / (way * way).sum(axis=1)
         is_between = is_straight[:, 1] & (share > 0.0) & (share < 1.0) & (nearest != second)
         before = np.where(is_straight[:, 0] & ~is_between, numbers[:, 0], first)
