@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,8 +31,6 @@ def explore(source: Path, overrides: tuple[str, ...], no_browser: bool, port: in
       clunk explore results/figure_3_4.h5
       clunk explore configs/ramp.toml --set solver.method=exact
     """
-    # the matrices of a run are small, and threads of BLAS that wait for each other take longer than their work
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from clunk.explorer.server import explore as serve
 
     results = _results_of(source, overrides)
