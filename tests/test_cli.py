@@ -8,13 +8,16 @@ import shutil
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import click
 import numpy as np
 import pytest
+from test_store import BACKLASH, RATIO, example
 
 from clunk.cli import cli, main
+from clunk.cli.textmap import text_map
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.results.store import read
 from clunk.study.config import load_study
@@ -117,6 +120,18 @@ def test_a_map_is_printed_with_a_letter_for_each_cell(clunk, small, monkeypatch)
     assert clunk("info", "results/small.h5", "--map", "--json")[0] == 2
     monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
     assert out.removeprefix(plain) in clunk("sweep", small, "--restart")[1]
+
+
+def test_a_large_map_is_printed_within_80_columns():
+    large = (replace(axis, values=np.linspace(-0.001234, 1e5, count)) for axis, count in ((RATIO, 101), (BACKLASH, 51)))
+    results = example(*large)
+    lines = text_map(results)
+    rows = [line.partition("|")[2] for line in lines if "|" in line]
+    assert max(map(len, lines)) <= 80
+    assert [len(row) for row in rows] == [64] * 20
+    letters = dict(line.split() for line in "\n".join(lines[lines.index("", 1) :]).replace("   ", "\n").split("\n")[1:])
+    assert letters[rows[0][0]] == results.label_map[0, -1]
+    assert letters[rows[-1][-1]] == results.label_map[-1, 0]
 
 
 def test_a_finished_sweep_is_not_run_again(clunk, small, here):
@@ -698,8 +713,8 @@ def test_every_command_has_help_and_an_example_whose_options_are_real(clunk, nam
     examples = re.findall(rf"clunk ({name} .*|{name}$)", description, flags=re.MULTILINE)
     assert examples
     assert max(map(len, out.splitlines())) <= 80
-    for example in examples:
-        arguments = shlex.split(example.partition(" > ")[0])[1:]
+    for line in examples:
+        arguments = shlex.split(line.partition(" > ")[0])[1:]
         cli.get_command(None, name).make_context(name, arguments)  # raises UsageError
 
 

@@ -52,14 +52,11 @@ def text_map(results: Results | ToleranceMap) -> list[str]:
     margin = max(map(len, ticks))
     lines = [_heading(axis) for axis in upward]
     for k, (tick, of_row) in enumerate(zip(ticks, shown.T.tolist(), strict=True)):
-        is_told = k in (0, len(rows) // 2, len(rows) - 1)
+        is_ticked = k in (0, len(rows) // 2, len(rows) - 1)
         cells = "".join(symbols[name] * wide for name in of_row)
-        lines.append(f"{tick if is_told else '':>{margin}} |{cells}")
-    blank = " " * (margin + 2)
-    scale, middle = f"{x.values[columns[0]]:<.4g}", len(columns) // 2
-    scale = f"{scale:<{middle * wide}}{x.values[columns[middle]]:.4g}"
-    last = f"{x.values[columns[-1]]:.4g}"
-    lines += [f"{blank}{scale:<{len(columns) * wide - len(last)}} {last}".rstrip(), blank + _heading(x), ""]
+        lines.append(f"{tick if is_ticked else '':>{margin}} |{cells}")
+    below = [_scale(x.values[columns], wide), _heading(x)]
+    lines += [" " * (margin + 2) + line for line in below] + [""]
     legend = "   ".join(f"{symbols[name]}{_NO_BREAK}{name}" for name in labels)
     return lines + [line.replace(_NO_BREAK, " ") for line in phrases.fill(legend).splitlines()]
 
@@ -69,6 +66,13 @@ def _shown(axis: ResultAxis, most: int) -> npt.NDArray[np.intp]:
     count = len(axis.values)
     places = np.linspace(0, count - 1, min(count, most)).round().astype(np.intp)
     return np.argsort(axis.values, kind="stable")[places]
+
+
+def _scale(values: npt.NDArray[np.float64], wide: int) -> str:
+    """The first, the middle and the last value below their columns, each so wide."""
+    middle = len(values) // 2
+    first, centre, last = (f"{values[k]:.4g}" for k in (0, middle, -1))
+    return f"{f'{first:<{middle * wide}}{centre}':<{len(values) * wide - len(last)}} {last}"
 
 
 def _heading(axis: ResultAxis) -> str:
