@@ -85,6 +85,9 @@ def plot(
         raise click.UsageError(f"--facet, --x and --y do not go with a tolerance map, which {file} holds; --at does.")
     if at:
         results = results.at(cells.nearest_values(results.axes, results.coordinates, at))
+        if results.of_lash().sequence.size == 1:
+            options = shlex.join([word for place in at for word in ("--at", place)])
+            terminal.complain(f"note: that is one cell; clunk simulate {file} {options} -o run.png draws its motion")
     look: dict[str, Any] = {"facets": facets, "x": x, "y": y}
     each = {"": results if LASH in facets else results.at_lash(lash)}
     if lash is None and results.lashes and LASH not in facets:
