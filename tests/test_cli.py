@@ -622,6 +622,7 @@ def test_a_broken_config_gives_one_clear_message_and_leaves_files_alone(clunk, h
         (["reproduce", "-o", "notes.txt"], "notes.txt"),
         (["simulate", "small.toml", "--at", "load.ratio=x", "--at", "lash.backlash_deg=6"], "load.ratio"),
         (["simulate", "small.toml", "--at", "load.torque=1"], "load.torque"),
+        (["simulate", "small.toml", "--at", "load.ratio"], "must be KEY=VALUE"),
         (["modes", "nowhere.toml"], "nowhere.toml"),
         (["init", "folder"], "folder"),
         (["swep", "small.toml"], "did you mean sweep?"),

@@ -263,7 +263,7 @@ def axes_of(study: Study, along: str) -> tuple[ResultAxis, tuple[ResultAxis, ...
     """
     axes, swept = design_of(study).axes, study.sweep
     if swept is None or not swept.axes:
-        raise ThresholdError(f"{along} is no axis: the config has no [[sweep.axes]].")
+        raise ThresholdError(f"{along} is no axis: the config has no [[sweep.axes]], which say where to look.")
     if swept.design == "zip":
         raise ThresholdError('The axes are walked together (design = "zip"); thresholds need a grid.')
     if swept.samples:

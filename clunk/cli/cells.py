@@ -56,8 +56,10 @@ def nearest_values(
     swept = {axis.parameter: axis for axis in (*axes, *coordinates)}
     values: dict[str, float] = {}
     for assignment in at:
-        key, _, text = assignment.partition("=")
+        key, equals, text = assignment.partition("=")
         key = key.strip()
+        if not equals:
+            raise click.UsageError(f"--at {assignment}: must be KEY=VALUE, for example load.ratio=7.")
         if key not in swept:
             raise click.UsageError(f"--at {assignment}: {_not_swept(key, [*swept])}")
         axis = swept[key]
@@ -86,5 +88,5 @@ def _not_swept(key: str, swept: Sequence[str]) -> str:
     if likely:
         return f"{key} is not swept; did you mean {likely}?"
     takes_others = any(option.name == "overrides" for option in click.get_current_context().command.params)
-    listed = f"; swept are {listing(swept)}" if swept else ""
+    listed = f"; swept: {listing(swept)}" if swept else ""
     return f"{key} is not swept{listed}{'; --set sets other keys' if takes_others else ''}."
