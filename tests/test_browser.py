@@ -11,10 +11,12 @@ import time
 from html import escape
 from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import NOMINAL
 
 from clunk import explore, load_study, replace_values, simulate, sweep, write_results
+from clunk.plot.plane import value_text
 from clunk.study.config import study_from_text
 
 pytest.importorskip("bokeh", reason="the explorer's page needs Bokeh")
@@ -176,6 +178,13 @@ class TestPage:
         body.send_keys("u")
         page.wait(lambda: not page.text("compared"), message="runs stay pinned")
 
+    def test_a_cell_is_also_named_by_its_numbers_the_nearest_is_taken_and_what_is_none_changes_nothing(self, page):
+        for typed, shown in (("3.04", "3"), ("-1", "0"), ("some", "0"), ("99", "20"), ("6", "6")):
+            page.driver.execute_script("model('at lash.backlash_deg').value = arguments[0]", typed)
+            boxes = "return model('at lash.backlash_deg').value"
+            page.wait(lambda: page.driver.execute_script(boxes) == shown, message=typed)
+            page.wait_for("header", f"φθ = {shown} degrees")
+
     def test_a_number_changes_the_run_at_once_and_then_the_map(self, page, study):
         page.point(5.0, 6.0, click=True)
         page.wait_for("header", "σr = 5, φθ = 6 degrees")
@@ -200,6 +209,10 @@ class TestPage:
             lambda: page.driver.execute_script("return model('map').right.some((each) => each.visible && each.title)"),
             message="no colour bar",
         )
+        whole = sweep(study)
+        at = np.unravel_index(int(np.argmax(whole.severity)), whole.shape)
+        cell = ", ".join(value_text(axis, axis.values[k], symbol=True) for axis, k in zip(whole.axes, at, strict=True))
+        page.wait_for("legend", f"largest: {whole.severity.max():.6g} at {cell}")
         page.driver.execute_script("model('quantity').value = 'regimes'")
         page.point(5.0, 6.0, click=True)
         page.wait_for("header", "σr = 5, φθ = 6 degrees", "energy")

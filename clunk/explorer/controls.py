@@ -1,13 +1,13 @@
-"""Sliders: for values of a map's further axes, and for other numbers of the config."""
+"""Sliders for values of a map's further axes and for other numbers of the config, and boxes for those of a cell."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
-from bokeh.models import Column, Div, NumericInput, Row, Select, Slider
+from bokeh.models import Column, Div, NumericInput, Row, Select, Slider, TextInput
 
 from clunk.plot.plane import number_text
 from clunk.study.axes import ResultAxis
@@ -142,6 +142,40 @@ class Controls:
         self._more.options = [("", "another number …"), *((key, f"{name}  ({key})") for key, name in names.items())]
         self._more.value = ""
         self.layout.children = [*self._rows, *self._shown.values(), *([self._more] if names else [])]
+
+
+class CellBoxes:
+    """A box for each axis of the map, with the value in the cell that was chosen last.
+
+    on_values : called with the values when one was typed
+    """
+
+    def __init__(self, axes: Sequence[ResultAxis], on_values: Callable[[list[float]], None]) -> None:
+        self._on_values, self._is_setting = on_values, False
+        names = [axis.symbol.split("=")[0].strip() or axis.name or axis.parameter for axis in axes]
+        look = {"width": 110, "height": 30, "margin": (0, 0, 4, 6)}
+        self.boxes = [
+            TextInput(prefix=name, name=f"at {axis.parameter}", **look) for axis, name in zip(axes, names, strict=True)
+        ]
+        for box in self.boxes:
+            box.on_change("value", self._on_change)
+
+    def show(self, cell: Sequence[float]) -> None:
+        """Show the values in a cell."""
+        self._cell, self._is_setting = cell, True
+        for box, value in zip(self.boxes, cell, strict=True):
+            box.value = f"{value:.6g}"
+        self._is_setting = False
+
+    def _on_change(self, _attribute: str, _old: str, _new: str) -> None:
+        if self._is_setting:
+            return
+        try:
+            values = [float(box.value) for box in self.boxes]
+        except ValueError:
+            values = list(self._cell)
+        self._on_values(values)
+        self.show(self._cell)  # of a value that is no cell's, the nearest one; of none, the one before
 
 
 def axis_name(name: str, symbol: str, unit: str) -> str:

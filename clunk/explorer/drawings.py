@@ -54,6 +54,7 @@ def _strip(layers: Layers) -> Picture:
         legend=_legend(layers),
         edges=edges,
         curve=np.column_stack([layers.view.x.values, values]),
+        peak=_peak(layers),
     )
 
 
@@ -77,7 +78,15 @@ def _map(layers: Layers, shades: Colours | None, paleness: Floats | None) -> Pic
     low, high = float(shades.norm.vmin or 0.0), float(shades.norm.vmax or 0.0)
     scale = [colors.to_hex(colour) for colour in np.asarray(mappable.to_rgba(np.linspace(low, high, _SHADES))).tolist()]
     bar = Shades(shades.label, low, high, scale, layers.has_dark_lines)
-    return Picture(pixels.astype(np.uint32), legend, lines, shades=bar)
+    return Picture(pixels.astype(np.uint32), legend, lines, shades=bar, peak=_peak(layers))
+
+
+def _peak(layers: Layers) -> tuple[float, ...] | None:
+    """The largest value of a quantity, and those of the axes in its cell."""
+    if layers.quantity == "regimes":
+        return None
+    at = np.unravel_index(int(np.nanargmax(layers.values)), layers.values.shape)
+    return (float(layers.values[at]), *(float(axis.values[k]) for axis, k in zip(layers.view.axes, at, strict=True)))
 
 
 def _label_raster(layers: Layers, x: Floats, y: Floats) -> npt.NDArray[np.int16]:

@@ -113,7 +113,7 @@ class MapFigure:
         columns = zip(*marks, strict=True) if marks else ((), (), ())
         self._marks.data = {name: list(each) for name, each in zip(("x", "y", "colour"), columns, strict=True)}
 
-    def nearest(self, x: float, y: float) -> tuple[float, ...] | None:
+    def nearest(self, x: float, y: float = 0.0) -> tuple[float, ...] | None:
         """Values of the axes in the cell at a point; None beyond the map."""
         point = (x, y)[: len(self._axes)]
         at = []

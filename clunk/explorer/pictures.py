@@ -45,6 +45,7 @@ class Picture:
     legend : label, its colour and its share of the map
     shades : of a quantity
     curve : (n, 2) of a strip, the axis and the quantity
+    peak : the largest value of a quantity, and those of the axes in its cell
     """
 
     pixels: Pixels
@@ -55,6 +56,7 @@ class Picture:
     shades: Shades | None = None
     edges: Floats | None = None
     curve: Floats | None = None
+    peak: tuple[float, ...] | None = None
 
 
 def cells_picture(results: Results | ToleranceMap) -> Picture:

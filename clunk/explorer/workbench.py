@@ -11,7 +11,7 @@ from bokeh.events import MouseLeave, PointEvent
 from bokeh.models import Button, Select, Toggle
 
 from clunk.analysis.small_gap import thresholds_of
-from clunk.explorer.controls import Controls
+from clunk.explorer.controls import CellBoxes, Controls
 from clunk.explorer.mapfigure import RUN_COLOURS, Mark
 from clunk.explorer.newest import Newest, Request
 from clunk.explorer.page import CLICKS, box
@@ -66,7 +66,7 @@ class Workbench:
         self._quantity = Select(value=first, options=described, name="quantity", visible=has_map, **options)
         self._lash = Select(value=results.lash_names[0], options=list(results.lash_names), name="of lash", **options)
         self._lash.visible = bool(results.lashes)
-        small = {"height": 30, "margin": (0, 6, 4, 0)}
+        small = {"height": 30, "margin": (0, 0, 4, 6)}
         self._follow = Toggle(label="follow the pointer", active=True, name="follow", visible=has_map, **small)
         self._pin = Button(label="pin this run", name="pin", **small)
         self._unpin = Button(label="unpin", name="unpin", **small)
@@ -80,6 +80,8 @@ class Workbench:
         swept = {axis.parameter for axis in self._subject.swept}
         on_change = self._on_slice, self._on_number
         self._controls = Controls(variations.study, self._subject.slices, swept, *on_change, shown=4 if has_map else 12)
+        self._boxes = CellBoxes(self._subject.plane, self._on_values)
+        self._boxes.show(self._cell)
         self._listen()
         self._furnish()
         self._is_ready = True
@@ -91,7 +93,7 @@ class Workbench:
         self._newest_map.close()
 
     def _furnish(self) -> None:
-        buttons = box("row", self._pin, self._unpin, self._save, flex="none")
+        buttons = box("row", *self._boxes.boxes, self._pin, self._unpin, self._save, flex="none")
         self._page.above.elements = [self._quantity, self._lash, self._follow, self._reset]
         self._page.below.elements = [self._controls.layout]
         self._page.right.elements = self._panel.elements(buttons)
@@ -126,9 +128,17 @@ class Workbench:
 
     def _select(self, cell: Cell) -> None:
         self._cell, self._hovered = cell, None
+        self._boxes.show(cell)
         self._mark()
         self._request_run()
         self._pin_where_wanted()
+
+    def _on_values(self, values: list[float]) -> None:
+        assert self._page.map is not None
+        low, high = ([limit(axis.values) for axis in self._subject.plane] for limit in (min, max))
+        cell = self._page.map.nearest(*(sorted(each)[1] for each in zip(low, values, high, strict=True)))
+        if cell is not None:
+            self._select(cell)
 
     def _on_key(self) -> None:
         (key,), (steps,) = self._page.keys.data["key"], self._page.keys.data["steps"]
@@ -319,6 +329,10 @@ class Workbench:
         self._results, self._drawn = results, quantity
         changes = [] if picture.edges is None else picture.edges[1:-1].tolist()
         notes = [*_listed("thresholds for vanishing backlash", thresholds), *_listed("label changes", changes)]
+        if picture.peak is not None:
+            value, *at = picture.peak
+            place = [value_text(axis, each, symbol=True) for axis, each in zip(self._subject.plane, at, strict=True)]
+            notes.append(f"largest: {value:.6g} at {', '.join(place)}")
         if isinstance(results, ToleranceMap) and quantity == "regimes" and picture.edges is None:
             notes.append(f"paler: less than {CERTAIN:.0%} likely, {share(results.uncertain, results.sequence.size)}")
         self._page.show_map(picture, _quantities(results)[quantity], f"{status}{_HELP}", *notes)
@@ -343,9 +357,14 @@ class Workbench:
 
         def work() -> None:
             data = download(name, runs, self._variations, part, quantity)
-            self._page.soon(partial(setattr, self._page.download, "data", data))
+            self._page.soon(partial(self._hand_over, data))
 
         self._page.work(work)
+
+    def _hand_over(self, data: dict[str, list[str]]) -> None:
+        (name,), self._page.download.data = data["name"], data
+        again = f": clunk simulate {name} makes this run, clunk sweep {name} the map" if name.endswith(".toml") else ""
+        self._say(f"saved {name}{again}")
 
     def _say(self, text: str) -> None:
         self._page.status.text = f"{text}{_HELP}"
