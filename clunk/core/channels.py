@@ -44,7 +44,7 @@ class Channels(NamedTuple):
     reductions: IntArray  # (C - OF_LASH L,)  of each measure
     contact_stiffness: FloatArray  # (D, L)  N m/rad
     contact_damping: FloatArray  # (D, L)  N m s/rad
-    mobility: FloatArray  # (D, L)  1/(kg m2), of q: q'' of a unit torque across the open lash
+    passed: FloatArray  # (D, H, L, L)  as of `System`  [kg m2]
 
     def at(self, drivelines: npt.NDArray[np.intp] | list[int]) -> "Channels":
         """Those of some drivelines."""

@@ -156,8 +156,8 @@ def measure(
             x[j] = run.states[k, j]
         if channels.of_impacts != 0:
             _begin_impacts(run, room, k)
-            if event.lash >= 0 and room.row[event.lash] >= 0:
-                _add_event(system, channels, driveline, run, k, x, of_impacts[room.row[event.lash]])
+            if event.lash >= 0:
+                _add_event(system, channels, driveline, run, k, x, room.row, of_impacts)
         time, end = event.time, system.end_time
         if k + 1 < run.written:
             end = run.events[k + 1].time
@@ -206,24 +206,41 @@ def _begin_impacts(run: Run, room: Room, k: int) -> None:
 
 @part
 def _add_event(
-    system: System, channels: Channels, driveline: int, run: Run, k: int, x: FloatArray, values: FloatArray
+    system: System,
+    channels: Channels,
+    driveline: int,
+    run: Run,
+    k: int,
+    x: FloatArray,
+    row: IntArray,
+    of_impacts: FloatArray,
 ) -> None:
-    """Add to an impact's impulse and energy what event `k` passes on or takes at once."""
+    """Add to the lashes' impacts what event `k` passes on or takes at once; an impact's impulse passes through others.
+
+    row : (L,) of each lash's impact in `of_impacts`, or -1
+    """
     event = run.events[k]
+    lash = event.lash
     if system.impulsive != 0:
         if event.kind == TOUCH:
-            after = 0.0
+            after, held = 0.0, 0
             for j in range(x.size):
-                after += system.lashes[event.lash, j] * x[j]
-            values[IMPULSE] += abs(event.speed - after) / channels.mobility[driveline, event.lash]
-            values[ENERGY] += 0.5 * (event.speed**2 - after**2) / channels.mobility[driveline, event.lash]
+                after += system.lashes[lash, j] * x[j]
+            for other in range(row.size):
+                held |= (other != lash and system.contacts[event.regime, other].closed != 0) << other
+            passed = channels.passed[driveline, held, lash]
+            for other in range(row.size):
+                if row[other] >= 0:
+                    of_impacts[row[other], IMPULSE] += abs(passed[other]) * abs(event.speed - after)
+            if row[lash] >= 0:
+                of_impacts[row[lash], ENERGY] += 0.5 * passed[lash] * (event.speed**2 - after**2)
         return
-    if event.kind in (SEPARATION, REJOIN):
-        overlap = -run.before[gap_input(event.lash)]
+    if event.kind in (SEPARATION, REJOIN) and row[lash] >= 0:
+        overlap = -run.before[gap_input(lash)]
         for j in range(system.inertias):
-            overlap += event.side * system.lashes[event.lash, system.inertias + j] * x[j]
-        stored = 0.5 * channels.contact_stiffness[driveline, event.lash] * overlap**2
-        values[ENERGY] += stored if event.kind == SEPARATION else -stored
+            overlap += event.side * system.lashes[lash, system.inertias + j] * x[j]
+        stored = 0.5 * channels.contact_stiffness[driveline, lash] * overlap**2
+        of_impacts[row[lash], ENERGY] += stored if event.kind == SEPARATION else -stored
 
 
 @part

@@ -79,7 +79,9 @@ class System(NamedTuple):
     )
     # touches of the restitution model
     impulsive: int  # whether a touch resets the velocities
-    impulse: FloatArray  # (L, N)  change of x per unit of q'
+    # by which closed lashes an impact holds, as bits; only the first set, none, of one lash
+    impulse: FloatArray  # (H, L, N)  change of x per unit of a lash's q'
+    passed: FloatArray  # (H, L, L)  what passes through each lash for it  [kg m2]
     restitution: FloatArray  # (L,)  e
     locking_speed: FloatArray  # (L,)  rad/s; a negative one is relative to the fastest touch of the run so far
     # frictions
@@ -105,6 +107,7 @@ class Each(NamedTuple):
     feedthrough: FloatArray
     offsets: FloatArray
     impulse: FloatArray
+    passed: FloatArray
     restitution: FloatArray
     locking_speed: FloatArray
     preload: FloatArray
@@ -232,6 +235,7 @@ def build_system(
     rubbing, twists = constants + len(staged), np.array([lash.twist for lash in lashes])
     driven, every = rubbing + OF_FRICTION * len(frictions), flows_of(count, staged, len(frictions))
     mobility = (twists**2 / inertia[..., None, :]).sum(axis=-1)
+    impulse, passed = _impacts(inertia, twists, mobility, 2**count if impulsive and count > 1 else 1)
 
     def flow_of(active: FlowOf) -> tuple[FloatArray, FloatArray]:
         return _flow(inertia, damping, stiffness, load, lashes, staged, frictions, active)
@@ -249,7 +253,8 @@ def build_system(
             for flow, active in enumerate(every):
                 opened = active._replace(closed=(*active.closed[:k], 0, *active.closed[k + 1 :]))
                 free_rates, free_inputs = flow_of(opened)
-                yielding = mobility[..., k, None]
+                others = sum(closed << j for j, closed in enumerate(opened.closed))
+                yielding = mobility[..., k, None] if others == 0 else 1.0 / passed[..., others, k, k, None]
                 of_lash[..., flow, FORCE, :] = lash.twist @ free_rates[..., n:, :] / yielding
                 fed[..., flow, FORCE, :] = lash.twist @ free_inputs[..., n:, :] / yielding
         elif lash.separation_by_force:
@@ -312,7 +317,8 @@ def build_system(
         ramps=int(ramps),
         **tables._asdict(),
         impulsive=int(impulsive),
-        impulse=_behind_zeros(twists / inertia[..., None, :] / mobility[..., None]),
+        impulse=_behind_zeros(impulse),
+        passed=passed,
         restitution=_of_lashes([0.0 if lash.restitution is None else lash.restitution for lash in lashes], batch),
         locking_speed=_of_lashes(
             [-LOCKING_SHARE if lash.locking_speed is None else lash.locking_speed for lash in lashes], batch
@@ -363,6 +369,27 @@ def _flow(
         return rates, inputs
     twists = np.array([lash.twist for lash in lashes] + [friction.twist for friction in frictions])
     return locked(rates, inputs, inertia, twists, [*(locks * closed for closed in active.closed), *active.stuck])
+
+
+def _impacts(inertia: FloatArray, twists: FloatArray, mobility: FloatArray, sets: int) -> tuple[FloatArray, FloatArray]:
+    """What an impact across each lash changes per unit of q', and what passes through every lash, `System.passed`.
+
+    Returns (…, H, L, n) and (…, H, L, L) float64, zero where the lash itself is in the set that holds.
+    """
+    *batch, n = inertia.shape
+    count = len(twists)
+    change, passed = np.zeros((*batch, sets, count, n)), np.zeros((*batch, sets, count, count))
+    change[..., 0, :, :] = twists / inertia[..., None, :] / mobility[..., None]
+    passed[..., 0, range(count), range(count)] = 1.0 / mobility
+    for held in range(1, sets):
+        bits = [k for k in range(count) if held >> k & 1]
+        for lash in set(range(count)) - set(bits):
+            tied = twists[[lash, *bits]]
+            across = tied / inertia[..., None, :]
+            impulses = np.linalg.solve(across @ tied.T, np.eye(len(tied))[0])
+            change[..., held, lash, :] = np.einsum("...k,...kn->...n", impulses, across)
+            passed[..., held, lash, [lash, *bits]] = impulses
+    return change, passed
 
 
 def _with_wave(system: System, wave_rates: FloatArray) -> System:

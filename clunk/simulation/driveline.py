@@ -63,8 +63,11 @@ class Driveline:
         """The driveline that a study's config spells out."""
         n, shafts, lashes = len(study.driveline.inertias), study.driveline.shafts, study.lashes
         if any(lash.contact.model == "restitution" for lash in lashes):
-            if len(lashes) > 1:
-                raise ClunkError('Several lashes need the indentation model: give each contact.model = "indentation".')
+            if np.linalg.matrix_rank(_incidence(lashes, n)) < len(lashes):
+                raise ClunkError(
+                    "Rigid lashes in a ring or side by side share a torque that nothing divides between them: "
+                    'give each contact.model = "indentation".'
+                )
             if any(shaft.friction for shaft in shafts):
                 raise ClunkError('Friction needs the indentation model: give lash.contact.model = "indentation".')
         return cls(

@@ -145,11 +145,11 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
 
     lost = 0.0
     if impulsive:
-        touches = events["kind"] == TOUCH
-        struck = line.lashes[events["lash"][touches]]
-        after = np.einsum("ij,ij->i", states[touches, n : 2 * n], struck)
+        touches, lashes = events["kind"] == TOUCH, np.arange(len(line.lashes))
+        lash, others = events["lash"][touches], system.contacts["closed"][events["regime"][touches]]
+        after = np.einsum("ij,ij->i", states[touches, n : 2 * n], line.lashes[lash])
         lost_squares = events["speed"][touches] ** 2 - after**2
-        lost = float(np.sum(lost_squares / np.sum(struck**2 / line.inertia, axis=1)) / 2.0)
+        lost = float(np.sum(lost_squares * system.passed[others @ (1 << lashes), lash, lash]) / 2.0)
     by_force = np.array([not impulsive and lash.contact.separation == "force" for lash in study.lashes])[events["lash"]]
     dropped, regained = (
         math.fsum(map(at_event, states[chosen], events["lash"][chosen], events["side"][chosen]))

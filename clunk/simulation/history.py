@@ -386,5 +386,7 @@ def _state_before(trajectory: Trajectory, system: System, k: int) -> FloatArray:
     event = trajectory.phases[k]
     if not system.impulsive or event["kind"] != TOUCH:
         return np.asarray(x)
-    lash, impulse = system.lashes[event["lash"], : x.size], system.impulse[event["lash"], : x.size]
+    closed = system.contacts["closed"][event["regime"]]
+    impulse = system.impulse[closed @ (1 << np.arange(closed.size)), event["lash"], : x.size]
+    lash = system.lashes[event["lash"], : x.size]
     return np.asarray(x + (event["speed"] - lash @ x) * impulse)

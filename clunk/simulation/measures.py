@@ -67,7 +67,7 @@ def channels_of(
         reductions=np.array([{"peak-to-peak": PEAK_TO_PEAK}.get(each.reduce, LARGEST) for each in measures], np.int64),
         contact_stiffness=pressed * np.atleast_2d(line.contact_stiffnesses),
         contact_damping=pressed * np.atleast_2d(line.contact_dampings),
-        mobility=np.sum(line.lashes**2 / np.atleast_2d(line.inertia)[:, None], axis=-1),
+        passed=each.passed,
     )
 
 

@@ -297,7 +297,7 @@ def _struck(flow, modes, z, guard, fastest):
     """Modes and state after a touch of rigid flanks, and of all others within an INSTANT, with what they do.
 
     No closed or touching flank is passed, each touching one leaves at least restitution times as fast as it came, and
-    an impulse acts only on those that leave no faster.
+    an impulse acts only on those that leave no faster. Touches as slow as LOCKING says part nothing.
     """
     n, modes, touching, flanks = flow.n, list(modes), [], {}
     for k, (element, mode) in enumerate(zip(flow.elements, modes, strict=True)):
@@ -323,7 +323,10 @@ def _struck(flow, modes, z, guard, fastest):
             rebounds = restitution * speeds[j] > LOCKING * fastest[k]
             asked[j] = (1.0 + restitution * rebounds) * speeds[j]
             modes[k] = OPEN if rebounds else Mode("closed", flanks[k])
-    impulses = _complementary(mobility, asked)
+    if any(speeds[numbers.index(k)] > LOCKING * fastest[k] for k in touching):
+        impulses = _complementary(mobility, asked)
+    else:
+        impulses = np.linalg.lstsq(mobility, asked, rcond=FITS)[0]
     kick = -flow.mobility @ into.T @ impulses
     z = z.copy()
     z[n : 2 * n] += kick
