@@ -16,7 +16,7 @@ from clunk.explorer.message import Changes, Message
 from clunk.plot.style import FAINT_INK, INK
 from clunk.simulation.history import History
 
-_COLUMNS = 1000  # spans of time that a screen tells apart
+_COLUMNS = 800  # spans of time that a screen tells apart
 _MOST_ARROWS = 12  # impacts; more arrows than these would hide the curve
 _LEFT, _RIGHT = 72, 32  # pixels beside all panels, so that their time axes lie under each other
 
@@ -45,8 +45,7 @@ class RunFigures:
     def __init__(self, **texts: Div) -> None:
         self._runs: Sequence[History] = []
         self._time = Range1d(0.0, 1.0)
-        self._whole = (0.0, 1.0)
-        self._is_setting = False
+        self._whole = self._span = (0.0, 1.0)  # times of the runs, and those that are seen
         self._steps: list[Span] = []
         # all curves of all panels in one source
         self._curves = _source(*(f"{panel.name}_{axis}" for panel in _PANELS for axis in "xy"), "colour")
@@ -72,7 +71,7 @@ class RunFigures:
             self._time.on_change(name, self._on_zoom)
         sources = {"curves": self._curves, "flanks": flanks, "touches": touches, "arrows": arrows}
         self._marks = {name: list(source.data) for name, source in sources.items() if name != "curves"}
-        self._message = Message(gap=gap, **sources, **texts)
+        self._message = Message(time=self._time, gap=gap, **sources, **texts)
         lash.tags = [self._message.source]  # a part of the page that is not drawn
 
     def _figure(self, panel: _Panel) -> Any:
@@ -109,7 +108,7 @@ class RunFigures:
         plot.add_layout(step)
         self._steps.append(step)
         plot.multi_line(f"{panel.name}_x", f"{panel.name}_y", source=self._curves, color="colour", line_width=1.4)
-        plot.on_event(Reset, lambda _: self._time.update(start=self._whole[0], end=self._whole[1]))
+        plot.on_event(Reset, lambda _: self._message.send({**self._see(self._whole), **self._drawn()}))
         return plot
 
     def show(self, runs: Sequence[History], **texts: str) -> None:
@@ -118,27 +117,29 @@ class RunFigures:
         changes: dict[str, dict[str, Any]] = {name: {"text": text} for name, text in texts.items()}
         if runs:
             whole = float(min(run.time[0] for run in runs)), float(max(run.time[-1] for run in runs))
-            is_zoomed = (self._time.start, self._time.end) != self._whole
+            if self._span == self._whole:
+                changes |= self._see(whole)
             self._whole = whole
             for step in self._steps:
                 step.location = runs[0].study.load.step_time
-            if not is_zoomed:
-                self._is_setting = True
-                self._time.update(start=whole[0], end=whole[1])
-                self._is_setting = False
             half = 1e3 * runs[0].half_gap
             changes |= {"gap": {"bottom": -half, "top": half}, **self._marks_of(runs[0])}
         else:
             changes |= {name: {"data": {column: [] for column in columns}} for name, columns in self._marks.items()}
         self._message.send({**changes, **self._drawn()})
 
+    def _see(self, span: tuple[float, float]) -> dict[str, dict[str, Any]]:
+        """Let the time axis begin and end at these times."""
+        self._span = span
+        return {"time": {"start": span[0], "end": span[1]}}
+
     def _on_zoom(self, _attribute: str, _old: float, _new: float) -> None:
-        if not self._is_setting:
-            self._message.send(self._drawn())
+        self._span = float(self._time.start), float(self._time.end)
+        self._message.send(self._drawn())
 
     def _drawn(self) -> Changes:
         """The curves of all runs within what the time axis shows."""
-        begin, end = float(self._time.start), float(self._time.end)
+        begin, end = self._span
         shown = list(zip(self._runs, RUN_COLOURS, strict=False))[::-1]
         data: dict[str, list[Any]] = {"colour": [colour for _, colour in shown]}
         for panel in _PANELS:
