@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 _PINS = len(RUN_COLOURS) - 1
 _ARROWS = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowDown": (0, -1), "ArrowUp": (0, 1)}
 _HELP = "   ·   click: keep a run · shift-click or p: pin it · u: unpin · arrows: next cell · f: follow"
+_HELP_WITHOUT_MAP = "   ·   p: pin this run · u: unpin"
 _FIRST_RUN, _RUN = 10.0, 0.2  # s for which a map waits for a run at most; the first run imports much
 _OFTEN = 0.5  # s between two words of progress: for each, the browser lays the page out again, 0.1 s
 _LISTED = 12  # values in a note below the map
@@ -363,11 +364,12 @@ class Workbench:
 
     def _hand_over(self, data: dict[str, list[str]]) -> None:
         (name,), self._page.download.data = data["name"], data
-        again = f": clunk simulate {name} makes this run, clunk sweep {name} the map" if name.endswith(".toml") else ""
+        again = f": clunk simulate {name} makes this run" if name.endswith(".toml") else ""
+        again += f", clunk sweep {name} the map" if again and self._page.map else ""
         self._say(f"saved {name}{again}")
 
     def _say(self, text: str) -> None:
-        self._page.status.text = f"{text}{_HELP}"
+        self._page.status.text = f"{text}{_HELP if self._page.map else _HELP_WITHOUT_MAP}"
 
 
 def _listed(what: str, values: list[float]) -> list[str]:
