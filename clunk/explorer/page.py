@@ -92,7 +92,11 @@ class Page:
         if not isinstance(error, ClunkError):
             logging.getLogger(__name__).error("the explorer could not do what was asked", exc_info=error)
         text = str(error) if isinstance(error, ClunkError) else f"internal error: {error!r}"
-        self.soon(partial(setattr, self.status, "text", text))
+        self.soon(partial(self.say, text))
+
+    def say(self, text: str) -> None:
+        """Write a text below the page."""
+        self._message.send({"status": {"text": text}})
 
     def show_map(self, picture: Picture, quantity: str, status: str, *notes: str) -> None:
         """Show the map of a quantity, with notes in its legend, and say what it is."""

@@ -369,7 +369,7 @@ class Workbench:
         self._say(f"saved {name}{again}")
 
     def _say(self, text: str) -> None:
-        self._page.status.text = f"{text}{_HELP if self._page.map else _HELP_WITHOUT_MAP}"
+        self._page.say(f"{text}{_HELP if self._page.map else _HELP_WITHOUT_MAP}")
 
 
 def _listed(what: str, values: list[float]) -> list[str]:
