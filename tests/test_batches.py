@@ -78,10 +78,10 @@ def test_runs_of_many_drivelines_side_by_side_have_the_bits_that_each_has_alone(
     plant, _ = drawn
     assume(not plant.profile.phase)
     study = study_from_text(reference.config_of(plant, method="exact", end_time=0.3))
-    grid, many = Grid(study, design_of_points(study, points_of(study, seed, 24))), np.arange(24)
-    records, events = grid.logged(many)
-    for k in many:
-        alone, of_alone = grid.logged(many[k : k + 1])
+    points, grid = points_of(study, seed, 24), Grid(study, design_of_points(study, points_of(study, seed, 1)))
+    records, events = grid.logged(points, 24)
+    for k in range(24):
+        alone, of_alone = grid.logged({key: column[k : k + 1] for key, column in points.items()}, 1)
         assert alone.tobytes() == records[k].tobytes()
         assert of_alone.tobytes() == events[k : k + 1, : of_alone.shape[1]].tobytes()
 

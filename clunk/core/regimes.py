@@ -18,11 +18,13 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.equilibrium import contact_torques, preload
-from clunk.core.jit import unowned_inlined
+from clunk.core.jit import part, unowned_inlined
 from clunk.core.reductions import chain, locked
 from clunk.core.status import Status
 from clunk.core.tables import (
     ACCELERATION,
+    CLOSED_NEGATIVE,
+    CLOSED_POSITIVE,
     FORCE,
     GAP,
     HOLDING,
@@ -45,6 +47,7 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 LOCKING_SHARE = 1e-4  # of the run's fastest touch: chatter has then lost all but 1e-8 of its energy
+ROUNDING = 8 * float(np.finfo(np.float64).eps)  # relative to the terms of a sum of a few products
 _SINGULAR = 1e-12  # of the largest eigenvalue: a smaller one is rounding
 
 
@@ -169,6 +172,19 @@ def rate_of_friction(system: System, friction: int) -> int:
 def lash_of(system: System, regime: int, guard: int) -> int:
     """The lash that a guard is of, or -1."""
     return 0 if len(system.general) == 0 else system.guards[regime, guard].lash
+
+
+@part
+def closed_on(side: int) -> int:
+    """The state of a lash in contact on the flank of `side` (+1 or -1)."""
+    return CLOSED_POSITIVE if side > 0 else CLOSED_NEGATIVE
+
+
+@unowned_inlined
+def opened(system: System, regime: int, lash: int) -> int:
+    """The regime that differs in that a lash is open."""
+    stride = system.regime_strides[lash]
+    return int(regime - regime % system.regime_strides[lash + 1] // stride * stride)
 
 
 class RigidMotion(NamedTuple):

@@ -40,6 +40,15 @@ class Log(NamedTuple):
     states: FloatArray  # (capacity, N)  [rad, rad/s]; or no rows at all, and none are kept
 
 
+class Entry(NamedTuple):
+    """Entry into the regime that follows an event."""
+
+    written: int  # events so far
+    regime: int
+    zero_guard: int  # the regime's guard that is zero on entry, or -1
+    zero_order: int  # and how many of its derivatives, itself included, are
+
+
 class Outcome(NamedTuple):
     """How a run ended."""
 

@@ -3,48 +3,29 @@
 Detection is not here: whoever flows through a regime says which guard turned negative, and where.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core import rubbing
-from clunk.core.events import LOCK, SEPARATION, STAGE, TOUCH
+from clunk.core import rigid, rubbing
+from clunk.core.events import STAGE, TOUCH
 from clunk.core.jit import part, unowned, unowned_inlined
 from clunk.core.regimes import System, frictions_of, gap_input, inputs_of, lash_of, lashes_of
-from clunk.core.runs import Log, record
+from clunk.core.runs import Entry, Log, record
 from clunk.core.status import Status
 from clunk.core.tables import (
-    CLOSED_NEGATIVE,
-    CLOSED_POSITIVE,
-    FORCE,
     GAP,
     INPUTS,
     OPEN,
     TORQUE,
-    TORQUE_RATE,
 )
 
 FloatArray = npt.NDArray[np.float64]
 
-# Share of its terms: a larger holding torque at a release means that a jump of the load parted the flanks.
-_CLEARLY_NOT_ZERO = 1e-9
 _OK = int(Status.OK)
 _NO_EQUILIBRIUM = int(Status.NO_EQUILIBRIUM)
 _NO_INITIAL_FLANK = int(Status.NO_INITIAL_FLANK)
 _WITHIN = 1e-11  # of its terms: the steady twist of a staged shaft this little beyond a breakpoint is at it
 MOST_STAGES = 16  # changes of stage an event, of all that a run may have: a twist at rest at a breakpoint has many
-_APART = 1e-12  # of its terms: the gap with which a lash at rest begins to part beside another one
-ROUNDING = 8 * float(np.finfo(np.float64).eps)  # relative to the terms of a sum of a few products
-
-
-class Entry(NamedTuple):
-    """Entry into the regime that follows an event."""
-
-    written: int  # events so far
-    regime: int
-    zero_guard: int  # the regime's guard that is zero on entry, or -1
-    zero_order: int  # and how many of its derivatives, itself included, are
 
 
 @unowned_inlined
@@ -158,19 +139,6 @@ def _is_beside_loose(system: System, regime: int, x: FloatArray) -> bool:
     return False
 
 
-@part
-def closed_on(side: int) -> int:
-    """The state of a lash in contact on the flank of `side` (+1 or -1)."""
-    return CLOSED_POSITIVE if side > 0 else CLOSED_NEGATIVE
-
-
-@unowned_inlined
-def opened(system: System, regime: int, lash: int) -> int:
-    """The regime that differs in that a lash is open."""
-    stride = system.regime_strides[lash]
-    return int(regime - regime % system.regime_strides[lash + 1] // stride * stride)
-
-
 @unowned
 def regime_of(system: System, x: FloatArray, inputs: FloatArray) -> int:
     """The regime of a state: of each lash the first flank whose overlap and guards are not negative, else it is open.
@@ -261,8 +229,8 @@ def switch(
     if system.impulsive != 0:
         if row.event_kind == TOUCH:
             fastest[lash] = max(fastest[lash], abs(speed))
-            return _strike(system, regime, guard, time, speed, x, inputs, log, count, fastest[lash])
-        return _release(system, regime, guard, time, x, inputs, log, count)
+            return rigid.strike(system, regime, guard, time, speed, x, inputs, log, count, fastest[lash])
+        return rigid.release(system, regime, guard, time, x, inputs, log, count)
     record(log, count, time, speed, row.event_kind, row.successor, lash, row.side, x)
     return Entry(count + 1, row.successor, row.zero_guard, row.zero_order)
 
@@ -282,282 +250,3 @@ def after_rubbing(system: System, entry: Entry, time: float, x: FloatArray, inpu
     if entry.zero_guard >= 0:  # frictions come last: it has the same number
         return Entry(count, regime, entry.zero_guard, entry.zero_order)
     return Entry(count, regime, zero_guard, zero_order)
-
-
-@part
-def _strike(
-    system: System,
-    regime: int,
-    guard: int,
-    time: float,
-    speed: float,
-    x: FloatArray,
-    inputs: FloatArray,
-    log: Log,
-    count: int,
-    fastest: float,
-) -> Entry:
-    """A touch of the restitution model, and the lock that may follow it at once.
-
-    Closed lashes that it would pull apart part with it, if it is faster than the locking speed. A rebound not faster
-    than that ends with q' = 0: then the flanks lock, unless the torque that holds them so would pull: then they are
-    open, with the gap at zero and about to open.
-    """
-    side, lash = system.guards[regime, guard].side, lash_of(system, regime, guard)
-    slowest, before = _locking_speed(system, regime, lash, x, inputs, fastest), regime
-    rebounds = system.restitution[lash] * abs(speed) > slowest
-    held = _held_with(system, regime, lash)
-    if held != 0 and abs(speed) > slowest:
-        held = _held_through(system, regime, lash, side, inputs)
-    for other in range(lashes_of(system)):
-        if system.contacts[before, other].closed != 0 and not held >> other & 1:
-            _part_by(ROUNDING, system, held, other, system.contacts[before, other].side, x, inputs)
-            regime = opened(system, regime, other)
-    guard = _touch_of(system, regime, lash, side)
-    if rebounds:  # θ' -= (1 + e) q' M⁻¹l/(lᵀM⁻¹l), report Eq. 2.9, M with what holds as rigid joints
-        for k in range(x.size):
-            x[k] -= (1.0 + system.restitution[lash]) * speed * system.impulse[held, lash, k]
-    else:
-        _hold(system, held, lash, x, side * inputs[gap_input(lash)])
-    record(log, count, time, speed, TOUCH, regime, lash, side, x)
-    count += 1
-    for other in range(lashes_of(system)):
-        if system.contacts[before, other].closed != 0 and not held >> other & 1:
-            record(log, count, time, 0.0, SEPARATION, regime, other, system.contacts[before, other].side, x)
-            count += 1
-    if rebounds:
-        return Entry(count, regime, guard, 1)
-    torque_held, slope, scale = holding_torque(system, regime, lash, x, inputs)
-    pressing = side * torque_held
-    if abs(pressing) <= ROUNDING * scale:  # zero: what it turns into decides
-        pressing = side * slope
-    if not pressing >= 0.0:
-        return Entry(count, regime, guard, 2)
-    successor = system.guards[regime, guard].successor
-    record(log, count, time, 0.0, LOCK, successor, lash, side, x)
-    return Entry(count + 1, successor, -1, 0)
-
-
-@part
-def _held_through(system: System, regime: int, lash: int, side: int, inputs: FloatArray) -> int:
-    """The closed lashes of a regime, as bits, that an impact on a flank of another one leaves closed.
-
-    An impulse presses flanks together, and does not act on those that it lets part: of all sets of closed lashes the
-    one for which that holds, and there is only one but for lashes through which nothing passes, which stay closed.
-    Without a gap, there is a flank on either side.
-    """
-    closed, always = 0, 0
-    for other in range(lashes_of(system)):
-        if other != lash and system.contacts[regime, other].closed != 0:
-            closed |= 1 << other
-            always |= (inputs[gap_input(other)] <= 0.0) << other
-    held = closed
-    while held > always:
-        fits = held & always == always
-        for other in range(lashes_of(system)):
-            if fits and closed >> other & 1 and not always >> other & 1:
-                pressing = side * system.contacts[regime, other].side
-                if held >> other & 1:
-                    through, size = system.passed[held, lash, other], system.passed[held, lash, lash]
-                    fits = pressing * through >= -ROUNDING * size
-                else:
-                    moved, size = 0.0, 0.0
-                    for k in range(system.lashes.shape[1]):
-                        term = system.lashes[other, k] * system.impulse[held, lash, k]
-                        moved += term
-                        size += abs(term)
-                    fits = pressing * moved > ROUNDING * size
-        if fits:
-            break
-        held = (held - 1) & closed
-    return held
-
-
-@unowned_inlined
-def _held_with(system: System, regime: int, lash: int) -> int:
-    """The closed lashes of a regime but for one, as bits."""
-    held = 0
-    for other in range(lashes_of(system)):
-        held |= (other != lash and system.contacts[regime, other].closed != 0) << other
-    return held
-
-
-@unowned_inlined
-def _touch_of(system: System, regime: int, lash: int, side: int) -> int:
-    """The guard of a regime that is the gap of a lash to one of its flanks."""
-    for g in range(system.regimes[regime].guards):
-        guard = system.guards[regime, g]
-        if lash_of(system, regime, g) == lash and guard.event_kind == TOUCH and guard.side == side:
-            return g
-    return -1
-
-
-@part
-def _release(
-    system: System,
-    regime: int,
-    guard: int,
-    time: float,
-    x: FloatArray,
-    inputs: FloatArray,
-    log: Log,
-    count: int,
-) -> Entry:
-    """A separation of the restitution model; without a gap the flanks lock on the other side at once.
-
-    Where several lashes are closed, those part that can, whichever one's torque turned first.
-    """
-    row, lash = system.guards[regime, guard], lash_of(system, regime, guard)
-    side, half_gap, others = row.side, inputs[gap_input(lash)], _held_with(system, regime, lash)
-    if half_gap <= 0.0:  # no free state
-        _hold(system, others, lash, x, side * half_gap)
-        record(log, count, time, 0.0, row.event_kind, row.successor, lash, side, x)
-        free = opened(system, regime, lash)
-        successor = free + closed_on(-side) * system.regime_strides[lash]
-        record(log, count + 1, time, 0.0, TOUCH, free, lash, -side, x)
-        record(log, count + 2, time, 0.0, LOCK, successor, lash, -side, x)
-        return Entry(count + 3, successor, 0, 1)
-    held = others if others == 0 else _held_at_rest(system, regime, time, x, inputs)
-    first, successor = -1, regime
-    for other in range(lashes_of(system)):
-        contact = system.contacts[regime, other]
-        if contact.closed == 0 or held >> other & 1:
-            continue
-        if first < 0:  # released where it was held, but for what rounding has added up
-            first = other
-            _hold(system, held, other, x, contact.side * inputs[gap_input(other)])
-        else:
-            _part_by(_APART, system, held, other, contact.side, x, inputs)
-        successor = opened(system, successor, other)
-    for other in range(lashes_of(system)):
-        contact = system.contacts[regime, other]
-        if contact.closed != 0 and not held >> other & 1:
-            record(log, count, time, 0.0, row.event_kind, successor, other, contact.side, x)
-            count += 1
-    torque_held, slope, scale = holding_torque(system, successor, first, x, inputs)
-    # where a jump of the load parts them, q'' is not zero; nothing but the load's own slope may tell what zero is
-    order = 2 if abs(torque_held) > _CLEARLY_NOT_ZERO * (scale + abs(slope) * time) else int(row.zero_order)
-    return Entry(count, successor, _touch_of(system, successor, first, system.contacts[regime, first].side), order)
-
-
-@part
-def _held_at_rest(system: System, regime: int, time: float, x: FloatArray, inputs: FloatArray) -> int:
-    """The closed lashes of a regime, as bits, that stay closed where one of them parts.
-
-    That is the set whose torques press while none of the other flanks would; there is only one, but for lashes that
-    carry nothing, which stay closed. Of a torque that is zero its rate of change counts.
-    """
-    closed, always, best, largest = 0, 0, 0, 0.0
-    for lash in range(lashes_of(system)):
-        if system.contacts[regime, lash].closed != 0:
-            closed |= 1 << lash
-            always |= (inputs[gap_input(lash)] <= 0.0) << lash
-            _, slope, scale = holding_torque(system, regime, lash, x, inputs)
-            largest = max(largest, scale + abs(slope) * time)
-    held, least, least_later = closed, np.inf, np.inf
-    while held > always:
-        held = (held - 1) & closed
-        if held & always != always:
-            continue
-        tried, misfit, later = regime, 0.0, 0.0
-        for lash in range(lashes_of(system)):
-            if closed >> lash & 1 and not held >> lash & 1:
-                tried = opened(system, tried, lash)
-        for lash in range(lashes_of(system)):
-            if closed >> lash & 1 and not always >> lash & 1:
-                side = system.contacts[regime, lash].side
-                torque, slope, _ = holding_torque(system, tried, lash, x, inputs)
-                against = -side if held >> lash & 1 else side
-                if abs(torque) > _CLEARLY_NOT_ZERO * largest:
-                    misfit += max(against * torque, 0.0)
-                else:
-                    later += max(against * slope * time - ROUNDING * largest, 0.0)
-        if misfit < least or (misfit == least and later < least_later):
-            best, least, least_later = held, misfit, later
-    return best
-
-
-@part
-def _part_by(share: float, system: System, held: int, lash: int, side: int, x: FloatArray, inputs: FloatArray) -> None:
-    """Move closed flanks apart by a share of the terms of their gap, so that rounding does not close it."""
-    gap, size, n = inputs[gap_input(lash)], 0.0, system.inertias
-    for k in range(n):
-        size += abs(system.lashes[lash, n + k] * x[k])
-    _hold(system, held, lash, x, side * (gap - share * (gap + size)))
-
-
-@part
-def _locking_speed(system: System, regime: int, lash: int, x: FloatArray, inputs: FloatArray, fastest: float) -> float:
-    """The speed at which touches in a regime count as at rest, or the one at which a rebound is as low as rounding."""
-    tolerance = system.locking_speed[lash]
-    tolerance = tolerance if tolerance >= 0.0 else -tolerance * fastest
-    # a rebound lower than the rounding of the gap cannot be followed
-    place, pull, n = 0.0, 0.0, system.inertias
-    for k in range(n, 2 * n):
-        weight = system.lashes[lash, k]
-        if weight != 0.0:
-            place += abs(weight * x[k - n])
-            pull += weight * _rate(system, regime, k, x, inputs)
-    return float(max(tolerance, np.sqrt(2.0 * abs(pull) * ROUNDING * place)))
-
-
-@unowned_inlined
-def _driven(system: System, regime: int, weights: FloatArray, inputs: FloatArray) -> float:
-    """Weights times the torque and what the staged shafts add to it; of the restitution model, no gap has a weight."""
-    total = weights[TORQUE] * inputs[TORQUE]
-    for k in range(INPUTS, inputs_of(system)):
-        total += weights[k] * system.weights[regime, k] * inputs[k]
-    return float(total)
-
-
-@unowned_inlined
-def _rate(system: System, regime: int, k: int, x: FloatArray, inputs: FloatArray) -> float:
-    """The rate of change of state `k` of the restitution model in a regime."""
-    flow = system.regimes[regime].flow
-    rate = _driven(system, regime, system.inputs[flow, k], inputs)
-    for j in range(x.size):
-        rate += system.rates[flow, k, j] * x[j]
-    return float(rate)
-
-
-@part
-def holding_torque(
-    system: System, regime: int, lash: int, x: FloatArray, inputs: FloatArray
-) -> tuple[float, float, float]:
-    """The torque that keeps q'' at zero, its rate of change in a regime, and the size of the terms that make it."""
-    flow, force = system.regimes[regime].flow, lash * system.functionals_per_lash + FORCE
-    torque_held = _driven(system, regime, system.feedthrough[flow, force], inputs)
-    slope = system.feedthrough[flow, force, TORQUE] * inputs[TORQUE_RATE]
-    scale = abs(torque_held)
-    for k in range(x.size):
-        weight = system.functionals[flow, force, k]
-        torque_held += weight * x[k]
-        slope += weight * _rate(system, regime, k, x, inputs)
-        scale += abs(weight * x[k])
-    return torque_held, slope, scale
-
-
-@part
-def _hold(system: System, held: int, lash: int, x: FloatArray, gap: float) -> None:
-    """Make q = `gap` and q' = 0 as an impulse would, which moves neither the centre of mass nor the lashes that hold.
-
-    The last of the inertias at the lash that turn as q does, not through the gear ratio, then takes what is left of
-    rounding, so that q' is zero to the last bit.
-    """
-    n, row, impulse = system.inertias, system.lashes[lash], system.impulse[held, lash]
-    for first, target in ((0, gap), (n, 0.0)):
-        excess = -target
-        last = -1
-        for k in range(n):
-            excess += row[n + k] * x[first + k]
-        rest = -target
-        for k in range(n):
-            weight = row[n + k]
-            if weight != 0.0 or held != 0:
-                x[first + k] -= excess * impulse[n + k]
-            if weight != 0.0:
-                rest += weight * x[first + k]
-                if last < 0 or abs(weight) == 1.0:
-                    last = k
-        rest -= row[n + last] * x[first + last]
-        x[first + last] = -rest / row[n + last]

@@ -209,7 +209,7 @@ def main() -> None:
         ratios = (one / other for one, other in zip(medians["clunk", cores], medians["heyoka", cores], strict=True))
         print(f"clunk / heyoka, {cores}: " + ", ".join(f"{ratio:.2f}" for ratio in ratios))
 
-    _, logs = Grid(study, design_of_points(study, values)).logged(np.arange(options.runs))
+    _, logs = Grid(study, design_of_points(study, values)).logged(values, options.runs)
     unlike, error = 0, 0.0
     for log, run in zip(logs, of_heyoka, strict=True):
         events = log[1:][~np.isnan(log["time"][1:])]

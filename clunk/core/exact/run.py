@@ -47,18 +47,11 @@ from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, put_back, take
 from clunk.core.lanes.vectors import WIDTH
 from clunk.core.regimes import System, frictions_of, gap_input, inputs_of, lash_of, lashes_of
+from clunk.core.rigid import holding_torque
 from clunk.core.rubbing import stick_all
-from clunk.core.runs import BEGIN, LEVEL, Start, begin_wave, piece_at, record, set_gaps, set_torque
+from clunk.core.runs import BEGIN, LEVEL, Entry, Start, begin_wave, piece_at, record, set_gaps, set_torque
 from clunk.core.status import QUALITY_COMPLETE, Status
-from clunk.core.switching import (
-    MOST_STAGES,
-    Entry,
-    after_rubbing,
-    holding_torque,
-    room_for_a_switch,
-    switch,
-    weigh,
-)
+from clunk.core.switching import MOST_STAGES, after_rubbing, room_for_a_switch, switch, weigh
 from clunk.core.tables import ACCELERATION, FORCE, GAP, HALF_GAP, INPUTS, TORQUE
 
 FloatArray = npt.NDArray[np.float64]

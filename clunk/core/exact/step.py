@@ -44,9 +44,8 @@ from clunk.core.jit import unowned_inlined
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push_all, put_back
 from clunk.core.lanes.vectors import WIDTH, Vector
-from clunk.core.regimes import lash_of, lashes_of
+from clunk.core.regimes import ROUNDING, lash_of, lashes_of
 from clunk.core.status import QUALITY_GRAZING
-from clunk.core.switching import ROUNDING
 from clunk.core.tables import ACCELERATION
 
 FloatArray = npt.NDArray[np.float64]

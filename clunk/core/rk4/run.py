@@ -21,9 +21,9 @@ from clunk.core.rk4.propagator import BEND, BLOCK, Steps
 from clunk.core.rk4.settling import settled
 from clunk.core.rk4.step import Phase, enter, expand, finish, first_event, make_phase, widen_extremes
 from clunk.core.rubbing import stick_all
-from clunk.core.runs import BEGIN, Log, Outcome, Start, begin_wave, piece_at, record, set_gaps, set_torque
+from clunk.core.runs import BEGIN, Entry, Log, Outcome, Start, begin_wave, piece_at, record, set_gaps, set_torque
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
-from clunk.core.switching import MOST_STAGES, Entry, after_rubbing, room_for_a_switch, switch
+from clunk.core.switching import MOST_STAGES, after_rubbing, room_for_a_switch, switch
 from clunk.core.tables import ACCELERATION
 
 FloatArray = npt.NDArray[np.float64]

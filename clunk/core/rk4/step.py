@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from clunk.core.events import INSTANT
 from clunk.core.jit import allocating_part, part
-from clunk.core.regimes import System, inputs_of, lashes_of
+from clunk.core.regimes import ROUNDING, System, inputs_of, lashes_of
 from clunk.core.rk4 import quartic
-from clunk.core.switching import ROUNDING, set_weighed, weigh
+from clunk.core.switching import set_weighed, weigh
 from clunk.core.tables import ACCELERATION
 
 FloatArray = npt.NDArray[np.float64]
