@@ -63,10 +63,10 @@ def main() -> NoReturn:
         cli.main(standalone_mode=False)
     except click.exceptions.Exit as error:
         sys.exit(error.exit_code)
-    except click.exceptions.NoArgsIsHelpError as error:
-        click.echo(error.format_message(), err=True)
-        sys.exit(EXIT_USAGE)
     except click.UsageError as error:
+        if isinstance(error, getattr(click.exceptions, "NoArgsIsHelpError", ())):  # click 8.2 and later
+            click.echo(error.format_message(), err=True)
+            sys.exit(EXIT_USAGE)
         command = error.ctx.command_path if error.ctx else "clunk"
         terminal.complain(f"{error.format_message()}\nTry '{command} --help'.")
         sys.exit(EXIT_USAGE)
