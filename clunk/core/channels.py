@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from clunk.core.exponential import exponentials
 from clunk.core.regimes import System
 from clunk.core.tables import TORQUE, TORQUE_RATE
 
@@ -112,7 +113,8 @@ def _levels(generators: FloatArray, channels: FloatArray, n: int, end_time: floa
         for k in range(1, TERMS):
             terms.append(terms[-1] @ moving / k)
         begin = _DIED_DOWN / decay
-        steps = _exponential(generators[going] * length[:, None, None], sizes[going, 0] * length)
+        # of matrices that are far from normal, four times the largest |λ|
+        steps = exponentials(generators[going] * length[:, None, None], 4.0 * sizes[going, 0] * length)
         level = Levels(length, begin, steps.swapaxes(1, 2), moving.swapaxes(1, 2), np.stack(terms, axis=-1))
         levels.append(_spread(level, going, levels[0]) if levels else level)
 
@@ -154,19 +156,3 @@ def _spread(level: Levels, flows: IntArray, first: Levels) -> Levels:
     for array, some in zip(spread, level, strict=True):
         array[flows] = some
     return spread
-
-
-def _exponential(matrices: FloatArray, largest: FloatArray) -> FloatArray:
-    """Matrix exponentials, by the series of a part of each matrix that is squared again and again.
-
-    largest : (F,), of each matrix's eigenvalues by size
-    """
-    halvings = np.maximum(0, np.ceil(np.log2(np.maximum(largest, 1e-300))).astype(np.int64) + 3)
-    part = matrices * np.ldexp(1.0, -halvings)[:, None, None]
-    total = power = np.broadcast_to(np.eye(matrices.shape[-1]), matrices.shape)
-    for k in range(1, TERMS):
-        power = power @ part / k
-        total = total + power
-    for k in range(halvings.max(initial=0)):
-        total = np.where((halvings > k)[:, None, None], total @ total, total)
-    return np.asarray(total, np.float64)

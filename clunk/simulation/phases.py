@@ -6,9 +6,6 @@ With z = (x, 1), z(t) = exp(M t) z(0), M = [[A, B u], [0, 0]]. Every phase start
 searched for.
 """
 
-import functools
-import itertools
-import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -16,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core import switching
+from clunk.core.exponential import exponentials
 from clunk.core.regimes import System
 from clunk.core.runs import BEGIN, LEVEL, SLOPE, WAVE, WAVE_PARTNER
 from clunk.core.status import Status
@@ -23,8 +21,6 @@ from clunk.core.tables import TORQUE
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-
-_ORDER = 14  # of the power series, up to a norm of 1/2: 0.5^15 / 15! is 2e-17
 
 
 class Regime(NamedTuple):
@@ -131,26 +127,21 @@ class Flow:
 
 
 def _exponential(matrix: FloatArray) -> FloatArray:
-    """exp(matrix), NaN where that is no number: its power series for a short time, squared until the time is over.
+    """exp(matrix), NaN where that is no number.
 
     scipy's expm takes LAPACK, whose threads wait for each other: 15 ms for nine rows on a busy machine, and a history
     needs forty of them. Of drivelines as stiff as configs/car_tip_in.toml both are right to 1e-11.
     """
     from scipy.linalg import matrix_balance  # a fifth of a second, which runs without histories do not take
 
+    if not np.all(np.isfinite(matrix)):
+        return np.full(matrix.shape, np.nan)
     # in units in which an angle and a velocity are of one size, so that the norm is about the largest |λ|
-    finite = bool(np.all(np.isfinite(matrix)))
-    scaled, (unit, _) = matrix_balance(matrix if finite else np.zeros_like(matrix), permute=False, separate=True)
-    reach = float(np.linalg.norm(scaled)) if finite else math.nan
-    if not math.isfinite(reach):
-        return np.full(matrix.shape, math.nan)
-    squarings = max(0, math.ceil(math.log2(2.0 * reach))) if reach > 0.0 else 0
-    short = scaled / 2.0**squarings
-    terms = itertools.accumulate(range(1, _ORDER + 1), lambda term, k: term @ short / k, initial=np.eye(len(matrix)))
-    result = functools.reduce(np.add, list(terms)[::-1])  # small ones first
-    for _ in range(squarings):
-        result = result @ result
-    return np.asarray(result * unit[:, None] / unit)
+    scaled, (unit, _) = matrix_balance(matrix, permute=False, separate=True)
+    size = np.linalg.norm(scaled)
+    if not np.isfinite(size):
+        return np.full(matrix.shape, np.nan)
+    return np.asarray(exponentials(scaled, np.asarray(size)) * unit[:, None] / unit)
 
 
 def apply(matrix: FloatArray, rows: FloatArray) -> FloatArray:
