@@ -195,7 +195,7 @@ def _driveline(rng, lashes, staged, frictions, restitution):
     damping = rng.choice([0.0, 0.05, 0.5])
     shafts = [Shaft(*ends, octaves(30.0), round(float(damping) * octaves(0.5), 6)) for ends in pairs]
     for k in range(staged):
-        breakpoints = np.sort(rng.uniform(-0.1, 0.1, rng.integers(1, 4))).round(4)
+        breakpoints = np.unique(rng.uniform(-0.1, 0.1, rng.integers(1, 4)).round(4))
         stiffnesses = tuple(octaves(30.0) for _ in range(len(breakpoints) + 1))
         shafts[k] = shafts[k]._replace(stiffness=stiffnesses, breakpoints=tuple(breakpoints.tolist()))
     shafts += [Shaft(k, "ground", 0.0, octaves(0.02)) for k in range(1, n + 1) if rng.random() < 0.3]
