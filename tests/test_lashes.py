@@ -198,7 +198,7 @@ def test_impacts_of_rigid_flanks_pass_through_those_that_they_press(method):
     """The gearbox strikes while the axle is closed: rigid, the axle takes part in it, and parts if it is pulled."""
     rigid = replace(CHAIN, other_lashes=(replaced(GEARBOX, restitution=0.5), replaced(AXLE, restitution=0.5)))
     run, system = simulate(study_of(rigid, method)), build(study_of(rigid))
-    inertias, impulses = np.array(rigid.inertias), 0
+    through = 0
     for k, event in enumerate(run.events):
         if k == 0 or run.kind_name(k) != "touch":
             continue
@@ -206,9 +206,8 @@ def test_impacts_of_rigid_flanks_pass_through_those_that_they_press(method):
         held = system.contacts["closed"][event["regime"]]
         assert after[event["lash"]] in (0.0, pytest.approx(-0.5 * event["speed"], rel=1e-9, abs=1e-12))
         assert np.abs(after[held > 0]).max(initial=0.0) < 1e-12
-        impulses += held.any()
-    assert impulses > 2
-    assert inertias.size == 4
+        through += held.any()
+    assert through > 2
 
 
 def test_rigid_lashes_that_share_a_torque_are_refused():

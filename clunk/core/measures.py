@@ -23,6 +23,7 @@ from clunk.core.events import INSTANT, REJOIN, SEPARATION, TOUCH
 from clunk.core.extremes import NODES, integral, integral_of_square, widened
 from clunk.core.jit import compiled, part, unowned
 from clunk.core.regimes import System, gap_input
+from clunk.core.rigid import held_with
 from clunk.core.runs import BEGIN, begin_wave, piece_at, set_gaps, set_torque
 from clunk.core.sequence import find_primaries
 from clunk.core.severity import root_of_squares
@@ -223,12 +224,9 @@ def _add_event(
     lash = event.lash
     if system.impulsive != 0:
         if event.kind == TOUCH:
-            after, held = 0.0, 0
+            after, passed = 0.0, channels.passed[driveline, held_with(system, event.regime, lash), lash]
             for j in range(x.size):
                 after += system.lashes[lash, j] * x[j]
-            for other in range(row.size):
-                held |= (other != lash and system.contacts[event.regime, other].closed != 0) << other
-            passed = channels.passed[driveline, held, lash]
             for other in range(row.size):
                 if row[other] >= 0:
                     of_impacts[row[other], IMPULSE] += abs(passed[other]) * abs(event.speed - after)

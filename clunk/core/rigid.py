@@ -42,7 +42,7 @@ def strike(
     side, lash = system.guards[regime, guard].side, lash_of(system, regime, guard)
     slowest, before = _locking_speed(system, regime, lash, x, inputs, fastest), regime
     rebounds = system.restitution[lash] * abs(speed) > slowest
-    held = _held_with(system, regime, lash)
+    held = held_with(system, regime, lash)
     if held != 0 and abs(speed) > slowest:
         held = _held_through(system, regime, lash, side, inputs)
     for other in range(lashes_of(system)):
@@ -82,12 +82,8 @@ def _held_through(system: System, regime: int, lash: int, side: int, inputs: Flo
     one for which that holds, and there is only one but for lashes through which nothing passes, which stay closed.
     Without a gap, there is a flank on either side.
     """
-    closed, always = 0, 0
-    for other in range(lashes_of(system)):
-        if other != lash and system.contacts[regime, other].closed != 0:
-            closed |= 1 << other
-            always |= (inputs[gap_input(other)] <= 0.0) << other
-    held = closed
+    closed = held_with(system, regime, lash)
+    held, always = closed, _without_gap(system, closed, inputs)
     while held > always:
         fits = held & always == always
         for other in range(lashes_of(system)):
@@ -110,12 +106,21 @@ def _held_through(system: System, regime: int, lash: int, side: int, inputs: Flo
 
 
 @unowned_inlined
-def _held_with(system: System, regime: int, lash: int) -> int:
-    """The closed lashes of a regime but for one, as bits."""
+def held_with(system: System, regime: int, lash: int) -> int:
+    """The closed lashes of a regime, as bits, but for one; -1 for none."""
     held = 0
     for other in range(lashes_of(system)):
         held |= (other != lash and system.contacts[regime, other].closed != 0) << other
     return held
+
+
+@unowned_inlined
+def _without_gap(system: System, closed: int, inputs: FloatArray) -> int:
+    """Those of some lashes, as bits, that have a flank on either side."""
+    always = 0
+    for lash in range(lashes_of(system)):
+        always |= (closed >> lash & 1 and inputs[gap_input(lash)] <= 0.0) << lash
+    return always
 
 
 @unowned_inlined
@@ -144,7 +149,7 @@ def release(
     Where several lashes are closed, those part that can, whichever one's torque turned first.
     """
     row, lash = system.guards[regime, guard], lash_of(system, regime, guard)
-    side, half_gap, others = row.side, inputs[gap_input(lash)], _held_with(system, regime, lash)
+    side, half_gap, others = row.side, inputs[gap_input(lash)], held_with(system, regime, lash)
     if half_gap <= 0.0:  # no free state
         _hold(system, others, lash, x, side * half_gap)
         record(log, count, time, 0.0, row.event_kind, row.successor, lash, side, x)
@@ -183,11 +188,10 @@ def _held_at_rest(system: System, regime: int, time: float, x: FloatArray, input
     That is the set whose torques press while none of the other flanks would; there is only one, but for lashes that
     carry nothing, which stay closed. Of a torque that is zero its rate of change counts.
     """
-    closed, always, best, largest = 0, 0, 0, 0.0
+    closed, best, largest = held_with(system, regime, -1), 0, 0.0
+    always = _without_gap(system, closed, inputs)
     for lash in range(lashes_of(system)):
-        if system.contacts[regime, lash].closed != 0:
-            closed |= 1 << lash
-            always |= (inputs[gap_input(lash)] <= 0.0) << lash
+        if closed >> lash & 1:
             _, slope, scale = holding_torque(system, regime, lash, x, inputs)
             largest = max(largest, scale + abs(slope) * time)
     held, least, least_later = closed, np.inf, np.inf
