@@ -209,7 +209,7 @@ def test_header_tells_the_counts_without_the_arrays(tmp_path: Path) -> None:
     results = example(RATIO, BACKLASH)
     store.write(tmp_path / "map.h5", results)
     header = store.read_header(tmp_path / "map.h5")
-    assert header.counts == results.counts()
+    assert header.counts_of_lashes == {"": results.counts()}
     assert header.labels == results.labels
     assert header.config == results.config
     assert header.config_digest == results.config_digest
@@ -241,7 +241,7 @@ def test_content_digest_depends_on_the_data_and_nothing_else(tmp_path: Path) -> 
 def test_a_file_without_margins_is_still_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     results = example(RATIO, BACKLASH)
     with monkeypatch.context() as first_schema:
-        first_schema.setattr(store, "REGIME_QUANTITIES", {k: v for k, v in REGIME_QUANTITIES.items() if k != "margin"})
+        first_schema.setitem(vars(results), "quantities", {k: v for k, v in REGIME_QUANTITIES.items() if k != "margin"})
         first_schema.setattr(store, "SCHEMA_VERSION", 1)
         store.write(tmp_path / "map.h5", results)
     with h5py.File(tmp_path / "map.h5") as file:

@@ -347,7 +347,7 @@ class TestFile:
         assert store.check(path).checksum
         header = read_header(path)
         assert header.tolerance_map
-        assert header.counts == found.counts()
+        assert header.counts_of_lashes == {"": found.counts()}
 
     def test_xarray_finds_labels_by_their_name(self, found, path):
         with xarray.open_dataset(path, engine="h5netcdf") as data:

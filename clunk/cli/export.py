@@ -39,8 +39,7 @@ def export(file: Path, output: Path, boundaries: bool) -> None:
     if output.suffix.lower() in of_map:
         exporting.save(output, results)
     else:
-        traced = getattr(results, "boundaries", None)
-        if traced is None:
+        if results.boundaries is None:
             raise StoreError(f"{file} has no boundaries; clunk sweep CONFIG --boundaries adds them to its file.")
-        exporting.save_boundaries(output, traced)
+        exporting.save_boundaries(output, results.boundaries)
     terminal.say_written(output)

@@ -112,12 +112,11 @@ def sweep(
 def _tracing(study: Study, lash: str | None, workers: int | None) -> Finish:
     """Function that adds the boundaries to a map, and says how many there are."""
     from clunk.analysis.boundaries import with_boundaries
-    from clunk.results.regimemap import Results
 
     def trace(results: Results | ToleranceMap) -> Results | ToleranceMap:
         began = time.perf_counter()
         traced = with_boundaries(study, results, lash=lash, workers=workers)
-        if traced is not results and isinstance(traced, Results) and traced.boundaries is not None:
+        if traced is not results and traced.boundaries is not None:
             ((_, numbers),) = traced.boundaries.summary()
             click.echo(f"boundaries: {numbers}, {time.perf_counter() - began:.1f} s", err=True)
         return traced

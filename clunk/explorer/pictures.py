@@ -62,8 +62,7 @@ class Picture:
 def cells_picture(results: Results | ToleranceMap) -> Picture:
     """The picture of one lash's regimes over two axes without boundaries, each pixel of the nearest cell's colour."""
     view = View.of(results, 2)
-    traced = results.boundaries if isinstance(results, Results) else None
-    labels = results.labels if traced is None else traced.labels
+    labels = results.labels if results.boundaries is None else results.boundaries.labels
     codes = view.arrange(results.sequence)
     pixels = _FEW_PIXELS if max(codes.shape) < _FEW_PIXELS // 4 else _PIXELS
     columns, rows = (cells_of(axis, pixel_centres(axis, pixels)) for axis in view.axes)

@@ -20,10 +20,10 @@ from clunk.results.boundaries import Boundaries
 from clunk.results.files import write_whole, writing
 from clunk.results.labels import FAILED
 from clunk.results.maps import Map
-from clunk.results.quantities import TOLERANCE_QUANTITIES, Quantity
+from clunk.results.quantities import Quantity
 from clunk.results.regimemap import Results
 from clunk.results.store import StoreError
-from clunk.results.tolerancemap import QUANTILES, ToleranceMap
+from clunk.results.tolerancemap import ToleranceMap
 from clunk.study.axes import RUN, ResultAxis
 
 _ROWS = 4096  # cells, written at once
@@ -42,9 +42,9 @@ def _write_csv(stream: BinaryIO, results: Results | ToleranceMap) -> None:
     """
     text = io.TextIOWrapper(stream, encoding="utf-8", newline="")
     write = csv.writer(text, lineterminator="\n")
-    entries = _entries(results)
+    quantities, entries = results.quantities.values(), results.entries
     names = [_with_unit(each.parameter, each.unit) for axis in results.axes for each in _along(results, axis)]
-    for quantity in _quantities(results).values():
+    for quantity in quantities:
         of_each = [f"[{entry}]" for entry in entries[quantity.dimension]] if quantity.dimension else [""]
         names += [_with_unit(quantity.name + suffix, quantity.unit) for suffix in of_each]
     write.writerow(names)
@@ -56,8 +56,8 @@ def _write_csv(stream: BinaryIO, results: Results | ToleranceMap) -> None:
         columns: list[list[Any]] = []
         for axis, places in zip(results.axes, np.unravel_index(cells, results.shape), strict=True):
             columns += [_texts_or_numbers(each)[places].tolist() for each in _along(results, axis)]
-        for quantity in _quantities(results).values():
-            values = _values(results, quantity, start, stop).reshape(cells.size, -1)
+        for quantity in quantities:
+            values = results.padded(quantity.name, start, stop).reshape(cells.size, -1)
             columns += [_texts(quantity, column, results.labels) for column in values.T]
         write.writerows(zip(*columns, strict=True))
     text.detach()  # flushed, and the stream stays open
@@ -68,17 +68,16 @@ def _write_mat(stream: BinaryIO, results: Results | ToleranceMap) -> None:
     from scipy.io import savemat
     from scipy.io.matlab import MatWriteError
 
-    quantities, entries = _quantities(results), _entries(results)
+    quantities, sample = results.quantities, results.sample
     parameters = [each for axis in results.axes for each in _along(results, axis)]
-    sample = results.sample if isinstance(results, ToleranceMap) else ()
     arrays: dict[str, Any] = {each.variable: _texts_or_numbers(each) for each in parameters}
     arrays |= {f"drawn_{each.variable}": each.values for each in sample}
-    arrays |= {name: _values(results, quantity) for name, quantity in quantities.items()}
+    arrays |= {name: results.padded(name) for name in quantities}
     units = {each.variable: each.unit for each in parameters} | {f"drawn_{each.variable}": each.unit for each in sample}
     units |= {name: quantity.unit for name, quantity in quantities.items()}
     arrays |= {"labels": np.array([FAILED, *results.labels], object), "units": units}
     arrays |= {"title": results.title, "config": results.config}
-    arrays |= {"quantile": np.array(entries["quantile"])} if sample else {}
+    arrays |= {"quantile": results.entries["quantile"]} if sample else {}
     try:
         savemat(stream, arrays, long_field_names=True, do_compression=True, oned_as="column")
     except MatWriteError as error:
@@ -101,34 +100,12 @@ OF_BOUNDARIES: dict[str, Callable[[Boundaries], str]] = {
 }
 
 
-def _quantities(results: Results | ToleranceMap) -> dict[str, Quantity]:
-    return results.quantities if isinstance(results, Results) else TOLERANCE_QUANTITIES
-
-
 def _along(results: Map, axis: ResultAxis) -> Sequence[ResultAxis]:
     return [axis, *results.coordinates] if axis.parameter == RUN else [axis]
 
 
 def _texts_or_numbers(axis: ResultAxis) -> npt.NDArray[Any]:
     return np.array(axis.words, object) if axis.words else axis.values
-
-
-def _entries(results: Results | ToleranceMap) -> dict[str, Sequence[object]]:
-    """Entries of each dimension behind the axes, by its name."""
-    if isinstance(results, Results):
-        return {"impact": range(1, results.max_impacts + 1)}
-    return {"label": [*results.labels, FAILED], "quantile": QUANTILES}
-
-
-def _values(
-    results: Results | ToleranceMap, quantity: Quantity, start: int = 0, stop: int | None = None
-) -> npt.NDArray[Any]:
-    """Values of a quantity in these rows of the first axis, over the axes and its dimension."""
-    if isinstance(results, Results) and quantity.dimension == "impact":
-        return results.padded(quantity.name, start, stop)
-    values: npt.NDArray[Any]
-    values = results.values(quantity.name) if isinstance(results, Results) else getattr(results, quantity.name)
-    return values[start:stop]
 
 
 def _texts(quantity: Quantity, values: npt.NDArray[Any], labels: tuple[str, ...]) -> list[Any]:

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
+from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.quantities import Quantity, measured_quantities
 from clunk.study.axes import LASH, RUN, ResultAxis
@@ -23,7 +24,7 @@ Index = tuple[slice | int, ...]
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Description:
-    """Title, swept parameters, labels, config and provenance of a map: all but its arrays.
+    """Title, swept parameters, labels, config and provenance of a map: all but its arrays over cells.
 
     title : str
     axes : one or more `ResultAxis`; of several lashes the last is `lash`
@@ -31,6 +32,9 @@ class Description:
     labels : code -> label; the code -1 is a failed cell
     config, config_digest : the resolved TOML and its digest
     attributes : versions, date and machine, by name
+    sample : of a tolerance map, one `ResultAxis` for each toleranced parameter; its values are what was drawn, (N,):
+        the parameter's values, factors on its nominal value or offsets from it
+    boundaries : of a regime map, the curves between the labels, if they have been traced
 
     Raises ValueError where these do not belong together.
     """
@@ -42,6 +46,8 @@ class Description:
     config_digest: str
     attributes: dict[str, str]
     coordinates: tuple[ResultAxis, ...] = ()
+    sample: tuple[ResultAxis, ...] = ()
+    boundaries: Boundaries | None = None
 
     def __post_init__(self) -> None:
         if not self.axes:
@@ -100,6 +106,28 @@ class Map(Description, ABC):
     """A map over one or more swept parameters, base of `Results` and `ToleranceMap`."""
 
     _measure: ClassVar[str]  # heading of the texts of `_label_rows`
+
+    @property
+    @abstractmethod
+    def quantities(self) -> dict[str, Quantity]:
+        """The quantities of the map, in the order of their file."""
+
+    @property
+    @abstractmethod
+    def entries(self) -> dict[str, npt.NDArray[Any]]:
+        """Entries of the dimensions behind the axes: of ``impact`` numbers, of ``label`` the labels and so on."""
+
+    def values(self, name: str) -> npt.NDArray[Any]:
+        """Values of one of the quantities, in cells; those of impacts in a flat array."""
+        array: npt.NDArray[Any] = getattr(self, name)
+        return array
+
+    def padded(self, name: str, start: int = 0, stop: int | None = None) -> npt.NDArray[Any]:
+        """Array of a quantity over the axes and its dimension, those of impacts padded with NaN (floats) or 0.
+
+        start, stop : rows of the first axis, to which the array and the memory are limited
+        """
+        return self.values(name)[start:stop]
 
     def at(self, values: Mapping[str, float]) -> Self:
         """Slice at some axes' values, the nearest of each: ``results.at({"lash.contact.stiffness": 4e5})``.

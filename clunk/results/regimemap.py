@@ -25,7 +25,7 @@ class Results(Map):
     "Shape" is the axes' counts in order; N counts the primary impacts of all cells. Of several lashes the last axis is
     `lash`, and each lash of a cell counts as a cell; see `of_lash`.
 
-    title, axes, coordinates, labels, config, config_digest, attributes : as those of `Map`
+    title, axes, coordinates, labels, config, config_digest, attributes, boundaries : as those of `Map`
     sequence : shape, int16 codes into `labels`
     severity : shape, Q  [rad/s²], NaN where it is not defined
     approach_velocity : shape, V  [rad/s]
@@ -40,7 +40,6 @@ class Results(Map):
     impact_closing_speed : (N,)  [rad/s]
     impact_severity : (N,) Q_i  [rad/s²]
     measured : by the names of `measured_quantities`: shape or (N,), float64
-    boundaries : Boundaries, the curves between the labels, if they have been traced
 
     A cell that a refined sweep inferred (`QUALITY_INFERRED`) has what its regime tells: code, primary_impacts,
     initial_side and the flanks of its impacts, which have their places in the flat arrays; its floats are NaN.
@@ -65,7 +64,6 @@ class Results(Map):
     impact_closing_speed: npt.NDArray[np.float64]
     impact_severity: npt.NDArray[np.float64]
     measured: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
-    boundaries: Boundaries | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -87,10 +85,14 @@ class Results(Map):
         """The quantities of these results, in the order of their file."""
         return REGIME_QUANTITIES | self.measured_quantities
 
+    @property
+    def entries(self) -> dict[str, npt.NDArray[Any]]:
+        """Numbers of the primary impacts."""
+        return {"impact": np.arange(1, self.max_impacts + 1, dtype=np.int32)}
+
     def values(self, name: str) -> npt.NDArray[Any]:
         """Values of one of the quantities, in cells or in the flat array of impacts."""
-        array: npt.NDArray[Any] = self.measured[name] if name in self.measured else getattr(self, name)
-        return array
+        return self.measured[name] if name in self.measured else super().values(name)
 
     @cached_property
     def inferred(self) -> npt.NDArray[np.bool_]:
@@ -197,10 +199,12 @@ class Results(Map):
         return [(label, share(n, cells)) for label, n in self.counts().items() if n]
 
     def padded(self, name: str, start: int = 0, stop: int | None = None) -> npt.NDArray[Any]:
-        """Array of an `impact_…` quantity as shape + (max_impacts,), padded with NaN (floats) or 0 (integers).
+        """Array of a quantity; of an `impact_…` one shape + (max_impacts,), padded with NaN (floats) or 0 (integers).
 
         start, stop : rows of the first axis, to which the array and the memory are limited
         """
+        if not self.quantities[name].dimension:
+            return super().padded(name, start, stop)
         dtype = np.dtype(self.quantities[name].dtype)
         count = self.primary_impacts[start:stop]
         begin = start * int(np.prod(self.shape[1:], dtype=np.int64))

@@ -20,11 +20,9 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from clunk.results.boundaries import Boundaries
 from clunk.results.boundaryfile import names_of, read_boundaries, write_boundaries
 from clunk.results.checksum import matches_checksum
 from clunk.results.files import reason, writing
-from clunk.results.labels import FAILED
 from clunk.results.maps import Description, count_labels, counts_by_lash, require_array, require_codes
 from clunk.results.netcdf import (
     CONVENTIONS,
@@ -41,7 +39,7 @@ from clunk.results.netcdf import (
 )
 from clunk.results.quantities import REGIME_QUANTITIES, TOLERANCE_QUANTITIES, Quantity
 from clunk.results.regimemap import Results
-from clunk.results.tolerancemap import QUANTILES, ToleranceMap
+from clunk.results.tolerancemap import ToleranceMap
 from clunk.study.axes import LASH, RUN, ResultAxis, lash_axis
 from clunk.study.document import nearest_file
 from clunk.study.errors import ClunkError
@@ -73,23 +71,20 @@ class StoreError(ClunkError):
 class Header(Description):
     """Description of the map in a results file.
 
-    counts : label -> number of cells, ``failed`` last; of a tolerance map, cells in which it is the most likely one; of
-        several lashes, all of them together
-    counts_of_lashes : name -> counts of each of several lashes; of an only one, with an empty name
+    counts_of_lashes : name of a lash, empty for an only one -> label -> number of cells, ``failed`` last; of a
+        tolerance map, cells in which the label is the most likely one
     content_digest : SHA-256 of axes, labels and arrays
-    tolerance_map : whether the file holds a tolerance map
-    sample : of a tolerance map, as that of `ToleranceMap`; else empty
-    boundaries : of a regime map, if they have been traced
     checksum : whether the file has a checksum, which its bytes match: another program that changes it takes it away
     """
 
-    counts: dict[str, int]
     counts_of_lashes: dict[str, dict[str, int]]
     content_digest: str
-    tolerance_map: bool
-    sample: tuple[ResultAxis, ...]
-    boundaries: Boundaries | None
     checksum: bool
+
+    @property
+    def tolerance_map(self) -> bool:
+        """Whether the file holds a tolerance map."""
+        return bool(self.sample)
 
 
 def write(path: str | os.PathLike[str], results: Results | ToleranceMap, scratch: Path | None = None) -> None:
@@ -180,17 +175,9 @@ def check(path: str | os.PathLike[str]) -> Header:
 
 
 def _fill(file: Image, results: Results | ToleranceMap) -> None:
-    sample: tuple[ResultAxis, ...] = ()
-    if isinstance(results, Results):
-        quantities = REGIME_QUANTITIES | results.measured_quantities
-        dimensions = {"impact": np.arange(1, results.max_impacts + 1, dtype=np.int32)}
-    else:
-        quantities, sample = TOLERANCE_QUANTITIES, results.sample
-        draws = np.arange(1, results.draws + 1, dtype=np.int32)
-        dimensions = {"label": np.array([*results.labels, FAILED]), "quantile": np.array(QUANTILES), "draw": draws}
+    sample, boundaries = results.sample, results.boundaries
     set_text(file, "title", results.title)
     set_text(file, "Conventions", CONVENTIONS)
-    boundaries = results.boundaries if isinstance(results, Results) else None
     version = _WITH_TOLERANCES if sample else SCHEMA_VERSION if boundaries is None else _WITH_BOUNDARIES
     version = _WITH_LASHES if results.lashes else version
     file.attrs["schema_version"] = np.int32(_WITH_MEASURES if results.measured_quantities else version)
@@ -211,7 +198,7 @@ def _fill(file: Image, results: Results | ToleranceMap) -> None:
     along = {axis.parameter: [scale] for axis, scale in zip(results.axes, axes, strict=True)}
     for axis in results.coordinates:
         create_variable(file, axis.variable, np.float64, _attributes(axis), along[RUN])[:] = axis.values
-    scales = {name: create_scale(file, name, values, _DIMENSIONS[name]) for name, values in dimensions.items()}
+    scales = {name: create_scale(file, name, values, _DIMENSIONS[name]) for name, values in results.entries.items()}
     if sample:
         set_text(scales["draw"], "sample", " ".join(_DRAWN + axis.variable for axis in sample))
     for axis in sample:
@@ -221,7 +208,7 @@ def _fill(file: Image, results: Results | ToleranceMap) -> None:
     digest = Digest(results.axes + results.coordinates + sample, (*results.labels, *results.lashes))
     coordinates = " ".join(axis.variable for axis in results.coordinates)
     with chunk_writer(file) as write_rows:
-        for name, each in quantities.items():
+        for name, each in results.quantities.items():
             attributes = {"units": each.unit, "long_name": each.long_name}
             attributes |= {"coordinates": coordinates} if coordinates else {}
             further = [scales[each.dimension]] if each.dimension else []
@@ -232,12 +219,7 @@ def _fill(file: Image, results: Results | ToleranceMap) -> None:
             digest.begin(name, variable)
             # A block of rows at a time: padded whole, the impacts would be most of a large map's memory.
             for start, stop in row_blocks(variable):
-                if isinstance(results, Results) and each.dimension == "impact":
-                    block = results.padded(name, start, stop)
-                elif isinstance(results, Results):
-                    block = results.values(name)[start:stop]
-                else:
-                    block = getattr(results, name)[start:stop]
+                block = results.padded(name, start, stop)
                 if each.of == "cell" and results.lashes:
                     block = block[..., 0]
                 write_rows(variable, start, block)
@@ -337,10 +319,10 @@ def map_of(file: h5py.File, header: Header) -> Results | ToleranceMap:
     if not header.tolerance_map:
         measured = {name: arrays.pop(name) for name in header.measured_quantities}
         arrays |= {name: np.full(header.shape, np.nan) for name in REGIME_QUANTITIES if name not in arrays}
-        return Results(**described, **arrays, measured=measured, boundaries=header.boundaries)
+        return Results(**described, **arrays, measured=measured)
     probability, sequence = arrays.pop("probability"), arrays.pop("sequence")
     runs = np.rint(probability * len(header.sample[0].values)).astype(np.int32)
-    tolerances = ToleranceMap(sample=header.sample, runs=runs, **described, **arrays)
+    tolerances = ToleranceMap(**described, runs=runs, **arrays)
     if not np.array_equal(tolerances.sequence, sequence):
         raise ValueError("sequence is not what is most probable")
     return tolerances
@@ -360,7 +342,8 @@ def _header_of(file: h5py.File, checksum: bool) -> Header:
     sequence = file["sequence"]
     axes = tuple(_axis_of(dimension[0]) for dimension in sequence.dims)
     coordinates = get_text(sequence, "coordinates").split() if "coordinates" in sequence.attrs else []
-    sample = get_text(file["draw"], "sample").split() if _is_tolerance_map(file) else []
+    is_tolerance_map = _KIND in file.attrs and get_text(file, _KIND) == _TOLERANCE_MAP
+    sample = get_text(file["draw"], "sample").split() if is_tolerance_map else []
     names = get_text(sequence, "flag_meanings").split()
     meanings = dict(zip(sequence.attrs["flag_values"].tolist(), names, strict=True))
     labels = tuple(meanings[code] for code in range(len(meanings) - 1))
@@ -372,7 +355,6 @@ def _header_of(file: h5py.File, checksum: bool) -> Header:
         axes=axes,
         coordinates=tuple(_axis_of(file[name]) for name in coordinates),
         labels=labels,
-        counts=count_labels(labels, codes),
         counts_of_lashes=counts_by_lash(
             {
                 name: count_labels(labels, codes[..., k] if name else codes)
@@ -386,7 +368,6 @@ def _header_of(file: h5py.File, checksum: bool) -> Header:
         attributes={
             name: get_text(file, name) for name in file.attrs if name not in _RESERVED and not name.startswith("_")
         },
-        tolerance_map=_is_tolerance_map(file),
         sample=tuple(_axis_of(file[name]) for name in sample),
         boundaries=read_boundaries(file, _of_cells(axes)),
         checksum=checksum,
@@ -408,10 +389,6 @@ def _axis_of(scale: h5py.Dataset) -> ResultAxis:
         symbol=get_text(scale, "symbol"),
         unit=get_text(scale, "units"),
     )
-
-
-def _is_tolerance_map(file: h5py.File) -> bool:
-    return _KIND in file.attrs and get_text(file, _KIND) == _TOLERANCE_MAP
 
 
 def _quantities(file: h5py.File, header: Header) -> dict[str, Quantity]:

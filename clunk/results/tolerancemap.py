@@ -11,8 +11,7 @@ import numpy.typing as npt
 
 from clunk.results.labels import FAILED, FAILED_CODE, double_sided
 from clunk.results.maps import Index, Map, count_labels, require_array, require_codes, share
-from clunk.results.quantities import TOLERANCE_QUANTITIES
-from clunk.study.axes import ResultAxis
+from clunk.results.quantities import TOLERANCE_QUANTITIES, Quantity
 from clunk.study.summaries import Rows
 
 QUANTILES = (0.05, 0.5, 0.95)
@@ -25,9 +24,7 @@ class ToleranceMap(Map):
 
     "Shape" is the axes' counts in order, N the size of the sample.
 
-    title, axes, coordinates, labels, config, config_digest, attributes : as those of `Map`
-    sample : one `ResultAxis` for each toleranced parameter; its values are what was drawn, (N,): the parameter's
-        values, factors on its nominal value or offsets from it
+    title, axes, coordinates, labels, config, config_digest, attributes, sample : as those of `Map`
     runs : shape + (labels + 1,), int32: of the N runs of a cell, those with each label, and last those that failed
     nominal_sequence : shape, int16 codes of the runs without tolerances
     severity_mean : shape, mean Q of the runs that did not fail  [rad/s²]; without impacts Q is 0. NaN where it is not
@@ -42,7 +39,6 @@ class ToleranceMap(Map):
 
     _measure: ClassVar[str] = "probability"
 
-    sample: tuple[ResultAxis, ...]
     runs: npt.NDArray[np.int32]
     nominal_sequence: npt.NDArray[np.int16]
     severity_mean: npt.NDArray[np.float64]
@@ -64,6 +60,17 @@ class ToleranceMap(Map):
     def _arrays_at(self, index: Index) -> dict[str, Any]:
         names = ("runs", "nominal_sequence", "severity_mean", "severity_quantiles", "status")
         return {name: np.ascontiguousarray(getattr(self, name)[index]) for name in names}
+
+    @property
+    def quantities(self) -> dict[str, Quantity]:
+        """The quantities of a tolerance map, in the order of their file."""
+        return TOLERANCE_QUANTITIES
+
+    @property
+    def entries(self) -> dict[str, npt.NDArray[Any]]:
+        """The labels and ``failed``, the quantiles, and numbers of the draws."""
+        draws = np.arange(1, self.draws + 1, dtype=np.int32)
+        return {"label": np.array([*self.labels, FAILED]), "quantile": np.array(QUANTILES), "draw": draws}
 
     @property
     def draws(self) -> int:
