@@ -88,32 +88,26 @@ class Outcome:
             return f"the label is the nominal {nominal}"
         return f"the label is {self.bound}" if self.relation else "the label"
 
-    def holds_for(self, label: str, nominal: str = "") -> bool:
-        """Whether an indicator of labels holds for one; nominal : the label without tolerances."""
-        if self.quantity == DOUBLE_SIDED:
-            return double_sided(label) > 0
-        return label == (nominal if self.quantity == NOMINAL else self.bound)
-
-    def of_numbers(self, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """The outcome in runs whose measured quantity has these values, float64 of their shape.
+    def of_runs(self, results: Results, nominal: str = "") -> npt.NDArray[np.float64]:
+        """A number, or an indicator's 1 and 0, in each cell: float64 of the results' shape; failed cells count not.
 
         Where nothing happens, no event is later than the load step: in a relation its time counts as 0.
-        """
-        numbers = np.asarray(values, np.float64)
-        if not self.relation:
-            return numbers
-        if self.quantity == "last_event_time":
-            numbers = np.nan_to_num(numbers)
-        return np.asarray(_RELATIONS[self.relation][0](numbers, self.bound), np.float64)
 
-    def of_runs(self, results: Results, nominal: str = "") -> npt.NDArray[np.float64]:
-        """A number, or an indicator's 1 and 0, in each cell: float64 of the results' shape; failed cells count not."""
+        nominal : the label without tolerances
+        """
         if self.number is not None:
-            return self.of_numbers(results.values(self.quantity))
+            numbers = np.asarray(results.values(self.quantity), np.float64)
+            if not self.relation:
+                return numbers
+            if self.quantity == "last_event_time":
+                numbers = np.nan_to_num(numbers)
+            return np.asarray(_RELATIONS[self.relation][0](numbers, self.bound), np.float64)
         if self.quantity == CHATTER:
             return np.asarray(results.touches > results.primary_impacts, np.float64)
-        of_labels = [float(self.holds_for(label, nominal)) for label in results.labels]
-        return np.array([*of_labels, math.nan])[results.sequence]  # the code of failed cells, -1, is the last
+        wanted = nominal if self.quantity == NOMINAL else self.bound
+        is_double_sided = self.quantity == DOUBLE_SIDED
+        holds = [double_sided(label) > 0 if is_double_sided else label == wanted for label in results.labels]
+        return np.array([*holds, math.nan])[results.sequence]  # the code of failed cells, -1, is the last
 
 
 def outcome_of(text: str, study: Study, without: Mapping[str, str], error: type[ClunkError]) -> Outcome:

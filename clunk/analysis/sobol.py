@@ -16,11 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.outcomes import CHATTER, DOUBLE_SIDED, LABEL, MEASURED, NOMINAL, Outcome, measuring, outcome_of
+from clunk.analysis.outcomes import DOUBLE_SIDED, LABEL, NOMINAL, Outcome, measuring, outcome_of
 from clunk.core.status import Status
 from clunk.results.regimemap import Results
-from clunk.simulation.measures import measured
-from clunk.simulation.trajectory import Trajectory, simulate
+from clunk.simulation.trajectory import simulate
+from clunk.study.designs import Column, Design
 from clunk.study.document import dotted
 from clunk.study.errors import ClunkError
 from clunk.study.lashes import lash_position
@@ -28,7 +28,7 @@ from clunk.study.loads import PROFILES
 from clunk.study.parameters import get_value, nominal_value
 from clunk.study.problems import ConfigError
 from clunk.study.study import Study, replace_values
-from clunk.study.sweeps import Axis, Draw, Sweep
+from clunk.study.sweeps import Draw, Sweep
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.sweep import sweep
 
@@ -172,12 +172,17 @@ def sensitivity(
     nominal = simulate(point).lashes[lash_position(lash, study.lash_names)]
     sample = saltelli_sample(point)
     _refuse_forbidden_draws(point, sample)
-    runs = _runs(measuring(point, quantities), sample)
-    results = sweep(runs, workers=workers, progress=progress).of_lash(lash)
+    runs = measuring(point, quantities).model_copy(update={"sweep": None})
+    results = sweep(runs, _design(point, sample), workers=workers, progress=progress).of_lash(lash)
     _refuse_failures(results)
     n, pages, _ = sample.shape
     seed = _sweep(point).sampling.seed
-    indices = tuple(_indices(each, nominal, _values(each, results, nominal.label), seed) for each in quantities)
+    without = np.array([nominal_value(point, draw.parameter) for draw in _sweep(point).tolerances])
+    run = sweep(runs, _design(point, without)).of_lash(lash)
+    indices = tuple(
+        _indices(each, run, nominal.label, _values(each, results, nominal.label).reshape(n, pages), seed)
+        for each in quantities
+    )
     base = results.sequence.reshape(n, pages)[:, :2]
     counts = np.bincount(base.ravel(), minlength=len(results.labels))
     frequent = sorted(zip(counts.tolist(), results.labels, strict=True), key=lambda pair: (-pair[0], pair[1]))
@@ -302,14 +307,15 @@ def _refuse_forbidden_draws(study: Study, sample: FloatArray) -> None:
                 ) from None
 
 
-def _runs(study: Study, sample: FloatArray) -> Study:
-    """The sample as a sweep, its rows in order: runs that share a system are next to each other."""
-    columns = sample.reshape(-1, sample.shape[2]).T
-    axes = [
-        Axis(parameter=draw.parameter, values=tuple(column.tolist()))
-        for draw, column in zip(_sweep(study).tolerances, columns, strict=True)
-    ]
-    return study.model_copy(update={"sweep": Sweep(design="zip", axes=tuple(axes))})
+def _design(study: Study, sample: FloatArray) -> Design:
+    """The rows of a sample, (..., d), as runs in order: those that share a system are next to each other."""
+    columns = sample.reshape(-1, sample.shape[-1]).T
+    draws = _sweep(study).tolerances
+    return Design(
+        (columns.shape[1],),
+        tuple(Column(draw.parameter, 0, column.copy()) for draw, column in zip(draws, columns, strict=True)),
+        run=0,
+    )
 
 
 def _refuse_failures(results: Results) -> None:
@@ -340,36 +346,22 @@ def _values(outcome: Outcome, results: Results, nominal_label: str) -> FloatArra
     return values
 
 
-def _nominal_value(outcome: Outcome, nominal: Trajectory) -> float:
-    if outcome.quantity == CHATTER:
-        return float(nominal.touches > nominal.primaries.size)
-    if outcome.number is None:
-        return float(outcome.holds_for(nominal.label, nominal.label))
-    if outcome.quantity == "primary_impacts":
-        value = float(nominal.primaries.size)
-    elif outcome.quantity == "last_event_time":
-        times = nominal.events["time"][nominal.events["lash"] == nominal.lash]
-        value = float(times[-1]) if times.size else math.nan
-    elif outcome.quantity in MEASURED:
-        value = float(getattr(nominal, outcome.quantity))
-    else:
-        value = measured(nominal).totals[outcome.quantity]
-    return float(outcome.of_numbers(value))
+def _indices(outcome: Outcome, nominal: Results, label: str, values: FloatArray, seed: int) -> Indices:
+    """Sobol indices of an outcome.
 
-
-def _indices(outcome: Outcome, nominal: Trajectory, values: FloatArray, seed: int) -> Indices:
-    """Sobol indices of an outcome from its values, (n (d + 2),) in the order of `saltelli_sample`."""
-    d = len(_sweep(nominal.study).tolerances)
-    values = values.reshape(-1, d + 2)
+    nominal, label : the single run without tolerances, and its label
+    values : (n, d + 2), of the runs of `saltelli_sample`
+    """
+    d = values.shape[1] - 2
     base = values[:, :2]
     varies = bool(np.ptp(base) > 0.0)
     none = np.full(d, np.nan), np.full(d, np.nan), np.full((2, d), np.nan), np.full((2, d), np.nan)
     first, total, first_interval, total_interval = first_and_total(values, seed) if varies else none
     return Indices(
         quantity=outcome.name,
-        heading=outcome.heading(nominal.label),
+        heading=outcome.heading(label),
         is_indicator=outcome.is_indicator,
-        nominal=_nominal_value(outcome, nominal),
+        nominal=float(outcome.of_runs(nominal, label)[0]),
         mean=float(base.mean()),
         std=float(base.std()) if varies else 0.0,  # the rounding of a mean is no variance
         quantiles=np.quantile(base, QUANTILES),
