@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from clunk import __version__
 from clunk.analysis.fitparts import FitError
-from clunk.analysis.fitruns import MATCH, Records, label_of, target_of
+from clunk.analysis.fitruns import MATCH, Records, label_of, pattern_of
 from clunk.analysis.fitted import Fewer, Fitted
 from clunk.analysis.fitting import identity
 from clunk.analysis.measurements import experiment_of
@@ -34,16 +34,12 @@ SCHEMA_VERSION = 1
 _CONTENT = "fit"
 _NUMBERS = ("axis", "candidates", "failed")
 
-# Names in the file -> fields of MATCH, unit, long name; `sequence` beside them
+# Names in the file -> fields of MATCH, long name; `sequence` beside them
 _MATCHES = {
-    "distance": ("distance", "1", "logarithm of the change of a measured value that brings about the measured label"),
-    "distance_change": ("change", "1", "the change itself, with its sign; 0 where none brings it about"),
-    "misfit": (
-        "misfit",
-        "1",
-        "minus the logarithm of the likelihood of the measured times, speeds and severities",
-    ),
-    "status": ("status", "1", "status of the run: 0 is ok"),
+    "distance": ("distance", "logarithm of the change of a measured value that brings about the measured label"),
+    "distance_change": ("change", "the change itself, with its sign; 0 where none brings it about"),
+    "misfit": ("misfit", "minus the logarithm of the likelihood of the measured times, speeds and severities"),
+    "status": ("status", "status of the run: 0 is ok"),
 }
 
 
@@ -106,7 +102,7 @@ def _fill(file: Image, fitted: Fitted, lash: str | None) -> None:
     set_flags(write("measured_sequence", sequences(fitted.wanted), "measured label", measurement), meanings)
     for prefix, (matches, along) in blocks.items():
         set_flags(write(f"{prefix}sequence", sequences(matches["pattern"]), "label", *along), meanings)
-        for name, (field, _, words) in _MATCHES.items():
+        for name, (field, words) in _MATCHES.items():
             write(prefix + name, matches[field].astype(matches[field].dtype.newbyteorder("=")), words, *along)
     for name in ("met", "predicted", "effective"):
         values = np.array([getattr(each, name) for each in fitted.fewer] or [0], np.float64)
@@ -148,7 +144,7 @@ def _loaded(file: h5py.File) -> Fitted:
         sequence = file[f"{prefix}sequence"]
         meanings = get_text(sequence, "flag_meanings").split()
         patterns = {
-            int(code): 0 if text == FAILED else target_of(text).pattern
+            int(code): 0 if text == FAILED else pattern_of(text)
             for code, text in zip(sequence.attrs["flag_values"], meanings, strict=True)
         }
         unique, inverse = np.unique(sequence[...], return_inverse=True)
@@ -156,7 +152,7 @@ def _loaded(file: h5py.File) -> Fitted:
         records["pattern"] = np.array([patterns[int(code)] for code in unique], np.uint64)[
             inverse.reshape(sequence.shape)
         ]
-        for name, (field, *_) in _MATCHES.items():
+        for name, (field, _) in _MATCHES.items():
             records[field] = file[prefix + name][...]
         return records
 

@@ -33,7 +33,7 @@ class Populations:
     identity : of study and measurements
     directory : open; None keeps nothing
     progress, planned : called with the number of candidates so far, and this number in all
-    candidates, taken_up : numbers so far, and of these that were on the disk
+    candidates : number of them so far
 
     Raises FitError where the directory holds a sweep.
     """
@@ -47,7 +47,7 @@ class Populations:
         planned: int = 0,
     ) -> None:
         self.runs, self.directory, self.progress, self.planned = runs, directory, progress, planned
-        self.candidates = self.taken_up = self._number = 0
+        self.candidates = self._number = 0
         if directory is not None and (directory.path / "manifest.json").exists():
             raise FitError(
                 f"{directory.path} holds an unfinished sweep: finish that one, or begin anew with --restart."
@@ -78,7 +78,6 @@ class Populations:
         raw = path.read_bytes()
         if raw[:32] != self._chain or raw[32:64] != hashlib.sha256(raw[64:]).digest():
             return None
-        self.taken_up += count
         return np.frombuffer(raw[64:], MATCH).reshape(count, -1).copy()
 
     def _keep(self, matches: Records) -> None:

@@ -8,10 +8,9 @@ and saturates, it speaks of the measured one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from difflib import SequenceMatcher
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -53,15 +52,6 @@ _OUTLIER_SCALE = 10.0  # of these, in standard deviations
 _PIECE = 64  # candidates that a worker takes at a time: fewer are prepared at more cost each
 
 
-class Target(NamedTuple):
-    """A measured sequence, and the measured quantities of its impacts."""
-
-    flanks: tuple[int, ...]
-    pattern: int
-    impacts: Mapping[str, Mapping[int, float]]
-    std: Mapping[str, float]
-
-
 class CandidateRuns:
     """Runs of candidates, each a value for every prior's number, at the operating points of an experiment.
 
@@ -73,21 +63,20 @@ class CandidateRuns:
     axes : dotted keys of the measured columns
     axis : number of the one along which labels change most
     wanted : patterns of the measured labels
-    count : number of runs so far
     """
 
     def __init__(
         self, study: Study, experiment: Experiment, priors: Sequence[Draw], engine: Executor, lash: int = 0
     ) -> None:
         self.study = measuring(study, ()).model_copy(update={"sweep": None, "fit": None})
-        self.experiment, self.priors, self.lash, self.count = experiment, tuple(priors), lash, 0
+        self.experiment, self.priors, self.lash = experiment, tuple(priors), lash
         self.axes = axes_of(self.study, experiment)
         self.points = np.array([each.values for each in experiment.measurements])
-        self.targets = [target_of(each.label, each.impacts, each.std) for each in experiment.measurements]
         self._speeds = np.array([each.detection_speed for each in experiment.measurements])
         self._engine, self._workers = engine, getattr(engine, "_max_workers", None) or available_cores()
-        self.wanted = np.array([each.pattern for each in self.targets], np.uint64)
-        self._numbers = tuple(dict.fromkeys(name for each in self.targets for name in each.impacts))
+        self.wanted = patterns_of(experiment)
+        self._flanks = [flanks_of_label(each.label) for each in experiment.measurements]
+        self._numbers = tuple(dict.fromkeys(name for each in experiment.measurements for name in each.impacts))
         self.axis = self._telling_axis() if len(self.axes) > 1 else 0
 
     def __call__(self, candidates: FloatArray, worth: Worth | None = None) -> Records:
@@ -185,7 +174,6 @@ class CandidateRuns:
             return patterns, status, np.zeros(0, [("run", "i8")])
         columns = tuple(Column(key, 0, column[ran]) for key, column in values.items())
         grid, stop = Grid(self.study, Design((ran.size,), columns, run=0), systems), Stop()
-        self.count += ran.size
         begins = np.flatnonzero(np.diff(candidate[ran], prepend=-1))  # no candidate is prepared twice
         shares = self._workers * -(-begins.size // (_PIECE * self._workers))
         cuts = begins[np.linspace(0, begins.size, shares + 1)[:-1].astype(int)]
@@ -231,26 +219,30 @@ class CandidateRuns:
         if not self._numbers:
             return misfits
         begins = np.searchsorted(impacts["run"], np.arange(point.size))
-        pairs, of_pair = np.unique(np.stack([point.astype(np.uint64), patterns]), axis=1, return_inverse=True)
-        order = np.argsort(of_pair.reshape(-1), kind="stable")
-        ends = np.cumsum(np.bincount(of_pair.reshape(-1)))
-        for (at, pattern), runs in zip(pairs.T.tolist(), np.split(order, ends[:-1]), strict=True):
-            target = self.targets[at]
-            partner = partners(target.flanks, flanks_of(pattern) if pattern else ())
-            for name, measured in target.impacts.items():
+        for at, computed, runs in _alike(point, patterns):
+            measurement, partner = self.experiment.measurements[at], partners(self._flanks[at], computed)
+            for name, measured in measurement.impacts.items():
                 for number, value in measured.items():
-                    computed = impacts[name][begins[runs] + partner[number]] if number in partner else 0.0
-                    misfits[runs] += outlier_misfit((value - computed) / target.std[name])
+                    values = impacts[name][begins[runs] + partner[number]] if number in partner else 0.0
+                    misfits[runs] += outlier_misfit((value - values) / measurement.std[name])
         return misfits
 
     def _edits(self, point: Cells, patterns: Patterns) -> FloatArray:
         """Number of impacts too many or too few of patterns at some points; of a failed run, of all."""
-        pairs, of_pair = np.unique(np.stack([point.astype(np.uint64), patterns]), axis=1, return_inverse=True)
-        edits = []
-        for at, pattern in pairs.T.tolist():
-            flanks, computed = self.targets[at].flanks, flanks_of(pattern) if pattern else ()
-            edits.append(len(flanks) + len(computed) - 2.0 * len(partners(flanks, computed)))
-        return np.array(edits)[of_pair.reshape(-1)]
+        edits = np.zeros(point.size)
+        for at, computed, runs in _alike(point, patterns):
+            flanks = self._flanks[at]
+            edits[runs] = len(flanks) + len(computed) - 2.0 * len(partners(flanks, computed))
+        return edits
+
+
+def _alike(point: Cells, patterns: Patterns) -> Iterator[tuple[int, tuple[int, ...], Cells]]:
+    """Yield groups of runs at the same point with the same pattern: the point, the flanks and the runs' numbers."""
+    pairs, of_pair = np.unique(np.stack([point.astype(np.uint64), patterns]), axis=1, return_inverse=True)
+    order = np.argsort(of_pair.reshape(-1), kind="stable")
+    ends = np.cumsum(np.bincount(of_pair.reshape(-1)))
+    for (at, pattern), runs in zip(pairs.T.tolist(), np.split(order, ends)[:-1], strict=True):
+        yield at, flanks_of(pattern) if pattern else (), runs
 
 
 def numbers_at(study: Study, priors: Sequence[Draw], coordinates: FloatArray) -> FloatArray:
@@ -273,15 +265,17 @@ def axes_of(study: Study, experiment: Experiment) -> tuple[str, ...]:
     return tuple(dotted(located(study, known[column])[0]) for column in experiment.columns)
 
 
-def target_of(
-    label: str, impacts: Mapping[str, Mapping[int, float]] | None = None, std: Mapping[str, float] | None = None
-) -> Target:
-    """Measured sequence of a label. Raises ExperimentError where it has too many impacts."""
+def pattern_of(label: str) -> int:
+    """Pattern of a label: its flanks as bits behind a leading 1. Raises ExperimentError where it has too many."""
     flanks = flanks_of_label(label)
     if len(flanks) > LONGEST_PATTERN:
         raise ExperimentError(f"{label} has {len(flanks)} primary impacts; at most {LONGEST_PATTERN} can be fitted.")
-    pattern = int("1" + "".join("1" if flank == OPPOSITE else "0" for flank in flanks), 2)
-    return Target(flanks, pattern, impacts or {}, std or {})
+    return int("1" + "".join("1" if flank == OPPOSITE else "0" for flank in flanks), 2)
+
+
+def patterns_of(experiment: Experiment) -> Patterns:
+    """Patterns of the measured labels, (points,)."""
+    return np.array([pattern_of(each.label) for each in experiment.measurements], np.uint64)
 
 
 def label_of(pattern: int) -> str:

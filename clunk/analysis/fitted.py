@@ -12,7 +12,7 @@ import numpy.typing as npt
 from clunk.analysis.fitensemble import effective_size, weights_of
 from clunk.analysis.fitpredictions import Prediction, left_out_groups, losses, predict_left_out, probabilities
 from clunk.analysis.fitreasons import reason_of
-from clunk.analysis.fitruns import Records, axes_of, label_of, numbers_at, target_of
+from clunk.analysis.fitruns import Records, axes_of, label_of, numbers_at, patterns_of
 from clunk.analysis.measurements import Experiment
 from clunk.study.fits import Fit
 from clunk.study.parameters import nominal_value
@@ -101,7 +101,7 @@ class Fitted:
     @cached_property
     def wanted(self) -> Patterns:
         """(n,) patterns of the measured labels."""
-        return np.array([target_of(each.label).pattern for each in self.experiment.measurements], np.uint64)
+        return patterns_of(self.experiment)
 
     @cached_property
     def weights(self) -> FloatArray:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from clunk.analysis.fitensemble import Population, effective_size, sample, sobol_points, weights_of
 from clunk.analysis.fitparts import FitError, Populations
 from clunk.analysis.fitpredictions import losses, predict_left_out
-from clunk.analysis.fitruns import CandidateRuns, Records, axes_of, numbers_at, target_of
+from clunk.analysis.fitruns import CandidateRuns, Records, axes_of, numbers_at, patterns_of
 from clunk.analysis.fitted import Fewer, Fitted
 from clunk.analysis.measurements import Experiment
 from clunk.core.status import Status
@@ -235,11 +235,11 @@ def check(study: Study, experiment: Experiment) -> None:
             f"{experiment.name} has one measurement; a fit needs two or more, to predict each from the others."
         )
     axes = axes_of(study, experiment)
+    patterns_of(experiment)
     for axis in axes:
         if (text := load_complaint(axis, study)) is not None:
             raise FitError(f"{experiment.name}: {text}.")
     for measurement in experiment.measurements:
-        target_of(measurement.label)
         if "impact_severity" in measurement.impacts and study.lashes[0].contact.model == "restitution":
             raise FitError("impact_severity is not defined for the restitution model; impact_closing_speed is.")
         for axis, value in zip(axes, measurement.values, strict=True):

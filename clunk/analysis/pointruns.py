@@ -38,14 +38,13 @@ class PointRuns:
     lash : position of the one whose labels they are
     labels : those that have codes already; others get the next ones
     engine : of threads
-    count : number of runs so far
     """
 
     def __init__(
         self, study: Study, parameters: Sequence[str], labels: Sequence[str], engine: Executor, lash: int = 0
     ) -> None:
         self.study, self.parameters = measuring(study, ()).model_copy(update={"sweep": None}), tuple(parameters)
-        self.count, self.lash = 0, lash
+        self.lash = lash
         self._engine, self._workers = engine, getattr(engine, "_max_workers", None) or available_cores()
         self._codes = {text: code for code, text in enumerate(labels)}
         self._code_of_pattern: dict[int, int] = {}
@@ -69,7 +68,6 @@ class PointRuns:
             finished = [run(part) for part in parts] if len(parts) < 2 else [*self._engine.map(run, parts)]
         finally:
             stop[0] = 1
-        self.count += size
         return np.concatenate([np.zeros(0, RUN), *(self._described(*part) for part in finished)])
 
     def _described(self, records: Records, impacts: Records) -> Runs:
