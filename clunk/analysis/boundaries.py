@@ -135,8 +135,7 @@ def _of_plane(study: Study, results: Results, lash: int, workers: int | None) ->
         nodes["touches"] = results.touches[ascending]
         triangles = Triangles(across, upward, nodes)
         lines = Lines(triangles, run)
-        segments = lines.trace()
-        paths = paths_of(segments, lines.position)
+        paths = paths_of(*lines.trace(), lines.position)
         regions = regions_of(rings_of(paths, int(triangles.outcome[0])))
 
         def crossings(nodes: Codes) -> tuple[Floats, Floats]:

@@ -5,8 +5,7 @@ Positions are on each axis from 0 to 1. A junction is a triple point, or where a
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,22 +14,6 @@ from clunk.analysis.brackets import Codes, Floats
 
 SAME = 1e-8  # of the map: triple points so near to each other are one junction
 _CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-
-
-@dataclass(frozen=True, eq=False)
-class Segments:
-    """Pieces of lines, each within a triangle, with a label on either side.
-
-    begin, end : (n,) nodes at which they begin and end: keys of edges, or of triple points -1 - their number
-    left, right : (n,) codes
-    inner : number of a segment -> points in between (k, 2), if it has any
-    """
-
-    begin: Codes
-    end: Codes
-    left: Codes
-    right: Codes
-    inner: dict[int, Floats]
 
 
 class Path(NamedTuple):
@@ -51,11 +34,17 @@ class Ring(NamedTuple):
     area: float
 
 
-def paths_of(segments: Segments, position: Callable[[Codes], Floats]) -> list[Path]:
-    """Link segments to curves; position : of nodes."""
-    turned = segments.left > segments.right
-    begin, end = np.where(turned, (segments.end, segments.begin), (segments.begin, segments.end)).tolist()
-    left, right = np.sort([segments.left, segments.right], axis=0).tolist()
+def paths_of(ends: Codes, labels: Codes, inner: Sequence[Floats], position: Callable[[Codes], Floats]) -> list[Path]:
+    """Link segments, pieces of lines that lie in a triangle each, to curves.
+
+    ends : (n, 2) nodes at which they begin and end: keys of edges, or of triple points -1 - their number
+    labels : (n, 2) codes on the left and on the right
+    inner : of each segment the points in between, (k, 2)
+    position : of nodes
+    """
+    turned = labels[:, 0] > labels[:, 1]
+    begin, end = np.where(turned, ends.T[::-1], ends.T).tolist()
+    left, right = np.sort(labels, axis=1).T.tolist()
     after = {node: k for k, node in enumerate(begin) if node >= 0}
     reached = {node for node in end if node >= 0}
     order = sorted(range(len(begin)), key=lambda k: begin[k] >= 0 and begin[k] in reached)  # closed curves last
@@ -70,7 +59,7 @@ def paths_of(segments: Segments, position: Callable[[Codes], Floats]) -> list[Pa
         first, following = k, k
         while not seen[following]:
             seen[following] = True
-            points += [*segments.inner.get(following, ())][:: -1 if turned[following] else 1]
+            points += [*inner[following]][:: -1 if turned[following] else 1]
             points.append(place[end[following]])
             names.append(end[following])
             at.append(len(points) - 1)

@@ -15,7 +15,6 @@ import numpy.typing as npt
 from clunk.analysis.brackets import Codes, Floats
 from clunk.analysis.crossings import located
 from clunk.analysis.junctions import triple_points
-from clunk.analysis.network import Segments
 from clunk.analysis.pointruns import RUN
 from clunk.analysis.searches import Run, Search, side_by_side
 from clunk.analysis.thin import hidden
@@ -46,8 +45,8 @@ class Lines:
     met: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     met_labels: Codes = field(default_factory=lambda: np.zeros((0, 3), np.int64))
 
-    def trace(self) -> Segments:
-        """Locate everything; returns the segments."""
+    def trace(self) -> tuple[Codes, Codes, list[Floats]]:
+        """Locate everything; returns the ends, labels and inner points of the segments, see `paths_of`."""
         hits, _ = side_by_side(self.run, hidden(self.triangles), self._locate())
         if hits.size:
             numbers = self.triangles.runs.size + np.arange(hits.size)
@@ -64,9 +63,7 @@ class Lines:
             keys, first = np.unique(asked["cell"], return_index=True)
             if keys.size:
                 self.triangles.add(keys, asked["place"][first], asked["run"][first])
-        (begin, end), (left, right) = rails.nodes.T, rails.labels.T
-        points = [self.inner[name] for name in rails.names]
-        return Segments(begin, end, left, right, {k: inner for k, inner in enumerate(points) if len(inner)})
+        return rails.nodes, rails.labels, [self.inner[name] for name in rails.names]
 
     def _locate(self) -> Search[None]:
         """Locate crossings on edges, and on further edges where they have several."""
