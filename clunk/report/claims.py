@@ -219,8 +219,8 @@ def _linear_view(e: Evidence) -> Iterator[Claim]:
 
 
 def _regimes(e: Evidence) -> Iterator[Claim]:
-    ours, printed, restitution = e.maps.indentation, e.maps.as_printed, e.maps.restitution
-    unlike = set(ours.labels) ^ set(NINE)
+    ours, printed, restitution = e.maps["indentation"], e.maps["as_printed"], e.maps["restitution"]
+    unlike = sorted(set(ours.labels) ^ set(NINE))
     yield _agrees(
         "Figure 3.4",
         "nine regions: " + " ".join(NINE),
@@ -228,7 +228,7 @@ def _regimes(e: Evidence) -> Iterator[Claim]:
         not unlike,
     )
     counts = printed.counts()
-    extra = sorted(set(printed.labels) - set(NINE), key=lambda label: -counts[label])
+    extra = sorted((label for label in printed.labels if label not in NINE), key=lambda label: -counts[label])
     yield _contradicts(
         "Table 2.2",
         "Figure 3.4 with the inertias as printed",
@@ -254,7 +254,7 @@ def _regimes(e: Evidence) -> Iterator[Claim]:
 
 
 def _severity(e: Evidence) -> Iterator[Claim]:
-    ours = e.maps.indentation
+    ours = e.maps["indentation"]
     ratios, gaps = (axis.values for axis in ours.axes)
     low, high = acceleration_range(e.nominal)
     yield _differs(
@@ -270,7 +270,7 @@ def _severity(e: Evidence) -> Iterator[Claim]:
         f"θ''3 is angular: rad/s²; at the lash's radius it is {radius * low:.0f} to {radius * high:.0f} m/s²",
         radius * low > -0.6 * 5000 and radius * high < 0.6 * 4000,
     )
-    largest, by_force = float(ours.severity.max()), float(e.maps.by_force.severity.max())
+    largest, by_force = float(ours.severity.max()), float(e.maps["by_force"].severity.max())
     row, column = np.unravel_index(int(ours.severity.argmax()), ours.shape)
     yield _differs(
         "Figure 3.7",
@@ -309,7 +309,7 @@ def _severity(e: Evidence) -> Iterator[Claim]:
 
 
 def _experiment(e: Evidence) -> Iterator[Claim]:
-    ours, measured = e.maps.indentation, e.measured
+    ours, measured = e.maps["indentation"], e.measured
     alike = ", ".join(f"{trend.alike} of {trend.pairs} along {trend.symbol.split()[0]}" for trend in measured.trends)
     opposed = sum(trend.opposed for trend in measured.trends)
     yield _agrees(

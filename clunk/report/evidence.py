@@ -1,6 +1,5 @@
 """Maps and runs of the report's driveline, by which its claims are checked."""
 
-from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
@@ -45,7 +44,7 @@ high = 12.0
 """
 _BY_RESTITUTION = 'lash.contact.model="restitution"'
 _AS_PRINTED = 'driveline.preset="boere-2008-as-printed"'
-MAPS = {  # by field of `Maps`: title, values an axis, overrides
+MAPS = {  # by name: title, values an axis, overrides
     "indentation": ("Indentation Force Model", 201, []),
     "restitution": ("Restitution Coefficient Model, e = 0.5", 201, [_BY_RESTITUTION]),
     "by_force": ("Indentation Force Model, separation by force", 101, ['lash.contact.separation="force"']),
@@ -53,18 +52,11 @@ MAPS = {  # by field of `Maps`: title, values an axis, overrides
 }
 
 
-@dataclass(frozen=True)
-class Maps:
-    """The maps of Figures 3.4 and 3.7 and their variants."""
-
-    indentation: Results
-    restitution: Results
-    by_force: Results
-    as_printed: Results
+Maps = dict[str, Results]  # of Figures 3.4 and 3.7 and their variants, by the names of `MAPS`
 
 
 def map_studies(coarsen: int = 1) -> dict[str, Study]:
-    """The studies of `Maps` by field name, on 1/`coarsen` of their values an axis."""
+    """The studies of `MAPS`, on 1/`coarsen` of their values an axis."""
     studies = {}
     for name, (title, count, overrides) in MAPS.items():
         values = (count - 1) // coarsen + 1
@@ -79,7 +71,7 @@ def run_maps(coarsen: int = 1, workers: int | None = None, progress: Progress | 
     studies = map_studies(coarsen)
     total = sum(cell_count(study) for study in studies.values())
     done = 0
-    maps: dict[str, Results] = {}
+    maps: Maps = {}
     for name, study in studies.items():
 
         def advance(cells: int, _total: int, before: int = done) -> None:
@@ -88,7 +80,7 @@ def run_maps(coarsen: int = 1, workers: int | None = None, progress: Progress | 
 
         maps[name] = sweep(study, workers=workers, progress=advance)
         done += cell_count(study)
-    return Maps(**maps)
+    return maps
 
 
 def _run(ratio: float, contact: str) -> Trajectory:
@@ -151,7 +143,7 @@ class Evidence:
     @cached_property
     def measured(self) -> ExperimentComparison:
         """Table 4.1 on the map of the indentation model."""
-        return compare_experiment(self.maps.indentation, read_experiment("table_4_1", TABLES))
+        return compare_experiment(self.maps["indentation"], read_experiment("table_4_1", TABLES))
 
     @property
     def fitted(self) -> Fitted:

@@ -40,7 +40,7 @@ def save_all(
             progress(k + 1, len(jobs))
     for name in MAPS:
         written.append(directory / f"{name}.h5")
-        write(written[-1], getattr(evidence.maps, name))
+        write(written[-1], evidence.maps[name])
     written.append(directory / "claims.json")
     _write_text(written[-1], json.dumps([claim.record() for claim in claims], indent=1, ensure_ascii=False) + "\n")
     return written
@@ -88,22 +88,25 @@ def figures(e: Evidence) -> list[Job]:
 
     nominal, both = run("indentation"), [run(name) for name in _NAMES]
     all_runs = [run(name, ratio, f"{_NAMES[name]}, σr = {ratio:g}") for ratio in RATIOS for name in _NAMES]
-    between = compare(maps.indentation, maps.restitution)
+    both_models = maps["indentation"], maps["restitution"]
     return [
         ("figure_3_1", lambda: histories.angles([nominal])),
         ("figure_3_2", lambda: histories.backlash(all_runs)),
         ("figure_3_3", lambda: histories.closeup(both, 0.22, 0.1)),
-        ("figure_3_4", lambda: plot.regime_map(maps.indentation, thresholds)),
-        ("figure_3_4_restitution", lambda: plot.regime_map(maps.restitution, thresholds)),
-        ("figure_3_4_difference", lambda: comparisons.difference_map(maps.indentation, maps.restitution, between)),
-        ("figure_3_4_as_printed", lambda: plot.regime_map(maps.as_printed)),
+        ("figure_3_4", lambda: plot.regime_map(maps["indentation"], thresholds)),
+        ("figure_3_4_restitution", lambda: plot.regime_map(maps["restitution"], thresholds)),
+        (
+            "figure_3_4_difference",
+            lambda: comparisons.difference_map(*both_models, compare(*both_models)),
+        ),
+        ("figure_3_4_as_printed", lambda: plot.regime_map(maps["as_printed"])),
         ("figure_3_5", lambda: small_gap(e.study.title, SmallGap.of(e.study))),
         ("figure_3_6", lambda: histories.acceleration([run("indentation", until=1.5)])),
-        ("figure_3_7", lambda: plot.severity_map(maps.indentation)),
-        ("figure_3_7_by_force", lambda: plot.severity_map(maps.by_force)),
-        ("figure_3_7_velocity", lambda: plot.quantity_map(maps.indentation, "approach_velocity")),
-        ("figure_3_7_velocity_restitution", lambda: plot.quantity_map(maps.restitution, "approach_velocity")),
-        ("figure_4_4_trend", lambda: profiles.severity_profiles(maps.indentation, (2.5, 4.6, 6.7, 8.5, 10.0))),
-        ("table_4_1", lambda: comparisons.experiment_map(maps.indentation, e.measured)),
+        ("figure_3_7", lambda: plot.severity_map(maps["indentation"])),
+        ("figure_3_7_by_force", lambda: plot.severity_map(maps["by_force"])),
+        ("figure_3_7_velocity", lambda: plot.quantity_map(maps["indentation"], "approach_velocity")),
+        ("figure_3_7_velocity_restitution", lambda: plot.quantity_map(maps["restitution"], "approach_velocity")),
+        ("figure_4_4_trend", lambda: profiles.severity_profiles(maps["indentation"], (2.5, 4.6, 6.7, 8.5, 10.0))),
+        ("table_4_1", lambda: comparisons.experiment_map(maps["indentation"], e.measured)),
         ("table_4_1_fitted", lambda: measured_on_maps(fit_maps(e.fitted), e.fitted)),
     ]
