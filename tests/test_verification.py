@@ -123,8 +123,8 @@ def test_a_step_that_damps_the_contact_gives_labels_that_exact_does_not_flag():
     assert (found.differing_elsewhere, found.differing_flagged, found.equal) == (2, 0, 4)
     cells = list(found.disagreements(flagged=False))
     assert [cell.values for cell in cells] == [(9.0, 15.0), (9.0, 16.0)]
-    assert {(cell.rk4, cell.exact) for cell in cells} == {("DS(1)SS(2)", "DS(1)SS(1)")}
-    assert all(cell.margin > found.study.solver.margin_tolerance for cell in cells)
+    assert {(cell.a, cell.b) for cell in cells} == {("DS(1)SS(2)", "DS(1)SS(1)")}
+    assert all(found.exact.margin[cell.at] > found.study.solver.margin_tolerance for cell in cells)
     assert not list(found.disagreements(flagged=True))
     assert "disagree: two labels in 2 cells of 6" in verdict(found)
     assert "smaller solver.step than 0.0014 s" in verdict(found)
@@ -134,7 +134,7 @@ def test_labels_may_differ_in_flagged_cells():
     found = verify(study(NEAR_A_BOUNDARY, TOO_COARSE, "solver.margin_tolerance=0.01"))
     assert found.agrees
     assert (found.differing_elsewhere, found.differing_flagged) == (0, 2)
-    assert all(abs(cell.margin) < 0.01 for cell in found.disagreements(flagged=True))
+    assert all(abs(found.exact.margin[cell.at]) < 0.01 for cell in found.disagreements(flagged=True))
     assert "exact flags each of those" in verdict(found)
 
 

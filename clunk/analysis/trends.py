@@ -218,21 +218,14 @@ def _trend(axis: ResultAxis, position: int, points: tuple[Point, ...]) -> Trend:
         for second in line[upper]
         if first.counts and second.counts
     ]
-    signs = [(_sign(measured), _sign(computed)) for measured, computed in changes]
+    measured, computed = np.sign(np.array(changes, int)).reshape(-1, 2).T
+    rises_same_falls = [[int((signs == way).sum()) for way in (1, 0, -1)] for signs in (measured, computed)]
     return Trend(
         parameter=axis.parameter,
         name=axis.name,
         symbol=axis.symbol,
-        measured=_tally([measured for measured, _ in signs]),
-        computed=_tally([computed for _, computed in signs]),
-        alike=sum(measured == computed for measured, computed in signs),
-        opposed=sum(measured * computed < 0 for measured, computed in signs),
+        measured=Tally(*rises_same_falls[0]),
+        computed=Tally(*rises_same_falls[1]),
+        alike=int((measured == computed).sum()),
+        opposed=int((measured * computed < 0).sum()),
     )
-
-
-def _sign(change: int) -> int:
-    return (change > 0) - (change < 0)
-
-
-def _tally(signs: list[int]) -> Tally:
-    return Tally(signs.count(1), signs.count(0), signs.count(-1))

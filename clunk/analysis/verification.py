@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.comparison import Comparison, compare
+from clunk.analysis.comparison import Comparison, DifferingCell, compare
 from clunk.core.status import QUALITY_GRAZING, QUALITY_UNDECIDED
 from clunk.results.maps import values_at
 from clunk.results.quantities import IMPACT_QUANTITIES
@@ -36,23 +36,6 @@ Bools = npt.NDArray[np.bool_]
 METHODS: tuple[Method, Method] = ("rk4", "exact")
 GUARDED = "guarded: cannot skip an event, to rounding, for this model"
 SMALL = 0.01  # of the map's largest value: below it a relative difference says nothing
-
-
-@dataclass(frozen=True)
-class Disagreement:
-    """A cell with two labels.
-
-    values : those of the comparison's parameters, in their units
-    rk4, exact : its labels
-    margin : how near the exact run came to another label
-    flagged : whether the exact run is undecided or grazing
-    """
-
-    values: tuple[float, ...]
-    rk4: str
-    exact: str
-    margin: float
-    flagged: bool
 
 
 @dataclass(frozen=True)
@@ -163,10 +146,12 @@ class Verification:
         results = self.rk4 if method == "rk4" else self.exact
         return int(np.count_nonzero(results.quality & quality))
 
-    def disagreements(self, *, flagged: bool) -> Iterator[Disagreement]:
-        """The cells with two labels that the exact method flags, or those that it does not, in the grid's order."""
-        for cell in self.comparison.differing_cells(among=self.flagged == flagged):
-            yield Disagreement(cell.values, cell.a, cell.b, float(self.exact.margin[cell.at]), flagged)
+    def disagreements(self, *, flagged: bool) -> Iterator[DifferingCell]:
+        """The cells with two labels that the exact method flags, or those that it does not, in the grid's order.
+
+        A label `a` is rk4's, `b` exact's.
+        """
+        return self.comparison.differing_cells(among=self.flagged == flagged)
 
 
 def verify(

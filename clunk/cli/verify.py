@@ -164,11 +164,14 @@ def _print_disagreements(result: Verification, flagged: bool, count: int) -> Non
     parameters = result.comparison.parameters
     if len(parameters) > 2:  # a table of more would be too wide
         for each in shown:
-            click.echo(f"  {each.rk4} by rk4, {each.exact} by exact; margin {each.margin:+.2g}")
+            click.echo(f"  {each.a} by rk4, {each.b} by exact; margin {result.exact.margin[each.at]:+.2g}")
             click.echo(phrases.at_cell(parameters, each.values, indent=4))
         return
     rows = [[*(axis.parameter for axis in parameters), "rk4", "exact", "margin"]]
-    rows += [[*phrases.texts(parameters, each.values), each.rk4, each.exact, f"{each.margin:+.2g}"] for each in shown]
+    rows += [
+        [*phrases.texts(parameters, each.values), each.a, each.b, f"{result.exact.margin[each.at]:+.2g}"]
+        for each in shown
+    ]
     for line in phrases.table(rows):
         click.echo(line)
 
@@ -248,10 +251,10 @@ def as_record(result: Verification) -> dict[str, Any]:
         "differing_cells": [
             {
                 "at": at(cell.values),
-                "rk4": cell.rk4,
-                "exact": cell.exact,
-                "margin": cell.margin,
-                "flagged": cell.flagged,
+                "rk4": cell.a,
+                "exact": cell.b,
+                "margin": float(result.exact.margin[cell.at]),
+                "flagged": flagged,
             }
             for flagged in (False, True)
             for cell in result.disagreements(flagged=flagged)
