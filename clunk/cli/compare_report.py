@@ -13,7 +13,7 @@ from clunk.cli import phrases
 from clunk.results.quantities import CELL_QUANTITIES
 from clunk.study.axes import ResultAxis
 from clunk.study.problems import shorten
-from clunk.study.summaries import WIDTH, cut, percent
+from clunk.study.summaries import WIDTH, counted, cut, percent
 
 _MOST_TRANSITIONS = 12
 _MOST_CELLS = 12
@@ -93,7 +93,7 @@ def _transition_report(comparison: Comparison) -> Iterator[str]:
 def _deviation_report(axes: tuple[ResultAxis, ...], deviation: Deviation) -> Iterator[str]:
     quantity = CELL_QUANTITIES[deviation.quantity]
     name, unit = quantity.heading[:1].upper() + quantity.heading[1:], quantity.unit_symbol
-    yield f"{name}, B over A, in {phrases.cells(deviation.cells)} where neither is zero"
+    yield f"{name}, B over A, in {counted(deviation.cells, 'cell')} where neither is zero"
     if deviation.quantity != "severity":
         yield "  (in place of the severity Q, which is not defined in both)"
     yield f"  median {deviation.median:.4g}; 5 % to 95 % of the cells: {deviation.low:.4g} to {deviation.high:.4g}"
@@ -105,7 +105,7 @@ def _deviation_report(axes: tuple[ResultAxis, ...], deviation: Deviation) -> Ite
         yield f"  {what} {value}: {extreme.a:.5g} in A, {extreme.b:.5g} in B {unit}"
         yield phrases.at_cell(axes, extreme.values, indent=4)
     if deviation.zero_in_one:
-        yield f"  {phrases.cells(deviation.zero_in_one)} more in which one of the two is zero"
+        yield f"  {counted(deviation.zero_in_one, 'cell')} more in which one of the two is zero"
 
 
 def _config_report(comparison: Comparison) -> Iterator[str]:
@@ -114,7 +114,7 @@ def _config_report(comparison: Comparison) -> Iterator[str]:
     if not differences:
         yield f"{decides}." if comparison.configs_equal else "The configs' texts are the same, their digests are not."
     else:
-        keys = "1 key" if len(differences) == 1 else f"{len(differences)} keys"
+        keys = counted(len(differences), "key")
         yield f"{decides}, but for {keys} that decide nothing:" if comparison.configs_equal else f"{decides} in {keys}:"
         absent = "(not given)"
         rows = [
@@ -146,7 +146,7 @@ def _experiment_report(comparison: ExperimentComparison, names: tuple[str, str])
         (comparison.failed, "nearest to a failed cell"),
     ):
         if count:
-            yield f"Not counted: {count:,} point{'' if count == 1 else 's'} {what}."
+            yield f"Not counted: {counted(count, 'point')} {what}."
     yield ""
     yield from phrases.table(
         [
@@ -204,10 +204,6 @@ def as_record(comparison: Comparison | ExperimentComparison) -> dict[str, Any]:
     return cast("dict[str, Any]", phrases.plain(record))
 
 
-def _at(axes: tuple[ResultAxis, ...], values: tuple[float, ...]) -> dict[str, float | str]:
-    return {axis.parameter: axis.word(value) or value for axis, value in zip(axes, values, strict=True)}
-
-
 def _map_record(comparison: Comparison) -> dict[str, Any]:
     axes, deviation = comparison.parameters, comparison.deviation
     deviation_record: dict[str, Any] | None = None
@@ -218,7 +214,7 @@ def _map_record(comparison: Comparison) -> dict[str, Any]:
         for name in ("largest_ratio", "largest_difference"):
             extreme: Extreme = getattr(deviation, name)
             deviation_record[name] = {
-                "at": _at(axes, extreme.values),
+                "at": phrases.at_record(axes, extreme.values),
                 "a": extreme.a,
                 "b": extreme.b,
                 "ratio": extreme.ratio,
@@ -244,7 +240,8 @@ def _map_record(comparison: Comparison) -> dict[str, Any]:
             name: {"a": a, "b": b} for name, (a, b) in comparison.provenance_differences.items()
         },
         "differing_cells": [
-            {"at": _at(axes, cell.values), "a": cell.a, "b": cell.b} for cell in comparison.differing_cells()
+            {"at": phrases.at_record(axes, cell.values), "a": cell.a, "b": cell.b}
+            for cell in comparison.differing_cells()
         ],
     }
 
@@ -265,8 +262,8 @@ def _experiment_record(comparison: ExperimentComparison) -> dict[str, Any]:
         "trends": [asdict(trend) | {"pairs": trend.pairs, "share_alike": trend.share} for trend in comparison.trends],
         "points": [
             {
-                "at": _at(axes, point.values),
-                "cell": None if point.cell is None else _at(axes, point.cell),
+                "at": phrases.at_record(axes, point.values),
+                "cell": None if point.cell is None else phrases.at_record(axes, point.cell),
                 "measured": point.measured,
                 "computed": point.computed,
                 "agrees": point.agrees,

@@ -56,7 +56,6 @@ def _results_of(source: Path, overrides: tuple[str, ...]) -> Results | Tolerance
     from clunk.explorer.variations import of_one_cell
     from clunk.study.config import load_study
     from clunk.study.designs import has_tolerances, nominal
-    from clunk.sweeping.cells import warm_up
     from clunk.sweeping.progress import shown
     from clunk.sweeping.sweep import Job
 
@@ -67,9 +66,7 @@ def _results_of(source: Path, overrides: tuple[str, ...]) -> Results | Tolerance
     if study.sweep is None or not (study.sweep.axes or study.sweep.samples):
         study = of_one_cell(study)
     assert study.sweep is not None
-    terminal.warn_of_coarse_step(study, study.solver.method)
-    terminal.say_if_compiling(study)
-    warm_up(study)
+    terminal.warm_up(study)
     is_map = study.sweep.design == "grid" and not study.sweep.samples and len(study.sweep.axes) > 1
     job = Job(study, refine=is_map)
     with shown(job.design.cells) as report:

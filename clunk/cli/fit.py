@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from clunk.cli import tables, terminal
-from clunk.cli.options import EXIT_INTERRUPTED, PATH, json_option, lash_option, set_option, workers_option
+from clunk.cli.options import PATH, json_option, lash_option, set_option, workers_option
 from clunk.sweeping import progress
 
 if TYPE_CHECKING:
@@ -97,30 +96,22 @@ def _run(
     """Fit with a progress bar; print what is kept where it is stopped."""
     from clunk import api
     from clunk.analysis.fitting import planned
-    from clunk.study.designs import unused_parameters
-    from clunk.sweeping.cells import warm_up
     from clunk.sweeping.parts import WorkingDirectory
 
     assert study.fit is not None
-    terminal.warn_of_coarse_step(study, study.solver.method)
-    for parameter in unused_parameters(study.model_copy(update={"sweep": None})):
-        click.echo(f"note: {parameter} is fitted, but changes nothing in this model", err=True)
-    terminal.say_if_compiling(study)
-    warm_up(study)
+    terminal.warm_up(study.model_copy(update={"sweep": None}), "fitted")
     began = time.perf_counter()
-    try:
-        with progress.shown(planned(study.fit), "candidates") as show:
-            fitted = api.fit(
-                study, measurements, target, progress=show, lash=lash, workers=workers, restart=restart, force=force
-            )
-    except (KeyboardInterrupt, SystemExit) as stopped:
+
+    def kept() -> str:
         directory = WorkingDirectory(target)
-        kept = f"{len(directory.parts())} populations are kept in {directory.path}; the same command goes on from there"
-        terminal.complain(f"stopped: {kept if directory.parts() else 'nothing was finished'}")
-        if isinstance(stopped, SystemExit):
-            raise
-        click.echo("interrupted", err=True)
-        sys.exit(EXIT_INTERRUPTED)
+        populations = len(directory.parts())
+        text = f"{populations} populations are kept in {directory.path}; the same command goes on from there"
+        return text if populations else "nothing was finished"
+
+    with terminal.telling_what_is_kept(kept), progress.shown(planned(study.fit), "candidates") as show:
+        fitted = api.fit(
+            study, measurements, target, progress=show, lash=lash, workers=workers, restart=restart, force=force
+        )
     seconds = time.perf_counter() - began
     click.echo(f"{fitted.candidates:,} candidates in {seconds:.1f} s -> {target}", err=True)
     return fitted

@@ -28,14 +28,14 @@ def at_cell(parameters: Sequence[ResultAxis], values: Sequence[float], indent: i
     return fill(f"at {named}", blank, blank + "   ")
 
 
+def at_record(parameters: Sequence[ResultAxis], values: Sequence[float]) -> dict[str, float | str]:
+    """A cell by its parameters for JSON, words for numbers that have them; empty without parameters."""
+    return {axis.parameter: axis.word(value) or value for axis, value in zip(parameters, values, strict=False)}
+
+
 def texts(parameters: Sequence[ResultAxis], values: Sequence[float]) -> list[str]:
     """Parameters' values, as numbers or words."""
     return [axis.word(value) or number(value) for axis, value in zip(parameters, values, strict=True)]
-
-
-def cells(count: int) -> str:
-    """A number of cells, for example 1,024 cells."""
-    return f"{count:,} {'cell' if count == 1 else 'cells'}"
 
 
 def share(count: int, of: int) -> str:

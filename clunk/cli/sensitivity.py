@@ -61,21 +61,15 @@ def sensitivity(
     from clunk.analysis import sobol
     from clunk.results import targets
     from clunk.study.config import load_study
-    from clunk.study.designs import unused_parameters
     from clunk.study.lashes import lash_position
     from clunk.study.study import replace_values
-    from clunk.sweeping.cells import warm_up
 
     study = load_study(config, overrides)
     if output is not None:
         targets.check(output, targets.PICTURES, reads=config)
     lash_position(lash, study.lash_names)
     point = sobol.operating_point(replace_values(study, cells.cell_values(study, at, all_needed=False)))
-    terminal.warn_of_coarse_step(point, point.solver.method)
-    for parameter in unused_parameters(point):
-        click.echo(f"note: {parameter} is drawn, but changes nothing in this model", err=True)
-    terminal.say_if_compiling(point)
-    warm_up(point)
+    terminal.warm_up(point, "drawn")
     began = time.perf_counter()
     with progress.shown(sobol.run_count(point), "runs") as show:
         result = sobol.sensitivity(point, of=quantities, lash=lash, workers=workers, progress=show)

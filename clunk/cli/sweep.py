@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from clunk.cli import tables, terminal
-from clunk.cli.options import EXIT_FAILED_CELLS, EXIT_INTERRUPTED, EXIT_USAGE, PATH, json_option, set_option
+from clunk.cli.options import EXIT_FAILED_CELLS, PATH, json_option, set_option
 from clunk.sweeping import progress
 
 if TYPE_CHECKING:
@@ -126,38 +126,19 @@ def _tracing(study: Study, lash: str | None, workers: int | None) -> Finish:
 
 def _run(job: Job, opening: AbstractContextManager[Executor], finish: Finish | None = None) -> Results | ToleranceMap:
     """Run a sweep with a progress bar; print what is used of an earlier one, and what is kept where it is stopped."""
-    from clunk.study.designs import unused_parameters
-    from clunk.sweeping.cells import warm_up
-    from clunk.sweeping.engines import EngineError
-
-    study, parts = job.study, job.parts
-    terminal.warn_of_coarse_step(study, study.solver.method)
-    for parameter in unused_parameters(study):
-        click.echo(f"note: {parameter} is swept, but changes nothing in this model", err=True)
-    terminal.say_if_compiling(study)
-    warm_up(study)
+    parts = job.parts
+    terminal.warm_up(job.study, "swept")
     is_reported = False
-    try:
-        with opening as engine, progress.shown(job.design.cells) as show:
+    with terminal.telling_what_is_kept(lambda: job.kept), opening as engine, progress.shown(job.design.cells) as show:
 
-            def advance(done: int, total: int) -> None:
-                nonlocal is_reported
-                if not is_reported and parts is not None:
-                    terminal.report_resumed(parts.taken_up, parts.discarded)
-                is_reported = True
-                show(done, total)
+        def advance(done: int, total: int) -> None:
+            nonlocal is_reported
+            if not is_reported and parts is not None:
+                terminal.report_resumed(parts.taken_up, parts.discarded)
+            is_reported = True
+            show(done, total)
 
-            return job.run(engine, progress=advance, finish=finish)
-    except (KeyboardInterrupt, SystemExit, EngineError) as stopped:
-        if isinstance(stopped, EngineError):
-            terminal.complain(str(stopped))
-        terminal.complain(f"stopped: {job.kept}")
-        if isinstance(stopped, SystemExit):
-            raise
-        if isinstance(stopped, EngineError):
-            sys.exit(EXIT_USAGE)
-        click.echo("interrupted", err=True)
-        sys.exit(EXIT_INTERRUPTED)
+        return job.run(engine, progress=advance, finish=finish)
 
 
 def _report(result: Results | ToleranceMap, job: Job, as_json: bool) -> int:

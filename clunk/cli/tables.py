@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from clunk.cli import phrases, terminal
+from clunk.study.summaries import counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -25,6 +26,11 @@ Value = TypeVar("Value")
 def print_record(record: object) -> None:
     """Print a record as one line of JSON; numbers that are not finite are null."""
     click.echo(json.dumps(phrases.plain(record), ensure_ascii=False))
+
+
+def print_table(rows: Sequence[Sequence[str]], right: Sequence[bool] = ()) -> None:
+    """Print rows as columns, see `clunk.cli.phrases.table`."""
+    click.echo("\n".join(phrases.table(rows, right)))
 
 
 def report_counts(counts: dict[str, dict[str, int]], target: Path, seconds: float, as_json: bool) -> int:
@@ -86,15 +92,15 @@ def print_tolerances(tolerances: ToleranceMap) -> None:
     click.echo(f"{'':<{width}}  {'most likely in':>15}  {'of all runs':>19}")
     for label, count in counts.items():
         if label != "failed" or shares[label]:
-            click.echo(f"{label:<{width}}  {phrases.cells(count):>15}  {count / cells:6.1%}  {shares[label]:11.4%}")
+            click.echo(f"{label:<{width}}  {counted(count, 'cell'):>15}  {count / cells:6.1%}  {shares[label]:11.4%}")
     click.echo()
-    uncertain = f"{phrases.cells(tolerances.uncertain)} of {cells:,}, {tolerances.uncertain / cells:.1%}"
+    uncertain = f"{counted(tolerances.uncertain, 'cell')} of {cells:,}, {tolerances.uncertain / cells:.1%}"
     click.echo(f"uncertain (no label has {CERTAIN:.0%} of the {tolerances.draws:,} draws): {uncertain}")
     moved = int((tolerances.sequence != tolerances.nominal_sequence).sum())
-    click.echo(f"another most likely label than without tolerances: {phrases.cells(moved)} of {cells:,}")
+    click.echo(f"another most likely label than without tolerances: {counted(moved, 'cell')} of {cells:,}")
     if tolerances.failed:
         runs = cells * tolerances.draws
-        affected = phrases.cells(int((tolerances.runs[..., -1] > 0).sum()))
+        affected = counted(int((tolerances.runs[..., -1] > 0).sum()), "cell")
         terminal.complain(f"{tolerances.failed:,} of {runs:,} runs failed, in {affected}")
 
 
@@ -103,18 +109,17 @@ def print_boundaries(boundaries: Boundaries) -> None:
     ((name, numbers),) = boundaries.summary()
     click.echo(f"{name} {numbers}")
     rows = boundaries.meeting_rows()
-    for line in phrases.table(rows, [True] * len(boundaries.axes)) if len(rows) > 1 else ():
-        click.echo(line)
+    if len(rows) > 1:
+        print_table(rows, [True] * len(boundaries.axes))
 
 
 def print_ranks(ranks: Ranks, axes: Sequence[ResultAxis]) -> None:
     """Print the rank correlation of each two quantities, and the value of the second axis where each is largest."""
-    click.echo(f"rank correlation (Spearman) over {phrases.cells(ranks.cells)} with a primary impact")
+    click.echo(f"rank correlation (Spearman) over {counted(ranks.cells, 'cell')} with a primary impact")
     symbols = [each.symbol or f"({k})" for k, each in enumerate(ranks.quantities, 1)]
     names = [f"{symbol} {each.name}" for symbol, each in zip(symbols, ranks.quantities, strict=True)]
     rows = [[name, *(f"{value:.2f}" for value in row)] for name, row in zip(names, ranks.correlation, strict=True)]
-    for line in phrases.table([["", *symbols], *rows], [False] + [True] * len(symbols)):
-        click.echo(line)
+    print_table([["", *symbols], *rows], [False] + [True] * len(symbols))
     if not ranks.places.size:
         return
     across, upward = (axis.parameter for axis in axes[:2])
@@ -122,8 +127,7 @@ def print_ranks(ranks: Ranks, axes: Sequence[ResultAxis]) -> None:
     heads = [across, *(f"{place:g}" for place in ranks.places)]
     ridges = [[phrases.number(value, "g") for value in row] for row in ranks.ridges.tolist()]
     rows = [[name, *row] for name, row in zip(names, ridges, strict=True)]
-    for line in phrases.table([heads, *rows], [False] + [True] * ranks.places.size):
-        click.echo(line)
+    print_table([heads, *rows], [False] + [True] * ranks.places.size)
 
 
 def rank_record(ranks: Ranks) -> dict[str, Any]:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import sys
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from clunk.cli import phrases
-from clunk.study.summaries import WIDTH
+from clunk.cli.options import EXIT_INTERRUPTED, EXIT_USAGE
+from clunk.study.summaries import WIDTH, counted
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
     from matplotlib.figure import Figure
 
     from clunk.results.regimemap import Results
@@ -48,13 +53,46 @@ def say_if_compiling(*studies: Study) -> None:
         click.echo(phrases.fill(note), err=True)
 
 
+def warm_up(study: Study, verb: str | None = None) -> None:
+    """Print warnings and notes on what is to be run, and compile or load its kernel.
+
+    verb : what is done to a parameter, for a note on each that changes nothing; None for no such notes
+    """
+    from clunk.study.designs import unused_parameters
+    from clunk.sweeping import cells
+
+    warn_of_coarse_step(study, study.solver.method)
+    for parameter in unused_parameters(study) if verb else ():
+        click.echo(f"note: {parameter} is {verb}, but changes nothing in this model", err=True)
+    say_if_compiling(study)
+    cells.warm_up(study)
+
+
+@contextmanager
+def telling_what_is_kept(kept: Callable[[], str]) -> Iterator[None]:
+    """Where a run is stopped by a signal or an EngineError, print what is kept of it, and exit."""
+    from clunk.sweeping.engines import EngineError
+
+    try:
+        yield
+    except (KeyboardInterrupt, SystemExit, EngineError) as stopped:
+        if isinstance(stopped, EngineError):
+            complain(str(stopped))
+        complain(f"stopped: {kept()}")
+        if isinstance(stopped, SystemExit):
+            raise
+        if isinstance(stopped, EngineError):
+            sys.exit(EXIT_USAGE)
+        click.echo("interrupted", err=True)
+        sys.exit(EXIT_INTERRUPTED)
+
+
 def report_resumed(taken_up: int, discarded: int) -> None:
     """Print how many finished cells of a stopped sweep are used, and how many parts are not."""
     if taken_up:
-        click.echo(f"{phrases.cells(taken_up)} were finished before; going on from there", err=True)
+        click.echo(f"{counted(taken_up, 'cell')} were finished before; going on from there", err=True)
     if discarded:
-        what = "part" if discarded == 1 else "parts"
-        click.echo(f"{discarded:,} {what} of other versions, or damaged: their cells are run again", err=True)
+        click.echo(f"{counted(discarded, 'part')} of other versions, or damaged: their cells are run again", err=True)
 
 
 def report_speed(
@@ -64,7 +102,7 @@ def report_speed(
     runs = (ran - taken_up) * (draws + 1)  # and nominally
     rate = f" ({runs / seconds:,.0f} runs/s)" if ran > taken_up and seconds > 0.0 else ""
     each = f" x {draws:,} draws" if draws else ""
-    click.echo(f"{phrases.cells(total)}{each} in {seconds:.1f} s{rate} -> {target}", err=True)
+    click.echo(f"{counted(total, 'cell')}{each} in {seconds:.1f} s{rate} -> {target}", err=True)
     if inferred:
         others = (
             "the others are inferred from their neighbours" if ran < total else "so coarse a grid has none to infer"
@@ -84,7 +122,7 @@ def report_failures(results: Results | ToleranceMap, how: str = "") -> None:
         cells = np.argwhere(results.status == status)
         if status == Status.OK or cells.size == 0:
             continue
-        complain(f"{phrases.cells(len(cells))} failed{how}: {status.sentence}")
+        complain(f"{counted(len(cells), 'cell')} failed{how}: {status.sentence}")
         for cell in cells[:3]:
             values = values_at(results.axes, cell, results.coordinates)
             click.echo(phrases.at_cell(results.parameters, values), err=True)

@@ -20,6 +20,7 @@ from clunk.cli.options import (
     set_option,
     workers_option,
 )
+from clunk.study.summaries import counted
 from clunk.sweeping import progress
 
 if TYPE_CHECKING:
@@ -100,7 +101,6 @@ def thresholds(
     from clunk.study.config import load_study
     from clunk.study.designs import has_tolerances, nominal, with_axes_at
     from clunk.study.lashes import lash_position
-    from clunk.sweeping.cells import warm_up
 
     study = load_study(config, overrides)
     if along is None:
@@ -138,9 +138,7 @@ def thresholds(
         if draws:
             raise click.UsageError("--draws has no picture; -o FILE.csv or FILE.h5 takes the thresholds of each draw.")
         (toleranced_plot if is_toleranced else plot).curve_axes(axes)
-    terminal.warn_of_coarse_step(study, study.solver.method)
-    terminal.say_if_compiling(study)
-    warm_up(study)
+    terminal.warm_up(study)
     began = time.perf_counter()
     with progress.shown(analysis.scan_count(study), "runs") as show:
         located = analysis.thresholds(study, along=along, of=outcome, lash=lash, workers=workers, progress=show)
@@ -150,10 +148,11 @@ def thresholds(
         tables.print_record(result.cells())
     else:
         print_thresholds(result)
-    counted = f"{located.value.size:,} {'threshold' if located.value.size == 1 else 'thresholds'}"
     drawn = len(axes[0].values) if is_toleranced else 1
-    cells = phrases.cells(located.lowest.size // drawn) + (f" x {drawn:,} draws" if is_toleranced else "")
-    click.echo(f"{counted} in {cells}, {located.runs:,} runs, {seconds:.1f} s", err=True)
+    cells = counted(located.lowest.size // drawn, "cell") + (f" x {drawn:,} draws" if is_toleranced else "")
+    click.echo(
+        f"{counted(located.value.size, 'threshold')} in {cells}, {located.runs:,} runs, {seconds:.1f} s", err=True
+    )
     if output is not None and is_picture:
         if is_toleranced:
             undrawn = analysis.thresholds(nominal(study), along=along, of=outcome, lash=lash, workers=workers)
@@ -191,6 +190,4 @@ def print_thresholds(result: Thresholds) -> None:
         for k, row in enumerate(cell["thresholds"] or none):
             pair = (word_text(row["below"]), word_text(row["above"]))
             rows.append([*(at if k == 0 else [""] * len(at)), phrases.number(row["value"], ".10g"), *pair])
-    right = [True] * (len(result.axes) + 1)
-    for line in phrases.table(rows, right):
-        click.echo(line)
+    tables.print_table(rows, [True] * (len(result.axes) + 1))

@@ -11,7 +11,7 @@ import click
 
 from clunk.cli import phrases, tables, terminal
 from clunk.cli.options import EXIT_FAILED_CELLS, EXIT_MISMATCH, PATH, json_option, set_option, workers_option
-from clunk.study.summaries import WIDTH
+from clunk.study.summaries import WIDTH, counted
 from clunk.sweeping import progress
 
 if TYPE_CHECKING:
@@ -172,8 +172,7 @@ def _print_disagreements(result: Verification, flagged: bool, count: int) -> Non
         [*phrases.texts(parameters, each.values), each.a, each.b, f"{result.exact.margin[each.at]:+.2g}"]
         for each in shown
     ]
-    for line in phrases.table(rows):
-        click.echo(line)
+    tables.print_table(rows)
 
 
 def verdict(result: Verification) -> str:
@@ -202,7 +201,7 @@ def verdict(result: Verification) -> str:
             "those."
         )
     return (
-        f"The methods disagree: two labels in {phrases.cells(differing)} of {compared:,} that exact does not flag; "
+        f"The methods disagree: two labels in {counted(differing, 'cell')} of {compared:,} that exact does not flag; "
         f"{advice}"
     )
 
@@ -213,10 +212,6 @@ def as_record(result: Verification) -> dict[str, Any]:
     from clunk.core.status import QUALITY_COMPLETE, QUALITY_GRAZING, QUALITY_UNDECIDED, Status
 
     parameters = result.comparison.parameters if result.study.sweep else ()  # a single run has none
-
-    def at(values: tuple[float, ...]) -> dict[str, float | str]:
-        return {axis.parameter: axis.word(value) or value for axis, value in zip(parameters, values, strict=False)}
-
     return {
         "title": result.study.title,
         "agrees": result.agrees,
@@ -243,14 +238,14 @@ def as_record(result: Verification) -> dict[str, Any]:
                 "difference": largest.difference,
                 "over_largest": largest.of_largest,
                 "over_own": largest.relative,
-                "at": at(largest.values),
+                "at": phrases.at_record(parameters, largest.values),
                 "touches": dict(zip(METHODS, largest.touches, strict=True)),
             }
             for largest in result.largest
         ],
         "differing_cells": [
             {
-                "at": at(cell.values),
+                "at": phrases.at_record(parameters, cell.values),
                 "rk4": cell.a,
                 "exact": cell.b,
                 "margin": float(result.exact.margin[cell.at]),

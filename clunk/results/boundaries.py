@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from clunk.results.labels import FAILED
 from clunk.study.axes import ResultAxis
-from clunk.study.summaries import Rows, as_text
+from clunk.study.summaries import Rows, as_text, counted
 
 Floats = npt.NDArray[np.float64]
 
@@ -146,9 +146,9 @@ class Boundaries:
         """Pairs of a name and a value that describe the network, for people."""
         name = f"boundaries of {self.lash}" if self.lash else "boundaries"
         if len(self.axes) == 1:
-            return [(name, f"{_counted(self.vertices, 'value')} of {self.axes[0].parameter}")]
-        parts = [f"{_counted(self.curve_counts, 'curve')} of {len(self.vertices):,} vertices"]
-        parts += [_counted(self.junctions, "junction"), _counted(self.region_area, "region")]
+            return [(name, f"{counted(len(self.vertices), 'value')} of {self.axes[0].parameter}")]
+        parts = [f"{counted(len(self.curve_counts), 'curve')} of {len(self.vertices):,} vertices"]
+        parts += [counted(len(self.junctions), "junction"), counted(len(self.region_area), "region")]
         return [(name, ", ".join(parts))]
 
     def meeting_rows(self) -> list[list[str]]:
@@ -200,10 +200,6 @@ class Boundaries:
             for vertex in curve.vertices.tolist():
                 write([number, curve.left, curve.right, curve.event, *vertex])
         return text.getvalue()
-
-
-def _counted(what: npt.NDArray[Any], name: str) -> str:
-    return f"{len(what):,} {name}{'' if len(what) == 1 else 's'}"
 
 
 def _parts(values: npt.NDArray[Any], counts: npt.NDArray[np.int32]) -> list[npt.NDArray[Any]]:

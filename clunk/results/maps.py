@@ -17,7 +17,7 @@ from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.quantities import Quantity, measured_quantities
 from clunk.study.axes import LASH, RUN, ResultAxis
 from clunk.study.lashes import lash_name, lash_position
-from clunk.study.summaries import Rows, as_html, as_text, html_table
+from clunk.study.summaries import Rows, as_html, as_text, counted, html_table
 
 Index = tuple[slice | int, ...]
 
@@ -227,7 +227,7 @@ def values_at(
 
 def share(count: int, cells: int) -> str:
     """A number of cells and their part of all cells, for people: ``21 cells, 4.8 %``."""
-    return f"{count:,} {'cell' if count == 1 else 'cells'}, {100.0 * count / cells:.1f} %"
+    return f"{counted(count, 'cell')}, {100.0 * count / cells:.1f} %"
 
 
 def count_labels(labels: tuple[str, ...], sequence: npt.NDArray[np.int16]) -> dict[str, int]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from clunk.study.errors import ClunkError
-from clunk.study.summaries import WIDTH, cut
+from clunk.study.summaries import WIDTH, counted, cut
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class ConfigError(ClunkError):
 def report(subject: str, problems: Sequence[Problem]) -> ConfigError:
     """Error that lists all of a subject's problems, in the order of their lines."""
     ordered = sorted(problems, key=lambda p: (p.override, p.line is None, p.line or 0))
-    lines = [f"{subject} has {'1 error' if len(ordered) == 1 else f'{len(ordered)} errors'}:"]
+    lines = [f"{subject} has {counted(len(ordered), 'error')}:"]
     wrap = textwrap.TextWrapper(WIDTH, "  ", "    ", break_long_words=False, break_on_hyphens=False)
     return ConfigError("\n".join([*lines, *(wrap.fill(str(problem)) for problem in ordered)]), ordered)
 

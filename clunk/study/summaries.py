@@ -31,6 +31,11 @@ def html_table(rows: Iterable[Sequence[str]], header: Sequence[str] = ()) -> str
     return f"<table>{f'<thead><tr>{head}</tr></thead>' if head else ''}<tbody>{body}</tbody></table>"
 
 
+def counted(count: int, noun: str) -> str:
+    """A number of things, for example 1,024 cells."""
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"
+
+
 def percent(part: int, whole: int) -> str:
     """A share in percent, which never reads as none or all where it is not."""
     share = 100.0 * part / whole
