@@ -155,7 +155,7 @@ def _preset(raw: dict[str, Any], assignments: Mapping[Place, Any]) -> tuple[str,
         hint = f"did you mean {shorten(likely)}? The presets are " if likely else "must be one of "
         findings.append((place, f"found {shorten(name)}; {hint}{', '.join(map(shorten, PRESETS))}"))
         name = PRESETS[0]  # so that the rest of the file can be checked
-    preset = tomllib.loads(files("clunk.study.presets").joinpath(f"{name}.toml").read_text(encoding="utf-8"))
+    preset = _read_preset(name)
     _warn_of_fewer_shafts(name, preset, raw)
     swept = [axis.get("parameter") for at, axis in _entries(raw) if at[1] == "axes"]
     together = [key for pair in TORQUES if all(f"load.{key}" in swept for key in pair) for key in pair]
@@ -167,6 +167,13 @@ def _preset(raw: dict[str, Any], assignments: Mapping[Place, Any]) -> tuple[str,
     if items_of(assignments.get(("lash",), raw.get("lash"))):  # which replace the preset's lash as a whole
         preset.get("impacts", {}).pop("acceleration_of", None)
     return name, preset, findings
+
+
+def _read_preset(name: str) -> dict[str, Any]:
+    """Tables of a preset, in the place of those of the preset that it names, if it names one."""
+    tables = tomllib.loads(files("clunk.study.presets").joinpath(f"{name}.toml").read_text(encoding="utf-8"))
+    base = tables["driveline"].pop("preset", None)
+    return tables if base is None else _merged(_read_preset(base), tables)
 
 
 def _unknown_name(place: Place, names: Names) -> str:
@@ -181,8 +188,8 @@ def _warn_of_fewer_shafts(name: str, preset: Mapping[str, Any], raw: Mapping[str
     With inertias of its own, or a lash in another place, it has a driveline of its own.
     """
     shafts, of_preset = items_of(value_at(raw, ("driveline", "shafts"))), preset["driveline"]["shafts"]
-    own = (("driveline", "inertias"), ("lash", "between"), ("lash", 0))
-    if 0 < len(shafts) < len(of_preset) and all(value_at(raw, place) is None for place in own):
+    topology = (("driveline", "inertias"), ("lash", "between"), ("lash", 0))
+    if 0 < len(shafts) < len(of_preset) and all(value_at(raw, place) is None for place in topology):
         listed = (
             "one [[driveline.shafts]] replaces" if len(shafts) == 1 else f"{len(shafts)} [[driveline.shafts]] replace"
         )
