@@ -11,88 +11,55 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from clunk import plot
-    from clunk.analysis.boundaries import BoundaryError
-    from clunk.analysis.fitparts import FitError
-    from clunk.analysis.fitted import Fitted
-    from clunk.analysis.fittedstudy import fitted_study
-    from clunk.analysis.measurements import ExperimentError
-    from clunk.analysis.quantiles import threshold_quantiles
-    from clunk.analysis.sobol import Sensitivity, SensitivityError, sensitivity
-    from clunk.analysis.thresholds import ThresholdError, Thresholds, thresholds
-    from clunk.analysis.verification import Verification
-    from clunk.api import draw, fit, run_points, sweep, tolerance_map, verify
-    from clunk.explorer.server import Explorer, explore
-    from clunk.explorer.subject import ExplorerError
-    from clunk.plot import PlotError
-    from clunk.results.boundaries import Boundaries
-    from clunk.results.datasets import open_results, to_dataset
-    from clunk.results.regimemap import Results
-    from clunk.results.store import StoreError, read_tolerance_map
-    from clunk.results.store import read as read_results
-    from clunk.results.store import write as write_results
-    from clunk.results.targets import TargetError
-    from clunk.results.tolerancemap import ToleranceMap
-    from clunk.simulation.trajectory import SimulationError, Trajectory, simulate
-    from clunk.study.config import load_study, study_from_text
-    from clunk.study.errors import ClunkError, ClunkWarning
-    from clunk.study.problems import ConfigError
-    from clunk.study.study import Study, replace_values
-    from clunk.sweeping.engines import EngineError
-    from clunk.sweeping.parts import PartsError
-    from clunk.sweeping.reduction import SweepError
+    from clunk import plot as plot
+    from clunk.analysis.boundaries import BoundaryError as BoundaryError
+    from clunk.analysis.fitparts import FitError as FitError
+    from clunk.analysis.fitted import Fitted as Fitted
+    from clunk.analysis.fittedstudy import fitted_study as fitted_study
+    from clunk.analysis.measurements import ExperimentError as ExperimentError
+    from clunk.analysis.quantiles import threshold_quantiles as threshold_quantiles
+    from clunk.analysis.sobol import Sensitivity as Sensitivity
+    from clunk.analysis.sobol import SensitivityError as SensitivityError
+    from clunk.analysis.sobol import sensitivity as sensitivity
+    from clunk.analysis.thresholds import ThresholdError as ThresholdError
+    from clunk.analysis.thresholds import Thresholds as Thresholds
+    from clunk.analysis.thresholds import thresholds as thresholds
+    from clunk.analysis.verification import Verification as Verification
+    from clunk.api import draw as draw
+    from clunk.api import fit as fit
+    from clunk.api import run_points as run_points
+    from clunk.api import sweep as sweep
+    from clunk.api import tolerance_map as tolerance_map
+    from clunk.api import verify as verify
+    from clunk.explorer.server import Explorer as Explorer
+    from clunk.explorer.server import explore as explore
+    from clunk.explorer.subject import ExplorerError as ExplorerError
+    from clunk.plot import PlotError as PlotError
+    from clunk.results.boundaries import Boundaries as Boundaries
+    from clunk.results.datasets import open_results as open_results
+    from clunk.results.datasets import to_dataset as to_dataset
+    from clunk.results.regimemap import Results as Results
+    from clunk.results.store import StoreError as StoreError
+    from clunk.results.store import read_results as read_results
+    from clunk.results.store import read_tolerance_map as read_tolerance_map
+    from clunk.results.store import write_results as write_results
+    from clunk.results.targets import TargetError as TargetError
+    from clunk.results.tolerancemap import ToleranceMap as ToleranceMap
+    from clunk.simulation.trajectory import SimulationError as SimulationError
+    from clunk.simulation.trajectory import Trajectory as Trajectory
+    from clunk.simulation.trajectory import simulate as simulate
+    from clunk.study.config import load_study as load_study
+    from clunk.study.config import study_from_text as study_from_text
+    from clunk.study.errors import ClunkError as ClunkError
+    from clunk.study.errors import ClunkWarning as ClunkWarning
+    from clunk.study.problems import ConfigError as ConfigError
+    from clunk.study.study import Study as Study
+    from clunk.study.study import replace_values as replace_values
+    from clunk.sweeping.engines import EngineError as EngineError
+    from clunk.sweeping.parts import PartsError as PartsError
+    from clunk.sweeping.reduction import SweepError as SweepError
 
-__all__ = [
-    "Boundaries",
-    "BoundaryError",
-    "ClunkError",
-    "ClunkWarning",
-    "ConfigError",
-    "EngineError",
-    "ExperimentError",
-    "Explorer",
-    "ExplorerError",
-    "FitError",
-    "Fitted",
-    "PartsError",
-    "PlotError",
-    "Results",
-    "Sensitivity",
-    "SensitivityError",
-    "SimulationError",
-    "StoreError",
-    "Study",
-    "SweepError",
-    "TargetError",
-    "ThresholdError",
-    "Thresholds",
-    "ToleranceMap",
-    "Trajectory",
-    "Verification",
-    "draw",
-    "explore",
-    "fit",
-    "fitted_study",
-    "load_study",
-    "open_results",
-    "plot",
-    "read_results",
-    "read_tolerance_map",
-    "replace_values",
-    "run_points",
-    "sensitivity",
-    "simulate",
-    "study_from_text",
-    "sweep",
-    "threshold_quantiles",
-    "thresholds",
-    "to_dataset",
-    "tolerance_map",
-    "verify",
-    "write_results",
-]
-
-# Public name -> where it is: its module, and its name there if that is another.
+# Public name -> the module that it is in; `plot` is a module itself.
 _HOME = {
     "Boundaries": "results.boundaries",
     "BoundaryError": "analysis.boundaries",
@@ -126,7 +93,8 @@ _HOME = {
     "fitted_study": "analysis.fittedstudy",
     "load_study": "study.config",
     "open_results": "results.datasets",
-    "read_results": "results.store:read",
+    "plot": "plot",
+    "read_results": "results.store",
     "read_tolerance_map": "results.store",
     "replace_values": "study.study",
     "run_points": "api",
@@ -139,20 +107,18 @@ _HOME = {
     "to_dataset": "results.datasets",
     "tolerance_map": "api",
     "verify": "api",
-    "write_results": "results.store:write",
+    "write_results": "results.store",
 }
+__all__ = list(_HOME)
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first used: `clunk --help` waits for neither numba nor pydantic."""
-    if name not in __all__:
+    if name not in _HOME:
         raise AttributeError(f"module 'clunk' has no attribute {name!r}")
     from importlib import import_module
 
-    if name == "plot":
-        return import_module("clunk.plot")
-    module, _, there = _HOME[name].partition(":")
-    return getattr(import_module(f"clunk.{module}"), there or name)
+    return import_module("clunk.plot") if name == "plot" else getattr(import_module(f"clunk.{_HOME[name]}"), name)
 
 
 def __dir__() -> list[str]:

@@ -19,7 +19,7 @@ from test_store import BACKLASH, RATIO, example
 from clunk.cli import cli, main
 from clunk.cli.textmap import text_map
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
-from clunk.results.store import read
+from clunk.results.store import read_results
 from clunk.study.config import load_study
 
 ROOT = Path(__file__).parent.parent
@@ -115,7 +115,7 @@ def test_a_map_is_printed_with_a_letter_for_each_cell(clunk, small, monkeypatch)
     lines = out.removeprefix(plain).splitlines()
     rows = [line.partition("|")[2] for line in lines if "|" in line]
     meanings = dict(re.findall(r"(\S) (\S+)", " ".join(lines[lines.index("", 1) :])))
-    results = read("results/small.h5")
+    results = read_results("results/small.h5")
     assert [[meanings[letter] for letter in row[::3]] for row in rows[::-1]] == results.label_map.T.tolist()
     assert clunk("info", "results/small.h5", "--map", "--json")[0] == 2
     monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
@@ -226,13 +226,13 @@ def test_failed_cells_are_run_again_and_the_file_says_so(clunk, small, here):
     few = ["--set", "solver.max_events=10"]
     code, _, _ = clunk("sweep", small, *few)
     assert code == 3
-    before = read("results/small.h5")
+    before = read_results("results/small.h5")
     failed = before.status != 0
     code, _, _ = clunk("sweep", small, "--set", "solver.max_events=14", "--retry-failed")
     assert code == 3
     code, _, _ = clunk("sweep", small, "--retry-failed")
     assert code == 0
-    after = read("results/small.h5")
+    after = read_results("results/small.h5")
     assert not after.status.any()
     assert np.array_equal(before.severity[~failed], after.severity[~failed])
     note = after.attributes["retried"]
@@ -243,7 +243,7 @@ def test_failed_cells_are_run_again_and_the_file_says_so(clunk, small, here):
     assert "already complete" in clunk("sweep", small, *few)[2]  # the file's config is still its own
     assert "has no failed cells" in clunk("sweep", small, "--retry-failed")[2]
     clunk("sweep", small, "-o", "dense.h5")
-    dense = read("dense.h5")
+    dense = read_results("dense.h5")
     assert after.labels == dense.labels
     for name in (*CELL_QUANTITIES, *IMPACT_QUANTITIES):
         assert np.array_equal(getattr(after, name), getattr(dense, name), equal_nan=True), name

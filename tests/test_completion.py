@@ -28,7 +28,7 @@ def files(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "small.toml").write_text(SMALL)
     (tmp_path / "broken.toml").write_text("[driveline\n")
-    store.write(tmp_path / "map.h5", example(RATIO, BACKLASH))
+    store.write_results(tmp_path / "map.h5", example(RATIO, BACKLASH))
     (tmp_path / "map.svg").touch()
 
 

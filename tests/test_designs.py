@@ -17,7 +17,7 @@ from clunk.cli import main
 from clunk.cli.compare_report import as_record, report
 from clunk.core.status import QUALITY_INFERRED
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
-from clunk.results.store import read, read_header, write
+from clunk.results.store import read_header, read_results, write_results
 from clunk.study.axes import RUN
 from clunk.study.config import study_from_text
 from clunk.study.designs import design_of
@@ -225,8 +225,8 @@ class TestFiles:
     @pytest.mark.parametrize("name", ["zipped", "sampled", "mixed", "four"])
     def test_what_is_written_is_what_is_read(self, name, request, tmp_path):
         results = request.getfixturevalue(name)
-        write(tmp_path / "results.h5", results)
-        again = read(tmp_path / "results.h5")
+        write_results(tmp_path / "results.h5", results)
+        again = read_results(tmp_path / "results.h5")
         assert_same(results, again)
         assert [axis.parameter for axis in again.parameters] == [axis.parameter for axis in results.parameters]
         for mine, theirs in zip(results.coordinates, again.coordinates, strict=True):
@@ -235,11 +235,11 @@ class TestFiles:
 
     def test_a_slice_can_be_written_too(self, mixed, tmp_path):
         part = mixed.at({RUN: 2})
-        write(tmp_path / "slice.h5", part)
-        assert_same(part, read(tmp_path / "slice.h5"))
+        write_results(tmp_path / "slice.h5", part)
+        assert_same(part, read_results(tmp_path / "slice.h5"))
 
     def test_xarray_selects_from_four_axes(self, four, tmp_path):
-        write(tmp_path / "four.h5", four)
+        write_results(tmp_path / "four.h5", four)
         with xarray.open_dataset(tmp_path / "four.h5", engine="h5netcdf") as data:
             assert data["severity"].dims == (
                 "load_ratio",
@@ -254,7 +254,7 @@ class TestFiles:
             assert hardest == four.severity[-1].max()
 
     def test_xarray_selects_runs_by_what_was_drawn(self, mixed, tmp_path):
-        write(tmp_path / "mixed.h5", mixed)
+        write_results(tmp_path / "mixed.h5", mixed)
         with xarray.open_dataset(tmp_path / "mixed.h5", engine="h5netcdf") as data:
             assert data["severity"].dims == ("load_ratio", "lash_backlash_deg", "run")
             stiff = data["lash_contact_stiffness"]
@@ -306,7 +306,7 @@ def files(tmp_path_factory, four, zipped, sampled, mixed):
     """The results in files, and what a command prints about them: clunk(*arguments) -> code, stdout, stderr."""
     place = tmp_path_factory.mktemp("designs")
     for name, results in {"four": four, "zip": zipped, "sample": sampled, "mixed": mixed}.items():
-        write(place / f"{name}.h5", results)
+        write_results(place / f"{name}.h5", results)
     return place
 
 

@@ -77,7 +77,7 @@ def test_runs_of_a_path_have_their_coordinates(tmp_path):
 
 
 def test_the_command_exports_and_refuses_other_formats(clunk, here):  # noqa: F811
-    store.write(here / "map.h5", example(RATIO))
+    store.write_results(here / "map.h5", example(RATIO))
     assert clunk("export", "map.h5", "out/map.csv")[0] == 0
     assert (here / "out/map.csv").read_text().startswith("load.ratio,sequence,")
     code, _, err = clunk("export", "map.h5", "map.xlsx")

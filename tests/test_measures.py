@@ -18,7 +18,7 @@ from clunk.analysis.thresholds import thresholds
 from clunk.api import sweep
 from clunk.cli import cli
 from clunk.results.quantities import REGIME_QUANTITIES
-from clunk.results.store import read, write
+from clunk.results.store import read_results, write_results
 from clunk.simulation.energy import balance
 from clunk.simulation.history import sample
 from clunk.simulation.measures import measured
@@ -202,8 +202,8 @@ def test_the_torque_of_a_staged_shaft_is_that_of_its_history():
 def test_a_map_has_the_measures_of_its_runs_and_all_else_as_without_them(method, tmp_path):
     plain = sweep(measuring(*MAP[:1], f"solver.method={method}", names=()))
     study = measuring(*MAP, f"solver.method={method}")
-    write(tmp_path / "map.h5", sweep(study))
-    results = read(tmp_path / "map.h5")
+    write_results(tmp_path / "map.h5", sweep(study))
+    results = read_results(tmp_path / "map.h5")
     assert set(results.measured) == {*OF_IMPACTS, *MEASURES, *(f"impact_{name}" for name in OF_IMPACTS)}
     for name in plain.quantities:
         assert results.values(name).tobytes() == plain.values(name).tobytes()
@@ -369,8 +369,8 @@ def test_a_map_of_two_lashes_has_each_one_s_impacts_and_the_same_measures(tmp_pa
         + "".join("[[measures]]\n" + "".join(f"{key} = {value!r}\n" for key, value in hit.items()) for hit in hits),
         overrides=overrides,
     )
-    write(tmp_path / "two.h5", sweep(study))
-    results = read(tmp_path / "two.h5")
+    write_results(tmp_path / "two.h5", sweep(study))
+    results = read_results(tmp_path / "two.h5")
     for name, run in zip(results.lash_names, simulate(study).lashes, strict=True):
         cell, single = results.of_lash(name).cell({"load.ratio": 5.0}), measured(run)
         assert {each: cell[each] for each in single.totals} == pytest.approx(single.totals, rel=1e-12)

@@ -121,12 +121,12 @@ def test_the_commands_of_a_page_make_the_same_results_from_its_config(clunk, her
     thresholds = next(text for text in read.texts["p"] if "load.ratio" in text)
     assert re.findall(r"\d+\.\d\d", thresholds) == ["1.46", "3.12", "6.69", "14.31"]  # Table 3.1
     if option == "--boundaries":
-        (first, *_) = store.read(here / "first.h5").boundaries.vertices[:, 0]
+        (first, *_) = store.read_results(here / "first.h5").boundaries.vertices[:, 0]
         assert f"{first:.10g}" in read.texts["td"]
 
 
 def test_three_axes_are_a_family_of_maps_and_a_slice_is_one(clunk, here):  # noqa: F811
-    store.write(here / "map.h5", example(INERTIA, RATIO, BACKLASH))
+    store.write_results(here / "map.h5", example(INERTIA, RATIO, BACKLASH))
     at = ["--at", "driveline.inertias[4]=0.002", "--at", "load.ratio=5"]
     for name, options, swept in (("out/family.html", [], (3, 5, 4)), ("slice.html", at, (1, 1, 4))):
         assert clunk("report", "map.h5", "-o", name, *options)[0] == 0
@@ -139,7 +139,7 @@ def test_three_axes_are_a_family_of_maps_and_a_slice_is_one(clunk, here):  # noq
 
 def test_bad_usage_gives_one_sentence_and_writes_nothing(clunk, here):  # noqa: F811
     further = [ResultAxis(f"driveline.inertias[{k}]", np.array([1.0, 2.0]), "", "", "kg m2") for k in (1, 2, 3)]
-    store.write(here / "five.h5", example(RATIO, BACKLASH, *further))
+    store.write_results(here / "five.h5", example(RATIO, BACKLASH, *further))
     (here / "folder.html").mkdir()
     for arguments, sentence in {
         ("five.h5", "-o", "map.pdf"): "map.pdf cannot be written: its name must end in .html.",

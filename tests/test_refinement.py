@@ -5,7 +5,7 @@ import pytest
 from test_sweeping import equal, figure_3_4, regimes, study
 
 from clunk.core.status import QUALITY_INFERRED
-from clunk.results.store import read, write
+from clunk.results.store import read_results, write_results
 from clunk.sweeping.refinement import DOUBTFUL, Refinement, spacings
 from clunk.sweeping.sweep import sweep
 
@@ -192,8 +192,8 @@ class TestSweeps:
 
     def test_the_file_says_how_many_cells_were_run(self, pair, tmp_path):
         _, refined = pair
-        write(tmp_path / "map.h5", refined)
-        again = read(tmp_path / "map.h5")
+        write_results(tmp_path / "map.h5", refined)
+        again = read_results(tmp_path / "map.h5")
         assert equal(refined, again)
         ran = np.count_nonzero(refined.quality & QUALITY_INFERRED == 0)
         assert again.attributes["refinement"].startswith(f"{ran} of 14641 cells run")

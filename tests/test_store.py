@@ -81,27 +81,27 @@ AXES = [(RATIO,), (RATIO, BACKLASH), (INERTIA, RATIO, BACKLASH)]
 @pytest.mark.parametrize("axes", AXES, ids=["one axis", "two axes", "three axes"])
 def test_what_is_written_is_what_is_read(tmp_path: Path, axes: tuple[ResultAxis, ...]) -> None:
     results = example(*axes)
-    store.write(tmp_path / "map.h5", results)
-    assert_same(results, store.read(tmp_path / "map.h5"))
+    store.write_results(tmp_path / "map.h5", results)
+    assert_same(results, store.read_results(tmp_path / "map.h5"))
 
 
 def test_a_large_map_survives_in_several_chunks(tmp_path: Path) -> None:
     ratio = replace(RATIO, values=np.linspace(0.0, 10.0, 403))
     backlash = replace(BACKLASH, values=np.linspace(0.0, 20.0, 401))
     results = example(ratio, backlash)
-    store.write(tmp_path / "map.h5", results)
+    store.write_results(tmp_path / "map.h5", results)
     with h5py.File(tmp_path / "map.h5") as file:
         assert file["severity"].chunks[0] < 403
         # who reads the first impacts reads no others
         assert file["impact_time"].chunks == (*file["severity"].chunks, 1)
         np.testing.assert_array_equal(file["impact_time"][()], results.padded("impact_time"))
-    assert_same(results, store.read(tmp_path / "map.h5"))
+    assert_same(results, store.read_results(tmp_path / "map.h5"))
 
 
 def test_a_map_without_any_impact_keeps_an_impact_dimension_of_one(tmp_path: Path) -> None:
     results = example(RATIO, BACKLASH, impacts=False)
-    store.write(tmp_path / "map.h5", results)
-    assert_same(results, store.read(tmp_path / "map.h5"))
+    store.write_results(tmp_path / "map.h5", results)
+    assert_same(results, store.read_results(tmp_path / "map.h5"))
     with xarray.open_dataset(tmp_path / "map.h5", engine="h5netcdf") as dataset:
         assert dataset.sizes["impact"] == 1
         assert np.isnan(dataset["impact_time"]).all()
@@ -147,7 +147,7 @@ def test_results_refuse_arrays_that_do_not_belong_together() -> None:
 @pytest.mark.parametrize("axes", AXES, ids=["one axis", "two axes", "three axes"])
 def test_xarray_sees_named_dimensions_and_coordinates(tmp_path: Path, axes: tuple[ResultAxis, ...]) -> None:
     results = example(*axes)
-    store.write(tmp_path / "map.h5", results)
+    store.write_results(tmp_path / "map.h5", results)
     names = [axis.variable for axis in axes]
     with xarray.open_dataset(tmp_path / "map.h5", engine="h5netcdf") as dataset:
         assert list(dataset["severity"].dims) == names
@@ -178,7 +178,7 @@ def test_structural_keys_become_plain_variable_names() -> None:
 
 def test_flag_meanings_decode_every_code(tmp_path: Path) -> None:
     results = example(RATIO, BACKLASH)
-    store.write(tmp_path / "map.h5", results)
+    store.write_results(tmp_path / "map.h5", results)
     with xarray.open_dataset(tmp_path / "map.h5", engine="h5netcdf") as dataset:
         sequence = dataset["sequence"]
         assert sequence.dtype == np.int16
@@ -197,7 +197,7 @@ def test_flag_meanings_decode_every_code(tmp_path: Path) -> None:
 
 
 def test_the_file_needs_no_hdf5_types_that_netcdf_lacks(tmp_path: Path) -> None:
-    store.write(tmp_path / "map.h5", example(RATIO, BACKLASH))
+    store.write_results(tmp_path / "map.h5", example(RATIO, BACKLASH))
     with h5py.File(tmp_path / "map.h5") as file:
         for name, variable in file.items():
             assert variable.dtype.kind in "iuf", name
@@ -207,7 +207,7 @@ def test_the_file_needs_no_hdf5_types_that_netcdf_lacks(tmp_path: Path) -> None:
 
 def test_header_tells_the_counts_without_the_arrays(tmp_path: Path) -> None:
     results = example(RATIO, BACKLASH)
-    store.write(tmp_path / "map.h5", results)
+    store.write_results(tmp_path / "map.h5", results)
     header = store.read_header(tmp_path / "map.h5")
     assert header.counts_of_lashes == {"": results.counts()}
     assert header.labels == results.labels
@@ -218,7 +218,7 @@ def test_header_tells_the_counts_without_the_arrays(tmp_path: Path) -> None:
 
 def test_content_digest_depends_on_the_data_and_nothing_else(tmp_path: Path) -> None:
     def digest(results: Results) -> str:
-        store.write(tmp_path / "map.h5", results)
+        store.write_results(tmp_path / "map.h5", results)
         return store.read_header(tmp_path / "map.h5").content_digest
 
     results = example(RATIO, BACKLASH)
@@ -243,14 +243,14 @@ def test_a_file_without_margins_is_still_read(tmp_path: Path, monkeypatch: pytes
     with monkeypatch.context() as first_schema:
         first_schema.setitem(vars(results), "quantities", {k: v for k, v in REGIME_QUANTITIES.items() if k != "margin"})
         first_schema.setattr(store, "SCHEMA_VERSION", 1)
-        store.write(tmp_path / "map.h5", results)
+        store.write_results(tmp_path / "map.h5", results)
     with h5py.File(tmp_path / "map.h5") as file:
         assert "margin" not in file
-    assert_same(replace(results, margin=np.full(results.shape, np.nan)), store.read(tmp_path / "map.h5"))
+    assert_same(replace(results, margin=np.full(results.shape, np.nan)), store.read_results(tmp_path / "map.h5"))
     with h5py.File(tmp_path / "map.h5", "r+") as file:
         file["touches"][0, 0] += 1
     with pytest.raises(store.StoreError, match="content_digest"):
-        store.read(tmp_path / "map.h5")
+        store.read_results(tmp_path / "map.h5")
 
 
 def test_store_brings_in_no_plotting() -> None:
@@ -268,7 +268,7 @@ def test_an_interrupted_write_leaves_the_old_file_and_no_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, call: str
 ) -> None:
     old = example(RATIO, BACKLASH)
-    store.write(tmp_path / "map.h5", old)
+    store.write_results(tmp_path / "map.h5", old)
 
     def fail(*_: object) -> None:
         assert len(list(tmp_path.iterdir())) == 2  # the temporary file is beside the old one by now
@@ -279,12 +279,12 @@ def test_an_interrupted_write_leaves_the_old_file_and_no_other(
     else:
         monkeypatch.setattr(Path, "replace", fail)
     with pytest.raises(store.StoreError if isinstance(error, OSError) else KeyboardInterrupt) as raised:
-        store.write(tmp_path / "map.h5", replace(old, title="new"))
+        store.write_results(tmp_path / "map.h5", replace(old, title="new"))
     monkeypatch.undo()
     if isinstance(error, OSError):
         assert_sentence(raised.value, tmp_path / "map.h5", "no space left on device")
     assert [path.name for path in tmp_path.iterdir()] == ["map.h5"]
-    assert_same(old, store.read(tmp_path / "map.h5"))
+    assert_same(old, store.read_results(tmp_path / "map.h5"))
 
 
 def test_a_full_disk_is_a_sentence_and_the_interpreter_ends_well(tmp_path: Path) -> None:
@@ -295,7 +295,7 @@ sys.path.insert(0, {str(Path(__file__).parent)!r})
 from test_store import BACKLASH, RATIO, example, store
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 try:
-    store.write({str(tmp_path / "map.h5")!r}, example(RATIO, BACKLASH))
+    store.write_results({str(tmp_path / "map.h5")!r}, example(RATIO, BACKLASH))
 except store.StoreError as error:
     print(error)
 """
@@ -314,7 +314,7 @@ def test_a_large_file_is_assembled_on_the_disk_to_the_same_bytes(
         began = int(time.time())
         for name, large in (("memory.h5", 1 << 22), ("disk.h5", 0)):
             monkeypatch.setattr(store, "_LARGE", large)
-            store.write(tmp_path / name, results)
+            store.write_results(tmp_path / name, results)
         if int(time.time()) == began:
             break
     assert (tmp_path / "disk.h5").read_bytes() == (tmp_path / "memory.h5").read_bytes()
@@ -342,7 +342,7 @@ fields |= {{name: np.random.default_rng(2).normal(size=count) for name in ("marg
 large = replace(small, axes=(replace(small.axes[0], values=np.arange(float(count))),), **fields)
 resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
 try:
-    store.write({str(tmp_path / "map.h5")!r}, large)
+    store.write_results({str(tmp_path / "map.h5")!r}, large)
 except store.StoreError as error:
     print(error)
 """
@@ -354,26 +354,26 @@ except store.StoreError as error:
 
 
 def test_missing_directories_are_made(tmp_path: Path) -> None:
-    store.write(tmp_path / "deep" / "er" / "map.h5", example(RATIO))
-    assert store.read(tmp_path / "deep" / "er" / "map.h5").shape == (5,)
+    store.write_results(tmp_path / "deep" / "er" / "map.h5", example(RATIO))
+    assert store.read_results(tmp_path / "deep" / "er" / "map.h5").shape == (5,)
 
 
 def test_writing_through_a_link_replaces_what_it_points_to(tmp_path: Path) -> None:
-    store.write(tmp_path / "map.h5", example(RATIO))
+    store.write_results(tmp_path / "map.h5", example(RATIO))
     (tmp_path / "link.h5").symlink_to(tmp_path / "map.h5")
-    store.write(tmp_path / "link.h5", example(RATIO, BACKLASH))
+    store.write_results(tmp_path / "link.h5", example(RATIO, BACKLASH))
     assert (tmp_path / "link.h5").is_symlink()
-    assert store.read(tmp_path / "map.h5").shape == (5, 4)
+    assert store.read_results(tmp_path / "map.h5").shape == (5, 4)
 
 
 def test_writing_onto_a_directory_or_under_a_file_is_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "taken").mkdir()
     with pytest.raises(store.StoreError) as raised:
-        store.write(tmp_path / "taken", example(RATIO))
+        store.write_results(tmp_path / "taken", example(RATIO))
     assert_sentence(raised.value, tmp_path / "taken", "is a directory")
     (tmp_path / "file").touch()
     with pytest.raises(store.StoreError) as raised:
-        store.write(tmp_path / "file" / "map.h5", example(RATIO))
+        store.write_results(tmp_path / "file" / "map.h5", example(RATIO))
     assert_sentence(raised.value, tmp_path / "file" / "map.h5", "cannot be written")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "taken"]
 
@@ -460,17 +460,17 @@ BROKEN = {
 @pytest.mark.parametrize("what", BROKEN)
 def test_a_broken_file_is_one_sentence(tmp_path: Path, what: str) -> None:
     path = tmp_path / "map.h5"
-    store.write(path, example(RATIO, BACKLASH))
+    store.write_results(path, example(RATIO, BACKLASH))
     damage, part = BROKEN[what]
     damage(path)
     with pytest.raises(store.StoreError) as raised:
-        store.read(path)
+        store.read_results(path)
     assert_sentence(raised.value, path, part)
 
 
 def test_a_file_cut_anywhere_is_a_sentence(tmp_path: Path) -> None:
     whole = tmp_path / "map.h5"
-    store.write(whole, example(RATIO, BACKLASH))
+    store.write_results(whole, example(RATIO, BACKLASH))
     raw = whole.read_bytes()
     cut = tmp_path / "cut.h5"
     for length in range(0, len(raw), len(raw) // 97):
@@ -478,7 +478,7 @@ def test_a_file_cut_anywhere_is_a_sentence(tmp_path: Path) -> None:
             continue
         cut.write_bytes(raw[:length])
         with pytest.raises(store.StoreError):
-            store.read(cut)
+            store.read_results(cut)
 
 
 # --- the bytes' own checksum
@@ -486,7 +486,7 @@ def test_a_file_cut_anywhere_is_a_sentence(tmp_path: Path) -> None:
 
 def test_hdf5_and_netcdf_readers_do_not_mind_the_checksum(tmp_path: Path) -> None:
     path = tmp_path / "map.h5"
-    store.write(path, example(RATIO, BACKLASH))
+    store.write_results(path, example(RATIO, BACKLASH))
     raw = path.read_bytes()
     assert raw[-78:] == b"clunk-sha256:" + hashlib.sha256(raw[:-78]).hexdigest().encode() + b"\n"
     assert store.check(path).checksum
@@ -498,11 +498,11 @@ def test_hdf5_and_netcdf_readers_do_not_mind_the_checksum(tmp_path: Path) -> Non
 
 def test_a_file_that_another_program_has_changed_has_no_checksum_and_is_read_by_its_digest(tmp_path: Path) -> None:
     path = tmp_path / "map.h5"
-    store.write(path, example(RATIO, BACKLASH))
+    store.write_results(path, example(RATIO, BACKLASH))
     with h5py.File(path, "r+") as file:
         file.attrs["comment"] = "looked at"
     assert not store.check(path).checksum
-    assert store.read(path).attributes["comment"] == "looked at"
+    assert store.read_results(path).attributes["comment"] == "looked at"
     with h5py.File(path, "r+") as file:
         file["severity"][0, 0] = 1.0
     with pytest.raises(store.StoreError) as raised:
@@ -513,12 +513,12 @@ def test_a_file_that_another_program_has_changed_has_no_checksum_and_is_read_by_
 @pytest.mark.parametrize("changed", ["bit", "cut", "longer"])
 def test_what_is_behind_the_hdf5_is_its_checksum_or_nothing(tmp_path: Path, changed: str) -> None:
     path = tmp_path / "map.h5"
-    store.write(path, example(RATIO))
+    store.write_results(path, example(RATIO))
     raw = bytearray(path.read_bytes())
     if changed == "bit":
         raw[-70] ^= 1
     path.write_bytes({"bit": raw, "cut": raw[:-1], "longer": raw + b"\n"}[changed])
-    for reader in (store.read, store.read_header, store.check):
+    for reader in (store.read_results, store.read_header, store.check):
         with pytest.raises(store.StoreError) as raised:
             reader(path)
         assert_sentence(raised.value, path, "damaged")
@@ -529,7 +529,7 @@ import faulthandler, random, sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 from test_store import BACKLASH, RATIO, Path, example, store
 path = Path(sys.argv[1])
-store.write(path, example(RATIO, BACKLASH))
+store.write_results(path, example(RATIO, BACKLASH))
 raw = path.read_bytes()
 chance = random.Random(5)
 for k in range(2 * int(sys.argv[2])):
@@ -540,7 +540,7 @@ for k in range(2 * int(sys.argv[2])):
         changed = raw[: chance.randrange(len(raw) - 78)]
     path.write_bytes(changed)
     faulthandler.dump_traceback_later(10, exit=True)
-    for reader in (store.read, store.read_header, store.check):
+    for reader in (store.read_results, store.read_header, store.check):
         try:
             reader(path)
         except store.StoreError as error:

@@ -17,7 +17,7 @@ from clunk.plot import PlotError, certainty, save
 from clunk.plot.style import palette_of
 from clunk.results import store
 from clunk.results.labels import double_sided, excursions
-from clunk.results.store import StoreError, read, read_header
+from clunk.results.store import StoreError, read_header, read_results
 from clunk.results.tolerancemap import QUANTILES
 from clunk.simulation.trajectory import SimulationError, simulate
 from clunk.study.config import study_from_text
@@ -327,7 +327,7 @@ class TestTiles:
 @pytest.fixture(scope="module")
 def path(found, tmp_path_factory):
     path = tmp_path_factory.mktemp("file") / "map.h5"
-    store.write(path, found)
+    store.write_results(path, found)
     return path
 
 
@@ -383,8 +383,8 @@ class TestFile:
 
     def test_neither_kind_is_read_as_the_other(self, path, toleranced, tmp_path):
         with pytest.raises(StoreError, match="holds a tolerance map, where a regime map is needed"):
-            read(path)
-        store.write(tmp_path / "plain.h5", sweep(nominal(toleranced)))
+            read_results(path)
+        store.write_results(tmp_path / "plain.h5", sweep(nominal(toleranced)))
         with pytest.raises(StoreError, match="holds a regime map, where a tolerance map is needed"):
             store.read_tolerance_map(tmp_path / "plain.h5")
 
@@ -444,7 +444,7 @@ class TestCommands:
         ],
     )
     def test_what_does_not_go_is_a_sentence(self, config, clunk, found, arguments, sentence):  # noqa: F811
-        store.write("small.h5", found)
+        store.write_results("small.h5", found)
         code, out, err = clunk(*arguments)
         assert (code, out) == (2, "")
         assert sentence in " ".join(err.split())

@@ -36,12 +36,12 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, lash: str
     from clunk.cli.compare_report import as_record, report
     from clunk.report.tables import TABLES
     from clunk.results import targets
-    from clunk.results.store import read
+    from clunk.results.store import read_results
 
     if output is not None:
         targets.check(output, targets.PICTURES)
-    results = read(a)
-    other = None if is_experiment(b, TABLES) else read(b)
+    results = read_results(a)
+    other = None if is_experiment(b, TABLES) else read_results(b)
     if other is None or lash is not None:
         results = results.of_lash(lash)
     if other is not None and lash is not None:

@@ -41,7 +41,7 @@ def info(file: Path, show_config: bool, show_map: bool, ranks: bool, check: bool
         raise click.UsageError("--map is for people and does not go with --json; clunk export writes each cell.")
     if show_map and not is_drawable(header.axes[:-1] if header.lashes else header.axes):
         raise click.UsageError("--map shows one axis or two; of more, clunk plot --at draws a slice.")
-    of_lashes = {name: ranks_of(each) for name, each in store.read(file).by_lash().items()} if ranks else {}
+    of_lashes = {name: ranks_of(each) for name, each in store.read_results(file).by_lash().items()} if ranks else {}
     if show_config:
         click.echo(header.config, nl=not header.config.endswith("\n"))
         return

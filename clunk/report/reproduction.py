@@ -16,7 +16,7 @@ from clunk.plot.small_gap import small_gap
 from clunk.report.claims import Claim, Verdict
 from clunk.report.evidence import MAPS, NOMINAL_RATIO, RATIOS, Evidence
 from clunk.results.files import reason, write_whole
-from clunk.results.store import StoreError, write
+from clunk.results.store import StoreError, write_results
 from clunk.simulation.history import History, sample
 from clunk.simulation.linear import one_mode_thresholds
 from clunk.simulation.small_gap import SmallGap
@@ -40,7 +40,7 @@ def save_all(
             progress(k + 1, len(jobs))
     for name in MAPS:
         written.append(directory / f"{name}.h5")
-        write(written[-1], evidence.maps[name])
+        write_results(written[-1], evidence.maps[name])
     written.append(directory / "claims.json")
     _write_text(written[-1], json.dumps([claim.record() for claim in claims], indent=1, ensure_ascii=False) + "\n")
     return written

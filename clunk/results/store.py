@@ -87,7 +87,7 @@ class Header(Description):
         return bool(self.sample)
 
 
-def write(path: str | os.PathLike[str], results: Results | ToleranceMap, scratch: Path | None = None) -> None:
+def write_results(path: str | os.PathLike[str], results: Results | ToleranceMap, scratch: Path | None = None) -> None:
     """Write a results file so that at every moment `path` is either the old file or the complete new one.
 
     Missing parent directories are made. What is not complete yet is in `scratch`, by default in the same directory.
@@ -108,7 +108,7 @@ def to_image(results: Results | ToleranceMap) -> io.BytesIO:
     return image_of(lambda file: _fill(file, results))
 
 
-def read(path: str | os.PathLike[str]) -> Results:
+def read_results(path: str | os.PathLike[str]) -> Results:
     """Read a regime map whole, its bytes compared with their checksum, or its data with their digest.
 
     Raises StoreError.
@@ -149,7 +149,7 @@ def read_tolerance_map(path: str | os.PathLike[str]) -> ToleranceMap:
 
 
 def read_map(path: str | os.PathLike[str]) -> Results | ToleranceMap:
-    """Read whichever map a results file holds, as `read` and `read_tolerance_map`. Raises StoreError."""
+    """Read whichever map a results file holds, as `read_results` and `read_tolerance_map`. Raises StoreError."""
     with opened(path) as (file, header, _):
         return map_of(file, header)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from clunk.core.status import Status
 from clunk.results.regimemap import Results
-from clunk.results.store import Header, StoreError, read, read_header, read_map, write
+from clunk.results.store import Header, StoreError, read_header, read_map, read_results, write_results
 from clunk.simulation.driveline import explained
 from clunk.study.config import study_from_text
 from clunk.study.designs import Design, design_of, has_tolerances
@@ -111,7 +111,7 @@ class Job:
         result = read_map(self.path)
         added = finish(result) if finish is not None else result
         if added is not result:
-            write(self.path, added, None if self.directory is None else self.directory.path)
+            write_results(self.path, added, None if self.directory is None else self.directory.path)
         return added
 
     def run(
@@ -169,7 +169,7 @@ class Job:
         if finish is not None:
             result = finish(result)
         if self.path is not None:
-            write(self.path, result, None if self.directory is None else self.directory.path)
+            write_results(self.path, result, None if self.directory is None else self.directory.path)
             if self.directory is not None:
                 self.directory.remove()
         return result
@@ -201,7 +201,7 @@ def opened(
     with WorkingDirectory(path) as directory:
         earlier, counts = None, None
         if retry:
-            earlier = read(path)
+            earlier = read_results(path)
             counts = None if (earlier.status != 0).any() else earlier.counts_of_lashes
         elif path.exists() and not force:
             counts = _complete_counts(path, study, restart=restart, refine=refine)

@@ -82,10 +82,10 @@ def peak(count: int) -> int:
     """Peak resident memory of one sweep and its file  [bytes]."""
     import tempfile
 
-    from clunk.results.store import write
+    from clunk.results.store import write_results
 
     with tempfile.TemporaryDirectory() as directory:
-        write(f"{directory}/map.h5", sweeping.sweep(report_map(count)))
+        write_results(f"{directory}/map.h5", sweeping.sweep(report_map(count)))
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 

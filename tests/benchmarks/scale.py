@@ -114,7 +114,7 @@ def measure(count: float) -> dict[str, object]:
     with tempfile.TemporaryDirectory() as scratch, WorkingDirectory(Path(scratch) / "map.h5") as directory:
         results = stages.watch("sweep in all", sweeping.Job(study, directory=directory).run)()
         kept = sum(path.stat().st_size for path in directory.path.iterdir())
-        stages.watch("file", store.write)(directory.target, results, directory.path)
+        stages.watch("file", store.write_results)(directory.target, results, directory.path)
         del results
         size = directory.target.stat().st_size
         directory.remove()
