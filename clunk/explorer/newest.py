@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import NoReturn
 
 
 class Superseded(Exception):  # noqa: N818  # no error: a newer request has come
@@ -29,10 +28,7 @@ class Request:
     def go_on(self, *_: object) -> None:
         """Raise Superseded where the work is no longer wanted; takes what progress functions are called with."""
         if self.is_superseded:
-            self._stop()
-
-    def _stop(self) -> NoReturn:
-        raise Superseded
+            raise Superseded
 
 
 Work = Callable[[Request], None]

@@ -131,8 +131,7 @@ class Job:
 
         Raises as `clunk.sweep`, and ScratchError where the disk has no room for the results.
         """
-        if workers is not None and workers < 1:
-            raise SweepError(f"A sweep needs at least one worker, not {workers}.")
+        opening = nullcontext(engine) if engine is not None else engine_of(None, workers)
         began = time.perf_counter()
         reduction, parts = self.reduction, self.parts
         shared = reduction.runner.shared()
@@ -144,7 +143,7 @@ class Job:
         if progress is not None and parts is not None and parts.taken_up:
             progress(reduction.done, max(reduction.done, self.design.cells))
         try:
-            with nullcontext(engine) if engine is not None else _threads(workers) as executor:
+            with opening as executor:
                 finished = reduction.done
                 work = Work(reduction.runner, reduction.first(), may_grow=reduction.may_grow)
                 # closing it abandons the cells that run at an interrupt
@@ -251,7 +250,7 @@ def engine_of(
     if workers is not None and workers < 1:
         raise EngineError(f"A sweep needs at least one worker, not {workers}.")
     if scheduler is None:
-        return _threads(workers)
+        return Threads(workers or available_cores(), thread_name_prefix="clunk")
     if scheduler != "local" and not re.fullmatch(r"[a-z]+://\S+", scheduler):
         raise EngineError(f"A scheduler is an address such as tcp://host:8786, or local, not {scheduler!r}.")
     if scheduler != "local" and workers is not None:
@@ -263,10 +262,6 @@ def engine_of(
             f"A scheduler needs dask, which is not installed (no {error.name}): pip install 'clunk[dask]'"
         ) from error
     return Cluster(scheduler, workers, say)
-
-
-def _threads(workers: int | None) -> Threads:
-    return Threads(workers or available_cores(), thread_name_prefix="clunk")
 
 
 def sweep(
