@@ -15,7 +15,7 @@ from clunk.results.labels import FAILED_CODE
 from clunk.results.maps import parameters_of, values_at
 from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
-from clunk.study.document import dotted
+from clunk.study.document import leaves
 from clunk.study.errors import ClunkError
 
 Bools = npt.NDArray[np.bool_]
@@ -321,12 +321,4 @@ def _flat_config(results: Results, which: str) -> dict[str, Any]:
         document = tomllib.loads(results.config)
     except tomllib.TOMLDecodeError as error:
         raise ComparisonError(f"The config that {which} carries cannot be read as TOML ({error}).") from error
-    return dict(_leaves(document, ()))
-
-
-def _leaves(node: Any, place: tuple[str | int, ...]) -> Iterator[tuple[str, Any]]:
-    if isinstance(node, dict | list) and node:
-        for step, value in node.items() if isinstance(node, dict) else enumerate(node):
-            yield from _leaves(value, (*place, step))
-    else:
-        yield dotted(place), node
+    return dict(leaves(document))

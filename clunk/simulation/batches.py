@@ -61,10 +61,9 @@ def prepare_many(study: Study, parameters: Sequence[str], values: FloatArray) ->
     places = [located(study, parameter)[0] for parameter in parameters]
     varied = np.array([_is_size(place) for place in places])
     # what is no spring or damper where it is zero, and any other value, makes another kind of driveline
-    kinds = np.where(varied, values > 0.0, values)
-    _, kind_of = np.unique(kinds, axis=0, return_inverse=True)
-    for kind in range(kind_of.max(initial=-1) + 1):
-        alike = np.flatnonzero(kind_of.ravel() == kind)
+    _, group_of = np.unique(np.where(varied, values > 0.0, values), axis=0, return_inverse=True)
+    for group in range(group_of.max(initial=-1) + 1):
+        alike = np.flatnonzero(group_of.ravel() == group)
         first = replace_values(study, dict(zip(parameters, values[alike[0]].tolist(), strict=True)))
         most = _MEASURED if study.measured else MOST
         for begin in range(0, alike.size, most):

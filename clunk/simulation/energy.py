@@ -19,13 +19,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import matrix_balance
 
 from clunk.core.events import REJOIN, SEPARATION, TOUCH
 from clunk.core.tables import TORQUE, half_gap_of, held_inputs
 from clunk.simulation.driveline import Driveline, build
 from clunk.simulation.load import run_load
-from clunk.simulation.phases import Regime, inputs_of, regimes_of, stretches, with_wave
+from clunk.simulation.phases import Regime, balanced, inputs_of, regimes_of, stretches, with_wave
 from clunk.simulation.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
@@ -146,10 +145,10 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
     lost = 0.0
     if impulsive:
         touches, lashes = events["kind"] == TOUCH, np.arange(len(line.lashes))
-        lash, others = events["lash"][touches], system.contacts["closed"][events["regime"][touches]]
+        lash, closed = events["lash"][touches], system.contacts["closed"][events["regime"][touches]]
         after = np.einsum("ij,ij->i", states[touches, n : 2 * n], line.lashes[lash])
         lost_squares = events["speed"][touches] ** 2 - after**2
-        lost = float(np.sum(lost_squares * system.passed[others @ (1 << lashes), lash, lash]) / 2.0)
+        lost = float(np.sum(lost_squares * system.passed[closed @ (1 << lashes), lash, lash]) / 2.0)
     by_force = np.array([not impulsive and lash.contact.separation == "force" for lash in study.lashes])[events["lash"]]
     dropped, regained = (
         math.fsum(map(at_event, states[chosen], events["lash"][chosen], events["side"][chosen]))
@@ -213,13 +212,10 @@ def _integrals(rates: FloatArray, forms: FloatArray, length: float) -> tuple[Flo
         G of each F.
     """
     size = rates.shape[0]
-    # in units in which an angle and a velocity are of one size, so that the norm of A is about its largest |λ|
-    balanced = matrix_balance(rates, permute=False, separate=True) if np.all(np.isfinite(rates)) else None
-    reach = float(np.linalg.norm(balanced[0])) * length if balanced is not None else math.nan
+    scaled, unit, largest = balanced(rates)
+    reach = largest * length
     if not math.isfinite(reach):
         return np.full((size, size), math.nan), np.full(forms.shape, math.nan)
-    assert balanced is not None
-    scaled, (unit, _) = balanced
     doublings = max(0, math.ceil(math.log2(4.0 * reach))) if reach > 0.0 else 0
     short = length / 2.0**doublings
 

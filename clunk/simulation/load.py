@@ -150,8 +150,8 @@ def load_step(load: Load) -> LoadStep:
 
 def run_inputs(study: Study) -> tuple[FloatArray, FloatArray]:
     """Inputs d of a run before its load step, and under the torque that its load goes to  [N m, rad, N m/s]."""
-    first, *others = [np.deg2rad(lash.backlash_deg) / 2 for lash in study.lashes]
-    before, after = (np.array([torque, first, 0.0, *others]) for torque in load_step(study.load))
+    first, *further = [np.deg2rad(lash.backlash_deg) / 2 for lash in study.lashes]
+    before, after = (np.array([torque, first, 0.0, *further]) for torque in load_step(study.load))
     return before, after
 
 

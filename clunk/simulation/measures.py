@@ -21,7 +21,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 class Measures(NamedTuple):
-    """What was measured of a run.
+    """Measures of a run.
 
     totals : by name, the roots of the summed squares of the values of a lash's impacts, and the config's measures
     of_impacts : by name, (P,) float64, impulse [N m s], peak torque [N m] and energy [J] of its primary impacts

@@ -132,16 +132,23 @@ def _exponential(matrix: FloatArray) -> FloatArray:
     scipy's expm takes LAPACK, whose threads wait for each other: 15 ms for nine rows on a busy machine, and a history
     needs forty of them. Of drivelines as stiff as configs/car_tip_in.toml both are right to 1e-11.
     """
-    from scipy.linalg import matrix_balance  # a fifth of a second, which runs without histories do not take
-
-    if not np.all(np.isfinite(matrix)):
-        return np.full(matrix.shape, np.nan)
-    # in units in which an angle and a velocity are of one size, so that the norm is about the largest |λ|
-    scaled, (unit, _) = matrix_balance(matrix, permute=False, separate=True)
-    size = np.linalg.norm(scaled)
+    scaled, unit, size = balanced(matrix)
     if not np.isfinite(size):
         return np.full(matrix.shape, np.nan)
     return np.asarray(exponentials(scaled, np.asarray(size)) * unit[:, None] / unit)
+
+
+def balanced(matrix: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """A matrix in units in which angles and velocities are of one size, these units, and its norm.
+
+    The norm is about its largest |λ|; NaN or infinite where the matrix is not a number.
+    """
+    from scipy.linalg import matrix_balance  # a fifth of a second, which runs without histories do not take
+
+    if not np.all(np.isfinite(matrix)):
+        return matrix, np.ones(len(matrix)), np.nan
+    scaled, (unit, _) = matrix_balance(matrix, permute=False, separate=True)
+    return scaled, unit, float(np.linalg.norm(scaled))
 
 
 def apply(matrix: FloatArray, rows: FloatArray) -> FloatArray:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.regimes import RigidMotion
+from clunk.study.problems import listing
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -74,10 +75,10 @@ def separate_part(rigid: RigidMotion, load: FloatArray, names: Sequence[str]) ->
     """Phrase on a driveline with two rigid-body motions or more, which names a part that nothing joins to the load."""
     part = next(speeds for speeds in rigid.shape.T if not speeds @ load)
     free = [name for name, speed in zip(names, part, strict=True) if speed != 0.0]
-    listed = " and ".join([", ".join(free[:-1]), free[-1]] if len(free) > 1 else free)
     return (
-        f"no steady motion before the load step: no stiffness joins {listed} to {names[int(np.argmax(load))]} or to "
-        "ground, not even with the lash closed; give a shaft between them a stiffness"
+        f"no steady motion before the load step: no stiffness joins {listing(free)} to "
+        f"{names[int(np.argmax(load))]} or to ground, not even with the lash closed; give a shaft between them a "
+        "stiffness"
     )
 
 

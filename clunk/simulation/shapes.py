@@ -2,6 +2,7 @@
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse.csgraph import connected_components
 
 from clunk.core.reductions import chain
 from clunk.simulation.driveline import Driveline
@@ -38,24 +39,17 @@ def shuffle_mode(driveline: Driveline) -> int | None:
     """
     rows = [*driveline.shafts[driveline.shaft_stiffness > 0.0], *driveline.lashes]
     turns = speeds_along(np.array(rows), int(np.argmax(driveline.load)))
-    joints = [np.flatnonzero(row) for row in rows]
-    pairs = [(int(ends[0]), int(ends[1])) for ends in joints if ends.size == 2]
-    joined = np.flatnonzero(turns)
-    is_held = any(ends.size == 1 and turns[ends[0]] != 0.0 for ends in joints)
+    joined, is_held = np.flatnonzero(turns), False
+    joints, forward = np.zeros((turns.size, turns.size), bool), np.zeros(turns.size, bool)
+    for ends in map(np.flatnonzero, rows):
+        joints[ends[0], ends[-1]] = True
+        is_held |= bool(ends.size == 1 and turns[ends[0]] != 0.0)
     for number, shape in enumerate(mode_shapes(driveline, closed=True)):
         reflected = shape[joined] / turns[joined]
         largest = reflected[np.argmax(driveline.inertia[joined] * np.abs(shape[joined]) ** 2)]
-        forward = dict(zip(joined.tolist(), (reflected * largest.conjugate()).real > 0.0, strict=True))
-        alike = [(one, other) for one, other in pairs if one in forward and forward[one] == forward[other]]
-        if largest != 0.0 and _parts(list(forward), alike) == (1 if is_held else 2):
+        forward[joined] = (reflected * largest.conjugate()).real > 0.0
+        in_phase = joints & (forward[:, None] == forward)
+        parts, _ = connected_components(in_phase[np.ix_(joined, joined)], directed=False)
+        if largest != 0.0 and parts == (1 if is_held else 2):
             return number
     return None
-
-
-def _parts(nodes: list[int], edges: list[tuple[int, int]]) -> int:
-    """Number of connected parts of a graph."""
-    part = {node: node for node in nodes}
-    for one, other in edges:
-        kept, merged = part[one], part[other]
-        part = {node: kept if each == merged else each for node, each in part.items()}
-    return len(set(part.values()))

@@ -5,10 +5,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from clunk.core.regimes import alone
 from clunk.core.status import Status
-from clunk.core.tables import FORCE, TORQUE
+from clunk.core.tables import TORQUE
 from clunk.simulation.driveline import Driveline, build, explained
 from clunk.simulation.load import run_inputs
+from clunk.simulation.measures import torque_across
 from clunk.simulation.phases import Flow, preload, regimes_of
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study
@@ -74,12 +76,7 @@ class SmallGap(NamedTuple):
         time = step * np.arange(int(duration / step) + 1)
         # without a gap no flank has an offset, and which one is closed does not matter
         state = Flow(regimes_of(system, after), step).states(rest.regime, rest.x, 0.0, time.size)
-        if system.impulsive:
-            flow = system.regimes[rest.regime]["flow"]
-            held = system.feedthrough[flow, FORCE, TORQUE] * after[TORQUE]
-            torque = state @ system.functionals[flow, FORCE] + held
-        else:
-            angle, velocity = (half @ driveline.lash for half in np.hsplit(state, 2))
-            torque = driveline.contact_stiffness * angle + driveline.contact_damping * velocity
+        across = torque_across(driveline, system, alone(system), system.regimes[rest.regime]["flow"], 0)[0]
+        torque = state @ across[: state.shape[1]] + across[state.shape[1] + TORQUE] * after[TORQUE]
         time += study.load.step_time
         return cls(np.asarray(time), torque, start, end, decay, frequency, damping_ratio, study.load.step_time)

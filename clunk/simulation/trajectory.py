@@ -87,7 +87,7 @@ class Trajectory:
 
     @property
     def margin(self) -> float:
-        """How near the run came to another label; NaN where the method knows none."""
+        """Margin to another label, how near the run came to one; NaN where the method knows none."""
         return float(self.margins[self.lash])
 
     @cached_property

@@ -9,7 +9,7 @@ import contextlib
 import json
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -173,6 +173,19 @@ def value_at(document: Any, place: Place) -> Any:
         else:
             document = document.get(step) if isinstance(document, Mapping) else None
     return document
+
+
+def leaves(node: Any, place: Place = (), *, whole_lists: bool = False) -> Iterator[tuple[str, Any]]:
+    """Yield the dotted key and the value of everything in a document; an empty table or list is a value.
+
+    whole_lists : whether a list of plain values is a value, instead of its items
+    """
+    is_whole = whole_lists and not any(isinstance(item, Mapping) for item in items_of(node))
+    steps = [*node.items()] if isinstance(node, Mapping) else [] if is_whole else [*enumerate(items_of(node))]
+    for step, value in steps:
+        yield from leaves(value, (*place, step), whole_lists=whole_lists)
+    if not steps:
+        yield dotted(place), node
 
 
 def with_value(node: Any, place: Place, value: Any) -> Any:

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Self
 
 from clunk.results.files import reason, write_whole
+from clunk.study.document import leaves
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study, decisive_content, digest
 from clunk.sweeping.provenance import versions
@@ -218,18 +219,7 @@ class Parts:
 
 def flat(study: Study) -> dict[str, Any]:
     """Values of a study that decide its results, by dotted key, list items by number from 1."""
-    return dict(_leaves(decisive_content(study)))
-
-
-def _leaves(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    if isinstance(node, dict):
-        for name, value in node.items():
-            yield from _leaves(value, f"{key}.{name}" if key else name)
-    elif isinstance(node, list | tuple) and any(isinstance(item, dict) for item in node):
-        for number, value in enumerate(node, 1):
-            yield from _leaves(value, f"{key}[{number}]")
-    else:
-        yield key, node
+    return dict(leaves(decisive_content(study), whole_lists=True))
 
 
 def differences(earlier: Mapping[str, Any], current: Mapping[str, Any]) -> str:
