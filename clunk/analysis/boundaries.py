@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from clunk.analysis.arrays import Codes, Floats
 from clunk.analysis.boundaryevents import events_between, split_by_event
-from clunk.analysis.brackets import Codes, Floats
 from clunk.analysis.network import SAME, junctions_of, paths_of, regions_of, rings_of
 from clunk.analysis.pointruns import RUN, PointRuns, Runs
 from clunk.analysis.thresholds import thresholds

@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from clunk.analysis.brackets import Codes, Floats
+from clunk.analysis.arrays import Codes, Floats, Records
 from clunk.analysis.network import Path
-from clunk.analysis.pointruns import Events, PointRuns, Records
+from clunk.analysis.pointruns import Events, PointRuns
 from clunk.core.events import STAGE, TOUCH
 from clunk.core.status import Status
 from clunk.results.boundaries import (

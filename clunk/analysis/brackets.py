@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
-Codes = npt.NDArray[np.int64]
-Bools = npt.NDArray[np.bool_]
+from clunk.analysis.arrays import Codes, Floats
+
 Points = npt.NDArray[np.void]  # POINT
 
 TOLERANCE = 1e-9  # of the span, the widest that a bracket ends by default

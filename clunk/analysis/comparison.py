@@ -9,17 +9,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.analysis.arrays import Bools, Positions
 from clunk.results.labels import FAILED_CODE
 from clunk.results.maps import parameters_of, values_at
 from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
 from clunk.study.document import leaves
 from clunk.study.errors import ClunkError
-
-Bools = npt.NDArray[np.bool_]
-Codes = npt.NDArray[np.intp]
 
 _SAME_AXIS = 1e-9  # of an axis's smallest step: the same values computed in another way differ by rounding
 _ROUNDING = 1e-14  # of a value itself: drawn ones may lie as near to each other as that
@@ -122,8 +119,8 @@ class Comparison:
     differs: Bools
     failed_a: Bools
     failed_b: Bools
-    codes_a: Codes
-    codes_b: Codes
+    codes_a: Positions
+    codes_b: Positions
     transitions: tuple[Transition, ...]
     deviation: Deviation | None
     identical: bool
@@ -253,14 +250,14 @@ def _span(axis: ResultAxis) -> str:
     return f"{count} value{'' if count == 1 else 's'} from {axis.values[0]:g} to {axis.values[-1]:g}"
 
 
-def _codes(results: Results, labels: tuple[str, ...]) -> Codes:
+def _codes(results: Results, labels: tuple[str, ...]) -> Positions:
     # the code of a failed cell, -1, takes the last entry
     code = np.array([*(labels.index(label) for label in results.labels), FAILED_CODE], np.intp)
-    codes: Codes = code[results.sequence]
+    codes: Positions = code[results.sequence]
     return codes
 
 
-def _transitions(labels: tuple[str, ...], a: Codes, b: Codes) -> tuple[Transition, ...]:
+def _transitions(labels: tuple[str, ...], a: Positions, b: Positions) -> tuple[Transition, ...]:
     pairs, counts = np.unique(a * len(labels) + b, return_counts=True)
     transitions = [
         Transition(labels[pair // len(labels)], labels[pair % len(labels)], count)

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from clunk.analysis.brackets import POINT, TOLERANCE, Codes, Floats, Points, narrow
+from clunk.analysis.arrays import Codes, Floats
+from clunk.analysis.brackets import POINT, TOLERANCE, Points, narrow
 from clunk.analysis.pointruns import RUN, RUN_FIELDS, Runs
 from clunk.analysis.searches import Search
 

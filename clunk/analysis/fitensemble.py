@@ -13,9 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from clunk.analysis.arrays import Floats
 
 POPULATION = 512
 _KERNELS = 64  # of a proposal
@@ -32,10 +31,10 @@ class Proposal:
     root : (d, d) lower triangular, of the kernels' covariance
     """
 
-    centres: FloatArray
-    root: FloatArray
+    centres: Floats
+    root: Floats
 
-    def over_prior(self, draws: FloatArray) -> FloatArray:
+    def over_prior(self, draws: Floats) -> Floats:
         """Density at some draws, (n, d), as a multiple of the prior's."""
         if not len(self.centres):
             return np.ones(len(draws))
@@ -45,7 +44,7 @@ class Proposal:
         exponents = ((draws**2).sum(axis=1)[:, None] - squares) / 2.0 - np.log(np.diag(self.root)).sum()
         return np.asarray(_OF_PRIOR + (1.0 - _OF_PRIOR) * np.exp(np.minimum(exponents, 600.0)).mean(axis=1))
 
-    def draw(self, count: int, generator: np.random.Generator) -> FloatArray:
+    def draw(self, count: int, generator: np.random.Generator) -> Floats:
         """Draw from the mixture, (count, d)."""
         normal = generator.standard_normal((count, self.root.shape[0]))
         kernel = generator.integers(len(self.centres), size=count)
@@ -62,13 +61,13 @@ class Population:
     proposals : of each population
     """
 
-    draws: FloatArray
-    losses: FloatArray
+    draws: Floats
+    losses: Floats
     proposals: list[Proposal] = field(default_factory=list)
     counts: list[int] = field(default_factory=list)
 
     @property
-    def log_density(self) -> FloatArray:
+    def log_density(self) -> Floats:
         """(n,) logarithm of the density that proposed the draws, as a multiple of the prior's."""
         densities = [
             count * each.over_prior(self.draws) for each, count in zip(self.proposals, self.counts, strict=True)
@@ -76,21 +75,19 @@ class Population:
         return np.asarray(np.log(np.sum(densities, axis=0) / sum(self.counts)))
 
 
-def weights_of(losses: FloatArray, log_density: FloatArray, flattening: float = 1.0) -> FloatArray:
+def weights_of(losses: Floats, log_density: Floats, flattening: float = 1.0) -> Floats:
     """Weights of draws, which add up to 1; flattening : power of the likelihood."""
     exponents = -flattening * losses - log_density
     weights = np.exp(exponents - exponents.max())
     return np.asarray(weights / weights.sum())
 
 
-def effective_size(weights: FloatArray) -> float:
+def effective_size(weights: Floats) -> float:
     """Number of equally weighted draws that would be as good."""
     return float(1.0 / (weights**2).sum())
 
 
-def sample(
-    loss_of: Callable[[FloatArray], FloatArray], dimensions: int, effective: float, most: int, seed: int
-) -> Population:
+def sample(loss_of: Callable[[Floats], Floats], dimensions: int, effective: float, most: int, seed: int) -> Population:
     """Draw populations until they are worth `effective` draws, or are `most`.
 
     Parameters
@@ -116,14 +113,14 @@ def sample(
     return population
 
 
-def sobol_points(count: int, dimensions: int, generator: np.random.Generator) -> FloatArray:
+def sobol_points(count: int, dimensions: int, generator: np.random.Generator) -> Floats:
     """The first points, (count, dimensions), of a scrambled Sobol sequence."""
     from scipy.stats import qmc
 
     return np.asarray(qmc.Sobol(dimensions, seed=generator).random_base2((count - 1).bit_length())[:count])
 
 
-def proposal_after(population: Population, log_density: FloatArray, generator: np.random.Generator) -> Proposal:
+def proposal_after(population: Population, log_density: Floats, generator: np.random.Generator) -> Proposal:
     """The kernels that follow the weights of the draws so far, flattened until enough draws count."""
     enough, losses = _COUNTING * POPULATION, population.losses
     low, high = 0.0, 1.0

@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk import __version__
+from clunk.analysis.arrays import Patterns, Records
 from clunk.analysis.fitparts import FitError
-from clunk.analysis.fitruns import MATCH, Records, label_of, pattern_of
+from clunk.analysis.fitruns import MATCH, label_of, pattern_of
 from clunk.analysis.fitted import Fewer, Fitted
 from clunk.analysis.fitting import identity
 from clunk.analysis.measurements import experiment_of
@@ -95,7 +96,7 @@ def _fill(file: Image, fitted: Fitted, lash: str | None) -> None:
     meanings = {FAILED_CODE: FAILED} | {code: labels[pattern] for pattern, code in codes.items()}
     codes[0] = FAILED_CODE
 
-    def sequences(patterns: npt.NDArray[np.uint64]) -> npt.NDArray[np.int16]:
+    def sequences(patterns: Patterns) -> npt.NDArray[np.int16]:
         unique, inverse = np.unique(patterns, return_inverse=True)
         return np.array([codes[int(each)] for each in unique], np.int16)[inverse.reshape(patterns.shape)]
 

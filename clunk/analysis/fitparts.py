@@ -10,16 +10,14 @@ import hashlib
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from clunk.analysis.fitruns import MATCH, CandidateRuns, Records, Worth
+from clunk.analysis.arrays import Floats, Records
+from clunk.analysis.fitruns import MATCH, CandidateRuns, Worth
 from clunk.results.files import reason, write_whole
 from clunk.study.errors import ClunkError
 from clunk.sweeping.parts import WorkingDirectory
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.provenance import versions
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class FitError(ClunkError):
@@ -54,7 +52,7 @@ class Populations:
             )
         self._chain = hashlib.sha256(f"{identity} {versions()} {MATCH.descr}".encode()).digest()
 
-    def __call__(self, candidates: FloatArray, worth: Worth) -> Records:
+    def __call__(self, candidates: Floats, worth: Worth) -> Records:
         """Run the next population; parameters and result as of `CandidateRuns`. Raises FitError."""
         self._number += 1
         self._chain = hashlib.sha256(self._chain + candidates.tobytes()).digest()

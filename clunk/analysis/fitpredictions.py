@@ -7,20 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.analysis.arrays import Bools, Floats, Patterns, Records
 from clunk.analysis.fitensemble import effective_size, weights_of
 from clunk.study.fits import Fit
-
-FloatArray = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
-Records = npt.NDArray[np.void]
-Patterns = npt.NDArray[np.uint64]
 
 _PRIOR_WEIGHT = 10.0  # measurements that the expected share of wrong labels is worth
 
 
-def losses(matches: Records, wanted: Patterns, fit: Fit, rows: Bools | slice = slice(None)) -> FloatArray:
+def losses(matches: Records, wanted: Patterns, fit: Fit, rows: Bools | slice = slice(None)) -> Floats:
     """Minus the logarithm of candidates' likelihood, up to a constant.
 
     A label that is not met costs its distance over the scatter. Besides, labels are wrong with a probability that is
@@ -61,7 +56,7 @@ class Prediction:
     effective: float
 
 
-def probabilities(patterns: Patterns, weights: FloatArray) -> list[dict[int, float]]:
+def probabilities(patterns: Patterns, weights: Floats) -> list[dict[int, float]]:
     """Probability of each pattern at each point, the largest first; patterns : (n, points), weights : (n,)."""
     every = []
     for column in patterns.T:
@@ -74,9 +69,9 @@ def probabilities(patterns: Patterns, weights: FloatArray) -> list[dict[int, flo
 
 def predict_left_out(
     matches: Records,
-    log_density: FloatArray,
+    log_density: Floats,
     wanted: Patterns,
-    points: FloatArray,
+    points: Floats,
     fit: Fit,
     groups: Sequence[int],
     what: str,
@@ -106,7 +101,7 @@ def predict_left_out(
     return Prediction(what, predicted, majority, nearest, effective)
 
 
-def left_out_groups(points: FloatArray, axes: Sequence[str]) -> dict[str, list[int]]:
+def left_out_groups(points: Floats, axes: Sequence[str]) -> dict[str, list[int]]:
     """Ways to leave measurements out: each alone, and all that share a value of an axis with some others."""
     every = {"measurement": list(range(len(points)))}
     for axis, column in zip(axes, points.T, strict=True):

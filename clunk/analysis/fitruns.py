@@ -15,6 +15,7 @@ from difflib import SequenceMatcher
 import numpy as np
 import numpy.typing as npt
 
+from clunk.analysis.arrays import Bools, Floats, Patterns, Positions, Records
 from clunk.analysis.measurements import Experiment, ExperimentError
 from clunk.analysis.outcomes import measuring
 from clunk.core.sequence import OPPOSITE, label
@@ -32,11 +33,7 @@ from clunk.sweeping.assembly import flanks_of
 from clunk.sweeping.cells import Grid, Systems
 from clunk.sweeping.engines import Stop, available_cores, run_tile
 
-FloatArray = npt.NDArray[np.float64]
-Cells = npt.NDArray[np.intp]
-Records = npt.NDArray[np.void]
-Patterns = npt.NDArray[np.uint64]
-Worth = Callable[[Records], npt.NDArray[np.bool_]]
+Worth = Callable[[Records], Bools]
 
 # A candidate's run at a measured operating point: the flanks as bits behind a leading 1 (0: failed), the distance to
 # the measured label, the signed change that brings it about (0: none does), the misfit of the impacts' measured
@@ -79,7 +76,7 @@ class CandidateRuns:
         self._numbers = tuple(dict.fromkeys(name for each in experiment.measurements for name in each.impacts))
         self.axis = self._telling_axis() if len(self.axes) > 1 else 0
 
-    def __call__(self, candidates: FloatArray, worth: Worth | None = None) -> Records:
+    def __call__(self, candidates: Floats, worth: Worth | None = None) -> Records:
         """Run candidates, (n, priors), at all operating points.
 
         worth : tells of MATCH without distances of missed labels, (n, points), which candidates need these, (n,) bool
@@ -99,7 +96,7 @@ class CandidateRuns:
         return matches
 
     def _look_around(
-        self, candidates: FloatArray, matches: Records, missed: Cells, every: Cells, systems: Systems
+        self, candidates: Floats, matches: Records, missed: Positions, every: Positions, systems: Systems
     ) -> None:
         """Find the distances of runs that missed the measured label, on either side of the point.
 
@@ -110,7 +107,7 @@ class CandidateRuns:
             return
         runs, computed = every[:, missed], matches["pattern"][missed]
 
-        def edits_at(rows: Cells, changes: FloatArray) -> tuple[Patterns, FloatArray]:
+        def edits_at(rows: Positions, changes: Floats) -> tuple[Patterns, Floats]:
             point = runs[1, rows]
             patterns = self._run(candidates, runs[:, rows], self._beside(point, self.axis, changes), systems)[0]
             return patterns, self._edits(point, patterns)
@@ -132,7 +129,7 @@ class CandidateRuns:
         matches["distance"][missed] = distances[nearest]
         matches["change"][missed] = np.where(edits[nearest] == 0.0, changes[nearest], 0.0)
 
-    def _beside(self, point: Cells, axis: int, changes: FloatArray) -> FloatArray:
+    def _beside(self, point: Positions, axis: int, changes: Floats) -> Floats:
         """Measured values of points, (n, axes), with changes of the logarithm of the one along an axis."""
         measured = self.points[point]
         measured[:, axis] *= np.exp(changes)
@@ -154,7 +151,7 @@ class CandidateRuns:
         return int(np.argmax(changed))
 
     def _run(
-        self, candidates: FloatArray, runs: Cells, measured: FloatArray, systems: Systems
+        self, candidates: Floats, runs: Positions, measured: Floats, systems: Systems
     ) -> tuple[Patterns, npt.NDArray[np.uint8], Records]:
         """Run candidates at measured values: patterns, statuses, and seen impacts with their run's number.
 
@@ -205,7 +202,7 @@ class CandidateRuns:
             numbered[name] = impacts[name.removeprefix("impact_")]
         return patterns, status, numbered
 
-    def values(self, candidates: FloatArray, measured: FloatArray) -> dict[str, FloatArray]:
+    def values(self, candidates: Floats, measured: Floats) -> dict[str, Floats]:
         """Values of every parameter in runs of candidates, (n, priors), at measured values, (n, axes)."""
         values = {key: measured[:, k] for k, key in enumerate(self.axes)}
         for prior, numbers in zip(self.priors, candidates.T, strict=True):
@@ -213,7 +210,7 @@ class CandidateRuns:
             values[prior.parameter] = prior.applied(numbers, before)
         return values
 
-    def _misfits(self, point: Cells, patterns: Patterns, impacts: Records) -> FloatArray:
+    def _misfits(self, point: Positions, patterns: Patterns, impacts: Records) -> Floats:
         """Misfit of the impacts' quantities in some runs: minus the logarithm of their relative likelihood."""
         misfits = np.zeros(point.size)
         if not self._numbers:
@@ -227,7 +224,7 @@ class CandidateRuns:
                     misfits[runs] += outlier_misfit((value - values) / measurement.std[name])
         return misfits
 
-    def _edits(self, point: Cells, patterns: Patterns) -> FloatArray:
+    def _edits(self, point: Positions, patterns: Patterns) -> Floats:
         """Number of impacts too many or too few of patterns at some points; of a failed run, of all."""
         edits = np.zeros(point.size)
         for at, computed, runs in _alike(point, patterns):
@@ -236,7 +233,7 @@ class CandidateRuns:
         return edits
 
 
-def _alike(point: Cells, patterns: Patterns) -> Iterator[tuple[int, tuple[int, ...], Cells]]:
+def _alike(point: Positions, patterns: Patterns) -> Iterator[tuple[int, tuple[int, ...], Positions]]:
     """Yield groups of runs at the same point with the same pattern: the point, the flanks and the runs' numbers."""
     pairs, of_pair = np.unique(np.stack([point.astype(np.uint64), patterns]), axis=1, return_inverse=True)
     order = np.argsort(of_pair.reshape(-1), kind="stable")
@@ -245,7 +242,7 @@ def _alike(point: Cells, patterns: Patterns) -> Iterator[tuple[int, tuple[int, .
         yield at, flanks_of(pattern) if pattern else (), runs
 
 
-def numbers_at(study: Study, priors: Sequence[Draw], coordinates: FloatArray) -> FloatArray:
+def numbers_at(study: Study, priors: Sequence[Draw], coordinates: Floats) -> Floats:
     """Numbers of some priors at coordinates, (n, priors), in which they are standard normal."""
     from scipy.stats import norm
 
@@ -289,7 +286,7 @@ def partners(measured: Sequence[int], computed: Sequence[int]) -> dict[int, int]
     return {a + k: b + k for a, b, size in blocks for k in range(size)}
 
 
-def outlier_misfit(deviation: FloatArray | float) -> FloatArray:
+def outlier_misfit(deviation: Floats | float) -> Floats:
     """Minus the logarithm of a normal density with a few outliers, less that at 0; deviation : in standard deviations.
 
     It grows as the square near 0 and as the logarithm far away, so that one bad value decides nothing.

@@ -7,21 +7,18 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.analysis.arrays import Floats, Patterns, Records
 from clunk.analysis.fitensemble import effective_size, weights_of
 from clunk.analysis.fitpredictions import Prediction, left_out_groups, losses, predict_left_out, probabilities
 from clunk.analysis.fitreasons import reason_of
-from clunk.analysis.fitruns import Records, axes_of, label_of, numbers_at, patterns_of
+from clunk.analysis.fitruns import axes_of, label_of, numbers_at, patterns_of
 from clunk.analysis.measurements import Experiment
 from clunk.study.fits import Fit
 from clunk.study.parameters import nominal_value
 from clunk.study.study import Study
 from clunk.study.summaries import as_text
 from clunk.study.sweeps import Draw
-
-FloatArray = npt.NDArray[np.float64]
-Patterns = npt.NDArray[np.uint64]
 
 INTERVAL = (0.05, 0.95)  # quantiles of the ensemble that bound a parameter
 UNDETERMINED = 0.7  # standard deviation, of the prior's, from which on the data leave a combination undetermined
@@ -65,13 +62,13 @@ class Fitted:
     study: Study
     experiment: Experiment
     lash: str
-    estimate: FloatArray
+    estimate: Floats
     estimate_matches: Records
     nominal_matches: Records
-    coordinates: FloatArray
+    coordinates: Floats
     matches: Records
-    log_density: FloatArray
-    best_distances: FloatArray
+    log_density: Floats
+    best_distances: Floats
     fewer: tuple[Fewer, ...]
     axis: int
     candidates: int
@@ -94,7 +91,7 @@ class Fitted:
         return axes_of(self.study, self.experiment)
 
     @cached_property
-    def points(self) -> FloatArray:
+    def points(self) -> Floats:
         """(n, axes) measured values."""
         return np.array([each.values for each in self.experiment.measurements])
 
@@ -104,12 +101,12 @@ class Fitted:
         return patterns_of(self.experiment)
 
     @cached_property
-    def weights(self) -> FloatArray:
+    def weights(self) -> Floats:
         """(N,) of the draws."""
         return weights_of(losses(self.matches, self.wanted, self.fit), self.log_density)
 
     @cached_property
-    def draws(self) -> FloatArray:
+    def draws(self) -> Floats:
         """(N, d) numbers of the ensemble's draws."""
         return numbers_at(self.study, self.priors, self.coordinates)
 
@@ -127,17 +124,17 @@ class Fitted:
         """Number of labels that the best candidate meets."""
         return self.hits(self.estimate_matches["pattern"])
 
-    def intervals(self, shares: Sequence[float] = INTERVAL) -> FloatArray:
+    def intervals(self, shares: Sequence[float] = INTERVAL) -> Floats:
         """(d, shares) quantiles of each parameter in the ensemble."""
         return weighted_quantiles(self.draws, self.weights, shares)
 
-    def prior_intervals(self, shares: Sequence[float] = INTERVAL) -> FloatArray:
+    def prior_intervals(self, shares: Sequence[float] = INTERVAL) -> Floats:
         """(d, shares) quantiles of each prior."""
         nominal = [nominal_value(self.study, prior.parameter) for prior in self.priors]
         return np.array([prior.quantiles(shares, value) for prior, value in zip(self.priors, nominal, strict=True)])
 
     @cached_property
-    def combinations(self) -> tuple[FloatArray, FloatArray]:
+    def combinations(self) -> tuple[Floats, Floats]:
         """Spread, (d,), and direction, (d, d) by row, of the ensemble's principal axes, the widest first.
 
         Both are in the coordinates in which the prior is standard normal: a spread of 1 is the prior's.
@@ -209,7 +206,7 @@ class Fitted:
         return sentences
 
 
-def weighted_quantiles(values: FloatArray, weights: FloatArray, shares: Sequence[float]) -> FloatArray:
+def weighted_quantiles(values: Floats, weights: Floats, shares: Sequence[float]) -> Floats:
     """(d, shares) quantiles of the columns of values, (n, d), with weights, (n,)."""
     quantiles = np.empty((values.shape[1], len(shares)))
     for k, column in enumerate(values.T):

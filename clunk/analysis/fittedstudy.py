@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.analysis.arrays import Floats
 from clunk.analysis.fitted import Fitted
 from clunk.study.document import with_value
 from clunk.study.parameters import located, nominal_value
 from clunk.study.study import Study, content
-
-FloatArray = npt.NDArray[np.float64]
 
 _SEED = 2  # of the picked draws, beside the fit's
 
@@ -92,9 +90,9 @@ def _with_tolerances(fitted: Fitted, sweep: dict[str, Any], draws: int) -> dict[
     return without | {"tolerances": tuple(tolerances), "sampling": {"count": draws}}
 
 
-def _made_of(fitted: Fitted, key: str, value: float, numbers: FloatArray) -> FloatArray:
+def _made_of(fitted: Fitted, key: str, value: float, numbers: Floats) -> Floats:
     """Value that a fit's numbers, (…, d), make of another value of a key."""
-    made: FloatArray = np.full(numbers.shape[:-1], value)
+    made: Floats = np.full(numbers.shape[:-1], value)
     for prior, column in zip(fitted.priors, np.moveaxis(numbers, -1, 0), strict=True):
         if prior.parameter == key:
             made = prior.applied(column, made)

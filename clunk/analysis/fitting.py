@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.analysis.arrays import Bools, Floats, Patterns, Records
 from clunk.analysis.fitensemble import Population, effective_size, sample, sobol_points, weights_of
 from clunk.analysis.fitparts import FitError, Populations
 from clunk.analysis.fitpredictions import losses, predict_left_out
-from clunk.analysis.fitruns import CandidateRuns, Records, axes_of, numbers_at, patterns_of
+from clunk.analysis.fitruns import CandidateRuns, axes_of, numbers_at, patterns_of
 from clunk.analysis.fitted import Fewer, Fitted
 from clunk.analysis.measurements import Experiment
 from clunk.core.status import Status
@@ -28,10 +28,6 @@ from clunk.sweeping.parts import WorkingDirectory
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.sweep import engine_of
 
-FloatArray = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
-Patterns = npt.NDArray[np.uint64]
-
 _NEGLIGIBLE = 30.0  # logarithm of how much less likely than the best a candidate is whose distances do not matter
 _SEARCHED = 16  # candidates of a population of the search, for each parameter
 
@@ -42,12 +38,12 @@ class _Best:
 
     wanted: Patterns
     loss: float = math.inf
-    numbers: FloatArray = field(default_factory=lambda: np.zeros(0))
+    numbers: Floats = field(default_factory=lambda: np.zeros(0))
     matches: Records | None = None
-    distances: FloatArray | float = math.inf
+    distances: Floats | float = math.inf
     failed: int = 0
 
-    def take(self, candidates: FloatArray, matches: Records, found: FloatArray) -> None:
+    def take(self, candidates: Floats, matches: Records, found: Floats) -> None:
         k = int(found.argmin())
         if found[k] < self.loss:
             self.loss, self.numbers, self.matches = float(found[k]), candidates[k], matches[k]
@@ -137,7 +133,7 @@ def fit(
     )
 
 
-def _search(study: Study, populations: Populations, best: _Best, nominal: FloatArray) -> None:
+def _search(study: Study, populations: Populations, best: _Best, nominal: Floats) -> None:
     """Look for the best candidate by differential evolution, a population a sweep."""
     from scipy.optimize import differential_evolution
     from scipy.stats import norm
@@ -152,7 +148,7 @@ def _search(study: Study, populations: Populations, best: _Best, nominal: FloatA
     first[0] = [_share_below(study, prior, number) for prior, number in zip(priors, nominal, strict=True)]
     parents = np.full(size, np.inf)
 
-    def loss(trials: FloatArray) -> FloatArray:
+    def loss(trials: Floats) -> Floats:
         nonlocal parents
         shares = np.clip(trials.T, 1e-12, 1.0 - 1e-12)
         candidates = numbers_at(study, priors, np.asarray(norm.ppf(shares)))
@@ -177,7 +173,7 @@ def _search(study: Study, populations: Populations, best: _Best, nominal: FloatA
 
 
 def draw_ensemble(
-    study: Study, populations: Populations, best: _Best | None, nominal: FloatArray, count: int
+    study: Study, populations: Populations, best: _Best | None, nominal: Floats, count: int
 ) -> tuple[Population, Records]:
     """Ensemble of the first parameters, the others being nominal, and its draws' MATCH."""
     settings = study.fit
@@ -186,7 +182,7 @@ def draw_ensemble(
     every: list[Records] = []
     least = np.inf
 
-    def loss(draws: FloatArray) -> FloatArray:
+    def loss(draws: Floats) -> Floats:
         nonlocal least
         candidates = np.tile(nominal, (len(draws), 1))
         candidates[:, :count] = numbers_at(study, priors[:count], draws)

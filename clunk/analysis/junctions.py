@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from clunk.analysis.brackets import TOLERANCE, Codes, Floats
+from clunk.analysis.arrays import Codes, Floats
+from clunk.analysis.brackets import TOLERANCE
 from clunk.analysis.crossings import located
 from clunk.analysis.searches import Search
 

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.analysis.arrays import Floats
 from clunk.results.labels import double_sided, normalised_label
 from clunk.results.quantities import CELL_QUANTITIES, Quantity, likely_name, measured_quantities
 from clunk.study.errors import ClunkError
@@ -88,7 +88,7 @@ class Outcome:
             return f"the label is the nominal {nominal}"
         return f"the label is {self.bound}" if self.relation else "the label"
 
-    def of_runs(self, results: Results, nominal: str = "") -> npt.NDArray[np.float64]:
+    def of_runs(self, results: Results, nominal: str = "") -> Floats:
         """A number, or an indicator's 1 and 0, in each cell: float64 of the results' shape; failed cells count not.
 
         Where nothing happens, no event is later than the load step: in a relation its time counts as 0.

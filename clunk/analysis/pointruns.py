@@ -8,7 +8,7 @@ from concurrent.futures import Executor
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.brackets import Codes, Floats
+from clunk.analysis.arrays import Codes, Floats, Records
 from clunk.analysis.outcomes import measuring
 from clunk.core.sequence import label
 from clunk.core.status import Status
@@ -23,7 +23,6 @@ RUN_FIELDS = ("outcome", "measure", "touches")
 RUN = np.dtype([*zip(RUN_FIELDS, ("i8", "f8", "i8"), strict=True)])
 Runs = npt.NDArray[np.void]  # RUN: the label's code, the margin and the number of touches
 
-Records = npt.NDArray[np.void]  # CELL
 Events = npt.NDArray[np.void]  # EVENT
 
 _EVENT_MEMORY = 500_000  # events that there is room for at a time, in each thread: 28 MB

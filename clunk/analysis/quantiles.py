@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.analysis.arrays import Codes, Floats
 from clunk.analysis.thresholds import DRAW, UNCERTAIN_CODE, ThresholdError, Thresholds
 from clunk.results.labels import FAILED_CODE
 from clunk.study.axes import ResultAxis
@@ -21,7 +21,7 @@ from clunk.study.axes import ResultAxis
 QUANTILE = "quantile"  # the axis in the place of `draw`
 
 
-def probabilities(thresholds: Thresholds, cell: int = 0) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def probabilities(thresholds: Thresholds, cell: int = 0) -> tuple[Floats, Floats]:
     """Probability of each outcome along the key in a cell of the axes behind `draw`, as thresholds of tolerances have.
 
     Returns the ends of the intervals in which it is constant, (m + 1,), and the shares of the draws in each, of the
@@ -108,7 +108,7 @@ def _draws(thresholds: Thresholds) -> int:
     return len(thresholds.axes[0].values)
 
 
-def _counts(thresholds: Thresholds, cell: int, cells: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+def _counts(thresholds: Thresholds, cell: int, cells: int) -> tuple[Codes, Floats]:
     """Number of draws with each outcome between the thresholds of all draws, (m, words + 1), and the ends, (m + 1,)."""
     outcomes = len(thresholds.words) + 1  # the code of failed runs, -1, is the last
     part = np.flatnonzero(thresholds.cell % cells == cell)

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import rankdata
 
+from clunk.analysis.arrays import Floats
 from clunk.analysis.ridge import ridge_of
 from clunk.results.quantities import Quantity
 from clunk.results.regimemap import Results
-
-Floats = npt.NDArray[np.float64]
 
 _ROWS = 5  # values of the first axis at which ridges are told
 

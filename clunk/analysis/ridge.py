@@ -1,9 +1,8 @@
 """The ridge of a map: for each load the backlash at which a quantity is largest."""
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from clunk.analysis.arrays import Floats
 
 
 def ridge_of(values: Floats) -> Floats:

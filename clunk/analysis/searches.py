@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from clunk.analysis.brackets import Floats
+from clunk.analysis.arrays import Floats
 from clunk.analysis.pointruns import Runs
 
 _Found = TypeVar("_Found")

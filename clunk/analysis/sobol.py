@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.analysis.arrays import Floats, Positions
 from clunk.analysis.outcomes import DOUBLE_SIDED, LABEL, NOMINAL, Outcome, measuring, outcome_of
 from clunk.core.status import Status
 from clunk.results.regimemap import Results
@@ -31,8 +31,6 @@ from clunk.study.study import Study, replace_values
 from clunk.study.sweeps import Draw, Sweep
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.sweep import sweep
-
-FloatArray = npt.NDArray[np.float64]
 
 CONFIDENCE = 0.95  # of the intervals
 QUANTILES = (0.05, 0.5, 0.95)
@@ -67,11 +65,11 @@ class Indices:
     nominal: float
     mean: float
     std: float
-    quantiles: FloatArray
-    first: FloatArray
-    total: FloatArray
-    first_interval: FloatArray
-    total_interval: FloatArray
+    quantiles: Floats
+    first: Floats
+    total: Floats
+    first_interval: Floats
+    total_interval: Floats
 
     @property
     def varies(self) -> bool:
@@ -79,7 +77,7 @@ class Indices:
         return self.std > 0.0
 
     @property
-    def order(self) -> npt.NDArray[np.intp]:
+    def order(self) -> Positions:
         """The parameters' numbers by falling total index."""
         return np.argsort(-self.total, kind="stable")
 
@@ -243,7 +241,7 @@ def default_quantities(study: Study) -> tuple[str, ...]:
     return hardness, "nominal_label"
 
 
-def saltelli_sample(study: Study) -> FloatArray:
+def saltelli_sample(study: Study) -> Floats:
     """Parameters of the runs, (n, d + 2, d) float64: of each sample A's, B's, and A's with each column from B."""
     draws = _sweep(study).tolerances
     d = len(draws)
@@ -257,7 +255,7 @@ def saltelli_sample(study: Study) -> FloatArray:
     return sample
 
 
-def first_and_total(values: FloatArray, seed: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def first_and_total(values: Floats, seed: int) -> tuple[Floats, Floats, Floats, Floats]:
     """First-order and total indices, (d,) each, and their intervals, (2, d) each.
 
     The intervals are those of the percentile bootstrap, which takes the samples as independent: those of Sobol points
@@ -272,7 +270,7 @@ def first_and_total(values: FloatArray, seed: int) -> tuple[FloatArray, FloatArr
     """
     from scipy.stats import bootstrap, sobol_indices  # most of a second
 
-    def estimate(rows: npt.NDArray[np.intp]) -> FloatArray:
+    def estimate(rows: Positions) -> Floats:
         f_a, f_b, *f_ab = values[rows].T[:, None, :]
         estimates = sobol_indices(func={"f_A": f_a, "f_B": f_b, "f_AB": np.array(f_ab)}, n=rows.size)
         return np.array([estimates.first_order, estimates.total_order])
@@ -294,7 +292,7 @@ def first_and_total(values: FloatArray, seed: int) -> tuple[FloatArray, FloatArr
     return first, total, first_interval, total_interval
 
 
-def _refuse_forbidden_draws(study: Study, sample: FloatArray) -> None:
+def _refuse_forbidden_draws(study: Study, sample: Floats) -> None:
     """Raise SensitivityError where a draw is not allowed: the config was checked with other draws."""
     for k, draw in enumerate(_sweep(study).tolerances):
         for value in (float(sample[:, :, k].min()), float(sample[:, :, k].max())):
@@ -307,7 +305,7 @@ def _refuse_forbidden_draws(study: Study, sample: FloatArray) -> None:
                 ) from None
 
 
-def _design(study: Study, sample: FloatArray) -> Design:
+def _design(study: Study, sample: Floats) -> Design:
     """The rows of a sample, (..., d), as runs in order: those that share a system are next to each other."""
     columns = sample.reshape(-1, sample.shape[-1]).T
     draws = _sweep(study).tolerances
@@ -334,7 +332,7 @@ def _refuse_failures(results: Results) -> None:
     )
 
 
-def _values(outcome: Outcome, results: Results, nominal_label: str) -> FloatArray:
+def _values(outcome: Outcome, results: Results, nominal_label: str) -> Floats:
     """Values of an outcome, (runs,) float64. Raises SensitivityError where a run has none."""
     values = outcome.of_runs(results, nominal_label)
     undefined = int(np.count_nonzero(np.isnan(values)))
@@ -346,7 +344,7 @@ def _values(outcome: Outcome, results: Results, nominal_label: str) -> FloatArra
     return values
 
 
-def _indices(outcome: Outcome, nominal: Results, label: str, values: FloatArray, seed: int) -> Indices:
+def _indices(outcome: Outcome, nominal: Results, label: str, values: Floats, seed: int) -> Indices:
     """Sobol indices of an outcome.
 
     nominal, label : the single run without tolerances, and its label

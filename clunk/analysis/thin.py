@@ -12,10 +12,10 @@ from itertools import count
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.brackets import Codes, Floats
+from clunk.analysis.arrays import Codes, Floats, Nodes
 from clunk.analysis.pointruns import RUN, RUN_FIELDS, Runs
 from clunk.analysis.searches import Search
-from clunk.analysis.triangles import Nodes, Triangles, cross, keys_of
+from clunk.analysis.triangles import Triangles, cross, keys_of
 from clunk.core.exact.run import MOST
 from clunk.results.labels import FAILED_CODE
 

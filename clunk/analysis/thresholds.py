@@ -20,7 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from clunk.analysis.brackets import POINT, Bools, Codes, Floats, Points, narrow
+from clunk.analysis.arrays import Bools, Codes, Floats
+from clunk.analysis.brackets import POINT, Points, narrow
 from clunk.analysis.outcomes import CHATTER, LABEL, MEASURED, NOMINAL, Outcome, measuring, outcome_of
 from clunk.analysis.searches import Search, side_by_side
 from clunk.core.status import Status

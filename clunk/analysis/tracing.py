@@ -10,15 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
-from clunk.analysis.brackets import Codes, Floats
+from clunk.analysis.arrays import Codes, Floats, Nodes, Records
 from clunk.analysis.crossings import located
 from clunk.analysis.junctions import triple_points
 from clunk.analysis.pointruns import RUN
 from clunk.analysis.searches import Run, Search, side_by_side
 from clunk.analysis.thin import hidden
-from clunk.analysis.triangles import Nodes, Triangles, cross, ends_of, keys_of
+from clunk.analysis.triangles import Triangles, cross, ends_of, keys_of
 
 CHORD = 1e-4  # of the map, that a line may be off its chord
 _MOST_ROUNDS = 12  # of new nodes
@@ -165,7 +164,7 @@ class Lines:
             points = yield from triple_points(positions, outcome, crossings)
             self.triples |= zip(map(tuple, triangles.tolist()), points, strict=True)
 
-    def _bend(self, rails: Rails) -> Search[npt.NDArray[np.void]]:
+    def _bend(self, rails: Rails) -> Search[Records]:
         """Follow lines that are bent within triangles; returns nodes to add, _ASKED, with the edges' keys as cells."""
         todo = np.array([k for k, name in enumerate(rails.names) if name not in self.inner], np.int64)
         points, owner, share, asked = yield from bent(rails, todo)
@@ -212,7 +211,7 @@ class Rails:
 _ASKED = np.dtype([("cell", "i8"), ("place", "f8", 2), ("run", RUN)])
 
 
-def bent(rails: Rails, todo: Codes) -> Search[tuple[Floats, Codes, Floats, npt.NDArray[np.void]]]:
+def bent(rails: Rails, todo: Codes) -> Search[tuple[Floats, Codes, Floats, Records]]:
     """Points on lines between the ends of segments, so many that no chord is off its line by more than `CHORD`.
 
     A line is within that of its chord if the labels are those of its sides as far from the chord, where that meets the

@@ -8,12 +8,9 @@ lines stays closed.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from clunk.analysis.brackets import Bools, Codes, Floats
+from clunk.analysis.arrays import Bools, Codes, Floats, Nodes
 from clunk.analysis.pointruns import Runs
-
-Nodes = npt.NDArray[np.int64]
 
 _OUTWARD = np.array([[-1], [1]])  # from the first and from the second end of an edge
 _STRAIGHT = 1e-12  # of the map: such a cross product is of one line

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.analysis.arrays import Bools
 from clunk.analysis.comparison import Comparison, DifferingCell, compare
 from clunk.core.status import QUALITY_GRAZING, QUALITY_UNDECIDED
 from clunk.results.maps import values_at
@@ -31,7 +31,6 @@ from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.progress import Progress
 
 Method = Literal["rk4", "exact"]
-Bools = npt.NDArray[np.bool_]
 
 METHODS: tuple[Method, Method] = ("rk4", "exact")
 GUARDED = "guarded: cannot skip an event, to rounding, for this model"

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from clunk.analysis.arrays import Floats
 from clunk.analysis.ridge import ridge_of
 from clunk.core.events import TOUCH
 from clunk.report.evidence import CONTACTS, NOMINAL_RATIO, RATIOS, Evidence, acceleration_range
@@ -22,8 +23,6 @@ from clunk.simulation.driveline import Driveline, Modes
 from clunk.simulation.linear import one_mode_thresholds, periods_in_envelope, rigid_contact_thresholds
 from clunk.simulation.load import load_step
 from clunk.simulation.trajectory import Trajectory
-
-FloatArray = npt.NDArray[np.float64]
 
 NINE = ("NI", "SS(1)", "SS(2)", "DS(1)", "DS(1)SS(1)", "DS(1)SS(2)", "DS(2)", "DS(2)SS(1)", "DS(3)")
 
@@ -181,7 +180,7 @@ def _time_histories(e: Evidence) -> Iterator[Claim]:
     )
 
 
-def _chatter(run: Trajectory) -> tuple[FloatArray, FloatArray]:
+def _chatter(run: Trajectory) -> tuple[Floats, Floats]:
     """Times [s] and speeds [rad/s] of the touches from the first primary impact up to the next."""
     events = run.events[run.primaries[0] : run.primaries[1]]
     touches = events[events["kind"] == TOUCH]
