@@ -336,7 +336,7 @@ def test_table_4_1_is_the_reports() -> None:
     assert experiment.columns == ("load_ratio", "lash_backlash_deg")
     assert {found.values: found.label for found in experiment.measurements} == expected
     assert "rig's parameters are not the model's" in experiment.caveat
-    assert any("DCT 2008.116" in remark for remark in experiment.remarks)
+    assert "DCT 2008.116" in experiment.text
 
 
 def test_packaged_tables_are_known_by_name_and_files_by_their_suffix(
@@ -384,7 +384,6 @@ def test_columns_may_be_dotted_and_the_file_may_come_from_a_spreadsheet(tmp_path
     experiment = read_experiment(written(tmp_path, content))
     assert experiment.columns == ("load_ratio", "driveline_shafts_3__damping")
     assert experiment.measurements == (Measurement(4, (2.5, 0.1), "SS(1)"),)
-    assert experiment.remarks == ("Rig 2",)
     assert experiment.caveat == CAVEAT
 
 

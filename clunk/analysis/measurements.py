@@ -60,7 +60,6 @@ class Experiment:
     name : of the file
     columns : names of the parameters as they are in results files, for example load_ratio
     measurements : one or more
-    remarks : the file's comment lines without their #
     caveat : what keeps the measurements from being a test of the model; from a comment that begins with "caveat:"
     text : of the file
     """
@@ -68,7 +67,6 @@ class Experiment:
     name: str
     columns: tuple[str, ...]
     measurements: tuple[Measurement, ...]
-    remarks: tuple[str, ...] = ()
     caveat: str = CAVEAT
     text: str = ""
 
@@ -107,7 +105,7 @@ def read_experiment(path: str | os.PathLike[str], tables: Tables | None = None) 
 def experiment_of(text: str, path: str | os.PathLike[str]) -> Experiment:
     """Measurements of a CSV file's text; path : its name. As `read_experiment` otherwise."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").splitlines(keepends=True)
-    remarks = tuple(line.lstrip().lstrip("#").strip() for line in lines if line.lstrip().startswith("#"))
+    remarks = [line.lstrip().lstrip("#").strip() for line in lines if line.lstrip().startswith("#")]
     # Blank in place of a comment, so that the reader's count of lines is the file's.
     reader = csv.reader(("\n" if line.lstrip().startswith("#") else line for line in lines), strict=True)
     columns: list[str] = []
@@ -132,7 +130,6 @@ def experiment_of(text: str, path: str | os.PathLike[str]) -> Experiment:
         name=Path(path).name,
         columns=tuple(column for column in columns if not _is_measured(column)),
         measurements=tuple(measurements),
-        remarks=tuple(remark for remark in remarks if remark and not remark.lower().startswith("caveat:")),
         caveat=caveats[0] if caveats and caveats[0] else CAVEAT,
         text=text,
     )
