@@ -22,7 +22,7 @@ from clunk.plot.notes import cells_phrase, failed_notes, remark, swatch
 from clunk.plot.painting import draw_boundaries, hatch_failed, new_map, paint_regimes
 from clunk.plot.plane import Bools, Floats, View
 from clunk.plot.raster import Raster
-from clunk.plot.style import CENTRED, FAINT_INK, INK, PlotError, halo, palette_of, styled
+from clunk.plot.style import CENTRED, FAINT_INK, INK, PlotError, capital, halo, palette_of, styled
 from clunk.results.labels import FAILED
 from clunk.results.regimemap import Results
 from clunk.study.problems import shorten
@@ -94,8 +94,7 @@ def experiment_map(results: Results, comparison: ExperimentComparison) -> Figure
     points = [point for point in comparison.points if point.computed is not None]
     values = np.array([[point.values[k] for k in view.keep] for point in points]).reshape(-1, 2)
     values = np.clip(values, [axis.values[0] for axis in view.axes], [axis.values[-1] for axis in view.axes])
-    caveat = textwrap.fill(comparison.experiment.caveat, _LINE)
-    caveat = caveat[:1].upper() + caveat[1:]
+    caveat = capital(textwrap.fill(comparison.experiment.caveat, _LINE))
     figure, ax = new_map(layers, f"points: measured, {comparison.experiment.name}\n{caveat}")
     paint_regimes(ax, layers, linewidth=0.7)
     placed: list[tuple[Point, float, float]] = []

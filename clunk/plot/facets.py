@@ -24,7 +24,7 @@ from clunk.plot.notes import failed_notes, label_notes, note_columns, set_notes,
 from clunk.plot.painting import Colours, mark_undecided, paint_quantity, paint_regimes
 from clunk.plot.plane import Floats, SurplusAxesError, axis_label, drawn_axes, scale_axes, value_text
 from clunk.plot.raster import Raster
-from clunk.plot.style import FAINT_INK, SIZE, PlotError, freeze_layout, new_figure, styled, symbol_text
+from clunk.plot.style import FAINT_INK, SIZE, PlotError, bare, freeze_layout, new_figure, styled, symbol_text
 from clunk.results.regimemap import Results
 from clunk.study.axes import RUN, ResultAxis
 
@@ -52,8 +52,7 @@ def facet_map(results: Results, facets: Sequence[str], quantity: str = "regimes"
     values = [shown_values(axis, len(axes)) for axis in axes]
     slices = [results.at(dict(zip(facets, place, strict=True))) for place in product(*values)]
     is_regimes = quantity == "regimes"
-    layers = [Layers.of(each, 2) if is_regimes else Layers.of_quantity(each, 2, quantity) for each in slices]
-    layers = [replace(each, points=_POINTS) for each in layers]
+    layers = [replace(Layers.of_quantity(each, 2, quantity), points=_POINTS) for each in slices]
     rows, columns, size = _layout([len(each) for each in values])
     figure = new_figure(size)
     figure.suptitle(layers[0].title, fontsize=11.5, fontweight="bold", ha="left", parse_math=False)
@@ -160,7 +159,7 @@ def _name_panels(grid: npt.NDArray[Any], axes: Sequence[ResultAxis], values: Seq
 
 def _full_name(axis: ResultAxis) -> str:
     """Name and symbol of a parameter."""
-    symbol = axis.symbol.split("=")[0].strip()
+    symbol = bare(axis.symbol)
     return f"{axis.name or axis.parameter} ({symbol})" if symbol else axis.name or axis.parameter
 
 

@@ -17,6 +17,7 @@ from clunk.analysis.trends import compare_experiment
 from clunk.plot import style
 from clunk.plot.comparisons import draw_points
 from clunk.plot.facets import facet_map
+from clunk.plot.plane import Floats
 from clunk.results.regimemap import Results
 from clunk.study.parameters import quantity
 
@@ -88,7 +89,7 @@ def corner(fitted: Fitted) -> Figure:
     return figure
 
 
-def _draw_one(ax: Axes, fitted: Fitted, k: int, ends: np.ndarray[tuple[int], np.dtype[np.float64]]) -> None:
+def _draw_one(ax: Axes, fitted: Fitted, k: int, ends: Floats) -> None:
     """Draw the distribution of a parameter, its interval and its prior."""
     low, high = _around(ends, fitted.estimate[k])
     edges = np.linspace(low, high, _BINS + 1)
@@ -104,7 +105,7 @@ def _draw_one(ax: Axes, fitted: Fitted, k: int, ends: np.ndarray[tuple[int], np.
     ax.set_yticks([])
 
 
-def _around(ends: np.ndarray[tuple[int], np.dtype[np.float64]], estimate: float) -> tuple[float, float]:
+def _around(ends: Floats, estimate: float) -> tuple[float, float]:
     """Limits that hold the ensemble's ends and the estimate."""
     low, high = min(ends[0], estimate), max(ends[1], estimate)
     beyond = 0.05 * (high - low) or 0.05 * abs(high) or 1.0
@@ -115,7 +116,7 @@ def _name(fitted: Fitted, k: int) -> str:
     """Name of a parameter, and its unit where it is no factor."""
     prior = fitted.priors[k]
     described = quantity(prior.parameter)
-    symbol = style.symbol_text(described.symbol.split("=")[0].strip()) or style.plain(described.name)
+    symbol = style.symbol_text(style.bare(described.symbol)) or style.plain(described.name)
     unit = "" if described.unit == "1" else f" [{described.unit}]"
     return {"factor": f"factor of {symbol}", "offset": f"offset of {symbol}{unit}"}.get(prior.draws, symbol + unit)
 
@@ -138,7 +139,7 @@ def label_probabilities(fitted: Fitted) -> Figure:
             }
             ax.barh(row, share, left=left, height=0.78, color=palette.get(text, style.FAILED_FILL), **look)
             left += share
-    symbols = [style.symbol_text(quantity(axis).symbol.split("=")[0].strip()) or axis for axis in fitted.axes]
+    symbols = [style.symbol_text(style.bare(quantity(axis).symbol)) or axis for axis in fitted.axes]
     names = [
         ", ".join(f"{symbol} = {value:g}" for symbol, value in zip(symbols, each.values, strict=True))
         + f":  {each.label}"

@@ -51,9 +51,9 @@ def sobol_bars(sensitivity: Sensitivity) -> Figure:
     title = f"{sensitivity.study.title}: {_point(sensitivity)}"
     for ax, indices in zip(panels, drawn, strict=False):
         _draw_bars(ax, indices, order)
-        style.set_titles(figure, ax, title, textwrap.fill(_capital(indices.heading), characters))
+        style.set_titles(figure, ax, title, textwrap.fill(style.capital(indices.heading), characters))
     axes = [quantity(sensitivity.parameters[k]) for k in order]
-    names = [f"{style.plain(_capital(axis.name))}, {style.symbol_text(axis.symbol)}" for axis in axes]
+    names = [f"{style.plain(style.capital(axis.name))}, {style.symbol_text(axis.symbol)}" for axis in axes]
     panels[0].set_yticks(np.arange(order.size), names)
     panels[0].set_ylim(order.size - 0.5, -0.5)
     ends = np.array([(indices.first_interval, indices.total_interval) for indices in drawn])
@@ -93,8 +93,3 @@ def _point(sensitivity: Sensitivity) -> str:
     """The operating point, for example load ratio 5, backlash 6 degrees."""
     axes = ((quantity(parameter), value) for parameter, value in sensitivity.at.items())
     return ", ".join(f"{axis.name} {value:g} {axis.unit.removeprefix('1')}".rstrip() for axis, value in axes)
-
-
-def _capital(text: str) -> str:
-    """A text with a capital first letter."""
-    return text[:1].upper() + text[1:]

@@ -99,6 +99,8 @@ class Layers:
 
         The quantity is NaN in cells that failed, and in inferred ones whose regime does not tell it.
         """
+        if quantity == "regimes":
+            return cls.of(results, dimensions)
         if quantity not in quantities_of(results)[1:]:
             drawn = ", ".join(quantities_of(results)[1:])
             raise PlotError(f"There is no quantity {quantity!r} to draw; there are {drawn}.")
@@ -109,8 +111,8 @@ class Layers:
         return replace(cls.of(results, dimensions, quantity, values), described=results.quantities[quantity])
 
     def require_values(self) -> None:
-        """Raise PlotError where none of the quantity's values is known."""
-        if np.isnan(self.values).all():
+        """Raise PlotError where a quantity is drawn and none of its values is known."""
+        if self.quantity != "regimes" and np.isnan(self.values).all():
             why = _WHY_UNDEFINED.get(self.quantity, "")
             raise PlotError(f"There is no {self.quantity} to draw: it is not defined in any cell{why}.")
 

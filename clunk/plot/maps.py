@@ -17,7 +17,7 @@ from clunk.plot.layers import Layers
 from clunk.plot.painting import Colours, mark_undecided, new_map, paint_regimes, shaded_map
 from clunk.plot.plane import Floats, View, spaced_numbers
 from clunk.plot.raster import Raster, centres_that_fit
-from clunk.plot.style import CENTRED, FAINT_INK, INK, freeze_layout, halo, styled, symbol_text
+from clunk.plot.style import CENTRED, FAINT_INK, INK, bare, freeze_layout, halo, styled, symbol_text
 from clunk.results.regimemap import Results
 
 _WITH_THRESHOLDS = ("load.ratio", "load.initial_torque", "load.final_torque")
@@ -107,7 +107,7 @@ def _label_ridge(ax: Axes, layers: Layers, ridge: Floats) -> None:
     across, upward = raster.pixels(points)
     raster.take_line(across, upward)
     clear = ndimage.distance_transform_edt(~raster.taken) > 3.0
-    symbol = view.x.symbol.split("=")[0].strip() or view.x.name
+    symbol = bare(view.x.symbol) or view.x.name
     largest = f"largest {layers.described.symbol or 'value'} for each"
     width, height = raster.measure(f"{largest} {symbol}", 9.0)
     centres = centres_that_fit(clear, width, height)

@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 
 from clunk.plot.layers import Layers
 from clunk.plot.plane import Bools
-from clunk.plot.style import FAILED_FILL, FAILED_HATCH, INK, UNDEFINED, palette_of
+from clunk.plot.style import FAILED_LOOK, INK, UNDEFINED, palette_of
 from clunk.results.labels import FAILED
 
 DOT: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": INK, "markeredgewidth": 0.0}
@@ -70,7 +70,7 @@ def _extent(layers: Layers, label: str) -> str:
 def failed_notes(failed: Bools, text: str = FAILED) -> list[Artist]:
     """Number of failed cells, beside their hatch; nothing where there are none."""
     count = int(np.count_nonzero(failed))
-    look: dict[str, Any] = {"facecolor": FAILED_FILL, "edgecolor": FAILED_HATCH, "hatch": "//////", "linewidth": 0.6}
+    look: dict[str, Any] = FAILED_LOOK | {"linewidth": 0.6}
     return [Patch(label=f"{text}: {cells_phrase(count)}", **look)] if count else []
 
 

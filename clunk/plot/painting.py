@@ -17,7 +17,17 @@ from clunk.plot.network import draw_curves, fill_label
 from clunk.plot.notes import DOT, failed_notes, set_notes, undefined_notes
 from clunk.plot.plane import Floats, cell_edges, scale_axes
 from clunk.plot.regions import Scores
-from clunk.plot.style import FAILED_FILL, FAILED_HATCH, INK, MOST_POINTS, UNDEFINED, new_figure, palette_of, set_titles
+from clunk.plot.style import (
+    FAILED_FILL,
+    FAILED_HATCH,
+    FAILED_LOOK,
+    INK,
+    MOST_POINTS,
+    UNDEFINED,
+    new_figure,
+    palette_of,
+    set_titles,
+)
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.quantities import Quantity
 
@@ -123,10 +133,9 @@ def hatch_failed(ax: Axes, layers: Layers) -> None:
     if not layers.failed.any():
         return
     if layers.boundaries is not None:
-        hatched = {"facecolor": FAILED_FILL, "edgecolor": FAILED_HATCH, "hatch": "//////"}
-        fill_label(ax, layers.boundaries, layers.view, FAILED, hatched)
+        fill_label(ax, layers.boundaries, layers.view, FAILED, FAILED_LOOK)
         return
-    look: dict[str, Any] = {"colors": [FAILED_FILL], "hatches": ["//////"], "zorder": 1}
+    look: dict[str, Any] = {"colors": [FAILED_FILL], "hatches": [FAILED_LOOK["hatch"]], "zorder": 1}
     filled = ax.contourf(*margin_of(layers, FAILED_CODE), levels=[0.0, np.inf], **look)
     filled.set_edgecolor(FAILED_HATCH)
     filled.set_linewidth(0.0)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from clunk.plot.style import MINUS, PlotError, plain, symbol_text
+from clunk.plot.style import MINUS, PlotError, bare, capital, plain, symbol_text
 from clunk.results.maps import Map
 from clunk.study.axes import RUN, ResultAxis
 
@@ -169,7 +169,7 @@ def value_text(axis: ResultAxis, value: float, *, symbol: bool = False) -> str:
     """A parameter's value with its name, or shorter with its `symbol`, and its unit; or its word."""
     if axis.words:
         return axis.word(value)
-    name = axis.symbol.split("=")[0].strip() if symbol else axis.name
+    name = bare(axis.symbol) if symbol else axis.name
     return f"{name or axis.parameter} = {number_text(value)}{_unit(axis)}"
 
 
@@ -207,5 +207,5 @@ def axis_label(axis: ResultAxis) -> str:
     """An axis's name, symbol and unit."""
     name = axis.name or axis.parameter
     unit = "" if axis.unit in ("", "1") else f"[{axis.unit}]"
-    parts = plain(name[:1].upper() + name[1:]), symbol_text(axis.symbol), plain(unit)
+    parts = plain(capital(name)), symbol_text(axis.symbol), plain(unit)
     return " ".join(part for part in parts if part)

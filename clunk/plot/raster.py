@@ -172,8 +172,5 @@ def corners_that_fit(mask: Bools, width: int, height: int) -> Bools:
     rows, columns = mask.shape[0] - height + 1, mask.shape[1] - width + 1
     if rows < 1 or columns < 1:
         return np.zeros((1, 1), np.bool_)
-    total = np.zeros((mask.shape[0] + 1, mask.shape[1] + 1), np.int64)
-    np.cumsum(np.cumsum(mask, axis=0), axis=1, out=total[1:, 1:])
-    inside = total[height:, width:] - total[:-height, width:] - total[height:, :-width] + total[:-height, :-width]
-    fits: Bools = inside == width * height
-    return fits
+    fits: Bools = ndimage.minimum_filter(mask, (height, width), origin=(-(height // 2), -(width // 2)))
+    return fits[:rows, :columns]

@@ -33,7 +33,8 @@ def scatter_map(results: Results, x: str, y: str, quantity: str = "regimes") -> 
     """
     across, upward = _parameter(results, x), _parameter(results, y)
     _require_points_apart(results, (x, y))
-    layers = _layers(results, quantity)
+    layers = Layers.of_quantity(results, 0, quantity)
+    layers.require_values()
     place = _values_of(results, across), _values_of(results, upward)
     figure, ax = new_plot(layers, f"{layers.codes.size:,} runs")
     notes = _draw_labels(ax, layers, *place) if quantity == "regimes" else _draw_values(figure, ax, layers, *place)
@@ -55,7 +56,8 @@ def scatter_curve(results: Results, x: str, quantity: str) -> Figure:
     """
     across = _parameter(results, x)
     _require_points_apart(results, (x, RUN))
-    layers = _layers(results, quantity)
+    layers = Layers.of_quantity(results, 0, quantity)
+    layers.require_values()
     figure, ax = new_plot(layers, f"{layers.codes.size:,} runs")
     notes = _draw_labels(ax, layers, _values_of(results, across), layers.values)
     if layers.failed.any():
@@ -103,15 +105,6 @@ def _values_of(results: Results, axis: ResultAxis) -> Floats:
     dimension = names.index(axis.parameter if axis.parameter in names else RUN)
     shape = [-1 if k == dimension else 1 for k in range(len(names))]
     return np.broadcast_to(axis.values.reshape(shape), results.shape).ravel()
-
-
-def _layers(results: Results, quantity: str) -> Layers:
-    """Layers of the runs as points. Raises PlotError where the quantity is defined nowhere."""
-    if quantity == "regimes":
-        return Layers.of(results, 0)
-    layers = Layers.of_quantity(results, 0, quantity)
-    layers.require_values()
-    return layers
 
 
 def _look(count: int) -> dict[str, Any]:

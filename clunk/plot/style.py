@@ -34,6 +34,7 @@ _DPI = 150
 INK = "#1c2126"
 FAINT_INK = "#5b646c"
 FAILED_FILL, FAILED_HATCH = "#d5d5d5", "#8a8a8a"
+FAILED_LOOK = {"facecolor": FAILED_FILL, "edgecolor": FAILED_HATCH, "hatch": "//////"}
 UNDEFINED = "#efefec"
 # Of lines, in this order; also the colour blind tell them apart, and their lightness differs.
 LINE_COLOURS = ("#2f7fc1", "#dd6b1f", "#1f9e83", "#7d55a8", "#b8447c", "#d9b310", "#7a6a55")
@@ -134,6 +135,16 @@ def tidy(ax: Axes) -> None:
 def plain(text: str) -> str:
     """Text in which a dollar sign is a dollar sign."""
     return text.replace("$", r"\$")
+
+
+def capital(text: str) -> str:
+    """Text with a capital first letter."""
+    return text[:1].upper() + text[1:]
+
+
+def bare(symbol: str) -> str:
+    """Symbol without its definition: σr of σr = Td/Ts."""
+    return symbol.split("=")[0].strip()
 
 
 def symbol_text(symbol: str) -> str:

@@ -213,5 +213,4 @@ def outcome_fills(thresholds: Thresholds) -> dict[int, dict[str, Any]]:
     hue = np.array(colors.to_rgb(style.HUES[1]))
     shades = {word: colors.to_hex(tuple(1.0 - depth * (1.0 - hue))) for word, depth in depths.items()}
     fills = {code: {"facecolor": (shades | palette)[word]} for code, word in enumerate(thresholds.words)}
-    hatched = {"facecolor": style.FAILED_FILL, "edgecolor": style.FAILED_HATCH, "hatch": "//////"}
-    return fills | {FAILED_CODE: hatched}
+    return fills | {FAILED_CODE: style.FAILED_LOOK}
