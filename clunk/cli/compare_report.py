@@ -41,29 +41,13 @@ def _map_report(comparison: Comparison, names: tuple[str, str]) -> Iterator[str]
     yield from _transition_report(comparison)
     if 0 < comparison.differing <= _MOST_CELLS:
         yield ""
-        yield from _cell_report(comparison)
+        cells = [(cell.values, (cell.a, cell.b)) for cell in comparison.differing_cells()]
+        yield from phrases.cells_with_two_labels(comparison.parameters, cells, "AB", "{} in A, {} in B")
     if comparison.deviation is not None and not comparison.identical:
         yield ""
         yield from _deviation_report(comparison.parameters, comparison.deviation)
     yield ""
     yield from _config_report(comparison)
-
-
-def _cell_report(comparison: Comparison) -> Iterator[str]:
-    if len(comparison.parameters) > 2:  # a table of more would be too wide
-        for cell in comparison.differing_cells():
-            yield f"  {cell.a} in A, {cell.b} in B"
-            yield phrases.at_cell(comparison.parameters, cell.values, indent=4)
-        return
-    yield from phrases.table(
-        [
-            [*(axis.parameter for axis in comparison.parameters), "A", "B"],
-            *(
-                [*phrases.texts(comparison.parameters, cell.values), cell.a, cell.b]
-                for cell in comparison.differing_cells()
-            ),
-        ]
-    )
 
 
 def _regimes_sentence(comparison: Comparison) -> str:

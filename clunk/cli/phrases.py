@@ -62,6 +62,27 @@ def table(rows: Sequence[Sequence[str]], right: Sequence[bool] = ()) -> Iterator
         yield ("  " + "  ".join(cells)).rstrip()
 
 
+def cells_with_two_labels(
+    parameters: Sequence[ResultAxis],
+    cells: Sequence[tuple[Sequence[float], Sequence[str]]],
+    heads: Sequence[str],
+    sentence: str,
+) -> Iterator[str]:
+    """Cells as a table of their parameters and what differs there, or of many parameters one after the other.
+
+    cells : values of the parameters, and words
+    heads : of the words' columns
+    sentence : format of the words of one cell, for example ``{} in A, {} in B``
+    """
+    if len(parameters) > 2:  # a table of more would be too wide
+        for values, words in cells:
+            yield f"  {sentence.format(*words)}"
+            yield at_cell(parameters, values, indent=4)
+        return
+    rows = [[*texts(parameters, values), *words] for values, words in cells]
+    yield from table([[*(axis.parameter for axis in parameters), *heads], *rows])
+
+
 def plain(value: Any) -> Any:
     """A value as JSON has it: None for NaN and infinities, lists for tuples, text for dates and times."""
     if isinstance(value, dict):

@@ -196,7 +196,7 @@ def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, options: Drawin
 
 
 def _legend(study: Study) -> str:
-    """What the symbols in the tables of a run mean."""
+    """Meaning of the symbols in the tables of a run."""
     from clunk.simulation.driveline import Driveline
 
     names = Driveline.from_study(study).names
@@ -228,7 +228,7 @@ def print_trajectory(trajectory: Trajectory) -> None:
 
 
 def print_measures(trajectory: Trajectory) -> None:
-    """Print what the config asks for besides Q and V, of the run and, one after the other, of its primary impacts."""
+    """Print the measures that the config asks for besides Q and V, of the run and then of its primary impacts."""
     from clunk.results.quantities import measured_quantities
 
     study = trajectory.study
@@ -248,7 +248,7 @@ def _print_record(record: dict[str, Any], quantities: dict[str, Quantity]) -> No
 
 
 def measures_record(trajectory: Trajectory) -> dict[str, Any]:
-    """What the config asks for besides Q and V, for JSON; empty where that is nothing."""
+    """Measures of a run that the config asks for besides Q and V, for JSON; empty where it asks for none."""
     from clunk.simulation.measures import measured
 
     names = trajectory.study.impacts.quantities

@@ -104,10 +104,8 @@ def report_speed(
     each = f" x {draws:,} draws" if draws else ""
     click.echo(f"{counted(total, 'cell')}{each} in {seconds:.1f} s{rate} -> {target}", err=True)
     if inferred:
-        others = (
-            "the others are inferred from their neighbours" if ran < total else "so coarse a grid has none to infer"
-        )
-        click.echo(f"{ran:,} of them were run; {others}", err=True)
+        rest = "the others are inferred from their neighbours" if ran < total else "so coarse a grid has none to infer"
+        click.echo(f"{ran:,} of them were run; {rest}", err=True)
 
 
 def report_failures(results: Results | ToleranceMap, how: str = "") -> None:

@@ -161,18 +161,9 @@ def _print_disagreements(result: Verification, flagged: bool, count: int) -> Non
     click.echo()
     what = "labels differ in flagged cells" if flagged else "labels differ elsewhere"
     click.echo(what + (f", the first {len(shown)} of {count:,}" if count > len(shown) else ""))
-    parameters = result.comparison.parameters
-    if len(parameters) > 2:  # a table of more would be too wide
-        for each in shown:
-            click.echo(f"  {each.a} by rk4, {each.b} by exact; margin {result.exact.margin[each.at]:+.2g}")
-            click.echo(phrases.at_cell(parameters, each.values, indent=4))
-        return
-    rows = [[*(axis.parameter for axis in parameters), "rk4", "exact", "margin"]]
-    rows += [
-        [*phrases.texts(parameters, each.values), each.a, each.b, f"{result.exact.margin[each.at]:+.2g}"]
-        for each in shown
-    ]
-    tables.print_table(rows)
+    cells = [(each.values, (each.a, each.b, f"{result.exact.margin[each.at]:+.2g}")) for each in shown]
+    heads, sentence = ("rk4", "exact", "margin"), "{} by rk4, {} by exact; margin {}"
+    click.echo("\n".join(phrases.cells_with_two_labels(result.comparison.parameters, cells, heads, sentence)))
 
 
 def verdict(result: Verification) -> str:

@@ -73,7 +73,7 @@ class MapFigure:
             plot.scatter("x", "y", line_width=width, line_color=colour, **ring)
 
     def changes(self, picture: Picture, name: str) -> Changes:
-        """What a picture of a quantity of this name changes of the models."""
+        """Changes of the models to a picture of a quantity of this name."""
         if len(self._axes) > 1:
             return self._map_changes(picture)
         assert picture.edges is not None

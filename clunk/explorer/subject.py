@@ -1,4 +1,4 @@
-"""What is explored: results, and which of their axes a map of them has; of results of a single cell only its run.
+"""Subject of the explorer: results, and which of their axes a map of them has; of a single cell only its run.
 
 It imports nothing that runs, validates or draws: the stored map is on the page before these are there.
 """

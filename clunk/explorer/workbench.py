@@ -277,7 +277,7 @@ class Workbench:
             self._say("a run with these numbers, which are in no file" if numbers else "the run of this config")
             return
 
-        kind = "nominal " if isinstance(subject.results, ToleranceMap) else ""
+        nominal = "nominal " if isinstance(subject.results, ToleranceMap) else ""
         refine = quantity == "regimes"  # of anything else, an inferred cell has no value
 
         def show(request: Request, results: Results | ToleranceMap, status: str) -> None:
@@ -312,7 +312,7 @@ class Workbench:
                 show(request, coarse, _COARSE)
             full = variations.full_map(slices, numbers, progress, refine=refine)
             request.go_on()
-            show(request, full, f"the {kind}map with these numbers, which is in no file" if numbers else _OWN)
+            show(request, full, f"the {nominal}map with these numbers, which is in no file" if numbers else _OWN)
 
         self._newest_map.submit(work)
 
@@ -384,7 +384,7 @@ def _hardness(results: Results | ToleranceMap) -> str:
 
 
 def _quantities(results: Results | ToleranceMap) -> dict[str, str]:
-    """What can be drawn of results, with its name for people."""
+    """Quantities of results that can be drawn, with their names for people."""
     if isinstance(results, ToleranceMap):
         from clunk.plot import certainty  # with matplotlib, which regime maps do not wait for
 

@@ -91,7 +91,7 @@ class Description:
 
     @cached_property
     def measured_quantities(self) -> dict[str, Quantity]:
-        """What was measured of the runs besides what all runs have, by name: of cells, then of primary impacts."""
+        """Quantities that the config asks for besides those that all runs have, by name: of cells, then of impacts."""
         return measured_quantities(self.setting("impacts.quantities") or (), self.setting("measures") or ())
 
     @cached_property
