@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from bokeh.models import ColorBar, ColumnDataSource, DataRange1d, LinearColorMapper, Model, Range1d
+from bokeh.models import ColorBar, DataRange1d, LinearColorMapper, Model, Range1d
 from bokeh.plotting import figure
 
-from clunk.explorer.message import Changes
+from clunk.explorer.message import Changes, source
 from clunk.explorer.pictures import Picture
 from clunk.plot.plane import ruler
 from clunk.plot.style import INK, LINE_COLOURS
@@ -51,9 +51,9 @@ class MapFigure:
         )
         plot.toolbar.logo = None
         plot.grid.visible = False
-        image, bands = _source("image", "x", "y", "dw", "dh"), _source("x0", "x1", "colour")
-        lines, points, texts = _source("x", "y"), _source("x", "y"), _source("x", "y", "text")
-        self._marks, self._curve = _source("x", "y", "colour"), np.zeros((0, 2))
+        image, bands = source("image", "x", "y", "dw", "dh"), source("x0", "x1", "colour")
+        lines, points, texts = source("x", "y"), source("x", "y"), source("x", "y", "text")
+        self._marks, self._curve = source("x", "y", "colour"), np.zeros((0, 2))
         shades = LinearColorMapper(palette=["#000000", "#ffffff"], low=0.0, high=1.0)
         bar = ColorBar(color_mapper=shades, width=10, visible=False)
         plot.add_layout(bar, "right")
@@ -124,10 +124,6 @@ class MapFigure:
             to, _ = ruler(axis)
             at.append(float(axis.values[int(np.argmin(np.abs(to(axis.values) - to(value))))]))
         return tuple(at)
-
-
-def _source(*names: str) -> ColumnDataSource:
-    return ColumnDataSource(data={name: [] for name in names})
 
 
 def _range(axis: ResultAxis) -> Range1d:

@@ -27,6 +27,11 @@ class Message:
         self.source.data = {name: [properties] for name, properties in changes.items()}
 
 
+def source(*names: str) -> ColumnDataSource:
+    """Columns of these names, still empty."""
+    return ColumnDataSource(data={name: [] for name in names})
+
+
 def asset(name: str) -> str:
     """Text of a file of the explorer."""
     return files(__package__).joinpath(name).read_text("utf-8")

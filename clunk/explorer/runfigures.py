@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from bokeh.events import Reset
-from bokeh.models import BoxAnnotation, ColumnDataSource, DataRange1d, Div, Range1d, Span
+from bokeh.models import BoxAnnotation, DataRange1d, Div, Range1d, Span
 from bokeh.plotting import figure
 
 from clunk.explorer.curves import Floats, thinned
 from clunk.explorer.mapfigure import RUN_COLOURS
-from clunk.explorer.message import Changes, Message
+from clunk.explorer.message import Changes, Message, source
 from clunk.plot.style import FAINT_INK, INK
 from clunk.simulation.history import History
 
@@ -48,20 +48,20 @@ class RunFigures:
         self._whole = self._span = (0.0, 1.0)  # times of the runs, and those that are seen
         self._steps: list[Span] = []
         # all curves of all panels in one source
-        self._curves = _source(*(f"{panel.name}_{axis}" for panel in _PANELS for axis in "xy"), "colour")
+        self._curves = source(*(f"{panel.name}_{axis}" for panel in _PANELS for axis in "xy"), "colour")
         unit = [[0.0, 1.0]]  # a line to begin with: without any, ranges are complained of in the browser's console
         self._curves.data = dict.fromkeys(self._curves.data, unit) | {"colour": ["white"]}
         self.figures = {panel.name: self._figure(panel) for panel in _PANELS}
         lash, acceleration = self.figures["lash"], self.figures["acceleration"]
         gap = BoxAnnotation(fill_color="#e4e4e4", fill_alpha=1.0, level="underlay", line_color=None)
         lash.add_layout(gap)
-        flanks = _source("x", "y", "text", "baseline")
+        flanks = source("x", "y", "text", "baseline")
         small = {"text_font_size": "11px", "text_color": FAINT_INK, "x_offset": 4}
         lash.text("x", "y", "text", source=flanks, text_baseline="baseline", **small)
-        touches = _source("x", "y", "angle", "fill", "colour", "size")
+        touches = source("x", "y", "angle", "fill", "colour", "size")
         look = {"line_color": "colour", "fill_color": "fill", "size": "size", "angle": "angle"}
         lash.scatter("x", "y", source=touches, marker="triangle", **look)
-        arrows = _source("x", "low", "high", "text")
+        arrows = source("x", "low", "high", "text")
         acceleration.segment("x", "low", "x", "high", source=arrows, color=INK, line_width=1.0)
         for end, angle in (("low", np.pi), ("high", 0.0)):
             acceleration.scatter("x", end, source=arrows, marker="triangle", size=5, color=INK, angle=angle)
@@ -179,7 +179,3 @@ class RunFigures:
             },
         }
         return {name: {"data": columns} for name, columns in marks.items()}
-
-
-def _source(*names: str) -> ColumnDataSource:
-    return ColumnDataSource(data={name: [] for name in names})

@@ -161,9 +161,12 @@ class Map(Description, ABC):
         position = lash_position(name, self.lash_names)
         return self.at({LASH: self.axes[-1].values[position]}) if self.lashes else self
 
-    @abstractmethod
     def counts(self) -> dict[str, int]:
-        """Number of cells of each label, in the labels' order, and last of ``failed``."""
+        """Number of cells of each label, in the labels' order, and last of ``failed`` (also where it is 0).
+
+        Of a tolerance map, cells in which the label is the most likely one.
+        """
+        return count_labels(self.labels, self.values("sequence"))
 
     @property
     def counts_of_lashes(self) -> dict[str, dict[str, int]]:

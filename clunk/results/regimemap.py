@@ -13,7 +13,7 @@ import numpy.typing as npt
 from clunk.core.status import QUALITY_INFERRED, QUALITY_MEANINGS, Status
 from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED
-from clunk.results.maps import Index, Map, count_labels, require_array, require_codes, share, values_at
+from clunk.results.maps import Index, Map, require_array, require_codes, share, values_at
 from clunk.results.quantities import REGIME_QUANTITIES, Quantity
 from clunk.study.summaries import Rows
 
@@ -130,10 +130,6 @@ class Results(Map):
         lash = np.array(self.lashes)[index[-1:]].ravel().tolist() if self.lashes else [""]
         is_theirs = self.boundaries is not None and lash == [self.boundaries.lash]
         return self.boundaries if is_theirs and all(places == slice(None) for places in cells) else None
-
-    def counts(self) -> dict[str, int]:
-        """Number of cells of each label, in the labels' order, and last of ``failed`` (also where it is 0)."""
-        return count_labels(self.labels, self.sequence)
 
     @property
     def label_map(self) -> npt.NDArray[np.str_]:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.results.labels import FAILED, FAILED_CODE, double_sided
-from clunk.results.maps import Index, Map, count_labels, require_array, require_codes, share
+from clunk.results.maps import Index, Map, require_array, require_codes, share
 from clunk.results.quantities import TOLERANCE_QUANTITIES, Quantity
 from clunk.study.summaries import Rows
 
@@ -109,10 +109,6 @@ class ToleranceMap(Map):
     def uncertain(self) -> int:
         """Number of cells whose most likely label is less probable than `CERTAIN`."""
         return int(np.count_nonzero(self.certainty < CERTAIN))
-
-    def counts(self) -> dict[str, int]:
-        """Number of cells in which each label is the most likely one; last of ``failed``."""
-        return count_labels(self.labels, self.sequence)
 
     def shares(self) -> dict[str, float]:
         """Share of each label in all runs; last that of ``failed``."""

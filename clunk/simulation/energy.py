@@ -119,7 +119,7 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
         return float(indented(x, np.full(len(line.lashes), side))[lash])
 
     def stored(x: FloatArray, regime: Regime) -> tuple[float, tuple[float, ...], float]:
-        """In the inertias, in each shaft and in the contact."""
+        """Energies stored in the inertias, in each shaft and in the contact."""
         shafts = line.shaft_energy(x[:n])
         contact = indented(x, regime.sides)[regime.closed > 0].sum()
         return float(line.inertia @ x[n : 2 * n] ** 2 / 2.0), tuple(shafts.tolist()), float(contact)

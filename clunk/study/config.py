@@ -199,7 +199,7 @@ def _warn_of_fewer_shafts(name: str, preset: Mapping[str, Any], raw: Mapping[str
 
 
 def _displace(document: dict[str, Any], place: Place, value: Any = None, kept: Container[Place] = ()) -> None:
-    """Take out of a document what another layer's key stands instead of: another unit, the other torques and the like.
+    """Remove the keys of a document that another layer's key replaces: its other unit, the other torques and so on.
 
     value : of that key
     kept : keys that stay, to be refused beside it

@@ -57,14 +57,14 @@ def parameters(document: Mapping[str, Any]) -> list[str]:
 
 
 def settable(document: Mapping[str, Any]) -> list[str]:
-    """The keys of a document, also of those that it leaves out, that hold neither a table nor several."""
+    """The keys of a document, given or left out, whose values are neither tables nor arrays of tables."""
     tables = {pattern for pattern, key in keys().items() if key.children}
     tables |= {pattern[:-1] for pattern in tables if pattern[-1:] == (ITEM,)}
     return _keys(document, [pattern for pattern in keys() if pattern not in tables])
 
 
 def converted(key: str) -> str:
-    """The key that takes a number over where `key` is another unit of it; else `key` itself."""
+    """The key that a number is converted to: of ``lash.gap_mm`` ``lash.backlash_deg``; of most keys the key itself."""
     place = parse_place(key)
     known = None if place is None else key_at(place)
     return dotted((*place[:-1], known.other_unit_of)) if place and known and known.other_unit_of else key

@@ -203,7 +203,7 @@ class Triangular(_Drawn):
 
 
 class Listed(_Drawn):
-    """Numbers one for each draw, as many as the sample has: those of the same draw belong together."""
+    """Listed numbers, one for each draw of the sample; the k-th numbers of several such keys belong together."""
 
     distribution: Literal["listed"]
     values: Annotated[tuple[float, ...], Field(min_length=1, max_length=MOST_DRAWS)]

@@ -1,4 +1,4 @@
-"""Signals that wait while a lock is held which no exception must leave locked.
+"""Deferral of signals while a lock is held that an exception would leave locked.
 
 Python runs the handler of a signal between any two steps of the main thread. A handler that raises, as that of SIGINT
 does, can interrupt `concurrent.futures` where it has locked something and not yet noted that it has to unlock it; its
@@ -19,7 +19,7 @@ _DEFERRED = (signal.SIGINT, signal.SIGTERM)
 
 @contextmanager
 def deferred_signals() -> Iterator[None]:
-    """Context at the end of which the handlers of SIGINT and SIGTERM are called that would have been called in it."""
+    """Context that defers the handlers of SIGINT and SIGTERM to its end."""
     handlers: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():  # the only one that runs handlers, and that may set them
         handlers = {number: handler for number in _DEFERRED if callable(handler := signal.getsignal(number))}
@@ -36,9 +36,9 @@ def deferred_signals() -> Iterator[None]:
 
 
 class Threads(ThreadPoolExecutor):
-    """Threads that a signal can't leave with something locked."""
+    """Thread pool in which a signal leaves no lock held."""
 
     def submit(self, *arguments: Any, **options: Any) -> Future[Any]:
-        """As of `ThreadPoolExecutor`; a signal waits until the task is in the queue."""
+        """Submit a task as `ThreadPoolExecutor` does; a signal waits until the task is in the queue."""
         with deferred_signals():
             return super().submit(*arguments, **options)
