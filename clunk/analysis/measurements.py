@@ -12,10 +12,8 @@ from dataclasses import dataclass, field
 from importlib.resources.abc import Traversable
 from pathlib import Path
 
-import numpy as np
-
 from clunk.results.labels import flanks_of_label, normalised_label
-from clunk.study.axes import ResultAxis
+from clunk.study.axes import variable_of
 from clunk.study.document import read_text
 from clunk.study.errors import ClunkError
 from clunk.study.parameters import parameters
@@ -170,18 +168,13 @@ def _is_measured(column: str) -> bool:
 def _variable(column: str, where: str) -> str:
     """Variable of a results file that a column means, by its name or by the parameter's dotted key."""
     known = parameters({"driveline": {"inertias": [1.0], "shafts": [{}]}})
-    spellings = {spelling for name in known for spelling in (name, _variable_of(name))}
+    spellings = {spelling for name in known for spelling in (name, variable_of(name))}
     if re.sub(r"(?<=[\[_])[1-9]\d*(?=[\]_]|$)", "1", column) in spellings:  # whichever inertia or shaft
-        return _variable_of(column)
-    variables = [*(_variable_of(name) for name in known), "label"]
+        return variable_of(column)
+    variables = [*(variable_of(name) for name in known), "label"]
     likely = nearest(column, variables) or nearest(column, known)
     hint = f"did you mean {likely}?" if likely else "a column is a parameter, for example load_ratio, or the label."
     raise ExperimentError(f"{where}: there is no parameter {shorten(column)}; {hint}")
-
-
-def _variable_of(parameter: str) -> str:
-    """Variable of a parameter in a results file; the name of a variable stays as it is."""
-    return ResultAxis(parameter, np.zeros(1), "", "", "").variable
 
 
 def _measurement(columns: list[str], cells: list[str], where: str, line: int) -> Measurement:
