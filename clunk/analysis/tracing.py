@@ -22,6 +22,19 @@ from clunk.analysis.triangles import Triangles, cross, ends_of, keys_of
 CHORD = 1e-4  # of the map, that a line may be off its chord
 _MOST_ROUNDS = 12  # of new nodes
 
+# A segment of a line within a triangle. Beside it are its rails, on which no other segment ends.
+SEGMENT = np.dtype(
+    [
+        ("name", "i8", 4),  # corners of the triangle and, where it has three labels, the segment's number, else -1
+        ("nodes", "i8", 2),  # keys of the edges on which it begins and ends, or of triple points -1 - their number
+        ("labels", "i8", 2),  # codes on the left and on the right
+        ("ends", "f8", (2, 2)),  # where it begins and ends
+        ("sides", "f8", (2, 2, 2)),  # beside the begin and the end, points on the left and on the right rail
+        ("far", "i8"),  # key of the edge that is the right rail of a triangle with two labels, else -1
+    ]
+)
+_ASKED = np.dtype([("cell", "i8"), ("place", "f8", 2), ("run", RUN)])  # a node to add to an edge or segment
+
 
 @dataclass
 class Lines:
@@ -55,14 +68,14 @@ class Lines:
             side_by_side(self.run, self._locate())
             two, three = self._mixed()
             known = np.array([tuple(corners) in self.triples for corners in three.tolist()], bool)
-            rails = self._rails_of_two(two).joined(self._rails_of_three(three[known]))
-            asked, _ = side_by_side(self.run, self._bend(rails), self._locate_triples(three[~known]))
+            segments = np.concatenate([self._of_two(two), self._of_three(three[known])])
+            asked, _ = side_by_side(self.run, self._bend(segments), self._locate_triples(three[~known]))
             if known.all() and not asked.size:
                 break
             keys, first = np.unique(asked["cell"], return_index=True)
             if keys.size:
                 self.triangles.add(keys, asked["place"][first], asked["run"][first])
-        return rails.nodes, rails.labels, [self.inner[name] for name in rails.names]
+        return segments["nodes"], segments["labels"], [self.inner[name] for name in _names(segments)]
 
     def _locate(self) -> Search[None]:
         """Locate crossings on edges, and on further edges where they have several."""
@@ -127,34 +140,32 @@ class Lines:
         turns = np.argmax(np.roll(alike[alike.any(axis=1)], -1, axis=1), axis=1)
         return np.take_along_axis(two, (turns[:, None] + np.arange(3)) % 3, 1), three
 
-    def _rails_of_two(self, triangles: Nodes) -> Rails:
-        """Rails of the segments of triangles with two labels, one for each."""
-        edges = keys_of(triangles[:, :1], triangles[:, 1:])
-        return Rails(
-            nodes=edges,
-            labels=self.triangles.outcome[triangles[:, :2]],
-            ends=self.position(edges.ravel()).reshape(-1, 2, 2),
-            sides=self.triangles.positions[triangles[:, [[0, 1], [0, 2]]]],
-            far=keys_of(triangles[:, 1], triangles[:, 2]),
-            names=[*map(tuple, triangles.tolist())],
-        )
+    def _of_two(self, triangles: Nodes) -> Records:
+        """Segments of triangles with two labels, one for each."""
+        segments = np.zeros(len(triangles), SEGMENT)
+        segments["name"] = np.column_stack([triangles, np.full(len(triangles), -1)])
+        segments["nodes"] = keys_of(triangles[:, :1], triangles[:, 1:])
+        segments["labels"] = self.triangles.outcome[triangles[:, :2]]
+        segments["ends"] = self.position(segments["nodes"].ravel()).reshape(-1, 2, 2)
+        segments["sides"] = self.triangles.positions[triangles[:, [[0, 1], [0, 2]]]]
+        segments["far"] = keys_of(triangles[:, 1], triangles[:, 2])
+        return segments
 
-    def _rails_of_three(self, triangles: Nodes) -> Rails:
-        """Rails of the segments of triangles with three labels, three for each, from its triple point on."""
-        names = [*map(tuple, triangles.tolist())]
-        self.met = np.array([self.triples[name] for name in names]).reshape(-1, 2)
+    def _of_three(self, triangles: Nodes) -> Records:
+        """Segments of triangles with three labels, three for each, from its triple point on."""
+        numbers = np.arange(len(triangles))
+        self.met = np.array([self.triples[name] for name in map(tuple, triangles.tolist())]).reshape(-1, 2)
         self.met_labels = np.sort(self.triangles.outcome[triangles], axis=1)
         corners = np.concatenate([np.roll(triangles, -k, axis=1)[:, 1::-1] for k in range(3)])  # left and right
-        nodes = np.stack([np.tile(-1 - np.arange(len(triangles)), 3), keys_of(*corners.T)], axis=1)
+        segments = np.zeros(len(corners), SEGMENT)
+        segments["name"] = np.column_stack([np.tile(triangles, (3, 1)), np.repeat(np.arange(3), len(triangles))])
+        segments["nodes"] = np.stack([np.tile(-1 - numbers, 3), keys_of(*corners.T)], axis=1)
+        segments["labels"] = self.triangles.outcome[corners]
+        segments["ends"] = self.position(segments["nodes"].ravel()).reshape(-1, 2, 2)
         tips = np.tile(self.met[:, None], (3, 2, 1))
-        return Rails(
-            nodes=nodes,
-            labels=self.triangles.outcome[corners],
-            ends=self.position(nodes.ravel()).reshape(-1, 2, 2),
-            sides=np.stack([tips, self.triangles.positions[corners]], axis=1),
-            far=np.full(len(nodes), -1),
-            names=[(*name, k) for k in range(3) for name in names],
-        )
+        segments["sides"] = np.stack([tips, self.triangles.positions[corners]], axis=1)
+        segments["far"] = -1
+        return segments
 
     def _locate_triples(self, triangles: Nodes) -> Search[None]:
         if len(triangles):
@@ -164,54 +175,25 @@ class Lines:
             points = yield from triple_points(positions, outcome, crossings)
             self.triples |= zip(map(tuple, triangles.tolist()), points, strict=True)
 
-    def _bend(self, rails: Rails) -> Search[Records]:
+    def _bend(self, segments: Records) -> Search[Records]:
         """Follow lines that are bent within triangles; returns nodes to add, _ASKED, with the edges' keys as cells."""
-        todo = np.array([k for k, name in enumerate(rails.names) if name not in self.inner], np.int64)
-        points, owner, share, asked = yield from bent(rails, todo)
+        names = _names(segments)
+        todo = np.array([k for k, name in enumerate(names) if name not in self.inner], np.int64)
+        points, owner, share, asked = yield from bent(segments, todo)
         order = np.lexsort((share, owner))
         points, owner = points[order], owner[order]
-        begins = np.searchsorted(owner, np.append(todo, len(rails.names)))
+        begins = np.searchsorted(owner, np.append(todo, len(names)))
         for k, number in enumerate(todo.tolist()):
-            self.inner[rails.names[number]] = points[begins[k] : begins[k + 1]]
-        asked["cell"] = rails.far[asked["cell"]]
+            self.inner[names[number]] = points[begins[k] : begins[k + 1]]
+        asked["cell"] = segments["far"][asked["cell"]]
         return asked[asked["cell"] >= 0]
 
 
-@dataclass(frozen=True, eq=False)
-class Rails:
-    """Room of segments: beside each end of one, a point of either label, on lines that no other segment crosses.
-
-    nodes : (n, 2) keys of the edges on which the segments begin and end, or of triple points -1 - their number
-    labels : (n, 2) codes on the left and on the right
-    ends : (n, 2, 2) where they begin and end
-    sides : (n, 2, 2, 2) points on the left and on the right, at the begin and at the end
-    far : (n,) key of the edge that is the right rail of a triangle with two labels, else -1
-    names : of each segment
-    """
-
-    nodes: Codes
-    labels: Codes
-    ends: Floats
-    sides: Floats
-    far: Codes
-    names: list[tuple[int, ...]]
-
-    def joined(self, other: Rails) -> Rails:
-        """These and other ones behind them."""
-        return Rails(
-            nodes=np.concatenate([self.nodes, other.nodes]),
-            labels=np.concatenate([self.labels, other.labels]),
-            ends=np.concatenate([self.ends, other.ends]),
-            sides=np.concatenate([self.sides, other.sides]),
-            far=np.concatenate([self.far, other.far]),
-            names=[*self.names, *other.names],
-        )
+def _names(segments: Records) -> list[tuple[int, ...]]:
+    return [*map(tuple, segments["name"].tolist())]
 
 
-_ASKED = np.dtype([("cell", "i8"), ("place", "f8", 2), ("run", RUN)])
-
-
-def bent(rails: Rails, todo: Codes) -> Search[tuple[Floats, Codes, Floats, Records]]:
+def bent(segments: Records, todo: Codes) -> Search[tuple[Floats, Codes, Floats, Records]]:
     """Points on lines between the ends of segments, so many that no chord is off its line by more than `CHORD`.
 
     A line is within that of its chord if the labels are those of its sides as far from the chord, where that meets the
@@ -222,12 +204,12 @@ def bent(rails: Rails, todo: Codes) -> Search[tuple[Floats, Codes, Floats, Recor
     """
     points: list[tuple[Floats, Codes, Floats]] = [(np.zeros((0, 2)), todo[:0], np.zeros(0))]
     asked = [np.zeros(0, _ASKED)]
-    segment, ends, sides = todo, rails.ends[todo], rails.sides[todo]
+    segment, ends, sides = todo, segments["ends"][todo], segments["sides"][todo]
     shares = np.tile([0.0, 1.0], (todo.size, 1))
     while segment.size:
         long = np.hypot(*(ends[:, 1] - ends[:, 0]).T) > CHORD
         segment, ends, sides, shares = segment[long], ends[long], sides[long], shares[long]
-        middles, expected = sides.mean(axis=1), rails.labels[segment]  # of the rails, and the labels there
+        middles, expected = sides.mean(axis=1), segments["labels"][segment]  # of the rails, and the labels there
         way, chord = middles[:, 1] - middles[:, 0], ends[:, 1] - ends[:, 0]
         slant = cross(chord, way)
         with np.errstate(invalid="ignore", divide="ignore"):
