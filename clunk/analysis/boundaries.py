@@ -45,10 +45,10 @@ def require_boundaries(study: Study) -> None:
     if has_tolerances(study):
         raise BoundaryError("A tolerance map has no boundaries: in its cells labels are probable, not certain.")
     if swept.samples or swept.design == "zip":
-        what = (
+        reason = (
             "samples have no neighbours" if swept.samples else 'axes that are walked together (design = "zip") do not'
         )
-        raise BoundaryError(f"Boundaries are traced on a grid of axes; {what}.")
+        raise BoundaryError(f"Boundaries are traced on a grid of axes; {reason}.")
     if len(axes) > 2:
         raise BoundaryError(f"Boundaries are traced on maps of one or two axes, and the config has {len(axes)}.")
     for axis in axes:

@@ -68,17 +68,19 @@ def split_by_event(
 
 
 def events_between(runs: PointRuns, one: Floats, other: Floats) -> Codes:
-    """What makes the labels of pairs of points (n, axes) differ: the first event that only one of the runs has.
+    """First event that only one run of each pair of points has, which makes their labels differ: (n,) of `EVENTS`.
 
-    A touch is a grazing of its flank, another one is where a contact that held ended. With the same events, a contact
-    has held for the sticking time in one run only. Returns numbers in `EVENTS`, (n,).
+    A touch is a grazing of its flank, another event is where a contact that held ended. With the same events, a contact
+    has held for the sticking time in one run only.
+
+    one, other : the points, (n, axes)
     """
     parts = [_differences(*part, runs.study.solver.end_time, runs.lash) for part in runs.pairs(one, other)]
     return np.concatenate([np.zeros(0, np.int64), *parts])
 
 
 def _differences(records: Records, logs: Events, end_time: float, lash: int) -> Codes:
-    """Events of a lash that differ, from its CELL (n, 2) and EVENT (n, 2, events)."""
+    """First event of a lash that only one of two runs has, from their CELL (n, 2) and EVENT (n, 2, events)."""
     sides = np.where(records["status"] == Status.OK, records["initial_side"], 0)
     # neither a change of a shaft's stage nor an event of another lash makes a label
     times = np.where((logs["kind"] == STAGE) | ((logs["lash"] >= 0) & (logs["lash"] != lash)), np.nan, logs["time"])

@@ -105,10 +105,12 @@ def _next(ends: Points, stalls: Codes, span: float, tolerance: float) -> Floats:
 
 
 def _expected(ends: Points, span: float) -> tuple[Floats, Floats]:
-    """Where the measure is zero by the polynomial of the highest order that is sound, and how far the next is off it.
+    """Value at which the measure is expected to be zero, and how far that may be off, (n,) each.
 
-    Its points are the bracket's ends and those beyond of the same outcome, between which the measure is monotonous; it
-    is a polynomial in the measure, by Neville's scheme. NaN where the measure has one sign.
+    It is that of the polynomial of the highest order that is sound, which may be off by as much as that of the next
+    order is from it. The polynomial's points are the bracket's ends and those beyond of the same outcome, between which
+    the measure is monotonous; it is a polynomial in the measure, by Neville's scheme. NaN where the measure has one
+    sign.
     """
     values, measures, outcome = (np.ascontiguousarray(ends[name].T) for name in ("value", "measure", "outcome"))
 

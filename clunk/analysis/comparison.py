@@ -223,9 +223,9 @@ def _require_same_axes(a: tuple[ResultAxis, ...], b: tuple[ResultAxis, ...]) -> 
     names = [", ".join(axis.spread if axis.words else axis.parameter for axis in axes) for axes in (a, b)]
     if names[0] != names[1]:
         same = {axis.parameter for axis in a} == {axis.parameter for axis in b}
-        what = "in another order" if same else "other parameters"
+        order = "in another order" if same else "other parameters"
         raise ComparisonError(
-            f"The maps cannot be compared because they sweep {what}: {names[0]} in A and {names[1]} in B."
+            f"The maps cannot be compared because they sweep {order}: {names[0]} in A and {names[1]} in B."
         )
     for axis_a, axis_b in zip(a, b, strict=True):
         if len(axis_a.values) != len(axis_b.values):

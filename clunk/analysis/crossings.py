@@ -23,7 +23,7 @@ class Crossings(NamedTuple):
 
     @property
     def places(self) -> Floats:
-        """Where they are, (n, 2)."""
+        """Middles of the brackets, (n, 2)."""
         places: Floats = self.brackets.mean(axis=1)
         return places
 

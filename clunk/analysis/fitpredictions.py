@@ -43,13 +43,13 @@ def losses(matches: Records, wanted: Patterns, fit: Fit, rows: Bools | slice = s
 class Prediction:
     """Labels predicted without the measurements themselves.
 
-    what : that was left out at a time: measurement, or a measured parameter all of whose equal values were
+    left_out : at a time: measurement, or a measured parameter all of whose equal values were
     predicted : (points,) uint64 patterns
     majority, nearest : as the ensemble, by the most frequent label of the others, and by that of the nearest one
     effective : the least effective size of an ensemble that is left
     """
 
-    what: str
+    left_out: str
     predicted: Patterns
     majority: Patterns
     nearest: Patterns
@@ -74,7 +74,7 @@ def predict_left_out(
     points: Floats,
     fit: Fit,
     groups: Sequence[int],
-    what: str,
+    left_out: str,
 ) -> Prediction:
     """Predict the labels of each group of measurements from all others.
 
@@ -98,7 +98,7 @@ def predict_left_out(
             majority[at] = min(counts, key=lambda pattern: (-counts[pattern], pattern))
             distance = (((points[~out] - points[at]) / spans) ** 2).sum(axis=1)
             nearest[at] = wanted[~out][distance.argmin()]
-    return Prediction(what, predicted, majority, nearest, effective)
+    return Prediction(left_out, predicted, majority, nearest, effective)
 
 
 def left_out_groups(points: Floats, axes: Sequence[str]) -> dict[str, list[int]]:

@@ -23,7 +23,7 @@ def reason_of(label: str, match: np.void, axis: str) -> str:
 
 
 def order_of_events(measured: tuple[int, ...], computed: tuple[int, ...]) -> str:
-    """Sentence on the first impact in which two sequences differ: what would have to come before what."""
+    """Sentence on the first impact in which two sequences differ: which event would have to come before which."""
     pairs = enumerate(zip_longest(measured, computed), 1)
     number, wanted, there = next((n, *pair) for n, pair in pairs if pair[0] != pair[1])
     before = "the initial flank" if number == 1 else f"the flank of impact {number - 1}"

@@ -102,7 +102,7 @@ class Fitted:
 
     @cached_property
     def weights(self) -> Floats:
-        """(N,) of the draws."""
+        """(N,) weights of the draws."""
         return weights_of(losses(self.matches, self.wanted, self.fit), self.log_density)
 
     @cached_property
@@ -153,8 +153,8 @@ class Fitted:
     def predictions(self) -> list[Prediction]:
         """Labels predicted from other measurements, for each way to leave some out."""
         return [
-            predict_left_out(self.matches, self.log_density, self.wanted, self.points, self.fit, groups, what)
-            for what, groups in left_out_groups(self.points, self.axes).items()
+            predict_left_out(self.matches, self.log_density, self.wanted, self.points, self.fit, groups, left_out)
+            for left_out, groups in left_out_groups(self.points, self.axes).items()
         ]
 
     @cached_property
@@ -199,8 +199,8 @@ class Fitted:
         for rule in ("majority", "nearest"):
             by_rule = self.hits(getattr(self.predictions[0], rule))
             if by_rule >= predicted:
-                what = {"majority": "the most frequent label", "nearest": "the label of the nearest measurement"}[rule]
-                sentences.append(f"The fit predicts {predicted} of {count} labels, and {what} predicts {by_rule}.")
+                words = {"majority": "the most frequent label", "nearest": "the label of the nearest measurement"}[rule]
+                sentences.append(f"The fit predicts {predicted} of {count} labels, and {words} predicts {by_rule}.")
         if self.failed:
             sentences.append(f"{self.failed:,} candidates failed at some operating points, which count as missed.")
         return sentences

@@ -91,7 +91,7 @@ def _with_tolerances(fitted: Fitted, sweep: dict[str, Any], draws: int) -> dict[
 
 
 def _made_of(fitted: Fitted, key: str, value: float, numbers: Floats) -> Floats:
-    """Value that a fit's numbers, (…, d), make of another value of a key."""
+    """Value of a key after a fit's numbers, (…, d), have been applied to this one."""
     made: Floats = np.full(numbers.shape[:-1], value)
     for prior, column in zip(fitted.priors, np.moveaxis(numbers, -1, 0), strict=True):
         if prior.parameter == key:

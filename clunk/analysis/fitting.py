@@ -43,10 +43,11 @@ class _Best:
     distances: Floats | float = math.inf
     failed: int = 0
 
-    def take(self, candidates: Floats, matches: Records, found: Floats) -> None:
-        k = int(found.argmin())
-        if found[k] < self.loss:
-            self.loss, self.numbers, self.matches = float(found[k]), candidates[k], matches[k]
+    def take(self, candidates: Floats, matches: Records, values: Floats) -> None:
+        """Take candidates into account, with these values of the loss."""
+        k = int(values.argmin())
+        if values[k] < self.loss:
+            self.loss, self.numbers, self.matches = float(values[k]), candidates[k], matches[k]
         met = matches["pattern"] == self.wanted
         # what is not met, and has no distance, was not looked for
         distances = np.where(met, 0.0, np.where(matches["distance"] > 0.0, matches["distance"], np.inf))
@@ -212,7 +213,7 @@ def nominal_number(study: Study, prior: Draw) -> float:
 
 
 def _share_below(study: Study, prior: Draw, number: float) -> float:
-    """Share of a prior below a number."""
+    """Cumulative probability of a prior at a number."""
     shares = np.linspace(0.0, 1.0, 1025)
     return float(np.interp(number, prior.quantiles(shares, nominal_value(study, prior.parameter)), shares))
 

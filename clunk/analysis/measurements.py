@@ -121,8 +121,8 @@ def experiment_of(text: str, path: str | os.PathLike[str]) -> Experiment:
     except csv.Error as error:
         raise ExperimentError(f"{path}, line {reader.line_num}: this is not CSV ({error}).") from error
     if not measurements:
-        what = "no measurements, only column names" if columns else "no measurements"
-        raise ExperimentError(f"{path} holds {what}.")
+        contents = "no measurements, only column names" if columns else "no measurements"
+        raise ExperimentError(f"{path} holds {contents}.")
     caveats = [remark.split(":", 1)[1].strip() for remark in remarks if remark.lower().startswith("caveat:")]
     return Experiment(
         name=Path(path).name,

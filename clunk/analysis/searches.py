@@ -1,4 +1,4 @@
-"""Searches that run points side by side: what all of them wait for is run in one batch."""
+"""Searches side by side: the points that all of them wait for are run in one batch."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 from clunk.analysis.arrays import Floats
 from clunk.analysis.pointruns import Runs
 
-_Found = TypeVar("_Found")
+_Result = TypeVar("_Result")
 Run = Callable[[Floats], Runs]  # of points (n, 2), on each axis from 0 to 1
-Search = Generator[Floats, Runs, _Found]  # yields points to run, is sent their runs, and returns what it looked for
+Search = Generator[Floats, Runs, _Result]  # yields points to run, is sent their runs, and returns its result
 
 
 def side_by_side(run: Run, *searches: Search[Any]) -> list[Any]:

@@ -50,21 +50,21 @@ HIT = np.dtype(
 
 
 def hidden(triangles: Triangles) -> Search[Hits]:
-    """Nodes of another label on edges whose ends have one: HIT, one on each of these edges."""
-    suspects, every = _suspects(triangles), np.zeros(0, HIT)
+    """Find points of another label on edges whose two ends have the same: HIT, one for each such edge."""
+    suspects, all_hits = _suspects(triangles), np.zeros(0, HIT)
     while True:
         hits = yield from _hits(triangles, suspects)
-        known = keys_of(every["first"], every["second"])
+        known = keys_of(all_hits["first"], all_hits["second"])
         keys, at = np.unique(keys_of(hits["first"], hits["second"]), return_index=True)
         new = ~np.isin(keys, known)
         if not new.any():
-            return every
-        every = np.concatenate([every, hits[at[new]]])
+            return all_hits
+        all_hits = np.concatenate([all_hits, hits[at[new]]])
         suspects = yield from _onward(triangles, hits[at[new]], np.append(known, keys[new]))
 
 
 def _hits(triangles: Triangles, suspects: Suspects) -> Search[Hits]:
-    """Points of another label on suspects.
+    """Look for points of another label on suspected edges; returns HIT.
 
     A region thinner than a cell begins where the margin falls to zero. Where it falls towards a node, so that it may be
     zero before the next one, and is not small there, its zero is closed in on: from points at which it still falls, by
@@ -72,7 +72,7 @@ def _hits(triangles: Triangles, suspects: Suspects) -> Search[Hits]:
     """
     begin, label = triangles.positions[suspects["first"]], triangles.outcome[suspects["first"]]
     step, edges = triangles.positions[suspects["second"]] - begin, np.arange(suspects.size)
-    suspects, every = suspects.copy(), [np.zeros(0, HIT)]
+    suspects, pieces = suspects.copy(), [np.zeros(0, HIT)]
     thinnest = _THINNEST / np.hypot(*step.T)
     for round_ in count():
         if not edges.size:
@@ -100,7 +100,7 @@ def _hits(triangles: Triangles, suspects: Suspects) -> Search[Hits]:
         is_first, lows = at == 0, begin[edges] + low[:, None] * step[edges]
         hits["beside"] = np.where(is_first[:, None], lows[shows], places[shows, 0])
         hits["of_beside"] = np.where(is_first, before[shows], runs[shows, 0])
-        every.append(hits)
+        pieces.append(hits)
         for k, share in enumerate(shares.T):
             size, after = np.abs(before["measure"]), sign * runs["measure"][:, k]
             expected = size - slope * (share - low)
@@ -115,11 +115,11 @@ def _hits(triangles: Triangles, suspects: Suspects) -> Search[Hits]:
         goes_on &= high - low > thinnest[edges]
         goes_on &= np.isnan(distance) | ((distance > thinnest[edges]) & (distance < _STEEPER * (high - low)))
         edges, suspects = edges[goes_on], suspects[goes_on]
-    return np.concatenate(every)
+    return np.concatenate(pieces)
 
 
 def _onward(triangles: Triangles, hits: Hits, known: Codes) -> Search[Suspects]:
-    """Where regions go on: the edges by which they leave the triangles beside an edge on which they were hit.
+    """Suspected edges by which thin regions leave the triangles beside an edge on which they were hit.
 
     The margin before a region has the region's direction. From the margin's slopes along the edge and across it follows
     where the next edge is reached; beside that place the suspects begin, on either side.
@@ -174,7 +174,7 @@ def _suspected(first: Nodes, second: Nodes, low: Floats, high: Floats, before: R
 
 
 def _suspects(triangles: Triangles) -> Suspects:
-    """Edges of a map within which something may be hidden."""
+    """Edges of a map between nodes of one label on which a thin region may lie."""
     nodes = triangles.runs[: triangles.shape[0] * triangles.shape[1]].reshape(triangles.shape)
     outcome, margin, touches = (nodes[name] for name in RUN_FIELDS)
     numbers, size = np.arange(outcome.size).reshape(outcome.shape), np.abs(margin)
@@ -196,6 +196,6 @@ def _suspects(triangles: Triangles) -> Suspects:
 
 
 def _moved(shape: tuple[int, ...], step: tuple[int, int], times: int) -> tuple[slice, ...]:
-    """The nodes so many steps from all those that have a neighbour on both sides."""
+    """Slices of the nodes that are this many steps from those with a neighbour on both sides."""
     rooms = zip(shape, step, strict=True)
     return tuple(slice(abs(k) + times * k, size - abs(k) + times * k) for size, k in rooms)

@@ -122,7 +122,7 @@ class Thresholds:
         return {axis.parameter: float(axis.values[k]) for axis, k in zip(self.axes, places, strict=True)}
 
     def of_cell(self, cell: int) -> slice:
-        """Where a cell's thresholds are in the arrays."""
+        """Slice of a cell's thresholds in the arrays."""
         begin, end = np.searchsorted(self.cell, [cell, cell + 1])
         return slice(int(begin), int(end))
 
@@ -389,7 +389,7 @@ class _Search:
         return self.run(cells, values, more=4 * values.size)
 
     def numbered(self) -> tuple[Codes, tuple[Word, ...]]:
-        """Codes in an order that does not depend on that of the runs: new by old, and the outcome of each new one."""
+        """New codes by old ones, in an order that does not depend on that of the runs, and the outcome of each."""
         words = sorted(self.codes, key=lambda word: (excursions(word), word) if isinstance(word, str) else (word, ""))
         new = np.full(len(words) + 1, FAILED_CODE)
         new[[self.codes[word] for word in words]] = np.arange(len(words))

@@ -58,7 +58,7 @@ class Lines:
     met_labels: Codes = field(default_factory=lambda: np.zeros((0, 3), np.int64))
 
     def trace(self) -> tuple[Codes, Codes, list[Floats]]:
-        """Locate everything; returns the ends, labels and inner points of the segments, see `paths_of`."""
+        """Trace the lines; returns the ends, labels and inner points of their segments, see `paths_of`."""
         hits, _ = side_by_side(self.run, hidden(self.triangles), self._locate())
         if hits.size:
             numbers = self.triangles.runs.size + np.arange(hits.size)

@@ -210,7 +210,7 @@ def verify(
 
 
 def by(study: Study, method: Method) -> Study:
-    """The study by one of the methods."""
+    """The study with this method in its solver."""
     return study.model_copy(update={"solver": study.solver.model_copy(update={"method": method})})
 
 

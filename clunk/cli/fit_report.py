@@ -61,8 +61,8 @@ def _predictions(fitted: Fitted) -> Iterator[str]:
     rows = [["left out at a time", "predicted", "most frequent", "nearest", "effective draws"]]
     for each in fitted.predictions:
         hits = [str(fitted.hits(labels)) for labels in (each.predicted, each.majority, each.nearest)]
-        what = "a measurement" if each.what == "measurement" else f"a value of {each.what}"
-        rows.append([what, *hits, f"{each.effective:.0f}"])
+        left_out = "a measurement" if each.left_out == "measurement" else f"a value of {each.left_out}"
+        rows.append([left_out, *hits, f"{each.effective:.0f}"])
     yield f"labels predicted from the other measurements, of {count}"
     yield from phrases.table(rows, [False] + [True] * 4)
     if fitted.fewer:
@@ -113,7 +113,7 @@ def as_record(fitted: Fitted) -> dict[str, object]:
             for spread, direction in zip(*fitted.combinations, strict=True)
         ],
         "predictions": [
-            {"left_out": each.what, "effective_draws": each.effective}
+            {"left_out": each.left_out, "effective_draws": each.effective}
             | {name: fitted.hits(getattr(each, name)) for name in ("predicted", "majority", "nearest")}
             for each in fitted.predictions
         ],

@@ -67,7 +67,7 @@ def likely_layers(tolerances: ToleranceMap, dimensions: int) -> Layers:
 
 
 def paleness(certainty: Floats) -> Floats:
-    """By how much colours are taken towards white, from the probability of the most likely label."""
+    """Share of white in each cell's colour, 0 to 1, by the probability of its most likely label."""
     amounts = np.zeros(certainty.shape)
     for below, amount in _FADES:
         amounts[certainty < below] = amount

@@ -118,7 +118,7 @@ def _layout(counts: Sequence[int]) -> tuple[int, int, tuple[float, float]]:
 
 
 def _subtitle(results: Results, axes: Sequence[ResultAxis], layers: Layers, width: float) -> str:
-    """The parameters that are fixed in all panels, those that are not, and what the lines are."""
+    """Line under the title: parameters that are fixed in all panels, those that vary, and the name of the lines."""
     varying = {axis.parameter for axis in axes}
     if RUN in varying:
         varying |= {axis.parameter for axis in results.coordinates}

@@ -1,4 +1,4 @@
-"""Labels within the regions of a map: where each has room, and what is done where it has none."""
+"""Labels of a map: within their regions, beside these with a line to them, or else in the notes under the map."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Layers of a map or strip: what the painter needs of results, whatever kind of map they are."""
+"""Layers of a map or strip: its regimes, marks and a quantity along ascending axes, of any map that is drawn."""
 
 from __future__ import annotations
 
@@ -173,12 +173,12 @@ class Layers:
 
 
 def quantities_of(results: Results) -> list[str]:
-    """Names of what can be drawn of a map: `QUANTITIES` and what was measured besides."""
+    """Names of the quantities that can be drawn of a map: `QUANTITIES` and those measured besides."""
     return [*QUANTITIES, *(name for name, each in results.measured_quantities.items() if not each.dimension)]
 
 
 def stacked(panels: Sequence[Layers]) -> Layers:
-    """Layers of several panels as one, for what they share: colours and notes."""
+    """Layers of several panels as one, for their common colours and notes."""
     names = ("codes", "undecided", "inferred", "values")
     arrays: dict[str, Any] = {name: np.stack([getattr(panel, name) for panel in panels]) for name in names}
     return replace(panels[0], **arrays)

@@ -1,4 +1,4 @@
-"""Results as a plane: what lies along which axis, in what order and on what scale."""
+"""Axes of figures: which parameters are x and y, arrays in the order of their values, scales and numbers."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ def curve_axes(axes: Sequence[ResultAxis]) -> tuple[ResultAxis, ...]:
 
 @style.styled()
 def quantile_figure(drawn: Thresholds, quantiles: Thresholds, nominal: Thresholds) -> Figure:
-    """Where an outcome holds in so many of the drawn drivelines: bands over the other axis, darker for more draws.
+    """Bands over the other axis in which a share of the drawn drivelines has one outcome, darker for a larger share.
 
     drawn : thresholds of each draw
     quantiles : of these thresholds

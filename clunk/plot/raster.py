@@ -131,7 +131,7 @@ class Raster:
         return border
 
     def clear_taken(self) -> None:
-        """Keep regions' labels off what is taken. Of a region that falls apart so, the largest piece keeps its name."""
+        """Take the taken pixels out of the regions; of one that falls apart so, the largest piece stays."""
         free = np.full(self.label.shape, _NOWHERE, np.int16)
         for code in np.unique(self.label):
             regions, _ = ndimage.label(self.label == code)

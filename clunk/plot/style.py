@@ -95,7 +95,7 @@ def set_titles(figure: Figure, ax: Axes, title: str, line: str, *, parse_math: b
 
 
 def freeze_layout(figure: Figure, ax: Axes) -> None:
-    """Settle where everything is, so that labels can be fitted to it."""
+    """Lay the figure out once and for all, so that labels can be fitted to it."""
     figure.set_layout_engine("constrained")
     figure.draw_without_rendering()
     title = figure._suptitle  # type: ignore[attr-defined]
@@ -126,14 +126,14 @@ def halo(linewidth: float = 2.4, colour: str = "white") -> list[AbstractPathEffe
 
 
 def tidy(ax: Axes) -> None:
-    """A grid of levels, and no frame where there is nothing to read."""
+    """Draw horizontal grid lines, and no spines at the top and on the right."""
     ax.grid(axis="y", color="0.9", linewidth=0.6)
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)
 
 
 def plain(text: str) -> str:
-    """Text in which a dollar sign is a dollar sign."""
+    """Escape dollar signs, which matplotlib would take for TeX."""
     return text.replace("$", r"\$")
 
 
@@ -148,7 +148,7 @@ def bare(symbol: str) -> str:
 
 
 def symbol_text(symbol: str) -> str:
-    """σr as σ with the subscript r, Td/Ts likewise."""
+    """Symbol as TeX with its subscripts: σr as σ with the subscript r, Td/Ts likewise."""
     return re.sub(r"(?<!\w)([^\W\d_])([^\W\d_]|\d{1,2})(?!\w)", r"\1$_\\mathregular{\2}$", plain(symbol))
 
 

@@ -66,10 +66,10 @@ def arranged(thresholds: Thresholds, axes: Sequence[ResultAxis]) -> tuple[Cells,
     return cells, [ResultAxis(a.parameter, np.sort(a.values), a.name, a.symbol, a.unit) for a in axes]
 
 
-def heading(what: str, thresholds: Thresholds) -> str:
-    """The second line of a figure's title: what it is of the outcome, and the axes of one value."""
+def heading(drawn: str, thresholds: Thresholds) -> str:
+    """Second line of a figure's title: the quantity drawn, the outcome, and the axes of one value."""
     fixed = [value_text(axis, axis.values[0]) for axis in thresholds.axes if len(axis.values) == 1]
-    return "; ".join([f"{what}: {thresholds.outcome.heading()}", *fixed])
+    return "; ".join([f"{drawn}: {thresholds.outcome.heading()}", *fixed])
 
 
 def bands(thresholds: Thresholds, cell: int) -> tuple[tuple[int, ...], list[float]]:
@@ -85,7 +85,7 @@ def bands(thresholds: Thresholds, cell: int) -> tuple[tuple[int, ...], list[floa
 
 
 def segments(thresholds: Thresholds, x: Floats, cells: Cells) -> Iterator[tuple[tuple[int, int], Floats]]:
-    """Yield the changes, codes below and above, from each cell to the next: of each the two points, (2, 2) float64.
+    """Yield the pieces of curves between neighbouring cells: codes below and above, and both ends, (2, 2) float64.
 
     A threshold goes on in the one of the same change that is nearest, all together; alone, it is both points.
     """
