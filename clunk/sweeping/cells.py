@@ -14,10 +14,8 @@ import numpy.typing as npt
 
 from clunk.core import tile as kernel
 from clunk.core.events import EVENT
-from clunk.core.exact.flows import Flows
 from clunk.core.measures import OF_IMPACTS, measure_runs
 from clunk.core.regimes import System
-from clunk.core.rk4.propagator import Steps
 from clunk.core.switching import MOST_STAGES
 from clunk.simulation import driveline
 from clunk.simulation.batches import prepare_many, prepare_one
@@ -30,7 +28,6 @@ from clunk.sweeping.tiles import Layout, Tile
 
 Records = npt.NDArray[np.void]
 Flag = npt.NDArray[np.uint8]  # (1,); set by another thread, it ends the work within a run
-Prepared = tuple[System, Steps | Flows]  # a system and its method's tables
 _Key = tuple[tuple[str, ...], tuple[float, ...]]  # structural parameters, and their values
 Runs = tuple[Cells, Records, list[Records]]  # positions of runs, their records, and their impacts in pieces
 
@@ -75,9 +72,10 @@ class Systems:
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self._study, self._alone({}) if _NOMINAL in self._kept else None)
 
-    def prepared(self, values: Mapping[str, float]) -> Prepared:
-        """The system and tables with these values of structural parameters."""
-        return self._alone(values).of(0)
+    @property
+    def nominal(self) -> System:
+        """The system with the study's own values of structural parameters."""
+        return self._alone({}).system
 
     def _alone(self, values: Mapping[str, float]) -> kernel.Batch:
         key = tuple(values), tuple(values.values())
@@ -156,9 +154,9 @@ class Grid:
         """Cells in the order in which they are best cut into tiles."""
         return cells
 
-    def shared(self) -> Prepared | None:
-        """The system and tables that all cells share, if they do."""
-        return None if self.structural else self.systems.prepared({})
+    def shared(self) -> System | None:
+        """The system that all cells share, if they do."""
+        return None if self.structural else self.systems.nominal
 
     def cases(self, values: Mapping[str, float | FloatArray], count: int) -> kernel.Cases:
         """Torques and gaps of `count` cells with these values of parameters."""

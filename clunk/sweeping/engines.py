@@ -20,9 +20,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from clunk.core.regimes import System
 from clunk.study.designs import Cells
 from clunk.study.errors import ClunkError
-from clunk.sweeping.cells import Flag, Prepared
+from clunk.sweeping.cells import Flag
 from clunk.sweeping.signals import deferred_signals
 from clunk.sweeping.tiles import Layout, Tile
 
@@ -51,8 +52,8 @@ class Runner(Protocol):
     def ordered(self, cells: Cells) -> Cells:
         """Cells in the order in which they are best cut into tiles."""
 
-    def shared(self) -> Prepared | None:
-        """The system and tables that all runs share, if they do."""
+    def shared(self) -> System | None:
+        """The system that all runs share, if they do."""
 
     def run(self, cells: Cells, stop: Flag) -> Tile:
         """Run cells; the tile has those that were done before `stop` was set."""

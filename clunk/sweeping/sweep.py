@@ -135,7 +135,7 @@ class Job:
         began = time.perf_counter()
         reduction, parts = self.reduction, self.parts
         shared = reduction.runner.shared()
-        if shared is not None and (status := Status(shared[0].status)) != Status.OK:
+        if shared is not None and (status := Status(shared.status)) != Status.OK:
             raise SweepError(f"No cell can run: {explained(self.study, status)}.")
         before = reduction.done
         for tile in parts.read() if parts is not None else ():

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from clunk.core.regimes import System
 from clunk.core.sequence import OPPOSITE
 from clunk.core.status import Status
 from clunk.core.tile import LONGEST_PATTERN
@@ -22,7 +23,7 @@ from clunk.study.designs import Cells, FloatArray, design_of, drawn_numbers
 from clunk.study.parameters import nominal_value, quantity
 from clunk.study.study import Study
 from clunk.sweeping.assembly import flanks_of, long_sequences
-from clunk.sweeping.cells import KEPT_SYSTEMS, Flag, Grid, Prepared, Records, leaves_system
+from clunk.sweeping.cells import KEPT_SYSTEMS, Flag, Grid, Records, leaves_system
 from clunk.sweeping.reduction import Flanks, Reduction
 from clunk.sweeping.tiles import Layout, Tile
 
@@ -73,8 +74,8 @@ class SampleRunner:
         """Cells in the order of their systems."""
         return cells[np.argsort(self.grid.points(self.grid.design.at(cells), cells.size)[1], kind="stable")]
 
-    def shared(self) -> Prepared | None:
-        """The system and tables that all runs share, if they do."""
+    def shared(self) -> System | None:
+        """The system that all runs share, if they do."""
         return None if self._new_systems else self.grid.shared()
 
     def run(self, cells: Cells, stop: Flag) -> Tile:
