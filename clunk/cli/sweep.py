@@ -147,15 +147,13 @@ def _report(result: Results | ToleranceMap, job: Job, as_json: bool) -> int:
     from clunk.results.tolerancemap import ToleranceMap
 
     assert job.path is not None
-    target, seconds = job.path, job.seconds
-    speed = job.design.cells, job.ran, 0 if job.parts is None else job.parts.taken_up, seconds, target
     if isinstance(result, ToleranceMap):
-        failed = tables.report_tolerances(result, target, seconds, as_json)
-        terminal.report_speed(*speed, draws=result.draws)
+        failed = tables.report_tolerances(result, job.path, job.seconds, as_json)
+        terminal.report_speed(job, result.draws)
         terminal.report_failures(result, " for some draws")
     else:
-        failed = tables.report_counts(result.counts_of_lashes, target, seconds, as_json)
-        terminal.report_speed(*speed, inferred=job.refine)
+        failed = tables.report_counts(result.counts_of_lashes, job.path, job.seconds, as_json)
+        terminal.report_speed(job)
         terminal.report_failures(result)
     if sys.stdout.isatty() and not as_json and is_drawable(result.of_lash().axes):
         click.echo()

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from clunk.results.regimemap import Results
     from clunk.results.tolerancemap import ToleranceMap
     from clunk.study.study import Study
+    from clunk.sweeping.sweep import Job
 
 
 _FEWEST_STEPS = 10  # a period of the fastest oscillation
@@ -95,15 +96,14 @@ def report_resumed(taken_up: int, discarded: int) -> None:
         click.echo(f"{counted(discarded, 'part')} of other versions, or damaged: their cells are run again", err=True)
 
 
-def report_speed(
-    total: int, ran: int, taken_up: int, seconds: float, target: Path, *, inferred: bool = False, draws: int = 0
-) -> None:
+def report_speed(job: Job, draws: int = 0) -> None:
     """Print the number of cells, the time and the speed; a cell of a tolerance map has a run for each draw."""
-    runs = (ran - taken_up) * (draws + 1)  # and nominally
-    rate = f" ({runs / seconds:,.0f} runs/s)" if ran > taken_up and seconds > 0.0 else ""
+    total, ran, seconds = job.design.cells, job.ran, job.seconds
+    runs = (ran - (0 if job.parts is None else job.parts.taken_up)) * (draws + 1)  # and nominally
+    rate = f" ({runs / seconds:,.0f} runs/s)" if runs > 0 and seconds > 0.0 else ""
     each = f" x {draws:,} draws" if draws else ""
-    click.echo(f"{counted(total, 'cell')}{each} in {seconds:.1f} s{rate} -> {target}", err=True)
-    if inferred:
+    click.echo(f"{counted(total, 'cell')}{each} in {seconds:.1f} s{rate} -> {job.path}", err=True)
+    if job.refine:
         rest = "the others are inferred from their neighbours" if ran < total else "so coarse a grid has none to infer"
         click.echo(f"{ran:,} of them were run; {rest}", err=True)
 
