@@ -121,12 +121,10 @@ def _write(fitted: Fitted, path: Path, tolerances: int) -> None:
     """Write the fitted config, with the ensemble as tolerances if they are asked for."""
     from clunk.analysis.fitparts import FitError
     from clunk.analysis.fittedstudy import as_comment, fitted_study
-    from clunk.results.files import write_whole, writing
+    from clunk.results.files import write_text
     from clunk.study.study import to_toml
 
-    text = as_comment(fitted) + to_toml(fitted_study(fitted, tolerances))
-    with writing(path, FitError):
-        write_whole(path, lambda file: file.write(text.encode()))
+    write_text(path, as_comment(fitted) + to_toml(fitted_study(fitted, tolerances)), FitError)
     terminal.say_written(path)
 
 

@@ -30,7 +30,7 @@ def report(file: Path, output: Path | None, at: tuple[str, ...]) -> None:
     from clunk import plot as plots
     from clunk.plot.page import page
     from clunk.results import targets
-    from clunk.results.files import write_whole, writing
+    from clunk.results.files import write_text
     from clunk.results.store import read_header, read_map
 
     target = output or file.with_suffix(".html")
@@ -43,8 +43,7 @@ def report(file: Path, output: Path | None, at: tuple[str, ...]) -> None:
         text = page(results, _commands(header, file, target, at), digests)
     except plots.SurplusAxesError as error:
         raise plots.PlotError(f"{error.problem}: also give {' '.join(map(cells.at_middle, error.surplus))}.") from error
-    with writing(target, plots.PlotError):
-        write_whole(target, lambda stream: stream.write(text.encode()))
+    write_text(target, text, plots.PlotError)
     terminal.say_written(target)
 
 

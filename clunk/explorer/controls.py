@@ -25,7 +25,6 @@ _FIRST = (
     "lash.contact.stiffness",
     "lash.contact.damping",
     "lash.contact.restitution",
-    "lash.backlash_deg",
     "driveline.shafts[1].stiffness",
     "load.static_torque",
 )

@@ -20,6 +20,7 @@ from clunk.explorer.subject import ExplorerError, Subject
 from clunk.results.files import reason
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
+from clunk.sweeping.progress import in_notebook
 
 try:
     from bokeh.settings import settings
@@ -207,7 +208,7 @@ def explore(
     >>> explorer.stop()
     """
     explorer = Explorer(Subject.of(results, name), port)
-    if browser or (browser is None and not _is_notebook()):
+    if browser or (browser is None and not in_notebook()):
         explorer.open_browser()
     return explorer
 
@@ -218,10 +219,3 @@ def _import_pages() -> None:
 
     for module in ("bokeh.server.tornado", "clunk.explorer.page"):
         import_module(module)
-
-
-def _is_notebook() -> bool:
-    import sys
-
-    shell: Any = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
-    return "IPKernelApp" in getattr(shell, "config", {})

@@ -15,7 +15,7 @@ from clunk.plot.fit import measured_on_maps
 from clunk.plot.small_gap import small_gap
 from clunk.report.claims import Claim, Verdict
 from clunk.report.evidence import MAPS, NOMINAL_RATIO, RATIOS, Evidence
-from clunk.results.files import reason, write_whole
+from clunk.results.files import reason, write_text
 from clunk.results.store import StoreError, write_results
 from clunk.simulation.history import History, sample
 from clunk.simulation.linear import one_mode_thresholds
@@ -42,7 +42,8 @@ def save_all(
         written.append(directory / f"{name}.h5")
         write_results(written[-1], evidence.maps[name])
     written.append(directory / "claims.json")
-    _write_text(written[-1], json.dumps([claim.record() for claim in claims], indent=1, ensure_ascii=False) + "\n")
+    text = json.dumps([claim.record() for claim in claims], indent=1, ensure_ascii=False) + "\n"
+    write_text(written[-1], text, StoreError)
     return written
 
 
@@ -68,14 +69,7 @@ def write_tables(path: Path, claims: Sequence[Claim]) -> None:
         if place is None:
             raise StoreError(f"{path} has no place for the claims: a line {begin.strip()}, and <!-- end --> after it.")
         text = text[: place.start()] + table + text[place.end() :]
-    _write_text(path, text)
-
-
-def _write_text(path: Path, text: str) -> None:
-    try:
-        write_whole(path, lambda file: file.write(text.encode()))
-    except OSError as error:
-        raise StoreError(f"{path} cannot be written: {reason(error)}.") from error
+    write_text(path, text, StoreError)
 
 
 def figures(e: Evidence) -> list[Job]:

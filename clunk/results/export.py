@@ -11,13 +11,14 @@ import json
 import math
 import os
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
 
 from clunk.results.boundaries import Boundaries
-from clunk.results.files import write_whole, writing
+from clunk.results.files import write_text, write_whole, writing
 from clunk.results.labels import FAILED
 from clunk.results.maps import Map
 from clunk.results.quantities import Quantity
@@ -89,9 +90,7 @@ WRITERS = {".csv": _write_csv, ".mat": _write_mat}
 
 def save_boundaries(path: str | os.PathLike[str], boundaries: Boundaries) -> None:
     """Write boundaries in the format of the file name's suffix, one of `OF_BOUNDARIES`. Raises StoreError."""
-    with writing(path, StoreError) as target:
-        text = OF_BOUNDARIES[target.suffix.lower()](boundaries)
-        write_whole(target, lambda stream: stream.write(text.encode()))
+    write_text(path, OF_BOUNDARIES[Path(path).suffix.lower()](boundaries), StoreError)
 
 
 OF_BOUNDARIES: dict[str, Callable[[Boundaries], str]] = {

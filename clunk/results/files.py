@@ -44,6 +44,12 @@ def writing(path: str | os.PathLike[str], error: type[ClunkError]) -> Iterator[P
         raise error(f"{path} cannot be written: {reason(problem)}.") from problem
 
 
+def write_text(path: str | os.PathLike[str], text: str, error: type[ClunkError]) -> None:
+    """Write a text file whole or not at all, in UTF-8; an OSError is raised as a sentence for the user."""
+    with writing(path, error) as target:
+        write_whole(target, lambda file: file.write(text.encode()))
+
+
 def reserve(file: BinaryIO, size: int) -> None:
     """Reserve room on the disk for a file to grow to `size` bytes, with zeros behind its content. Raises OSError."""
     if hasattr(os, "posix_fallocate"):

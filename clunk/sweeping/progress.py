@@ -19,7 +19,7 @@ def shown(total: int, unit: str = "cells") -> Iterator[Progress]:
     """Show progress while this is open; the function that it yields takes the numbers done and in all."""
     state = _State(total, unit)
     display: AbstractContextManager[Callable[[], None]] = nullcontext(state.print_line)
-    if _in_notebook():
+    if in_notebook():
         display = _notebook_bar(state)
     elif sys.stderr.isatty():
         display = _terminal_bar(state)
@@ -74,7 +74,7 @@ class _State:
         return f"<div>{bar} {escape(repr(self))}</div>"
 
 
-def _in_notebook() -> bool:
+def in_notebook() -> bool:
     """Whether this runs in a kernel, whose front end shows what IPython displays."""
     if "IPython" not in sys.modules:  # a kernel has imported it
         return False
