@@ -52,7 +52,8 @@ def facet_map(results: Results, facets: Sequence[str], quantity: str = "regimes"
     values = [shown_values(axis, len(axes)) for axis in axes]
     slices = [results.at(dict(zip(facets, place, strict=True))) for place in product(*values)]
     is_regimes = quantity == "regimes"
-    layers = [replace(Layers.of_quantity(each, 2, quantity), points=_POINTS) for each in slices]
+    layers = [Layers.of(each, 2) if is_regimes else Layers.of_quantity(each, 2, quantity) for each in slices]
+    layers = [replace(each, points=_POINTS) for each in layers]
     rows, columns, size = _layout([len(each) for each in values])
     figure = new_figure(size)
     figure.suptitle(layers[0].title, fontsize=11.5, fontweight="bold", ha="left", parse_math=False)

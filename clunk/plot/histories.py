@@ -42,12 +42,11 @@ _BEFORE = 0.4  # share of a close-up's width before the moment that it is around
 
 def simulation_figure(runs: Runs, *, each_lash: bool = True) -> Figure:
     """Load, angles, backlash coordinate and acceleration of runs on one time axis, the latter two of each lash."""
-    panels: list[_Panel] = [(draw_torque, 0.9), (draw_angles, 3.0)]
-    if each_lash and (lashes := _lash_count(runs)) > 1:
-        for lash in range(lashes):
-            panels += _of_lash(draw_backlash, lash, 2.4), _of_lash(draw_acceleration, lash, 2.6)
-        return _stacked(runs, panels, 4.6 + 4.6 * lashes, marks=True, outcomes=False)
-    return _stacked(runs, [*panels, (draw_backlash, 2.4), (draw_acceleration, 2.6)], 9.2, marks=True)
+    shared: list[_Panel] = [(draw_torque, 0.9), (draw_angles, 3.0)]
+    of_lash: list[_Panel] = [(draw_backlash, 2.4), (draw_acceleration, 2.6)]
+    by_lash = _by_lash(runs, of_lash, each_lash)
+    panels = by_lash or of_lash
+    return _stacked(runs, [*shared, *panels], 4.6 + 2.3 * len(panels), marks=True, outcomes=not by_lash)
 
 
 def angles(runs: Runs) -> Figure:
@@ -66,9 +65,8 @@ def backlash(runs: Runs, *, each_lash: bool = True) -> Figure:
 
     Runs that differ in their contact alone share a panel; every other one has its own. Of several lashes each has one.
     """
-    if each_lash and (lashes := _lash_count(runs)) > 1:
-        panels_of_lashes = [_of_lash(draw_backlash, lash, 1.0) for lash in range(lashes)]
-        return _stacked(runs, panels_of_lashes, 1.5 + 2.3 * lashes, marks=True, outcomes=False)
+    if by_lash := _by_lash(runs, [(draw_backlash, 1.0)], each_lash):
+        return _stacked(runs, by_lash, 1.5 + 2.3 * len(by_lash), marks=True, outcomes=False)
     panels: list[Runs] = [[run for run in runs if run.setup == setup] for setup in dict.fromkeys(r.setup for r in runs)]
     if len(panels) > 1:  # a panel's title says what its runs have in common, and runs alike look alike
         panels = [_shortened(panel) for panel in panels]
@@ -122,9 +120,8 @@ def acceleration(runs: Runs, *, each_lash: bool = True) -> Figure:
 
     There is a panel for each run or, of several lashes, for each of these.
     """
-    if each_lash and (lashes := _lash_count(runs)) > 1:
-        panels = [_of_lash(draw_acceleration, lash, 1.0) for lash in range(lashes)]
-        return _stacked(runs, panels, 1.6 + 2.6 * lashes, outcomes=False)
+    if by_lash := _by_lash(runs, [(draw_acceleration, 1.0)], each_lash):
+        return _stacked(runs, by_lash, 1.6 + 2.6 * len(by_lash), outcomes=False)
     figure, axes = _frame(runs, (1.0,) * len(runs), 1.6 + (3.2 if len(runs) == 1 else 2.6) * len(runs))
     for ax, (run, look) in zip(axes, _curves(runs), strict=True):
         if ax is not axes[0]:
@@ -135,9 +132,10 @@ def acceleration(runs: Runs, *, each_lash: bool = True) -> Figure:
     return _finished(figure, axes, runs, legend=False)  # each panel names its run
 
 
-def _lash_count(runs: Runs) -> int:
-    """Number of lashes that all runs have."""
-    return min((len(run.lashes) for run in runs), default=1)
+def _by_lash(runs: Runs, panels: Sequence[_Panel], each_lash: bool) -> list[_Panel]:
+    """Panels of each lash that all runs have; none where that is one, or where `each_lash` is not asked for."""
+    lashes = min((len(run.lashes) for run in runs), default=1) if each_lash else 1
+    return [_of_lash(draw, lash, share) for lash in range(lashes) for draw, share in panels] if lashes > 1 else []
 
 
 def _of_lash(draw: Callable[[Axes, Sequence[Curve]], None], lash: int, share: float) -> _Panel:

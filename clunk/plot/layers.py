@@ -99,8 +99,6 @@ class Layers:
 
         The quantity is NaN in cells that failed, and in inferred ones whose regime does not tell it.
         """
-        if quantity == "regimes":
-            return cls.of(results, dimensions)
         if quantity not in quantities_of(results)[1:]:
             drawn = ", ".join(quantities_of(results)[1:])
             raise PlotError(f"There is no quantity {quantity!r} to draw; there are {drawn}.")

@@ -33,7 +33,7 @@ def scatter_map(results: Results, x: str, y: str, quantity: str = "regimes") -> 
     """
     across, upward = _parameter(results, x), _parameter(results, y)
     _require_points_apart(results, (x, y))
-    layers = Layers.of_quantity(results, 0, quantity)
+    layers = Layers.of(results, 0) if quantity == "regimes" else Layers.of_quantity(results, 0, quantity)
     layers.require_values()
     place = _values_of(results, across), _values_of(results, upward)
     figure, ax = new_plot(layers, f"{layers.codes.size:,} runs")
