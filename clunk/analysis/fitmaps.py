@@ -15,7 +15,6 @@ from clunk.study.axes import ResultAxis
 from clunk.study.errors import ClunkError
 from clunk.study.keys import key_at
 from clunk.study.parameters import located
-from clunk.study.study import Study
 from clunk.study.sweeps import Axis, Sweep
 from clunk.sweeping.sweep import sweep
 
@@ -40,8 +39,8 @@ def fit_maps(fitted: Fitted, workers: int | None = None) -> Results:
     varying = [axis.parameter for axis in axes]
     fixed = tuple(Axis(parameter=key, values=(value,)) for key, value in first if key not in varying)
     study = fitted.study.model_copy(update={"sweep": Sweep(axes=(*axes, *fixed))})
-    before = _swept(study.model_copy(update={"fit": None}), fitted.lash, workers)
-    after = _swept(fitted_study(replace(fitted, study=study)), fitted.lash, workers)
+    studies = study.model_copy(update={"fit": None}), fitted_study(replace(fitted, study=study))
+    before, after = (sweep(each, workers=workers).of_lash(fitted.lash) for each in studies)
     return _stacked(before, replace(after, axes=before.axes))
 
 
@@ -59,11 +58,6 @@ def _axis(fitted: Fitted, k: int) -> Axis:
     if key.above and start == key.lowest:
         start = float(values.min())
     return Axis(parameter=parameter, start=float(start), stop=float(stop), count=_COUNT)
-
-
-def _swept(study: Study, lash: str, workers: int | None) -> Results:
-    results = sweep(study, workers=workers)
-    return results.of_lash(lash if len(study.lashes) > 1 else None)
 
 
 def _stacked(before: Results, after: Results) -> Results:

@@ -30,8 +30,8 @@ from clunk.study.parameters import located, nominal_value, parameters
 from clunk.study.study import Study
 from clunk.study.sweeps import Draw
 from clunk.sweeping.assembly import flanks_of
-from clunk.sweeping.cells import Grid, Systems
-from clunk.sweeping.engines import Stop, available_cores, run_tile
+from clunk.sweeping.cells import Systems
+from clunk.sweeping.sweep import sweep
 
 Worth = Callable[[Records], Bools]
 
@@ -46,7 +46,6 @@ _TRIED = 16  # draws of the prior that tell along which axis labels change most
 _EDIT = 0.5  # distance of each impact too many or too few, beyond the last ring
 _OUTLIERS = 0.02  # share of measured quantities that are far off
 _OUTLIER_SCALE = 10.0  # of these, in standard deviations
-_PIECE = 64  # candidates that a worker takes at a time: fewer are prepared at more cost each
 
 
 class CandidateRuns:
@@ -70,7 +69,7 @@ class CandidateRuns:
         self.axes = axes_of(self.study, experiment)
         self.points = np.array([each.values for each in experiment.measurements])
         self._speeds = np.array([each.detection_speed for each in experiment.measurements])
-        self._engine, self._workers = engine, getattr(engine, "_max_workers", None) or available_cores()
+        self._engine = engine
         self.wanted = patterns_of(experiment)
         self._flanks = [flanks_of_label(each.label) for each in experiment.measurements]
         self._numbers = tuple(dict.fromkeys(name for each in experiment.measurements for name in each.impacts))
@@ -155,7 +154,7 @@ class CandidateRuns:
     ) -> tuple[Patterns, npt.NDArray[np.uint8], Records]:
         """Run candidates at measured values: patterns, statuses, and seen impacts with their run's number.
 
-        runs : (2, n) numbers of candidates, in ascending order, and of points
+        runs : (2, n) numbers of candidates and of points
         measured : (n, axes)
         """
         candidate, point = runs
@@ -169,37 +168,22 @@ class CandidateRuns:
         patterns, status = np.zeros(candidate.size, np.uint64), np.full(candidate.size, Status.NON_FINITE, np.uint8)
         if not ran.size:
             return patterns, status, np.zeros(0, [("run", "i8")])
-        columns = tuple(Column(key, 0, column[ran]) for key, column in values.items())
-        grid, stop = Grid(self.study, Design((ran.size,), columns, run=0), systems), Stop()
-        begins = np.flatnonzero(np.diff(candidate[ran], prepend=-1))  # no candidate is prepared twice
-        shares = self._workers * -(-begins.size // (_PIECE * self._workers))
-        cuts = begins[np.linspace(0, begins.size, shares + 1)[:-1].astype(int)]
-        pieces = [piece for piece in np.split(np.arange(ran.size), np.unique(cuts)) if piece.size]
-        try:
-            tiles = list(self._engine.map(lambda cells: run_tile(grid, cells, stop), pieces))
-        finally:
-            stop.set()
-        lashes = grid.layout.lashes
-        records = np.concatenate([tile.records for tile in tiles])
-        impacts = np.concatenate([tile.details for tile in tiles])
-        row = np.repeat(np.arange(records.size), records["primary_impacts"])
-        of_lash = row % lashes == self.lash
-        impacts, row = impacts[of_lash], ran[row[of_lash] // lashes]
-        status[ran] = records["status"][self.lash :: lashes]
-        seen = impacts["closing_speed"] >= self._speeds[point[row]]
-        impacts, row = impacts[seen], row[seen]
+        design = Design((ran.size,), tuple(Column(key, 0, column[ran]) for key, column in values.items()), run=0)
+        results = sweep(self.study, design, engine=self._engine, systems=systems).of_lash(str(self.lash + 1))
+        status[ran] = results.status
+        row = ran[np.repeat(np.arange(ran.size), results.primary_impacts)]
+        seen = results.impact_closing_speed >= self._speeds[point[row]]
+        row, flanks = row[seen], results.impact_flank[seen]
         counts = np.bincount(row, minlength=candidate.size)
         behind = np.repeat(np.cumsum(counts), counts) - 1 - np.arange(row.size)  # impacts of the run behind each
-        bits = np.where(impacts["flank"] == OPPOSITE, np.uint64(1), np.uint64(0)) << np.minimum(behind, 63).astype(
-            np.uint64
-        )
+        bits = np.where(flanks == OPPOSITE, np.uint64(1), np.uint64(0)) << np.minimum(behind, 63).astype(np.uint64)
         patterns[ran] = np.uint64(1) << np.minimum(counts[ran], LONGEST_PATTERN).astype(np.uint64)
         np.add.at(patterns, row, bits)
         patterns[(status != Status.OK) | (counts > LONGEST_PATTERN)] = 0
         numbered = np.zeros(row.size, [("run", "i8"), *((name, "f8") for name in self._numbers)])
         numbered["run"] = row
         for name in self._numbers:
-            numbered[name] = impacts[name.removeprefix("impact_")]
+            numbered[name] = results.values(name)[seen]
         return patterns, status, numbered
 
     def values(self, candidates: Floats, measured: Floats) -> dict[str, Floats]:
