@@ -13,7 +13,6 @@ from clunk.simulation.energy import balance
 from clunk.simulation.history import sample
 from clunk.simulation.trajectory import SimulationError, simulate
 from clunk.study.config import load_study, study_from_text
-from clunk.study.errors import ClunkError
 from clunk.study.problems import ConfigError
 from clunk.study.study import replace_values
 
@@ -268,11 +267,6 @@ def test_what_sticks_holds_up_to_its_friction():
 def test_a_wrong_friction_is_refused(overrides, said):
     with pytest.raises(ConfigError, match=said.replace("[", r"\[")):
         nominal(*overrides)
-
-
-def test_friction_and_rigid_flanks_are_refused():
-    with pytest.raises(ClunkError, match="Friction needs the indentation model"):
-        simulate(nominal("driveline.shafts[4].friction=0.1", "lash.contact.model='restitution'"))
 
 
 def test_a_friction_that_slips_before_the_load_step_is_refused():

@@ -271,6 +271,13 @@ def build_system(
                 free_rates, free_inputs = flow_of(opened)
                 others = sum(closed << j for j, closed in enumerate(opened.closed))
                 yielding = mobility[..., k, None] if others == 0 else 1.0 / passed[..., others, k, k, None]
+                if any(active.stuck):
+                    tied = np.vstack([twists, *(friction.twist for friction in frictions)])
+                    pushed = np.append(np.zeros(n), lash.twist / inertia)[:, None]
+                    pushed, _ = locked(pushed, pushed, inertia, tied, [*opened.closed, *active.stuck])
+                    yielding = lash.twist @ pushed[n:]
+                    if yielding <= _SINGULAR * mobility[k]:  # frictions hold it
+                        continue
                 of_lash[..., flow, FORCE, :] = lash.twist @ free_rates[..., n:, :] / yielding
                 fed[..., flow, FORCE, :] = lash.twist @ free_inputs[..., n:, :] / yielding
         elif lash.separation_by_force:

@@ -1,15 +1,27 @@
 """Rigid flanks, the restitution model: impacts, releases, and which lashes stay closed through them.
 
-Where other lashes are closed, an impact is one of a driveline with these as rigid joints. An impulse and a torque press
-flanks together and never pull them: which of the closed lashes stay so is decided for all of them at once.
+Where other lashes are closed, an impact is one of a driveline with these as rigid joints. An impulse presses flanks
+together and never pulls them: which of the closed lashes stay so is decided for all of them at once. So it is with the
+torques of flanks at rest, together with those of frictions: `clunk.core.rubbing`.
 """
 
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.events import LOCK, SEPARATION, TOUCH
+from clunk.core import rubbing
+from clunk.core.events import LOCK, SEPARATION, STAGE, TOUCH
 from clunk.core.jit import part, unowned_inlined
-from clunk.core.regimes import ROUNDING, System, closed_on, gap_input, inputs_of, lash_of, lashes_of, opened
+from clunk.core.regimes import (
+    ROUNDING,
+    System,
+    closed_on,
+    frictions_of,
+    gap_input,
+    inputs_of,
+    lash_of,
+    lashes_of,
+    opened,
+)
 from clunk.core.runs import Entry, Log, record
 from clunk.core.tables import FORCE, INPUTS, TORQUE, TORQUE_RATE
 
@@ -55,6 +67,9 @@ def strike(
             x[k] -= (1.0 + system.restitution[lash]) * speed * system.impulse[held, lash, k]
     else:
         _hold(system, held, lash, x, side * inputs[gap_input(lash)])
+    if frictions_of(system) > 0:
+        regime = rubbing.in_motion(system, regime, abs(speed), x)
+        rubbing.stick_all(system, x, inputs)
     record(log, count, time, speed, TOUCH, regime, lash, side, x)
     count += 1
     for other in range(lashes_of(system)):
@@ -63,13 +78,15 @@ def strike(
             count += 1
     if rebounds:
         return Entry(count, regime, guard, 1)
+    successor = system.guards[regime, guard].successor
+    if frictions_of(system) > 0:
+        return settle(system, successor, -1, lash, time, x, inputs, log, count)
     torque_held, slope, scale = holding_torque(system, regime, lash, x, inputs)
     pressing = side * torque_held
     if abs(pressing) <= ROUNDING * scale:  # zero: what it turns into decides
         pressing = side * slope
     if not pressing >= 0.0:
         return Entry(count, regime, guard, 2)
-    successor = system.guards[regime, guard].successor
     record(log, count, time, 0.0, LOCK, successor, lash, side, x)
     return Entry(count + 1, successor, -1, 0)
 
@@ -146,7 +163,7 @@ def release(
 ) -> Entry:
     """A separation of the restitution model; without a gap the flanks lock on the other side at once.
 
-    Where several lashes are closed, those part that can, whichever one's torque turned first.
+    Where several lashes are closed or frictions stick, those part that can, whichever one's torque turned first.
     """
     row, lash = system.guards[regime, guard], lash_of(system, regime, guard)
     side, half_gap, others = row.side, inputs[gap_input(lash)], held_with(system, regime, lash)
@@ -158,63 +175,71 @@ def release(
         record(log, count + 1, time, 0.0, TOUCH, free, lash, -side, x)
         record(log, count + 2, time, 0.0, LOCK, successor, lash, -side, x)
         return Entry(count + 3, successor, 0, 1)
-    held = others if others == 0 else _held_at_rest(system, regime, time, x, inputs)
-    first, successor = -1, regime
-    for other in range(lashes_of(system)):
-        contact = system.contacts[regime, other]
-        if contact.closed == 0 or held >> other & 1:
-            continue
-        if first < 0:  # released where it was held, but for what rounding has added up
-            first = other
-            _hold(system, held, other, x, contact.side * inputs[gap_input(other)])
-        else:
-            _part_by(_APART, system, held, other, contact.side, x, inputs)
-        successor = opened(system, successor, other)
-    for other in range(lashes_of(system)):
-        contact = system.contacts[regime, other]
-        if contact.closed != 0 and not held >> other & 1:
-            record(log, count, time, 0.0, row.event_kind, successor, other, contact.side, x)
-            count += 1
-    torque_held, slope, scale = holding_torque(system, successor, first, x, inputs)
-    # where a jump of the load parts them, q'' is not zero; nothing but the load's own slope may tell what zero is
-    order = 2 if abs(torque_held) > _CLEARLY_NOT_ZERO * (scale + abs(slope) * time) else int(row.zero_order)
-    return Entry(count, successor, _touch_of(system, successor, first, system.contacts[regime, first].side), order)
+    if others != 0 or frictions_of(system) > 0:
+        return settle(system, regime, guard, -1, time, x, inputs, log, count)
+    return _part(system, regime, -1, Entry(count, row.successor, -1, 0), time, x, inputs, log)
 
 
 @part
-def _held_at_rest(system: System, regime: int, time: float, x: FloatArray, inputs: FloatArray) -> int:
-    """The closed lashes of a regime, as bits, that stay closed where one of them parts.
+def settle(
+    system: System,
+    regime: int,
+    ended: int,
+    touched: int,
+    time: float,
+    x: FloatArray,
+    inputs: FloatArray,
+    log: Log,
+    count: int,
+) -> Entry:
+    """Entry into the regime of `rubbing.settle`, with the events that this makes.
 
-    That is the set whose torques press while none of the other flanks would; there is only one, but for lashes that
-    carry nothing, which stay closed. Of a torque that is zero its rate of change counts.
+    touched : int
+        The lash that touches at this moment, which locks or never was closed, or -1.
     """
-    closed, best, largest = held_with(system, regime, -1), 0, 0.0
-    always = _without_gap(system, closed, inputs)
+    successor, zero_guard, zero_order = rubbing.settle(system, regime, ended, time, x, inputs)
+    if touched >= 0 and system.contacts[successor, touched].closed != 0:
+        record(log, count, time, 0.0, LOCK, successor, touched, system.contacts[successor, touched].side, x)
+        count += 1
+    entry = _part(system, regime, touched, Entry(count, successor, zero_guard, zero_order), time, x, inputs, log)
+    count = entry.written
+    if log.states.shape[0] > 0 and log.events[count - 1].regime != successor:
+        record(log, count, time, 0.0, STAGE, successor, -1, 0, x)
+        count += 1
+    return Entry(count, successor, entry.zero_guard, entry.zero_order)
+
+
+@part
+def _part(
+    system: System, before: int, touched: int, entry: Entry, time: float, x: FloatArray, inputs: FloatArray, log: Log
+) -> Entry:
+    """Separations of flanks at rest: of those closed in the regime before, and open in the one that is entered.
+
+    touched : int
+        The lash that touches at this moment, whose flanks do not separate, or -1.
+    """
+    count, held, first = entry.written, held_with(system, entry.regime, -1), -1
     for lash in range(lashes_of(system)):
-        if closed >> lash & 1:
-            _, slope, scale = holding_torque(system, regime, lash, x, inputs)
-            largest = max(largest, scale + abs(slope) * time)
-    held, least, least_later = closed, np.inf, np.inf
-    while held > always:
-        held = (held - 1) & closed
-        if held & always != always:
+        side = system.contacts[before, lash].side
+        if system.contacts[before, lash].closed == 0 or held >> lash & 1:
             continue
-        tried, misfit, later = regime, 0.0, 0.0
-        for lash in range(lashes_of(system)):
-            if closed >> lash & 1 and not held >> lash & 1:
-                tried = opened(system, tried, lash)
-        for lash in range(lashes_of(system)):
-            if closed >> lash & 1 and not always >> lash & 1:
-                side = system.contacts[regime, lash].side
-                torque, slope, _ = holding_torque(system, tried, lash, x, inputs)
-                against = -side if held >> lash & 1 else side
-                if abs(torque) > _CLEARLY_NOT_ZERO * largest:
-                    misfit += max(against * torque, 0.0)
-                else:
-                    later += max(against * slope * time - ROUNDING * largest, 0.0)
-        if misfit < least or (misfit == least and later < least_later):
-            best, least, least_later = held, misfit, later
-    return best
+        if first < 0 and entry.zero_guard < 0:  # released where it was held, but for what rounding has added up
+            first = lash
+            _hold(system, held, lash, x, side * inputs[gap_input(lash)])
+        else:
+            _part_by(_APART, system, held, lash, side, x, inputs)
+    for lash in range(lashes_of(system)):
+        contact = system.contacts[before, lash]
+        if contact.closed != 0 and not held >> lash & 1 and lash != touched:
+            record(log, count, time, 0.0, SEPARATION, entry.regime, lash, contact.side, x)
+            count += 1
+    if first < 0:
+        return Entry(count, entry.regime, entry.zero_guard, entry.zero_order)
+    torque_held, slope, scale = holding_torque(system, entry.regime, first, x, inputs)
+    # where a jump parts them, q'' is not zero; nothing but the load's own slope may tell what zero is
+    order = 2 if abs(torque_held) > _CLEARLY_NOT_ZERO * (scale + abs(slope) * time) else 3
+    guard = _touch_of(system, entry.regime, first, system.contacts[before, first].side)
+    return Entry(count, entry.regime, guard, order)
 
 
 @part

@@ -1,10 +1,19 @@
-"""What Coulomb frictions do at an event: each sticks or slips as the accelerations that follow have it.
+"""What rests at an event, and what follows: Coulomb frictions stick or slip, locked rigid flanks stay so or part.
 
-A friction may stick while the torque that holds it is at most F, and slips one way with that acceleration. Of all
-frictions whose twist rests, those states are taken that fit each other: accelerations of a driveline with convex
-friction laws are unique, so that neither the order of frictions nor that of events matters. Where some hold what others
-hold too, their torques are not unique, and no motion depends on them: as many stick as hold it, and the others have a
-torque of F, either way, and a rate of twist that stays zero.
+Which flanks press depends on what the frictions hold, and what these hold on which flanks are locked. So the states of
+all that rests, which are locked flanks, sticking frictions, and those whose rate of twist is zero, are chosen at once.
+Of all combinations that one is taken in which
+
+- locked flanks press on each other, and others accelerate apart;
+- a friction sticks with a torque of at most F, or slips one way with that acceleration.
+
+Where one of these is at its limit, its rate of change decides. There is such a combination, and accelerations in it are
+unique, as for any convex friction law and flanks that only press (Gauss's principle of least constraint), so that
+neither the order of elements nor that of events matters. Where some hold what others hold too, their torques are not
+unique, and no motion depends on them: as many flanks stay locked as do not pull, as many frictions stick as hold the
+rest, and the others have a torque of F, either way, and a rate of twist that stays zero.
+
+An impact is over before a friction's torque makes an impulse: what it sets in motion slips, whatever stuck before.
 """
 
 import numpy as np
@@ -14,13 +23,16 @@ from clunk.core.jit import part
 from clunk.core.regimes import (
     System,
     frictions_of,
+    gap_input,
     input_of_friction,
     inputs_of,
+    lashes_of,
+    opened,
     rate_of_friction,
     state_of_friction,
     stride_of_friction,
 )
-from clunk.core.tables import HOLDING, SLIPS_BACKWARD, SLIPS_FORWARD, STICKS, TORQUE, TORQUE_RATE
+from clunk.core.tables import ABOVE, FORCE, HOLDING, SLIPS_BACKWARD, SLIPS_FORWARD, STICKS, TORQUE, TORQUE_RATE
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -37,24 +49,32 @@ def stick_all(system: System, x: FloatArray, inputs: FloatArray) -> None:
 
 
 @part
-def in_motion(system: System, regime: int, x: FloatArray) -> int:
-    """The regime in which each friction whose rate of twist is not zero slips that way; the others are as they were."""
+def in_motion(system: System, regime: int, speed: float, x: FloatArray) -> int:
+    """The regime in which each friction whose rate of twist is not zero slips that way, and the others stick.
+
+    speed : float  [rad/s]
+        Of an impact before, of which rates have the rounding.
+    """
     for k in range(frictions_of(system)):
-        rate, most = _rate(system, k, x)
+        state, (rate, most) = STICKS, _rate(system, k, speed, x)
         if abs(rate) > _WITHIN * most:
             state = SLIPS_FORWARD if rate > 0.0 else SLIPS_BACKWARD
-            regime += stride_of_friction(system, k) * (state - state_of_friction(system, regime, k))
+        regime += stride_of_friction(system, k) * (state - state_of_friction(system, regime, k))
     return regime
 
 
 @part
-def settle(system: System, regime: int, ended: int, x: FloatArray, inputs: FloatArray) -> tuple[int, int, int]:
-    """The regime that follows one in which a friction's guard turned negative, or in which torques or rates may jump.
+def settle(
+    system: System, regime: int, ended: int, time: float, x: FloatArray, inputs: FloatArray
+) -> tuple[int, int, int]:
+    """The regime that follows one in which a guard of what rests turned negative, or torques or rates may jump.
 
     Parameters
     ----------
     ended : int
         The guard, or -1.
+    time : float  [s]
+        After the load step.
     x : (N,) float64  [rad, rad/s]
         Changed by less than rounding.
     inputs : (I,) float64
@@ -64,49 +84,23 @@ def settle(system: System, regime: int, ended: int, x: FloatArray, inputs: Float
     -------
     regime : int
     zero_guard, zero_order : int
-        Its guard that is zero, and how many of the guard's derivatives are, itself included; -1 and 0 without any.
+        Its guard, of a friction, that is zero, and how many of the guard's derivatives are, itself included; -1 and 0
+        without any.
     """
-    count, event, resting = frictions_of(system), -1, 0
+    count, event, resting, locked = frictions_of(system), -1, 0, 0
     for k in range(count):
         if ended >= 0 and system.guards[regime, ended].functional - rate_of_friction(system, k) in (0, 1):
             event = k
-    if system.impulsive != 0 and event < 0:  # an impact may have set them in motion
-        regime = in_motion(system, regime, x)
     for k in range(count):
-        rate, most = _rate(system, k, x)
+        rate, most = _rate(system, k, 0.0, x)
+        most += _speeds_up(system, regime, k, x, inputs)[1] * time  # no rate is known better than its time
         rests = k == event or state_of_friction(system, regime, k) == STICKS or abs(rate) <= _WITHIN * most
         resting |= rests << k
-    fits = system.excess[system.regimes[regime].flow] == 0
-    for k in range(count):
-        if state_of_friction(system, regime, k) == STICKS:
-            torque, size = _holding(system, regime, k, x, inputs)
-            most = system.friction_torques[k]
-            fits = fits and abs(torque) - most <= _WITHIN * (size + most)
-    if event < 0 and fits:
+    for lash in range(lashes_of(system) if system.impulsive != 0 else 0):  # one without a gap has always a flank
+        locked |= (system.contacts[regime, lash].closed != 0 and inputs[gap_input(lash)] > 0.0) << lash
+    if ended < 0 and _holds(system, regime, locked, time, x, inputs):
         return regime, -1, 0
-
-    released = event if event >= 0 and state_of_friction(system, regime, event) == STICKS else -1
-    combinations, base = 1, regime
-    for k in range(count):
-        if resting >> k & 1:
-            combinations *= 3
-            base -= state_of_friction(system, regime, k) * stride_of_friction(system, k)
-    least, best = np.inf, regime
-    for number in range(combinations):
-        candidate, digits = base, number
-        for k in range(count):
-            if resting >> k & 1:
-                candidate += digits % 3 * stride_of_friction(system, k)
-                digits //= 3
-        sticks_again = released >= 0 and state_of_friction(system, candidate, released) == STICKS
-        if sticks_again or system.excess[system.regimes[candidate].flow] != 0:
-            continue
-        misfit = 0.0
-        for k in range(count):
-            if resting >> k & 1:
-                misfit += _misfit(system, candidate, k, x, inputs)
-        if misfit < least:
-            least, best = misfit, candidate
+    best = _fitting(system, regime, ended, event, resting, locked, time, x, inputs)
 
     zero_guard, zero_order = -1, 0
     for k in range(count):
@@ -119,9 +113,99 @@ def settle(system: System, regime: int, ended: int, x: FloatArray, inputs: Float
             if k == event or (event < 0 and zero_guard < 0):
                 zero_guard, zero_order = _guard_of(system, best, k), 1 if abs(speeds_up) > _WITHIN * size else 2
             elif not abs(speeds_up) > _WITHIN * size:
-                fastest = _rate(system, k, x)[1] + _MOMENT * size
+                fastest = _rate(system, k, 0.0, x)[1] + _MOMENT * size
                 _set_off(system, k, _KICK * (fastest if state == SLIPS_FORWARD else -fastest), x)
     return best, zero_guard, zero_order
+
+
+@part
+def _holds(system: System, regime: int, locked: int, time: float, x: FloatArray, inputs: FloatArray) -> bool:
+    """Whether all that is locked or sticks in a regime may stay so."""
+    holds = bool(system.excess[system.regimes[regime].flow] == 0)
+    for lash in range(lashes_of(system)):
+        if locked >> lash & 1:
+            holds = holds and _misfit_of_flanks(system, regime, regime, lash, time, x, inputs) <= _WITHIN
+    for k in range(frictions_of(system)):
+        if state_of_friction(system, regime, k) == STICKS:
+            torque, size = _holding(system, regime, rate_of_friction(system, k) + HOLDING, x, inputs)
+            most = system.friction_torques[k]
+            holds = holds and abs(torque) - most <= _WITHIN * (size + most)
+    return holds
+
+
+@part
+def _fitting(
+    system: System,
+    regime: int,
+    ended: int,
+    event: int,
+    resting: int,
+    locked: int,
+    time: float,
+    x: FloatArray,
+    inputs: FloatArray,
+) -> int:
+    """The regime, of those in which only what rests has other states, whose states fit each other best.
+
+    Of several it is the first, and those come first in which no more flanks part than in others.
+
+    event : int
+        The friction that `ended` is of, or -1.
+    resting, locked : int
+        The frictions and the lashes at rest, as bits.
+    """
+    count, combinations = frictions_of(system), 1
+    for k in range(count):
+        combinations *= 3 if resting >> k & 1 else 1
+    least, best, closed = np.inf, regime, locked
+    while closed >= 0:
+        base = regime
+        for lash in range(lashes_of(system)):
+            if (locked & ~closed) >> lash & 1:
+                base = opened(system, base, lash)
+        for number in range(combinations):
+            candidate, digits = base, number
+            for k in range(count):
+                if resting >> k & 1:
+                    candidate += (digits % 3 - state_of_friction(system, regime, k)) * stride_of_friction(system, k)
+                    digits //= 3
+            stays = ended >= 0 and candidate == regime
+            if event >= 0:  # what could not stick does not stick again
+                states = state_of_friction(system, regime, event), state_of_friction(system, candidate, event)
+                stays = states == (STICKS, STICKS)
+            if stays or system.excess[system.regimes[candidate].flow] != 0:
+                continue
+            misfit = 0.0
+            for lash in range(lashes_of(system)):
+                if locked >> lash & 1:
+                    misfit += _misfit_of_flanks(system, candidate, regime, lash, time, x, inputs)
+            for k in range(count):
+                if resting >> k & 1:
+                    misfit += _misfit(system, candidate, k, x, inputs)
+            if misfit < least:
+                least, best = misfit, candidate
+        closed = (closed - 1) & locked if closed > 0 else -1
+    return best
+
+
+@part
+def _misfit_of_flanks(
+    system: System, regime: int, before: int, lash: int, time: float, x: FloatArray, inputs: FloatArray
+) -> float:
+    """By how much rigid flanks at rest, closed before, miss their state in a regime; as `_misfit`.
+
+    Where they are closed, that is the torque that pulls at them; where they are open, the one that presses.
+    """
+    way = float(system.contacts[before, lash].side)
+    if system.contacts[regime, lash].closed == 0:
+        way = -way
+    functional = lash * system.functionals_per_lash + FORCE
+    torque, size = _holding(system, regime, functional, x, inputs)
+    slope, slope_size = _holding_slope(system, regime, functional, x, inputs)
+    size += slope_size * time
+    if -way * torque > _WITHIN * size:
+        return float(-way * torque / size)
+    return _WITHIN if way * torque < _WITHIN * size and way * slope < -_WITHIN * slope_size else 0.0
 
 
 @part
@@ -133,9 +217,12 @@ def _misfit(system: System, regime: int, friction: int, x: FloatArray, inputs: F
     """
     state, most = state_of_friction(system, regime, friction), system.friction_torques[friction]
     if state == STICKS:
-        torque, size = _holding(system, regime, friction, x, inputs)
+        functional = rate_of_friction(system, friction) + HOLDING
+        torque, size = _holding(system, regime, functional, x, inputs)
         beyond, size = abs(torque) - most, size + most
-        leaves = torque * _holding_slope(system, regime, friction, x, inputs) > 0.0
+        leaves = torque * _holding_slope(system, regime, functional, x, inputs)[0] > 0.0
+        if leaves and system.impulsive != 0:  # at F, and not only at the little more that it holds
+            beyond = max(beyond, min(abs(torque) - most / (1.0 + ABOVE), 0.0))
     elif _is_held(system, regime, friction):
         return 0.0
     else:
@@ -148,9 +235,9 @@ def _misfit(system: System, regime: int, friction: int, x: FloatArray, inputs: F
 
 
 @part
-def _holding(system: System, regime: int, friction: int, x: FloatArray, inputs: FloatArray) -> tuple[float, float]:
-    """The torque that holds a friction in a regime, and the sum of its terms' magnitudes  [N m]."""
-    flow, functional, value, size = system.regimes[regime].flow, rate_of_friction(system, friction) + HOLDING, 0.0, 0.0
+def _holding(system: System, regime: int, functional: int, x: FloatArray, inputs: FloatArray) -> tuple[float, float]:
+    """A torque that holds a friction or flanks in a regime, and the sum of its terms' magnitudes  [N m]."""
+    flow, value, size = system.regimes[regime].flow, 0.0, 0.0
     for k in range(x.size):
         term = system.functionals[flow, functional, k] * x[k]
         value, size = value + term, size + abs(term)
@@ -161,14 +248,19 @@ def _holding(system: System, regime: int, friction: int, x: FloatArray, inputs: 
 
 
 @part
-def _holding_slope(system: System, regime: int, friction: int, x: FloatArray, inputs: FloatArray) -> float:
-    """The rate of change of the torque that holds a friction in a regime  [N m/s]."""
-    flow, functional = system.regimes[regime].flow, rate_of_friction(system, friction) + HOLDING
+def _holding_slope(
+    system: System, regime: int, functional: int, x: FloatArray, inputs: FloatArray
+) -> tuple[float, float]:
+    """The rate of change of `_holding`, and the sum of its terms' magnitudes  [N m/s]."""
+    flow = system.regimes[regime].flow
     value = system.feedthrough[flow, functional, TORQUE] * inputs[TORQUE_RATE]
+    size = abs(value)
     for k in range(x.size):
-        if system.functionals[flow, functional, k] != 0.0:
-            value += system.functionals[flow, functional, k] * _change(system, regime, k, x, inputs)[0]
-    return float(value)
+        weight = system.functionals[flow, functional, k]
+        if weight != 0.0:
+            change, terms = _change(system, regime, k, x, inputs)
+            value, size = value + weight * change, size + abs(weight) * terms
+    return value, size
 
 
 @part
@@ -211,9 +303,9 @@ def _jerk(system: System, regime: int, friction: int, x: FloatArray, inputs: Flo
 
 
 @part
-def _rate(system: System, friction: int, x: FloatArray) -> tuple[float, float]:
+def _rate(system: System, friction: int, fastest: float, x: FloatArray) -> tuple[float, float]:
     """The rate of twist of a friction, and the most that it could be at the fastest inertia's speed  [rad/s]."""
-    value, weights, fastest = 0.0, 0.0, 0.0
+    value, weights = 0.0, 0.0
     for k in range(system.inertias, 2 * system.inertias):
         value += system.frictions[friction, k] * x[k]
         weights += abs(system.frictions[friction, k])

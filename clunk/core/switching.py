@@ -150,7 +150,7 @@ def regime_of(system: System, x: FloatArray, inputs: FloatArray) -> int:
         lashes
     ] and not _is_in_stage(system, first, x):
         first += system.regime_strides[lashes]
-    first = rubbing.in_motion(system, first, x)
+    first = rubbing.in_motion(system, first, 0.0, x)
     if system.impulsive != 0:
         return first + OPEN
     chosen = first
@@ -216,13 +216,13 @@ def switch(
     """
     row = system.guards[regime, guard]
     if row.event_kind == STAGE:
-        successor, zero_guard, zero_order = row.successor, row.zero_guard, row.zero_order
-        if successor < 0:
-            successor, zero_guard, zero_order = rubbing.settle(system, regime, guard, x, inputs)
-        if log.states.shape[0] > 0:
-            record(log, count, time, 0.0, STAGE, successor, -1, 0, x)
-            count += 1
-        return Entry(count, successor, zero_guard, zero_order)
+        entry = Entry(count, row.successor, row.zero_guard, row.zero_order)
+        if row.successor < 0:
+            entry = rigid.settle(system, regime, guard, -1, time, x, inputs, log, count)
+        if log.states.shape[0] > 0 and entry.written == count:
+            record(log, count, time, 0.0, STAGE, entry.regime, -1, 0, x)
+            return Entry(count + 1, entry.regime, entry.zero_guard, entry.zero_order)
+        return entry
     lash, speed = lash_of(system, regime, guard), 0.0
     for k in range(x.size):
         speed += system.lashes[lash, k] * x[k]
@@ -237,16 +237,15 @@ def switch(
 
 @unowned_inlined
 def after_rubbing(system: System, entry: Entry, time: float, x: FloatArray, inputs: FloatArray, log: Log) -> Entry:
-    """Entry into the regime in which no friction sticks that cannot: torques or rates may have jumped."""
+    """Entry into the regime in which nothing sticks or is locked that cannot be: torques or rates may have jumped."""
     if frictions_of(system) == 0:
         return entry
-    regime, zero_guard, zero_order = rubbing.settle(system, entry.regime, -1, x, inputs)
-    if regime == entry.regime:
-        return entry
-    count = entry.written
-    if log.states.shape[0] > 0:
-        record(log, count, time, 0.0, STAGE, regime, -1, 0, x)
-        count += 1
-    if entry.zero_guard >= 0:  # frictions come last: it has the same number
-        return Entry(count, regime, entry.zero_guard, entry.zero_order)
-    return Entry(count, regime, zero_guard, zero_order)
+    settled = rigid.settle(system, entry.regime, -1, -1, time, x, inputs, log, entry.written)
+    if entry.zero_guard < 0:
+        return settled
+    zero, before = -1, system.guards[entry.regime, entry.zero_guard]
+    for g in range(system.regimes[settled.regime].guards):  # an open lash has more of them than a closed one
+        guard = system.guards[settled.regime, g]
+        if guard.functional == before.functional and guard.sign == before.sign:
+            zero = g
+    return Entry(settled.written, settled.regime, zero, entry.zero_order)

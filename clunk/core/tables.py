@@ -53,7 +53,7 @@ OF_FRICTION = 2  # inputs, and functionals too
 GAP, ACCELERATION, FORCE = range(3)
 RATE, HOLDING = range(2)
 STICKS, SLIPS_FORWARD, SLIPS_BACKWARD = range(3)  # states of a friction
-_ABOVE = 1e-9  # of F: more than rounding, less than any measurement
+ABOVE = 1e-9  # of F: more than rounding, less than any measurement
 
 REGIME = np.dtype(
     [
@@ -155,7 +155,7 @@ class Friction(NamedTuple):
     @property
     def most(self) -> float:
         """The torque that it holds where it sticks: above F by so little that a load equal to F does not part it."""
-        return self.torque * (1.0 + _ABOVE)
+        return self.torque * (1.0 + ABOVE)
 
 
 class _Guard(NamedTuple):

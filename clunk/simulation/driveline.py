@@ -62,14 +62,12 @@ class Driveline:
     def from_study(cls, study: Study) -> "Driveline":
         """The driveline that a study's config spells out."""
         n, shafts, lashes = len(study.driveline.inertias), study.driveline.shafts, study.lashes
-        if any(lash.contact.model == "restitution" for lash in lashes):
-            if np.linalg.matrix_rank(_incidence(lashes, n)) < len(lashes):
-                raise ClunkError(
-                    "Rigid lashes in a ring or side by side share a torque that nothing divides between them: "
-                    'give each contact.model = "indentation".'
-                )
-            if any(shaft.friction for shaft in shafts):
-                raise ClunkError('Friction needs the indentation model: give lash.contact.model = "indentation".')
+        rigid = any(lash.contact.model == "restitution" for lash in lashes)
+        if rigid and np.linalg.matrix_rank(_incidence(lashes, n)) < len(lashes):
+            raise ClunkError(
+                "Rigid lashes in a ring or side by side share a torque that nothing divides between them: "
+                'give each contact.model = "indentation".'
+            )
         return cls(
             names=study.driveline.names or tuple(f"inertia {k}" for k in range(1, n + 1)),
             inertia=np.array(study.driveline.inertias, dtype=np.float64),

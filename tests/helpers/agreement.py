@@ -5,7 +5,9 @@ as far as two runs of the reference agree that start a share of 1e-10 apart, and
 """
 
 import numpy as np
+import pytest
 
+from clunk.simulation.energy import balance
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from helpers import reference
@@ -13,6 +15,7 @@ from helpers.randomplants import END_TIME, nudged
 
 NUDGE = 1e-10
 FLOOR = 2e-11  # s, between two codes that are exact to rounding
+NEAR = {"exact": 2e-9, "rk4": 1e-6}  # s, what chatter makes of rounding; rk4's own error at a step of 20 µs is 1e-8 s
 POSITION = 2e-14  # rad, what a sum of up to eight modes of some 0.1 rad is off by, over several events
 
 
@@ -75,3 +78,37 @@ def check(plant, state):
         apart = np.abs(reference.severities(moved, primaries) - severities)
         rounding = 1e-13 * max(abs(plant.before), abs(plant.after)) / min(plant.inertias)  # of a quiet inertia
         assert np.all(np.abs(run.impact_severity - severities) <= 1e-9 * severities + 0.1 * apart + rounding)
+
+
+def events_of_lashes(plant, end_time):
+    """Kind, flank and lash of each event, from 0, and their times, by the reference."""
+    unwritten = "stage", "slip", "stick"
+    events = [event for event in reference.run(plant, end_time)[0][1:] if event.kind not in unwritten]
+    times = np.array([event.time for event in events])
+    return in_order([(event.kind, event.side, int(event.element.split()[1]) - 1) for event in events], times), times
+
+
+def happened_in(run):
+    """Kind, flank and lash of each event of a run."""
+    happened = [(run.kind_name(k), int(event["side"]), int(event["lash"])) for k, event in enumerate(run.events)]
+    return in_order(happened[1:], run.events["time"][1:])
+
+
+def in_order(happened, times):
+    """Events with those of one instant lash by lash, in which order they are as good as in any other."""
+    instants = np.cumsum(np.diff(times, prepend=times[:1]) > 1e-11)
+    return [happened[k] for k in sorted(range(times.size), key=lambda k: (instants[k], happened[k][2], k))]
+
+
+def lashes_as_in_the_reference(plant, method, end_time, step=2e-5):
+    """Hold a run of several lashes to the reference, as far as two runs of it agree that begin a little apart."""
+    happened, times = events_of_lashes(plant, end_time)
+    nudged_times = events_of_lashes(nudged(plant, None, NUDGE)[0], end_time)[1]
+    count = min(times.size, nudged_times.size)
+    unresolved = np.flatnonzero(np.abs(times[:count] - nudged_times[:count]) > 0.01 * NEAR[method])
+    count = int(unresolved[0]) if unresolved.size else count
+    run = exact(plant, None, end_time, method, step)
+    assert happened_in(run)[:count] == happened[:count]
+    assert run.events["time"][1 : count + 1] == pytest.approx(times[:count], abs=NEAR[method])
+    assert balance(run).relative_residual < (1e-9 if method == "exact" else 1e-5)
+    return run

@@ -259,7 +259,10 @@ class Flow:
             constraints = self.rows[list(bounds)]
             yielding = self.mobility @ constraints.T
             # the torques that hold all of them; where they are not unique, any do, as guards only see their sums
-            holding = -np.linalg.pinv(constraints @ yielding, rcond=FITS) @ constraints @ matrix[n : 2 * n]
+            inverse = np.linalg.pinv(constraints @ yielding, rcond=FITS)
+            holding = -inverse @ constraints @ matrix[n : 2 * n]
+            terms = np.abs(inverse) @ np.abs(constraints) @ np.abs(matrix[n : 2 * n])
+            holding[np.abs(holding) <= ROUNDING * terms] = 0.0  # what carries nothing stays as it is
             matrix[n : 2 * n] += yielding @ holding
             guards += self._giving_way(constraints, holding, bounds, modes)
         return Regime(matrix, guards, self.basis[self.plant.acceleration_of - 1] @ matrix[n : 2 * n], 2 * n)
@@ -328,6 +331,7 @@ def _struck(flow, modes, z, guard, fastest):
     else:
         impulses = np.linalg.lstsq(mobility, asked, rcond=FITS)[0]
     kick = -flow.mobility @ into.T @ impulses
+    terms = np.abs(flow.mobility @ into.T) @ np.abs(impulses)  # of it: what is less than their rounding is none
     z = z.copy()
     z[n : 2 * n] += kick
     for j, k in enumerate(numbers):
@@ -336,7 +340,7 @@ def _struck(flow, modes, z, guard, fastest):
     for k, element in enumerate(flow.elements):
         if isinstance(element.behaviour, Friction):
             rate = flow.rate(k, z)
-            if abs(flow.rows[k] @ kick) > FITS * (np.abs(flow.rows[k]) @ np.abs(kick)) and rate:
+            if abs(flow.rows[k] @ kick) > FITS * (np.abs(flow.rows[k]) @ terms) and rate:
                 modes[k] = Mode("slip", int(np.sign(rate)))
     return tuple(modes), z, [("touch", flanks[k], k, flanks[k] * speeds[numbers.index(k)]) for k in touching]
 

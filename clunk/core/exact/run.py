@@ -113,6 +113,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
         if entry.written > row.count:
             _close_phase(space, slot)
             _begin_phase(space, slot)
+            _take_events(space, slot, row.count, entry.written)
     row.time, row.count, row.regime = time, entry.written, regime
     row.seeks_extremes, row.seeks_turns, row.depth_known = 0, 0, 0
     for k in range(x.size):
@@ -271,6 +272,9 @@ def _go_on(space: Workspace, slot: int, time: float) -> None:
     """
     system, row, inputs = system_of(space, slot), space.runs[slot], space.inputs[slot]
     x, lashes = space.state[slot, : system.lashes.shape[1]], lashes_of(system)
+    if frictions_of(system) > 0 and not room_for_a_switch(system, inputs, log_of(space, slot), row.count):
+        _end(space, slot, _EVENT_BUFFER_FULL, time)
+        return
     entry = Entry(row.count, row.regime, *rows.guard_and_order(space.numbers[slot, space.behind + rows.ZERO]))
     if system.impulsive != 0:
         set_torque(system, space.loads[row.load], row.piece, time, inputs)
@@ -359,7 +363,15 @@ def _switch(space: Workspace, slot: int) -> None:
     else:
         _close_phase(space, slot)
         _begin_phase(space, slot)
-    for k in range(row.count, entry.written):
+    _take_events(space, slot, row.count, entry.written)
+    _enter(space, slot, time, x, entry)
+
+
+@unowned_inlined
+def _take_events(space: Workspace, slot: int, first: int, written: int) -> None:
+    """Take what events from the first up to those written say of their lashes' contacts and windows."""
+    system, log = system_of(space, slot), log_of(space, slot)
+    for k in range(first, written):
         event = log.events[k]
         if event.lash < 0:
             continue
@@ -370,12 +382,11 @@ def _switch(space: Workspace, slot: int) -> None:
                 # a primary impact, by the rule of `sequence.find_primaries`: its window is empty, anything counts
                 set_number_of(space, slot, rows.WINDOW_MAX, lash, -np.inf)
                 set_number_of(space, slot, rows.WINDOW_MIN, lash, np.inf)
-            play.last_side, play.contact_began, play.from_sticking = event.side, time, 0
+            play.last_side, play.contact_began, play.from_sticking = event.side, event.time, 0
         elif event.kind == LOCK:
-            play.contact_began = time
+            play.contact_began = event.time
         elif event.kind == SEPARATION:
-            play.from_sticking = int(time - play.contact_began > system.sticking_time[lash])
-    _enter(space, slot, time, x, entry)
+            play.from_sticking = int(event.time - play.contact_began > system.sticking_time[lash])
 
 
 @unowned_inlined

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from clunk.core.events import INSTANT, LOAD_STEP
 from clunk.core.jit import allocating_part, part, unowned_inlined
 from clunk.core.references import refer
-from clunk.core.regimes import System, inputs_of, lashes_of
+from clunk.core.regimes import System, frictions_of, inputs_of, lashes_of
 from clunk.core.rk4 import quartic
 from clunk.core.rk4.propagator import BEND, BLOCK, Steps
 from clunk.core.rk4.settling import settled
@@ -128,6 +128,8 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
                 index, offset = 0, 0.0
                 break
         if guard < 0:  # another piece of the load
+            if frictions_of(system) > 0 and not room_for_a_switch(system, inputs, log, entry.written):
+                return Outcome(_EVENT_BUFFER_FULL, entry.written, 0, begin)
             entry = Entry(entry.written, entry.regime, -1, 0)
             continue
 

@@ -1,0 +1,198 @@
+"""Dry friction beside rigid flanks: known answers, laws, and drivelines beside the independent reference."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import reference
+from helpers.agreement import happened_in, in_order, lashes_as_in_the_reference
+from helpers.randomplants import element_plant
+
+from clunk.api import sweep
+from clunk.core.events import LOCK, SEPARATION, TOUCH
+from clunk.core.regimes import rubs
+from clunk.simulation.driveline import Driveline
+from clunk.simulation.energy import balance
+from clunk.simulation.history import sample
+from clunk.simulation.measures import measured
+from clunk.simulation.trajectory import simulate
+from clunk.study.config import load_study, study_from_text
+from clunk.study.study import replace_values
+
+METHODS = ["exact", "rk4"]
+END_TIME = 0.3  # s
+J, E = 0.5, 0.5  # kg m2; restitution
+# An inertia on a bearing with friction, between two rigid flanks.
+MASS = """
+[driveline]
+inertias = [0.5]
+[[driveline.shafts]]
+between = [1, "ground"]
+stiffness = 0.0
+damping = 0.0
+friction = {friction}
+[lash]
+between = [1, "ground"]
+backlash_deg = {backlash}
+radius = 1.0
+[lash.contact]
+model = "restitution"
+restitution = 0.5
+stiffness = 1.0
+damping = 0.0
+[load]
+on = 1
+{load}
+[solver]
+method = "{method}"
+step = 1e-3
+end_time = 3.0
+"""
+STEADY = "initial_torque = 5.0\nfinal_torque = 5.0"
+HALF_GAP = np.deg2rad(30.0)
+
+
+def mass(method, friction, backlash=60.0, load=STEADY):
+    return study_from_text(MASS.format(method=method, friction=friction, backlash=backlash, load=load))
+
+
+def rig(method, *overrides):
+    rigid = f"solver.method='{method}'", "lash.contact.model='restitution'", *overrides
+    study = load_study(
+        "configs/rig_with_friction.toml", [*rigid, "sweep.axes=[{parameter='load.ratio', values=[5.0]}]"]
+    )
+    return replace_values(study, {"load.ratio": 5.0})
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_mass_bounces_lower_by_its_friction(method):
+    """A torque of 5 N m drives it against a flank, 1 N m rubs: it falls at (5 - 1)/J and rises at (5 + 1)/J. A rebound
+    at u lasts u/rise + u/√(rise · fall), and ends at u √(fall/rise)."""
+    run = simulate(mass(method, 1.0), initial_state=[0.0, 0.0])
+    fall, rise = 4.0 / J, 6.0 / J
+    ratio = E * np.sqrt(fall / rise)
+    first = np.sqrt(2.0 * HALF_GAP * fall)
+    bounces = int(np.ceil(np.log(1e-4 / E) / np.log(ratio)))  # until a rebound of 1e-4 of the first touch, which locks
+    speeds = first * ratio ** np.arange(bounces + 1)
+    waits = E * speeds[:-1] * (1.0 / rise + 1.0 / np.sqrt(rise * fall))
+    touches = run.events[run.events["kind"] == TOUCH]
+    # 1e-11: a friction holds 1e-9 of F more than it rubs with, and a time's rounding is multiplied by 1/ratio a bounce
+    assert touches["time"] == pytest.approx(first / fall + np.cumsum([0.0, *waits]), abs=1e-11)
+    assert touches["speed"] == pytest.approx(speeds, rel=1e-7)
+    assert run.kind_name(len(run.events) - 1) == "lock"
+    assert run.complete
+    energy = balance(run)
+    # a rebound that locks loses all
+    lost = 0.5 * J * (np.sum(speeds[:-1] ** 2) * (1.0 - E**2) + speeds[-1] ** 2)
+    assert energy.lost_at_impacts == pytest.approx(lost, rel=1e-10)
+    way = HALF_GAP + np.sum((E * speeds[:-1]) ** 2 / rise)
+    assert energy.rubbed == pytest.approx(1.0 * way, rel=1e-10)
+    assert energy.work == pytest.approx(5.0 * HALF_GAP, rel=1e-12)
+    assert energy.relative_residual < 1e-13
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_mass_that_rubs_more_than_it_is_driven_stays_where_it_rebounds_to(method):
+    run = simulate(mass(method, 6.0), initial_state=[0.0, 3.0])
+    touch = np.sqrt(9.0 - 2.0 * (1.0 / J) * HALF_GAP)  # slowed by 6 - 5 N m
+    rebound, slows = E * touch, 11.0 / J
+    assert run.phases["time"] == pytest.approx([0.0, (3.0 - touch) * J, (3.0 - touch) * J + rebound / slows], rel=1e-12)
+    assert run.phase_states[-1] == pytest.approx([HALF_GAP - rebound**2 / (2.0 * slows), 0.0], abs=1e-12)
+    assert balance(run).relative_residual < 1e-13
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_flank_lets_go_where_the_pull_exceeds_the_friction_beside_it(method):
+    """A torque falls from 2 N m at 10 N m/s: at -1 N m both part, from rest and with no acceleration."""
+    ramp = "profile = 'ramp'\nduration = 0.4\ninitial_torque = 2.0\nfinal_torque = -2.0"
+    run = simulate(mass(method, 1.0, backlash=0.1, load=ramp))
+    assert [run.kind_name(k) for k in range(3)] == ["load step", "separation", "touch"]
+    crossing = np.cbrt(6.0 * np.deg2rad(0.1) * J / 10.0)
+    assert run.events["time"][1:3] == pytest.approx([0.3, 0.3 + crossing], abs=1e-9)  # F and a billionth of it
+    assert run.events["speed"][2] == pytest.approx(-10.0 * crossing**2 / (2.0 * J), rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("method", "lashes", "frictions", "seed"),
+    [
+        *(("exact", 1, 2, seed) for seed in (6, 8)),
+        *(("exact", 2, 1, seed) for seed in (2, 3)),
+        *(("exact", 2, 2, seed) for seed in (2, 3, 5)),
+        *(("rk4", 1, 1, seed) for seed in (0, 2)),
+        *(("rk4", 2, 2, seed) for seed in (1, 3)),
+    ],
+)
+def test_events_are_those_of_the_reference(method, lashes, frictions, seed):
+    as_in_the_reference(method, lashes, frictions, seed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2, 30))
+@pytest.mark.parametrize("lashes", [1, 2])
+@pytest.mark.parametrize("frictions", [1, 2])
+def test_events_are_those_of_the_reference_in_many_drivelines(lashes, frictions, seed):
+    as_in_the_reference("exact", lashes, frictions, seed)
+
+
+def as_in_the_reference(method, lashes, frictions, seed):
+    """Where nothing presses on locked flanks, rounding says whether they stay so: the seeds are few."""
+    plant = element_plant(seed, lashes=lashes, frictions=frictions, restitution=E)
+    line = Driveline.from_study(study_of(plant))
+    if any(rubs(friction, line.rigid_motion) for friction, _ in line.frictions):
+        pytest.skip("a friction slips in steady motion")
+    lashes_as_in_the_reference(plant, method, END_TIME)
+
+
+def study_of(plant):
+    return study_from_text(reference.config_of(plant, method="exact", end_time=END_TIME))
+
+
+def test_the_order_of_lashes_and_shafts_does_not_matter():
+    plant = element_plant(3, lashes=2, frictions=2, restitution=E)
+    turned = replace(plant, other_lashes=plant.other_lashes[::-1], shafts=plant.shafts[::-1], ratios=plant.ratios[::-1])
+    run, other = (simulate(study_of(each)) for each in (plant, turned))
+    assert len(run.events) > 10
+    renumbered = [(name, side, 1 - lash) for name, side, lash in happened_in(other)]
+    assert happened_in(run) == in_order(renumbered, other.events["time"][1:])
+    assert run.events["time"] == pytest.approx(other.events["time"], abs=1e-9)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_contact_torque_moves_the_pinion(method):
+    """J θ'' of the pinion is the torque of its shaft less that across the lash, whatever sticks behind it."""
+    run = simulate(rig(method))
+    history = sample(run, step=1e-3)
+    closed = history.contacts[:, 0] != 0
+    twist, rate = (values[:, 1] - values[:, 2] for values in (history.angle, history.velocity))
+    left = 31.3 * twist + 0.04 * rate - 0.002 * history.acceleration[:, 2]
+    assert closed.any()
+    assert history.contact_torques[closed, 0] == pytest.approx(left[closed], abs=1e-9)
+    kinds = run.events["kind"]
+    assert {TOUCH, LOCK, SEPARATION} <= set(kinds.tolist())
+    assert balance(run).rubbed > 0.0
+    assert balance(run).relative_residual < 1e-9
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_sweep_has_the_runs_of_simulate(method):
+    axis = "sweep.axes=[{parameter='load.ratio', values=[2.0, 5.0]}]"
+    torque = "measures=[{name='bearing', quantity='shaft torque', of=3, reduce='largest'}]"
+    rigid = f"solver.method='{method}'", "lash.contact.model='restitution'", axis, torque
+    study = load_study("configs/rig_with_friction.toml", [*rigid])
+    results = sweep(study, workers=1)
+    for k, ratio in enumerate((2.0, 5.0)):
+        run = simulate(replace_values(study, {"load.ratio": ratio}))
+        assert len(run.phases) > len(run.events)
+        assert results.label_map[k] == run.label
+        assert results.approach_velocity[k] == pytest.approx(run.approach_velocity, rel=1e-12)
+        assert results.values("bearing")[k] == pytest.approx(measured(run).totals["bearing"], rel=1e-9)
+
+
+def test_both_methods_and_a_mirrored_driveline_agree():
+    run, other, mirrored = (
+        simulate(each) for each in (rig("exact"), rig("rk4"), rig("exact", "load.static_torque=1.0"))
+    )
+    assert run.label == other.label == mirrored.label
+    assert run.events["time"] == pytest.approx(other.events["time"], abs=2e-6)  # rk4's step of 1e-4 s
+    assert mirrored.events["time"] == pytest.approx(run.events["time"], abs=1e-10)
+    assert list(mirrored.events["side"]) == list(-run.events["side"])
