@@ -332,7 +332,7 @@ def test_of_thresholds_too_close_to_be_read_every_one_is_marked_and_the_first_na
     "title", ["Regimes of a nominal driveline " * 5, "W" * 150, "Short", "Nine words of which none may leave the page"]
 )
 def test_a_title_is_wrapped_to_the_figure(nine: Results, title: str) -> None:
-    figure = plot.severity_map(replace(nine, title=title))
+    figure = plot.quantity_map(replace(nine, title=title), "severity")
     (drawn,) = [text for text in figure.texts if text.get_text() == figure.get_suptitle()]
     assert "".join(figure.get_suptitle().split()) == "".join(title.split())
     box = drawn.get_window_extent(figure.canvas.get_renderer())
@@ -345,7 +345,7 @@ def test_a_title_is_wrapped_to_the_figure(nine: Results, title: str) -> None:
 
 def test_failed_cells_are_hatched_counted_and_never_labelled(nine: Results) -> None:
     results = with_cells(nine, [np.s_[30:42, 42:52], np.s_[6:7, 6:7]], -1)
-    for figure in (plot.regime_map(results), plot.severity_map(results)):
+    for figure in (plot.regime_map(results), plot.quantity_map(results, "severity")):
         assert notes(figure) == ["failed: 121 cells"]
         assert any(contours.hatches != [None] for contours in figure.findobj(matplotlib.contour.ContourSet))
     assert_labels_are_where_they_belong(results, plot.regime_map(results).axes[0])
@@ -355,7 +355,7 @@ def test_a_map_that_failed_everywhere_is_still_drawn(nine: Results) -> None:
     results = with_cells(nine, [np.s_[:, :]], -1)
     assert notes(plot.regime_map(results))[-1] == "failed: 3,721 cells"
     with pytest.raises(plot.PlotError, match="not defined in any cell"):
-        plot.severity_map(results)
+        plot.quantity_map(results, "severity")
 
 
 def test_a_map_of_one_label_says_so(nine: Results) -> None:
@@ -461,7 +461,7 @@ def test_the_ridge_is_the_largest_severity_of_each_load_ratio(nine: Results) -> 
     known = np.isfinite(ridge)
     assert known.sum() > 30
     np.testing.assert_array_equal(ridge[known], np.argmax(nine.severity, axis=1)[known])
-    (line,) = [line for line in plot.severity_map(nine).axes[0].lines if line.get_gid() == "ridge"]
+    (line,) = [line for line in plot.quantity_map(nine, "severity").axes[0].lines if line.get_gid() == "ridge"]
     x, y = line.get_xdata(), line.get_ydata()
     drawn = np.isfinite(y)
     np.testing.assert_array_equal(x[drawn], nine.axes[0].values[known])
@@ -486,7 +486,7 @@ def test_a_ridge_is_only_where_the_largest_value_is_known_to_be_inside(column: l
 
 
 def test_the_colours_of_the_severity_map_are_the_severity(nine: Results) -> None:
-    figure = plot.severity_map(with_cells(nine, [np.s_[30:40, 30:40]], -1))
+    figure = plot.quantity_map(with_cells(nine, [np.s_[30:40, 30:40]], -1), "severity")
     (mesh,) = figure.axes[0].findobj(matplotlib.collections.QuadMesh)
     shown = mesh.get_array().T
     assert shown.mask[30:40, 30:40].all()
@@ -535,7 +535,7 @@ def test_an_unknown_quantity_is_answered_with_the_known() -> None:
 def test_severity_of_the_restitution_model_points_to_the_approach_velocity(nine: Results) -> None:
     results = replace(nine, severity=np.full(nine.shape, np.nan))
     with pytest.raises(plot.PlotError, match="approach_velocity"):
-        plot.severity_map(results)
+        plot.quantity_map(results, "severity")
     assert plot.draw(results, "regimes").axes[0].texts
 
 

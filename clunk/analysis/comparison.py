@@ -188,7 +188,7 @@ def compare(a: Results, b: Results) -> Comparison:
     _require_same_axes(a.parameters, b.parameters)
     _require_same_axes(a.axes, b.axes)
     labels = tuple(dict.fromkeys((*a.labels, *b.labels)))
-    codes_a, codes_b = (_codes(results, labels) for results in (a, b))
+    codes_a, codes_b = (codes_among(results, labels) for results in (a, b))
     failed_a, failed_b = codes_a == FAILED_CODE, codes_b == FAILED_CODE
     differs = (codes_a != codes_b) & ~failed_a & ~failed_b
     configs = _flat_config(a, "A"), _flat_config(b, "B")
@@ -250,7 +250,8 @@ def _span(axis: ResultAxis) -> str:
     return f"{count} value{'' if count == 1 else 's'} from {axis.values[0]:g} to {axis.values[-1]:g}"
 
 
-def _codes(results: Results, labels: tuple[str, ...]) -> Positions:
+def codes_among(results: Results, labels: tuple[str, ...]) -> Positions:
+    """Codes of the cells' labels among other labels, in the shape of the map; -1 of failed cells."""
     # the code of a failed cell, -1, takes the last entry
     code = np.array([*(labels.index(label) for label in results.labels), FAILED_CODE], np.intp)
     codes: Positions = code[results.sequence]

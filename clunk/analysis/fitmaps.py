@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from clunk.analysis.comparison import codes_among
 from clunk.analysis.fitted import Fitted
 from clunk.analysis.fittedstudy import fitted_study
-from clunk.results.labels import FAILED_CODE
 from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
 from clunk.study.errors import ClunkError
@@ -64,13 +64,10 @@ def _stacked(before: Results, after: Results) -> Results:
     """Two maps of the same axes behind one another, with labels in common."""
     labels = tuple(dict.fromkeys((*before.labels, *after.labels)))
     parts: dict[str, Any] = {
-        name: np.concatenate([before.values(name)[None], after.values(name)[None]])
-        if not quantity.dimension
-        else np.concatenate([before.values(name), after.values(name)])
+        name: (np.concatenate if quantity.dimension else np.stack)([before.values(name), after.values(name)])
         for name, quantity in before.quantities.items()
     }
-    codes = [np.array([*map(labels.index, each.labels), FAILED_CODE], np.int16) for each in (before, after)]
-    parts["sequence"] = np.stack([codes[0][before.sequence], codes[1][after.sequence]])
+    parts["sequence"] = np.stack([codes_among(each, labels) for each in (before, after)]).astype(np.int16)
     measured = {name: parts.pop(name) for name in before.measured}
     which = ResultAxis("fit", np.array([1.0, 2.0]), "candidate", "", "1", WHICH)
     return replace(before, axes=(which, *before.axes), labels=labels, measured=measured, **parts)

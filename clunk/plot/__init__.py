@@ -14,46 +14,38 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from clunk.plot.drawing import default_quantities, draw
-    from clunk.plot.facets import MOST_VALUES, facet_map, shown_values
+    from clunk.plot.facets import shown_values
     from clunk.plot.layers import QUANTITIES
-    from clunk.plot.maps import quantity_map, regime_map, severity_map
+    from clunk.plot.maps import quantity_map, regime_map
     from clunk.plot.plane import SurplusAxesError
-    from clunk.plot.scatter import scatter_curve, scatter_map
+    from clunk.plot.scatter import scatter_map
     from clunk.plot.strips import strip
     from clunk.plot.style import PlotError, save
 
 __all__ = [
-    "MOST_VALUES",
     "QUANTITIES",
     "PlotError",
     "SurplusAxesError",
     "default_quantities",
     "draw",
-    "facet_map",
     "quantity_map",
     "regime_map",
     "save",
-    "scatter_curve",
     "scatter_map",
-    "severity_map",
     "shown_values",
     "strip",
 ]
 
 _HOME = {
-    "MOST_VALUES": "facets",
     "PlotError": "style",
     "QUANTITIES": "layers",
     "SurplusAxesError": "plane",
     "default_quantities": "drawing",
     "draw": "drawing",
-    "facet_map": "facets",
     "quantity_map": "maps",
     "regime_map": "maps",
     "save": "style",
-    "scatter_curve": "scatter",
     "scatter_map": "scatter",
-    "severity_map": "maps",
     "shown_values": "facets",
     "strip": "strips",
 }

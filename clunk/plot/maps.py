@@ -42,17 +42,11 @@ def regime_map(results: Results, thresholds: Sequence[float] = ()) -> Figure:
     return figure
 
 
-def severity_map(results: Results) -> Figure:
-    """The severity of every cell, and the backlash at which it is worst for each load ratio (Figure 3.7).
-
-    Raises PlotError unless two axes were swept and Q is defined somewhere.
-    """
-    return quantity_map(results, "severity")
-
-
 @styled()
 def quantity_map(results: Results, name: str) -> Figure:
-    """A quantity of every cell as colour, under the regimes' boundaries; of how hard impacts are also the ridge.
+    """A quantity of every cell as colour, under the regimes' boundaries (of the severity, Figure 3.7).
+
+    Of how hard impacts are there is also the ridge: the backlash at which it is worst for each load ratio.
 
     The margin's colours diverge from zero, where a run is as near to one label as to another. A refined sweep's map has
     the values of the cells that were run, and no ridge.
