@@ -7,10 +7,10 @@ from string import ascii_letters
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.cli import phrases
 from clunk.results.labels import FAILED
+from clunk.study.arrays import Floats, Positions
 from clunk.study.axes import RUN
 
 if TYPE_CHECKING:
@@ -61,14 +61,14 @@ def text_map(results: Results | ToleranceMap) -> list[str]:
     return lines + [line.replace(_NO_BREAK, " ") for line in phrases.fill(legend).splitlines()]
 
 
-def _shown(axis: ResultAxis, most: int) -> npt.NDArray[np.intp]:
+def _shown(axis: ResultAxis, most: int) -> Positions:
     """Positions of at most so many of an axis's values, evenly spread, the values ascending."""
     count = len(axis.values)
     places = np.linspace(0, count - 1, min(count, most)).round().astype(np.intp)
     return np.argsort(axis.values, kind="stable")[places]
 
 
-def _scale(values: npt.NDArray[np.float64], wide: int) -> str:
+def _scale(values: Floats, wide: int) -> str:
     """The first, the middle and the last value below their columns, each so wide."""
     middle = len(values) // 2
     first, centre, last = (f"{values[k]:.4g}" for k in (0, middle, -1))

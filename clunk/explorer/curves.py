@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from clunk.study.arrays import Floats
 
 
 def thinned(time: Floats, values: Floats, begin: float, end: float, columns: int) -> tuple[Floats, Floats]:

@@ -14,12 +14,12 @@ from clunk.plot import certainty
 from clunk.plot.layers import Layers
 from clunk.plot.network import codes_at
 from clunk.plot.painting import Colours, margin_of
-from clunk.plot.plane import Floats
 from clunk.plot.raster import corners_that_fit, fine_index
 from clunk.plot.style import FAILED_FILL, UNDEFINED
 from clunk.results.labels import FAILED_CODE
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
+from clunk.study.arrays import Floats
 
 _SKIP = 4  # of the image, between the pixels among which labels are placed
 _WIDTH, _HEIGHT = 2, 5  # of these pixels, that a character of a label takes

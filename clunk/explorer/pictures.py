@@ -9,11 +9,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.plot.plane import Codes, Floats, View, cell_edges, ruler
+from clunk.plot.plane import Codes, View, cell_edges, ruler
 from clunk.plot.style import FAILED_FILL, palette_of
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
+from clunk.study.arrays import Floats, Positions
 from clunk.study.axes import ResultAxis
 
 Pixels = npt.NDArray[np.uint32]
@@ -76,7 +77,7 @@ def pixel_centres(axis: ResultAxis, pixels: int = _PIXELS) -> Floats:
     return np.asarray(back(0.5 * (edges[1:] + edges[:-1])), np.float64)
 
 
-def cells_of(axis: ResultAxis, at: Floats) -> npt.NDArray[np.intp]:
+def cells_of(axis: ResultAxis, at: Floats) -> Positions:
     """Positions of the cells of an ascending axis in which points lie."""
     return np.clip(np.searchsorted(cell_edges(axis), at) - 1, 0, len(axis.values) - 1)
 

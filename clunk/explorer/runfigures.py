@@ -10,11 +10,12 @@ from bokeh.events import Reset
 from bokeh.models import BoxAnnotation, DataRange1d, Div, Range1d, Span
 from bokeh.plotting import figure
 
-from clunk.explorer.curves import Floats, thinned
+from clunk.explorer.curves import thinned
 from clunk.explorer.mapfigure import RUN_COLOURS
 from clunk.explorer.message import Changes, Message, source
 from clunk.plot.style import FAINT_INK, INK
 from clunk.simulation.history import History
+from clunk.study.arrays import Floats
 
 _COLUMNS = 800  # spans of time that a screen tells apart
 _MOST_ARROWS = 12  # impacts; more arrows than these would hide the curve

@@ -9,8 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from clunk.plot.style import FAINT_INK, INK, LINE_COLOURS, halo, plain, symbol_text
-from clunk.simulation.history import FloatArray, History, Impact
+from clunk.simulation.history import History, Impact
 from clunk.simulation.load import load_step
+from clunk.study.arrays import Floats
 
 Curve = tuple[History, dict[str, Any]]  # a run and its colour, dashes and width
 
@@ -33,7 +34,7 @@ def draw_speeds(ax: Axes, curves: Sequence[Curve]) -> None:
     ax.set_ylabel("Speed [rad/s]")
 
 
-def _draw_inertias(ax: Axes, curves: Sequence[Curve], values: Sequence[FloatArray], symbol: str) -> None:
+def _draw_inertias(ax: Axes, curves: Sequence[Curve], values: Sequence[Floats], symbol: str) -> None:
     """Values of every inertia, (M, n) for each run: each inertia in its colour, each run in its dashes."""
     for (run, look), columns in zip(curves, values, strict=True):
         for inertia, column in enumerate(columns.T):

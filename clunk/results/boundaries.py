@@ -12,10 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.results.labels import FAILED
+from clunk.study.arrays import Array, Floats
 from clunk.study.axes import ResultAxis
 from clunk.study.summaries import Rows, as_text, counted
-
-Floats = npt.NDArray[np.float64]
 
 EVENTS = (
     "unknown",
@@ -202,7 +201,7 @@ class Boundaries:
         return text.getvalue()
 
 
-def _parts(values: npt.NDArray[Any], counts: npt.NDArray[np.int32]) -> list[npt.NDArray[Any]]:
+def _parts(values: Array, counts: npt.NDArray[np.int32]) -> list[Array]:
     return list(np.split(values, np.cumsum(counts)[:-1])) if counts.size else []
 
 

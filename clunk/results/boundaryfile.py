@@ -8,11 +8,11 @@ from typing import Any
 
 import h5py
 import numpy as np
-import numpy.typing as npt
 
 from clunk.results.boundaries import EVENTS, NO_LABEL, Boundaries
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.netcdf import create_scale, create_variable, get_text, set_flags
+from clunk.study.arrays import Array
 from clunk.study.axes import ResultAxis
 
 
@@ -63,13 +63,11 @@ _PLACES = (  # prefix of a variable for each axis, field, dimension
 _FIRST = "boundary_vertices"  # in a file that has boundaries
 
 
-def write_boundaries(file: h5py.File, boundaries: Boundaries, add: Callable[[str, npt.NDArray[Any]], None]) -> None:
+def write_boundaries(file: h5py.File, boundaries: Boundaries, add: Callable[[str, Array], None]) -> None:
     """Write boundaries beside their map; add : takes each variable's name and values, for the digest."""
     scales: dict[str, h5py.Dataset] = {}
 
-    def put(
-        name: str, values: npt.NDArray[Any], dimensions: tuple[str, ...], attributes: dict[str, str]
-    ) -> h5py.Dataset:
+    def put(name: str, values: Array, dimensions: tuple[str, ...], attributes: dict[str, str]) -> h5py.Dataset:
         for dimension, length in zip(dimensions, values.shape, strict=True):
             if dimension not in scales:
                 numbers = np.arange(1, length + 1, dtype=np.int32)

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.results.boundaries import Boundaries
 from clunk.results.files import write_text, write_whole, writing
@@ -25,6 +24,7 @@ from clunk.results.quantities import Quantity
 from clunk.results.regimemap import Results
 from clunk.results.store import StoreError
 from clunk.results.tolerancemap import ToleranceMap
+from clunk.study.arrays import Array
 from clunk.study.axes import RUN, ResultAxis
 
 _ROWS = 4096  # cells, written at once
@@ -103,11 +103,11 @@ def _along(results: Map, axis: ResultAxis) -> Sequence[ResultAxis]:
     return [axis, *results.coordinates] if axis.parameter == RUN else [axis]
 
 
-def _texts_or_numbers(axis: ResultAxis) -> npt.NDArray[Any]:
+def _texts_or_numbers(axis: ResultAxis) -> Array:
     return np.array(axis.words, object) if axis.words else axis.values
 
 
-def _texts(quantity: Quantity, values: npt.NDArray[Any], labels: tuple[str, ...]) -> list[Any]:
+def _texts(quantity: Quantity, values: Array, labels: tuple[str, ...]) -> list[Any]:
     """Values as a column: words for codes, those of its bits for the quality, and None for NaN."""
     meanings = quantity.meanings(labels)
     if quantity.coded == "quality":

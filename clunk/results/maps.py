@@ -15,6 +15,7 @@ import numpy.typing as npt
 from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.quantities import Quantity, measured_quantities
+from clunk.study.arrays import Array
 from clunk.study.axes import LASH, RUN, ResultAxis
 from clunk.study.lashes import lash_name, lash_position
 from clunk.study.summaries import Rows, as_html, as_text, counted, html_table
@@ -114,15 +115,15 @@ class Map(Description, ABC):
 
     @property
     @abstractmethod
-    def entries(self) -> dict[str, npt.NDArray[Any]]:
+    def entries(self) -> dict[str, Array]:
         """Entries of the dimensions behind the axes: of ``impact`` numbers, of ``label`` the labels and so on."""
 
-    def values(self, name: str) -> npt.NDArray[Any]:
+    def values(self, name: str) -> Array:
         """Values of one of the quantities, in cells; those of impacts in a flat array."""
-        array: npt.NDArray[Any] = getattr(self, name)
+        array: Array = getattr(self, name)
         return array
 
-    def padded(self, name: str, start: int = 0, stop: int | None = None) -> npt.NDArray[Any]:
+    def padded(self, name: str, start: int = 0, stop: int | None = None) -> Array:
         """Array of a quantity over the axes and its dimension, those of impacts padded with NaN (floats) or 0.
 
         start, stop : rows of the first axis, to which the array and the memory are limited
@@ -255,7 +256,7 @@ def require_codes(labels: tuple[str, ...], sequence: npt.NDArray[np.int16]) -> N
         raise ValueError("sequence holds a code without a label")
 
 
-def require_array(name: str, array: npt.NDArray[Any], shape: tuple[int, ...], dtype: type[np.generic]) -> None:
+def require_array(name: str, array: Array, shape: tuple[int, ...], dtype: type[np.generic]) -> None:
     """Raise ValueError where an array has another shape or dtype."""
     if array.shape != shape or array.dtype != dtype:
         raise ValueError(f"{name} must be {np.dtype(dtype)} {shape}, not {array.dtype} {array.shape}")

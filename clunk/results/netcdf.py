@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from clunk.results.checksum import blocks, trailer
 from clunk.results.files import reserve, write_whole
+from clunk.study.arrays import Array
 
 CONVENTIONS = "CF-1.11"
 
@@ -103,7 +104,7 @@ class _Room:
 
 
 @contextmanager
-def chunk_writer(file: Image) -> Iterator[Callable[[h5py.Dataset, int, npt.NDArray[Any]], None]]:
+def chunk_writer(file: Image) -> Iterator[Callable[[h5py.Dataset, int, Array], None]]:
     """Make a function that writes rows, compressing chunks on every core; all are written when the context is left.
 
     ``write(variable, start, rows)`` writes from row `start`; where the variable is chunked, `start` and the end are
@@ -118,7 +119,7 @@ def chunk_writer(file: Image) -> Iterator[Callable[[h5py.Dataset, int, npt.NDArr
             file.reserve()
             variable.id.write_direct_chunk(place, chunk.result())
 
-    def write(variable: h5py.Dataset, start: int, rows: npt.NDArray[Any]) -> None:
+    def write(variable: h5py.Dataset, start: int, rows: Array) -> None:
         if variable.chunks is None:
             variable[start : start + len(rows)] = rows
             return
@@ -137,7 +138,7 @@ def chunk_writer(file: Image) -> Iterator[Callable[[h5py.Dataset, int, npt.NDArr
         pool.shutdown(cancel_futures=True)
 
 
-def _deflated(part: npt.NDArray[Any], shape: tuple[int, ...]) -> bytes:
+def _deflated(part: Array, shape: tuple[int, ...]) -> bytes:
     """Shuffle and deflate a chunk as HDF5's filters do; one over the edge is filled up with zeros.
 
     Run-length coding takes 60 % of the time of zlib's search at level 1, and up to 25 % more bytes: shuffled, the high
@@ -150,7 +151,7 @@ def _deflated(part: npt.NDArray[Any], shape: tuple[int, ...]) -> bytes:
     return deflate.compress(np.ascontiguousarray(planes).data) + deflate.flush()
 
 
-def create_scale(file: h5py.File, name: str, values: npt.NDArray[Any], attributes: Mapping[str, str]) -> h5py.Dataset:
+def create_scale(file: h5py.File, name: str, values: Array, attributes: Mapping[str, str]) -> h5py.Dataset:
     """Write a dimension with its coordinates, numbers or words, and their attributes, such as ``units``."""
     if values.dtype.kind == "U":
         # Of variable length: xarray takes fixed-length strings for bytes, and none would be found by its name.

@@ -15,6 +15,7 @@ from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED
 from clunk.results.maps import Index, Map, require_array, require_codes, share, values_at
 from clunk.results.quantities import REGIME_QUANTITIES, Quantity
+from clunk.study.arrays import Array, Bools, Floats, Integers
 from clunk.study.summaries import Rows
 
 
@@ -50,20 +51,20 @@ class Results(Map):
     _measure: ClassVar[str] = "cells"
 
     sequence: npt.NDArray[np.int16]
-    severity: npt.NDArray[np.float64]
-    approach_velocity: npt.NDArray[np.float64]
-    last_event_time: npt.NDArray[np.float64]
+    severity: Floats
+    approach_velocity: Floats
+    last_event_time: Floats
     primary_impacts: npt.NDArray[np.int32]
     touches: npt.NDArray[np.int32]
     status: npt.NDArray[np.uint8]
     quality: npt.NDArray[np.uint8]
     initial_side: npt.NDArray[np.int8]
-    margin: npt.NDArray[np.float64]
-    impact_time: npt.NDArray[np.float64]
+    margin: Floats
+    impact_time: Floats
     impact_flank: npt.NDArray[np.int8]
-    impact_closing_speed: npt.NDArray[np.float64]
-    impact_severity: npt.NDArray[np.float64]
-    measured: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
+    impact_closing_speed: Floats
+    impact_severity: Floats
+    measured: Mapping[str, Floats] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -86,18 +87,18 @@ class Results(Map):
         return REGIME_QUANTITIES | self.measured_quantities
 
     @property
-    def entries(self) -> dict[str, npt.NDArray[Any]]:
+    def entries(self) -> dict[str, Array]:
         """Numbers of the primary impacts."""
         return {"impact": np.arange(1, self.max_impacts + 1, dtype=np.int32)}
 
-    def values(self, name: str) -> npt.NDArray[Any]:
+    def values(self, name: str) -> Array:
         """Values of one of the quantities, in cells or in the flat array of impacts."""
         return self.measured[name] if name in self.measured else super().values(name)
 
     @cached_property
-    def inferred(self) -> npt.NDArray[np.bool_]:
+    def inferred(self) -> Bools:
         """Mask of the cells that a refined sweep did not run: shape, bool."""
-        inferred: npt.NDArray[np.bool_] = (self.quality & QUALITY_INFERRED) != 0
+        inferred: Bools = (self.quality & QUALITY_INFERRED) != 0
         return inferred
 
     @cached_property
@@ -106,7 +107,7 @@ class Results(Map):
         return max(1, int(self.primary_impacts.max()))
 
     @cached_property
-    def first_impact(self) -> npt.NDArray[np.int64]:
+    def first_impact(self) -> Integers:
         """Position of each cell's first impact in the flat arrays, and last their length: (cells + 1,), in C order."""
         first = np.zeros(self.primary_impacts.size + 1, np.int64)
         np.cumsum(self.primary_impacts.ravel(), out=first[1:])
@@ -194,7 +195,7 @@ class Results(Map):
         cells = self.sequence.size
         return [(label, share(n, cells)) for label, n in self.counts().items() if n]
 
-    def padded(self, name: str, start: int = 0, stop: int | None = None) -> npt.NDArray[Any]:
+    def padded(self, name: str, start: int = 0, stop: int | None = None) -> Array:
         """Array of a quantity; of an `impact_…` one shape + (max_impacts,), padded with NaN (floats) or 0 (integers).
 
         start, stop : rows of the first axis, to which the array and the memory are limited

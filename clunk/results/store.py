@@ -40,6 +40,7 @@ from clunk.results.netcdf import (
 from clunk.results.quantities import REGIME_QUANTITIES, TOLERANCE_QUANTITIES, Quantity
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
+from clunk.study.arrays import Array
 from clunk.study.axes import LASH, RUN, ResultAxis, lash_axis
 from clunk.study.document import nearest_file
 from clunk.study.errors import ClunkError
@@ -242,16 +243,16 @@ class Digest:
         for axis in axes:
             self.add_variable(axis.variable, axis.values)
 
-    def add_variable(self, name: str, values: npt.NDArray[Any]) -> None:
+    def add_variable(self, name: str, values: Array) -> None:
         """Begin a variable and add its values."""
         self.begin(name, values)
         self.add(values)
 
-    def begin(self, name: str, variable: h5py.Dataset | npt.NDArray[Any]) -> None:
+    def begin(self, name: str, variable: h5py.Dataset | Array) -> None:
         """Begin a variable, whose values are then added."""
         self._sha.update(f"\n{name} {variable.shape} {variable.dtype.name}\n".encode())
 
-    def add(self, values: npt.NDArray[Any]) -> None:
+    def add(self, values: Array) -> None:
         """Add values, in C order."""
         self._sha.update(np.ascontiguousarray(values.astype(values.dtype.newbyteorder("<"), copy=False)).data)
 
@@ -328,7 +329,7 @@ def map_of(file: h5py.File, header: Header) -> Results | ToleranceMap:
     return tolerances
 
 
-def _unpadded(variable: h5py.Dataset, counts: npt.NDArray[np.int32]) -> npt.NDArray[Any]:
+def _unpadded(variable: h5py.Dataset, counts: npt.NDArray[np.int32]) -> Array:
     """Values of all cells' impacts in C order, read a block of rows at a time; counts : of each cell."""
     first = np.concatenate(([0], np.cumsum(counts.reshape(len(counts), -1).sum(axis=1, dtype=np.int64))))
     flat = np.empty(int(first[-1]), variable.dtype)

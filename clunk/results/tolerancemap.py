@@ -12,6 +12,7 @@ import numpy.typing as npt
 from clunk.results.labels import FAILED, FAILED_CODE, double_sided
 from clunk.results.maps import Index, Map, require_array, require_codes, share
 from clunk.results.quantities import TOLERANCE_QUANTITIES, Quantity
+from clunk.study.arrays import Array, Floats
 from clunk.study.summaries import Rows
 
 QUANTILES = (0.05, 0.5, 0.95)
@@ -41,8 +42,8 @@ class ToleranceMap(Map):
 
     runs: npt.NDArray[np.int32]
     nominal_sequence: npt.NDArray[np.int16]
-    severity_mean: npt.NDArray[np.float64]
-    severity_quantiles: npt.NDArray[np.float64]
+    severity_mean: Floats
+    severity_quantiles: Floats
     status: npt.NDArray[np.uint8]
 
     def __post_init__(self) -> None:
@@ -67,7 +68,7 @@ class ToleranceMap(Map):
         return TOLERANCE_QUANTITIES
 
     @property
-    def entries(self) -> dict[str, npt.NDArray[Any]]:
+    def entries(self) -> dict[str, Array]:
         """The labels and ``failed``, the quantiles, and numbers of the draws."""
         draws = np.arange(1, self.draws + 1, dtype=np.int32)
         return {"label": np.array([*self.labels, FAILED]), "quantile": np.array(QUANTILES), "draw": draws}
@@ -78,7 +79,7 @@ class ToleranceMap(Map):
         return len(self.sample[0].values)
 
     @cached_property
-    def probability(self) -> npt.NDArray[np.float64]:
+    def probability(self) -> Floats:
         """Share of each label in the runs of a cell, and last of the failed ones: shape + (labels + 1,)."""
         return self.runs / self.draws
 
@@ -88,16 +89,16 @@ class ToleranceMap(Map):
         return most_likely(self.runs)
 
     @property
-    def certainty(self) -> npt.NDArray[np.float64]:
+    def certainty(self) -> Floats:
         """Probability of the most likely label, shape."""
-        certainty: npt.NDArray[np.float64] = self.runs.max(axis=-1) / self.draws
+        certainty: Floats = self.runs.max(axis=-1) / self.draws
         return certainty
 
     @property
-    def double_sided(self) -> npt.NDArray[np.float64]:
+    def double_sided(self) -> Floats:
         """Probability of a label with a double-sided impact, shape."""
         crossing = [code for code, label in enumerate(self.labels) if double_sided(label)]
-        probability: npt.NDArray[np.float64] = self.runs[..., crossing].sum(axis=-1) / self.draws
+        probability: Floats = self.runs[..., crossing].sum(axis=-1) / self.draws
         return probability
 
     @property

@@ -13,12 +13,10 @@ from clunk.core.tile import Batch, batch_of
 from clunk.simulation import driveline
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.measures import channels_of
+from clunk.study.arrays import Floats, Positions
 from clunk.study.document import Place
 from clunk.study.parameters import located
 from clunk.study.study import Study, refuse_points, replace_values
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.intp]
 
 MOST = 512  # drivelines of a batch: 14 MB of tables, and of each the share in 5 ms of interpreting is small
 _MEASURED = 128  # of those whose channels are tabulated, which take some 100 KB each
@@ -38,7 +36,7 @@ def _channels(study: Study, line: Driveline, system: System, each: Each) -> Chan
     return channels_of(study, line, system, each) if study.measured else None
 
 
-def prepare_many(study: Study, parameters: Sequence[str], values: FloatArray) -> Iterator[tuple[IntArray, Batch]]:
+def prepare_many(study: Study, parameters: Sequence[str], values: Floats) -> Iterator[tuple[Positions, Batch]]:
     """The switched linear systems of a study with other values, and the tables of its method: see `driveline.prepare`.
 
     Yields batches of those that are alike but for numbers, each with the positions of its drivelines in `values`. The
@@ -79,7 +77,7 @@ def _is_size(place: Place) -> bool:
     )
 
 
-def _prepare_alike(study: Study, sizes: dict[Place, FloatArray], count: int) -> Iterator[tuple[IntArray, Batch]]:
+def _prepare_alike(study: Study, sizes: dict[Place, Floats], count: int) -> Iterator[tuple[Positions, Batch]]:
     """Prepare drivelines that differ from a study's in some sizes only, each (count,)."""
     line = Driveline.from_study(study)
     lines = _with_sizes(study, line, sizes, count)
@@ -106,10 +104,10 @@ def _prepare_alike(study: Study, sizes: dict[Place, FloatArray], count: int) -> 
         yield some, Batch(alike, of_some, tables, None if channels is None else channels.at(some))
 
 
-def _with_sizes(study: Study, line: Driveline, sizes: dict[Place, FloatArray], count: int) -> Driveline:
+def _with_sizes(study: Study, line: Driveline, sizes: dict[Place, Floats], count: int) -> Driveline:
     """The batch of drivelines with other sizes, (count,) each."""
 
-    def columns(places: Sequence[Place], values: npt.ArrayLike) -> FloatArray:
+    def columns(places: Sequence[Place], values: npt.ArrayLike) -> Floats:
         batch = np.tile(np.asarray(values, np.float64), (count, 1))
         for k, place in enumerate(places):
             batch[:, k] = sizes.get(place, batch[:, k])

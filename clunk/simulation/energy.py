@@ -18,7 +18,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.core.events import REJOIN, SEPARATION, TOUCH
 from clunk.core.tables import TORQUE, half_gap_of, held_inputs
@@ -26,9 +25,7 @@ from clunk.simulation.driveline import Driveline, build
 from clunk.simulation.load import run_load
 from clunk.simulation.phases import Regime, balanced, inputs_of, regimes_of, stretches, with_wave
 from clunk.simulation.trajectory import Trajectory
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from clunk.study.arrays import Floats, Integers
 
 _ORDER = 18  # of the power series, up to |A| t = 1/4: (2 |A| t)^18 / 18! is 1e-21
 
@@ -110,15 +107,15 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
     regimes = regimes_of(system, before)
     rows, contact_dampings = np.vstack([line.shafts, line.lashes]), line.contact_dampings * (not impulsive)
 
-    def indented(x: FloatArray, sides: IntArray) -> FloatArray:
+    def indented(x: Floats, sides: Integers) -> Floats:
         """(L,) what the contact of each lash stores at one of its flanks."""
         overlaps = sides * (line.lashes @ x[:n]) - half_gaps
         return np.asarray(line.contact_stiffnesses * overlaps**2 / 2.0 * (not impulsive))
 
-    def at_event(x: FloatArray, lash: int, side: int) -> float:
+    def at_event(x: Floats, lash: int, side: int) -> float:
         return float(indented(x, np.full(len(line.lashes), side))[lash])
 
-    def stored(x: FloatArray, regime: Regime) -> tuple[float, tuple[float, ...], float]:
+    def stored(x: Floats, regime: Regime) -> tuple[float, tuple[float, ...], float]:
         """Energies stored in the inertias, in each shaft and in the contact."""
         shafts = line.shaft_energy(x[:n])
         contact = indented(x, regime.sides)[regime.closed > 0].sum()
@@ -173,7 +170,7 @@ def balance(trajectory: Trajectory) -> EnergyBalance:
     )
 
 
-def _squares(rows: FloatArray, size: int) -> FloatArray:
+def _squares(rows: Floats, size: int) -> Floats:
     """F of each damper, (m, size, size), from rows (m, n): its speed = row · θ'."""
     n = rows.shape[1]
     forms = np.zeros((rows.shape[0], size, size))
@@ -181,7 +178,7 @@ def _squares(rows: FloatArray, size: int) -> FloatArray:
     return forms
 
 
-def _work_of_wave(regime: Regime, x: FloatArray, load: FloatArray, length: float) -> float:
+def _work_of_wave(regime: Regime, x: Floats, load: Floats, length: float) -> float:
     """∫ w1 θ' dt of the loaded inertia over a time  [J]; x is (θ, θ', w), and load is 1 at that inertia."""
     size, n = x.size, load.size
     if size == 2 * n:
@@ -193,7 +190,7 @@ def _work_of_wave(regime: Regime, x: FloatArray, load: FloatArray, length: float
     return float(z @ _integrals(rates, form[None], length)[1][0] @ z)
 
 
-def _integrals(rates: FloatArray, forms: FloatArray, length: float) -> tuple[FloatArray, FloatArray]:
+def _integrals(rates: Floats, forms: Floats, length: float) -> tuple[Floats, Floats]:
     """Ψ and G of a flow over a time.
 
     Parameters

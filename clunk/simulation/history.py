@@ -23,11 +23,10 @@ from clunk.simulation.load import run_load
 from clunk.simulation.measures import torque_across
 from clunk.simulation.phases import Flow, apply, inputs_of, preload, regimes_of, stretches, with_wave
 from clunk.simulation.trajectory import Trajectory
+from clunk.study.arrays import Bools, Floats, Integers, Positions
 from clunk.study.errors import ClunkError
 from clunk.study.models import Lash
 from clunk.study.study import Study
-
-FloatArray = npt.NDArray[np.float64]
 
 LARGEST = 10_000_000  # samples; of the nominal driveline about 1.3 GB
 INITIAL, NONE, OPPOSITE = -1, 0, 1  # of `contact`, as of impact_flank in a results file
@@ -43,10 +42,10 @@ class HistoryError(ClunkError):
 class Touches(NamedTuple):
     """The touches within a history, in order; E of them."""
 
-    row: npt.NDArray[np.intp]  # (E,) rows of the history
-    side: npt.NDArray[np.int64]  # (E,) sign of q at the flank
-    primary: npt.NDArray[np.bool_]  # (E,)
-    until: FloatArray  # (E,) s after the load step, of the event that follows
+    row: Positions  # (E,) rows of the history
+    side: Integers  # (E,) sign of q at the flank
+    primary: Bools  # (E,)
+    until: Floats  # (E,) s after the load step, of the event that follows
 
 
 class Impact(NamedTuple):
@@ -72,16 +71,16 @@ class History:
 
     name: str  # for legends
     trajectory: Trajectory
-    time: FloatArray  # (M,)  s, the load step at the config's load.step_time
-    after_step: FloatArray  # (M,)  s, the load step at 0
-    angle: FloatArray  # (M, n)  rad, θ; of a driveline that rolls, rolling angle and all
-    velocity: FloatArray  # (M, n)  rad/s, θ'
-    acceleration: FloatArray  # (M, n)  rad/s2, θ''; without the impulses of the restitution model
-    torque: FloatArray  # (M,)  N m, the load
-    backlash_coordinates: FloatArray  # (M, L)  m, x_b = r q of each lash
+    time: Floats  # (M,)  s, the load step at the config's load.step_time
+    after_step: Floats  # (M,)  s, the load step at 0
+    angle: Floats  # (M, n)  rad, θ; of a driveline that rolls, rolling angle and all
+    velocity: Floats  # (M, n)  rad/s, θ'
+    acceleration: Floats  # (M, n)  rad/s2, θ''; without the impulses of the restitution model
+    torque: Floats  # (M,)  N m, the load
+    backlash_coordinates: Floats  # (M, L)  m, x_b = r q of each lash
     contacts: npt.NDArray[np.int8]  # (M, L)  the flank of each that presses: -1 initial, +1 opposite, 0 none
-    contact_torques: FloatArray  # (M, L)  N m, across each lash, signed like q; without the impulses of restitution
-    event: npt.NDArray[np.int64]  # (M,)  the row's index in the trajectory's events, -1 where there is none
+    contact_torques: Floats  # (M, L)  N m, across each lash, signed like q; without the impulses of restitution
+    event: Integers  # (M,)  the row's index in the trajectory's events, -1 where there is none
 
     @property
     def study(self) -> Study:
@@ -99,7 +98,7 @@ class History:
         return tuple(replace(self, trajectory=each) for each in self.trajectory.lashes)
 
     @property
-    def backlash_coordinate(self) -> FloatArray:
+    def backlash_coordinate(self) -> Floats:
         """(M,) x_b = r q  [m]."""
         return self.backlash_coordinates[:, self.trajectory.lash]
 
@@ -109,7 +108,7 @@ class History:
         return self.contacts[:, self.trajectory.lash]
 
     @property
-    def contact_torque(self) -> FloatArray:
+    def contact_torque(self) -> Floats:
         """(M,) torque across the lash, signed like q  [N m]."""
         return self.contact_torques[:, self.trajectory.lash]
 
@@ -129,7 +128,7 @@ class History:
         return self.study.watched[self.trajectory.lash]
 
     @cached_property
-    def twist(self) -> FloatArray:
+    def twist(self) -> Floats:
         """(M, n) the angles less the rigid-body motion with their momentum; all of θ if springs hold the driveline."""
         driveline = Driveline.from_study(self.study)
         shape = driveline.rigid_motion.shape
@@ -292,15 +291,15 @@ def shown_until(trajectory: Trajectory) -> float:
 class _Phase(NamedTuple):
     """Samples of the motion from one event, kink of the load, or the start of the history, to the next."""
 
-    time: FloatArray  # (m,)  s after the load step
-    state: FloatArray  # (m, N)  rad, rad/s, and the load's wave
+    time: Floats  # (m,)  s after the load step
+    state: Floats  # (m, N)  rad, rad/s, and the load's wave
     regime: int
     piece: int  # of the load
     event: int  # that the phase begins with, or -1
 
 
 def _before_load_step(
-    trajectory: Trajectory, system: System, acceleration: FloatArray, begin: float, end: float, step: float
+    trajectory: Trajectory, system: System, acceleration: Floats, begin: float, end: float, step: float
 ) -> _Phase:
     """The steady motion before the load step, with its constant acceleration, (n,)  [rad/s2]."""
     time = np.concatenate(([begin] if begin < end else [], _grid(begin, end, step) * step, [end]))
@@ -313,9 +312,7 @@ def _before_load_step(
 class _Motion:
     """The motion of a run between its events, sampled."""
 
-    def __init__(
-        self, trajectory: Trajectory, system: System, load: FloatArray, before: FloatArray, step: float
-    ) -> None:
+    def __init__(self, trajectory: Trajectory, system: System, load: Floats, before: Floats, step: float) -> None:
         self._trajectory, self._system, self._load, self._step = trajectory, system, load, step
         self.inputs = functools.partial(inputs_of, before, load)
         self.regimes = functools.cache(lambda piece: regimes_of(system, self.inputs(piece)))
@@ -373,14 +370,14 @@ def _span(trajectory: Trajectory, step: float, until: float, before: float, stea
     return begin, end
 
 
-def _grid(start: float, stop: float, step: float) -> npt.NDArray[np.int64]:
+def _grid(start: float, stop: float, step: float) -> Integers:
     """The multiples of a step between two times, neither of them included."""
     first = int(np.floor(start / step + _NEAR)) + 1
     last = int(np.ceil(stop / step - _NEAR)) - 1
     return np.arange(first, last + 1)
 
 
-def _state_before(trajectory: Trajectory, system: System, k: int) -> FloatArray:
+def _state_before(trajectory: Trajectory, system: System, k: int) -> Floats:
     """The state just before phase `k`: the recorded one, but for the impulse of a touch in the restitution model."""
     x = trajectory.phase_states[k]
     event = trajectory.phases[k]

@@ -14,10 +14,9 @@ import numpy.typing as npt
 from clunk.core.reductions import constrained, without_drift
 from clunk.core.tables import FORCE, TORQUE
 from clunk.simulation.driveline import Driveline, build
+from clunk.study.arrays import Floats
 from clunk.study.loads import is_ideal_step
 from clunk.study.study import Study
-
-FloatArray = npt.NDArray[np.float64]
 
 _SAMPLES = 64  # a period of the fastest mode that matters, to bracket every minimum
 _FAINTEST = 1e-3  # of the first swing: thresholds beyond σr = 1000 are nobody's load ratio
@@ -36,7 +35,7 @@ def periods_in_envelope(study: Study, ratio: float) -> float:
     return float(np.log(ratio) / (2.0 * np.pi * damping_ratio))
 
 
-def one_mode_thresholds(study: Study, count: int = 4) -> FloatArray:
+def one_mode_thresholds(study: Study, count: int = 4) -> Floats:
     """Load ratios at which one more impact appears as the backlash vanishes, by the lowest mode alone.
 
     σr = exp(2π ζ1 (n - 1/2)), n = 1 … `count` (report Table 3.1). Empty for a driveline that does not oscillate.
@@ -54,13 +53,13 @@ def _lowest_damping_ratio(study: Study) -> float | None:
     return float(ratios[0]) if ratios.size else None
 
 
-def rigid_contact_thresholds(study: Study, count: int = 4) -> FloatArray:
+def rigid_contact_thresholds(study: Study, count: int = 4) -> Floats:
     """Load ratios at which one more impact appears, by all modes of the locked chain; fewer where f has fewer."""
     response = _Response.of(study)
     return np.empty(0) if response is None else levels_of_excursions(response.extremes(), count)
 
 
-def levels_of_excursions(extremes: FloatArray, count: int) -> FloatArray:
+def levels_of_excursions(extremes: Floats, count: int) -> Floats:
     """The σr from which on f has 1, 2, … `count` separate excursions below -1/σr; fewer where f has fewer.
 
     Two dips are one excursion while f does not rise above the level between them. As the level rises from the deepest
@@ -82,7 +81,7 @@ def levels_of_excursions(extremes: FloatArray, count: int) -> FloatArray:
     return np.array(levels, dtype=np.float64)
 
 
-def thresholds_on(study: Study, parameter: str, ratios: FloatArray) -> FloatArray:
+def thresholds_on(study: Study, parameter: str, ratios: Floats) -> Floats:
     """Threshold load ratios as values of a swept torque of an ideal step; empty for any other parameter or load.
 
     σr is (T before - T after) / T after, whichever of the two torques is swept.
@@ -129,10 +128,10 @@ class _Response:
         keep = np.abs(amplitude) > 1e-12
         return cls(rate[keep].astype(np.complex128), amplitude[keep].astype(np.complex128))
 
-    def __call__(self, time: FloatArray) -> FloatArray:
+    def __call__(self, time: Floats) -> Floats:
         return np.asarray((np.exp(np.multiply.outer(time, self.rate)) @ self.amplitude).real)
 
-    def extremes(self) -> FloatArray:
+    def extremes(self) -> Floats:
         """Minima and maxima of f in turn, a minimum first, until its envelope has become too faint."""
         fastest = float(np.max(np.abs(self.rate.imag), initial=0.0))
         if fastest == 0.0:
@@ -147,10 +146,10 @@ class _Response:
             f = self(time)
             rising = np.diff(f) > 0.0
             turns.append(self._turns(time[np.flatnonzero(rising[1:] != rising[:-1]) + 1], dt))
-        values: FloatArray = np.concatenate(turns) if turns else np.empty(0)
+        values: Floats = np.concatenate(turns) if turns else np.empty(0)
         return values[1:] if values.size > 1 and values[0] > values[1] else values
 
-    def _turns(self, near: FloatArray, within: float) -> FloatArray:
+    def _turns(self, near: Floats, within: float) -> Floats:
         """The values of f where its slope is zero, by Newton's method from times that near.
 
         From a 64th of a period off, each step leaves the cube of the error, 1e-3, 1e-9, none; and to first order the

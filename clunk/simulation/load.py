@@ -5,14 +5,13 @@ from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.core.runs import BEGIN, LEVEL, PIECE, SLOPE, WAVE, WAVE_PARTNER
+from clunk.study.arrays import Floats
 from clunk.study.loads import Load
 from clunk.study.study import Study
 
-FloatArray = npt.NDArray[np.float64]
-Numbers = float | FloatArray
+Numbers = float | Floats
 
 _SHORTEST = 1e-12  # s; a duration or time constant below it counts as 0
 
@@ -31,8 +30,8 @@ class Loads(NamedTuple):
     pieces : (1 or runs, P, PIECE)  after it, see `clunk.core.runs`; one row where they are the same in all runs
     """
 
-    before: FloatArray
-    pieces: FloatArray
+    before: Floats
+    pieces: Floats
 
 
 def loads_of(load: Load, count: int, **swept: Numbers) -> Loads:
@@ -51,7 +50,7 @@ def loads_of(load: Load, count: int, **swept: Numbers) -> Loads:
     return Loads(np.broadcast_to(before, count).astype(np.float64), pieces)
 
 
-def _entries(values: Mapping[str, Any], key: str, count: int) -> FloatArray:
+def _entries(values: Mapping[str, Any], key: str, count: int) -> Floats:
     """(1 or count, P): a list of the config, in each run if any of its items is swept."""
     swept = {int(name[len(key) + 1 : -1]) - 1: values[name] for name in values if name.startswith(f"{key}[")}
     entries = np.array(values[key], dtype=np.float64)[np.newaxis].repeat(count if swept else 1, axis=0)
@@ -60,7 +59,7 @@ def _entries(values: Mapping[str, Any], key: str, count: int) -> FloatArray:
     return entries
 
 
-def _lines(times: FloatArray, torques: FloatArray) -> FloatArray:
+def _lines(times: Floats, torques: Floats) -> Floats:
     """(rows, P, PIECE): straight lines between points in time; two at the same time are a jump."""
     times, torques = np.broadcast_arrays(times, torques)
     pieces = np.zeros((*times.shape, PIECE))
@@ -69,7 +68,7 @@ def _lines(times: FloatArray, torques: FloatArray) -> FloatArray:
     return pieces
 
 
-def _profile(values: Mapping[str, Any]) -> tuple[Numbers, FloatArray]:
+def _profile(values: Mapping[str, Any]) -> tuple[Numbers, Floats]:
     """Torque before the load step and pieces, (rows, P, PIECE), of a profile from one torque to another."""
     before, after = values["initial_torque"], values["final_torque"]
     if values["ratio"] is not None:  # the dynamic torque Td = σr Ts is released, Ts stays (report Eq. 2.4)
@@ -91,22 +90,22 @@ def _profile(values: Mapping[str, Any]) -> tuple[Numbers, FloatArray]:
     return before, _rows((0.0, *rest))
 
 
-def _span(time: Numbers) -> FloatArray:
+def _span(time: Numbers) -> Floats:
     return np.where(np.asarray(time) < _SHORTEST, 0.0, time)
 
 
-def _divisor(time: FloatArray) -> FloatArray:
+def _divisor(time: Floats) -> Floats:
     """Times as divisors, infinite where they count as 0."""
     return np.where(time < _SHORTEST, np.inf, time)
 
 
-def _rows(*pieces: tuple[Numbers, ...]) -> FloatArray:
+def _rows(*pieces: tuple[Numbers, ...]) -> Floats:
     """(rows, P, PIECE): the columns of pieces, broadcast against each other; one row if all are numbers."""
     columns = np.broadcast_arrays(*chain(*pieces))
     return np.stack(columns, axis=-1).astype(np.float64).reshape(-1, len(pieces), PIECE)
 
 
-def wave_rates(load: Load) -> FloatArray | None:
+def wave_rates(load: Load) -> Floats | None:
     """The matrix S of w' = S w, (2, 2)  [1/s]; None where the profile has no wave."""
     swing = decay = 0.0
     if load.profile == "smooth":
@@ -127,14 +126,14 @@ def is_moving(load: Load) -> bool:
     return load.profile not in ("step", "tip-out", "pulse")
 
 
-def torque_at(pieces: FloatArray, rates: FloatArray | None, time: FloatArray) -> FloatArray:
+def torque_at(pieces: Floats, rates: Floats | None, time: Floats) -> Floats:
     """The torque at times after the load step, (m,)  [N m]; where it jumps, the one after the jump.
 
     pieces : (P, PIECE); rates : as from `wave_rates`; time : (m,)  [s]
     """
     piece = pieces[np.searchsorted(pieces[:, BEGIN], time, side="right") - 1].T
     after_begin = time - piece[BEGIN]
-    torque: FloatArray = piece[LEVEL] + piece[SLOPE] * after_begin
+    torque: Floats = piece[LEVEL] + piece[SLOPE] * after_begin
     if rates is not None:
         angle = rates[0, 1] * after_begin
         swing = piece[WAVE] * np.cos(angle) + piece[WAVE_PARTNER] * np.sin(angle)
@@ -148,13 +147,13 @@ def load_step(load: Load) -> LoadStep:
     return LoadStep(float(before[0]), float(pieces[0, -1, LEVEL]))
 
 
-def run_inputs(study: Study) -> tuple[FloatArray, FloatArray]:
+def run_inputs(study: Study) -> tuple[Floats, Floats]:
     """Inputs d of a run before its load step, and under the torque that its load goes to  [N m, rad, N m/s]."""
     first, *further = [np.deg2rad(lash.backlash_deg) / 2 for lash in study.lashes]
     before, after = (np.array([torque, first, 0.0, *further]) for torque in load_step(study.load))
     return before, after
 
 
-def run_load(study: Study) -> tuple[FloatArray, FloatArray]:
+def run_load(study: Study) -> tuple[Floats, Floats]:
     """Inputs d of a run before its load step  [N m, rad, N m/s], and the pieces of its load, (P, PIECE)."""
     return run_inputs(study)[0], loads_of(study.load, 1).pieces[0]

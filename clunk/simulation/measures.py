@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.core.channels import CLOSING, CONTACT_TORQUE, LARGEST, OF_LASH, PEAK_TO_PEAK, Channels, tabulate
 from clunk.core.measures import Run, make_room, measure
@@ -13,11 +12,10 @@ from clunk.core.tables import FORCE, HOLDING, OF_FRICTION, FlowOf, flows_of, hal
 from clunk.simulation.driveline import Driveline, build
 from clunk.simulation.load import run_load
 from clunk.simulation.trajectory import Trajectory
+from clunk.study.arrays import Floats
 from clunk.study.measures import OF_IMPACTS as NAMES
 from clunk.study.measures import Measure, Part, parts_of
 from clunk.study.study import Study
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class Measures(NamedTuple):
@@ -28,7 +26,7 @@ class Measures(NamedTuple):
     """
 
     totals: dict[str, float]
-    of_impacts: dict[str, FloatArray]
+    of_impacts: dict[str, Floats]
 
 
 def channels_of(
@@ -71,7 +69,7 @@ def channels_of(
     )
 
 
-def torque_across(line: Driveline, system: System, each: Each, flow: int, lash: int) -> FloatArray:
+def torque_across(line: Driveline, system: System, each: Each, flow: int, lash: int) -> Floats:
     """(D, Z) the torque across a lash, closed in a flow, by state and inputs, signed like q."""
     if system.impulsive:
         force = lash * system.functionals_per_lash + FORCE
@@ -84,7 +82,7 @@ def torque_across(line: Driveline, system: System, each: Each, flow: int, lash: 
     return row
 
 
-def _read(each: Each, flow: int, functional: int) -> FloatArray:
+def _read(each: Each, flow: int, functional: int) -> Floats:
     """(D, Z) a functional of a flow, by state and inputs."""
     return np.concatenate([each.functionals[:, flow, functional], each.feedthrough[:, flow, functional]], axis=-1)
 
@@ -97,14 +95,14 @@ def _row(
     system: System,
     each: Each,
     flow: int,
-    channels: FloatArray,
-) -> FloatArray:
+    channels: Floats,
+) -> Floats:
     """(D, Z) what a measure is of, by state and inputs in a flow whose first channels are those of the lashes."""
     n, k, (count, _, size, driven) = system.inertias, part.number, each.inputs.shape
     if measure.quantity == "acceleration":
         return np.concatenate([each.rates[:, flow, n + k], each.inputs[:, flow, n + k]], axis=-1)
     if measure.quantity == "contact torque":
-        torque: FloatArray = channels[:, OF_LASH * k + CONTACT_TORQUE]
+        torque: Floats = channels[:, OF_LASH * k + CONTACT_TORQUE]
         return torque
     row, twist = np.zeros((count, size + driven)), line.lashes[k] if part.element == "lash" else line.shafts[k]
     if measure.quantity == "twist":

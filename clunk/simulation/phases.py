@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.core import switching
 from clunk.core.exponential import exponentials
@@ -18,21 +17,19 @@ from clunk.core.regimes import System
 from clunk.core.runs import BEGIN, LEVEL, SLOPE, WAVE, WAVE_PARTNER
 from clunk.core.status import Status
 from clunk.core.tables import TORQUE
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from clunk.study.arrays import Floats, Integers
 
 
 class Regime(NamedTuple):
     """A regime under constant inputs: x' = rates · x + forcing; N states, x = (θ, θ')."""
 
-    rates: FloatArray  # (N, N)
-    forcing: FloatArray  # (N,)
-    sides: IntArray  # (L,)  sign of q on each lash's flank concerned, 0 for none
-    closed: IntArray  # (L,)  whether its flanks press on each other
+    rates: Floats  # (N, N)
+    forcing: Floats  # (N,)
+    sides: Integers  # (L,)  sign of q on each lash's flank concerned, 0 for none
+    closed: Integers  # (L,)  whether its flanks press on each other
 
 
-def regimes_of(system: System, inputs: FloatArray) -> list[Regime]:
+def regimes_of(system: System, inputs: Floats) -> list[Regime]:
     """The regimes of a system under constant inputs (T, φ/2, T', …)  [N m, rad, N m/s]."""
     constants = np.ones(system.weights.shape[1] - inputs.size)
     driven = system.weights * np.concatenate([inputs, constants])
@@ -47,11 +44,11 @@ class Preload(NamedTuple):
 
     status: Status
     regime: int
-    sides: IntArray  # (L,)  of the initial flanks, 0 for none
-    x: FloatArray  # (N,)  [rad, rad/s]
+    sides: Integers  # (L,)  of the initial flanks, 0 for none
+    x: Floats  # (N,)  [rad, rad/s]
 
 
-def preload(system: System, inputs: FloatArray) -> Preload:
+def preload(system: System, inputs: Floats) -> Preload:
     """Steady motion in contact under constant inputs."""
     x = np.zeros(system.rates.shape[1])
     status, regime = switching.preload(system, inputs, x)
@@ -66,7 +63,7 @@ class Stretch(NamedTuple):
     end: float
 
 
-def stretches(load: FloatArray, begin: float, end: float) -> Iterator[Stretch]:
+def stretches(load: Floats, begin: float, end: float) -> Iterator[Stretch]:
     """Cut the time between two events where pieces of a load (P, PIECE) begin."""
     first = int(np.searchsorted(load[:, BEGIN], begin, side="right")) - 1
     kinks = [*load[first + 1 :, BEGIN].tolist(), np.inf]
@@ -78,14 +75,14 @@ def stretches(load: FloatArray, begin: float, end: float) -> Iterator[Stretch]:
             return
 
 
-def inputs_of(before: FloatArray, load: FloatArray, piece: int) -> FloatArray:
+def inputs_of(before: Floats, load: Floats, piece: int) -> Floats:
     """The inputs d, from those before the load step, under a piece of a load without its wave  [N m, rad, N m/s]."""
     inputs = before.copy()
     inputs[TORQUE] = load[piece, LEVEL]
     return inputs
 
 
-def with_wave(system: System, x: FloatArray, load: FloatArray, stretch: Stretch) -> FloatArray:
+def with_wave(system: System, x: Floats, load: Floats, stretch: Stretch) -> Floats:
     """The state (θ, θ', w) at the beginning of a stretch, from (θ, θ')."""
     size = 2 * system.inertias
     if system.rates.shape[1] == size:
@@ -103,9 +100,9 @@ class Flow:
         self._matrices = [np.zeros((regime.forcing.size + 1,) * 2) for regime in regimes]
         for matrix, regime in zip(self._matrices, regimes, strict=True):
             matrix[:-1, :-1], matrix[:-1, -1] = regime.rates, regime.forcing
-        self._powers: dict[int, list[FloatArray]] = {}
+        self._powers: dict[int, list[Floats]] = {}
 
-    def states(self, regime: int, x: FloatArray, offset: float, count: int) -> FloatArray:
+    def states(self, regime: int, x: Floats, offset: float, count: int) -> Floats:
         """(count, N) the states at offset, offset + step, … after the state `x`  [rad, rad/s]."""
         z = np.empty((count, x.size + 1))
         z[0] = _exponential(offset * self._matrices[regime]) @ np.append(x, 1.0)
@@ -116,7 +113,7 @@ class Flow:
             filled, doubling = filled + more, doubling + 1
         return z[:, :-1]
 
-    def _power(self, regime: int, doubling: int) -> FloatArray:
+    def _power(self, regime: int, doubling: int) -> Floats:
         """exp(2^doubling · step · M)."""
         powers = self._powers.setdefault(regime, [])
         if not powers:
@@ -126,7 +123,7 @@ class Flow:
         return powers[doubling]
 
 
-def _exponential(matrix: FloatArray) -> FloatArray:
+def _exponential(matrix: Floats) -> Floats:
     """exp(matrix), NaN where that is no number.
 
     scipy's expm takes LAPACK, whose threads wait for each other: 15 ms for nine rows on a busy machine, and a history
@@ -138,7 +135,7 @@ def _exponential(matrix: FloatArray) -> FloatArray:
     return np.asarray(exponentials(scaled, np.asarray(size)) * unit[:, None] / unit)
 
 
-def balanced(matrix: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+def balanced(matrix: Floats) -> tuple[Floats, Floats, float]:
     """A matrix in units in which angles and velocities are of one size, these units, and its norm.
 
     The norm is about its largest |λ|; NaN or infinite where the matrix is not a number.
@@ -151,6 +148,6 @@ def balanced(matrix: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     return scaled, unit, float(np.linalg.norm(scaled))
 
 
-def apply(matrix: FloatArray, rows: FloatArray) -> FloatArray:
+def apply(matrix: Floats, rows: Floats) -> Floats:
     """The matrix times each row; without BLAS, whose threads wait for each other longer than this takes (0.5 ms)."""
     return np.asarray(np.einsum("kj,ij->ik", matrix, rows))

@@ -7,17 +7,15 @@ stiffness matrix would need a tolerance between the softest spring and nothing.
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.core.regimes import RigidMotion
+from clunk.study.arrays import Floats
 from clunk.study.problems import listing
-
-FloatArray = npt.NDArray[np.float64]
 
 _FITS = 1e-9  # a twist, relative to what the joint's ends add to it, that is rounding: ratios have some digits each
 
 
-def rigid_motions(joints: FloatArray) -> FloatArray:
+def rigid_motions(joints: Floats) -> Floats:
     """Motions that twist none of some joints, one of each part of the driveline that is free to turn by itself.
 
     joints : (m, n) float64, twist = row · θ
@@ -34,7 +32,7 @@ def rigid_motions(joints: FloatArray) -> FloatArray:
     return np.array(motions).reshape(len(motions), joints.shape[1]).T
 
 
-def speeds_along(joints: FloatArray, start: int) -> FloatArray:
+def speeds_along(joints: Floats, start: int) -> Floats:
     """Speeds of the inertias that joints connect to one, where that turns by 1; zero of all others: (n,)."""
     speeds = np.zeros(joints.shape[1])
     speeds[start] = 1.0
@@ -48,7 +46,7 @@ def speeds_along(joints: FloatArray, start: int) -> FloatArray:
     return speeds
 
 
-def steady_motion(inertia: FloatArray, springs: FloatArray, dampers: FloatArray, load: FloatArray) -> RigidMotion:
+def steady_motion(inertia: Floats, springs: Floats, dampers: Floats, load: Floats) -> RigidMotion:
     """The rigid-body motion, and what a load of 1 N m keeps up of it: a speed where dampers resist, else acceleration.
 
     Parameters
@@ -71,7 +69,7 @@ def steady_motion(inertia: FloatArray, springs: FloatArray, dampers: FloatArray,
     return RigidMotion(shape, speeds, accelerations, bool(slips.any()))
 
 
-def separate_part(rigid: RigidMotion, load: FloatArray, names: Sequence[str]) -> str:
+def separate_part(rigid: RigidMotion, load: Floats, names: Sequence[str]) -> str:
     """Phrase on a driveline with two rigid-body motions or more, which names a part that nothing joins to the load."""
     part = next(speeds for speeds in rigid.shape.T if not speeds @ load)
     free = [name for name, speed in zip(names, part, strict=True) if speed != 0.0]
@@ -82,7 +80,7 @@ def separate_part(rigid: RigidMotion, load: FloatArray, names: Sequence[str]) ->
     )
 
 
-def _twists(joints: FloatArray, speeds: FloatArray) -> FloatArray:
+def _twists(joints: Floats, speeds: Floats) -> Floats:
     """Rates of twist of joints at these speeds, without rounding."""
     twists = joints @ speeds
     twists[np.abs(twists) <= _FITS * (np.abs(joints) @ np.abs(speeds))] = 0.0

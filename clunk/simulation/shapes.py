@@ -7,8 +7,8 @@ from scipy.sparse.csgraph import connected_components
 from clunk.core.reductions import chain
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.rigid import speeds_along
+from clunk.study.arrays import Floats
 
-FloatArray = npt.NDArray[np.float64]
 Shapes = npt.NDArray[np.complex128]
 
 
@@ -24,7 +24,7 @@ def mode_shapes(driveline: Driveline, *, closed: bool) -> Shapes:
     return np.asarray(vectors[: driveline.inertia.size, nearest].T, np.complex128)
 
 
-def kinetic_energy_shares(driveline: Driveline, shapes: Shapes) -> FloatArray:
+def kinetic_energy_shares(driveline: Driveline, shapes: Shapes) -> Floats:
     """(k, n) share of each inertia in the kinetic energy of each mode, J |θ|² over the sum; 1 in all."""
     energy = driveline.inertia * np.abs(shapes) ** 2
     return np.asarray(energy / energy.sum(axis=1, keepdims=True), np.float64)

@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from clunk.core.regimes import alone
 from clunk.core.status import Status
@@ -12,10 +11,9 @@ from clunk.simulation.driveline import Driveline, build, explained
 from clunk.simulation.load import run_inputs
 from clunk.simulation.measures import torque_across
 from clunk.simulation.phases import Flow, preload, regimes_of
+from clunk.study.arrays import Floats
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class SmallGapError(ClunkError):
@@ -25,8 +23,8 @@ class SmallGapError(ClunkError):
 class SmallGap(NamedTuple):
     """The torque across a lash without a gap, on the plot's time axis, signed like q = lash · θ."""
 
-    time: FloatArray  # s
-    torque: FloatArray  # N m
+    time: Floats  # s
+    torque: Floats  # N m
     start: float  # N m, before the load step
     end: float  # N m, in steady motion after it
     decay: float  # 1/s, ζ1 ω1

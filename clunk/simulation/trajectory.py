@@ -18,11 +18,10 @@ from clunk.core.tables import half_gap_of
 from clunk.simulation import driveline
 from clunk.simulation.load import run_load, torque_at, wave_rates
 from clunk.simulation.phases import preload
+from clunk.study.arrays import Floats, Integers, Records
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study
 from clunk.study.summaries import Rows, as_html, as_text, html_table
-
-FloatArray = npt.NDArray[np.float64]
 
 _EVENT_COLUMNS = ("time [s]", "event", "flank", "q' [rad/s]", "impact", "Qi [rad/s²]")
 _SHOWN_EVENTS = 40  # in a notebook
@@ -52,15 +51,15 @@ class Trajectory:
     """
 
     study: Study
-    initial_sides: npt.NDArray[np.int64]
-    events: npt.NDArray[np.void]
-    states: FloatArray
-    extremes: FloatArray
-    phases: npt.NDArray[np.void]
-    phase_states: FloatArray
-    primaries_of: tuple[npt.NDArray[np.int64], ...]
-    severities_of: tuple[FloatArray, ...]
-    margins: FloatArray
+    initial_sides: Integers
+    events: Records
+    states: Floats
+    extremes: Floats
+    phases: Records
+    phase_states: Floats
+    primaries_of: tuple[Integers, ...]
+    severities_of: tuple[Floats, ...]
+    margins: Floats
     complete: bool
     end: float
     lash: int = 0
@@ -76,12 +75,12 @@ class Trajectory:
         return int(self.initial_sides[self.lash])
 
     @property
-    def primaries(self) -> npt.NDArray[np.int64]:
+    def primaries(self) -> Integers:
         """(P,) indices of the primary impacts in `events`."""
         return self.primaries_of[self.lash]
 
     @property
-    def impact_severity(self) -> FloatArray:
+    def impact_severity(self) -> Floats:
         """(P,) Q_i  [rad/s2]."""
         return self.severities_of[self.lash]
 
@@ -91,7 +90,7 @@ class Trajectory:
         return float(self.margins[self.lash])
 
     @cached_property
-    def flanks(self) -> npt.NDArray[np.int64]:
+    def flanks(self) -> Integers:
         """(P,) int64, +1 for a primary impact on the opposite flank, -1 on the initial one."""
         return np.where(self.events["side"][self.primaries] == self.initial_side, INITIAL, OPPOSITE)
 
@@ -123,7 +122,7 @@ class Trajectory:
         return root_of_squares(self.events["speed"][self.primaries], self.primaries.size)
 
     @property
-    def load(self) -> FloatArray:
+    def load(self) -> Floats:
         """(E,) torque of the load at the events  [N m]."""
         load = self.study.load
         return torque_at(run_load(self.study)[1], wave_rates(load), self.events["time"])
@@ -281,9 +280,7 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
     )
 
 
-def _preloaded(
-    study: Study, system: System, before: FloatArray, pieces: FloatArray
-) -> tuple[npt.NDArray[np.int64], Start]:
+def _preloaded(study: Study, system: System, before: Floats, pieces: Floats) -> tuple[Integers, Start]:
     """The initial sides and the start of a run from steady motion in contact."""
     if system.status != Status.OK:
         raise SimulationError(_sentence(study, Status(system.status)))
@@ -293,9 +290,7 @@ def _preloaded(
     return rest.sides, Start(rest.x, rest.regime, before, pieces[None], 0)
 
 
-def _started_at(
-    study: Study, system: System, before: FloatArray, pieces: FloatArray, state: FloatArray
-) -> tuple[npt.NDArray[np.int64], Start]:
+def _started_at(study: Study, system: System, before: Floats, pieces: Floats, state: Floats) -> tuple[Integers, Start]:
     """The initial sides and the start of a run from a state (θ, θ')."""
     size = 2 * system.inertias
     if system.status == Status.UNSTABLE_STEP:

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
+
+from clunk.study.arrays import Floats
 
 RUN = "run"  # the dimension of what is walked or drawn together
 LASH = "lash"  # the last dimension of results of several lashes
@@ -30,7 +31,7 @@ class ResultAxis:
     """
 
     parameter: str
-    values: npt.NDArray[np.float64]
+    values: Floats
     name: str
     symbol: str
     unit: str

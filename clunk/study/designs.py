@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from clunk.study.arrays import Cells, Floats
 from clunk.study.axes import RUN, ResultAxis
 from clunk.study.document import dotted
 from clunk.study.parameters import located, nominal_value, quantity
@@ -21,9 +22,6 @@ from clunk.study.problems import Problem, report
 from clunk.study.study import Study
 from clunk.study.sweeps import Axis, Draw
 from clunk.study.validation import validated
-
-FloatArray = npt.NDArray[np.float64]
-Cells = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +35,7 @@ class Column:
 
     parameter: str
     dimension: int
-    values: FloatArray
+    values: Floats
 
     @property
     def axis(self) -> ResultAxis:
@@ -79,7 +77,7 @@ class Design:
         """The parameters along `run`."""
         return tuple(column.axis for column in self.columns if column.dimension == self.run)
 
-    def at(self, cells: Cells) -> dict[str, FloatArray]:
+    def at(self, cells: Cells) -> dict[str, Floats]:
         """Values of each parameter in some cells, (n,) float64; cells : their numbers in C order."""
         positions = np.unravel_index(cells, self.shape)
         return {column.parameter: column.values[positions[column.dimension]] for column in self.columns}
@@ -157,7 +155,7 @@ def with_axes_at(study: Study, values: Mapping[str, float]) -> Study:
     return study.model_copy(update={"sweep": study.sweep.model_copy(update={"axes": axes})})
 
 
-def drawn_numbers(study: Study, draws: Sequence[Draw]) -> list[FloatArray]:
+def drawn_numbers(study: Study, draws: Sequence[Draw]) -> list[Floats]:
     """Numbers that the study's sampling draws for each of these, (count,) each: values, factors or offsets."""
     assert study.sweep is not None
     points = study.sweep.sampling.points(len(draws))

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 
 import numpy as np
-import numpy.typing as npt
 
+from clunk.study.arrays import Floats
 from clunk.study.document import Place, dotted, with_value
 from clunk.study.loads import PROFILES, TORQUES, uses
 from clunk.study.measures import broken_measures
@@ -22,7 +22,6 @@ LARGEST_SIZE = 1e30  # of inertias, stiffnesses, dampings and the radius, and th
 WIDEST_SPREAD = 1e12  # of the inertias and of the springs of one driveline: four digits are left where they add up
 FASTEST_RATE = 1e12  # 1/s, of stiffness or damping on an inertia; atoms swing ten times faster
 
-FloatArray = npt.NDArray[np.float64]
 Sizes = Sequence[tuple[float, Place]]  # positive numbers, each with its place
 
 
@@ -247,7 +246,7 @@ def _range(axis: Axis, config: Config) -> Iterator[Finding]:
         yield (), f"{axis.parameter} must be {key.must_be} at every value of the axis"
 
 
-def _crossing(config: Config, parameter: str, values: FloatArray) -> str | None:
+def _crossing(config: Config, parameter: str, values: Floats) -> str | None:
     """Reason why a breakpoint cannot have some values: it would meet one beside it; None of any other key."""
     *shaft, name, k = located(config, parameter)[0]
     if name != "breakpoints_deg":
@@ -262,7 +261,7 @@ def _crossing(config: Config, parameter: str, values: FloatArray) -> str | None:
     return None
 
 
-Reach = tuple[Place, FloatArray, bool]  # of a time: its place in the sweep, its values, whether axes walk together
+Reach = tuple[Place, Floats, bool]  # of a time: its place in the sweep, its values, whether axes walk together
 
 
 def _times(config: Config, drawn: Mapping[int, Reach] | None = None) -> Iterator[Finding]:
@@ -314,7 +313,7 @@ def _drawn(config: Config) -> Iterator[Finding]:
     points = sweep.sampling.points(len(draws))
     axes = {axis.parameter: axis.grid for axis in sweep.axes}
     drawn_times: dict[int, Reach] = {}
-    reached: dict[str, FloatArray] = {}  # by the draws of a key so far
+    reached: dict[str, Floats] = {}  # by the draws of a key so far
     for k, draw in enumerate(draws):
         place, key, value_of_study = located(config, draw.parameter)
         nominal = axes.get(draw.parameter, np.array([value_of_study]))

@@ -6,10 +6,9 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 import tomli_w
 
+from clunk.study.arrays import Floats
 from clunk.study.document import dotted, items_of, with_value
 from clunk.study.loads import numbers
 from clunk.study.models import Config, Contact, Lash
@@ -109,7 +108,7 @@ def replace_values(study: Study, values: Mapping[str, float]) -> Study:
     return replaced.model_copy(update={"sweep": study.sweep, "fit": study.fit})
 
 
-def refuse_points(study: Study, parameters: Sequence[str], values: npt.NDArray[np.float64]) -> None:
+def refuse_points(study: Study, parameters: Sequence[str], values: Floats) -> None:
     """Refuse values, (points, parameters), of which one is not allowed: the first, as `replace_values` would.
 
     All are looked at together, by the least and the greatest of each parameter; only where one of these may not be,

@@ -14,10 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
+from clunk.study.arrays import Floats
 from clunk.study.document import Place
 from clunk.study.tables import LONGEST_AXIS, MOST_DRAWS, Finding, Positive, Table
-
-FloatArray = npt.NDArray[np.float64]
 
 LARGEST_GRID = 2**31  # cells
 _NEAREST_TO_EDGE = 2.0**-54  # a point at 0 or 1 itself would be an infinite normal value
@@ -80,13 +79,13 @@ class Axis(Table):
         return [(("values", self.values.index(end)), end) for end in (min(self.values), max(self.values))]
 
     @property
-    def grid(self) -> FloatArray:
+    def grid(self) -> Floats:
         """(count,) float64, the values in order; read-only."""
         return _grid(self)
 
 
 @functools.lru_cache(maxsize=16)  # not kept in the axis itself, where it would count when two are compared
-def _grid(axis: Axis) -> FloatArray:
+def _grid(axis: Axis) -> Floats:
     if axis.values is not None:
         grid = np.array(axis.values, dtype=np.float64)
     else:
@@ -137,7 +136,7 @@ class _Drawn(Table):
                 numbers[middle] = {"value": nominal, "factor": 1.0, "offset": 0.0}[self.draws]
         return {name: value for name, value in numbers.items() if value is not None}
 
-    def quantiles(self, probability: npt.ArrayLike, nominal: float) -> FloatArray:
+    def quantiles(self, probability: npt.ArrayLike, nominal: float) -> Floats:
         """Quantiles of the drawn number at these probabilities, around the nominal value of its key."""
         numbers = self.numbers(nominal)
         low, high = numbers.get("low"), numbers.get("high")
@@ -145,15 +144,15 @@ class _Drawn(Table):
         u = np.clip(np.asarray(probability, np.float64), _NEAREST_TO_EDGE, 1.0 - 2.0 * _NEAREST_TO_EDGE)
         below = 0.0 if low is None else float(distribution.cdf(low))
         above = 0.0 if high is None else float(distribution.sf(high))
-        values: FloatArray = np.asarray(distribution.ppf(below + u * (1.0 - below - above)), np.float64)
+        values: Floats = np.asarray(distribution.ppf(below + u * (1.0 - below - above)), np.float64)
         # the inverse of a distribution function is rounded: no value may leave the bounds for that
         return np.clip(values, low, high) if (low, high) != (None, None) else values
 
-    def sample(self, points: FloatArray, nominal: float) -> FloatArray:
+    def sample(self, points: Floats, nominal: float) -> Floats:
         """Numbers of the sample whose points have these coordinates, (count,) in [0, 1)."""
         return self.quantiles(points, nominal)
 
-    def applied(self, drawn: npt.ArrayLike, nominal: npt.ArrayLike) -> FloatArray:
+    def applied(self, drawn: npt.ArrayLike, nominal: npt.ArrayLike) -> Floats:
         """Values of the key, from the numbers that were drawn and its nominal value."""
         drawn, nominal = np.asarray(drawn, np.float64), np.asarray(nominal, np.float64)
         if self.draws == "factor":
@@ -212,11 +211,11 @@ class Listed(_Drawn):
         """Least and greatest number."""
         return {"low": min(self.values), "high": max(self.values)}
 
-    def quantiles(self, probability: npt.ArrayLike, nominal: float) -> FloatArray:
+    def quantiles(self, probability: npt.ArrayLike, nominal: float) -> Floats:
         """Quantiles of the numbers."""
         return np.asarray(np.quantile(np.array(self.values), np.asarray(probability, np.float64)), np.float64)
 
-    def sample(self, points: FloatArray, nominal: float) -> FloatArray:
+    def sample(self, points: Floats, nominal: float) -> Floats:
         """The numbers themselves."""
         return np.array(self.values)
 
@@ -250,7 +249,7 @@ class Sampling(Table):
     count: Annotated[int, Field(ge=1, le=MOST_DRAWS)] = 256
     seed: Annotated[int, Field(ge=0)] = 0
 
-    def points(self, dimensions: int) -> FloatArray:
+    def points(self, dimensions: int) -> Floats:
         """Points of the sample in the unit cube, (count, dimensions) float64 in [0, 1)."""
         from scipy.stats import qmc
 

@@ -15,10 +15,11 @@ from clunk.core.status import QUALITY_GRAZING, QUALITY_UNDECIDED, Status
 from clunk.results.labels import FAILED_CODE
 from clunk.results.quantities import REGIME_QUANTITIES, measured_quantities
 from clunk.results.regimemap import Results
+from clunk.study.arrays import Array, Bools, Cells, Records
 from clunk.study.config import study_from_text
-from clunk.study.designs import Cells, Design
+from clunk.study.designs import Design
 from clunk.study.study import Study, digest
-from clunk.sweeping.cells import Grid, Records, Systems
+from clunk.sweeping.cells import Grid, Systems
 from clunk.sweeping.engines import available_cores
 from clunk.sweeping.reduction import Flanks, Reduction, SweepError
 from clunk.sweeping.refinement import DOUBTFUL, Refinement, coarse_spacing
@@ -89,7 +90,7 @@ class RegimeReduction(Reduction[Results]):
         first = np.zeros(counts.size + 1, np.int64)
         np.cumsum(counts, out=first[1:])
 
-        def finished(name: str) -> npt.NDArray[Any]:
+        def finished(name: str) -> Array:
             if name == "sequence":
                 values = self._scratch.empty(self.codes.size, np.int16)
                 return np.take(final, self.codes, out=values, mode="wrap")  # -1 is the last
@@ -126,7 +127,7 @@ class RegimeReduction(Reduction[Results]):
             codes[k] = self.code(flanks)
         return codes
 
-    def _fill_inferred(self, values: npt.NDArray[Any], first: Cells) -> None:
+    def _fill_inferred(self, values: Array, first: Cells) -> None:
         """Set the impacts' flanks of cells that have not been run by their regime, and other quantities to NaN."""
         if values.dtype.kind == "f":
             values.fill(np.nan)
@@ -268,7 +269,7 @@ class MendedReduction(RegimeReduction):
 
 
 @compiled
-def _put(values: npt.NDArray[Any], first: Cells, rows: Cells, impacts: npt.NDArray[Any]) -> None:
+def _put(values: Array, first: Cells, rows: Cells, impacts: Array) -> None:
     """Put the impacts of some rows into C order; `first` has the position of each row's first one."""
     done = 0
     for row in rows:
@@ -279,10 +280,10 @@ def _put(values: npt.NDArray[Any], first: Cells, rows: Cells, impacts: npt.NDArr
 
 @compiled
 def _fill(
-    values: npt.NDArray[Any],
-    inferred: npt.NDArray[np.bool_],
+    values: Array,
+    inferred: Bools,
     regimes: npt.NDArray[np.int32],
-    of_regime: npt.NDArray[Any],
+    of_regime: Array,
 ) -> None:
     """Set inferred cells to the value of their regime, which is a number from 1."""
     for cell, regime in enumerate(regimes):

@@ -20,13 +20,13 @@ from clunk.core.switching import MOST_STAGES
 from clunk.simulation import driveline
 from clunk.simulation.batches import prepare_many, prepare_one
 from clunk.simulation.load import loads_of
-from clunk.study.designs import Cells, Design, FloatArray, design_of
+from clunk.study.arrays import Cells, Floats, Records
+from clunk.study.designs import Design, design_of
 from clunk.study.document import dotted
 from clunk.study.measures import OF_IMPACTS as IMPACT_MEASURES
 from clunk.study.study import Study, replace_values
 from clunk.sweeping.tiles import Layout, Tile
 
-Records = npt.NDArray[np.void]
 Flag = npt.NDArray[np.uint8]  # (1,); set by another thread, it ends the work within a run
 _Key = tuple[tuple[str, ...], tuple[float, ...]]  # structural parameters, and their values
 Runs = tuple[Cells, Records, list[Records]]  # positions of runs, their records, and their impacts in pieces
@@ -86,7 +86,7 @@ class Systems:
         self._keep({key: (batch, 0)})
         return batch
 
-    def batches(self, parameters: tuple[str, ...], points: FloatArray) -> Iterator[tuple[kernel.Batch, Cells]]:
+    def batches(self, parameters: tuple[str, ...], points: Floats) -> Iterator[tuple[kernel.Batch, Cells]]:
         """The drivelines at some values of structural parameters, which are prepared many at a time.
 
         points : (D, parameters)
@@ -158,7 +158,7 @@ class Grid:
         """The system that all cells share, if they do."""
         return None if self.structural else self.systems.nominal
 
-    def cases(self, values: Mapping[str, float | FloatArray], count: int) -> kernel.Cases:
+    def cases(self, values: Mapping[str, float | Floats], count: int) -> kernel.Cases:
         """Torques and gaps of `count` cells with these values of parameters."""
         swept = {key.removeprefix("load."): values[key] for key in values if key.startswith("load.")}
         before, pieces = loads_of(self.study.load, count, **swept)
@@ -167,7 +167,7 @@ class Grid:
             gaps[:, k] = values.get(dotted((*place, "backlash_deg")), lash.backlash_deg)
         return kernel.cases_of(before, np.deg2rad(gaps) / 2, pieces)
 
-    def points(self, values: Mapping[str, FloatArray], count: int) -> tuple[FloatArray, Cells]:
+    def points(self, values: Mapping[str, Floats], count: int) -> tuple[Floats, Cells]:
         """The different values of structural parameters, (D, parameters), and which of them each of the cells has.
 
         values : of each parameter in `count` cells
@@ -188,7 +188,7 @@ class Grid:
         return Tile(cells[done], records, details)
 
     def run_cases(
-        self, parameters: tuple[str, ...], points: FloatArray, point_of: Cells, cases: kernel.Cases, stop: Flag
+        self, parameters: tuple[str, ...], points: Floats, point_of: Cells, cases: kernel.Cases, stop: Flag
     ) -> tuple[Cells, Records, Records]:
         """Run cases, each with the driveline at one of some points.
 
@@ -221,7 +221,7 @@ class Grid:
     def _runs(
         self,
         parameters: tuple[str, ...],
-        points: FloatArray,
+        points: Floats,
         point_of: Cells,
         cases: kernel.Cases,
         stop: Flag,
@@ -239,7 +239,7 @@ class Grid:
                 yield positions, *self._run(batch, part, output, stop)
 
     def _by_batches(
-        self, parameters: tuple[str, ...], points: FloatArray, point_of: Cells, cases: kernel.Cases
+        self, parameters: tuple[str, ...], points: Floats, point_of: Cells, cases: kernel.Cases
     ) -> Iterator[tuple[kernel.Batch, Cells, kernel.Cases]]:
         """Cut runs by the batches of their drivelines, and by drivelines where each has many."""
         for batch, numbers in self.systems.batches(parameters, points):
@@ -257,7 +257,7 @@ class Grid:
                 some = positions[drivelines == each] if used.size > 1 else positions
                 yield batch.only(each), some, cases.at(some)
 
-    def logged(self, values: Mapping[str, FloatArray], count: int) -> tuple[Records, Records]:
+    def logged(self, values: Mapping[str, Floats], count: int) -> tuple[Records, Records]:
         """Run cells with these values of parameters and keep their events.
 
         Returns CELL (count, lashes), and EVENT (count, events), times NaN behind the last one.
@@ -338,7 +338,7 @@ def _with(record: np.dtype[np.void], fields: list[tuple[str, str]]) -> np.dtype[
     return np.dtype([*((name, record[name]) for name in record.names or ()), *fields], align=True) if fields else record
 
 
-def _joined(records: Records, layout: np.dtype[np.void], columns: FloatArray) -> Records:
+def _joined(records: Records, layout: np.dtype[np.void], columns: Floats) -> Records:
     """Records of a type with further fields, whose values are columns."""
     joined = np.zeros(records.size, layout)
     known = records.dtype.names or ()

@@ -30,7 +30,7 @@ from distributed import Client, KilledWorker, LocalCluster
 
 from clunk.core.jit import is_cold
 from clunk.results.files import reason
-from clunk.study.designs import Cells
+from clunk.study.arrays import Cells
 from clunk.sweeping import engines
 from clunk.sweeping.engines import EngineError, Runner, Stop, Work
 from clunk.sweeping.provenance import versions

@@ -21,7 +21,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from clunk.core.regimes import System
-from clunk.study.designs import Cells
+from clunk.study.arrays import Cells
 from clunk.study.errors import ClunkError
 from clunk.sweeping.cells import Flag
 from clunk.sweeping.signals import deferred_signals

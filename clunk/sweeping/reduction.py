@@ -16,8 +16,9 @@ from clunk.core.sequence import label
 from clunk.results.labels import FAILED_CODE
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
+from clunk.study.arrays import Bools, Cells
 from clunk.study.axes import ResultAxis, lash_axis
-from clunk.study.designs import Cells, Design
+from clunk.study.designs import Design
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study, digest, to_toml
 from clunk.sweeping.engines import Runner
@@ -52,7 +53,7 @@ class Reduction(ABC, Generic[SomeMap]):
     def __init__(self, study: Study, design: Design, runner: Runner) -> None:
         self.study, self.design, self.runner = study, design, runner
         self.rows = design.cells * runner.layout.lashes
-        self.known: npt.NDArray[np.bool_] = np.zeros(design.cells, bool)
+        self.known: Bools = np.zeros(design.cells, bool)
         self.done = 0
         self.sequences: dict[Flanks, int] = {}  # flanks -> code, in the order in which they were seen first
 

@@ -32,7 +32,8 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.jit import unowned, unowned_inlined
-from clunk.study.designs import Cells, Design
+from clunk.study.arrays import Bools, Cells, Floats
+from clunk.study.designs import Design
 
 UNKNOWN = 0  # regime of a cell that has not been run, and of a block in which none has
 DOUBTFUL = -1  # regime of one whose neighbours must be run whatever they are
@@ -49,11 +50,10 @@ _CREST = 4  # cells to either side
 _BESIDE = 2  # cells around one on a crest, so that the next one is seen
 _GAP = 6  # cells between the dashes of a thin regime
 
-Integers = npt.NDArray[np.int32]
-Mask = npt.NDArray[np.bool_]
+Numbers = npt.NDArray[np.int32]
 
 
-def spacings(axes: Sequence[npt.NDArray[np.float64]], intervals: int = COARSE_INTERVALS) -> tuple[int, ...]:
+def spacings(axes: Sequence[Floats], intervals: int = COARSE_INTERVALS) -> tuple[int, ...]:
     """The coarse spacing of each axis: the largest power of two that leaves so many intervals, or 1.
 
     axes : each (count,), the values; where they neither rise nor fall throughout, neighbours tell nothing: 1
@@ -77,17 +77,17 @@ class _Map(NamedTuple):
     position: Cells  # (axes,), room for a cell's indices
     origin: Cells  # (axes,), room for those of a block's first cell
     corners: Cells  # (3**axes,), room for the corners of a block's halves
-    regimes: Integers  # (cells,), `UNKNOWN` where they are
-    touches: Integers  # (cells,), one more than there are; `UNKNOWN`
-    crest: Mask  # (cells,), whether a cell is known to lie on one
-    asked: Mask  # (cells,), whether it is known or has been asked for
+    regimes: Numbers  # (cells,), `UNKNOWN` where they are
+    touches: Numbers  # (cells,), one more than there are; `UNKNOWN`
+    crest: Bools  # (cells,), whether a cell is known to lie on one
+    asked: Bools  # (cells,), whether it is known or has been asked for
     shifts: Cells  # (levels + 1, axes), log2 of a block's width; the last row is of single cells, which are no blocks
     blocks: Cells  # (levels, axes), number of blocks
     hops: Cells  # (levels, axes), from one to the next in their numbers
     first: Cells  # (levels,), number of a level's first block
-    of_block: Integers  # (all blocks,), regime of its known cells; `UNKNOWN` without any, `_HALVED` or `_RUN` if halved
-    fewest: Integers  # (all blocks,), touches of its known cells, if there are any
-    most: Integers  # (all blocks,)
+    of_block: Numbers  # (all blocks,), regime of its known cells; `UNKNOWN` without any, `_HALVED` or `_RUN` if halved
+    fewest: Numbers  # (all blocks,), touches of its known cells, if there are any
+    most: Numbers  # (all blocks,)
     directions: Cells  # (n, axes), of two opposite ones one
     along: Cells  # (n,), a step of each direction in cells
     ahead: Cells  # (n,), room for the number of cells to the edge of the map
@@ -142,7 +142,7 @@ class Refinement:
         edges = (np.append(np.arange(0, count, step), count - 1) for count, step in zip(shape, spacing, strict=True))
         self._coarse = np.unique(np.ravel_multi_index(np.meshgrid(*edges, indexing="ij"), tuple(shape)))
 
-    def take(self, cells: Cells, regimes: Integers, touches: Integers) -> Cells:
+    def take(self, cells: Cells, regimes: Numbers, touches: Numbers) -> Cells:
         """Take the regimes and touches of cells that have been run; returns further cells to run, in ascending order.
 
         cells : (n,), numbers in C order, in any order; none at first
@@ -157,7 +157,7 @@ class Refinement:
         count = _take(known, cells, wanted)
         return np.sort(np.concatenate((coarse, wanted[:count])))
 
-    def regimes(self) -> Integers:
+    def regimes(self) -> Numbers:
         """Each cell's regime, (cells,) int32: of cells not run, that of their block or of a cell beside them.
 
         Only when all cells that were asked for are known; no more can be taken after that.
@@ -316,7 +316,7 @@ def _ask_around(known: _Map, cell: int, offsets: Cells, wanted: Cells, count: in
 
 
 @unowned
-def _ask(asked: Mask, cell: int, wanted: Cells, count: int) -> int:
+def _ask(asked: Bools, cell: int, wanted: Cells, count: int) -> int:
     """Ask for a cell unless that has been done; returns the number of wanted cells."""
     if not asked[cell]:
         asked[cell] = True
@@ -326,7 +326,7 @@ def _ask(asked: Mask, cell: int, wanted: Cells, count: int) -> int:
 
 
 @unowned
-def _has_fewer(touches: Integers, cell: int, step: int, reach: int) -> bool:
+def _has_fewer(touches: Numbers, cell: int, step: int, reach: int) -> bool:
     """Whether one of the next known cells along a direction has fewer touches than this one."""
     fewer = False
     for k in range(1, min(reach, _CREST) + 1):
@@ -335,7 +335,7 @@ def _has_fewer(touches: Integers, cell: int, step: int, reach: int) -> bool:
 
 
 @unowned
-def _is_thin(regimes: Integers, cell: int, step: int) -> bool:
+def _is_thin(regimes: Numbers, cell: int, step: int) -> bool:
     """Whether a cell differs in regime from both of its neighbours, all three known."""
     regime, above, below = regimes[cell], regimes[cell + step], regimes[cell - step]
     return bool(regime > UNKNOWN and above != UNKNOWN and below != UNKNOWN and above != regime and below != regime)

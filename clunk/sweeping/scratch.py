@@ -8,12 +8,12 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from clunk.results.files import reason, reserve
+from clunk.study.arrays import Array
 from clunk.study.errors import ClunkError
 from clunk.sweeping.reduction import SweepError
 
@@ -39,13 +39,13 @@ class Scratch:
         self._directory = directory
         self._free = np.zeros(0, np.uint8)
 
-    def empty(self, count: int, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+    def empty(self, count: int, dtype: npt.DTypeLike) -> Array:
         """Uninitialised array, in memory or mapped to a temporary file."""
         if self._directory is None:
             return np.empty(count, dtype)
         return self._mapped(count * np.dtype(dtype).itemsize).view(dtype)[:count]
 
-    def keep(self, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def keep(self, array: Array) -> Array:
         """The array itself, or a copy of it that is mapped to a temporary file."""
         if self._directory is None:
             return array

@@ -10,12 +10,10 @@ import hashlib
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from clunk.study.designs import Cells
+from clunk.study.arrays import Array, Cells, Records
 
 _MAGIC = b"clunk tiles 2\n\0\0"
 _HEADER = struct.Struct("<16sQQ32s32s")  # magic, cells, details, origin, SHA-256 of all other bytes
@@ -35,7 +33,7 @@ class Layout:
     counted_by: str
     lashes: int = 1
 
-    def rows(self, cells: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def rows(self, cells: Array) -> Array:
         """Numbers of the rows of some cells, in their order, from the cells' numbers."""
         return cells if self.lashes == 1 else (cells[:, None] * self.lashes + np.arange(self.lashes)).ravel()
 
@@ -50,8 +48,8 @@ class Tile:
     """
 
     cells: Cells
-    records: npt.NDArray[np.void]
-    details: npt.NDArray[np.void]
+    records: Records
+    details: Records
 
 
 def to_pieces(tiles: Sequence[Tile], origin: bytes) -> list[bytes | memoryview]:

@@ -18,12 +18,13 @@ from clunk.core.status import Status
 from clunk.core.tile import LONGEST_PATTERN
 from clunk.results.labels import FAILED_CODE
 from clunk.results.tolerancemap import QUANTILES, ToleranceMap
+from clunk.study.arrays import Cells, Floats, Records
 from clunk.study.axes import ResultAxis
-from clunk.study.designs import Cells, FloatArray, design_of, drawn_numbers
+from clunk.study.designs import design_of, drawn_numbers
 from clunk.study.parameters import nominal_value, quantity
 from clunk.study.study import Study
 from clunk.sweeping.assembly import flanks_of, long_sequences
-from clunk.sweeping.cells import KEPT_SYSTEMS, Flag, Grid, Records, leaves_system
+from clunk.sweeping.cells import KEPT_SYSTEMS, Flag, Grid, leaves_system
 from clunk.sweeping.reduction import Flanks, Reduction
 from clunk.sweeping.tiles import Layout, Tile
 
@@ -110,9 +111,7 @@ class SampleRunner:
         records = np.array([record for record, _ in summaries], TOLERANCE_CELL)
         return Tile(cells, records, np.array([each for _, outcomes in summaries for each in outcomes], OUTCOME))
 
-    def _at(
-        self, draws: Cells, nominal: Mapping[str, FloatArray], count: int, structural: bool
-    ) -> dict[str, FloatArray]:
+    def _at(self, draws: Cells, nominal: Mapping[str, Floats], count: int, structural: bool) -> dict[str, Floats]:
         """Values at some draws, (draws, count), around nominal ones, (count,); the last draw is these.
 
         structural : whether of the parameters with which the system differs, or of the others
@@ -175,7 +174,7 @@ class ToleranceReduction(Reduction[ToleranceMap]):
         )
 
 
-def sample_of(study: Study, drawn: Sequence[FloatArray]) -> tuple[ResultAxis, ...]:
+def sample_of(study: Study, drawn: Sequence[Floats]) -> tuple[ResultAxis, ...]:
     """The sample as axes of results: the drawn numbers of each tolerance, with name and unit.
 
     Those of a key with a factor and an offset are named after these, too.
@@ -203,7 +202,7 @@ def _numbered(records: Records, impacts: list[Records], long: list[Flanks]) -> n
 
 
 def _summary(
-    patterns: npt.NDArray[np.uint64], severity: FloatArray, status: npt.NDArray[np.uint8], long: list[Flanks]
+    patterns: npt.NDArray[np.uint64], severity: Floats, status: npt.NDArray[np.uint8], long: list[Flanks]
 ) -> tuple[tuple[float, ...], list[tuple[int, int, int]]]:
     """A cell's TOLERANCE_CELL and its OUTCOMEs, from its runs; the last of them is the nominal one."""
     nominal = int(patterns[-1])
