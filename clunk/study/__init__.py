@@ -8,5 +8,6 @@ Knows keys, units, rules, presets, axes, draws and designs; nothing of how a dri
 - `rules`: what ties tables to one another, in a `study`;
 - `problems`: everything that is wrong, in one report.
 
-`parameters` are the keys that measure something, by name; `designs` are the cells of a sweep.
+`parameters` are the keys that measure something, by name; `designs` are the cells of a sweep;
+`arrays` are the types of arrays here and in the rooms that build on this one.
 """
