@@ -25,7 +25,7 @@ from clunk.analysis.verification import METHODS, Verification, by
 from clunk.report.tables import TABLES
 from clunk.results import targets
 from clunk.results.regimemap import Results
-from clunk.results.tolerancemap import ToleranceMap
+from clunk.results.tolerancemap import AnyMap, ToleranceMap
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.designs import design_of_points, has_tolerances
 from clunk.study.lashes import lash_position
@@ -35,7 +35,7 @@ from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.cells import compiling_note
 from clunk.sweeping.parts import WorkingDirectory
 from clunk.sweeping.progress import Progress, shown
-from clunk.sweeping.reduction import AnyMap, SweepError
+from clunk.sweeping.reduction import SweepError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

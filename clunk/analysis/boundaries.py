@@ -23,13 +23,13 @@ from clunk.analysis.tracing import Lines
 from clunk.analysis.triangles import Triangles
 from clunk.results.boundaries import NO_LABEL, Boundaries
 from clunk.results.regimemap import Results
+from clunk.results.tolerancemap import AnyMap
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import design_of, has_tolerances
 from clunk.study.errors import ClunkError
 from clunk.study.lashes import lash_position
 from clunk.study.parameters import located
 from clunk.study.study import Study
-from clunk.sweeping.reduction import AnyMap
 from clunk.sweeping.sweep import engine_of
 
 

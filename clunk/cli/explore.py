@@ -11,8 +11,7 @@ from clunk.cli import terminal
 from clunk.cli.options import PATH, set_option
 
 if TYPE_CHECKING:
-    from clunk.results.regimemap import Results
-    from clunk.results.tolerancemap import ToleranceMap
+    from clunk.results.tolerancemap import AnyMap
 
 
 @click.command()
@@ -45,7 +44,7 @@ def explore(source: Path, overrides: tuple[str, ...], no_browser: bool, port: in
         explorer.stop()
 
 
-def _results_of(source: Path, overrides: tuple[str, ...]) -> Results | ToleranceMap:
+def _results_of(source: Path, overrides: tuple[str, ...]) -> AnyMap:
     """The results of a file, or of a config that is swept now."""
     if source.suffix == ".h5":
         from clunk.results.store import read_map

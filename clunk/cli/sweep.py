@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
     from contextlib import AbstractContextManager
 
-    from clunk.results.regimemap import Results
-    from clunk.results.tolerancemap import ToleranceMap
+    from clunk.results.tolerancemap import AnyMap
     from clunk.study.study import Study
     from clunk.sweeping.sweep import Finish, Job
 
@@ -113,7 +112,7 @@ def _tracing(study: Study, lash: str | None, workers: int | None) -> Finish:
     """Function that adds the boundaries to a map, and says how many there are."""
     from clunk.analysis.boundaries import with_boundaries
 
-    def trace(results: Results | ToleranceMap) -> Results | ToleranceMap:
+    def trace(results: AnyMap) -> AnyMap:
         began = time.perf_counter()
         traced = with_boundaries(study, results, lash=lash, workers=workers)
         if traced is not results and traced.boundaries is not None:
@@ -124,7 +123,7 @@ def _tracing(study: Study, lash: str | None, workers: int | None) -> Finish:
     return trace
 
 
-def _run(job: Job, opening: AbstractContextManager[Executor], finish: Finish | None = None) -> Results | ToleranceMap:
+def _run(job: Job, opening: AbstractContextManager[Executor], finish: Finish | None = None) -> AnyMap:
     """Run a sweep with a progress bar; print what is used of an earlier one, and what is kept where it is stopped."""
     parts = job.parts
     terminal.warm_up(job.study, "swept")
@@ -141,7 +140,7 @@ def _run(job: Job, opening: AbstractContextManager[Executor], finish: Finish | N
         return job.run(engine, progress=advance, finish=finish)
 
 
-def _report(result: Results | ToleranceMap, job: Job, as_json: bool) -> int:
+def _report(result: AnyMap, job: Job, as_json: bool) -> int:
     """Print a map that has just been run; returns how many cells, or runs of a tolerance map, have failed."""
     from clunk.cli.textmap import is_drawable
     from clunk.results.tolerancemap import ToleranceMap

@@ -16,9 +16,8 @@ if TYPE_CHECKING:
 
     from clunk.analysis.ranks import Ranks
     from clunk.results.boundaries import Boundaries
-    from clunk.results.tolerancemap import ToleranceMap
+    from clunk.results.tolerancemap import AnyMap, ToleranceMap
     from clunk.study.axes import ResultAxis
-    from clunk.sweeping.reduction import AnyMap
 
 Value = TypeVar("Value")
 

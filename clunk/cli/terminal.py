@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from clunk.results.regimemap import Results
-    from clunk.results.tolerancemap import ToleranceMap
+    from clunk.results.tolerancemap import AnyMap
     from clunk.study.study import Study
     from clunk.sweeping.sweep import Job
 
@@ -108,7 +107,7 @@ def report_speed(job: Job, draws: int = 0) -> None:
         click.echo(f"{ran:,} of them were run; {rest}", err=True)
 
 
-def report_failures(results: Results | ToleranceMap, how: str = "") -> None:
+def report_failures(results: AnyMap, how: str = "") -> None:
     """Print the failed cells by cause, and where the first few are; `how` goes after "failed"."""
     import numpy as np
 

@@ -14,8 +14,7 @@ from clunk.study.arrays import Floats, Positions
 from clunk.study.axes import RUN
 
 if TYPE_CHECKING:
-    from clunk.results.regimemap import Results
-    from clunk.results.tolerancemap import ToleranceMap
+    from clunk.results.tolerancemap import AnyMap
     from clunk.study.axes import ResultAxis
 
 _COLUMNS, _ROWS = 64, 20  # of a map, beside the numbers of its upward axis
@@ -30,7 +29,7 @@ def is_drawable(axes: Sequence[ResultAxis]) -> bool:
     return len(names) == 1 or (len(names) == 2 and RUN not in names)
 
 
-def text_map(results: Results | ToleranceMap) -> list[str]:
+def text_map(results: AnyMap) -> list[str]:
     """Lines of the map of one lash, for whose axes `is_drawable` holds: letters, the axes' values, and a legend.
 
     The load ratio, or else the first axis, goes from left to right. Of an axis with more values than there is room for,

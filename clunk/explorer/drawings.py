@@ -17,8 +17,7 @@ from clunk.plot.painting import Colours, margin_of
 from clunk.plot.raster import corners_that_fit, fine_index
 from clunk.plot.style import FAILED_FILL, UNDEFINED
 from clunk.results.labels import FAILED_CODE
-from clunk.results.regimemap import Results
-from clunk.results.tolerancemap import ToleranceMap
+from clunk.results.tolerancemap import AnyMap, ToleranceMap
 from clunk.study.arrays import Floats
 
 _SKIP = 4  # of the image, between the pixels among which labels are placed
@@ -26,7 +25,7 @@ _WIDTH, _HEIGHT = 2, 5  # of these pixels, that a character of a label takes
 _SHADES = 256
 
 
-def picture_of(results: Results | ToleranceMap, quantity: str, dimensions: int) -> Picture:
+def picture_of(results: AnyMap, quantity: str, dimensions: int) -> Picture:
     """The picture of one lash's map over this many axes. Raises PlotError where the quantity has no value at all."""
     paleness, colours = None, None
     if isinstance(results, ToleranceMap):

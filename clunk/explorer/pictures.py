@@ -12,8 +12,7 @@ import numpy.typing as npt
 from clunk.plot.plane import Codes, View, cell_edges, ruler
 from clunk.plot.style import FAILED_FILL, palette_of
 from clunk.results.labels import FAILED, FAILED_CODE
-from clunk.results.regimemap import Results
-from clunk.results.tolerancemap import ToleranceMap
+from clunk.results.tolerancemap import AnyMap
 from clunk.study.arrays import Floats, Positions
 from clunk.study.axes import ResultAxis
 
@@ -60,7 +59,7 @@ class Picture:
     peak: tuple[float, ...] | None = None
 
 
-def cells_picture(results: Results | ToleranceMap) -> Picture:
+def cells_picture(results: AnyMap) -> Picture:
     """The picture of one lash's regimes over two axes without boundaries, each pixel of the nearest cell's colour."""
     view = View.of(results, 2)
     labels = results.labels if results.boundaries is None else results.boundaries.labels

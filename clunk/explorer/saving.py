@@ -11,8 +11,7 @@ from pathlib import PurePath
 from typing import NamedTuple
 
 from clunk.explorer.variations import Variations
-from clunk.results.regimemap import Results
-from clunk.results.tolerancemap import ToleranceMap
+from clunk.results.tolerancemap import AnyMap
 from clunk.simulation.energy import EnergyBalance
 from clunk.simulation.history import History
 
@@ -35,7 +34,7 @@ class Shown(NamedTuple):
 
 
 def download(
-    name: str, runs: Sequence[Shown], variations: Variations, results: Results | ToleranceMap, quantity: str
+    name: str, runs: Sequence[Shown], variations: Variations, results: AnyMap, quantity: str
 ) -> dict[str, list[str]]:
     """One of `NAMES` as the browser is handed it: its name, its type, and its content in base 64.
 

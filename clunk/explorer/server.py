@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from clunk.explorer.subject import ExplorerError, Subject
 from clunk.results.files import reason
-from clunk.results.regimemap import Results
-from clunk.results.tolerancemap import ToleranceMap
+from clunk.results.tolerancemap import AnyMap
 from clunk.sweeping.progress import in_notebook
 
 try:
@@ -178,7 +177,7 @@ class Explorer:
 
 
 def explore(
-    results: Results | ToleranceMap, *, name: str | os.PathLike[str] = "map", port: int = 0, browser: bool | None = None
+    results: AnyMap, *, name: str | os.PathLike[str] = "map", port: int = 0, browser: bool | None = None
 ) -> Explorer:
     """Serve a page on which a map is pointed at, and the motion there is seen.
 

@@ -13,7 +13,7 @@ from functools import cached_property
 from clunk.results.labels import FAILED
 from clunk.results.maps import parameters_of, values_at
 from clunk.results.regimemap import Results
-from clunk.results.tolerancemap import ToleranceMap
+from clunk.results.tolerancemap import AnyMap, ToleranceMap
 from clunk.study.axes import LASH, RUN, ResultAxis
 from clunk.study.errors import ClunkError
 
@@ -34,11 +34,11 @@ class Subject:
     name : for files that are saved
     """
 
-    results: Results | ToleranceMap
+    results: AnyMap
     name: str
 
     @classmethod
-    def of(cls, results: Results | ToleranceMap, name: str | os.PathLike[str] = "map") -> Subject:
+    def of(cls, results: AnyMap, name: str | os.PathLike[str] = "map") -> Subject:
         """The subject of some results. Raises ExplorerError where no run can be made of a cell."""
         if not results.config:
             raise ExplorerError("These results have no config, so that no run can be made of a cell.")
@@ -77,7 +77,7 @@ class Subject:
         """Whether some parameters lie together along `run`."""
         return any(axis.parameter == RUN for axis in self.results.axes)
 
-    def stored(self, slices: Numbers) -> Results | ToleranceMap:
+    def stored(self, slices: Numbers) -> AnyMap:
         """The stored map at values of the further axes."""
         return self.results.at(slices) if slices else self.results
 

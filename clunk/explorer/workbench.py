@@ -23,7 +23,7 @@ from clunk.plot.layers import QUANTITIES, quantities_of
 from clunk.plot.plane import number_text, value_text
 from clunk.results.maps import share
 from clunk.results.regimemap import Results
-from clunk.results.tolerancemap import CERTAIN, ToleranceMap
+from clunk.results.tolerancemap import CERTAIN, AnyMap, ToleranceMap
 from clunk.simulation.energy import balance
 from clunk.study.errors import ClunkError
 
@@ -49,7 +49,7 @@ class Workbench:
         self._numbers: dict[str, float] = {}
         self._slices: dict[str, float] = {}
         self._is_ready = False
-        self._results: Results | ToleranceMap | None = None
+        self._results: AnyMap | None = None
         self._drawn = ""  # the quantity that the map shows
         self._cell = self._first_cell()
         self._hovered: Cell | None = None
@@ -280,7 +280,7 @@ class Workbench:
         nominal = "nominal " if isinstance(subject.results, ToleranceMap) else ""
         refine = quantity == "regimes"  # of anything else, an inferred cell has no value
 
-        def show(request: Request, results: Results | ToleranceMap, status: str) -> None:
+        def show(request: Request, results: AnyMap, status: str) -> None:
             from clunk.explorer.drawings import picture_of  # matplotlib: the first run does not wait for it
 
             part, thresholds = results.of_lash(lash), []
@@ -319,7 +319,7 @@ class Workbench:
     def _show_map(
         self,
         request: Request,
-        results: Results | ToleranceMap,
+        results: AnyMap,
         quantity: str,
         picture: Picture,
         thresholds: list[float],
@@ -377,13 +377,13 @@ def _listed(what: str, values: list[float]) -> list[str]:
     return [f"{what}: {', '.join(f'{each:.4g}' for each in values)}"] if 0 < len(values) <= _LISTED else []
 
 
-def _hardness(results: Results | ToleranceMap) -> str:
+def _hardness(results: AnyMap) -> str:
     from clunk.plot.drawing import hardness  # only where there is a curve, not a map
 
     return hardness(results) if isinstance(results, Results) else "severity"
 
 
-def _quantities(results: Results | ToleranceMap) -> dict[str, str]:
+def _quantities(results: AnyMap) -> dict[str, str]:
     """Quantities of results that can be drawn, with their names for people."""
     if isinstance(results, ToleranceMap):
         from clunk.plot import certainty  # with matplotlib, which regime maps do not wait for

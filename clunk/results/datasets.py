@@ -10,13 +10,13 @@ import numpy as np
 from clunk.results.labels import FAILED_CODE
 from clunk.results.regimemap import Results
 from clunk.results.store import map_of, opened, to_image
-from clunk.results.tolerancemap import ToleranceMap
+from clunk.results.tolerancemap import AnyMap
 
 if TYPE_CHECKING:
     from xarray import Dataset
 
 
-def open_results(path: str | os.PathLike[str]) -> Dataset | Results | ToleranceMap:
+def open_results(path: str | os.PathLike[str]) -> Dataset | AnyMap:
     """Open a results file as an xarray Dataset, or as `Results` or `ToleranceMap` where xarray is not installed.
 
     The file is checked and read whole (45 bytes a cell, and 25 a primary impact for as many of these as the cell that

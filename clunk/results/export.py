@@ -21,22 +21,21 @@ from clunk.results.files import write_text, write_whole, writing
 from clunk.results.labels import FAILED
 from clunk.results.maps import Map
 from clunk.results.quantities import Quantity
-from clunk.results.regimemap import Results
 from clunk.results.store import StoreError
-from clunk.results.tolerancemap import ToleranceMap
+from clunk.results.tolerancemap import AnyMap
 from clunk.study.arrays import Array
 from clunk.study.axes import RUN, ResultAxis
 
 _ROWS = 4096  # cells, written at once
 
 
-def save(path: str | os.PathLike[str], results: Results | ToleranceMap) -> None:
+def save(path: str | os.PathLike[str], results: AnyMap) -> None:
     """Write a map in the format of the file name's suffix, one of `WRITERS`. Raises StoreError."""
     with writing(path, StoreError) as target:
         write_whole(target, lambda stream: WRITERS[target.suffix.lower()](stream, results))
 
 
-def _write_csv(stream: BinaryIO, results: Results | ToleranceMap) -> None:
+def _write_csv(stream: BinaryIO, results: AnyMap) -> None:
     """Write a row for each cell: its parameters and its quantities, codes as words, and nothing for NaN.
 
     A quantity of each primary impact, label or quantile has a column for each of these.
@@ -64,7 +63,7 @@ def _write_csv(stream: BinaryIO, results: Results | ToleranceMap) -> None:
     text.detach()  # flushed, and the stream stays open
 
 
-def _write_mat(stream: BinaryIO, results: Results | ToleranceMap) -> None:
+def _write_mat(stream: BinaryIO, results: AnyMap) -> None:
     """Write each variable of the results file as an array, and its unit; `labels` begins with that of the code -1."""
     from scipy.io import savemat
     from scipy.io.matlab import MatWriteError

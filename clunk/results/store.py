@@ -39,7 +39,7 @@ from clunk.results.netcdf import (
 )
 from clunk.results.quantities import REGIME_QUANTITIES, TOLERANCE_QUANTITIES, Quantity
 from clunk.results.regimemap import Results
-from clunk.results.tolerancemap import ToleranceMap
+from clunk.results.tolerancemap import AnyMap, ToleranceMap
 from clunk.study.arrays import Array
 from clunk.study.axes import LASH, RUN, ResultAxis, lash_axis
 from clunk.study.document import nearest_file
@@ -88,7 +88,7 @@ class Header(Description):
         return bool(self.sample)
 
 
-def write_results(path: str | os.PathLike[str], results: Results | ToleranceMap, scratch: Path | None = None) -> None:
+def write_results(path: str | os.PathLike[str], results: AnyMap, scratch: Path | None = None) -> None:
     """Write a results file so that at every moment `path` is either the old file or the complete new one.
 
     Missing parent directories are made. What is not complete yet is in `scratch`, by default in the same directory.
@@ -104,7 +104,7 @@ def write_results(path: str | os.PathLike[str], results: Results | ToleranceMap,
         write_file(target, lambda file: _fill(file, results), scratch, large=results.sequence.size > _LARGE)
 
 
-def to_image(results: Results | ToleranceMap) -> io.BytesIO:
+def to_image(results: AnyMap) -> io.BytesIO:
     """Write a results file in memory."""
     return image_of(lambda file: _fill(file, results))
 
@@ -149,7 +149,7 @@ def read_tolerance_map(path: str | os.PathLike[str]) -> ToleranceMap:
     return results
 
 
-def read_map(path: str | os.PathLike[str]) -> Results | ToleranceMap:
+def read_map(path: str | os.PathLike[str]) -> AnyMap:
     """Read whichever map a results file holds, as `read_results` and `read_tolerance_map`. Raises StoreError."""
     with opened(path) as (file, header, _):
         return map_of(file, header)
@@ -175,7 +175,7 @@ def check(path: str | os.PathLike[str]) -> Header:
 # --- writing
 
 
-def _fill(file: Image, results: Results | ToleranceMap) -> None:
+def _fill(file: Image, results: AnyMap) -> None:
     sample, boundaries = results.sample, results.boundaries
     set_text(file, "title", results.title)
     set_text(file, "Conventions", CONVENTIONS)
@@ -308,7 +308,7 @@ def opened(path: str | os.PathLike[str], *, header_only: bool = False) -> Iterat
         raise StoreError(f"{path} is damaged ({reason(error)}): run the sweep again.") from error
 
 
-def map_of(file: h5py.File, header: Header) -> Results | ToleranceMap:
+def map_of(file: h5py.File, header: Header) -> AnyMap:
     """Read the map of an open file. Raises ValueError where it cannot be one."""
     described: dict[str, Any] = {field.name: getattr(header, field.name) for field in dataclasses.fields(Description)}
     arrays: dict[str, Any] = {}

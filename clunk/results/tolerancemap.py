@@ -12,6 +12,7 @@ import numpy.typing as npt
 from clunk.results.labels import FAILED, FAILED_CODE, double_sided
 from clunk.results.maps import Index, Map, require_array, require_codes, share
 from clunk.results.quantities import TOLERANCE_QUANTITIES, Quantity
+from clunk.results.regimemap import Results
 from clunk.study.arrays import Array, Floats
 from clunk.study.summaries import Rows
 
@@ -132,3 +133,6 @@ def most_likely(runs: npt.NDArray[np.int32]) -> npt.NDArray[np.int16]:
     code: npt.NDArray[np.int16] = np.argmax(runs, axis=-1).astype(np.int16)
     code[code == runs.shape[-1] - 1] = FAILED_CODE
     return code
+
+
+AnyMap = Results | ToleranceMap

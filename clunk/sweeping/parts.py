@@ -21,11 +21,12 @@ from pathlib import Path
 from typing import Any, BinaryIO, Self
 
 from clunk.results.files import reason, write_whole
+from clunk.results.tolerancemap import AnyMap
 from clunk.study.document import leaves
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study, decisive_content, digest
 from clunk.sweeping.provenance import versions
-from clunk.sweeping.reduction import AnyMap, Reduction
+from clunk.sweeping.reduction import Reduction
 from clunk.sweeping.tiles import Tile, from_bytes, to_pieces
 
 _FIRST_PART = 2.0  # s: a shorter sweep is as soon run again

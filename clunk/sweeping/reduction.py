@@ -14,8 +14,7 @@ import numpy.typing as npt
 
 from clunk.core.sequence import label
 from clunk.results.labels import FAILED_CODE
-from clunk.results.regimemap import Results
-from clunk.results.tolerancemap import ToleranceMap
+from clunk.results.tolerancemap import AnyMap
 from clunk.study.arrays import Bools, Cells
 from clunk.study.axes import ResultAxis, lash_axis
 from clunk.study.designs import Design
@@ -24,7 +23,6 @@ from clunk.study.study import Study, digest, to_toml
 from clunk.sweeping.engines import Runner
 from clunk.sweeping.tiles import Tile
 
-AnyMap = Results | ToleranceMap
 SomeMap = TypeVar("SomeMap", bound=AnyMap, covariant=True)
 Flanks = tuple[int, ...]  # of a run's primary impacts in order, +1 opposite, -1 initial
 

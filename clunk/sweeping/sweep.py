@@ -14,6 +14,7 @@ from pathlib import Path
 from clunk.core.status import Status
 from clunk.results.regimemap import Results
 from clunk.results.store import Header, StoreError, read_header, read_map, read_results, write_results
+from clunk.results.tolerancemap import AnyMap
 from clunk.simulation.driveline import explained
 from clunk.study.config import study_from_text
 from clunk.study.designs import Design, design_of, has_tolerances
@@ -25,7 +26,7 @@ from clunk.sweeping.engines import EngineError, Work, available_cores, run_tiles
 from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory, differences, flat
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.provenance import provenance
-from clunk.sweeping.reduction import AnyMap, Reduction, SweepError
+from clunk.sweeping.reduction import Reduction, SweepError
 from clunk.sweeping.scratch import refuse_if_too_large, scratch_for
 from clunk.sweeping.signals import Threads
 from clunk.sweeping.tolerances import ToleranceReduction
