@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.arrays import Codes, Floats
 from clunk.analysis.boundaryevents import events_between, split_by_event
 from clunk.analysis.network import SAME, junctions_of, paths_of, regions_of, rings_of
 from clunk.analysis.pointruns import RUN, PointRuns, Runs
@@ -24,6 +23,7 @@ from clunk.analysis.triangles import Triangles
 from clunk.results.boundaries import NO_LABEL, Boundaries
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import AnyMap
+from clunk.study.arrays import Codes, Floats
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import design_of, has_tolerances
 from clunk.study.errors import ClunkError

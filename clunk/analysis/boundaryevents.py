@@ -7,7 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from clunk.analysis.arrays import Codes, Floats, Records
 from clunk.analysis.network import Path
 from clunk.analysis.pointruns import Events, PointRuns
 from clunk.core.events import STAGE, TOUCH
@@ -20,6 +19,7 @@ from clunk.results.boundaries import (
     STICKING_TIME,
     UNKNOWN,
 )
+from clunk.study.arrays import Codes, Floats, Records
 
 _AT_END = 1e-6  # of the end time
 _SAME_TIME = 1e-6  # likewise: runs 1e-9 apart are alike until an event that only one of them has

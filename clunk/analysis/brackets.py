@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.arrays import Codes, Floats
+from clunk.study.arrays import Codes, Floats
 
 Points = npt.NDArray[np.void]  # POINT
 

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from clunk.analysis.arrays import Bools, Positions
 from clunk.results.labels import FAILED_CODE
 from clunk.results.maps import parameters_of, values_at
 from clunk.results.regimemap import Results
+from clunk.study.arrays import Bools, Positions
 from clunk.study.axes import ResultAxis
 from clunk.study.document import leaves
 from clunk.study.errors import ClunkError

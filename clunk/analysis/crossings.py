@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from clunk.analysis.arrays import Codes, Floats
 from clunk.analysis.brackets import POINT, TOLERANCE, Points, narrow
 from clunk.analysis.pointruns import RUN, RUN_FIELDS, Runs
 from clunk.analysis.searches import Search
+from clunk.study.arrays import Codes, Floats
 
 _ONCE_MORE = [0, 0, 1, 1]
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from clunk.analysis.arrays import Floats
+from clunk.study.arrays import Floats
 
 POPULATION = 512
 _KERNELS = 64  # of a proposal

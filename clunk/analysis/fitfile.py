@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk import __version__
-from clunk.analysis.arrays import Patterns, Records
 from clunk.analysis.fitparts import FitError
 from clunk.analysis.fitruns import MATCH, label_of, pattern_of
 from clunk.analysis.fitted import Fewer, Fitted
@@ -28,6 +27,7 @@ from clunk.results.netcdf import (
     set_text,
     write_file,
 )
+from clunk.study.arrays import Patterns, Records
 from clunk.study.config import study_from_text
 from clunk.study.study import to_toml
 

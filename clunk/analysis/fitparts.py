@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from clunk.analysis.arrays import Floats, Records
 from clunk.analysis.fitruns import MATCH, CandidateRuns, Worth
 from clunk.results.files import reason, write_whole
+from clunk.study.arrays import Floats, Records
 from clunk.study.errors import ClunkError
 from clunk.sweeping.parts import WorkingDirectory
 from clunk.sweeping.progress import Progress

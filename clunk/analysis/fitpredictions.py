@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clunk.analysis.arrays import Bools, Floats, Patterns, Records
 from clunk.analysis.fitensemble import effective_size, weights_of
+from clunk.study.arrays import Bools, Floats, Patterns, Records
 from clunk.study.fits import Fit
 
 _PRIOR_WEIGHT = 10.0  # measurements that the expected share of wrong labels is worth

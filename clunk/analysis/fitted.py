@@ -8,12 +8,12 @@ from functools import cached_property
 
 import numpy as np
 
-from clunk.analysis.arrays import Floats, Patterns, Records
 from clunk.analysis.fitensemble import effective_size, weights_of
 from clunk.analysis.fitpredictions import Prediction, left_out_groups, losses, predict_left_out, probabilities
 from clunk.analysis.fitreasons import reason_of
 from clunk.analysis.fitruns import axes_of, label_of, numbers_at, patterns_of
 from clunk.analysis.measurements import Experiment
+from clunk.study.arrays import Floats, Patterns, Records
 from clunk.study.fits import Fit
 from clunk.study.parameters import nominal_value
 from clunk.study.study import Study

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from clunk.analysis.arrays import Floats
 from clunk.analysis.fitted import Fitted
+from clunk.study.arrays import Floats
 from clunk.study.document import with_value
 from clunk.study.parameters import located, nominal_value
 from clunk.study.study import Study, content

@@ -9,7 +9,6 @@ from itertools import product
 
 import numpy as np
 
-from clunk.analysis.arrays import Bools, Floats, Patterns, Records
 from clunk.analysis.fitensemble import Population, effective_size, sample, sobol_points, weights_of
 from clunk.analysis.fitparts import FitError, Populations
 from clunk.analysis.fitpredictions import losses, predict_left_out
@@ -17,6 +16,7 @@ from clunk.analysis.fitruns import CandidateRuns, axes_of, numbers_at, patterns_
 from clunk.analysis.fitted import Fewer, Fitted
 from clunk.analysis.measurements import Experiment
 from clunk.core.status import Status
+from clunk.study.arrays import Bools, Floats, Patterns, Records
 from clunk.study.fits import Fit
 from clunk.study.keys import key_at
 from clunk.study.lashes import lash_position

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from clunk.analysis.arrays import Codes, Floats
 from clunk.analysis.brackets import TOLERANCE
 from clunk.analysis.crossings import located
 from clunk.analysis.searches import Search
+from clunk.study.arrays import Codes, Floats
 
 _NEARER = np.append(
     1 / np.array([64, 16, 8, 4, 2]), 1.0 - 0.5 ** np.array([2, 4, 8, 14, 20, 26])

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from clunk.analysis.arrays import Codes, Floats
+from clunk.study.arrays import Codes, Floats
 
 SAME = 1e-8  # of the map: triple points so near to each other are one junction
 _CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])

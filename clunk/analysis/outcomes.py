@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clunk.analysis.arrays import Floats
 from clunk.results.labels import double_sided, normalised_label
 from clunk.results.quantities import CELL_QUANTITIES, Quantity, likely_name, measured_quantities
+from clunk.study.arrays import Floats
 from clunk.study.errors import ClunkError
 from clunk.study.measures import OF_IMPACTS
 from clunk.study.problems import listing, shorten

@@ -13,9 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from clunk.analysis.arrays import Codes, Floats
 from clunk.analysis.thresholds import DRAW, UNCERTAIN_CODE, ThresholdError, Thresholds
 from clunk.results.labels import FAILED_CODE
+from clunk.study.arrays import Codes, Floats
 from clunk.study.axes import ResultAxis
 
 QUANTILE = "quantile"  # the axis in the place of `draw`

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import rankdata
 
-from clunk.analysis.arrays import Floats
 from clunk.analysis.ridge import ridge_of
 from clunk.results.quantities import Quantity
 from clunk.results.regimemap import Results
+from clunk.study.arrays import Floats
 
 _ROWS = 5  # values of the first axis at which ridges are told
 

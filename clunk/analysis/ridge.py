@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from clunk.analysis.arrays import Floats
+from clunk.study.arrays import Floats
 
 
 def ridge_of(values: Floats) -> Floats:

@@ -7,8 +7,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from clunk.analysis.arrays import Floats
 from clunk.analysis.pointruns import Runs
+from clunk.study.arrays import Floats
 
 _Result = TypeVar("_Result")
 Run = Callable[[Floats], Runs]  # of points (n, 2), on each axis from 0 to 1

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clunk.analysis.arrays import Floats, Positions
 from clunk.analysis.outcomes import DOUBLE_SIDED, LABEL, NOMINAL, Outcome, measuring, outcome_of
 from clunk.core.status import Status
 from clunk.results.regimemap import Results
 from clunk.simulation.trajectory import simulate
+from clunk.study.arrays import Floats, Positions
 from clunk.study.designs import Column, Design
 from clunk.study.document import dotted
 from clunk.study.errors import ClunkError

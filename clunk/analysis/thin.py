@@ -12,12 +12,12 @@ from itertools import count
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.arrays import Codes, Floats, Nodes
 from clunk.analysis.pointruns import RUN, RUN_FIELDS, Runs
 from clunk.analysis.searches import Search
 from clunk.analysis.triangles import Triangles, cross, keys_of
 from clunk.core.exact.run import MOST
 from clunk.results.labels import FAILED_CODE
+from clunk.study.arrays import Codes, Floats, Nodes
 
 _THINNEST = 1e-6  # of the map, a region that is looked for where touches change
 _TOUCHES = 2  # by which neighbours differ, where no margin is known

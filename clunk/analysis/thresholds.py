@@ -20,13 +20,13 @@ from typing import Any
 
 import numpy as np
 
-from clunk.analysis.arrays import Bools, Codes, Floats
 from clunk.analysis.brackets import POINT, Points, narrow
 from clunk.analysis.outcomes import CHATTER, LABEL, MEASURED, NOMINAL, Outcome, measuring, outcome_of
 from clunk.analysis.searches import Search, side_by_side
 from clunk.core.status import Status
 from clunk.results.labels import FAILED, FAILED_CODE, excursions
 from clunk.results.regimemap import Results
+from clunk.study.arrays import Bools, Codes, Floats
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import Column, Design, design_of, drawn_numbers, has_tolerances
 from clunk.study.errors import ClunkError

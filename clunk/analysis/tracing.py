@@ -11,13 +11,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from clunk.analysis.arrays import Codes, Floats, Nodes, Records
 from clunk.analysis.crossings import located
 from clunk.analysis.junctions import triple_points
 from clunk.analysis.pointruns import RUN
 from clunk.analysis.searches import Run, Search, side_by_side
 from clunk.analysis.thin import hidden
 from clunk.analysis.triangles import Triangles, cross, ends_of, keys_of
+from clunk.study.arrays import Codes, Floats, Nodes, Records
 
 CHORD = 1e-4  # of the map, that a line may be off its chord
 _MOST_ROUNDS = 12  # of new nodes

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from clunk.analysis.arrays import Bools, Codes, Floats, Nodes
 from clunk.analysis.pointruns import Runs
+from clunk.study.arrays import Bools, Codes, Floats, Nodes
 
 _OUTWARD = np.array([[-1], [1]])  # from the first and from the second end of an edge
 _STRAIGHT = 1e-12  # of the map: such a cross product is of one line

@@ -15,13 +15,13 @@ from typing import Literal
 
 import numpy as np
 
-from clunk.analysis.arrays import Bools
 from clunk.analysis.comparison import Comparison, DifferingCell, compare
 from clunk.core.status import QUALITY_GRAZING, QUALITY_UNDECIDED
 from clunk.results.maps import values_at
 from clunk.results.quantities import IMPACT_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.simulation.trajectory import Trajectory, simulate
+from clunk.study.arrays import Bools
 from clunk.study.designs import nominal
 from clunk.study.document import dotted
 from clunk.study.study import Study

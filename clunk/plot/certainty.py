@@ -20,10 +20,11 @@ from clunk.plot.labelling import label_and_note
 from clunk.plot.layers import Layers
 from clunk.plot.notes import cells_phrase, set_notes, swatch
 from clunk.plot.painting import Colours, new_map, paint_regimes, shaded_map
-from clunk.plot.plane import Floats, View, drawn_axes, scale_axis
+from clunk.plot.plane import View, drawn_axes, scale_axis
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.quantities import CELL_QUANTITIES, TOLERANCE_QUANTITIES
 from clunk.results.tolerancemap import CERTAIN, QUANTILES, ToleranceMap
+from clunk.study.arrays import Floats
 
 _SEVERITIES = {"severity": TOLERANCE_QUANTITIES["severity_mean"].plot_label} | {
     f"severity_{100 * level:g}": f"{100 * level:g} % {TOLERANCE_QUANTITIES['severity_quantiles'].heading_with_unit}"

@@ -22,10 +22,11 @@ from clunk.plot.labelling import label_regions
 from clunk.plot.layers import Layers, stacked
 from clunk.plot.notes import failed_notes, label_notes, note_columns, set_notes, undecided_notes, undefined_notes
 from clunk.plot.painting import Colours, mark_undecided, paint_quantity, paint_regimes
-from clunk.plot.plane import Floats, SurplusAxesError, axis_label, drawn_axes, scale_axes, value_text
+from clunk.plot.plane import SurplusAxesError, axis_label, drawn_axes, scale_axes, value_text
 from clunk.plot.raster import Raster
 from clunk.plot.style import FAINT_INK, SIZE, PlotError, bare, freeze_layout, new_figure, styled, symbol_text
 from clunk.results.regimemap import Results
+from clunk.study.arrays import Floats
 from clunk.study.axes import RUN, ResultAxis
 
 MOST_VALUES = (12, 4)  # of one facet, of each of two

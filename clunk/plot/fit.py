@@ -17,8 +17,8 @@ from clunk.analysis.trends import compare_experiment
 from clunk.plot import style
 from clunk.plot.comparisons import draw_points
 from clunk.plot.facets import facet_map
-from clunk.plot.plane import Floats
 from clunk.results.regimemap import Results
+from clunk.study.arrays import Floats
 from clunk.study.parameters import quantity
 
 _PANEL = 1.9  # inches, of the corner plot

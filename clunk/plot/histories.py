@@ -25,10 +25,10 @@ from clunk.plot.history_panels import (
     draw_torque,
     touch_look,
 )
-from clunk.plot.plane import Bools
 from clunk.plot.style import FAINT_INK, HISTORY_WIDTH, MINUS, PlotError
 from clunk.simulation.history import History
 from clunk.simulation.load import load_step
+from clunk.study.arrays import Bools
 from clunk.study.loads import PROFILES, STEP_KEYS, numbers
 from clunk.study.problems import listing
 

@@ -7,7 +7,6 @@ import textwrap
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib import ticker
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -16,6 +15,7 @@ from matplotlib.patches import Patch
 
 from clunk.analysis.sobol import CONFIDENCE, Indices, Sensitivity
 from clunk.plot import style
+from clunk.study.arrays import Positions
 from clunk.study.parameters import quantity
 
 _ABREAST = 3  # panels
@@ -72,7 +72,7 @@ def sobol_bars(sensitivity: Sensitivity) -> Figure:
     return figure
 
 
-def _draw_bars(ax: Axes, indices: Indices, order: npt.NDArray[np.intp]) -> None:
+def _draw_bars(ax: Axes, indices: Indices, order: Positions) -> None:
     """Draw both indices of each parameter as bars, and their intervals over them."""
     places = np.arange(order.size)
     first, total = (indices.first, indices.first_interval, _FIRST), (indices.total, indices.total_interval, _TOTAL)

@@ -14,9 +14,9 @@ from scipy import ndimage
 
 from clunk.plot.layers import Layers
 from clunk.plot.notes import failed_notes, label_notes, note_columns, set_notes, undecided_notes
-from clunk.plot.plane import Bools
 from clunk.plot.raster import Place, Raster, centres_that_fit, corners_that_fit, rotate
 from clunk.plot.style import CENTRED, INK, freeze_layout
+from clunk.study.arrays import Bools
 
 # What is tried in turn: size in points, and whether the text may be turned.
 _SETTINGS = ((10.5, False), (9.5, False), (9.5, True), (8.5, False), (8.5, True), (8.0, False), (8.0, True))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from clunk.core.status import QUALITY_UNDECIDED
-from clunk.plot.plane import Bools, Codes, Floats, View, cell_edges, value_text
+from clunk.plot.plane import Codes, View, cell_edges, value_text
 from clunk.plot.regions import Regions, regions_of
 from clunk.plot.style import SIZE, PlotError
 from clunk.results.boundaries import Boundaries
@@ -18,6 +18,7 @@ from clunk.results.labels import FAILED_CODE
 from clunk.results.quantities import REGIME_QUANTITIES, Quantity
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
+from clunk.study.arrays import Bools, Floats
 from clunk.study.axes import ResultAxis
 from clunk.study.loads import PROFILES, STEP_KEYS, numbers
 

@@ -15,10 +15,11 @@ from clunk.analysis.ridge import ridge_of
 from clunk.plot.labelling import label_and_note
 from clunk.plot.layers import Layers
 from clunk.plot.painting import Colours, mark_undecided, new_map, paint_regimes, shaded_map
-from clunk.plot.plane import Floats, View, spaced_numbers
+from clunk.plot.plane import View, spaced_numbers
 from clunk.plot.raster import Raster, centres_that_fit
 from clunk.plot.style import CENTRED, FAINT_INK, INK, bare, freeze_layout, halo, styled, symbol_text
 from clunk.results.regimemap import Results
+from clunk.study.arrays import Floats
 
 _WITH_THRESHOLDS = ("load.ratio", "load.initial_torque", "load.final_torque")
 

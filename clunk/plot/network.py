@@ -10,8 +10,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 
-from clunk.plot.plane import Codes, Floats, View
+from clunk.plot.plane import Codes, View
 from clunk.results.boundaries import Boundaries, Region
+from clunk.study.arrays import Floats
 
 
 def fill_label(ax: Axes, boundaries: Boundaries, view: View, label: str, look: dict[str, Any]) -> None:

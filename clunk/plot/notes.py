@@ -12,9 +12,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from clunk.plot.layers import Layers
-from clunk.plot.plane import Bools
 from clunk.plot.style import FAILED_LOOK, INK, UNDEFINED, palette_of
 from clunk.results.labels import FAILED
+from clunk.study.arrays import Bools
 
 DOT: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": INK, "markeredgewidth": 0.0}
 

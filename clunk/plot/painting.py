@@ -15,7 +15,7 @@ from matplotlib.figure import Figure, SubFigure
 from clunk.plot.layers import Layers
 from clunk.plot.network import draw_curves, fill_label
 from clunk.plot.notes import DOT, failed_notes, set_notes, undefined_notes
-from clunk.plot.plane import Floats, cell_edges, scale_axes
+from clunk.plot.plane import cell_edges, scale_axes
 from clunk.plot.regions import Scores
 from clunk.plot.style import (
     FAILED_FILL,
@@ -30,6 +30,7 @@ from clunk.plot.style import (
 )
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.quantities import Quantity
+from clunk.study.arrays import Floats
 
 _MAP = 330.0  # points, width of a map
 _STRIP_DOT = 0.12  # of a strip's height: undecided cells are marked under their labels

@@ -13,14 +13,12 @@ import numpy.typing as npt
 
 from clunk.plot.style import MINUS, PlotError, bare, capital, plain, symbol_text
 from clunk.results.maps import Map
+from clunk.study.arrays import Array, Floats, Positions
 from clunk.study.axes import RUN, ResultAxis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = npt.NDArray[Any]
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
 Codes = npt.NDArray[np.int16]
 
 _USUAL = ("load.ratio", "lash.backlash_deg")  # stay axes of a map where others are fixed
@@ -35,7 +33,7 @@ class View:
     axes: tuple[ResultAxis, ...]  # x and, if there are two, y
     fixed: tuple[ResultAxis, ...]  # parameters with one value
     keep: tuple[int, ...]
-    order: tuple[npt.NDArray[np.intp], ...]
+    order: tuple[Positions, ...]
 
     @classmethod
     def of(cls, drawn: Map, dimensions: int) -> View:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
@@ -15,7 +14,8 @@ from scipy import ndimage
 
 from clunk.plot.layers import Layers
 from clunk.plot.network import codes_at
-from clunk.plot.plane import Bools, Codes, Floats, ruler
+from clunk.plot.plane import Codes, ruler
+from clunk.study.arrays import Bools, Floats, Positions
 from clunk.study.axes import ResultAxis
 
 _PIXEL = 2.0  # display pixels per raster pixel; finer would only be slower
@@ -104,7 +104,7 @@ class Raster:
         fine_columns, fine_rows = (ends[:-1, None] + share * np.diff(ends)[:, None] for ends in (columns, rows))
         self.taken[self._at(fine_columns, fine_rows)] = True
 
-    def _at(self, columns: Floats, rows: Floats) -> tuple[npt.NDArray[np.intp], ...]:
+    def _at(self, columns: Floats, rows: Floats) -> tuple[Positions, ...]:
         """Index of the pixels at raster positions; of those outside, of the nearest on the border."""
         pairs = zip((rows, columns), self.label.shape, strict=True)
         return tuple(np.clip(positions, 0, count - 1).astype(np.intp) for positions, count in pairs)
@@ -146,12 +146,12 @@ class Raster:
         self.label = free
 
 
-def fine_index(values: Floats, axis: ResultAxis, factor: int) -> npt.NDArray[np.intp]:
+def fine_index(values: Floats, axis: ResultAxis, factor: int) -> Positions:
     """Index of the fine point nearest to each value of an axis."""
     to, _ = ruler(axis)
     samples = axis.values
     index = np.interp(to(np.clip(values, samples[0], samples[-1])), to(samples), np.arange(len(samples)))
-    fine: npt.NDArray[np.intp] = np.rint(index * factor).astype(np.intp)
+    fine: Positions = np.rint(index * factor).astype(np.intp)
     return fine
 
 

@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from clunk.plot.plane import Bools, Codes, Floats, View, ruler
+from clunk.plot.plane import Codes, View, ruler
 from clunk.results.labels import FAILED_CODE
+from clunk.study.arrays import Bools, Floats
 
 Scores = npt.NDArray[np.float32]
 Window = tuple[slice, slice]

@@ -15,9 +15,10 @@ from clunk.plot import style
 from clunk.plot.layers import Layers
 from clunk.plot.notes import cells_phrase, set_notes, undecided_notes
 from clunk.plot.painting import Colours, new_plot
-from clunk.plot.plane import Floats, SurplusAxesError, axis_label, drawn_axes, set_log_scale
+from clunk.plot.plane import SurplusAxesError, axis_label, drawn_axes, set_log_scale
 from clunk.results.labels import FAILED
 from clunk.results.regimemap import Results
+from clunk.study.arrays import Floats
 from clunk.study.axes import RUN, ResultAxis
 
 _ROOM = 0.03  # of an axis's span, beside the outermost points

@@ -12,9 +12,10 @@ from clunk.plot import style
 from clunk.plot.labelling import label_and_note
 from clunk.plot.layers import Layers
 from clunk.plot.painting import mark_undecided
-from clunk.plot.plane import Floats, scale_axis, spaced_numbers
+from clunk.plot.plane import scale_axis, spaced_numbers
 from clunk.results.labels import FAILED_CODE
 from clunk.results.regimemap import Results
+from clunk.study.arrays import Floats
 
 _FEW = 60  # samples, each of which is marked on the curve
 

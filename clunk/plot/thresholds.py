@@ -9,7 +9,6 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-import numpy.typing as npt
 from matplotlib import colors
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -22,11 +21,10 @@ from clunk.analysis.thresholdfile import word_text
 from clunk.analysis.thresholds import Thresholds
 from clunk.plot import style
 from clunk.plot.notes import remark, set_notes, swatch
-from clunk.plot.plane import Floats, cell_edges, scale_axis, value_text
+from clunk.plot.plane import cell_edges, scale_axis, value_text
 from clunk.results.labels import FAILED_CODE
+from clunk.study.arrays import Floats, Positions
 from clunk.study.axes import ResultAxis
-
-Cells = npt.NDArray[np.intp]
 
 _MOST_PANELS = 6
 _MOST_CURVES = 8  # of a family
@@ -56,8 +54,8 @@ def threshold_figure(thresholds: Thresholds) -> Figure:
     return draw(thresholds, cells, ascending, heading("thresholds of", thresholds))
 
 
-def arranged(thresholds: Thresholds, axes: Sequence[ResultAxis]) -> tuple[Cells, list[ResultAxis]]:
-    """Cells along these axes, which have all that have several values, and the axes, all in ascending order."""
+def arranged(thresholds: Thresholds, axes: Sequence[ResultAxis]) -> tuple[Positions, list[ResultAxis]]:
+    """Positions along these axes, which have all that have several values, and the axes, all in ascending order."""
     cells = np.arange(thresholds.lowest.size).reshape(thresholds.shape)
     order = [np.argsort(axis.values, kind="stable") for axis in thresholds.axes]
     cells = cells[np.ix_(*order)]
@@ -84,7 +82,7 @@ def bands(thresholds: Thresholds, cell: int) -> tuple[tuple[int, ...], list[floa
     return tuple(codes), begins[1:]
 
 
-def segments(thresholds: Thresholds, x: Floats, cells: Cells) -> Iterator[tuple[tuple[int, int], Floats]]:
+def segments(thresholds: Thresholds, x: Floats, cells: Positions) -> Iterator[tuple[tuple[int, int], Floats]]:
     """Yield the pieces of curves between neighbouring cells: codes below and above, and both ends, (2, 2) float64.
 
     A threshold goes on in the one of the same change that is nearest, all together; alone, it is both points.
@@ -108,7 +106,7 @@ def _by_change(thresholds: Thresholds, part: slice) -> dict[tuple[int, int], Flo
     return {change: values[[each == change for each in changes]] for change in dict.fromkeys(changes)}
 
 
-def _draw_map(thresholds: Thresholds, cells: Cells, axes: Sequence[ResultAxis], line: str) -> Figure:
+def _draw_map(thresholds: Thresholds, cells: Positions, axes: Sequence[ResultAxis], line: str) -> Figure:
     """Draw the outcomes as coloured bands over the other axis, exact upwards, and the thresholds between them."""
     (x,) = axes
     figure = style.new_figure()
@@ -125,7 +123,7 @@ def _draw_map(thresholds: Thresholds, cells: Cells, axes: Sequence[ResultAxis], 
 
 
 def fill_bands(
-    ax: Axes, thresholds: Thresholds, x: ResultAxis, cells: Cells, fills: Mapping[int, Mapping[str, Any]]
+    ax: Axes, thresholds: Thresholds, x: ResultAxis, cells: Positions, fills: Mapping[int, Mapping[str, Any]]
 ) -> set[int]:
     """Fill the intervals of the key with one outcome as bands over x; those without a fill stay empty.
 
@@ -155,7 +153,7 @@ def scale_plane(ax: Axes, x: ResultAxis, along: ResultAxis) -> None:
     ax.set(xlim=(x.values[0], x.values[-1]), ylim=(along.values[0], along.values[-1]))
 
 
-def _draw_family(thresholds: Thresholds, cells: Cells, axes: Sequence[ResultAxis], line: str) -> Figure:
+def _draw_family(thresholds: Thresholds, cells: Positions, axes: Sequence[ResultAxis], line: str) -> Figure:
     """Draw a panel for each change of outcome, the most frequent first, with a curve for values of the second axis."""
     x, other = axes
     pairs = np.sort(np.stack([thresholds.below, thresholds.above], axis=1), axis=1)

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.arrays import Floats
 from clunk.analysis.ridge import ridge_of
 from clunk.core.events import TOUCH
 from clunk.report.evidence import CONTACTS, NOMINAL_RATIO, RATIOS, Evidence, acceleration_range
@@ -23,6 +22,7 @@ from clunk.simulation.driveline import Driveline, Modes
 from clunk.simulation.linear import one_mode_thresholds, periods_in_envelope, rigid_contact_thresholds
 from clunk.simulation.load import load_step
 from clunk.simulation.trajectory import Trajectory
+from clunk.study.arrays import Floats
 
 NINE = ("NI", "SS(1)", "SS(2)", "DS(1)", "DS(1)SS(1)", "DS(1)SS(2)", "DS(2)", "DS(2)SS(1)", "DS(3)")
 

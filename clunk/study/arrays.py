@@ -8,7 +8,10 @@ import numpy.typing as npt
 Array = npt.NDArray[Any]
 Bools = npt.NDArray[np.bool_]
 Cells = npt.NDArray[np.int64]  # their numbers in C order
+Codes = npt.NDArray[np.int64]  # of labels and of other outcomes
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
+Nodes = npt.NDArray[np.int64]  # their numbers, see `clunk.analysis.triangles`
+Patterns = npt.NDArray[np.uint64]  # flanks of a sequence as bits behind a leading 1; 0 of a failed run
 Positions = npt.NDArray[np.intp]  # in another array
 Records = npt.NDArray[np.void]
