@@ -587,7 +587,7 @@ def test_difference_map_marks_every_differing_cell_once() -> None:
     a, b = like_figure_3_4(), like_figure_3_4(0.3, config=CONFIG.replace("0.002", "0.003"), config_digest="b2")
     comparison = compare(a, b)
     assert 10 < comparison.differing < 0.1 * a.sequence.size
-    figure = difference_map(a, b, comparison)
+    figure = difference_map(a, comparison)
     assert sorted(drawn(figure, "differs")) == sorted(cell.values for cell in comparison.differing_cells())
     assert_readable(figure)
     title = figure.axes[0].get_title(loc="left")
@@ -600,7 +600,7 @@ def test_difference_map_marks_every_differing_cell_once() -> None:
 def test_difference_map_of_very_different_maps_gathers_the_rare_transitions() -> None:
     a, b = awkward()
     comparison = compare(a, b)
-    figure = difference_map(a, b, comparison)
+    figure = difference_map(a, comparison)
     only_in_b = [tuple(map(float, cell)) for cell in np.argwhere(comparison.failed_b & ~comparison.failed_a) * [1, 2]]
     assert only_in_b
     differing = [cell.values for cell in comparison.differing_cells()]
@@ -611,7 +611,7 @@ def test_difference_map_of_very_different_maps_gathers_the_rare_transitions() ->
 
 def test_difference_map_of_equal_maps_marks_nothing() -> None:
     a = like_figure_3_4()
-    figure = difference_map(a, a, compare(a, a))
+    figure = difference_map(a, compare(a, a))
     assert drawn(figure, "differs") == []
     assert "0 of 1,271 cells differ" in figure.axes[0].get_title(loc="left")
 
@@ -662,7 +662,7 @@ def test_maps_with_the_axes_the_other_way_round_look_the_same() -> None:
 def test_figures_need_two_axes() -> None:
     results = make(["NI", "SS(1)"], [replace(X, values=np.array([0.0, 1.0]))])
     with pytest.raises(PlotError, match="needs two axes"):
-        difference_map(results, results, compare(results, results))
+        difference_map(results, compare(results, results))
     with pytest.raises(PlotError, match="needs two axes"):
         experiment_map(results, compare_experiment(results, measured({(1.0,): "NI"}, ["load_ratio"])))
 

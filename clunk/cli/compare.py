@@ -58,7 +58,7 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, lash: str
     if output is not None:
         from clunk.plot.comparisons import difference_map, experiment_map
 
-        figure = experiment_map(results, comparison) if other is None else difference_map(results, other, comparison)
+        figure = experiment_map(results, comparison) if other is None else difference_map(results, comparison)
         terminal.save_picture(figure, output)
     if expect_equal and not comparison.same_regimes:
         sys.exit(EXIT_MISMATCH)

@@ -20,11 +20,12 @@ from clunk.plot.labelling import settle
 from clunk.plot.layers import Layers
 from clunk.plot.notes import cells_phrase, failed_notes, remark, swatch
 from clunk.plot.painting import draw_boundaries, hatch_failed, new_map, paint_regimes
-from clunk.plot.plane import Bools, Floats, View
+from clunk.plot.plane import View
 from clunk.plot.raster import Raster
-from clunk.plot.style import CENTRED, FAINT_INK, INK, PlotError, capital, halo, palette_of, styled
+from clunk.plot.style import CENTRED, FAINT_INK, INK, capital, halo, palette_of, styled
 from clunk.results.labels import FAILED
 from clunk.results.regimemap import Results
+from clunk.study.arrays import Bools, Floats
 from clunk.study.problems import shorten
 from clunk.study.summaries import percent
 
@@ -46,16 +47,14 @@ _LINE = 92  # characters of the line under the title
 
 
 @styled()
-def difference_map(a: Results, b: Results, comparison: Comparison) -> Figure:
+def difference_map(a: Results, comparison: Comparison) -> Figure:
     """The regimes of A, faint, and on them each cell that has another label in B, coloured by the two labels.
 
-    a, b : what `comparison` compares
+    a : the first of the maps that `comparison` compares
 
     Raises PlotError unless two axes were swept.
     """
-    if a.shape != comparison.differs.shape or b.shape != a.shape:
-        raise PlotError("The comparison is of other maps than these two: the grids differ.")
-    title = f"Differences: {a.title}" if a.title == b.title else "Differences between two maps"
+    title = f"Differences: {a.title}" if len(set(comparison.titles)) == 1 else "Differences between two maps"
     layers = replace(Layers.of(a, 2), title=title)
     view, marks = layers.view, _marks(layers.view, comparison)
     dense = comparison.differing > _DENSE * a.sequence.size

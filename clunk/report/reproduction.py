@@ -82,17 +82,14 @@ def figures(e: Evidence) -> list[Job]:
 
     nominal, both = run("indentation"), [run(name) for name in _NAMES]
     all_runs = [run(name, ratio, f"{_NAMES[name]}, σr = {ratio:g}") for ratio in RATIOS for name in _NAMES]
-    both_models = maps["indentation"], maps["restitution"]
+    between = compare(maps["indentation"], maps["restitution"])
     return [
         ("figure_3_1", lambda: histories.angles([nominal])),
         ("figure_3_2", lambda: histories.backlash(all_runs)),
         ("figure_3_3", lambda: histories.closeup(both, 0.22, 0.1)),
         ("figure_3_4", lambda: plot.regime_map(maps["indentation"], thresholds)),
         ("figure_3_4_restitution", lambda: plot.regime_map(maps["restitution"], thresholds)),
-        (
-            "figure_3_4_difference",
-            lambda: comparisons.difference_map(*both_models, compare(*both_models)),
-        ),
+        ("figure_3_4_difference", lambda: comparisons.difference_map(maps["indentation"], between)),
         ("figure_3_4_as_printed", lambda: plot.regime_map(maps["as_printed"])),
         ("figure_3_5", lambda: small_gap(e.study.title, SmallGap.of(e.study))),
         ("figure_3_6", lambda: histories.acceleration([run("indentation", until=1.5)])),
