@@ -1,0 +1,117 @@
+"""What a second lash costs: runs/s of the report's rig and of a car, with one lash and with two, by either method.
+
+Run by hand: python tests/benchmarks/lashes.py [repeats]
+
+The rig's second lash is in the place of its second shaft, between flange and pinion. Medians of interleaved repeats, on
+all cores.
+"""
+
+import os
+import statistics
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from machine import Watch
+
+from clunk.study.config import load_study, study_from_text
+from clunk.study.study import Study
+from clunk.sweeping import sweep as sweeping
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+RIG_OF_TWO = """
+[driveline]
+names = ["motor", "flange", "pinion", "ring"]
+inertias = [0.024, 0.002, 0.002, 0.002]
+shafts = [
+    { between = ["motor", "flange"], stiffness = 31.3, damping = 0.08 },
+    { between = ["ring", "ground"], stiffness = 31.3, damping = 0.1 },
+    { between = ["motor", "ground"], stiffness = 0.0, damping = 0.1 },
+]
+
+[[lash]]
+name = "coupling"
+between = ["flange", "pinion"]
+backlash_deg = 3.0
+radius = 0.08
+contact = { stiffness = 4.092e5, damping = 94.0 }
+
+[[lash]]
+name = "gears"
+between = ["pinion", "ring"]
+backlash_deg = 6.0
+radius = 0.08
+contact = { stiffness = 4.092e5, damping = 94.0 }
+
+[load]
+on = "motor"
+static_torque = -1.0
+step_time = 0.1
+
+[solver]
+step = 1e-4
+end_time = 2.0
+
+[[sweep.axes]]
+parameter = "load.ratio"
+start = 0.0
+stop = 10.0
+count = 3
+
+[[sweep.axes]]
+parameter = "lash[2].backlash_deg"
+start = 0.0
+stop = 20.0
+count = 3
+"""
+
+
+def studies() -> dict[tuple[str, str, int], Study]:
+    """Each study, by its driveline, its method and the number of its lashes."""
+    sizes = {("rig", "exact"): 101, ("rig", "rk4"): 41, ("car", "exact"): 61, ("car", "rk4"): 5}
+    cases = {}
+    for (driveline, method), count in sizes.items():
+        settings = [f"solver.method = '{method}'", *(f"sweep.axes[{axis}].count = {count}" for axis in (1, 2))]
+        if driveline == "rig":
+            cases[driveline, method, 1] = load_study(CONFIGS / "figure_3_4.toml", settings)
+            cases[driveline, method, 2] = study_from_text(RIG_OF_TWO, overrides=settings)
+        else:
+            cases[driveline, method, 1] = load_study(CONFIGS / "car_tip_out.toml", [*settings, "solver.step = 1e-5"])
+            cases[driveline, method, 2] = load_study(CONFIGS / "two_lashes.toml", settings)
+    return cases
+
+
+def main(repeats: int) -> None:
+    """Print the table."""
+    cases, watch, cores = studies(), Watch([]), len(os.sched_getaffinity(0))
+    touches = {case: touches_of(study) for case, study in cases.items()}
+    seconds: dict[tuple[str, str, int], list[float]] = {case: [] for case in cases}
+    for _ in range(repeats):
+        for case, study in cases.items():
+            watch.wait(0.05, 20.0)
+            began = time.perf_counter()
+            sweeping.sweep(study, workers=cores)
+            seconds[case].append(time.perf_counter() - began)
+    print(f"{cores} cores")
+    print(f"{'driveline':<10}{'method':<8}{'lashes':>6}{'runs':>8}{'touches/run':>13}{'runs/s':>10}{'of one lash':>13}")
+    for case, study in cases.items():
+        driveline, method, lashes = case
+        share = statistics.median(rates(seconds[driveline, method, 1], seconds[case]))
+        runs = sweeping.cell_count(study)
+        speed = runs / statistics.median(seconds[case])
+        print(f"{driveline:<10}{method:<8}{lashes:>6}{runs:>8}{touches[case]:>13.1f}{speed:>10.0f}{share:>13.2f}")
+
+
+def touches_of(study: Study) -> float:
+    """How often flanks touch in a run, on average; all kernels are compiled behind it."""
+    return float(sweeping.sweep(study).touches.sum() / sweeping.cell_count(study))
+
+
+def rates(ones: Sequence[float], others: Sequence[float]) -> list[float]:
+    """How fast some repeats were, by the ones that ran beside them."""
+    return [one / other for one, other in zip(ones, others, strict=True)]
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 5)
