@@ -2,8 +2,12 @@
 
 import numpy as np
 import pytest
+from conftest import NOMINAL
 from test_sweeping import equal, figure_3_4
 
+from clunk.study.config import study_from_text
+from clunk.study.designs import design_of_points
+from clunk.sweeping import cells
 from clunk.sweeping.assembly import RegimeReduction
 from clunk.sweeping.cells import CELL, IMPACT, Grid
 from clunk.sweeping.sweep import sweep
@@ -15,8 +19,8 @@ LAYOUT = Layout(CELL, IMPACT, "primary_impacts")
 
 def assembled(study, batches):
     grid, reduction, stop = Grid(study), RegimeReduction(study), np.zeros(1, np.uint8)
-    for cells in batches:
-        reduction.add(grid.run(np.asarray(cells, np.int64), stop))
+    for batch in batches:
+        reduction.add(grid.run(np.asarray(batch, np.int64), stop))
     return reduction.result({})
 
 
@@ -45,6 +49,24 @@ def test_cells_that_come_twice_count_once(study):
 def test_a_stopped_tile_has_the_cells_that_are_done(study):
     stopped = Grid(study).run(np.arange(20), np.ones(1, np.uint8))
     assert stopped.cells.size == stopped.records.size == stopped.details.size == 0
+
+
+@pytest.mark.parametrize("method", ["rk4", "exact"])
+def test_impacts_that_find_no_room_get_it(method, monkeypatch):
+    """With room for one impact a run, twice as much each time, 200 runs of up to 8 take a few calls; the same bits."""
+    settings = [f"solver.method = '{method}'", "solver.max_events = 100", "lash.backlash_deg = 0.5"]
+    study = study_from_text(NOMINAL, overrides=settings)
+    grid = Grid(study, design_of_points(study, {"load.ratio": np.linspace(5.0, 10.0, 200)}))
+    at_once = grid.run(np.arange(200), np.zeros(1, np.uint8))
+    calls, run_tile = [], cells.kernel.run_tile
+    monkeypatch.setattr(cells, "_IMPACTS", 1)
+    monkeypatch.setattr(cells.kernel, "run_tile", lambda *arguments: calls.append(1) or run_tile(*arguments))
+    tile = grid.run(np.arange(200), np.zeros(1, np.uint8))
+    assert len(at_once.details) > 300
+    assert 1 < len(calls) < 7
+    for arrays in ((tile.records, at_once.records), (tile.details, at_once.details)):
+        for name in arrays[0].dtype.names:
+            np.testing.assert_array_equal(*(array[name] for array in arrays))
 
 
 def test_bytes_give_the_same_tile_again(tile):

@@ -123,7 +123,7 @@ class _Kernel(CPUDispatcher):
         collects = gc.isenabled()
         gc.disable()
         try:
-            return super().compile(signature)  # type: ignore[no-untyped-call]
+            return super().compile(signature)
         finally:
             if collects:
                 gc.enable()

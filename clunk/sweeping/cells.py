@@ -42,6 +42,7 @@ _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: pr
 _COMPILING = {"rk4": (25, 30), "exact": (60, 70)}  # s, for one lash and nothing else, and in general
 _KERNELS: dict[str, Any] = {"rk4": kernel.by_rk4, "exact": kernel.by_exact}
 _OF_GENERAL = " for drivelines with stages, friction or several lashes"
+_IMPACTS = 8  # of a run in a lash, that there is room for at first
 _NO_LOGS, _NO_STATES = np.zeros((0, 0), EVENT), np.zeros((0, 0, 0))
 _STATES = 1 << 16  # events whose states there is room for at a time: 8 MB, which the caches nearly hold
 _APART = 64  # runs of a driveline: so many are quicker without those of others beside them
@@ -228,15 +229,10 @@ class Grid:
         measured: bool = False,
     ) -> Iterator[Runs]:
         """Runs of one batch of drivelines after the other; with the measures of the study, or without."""
-        buffer = self.impact_buffer(point_of.size)
         for batch, positions, part in self._by_batches(parameters, points, point_of, cases):
             if stop[0]:
                 return
-            if measured:
-                yield positions, *self._measured(batch, part, buffer, stop)
-            else:
-                output = kernel.Output(self._cells(positions.size), buffer, _NO_LOGS, _NO_STATES)
-                yield positions, *self._run(batch, part, output, stop)
+            yield positions, *(self._measured if measured else self._run)(batch, part, stop)
 
     def _by_batches(
         self, parameters: tuple[str, ...], points: Floats, point_of: Cells, cases: kernel.Cases
@@ -262,27 +258,20 @@ class Grid:
 
         Returns CELL (count, lashes), and EVENT (count, events), times NaN behind the last one.
         """
-        cases, buffer = self.cases(values, count), self.impact_buffer(count)
+        cases = self.cases(values, count)
         records = np.zeros((count, self.layout.lashes), CELL)
         logs = np.zeros((count, self.study.solver.max_events + 1), EVENT)
         logs["time"] = np.nan
         points, point_of = self.points(values, count)
         for batch, positions, part in self._by_batches(self.structural, points, point_of, cases):
             events = logs[positions] if positions.size < count else logs
-            output = kernel.Output(self._cells(positions.size), buffer, events, _NO_STATES)
-            rows, _ = self._run(batch, part, output, np.zeros(1, np.uint8))
+            rows, _ = self._run(batch, part, np.zeros(1, np.uint8), events)
             records[positions] = rows.reshape(len(positions), -1)
             if events is not logs:
                 logs[positions] = events
         return records, logs[:, : int((~np.isnan(logs["time"])).sum(axis=1).max(initial=0))]
 
-    def impact_buffer(self, runs: int) -> Records:
-        """Room for the primary impacts of up to `runs` runs, IMPACT; see `run_cases`."""
-        return np.zeros(8 * runs + self.study.solver.max_events, IMPACT)
-
-    def _measured(
-        self, batch: kernel.Batch, cases: kernel.Cases, buffer: Records, stop: Flag
-    ) -> tuple[Records, list[Records]]:
+    def _measured(self, batch: kernel.Batch, cases: kernel.Cases, stop: Flag) -> tuple[Records, list[Records]]:
         """Records and impacts of runs with measures, as the grid's layout has them."""
         system, channels = batch.system, batch.channels
         assert channels is not None
@@ -295,9 +284,8 @@ class Grid:
         for begin in range(0, runs, each):
             part = cases.at(slice(begin, begin + each))
             logs["time"] = np.nan
-            output = kernel.Output(self._cells(len(part.before)), buffer, logs, states)
-            rows, pieces = self._run(batch, part, output, stop)
-            cells, details = rows.reshape(-1, self.layout.lashes), np.concatenate([buffer[:0], *pieces])
+            rows, pieces = self._run(batch, part, stop, logs, states)
+            cells, details = rows.reshape(-1, self.layout.lashes), np.concatenate([np.zeros(0, IMPACT), *pieces])
             totals = np.full((*cells.shape, OF_IMPACTS + len(self.study.measures)), np.nan)
             of_impacts = np.full((details.size, OF_IMPACTS), np.nan)
             measure_runs(system, batch.each.sticking_time, channels, part, cells, logs, states, totals, of_impacts)
@@ -310,20 +298,28 @@ class Grid:
         return np.concatenate(records), impacts
 
     def _run(
-        self, batch: kernel.Batch, cases: kernel.Cases, output: kernel.Output, stop: Flag
+        self,
+        batch: kernel.Batch,
+        cases: kernel.Cases,
+        stop: Flag,
+        logs: Records = _NO_LOGS,
+        states: Floats = _NO_STATES,
     ) -> tuple[Records, list[Records]]:
-        """CELL, one of each run and lash, of those that were done before `stop` was set; and IMPACT, in pieces."""
-        solver = self.study.solver
-        done, impacts = 0, []
-        while done < len(output.cells) and not stop[0]:
+        """CELL, one of each run and lash, of those that were done before `stop` was set; and IMPACT, in pieces.
+
+        Runs whose impacts find no room are run again, so that the room for each is doubled then.
+        """
+        solver, runs, lashes = self.study.solver, len(cases.before), self.layout.lashes
+        cells, done, impacts, each = np.zeros((runs, lashes), CELL), 0, [], _IMPACTS * lashes
+        while done < runs and not stop[0]:
+            room = np.zeros(each * (runs - done) + solver.max_events, IMPACT)
+            output = kernel.Output(cells, room, logs, states)
             done, written = kernel.run_tile(
                 batch, solver.margin_tolerance, cases, done, solver.max_events, output, stop
             )
-            impacts.append(output.impacts[:written].copy())
-        return output.cells[:done].ravel(), impacts
-
-    def _cells(self, runs: int) -> Records:
-        return np.zeros((runs, self.layout.lashes), CELL)
+            impacts.append(room[:written].copy())
+            each *= 2
+        return cells[:done].ravel(), impacts
 
 
 def layout_of(study: Study) -> Layout:
