@@ -2,7 +2,8 @@
 
 Where other lashes are closed, an impact is one of a driveline with these as rigid joints. An impulse presses flanks
 together and never pulls them: which of the closed lashes stay so is decided for all of them at once. So it is with the
-torques of flanks at rest, together with those of frictions: `clunk.core.rubbing`.
+torques of flanks at rest, together with those of frictions: `clunk.core.rubbing`. There flanks may come to rest on each
+other without a torque, where others hold them: they are open, but have not separated.
 """
 
 import numpy as np
@@ -52,6 +53,7 @@ def strike(
     open, with the gap at zero and about to open.
     """
     side, lash = system.guards[regime, guard].side, lash_of(system, regime, guard)
+    regime = opened(system, _resting_on(system, regime, x, inputs, log, count), lash)
     slowest, before = _locking_speed(system, regime, lash, x, inputs, fastest), regime
     rebounds = system.restitution[lash] * abs(speed) > slowest
     held = held_with(system, regime, lash)
@@ -197,16 +199,34 @@ def settle(
     touched : int
         The lash that touches at this moment, which locks or never was closed, or -1.
     """
-    successor, zero_guard, zero_order = rubbing.settle(system, regime, ended, time, x, inputs)
-    if touched >= 0 and system.contacts[successor, touched].closed != 0:
-        record(log, count, time, 0.0, LOCK, successor, touched, system.contacts[successor, touched].side, x)
+    before = _resting_on(system, regime, x, inputs, log, count)
+    successor, zero_guard, zero_order = rubbing.settle(system, regime, before, ended, time, x, inputs)
+    rests = touched >= 0 and rubbing.is_carried(system, successor, touched, x, inputs)
+    if touched >= 0 and (rests or system.contacts[successor, touched].closed != 0):
+        record(log, count, time, 0.0, LOCK, successor, touched, system.contacts[regime, touched].side, x)
         count += 1
-    entry = _part(system, regime, touched, Entry(count, successor, zero_guard, zero_order), time, x, inputs, log)
+    entry = _part(system, before, touched, Entry(count, successor, zero_guard, zero_order), time, x, inputs, log)
     count = entry.written
     if log.states.shape[0] > 0 and log.events[count - 1].regime != successor:
         record(log, count, time, 0.0, STAGE, successor, -1, 0, x)
         count += 1
     return Entry(count, successor, entry.zero_guard, entry.zero_order)
+
+
+@part
+def _resting_on(system: System, regime: int, x: FloatArray, inputs: FloatArray, log: Log, count: int) -> int:
+    """The regime with those lashes closed that have not separated, and whose flanks others hold on each other."""
+    for lash in range(lashes_of(system) if frictions_of(system) > 0 and system.impulsive != 0 else 0):
+        if system.contacts[regime, lash].closed == 0 and rubbing.is_carried(system, regime, lash, x, inputs):
+            last = count - 1
+            while last > 0 and log.events[last].lash != lash:
+                last -= 1
+            if log.events[last].kind != SEPARATION:
+                twist = 0.0
+                for k in range(system.inertias):
+                    twist += system.lashes[lash, system.inertias + k] * x[k]
+                regime += closed_on(1 if twist > 0.0 else -1) * system.regime_strides[lash]
+    return int(regime)
 
 
 @part
@@ -218,19 +238,23 @@ def _part(
     touched : int
         The lash that touches at this moment, whose flanks do not separate, or -1.
     """
-    count, held, first = entry.written, held_with(system, entry.regime, -1), -1
+    count, held, first, carried = entry.written, held_with(system, entry.regime, -1), -1, 0
     for lash in range(lashes_of(system)):
         side = system.contacts[before, lash].side
         if system.contacts[before, lash].closed == 0 or held >> lash & 1:
             continue
-        if first < 0 and entry.zero_guard < 0:  # released where it was held, but for what rounding has added up
+        if rubbing.is_carried(system, entry.regime, lash, x, inputs):
+            _part_by(_APART, system, held, lash, side, x, inputs)
+            rubbing.stick_all(system, x, inputs)
+            carried |= 1 << lash
+        elif first < 0 and entry.zero_guard < 0:  # released where it was held, but for what rounding has added up
             first = lash
             _hold(system, held, lash, x, side * inputs[gap_input(lash)])
         else:
             _part_by(_APART, system, held, lash, side, x, inputs)
     for lash in range(lashes_of(system)):
         contact = system.contacts[before, lash]
-        if contact.closed != 0 and not held >> lash & 1 and lash != touched:
+        if contact.closed != 0 and not (held | carried) >> lash & 1 and lash != touched:
             record(log, count, time, 0.0, SEPARATION, entry.regime, lash, contact.side, x)
             count += 1
     if first < 0:

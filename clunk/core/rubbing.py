@@ -65,12 +65,14 @@ def in_motion(system: System, regime: int, speed: float, x: FloatArray) -> int:
 
 @part
 def settle(
-    system: System, regime: int, ended: int, time: float, x: FloatArray, inputs: FloatArray
+    system: System, regime: int, resting_on: int, ended: int, time: float, x: FloatArray, inputs: FloatArray
 ) -> tuple[int, int, int]:
     """The regime that follows one in which a guard of what rests turned negative, or torques or rates may jump.
 
     Parameters
     ----------
+    resting_on : int
+        The regime with all flanks closed that rest on each other, see `clunk.core.rigid`.
     ended : int
         The guard, or -1.
     time : float  [s]
@@ -97,10 +99,11 @@ def settle(
         rests = k == event or state_of_friction(system, regime, k) == STICKS or abs(rate) <= _WITHIN * most
         resting |= rests << k
     for lash in range(lashes_of(system) if system.impulsive != 0 else 0):  # one without a gap has always a flank
-        locked |= (system.contacts[regime, lash].closed != 0 and inputs[gap_input(lash)] > 0.0) << lash
-    if ended < 0 and _holds(system, regime, locked, time, x, inputs):
+        locked |= (system.contacts[resting_on, lash].closed != 0 and inputs[gap_input(lash)] > 0.0) << lash
+    if ended < 0 and _holds(system, regime, resting_on, locked, time, x, inputs):
         return regime, -1, 0
-    best = _fitting(system, regime, ended, event, resting, locked, time, x, inputs)
+    failed = regime if ended >= 0 and event < 0 else -1
+    best = _fitting(system, resting_on, failed, event, resting, locked, time, x, inputs)
 
     zero_guard, zero_order = -1, 0
     for k in range(count):
@@ -119,12 +122,14 @@ def settle(
 
 
 @part
-def _holds(system: System, regime: int, locked: int, time: float, x: FloatArray, inputs: FloatArray) -> bool:
+def _holds(
+    system: System, regime: int, resting_on: int, locked: int, time: float, x: FloatArray, inputs: FloatArray
+) -> bool:
     """Whether all that is locked or sticks in a regime may stay so."""
     holds = bool(system.excess[system.regimes[regime].flow] == 0)
     for lash in range(lashes_of(system)):
         if locked >> lash & 1:
-            holds = holds and _misfit_of_flanks(system, regime, regime, lash, time, x, inputs) <= _WITHIN
+            holds = holds and _misfit_of_flanks(system, regime, resting_on, lash, time, x, inputs) <= _WITHIN
     for k in range(frictions_of(system)):
         if state_of_friction(system, regime, k) == STICKS:
             torque, size = _holding(system, regime, rate_of_friction(system, k) + HOLDING, x, inputs)
@@ -137,7 +142,7 @@ def _holds(system: System, regime: int, locked: int, time: float, x: FloatArray,
 def _fitting(
     system: System,
     regime: int,
-    ended: int,
+    failed: int,
     event: int,
     resting: int,
     locked: int,
@@ -149,8 +154,10 @@ def _fitting(
 
     Of several it is the first, and those come first in which no more flanks part than in others.
 
+    failed : int
+        The regime in which locked flanks turned out to pull, or -1.
     event : int
-        The friction that `ended` is of, or -1.
+        The friction whose guard turned negative, or -1.
     resting, locked : int
         The frictions and the lashes at rest, as bits.
     """
@@ -169,7 +176,7 @@ def _fitting(
                 if resting >> k & 1:
                     candidate += (digits % 3 - state_of_friction(system, regime, k)) * stride_of_friction(system, k)
                     digits //= 3
-            stays = ended >= 0 and candidate == regime
+            stays = candidate == failed
             if event >= 0:  # what could not stick does not stick again
                 states = state_of_friction(system, regime, event), state_of_friction(system, candidate, event)
                 stays = states == (STICKS, STICKS)
@@ -330,6 +337,22 @@ def _is_held(system: System, regime: int, friction: int) -> bool:
     for k in range(2 * system.inertias):
         weights += abs(system.functionals[flow, rate, k])
     return bool(weights == 0.0)
+
+
+@part
+def is_carried(system: System, regime: int, lash: int, x: FloatArray, inputs: FloatArray) -> bool:
+    """Whether the rigid flanks of an open lash rest on each other, and what sticks or is locked holds them there."""
+    functional, held = lash * system.functionals_per_lash + FORCE, 0.0
+    for weights in (system.functionals, system.feedthrough):
+        for k in range(weights.shape[2]):
+            held += abs(weights[system.regimes[regime].flow, functional, k])
+    twist, size, rate, fastest, n = 0.0, inputs[gap_input(lash)], 0.0, 0.0, system.inertias
+    for k in range(n):
+        weight = system.lashes[lash, n + k]
+        twist, size = twist + weight * x[k], size + abs(weight * x[k])
+        rate, fastest = rate + weight * x[n + k], max(fastest, abs(x[n + k]))
+    touches = inputs[gap_input(lash)] - abs(twist) <= _WITHIN * size
+    return bool(frictions_of(system) > 0 and held == 0.0 and touches and abs(rate) <= _WITHIN * fastest)
 
 
 @part
