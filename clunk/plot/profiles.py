@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from clunk.plot.plane import axis_label
-from clunk.plot.style import INK, PlotError, new_figure, styled, symbol_text
+from clunk.plot.style import INK, new_figure, styled, symbol_text
 from clunk.results.quantities import CELL_QUANTITIES
 from clunk.results.regimemap import Results
 
@@ -17,10 +17,8 @@ _COLOURS = ("#d9b310", "#1f9e83", "#2f7fc1", "#7d55a8", "#b8447c", "#dd6b1f")
 def severity_profiles(results: Results, ratios: Sequence[float]) -> Figure:
     """Q over the second axis at the values of the first that are nearest to `ratios`, each maximum marked.
 
-    Raises PlotError unless the axes are load ratio and backlash, in this order.
+    results : over load ratio and backlash, in this order
     """
-    if [axis.parameter for axis in results.axes] != ["load.ratio", "lash.backlash_deg"]:
-        raise PlotError("Severity profiles are drawn from a map over load.ratio and lash.backlash_deg.")
     load, backlash = (axis.values for axis in results.axes)
     figure = new_figure()
     ax = figure.add_subplot()
