@@ -9,7 +9,6 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from clunk import __version__
 from clunk.analysis.fitparts import FitError
 from clunk.analysis.fitruns import MATCH, label_of, pattern_of
 from clunk.analysis.fitted import Fewer, Fitted
@@ -18,18 +17,17 @@ from clunk.analysis.measurements import experiment_of
 from clunk.results.files import reason, writing
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.netcdf import (
-    CONVENTIONS,
     Image,
     create_scale,
     create_variable,
     get_text,
     set_flags,
+    set_heading,
     set_text,
     write_file,
 )
 from clunk.study.arrays import Patterns, Records
 from clunk.study.config import study_from_text
-from clunk.study.study import to_toml
 
 SCHEMA_VERSION = 1
 _CONTENT = "fit"
@@ -51,12 +49,8 @@ def save(path: str | os.PathLike[str], fitted: Fitted, lash: str | None, scratch
 
 
 def _fill(file: Image, fitted: Fitted, lash: str | None) -> None:
-    set_text(file, "title", fitted.study.title)
-    set_text(file, "Conventions", CONVENTIONS)
+    set_heading(file, fitted.study, SCHEMA_VERSION)
     set_text(file, "content", _CONTENT)
-    file.attrs["schema_version"] = np.int32(SCHEMA_VERSION)
-    set_text(file, "clunk_version", __version__)
-    file.attrs["config"] = to_toml(fitted.study)
     set_text(file, "fit_digest", identity(fitted.study, fitted.experiment, lash))
     file.attrs["measurements"] = fitted.experiment.text
     set_text(file, "measurements_name", fitted.experiment.name)

@@ -10,14 +10,13 @@ import os
 import h5py
 import numpy as np
 
-from clunk import __version__
 from clunk.analysis.quantiles import QUANTILE
 from clunk.analysis.thresholds import DRAW, UNCERTAIN, UNCERTAIN_CODE, ThresholdError, Thresholds, Word
 from clunk.results.files import write_whole, writing
 from clunk.results.labels import FAILED, FAILED_CODE
-from clunk.results.netcdf import CONVENTIONS, create_scale, create_variable, set_flags, set_text, write_file
+from clunk.results.netcdf import create_scale, create_variable, set_flags, set_heading, set_text, write_file
 from clunk.study.designs import drawn_numbers
-from clunk.study.study import digest, to_toml
+from clunk.study.study import digest
 from clunk.sweeping.tolerances import sample_of
 
 SCHEMA_VERSION = 1
@@ -60,15 +59,11 @@ _TEXTS = {".csv": _csv, ".json": _json}
 
 def _write_hdf5(file: h5py.File, thresholds: Thresholds) -> None:
     study, along = thresholds.study, thresholds.along
-    set_text(file, "title", study.title)
-    set_text(file, "Conventions", CONVENTIONS)
-    file.attrs["schema_version"] = np.int32(SCHEMA_VERSION)
-    set_text(file, "clunk_version", __version__)
+    set_heading(file, study, SCHEMA_VERSION)
     set_text(file, "along", along.parameter)
     set_text(file, "outcome", thresholds.outcome.name)
     if thresholds.lash:
         set_text(file, "lash", thresholds.lash)
-    file.attrs["config"] = to_toml(study)  # variable length: it may be longer than an object header allows
     set_text(file, "config_digest", digest(study))
     cells = [
         create_scale(file, axis.variable, axis.values, {"units": axis.unit, "long_name": axis.name})

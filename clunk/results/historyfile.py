@@ -7,13 +7,12 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from clunk import __version__
 from clunk.core.events import KIND_NAMES, TOUCH
 from clunk.results.files import write_whole, writing
-from clunk.results.netcdf import CONVENTIONS, create_scale, create_variable, set_flags, set_text, write_file
+from clunk.results.netcdf import create_scale, create_variable, set_flags, set_heading, set_text, write_file
 from clunk.simulation.history import INITIAL, NONE, OPPOSITE, History, HistoryError
 from clunk.simulation.trajectory import Trajectory
-from clunk.study.study import digest, to_toml
+from clunk.study.study import digest
 
 SCHEMA_VERSION = 1
 _ROWS = 4096  # of a CSV file, written at once
@@ -76,14 +75,10 @@ def save_hdf5(path: str | os.PathLike[str], history: History) -> None:
 
 def _write_hdf5(file: h5py.File, history: History) -> None:
     study, trajectory = history.study, history.trajectory
-    set_text(file, "title", study.title)
-    set_text(file, "Conventions", CONVENTIONS)
-    file.attrs["schema_version"] = np.int32(SCHEMA_VERSION)
-    set_text(file, "clunk_version", __version__)
+    set_heading(file, study, SCHEMA_VERSION)
     if len(trajectory.lashes) == 1:
         set_text(file, "label", trajectory.label)
         file.attrs["severity"] = trajectory.severity
-    file.attrs["config"] = to_toml(study)  # variable length: it may be longer than an object header allows
     set_text(file, "config_digest", digest(study))
 
     def put(name: str, values: npt.NDArray[np.generic], unit: str, long_name: str, scales: list[h5py.Dataset]) -> None:
