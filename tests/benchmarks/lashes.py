@@ -69,7 +69,7 @@ count = 3
 
 def studies() -> dict[tuple[str, str, int], Study]:
     """Each study, by its driveline, its method and the number of its lashes."""
-    sizes = {("rig", "exact"): 101, ("rig", "rk4"): 41, ("car", "exact"): 61, ("car", "rk4"): 5}
+    sizes = {("rig", "exact"): 201, ("rig", "rk4"): 41, ("car", "exact"): 121, ("car", "rk4"): 5}
     cases = {}
     for (driveline, method), count in sizes.items():
         settings = [f"solver.method = '{method}'", *(f"sweep.axes[{axis}].count = {count}" for axis in (1, 2))]
