@@ -17,7 +17,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
@@ -46,6 +46,7 @@ _SHORTEST = 0.2  # s, of a tile
 _ATTENTION = 4e-3  # s of this process for a tile, with a margin
 _LARGEST = 1 << 18  # runs of a tile, about 30 MB of cells
 _ENDING = 3.0  # s that workers have to hear that a sweep is abandoned
+_CLOSING = 30.0  # s that those of a local cluster have to end; dask kills them after five
 
 
 @dataclass(frozen=True)
@@ -361,7 +362,8 @@ def _local_cluster(workers: int) -> Iterator[LocalCluster]:
         try:
             yield cluster
         finally:
-            cluster.close(timeout=_ENDING)
+            with suppress(TimeoutError):  # of a busy machine: they end with this process at the latest
+                cluster.close(timeout=_CLOSING)
 
 
 # In a terminal Ctrl-C goes to every process; the workers of a local cluster leave it to this one.
