@@ -10,7 +10,6 @@ import os
 import statistics
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 from machine import Watch
@@ -97,7 +96,8 @@ def main(repeats: int) -> None:
     print(f"{'driveline':<10}{'method':<8}{'lashes':>6}{'runs':>8}{'touches/run':>13}{'runs/s':>10}{'of one lash':>13}")
     for case, study in cases.items():
         driveline, method, lashes = case
-        share = statistics.median(rates(seconds[driveline, method, 1], seconds[case]))
+        pairs = zip(seconds[driveline, method, 1], seconds[case], strict=True)
+        share = statistics.median(of_one / of_these for of_one, of_these in pairs)
         runs = sweeping.cell_count(study)
         speed = runs / statistics.median(seconds[case])
         print(f"{driveline:<10}{method:<8}{lashes:>6}{runs:>8}{touches[case]:>13.1f}{speed:>10.0f}{share:>13.2f}")
@@ -106,11 +106,6 @@ def main(repeats: int) -> None:
 def touches_of(study: Study) -> float:
     """How often flanks touch in a run, on average; all kernels are compiled behind it."""
     return float(sweeping.sweep(study).touches.sum() / sweeping.cell_count(study))
-
-
-def rates(ones: Sequence[float], others: Sequence[float]) -> list[float]:
-    """How fast some repeats were, by the ones that ran beside them."""
-    return [one / other for one, other in zip(ones, others, strict=True)]
 
 
 if __name__ == "__main__":
