@@ -48,7 +48,6 @@ def sweep(
     progress: bool | Progress = False,
     workers: int | None = None,
     scheduler: str | None = None,
-    refine: bool = False,
     boundaries: bool = False,
     lash: str | None = None,
     restart: bool = False,
@@ -71,8 +70,6 @@ def sweep(
     scheduler : str, optional
         Run on the workers of this dask scheduler, ``tcp://host:8786``; or, ``local``, on processes of this machine, as
         many as `workers`.
-    refine : bool
-        Run only a coarse grid and where labels change, and infer the other cells' labels.
     boundaries : bool
         Also trace the curves between the labels, of one or two axes: `Results.boundaries`.
     lash : str, optional
@@ -118,7 +115,7 @@ def sweep(
         lash_position(lash, study.lash_names)
     engine = sweeping.engine_of(scheduler, workers)
     finish = partial(with_boundaries, study, lash=lash, workers=workers) if boundaries else None
-    results = _run(study, output, progress, engine, refine=refine, finish=finish, restart=restart, force=force)
+    results = _run(study, output, progress, engine, finish=finish, restart=restart, force=force)
     assert isinstance(results, Results)
     return results
 
@@ -383,7 +380,6 @@ def _run(
     progress: bool | Progress,
     engine: AbstractContextManager[Executor],
     *,
-    refine: bool = False,
     finish: sweeping.Finish | None = None,
     restart: bool,
     force: bool,
@@ -392,7 +388,7 @@ def _run(
     path = None if output is None else Path(output)
     if path is not None:
         targets.check(path, targets.RESULTS)
-    with sweeping.opened(path, study, refine=refine, restart=restart, force=force) as job:
+    with sweeping.opened(path, study, restart=restart, force=force) as job:
         if job.counts is not None:
             return job.finished(finish)
         with engine as executor, _shown(progress, sweeping.cell_count(study), study) as report:

@@ -41,7 +41,7 @@ def _compile(driveline: str) -> None:
     """Use all kernels: of a driveline with one lash and nothing else, or of others."""
     for method in ("rk4", "exact"):
         simulate(study_from_text(f'{driveline}[solver]\nmethod = "{method}"\n'))
-        sweep(study_from_text(f'{driveline}[solver]\nmethod = "{method}"\n{LINE}'), refine=True)
+        sweep(study_from_text(f'{driveline}[solver]\nmethod = "{method}"\n{LINE}'))
 
 
 @pytest.fixture(scope="session")

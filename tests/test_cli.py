@@ -193,35 +193,6 @@ def test_what_a_sweep_left_that_was_killed_at_its_very_end_is_tidied_up(clunk, s
     assert [path.name for path in (here / "results").iterdir()] == ["small.h5"]
 
 
-def test_a_refined_sweep_says_how_many_cells_it_ran_and_is_not_taken_for_a_dense_one(clunk, small, here):
-    line = ["--set", 'sweep.axes=[{parameter="load.ratio",start=0.0,stop=10.0,count=241}]']
-    code, out, err = clunk("sweep", small, *line, "--refine")
-    assert code == 0
-    assert "inferred from their neighbours" in err
-    code, _, err = clunk("sweep", small, *line, "--refine")
-    assert code == 0
-    assert "already complete" in err
-    code, _, err = clunk("sweep", small, *line)
-    assert code == 2
-    assert "--refine" in err
-    code, dense, _ = clunk("sweep", small, *line, "--force")
-    assert code == 0
-    assert dense == out
-    assert "already complete" in clunk("sweep", small, *line, "--refine")[2]  # it has more than that
-
-
-def test_of_a_refined_map_the_regimes_are_drawn_and_what_else_there_is_is_named(clunk, small, here):
-    load, lash = (
-        f'{{parameter="{key}",start=0.0,stop={stop},count=121}}'
-        for key, stop in (("load.ratio", 10.0), ("lash.backlash_deg", 20.0))
-    )
-    assert clunk("sweep", small, "--set", f"sweep.axes=[{load},{lash}]", "--refine")[0] == 0
-    code, out, err = clunk("plot", "results/small.h5")
-    assert code == 0
-    assert out.split() == [str(Path("results/small-regimes.png"))]
-    assert re.search(r"^[\d,]+ of 14,641 cells were run: --quantity draws what else is known of those$", err, re.M)
-
-
 def test_failed_cells_are_run_again_and_the_file_says_so(clunk, small, here):
     few = ["--set", "solver.max_events=10"]
     code, _, _ = clunk("sweep", small, *few)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import xarray
 from matplotlib.collections import QuadMesh
-from test_refinement import refined
 from test_store import assert_same
 from test_sweeping import equal, regimes, same_as_single_run
 
@@ -15,14 +14,12 @@ from clunk.analysis.comparison import ComparisonError, compare
 from clunk.analysis.small_gap import thresholds_of
 from clunk.cli import main
 from clunk.cli.compare_report import as_record, report
-from clunk.core.status import QUALITY_INFERRED
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.results.store import read_header, read_results, write_results
 from clunk.study.axes import RUN
 from clunk.study.config import study_from_text
 from clunk.study.designs import design_of
 from clunk.study.study import replace_values
-from clunk.sweeping.refinement import coarse_spacing
 from clunk.sweeping.sweep import Job, cell_count, sweep
 
 BASE = '[driveline]\npreset = "boere-2008"\n[solver]\nmethod = "exact"\n'
@@ -148,38 +145,6 @@ class TestCells:
         assert 0 < failed < 32
         mended = Job(study.model_copy(update={"solver": study_from_text(SAMPLE).solver}), earlier=results).run()
         assert equal(mended, sweep(study_from_text(SAMPLE)))
-
-
-class TestRefinement:
-    def test_nothing_is_inferred_from_another_run(self):
-        """Each run has a regime of its own, which a region of another one cuts into: only its own cells tell where."""
-        axis = '[[sweep.axes]]\nparameter = "load.ratio"\nstart=0\nstop=10\ncount=241\n'
-        spacing = coarse_spacing(design_of(study_from_text(BASE + DRAWS.format(count=250) + axis)))
-        assert spacing == (4, 1)  # as an axis, 250 runs would have 4 too
-        truth = np.broadcast_to(np.arange(250, dtype=np.int32) // 3, (241, 250)).copy()
-        truth[100:137, 7::2] = 1000
-        found, ran, _ = refined(truth, spacing)
-        assert np.count_nonzero(~ran) > 1000
-        assert np.array_equal(found, truth)
-
-    def test_a_sample_along_a_fine_axis_has_the_labels_of_the_dense_sweep(self):
-        axis = '[[sweep.axes]]\nparameter = "load.ratio"\nstart = 0\nstop = 10\ncount = 241\n'
-        study = study_from_text(BASE + DRAWS.format(count=3) + axis)
-        refined, dense = sweep(study, refine=True), sweep(study)
-        assert np.array_equal(regimes(refined), regimes(dense))
-        assert np.count_nonzero(refined.quality & QUALITY_INFERRED) > 50
-
-    def test_a_third_and_fourth_axis_too(self):
-        fine = '[[sweep.axes]]\nparameter = "load.ratio"\nstart = 0\nstop = 10\ncount = 241\n'
-        study = study_from_text(BASE + fine + grid("lash.contact.stiffness", "driveline.shafts[1].damping"))
-        refined, dense = sweep(study, refine=True), sweep(study)
-        assert np.array_equal(regimes(refined), regimes(dense))
-        assert np.count_nonzero(refined.quality & QUALITY_INFERRED) > 100
-
-    def test_of_a_sample_alone_every_cell_is_run(self):
-        study = study_from_text(SAMPLE, "x", ["sweep.sampling.count=128"])  # as an axis, 128 runs would be refined
-        results = sweep(study, refine=True)
-        assert not np.any(results.quality & QUALITY_INFERRED)
 
 
 class TestSlices:

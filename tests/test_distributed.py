@@ -162,12 +162,6 @@ class TestTheSameBits:
         for name in ("runs", "nominal_sequence", "severity_mean", "severity_quantiles", "status"):
             assert getattr(here, name).tobytes() == getattr(there, name).tobytes()
 
-    def test_of_a_refined_sweep(self, two_workers):
-        line = figure_3_4(121, step=2e-4)
-        line = line.model_copy(update={"sweep": line.sweep.model_copy(update={"axes": line.sweep.axes[:1]})})
-        with Cluster(two_workers.address) as engine:
-            assert equal(sweep(line, engine=engine, refine=True), sweep(line, refine=True))
-
     def test_by_a_local_cluster_of_the_command_which_leaves_nothing_behind(self, tmp_path, monkeypatch, capsys):
         local = clunk(tmp_path, "--scheduler", "local", "--workers", "2")
         out, err = local.communicate(timeout=120)

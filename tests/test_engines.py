@@ -22,35 +22,20 @@ def grid():
     return Grid(figure_3_4(17, step=2e-4))
 
 
-def test_what_has_been_added_goes_with_the_rest_in_order(grid):
+def test_all_cells_are_taken_once_and_in_order(grid):
     work = Work(grid, np.arange(0, 20, 2))
     assert list(work.take(3)) == [0, 2, 4]
-    work.add(np.array([5, 17]))
-    work.add(np.array([9], np.int64))
-    assert (work.size, work.known) == (10, 13)
-    assert list(work.take(8)) == [5, 6, 8, 9, 10, 12, 14, 16]
-    assert list(work.take(8)) == [17, 18]
-    assert (work.size, work.known) == (0, 13)
+    assert (work.size, work.known) == (7, 10)
+    assert list(work.take(8)) == [6, 8, 10, 12, 14, 16, 18]
+    assert (work.size, work.known) == (0, 10)
     assert work.take(8).size == 0
-
-
-def test_the_rest_is_not_put_in_order_before_it_is_needed(grid):
-    """Else adding a little to much would take long."""
-    work = Work(grid, np.arange(10, 20))
-    work.add(np.array([1]))
-    assert list(work.take(10)) == list(range(10, 20))
-    assert list(work.take(10)) == [1]
 
 
 @pytest.mark.parametrize("workers", [1, 3])
 def test_threads_go_on_until_nothing_waits_or_runs(grid, workers):
-    """Each cell of the first row asks for the cell below it, and so on, when it is done."""
-    work, ran = Work(grid, np.arange(17), may_grow=True), []
     with ThreadPoolExecutor(workers) as engine:
-        for tile in run_tiles(engine, grid, work):
-            ran += tile.cells.tolist()
-            below = tile.cells + 17
-            work.add(below[below < grid.design.cells])
+        tiles = run_tiles(engine, grid, Work(grid, np.arange(grid.design.cells)))
+        ran = [cell for tile in tiles for cell in tile.cells.tolist()]
     assert sorted(ran) == list(range(grid.design.cells))
 
 

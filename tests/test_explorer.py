@@ -136,7 +136,7 @@ class TestSubject:
 
     def test_the_map_with_other_numbers_is_that_of_its_config(self, variations):
         numbers = {"lash.contact.damping": 40.0}
-        computed = variations.full_map({}, numbers, lambda *_: None, refine=False)
+        computed = variations.full_map({}, numbers, lambda *_: None)
         config = study_from_text(variations.config({"load.ratio": 7.5, "lash.backlash_deg": 10.0}, numbers))
         again = sweep(config)
         assert again.config_digest == computed.config_digest

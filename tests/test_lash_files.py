@@ -237,16 +237,6 @@ def test_tiles_in_any_order_give_the_same_map(swept):
     assert equal(reduction.result({}), swept)
 
 
-def test_a_refined_map_runs_cells_where_the_label_of_any_lash_changes():
-    study = rig(121, 1)
-    dense, refined = clunk.sweep(study), clunk.sweep(study, refine=True)
-    inferred = refined.of_lash().inferred
-    assert inferred.any()
-    assert (refined.of_lash("joint").inferred == inferred).all()
-    assert (refined.label_map == dense.label_map).all()
-    assert (refined.initial_side == dense.initial_side).all()
-
-
 @pytest.mark.parametrize("lash", ["gear", "joint"])
 def test_thresholds_are_those_of_the_lash_that_is_named(lash, swept):
     study = rig(9, 1)

@@ -214,11 +214,11 @@ def test_a_map_has_the_measures_of_its_runs_and_all_else_as_without_them(method,
         assert cell[f"impact_{name}"] == pytest.approx(values, rel=1e-12)
 
 
-def test_structural_axes_a_refined_sweep_and_a_slice_keep_measures():
+def test_structural_axes_and_a_slice_keep_measures():
     axes = "sweep.axes=[{parameter='driveline.inertias[4]', values=[0.002, 0.004]}, "
     axes += "{parameter='load.ratio', start=0.0, stop=10.0, count=21}]"
-    results = sweep(measuring(axes, *MAP[1:]), refine=True)
-    assert np.array_equal(np.isnan(results.values("hit")), results.inferred)
+    results = sweep(measuring(axes, *MAP[1:]))
+    assert np.isfinite(results.values("hit")).all()
     at = {"driveline.inertias[4]": 0.004, "load.ratio": 5.0}
     single = measured(simulate(replace_values(measuring(), at))).totals
     assert results.at(at).values("hit").item() == pytest.approx(single["hit"], rel=1e-12)

@@ -102,10 +102,9 @@ def test_texts_of_a_file_are_text(text):
     assert read.tags.count("svg") == len(lashes.words)
 
 
-@pytest.mark.parametrize("option", ["--boundaries", "--refine"])
-def test_the_commands_of_a_page_make_the_same_results_from_its_config(clunk, here, option):  # noqa: F811
+def test_the_commands_of_a_page_make_the_same_results_from_its_config(clunk, here):  # noqa: F811
     (here / "first.toml").write_text(LINE.replace("step = 2e-4", 'method = "exact"'))
-    assert clunk("sweep", "first.toml", "-o", "first.h5", option)[0] == 0
+    assert clunk("sweep", "first.toml", "-o", "first.h5", "--boundaries")[0] == 0
     assert clunk("report", "first.h5")[0] == 0
     read = Page((here / "first.html").read_text("utf-8"))
     commands, config = read.texts["pre"]
@@ -120,9 +119,8 @@ def test_the_commands_of_a_page_make_the_same_results_from_its_config(clunk, her
     assert again.texts["pre"] == read.texts["pre"]
     thresholds = next(text for text in read.texts["p"] if "load.ratio" in text)
     assert re.findall(r"\d+\.\d\d", thresholds) == ["1.46", "3.12", "6.69", "14.31"]  # Table 3.1
-    if option == "--boundaries":
-        (first, *_) = store.read_results(here / "first.h5").boundaries.vertices[:, 0]
-        assert f"{first:.10g}" in read.texts["td"]
+    (first, *_) = store.read_results(here / "first.h5").boundaries.vertices[:, 0]
+    assert f"{first:.10g}" in read.texts["td"]
 
 
 def test_three_axes_are_a_family_of_maps_and_a_slice_is_one(clunk, here):  # noqa: F811

@@ -67,7 +67,7 @@ def whole(study):
     return sweep(study)
 
 
-def stopped(study, target, after, error=KeyboardInterrupt, *, engine=None, refine=False):
+def stopped(study, target, after, error=KeyboardInterrupt, *, engine=None):
     """Start a sweep and stop it when so many cells are done; how many are kept."""
 
     def progress(done, _total):
@@ -75,16 +75,16 @@ def stopped(study, target, after, error=KeyboardInterrupt, *, engine=None, refin
             raise error
 
     with WorkingDirectory(target) as directory:
-        job = Job(study, directory=directory, refine=refine)
+        job = Job(study, directory=directory)
         with pytest.raises(error):
             job.run(engine, progress=progress)
         return job.parts.kept
 
 
-def resumed(study, target, *, refine=False, **options):
+def resumed(study, target, **options):
     """Go on, and the parts; the directory is removed."""
     with WorkingDirectory(target) as directory:
-        job = Job(study, directory=directory, refine=refine)
+        job = Job(study, directory=directory)
         results = job.run(**options)
         directory.remove()
     assert not directory.path.exists()
@@ -102,17 +102,6 @@ def test_a_stopped_sweep_goes_on_where_it_was_and_ends_with_the_same_bits(study,
     assert equal(results, whole)
 
 
-def test_a_refined_sweep_goes_on_likewise(target, often):
-    line = figure_3_4(121, step=2e-4)
-    line = line.model_copy(update={"sweep": line.sweep.model_copy(update={"axes": line.sweep.axes[:1]})})
-    line = replace_values(line, {"lash.backlash_deg": 6.0})
-    kept = stopped(line, target, 40, refine=True)
-    results, parts = resumed(line, target, refine=True)
-    assert parts.taken_up == kept >= 40
-    assert equal(results, sweep(line, refine=True))
-    assert results.attributes["refinement"] == sweep(line, refine=True).attributes["refinement"]
-
-
 def test_a_finished_sweep_leaves_no_directory_and_a_short_one_no_parts(study, target):
     with WorkingDirectory(target) as directory:
         Job(study, directory=directory).run()
@@ -128,8 +117,6 @@ def test_parts_of_another_config_are_refused_with_what_differs(study, target):
     assert "load.static_torque = -1.0 there, -2.0 here" in str(raised.value)
     assert "solver.end_time = 2.0 there, 1.5 here" in str(raised.value)
     assert "--restart" in str(raised.value)
-    with WorkingDirectory(target) as directory, pytest.raises(PartsError, match="runs every cell, not"):
-        _ = Job(study, directory=directory, refine=True).parts
     with WorkingDirectory(target) as directory:
         directory.clear()
         _ = Job(other, directory=directory).parts

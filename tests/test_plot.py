@@ -17,7 +17,7 @@ from matplotlib.text import Annotation, Text
 
 from clunk import plot
 from clunk.analysis.ridge import ridge_of
-from clunk.core.status import QUALITY_INFERRED, QUALITY_UNDECIDED
+from clunk.core.status import QUALITY_UNDECIDED
 from clunk.plot.regions import Regions
 from clunk.plot.style import INK, palette_of
 from clunk.results.regimemap import Results
@@ -94,18 +94,6 @@ def with_cells(results: Results, cells: list[tuple[slice, slice]], code: int, la
     labels = results.labels if label is None else (*results.labels, label)
     severity = np.where(sequence < 0, np.nan, results.severity)
     return make(results.axes, labels, sequence, severity)
-
-
-def with_inferred(results: Results) -> Results:
-    """As a refined sweep has it that ran every fourth row and column."""
-    inferred = np.ones(results.shape, bool)
-    inferred[::4, ::4] = False
-    return replace(
-        results,
-        quality=np.where(inferred, QUALITY_INFERRED, results.quality).astype(np.uint8),
-        severity=np.where(inferred, np.nan, results.severity),
-        touches=np.where(inferred, -1, results.touches).astype(np.int32),
-    )
 
 
 def label_at(results: Results, x: float, y: float) -> str:
@@ -498,24 +486,6 @@ def test_the_colours_of_the_severity_map_are_the_severity(nine: Results) -> None
 def test_undefined_is_told_from_failed(nine: Results) -> None:
     figure = plot.quantity_map(with_cells(nine, [np.s_[30:40, 30:40]], -1), "last_event_time")
     assert notes(figure) == ["failed: 100 cells", "not defined (no events)"]
-
-
-def test_of_a_refined_map_only_the_regimes_are_drawn_unasked(nine: Results) -> None:
-    assert plot.default_quantities(nine) == ["regimes", "severity"]
-    assert plot.default_quantities(with_inferred(nine)) == ["regimes"]
-
-
-@pytest.mark.parametrize("quantity", ["severity", "touches"])
-def test_what_was_not_run_is_told_from_what_is_not_defined(nine: Results, quantity: str) -> None:
-    """And no ridge is drawn where most of the column is not known; the boundaries are seen over what is empty."""
-    refined = with_inferred(nine)
-    figure = plot.quantity_map(refined, quantity)
-    (mesh,) = figure.axes[0].findobj(matplotlib.collections.QuadMesh)
-    np.testing.assert_array_equal(mesh.get_array().T.mask, refined.inferred)
-    assert f"not run: {refined.inferred.sum():,} cells" in notes(figure)
-    assert "dark lines" in figure.axes[0].get_title(loc="left")
-    assert not figure.axes[0].texts
-    assert "light lines" in plot.quantity_map(nine, quantity).axes[0].get_title(loc="left")
 
 
 @pytest.mark.parametrize("quantity", sorted({*plot.QUANTITIES} - {"regimes", "severity"}))

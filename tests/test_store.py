@@ -191,7 +191,6 @@ def test_flag_meanings_decode_every_code(tmp_path: Path) -> None:
         assert dict(zip(quality["flag_masks"], quality["flag_meanings"].split(), strict=True)) == {
             1: "complete",
             2: "undecided",
-            4: "inferred",
             8: "grazing",
         }
 

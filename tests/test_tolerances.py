@@ -433,7 +433,6 @@ class TestCommands:
     @pytest.mark.parametrize(
         ("arguments", "sentence"),
         [
-            (("sweep", "small.toml", "--refine"), "--refine does not go with [[sweep.tolerances]]"),
             (("sweep", "small.toml", "--retry-failed"), "--retry-failed does not go with [[sweep.tolerances]]"),
             (("plot", "small.h5", "--facet", "load.ratio"), "--facet, --x and --y do not go with a tolerance map"),
             (("compare", "small.h5", "small.h5"), "small.h5 holds a tolerance map, where a regime map is needed"),

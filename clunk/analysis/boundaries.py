@@ -67,7 +67,7 @@ def boundaries(study: Study, results: Results, *, lash: str | None = None, worke
     ----------
     study : Study
     results : Results
-        Its map, whole or refined. Where cells failed, that is a label of its own.
+        Its map. Where cells failed, that is a label of its own.
     lash : str, optional
         Of several lashes, the one whose labels are meant, by name or number; by default the first.
     workers : int, optional

@@ -38,14 +38,14 @@ def ranks_of(results: Results) -> Ranks:
     """Rank correlations and ridges of severity, approach velocity and what was measured, over a map of one lash."""
     names = ["severity", "approach_velocity", *results.measured_quantities]
     quantities = [results.quantities[name] for name in names if not results.quantities[name].dimension]
-    struck = (results.status == 0) & (results.primary_impacts > 0) & ~results.inferred
+    struck = (results.status == 0) & (results.primary_impacts > 0)
     quantities = [each for each in quantities if np.isfinite(results.values(each.name)[struck]).any()]
     known = struck & np.all([np.isfinite(results.values(each.name)) for each in quantities], axis=0)
     quantities = [each for each in quantities if len(np.unique(results.values(each.name)[known])) > 1]
     values = np.array([results.values(each.name)[known] for each in quantities]).reshape(len(quantities), -1)
     correlation = np.atleast_2d(np.corrcoef(rankdata(values, axis=1))) if len(quantities) else np.zeros((0, 0))
     rows = np.zeros(0, np.intp)
-    if len(results.shape) == 2 and not results.inferred.any():
+    if len(results.shape) == 2:
         rows = np.unique(np.linspace(0, results.shape[0] - 1, _ROWS + 1).round().astype(np.intp))[1:]
     ridges = np.full((len(quantities), rows.size), np.nan)
     for k, each in enumerate(quantities if rows.size else ()):

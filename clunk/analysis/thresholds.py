@@ -47,7 +47,7 @@ DRAW = "draw"  # the axis of the drawn drivelines, their numbers from 1
 UNCERTAIN, UNCERTAIN_CODE = "uncertain", -3  # see `clunk.analysis.quantiles`
 
 _COUNTS = ("primary_impacts", "touches")
-_TOUCHES = 2  # by which neighbours differ where something may be hidden between them; see `clunk.sweeping.refinement`
+_TOUCHES = 2  # by which neighbours differ where something may be hidden between them
 # With 61 values of a ramp's duration 18 slivers of 1e-5 s are found of the 29 that 961 values show; with 10 halvings
 # they are 15, with 22 no more than with 16.
 _HALVINGS = 16  # of the spacing where something may be hidden

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 def explore(source: Path, overrides: tuple[str, ...], no_browser: bool, port: int | None) -> None:
     """Open a page in the browser: point at a map, see the motion.
 
-    SOURCE is a results file, or a config, of which every few cells are run and the others inferred. The page is for
-    this machine alone; Ctrl-C ends it.
+    SOURCE is a results file, or a config, whose map is run first. The page is for this machine alone; Ctrl-C ends it.
 
     \b
     Examples:
@@ -66,7 +65,6 @@ def _results_of(source: Path, overrides: tuple[str, ...]) -> AnyMap:
         study = of_one_cell(study)
     assert study.sweep is not None
     terminal.warm_up(study)
-    is_map = study.sweep.design == "grid" and not study.sweep.samples and len(study.sweep.axes) > 1
-    job = Job(study, refine=is_map)
+    job = Job(study)
     with shown(job.design.cells) as report:
         return job.run(progress=report)

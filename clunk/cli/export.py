@@ -26,8 +26,8 @@ def export(file: Path, output: Path, boundaries: bool) -> None:
     Examples:
       clunk export results/figure_3_4.h5 map.csv
       clunk export results/figure_3_4.h5 map.mat
-      clunk export results/refined.h5 boundaries.geojson
-      clunk export results/refined.h5 boundaries.csv --boundaries
+      clunk export results/smoke.h5 boundaries.geojson
+      clunk export results/smoke.h5 boundaries.csv --boundaries
     """
     from clunk.results import export as exporting
     from clunk.results import targets

@@ -57,8 +57,7 @@ def plot(
     on.
 
     A map has two axes: of more, --at takes a slice, and --facet draws a map for each value. Of a
-    refined sweep: the regimes. Of a tolerance map: the most likely regimes, where they are uncertain, and
-    how probable double-sided impacts are.
+    tolerance map: the most likely regimes, where they are uncertain, and how probable double-sided impacts are.
 
     \b
     Examples:
@@ -105,10 +104,6 @@ def plot(
                 terminal.complain(f"{target} is replaced by a picture of the slice; -o names another file")
             plots.save(figure, target)
             click.echo(str(target))
-    if isinstance(results, Results) and quantity is None and names == ["regimes"]:
-        inferred = results.of_lash().inferred
-        ran, total = int((~inferred).sum()), inferred.size
-        terminal.complain(f"{ran:,} of {total:,} cells were run: --quantity draws what else is known of those")
     for axis in results.axes:
         shown = len(plots.shown_values(axis, len(facets))) if axis.parameter in facets else len(axis.values)
         if shown < len(axis.values):

@@ -51,7 +51,6 @@ def _commands(header: Header, file: Path, target: Path, at: tuple[str, ...]) -> 
     """Lines of a shell that make the results again from their config, and then the page."""
     config, results = f"{file.stem}.toml", f"{file.stem}.h5"
     sweep = ["clunk", "sweep", config, "-o", results]
-    sweep += ["--refine"] if "refinement" in header.attributes else []
     if header.boundaries is not None:
         sweep += ["--boundaries", *(["--lash", header.boundaries.lash] if header.boundaries.lash else [])]
     made = [f"# the config below is {config}", shlex.join(sweep)]

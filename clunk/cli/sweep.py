@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 @click.option("--scheduler", metavar="ADDRESS", help="Run on dask workers: tcp://HOST:8786, or local.")
 @click.option("--force", is_flag=True, help="Overwrite a results file of another config.")
 @click.option("--restart", is_flag=True, help="Begin anew: neither go on with a stopped sweep nor keep a finished one.")
-@click.option("--refine", is_flag=True, help="Run only where labels change, and infer the other cells' labels.")
 @click.option("--boundaries", is_flag=True, help="Also trace the curves between labels, of one or two axes.")
 @click.option("--lash", metavar="NAME", help="Of several lashes, the one whose boundaries are traced [the first].")
 @click.option(
@@ -45,7 +44,6 @@ def sweep(
     scheduler: str | None,
     force: bool,
     restart: bool,
-    refine: bool,
     boundaries: bool,
     lash: str | None,
     retry_failed: bool,
@@ -59,13 +57,13 @@ def sweep(
     \b
     Examples:
       clunk sweep configs/figure_3_4.toml --set solver.step=5e-5
-      clunk sweep configs/figure_3_4.toml --refine --boundaries -o refined.h5
+      clunk sweep configs/figure_3_4.toml --boundaries -o traced.h5
       clunk sweep configs/figure_3_4.toml --retry-failed \\
           --set solver.max_events=4096
       clunk sweep configs/figure_3_4.toml --scheduler tcp://localhost:8786
     """
-    if retry_failed and (refine or force):
-        raise click.UsageError("--retry-failed goes with neither --refine nor --force.")
+    if retry_failed and force:
+        raise click.UsageError("--retry-failed does not go with --force.")
     from clunk.results import targets
     from clunk.study.config import load_study
     from clunk.study.designs import has_tolerances
@@ -73,9 +71,8 @@ def sweep(
 
     study = load_study(config, overrides)
     tolerances = has_tolerances(study)
-    if tolerances and (refine or retry_failed):
-        option = "--refine" if refine else "--retry-failed"
-        raise click.UsageError(f"{option} does not go with [[sweep.tolerances]]: every cell has its own probabilities.")
+    if tolerances and retry_failed:
+        raise click.UsageError("--retry-failed does not go with [[sweep.tolerances]].")
     if boundaries:
         from clunk.analysis.boundaries import require_boundaries
 
@@ -88,7 +85,7 @@ def sweep(
     from clunk.sweeping.sweep import engine_of, opened
 
     opening = engine_of(scheduler, workers, say=lambda text: click.echo(text, err=True))
-    with opened(target, study, refine=refine, retry=retry_failed, restart=restart, force=force) as job:
+    with opened(target, study, retry=retry_failed, restart=restart, force=force) as job:
         # those of a file whose failed cells are run again belong to its old labels
         earlier = getattr(job.earlier, "boundaries", None)
         tracing = _tracing(study, lash or getattr(earlier, "lash", None) or None, workers)

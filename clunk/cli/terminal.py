@@ -102,9 +102,6 @@ def report_speed(job: Job, draws: int = 0) -> None:
     rate = f" ({runs / seconds:,.0f} runs/s)" if runs > 0 and seconds > 0.0 else ""
     each = f" x {draws:,} draws" if draws else ""
     click.echo(f"{counted(total, 'cell')}{each} in {seconds:.1f} s{rate} -> {job.path}", err=True)
-    if job.refine:
-        rest = "the others are inferred from their neighbours" if ran < total else "so coarse a grid has none to infer"
-        click.echo(f"{ran:,} of them were run; {rest}", err=True)
 
 
 def report_failures(results: AnyMap, how: str = "") -> None:

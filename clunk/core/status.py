@@ -33,6 +33,5 @@ INTERRUPTED = 255  # never stored: the cell has to be run again
 # Bits of the results file's `quality`.
 QUALITY_COMPLETE = 1  # proved that no event and no larger acceleration can follow
 QUALITY_UNDECIDED = 2  # a margin is below its tolerance
-QUALITY_INFERRED = 4  # filled in from agreeing neighbours, not run
 QUALITY_GRAZING = 8  # a tangency was decided within its tolerance
-QUALITY_MEANINGS = {1: "complete", 2: "undecided", 4: "inferred", 8: "grazing"}
+QUALITY_MEANINGS = {1: "complete", 2: "undecided", 8: "grazing"}

@@ -12,7 +12,6 @@ from functools import cached_property
 
 from clunk.results.labels import FAILED
 from clunk.results.maps import parameters_of, values_at
-from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import AnyMap, ToleranceMap
 from clunk.study.axes import LASH, RUN, ResultAxis
 from clunk.study.errors import ClunkError
@@ -80,11 +79,6 @@ class Subject:
     def stored(self, slices: Numbers) -> AnyMap:
         """The stored map at values of the further axes."""
         return self.results.at(slices) if slices else self.results
-
-    @property
-    def has_inferred(self) -> bool:
-        """Whether some cells were not run, so that they have a label and nothing else."""
-        return isinstance(self.results, Results) and bool(self.results.inferred.any())
 
     def likelihood(self, cell: Numbers, lash: str) -> str:
         """The probability of each label in a cell of a tolerance map; empty for a regime map."""

@@ -86,7 +86,7 @@ class Variations:
         if note:
             say("compiled")
 
-    def coarse_map(self, slices: Numbers, numbers: Numbers, progress: Progress, *, refine: bool) -> Results | None:
+    def coarse_map(self, slices: Numbers, numbers: Numbers, progress: Progress) -> Results | None:
         """The map of every few values of its axes; None where all are few."""
         study = self.study_of_map(slices, numbers)
         if self.subject.has_runs or all(len(axis.values) <= _COARSE for axis in self.subject.plane):
@@ -96,14 +96,14 @@ class Variations:
             values = column.values[_every_few(len(column.values))]
             shape.append(len(values))
             columns.append(Column(column.parameter, k, values))
-        return sweep(study, Design(tuple(shape), tuple(columns)), refine=refine, progress=progress)
+        return sweep(study, Design(tuple(shape), tuple(columns)), progress=progress)
 
-    def full_map(self, slices: Numbers, numbers: Numbers, progress: Progress, *, refine: bool) -> Results:
-        """The map at all values of its axes; refine : whether to infer cells whose neighbours tell their labels."""
+    def full_map(self, slices: Numbers, numbers: Numbers, progress: Progress) -> Results:
+        """The map at all values of its axes."""
         study = self.study_of_map(slices, numbers)
         if self.subject.has_runs:
             return sweep(study, progress=progress).at(slices)
-        return sweep(study, refine=refine, progress=progress)
+        return sweep(study, progress=progress)
 
 
 def of_one_cell(study: Study) -> Study:

@@ -278,7 +278,6 @@ class Workbench:
             return
 
         nominal = "nominal " if isinstance(subject.results, ToleranceMap) else ""
-        refine = quantity == "regimes"  # of anything else, an inferred cell has no value
 
         def show(request: Request, results: AnyMap, status: str) -> None:
             from clunk.explorer.drawings import picture_of  # matplotlib: the first run does not wait for it
@@ -302,15 +301,15 @@ class Workbench:
                     self._page.soon(partial(self._say, f"computing the map: {done:,} of {total:,} cells"))
 
             self._newest_run.wait(_FIRST_RUN if self._results is None else _RUN)  # it is wanted at once
-            if not numbers and (refine or not subject.has_inferred):
+            if not numbers:
                 show(request, subject.stored(slices), _OWN)
                 variations.prepare(lambda text: self._page.soon(partial(self._say, text)))
                 return
-            coarse = variations.coarse_map(slices, numbers, progress, refine=refine)
+            coarse = variations.coarse_map(slices, numbers, progress)
             request.go_on()
             if coarse is not None:
                 show(request, coarse, _COARSE)
-            full = variations.full_map(slices, numbers, progress, refine=refine)
+            full = variations.full_map(slices, numbers, progress)
             request.go_on()
             show(request, full, f"the {nominal}map with these numbers, which is in no file" if numbers else _OWN)
 

@@ -86,16 +86,14 @@ def default_quantities(
     """Quantities that are drawn where none is named: the regimes, and how hard the impacts are.
 
     Where one parameter is drawn from left to right and a quantity upwards, the labels are in the same picture. Q is not
-    defined for the restitution model, V is. Of a refined map, only the regimes: most cells have nothing else.
+    defined for the restitution model, V is.
     """
     if isinstance(drawn, ToleranceMap):
         return certainty.default_quantities(drawn)
     is_map = len(drawn_axes(drawn)) > 1
     if _has_runs(drawn) and not facets:
         is_map = not _is_path(drawn) and (y is not None or (x is None and len(parameter_choice(drawn)) > 1))
-    if not is_map:
-        return [hardness(drawn)]
-    return ["regimes"] if drawn.inferred.any() else ["regimes", hardness(drawn)]
+    return ["regimes", hardness(drawn)] if is_map else [hardness(drawn)]
 
 
 def _has_runs(results: Results) -> bool:

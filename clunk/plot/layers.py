@@ -43,7 +43,6 @@ class Layers:
     labels : code -> label
     codes : (nx, ny) int16, of a strip (nx,), of points (cells,) in C order
     undecided : bool, shape of `codes`: cells whose margin is below its tolerance
-    inferred : bool, likewise: cells that a refined sweep did not run
     quantity : str; "regimes" where nothing but the labels is drawn
     values : float64, shape of `codes`, NaN where the quantity is not known; of the regimes NaN everywhere
     described : Quantity, its description
@@ -57,7 +56,6 @@ class Layers:
     labels: tuple[str, ...]
     codes: Codes
     undecided: Bools
-    inferred: Bools
     quantity: str
     values: Floats
     described: Quantity = REGIME_QUANTITIES["sequence"]
@@ -88,7 +86,6 @@ class Layers:
             labels=drawn.labels if traced is None else traced.labels,
             codes=codes,
             undecided=view.arrange(drawn.quality & QUALITY_UNDECIDED) != 0 if isinstance(drawn, Results) else unmarked,
-            inferred=view.arrange(drawn.inferred) if isinstance(drawn, Results) else unmarked,
             quantity=quantity,
             values=np.full(codes.shape, np.nan) if values is None else view.arrange(values),
             boundaries=traced,
@@ -98,15 +95,12 @@ class Layers:
     def of_quantity(cls, results: Results, dimensions: int, quantity: str) -> Layers:
         """Layers of a regime map and one of its quantities, as `of`. Raises PlotError where it has no such quantity.
 
-        The quantity is NaN in cells that failed, and in inferred ones whose regime does not tell it.
+        The quantity is NaN in cells that failed.
         """
         if quantity not in quantities_of(results)[1:]:
             drawn = ", ".join(quantities_of(results)[1:])
             raise PlotError(f"There is no quantity {quantity!r} to draw; there are {drawn}.")
-        unknown = results.sequence == FAILED_CODE
-        if results.quantities[quantity].inferred is not None:
-            unknown |= results.inferred
-        values = np.where(unknown, np.nan, results.values(quantity).astype(np.float64))
+        values = np.where(results.sequence == FAILED_CODE, np.nan, results.values(quantity).astype(np.float64))
         return replace(cls.of(results, dimensions, quantity, values), described=results.quantities[quantity])
 
     def require_values(self) -> None:
@@ -136,8 +130,8 @@ class Layers:
 
     @property
     def has_dark_lines(self) -> bool:
-        """Whether boundaries are seen as dark lines: on diverging colours, and where few cells have one."""
-        return self.quantity in ("margin", "double_sided") or bool(self.inferred.any())
+        """Whether boundaries are seen as dark lines: on diverging colours."""
+        return self.quantity in ("margin", "double_sided")
 
     @property
     def boundaries_note(self) -> str:
@@ -178,6 +172,6 @@ def quantities_of(results: Results) -> list[str]:
 
 def stacked(panels: Sequence[Layers]) -> Layers:
     """Layers of several panels as one, for their common colours and notes."""
-    names = ("codes", "undecided", "inferred", "values")
+    names = ("codes", "undecided", "values")
     arrays: dict[str, Any] = {name: np.stack([getattr(panel, name) for panel in panels]) for name in names}
     return replace(panels[0], **arrays)

@@ -49,14 +49,13 @@ def quantity_map(results: Results, name: str) -> Figure:
 
     Of how hard impacts are there is also the ridge: the backlash at which it is worst for each load ratio.
 
-    The margin's colours diverge from zero, where a run is as near to one label as to another. A refined sweep's map has
-    the values of the cells that were run, and no ridge.
+    The margin's colours diverge from zero, where a run is as near to one label as to another.
 
     Raises PlotError unless two axes were swept, `name` is a quantity and it is defined in some cell.
     """
     layers = Layers.of_quantity(results, 2, name)
     layers.require_values()
-    has_ridge = name in ("severity", *results.measured) and not layers.inferred.any()
+    has_ridge = name in ("severity", *results.measured)
     ridge = ridge_of(layers.values) if has_ridge else np.full(len(layers.values), np.nan)
     figure, ax = shaded_map(layers, Colours.of(layers.described, layers.values), layers.boundaries_note)
     if np.isfinite(ridge).any():

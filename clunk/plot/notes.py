@@ -83,9 +83,5 @@ def undecided_notes(undecided: Bools) -> list[Artist]:
 def undefined_notes(layers: Layers) -> list[Artist]:
     """Why cells that did not fail have no value, beside their colour; nothing where all have one."""
     undefined = np.isnan(layers.values) & ~layers.failed
-    reasons = []
-    if (undefined & ~layers.inferred).any():
-        reasons.append("not known" if layers.quantity == "margin" else "not defined (no events)")
-    if (undefined & layers.inferred).any():
-        reasons.append(f"not run: {np.count_nonzero(undefined & layers.inferred):,} cells")
-    return [swatch("; ".join(reasons), UNDEFINED)] if reasons else []
+    reason = "not known" if layers.quantity == "margin" else "not defined (no events)"
+    return [swatch(reason, UNDEFINED)] if undefined.any() else []

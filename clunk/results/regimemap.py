@@ -10,12 +10,12 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.status import QUALITY_INFERRED, QUALITY_MEANINGS, Status
+from clunk.core.status import QUALITY_MEANINGS, Status
 from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED
 from clunk.results.maps import Index, Map, require_array, require_codes, share, values_at
 from clunk.results.quantities import REGIME_QUANTITIES, Quantity
-from clunk.study.arrays import Array, Bools, Floats, Integers
+from clunk.study.arrays import Array, Floats, Integers
 from clunk.study.summaries import Rows
 
 
@@ -31,7 +31,7 @@ class Results(Map):
     severity : shape, Q  [rad/s²], NaN where it is not defined
     approach_velocity : shape, V  [rad/s]
     last_event_time : shape  [s after the load step], NaN where nothing happened
-    primary_impacts, touches : shape, int32; touches -1 where the cell was inferred
+    primary_impacts, touches : shape, int32
     status, quality : shape, uint8; see `clunk.core.status`
     initial_side : shape, int8, sign of θ_i - θ_j on the initial flank (0: none)
     margin : shape, dimensionless: how near the run came to another label, positive for what did not happen and negative
@@ -41,9 +41,6 @@ class Results(Map):
     impact_closing_speed : (N,)  [rad/s]
     impact_severity : (N,) Q_i  [rad/s²]
     measured : by the names of `measured_quantities`: shape or (N,), float64
-
-    A cell that a refined sweep inferred (`QUALITY_INFERRED`) has what its regime tells: code, primary_impacts,
-    initial_side and the flanks of its impacts, which have their places in the flat arrays; its floats are NaN.
 
     Raises ValueError where an array's shape or dtype is not the one above, or a code has no label.
     """
@@ -94,12 +91,6 @@ class Results(Map):
     def values(self, name: str) -> Array:
         """Values of one of the quantities, in cells or in the flat array of impacts."""
         return self.measured[name] if name in self.measured else super().values(name)
-
-    @cached_property
-    def inferred(self) -> Bools:
-        """Mask of the cells that a refined sweep did not run: shape, bool."""
-        inferred: Bools = (self.quality & QUALITY_INFERRED) != 0
-        return inferred
 
     @cached_property
     def max_impacts(self) -> int:

@@ -1,1 +1,1 @@
-"""Sweeps: cells, tiles, the engines that run them, finished parts on the disk and resuming, refinement, tolerances."""
+"""Sweeps: cells, tiles, the engines that run them, finished parts on the disk and resuming, tolerances."""

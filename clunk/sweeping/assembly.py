@@ -1,4 +1,4 @@
-"""Regime maps: the reductions of one run of each cell to Results; whole, refined, or with failed cells run again."""
+"""Regime maps: the reductions of one run of each cell to Results; whole, or with failed cells run again."""
 
 from __future__ import annotations
 
@@ -11,18 +11,17 @@ import numpy.typing as npt
 
 from clunk.core.jit import compiled
 from clunk.core.sequence import INITIAL, OPPOSITE
-from clunk.core.status import QUALITY_GRAZING, QUALITY_UNDECIDED, Status
+from clunk.core.status import Status
 from clunk.results.labels import FAILED_CODE
 from clunk.results.quantities import REGIME_QUANTITIES, measured_quantities
 from clunk.results.regimemap import Results
-from clunk.study.arrays import Array, Bools, Cells, Records
+from clunk.study.arrays import Array, Cells, Records
 from clunk.study.config import study_from_text
 from clunk.study.designs import Design
 from clunk.study.study import Study, digest
 from clunk.sweeping.cells import Grid, Systems
 from clunk.sweeping.engines import available_cores
 from clunk.sweeping.reduction import Flanks, Reduction, SweepError
-from clunk.sweeping.refinement import DOUBTFUL, Refinement, coarse_spacing
 from clunk.sweeping.scratch import Scratch
 from clunk.sweeping.signals import Threads
 from clunk.sweeping.tiles import Tile
@@ -95,8 +94,6 @@ class RegimeReduction(Reduction[Results]):
                 values = self._scratch.empty(self.codes.size, np.int16)
                 return np.take(final, self.codes, out=values, mode="wrap")  # -1 is the last
             values = self._scratch.empty(int(first[-1]), self.of_impacts[name].dtype)
-            if self.done < self.design.cells:
-                self._fill_inferred(values, first)
             for rows, impacts in self._impacts:
                 _put(values, first, rows, impacts[name])
             return values
@@ -126,88 +123,6 @@ class RegimeReduction(Reduction[Results]):
         for k, flanks in long_sequences(tile.records, [tile.details]):
             codes[k] = self.code(flanks)
         return codes
-
-    def _fill_inferred(self, values: Array, first: Cells) -> None:
-        """Set the impacts' flanks of cells that have not been run by their regime, and other quantities to NaN."""
-        if values.dtype.kind == "f":
-            values.fill(np.nan)
-            return
-        of_sequence = np.zeros((len(self.sequences), max(map(len, self.sequences))), np.int8)
-        for sequence, code in self.sequences.items():
-            of_sequence[code, : len(sequence)] = sequence
-        _write_flanks(self.codes, first, of_sequence, values)
-
-
-class RefinedReduction(RegimeReduction):
-    """The arrays of Results of which only a coarse grid is run and the cells that `Refinement` asks for.
-
-    The remaining cells get label, flanks and initial flank of their neighbours, and no quantities: NaN, -1 touches.
-    """
-
-    may_grow = True
-
-    def __init__(self, study: Study, design: Design | None = None, scratch: Scratch | None = None) -> None:
-        super().__init__(study, design, scratch)
-        self._spacing = coarse_spacing(self.design)
-        self._refinement = Refinement(self.design.shape, self._spacing)
-        self.plan = f"what --refine needs (from spacing {max(self._spacing, default=1)})"
-        self._lashes = self.runner.layout.lashes
-        self._regimes: dict[tuple[int, ...], int] = {}  # the lashes' regimes -> number from 1 of the cell's, of several
-
-    def first(self) -> Cells:
-        """See `Reduction.first`."""
-        return self.next(np.flatnonzero(self.known).astype(np.int64, copy=False))
-
-    def next(self, cells: Cells) -> Cells:
-        """See `Reduction.next`."""
-        rows = self.runner.layout.rows(cells)
-        codes = self.codes[rows]
-        of_lashes: npt.NDArray[np.int32] = 3 * codes + 2 + self.fields["initial_side"][rows]
-        vague = (self.fields["quality"][rows] & (QUALITY_UNDECIDED | QUALITY_GRAZING)) != 0
-        of_lashes[(codes == FAILED_CODE) | vague] = DOUBTFUL
-        touches = self.fields["touches"][rows].reshape(-1, self._lashes).sum(axis=1, dtype=np.int32)
-        return self._refinement.take(cells, self._of_cells(of_lashes.reshape(-1, self._lashes)), touches)
-
-    def _of_cells(self, of_lashes: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-        """Regimes of cells, (n,), of which two are equal where those of all lashes, (n, lashes), are."""
-        if self._lashes == 1:
-            return of_lashes[:, 0]
-        unique, inverse = np.unique(of_lashes, axis=0, return_inverse=True)
-        numbers = [
-            DOUBTFUL if DOUBTFUL in each else self._regimes.setdefault(each, len(self._regimes) + 1)
-            for each in map(tuple, unique.tolist())
-        ]
-        return np.array(numbers, np.int32)[inverse.reshape(-1)]
-
-    def result(self, attributes: dict[str, str]) -> Results:
-        """See `Reduction.result`."""
-        self._infer(self._refinement.regimes())
-        steps = " x ".join(str(step) for step in self._spacing)
-        note = (
-            f"{self.done} of {self.design.cells} cells run, the others inferred from their neighbours; coarse grid "
-            f"every {steps} cells: regimes that none of its cells shows, nor any line followed from them, are missed"
-        )
-        return super().result({**attributes, "refinement": note})
-
-    def _infer(self, regimes: npt.NDArray[np.int32]) -> None:
-        """Set label, initial flank and number of primaries of cells that have not been run by their regimes."""
-        inferred = np.repeat(~self.known, self._lashes)
-        if self._lashes > 1:
-            regimes = np.array([[0] * self._lashes, *self._regimes], np.int32)[np.maximum(regimes, 0)].ravel()
-        codes, sides = np.divmod(np.arange(3 * len(self.sequences)), 3)
-        lengths = np.array([len(sequence) for sequence in self.sequences])
-        of_regime = {"sequence": codes, "initial_side": sides - 1, "primary_impacts": lengths[codes]}
-
-        def finish(name: str) -> None:
-            values = self.codes if name == "sequence" else self.fields[name]
-            value = self.of_cells[name].inferred
-            if value is None:
-                _fill(values, inferred, regimes, of_regime[name].astype(values.dtype))
-            else:
-                np.copyto(values, value, where=inferred, casting="unsafe")
-
-        self.for_each(finish, list(self.of_cells))
-        self.known[:] = True
 
 
 class MendedReduction(RegimeReduction):
@@ -257,14 +172,13 @@ class MendedReduction(RegimeReduction):
             f"{self._failed.size} failed cells run again with {', '.join(changes) or 'the same solver'}: "
             f"{failed_again} failed again; cells {cells} in C order"
         )
-        notes = {key: value for key, value in earlier.attributes.items() if key == "refinement"}
-        notes["retried"] = "; ".join(text for text in (earlier.attributes.get("retried"), note) if text)
+        retried = "; ".join(text for text in (earlier.attributes.get("retried"), note) if text)
         return replace(
             mended,
             title=earlier.title,
             config=earlier.config,
             config_digest=earlier.config_digest,
-            attributes={**attributes, **notes},
+            attributes={**attributes, "retried": retried},
         )
 
 
@@ -276,31 +190,6 @@ def _put(values: Array, first: Cells, rows: Cells, impacts: Array) -> None:
         for at in range(first[row], first[row + 1]):
             values[at] = impacts[done]
             done += 1
-
-
-@compiled
-def _fill(
-    values: Array,
-    inferred: Bools,
-    regimes: npt.NDArray[np.int32],
-    of_regime: Array,
-) -> None:
-    """Set inferred cells to the value of their regime, which is a number from 1."""
-    for cell, regime in enumerate(regimes):
-        if inferred[cell]:
-            values[cell] = of_regime[regime - 1]
-
-
-@compiled
-def _write_flanks(
-    codes: npt.NDArray[np.int32], first: Cells, of_sequence: npt.NDArray[np.int8], flanks: npt.NDArray[np.int8]
-) -> None:
-    """Write the flanks of each cell's sequence, in the order of the cells; none of failed cells."""
-    for cell, code in enumerate(codes):
-        if code >= 0:
-            begin = first[cell]
-            for k in range(first[cell + 1] - begin):
-                flanks[begin + k] = of_sequence[code, k]
 
 
 def flanks_of(pattern: int) -> Flanks:

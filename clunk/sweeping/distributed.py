@@ -185,8 +185,6 @@ class Cluster(Executor):
             sweep = _Sweep(runner, Stop(), versions(), pace)
             self._check_workers(sweep)
             self._sweep = sweep
-        if work.may_grow:
-            sweep.pace.least = engines.tile_size(work.known, runner, threads)
         return sweep.pace.cells(work.size, threads) if running < _IN_FLIGHT * threads else 0
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any, **_options: Any) -> Future[Any]:

@@ -27,7 +27,7 @@ from clunk.sweeping.cells import Flag
 from clunk.sweeping.signals import deferred_signals
 from clunk.sweeping.tiles import Layout, Tile
 
-_AHEAD = 2  # tiles handed to each worker; by the time that it could get to more, cells may be added that belong to them
+_AHEAD = 2  # tiles handed to each worker
 _AHEAD_OF_WHOLE = 8  # of tiles of the largest size: they go on while a part is written to the disk, 0.3 s
 
 
@@ -63,32 +63,17 @@ class Work:
     """Queue of cells to run.
 
     size : number that wait
-    known : number that have been added
-    may_grow : whether more may be added while some are running
+    known : number of all
     """
 
-    def __init__(self, runner: Runner, cells: Cells, *, may_grow: bool = False) -> None:
-        self.may_grow = may_grow
-        self._runner = runner
+    def __init__(self, runner: Runner, cells: Cells) -> None:
         self._waiting = runner.ordered(cells)
-        self._begin = 0
-        self._added: list[Cells] = []
         self.size = self.known = cells.size
-
-    def add(self, cells: Cells) -> None:
-        """Append cells to the queue."""
-        if cells.size:
-            self._added.append(cells)
-            self.size += cells.size
-            self.known += cells.size
 
     def take(self, most: int) -> Cells:
         """Remove up to `most` cells from the queue, such as are best run together."""
-        if self._added and self._waiting.size - self._begin < most:
-            every = np.sort(np.concatenate([self._waiting[self._begin :], *self._added]))
-            self._waiting, self._begin, self._added = self._runner.ordered(every), 0, []
-        part = self._waiting[self._begin :][:most].copy()  # it may be kept, and the rest need not
-        self._begin += part.size
+        part = self._waiting[:most].copy()  # it may be kept, and the rest need not
+        self._waiting = self._waiting[most:]
         self.size -= part.size
         return part
 
@@ -147,14 +132,9 @@ def run_tile(runner: Runner, cells: Cells, stop: Stop) -> Tile:
 def next_tile(workers: int, running: int, work: Work, runner: Runner) -> int:
     """Number of cells of the next tile; 0 where enough tiles are running.
 
-    Half of a worker's share of the rest, so that all workers end together. Of work that may grow, half of a worker's
-    share of all, or of the most that a tile may have, as more will be added.
+    Half of a worker's share of the rest, so that all workers end together.
     """
-    most = runner.tile_cells
-    if work.may_grow:
-        most = max(1, min(most, -(-work.known // workers)) // 2)
-    else:
-        most = min(max(-(-work.size // (2 * workers)), _least(work.known, runner, workers)), most)
+    most = min(max(-(-work.size // (2 * workers)), _least(work.known, runner, workers)), runner.tile_cells)
     enough = workers * (_AHEAD_OF_WHOLE if most == runner.tile_cells else _AHEAD)
     return most if work.size and running < enough else 0
 

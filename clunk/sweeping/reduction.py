@@ -26,8 +26,6 @@ from clunk.sweeping.tiles import Tile
 SomeMap = TypeVar("SomeMap", bound=AnyMap, covariant=True)
 Flanks = tuple[int, ...]  # of a run's primary impacts in order, +1 opposite, -1 initial
 
-NO_CELLS: Cells = np.zeros(0, np.int64)
-
 
 class SweepError(ClunkError):
     """A sweep that cannot start; its text is one sentence for the user."""
@@ -39,14 +37,12 @@ class Reduction(ABC, Generic[SomeMap]):
     study, design : of the cells
     runner : makes the tiles
     plan : which cells are run, for people
-    may_grow : whether finished cells may ask for further ones; see `next`
     rows : number of rows of all cells, one for each lash
     known : (cells,) bool, whether a cell has been added
     done : number of cells that have been added
     """
 
     plan = "every cell"
-    may_grow = False
 
     def __init__(self, study: Study, design: Design, runner: Runner) -> None:
         self.study, self.design, self.runner = study, design, runner
@@ -72,12 +68,8 @@ class Reduction(ABC, Generic[SomeMap]):
         """Put a tile of new cells into the arrays; `index` is where its rows are in these."""
 
     def first(self) -> Cells:
-        """Cells to run at first, in ascending order: all that have not been added."""
+        """Cells to run, in ascending order: those that have not been added."""
         return np.flatnonzero(~self.known).astype(np.int64, copy=False)
-
-    def next(self, cells: Cells) -> Cells:
-        """Cells to run on account of some that have just been added: none, unless a map is refined."""
-        return NO_CELLS
 
     @abstractmethod
     def result(self, attributes: dict[str, str]) -> SomeMap:

@@ -20,7 +20,7 @@ from clunk.study.config import study_from_text
 from clunk.study.designs import Design, design_of, has_tolerances
 from clunk.study.problems import ConfigError
 from clunk.study.study import Study, digest
-from clunk.sweeping.assembly import MendedReduction, RefinedReduction, RegimeReduction
+from clunk.sweeping.assembly import MendedReduction, RegimeReduction
 from clunk.sweeping.cells import Systems, warm_up
 from clunk.sweeping.engines import EngineError, Work, available_cores, run_tiles
 from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory, differences, flat
@@ -48,8 +48,7 @@ class Job:
 
     study : with at least one axis or sample; with tolerances, the map is a ToleranceMap, else Results
     design : cells to run instead of those of the study's sweep
-    refine : whether to run only a coarse grid and what `clunk.sweeping.refinement` asks for, and infer the other cells
-    systems : of this study, where some are known already and every cell is run
+    systems : of this study, where some are known already
     earlier : finished results of which only the failed cells are run again, with another [solver]
     directory : open; finished cells are kept there as the sweep goes on, and taken up from there
     path : results file to write
@@ -62,7 +61,6 @@ class Job:
         study: Study,
         design: Design | None = None,
         *,
-        refine: bool = False,
         systems: Systems | None = None,
         earlier: Results | None = None,
         directory: WorkingDirectory | None = None,
@@ -70,7 +68,7 @@ class Job:
         counts: dict[str, dict[str, int]] | None = None,
     ) -> None:
         self.study, self.design = study, design or design_of(study)
-        self.refine, self.systems, self.earlier = refine, systems, earlier
+        self.systems, self.earlier = systems, earlier
         self.directory, self.path, self.counts = directory, path, counts
         self.ran, self.seconds = 0, 0.0
 
@@ -90,8 +88,6 @@ class Job:
         scratch = scratch_for(design.cells * lashes, on_disk)
         if self.earlier is not None:
             return MendedReduction(self.study, self.earlier, scratch)
-        if self.refine:
-            return RefinedReduction(self.study, design, scratch)
         return RegimeReduction(self.study, design, scratch, self.systems)
 
     @cached_property
@@ -146,14 +142,13 @@ class Job:
         try:
             with opening as executor:
                 finished = reduction.done
-                work = Work(reduction.runner, reduction.first(), may_grow=reduction.may_grow)
+                work = Work(reduction.runner, reduction.first())
                 # closing it abandons the cells that run at an interrupt
                 with closing(run_tiles(executor, reduction.runner, work)) as tiles:
                     for tile in tiles:
                         reduction.add(tile)
                         if parts is not None:
                             parts.add(tile)
-                        work.add(reduction.next(tile.cells))
                         if progress is not None:
                             progress(reduction.done, finished + work.known)
         except (KeyboardInterrupt, SystemExit, EngineError) as stopped:  # SIGINT, SIGTERM, workers gone
@@ -180,7 +175,6 @@ def opened(
     path: str | os.PathLike[str] | None,
     study: Study,
     *,
-    refine: bool = False,
     retry: bool = False,
     restart: bool = False,
     force: bool = False,
@@ -188,14 +182,14 @@ def opened(
     """Lock a results file for a sweep, and take up the finished cells.
 
     path : results file, whose directory exists; None for a sweep in memory
-    refine, restart, force : as of `clunk.sweep`
+    restart, force : as of `clunk.sweep`
     retry : whether to run only the failed cells of the finished file again
 
     Raises SweepError where the file holds something else, StoreError where `retry` finds none that can be read, and
     PartsError where it is being written, or another sweep into it has been stopped.
     """
     if path is None:
-        yield Job(study, refine=refine)
+        yield Job(study)
         return
     path = Path(path)
     with WorkingDirectory(path) as directory:
@@ -204,8 +198,8 @@ def opened(
             earlier = read_results(path)
             counts = None if (earlier.status != 0).any() else earlier.counts_of_lashes
         elif path.exists() and not force:
-            counts = _complete_counts(path, study, restart=restart, refine=refine)
-        job = Job(study, refine=refine, earlier=earlier, directory=directory, path=path, counts=counts)
+            counts = _complete_counts(path, study, restart=restart)
+        job = Job(study, earlier=earlier, directory=directory, path=path, counts=counts)
         if counts is not None and directory.parts():  # of a process that was killed when its file was in place
             with suppress(PartsError):  # another sweep's parts stay
                 _ = job.parts
@@ -222,7 +216,7 @@ def _differing(header: Header, study: Study) -> str:
     return repr(header.title)
 
 
-def _complete_counts(path: Path, study: Study, *, restart: bool, refine: bool) -> dict[str, dict[str, int]] | None:
+def _complete_counts(path: Path, study: Study, *, restart: bool) -> dict[str, dict[str, int]] | None:
     """The counts of a file that holds this very sweep. Raises SweepError where it holds anything else."""
     try:
         header = read_header(path)
@@ -232,8 +226,6 @@ def _complete_counts(path: Path, study: Study, *, restart: bool, refine: bool) -
         raise SweepError(f"{path} holds the results of another config ({_differing(header, study)}). {_WAYS_OUT}")
     if restart:
         return None
-    if "refinement" in header.attributes and not refine:
-        raise SweepError(f"{path} holds this sweep by --refine, with inferred cells. {_WAYS_OUT}")
     return header.counts_of_lashes
 
 
@@ -272,7 +264,6 @@ def sweep(
     workers: int | None = None,
     engine: Executor | None = None,
     progress: Progress | None = None,
-    refine: bool = False,
     systems: Systems | None = None,
 ) -> Results:
     """Run the cells of a study in memory.
@@ -281,7 +272,7 @@ def sweep(
     """
     if has_tolerances(study):
         raise SweepError(HAS_TOLERANCES)
-    results = Job(study, design, refine=refine, systems=systems).run(engine, workers=workers, progress=progress)
+    results = Job(study, design, systems=systems).run(engine, workers=workers, progress=progress)
     assert isinstance(results, Results)
     return results
 
