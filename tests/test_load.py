@@ -15,7 +15,6 @@ t = np.array([0.0, 1e-3, 0.05, 0.1, 0.17, 0.1999, 0.2, 0.25, 0.3, 2.0])
 
 PROFILES = {
     "step": ({}, np.full(t.size, T1)),
-    "tip-out": ({}, np.full(t.size, T1)),
     "ramp": ({"duration": D}, T0 + (T1 - T0) * np.minimum(t / D, 1.0)),
     "smooth": ({"duration": D}, T0 + (T1 - T0) * (1.0 - np.cos(np.pi * np.minimum(t / D, 1.0))) / 2),
     "lag": ({"time_constant": 0.03}, T0 + (T1 - T0) * (1.0 - np.exp(-t / 0.03))),
@@ -43,7 +42,7 @@ def test_the_pieces_are_the_profile(profile):
     assert loads_of(config, 3).before == pytest.approx([T0] * 3)
     # 1e-15 of the largest torque per operation, of which there are ten; the tail that a lag leaves is 4e-18
     assert torques(config) == pytest.approx(PROFILES[profile][1], abs=6e-14)
-    assert is_moving(config) == (profile not in ("step", "tip-out", "pulse"))
+    assert is_moving(config) == (profile not in ("step", "pulse"))
 
 
 @pytest.mark.parametrize("profile", ["smooth", "lag", "sine"])

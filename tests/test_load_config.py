@@ -12,7 +12,7 @@ from clunk.study.config import load_study, study_from_text
 from clunk.study.keys import json_schema
 from clunk.study.loads import PROFILES
 from clunk.study.problems import ConfigError
-from clunk.study.study import digest, replace_values, to_toml
+from clunk.study.study import replace_values, to_toml
 from clunk.sweeping.cells import leaves_system
 
 PRESET = '[driveline]\npreset = "boere-2008"\n'
@@ -59,14 +59,6 @@ def test_every_profile_is_read_and_written(profile):
 
 def test_the_schema_knows_every_profile():
     assert json_schema()["$defs"]["Load"]["properties"]["profile"]["enum"] == [*PROFILES]
-
-
-def test_step_and_tip_out_are_one_profile():
-    older = study_from_text(config('profile = "tip-out"'))
-    study = study_from_text(config('profile = "step"'))
-    assert digest(study) == digest(older) == digest(study_from_text(PRESET))
-    assert load_step(study.load) == load_step(older.load)
-    assert 'profile = "tip-out"' in to_toml(study_from_text(PRESET))
 
 
 def test_a_table_takes_the_place_of_the_presets_torques():
@@ -201,8 +193,8 @@ def test_a_long_trace_floods_nothing(tmp_path):
         (TABLE, uniform("samples", "scale", 0.5, 1.5), ""),
         (TABLE, uniform("samples", "times[2]", 0.05, 0.15), ""),
         (TABLE, f'[sweep]\ndesign = "zip"\n{axis("times[2]", "[0.1, 0.3]")}{axis("times[3]", "[0.2, 0.4]")}', ""),
-        ("", axis("duration", "[0.1]"), 'the profile is "tip-out", and not "ramp", "smooth" or "pulse"'),
-        ("", axis("times[2]", "[0.1]"), 'the profile is "tip-out", and not "table"'),
+        ("", axis("duration", "[0.1]"), 'the profile is "step", and not "ramp", "smooth" or "pulse"'),
+        ("", axis("times[2]", "[0.1]"), 'the profile is "step", and not "table"'),
         (TABLE, axis("ratio", "[1.0]"), 'the profile is "table", and not "step"'),
         (TABLE, axis("torques[4]", "[1.0]"), "load.torques has 3 items"),
         ('profile = "ramp"', axis("duration", "[-0.1, 0.1]"), "found -0.1; load.duration must be a number, 0 or"),

@@ -28,7 +28,7 @@ PRIMARIES = np.array([0, 1, 2, 2, 3, 4, 4, 5, 6])
 THRESHOLDS = (1.46, 3.13, 6.69)
 RATIO = ResultAxis("load.ratio", np.linspace(0.0, 10.0, 61), "load ratio", "σr = Td/Ts", "1")
 BACKLASH = ResultAxis("lash.backlash_deg", np.linspace(0.0, 20.0, 61), "backlash", "φθ", "degrees")
-CONFIG = '[load]\nprofile = "tip-out"\n'
+CONFIG = '[load]\nprofile = "step"\n'
 
 
 def make(axes: tuple[ResultAxis, ...], labels: tuple[str, ...], sequence: np.ndarray, severity: np.ndarray) -> Results:
@@ -262,7 +262,7 @@ def test_axes_carry_name_symbol_and_unit(nine_map: Figure) -> None:
     ax = nine_map.axes[0]
     plain = [label.replace(r"$_\mathregular{", "").replace("}$", "") for label in (ax.get_xlabel(), ax.get_ylabel())]
     assert plain == ["Load ratio σr = Td/Ts", "Backlash φθ [degrees]"]
-    assert ax.get_title(loc="left") == "ideal torque step (tip-out)"
+    assert ax.get_title(loc="left") == "ideal torque step"
     assert nine_map.get_suptitle() == "Regimes of the nominal driveline"
 
 

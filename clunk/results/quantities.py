@@ -34,7 +34,6 @@ class Quantity:
     dimension : the dimension behind the map's axes: ``impact``, ``label``, ``quantile``; empty where there is none
     of : ``lash``, or ``cell`` where all lashes of a cell have the same
     coded : ``labels``, ``status``, ``quality`` or ``flank``, where the integers are codes or bits of these
-    since : first schema version of files that have it; read from an older one, it is NaN
     words, symbol : name and symbol for people; empty where the values are not drawn or printed as numbers
     title : name in plots, where that is not `words`
     long_name : description in the file
@@ -46,7 +45,6 @@ class Quantity:
     dimension: str
     of: str
     coded: str
-    since: int
     words: str
     symbol: str
     title: str
@@ -92,8 +90,8 @@ def _read() -> dict[str, dict[str, Quantity]]:
     text = files(__package__).joinpath("quantities.csv").read_text("utf-8")
     for row in csv.DictReader(text.splitlines()):
         quantities = maps.setdefault(row.pop("map"), {})
-        dtype, since = np.dtype(row.pop("dtype")).type, int(row.pop("since"))
-        quantities[row["name"]] = Quantity(dtype=dtype, since=since, **row)
+        dtype = np.dtype(row.pop("dtype")).type
+        quantities[row["name"]] = Quantity(dtype=dtype, **row)
     return maps
 
 

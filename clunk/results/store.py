@@ -1,7 +1,7 @@
 """The results file, both ways: HDF5 laid out as netCDF-4, so that xarray, MATLAB and ncdump read it too.
 
 The variables of a file are the quantities of its map, see `clunk.results.quantities`. Nothing of a file is believed on
-reading: what is missing, foreign, newer or damaged ends in a `StoreError` whose text is one sentence.
+reading: what is missing, foreign, of another version or damaged ends in a `StoreError` whose text is one sentence.
 """
 
 from __future__ import annotations
@@ -45,9 +45,7 @@ from clunk.study.axes import LASH, RUN, ResultAxis, lash_axis
 from clunk.study.document import nearest_file
 from clunk.study.errors import ClunkError
 
-SCHEMA_VERSION = 2  # of a regime map
-_WITH_TOLERANCES, _WITH_BOUNDARIES, _WITH_LASHES, _WITH_MEASURES = 3, 4, 5, 6
-NEWEST_VERSION = 6  # of any file that is read
+SCHEMA_VERSION = 7
 _KIND = "kind"  # root attribute of a tolerance map; a regime map has none
 _TOLERANCE_MAP = "tolerance map"
 # Root attributes that are not among the `attributes` of a map.
@@ -179,9 +177,7 @@ def _fill(file: Image, results: AnyMap) -> None:
     sample, boundaries = results.sample, results.boundaries
     set_text(file, "title", results.title)
     set_text(file, "Conventions", CONVENTIONS)
-    version = _WITH_TOLERANCES if sample else SCHEMA_VERSION if boundaries is None else _WITH_BOUNDARIES
-    version = _WITH_LASHES if results.lashes else version
-    file.attrs["schema_version"] = np.int32(_WITH_MEASURES if results.measured_quantities else version)
+    file.attrs["schema_version"] = np.int32(SCHEMA_VERSION)
     for name, value in results.attributes.items():
         if name in _RESERVED:
             raise ValueError(f"{name} is written from the results' own fields, not from attributes")
@@ -295,10 +291,10 @@ def opened(path: str | os.PathLike[str], *, header_only: bool = False) -> Iterat
                 if "schema_version" not in file.attrs or "sequence" not in file:
                     raise StoreError(f"{path} is not a results file of clunk, although it is HDF5.")
                 version = int(file.attrs["schema_version"])
-                if version > NEWEST_VERSION:
+                if version != SCHEMA_VERSION:
                     raise StoreError(
-                        f"{path} has schema version {version} and this clunk reads up to {NEWEST_VERSION}: "
-                        "a newer clunk is needed to read it."
+                        f"{path} has schema version {version}, and this clunk reads {SCHEMA_VERSION}: "
+                        "run the sweep again."
                     )
                 header = _header_of(file, checksum)
                 if not checksum and not header_only:
@@ -312,14 +308,13 @@ def map_of(file: h5py.File, header: Header) -> AnyMap:
     """Read the map of an open file. Raises ValueError where it cannot be one."""
     described: dict[str, Any] = {field.name: getattr(header, field.name) for field in dataclasses.fields(Description)}
     arrays: dict[str, Any] = {}
-    for name, quantity in _quantities(file, header).items():
+    for name, quantity in _quantities(header).items():
         in_impacts = quantity.dimension == "impact"
         arrays[name] = _unpadded(file[name], arrays["primary_impacts"]) if in_impacts else file[name][()]
         if quantity.of == "cell" and header.lashes:
             arrays[name] = np.repeat(arrays[name][..., None], len(header.lashes), axis=-1)
     if not header.tolerance_map:
         measured = {name: arrays.pop(name) for name in header.measured_quantities}
-        arrays |= {name: np.full(header.shape, np.nan) for name in REGIME_QUANTITIES if name not in arrays}
         return Results(**described, **arrays, measured=measured)
     probability, sequence = arrays.pop("probability"), arrays.pop("sequence")
     runs = np.rint(probability * len(header.sample[0].values)).astype(np.int32)
@@ -392,17 +387,15 @@ def _axis_of(scale: h5py.Dataset) -> ResultAxis:
     )
 
 
-def _quantities(file: h5py.File, header: Header) -> dict[str, Quantity]:
-    """The quantities that a file of its schema version has."""
-    version = int(file.attrs["schema_version"])
-    quantities = TOLERANCE_QUANTITIES if header.tolerance_map else REGIME_QUANTITIES | header.measured_quantities
-    return {name: quantity for name, quantity in quantities.items() if quantity.since <= version}
+def _quantities(header: Header) -> dict[str, Quantity]:
+    """The quantities of a file, in their order."""
+    return TOLERANCE_QUANTITIES if header.tolerance_map else REGIME_QUANTITIES | header.measured_quantities
 
 
 def _require_digest(file: h5py.File, header: Header) -> None:
     """Raise ValueError where a file's data do not match their digest."""
     digest = Digest(header.axes + header.coordinates + header.sample, (*header.labels, *header.lashes))
-    for name in _quantities(file, header):
+    for name in _quantities(header):
         digest.begin(name, file[name])
         for start, stop in row_blocks(file[name]):
             digest.add(file[name][start:stop])

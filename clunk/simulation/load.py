@@ -123,7 +123,7 @@ def wave_rates(load: Load) -> Floats | None:
 
 def is_moving(load: Load) -> bool:
     """Whether the torque can change in any other way than by jumps."""
-    return load.profile not in ("step", "tip-out", "pulse")
+    return load.profile not in ("step", "pulse")
 
 
 def torque_at(pieces: Floats, rates: Floats | None, time: Floats) -> Floats:

@@ -38,7 +38,6 @@ PROFILES = {
     "pulse": Profile("torque pulse", (*STEP_KEYS, "duration")),
     "table": Profile("tabulated torque", ("times", "torques", "scale")),
     "sine": Profile("sinusoidal torque", (*STEP_KEYS, "amplitude", "frequency")),
-    "tip-out": Profile("ideal torque step (tip-out)", STEP_KEYS),
 }
 _NEEDED = {"duration": "s", "time_constant": "s", "amplitude": "N m", "frequency": "Hz"}
 _COLUMNS = "time (s) and torque (N m), separated by commas"
@@ -51,7 +50,7 @@ class Load(Table):
     T0 is the torque before the load step and T1 the one that it goes to: Ts (1 + σr) and Ts, by static_torque Ts and
     ratio σr (report Eqs. 2.2 and 2.4), or initial_torque and final_torque. t is the time after the load step.
 
-    profile : "step" or, its older name, "tip-out": T1. "ramp": a straight line from T0 to T1 over the duration.
+    profile : "step": T1. "ramp": a straight line from T0 to T1 over the duration.
         "smooth": half a cosine instead. "lag": T1 + (T0 - T1) exp(-t / time_constant). "pulse": T1 for the duration,
         then T0 again. "table": straight lines between the torques at the times; at two equal times the torque jumps,
         and the first of all is T0. "sine": T1 + amplitude sin(2π frequency t)
@@ -61,7 +60,7 @@ class Load(Table):
     step_time : float, of the load step on the time axis of plots
     """
 
-    profile: Literal["step", "ramp", "smooth", "lag", "pulse", "table", "sine", "tip-out"] = "tip-out"
+    profile: Literal["step", "ramp", "smooth", "lag", "pulse", "table", "sine"] = "step"
     on: Annotated[Inertia, Quantity("loaded inertia", "i", "1")]
     static_torque: Annotated[float | None, Quantity("static torque", "Ts", "N m")] = None
     ratio: Annotated[float | None, Quantity("load ratio", "σr = Td/Ts", "1")] = None
@@ -130,7 +129,7 @@ def uses(profile: str, key: str) -> bool:
 
 def is_ideal_step(load: Load) -> bool:
     """Whether the torque steps at once and stays (report Eq. 2.2)."""
-    return load.profile in ("step", "tip-out")
+    return load.profile == "step"
 
 
 def numbers(load: Mapping[str, Any], swept: Container[str] = (), without: Container[str] = ()) -> list[str]:

@@ -127,7 +127,7 @@ def content(study: Study) -> dict[str, Any]:
     plain = study.model_dump(exclude_none=True)
     factors = [(joint, "ratio") for joint in (*_lash_tables(plain), *plain["driveline"]["shafts"])]
     for table, key in [*factors, (plain["load"], "scale")]:
-        if table[key] == 1.0:  # as configs and digests of earlier versions have it
+        if table[key] == 1.0:
             del table[key]
     for shaft in plain["driveline"]["shafts"]:
         if shaft["friction"] == 0.0:
@@ -165,10 +165,6 @@ def decisive_content(study: Study) -> dict[str, Any]:
         lash.pop("name", None)
     for shaft in decisive["driveline"]["shafts"]:
         shaft.pop("name", None)
-    if decisive["load"]["profile"] == "step":
-        decisive["load"]["profile"] = "tip-out"  # its name in earlier versions
-    if study.sweep is not None and study.sweep.design == "grid":
-        del decisive["sweep"]["design"]  # sweeps of earlier versions know no other
     for axis in study.sweep.axes if study.sweep is not None else ():
         decisive = with_value(decisive, located(study, axis.parameter)[0], None)
     return decisive

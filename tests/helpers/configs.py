@@ -10,7 +10,7 @@ def plant_of(study):
     """The plant that a study's config spells out, in rad, N m and s."""
     contact, radius = study.lash.contact, study.lash.radius
     load, shafts = study.load, study.driveline.shafts
-    name = "step" if load.profile == "tip-out" else load.profile
+    name = load.profile
     before, after = load.initial_torque, load.final_torque
     if load.ratio is not None:
         before, after = load.static_torque * (1.0 + load.ratio), load.static_torque
