@@ -13,9 +13,9 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from clunk import plot as plot
     from clunk.analysis.boundaries import BoundaryError as BoundaryError
-    from clunk.analysis.fitparts import FitError as FitError
     from clunk.analysis.fitted import Fitted as Fitted
     from clunk.analysis.fittedstudy import fitted_study as fitted_study
+    from clunk.analysis.fitting import FitError as FitError
     from clunk.analysis.measurements import ExperimentError as ExperimentError
     from clunk.analysis.quantiles import threshold_quantiles as threshold_quantiles
     from clunk.analysis.sobol import Sensitivity as Sensitivity
@@ -70,7 +70,7 @@ _HOME = {
     "ExperimentError": "analysis.measurements",
     "Explorer": "explorer.server",
     "ExplorerError": "explorer.subject",
-    "FitError": "analysis.fitparts",
+    "FitError": "analysis.fitting",
     "Fitted": "analysis.fitted",
     "PartsError": "sweeping.parts",
     "PlotError": "plot",

@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy.typing as npt
 
-from clunk.analysis import fitfile, fitting, verification
+from clunk.analysis import fitting, verification
 from clunk.analysis.boundaries import require_boundaries, with_boundaries
 from clunk.analysis.fitmaps import fit_maps
 from clunk.analysis.fitted import Fitted
@@ -33,7 +33,6 @@ from clunk.study.problems import ConfigError
 from clunk.study.study import Study
 from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.cells import compiling_note
-from clunk.sweeping.parts import WorkingDirectory
 from clunk.sweeping.progress import Progress, shown
 from clunk.sweeping.reduction import SweepError
 
@@ -220,13 +219,10 @@ def run_points(
 def fit(
     study: Study,
     measurements: str | os.PathLike[str],
-    output: str | os.PathLike[str] | None = None,
     *,
     progress: bool | Progress = False,
     workers: int | None = None,
     lash: str | None = None,
-    restart: bool = False,
-    force: bool = False,
 ) -> Fitted:
     """Fit the parameters of a study to measured sequences of impacts.
 
@@ -237,12 +233,9 @@ def fit(
     measurements : path of a CSV file
         Operating points, their labels and what else was measured, as ``clunk help fit`` tells; or ``table_4_1``, the
         report's.
-    output : path of a file (.h5), optional
-        As ``clunk fit`` writes it: finished candidates are kept on the disk, a fit that was stopped goes on when it is
-        called again, and one that is complete in the file is read instead of run.
     lash : str, optional
         Of several lashes, the one that was measured, by name or number; by default the first.
-    progress, workers, restart, force
+    progress, workers
         As of `sweep`; candidates are counted.
 
     Returns
@@ -255,10 +248,7 @@ def fit(
     Raises
     ------
     FitError, ExperimentError
-        Where the measurements cannot be read or do not go with the study, or a prior with them, or the file holds
-        something else.
-    TargetError, PartsError, KeyboardInterrupt
-        As of `sweep`.
+        Where the measurements cannot be read or do not go with the study, or a prior with them.
 
     Examples
     --------
@@ -271,23 +261,9 @@ def fit(
     """
     experiment = read_experiment(measurements, TABLES)
     fitting.check(study, experiment)
-    path = None if output is None else Path(output)
-    if path is not None:
-        targets.check(path, targets.RESULTS)
-        finished = fitfile.finished(path, fitting.identity(study, experiment, lash), force)
-        if finished is not None and not restart:
-            return finished
     assert study.fit is not None
-    with ExitStack() as stack:
-        directory = None if path is None else stack.enter_context(WorkingDirectory(path))
-        if directory is not None and restart:
-            directory.clear()
-        report = stack.enter_context(_shown(progress, fitting.planned(study.fit), study, what="candidates"))
-        fitted = fitting.fit(study, experiment, lash=lash, workers=workers, progress=report, directory=directory)
-        if path is not None and directory is not None:
-            fitfile.save(path, fitted, lash, directory.path)
-            directory.remove()
-    return fitted
+    with _shown(progress, fitting.planned(study.fit), study, what="candidates") as report:
+        return fitting.fit(study, experiment, lash=lash, workers=workers, progress=report)
 
 
 def verify(study: Study, *, progress: bool | Progress = False, workers: int | None = None) -> Verification:

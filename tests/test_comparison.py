@@ -336,7 +336,7 @@ def test_table_4_1_is_the_reports() -> None:
     assert experiment.columns == ("load_ratio", "lash_backlash_deg")
     assert {found.values: found.label for found in experiment.measurements} == expected
     assert "rig's parameters are not the model's" in experiment.caveat
-    assert "DCT 2008.116" in experiment.text
+    assert "DCT 2008.116" in TABLES["table_4_1"].read_text("utf-8")
 
 
 def test_packaged_tables_are_known_by_name_and_files_by_their_suffix(

@@ -1,4 +1,4 @@
-"""Fits to measured sequences: known parameters are recovered, a stopped fit goes on, and bad input is refused."""
+"""Fits to measured sequences: known parameters are recovered, and bad input is refused."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,13 +9,13 @@ import pytest
 from click.testing import CliRunner
 
 import clunk
-from clunk.analysis import fitfile, fitting
+from clunk.analysis import fitting
 from clunk.analysis.fitensemble import effective_size, sample, weights_of
-from clunk.analysis.fitparts import FitError
 from clunk.analysis.fitpredictions import losses
 from clunk.analysis.fitreasons import order_of_events
 from clunk.analysis.fitruns import MATCH, label_of, outlier_misfit, partners
 from clunk.analysis.fittedstudy import fitted_study
+from clunk.analysis.fitting import FitError
 from clunk.analysis.measurements import Experiment, ExperimentError, experiment_of
 from clunk.api import run_points, sweep, tolerance_map
 from clunk.cli import cli
@@ -25,7 +25,6 @@ from clunk.study.fits import Fit
 from clunk.study.problems import ConfigError
 from clunk.study.study import Study, digest, to_toml
 from clunk.study.sweeps import Draw
-from clunk.sweeping.parts import WorkingDirectory
 
 RIG = '[driveline]\npreset = "boere-2008"\n[solver]\nmethod = "exact"\nend_time = 1.0\n'
 SMALL = "[fit]\ncandidates = 64\ndraws = 128\neffective_draws = 20\n"
@@ -111,7 +110,7 @@ def test_reasons_name_the_first_impact_that_differs(measured: str, computed: str
     assert words in order_of_events(flanks_of_label(measured), flanks_of_label(computed))
 
 
-def test_a_fit_recovers_the_scale_of_the_gap_and_comes_back_from_its_file(measured: Experiment, tmp_path: Path) -> None:
+def test_a_fit_recovers_the_scale_of_the_gap(measured: Experiment) -> None:
     fitted = fitting.fit(study_of(GAP), measured)
     assert fitted.met == len(measured.measurements)
     low, high = fitted.intervals()[0]
@@ -119,41 +118,6 @@ def test_a_fit_recovers_the_scale_of_the_gap_and_comes_back_from_its_file(measur
     assert high - low < 0.1  # eight times known to 0.5 ms leave about 0.05, a single one 0.15
     assert fitted.estimate[0] == pytest.approx(TRUE_GAP, abs=0.05)
     assert fitted.combinations[0][0] < 0.3
-    path = tmp_path / "fit.h5"
-    fitfile.save(path, fitted, None)
-    again, identity = fitfile.load(path)
-    assert identity == fitting.identity(study_of(GAP), measured, None)
-    assert np.array_equal(again.matches, fitted.matches)
-    assert again.probabilities == fitted.probabilities
-    assert again.warnings() == fitted.warnings()
-
-
-def test_a_fit_that_is_stopped_goes_on_to_the_same_result(measured: Experiment, tmp_path: Path) -> None:
-    study, calls = study_of(GAP), 0
-
-    def stop_in_the_ensemble(_done: int, _planned: int) -> None:
-        nonlocal calls
-        calls += 1
-        if calls == 4:
-            raise KeyboardInterrupt
-
-    whole = fitting.fit(study, measured)
-    with WorkingDirectory(tmp_path / "fit.h5") as directory:
-        with pytest.raises(KeyboardInterrupt):
-            fitting.fit(study, measured, directory=directory, progress=stop_in_the_ensemble)
-        kept = len(directory.parts())
-        again = fitting.fit(study, measured, directory=directory)
-    assert kept == 4
-    assert np.array_equal(again.matches, whole.matches)
-    assert np.array_equal(again.estimate, whole.estimate)
-    assert again.effective == whole.effective
-
-
-def test_finished_cells_of_a_sweep_are_not_overwritten(measured: Experiment, tmp_path: Path) -> None:
-    with WorkingDirectory(tmp_path / "fit.h5") as directory:
-        (directory.path / "manifest.json").write_text("{}")
-        with pytest.raises(FitError, match="holds an unfinished sweep"):
-            fitting.fit(study_of(GAP), measured, directory=directory)
 
 
 def test_a_measured_label_that_nobody_meets_is_missed_with_a_reason(measured: Experiment) -> None:
@@ -207,19 +171,18 @@ def test_what_cannot_be_fitted_is_refused_at_once(config: str, csv: str, words: 
     assert words in " ".join(str(ran.exception).split())
 
 
-def test_a_fit_is_printed_drawn_and_written_and_read_again(tmp_path: Path) -> None:
+def test_a_fit_is_printed_drawn_and_written(tmp_path: Path) -> None:
     names = ["lash.contact.damping", "driveline.shafts[3].damping"]
     fit = "[fit]\ncandidates = 1\ndraws = 64\neffective_draws = 1\n"
     priors = "".join(PRIOR.format(name, "factor", 0.9, 1.1) for name in names)
     (tmp_path / "rig.toml").write_text(RIG + fit + GAP + priors)
     (tmp_path / "rig.csv").write_text(CSV)
-    command = ["fit", str(tmp_path / "rig.toml"), str(tmp_path / "rig.csv"), "-o", str(tmp_path / "fit.h5")]
+    command = ["fit", str(tmp_path / "rig.toml"), str(tmp_path / "rig.csv")]
     more = ["--plot", str(tmp_path / "fit.png"), "--write", str(tmp_path / "fitted.toml"), "--tolerances", "8"]
     first, second = (CliRunner().invoke(cli, command + options) for options in (more, []))
     assert first.exit_code == second.exit_code == 0
     assert "more parameters, 3, than measurements, 2" in " ".join(first.output.split())
     assert first.stdout == second.stdout
-    assert "already complete" in second.output
     assert {path.name for path in tmp_path.glob("*.png")} == {"fit-ensemble.png", "fit-labels.png", "fit-maps.png"}
     assert len(load_study(tmp_path / "fitted.toml").sweep.tolerances) == 3
 
@@ -275,14 +238,11 @@ def made(draws: Sequence[Draw], key: str, numbers: np.ndarray, value: float) -> 
     return values
 
 
-def test_a_fit_into_a_file_is_made_once_and_then_read(tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_fit_and_its_pictures_go_by_name(tmp_path: Path) -> None:
     (tmp_path / "rig.csv").write_text(CSV)
-    study, path = study_of(GAP), tmp_path / "fit.h5"
-    first, again = (clunk.fit(study, tmp_path / "rig.csv", path) for _ in range(2))
+    first, again = (clunk.fit(study_of(GAP), tmp_path / "rig.csv") for _ in range(2))
     assert np.array_equal(again.matches, first.matches)
     assert f"labels met         {first.met} of 2" in repr(again)
-    with pytest.raises(FitError, match="another config"):
-        clunk.fit(study_of(GAP, fit=SMALL + "seed = 1\n"), tmp_path / "rig.csv", path)
     assert clunk.draw(first, "ensemble").axes
     with pytest.raises(clunk.PlotError, match="no picture severity of a fit"):
         clunk.draw(first, "severity")

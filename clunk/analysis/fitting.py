@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from dataclasses import dataclass, field
 from itertools import product
@@ -10,26 +9,52 @@ from itertools import product
 import numpy as np
 
 from clunk.analysis.fitensemble import Population, effective_size, sample, sobol_points, weights_of
-from clunk.analysis.fitparts import FitError, Populations
 from clunk.analysis.fitpredictions import losses, predict_left_out
-from clunk.analysis.fitruns import CandidateRuns, axes_of, numbers_at, patterns_of
+from clunk.analysis.fitruns import CandidateRuns, Worth, axes_of, numbers_at, patterns_of
 from clunk.analysis.fitted import Fewer, Fitted
 from clunk.analysis.measurements import Experiment
 from clunk.core.status import Status
 from clunk.study.arrays import Bools, Floats, Patterns, Records
+from clunk.study.errors import ClunkError
 from clunk.study.fits import Fit
 from clunk.study.keys import key_at
 from clunk.study.lashes import lash_position
 from clunk.study.parameters import located, nominal_value
 from clunk.study.rules import load_complaint
-from clunk.study.study import Study, to_toml
+from clunk.study.study import Study
 from clunk.study.sweeps import Draw
-from clunk.sweeping.parts import WorkingDirectory
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.sweep import engine_of
 
 _NEGLIGIBLE = 30.0  # logarithm of how much less likely than the best a candidate is whose distances do not matter
 _SEARCHED = 16  # candidates of a population of the search, for each parameter
+
+
+class FitError(ClunkError):
+    """A fit that cannot start; its text is one sentence for the user."""
+
+
+@dataclass
+class Populations:
+    """Runs of one population of candidates after the other, with their progress.
+
+    runs : CandidateRuns
+    progress, planned : called with the number of candidates so far, and this number in all
+    candidates : number of them so far
+    """
+
+    runs: CandidateRuns
+    progress: Progress | None = None
+    planned: int = 0
+    candidates: int = 0
+
+    def __call__(self, candidates: Floats, worth: Worth) -> Records:
+        """Run a population; parameters and result as of `CandidateRuns`."""
+        matches = self.runs(candidates, worth)
+        self.candidates += len(candidates)
+        if self.progress is not None:
+            self.progress(self.candidates, max(self.planned, self.candidates))
+        return matches
 
 
 @dataclass
@@ -62,7 +87,6 @@ def fit(
     lash: str | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
-    directory: WorkingDirectory | None = None,
 ) -> Fitted:
     """Fit the parameters of a study's [fit] to measured sequences of impacts.
 
@@ -77,8 +101,6 @@ def fit(
         Threads; by default one for each core that this process may use.
     progress : callable(done, total), optional
         Called with the number of candidates after each population.
-    directory : WorkingDirectory, optional
-        Open; finished populations are kept there, and taken up from there.
 
     Raises
     ------
@@ -91,7 +113,7 @@ def fit(
     position = lash_position(lash, study.lash_names)
     with engine_of(None, workers) as engine:
         runs = CandidateRuns(study, experiment, priors, engine, position)
-        populations = Populations(runs, identity(study, experiment, lash), directory, progress, planned(settings))
+        populations = Populations(runs, progress, planned(settings))
         best = _Best(runs.wanted)
         nominal = np.array([nominal_number(study, prior) for prior in priors])
         nominal_matches = populations(nominal[None], lambda matches: np.ones(1, bool))[0]
@@ -265,14 +287,6 @@ def _check_axis(study: Study, axis: str, value: float, where: str) -> None:
                 f"{where}: the prior allows {axis} = {changed:.6g}, and it must be {key.must_be}; bound it with low "
                 "and high."
             )
-
-
-def identity(study: Study, experiment: Experiment, lash: str | None) -> str:
-    """SHA-256 of everything that decides a fit: the study without its title and sweep, the measurements, the lash."""
-    decisive = to_toml(study.model_copy(update={"sweep": None, "title": "-"}))
-    rows = [(each.values, each.label, each.impacts, each.std, each.detection_speed) for each in experiment.measurements]
-    text = f"{decisive}\n{experiment.columns}\n{rows}\n{lash_position(lash, study.lash_names)}"
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def planned(settings: Fit) -> int:

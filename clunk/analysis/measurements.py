@@ -59,14 +59,12 @@ class Experiment:
     columns : names of the parameters as they are in results files, for example load_ratio
     measurements : one or more
     caveat : what keeps the measurements from being a test of the model; from a comment that begins with "caveat:"
-    text : of the file
     """
 
     name: str
     columns: tuple[str, ...]
     measurements: tuple[Measurement, ...]
     caveat: str = CAVEAT
-    text: str = ""
 
 
 Tables = Mapping[str, Traversable]  # by name: CSV files that come with a package
@@ -129,7 +127,6 @@ def experiment_of(text: str, path: str | os.PathLike[str]) -> Experiment:
         columns=tuple(column for column in columns if not _is_measured(column)),
         measurements=tuple(measurements),
         caveat=caveats[0] if caveats and caveats[0] else CAVEAT,
-        text=text,
     )
 
 

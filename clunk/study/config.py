@@ -69,7 +69,7 @@ def load_study(path: str | PathLike[str], overrides: Sequence[str] = ()) -> Stud
       driveline  4 inertias, 4 shafts
       backlash   between 3 and 4: swept
       contact    indentation, separation by gap
-      load       tip-out on inertia 1: Ts = -2 N m, σr swept
+      load       step on inertia 1: Ts = -2 N m, σr swept
       solver     rk4, step 0.0002 s, to 2 s
       swept      load.ratio: 0 to 10, 21 values
       swept      lash.backlash_deg: 0 to 20, 21 values
