@@ -309,10 +309,6 @@ def test_simulate_never_writes_over_a_sweep_s_results(clunk, small, here):
         assert code == 2
         assert "results/small.h5" in err
         assert (here / "results/small.h5").read_bytes() == before
-    code, _, _ = clunk("simulate", small, "-o", "run.h5")
-    assert code == 0
-    code, _, _ = clunk("simulate", small, "-o", "run.h5")  # a run may be saved again
-    assert code == 0
 
 
 def test_simulate_draws_and_saves_runs_and_overlays(clunk, here):

@@ -7,15 +7,15 @@ import pytest
 from matplotlib.text import Text
 from scipy.integrate import solve_ivp
 
-from clunk.core.events import KIND_NAMES, LOCK, TOUCH
+from clunk.core.events import LOCK, TOUCH
 from clunk.plot import PlotError, histories, save
 from clunk.plot.small_gap import small_gap
-from clunk.results.historyfile import save_csv, save_hdf5
+from clunk.results.historyfile import save_csv
 from clunk.simulation.history import HistoryError, sample, shown_until
 from clunk.simulation.small_gap import SmallGap
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
-from clunk.study.study import Study, digest
+from clunk.study.study import Study
 
 xarray = pytest.importorskip("xarray")
 
@@ -336,49 +336,13 @@ def test_csv_reads_back_equal(tmp_path, model):
     assert [file.name for file in path.parent.iterdir()] == ["history.csv"]
 
 
-@pytest.mark.parametrize("model", ["gap", "restitution"])
-def test_hdf5_reads_back_equal(tmp_path, model):
-    sampled, trajectory = history(model), run(model)
-    path = tmp_path / "history.h5"
-    save_hdf5(path, sampled)
-    with xarray.open_dataset(path, engine="h5netcdf") as data:
-        assert data["theta"].dims == ("time", "inertia")
-        for name, values in {
-            "time": sampled.time,
-            "after_step": sampled.after_step,
-            "theta": sampled.angle,
-            "theta_dot": sampled.velocity,
-            "theta_ddot": sampled.acceleration,
-            "torque": sampled.torque,
-            "backlash_coordinate": sampled.backlash_coordinate,
-            "contact": sampled.contact,
-            "event_time": trajectory.events["time"],
-            "event_speed": trajectory.events["speed"],
-        }.items():
-            np.testing.assert_array_equal(data[name].values, values)
-        for variable in data.variables.values():
-            assert {"units", "long_name"} <= set(variable.attrs)
-        impacts = data["event_impact"].values
-        np.testing.assert_array_equal(np.flatnonzero(impacts == 1), trajectory.primaries)
-        np.testing.assert_array_equal(data["event_severity"].values[impacts == 1], trajectory.impact_severity)
-        assert np.count_nonzero(impacts) == trajectory.touches
-        meanings = data["event_kind"].attrs["flag_meanings"].split()
-        assert meanings == [name.replace(" ", "_") for name in KIND_NAMES]
-        assert data.attrs["label"] == "DS(1)SS(1)"
-        assert data.attrs["config_digest"] == digest(trajectory.study)
-        assert data["inertia"].attrs["names"] == "motor, flange, pinion, ring"
-        if model == "gap":
-            assert digest(study_from_text(data.attrs["config"])) == digest(trajectory.study)
-
-
-@pytest.mark.parametrize("write", [save_csv, save_hdf5])
-def test_unwritable_path_is_an_error_in_one_sentence(tmp_path, write):
+def test_unwritable_path_is_an_error_in_one_sentence(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(HistoryError, match="cannot be written: "):
-        write(tmp_path / "file" / "history.csv", history())
+        save_csv(tmp_path / "file" / "history.csv", history())
     (tmp_path / "directory").mkdir()
     with pytest.raises(HistoryError, match="cannot be written: "):
-        write(tmp_path / "directory", history())
+        save_csv(tmp_path / "directory", history())
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["directory", "file"]
 
 

@@ -214,7 +214,7 @@ def test_the_command_prints_and_writes_the_same_thresholds(command, tmp_path):
     assert code == 0
     assert max(map(len, out.splitlines())) <= 80
     assert "in 3 cells" in err
-    _, out, _ = command(few + LASH, *exact, "--json", "-o", "t.nc")
+    _, out, _ = command(few + LASH, *exact, "--json", "-o", "t.json")
     cells = json.loads(out)
     (at_five,) = json.loads(command(few + LASH, *exact, "--json", "--at", "load.ratio=5.1")[1])
     assert at_five["at"] == {"load.ratio": 5.0}
@@ -227,15 +227,7 @@ def test_the_command_prints_and_writes_the_same_thresholds(command, tmp_path):
     flat = [{"load.ratio": cell["at"]["load.ratio"], **row} for cell in cells for row in cell["thresholds"]]
     assert [float(row["lash.backlash_deg"]) for row in rows[1:]] == [row["value"] for row in flat]
     assert [row["above"] for row in rows[1:]] == [row["above"] for row in flat]
-    xarray = pytest.importorskip("xarray")
-    dataset = xarray.load_dataset(tmp_path / "t.nc", engine="h5netcdf")
-    assert dataset.lash_backlash_deg.dims == ("load_ratio", "threshold")
-    assert dataset.lash_backlash_deg.to_numpy()[np.isfinite(dataset.lash_backlash_deg)].tolist() == [
-        row["value"] for row in flat
-    ]
-    meanings = dict(zip(dataset.above.flag_values.tolist(), dataset.above.flag_meanings.split(), strict=True))
-    above = [meanings[code] for code in dataset.above.to_numpy().ravel().tolist()]
-    assert [word for word in above if word != "none"] == [row["above"] for row in flat]
+    assert json.loads((tmp_path / "t.json").read_text()) == cells
 
 
 def test_what_never_changes_is_said_and_no_error(command):
@@ -247,7 +239,7 @@ def test_what_never_changes_is_said_and_no_error(command):
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["-o", "t.txt"], 2, "must end in .csv, .h5, .json, .nc, .png, .svg, .pdf"),
+        (["-o", "t.txt"], 2, "must end in .csv, .json, .png, .svg, .pdf"),
         (["-o", "t.png"], 2, "the config has no other axis"),
         (["--at", "load.ratio=5"], 2, "--at is for the axes other than load.ratio"),
         (["--of", "Q<=8000"], 2, "did you mean severity?"),

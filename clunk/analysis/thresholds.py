@@ -12,6 +12,8 @@ differ by two or more, and where the number of the runs dips towards zero.
 
 from __future__ import annotations
 
+import csv
+import io
 import math
 from collections.abc import Iterator
 from concurrent.futures import Executor
@@ -150,6 +152,17 @@ class Thresholds:
             plain.append({"at": self.at(cell), "lowest": self.word(lowest), "thresholds": listed})
         return plain
 
+    def csv(self) -> str:
+        """Comma-separated values: a row for each threshold; of a cell without any, a row with no value."""
+        text = io.StringIO()
+        write = csv.writer(text, lineterminator="\n").writerow
+        write([*(axis.parameter for axis in (*self.axes, self.along)), "below", "above"])
+        for cell in self.cells():
+            none = {"value": "", "below": cell["lowest"], "above": cell["lowest"]}
+            for row in cell["thresholds"] or [none]:
+                write([*cell["at"].values(), row["value"], word_text(row["below"]), word_text(row["above"])])
+        return text.getvalue()
+
     def where(self, word: Word, **at: float) -> list[tuple[float, float]]:
         """Intervals of the key in which the outcome is this one, in the cell nearest to these values.
 
@@ -165,6 +178,11 @@ class Thresholds:
         places = tuple(axis.nearest(at[name]) for name, axis in names.items())
         cell = int(np.ravel_multi_index(places, self.shape)) if places else 0
         return [(begin, end) for begin, end, code in self.intervals(cell) if self.word(code) == word]
+
+
+def word_text(word: Word) -> str:
+    """An outcome as text: true and false for whether something holds."""
+    return str(word).lower() if isinstance(word, bool) else str(word)
 
 
 def thresholds(

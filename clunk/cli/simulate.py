@@ -52,7 +52,7 @@ class Drawing(NamedTuple):
     multiple=True,
     help="A run for each value. May be repeated.",
 )
-@click.option("-o", "--output", type=PATH, help="Picture (.png .svg .pdf), or data (.csv .h5).")
+@click.option("-o", "--output", type=PATH, help="Picture (.png .svg .pdf), or data (.csv).")
 @click.option(
     "--figure",
     type=click.Choice(_FIGURES),
@@ -97,9 +97,8 @@ def simulate(
     options.check(output)
     studies = _studies_to_simulate(source, overrides, at, overlay)
     if output is not None:
-        targets.check(output, (*targets.PICTURES, *targets.DATA), reads=source)
-        targets.spare_a_sweep(output)
-        if output.suffix.lower() in targets.DATA and len(studies) > 1:
+        targets.check(output, (*targets.PICTURES, ".csv"), reads=source)
+        if output.suffix.lower() == ".csv" and len(studies) > 1:
             raise click.UsageError(f"{output} takes one run; leave --overlay out, or name a picture.")
     terminal.say_if_compiling(*(study for _, study in studies))
     for _, study in studies:
@@ -165,13 +164,12 @@ def _studies_to_simulate(
 
 def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, options: Drawing, *, each_lash: bool) -> None:
     """Save or draw runs; each_lash : whether pictures show every lash, or that of the trajectories alone."""
-    from clunk.results import historyfile, targets
+    from clunk.results import historyfile
     from clunk.simulation import history as histories
 
-    if output.suffix.lower() in targets.DATA:
+    if output.suffix.lower() == ".csv":
         ((_, trajectory),) = runs
-        save = historyfile.save_csv if output.suffix.lower() == ".csv" else historyfile.save_hdf5
-        save(output, histories.sample(trajectory, options.step, options.until))
+        historyfile.save_csv(output, histories.sample(trajectory, options.step, options.until))
         terminal.say_written(output)
         return
     from clunk.plot import histories as figures

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import time
 from pathlib import Path
@@ -62,7 +63,7 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
 @set_option
 @at_option
 @workers_option
-@click.option("-o", "--output", type=PATH, help="Data (.csv .json .h5 .nc), or a picture (.png .svg .pdf).")
+@click.option("-o", "--output", type=PATH, help="Data (.csv .json), or a picture (.png .svg .pdf).")
 @json_option
 def thresholds(
     config: Path,
@@ -92,11 +93,11 @@ def thresholds(
       clunk thresholds configs/tolerant_ramp.toml --along load.duration \\
           --of double_sided --quantiles 0.5,0.95,0.99
     """
-    from clunk.analysis import thresholdfile
     from clunk.analysis import thresholds as analysis
     from clunk.analysis.outcomes import DOUBLE_SIDED
     from clunk.analysis.quantiles import check, threshold_quantiles
     from clunk.results import targets
+    from clunk.results.files import write_text
     from clunk.simulation.load import load_step
     from clunk.study.config import load_study
     from clunk.study.designs import has_tolerances, nominal, with_axes_at
@@ -129,14 +130,13 @@ def thresholds(
     check(shares)
     is_picture = output is not None and output.suffix.lower() in targets.PICTURES
     if output is not None:
-        targets.check(output, (*targets.DATA, ".json", ".nc", *targets.PICTURES), reads=config)
-        targets.spare_a_sweep(output)
+        targets.check(output, (".csv", ".json", *targets.PICTURES), reads=config)
     if is_picture:
         from clunk.plot import quantiles as toleranced_plot
         from clunk.plot import thresholds as plot
 
         if draws:
-            raise click.UsageError("--draws has no picture; -o FILE.csv or FILE.h5 takes the thresholds of each draw.")
+            raise click.UsageError("--draws has no picture; -o FILE.csv takes the thresholds of each draw.")
         (toleranced_plot if is_toleranced else plot).curve_axes(axes)
     terminal.warm_up(study)
     began = time.perf_counter()
@@ -161,7 +161,9 @@ def thresholds(
             figure = plot.threshold_figure(located)
         terminal.save_picture(figure, output)
     elif output is not None:
-        thresholdfile.save(output, result)
+        is_csv = output.suffix.lower() == ".csv"
+        text = result.csv() if is_csv else json.dumps(result.cells(), ensure_ascii=False) + "\n"
+        write_text(output, text, analysis.ThresholdError)
         terminal.say_written(output)
     for status, count in located.failures.items():
         terminal.complain(f"{count:,} runs failed: {status.sentence}")
@@ -171,7 +173,7 @@ def thresholds(
 
 def print_thresholds(result: Thresholds) -> None:
     """Print a row for each threshold, with its value and the outcomes below and above."""
-    from clunk.analysis.thresholdfile import word_text
+    from clunk.analysis.thresholds import word_text
 
     along = result.along
     unit = "" if along.unit == "1" else f" [{along.unit}]"

@@ -17,8 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from scipy.optimize import linear_sum_assignment
 
-from clunk.analysis.thresholdfile import word_text
-from clunk.analysis.thresholds import Thresholds
+from clunk.analysis.thresholds import Thresholds, word_text
 from clunk.plot import style
 from clunk.plot.notes import remark, set_notes, swatch
 from clunk.plot.plane import cell_edges, scale_axis, value_text

@@ -18,11 +18,9 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from clunk import __version__
 from clunk.results.checksum import blocks, trailer
 from clunk.results.files import reserve, write_whole
 from clunk.study.arrays import Array
-from clunk.study.study import Study, to_toml
 
 CONVENTIONS = "CF-1.11"
 
@@ -151,15 +149,6 @@ def _deflated(part: Array, shape: tuple[int, ...]) -> bytes:
     planes = np.ascontiguousarray(part).view(np.uint8).reshape(-1, part.itemsize).T
     deflate = zlib.compressobj(1, zlib.DEFLATED, strategy=zlib.Z_RLE)
     return deflate.compress(np.ascontiguousarray(planes).data) + deflate.flush()
-
-
-def set_heading(file: h5py.File, study: Study, schema_version: int) -> None:
-    """Write what files on a study's runs have in common: title, config, and the versions of schema and clunk."""
-    set_text(file, "title", study.title)
-    set_text(file, "Conventions", CONVENTIONS)
-    file.attrs["schema_version"] = np.int32(schema_version)
-    set_text(file, "clunk_version", __version__)
-    file.attrs["config"] = to_toml(study)  # variable length: it may be longer than an object header allows
 
 
 def create_scale(file: h5py.File, name: str, values: Array, attributes: Mapping[str, str]) -> h5py.Dataset:

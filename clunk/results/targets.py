@@ -10,7 +10,6 @@ from clunk.results.files import writing
 from clunk.study.errors import ClunkError
 
 PICTURES = (".png", ".svg", ".pdf")
-DATA = (".csv", ".h5")
 RESULTS = (".h5",)
 
 
@@ -31,16 +30,3 @@ def check(target: Path, suffixes: Sequence[str], *, reads: Path | None = None) -
         raise TargetError(f"{target} is what the command reads; -o must name another file.")
     with writing(target, TargetError), tempfile.TemporaryFile(dir=target.parent):
         pass
-
-
-def spare_a_sweep(target: Path) -> None:
-    """Refuse a file that holds the results of a sweep. Raises TargetError."""
-    if target.suffix.lower() not in RESULTS or not target.exists():
-        return
-    from clunk.results.store import StoreError, read_header
-
-    try:
-        title = read_header(target).title
-    except StoreError:
-        return
-    raise TargetError(f"{target} holds a sweep's results ({title!r}); -o must name another file.")
