@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from clunk.results.boundaries import Boundaries as Boundaries
     from clunk.results.datasets import open_results as open_results
     from clunk.results.datasets import to_dataset as to_dataset
+    from clunk.results.netcdf import StoreError as StoreError
     from clunk.results.regimemap import Results as Results
-    from clunk.results.store import StoreError as StoreError
     from clunk.results.store import read_results as read_results
     from clunk.results.store import read_tolerance_map as read_tolerance_map
     from clunk.results.store import write_results as write_results
@@ -78,7 +78,7 @@ _HOME = {
     "Sensitivity": "analysis.sobol",
     "SensitivityError": "analysis.sobol",
     "SimulationError": "simulation.trajectory",
-    "StoreError": "results.store",
+    "StoreError": "results.netcdf",
     "Study": "study.study",
     "SweepError": "sweeping.reduction",
     "TargetError": "results.targets",

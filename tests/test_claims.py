@@ -15,7 +15,7 @@ from clunk import cli
 from clunk.report import claims, reproduction
 from clunk.report.claims import Claim, Verdict
 from clunk.report.evidence import Evidence, run_maps
-from clunk.results.store import StoreError
+from clunk.results.netcdf import StoreError
 from clunk.simulation.linear import (
     levels_of_excursions,
     one_mode_thresholds,

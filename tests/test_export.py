@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 from test_cli import clunk, here  # noqa: F401  fixtures
-from test_store import BACKLASH, INERTIA, RATIO, example
+from test_store import BACKLASH, INERTIA, RATIO, example, padded
 from test_tolerances import DRIVELINE, study, tolerance
 
 import clunk as clunk_api
@@ -48,7 +48,7 @@ def test_matlab_gets_the_variables_their_units_and_the_labels(tmp_path):
     for name in CELL_QUANTITIES:
         assert arrays[name].dtype == CELL_QUANTITIES[name].dtype
         assert np.array_equal(arrays[name], getattr(results, name), equal_nan=arrays[name].dtype.kind == "f")
-    assert np.array_equal(arrays["impact_time"], results.padded("impact_time"), equal_nan=True)
+    assert np.array_equal(arrays["impact_time"], padded(results, "impact_time"), equal_nan=True)
     assert arrays["lash_backlash_deg"].tolist() == BACKLASH.values.tolist()
     assert arrays["units"]["severity"] == "rad s-2"
     assert np.array_equal(arrays["labels"][arrays["sequence"] + 1], results.label_map)  # from 0, MATLAB from 1

@@ -330,7 +330,7 @@ elif moment == "assembly":
     import h5py
     at(h5py.Group, "create_dataset", 5, False)
 elif moment == "file on disk":
-    at(store, "write_file", 1, False)
+    at(store, "write", 1, False)
 elif moment == "trailer":
     from clunk.results import netcdf
     at(netcdf, "trailer", 1, False)

@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+from test_store import padded
 
 from clunk.analysis.verification import GUARDED, METHODS, by, pair_events, verify
 from clunk.cli import main, phrases
@@ -143,10 +144,10 @@ def test_differences_are_taken_where_labels_are_equal_and_impacts_correspond():
     equal = found.rk4.sequence != -1
     for cell in np.argwhere(found.comparison.differs):
         equal[tuple(cell)] = False
-    padded = [results.padded("impact_time") for results in (found.rk4, found.exact)]
-    size = max(block.shape[-1] for block in padded)
+    times = [padded(results, "impact_time") for results in (found.rk4, found.exact)]
+    size = max(block.shape[-1] for block in times)
     mine, theirs = (np.full((*equal.shape, size), np.nan) for _ in range(2))
-    for block, target in zip(padded, (mine, theirs), strict=True):
+    for block, target in zip(times, (mine, theirs), strict=True):
         target[..., : block.shape[-1]] = block
     assert largest(found)["impact_time"].difference == np.nanmax(np.abs(mine - theirs)[equal])
     q = np.abs(found.rk4.severity - found.exact.severity)[equal].max()

@@ -65,7 +65,8 @@ def _axes(context: click.Context) -> list[ResultAxis]:
     """Axes and coordinates of the file on the line; none where it cannot be read."""
     path = _path(context)
     if path is not None and path.suffix == ".h5":
-        from clunk.results.store import StoreError, read_header
+        from clunk.results.netcdf import StoreError
+        from clunk.results.store import read_header
 
         try:
             header = read_header(path)

@@ -31,7 +31,8 @@ def export(file: Path, output: Path, boundaries: bool) -> None:
     """
     from clunk.results import export as exporting
     from clunk.results import targets
-    from clunk.results.store import StoreError, read_map
+    from clunk.results.netcdf import StoreError
+    from clunk.results.store import read_map
 
     of_map = [] if boundaries else [*exporting.WRITERS]
     targets.check(output, [*dict.fromkeys([*of_map, *exporting.OF_BOUNDARIES])], reads=file)

@@ -30,10 +30,11 @@ def info(file: Path, show_config: bool, show_map: bool, ranks: bool, check: bool
     """
     from clunk.analysis.ranks import ranks_of
     from clunk.cli.textmap import is_drawable
-    from clunk.results import store
+    from clunk.results import netcdf, store
     from clunk.study.loads import PROFILES, numbers
 
-    header = store.check(file) if check else store.read_header(file)
+    has_checksum = netcdf.check(file) if check else False
+    header = store.read_header(file)
     tolerances = store.read_tolerance_map(file) if header.tolerance_map else None
     if ranks and tolerances is not None:
         raise click.UsageError(f"--ranks does not go with a tolerance map, which {file} holds.")
@@ -67,7 +68,7 @@ def info(file: Path, show_config: bool, show_map: bool, ranks: bool, check: bool
         if ranks:
             record |= {"ranks": tables.of_lashes({name: tables.rank_record(each) for name, each in of_lashes.items()})}
         record |= {"config_digest": header.config_digest}
-        checked: dict[str, Any] = {"checked": {"data": True, "bytes": header.checksum}} if check else {}
+        checked: dict[str, Any] = {"checked": {"data": True, "bytes": has_checksum}} if check else {}
         tables.print_record(record | header.attributes | checked)
         return
     click.echo(header.title)
@@ -90,9 +91,9 @@ def info(file: Path, show_config: bool, show_map: bool, ranks: bool, check: bool
     for name, value in header.attributes.items():
         click.echo(f"{name.removesuffix('_version'):<9} {value}")
     if check:
-        checked_bytes = ", the bytes their checksum" if header.checksum else "; the bytes have no checksum:"
+        checked_bytes = ", the bytes their checksum" if has_checksum else "; the bytes have no checksum:"
         click.echo(f"checked   the data match their digest{checked_bytes}")
-        if not header.checksum:
+        if not has_checksum:
             click.echo("          another program has changed the file")
     click.echo()
     if tolerances is None:

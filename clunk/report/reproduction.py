@@ -16,7 +16,8 @@ from clunk.plot.small_gap import small_gap
 from clunk.report.claims import Claim, Verdict
 from clunk.report.evidence import MAPS, NOMINAL_RATIO, RATIOS, Evidence
 from clunk.results.files import reason, write_text
-from clunk.results.store import StoreError, write_results
+from clunk.results.netcdf import StoreError
+from clunk.results.store import write_results
 from clunk.simulation.history import History, sample
 from clunk.simulation.linear import one_mode_thresholds
 from clunk.simulation.small_gap import SmallGap

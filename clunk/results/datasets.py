@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clunk.results.dataset import Dataset, meanings_of
 from clunk.results.labels import FAILED_CODE
-from clunk.results.regimemap import Results
-from clunk.results.store import map_of, opened, to_image
+from clunk.results.netcdf import read
+from clunk.results.store import dataset_of
 from clunk.results.tolerancemap import AnyMap
 
 if TYPE_CHECKING:
-    from xarray import Dataset
+    import xarray
 
 
-def open_results(path: str | os.PathLike[str]) -> Dataset | AnyMap:
-    """Open a results file as an xarray Dataset, or as `Results` or `ToleranceMap` where xarray is not installed.
+def open_results(path: str | os.PathLike[str]) -> xarray.Dataset:
+    """Open a results file as an xarray Dataset.
 
     The file is checked and read whole (45 bytes a cell, and 25 a primary impact for as many of these as the cell that
     has most) and closed again, so that nothing that happens to it later changes the Dataset.
@@ -33,12 +34,14 @@ def open_results(path: str | os.PathLike[str]) -> Dataset | AnyMap:
 
     Returns
     -------
-    xarray.Dataset, or Results or ToleranceMap
+    xarray.Dataset
 
     Raises
     ------
     StoreError
         Where the file cannot be read, is damaged, or is no results file.
+    ImportError
+        Where xarray is not installed; `clunk.read_results` needs none.
 
     Examples
     --------
@@ -53,17 +56,16 @@ def open_results(path: str | os.PathLike[str]) -> Dataset | AnyMap:
     >>> dataset.severity.where(dataset.label == "SS(1)").max().item() < dataset.severity.max().item()
     True
     """
-    with opened(path) as (file, header, source):
-        return _dataset(source) if _has_xarray() else map_of(file, header)
+    return _to_xarray(read(path))
 
 
-def to_dataset(results: Results) -> Dataset:
-    """Convert results to the xarray Dataset that `open_results` makes of their file.
+def to_dataset(results: AnyMap) -> xarray.Dataset:
+    """Convert results to the xarray Dataset that `open_results` makes of their file, but for its `content_digest`.
 
     Raises
     ------
     ImportError
-        Where xarray or h5netcdf is not installed.
+        Where xarray is not installed.
 
     Examples
     --------
@@ -72,29 +74,26 @@ def to_dataset(results: Results) -> Dataset:
     >>> dataset.severity.attrs["units"]
     'rad s-2'
     """
-    if not _has_xarray():
-        raise ImportError("A Dataset needs xarray and h5netcdf: pip install 'clunk[xarray]'.")
-    return _dataset(to_image(results))
+    return _to_xarray(dataset_of(results))
 
 
-def _dataset(source: str | os.PathLike[str] | BinaryIO) -> Dataset:
-    """Load a results file with xarray, whatever variables it has, and add its labels as text."""
-    import xarray
-
-    dataset = xarray.load_dataset(source, engine="h5netcdf")
-    codes = dataset["sequence"]
-    labels = dict(zip(codes.attrs["flag_values"].tolist(), codes.attrs["flag_meanings"].split(), strict=True))
-    ordered = np.array([labels[code] for code in sorted(labels)])
-    name = "label" if "label" not in dataset.dims else "most_likely_label"
-    label = codes.copy(data=ordered[codes.to_numpy() - FAILED_CODE])
-    label.attrs = {"units": "1", "long_name": codes.attrs["long_name"]}
-    return dataset.assign({name: label})[[name, *dataset.data_vars]]
-
-
-def _has_xarray() -> bool:
+def _to_xarray(dataset: Dataset) -> xarray.Dataset:
+    """Hand over a dataset of a map, whatever variables it has, with its labels as text."""
     try:
-        import h5netcdf  # noqa: F401  # xarray opens results with it
-        import xarray  # noqa: F401
-    except ImportError:
-        return False
-    return True
+        import xarray
+    except ImportError as error:
+        raise ImportError("A Dataset needs xarray: pip install 'clunk[xarray]'.") from error
+
+    sequence = dataset.variables["sequence"]
+    along_run = str(sequence.attributes.get("coordinates", "")).split()
+    arrays = {
+        name: (each.dims, dataset.rows(name), {k: v for k, v in each.attributes.items() if k != "coordinates"})
+        for name, each in dataset.variables.items()
+    }
+    coordinates = {name: arrays.pop(name) for name, each in dataset.variables.items() if each.dims == (name,)}
+    coordinates |= {name: arrays.pop(name) for name in along_run}
+    labels = meanings_of(sequence)
+    words = np.array([labels[code] for code in sorted(labels)])[sequence.values - FAILED_CODE]
+    label = (sequence.dims, words, {"units": "1", "long_name": sequence.attributes["long_name"]})
+    name = "label" if "label" not in coordinates else "most_likely_label"
+    return xarray.Dataset({name: label, **arrays}, coordinates, dataset.attributes)

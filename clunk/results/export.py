@@ -20,8 +20,9 @@ from clunk.results.boundaries import Boundaries
 from clunk.results.files import write_text, write_whole, writing
 from clunk.results.labels import FAILED
 from clunk.results.maps import Map
+from clunk.results.netcdf import StoreError
 from clunk.results.quantities import Quantity
-from clunk.results.store import StoreError
+from clunk.results.store import dataset_of
 from clunk.results.tolerancemap import AnyMap
 from clunk.study.arrays import Array
 from clunk.study.axes import RUN, ResultAxis
@@ -42,10 +43,11 @@ def _write_csv(stream: BinaryIO, results: AnyMap) -> None:
     """
     text = io.TextIOWrapper(stream, encoding="utf-8", newline="")
     write = csv.writer(text, lineterminator="\n")
-    quantities, entries = results.quantities.values(), results.entries
+    dataset, quantities = dataset_of(results), results.quantities.values()
     names = [_with_unit(each.parameter, each.unit) for axis in results.axes for each in _along(results, axis)]
     for quantity in quantities:
-        of_each = [f"[{entry}]" for entry in entries[quantity.dimension]] if quantity.dimension else [""]
+        entries = dataset.variables[quantity.dimension].values.tolist() if quantity.dimension else []
+        of_each = [f"[{entry}]" for entry in entries] or [""]
         names += [_with_unit(quantity.name + suffix, quantity.unit) for suffix in of_each]
     write.writerow(names)
     cells_a_row = math.prod(results.shape[1:])
@@ -57,7 +59,7 @@ def _write_csv(stream: BinaryIO, results: AnyMap) -> None:
         for axis, places in zip(results.axes, np.unravel_index(cells, results.shape), strict=True):
             columns += [_texts_or_numbers(each)[places].tolist() for each in _along(results, axis)]
         for quantity in quantities:
-            values = results.padded(quantity.name, start, stop).reshape(cells.size, -1)
+            values = _of_lashes(results, quantity, dataset.rows(quantity.name, start, stop)).reshape(cells.size, -1)
             columns += [_texts(quantity, column, results.labels) for column in values.T]
         write.writerows(zip(*columns, strict=True))
     text.detach()  # flushed, and the stream stays open
@@ -68,16 +70,12 @@ def _write_mat(stream: BinaryIO, results: AnyMap) -> None:
     from scipy.io import savemat
     from scipy.io.matlab import MatWriteError
 
-    quantities, sample = results.quantities, results.sample
-    parameters = [each for axis in results.axes for each in _along(results, axis)]
-    arrays: dict[str, Any] = {each.variable: _texts_or_numbers(each) for each in parameters}
-    arrays |= {f"drawn_{each.variable}": each.values for each in sample}
-    arrays |= {name: results.padded(name) for name in quantities}
-    units = {each.variable: each.unit for each in parameters} | {f"drawn_{each.variable}": each.unit for each in sample}
-    units |= {name: quantity.unit for name, quantity in quantities.items()}
+    dataset = dataset_of(results)
+    arrays: dict[str, Any] = {name: dataset.rows(name) for name in dataset.variables}
+    arrays |= {name: values.astype(object) for name, values in arrays.items() if values.dtype.kind == "U"}
+    units = {name: each.attributes["units"] for name, each in dataset.variables.items() if "units" in each.attributes}
     arrays |= {"labels": np.array([FAILED, *results.labels], object), "units": units}
     arrays |= {"title": results.title, "config": results.config}
-    arrays |= {"quantile": results.entries["quantile"]} if sample else {}
     try:
         savemat(stream, arrays, long_field_names=True, do_compression=True, oned_as="column")
     except MatWriteError as error:
@@ -96,6 +94,13 @@ OF_BOUNDARIES: dict[str, Callable[[Boundaries], str]] = {
     ".csv": Boundaries.csv,
     ".geojson": lambda boundaries: json.dumps(boundaries.geojson(), ensure_ascii=False) + "\n",
 }
+
+
+def _of_lashes(results: Map, quantity: Quantity, values: Array) -> Array:
+    """Values of a quantity at each lash, also of one that a cell's lashes have in common."""
+    if quantity.of == "cell" and results.lashes:
+        return np.repeat(values[..., None], len(results.lashes), axis=-1)
+    return values
 
 
 def _along(results: Map, axis: ResultAxis) -> Sequence[ResultAxis]:

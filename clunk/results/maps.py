@@ -123,13 +123,6 @@ class Map(Description, ABC):
         array: Array = getattr(self, name)
         return array
 
-    def padded(self, name: str, start: int = 0, stop: int | None = None) -> Array:
-        """Array of a quantity over the axes and its dimension, those of impacts padded with NaN (floats) or 0.
-
-        start, stop : rows of the first axis, to which the array and the memory are limited
-        """
-        return self.values(name)[start:stop]
-
     def at(self, values: Mapping[str, float]) -> Self:
         """Slice at some axes' values, the nearest of each: ``results.at({"lash.contact.stiffness": 4e5})``.
 

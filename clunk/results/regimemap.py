@@ -185,18 +185,3 @@ class Results(Map):
     def _label_rows(self) -> Rows:
         cells = self.sequence.size
         return [(label, share(n, cells)) for label, n in self.counts().items() if n]
-
-    def padded(self, name: str, start: int = 0, stop: int | None = None) -> Array:
-        """Array of a quantity; of an `impact_…` one shape + (max_impacts,), padded with NaN (floats) or 0 (integers).
-
-        start, stop : rows of the first axis, to which the array and the memory are limited
-        """
-        if not self.quantities[name].dimension:
-            return super().padded(name, start, stop)
-        dtype = np.dtype(self.quantities[name].dtype)
-        count = self.primary_impacts[start:stop]
-        begin = start * int(np.prod(self.shape[1:], dtype=np.int64))
-        flat = self.values(name)[self.first_impact[begin] : self.first_impact[begin + count.size]]
-        block = np.full((*count.shape, self.max_impacts), np.nan if dtype.kind == "f" else 0, dtype)
-        block[np.arange(self.max_impacts) < count[..., None]] = flat
-        return block

@@ -12,8 +12,9 @@ from functools import cached_property
 from pathlib import Path
 
 from clunk.core.status import Status
+from clunk.results.netcdf import StoreError
 from clunk.results.regimemap import Results
-from clunk.results.store import Header, StoreError, read_header, read_map, read_results, write_results
+from clunk.results.store import Header, read_header, read_map, read_results, write_results
 from clunk.results.tolerancemap import AnyMap
 from clunk.simulation.driveline import explained
 from clunk.study.config import study_from_text

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from clunk.results import store
+from clunk.results import netcdf, store
 from clunk.study.config import study_from_text
 from clunk.study.study import Study, to_toml
 from clunk.sweeping import cells, engines
@@ -119,8 +119,8 @@ def measure(count: float) -> dict[str, object]:
         size = directory.target.stat().st_size
         directory.remove()
         try:
-            stages.watch("info --check", store.check)(directory.target)
-        except store.StoreError as error:
+            stages.watch("info --check", netcdf.check)(directory.target)
+        except netcdf.StoreError as error:
             print(error, file=sys.stderr)
     cells_run = sweeping.cell_count(study)
     return {

@@ -1,0 +1,95 @@
+"""Named arrays over named dimensions, with what is said of them: what a file holds, whatever kind of map it is.
+
+Knows neither quantities nor file formats.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from clunk.study.arrays import Array, Cells
+
+# Last dimension of a variable -> the variable that tells how many entries along it each cell has.
+COUNTED_BY = {"impact": "primary_impacts"}
+
+
+@dataclass(frozen=True, eq=False)
+class Variable:
+    """An array over named dimensions.
+
+    dims : their names; a variable named after its only dimension is the coordinate of that
+    values : in the shape of the dimensions; along one of `COUNTED_BY`, the entries of all cells in C order, flat
+    attributes : texts, numbers and arrays by name; `units` and `long_name` are among them
+    apart : how many dimensions, the last, are not mixed in a chunk of a file: the first impacts of neighbouring cells
+        are more alike than a cell's first and second, and whoever reads the first ones need not read the others
+    """
+
+    dims: tuple[str, ...]
+    values: Array
+    attributes: Mapping[str, str | Array]
+    apart: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Variables by name, among them the coordinate of each dimension, and what is said of all of them."""
+
+    variables: Mapping[str, Variable]
+    attributes: Mapping[str, str]
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Lengths of a variable's dimensions."""
+        return tuple(len(self.variables[dim].values) for dim in self.variables[name].dims)
+
+    def rows(self, name: str, start: int = 0, stop: int | None = None) -> Array:
+        """Rows of a variable's first dimension, in its shape; behind the last entry of a cell NaN (floats) or 0.
+
+        Padded whole, the impacts would be most of a large map's memory.
+        """
+        variable = self.variables[name]
+        if variable.values.ndim == len(variable.dims):
+            return variable.values[start:stop]
+        counts = self.variables[COUNTED_BY[variable.dims[-1]]].values[start:stop]
+        first = self._first_entries[variable.dims[-1]]
+        block = np.full(
+            (*counts.shape, self.shape(name)[-1]),
+            np.nan if variable.values.dtype.kind == "f" else 0,
+            variable.values.dtype,
+        )
+        block[has_entry(counts, block.shape[-1])] = variable.values[first[start] : first[start + len(counts)]]
+        return block
+
+    @cached_property
+    def _first_entries(self) -> dict[str, Cells]:
+        """Position of each row's first entry in flat values, and last their number: by dimension, (rows + 1,)."""
+        known = {dim: name for dim, name in COUNTED_BY.items() if name in self.variables}
+        return {dim: first_entries(self.variables[name].values) for dim, name in known.items()}
+
+
+def first_entries(counts: npt.NDArray[np.int32]) -> Cells:
+    """Position of the first entry of each row of cells among the entries of all, and last their number: (rows + 1,)."""
+    return np.concatenate(([0], np.cumsum(counts.reshape(len(counts), -1).sum(axis=1, dtype=np.int64))))
+
+
+def has_entry(counts: npt.NDArray[np.int32], most: int) -> npt.NDArray[np.bool_]:
+    """Mask of the places of padded values that hold an entry, shape of `counts` + (most,)."""
+    return np.asarray(np.arange(most) < counts[..., None])
+
+
+def flags(meanings: Mapping[int, str], dtype: npt.DTypeLike, *, masks: bool = False) -> dict[str, str | Array]:
+    """CF's attributes on the meanings of a variable's integers or, with `masks`, of their bits; none without any."""
+    if not meanings:
+        return {}
+    words = " ".join(meanings.values())
+    return {"flag_masks" if masks else "flag_values": np.array(list(meanings), dtype), "flag_meanings": words}
+
+
+def meanings_of(variable: Variable) -> dict[int, str]:
+    """Word of each of a variable's integers, by its CF attributes. Raises KeyError, ValueError without these."""
+    codes, words = np.asarray(variable.attributes["flag_values"]), str(variable.attributes["flag_meanings"]).split()
+    return dict(zip(codes.tolist(), words, strict=True))
