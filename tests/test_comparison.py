@@ -57,10 +57,7 @@ def make(names: Any, axes: Sequence[ResultAxis], order: Sequence[str] | None = N
     sequence = np.array([code[name] for name in names.ravel()], np.int16).reshape(shape)
     severity = np.array([1000.0 * IMPACTS.get(name, 1) for name in names.ravel()]).reshape(shape)
     severity[sequence < 0] = np.nan
-    fields: dict[str, Any] = {
-        "title": "Map",
-        "axes": tuple(axes),
-        "labels": labels,
+    arrays: dict[str, Any] = {
         "sequence": sequence,
         "severity": severity,
         "approach_velocity": severity / 500.0,
@@ -75,11 +72,17 @@ def make(names: Any, axes: Sequence[ResultAxis], order: Sequence[str] | None = N
         "impact_flank": np.zeros(0, np.int8),
         "impact_closing_speed": np.zeros(0),
         "impact_severity": np.zeros(0),
+    }
+    fields: dict[str, Any] = {
+        "title": "Map",
+        "axes": tuple(axes),
+        "labels": labels,
         "config": CONFIG,
         "config_digest": "a1",
         "attributes": {"clunk_version": "0.1.0", "created": "2026-01-02"},
     }
-    return Results(**(fields | changes))
+    arrays |= {name: changes.pop(name) for name in arrays if name in changes}
+    return Results(**(fields | changes), arrays=arrays)
 
 
 def regimes(ratio: float, backlash: float, shift: float = 0.0) -> str:
@@ -222,8 +225,8 @@ def test_severity_ratio_has_its_quantiles_and_its_extremes_where_they_are() -> N
     factor[30, 4], factor[35, 2] = 0.5, 1.6  # 1/2 is further from 1 than 1.6, the difference is larger at the latter
     severity = a.severity.copy()
     severity[30, 4], severity[35, 2] = 2000.0, 9000.0
-    a = replace(a, severity=severity)
-    deviation = compare(a, replace(a, severity=severity * factor)).deviation
+    a = a.with_arrays(severity=severity)
+    deviation = compare(a, a.with_arrays(severity=severity * factor)).deviation
     assert deviation is not None
     assert deviation.quantity == "severity"
     impacts = severity > 0.0

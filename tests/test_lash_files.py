@@ -45,15 +45,17 @@ def made(seed=1, shape=(5, 4), lashes=2):
         config='title = "Two lashes"\n',
         config_digest="0" * 64,
         attributes={},
-        sequence=sequence,
-        primary_impacts=impacts,
-        touches=impacts + np.int32(1),
-        last_event_time=rng.random(sequence.shape),
-        status=np.zeros(sequence.shape, np.uint8),
-        quality=np.repeat(rng.integers(0, 4, (*shape, 1)).astype(np.uint8), lashes, axis=-1),
-        initial_side=np.ones(sequence.shape, np.int8),
-        impact_flank=rng.choice([-1, 1], impacts.sum()).astype(np.int8),
-        **fields,
+        arrays={
+            "sequence": sequence,
+            "primary_impacts": impacts,
+            "touches": impacts + np.int32(1),
+            "last_event_time": rng.random(sequence.shape),
+            "status": np.zeros(sequence.shape, np.uint8),
+            "quality": np.repeat(rng.integers(0, 4, (*shape, 1)).astype(np.uint8), lashes, axis=-1),
+            "initial_side": np.ones(sequence.shape, np.int8),
+            "impact_flank": rng.choice([-1, 1], impacts.sum()).astype(np.int8),
+            **fields,
+        },
     )
 
 

@@ -54,7 +54,7 @@ class Page(HTMLParser):
 def example(*axes):
     """Results of cells that were all run."""
     results = example_without_config(*axes)
-    return replace(results, config=CONFIG, quality=np.zeros(results.shape, np.uint8))
+    return replace(results.with_arrays(quality=np.zeros(results.shape, np.uint8)), config=CONFIG)
 
 
 def page_of(results):
@@ -164,7 +164,7 @@ def test_a_cloud_of_points_is_not_a_path_for_each(tmp_path, count):
     rng = np.random.default_rng(1)
     run = ResultAxis(RUN, np.arange(1.0, count + 1.0), "run", "", "1")
     x, y = (replace(axis, values=rng.uniform(0.5, 10.0, count)) for axis in (RATIO, BACKLASH))
-    results = replace(example(run), coordinates=(x, y), quality=np.zeros(count, np.uint8))
+    results = replace(example(run).with_arrays(quality=np.zeros(count, np.uint8)), coordinates=(x, y))
     save(scatter_map(results, x.parameter, y.parameter), tmp_path / "cloud.svg")
     text = (tmp_path / "cloud.svg").read_text("utf-8")
     assert (text.count("<use") > count) == (count == 100)

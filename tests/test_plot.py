@@ -39,23 +39,25 @@ def make(axes: tuple[ResultAxis, ...], labels: tuple[str, ...], sequence: np.nda
         title="Regimes of the nominal driveline",
         axes=axes,
         labels=labels,
-        sequence=sequence.astype(np.int16),
-        severity=severity.astype(float),
-        approach_velocity=np.ones(shape),
-        last_event_time=np.where(severity > 0.0, 0.5, np.nan),
-        primary_impacts=impacts,
-        touches=np.full(shape, 3, np.int32),
-        status=np.where(sequence < 0, 3, 0).astype(np.uint8),
-        quality=np.ones(shape, np.uint8),
-        initial_side=-np.ones(shape, np.int8),
-        margin=np.where(sequence < 0, np.nan, 0.1 - 0.05 * (sequence % 4)),
-        impact_time=np.ones(count),
-        impact_flank=np.ones(count, np.int8),
-        impact_closing_speed=np.ones(count),
-        impact_severity=np.ones(count),
         config=CONFIG,
         config_digest="",
         attributes={},
+        arrays={
+            "sequence": sequence.astype(np.int16),
+            "severity": severity.astype(float),
+            "approach_velocity": np.ones(shape),
+            "last_event_time": np.where(severity > 0.0, 0.5, np.nan),
+            "primary_impacts": impacts,
+            "touches": np.full(shape, 3, np.int32),
+            "status": np.where(sequence < 0, 3, 0).astype(np.uint8),
+            "quality": np.ones(shape, np.uint8),
+            "initial_side": -np.ones(shape, np.int8),
+            "margin": np.where(sequence < 0, np.nan, 0.1 - 0.05 * (sequence % 4)),
+            "impact_time": np.ones(count),
+            "impact_flank": np.ones(count, np.int8),
+            "impact_closing_speed": np.ones(count),
+            "impact_severity": np.ones(count),
+        },
     )
 
 
@@ -503,7 +505,7 @@ def test_an_unknown_quantity_is_answered_with_the_known() -> None:
 
 
 def test_severity_of_the_restitution_model_points_to_the_approach_velocity(nine: Results) -> None:
-    results = replace(nine, severity=np.full(nine.shape, np.nan))
+    results = nine.with_arrays(severity=np.full(nine.shape, np.nan))
     with pytest.raises(plot.PlotError, match="approach_velocity"):
         plot.quantity_map(results, "severity")
     assert plot.draw(results, "regimes").axes[0].texts
@@ -511,7 +513,7 @@ def test_severity_of_the_restitution_model_points_to_the_approach_velocity(nine:
 
 def test_the_colours_of_the_margin_diverge_from_zero(nine: Results) -> None:
     margin = np.linspace(-0.2, 0.1, nine.sequence.size).reshape(nine.shape)
-    figure = plot.quantity_map(replace(nine, margin=margin), "margin")
+    figure = plot.quantity_map(nine.with_arrays(margin=margin), "margin")
     (mesh,) = figure.axes[0].collections[:1]
     np.testing.assert_array_equal(np.ma.filled(mesh.get_array(), np.nan), margin.T)
     assert (mesh.norm.vmin, mesh.norm.vmax) == (-0.2, 0.2)
@@ -521,7 +523,7 @@ def test_the_colours_of_the_margin_diverge_from_zero(nine: Results) -> None:
 
 def test_results_without_margins_say_which_method_knows_them(nine: Results) -> None:
     with pytest.raises(plot.PlotError, match=r"only the exact method knows it \(solver\.method\)"):
-        plot.quantity_map(replace(nine, margin=np.full(nine.shape, np.nan)), "margin")
+        plot.quantity_map(nine.with_arrays(margin=np.full(nine.shape, np.nan)), "margin")
 
 
 def test_undecided_cells_are_dotted_and_counted(nine: Results) -> None:
@@ -529,7 +531,7 @@ def test_undecided_cells_are_dotted_and_counted(nine: Results) -> None:
     cells = [(3, 40), (30, 7), (55, 0)]
     for cell in cells:
         quality[cell] |= QUALITY_UNDECIDED
-    figure = plot.regime_map(replace(nine, quality=quality))
+    figure = plot.regime_map(nine.with_arrays(quality=quality))
     assert notes(figure)[-1] == "undecided: 3 cells"
     (dots,) = [line for line in figure.axes[0].lines if line.get_gid() == "undecided"]
     expected = [(RATIO.values[i], BACKLASH.values[j]) for i, j in cells]
@@ -574,7 +576,7 @@ def test_a_strip_breaks_its_curve_at_failed_cells_and_between_regimes() -> None:
 def test_a_strip_of_the_margin_has_a_line_at_zero_and_dots_under_the_labels() -> None:
     results = one_axis([0, 0, 1, 1])
     quality = np.array([1, 3, 1, 1], np.uint8)
-    figure = plot.draw(replace(results, margin=np.array([0.1, 5e-5, -0.01, -0.1]), quality=quality), "margin")
+    figure = plot.draw(results.with_arrays(margin=np.array([0.1, 5e-5, -0.01, -0.1]), quality=quality), "margin")
     band, ax = figure.axes[:2]
     assert any(np.all(np.asarray(line.get_ydata()) == 0.0) for line in ax.lines)
     (dots,) = [line for line in band.lines if line.get_gid() == "undecided"]

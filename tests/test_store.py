@@ -45,23 +45,25 @@ def example(*axes: ResultAxis, impacts: bool = True) -> Results:
         title="Régimes",
         axes=axes,
         labels=LABELS if impacts else LABELS[:1],
-        sequence=sequence,
-        severity=severity,
-        approach_velocity=rng.uniform(0.0, 20.0, shape),
-        last_event_time=np.where(primaries > 0, rng.uniform(0.0, 1.0, shape), np.nan),
-        primary_impacts=primaries,
-        touches=(7 * primaries).astype(np.int32),
-        status=status,
-        quality=rng.integers(0, 16, shape, np.uint8),
-        initial_side=rng.integers(-1, 2, shape, np.int8),
-        margin=np.where(status, np.nan, rng.uniform(-0.25, 0.25, shape)),
-        impact_time=rng.uniform(0.0, 1.0, count),
-        impact_flank=rng.choice(np.array([-1, 1], np.int8), count),
-        impact_closing_speed=rng.uniform(0.0, 20.0, count),
-        impact_severity=rng.uniform(0.0, 1e4, count),
         config='title = "Régimes"\n' + "# a long resolved config\n" * 5000,
         config_digest="ab" * 32,
         attributes={"clunk_version": "0.1.0", "created": "2026-01-02T03:04:05+00:00", "cpu": "Ω 5000"},
+        arrays={
+            "sequence": sequence,
+            "severity": severity,
+            "approach_velocity": rng.uniform(0.0, 20.0, shape),
+            "last_event_time": np.where(primaries > 0, rng.uniform(0.0, 1.0, shape), np.nan),
+            "primary_impacts": primaries,
+            "touches": (7 * primaries).astype(np.int32),
+            "status": status,
+            "quality": rng.integers(0, 16, shape, np.uint8),
+            "initial_side": rng.integers(-1, 2, shape, np.int8),
+            "margin": np.where(status, np.nan, rng.uniform(-0.25, 0.25, shape)),
+            "impact_time": rng.uniform(0.0, 1.0, count),
+            "impact_flank": rng.choice(np.array([-1, 1], np.int8), count),
+            "impact_closing_speed": rng.uniform(0.0, 20.0, count),
+            "impact_severity": rng.uniform(0.0, 1e4, count),
+        },
     )
 
 
@@ -136,12 +138,14 @@ def test_counts_are_of_cells_and_name_the_failed_ones() -> None:
 
 def test_results_refuse_arrays_that_do_not_belong_together() -> None:
     results = example(RATIO, BACKLASH)
+    with pytest.raises(ValueError, match="not those of the quantities"):
+        results.with_arrays(hardness=results.severity)
     with pytest.raises(ValueError, match="severity must be float64"):
-        replace(results, severity=results.severity.astype(np.float32))
+        results.with_arrays(severity=results.severity.astype(np.float32))
     with pytest.raises(ValueError, match="touches must be int32"):
-        replace(results, touches=results.touches.T.copy())
+        results.with_arrays(touches=results.touches.T.copy())
     with pytest.raises(ValueError, match="impact_time must be"):
-        replace(results, impact_time=results.impact_time[:-1])
+        results.with_arrays(impact_time=results.impact_time[:-1])
     with pytest.raises(ValueError, match="code without a label"):
         replace(results, labels=LABELS[:-1])
 
@@ -234,8 +238,8 @@ def test_content_digest_depends_on_the_data_and_nothing_else(tmp_path: Path) -> 
     time[-1] = np.nextafter(time[-1], np.inf)
     moved = replace(BACKLASH, values=BACKLASH.values + 1.0)
     others = [
-        digest(replace(results, severity=severity)),
-        digest(replace(results, impact_time=time)),
+        digest(results.with_arrays(severity=severity)),
+        digest(results.with_arrays(impact_time=time)),
         digest(replace(results, axes=(RATIO, moved))),
         digest(replace(results, labels=("NI", "SS(2)", *LABELS[2:]))),
     ]
@@ -328,7 +332,7 @@ fields = {{name: np.resize(getattr(small, name), count) for name in CELL_QUANTIT
 fields |= {{"primary_impacts": np.zeros(count, np.int32), "severity": np.random.default_rng(1).normal(size=count)}}
 fields |= {{name: getattr(small, name)[:0] for name in IMPACT_QUANTITIES}}
 fields |= {{name: np.random.default_rng(2).normal(size=count) for name in ("margin", "approach_velocity")}}
-large = replace(small, axes=(replace(small.axes[0], values=np.arange(float(count))),), **fields)
+large = replace(small, axes=(replace(small.axes[0], values=np.arange(float(count))),), arrays=fields)
 resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
 try:
     store.write_results({str(tmp_path / "map.h5")!r}, large)

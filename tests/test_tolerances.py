@@ -1,7 +1,6 @@
 """Tolerance maps: every cell is a plain loop of single runs, and what a figure and a file say is what was counted."""
 
 import tracemalloc
-from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -19,7 +18,7 @@ from clunk.results import netcdf, store
 from clunk.results.labels import double_sided, excursions
 from clunk.results.netcdf import StoreError
 from clunk.results.store import read_header, read_results
-from clunk.results.tolerancemap import QUANTILES
+from clunk.results.tolerancemap import QUANTILES, most_likely
 from clunk.simulation.trajectory import SimulationError, simulate
 from clunk.study.config import study_from_text
 from clunk.study.designs import drawn_numbers, nominal
@@ -164,7 +163,7 @@ class TestCells:
         runs[..., 1] = runs[..., 2] = 8
         runs[0, 0] = 0
         runs[0, 0, [-2, -1]] = 8
-        tied = replace(found, runs=runs)
+        tied = found.with_arrays(probability=runs / 16, sequence=most_likely(runs))
         assert tied.sequence[0, 0] == len(found.labels) - 1
         assert np.all(tied.sequence.ravel()[1:] == 1)
 
@@ -393,7 +392,7 @@ class TestFile:
         runs = found.runs.copy()
         runs[3, 3, 0] += 1
         with pytest.raises(ValueError, match="not as many as the sample"):
-            replace(found, runs=runs)
+            found.with_arrays(probability=runs / found.draws)
 
 
 class TestCommands:

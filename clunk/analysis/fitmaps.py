@@ -68,6 +68,5 @@ def _stacked(before: Results, after: Results) -> Results:
         for name, quantity in before.quantities.items()
     }
     parts["sequence"] = np.stack([codes_among(each, labels) for each in (before, after)]).astype(np.int16)
-    measured = {name: parts.pop(name) for name in before.measured}
     which = ResultAxis("fit", np.array([1.0, 2.0]), "candidate", "", "1", WHICH)
-    return replace(before, axes=(which, *before.axes), labels=labels, measured=measured, **parts)
+    return replace(before, axes=(which, *before.axes), labels=labels, arrays=parts)

@@ -55,7 +55,7 @@ def quantity_map(results: Results, name: str) -> Figure:
     """
     layers = Layers.of_quantity(results, 2, name)
     layers.require_values()
-    has_ridge = name in ("severity", *results.measured)
+    has_ridge = name in ("severity", *results.measured_quantities)
     ridge = ridge_of(layers.values) if has_ridge else np.full(len(layers.values), np.nan)
     figure, ax = shaded_map(layers, Colours.of(layers.described, layers.values), layers.boundaries_note)
     if np.isfinite(ridge).any():

@@ -37,7 +37,7 @@ class Variable:
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """Variables by name, among them the coordinate of each dimension, and what is said of all of them."""
+    """Variables by name, those of dimensions before what lies along them, and what is said of all."""
 
     variables: Mapping[str, Variable]
     attributes: Mapping[str, str]

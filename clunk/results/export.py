@@ -59,8 +59,9 @@ def _write_csv(stream: BinaryIO, results: AnyMap) -> None:
         for axis, places in zip(results.axes, np.unravel_index(cells, results.shape), strict=True):
             columns += [_texts_or_numbers(each)[places].tolist() for each in _along(results, axis)]
         for quantity in quantities:
-            values = _of_lashes(results, quantity, dataset.rows(quantity.name, start, stop)).reshape(cells.size, -1)
-            columns += [_texts(quantity, column, results.labels) for column in values.T]
+            name = quantity.name
+            values = dataset.rows(name, start, stop) if quantity.dimension else results.values(name)[start:stop]
+            columns += [_texts(quantity, column, results.labels) for column in values.reshape(cells.size, -1).T]
         write.writerows(zip(*columns, strict=True))
     text.detach()  # flushed, and the stream stays open
 
@@ -94,13 +95,6 @@ OF_BOUNDARIES: dict[str, Callable[[Boundaries], str]] = {
     ".csv": Boundaries.csv,
     ".geojson": lambda boundaries: json.dumps(boundaries.geojson(), ensure_ascii=False) + "\n",
 }
-
-
-def _of_lashes(results: Map, quantity: Quantity, values: Array) -> Array:
-    """Values of a quantity at each lash, also of one that a cell's lashes have in common."""
-    if quantity.of == "cell" and results.lashes:
-        return np.repeat(values[..., None], len(results.lashes), axis=-1)
-    return values
 
 
 def _along(results: Map, axis: ResultAxis) -> Sequence[ResultAxis]:

@@ -7,15 +7,16 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from clunk.results.boundaries import Boundaries
+from clunk.results.dataset import COUNTED_BY, first_entries
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.quantities import Quantity, measured_quantities
-from clunk.study.arrays import Array
+from clunk.study.arrays import Array, Integers
 from clunk.study.axes import LASH, RUN, ResultAxis
 from clunk.study.lashes import lash_name, lash_position
 from clunk.study.summaries import Rows, as_html, as_text, counted, html_table
@@ -103,10 +104,47 @@ class Description:
             return {}
 
 
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Map(Description, ABC):
-    """A map over one or more swept parameters, base of `Results` and `ToleranceMap`."""
+    """A map over one or more swept parameters, base of `Results` and `ToleranceMap`.
+
+    "Shape" is the axes' counts in order. Of several lashes the last axis is `lash`, and each lash of a cell counts as a
+    cell; see `of_lash`.
+
+    arrays : by the names of `quantities`, which are attributes of the map, too: over the axes and the quantity's
+        dimension; what each primary impact has, of the impacts of all cells in C order
+
+    Raises ValueError where these are not the map's quantities, an array's shape or dtype is not its quantity's, or a
+    code has no label.
+    """
 
     _measure: ClassVar[str]  # heading of the texts of `_label_rows`
+
+    arrays: Mapping[str, Array]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if set(self.arrays) != set(self.quantities):
+            raise ValueError("the arrays are not those of the quantities that the config asks for")
+        for name, quantity in self.quantities.items():
+            shape = (*self.shape, len(self.entries[quantity.dimension])) if quantity.dimension else self.shape
+            if quantity.dimension in COUNTED_BY:
+                shape = (int(self.first_impact[-1]),)
+            require_array(name, self.arrays[name], shape, quantity.dtype)
+        require_codes(self.labels, self.arrays["sequence"])
+
+    if not TYPE_CHECKING:  # the subclasses say which attributes there are
+
+        def __getattr__(self, name: str) -> Array:
+            """A quantity's array."""
+            try:
+                return self.__dict__["arrays"][name]
+            except KeyError:
+                raise AttributeError(f"{type(self).__name__} has no {name}") from None
+
+    def with_arrays(self, **arrays: Array) -> Self:
+        """The map with other values of some quantities."""
+        return replace(self, arrays={**self.arrays, **arrays})
 
     @property
     @abstractmethod
@@ -120,8 +158,12 @@ class Map(Description, ABC):
 
     def values(self, name: str) -> Array:
         """Values of one of the quantities, in cells; those of impacts in a flat array."""
-        array: Array = getattr(self, name)
-        return array
+        return self.arrays[name]
+
+    @cached_property
+    def first_impact(self) -> Integers:
+        """Position of each cell's first impact in the flat arrays, and last their number: (cells + 1,), in C order."""
+        return first_entries(self.arrays["primary_impacts"].ravel())
 
     def at(self, values: Mapping[str, float]) -> Self:
         """Slice at some axes' values, the nearest of each: ``results.at({"lash.contact.stiffness": 4e5})``.
@@ -140,12 +182,8 @@ class Map(Description, ABC):
             position = self.axes[k].nearest(value)
             index[k] = slice(position, position + 1)
         run = index[names.index(RUN)] if RUN in names else slice(None)
-        return replace(
-            self,
-            axes=tuple(axis.part(places) for axis, places in zip(self.axes, index, strict=True)),
-            coordinates=tuple(axis.part(run) for axis in self.coordinates),
-            **self._arrays_at(tuple(index)),
-        )
+        axes = tuple(axis.part(places) for axis, places in zip(self.axes, index, strict=True))
+        return self._part(tuple(index), axes, tuple(axis.part(run) for axis in self.coordinates))
 
     def at_lash(self, name: str | None = None) -> Self:
         """Slice at one lash, by name or number; by default at the first. The map itself where there is only one.
@@ -160,7 +198,7 @@ class Map(Description, ABC):
 
         Of a tolerance map, cells in which the label is the most likely one.
         """
-        return count_labels(self.labels, self.values("sequence"))
+        return count_labels(self.labels, self.arrays["sequence"])
 
     @property
     def counts_of_lashes(self) -> dict[str, dict[str, int]]:
@@ -180,11 +218,26 @@ class Map(Description, ABC):
         if not self.lashes:
             return self
         places: Index = (*[slice(None)] * len(self.axes[1:]), position)
-        return replace(self, axes=self.axes[:-1], **self._arrays_at(places))
+        return self._part(places, self.axes[:-1], self.coordinates)
 
-    @abstractmethod
-    def _arrays_at(self, index: Index) -> dict[str, Any]:
-        """Arrays of the slice at these positions on the axes, by field."""
+    def _part(self, index: Index, axes: tuple[ResultAxis, ...], coordinates: tuple[ResultAxis, ...]) -> Self:
+        """The slice at these positions on the axes; of a whole map of their lash, with the boundaries."""
+        arrays = {
+            name: np.ascontiguousarray(self.arrays[name][index])
+            for name, each in self.quantities.items()
+            if each.dimension not in COUNTED_BY
+        }
+        if "primary_impacts" in arrays:
+            cells = np.arange(self.first_impact.size - 1).reshape(self.shape)[index].ravel()
+            count, first = np.diff(self.first_impact)[cells], self.first_impact[cells]
+            begin = np.cumsum(count) - count  # of each cell's impacts in the slice
+            impacts = np.arange(count.sum()) + np.repeat(first - begin, count)
+            arrays |= {name: self.arrays[name][impacts] for name in self.quantities if name not in arrays}
+        lash = np.array(self.lashes)[index[-1:]].ravel().tolist() if self.lashes else [""]
+        is_whole = all(places == slice(None) for places in index[: len(self.axes) - bool(self.lashes)])
+        is_theirs = self.boundaries is not None and lash == [self.boundaries.lash]
+        boundaries = self.boundaries if is_whole and is_theirs else None
+        return replace(self, axes=axes, coordinates=coordinates, arrays=arrays, boundaries=boundaries)
 
     @abstractmethod
     def _label_rows(self) -> Rows:

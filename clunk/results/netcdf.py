@@ -12,7 +12,7 @@ import math
 import os
 import zlib
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from itertools import product
@@ -80,53 +80,41 @@ def write(path: str | os.PathLike[str], dataset: Dataset, scratch: Path | None =
 
 
 def _fill(file: Image, dataset: Dataset) -> None:
-    """Write attributes, coordinates of dimensions, the other variables, and the digest of all of these."""
+    """Write attributes, the variables, and the digest of these."""
     file.attrs["schema_version"] = np.int32(SCHEMA_VERSION)
     names = " ".join(dataset.variables)
     _set_attributes(file, {**dataset.attributes, "Conventions": "CF-1.11", "variables": names})
-    scales = {
-        name: _create_scale(file, name, variable)
-        for name, variable in dataset.variables.items()
-        if variable.dims == (name,)
-    }
     digest = _Digest()
     with chunk_writer(file) as write_rows:
         for name, variable in dataset.variables.items():
-            stored = scales.get(name) or _create_variable(file, name, variable, [scales[dim] for dim in variable.dims])
+            stored = _create(file, name, variable)
             digest.begin(name, stored)
             for start, stop in row_blocks(stored):
                 block = dataset.rows(name, start, stop)
-                if name not in scales:
-                    write_rows(stored, start, block)
+                write_rows(stored, start, block)
                 digest.add(block)
     _set_attributes(file, {"content_digest": digest.hexdigest()})
 
 
-def _create_scale(file: Image, name: str, variable: Variable) -> h5py.Dataset:
-    """Write a dimension with its coordinates, numbers or words."""
-    values = variable.values
-    if values.dtype.kind == "U":
-        # Of variable length: xarray takes fixed-length strings for bytes, and none would be found by its name.
-        scale = file.create_dataset(name, data=values.astype(object), dtype=h5py.string_dtype(), track_order=True)
-    else:
-        scale = file.create_dataset(name, data=values.astype(values.dtype.newbyteorder("<")), track_order=True)
-    _set_attributes(scale, variable.attributes)
-    scale.make_scale(name)
-    return scale
-
-
-def _create_variable(file: Image, name: str, variable: Variable, scales: Sequence[h5py.Dataset]) -> h5py.Dataset:
-    """Create a variable along some dimensions, still without its values, compressed where that pays."""
-    # Little-endian whatever the machine, so that the file does not depend on it.
-    dtype = variable.values.dtype.newbyteorder("<")
-    shape = tuple(len(scale) for scale in scales)
+def _create(file: Image, name: str, variable: Variable) -> h5py.Dataset:
+    """Create a dimension or a variable along some, still without its values; a variable compressed where that pays."""
+    # Words of variable length: xarray takes fixed-length strings for bytes, and none would be found by its name.
+    # Numbers little-endian whatever the machine, so that the file does not depend on it.
+    dtype = variable.values.dtype
+    stored_as = h5py.string_dtype() if dtype.kind == "U" else dtype.newbyteorder("<")
+    if variable.dims == (name,):
+        stored = file.create_dataset(name, variable.values.shape, stored_as, track_order=True)
+        _set_attributes(stored, variable.attributes)
+        stored.make_scale(name)
+        return stored
+    shape = tuple(len(file[dim]) for dim in variable.dims)
     filters: dict[str, Any] = {}
     if dtype.itemsize * math.prod(shape) > 4096:  # a smaller one would only grow
         together = len(shape) - variable.apart
         filters = {"chunks": (*_chunks(shape[:together], dtype.itemsize), *[1] * variable.apart), **_COMPRESSION}
-    stored = file.create_dataset(name, shape, dtype, track_order=True, **filters)
-    for dimension, scale in zip(stored.dims, scales, strict=True):
-        dimension.attach_scale(scale)
+    stored = file.create_dataset(name, shape, stored_as, track_order=True, **filters)
+    for dimension, dim in zip(stored.dims, variable.dims, strict=True):
+        dimension.attach_scale(file[dim])
     _set_attributes(stored, variable.attributes)
     return stored
 
@@ -376,7 +364,7 @@ def chunk_writer(file: Image) -> Iterator[Callable[[h5py.Dataset, int, Array], N
 
     def write(variable: h5py.Dataset, start: int, rows: Array) -> None:
         if variable.chunks is None:
-            variable[start : start + len(rows)] = rows
+            variable[start : start + len(rows)] = rows.astype(object) if rows.dtype.kind == "U" else rows
             return
         rows = rows.astype(variable.dtype, copy=False)
         for offset in product(*(range(0, n, step) for n, step in zip(rows.shape, variable.chunks, strict=True))):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -11,38 +10,31 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.status import QUALITY_MEANINGS, Status
-from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED
-from clunk.results.maps import Index, Map, require_array, require_codes, share, values_at
+from clunk.results.maps import Map, share, values_at
 from clunk.results.quantities import REGIME_QUANTITIES, Quantity
-from clunk.study.arrays import Array, Floats, Integers
+from clunk.study.arrays import Array, Floats
 from clunk.study.summaries import Rows
 
 
-@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Results(Map):
     """A regime map: a label for each cell, its quantities and its primary impacts.
 
-    "Shape" is the axes' counts in order; N counts the primary impacts of all cells. Of several lashes the last axis is
-    `lash`, and each lash of a cell counts as a cell; see `of_lash`.
+    Its fields are those of `Map`. Of its arrays, those that the config asks for besides are found by `values`.
 
-    title, axes, coordinates, labels, config, config_digest, attributes, boundaries : as those of `Map`
-    sequence : shape, int16 codes into `labels`
+    sequence : shape, codes into `labels`
     severity : shape, Q  [rad/s²], NaN where it is not defined
     approach_velocity : shape, V  [rad/s]
     last_event_time : shape  [s after the load step], NaN where nothing happened
-    primary_impacts, touches : shape, int32
-    status, quality : shape, uint8; see `clunk.core.status`
-    initial_side : shape, int8, sign of θ_i - θ_j on the initial flank (0: none)
+    primary_impacts, touches : shape
+    status, quality : shape; see `clunk.core.status`
+    initial_side : shape, sign of θ_i - θ_j on the initial flank (0: none)
     margin : shape, dimensionless: how near the run came to another label, positive for what did not happen and negative
         for what did (see `clunk.core.exact.run`); NaN where the method knows none
     impact_time : (N,)  [s after the load step]; cells in C order, cell k owns `primary_impacts[k]` consecutive entries
-    impact_flank : (N,) int8, +1 opposite, -1 initial
+    impact_flank : (N,), +1 opposite, -1 initial
     impact_closing_speed : (N,)  [rad/s]
     impact_severity : (N,) Q_i  [rad/s²]
-    measured : by the names of `measured_quantities`: shape or (N,), float64
-
-    Raises ValueError where an array's shape or dtype is not the one above, or a code has no label.
     """
 
     _measure: ClassVar[str] = "cells"
@@ -61,22 +53,6 @@ class Results(Map):
     impact_flank: npt.NDArray[np.int8]
     impact_closing_speed: Floats
     impact_severity: Floats
-    measured: Mapping[str, Floats] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if set(self.measured) != set(self.measured_quantities):
-            raise ValueError("what is measured is not what the config asks for")
-        for name, quantity in self.quantities.items():
-            if not quantity.dimension:
-                require_array(name, self.values(name), self.shape, quantity.dtype)
-        if self.primary_impacts.min() < 0:
-            raise ValueError("primary_impacts must not be negative")
-        impacts = (int(self.primary_impacts.sum(dtype=np.int64)),)
-        for name, quantity in self.quantities.items():
-            if quantity.dimension:
-                require_array(name, self.values(name), impacts, quantity.dtype)
-        require_codes(self.labels, self.sequence)
 
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
@@ -88,40 +64,10 @@ class Results(Map):
         """Numbers of the primary impacts."""
         return {"impact": np.arange(1, self.max_impacts + 1, dtype=np.int32)}
 
-    def values(self, name: str) -> Array:
-        """Values of one of the quantities, in cells or in the flat array of impacts."""
-        return self.measured[name] if name in self.measured else super().values(name)
-
     @cached_property
     def max_impacts(self) -> int:
         """Length of the file's `impact` dimension: the most primary impacts of any cell, at least 1."""
         return max(1, int(self.primary_impacts.max()))
-
-    @cached_property
-    def first_impact(self) -> Integers:
-        """Position of each cell's first impact in the flat arrays, and last their length: (cells + 1,), in C order."""
-        first = np.zeros(self.primary_impacts.size + 1, np.int64)
-        np.cumsum(self.primary_impacts.ravel(), out=first[1:])
-        return first
-
-    def _arrays_at(self, index: Index) -> dict[str, Any]:
-        cells = np.arange(self.sequence.size).reshape(self.shape)[index].ravel()
-        count, first = np.diff(self.first_impact)[cells], self.first_impact[cells]
-        begin = np.cumsum(count) - count  # of each cell's impacts in the slice
-        impacts = np.arange(count.sum()) + np.repeat(first - begin, count)
-        arrays = {
-            name: self.values(name)[impacts] if each.dimension else np.ascontiguousarray(self.values(name)[index])
-            for name, each in self.quantities.items()
-        }
-        measured = {name: arrays.pop(name) for name in self.measured}
-        return arrays | {"measured": measured, "boundaries": self._boundaries_at(index)}
-
-    def _boundaries_at(self, index: Index) -> Boundaries | None:
-        """The boundaries, where the whole map of their lash is taken; else None."""
-        cells = index[: len(self.axes) - bool(self.lashes)]
-        lash = np.array(self.lashes)[index[-1:]].ravel().tolist() if self.lashes else [""]
-        is_theirs = self.boundaries is not None and lash == [self.boundaries.lash]
-        return self.boundaries if is_theirs and all(places == slice(None) for places in cells) else None
 
     @property
     def label_map(self) -> npt.NDArray[np.str_]:

@@ -145,7 +145,7 @@ def dataset_of(results: AnyMap) -> Dataset:
         attributes: dict[str, str | Array] = {"units": each.unit, "long_name": each.long_name}
         attributes |= {"coordinates": coordinates} if coordinates else {}
         attributes |= flags(each.meanings(results.labels), each.dtype, masks=each.coded == "quality")
-        values, dims = results.values(name), names
+        values, dims = results.arrays[name], names
         if each.of == "cell" and results.lashes:
             values, dims = values[..., 0], of_cell
         dims = (*dims, each.dimension) if each.dimension else dims
@@ -169,21 +169,13 @@ def map_of(dataset: Dataset) -> AnyMap:
     """The map of a dataset. Raises KeyError and ValueError where it is of none."""
     described = _described(dataset)
     description = Description(**described)
-    measured = {} if description.sample else description.measured_quantities
-    quantities = TOLERANCE_QUANTITIES if description.sample else REGIME_QUANTITIES | measured
+    quantities = TOLERANCE_QUANTITIES if description.sample else REGIME_QUANTITIES | description.measured_quantities
     arrays: dict[str, Any] = {}
     for name, quantity in quantities.items():
         arrays[name] = dataset.variables[name].values
         if quantity.of == "cell" and description.lashes:
             arrays[name] = np.repeat(arrays[name][..., None], len(description.lashes), axis=-1)
-    if not description.sample:
-        return Results(**described, measured={name: arrays.pop(name) for name in measured}, **arrays)
-    probability, sequence = arrays.pop("probability"), arrays.pop("sequence")
-    runs = np.rint(probability * len(description.sample[0].values)).astype(np.int32)
-    tolerances = ToleranceMap(**described, runs=runs, **arrays)
-    if not np.array_equal(tolerances.sequence, sequence):
-        raise ValueError("sequence is not what is most probable")
-    return tolerances
+    return (ToleranceMap if description.sample else Results)(**described, arrays=arrays)
 
 
 def _described(dataset: Dataset) -> dict[str, Any]:

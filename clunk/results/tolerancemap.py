@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from clunk.results.labels import FAILED, FAILED_CODE, double_sided
-from clunk.results.maps import Index, Map, require_array, require_codes, share
+from clunk.results.maps import Map, require_codes, share
 from clunk.results.quantities import TOLERANCE_QUANTITIES, Quantity
 from clunk.results.regimemap import Results
 from clunk.study.arrays import Array, Floats
@@ -20,48 +19,41 @@ QUANTILES = (0.05, 0.5, 0.95)
 CERTAIN = 0.95  # a cell whose most likely label is less probable lies in the band between regimes
 
 
-@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class ToleranceMap(Map):
     """A map whose every cell was run for the same sample of the toleranced parameters.
 
-    "Shape" is the axes' counts in order, N the size of the sample.
+    Its fields are those of `Map`. N is the size of the sample.
 
-    title, axes, coordinates, labels, config, config_digest, attributes, sample : as those of `Map`
-    runs : shape + (labels + 1,), int32: of the N runs of a cell, those with each label, and last those that failed
-    nominal_sequence : shape, int16 codes of the runs without tolerances
+    probability : shape + (labels + 1,), share of each label in the N runs of a cell, and last of the failed ones
+    sequence : shape, codes of the most likely labels; of equally likely ones the first in the labels' order
+    nominal_sequence : shape, codes of the runs without tolerances
     severity_mean : shape, mean Q of the runs that did not fail  [rad/s²]; without impacts Q is 0. NaN where it is not
         defined
     severity_quantiles : shape + (3,), the `QUANTILES` of the same Q, linear between order statistics (type 7 of
         Hyndman and Fan, doi:10.2307/2684934)
-    status : shape, uint8, how the first run that failed ended (see `clunk.core.status`), 0 where none did
+    status : shape, how the first run that failed ended (see `clunk.core.status`), 0 where none did
 
-    Raises ValueError where an array's shape or dtype is not the one above, a code has no label, or a cell's runs are
-    not N.
+    Raises ValueError, too, where a cell's runs are not N, or its sequence is not what is most likely.
     """
 
     _measure: ClassVar[str] = "probability"
 
-    runs: npt.NDArray[np.int32]
+    probability: Floats
+    sequence: npt.NDArray[np.int16]
     nominal_sequence: npt.NDArray[np.int16]
     severity_mean: Floats
     severity_quantiles: Floats
     status: npt.NDArray[np.uint8]
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if not self.sample or len({len(each.values) for each in self.sample}) > 1:
             raise ValueError("the toleranced parameters need one sample")
-        require_array("runs", self.runs, (*self.shape, len(self.labels) + 1), np.int32)
-        for name in ("nominal_sequence", "severity_mean", "status"):
-            require_array(name, getattr(self, name), self.shape, TOLERANCE_QUANTITIES[name].dtype)
-        require_array("severity_quantiles", self.severity_quantiles, (*self.shape, len(QUANTILES)), np.float64)
+        super().__post_init__()
         require_codes(self.labels, self.nominal_sequence)
         if self.runs.min() < 0 or (self.runs.sum(axis=-1) != self.draws).any():
             raise ValueError("the runs of a cell are not as many as the sample")
-
-    def _arrays_at(self, index: Index) -> dict[str, Any]:
-        names = ("runs", "nominal_sequence", "severity_mean", "severity_quantiles", "status")
-        return {name: np.ascontiguousarray(getattr(self, name)[index]) for name in names}
+        if not np.array_equal(self.sequence, most_likely(self.runs)):
+            raise ValueError("sequence is not what is most probable")
 
     @property
     def quantities(self) -> dict[str, Quantity]:
@@ -80,19 +72,14 @@ class ToleranceMap(Map):
         return len(self.sample[0].values)
 
     @cached_property
-    def probability(self) -> Floats:
-        """Share of each label in the runs of a cell, and last of the failed ones: shape + (labels + 1,)."""
-        return self.runs / self.draws
-
-    @cached_property
-    def sequence(self) -> npt.NDArray[np.int16]:
-        """Codes of the most likely labels, shape, int16; of equally likely ones the first in the labels' order."""
-        return most_likely(self.runs)
+    def runs(self) -> npt.NDArray[np.int32]:
+        """Of the N runs of a cell, those with each label, and last those that failed: shape + (labels + 1,)."""
+        return np.rint(self.probability * self.draws).astype(np.int32)
 
     @property
     def certainty(self) -> Floats:
         """Probability of the most likely label, shape."""
-        certainty: Floats = self.runs.max(axis=-1) / self.draws
+        certainty: Floats = self.probability.max(axis=-1)
         return certainty
 
     @property

@@ -52,8 +52,8 @@ class RegimeReduction(Reduction[Results]):
         self._code_of = np.full(_SHORT + 1, _UNSEEN, np.int32)  # of a pattern; the last is of all longer ones
         self._code_of[0] = FAILED_CODE
         self.codes: npt.NDArray[np.int32] = self._scratch.empty(self.rows, np.int32)
-        self.measured = measured_quantities(study.impacts.quantities, [dict(each) for each in study.measures])
-        quantities = REGIME_QUANTITIES | self.measured
+        measured = measured_quantities(study.impacts.quantities, [dict(each) for each in study.measures])
+        quantities = REGIME_QUANTITIES | measured
         self.of_cells = {name: each for name, each in quantities.items() if not each.dimension}
         self.of_impacts = {name: each for name, each in quantities.items() if each.dimension}
         self.fields = {
@@ -101,8 +101,7 @@ class RegimeReduction(Reduction[Results]):
         made = self.for_each(finished, ("sequence", *self.of_impacts))
         fields = {**self.fields, "sequence": made.pop("sequence")}
         made |= {name: field.reshape(self.shape) for name, field in fields.items()}
-        measured = {name: made.pop(name) for name in self.measured}
-        return Results(**self.heading(), labels=labels, **made, measured=measured, attributes=attributes)
+        return Results(**self.heading(), labels=labels, arrays=made, attributes=attributes)
 
     def for_each(self, function: Callable[[str], Any], names: Sequence[str]) -> dict[str, Any]:
         """Call a function with each name, in several threads; returns its values by name."""

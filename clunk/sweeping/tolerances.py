@@ -17,7 +17,7 @@ from clunk.core.sequence import OPPOSITE
 from clunk.core.status import Status
 from clunk.core.tile import LONGEST_PATTERN
 from clunk.results.labels import FAILED_CODE
-from clunk.results.tolerancemap import QUANTILES, ToleranceMap
+from clunk.results.tolerancemap import QUANTILES, ToleranceMap, most_likely
 from clunk.study.arrays import Cells, Floats, Records
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import design_of, drawn_numbers
@@ -165,11 +165,14 @@ class ToleranceReduction(Reduction[ToleranceMap]):
             **self.heading(),
             labels=labels,
             sample=sample_of(self.study, self._sample.drawn),
-            runs=runs.reshape(*shape, len(labels) + 1),
-            nominal_sequence=final[self._nominal].reshape(shape),
-            severity_mean=self._records["severity_mean"].copy().reshape(shape),
-            severity_quantiles=quantiles.reshape(*shape, len(QUANTILES)),
-            status=self._records["status"].copy().reshape(shape),
+            arrays={
+                "probability": (runs / self._sample.draws).reshape(*shape, len(labels) + 1),
+                "sequence": most_likely(runs).reshape(shape),
+                "nominal_sequence": final[self._nominal].reshape(shape),
+                "severity_mean": self._records["severity_mean"].copy().reshape(shape),
+                "severity_quantiles": quantiles.reshape(*shape, len(QUANTILES)),
+                "status": self._records["status"].copy().reshape(shape),
+            },
             attributes=attributes,
         )
 
