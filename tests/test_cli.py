@@ -374,13 +374,7 @@ def test_an_axis_that_changes_nothing_is_noted(clunk, small):
 
 
 def test_a_terminal_without_greek_letters_gets_question_marks():
-    command = [
-        sys.executable,
-        "-c",
-        "from clunk.cli import main; main()",
-        "modes",
-        str(ROOT / "configs/nominal.toml"),
-    ]
+    command = [sys.executable, "-m", "clunk", "modes", str(ROOT / "configs/nominal.toml")]
     environment = os.environ | {"PYTHONIOENCODING": "ascii"}
     done = subprocess.run(command, capture_output=True, env=environment, check=False)
     assert done.returncode == 0

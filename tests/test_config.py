@@ -99,6 +99,17 @@ def with_line(number: int, line: str) -> str:
     return "\n".join(lines) + "\n"
 
 
+LASH_AND_LOAD = """[lash]
+between = [1, 2]
+backlash_deg = 1.0
+radius = 1.0
+contact = { stiffness = 1.0, damping = 0.0 }
+[load]
+static_torque = -1.0
+ratio = 5.0
+"""
+
+
 def errors_of(text: str, *overrides: str) -> ConfigError:
     with pytest.raises(ConfigError) as caught:
         study_from_text(text, "study.toml", overrides)
@@ -225,6 +236,22 @@ def test_shafts_that_replace_more_of_a_preset_are_warned_of():
         study_from_text(PRESET + shaft)
     study_from_text(PRESET + 4 * shaft)  # a driveline that is spelled out
     study_from_text(PRESET + "inertias = [1.0, 1.0, 1.0, 1.0]\n" + shaft)
+
+
+def test_a_bearing_has_damping_or_friction_alone_and_the_first_inertia_is_loaded():
+    bearings = 'shafts = [{between = [1, "ground"], damping = 0.1}, {between = ["ground", 2], friction = 0.2}]\n'
+    study = study_from_text(f"[driveline]\ninertias = [1.0, 1.0]\n{bearings}" + LASH_AND_LOAD)
+    assert [(s.stiffness, s.damping, s.friction) for s in study.driveline.shafts] == [(0.0, 0.1, 0.0), (0.0, 0.0, 0.2)]
+    assert study.load.on == 1
+    text = "[driveline]\ninertias = [1.0, 1.0]\nshafts = [{between = [1, 2], damping = 0.1}]\n" + LASH_AND_LOAD
+    assert "driveline.shafts[1].stiffness: missing" in str(errors_of(text))
+
+
+def test_flanks_that_indent_need_stiffness_and_damping_and_rigid_ones_do_not():
+    text = "[driveline]\ninertias = [1.0, 1.0]\nshafts = []\n" + LASH_AND_LOAD
+    assert study_from_text(text, overrides=["lash.contact={model='restitution'}"]).lash.contact.stiffness is None
+    error = errors_of(text, "lash.contact={model='indentation'}")
+    assert [problem.key for problem in error.problems] == ["lash.contact.stiffness", "lash.contact.damping"]
 
 
 def test_names_become_numbers():

@@ -33,11 +33,8 @@ backlash_deg = 60.0
 radius = 1.0
 [lash.contact]
 model = "restitution"
-stiffness = 1.0
-damping = 0.0
 restitution = {e}
 [load]
-on = 1
 initial_torque = 5.0
 final_torque = 5.0
 [solver]
@@ -84,6 +81,22 @@ def test_the_nominal_run_touches_and_sticks_when_facts_and_figure_3_3_say():
     assert locks[0] == pytest.approx(0.1359, abs=5e-5)
     assert run.events["time"][run.primaries] == pytest.approx([0.1190, 0.2608, 0.5633], abs=5e-5)
     assert run.label == "DS(1)SS(1)"
+
+
+@pytest.mark.parametrize("method", ["exact", "rk4"])
+def test_rigid_flanks_need_no_stiffness_and_are_locked_where_they_stay_closed(method):
+    with_stiffness = study_from_text(NOMINAL, overrides=[f"solver.method={method}"])
+    contact = with_stiffness.lash.contact.model_copy(update={"stiffness": None, "damping": None})
+    lash = with_stiffness.lash.model_copy(update={"contact": contact})
+    rigid = with_stiffness.model_copy(update={"lash": lash})
+    assert simulate(rigid).events.tobytes() == simulate(with_stiffness).events.tobytes()
+    modes = driveline.Driveline.from_study(rigid).modes(closed=True)
+    stiff = driveline.Driveline.from_study(replace_values(with_stiffness, {"lash.contact.stiffness": 4e9}))
+    n = modes.frequency.size
+    assert (n, stiff.modes(closed=True).frequency.size) == (3, 4)
+    # of a contact 3e5 times as stiff as the shafts the lower modes differ from the locked ones by about its inverse
+    assert stiff.modes(closed=True).frequency[:n] == pytest.approx(modes.frequency, rel=1e-5)
+    assert not modes.overdamped.size
 
 
 def test_severity_is_not_defined_and_approach_velocity_is():

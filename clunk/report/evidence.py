@@ -135,7 +135,7 @@ class Evidence:
     def damped_in_the_gap(self) -> Trajectory:
         """The nominal run with the contact's damping in the gap as well (report Eq. 2.5)."""
         lash, driveline = self.study.lashes[0], self.study.driveline
-        damper = {"between": lash.between, "stiffness": 0.0, "damping": lash.radius**2 * lash.contact.damping}
+        damper = {"between": lash.between, "stiffness": 0.0, "damping": lash.radius**2 * (lash.contact.damping or 0.0)}
         shafts = (*driveline.shafts, driveline.shafts[0].model_copy(update=damper))
         damped = self.study.model_copy(update={"driveline": driveline.model_copy(update={"shafts": shafts})})
         return simulate(replace_values(damped, {"lash.contact.damping": 0.0}))

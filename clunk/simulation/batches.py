@@ -127,6 +127,7 @@ def _with_sizes(study: Study, line: Driveline, sizes: dict[Place, Floats], count
         inertia=columns([("driveline", "inertias", k) for k in range(line.inertia.size)], line.inertia),
         shaft_stiffness=columns(of_shafts("stiffness"), line.shaft_stiffness),
         shaft_damping=columns(of_shafts("damping"), line.shaft_damping),
-        contact_stiffnesses=squares * columns(of_lashes("contact", "stiffness"), [each.stiffness for each in contacts]),
-        contact_dampings=squares * columns(of_lashes("contact", "damping"), [each.damping for each in contacts]),
+        contact_stiffnesses=squares
+        * columns(of_lashes("contact", "stiffness"), [each.stiffness or 0.0 for each in contacts]),
+        contact_dampings=squares * columns(of_lashes("contact", "damping"), [each.damping or 0.0 for each in contacts]),
     )

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from clunk.core import tables
 from clunk.core.exact.flows import Chain, Flows, build_flows
-from clunk.core.reductions import Reduction, chain, constrained
+from clunk.core.reductions import Reduction, chain, constrained, locked
 from clunk.core.regimes import RigidMotion, System, build_system, rubs
 from clunk.core.rk4.propagator import Steps, build_steps
 from clunk.core.status import Status
@@ -52,7 +52,7 @@ class Driveline:
     shaft_stiffness: FloatArray  # (S,)  N m/rad, of staged shafts that at twist 0
     shaft_damping: FloatArray  # (S,)  N m s/rad
     lashes: FloatArray  # (L, n)  q of each = row · θ = θi - ratio θj
-    contact_stiffnesses: FloatArray  # (L,)  N m/rad, of the closed lash: r² k34
+    contact_stiffnesses: FloatArray  # (L,)  N m/rad, of the closed lash: r² k34; 0 of rigid flanks without one
     contact_dampings: FloatArray  # (L,)  N m s/rad, r² c34
     load: FloatArray  # (n,)  1 at the loaded inertia
     staged: tuple[tuple[int, StagedShaft], ...] = ()  # shafts with stages, each with its row
@@ -75,8 +75,8 @@ class Driveline:
             shaft_stiffness=np.array([_at_rest(shaft) for shaft in shafts], dtype=np.float64),
             shaft_damping=np.array([shaft.damping for shaft in shafts], dtype=np.float64),
             lashes=_incidence(lashes, n),
-            contact_stiffnesses=np.array([lash.radius**2 * lash.contact.stiffness for lash in lashes]),
-            contact_dampings=np.array([lash.radius**2 * lash.contact.damping for lash in lashes]),
+            contact_stiffnesses=np.array([lash.radius**2 * (lash.contact.stiffness or 0.0) for lash in lashes]),
+            contact_dampings=np.array([lash.radius**2 * (lash.contact.damping or 0.0) for lash in lashes]),
             load=np.eye(n)[int(study.load.on) - 1],
             staged=tuple((k, _staged(shaft, n)) for k, shaft in enumerate(shafts) if shaft.breakpoints_deg),
             shaft_friction=np.array([shaft.friction for shaft in shafts], dtype=np.float64),
@@ -185,14 +185,25 @@ class Driveline:
 
     @property
     def contact_periods(self) -> FloatArray:
-        """(L,) T_c = 2π sqrt(J_red/k), of the two inertias at a lash in series, or the one at a lash to ground  [s]."""
+        """(L,) T_c = 2π sqrt(J_red/k), of the two inertias at a lash in series, or the one at a lash to ground  [s].
+
+        0 of rigid flanks without stiffness.
+        """
         mobility = np.sum(self.lashes**2 / self.inertia[..., None, :], axis=-1)
-        return np.asarray(2.0 * np.pi / np.sqrt(self.contact_stiffnesses * mobility))
+        rates = np.sqrt(self.contact_stiffnesses * mobility)
+        return np.asarray(np.divide(2.0 * np.pi, rates, out=np.zeros_like(rates), where=rates > 0.0))
+
+    def free_motion(self, *, closed: bool) -> tuple[FloatArray, FloatArray]:
+        """A of y' = A y with all lashes closed or open, and (θ, θ') by y; a closed lash without stiffness is locked."""
+        rigid = closed & (self.contact_stiffnesses == 0.0)
+        rates, inputs = chain(self.inertia, *self.matrices(closed=closed), self.load)
+        ties = constrained(self.lashes, rigid)
+        rates = locked(rates, inputs, self.inertia, self.lashes, rigid)[0]
+        return np.asarray(ties.pick @ rates @ ties.expand), ties.expand
 
     def modes(self, *, closed: bool) -> Modes:
         """Natural frequencies and damping ratios with all lashes closed or open."""
-        rates, _ = chain(self.inertia, *self.matrices(closed=closed), self.load)
-        eigenvalues = np.linalg.eigvals(rates)
+        eigenvalues = np.linalg.eigvals(self.free_motion(closed=closed)[0])
         rounding = 1e-7 * np.abs(eigenvalues).max()  # a double zero, an undamped drift, is found to half the digits
         oscillating = eigenvalues[eigenvalues.imag > rounding]
         oscillating = oscillating[np.argsort(np.abs(oscillating))]

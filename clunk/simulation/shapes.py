@@ -4,7 +4,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse.csgraph import connected_components
 
-from clunk.core.reductions import chain
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.rigid import speeds_along
 from clunk.study.arrays import Floats
@@ -17,11 +16,10 @@ def mode_shapes(driveline: Driveline, *, closed: bool) -> Shapes:
     modes = driveline.modes(closed=closed)
     decay = modes.damping_ratio
     rates = 2.0 * np.pi * modes.frequency * (-decay + 1j * np.sqrt(np.maximum(1.0 - decay**2, 0.0)))
-    eigenvalues, vectors = np.linalg.eig(
-        chain(driveline.inertia, *driveline.matrices(closed=closed), driveline.load)[0]
-    )
+    matrix, angles = driveline.free_motion(closed=closed)
+    eigenvalues, vectors = np.linalg.eig(matrix)
     nearest = np.abs(eigenvalues[None, :] - rates[:, None]).argmin(axis=1)
-    return np.asarray(vectors[: driveline.inertia.size, nearest].T, np.complex128)
+    return np.asarray((angles @ vectors)[: driveline.inertia.size, nearest].T, np.complex128)
 
 
 def kinetic_energy_shares(driveline: Driveline, shapes: Shapes) -> Floats:

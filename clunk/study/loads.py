@@ -61,7 +61,7 @@ class Load(Table):
     """
 
     profile: Literal["step", "ramp", "smooth", "lag", "pulse", "table", "sine"] = "step"
-    on: Annotated[Inertia, Quantity("loaded inertia", "i", "1")]
+    on: Annotated[Inertia, Quantity("loaded inertia", "i", "1")] = 1
     static_torque: Annotated[float | None, Quantity("static torque", "Ts", "N m")] = None
     ratio: Annotated[float | None, Quantity("load ratio", "σr = Td/Ts", "1")] = None
     initial_torque: Annotated[float | None, Quantity("torque before the load step", "T0", "N m")] = None

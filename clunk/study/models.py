@@ -55,6 +55,8 @@ class Shaft(Table):
     breakpoints_deg : twists between the stages, ascending
     stiffness_per_deg : float or None, instead of stiffness, which it becomes
     friction : float, Coulomb torque against the rate of twist, and anything up to that while it sticks
+
+    A bearing, a shaft to ground, has damping or friction alone where nothing else is given.
     """
 
     name: Text | None = None
@@ -83,7 +85,12 @@ class Shaft(Table):
     @model_validator(mode="before")
     @classmethod
     def _convert(cls, shaft: Any) -> Any:
-        return converted(shaft, "stiffness_per_deg", "stiffness", math.degrees)
+        shaft = converted(shaft, "stiffness_per_deg", "stiffness", math.degrees)
+        if not isinstance(shaft, dict) or "ground" not in items_of(shaft.get("between")):
+            return shaft
+        of_bearing = {"stiffness": 0.0} if shaft.keys() & {"damping", "friction"} else {}
+        of_bearing |= {"damping": 0.0} if "friction" in shaft else {}
+        return of_bearing | shaft
 
     def contradictions(self) -> Iterator[Finding]:
         """The stiffness is given once."""
@@ -129,18 +136,24 @@ class Contact(Table):
 
     Keys that the model does not use are checked all the same.
 
-    stiffness, damping : float, at the radius
+    stiffness, damping : float or None, at the radius; the restitution model does not use them
     separation : the flanks part when the gap opens, or when the contact force would turn tensile
     restitution : float, speed after an impact over the speed before; the indentation model does not use it
     locking_speed : float or None, a slower rebound locks; the indentation model does not use it
     """
 
     model: Literal["indentation", "restitution"] = "indentation"
-    stiffness: Annotated[Positive, Quantity("contact stiffness", "k", "N/m")]
-    damping: Annotated[NotNegative, Quantity("contact damping", "c", "N s/m")]
+    stiffness: Annotated[Positive | None, Quantity("contact stiffness", "k", "N/m")] = None
+    damping: Annotated[NotNegative | None, Quantity("contact damping", "c", "N s/m")] = None
     separation: Literal["gap", "force"] = "gap"
     restitution: Annotated[float, Field(ge=0, le=1), Quantity("coefficient of restitution", "e", "1")] = 0.5
     locking_speed: Annotated[Positive | None, Quantity("locking speed", "v", "rad/s")] = None
+
+    def contradictions(self) -> Iterator[Finding]:
+        """Require stiffness and damping of flanks that indent."""
+        for key, unit in (("stiffness", "N/m"), ("damping", "N s/m")):
+            if self.model == "indentation" and getattr(self, key) is None:
+                yield (key,), f"missing; an indentation contact needs it ({unit})"
 
 
 class Lash(Table):

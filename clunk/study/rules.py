@@ -132,7 +132,7 @@ def _sizes(config: Config) -> Iterator[Finding]:
         )
     )
     for sizes, unit in ((masses, "kg m2"), (at_springs, "N m/rad")):
-        (smallest, at_smallest), (largest, at_largest) = min(sizes), max(sizes)
+        (smallest, at_smallest), (largest, at_largest) = min(sizes, default=(1.0, ())), max(sizes, default=(1.0, ()))
         if largest > WIDEST_SPREAD * smallest:
             yield (
                 _axis_first(at_largest, at_smallest),

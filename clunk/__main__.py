@@ -1,0 +1,5 @@
+"""`python -m clunk`: the command line."""
+
+from clunk.cli import main
+
+main()
