@@ -13,6 +13,9 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from clunk import plot as plot
     from clunk.analysis.boundaries import BoundaryError as BoundaryError
+    from clunk.analysis.comparison import Comparison as Comparison
+    from clunk.analysis.comparison import ComparisonError as ComparisonError
+    from clunk.analysis.comparison import compare as compare
     from clunk.analysis.fitted import Fitted as Fitted
     from clunk.analysis.fittedstudy import fitted_study as fitted_study
     from clunk.analysis.fitting import FitError as FitError
@@ -65,6 +68,8 @@ _HOME = {
     "BoundaryError": "analysis.boundaries",
     "ClunkError": "study.errors",
     "ClunkWarning": "study.errors",
+    "Comparison": "analysis.comparison",
+    "ComparisonError": "analysis.comparison",
     "ConfigError": "study.problems",
     "EngineError": "sweeping.engines",
     "ExperimentError": "analysis.measurements",
@@ -87,6 +92,7 @@ _HOME = {
     "ToleranceMap": "results.tolerancemap",
     "Trajectory": "simulation.trajectory",
     "Verification": "analysis.verification",
+    "compare": "analysis.comparison",
     "draw": "api",
     "explore": "explorer.server",
     "fit": "api",

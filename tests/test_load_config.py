@@ -121,7 +121,8 @@ BROKEN_TRACES = {
     "nan": ("0,-6\n0.1,nan\n", 'line 2: found "0.1,nan"'),
     "nan time": ("0,-6\nnan,1\n", 'line 2: found "nan,1"'),
     "text": ("0,-6\n0.1,x\n", 'line 2: found "0.1,x"'),
-    "semicolons": ("0;1\n1;2\n", 'line 1: found "0;1"'),
+    "decimal commas in columns of commas": ("0,0 -6,0\n0,1 -1,0\n", 'line 1: found "0,0 -6,0"'),
+    "thousands": ("0;1.000,5\n", 'line 1: found "0;1.000.5"'),
     "back in time": ("t,T\n0,-6\n0.2,1\n0.1,3\n", "line 4: found 0.1 after 0.2; times must not decrease"),
     "late": ("0.5,-6\n0.6,1\n", "line 1: found 0.5; the first time must be 0"),
     "three": ("0,1\n1,2\n1,3\n1,4\n", "line 4: found 1 for the third time"),
@@ -137,6 +138,21 @@ def test_a_trace_is_read_once_and_kept_in_the_config(tmp_path):
     assert (study.load.times, study.load.torques) == ((0.0, 0.1, 0.2), (-6.0, -3.5, -1.0))
     (tmp_path / "trace.csv").unlink()
     assert study_from_text(to_toml(study)) == study
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Zeit;Moment\ns;Nm\n0,0;-6,0\n0,1;-3,5\n0,2;-1\n",
+        "\ufefft\tT\tn\n0\t-6\t5000\n0.1\t-3.5\t4000\n0.2\t-1\t3000\n",
+        '"0,0","-6,0"\n"0,1","-3,5"\n"0,2","-1,0"\n',
+        " 0 ; -6.0\r\n 0.1 ; -3.5\r\n 0.2 ; -1.0\r\n",
+    ],
+)
+def test_a_trace_may_be_written_as_loggers_do(text, tmp_path):
+    (tmp_path / "trace.csv").write_text(text, encoding="utf-8", newline="")
+    study = study_from_text(config('profile = "table"\nfile = "trace.csv"'), folder=tmp_path)
+    assert (study.load.times, study.load.torques) == ((0.0, 0.1, 0.2), (-6.0, -3.5, -1.0))
 
 
 def test_a_trace_can_be_changed_on_the_command_line(tmp_path, monkeypatch):

@@ -11,12 +11,14 @@ from helpers.feet import feet_of_figure_3_4
 
 import clunk
 from clunk.analysis import thresholds as analysis
+from clunk.analysis.outcomes import outcome_of
 from clunk.analysis.thresholds import ThresholdError, thresholds
 from clunk.cli import main
 from clunk.plot.style import PlotError
 from clunk.plot.thresholds import threshold_figure
 from clunk.results.labels import FAILED
 from clunk.study.config import study_from_text
+from clunk.sweeping.sweep import sweep
 
 NOMINAL = '[driveline]\npreset = "boere-2008"\n[lash]\nbacklash_deg = 6.0\n[load]\nratio = 5.0\n'
 RAMP = ("load.profile=ramp", "solver.method=exact")
@@ -274,3 +276,18 @@ def test_pictures_have_a_curve_for_each_threshold():
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["φθ = 4 degrees", "φθ = 6 degrees"]
     with pytest.raises(PlotError, match="no other axis"):
         threshold_figure(thresholds(study(DURATION, of=RAMP), along="load.duration"))
+
+
+@pytest.mark.parametrize(
+    ("short", "full"),
+    [("NI", "label=NI"), ("SS", "single_sided"), ("ds", "double_sided"), ("OS", "opposite_sided"), ("CR", "crossed")],
+)
+def test_types_of_impacts_are_outcomes_by_their_short_names_too(short, full):
+    rig = study()
+    outcome = outcome_of(short, rig, {}, ThresholdError)
+    assert outcome == outcome_of(full, rig, {}, ThresholdError)
+    results = sweep(study(RATIO))
+    word = {"ds": "DS"}.get(short, short)
+    expected = [word in label for label in results.label_map]
+    assert outcome.of_runs(results).tolist() == expected
+    assert any(expected) == (word not in ("OS", "CR"))  # whose torque would have to reverse

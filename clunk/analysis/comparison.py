@@ -184,6 +184,13 @@ def compare(a: Results, b: Results) -> Comparison:
     ------
     ComparisonError
         Where the axes are not the same, or a config cannot be read.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> maps = [clunk.sweep(clunk.load_study("configs/smoke.toml", [f"solver.step={h}"])) for h in (2e-4, 1e-4)]
+    >>> int(clunk.compare(*maps).differs.sum())
+    0
     """
     _require_same_axes(a.parameters, b.parameters)
     _require_same_axes(a.axes, b.axes)

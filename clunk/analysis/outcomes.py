@@ -5,7 +5,8 @@ severity, touches and other numbers  see `MEASURED`
 impulse, peak_torque, energy         see `clunk help measures`; the config need not ask for them
 shuffle                              a measure of the config, by its name
 severity<=8000, touches=4            whether a number is <=, <, >=, > or = another
-double_sided                         whether the label has a DS
+single_sided, double_sided, …        whether the label has an SS, a DS, an OS (opposite_sided), a CR (crossed)
+NI, SS, DS, OS, CR                   short for label=NI, single_sided and so on
 chatter                              whether touches follow that are no primary impacts
 label=DS(1)SS(1)                     whether it is this one
 nominal_label                        whether it is that of the run without tolerances
@@ -22,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clunk.results.labels import double_sided, normalised_label
+from clunk.results.labels import normalised_label
 from clunk.results.quantities import CELL_QUANTITIES, Quantity, likely_name, measured_quantities
 from clunk.study.arrays import Floats
 from clunk.study.errors import ClunkError
@@ -34,7 +35,9 @@ if TYPE_CHECKING:
     from clunk.results.regimemap import Results
 
 MEASURED = ("severity", "approach_velocity", "primary_impacts", "touches", "last_event_time")
-LABEL, DOUBLE_SIDED, CHATTER, NOMINAL = "label", "double_sided", "chatter", "nominal_label"
+LABEL, CHATTER, NOMINAL = "label", "chatter", "nominal_label"
+SIDED = {"single_sided": "SS", "double_sided": "DS", "opposite_sided": "OS", "crossed": "CR"}  # -> the word in labels
+_SHORT = {word: name for name, word in SIDED.items()} | {"NI": "label=NI"}
 _RELATIONS: dict[str, tuple[Callable[[Any, Any], Any], str]] = {
     "<=": (operator.le, "is at most"),
     "<": (operator.lt, "is less than"),
@@ -50,7 +53,7 @@ _WORDS = re.compile(r"\s*([^<>=\s]+)\s*(?:(<=|>=|<|>|=)\s*(.*?)\s*)?", re.DOTALL
 class Outcome:
     """An outcome of runs.
 
-    quantity : a number's name, or `LABEL`, `DOUBLE_SIDED`, `CHATTER` or `NOMINAL`
+    quantity : a number's name, or `LABEL`, `CHATTER`, `NOMINAL` or one of `SIDED`
     relation : of the quantity to the bound, if the outcome is whether that holds; else empty
     bound : a number, or a label
     number : description of a quantity that is a number
@@ -70,7 +73,7 @@ class Outcome:
     @property
     def is_indicator(self) -> bool:
         """Whether the outcome is 1 where something holds and else 0."""
-        return bool(self.relation) or self.quantity in (DOUBLE_SIDED, CHATTER, NOMINAL)
+        return bool(self.relation) or self.quantity in (*SIDED, CHATTER, NOMINAL)
 
     def heading(self, nominal: str = "") -> str:
         """Name for people, of numbers with symbol and unit; nominal : the label without tolerances."""
@@ -80,8 +83,8 @@ class Outcome:
             return (
                 f"{quantity.heading} {_RELATIONS[self.relation][1]} {self.bound:.15g} {quantity.unit_symbol}".rstrip()
             )
-        if self.quantity == DOUBLE_SIDED:
-            return "the label has a double-sided impact"
+        if self.quantity in SIDED:
+            return f"the label has {'an' if self.quantity[0] == 'o' else 'a'} {self.quantity.replace('_', '-')} impact"
         if self.quantity == CHATTER:
             return "a primary impact chatters"
         if self.quantity == NOMINAL:
@@ -105,8 +108,8 @@ class Outcome:
         if self.quantity == CHATTER:
             return np.asarray(results.touches > results.primary_impacts, np.float64)
         wanted = nominal if self.quantity == NOMINAL else self.bound
-        is_double_sided = self.quantity == DOUBLE_SIDED
-        holds = [double_sided(label) > 0 if is_double_sided else label == wanted for label in results.labels]
+        word = SIDED.get(self.quantity)
+        holds = [label == wanted if word is None else f"{word}(" in label for label in results.labels]
         return np.array([*holds, math.nan])[results.sequence]  # the code of failed cells, -1, is the last
 
 
@@ -123,10 +126,11 @@ def outcome_of(text: str, study: Study, without: Mapping[str, str], error: type[
     error : type of ClunkError
         What is raised where there is no such outcome.
     """
+    text = _SHORT.get(text.strip().upper(), text)
     words = _WORDS.fullmatch(text)
     quantity, relation, bound = words.groups("") if words else (text, "", "")
     numbers = numbers_of(study)
-    if without.get(quantity) == "" or quantity not in (LABEL, *numbers, DOUBLE_SIDED, CHATTER, NOMINAL):
+    if without.get(quantity) == "" or quantity not in (LABEL, *numbers, *SIDED, CHATTER, NOMINAL):
         raise error(_unknown(text, quantity, without, numbers))
     if quantity in _UNDEFINED and any(lash.contact.model == "restitution" for lash in study.lashes):
         raise error(f"{quantity} is not defined for the restitution model; {_UNDEFINED[quantity]} is.")
@@ -167,7 +171,7 @@ def measuring(study: Study, outcomes: Iterable[Outcome]) -> Study:
 
 
 def _unknown(text: str, quantity: str, without: Mapping[str, str], numbers: Iterable[str]) -> str:
-    known = [name for name in (LABEL, *numbers, DOUBLE_SIDED, CHATTER, NOMINAL) if name not in without]
+    known = [name for name in (LABEL, *numbers, *SIDED, CHATTER, NOMINAL) if name not in without]
     examples = ["severity<=8000", "label=DS(1)SS(1)"]
     likely = likely_name(quantity, [*known, *(name for name, sentence in without.items() if sentence)])
     hint = f"; did you mean {likely}?" if likely else "."

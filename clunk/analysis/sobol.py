@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clunk.analysis.outcomes import DOUBLE_SIDED, LABEL, NOMINAL, Outcome, measuring, outcome_of
+from clunk.analysis.outcomes import LABEL, NOMINAL, Outcome, measuring, outcome_of
 from clunk.core.status import Status
 from clunk.results.regimemap import Results
 from clunk.simulation.trajectory import simulate
@@ -34,7 +34,7 @@ from clunk.sweeping.sweep import sweep
 
 CONFIDENCE = 0.95  # of the intervals
 QUANTILES = (0.05, 0.5, 0.95)
-_NO_NUMBER = {LABEL: f"The label is no number; {NOMINAL}, {DOUBLE_SIDED} and label=DS(1)SS(1) are 1 or 0."}
+_NO_NUMBER = {LABEL: f"The label is no number; {NOMINAL}, double_sided and label=DS(1)SS(1) are 1 or 0."}
 
 _RESAMPLES = 999
 _BATCH = 2**22  # indices that are resampled at once

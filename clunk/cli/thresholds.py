@@ -94,7 +94,6 @@ def thresholds(
           --of double_sided --quantiles 0.5,0.95,0.99
     """
     from clunk.analysis import thresholds as analysis
-    from clunk.analysis.outcomes import DOUBLE_SIDED
     from clunk.analysis.quantiles import check, threshold_quantiles
     from clunk.results import targets
     from clunk.results.files import write_text
@@ -117,7 +116,7 @@ def thresholds(
     asked = analysis.parse(outcome, study)
     lash_position(lash, study.lash_names)
     torques = load_step(study.load)
-    if asked.quantity == DOUBLE_SIDED and torques.before * torques.after < 0.0:
+    if asked.quantity == "double_sided" and torques.before * torques.after < 0.0:
         terminal.complain(
             "note: the torque reverses, so that teeth cross even without a double-sided impact: CR(1) is none"
         )

@@ -40,7 +40,7 @@ PROFILES = {
     "sine": Profile("sinusoidal torque", (*STEP_KEYS, "amplitude", "frequency")),
 }
 _NEEDED = {"duration": "s", "time_constant": "s", "amplitude": "N m", "frequency": "Hz"}
-_COLUMNS = "time (s) and torque (N m), separated by commas"
+_COLUMNS = "time (s) and torque (N m), separated by commas, semicolons or tabs"
 _NUMBER = re.compile(r"[-+]?(\.?\d|nan|inf)", re.IGNORECASE)
 
 
@@ -75,7 +75,7 @@ class Load(Table):
         Field(min_length=1, max_length=LONGEST_TABLE, repr=False, description="a list of times (s), from 0 on"),
     ] = None
     torques: Annotated[
-        tuple[Annotated[float, Quantity("torque {} of the load", "T{}", "N m")], ...] | None,
+        tuple[Annotated[float, Quantity("torque {} of the load", "T[{}]", "N m")], ...] | None,
         Field(min_length=1, max_length=LONGEST_TABLE, repr=False, description="a list of torques (N m)"),
     ] = None
     scale: Annotated[float, Quantity("scale of the load", "sT", "1")] = 1.0
@@ -164,22 +164,26 @@ def disorder(times: Sequence[float]) -> Iterator[tuple[int, str]]:
 
 
 def read_trace(path: Path) -> tuple[list[float], list[float]]:
-    """Read times [s] and torques [N m] from the first two columns of a text file, which commas separate.
+    """Read times [s] and torques [N m] from the first two columns of a text file.
 
-    Lines that do not begin with a number are headings.
+    Tabs separate the columns, where a line of numbers has one, else semicolons, else commas; of numbers that commas do
+    not separate, one may stand for the point. Lines that do not begin with a number are headings.
 
     Raises
     ------
     ConfigError
         Where the file cannot be read, or holds something else.
     """
-    reader = csv.reader(read_text(path, "a trace", f"a text file of {_COLUMNS}", known=".").splitlines())
+    rows = read_text(path, "a trace", f"a text file of {_COLUMNS}", known=".").splitlines()
+    numbers = next((row for row in rows if _NUMBER.match(row.strip(' \t"'))), "")
+    delimiter = next((mark for mark in "\t;" if mark in numbers.strip()), ",")
+    reader = csv.reader(rows, delimiter=delimiter)
     lines, points = [], []
     try:
         for row in reader:
             if row and _NUMBER.match(row[0].strip()):
                 lines.append(f"{path}, line {reader.line_num}")
-                points.append(_point(row, lines[-1]))
+                points.append(_point([cell.replace(",", ".") for cell in row], delimiter, lines[-1]))
     except csv.Error as error:
         raise ConfigError(f"{path}, line {reader.line_num}: {error}.") from None
     if not 1 <= len(points) <= LONGEST_TABLE:
@@ -191,9 +195,9 @@ def read_trace(path: Path) -> tuple[list[float], list[float]]:
     return times, torques
 
 
-def _point(row: Sequence[str], where: str) -> tuple[float, float]:
+def _point(row: Sequence[str], delimiter: str, where: str) -> tuple[float, float]:
     with contextlib.suppress(ValueError):
         time, torque = map(float, row[:2])
         if math.isfinite(time) and math.isfinite(torque):
             return time, torque
-    raise ConfigError(f"{where}: found {shorten(','.join(row))}; must be finite numbers, {_COLUMNS}.")
+    raise ConfigError(f"{where}: found {shorten(delimiter.join(row))}; must be finite numbers, {_COLUMNS}.")
