@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -425,6 +426,23 @@ def _shorten(path: Path) -> None:
         file["touches"] = np.zeros((5, 3), np.int32)
 
 
+def _resize(name: str) -> Callable[[Path], None]:
+    """Make a variable claim 10^12 rows, none of which is written."""
+
+    def edit(path: Path) -> None:
+        with h5py.File(path, "r+") as file:
+            was = file[name]
+            rest, dtype, scales = was.shape[1:], was.dtype, [dim[0] for dim in was.dims if len(dim)]
+            del file[name]
+            new = file.create_dataset(name, (10**12, *rest), dtype, chunks=(1000, *rest))
+            if not scales:
+                new.make_scale(name)
+            for dimension, scale in zip(new.dims, scales, strict=False):
+                dimension.attach_scale(scale)
+
+    return edit
+
+
 def _foreign(path: Path) -> None:
     with h5py.File(path, "w") as file:
         file["x"] = 1.0
@@ -446,6 +464,8 @@ BROKEN = {
     "variable gone": (_drop("quality"), "damaged"),
     "axis gone": (_drop("load_ratio"), "damaged"),
     "other shape": (_shorten, "damaged"),
+    "more rows than its axis": (_resize("quality"), "the shape of quality is not that of its axes"),
+    "an axis that claims more than is there": (_resize("load_ratio"), "claims more values than its bytes can hold"),
     "no config": (_drop_attribute("config"), "damaged"),
 }
 

@@ -38,6 +38,7 @@ _COMPRESSION = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 _CHUNK_BYTES = 1 << 20  # HDF5's chunk cache, so that every chunk is compressed once
 _AHEAD = 1 << 26  # bytes reserved; chunks and HDF5's own structures for them are far smaller
 _LONGEST_FIXED_TEXT = 1 << 14  # an HDF5 attribute in an object header ends at 64 KiB; longer text goes to the heap
+_BEST_RATIO = 1100  # of deflate, which makes at most 258 bytes of two bits: 1032
 _LARGE = 1 << 28  # bytes of arrays: more is assembled on the disk
 _LARGE_FILE = 1 << 28  # bytes: more is read from the disk twice, for the checksum and by HDF5, and not held in memory
 
@@ -195,7 +196,7 @@ class _Stored(Mapping[str, Variable]):
         if name not in self._names:
             raise KeyError(name)
         if name not in self._read:
-            stored = self._file[name]
+            stored = _stored(self._file, name)
             dims = (name,) if stored.is_scale else tuple(dim[0].name.removeprefix("/") for dim in stored.dims)
             if dims[-1] in COUNTED_BY and len(dims) > 1:
                 values = _unpadded(stored, self[COUNTED_BY[dims[-1]]].values)
@@ -251,7 +252,7 @@ def _require_digest(file: h5py.File) -> None:
     """Raise ValueError where a file's data do not match their digest."""
     digest = _Digest()
     for name in _names_of(file):
-        stored = file[name]
+        stored = _stored(file, name)
         digest.begin(name, stored)
         for start, stop in row_blocks(stored):
             digest.add(_values_of(stored, start, stop))
@@ -261,6 +262,16 @@ def _require_digest(file: h5py.File) -> None:
 
 def _names_of(file: h5py.File) -> list[str]:
     return str(_attributes_of(file)["variables"]).split()
+
+
+def _stored(file: h5py.File, name: str) -> h5py.Dataset:
+    """A variable, before any of it is read. Raises ValueError where it claims more than its axes or its bytes hold."""
+    stored = file[name]
+    if not stored.is_scale and stored.shape != tuple(dim[0].size for dim in stored.dims):
+        raise ValueError(f"the shape of {name} is not that of its axes")
+    if stored.nbytes > _BEST_RATIO * (stored.id.get_storage_size() + 1):
+        raise ValueError(f"{name} claims more values than its bytes can hold")
+    return stored
 
 
 def _attributes_of(source: h5py.File | h5py.Dataset) -> dict[str, Any]:
