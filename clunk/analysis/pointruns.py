@@ -12,12 +12,12 @@ from clunk.analysis.outcomes import measuring
 from clunk.core.sequence import label
 from clunk.core.status import Status
 from clunk.results.labels import FAILED_CODE, excursions
+from clunk.results.machine import available_cores
 from clunk.study.arrays import Codes, Floats, Records
 from clunk.study.designs import Column, Design
 from clunk.study.study import Study
 from clunk.sweeping.assembly import flanks_of, long_sequences
 from clunk.sweeping.cells import Grid
-from clunk.sweeping.engines import available_cores
 
 RUN_FIELDS = ("outcome", "measure", "touches")
 RUN = np.dtype([*zip(RUN_FIELDS, ("i8", "f8", "i8"), strict=True)])

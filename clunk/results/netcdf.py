@@ -26,6 +26,7 @@ import numpy.typing as npt
 from clunk.results.checksum import blocks, matches_checksum, trailer
 from clunk.results.dataset import COUNTED_BY, Dataset, Variable, first_entries, has_entry
 from clunk.results.files import reason, reserve, write_whole, writing
+from clunk.results.machine import available_cores
 from clunk.study.arrays import Array
 from clunk.study.document import nearest_file
 from clunk.study.errors import ClunkError
@@ -364,7 +365,7 @@ def chunk_writer(file: Image) -> Iterator[Callable[[h5py.Dataset, int, Array], N
     ``write(variable, start, rows)`` writes from row `start`; where the variable is chunked, `start` and the end are
     between chunks. HDF5 compresses on one thread; zlib lets go of the interpreter lock.
     """
-    cores = min(os.cpu_count() or 1, 8)
+    cores = min(available_cores(), 8)
     running: deque[tuple[h5py.Dataset, tuple[int, ...], Future[bytes]]] = deque()
 
     def drain(left: int) -> None:

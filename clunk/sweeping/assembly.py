@@ -13,6 +13,7 @@ from clunk.core.jit import compiled
 from clunk.core.sequence import INITIAL, OPPOSITE
 from clunk.core.status import Status
 from clunk.results.labels import FAILED_CODE
+from clunk.results.machine import available_cores
 from clunk.results.quantities import REGIME_QUANTITIES, measured_quantities
 from clunk.results.regimemap import Results
 from clunk.study.arrays import Array, Cells, Records
@@ -20,7 +21,6 @@ from clunk.study.config import study_from_text
 from clunk.study.designs import Design
 from clunk.study.study import Study, digest
 from clunk.sweeping.cells import Grid, Systems
-from clunk.sweeping.engines import available_cores
 from clunk.sweeping.reduction import Flanks, Reduction, SweepError
 from clunk.sweeping.scratch import Scratch
 from clunk.sweeping.signals import Threads

@@ -30,6 +30,7 @@ from distributed import Client, KilledWorker, LocalCluster
 
 from clunk.core.jit import is_cold
 from clunk.results.files import reason
+from clunk.results.machine import available_cores
 from clunk.study.arrays import Cells
 from clunk.sweeping import engines
 from clunk.sweeping.engines import EngineError, Runner, Stop, Work
@@ -139,7 +140,7 @@ class Cluster(Executor):
 
     def __init__(self, address: str, workers: int | None = None, say: Callable[[str], None] | None = None) -> None:
         self._address = address
-        self._workers = workers or engines.available_cores()
+        self._workers = workers or available_cores()
         self._say = say or (lambda _text: None)
         self._processors: set[str] = set()
         self._open = ExitStack()

@@ -10,7 +10,6 @@ An engine may have two methods besides: `next_tile(running, work, runner)`, as t
 from __future__ import annotations
 
 import functools
-import os
 import platform
 import secrets
 from collections.abc import Generator
@@ -21,6 +20,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from clunk.core.regimes import System
+from clunk.results.machine import available_cores
 from clunk.study.arrays import Cells
 from clunk.study.errors import ClunkError
 from clunk.sweeping.cells import Flag
@@ -147,14 +147,6 @@ def tile_size(cells: int, runner: Runner, workers: int) -> int:
 def _least(cells: int, runner: Runner, workers: int) -> int:
     """Number of cells below which a tile is not worth while, unless a worker would be idle without it."""
     return max(min(runner.tile_cells // 8, -(-cells // workers)), 1)
-
-
-def available_cores() -> int:
-    """Number of cores that this process may use."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on macOS and Windows
-        return os.cpu_count() or 1
 
 
 @functools.cache

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import mmap
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -13,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.results.files import reason, reserve
+from clunk.results.machine import available_memory
 from clunk.study.arrays import Array
 from clunk.study.errors import ClunkError
 from clunk.sweeping.reduction import SweepError
@@ -71,23 +71,15 @@ class Scratch:
 
 def scratch_for(cells: int, directory: Path | None) -> Scratch:
     """Scratch for the results of so many cells: in the directory, if any, where they are a large share of memory."""
-    return Scratch(directory if cells * _BYTES_PER_CELL > _LARGE_SHARE * _memory() else None)
+    return Scratch(directory if cells * _BYTES_PER_CELL > _LARGE_SHARE * available_memory() else None)
 
 
 def refuse_if_too_large(shape: Sequence[int], directory: Path | None) -> None:
     """Raise SweepError where results of this shape do not fit in memory, or beside it in a directory."""
-    cells, memory = math.prod(shape), _memory()
+    cells, memory = math.prod(shape), available_memory()
     needed = cells * (_BYTES_PER_CELL if directory is None else _BYTES_IN_MEMORY)
     if needed > 0.8 * memory:
         raise SweepError(
             f"The grid of {' x '.join(str(count) for count in shape)} = {cells:,} cells does not fit in memory: it "
-            f"takes about {needed / 2**30:.0f} GiB, and this machine has {memory / 2**30:.0f} GiB."
+            f"takes about {needed / 2**30:.0f} GiB, and there are {memory / 2**30:.0f} GiB."
         )
-
-
-def _memory() -> float:
-    """Memory of this machine in bytes; infinite where that is unknown."""
-    try:
-        return float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):
-        return math.inf

@@ -12,6 +12,7 @@ from functools import cached_property
 from pathlib import Path
 
 from clunk.core.status import Status
+from clunk.results.machine import available_cores
 from clunk.results.netcdf import StoreError
 from clunk.results.regimemap import Results
 from clunk.results.store import Header, read_header, read_map, read_results, write_results
@@ -23,7 +24,7 @@ from clunk.study.problems import ConfigError
 from clunk.study.study import Study, digest
 from clunk.sweeping.assembly import MendedReduction, RegimeReduction
 from clunk.sweeping.cells import Systems, warm_up
-from clunk.sweeping.engines import EngineError, Work, available_cores, run_tiles
+from clunk.sweeping.engines import EngineError, Work, run_tiles
 from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory, differences, flat
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.provenance import provenance
