@@ -12,6 +12,7 @@ from clunk.plot import PlotError, histories, save
 from clunk.plot.small_gap import small_gap
 from clunk.results.historyfile import save_csv
 from clunk.simulation.history import HistoryError, sample, shown_until
+from clunk.simulation.phases import balanced
 from clunk.simulation.small_gap import SmallGap
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
@@ -520,3 +521,10 @@ def test_text_is_large_enough_to_read():
 def test_no_run_is_an_error():
     with pytest.raises(PlotError, match="no run to draw"):
         histories.angles([])
+
+
+def test_units_beyond_integers_are_balanced_without_a_warning():
+    matrix = np.array([[0.0, 1e60], [1e-60, 0.0]])
+    scaled, unit, _ = balanced(matrix)
+    assert unit.max() > 2.0**63
+    assert np.abs(scaled).max() < 10.0

@@ -144,7 +144,8 @@ def balanced(matrix: Floats) -> tuple[Floats, Floats, float]:
 
     if not np.all(np.isfinite(matrix)):
         return matrix, np.ones(len(matrix)), np.nan
-    scaled, (unit, _) = matrix_balance(matrix, permute=False, separate=True)
+    with np.errstate(invalid="ignore"):  # it also casts the units to integers, for permutations that there are none of
+        scaled, (unit, _) = matrix_balance(matrix, permute=False, separate=True)
     return scaled, unit, float(np.linalg.norm(scaled))
 
 
