@@ -1,7 +1,5 @@
 """Sweeps: the report's map, the same bits for any number of workers, and every cell a single run."""
 
-import re
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,6 @@ from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.study import replace_values
-from clunk.sweeping import cells
 from clunk.sweeping.cells import compiling_note, warm_up
 from clunk.sweeping.sweep import SweepError, sweep
 
@@ -244,14 +241,3 @@ def test_a_kernel_that_is_compiled_is_not_announced_again(method):
     study = study_from_text(f'[driveline]\npreset = "boere-2008"\n[solver]\nmethod = "{method}"\n')
     warm_up(study)
     assert compiling_note(study) == ""
-
-
-def test_kernels_for_general_drivelines_are_announced_apart(nominal, monkeypatch):
-    """Those for one lash and nothing else may be there already, and compile sooner."""
-    staged = replace_values(nominal, {"driveline.shafts[1].friction": 0.1})
-    monkeypatch.setattr(cells, "_is_compiled", lambda _, system: False)
-    seconds = [int(re.search(r"about (\d+) s", compiling_note(study))[1]) for study in (nominal, staged)]
-    assert seconds[0] < seconds[1]
-    monkeypatch.setattr(cells, "_is_compiled", lambda _, system: not system.general)
-    assert compiling_note(nominal) == ""
-    assert "rk4 for drivelines with" in compiling_note(nominal, staged)

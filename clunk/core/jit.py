@@ -162,9 +162,11 @@ compiled = _kept()
 # often that they would take longer than its work.
 unowned = _kept(_nrt=False)
 # The same for what only compiled functions call. It is optimised and made machine code with its callers, and once only:
-# numba would do so with each function and all that it calls, for functions of functions again and again.
+# numba would do so with each function and all that it calls, for functions of functions again and again (exact takes
+# 70 s of processor time so, and 26 s with parts). Which of them are inlined is LLVM's choice.
 part = _part(_nrt=False, forceinline=False)
 # The same for what allocates.
 allocating_part = _part(_nrt=True, forceinline=False)
-# And in the machine code of their callers; by numba itself, arrays would be counted at each use.
-unowned_inlined = _part(_nrt=False, forceinline=True)
+# And always in the machine code of their callers: rk4 takes a third longer without, and exact runs no faster with it,
+# but takes a fifth longer to compile.
+inlined_part = _part(_nrt=False, forceinline=True)

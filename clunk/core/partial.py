@@ -6,7 +6,7 @@ is called by another one is worked on three times. Here that is left to the oute
 
 from typing import Any
 
-from numba import _dynfunc
+from numba import _dynfunc, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import AnalysisPass, register_pass
@@ -60,6 +60,10 @@ class _Part(JITCodeLibrary):
 
 class Part(CPUDispatcher):
     """A function that only compiled functions call."""
+
+    def compile(self, signature: Any) -> Any:
+        """Compile once for all ints, not again for each constant in a call: that would take an eighth longer."""
+        return super().compile(tuple(map(types.unliteral, signature)))
 
     def __call__(self, *_: Any) -> Any:
         """Raise TypeError: there is no code for Python to call."""

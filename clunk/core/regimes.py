@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.equilibrium import contact_torques, preload
-from clunk.core.jit import part, unowned_inlined
+from clunk.core.jit import inlined_part, part
 from clunk.core.reductions import chain, locked
 from clunk.core.status import Status
 from clunk.core.tables import (
@@ -58,9 +58,6 @@ class System(NamedTuple):
     with at most G guards each.
     """
 
-    # () for one lash and nothing else, else (0,): a type, so that either has its own compiled version. In that of ()
-    # the numbers of lashes and inputs are known, and what only the other needs costs no time.
-    general: tuple[int, ...]
     # the flows
     rates: FloatArray  # (K, N, N)  A of each flow
     inputs: FloatArray  # (K, N, I)  B of each flow
@@ -123,55 +120,61 @@ def alone(system: System) -> Each:
     return Each._make(getattr(system, name)[None] for name in Each._fields)
 
 
-gap_input = unowned_inlined(half_gap_of)
+gap_input = inlined_part(half_gap_of)
 
 
-@unowned_inlined
+@inlined_part
 def lashes_of(system: System) -> int:
     """The number of lashes."""
-    return 1 if len(system.general) == 0 else system.lashes.shape[0]
+    return int(system.lashes.shape[0])
 
 
-@unowned_inlined
+@inlined_part
+def elements_of(system: System) -> int:
+    """The number of lashes, staged shafts and frictions."""
+    return int(system.regime_strides.size - 1)
+
+
+@inlined_part
 def inputs_of(system: System) -> int:
     """The number of inputs."""
-    return INPUTS if len(system.general) == 0 else system.weights.shape[1]
+    return int(system.weights.shape[1])
 
 
-@unowned_inlined
+@inlined_part
 def frictions_of(system: System) -> int:
     """The number of frictions."""
-    return 0 if len(system.general) == 0 else system.frictions.shape[0]
+    return int(system.frictions.shape[0])
 
 
-@unowned_inlined
+@inlined_part
 def state_of_friction(system: System, regime: int, friction: int) -> int:
     """The state of a friction in a regime: one of `tables.STICKS` and those behind it."""
     return int(regime // stride_of_friction(system, friction) % 3)
 
 
-@unowned_inlined
+@inlined_part
 def stride_of_friction(system: System, friction: int) -> int:
     """By how much a regime's number changes with the state of a friction."""
     return int(system.regime_strides[system.regime_strides.size - 1 - system.frictions.shape[0] + friction])
 
 
-@unowned_inlined
+@inlined_part
 def input_of_friction(system: System, friction: int) -> int:
     """The input that is 1 for a friction; the one behind it is the twist at which it sticks."""
     return int(system.weights.shape[1] - OF_FRICTION * (system.frictions.shape[0] - friction))
 
 
-@unowned_inlined
+@inlined_part
 def rate_of_friction(system: System, friction: int) -> int:
     """The functional that is the rate of twist of a friction; the one behind it is the torque that holds it."""
     return int(system.functionals.shape[1] - OF_FRICTION * (system.frictions.shape[0] - friction))
 
 
-@unowned_inlined
+@inlined_part
 def lash_of(system: System, regime: int, guard: int) -> int:
     """The lash that a guard is of, or -1."""
-    return 0 if len(system.general) == 0 else system.guards[regime, guard].lash
+    return int(system.guards[regime, guard].lash)
 
 
 @part
@@ -180,7 +183,7 @@ def closed_on(side: int) -> int:
     return CLOSED_POSITIVE if side > 0 else CLOSED_NEGATIVE
 
 
-@unowned_inlined
+@inlined_part
 def opened(system: System, regime: int, lash: int) -> int:
     """The regime that differs in that a lash is open."""
     stride = system.regime_strides[lash]
@@ -329,7 +332,6 @@ def build_system(
         is_held = ~functionals[tables.regimes["flow"], rate].any(axis=1)[:, None]
         tables.offsets[is_held & (tables.guards["functional"] == rate), rubbing + OF_FRICTION * k] = 1.0
     system = System(
-        general=() if count == 1 and not staged and not frictions else (0,),
         rates=rates,
         inputs=inputs,
         functionals=functionals,

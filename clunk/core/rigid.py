@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from clunk.core import rubbing
 from clunk.core.events import LOCK, SEPARATION, STAGE, TOUCH
-from clunk.core.jit import part, unowned_inlined
+from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import (
     ROUNDING,
     System,
@@ -124,7 +124,7 @@ def _held_through(system: System, regime: int, lash: int, side: int, inputs: Flo
     return held
 
 
-@unowned_inlined
+@inlined_part
 def held_with(system: System, regime: int, lash: int) -> int:
     """The closed lashes of a regime, as bits, but for one; -1 for none."""
     held = 0
@@ -133,7 +133,7 @@ def held_with(system: System, regime: int, lash: int) -> int:
     return held
 
 
-@unowned_inlined
+@inlined_part
 def _without_gap(system: System, closed: int, inputs: FloatArray) -> int:
     """Those of some lashes, as bits, that have a flank on either side."""
     always = 0
@@ -142,7 +142,7 @@ def _without_gap(system: System, closed: int, inputs: FloatArray) -> int:
     return always
 
 
-@unowned_inlined
+@inlined_part
 def _touch_of(system: System, regime: int, lash: int, side: int) -> int:
     """The guard of a regime that is the gap of a lash to one of its flanks."""
     for g in range(system.regimes[regime].guards):
@@ -290,7 +290,7 @@ def _locking_speed(system: System, regime: int, lash: int, x: FloatArray, inputs
     return float(max(tolerance, np.sqrt(2.0 * abs(pull) * ROUNDING * place)))
 
 
-@unowned_inlined
+@inlined_part
 def _driven(system: System, regime: int, weights: FloatArray, inputs: FloatArray) -> float:
     """Weights times the torque and what the staged shafts add to it; of the restitution model, no gap has a weight."""
     total = weights[TORQUE] * inputs[TORQUE]
@@ -299,7 +299,7 @@ def _driven(system: System, regime: int, weights: FloatArray, inputs: FloatArray
     return float(total)
 
 
-@unowned_inlined
+@inlined_part
 def _rate(system: System, regime: int, k: int, x: FloatArray, inputs: FloatArray) -> float:
     """The rate of change of state `k` of the restitution model in a regime."""
     flow = system.regimes[regime].flow

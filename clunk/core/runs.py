@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.jit import unowned_inlined
+from clunk.core.jit import inlined_part
 from clunk.core.regimes import System, gap_input, lashes_of
 from clunk.core.tables import TORQUE, TORQUE_RATE
 
@@ -58,7 +58,7 @@ class Outcome(NamedTuple):
     end: float  # s after the load step
 
 
-@unowned_inlined
+@inlined_part
 def piece_at(load: FloatArray, piece: int, time: float) -> int:
     """The piece of a load (P, PIECE) that holds from a time on; not before `piece`."""
     while piece + 1 < load.shape[0] and load[piece + 1, BEGIN] <= time:
@@ -66,14 +66,14 @@ def piece_at(load: FloatArray, piece: int, time: float) -> int:
     return piece
 
 
-@unowned_inlined
+@inlined_part
 def set_gaps(system: System, before: FloatArray, inputs: FloatArray) -> None:
     """Set the half gaps, in the inputs d of a run, to those before the load step."""
     for lash in range(lashes_of(system)):
         inputs[gap_input(lash)] = before[gap_input(lash)]
 
 
-@unowned_inlined
+@inlined_part
 def set_torque(system: System, load: FloatArray, piece: int, time: float, inputs: FloatArray) -> None:
     """Set the torque and its rate of change, in the inputs d of a run, to those of a piece at a time."""
     row = load[piece]
@@ -82,7 +82,7 @@ def set_torque(system: System, load: FloatArray, piece: int, time: float, inputs
         inputs[TORQUE], inputs[TORQUE_RATE] = row[LEVEL] + row[SLOPE] * (time - row[BEGIN]), row[SLOPE]
 
 
-@unowned_inlined
+@inlined_part
 def begin_wave(system: System, load: FloatArray, piece: int, x: FloatArray) -> None:
     """Set the wave in a state to what it is where a piece begins; where no ramp is an input, it is the wave's part."""
     size = 2 * system.inertias
@@ -92,7 +92,7 @@ def begin_wave(system: System, load: FloatArray, piece: int, x: FloatArray) -> N
             x[size + 1] += load[piece, SLOPE]
 
 
-@unowned_inlined
+@inlined_part
 def record(
     log: Log, k: int, time: float, speed: float, kind: int, regime: int, lash: int, side: int, x: FloatArray
 ) -> None:

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from clunk.core import rigid, rubbing
 from clunk.core.events import STAGE, TOUCH
-from clunk.core.jit import part, unowned, unowned_inlined
+from clunk.core.jit import inlined_part, part, unowned
 from clunk.core.regimes import System, frictions_of, gap_input, inputs_of, lash_of, lashes_of
 from clunk.core.runs import Entry, Log, record
 from clunk.core.status import Status
@@ -28,7 +28,7 @@ _WITHIN = 1e-11  # of its terms: the steady twist of a staged shaft this little 
 MOST_STAGES = 16  # changes of stage an event, of all that a run may have: a twist at rest at a breakpoint has many
 
 
-@unowned_inlined
+@inlined_part
 def weigh(weights: FloatArray, inputs: FloatArray, count: int) -> float:
     """The sum of `count` weights times inputs."""
     total = weights[0] * inputs[0]
@@ -37,7 +37,7 @@ def weigh(weights: FloatArray, inputs: FloatArray, count: int) -> float:
     return float(total)
 
 
-@unowned_inlined
+@inlined_part
 def set_weighed(system: System, regime: int, inputs: FloatArray, u: FloatArray) -> None:
     """Set `u` to what a regime makes of the inputs of a run."""
     for k in range(u.size):
@@ -82,7 +82,7 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int
     return (_NO_INITIAL_FLANK if in_stage or stages == 1 else _NO_EQUILIBRIUM), OPEN
 
 
-@unowned_inlined
+@inlined_part
 def _of_inputs(system: System, regime: int, by: FloatArray, inputs: FloatArray) -> float:
     """What inputs amount to in a regime, each by its weight there and by so much; those not given are 1."""
     total = by[0] * inputs[0] + by[1] * (system.weights[regime, 1] * inputs[1])
@@ -91,7 +91,7 @@ def _of_inputs(system: System, regime: int, by: FloatArray, inputs: FloatArray) 
     return float(total)
 
 
-@unowned_inlined
+@inlined_part
 def breakpoint_of(system: System, regime: int, guard: int) -> float:
     """The offset of a guard of a staged shaft, its breakpoint with the guard's sign  [rad]."""
     total = 0.0
@@ -100,7 +100,7 @@ def breakpoint_of(system: System, regime: int, guard: int) -> float:
     return float(total)
 
 
-@unowned_inlined
+@inlined_part
 def _is_of_stage(system: System, regime: int, guard: int) -> bool:
     """Whether a guard is of a staged shaft; what follows where a friction's ends is not known beforehand."""
     row = system.guards[regime, guard]
@@ -178,7 +178,7 @@ def _functional(system: System, flow: int, which: int, x: FloatArray) -> float:
     return value
 
 
-@unowned_inlined
+@inlined_part
 def room_for_a_switch(system: System, inputs: FloatArray, log: Log, count: int) -> bool:
     """Whether the event buffer holds what one switch may write: up to a separation, a touch and its lock."""
     most = 1
@@ -191,7 +191,7 @@ def room_for_a_switch(system: System, inputs: FloatArray, log: Log, count: int) 
     return bool(count + most <= log.events.size)
 
 
-@unowned_inlined
+@inlined_part
 def switch(
     system: System,
     regime: int,
@@ -235,7 +235,7 @@ def switch(
     return Entry(count + 1, row.successor, row.zero_guard, row.zero_order)
 
 
-@unowned_inlined
+@inlined_part
 def after_rubbing(system: System, entry: Entry, time: float, x: FloatArray, inputs: FloatArray, log: Log) -> Entry:
     """Entry into the regime in which nothing sticks or is locked that cannot be: torques or rates may have jumped."""
     if frictions_of(system) == 0:

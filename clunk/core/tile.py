@@ -14,7 +14,7 @@ from clunk.core.exact.workspace import UNDER_WAY, make_workspace, system_at, sys
 from clunk.core.jit import allocating_part, compiled, part
 from clunk.core.lanes.vectors import WIDTH
 from clunk.core.references import keep_alive, refer
-from clunk.core.regimes import Each, System, alone, lashes_of
+from clunk.core.regimes import Each, System, alone, elements_of, lashes_of
 from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import Steps
 from clunk.core.runs import Log, Outcome, Start
@@ -251,7 +251,7 @@ def by_exact(
     system, each, flows, size = refer(system), refer(each), refer(flows), system.lashes.shape[1]
     capacity, states = _capacity(max_events, output)
     # of several lashes there are more queues: enough runs that each may have as many as there are lanes
-    under_way = UNDER_WAY if len(system.general) == 0 else max(UNDER_WAY, WIDTH * waiting_queues(system, flows))
+    under_way = UNDER_WAY if elements_of(system) == 1 else max(UNDER_WAY, WIDTH * waiting_queues(system, flows))
     slots = min(under_way, max(output.cells.shape[0] - first, 1), max(_EVENT_MEMORY // capacity, 1))
     events, extremes = np.empty((slots, capacity), EVENT), np.empty((slots, capacity, lashes_of(system), 2))
     margins, at_events = np.empty((slots, lashes_of(system))), np.empty((slots, states, size))

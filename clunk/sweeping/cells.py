@@ -39,9 +39,8 @@ _NOMINAL: _Key = (), ()
 KEPT_SYSTEMS = 4096  # about 30 KB each
 _KEPT_MEASURED = 256  # some 100 KB more each
 _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
-_COMPILING = {"rk4": (25, 30), "exact": (60, 70)}  # s, for one lash and nothing else, and in general
+_COMPILING = {"rk4": 15, "exact": 40}  # s
 _KERNELS: dict[str, Any] = {"rk4": kernel.by_rk4, "exact": kernel.by_exact}
-_OF_GENERAL = " for drivelines with stages, friction or several lashes"
 _IMPACTS = 8  # of a run in a lash, that there is room for at first
 _NO_LOGS, _NO_STATES = np.zeros((0, 0), EVENT), np.zeros((0, 0, 0))
 _STATES = 1 << 16  # events whose states there is room for at a time: 8 MB, which the caches nearly hold
@@ -351,7 +350,7 @@ def compiling_note(*studies: Study) -> str:
     for study in studies:
         (system, _), method = driveline.prepare(study), study.solver.method
         if not _is_compiled(_KERNELS[method], system):
-            cold[method + _OF_GENERAL * len(system.general)] = _COMPILING[method][len(system.general)]
+            cold[method] = _COMPILING[method]
     if not cold:
         return ""
     return f"compiling {' and '.join(cold)}, once for this installation (about {sum(cold.values())} s) …"

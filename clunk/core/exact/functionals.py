@@ -10,7 +10,7 @@ import numpy.typing as npt
 from clunk.core.exact import curves, taylor
 from clunk.core.exact.flows import LONG
 from clunk.core.exact.workspace import Workspace, is_still, shortest_span, size_of
-from clunk.core.jit import part, unowned_inlined
+from clunk.core.jit import part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, WIDTH, OfLanes, Vector
 from clunk.core.regimes import inputs_of
@@ -64,13 +64,13 @@ def gather_functional(space: Workspace, flow: int, f: int) -> None:
     gather(space, watch, (flow * watch.shape[2] + f) * watched, watched, space.lane_watch[f * watched :])
 
 
-@unowned_inlined
+@part
 def watch_of_lanes(space: Workspace, f: int) -> OfLanes:
     """What has been gathered of a functional."""
     return OfLanes(space.lane_watch[f * space.flows.watch[0, 0, 0].size :])
 
 
-@unowned_inlined
+@part
 def evaluate(
     space: Workspace, flow: int, f: int, left_out: Vector, most_left_out: int
 ) -> tuple[curves.Curve, Vector, curves.Curve, Vector, Vector]:
@@ -88,7 +88,7 @@ def _evaluate_of_lanes(
     return curves.evaluate(watch_of_lanes(space, f), space.pool.work, size_of(space), left_out, most_left_out)
 
 
-@unowned_inlined
+@part
 def evaluate_again(
     space: Workspace, flow: int, f: int, left_out: Vector, most_left_out: int, before: curves.Curve
 ) -> curves.Curve:
@@ -108,7 +108,7 @@ def _evaluate_again_of_lanes(
     return curves.evaluate_again(watch, space.pool.work, size, left_out, most_left_out, before)
 
 
-@unowned_inlined
+@part
 def bounds(space: Workspace, flow: int, f: int) -> tuple[Vector, Vector, Vector]:
     """`curves.bounds` of the runs taken."""
     if space.mixed != 0:
@@ -122,7 +122,7 @@ def _bounds_of_lanes(space: Workspace, f: int) -> tuple[Vector, Vector, Vector]:
     return curves.bounds(watch_of_lanes(space, f), space.pool.work, size_of(space))
 
 
-@unowned_inlined
+@part
 def slope_bound(space: Workspace, flow: int, f: int, left_out: Vector, most_left_out: int) -> Vector:
     """`curves.slope_bound` of the runs taken."""
     if space.mixed != 0:
@@ -136,7 +136,7 @@ def _slope_bound_of_lanes(space: Workspace, f: int, left_out: Vector, most_left_
     return curves.slope_bound(watch_of_lanes(space, f), space.pool.work, size_of(space), left_out, most_left_out)
 
 
-@unowned_inlined
+@part
 def origin(space: Workspace, flow: int, f: int, still: bool, elapsed: Vector) -> curves.Origin:
     """`curves.origin` of the runs taken."""
     if space.mixed != 0:
@@ -154,7 +154,7 @@ def _origin_of_lanes(space: Workspace, f: int, still: bool, elapsed: Vector) -> 
     return curves.origin(output, f, functionals, work, space.inputs_at, driven, still, ramps, elapsed)
 
 
-@unowned_inlined
+@part
 def origin_slope(space: Workspace, flow: int, f: int) -> Vector:
     """`curves.origin_slope` of the runs taken."""
     work, at, driven = space.pool.work, space.inputs_at, inputs_of(space.system)
@@ -164,7 +164,7 @@ def origin_slope(space: Workspace, flow: int, f: int) -> Vector:
     return curves.origin_slope(output[0, flow], f, functionals, work, at, driven)
 
 
-@unowned_inlined
+@part
 def expand(space: Workspace, flow: int, f: int, sign: Vector, shift: Vector, at: curves.Origin) -> None:
     """`taylor.expand` of the runs taken, into `space.series`."""
     if space.mixed != 0:

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.jit import unowned, unowned_inlined
+from clunk.core.jit import part, unowned
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -19,7 +19,7 @@ def value_of(c: FloatArray, count: int, s: float) -> float:
     return even + s * odd
 
 
-@unowned_inlined
+@part
 def derivatives(c: FloatArray, count: int, s: float) -> tuple[float, float, float]:
     """The same, with its first and half its second derivative."""
     square = s * s

@@ -42,11 +42,11 @@ from clunk.core.exact.workspace import (
     system_of,
     turn_search,
 )
-from clunk.core.jit import part, unowned_inlined
+from clunk.core.jit import part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, put_back, take
 from clunk.core.lanes.vectors import WIDTH
-from clunk.core.regimes import System, frictions_of, gap_input, inputs_of, lash_of, lashes_of
+from clunk.core.regimes import System, elements_of, frictions_of, gap_input, inputs_of, lash_of, lashes_of
 from clunk.core.rigid import holding_torque
 from clunk.core.rubbing import stick_all
 from clunk.core.runs import BEGIN, LEVEL, Entry, Start, begin_wave, piece_at, record, set_gaps, set_torque
@@ -64,7 +64,7 @@ MOST = 0.25  # larger margins are not looked for, and written as this
 _MOST_SPANS = 1000.0  # the shortest ones, of the search for a depth: a guard that has not turned back then never will
 
 
-@unowned_inlined
+@part
 def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
     """Put a run of a driveline into an empty place of a workspace."""
     row, system = space.runs[slot], system_at(space, driveline)
@@ -90,7 +90,7 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
     _enter(space, slot, 0.0, start.x, Entry(written=1, regime=start.regime, zero_guard=-1, zero_order=0))
 
 
-@unowned_inlined
+@part
 def _begin_phase(space: Workspace, slot: int) -> None:
     """Begin a run's phase, of whose acceleration nothing is known."""
     for lash in range(lashes_of(space.system)):
@@ -98,7 +98,7 @@ def _begin_phase(space: Workspace, slot: int) -> None:
         set_number_of(space, slot, rows.PHASE_MIN, lash, np.inf)
 
 
-@unowned_inlined
+@part
 def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry) -> None:
     """Enter a regime, or go on in it: the state, what it makes of the inputs and the guards, and the run's queue."""
     system, row, inputs = system_of(space, slot), space.runs[slot], space.inputs[slot]
@@ -130,16 +130,15 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
         set_number_of(space, slot, rows.HELD_FROM, lash, held_from if contact.closed != 0 else -np.inf)
         set_number_of(space, slot, rows.SIDE, lash, -1.0 if mirrored else 1.0)
         set_number_of(space, slot, rows.SCALE, lash, scale)
-        if len(system.general) > 0:
-            play.window_max = number_of(space, slot, rows.WINDOW_MAX, lash)
-            play.window_min = number_of(space, slot, rows.WINDOW_MIN, lash)
+        play.window_max = number_of(space, slot, rows.WINDOW_MAX, lash)
+        play.window_min = number_of(space, slot, rows.WINDOW_MIN, lash)
     for n in range(entered.watched):
         shift = weigh(system.offsets[regime, n], inputs, inputs_of(system))
         numbers[rows.shift(n, lashes_of(system))] = shift
     push(space.pool, space.queues.enter + system.regimes[regime].group, slot)
 
 
-@unowned_inlined
+@part
 def _take_piece(space: Workspace, slot: int, time: float, x: FloatArray) -> None:
     """Set a run's torque to that of the load's piece at a time, and its limit to where that ends."""
     row, numbers, load = space.runs[slot], space.numbers[slot, space.behind :], space.loads[space.runs[slot].load]
@@ -193,7 +192,7 @@ def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
         pool.length[queues.follow] = 0
 
 
-@unowned_inlined
+@part
 def _enter_coordinates(space: Workspace, flow: int, count: int) -> None:
     """From the states of the runs taken to their coordinates in a flow, with the acceleration as it is there."""
     zero, lashes = vectors.splat(0.0), lashes_of(space.system)
@@ -214,14 +213,14 @@ def _enter_coordinates(space: Workspace, flow: int, count: int) -> None:
     put_back(space.pool, space.numbers, space.behind + rows.changing(lashes), (1 << count) - 1)
 
 
-@unowned_inlined
+@part
 def _follow(space: Workspace, slot: int) -> None:
     """Send a run on: search something within its step, end its phase, or take the next step."""
     row = space.runs[slot]
     numbers, each, queues = space.numbers[slot, space.behind :], space.searches_each, space.queues
     now = row.time + numbers[rows.ELAPSED]
     if row.seeks_extremes != 0:
-        lash = 0 if len(space.system.general) == 0 else vectors.first_of(row.seeks_extremes)
+        lash = vectors.first_of(row.seeks_extremes)
         row.seeks_extremes &= row.seeks_extremes - 1
         wanted = space.searches[slot * each + rows.EXTREMES_SEARCH + lash, space.behind :]
         wanted[rows.TOP] = number_of(space, slot, rows.WINDOW_MAX, lash)
@@ -264,7 +263,7 @@ def _follow(space: Workspace, slot: int) -> None:
         push(space.pool, step_queue(space, row.regime, row.ended == rows.NEARS), slot)
 
 
-@unowned_inlined
+@part
 def _go_on(space: Workspace, slot: int, time: float) -> None:
     """Go on in a phase where another piece of the load begins.
 
@@ -295,7 +294,7 @@ def _go_on(space: Workspace, slot: int, time: float) -> None:
             set_number_of(space, slot, rows.MARGIN, lash, least)
 
 
-@unowned_inlined
+@part
 def _label_hangs_on_depth(space: Workspace, slot: int, now: float) -> bool:
     """Whether a label hangs on how deep the guard goes that ended a run's phase."""
     system, row = system_of(space, slot), space.runs[slot]
@@ -308,7 +307,7 @@ def _label_hangs_on_depth(space: Workspace, slot: int, now: float) -> bool:
     return bool(guard.event_kind == SEPARATION and now - play.contact_began > system.sticking_time[lash])
 
 
-@unowned_inlined
+@part
 def _end(space: Workspace, slot: int, status: int, time: float) -> None:
     """End a run."""
     row = space.runs[slot]
@@ -319,7 +318,7 @@ def _end(space: Workspace, slot: int, status: int, time: float) -> None:
     push(space.pool, space.queues.over, slot)
 
 
-@unowned_inlined
+@part
 def _close_phase(space: Workspace, slot: int) -> None:
     """Write the extremes of the accelerations to the event that began a run's phase."""
     last = space.runs[slot].count - 1
@@ -328,7 +327,7 @@ def _close_phase(space: Workspace, slot: int) -> None:
         space.extremes[slot, last, lash, 1] = number_of(space, slot, rows.PHASE_MIN, lash)
 
 
-@unowned_inlined
+@part
 def _forget_phase(space: Workspace, slot: int) -> None:
     """Forget the extremes of a phase that lasted no time."""
     _begin_phase(space, slot)
@@ -338,7 +337,7 @@ def _forget_phase(space: Workspace, slot: int) -> None:
         set_number_of(space, slot, rows.WINDOW_MIN, lash, play.window_min)
 
 
-@unowned_inlined
+@part
 def _switch(space: Workspace, slot: int) -> None:
     """A guard turned negative: take what that says of the run's margin, and enter the regime that follows."""
     system, row, inputs, log = system_of(space, slot), space.runs[slot], space.inputs[slot], log_of(space, slot)
@@ -355,7 +354,7 @@ def _switch(space: Workspace, slot: int) -> None:
     if system.ramps != 0:
         set_torque(system, space.loads[row.load], row.piece, time, inputs)
     _take_margin(space, slot, x, time)
-    if len(system.general) > 0 and time - log.events[row.count - 1].time < INSTANT:
+    if elements_of(system) > 1 and time - log.events[row.count - 1].time < INSTANT:
         _forget_phase(space, slot)
     entry = switch(system, row.regime, row.guard, time, x, inputs, log, row.count, space.fastest[slot])
     if entry.written == row.count:  # a stage that is not written: the phase goes on
@@ -367,7 +366,7 @@ def _switch(space: Workspace, slot: int) -> None:
     _enter(space, slot, time, x, entry)
 
 
-@unowned_inlined
+@part
 def _take_events(space: Workspace, slot: int, first: int, written: int) -> None:
     """Take what events from the first up to those written say of their lashes' contacts and windows."""
     system, log = system_of(space, slot), log_of(space, slot)
@@ -375,7 +374,7 @@ def _take_events(space: Workspace, slot: int, first: int, written: int) -> None:
         event = log.events[k]
         if event.lash < 0:
             continue
-        lash = 0 if len(system.general) == 0 else event.lash
+        lash = event.lash
         play = space.plays[slot, lash]
         if event.kind == TOUCH:
             if event.side != play.last_side or play.from_sticking != 0:
@@ -389,7 +388,7 @@ def _take_events(space: Workspace, slot: int, first: int, written: int) -> None:
             play.from_sticking = int(event.time - play.contact_began > system.sticking_time[lash])
 
 
-@unowned_inlined
+@part
 def _take_margin(space: Workspace, slot: int, x: FloatArray, time: float) -> None:
     """Take what an event at state `x` says of the margin of its lash."""
     system, row = system_of(space, slot), space.runs[slot]
@@ -422,7 +421,7 @@ def _static(system: System, flows: Flows, driveline: int, start: Start, lash: in
     for regime in range(system.regimes.size):
         contact = system.contacts[regime, lash]
         rests = contact.closed != 0 and flows.steady[0, system.regimes[regime].flow] != 0
-        if rests and len(system.general) > 0:
+        if rests and elements_of(system) > 1:
             rests = _rests(system, flows, driveline, regime, lash, torque, inputs)
         if rests:
             value = _at_rest(system, flows, driveline, regime, f, torque, inputs)
@@ -436,7 +435,7 @@ def _static(system: System, flows: Flows, driveline: int, start: Start, lash: in
     return float(max(side * value - offset, 0.0))
 
 
-@unowned_inlined
+@part
 def _at_rest(
     system: System, flows: Flows, driveline: int, regime: int, f: int, torque: float, inputs: FloatArray
 ) -> float:

@@ -27,7 +27,7 @@ from clunk.core.exact.workspace import (
     size_of,
     turn_search,
 )
-from clunk.core.jit import unowned_inlined
+from clunk.core.jit import part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, push_all, put_back
 from clunk.core.lanes.vectors import WIDTH, Vector
@@ -48,7 +48,7 @@ class _Known(NamedTuple):
     idle: Vector  # the time left before a turn counts
 
 
-@unowned_inlined
+@part
 def search(space: Workspace, sought: int, flow: int, f: int, count: int) -> int:
     """Take one span of the `count` searches that have been taken; return the lanes of those that are through.
 
@@ -109,7 +109,7 @@ def search(space: Workspace, sought: int, flow: int, f: int, count: int) -> int:
     return int(done)
 
 
-@unowned_inlined
+@part
 def _longest_empty(known: _Known, sought: int, shortest: Vector, modes: bool) -> tuple[Vector, Vector, int]:
     """The longest span of the ladder with nothing to be found, its number, and the lanes where there is none.
 
@@ -131,7 +131,7 @@ def _longest_empty(known: _Known, sought: int, shortest: Vector, modes: bool) ->
     return h, k, near
 
 
-@unowned_inlined
+@part
 def _is_empty(known: _Known, sought: int, h: Vector) -> int:
     """Where there is nothing to be found within times h; if so, not within shorter ones either."""
     value, slope, curvature, jerk, _ = known.curve
@@ -149,7 +149,7 @@ def _is_empty(known: _Known, sought: int, h: Vector) -> int:
     return int(within | monotone)
 
 
-@unowned_inlined
+@part
 def _search_series(
     space: Workspace, known: _Known, sought: int, shortest: Vector, time_left: Vector, near: int
 ) -> tuple[Vector, Vector, int]:
@@ -192,7 +192,7 @@ def _search_series(
     return top, bottom, done
 
 
-@unowned_inlined
+@part
 def _search_one_by_one(space: Workspace, sought: int, mask: int) -> int:
     """Search all turning points of some lanes' series; TOP and BOTTOM are in the first two notes.
 
@@ -219,7 +219,7 @@ def _search_one_by_one(space: Workspace, sought: int, mask: int) -> int:
     return done
 
 
-@unowned_inlined
+@part
 def conclude(space: Workspace, sought: int, queue: int, count: int, done: int) -> None:
     """Append those that are not through to their queue again, and take over what the others have found."""
     push_all(space.pool, queue, (1 << count) - 1 & ~done)
@@ -244,7 +244,7 @@ def conclude(space: Workspace, sought: int, queue: int, count: int, done: int) -
                 set_number_of(space, slot, rows.MARGIN, lash, -max(bottom, 0.0) / scale)
             run.depth_known = 1
         else:
-            lash = 0 if len(space.system.general) == 0 else item - slot * space.searches_each - rows.EXTREMES_SEARCH
+            lash = item - slot * space.searches_each - rows.EXTREMES_SEARCH
             set_number_of(space, slot, rows.WINDOW_MAX, lash, top)
             set_number_of(space, slot, rows.WINDOW_MIN, lash, bottom)
             largest, smallest = (

@@ -8,14 +8,14 @@ import numpy.typing as npt
 
 from clunk.core.exact.curves import A_SIXTH, Origin, weight
 from clunk.core.exact.flows import TERMS
-from clunk.core.jit import unowned_inlined
+from clunk.core.jit import part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import Table, Vector, fused
 
 FloatArray = npt.NDArray[np.float64]
 
 
-@unowned_inlined
+@part
 def expand(
     series: Table,
     work: FloatArray,
@@ -48,7 +48,7 @@ def expand(
     vectors.store(c, 0, vectors.load(c, 0) + shift)
 
 
-@unowned_inlined
+@part
 def derivatives(c: FloatArray, s: Vector) -> tuple[Vector, Vector, Vector]:
     """Value, slope and half the second derivative of a series: Horner's rule, even and odd powers side by side."""
     zero = vectors.splat(0.0)
@@ -64,7 +64,7 @@ def derivatives(c: FloatArray, s: Vector) -> tuple[Vector, Vector, Vector]:
     return value, slope, half
 
 
-@unowned_inlined
+@part
 def crossing(c: FloatArray, length: Vector, only: bool) -> tuple[int, int, Vector, Vector, Vector]:
     """The first zero of a series that is positive at first, where it falls, or is concave, all the way to it.
 
@@ -112,7 +112,7 @@ def crossing(c: FloatArray, length: Vector, only: bool) -> tuple[int, int, Vecto
     return crosses, c0 + vectors.smaller(c1, zero) + fall > 0.0, s, slope, half
 
 
-@unowned_inlined
+@part
 def value(c: FloatArray, s: Vector) -> Vector:
     """The first of `derivatives`."""
     even, odd, square = vectors.splat(0.0), vectors.splat(0.0), s * s
@@ -121,7 +121,7 @@ def value(c: FloatArray, s: Vector) -> Vector:
     return fused(s, odd, even)
 
 
-@unowned_inlined
+@part
 def turning(c: FloatArray, slopes: FloatArray, length: Vector) -> tuple[int, int, Vector]:
     """The turning point of a series that has but one.
 

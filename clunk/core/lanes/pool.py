@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.jit import allocating_part, part, unowned_inlined
+from clunk.core.jit import allocating_part, part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, WIDTH
 
@@ -53,7 +53,7 @@ def aligned(count: int, columns: int) -> FloatArray:
     return flat[first : first + count * columns].reshape(count, columns)
 
 
-@unowned_inlined
+@part
 def push(pool: Pool, queue: int, item: int) -> None:
     """Append an item to a queue."""
     length = pool.length[queue]
@@ -61,13 +61,13 @@ def push(pool: Pool, queue: int, item: int) -> None:
     pool.length[queue] = length + 1
 
 
-@unowned_inlined
+@part
 def push_all(pool: Pool, queue: int, mask: int) -> None:
     """Append those of the items taken whose lanes are in a mask."""
     pool.length[queue] = vectors.append(pool.waiting[queue], pool.length[queue], pool.items, mask)
 
 
-@unowned_inlined
+@part
 def take(pool: Pool, queue: int, array: FloatArray, read: int) -> int:
     """Take as many items from a queue as there are lanes, or as wait, the last ones first; return how many.
 
@@ -87,7 +87,7 @@ def take(pool: Pool, queue: int, array: FloatArray, read: int) -> int:
     return int(count)
 
 
-@unowned_inlined
+@part
 def put_back(pool: Pool, array: FloatArray, count: int, mask: int) -> None:
     """Write the first `count` numbers of those of the items taken whose lanes are in a mask."""
     unused = (array.shape[0] - 1) * array.shape[1]

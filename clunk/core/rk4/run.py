@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.events import INSTANT, LOAD_STEP
-from clunk.core.jit import allocating_part, part, unowned_inlined
+from clunk.core.jit import allocating_part, inlined_part, part
 from clunk.core.references import refer
-from clunk.core.regimes import System, frictions_of, inputs_of, lashes_of
+from clunk.core.regimes import System, elements_of, frictions_of, inputs_of, lashes_of
 from clunk.core.rk4 import quartic
 from clunk.core.rk4.propagator import BEND, BLOCK, Steps
 from clunk.core.rk4.settling import settled
@@ -137,7 +137,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
         if not room_for_a_switch(system, inputs, log, entry.written):
             return Outcome(_EVENT_BUFFER_FULL, entry.written, 0, time)
         written = entry.written
-        if len(system.general) > 0 and time - log.events[written - 1].time < INSTANT:
+        if elements_of(system) > 1 and time - log.events[written - 1].time < INSTANT:
             extremes[:, 0], extremes[:, 1] = -np.inf, np.inf
         entry = switch(system, entry.regime, guard, time, x, inputs, log, written, fastest)
         stages += entry.written == written
@@ -206,7 +206,7 @@ def _load(steps: Steps, flow: int, phase: Phase, x: FloatArray, full: _Full) -> 
         z[columns + r] = value
 
 
-@unowned_inlined
+@inlined_part
 def _advance(transfer: FloatArray, affine: FloatArray, z: FloatArray, out: FloatArray) -> None:
     """out = affine + transfer z: one full step. Summed in pairs, eight columns at a time, which LLVM vectorises."""
     x0, x1, x2, x3, x4, x5, x6, x7 = z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]
@@ -272,7 +272,7 @@ def _coast(
     return taken
 
 
-@unowned_inlined
+@inlined_part
 def _clears(
     phase: Phase, guards: int, columns: int, outputs: int, z: FloatArray, after: FloatArray, steps: int
 ) -> bool:
@@ -290,7 +290,7 @@ def _clears(
     return True
 
 
-@unowned_inlined
+@inlined_part
 def _watch_block(z: FloatArray, after: FloatArray, at: int, outputs: int, extremes: FloatArray) -> None:
     """Update an acceleration's extremes by a block of steps."""
     high, low, bend = z[at], z[at], _bend(z, at)
@@ -305,12 +305,12 @@ def _watch_block(z: FloatArray, after: FloatArray, at: int, outputs: int, extrem
             _watch(after, after, begin, begin + outputs, extremes)
 
 
-@unowned_inlined
+@inlined_part
 def _bend(z: FloatArray, at: int) -> float:
     return float(abs(z[at + 1]) + abs(z[at + 2]) + abs(z[at + 3]))
 
 
-@unowned_inlined
+@inlined_part
 def _watch(before: FloatArray, after: FloatArray, begin: int, end: int, extremes: FloatArray) -> None:
     """Update an acceleration's extremes by one step from `before[begin]` to `after[end]`."""
     a, next_a = before[begin], after[end]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from clunk.core.events import INSTANT
 from clunk.core.jit import allocating_part, part
-from clunk.core.regimes import ROUNDING, System, inputs_of, lashes_of
+from clunk.core.regimes import ROUNDING, System, elements_of, inputs_of, lashes_of
 from clunk.core.rk4 import quartic
 from clunk.core.switching import set_weighed, weigh
 from clunk.core.tables import ACCELERATION
@@ -86,7 +86,7 @@ def first_event(
         )
         c0, c1, c2, c3, c4 = sign * c0 + shift, sign * c1, sign * c2, sign * c3, sign * c4
         order, rounding = zero_order if guard == zero_guard else 0, ROUNDING * (scale + abs(shift))
-        if len(system.general) > 0:
+        if elements_of(system) > 1:
             rounding = max(rounding, INSTANT * abs(c1))
         if order == 0 and abs(c0) <= rounding:
             order = 1
