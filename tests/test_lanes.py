@@ -7,7 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from clunk.core.jit import compiled, unowned_inlined
+from clunk.core.jit import compiled, inlined_part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, WIDTH
 
@@ -22,7 +22,7 @@ ALL = (1 << WIDTH) - 1
 BITS = (0, 1, ALL, 1 << WIDTH - 1, 0b1010_0110_0000_1001 & ALL)
 
 
-@unowned_inlined
+@inlined_part
 def calculate(p, q, results):
     vectors.store(results, 0, p + q)
     vectors.store(results, 1, p - q)
