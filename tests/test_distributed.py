@@ -101,15 +101,6 @@ def whole(map_17):
     return sweep(map_17)
 
 
-def test_tiles_grow_until_the_client_has_time_for_all_workers_and_shrink_towards_the_end():
-    pace = distributed._Pace(128, 1 << 18)
-    assert pace.cells(10_000_000, 1000) == 128
-    pace.took(0.01, 100)
-    assert pace.cells(10_000_000, 1000) == 2500  # and not 40,000, which would take 4 s
-    assert pace.cells(10_000_000, 20) == 2000  # 0.2 s
-    assert pace.cells(1000, 20) == 128
-
-
 def clunk(directory, *arguments, before="pass"):
     """The command itself, in a process group of its own."""
     (directory / "map.toml").write_text(CONFIG)
@@ -249,7 +240,7 @@ class TestWhatIsRefused:
         with Cluster(two_workers.address) as engine:
             with pytest.raises(EngineError, match=r"Worker tcp://.* has another numba: 0\.[0-9.]* there, 0\.1 here"):
                 sweep(map_17, engine=engine)
-            monkeypatch.setattr(engine, "_check_workers", lambda _sweep: None)
+            monkeypatch.setattr(engine, "_check_workers", lambda _method: None)
             with pytest.raises(EngineError, match=r"Worker tcp://.* has another numba"):
                 sweep(map_17, engine=engine)
 

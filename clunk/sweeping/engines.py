@@ -4,18 +4,18 @@ An engine is anything with the shape of `concurrent.futures.Executor`: threads b
 scheduler (`clunk.sweeping.distributed`). A cell's result depends on nothing but its parameters, so neither the engine,
 the cut into tiles, the order nor the number of workers can change a bit of it.
 
-An engine may have two methods besides: `next_tile(running, work, runner)`, as the function below, and `processors()`.
+An engine may have three methods besides: `next_tile(running, work, runner)`, as the function below, `processors()`, and
+`explained(error)`, which makes of a tile's error one for the user.
 """
 
 from __future__ import annotations
 
 import functools
 import platform
-import secrets
 from collections.abc import Generator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -78,35 +78,16 @@ class Work:
         return part
 
 
-class Stop:
-    """A flag that ends the running tiles of a sweep; in each other process a flag of the same name."""
-
-    def __init__(self, name: str | None = None) -> None:
-        self.name = name or secrets.token_hex(8)
-        self.flag: Flag = np.zeros(1, np.uint8)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _stop_named, (self.name,)
-
-    def set(self) -> None:
-        """End the tiles that run in this process."""
-        self.flag[0] = 1
-
-
-@functools.lru_cache(16)
-def _stop_named(name: str) -> Stop:
-    return Stop(name)
-
-
 def run_tiles(engine: Executor, runner: Runner, work: Work) -> Generator[Tile, None, None]:
     """Run cells until none wait or run; yield finished tiles in the order in which they finish.
 
     Leaving the generator early abandons the running cells. Raises EngineError where the engine cannot go on.
     """
-    stop = Stop()
+    stop = np.zeros(1, np.uint8)
     running: set[Future[Tile]] = set()
     workers = getattr(engine, "_max_workers", None) or available_cores()  # all of the standard library have this name
     choose = getattr(engine, "next_tile", functools.partial(next_tile, workers))
+    explained = getattr(engine, "explained", None)
     try:
         while True:
             while most := choose(len(running), work, runner):
@@ -116,17 +97,23 @@ def run_tiles(engine: Executor, runner: Runner, work: Work) -> Generator[Tile, N
             with deferred_signals():
                 finished, running = wait(running, timeout=0.2, return_when=FIRST_COMPLETED)
             for future in finished:
-                yield future.result()
+                try:
+                    tile = future.result()
+                except Exception as error:
+                    if explained is None:
+                        raise
+                    raise explained(error) from error
+                yield tile
     finally:
-        stop.set()
+        stop[0] = 1
         with deferred_signals():
             for future in running:
                 future.cancel()
 
 
-def run_tile(runner: Runner, cells: Cells, stop: Stop) -> Tile:
-    """Run one tile; the task that engines are given."""
-    return runner.run(cells, stop.flag)
+def run_tile(runner: Runner, cells: Cells, stop: Flag) -> Tile:
+    """Run one tile; the task that engines are given. A process of its own gets a copy of the flag `stop`."""
+    return runner.run(cells, stop)
 
 
 def next_tile(workers: int, running: int, work: Work, runner: Runner) -> int:
