@@ -6,6 +6,8 @@ from scipy.linalg import expm
 
 from clunk.core.runs import BEGIN, LEVEL, SLOPE, WAVE, WAVE_PARTNER
 from clunk.simulation.load import is_moving, load_step, loads_of, torque_at, wave_rates
+from clunk.simulation.trajectory import simulate
+from clunk.study.config import load_study
 from clunk.study.document import with_value
 from clunk.study.loads import Load
 
@@ -20,6 +22,10 @@ PROFILES = {
     "lag": ({"time_constant": 0.03}, T0 + (T1 - T0) * (1.0 - np.exp(-t / 0.03))),
     "pulse": ({"duration": D}, np.where(t < D, T1, T0)),
     "sine": ({"amplitude": 2.0, "frequency": 3.0}, T1 + 2.0 * np.sin(6.0 * np.pi * t)),
+    "steps": (
+        {"durations": (0.1, 0.0, 0.1), "levels": (0.4, 0.7, 1.2)},
+        np.where(t < 0.1, T0 + 0.4 * (T1 - T0), np.where(t < 0.2, T0 + 1.2 * (T1 - T0), T1)),
+    ),
     "table": (
         {"times": TIMES, "torques": TORQUES, "scale": 1.0},
         np.where(t < 0.1, -4.0 + 50.0 * t, np.where(t < 0.25, 1.0 + (t - 0.1) / 0.075, -1.0)),
@@ -42,7 +48,7 @@ def test_the_pieces_are_the_profile(profile):
     assert loads_of(config, 3).before == pytest.approx([T0] * 3)
     # 1e-15 of the largest torque per operation, of which there are ten; the tail that a lag leaves is 4e-18
     assert torques(config) == pytest.approx(PROFILES[profile][1], abs=6e-14)
-    assert is_moving(config) == (profile not in ("step", "pulse"))
+    assert is_moving(config) == (profile not in ("step", "pulse", "steps"))
 
 
 @pytest.mark.parametrize("profile", ["smooth", "lag", "sine"])
@@ -79,6 +85,7 @@ def test_a_ramp_is_a_table_of_two_points():
         ("lag", {"final_torque": [1.0, 2.0]}),
         ("pulse", {"duration": [0.0, 0.3]}),
         ("sine", {"amplitude": [0.0, 3.0]}),
+        ("steps", {"durations[1]": [0.0, 0.3], "levels[3]": [0.5, -0.1], "final_torque": [0.0, 5.0]}),
         ("table", {"torques[2]": [-3.0, 2.0], "times[3]": [0.05, 0.12], "scale": [1.0, -2.0]}),
     ],
 )
@@ -103,7 +110,9 @@ def test_a_table_is_kept_once_for_all_cells():
     assert torques(trace, times[:-1] + 5e-4) == pytest.approx(np.sin(times[:-1] + 5e-4), abs=2e-7)  # h² / 8
 
 
-@pytest.mark.parametrize(("profile", "after"), [("ramp", T1), ("pulse", T0), ("sine", T1), ("table", -1.0)])
+@pytest.mark.parametrize(
+    ("profile", "after"), [("ramp", T1), ("pulse", T0), ("sine", T1), ("steps", T1), ("table", -1.0)]
+)
 def test_the_load_step_leads_to_where_the_load_rests(profile, after):
     assert load_step(load(profile)) == pytest.approx((T0, after))
 
@@ -111,3 +120,17 @@ def test_the_load_step_leads_to_where_the_load_rests(profile, after):
 def test_the_pieces_of_a_profile_are_as_many_for_any_duration():
     pieces = loads_of(load("ramp"), 3, duration=np.array([0.0, 0.1, 0.4])).pieces
     assert pieces[:, :, BEGIN].tolist() == [[0.0, 0.0], [0.0, 0.1], [0.0, 0.4]]
+
+
+@pytest.mark.parametrize("method", ["exact", "rk4"])
+def test_a_run_under_steps_is_one_under_the_table_that_jumps_as_they_do(method):
+    steps = {"durations": (0.06, 0.0, 0.05), "levels": (0.5, 3.0, 0.8)}
+    jumps = {"times": (0.0, 0.0, 0.06, 0.06, 0.11, 0.11), "torques": (T0, -3.5, -3.5, -2.0, -2.0, T1)}
+    nominal = load_study("configs/nominal.toml", [f"solver.method={method}"])
+    runs = [
+        simulate(nominal.model_copy(update={"load": load(profile, **keys)}))
+        for profile, keys in (("steps", steps), ("table", jumps))
+    ]
+    assert [event["kind"] for event in runs[0].events] == [event["kind"] for event in runs[1].events]
+    # pieces that begin at 0.06 + 0.05 and at 0.11 differ by one rounding, 1e-17 s
+    assert runs[0].events["time"] == pytest.approx(runs[1].events["time"], abs=1e-12)

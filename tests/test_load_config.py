@@ -23,6 +23,7 @@ NEEDED = {
     "pulse": "duration = 0.1",
     "table": "times = [0.0, 0.1]\ntorques = [-6.0, -1.0]",
     "sine": "amplitude = 1.0\nfrequency = 2.0",
+    "steps": "durations = [0.1, 0.05]\nlevels = [0.6, 0.8]",
 }
 TABLE = 'profile = "table"\ntimes = [0.0, 0.1, 0.2]\ntorques = [-6.0, -3.0, -1.0]'
 

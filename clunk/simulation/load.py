@@ -38,13 +38,19 @@ def loads_of(load: Load, count: int, **swept: Numbers) -> Loads:
     """Loads of `count` runs.
 
     `swept` values, (count,) each or one for all, take the place of the config's own under the names of its keys,
-    ``torques[n]`` and ``times[n]`` among them; those that the profile does not use make no difference.
+    ``torques[n]`` and ``durations[n]`` among them; those that the profile does not use make no difference.
     """
     values = {name: getattr(load, name) for name in type(load).model_fields} | swept
     before: Numbers
     if load.profile == "table":
         torques = _entries(values, "torques", count) * np.reshape(values["scale"], (-1, 1))
         before, pieces = torques[:, 0], _lines(_entries(values, "times", count), torques)
+    elif load.profile == "steps":
+        before, after = _torques(values)
+        durations, levels = _span(_entries(values, "durations", count)), _entries(values, "levels", count)
+        before, after = np.reshape(before, (-1, 1)), np.reshape(after, (-1, 1))
+        pieces = _held(durations, before + (after - before) * levels, after)
+        before = before[:, 0]
     else:
         before, pieces = _profile(values)
     return Loads(np.broadcast_to(before, count).astype(np.float64), pieces)
@@ -68,11 +74,25 @@ def _lines(times: Floats, torques: Floats) -> Floats:
     return pieces
 
 
+def _held(durations: Floats, torques: Floats, rest: Floats) -> Floats:
+    """(rows, P + 1, PIECE): each torque held for its duration, (rows, P), and then `rest`, (rows, 1)."""
+    begins = np.cumsum(np.pad(durations, ((0, 0), (1, 0))), axis=1)
+    rows = max(len(begins), len(torques), len(rest))
+    pieces = np.zeros((rows, begins.shape[1], PIECE))
+    pieces[..., BEGIN], pieces[:, :-1, LEVEL], pieces[:, -1:, LEVEL] = begins, torques, rest
+    return pieces
+
+
+def _torques(values: Mapping[str, Any]) -> tuple[Numbers, Numbers]:
+    """Torques before the load step and after the change; the dynamic torque Td = σr Ts is released (report Eq. 2.4)."""
+    if values["ratio"] is None:
+        return values["initial_torque"], values["final_torque"]
+    return values["static_torque"] * (1.0 + values["ratio"]), values["static_torque"]
+
+
 def _profile(values: Mapping[str, Any]) -> tuple[Numbers, Floats]:
     """Torque before the load step and pieces, (rows, P, PIECE), of a profile from one torque to another."""
-    before, after = values["initial_torque"], values["final_torque"]
-    if values["ratio"] is not None:  # the dynamic torque Td = σr Ts is released, Ts stays (report Eq. 2.4)
-        before, after = values["static_torque"] * (1.0 + values["ratio"]), values["static_torque"]
+    before, after = _torques(values)
     change, rest = after - before, (after, 0.0, 0.0, 0.0)
     match values["profile"]:
         case "ramp":
@@ -123,7 +143,7 @@ def wave_rates(load: Load) -> Floats | None:
 
 def is_moving(load: Load) -> bool:
     """Whether the torque can change in any other way than by jumps."""
-    return load.profile not in ("step", "pulse")
+    return load.profile not in ("step", "pulse", "steps")
 
 
 def torque_at(pieces: Floats, rates: Floats | None, time: Floats) -> Floats:

@@ -38,8 +38,11 @@ PROFILES = {
     "pulse": Profile("torque pulse", (*STEP_KEYS, "duration")),
     "table": Profile("tabulated torque", ("times", "torques", "scale")),
     "sine": Profile("sinusoidal torque", (*STEP_KEYS, "amplitude", "frequency")),
+    "steps": Profile("torque change in steps", (*STEP_KEYS, "durations", "levels")),
 }
 _NEEDED = {"duration": "s", "time_constant": "s", "amplitude": "N m", "frequency": "Hz"}
+_NEEDED |= {"durations": "s", "levels": "shares of the change"}
+_MOST_LEVELS = 1000
 _COLUMNS = "time (s) and torque (N m), separated by commas, semicolons or tabs"
 _NUMBER = re.compile(r"[-+]?(\.?\d|nan|inf)", re.IGNORECASE)
 
@@ -53,14 +56,15 @@ class Load(Table):
     profile : "step": T1. "ramp": a straight line from T0 to T1 over the duration.
         "smooth": half a cosine instead. "lag": T1 + (T0 - T1) exp(-t / time_constant). "pulse": T1 for the duration,
         then T0 again. "table": straight lines between the torques at the times; at two equal times the torque jumps,
-        and the first of all is T0. "sine": T1 + amplitude sin(2π frequency t)
+        and the first of all is T0. "sine": T1 + amplitude sin(2π frequency t). "steps": in the k-th of the durations
+        T0 + (T1 - T0) levels[k], and T1 after them
     on : int, number from 1 of the loaded inertia
     scale : float, factor on the torques of a table
     file : path or None, of a trace that becomes times and torques when a config is read; see `read_trace`
     step_time : float, of the load step on the time axis of plots
     """
 
-    profile: Literal["step", "ramp", "smooth", "lag", "pulse", "table", "sine"] = "step"
+    profile: Literal["step", "ramp", "smooth", "lag", "pulse", "table", "sine", "steps"] = "step"
     on: Annotated[Inertia, Quantity("loaded inertia", "i", "1")] = 1
     static_torque: Annotated[float | None, Quantity("static torque", "Ts", "N m")] = None
     ratio: Annotated[float | None, Quantity("load ratio", "σr = Td/Ts", "1")] = None
@@ -70,6 +74,14 @@ class Load(Table):
     time_constant: Annotated[NotNegative | None, Quantity("time constant of the load", "τ", "s")] = None
     amplitude: Annotated[float | None, Quantity("amplitude of the load", "A", "N m")] = None
     frequency: Annotated[Positive | None, Quantity("frequency of the load", "f", "Hz")] = None
+    durations: Annotated[
+        tuple[Annotated[NotNegative, Quantity("duration {} of the load", "d{}", "s")], ...] | None,
+        Field(min_length=1, max_length=_MOST_LEVELS, description="a list of durations (s), one for each level"),
+    ] = None
+    levels: Annotated[
+        tuple[Annotated[float, Quantity("level {} of the load", "λ{}", "1")], ...] | None,
+        Field(min_length=1, max_length=_MOST_LEVELS, description="a list of shares of the torque's change"),
+    ] = None
     times: Annotated[
         tuple[Annotated[NotNegative, Quantity("time {} of the load", "t{}", "s")], ...] | None,
         Field(min_length=1, max_length=LONGEST_TABLE, repr=False, description="a list of times (s), from 0 on"),
@@ -88,6 +100,9 @@ class Load(Table):
         for key in PROFILES[self.profile].keys:
             if key in _NEEDED and getattr(self, key) is None:
                 yield (key,), f"missing; a {shorten(self.profile)} needs it ({_NEEDED[key]})"
+        if self.durations and self.levels and len(self.durations) != len(self.levels):
+            text = f"found {len(self.levels)} levels for {len(self.durations)} durations; must be one for each"
+            yield ("levels",), text
         yield from self._points()
 
     def _torques(self) -> Iterator[Finding]:

@@ -15,7 +15,7 @@ from clunk.study.models import Config, Contact, Lash
 from clunk.study.parameters import located
 from clunk.study.problems import Problem, report
 from clunk.study.rules import broken_rules
-from clunk.study.summaries import Rows, as_html, as_text, html_table
+from clunk.study.summaries import Rows, as_html, as_text, counted, html_table
 from clunk.study.tables import Finding
 from clunk.study.validation import validated
 
@@ -39,6 +39,7 @@ class Study(Config):
         names = self.lash_names if len(self.lashes) > 1 else ("backlash",)
         joints = zip(names, self.lashes, self.lash_places, strict=True)
         points = [f"{len(load.times)} times and torques"] if load.profile == "table" and load.times else []
+        points += [counted(len(load.levels), "level")] if load.profile == "steps" and load.levels else []
         step = f", step {solver.step:g} s" if solver.method == "rk4" else ""
         rows = [
             ("driveline", f"{len(self.driveline.inertias)} inertias, {len(self.driveline.shafts)} shafts"),
