@@ -10,11 +10,11 @@ from test_cli import clunk, here  # noqa: F401  fixtures
 from test_thresholds import DURATION, LASH, NOMINAL, RAMP, RATIO, axis
 
 import clunk as clunk_api
-from clunk.analysis.outcomes import Outcome
 from clunk.analysis.quantiles import probabilities, threshold_quantiles
 from clunk.analysis.thresholds import UNCERTAIN, ThresholdError, Thresholds, thresholds
 from clunk.plot.quantiles import quantile_figure
 from clunk.plot.style import PlotError
+from clunk.results.quantities import OF_RUNS
 from clunk.study.axes import ResultAxis
 from clunk.study.config import study_from_text
 from clunk.study.designs import drawn_numbers, nominal
@@ -118,7 +118,7 @@ def test_outcomes_that_come_back_are_counted_at_each_value():
     along = ResultAxis("load.duration", np.array([0.0, 1.0]), "", "", "s")
     made = Thresholds(
         study=study(FEW, STIFFNESS),
-        **{"along": along, "axes": axes, "outcome": Outcome("label"), "words": words, "lowest": lowest},
+        **{"along": along, "axes": axes, "outcome": OF_RUNS["label"], "words": words, "lowest": lowest},
         **{"cell": cell, "value": value, "below": below, "above": above, "runs": 0, "failures": {}},
     )
     result = threshold_quantiles(made, [0.5, 0.7])

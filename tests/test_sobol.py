@@ -14,6 +14,7 @@ from clunk.plot.indices import sobol_bars
 from clunk.plot.style import PlotError
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
+from clunk.study.errors import ClunkError
 from clunk.study.parameters import get_value
 from clunk.study.study import replace_values
 
@@ -175,7 +176,7 @@ def test_the_restitution_model_has_an_approach_velocity():
     found = sensitivity(study(DRIVING, model))
     assert [indices.quantity for indices in found.indices] == ["approach_velocity", "nominal_label"]
     assert record(found)["nominal"]["severity"] is None
-    with pytest.raises(SensitivityError, match="not defined for the restitution model"):
+    with pytest.raises(ClunkError, match="not defined for the restitution model"):
         sensitivity(study(DRIVING, model), of=["severity"])
 
 
@@ -209,7 +210,7 @@ def test_the_restitution_model_has_an_approach_velocity():
     ],
 )
 def test_what_has_no_indices_is_refused_in_a_sentence(point, of, message):
-    with pytest.raises(SensitivityError, match=message):
+    with pytest.raises(ClunkError, match=message):
         sensitivity(point, of=of)
 
 

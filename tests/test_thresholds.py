@@ -11,13 +11,14 @@ from helpers.feet import feet_of_figure_3_4
 
 import clunk
 from clunk.analysis import thresholds as analysis
-from clunk.analysis.outcomes import outcome_of
 from clunk.analysis.thresholds import ThresholdError, thresholds
 from clunk.cli import main
 from clunk.plot.style import PlotError
 from clunk.plot.thresholds import threshold_figure
 from clunk.results.labels import FAILED
+from clunk.results.quantities import quantity_of
 from clunk.study.config import study_from_text
+from clunk.study.errors import ClunkError
 from clunk.sweeping.sweep import sweep
 
 NOMINAL = '[driveline]\npreset = "boere-2008"\n[lash]\nbacklash_deg = 6.0\n[load]\nratio = 5.0\n'
@@ -164,12 +165,12 @@ def test_failed_runs_are_an_outcome_and_not_invented():
     [
         (RATIO, "load.raito", "label", r"\"load.raito\" is no axis.*did you mean load.ratio"),
         ("", "load.ratio", "label", "no .*sweep.axes"),
-        (RATIO, "load.ratio", "lable", "no outcome.*did you mean label"),
+        (RATIO, "load.ratio", "lable", "no quantity.*did you mean label"),
         (RATIO, "load.ratio", "severity", "changes everywhere; give a bound"),
         (RATIO, "load.ratio", "severity<=much", "not a number to compare severity with"),
         (RATIO, "load.ratio", "double_sided<2", "only numbers are compared"),
         (RATIO, "load.ratio", "label=DS", "names no label"),
-        (RATIO, "load.ratio", "nominal_label", "no outcome"),
+        (RATIO, "load.ratio", "nominal_label", "no thresholds"),
         (axis("load.ratio", 5.0, 5.0, 1), "load.ratio", "label", "has one value"),
         (axis("impacts.acceleration_of", 1.0, 4.0, 4), "impacts.acceleration_of", "touches", "whole number"),
         ('[sweep]\ndesign = "zip"\n' + RATIO, "load.ratio", "label", "walked together"),
@@ -182,7 +183,7 @@ def test_failed_runs_are_an_outcome_and_not_invented():
     ],
 )
 def test_what_has_no_thresholds_is_refused_in_a_sentence(text, along, of, message):
-    with pytest.raises(ThresholdError, match=message):
+    with pytest.raises(ClunkError, match=message):
         thresholds(study(text), along=along, of=of)
 
 
@@ -284,8 +285,8 @@ def test_pictures_have_a_curve_for_each_threshold():
 )
 def test_types_of_impacts_are_outcomes_by_their_short_names_too(short, full):
     rig = study()
-    outcome = outcome_of(short, rig, {}, ThresholdError)
-    assert outcome == outcome_of(full, rig, {}, ThresholdError)
+    outcome = quantity_of(short, rig)
+    assert outcome == quantity_of(full, rig)
     results = sweep(study(RATIO))
     word = {"ds": "DS"}.get(short, short)
     expected = [word in label for label in results.label_map]

@@ -16,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.analysis.measurements import Experiment, ExperimentError
-from clunk.analysis.outcomes import measuring
 from clunk.core.sequence import OPPOSITE, label
 from clunk.core.status import Status
 from clunk.core.tile import LONGEST_PATTERN
 from clunk.results.labels import FAILED, flanks_of_label
+from clunk.results.quantities import measuring
 from clunk.study.arrays import Bools, Floats, Patterns, Positions, Records
 from clunk.study.axes import variable_of
 from clunk.study.designs import Column, Design

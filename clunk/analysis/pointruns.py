@@ -8,11 +8,11 @@ from concurrent.futures import Executor
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.outcomes import measuring
 from clunk.core.sequence import label
 from clunk.core.status import Status
 from clunk.results.labels import FAILED_CODE, excursions
 from clunk.results.machine import available_cores
+from clunk.results.quantities import measuring
 from clunk.study.arrays import Codes, Floats, Records
 from clunk.study.designs import Column, Design
 from clunk.study.study import Study

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clunk.analysis.outcomes import LABEL, NOMINAL, Outcome, measuring, outcome_of
 from clunk.core.status import Status
+from clunk.results.quantities import TEXT, YES_NO, Quantity, measuring, quantity_of
 from clunk.results.regimemap import Results
 from clunk.simulation.trajectory import simulate
 from clunk.study.arrays import Floats, Positions
@@ -34,7 +34,6 @@ from clunk.sweeping.sweep import sweep
 
 CONFIDENCE = 0.95  # of the intervals
 QUANTILES = (0.05, 0.5, 0.95)
-_NO_NUMBER = {LABEL: f"The label is no number; {NOMINAL}, double_sided and label=DS(1)SS(1) are 1 or 0."}
 
 _RESAMPLES = 999
 _BATCH = 2**22  # indices that are resampled at once
@@ -136,7 +135,7 @@ def sensitivity(
         With two tolerances or more, whose draws are independent; its axes are ignored. The sampling's count is n, a
         power of two.
     of : sequence of str, optional
-        Quantities, in the words of `clunk.analysis.outcomes`: a number; or what is 1 where something holds and else 0,
+        Quantities, in the words of `clunk.results.quantities`: a number; or what is 1 where something holds and else 0,
         such as `nominal_label` (the label is that without tolerances), `double_sided` and `severity<=8000`. By default
         severity and `nominal_label`; for the restitution model, which has no severity, `approach_velocity` instead.
     lash : str, optional
@@ -166,7 +165,9 @@ def sensitivity(
     """
     point = operating_point(study)
     names = of or default_quantities(point)
-    quantities = tuple(dict.fromkeys(outcome_of(name, point, _NO_NUMBER, SensitivityError) for name in names))
+    quantities = tuple(dict.fromkeys(quantity_of(name, point) for name in names))
+    if any(each.type == TEXT for each in quantities):
+        raise SensitivityError("The label is no number; nominal_label, double_sided and label=DS(1)SS(1) are 1 or 0.")
     nominal = simulate(point).lashes[lash_position(lash, study.lash_names)]
     sample = saltelli_sample(point)
     _refuse_forbidden_draws(point, sample)
@@ -178,8 +179,8 @@ def sensitivity(
     without = np.array([nominal_value(point, draw.parameter) for draw in _sweep(point).tolerances])
     run = sweep(runs, _design(point, without)).of_lash(lash)
     indices = tuple(
-        _indices(each, run, nominal.label, _values(each, results, nominal.label).reshape(n, pages), seed)
-        for each in quantities
+        _indices(each, run, _values(each, results).reshape(n, pages), seed)
+        for each in (quantity.named(nominal.label) for quantity in quantities)
     )
     base = results.sequence.reshape(n, pages)[:, :2]
     counts = np.bincount(base.ravel(), minlength=len(results.labels))
@@ -332,22 +333,22 @@ def _refuse_failures(results: Results) -> None:
     )
 
 
-def _values(outcome: Outcome, results: Results, nominal_label: str) -> Floats:
-    """Values of an outcome, (runs,) float64. Raises SensitivityError where a run has none."""
-    values = outcome.of_runs(results, nominal_label)
+def _values(quantity: Quantity, results: Results) -> Floats:
+    """Values of a quantity, (runs,) float64. Raises SensitivityError where a run has none."""
+    values = quantity.of_runs(results)
     undefined = int(np.count_nonzero(np.isnan(values)))
     if undefined:
         raise SensitivityError(
-            f"{outcome.name} is not defined in {undefined:,} of {values.size:,} runs, in which nothing happens; "
+            f"{quantity.name} is not defined in {undefined:,} of {values.size:,} runs, in which nothing happens; "
             "ask for another quantity."
         )
     return values
 
 
-def _indices(outcome: Outcome, nominal: Results, label: str, values: Floats, seed: int) -> Indices:
-    """Sobol indices of an outcome.
+def _indices(quantity: Quantity, nominal: Results, values: Floats, seed: int) -> Indices:
+    """Sobol indices of a quantity.
 
-    nominal, label : the single run without tolerances, and its label
+    nominal : the single run without tolerances
     values : (n, d + 2), of the runs of `saltelli_sample`
     """
     d = values.shape[1] - 2
@@ -356,10 +357,10 @@ def _indices(outcome: Outcome, nominal: Results, label: str, values: Floats, see
     none = np.full(d, np.nan), np.full(d, np.nan), np.full((2, d), np.nan), np.full((2, d), np.nan)
     first, total, first_interval, total_interval = first_and_total(values, seed) if varies else none
     return Indices(
-        quantity=outcome.name,
-        heading=outcome.heading(label),
-        is_indicator=outcome.is_indicator,
-        nominal=float(outcome.of_runs(nominal, label)[0]),
+        quantity=quantity.name,
+        heading=quantity.heading_with_unit,
+        is_indicator=quantity.type == YES_NO,
+        nominal=float(quantity.of_runs(nominal)[0]),
         mean=float(base.mean()),
         std=float(base.std()) if varies else 0.0,  # the rounding of a mean is no variance
         quantiles=np.quantile(base, QUANTILES),

@@ -23,17 +23,16 @@ from typing import Any
 import numpy as np
 
 from clunk.analysis.brackets import POINT, Points, narrow
-from clunk.analysis.outcomes import CHATTER, LABEL, MEASURED, NOMINAL, Outcome, measuring, outcome_of
 from clunk.analysis.searches import Search, side_by_side
 from clunk.core.status import Status
 from clunk.results.labels import FAILED, FAILED_CODE, excursions
+from clunk.results.quantities import CHATTER, LABEL, NOMINAL, NUMBER, TEXT, YES_NO, Quantity, measuring, quantity_of
 from clunk.results.regimemap import Results
 from clunk.study.arrays import Bools, Codes, Floats
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import Column, Design, design_of, drawn_numbers, has_tolerances
 from clunk.study.errors import ClunkError
 from clunk.study.lashes import lash_position
-from clunk.study.measures import OF_IMPACTS
 from clunk.study.parameters import located, nominal_value
 from clunk.study.problems import listing, nearest, shorten
 from clunk.study.study import Study
@@ -48,20 +47,11 @@ MOST_BRACKETS = 1_000_000  # at once; where labels are noise each bracket divide
 DRAW = "draw"  # the axis of the drawn drivelines, their numbers from 1
 UNCERTAIN, UNCERTAIN_CODE = "uncertain", -3  # see `clunk.analysis.quantiles`
 
-_COUNTS = ("primary_impacts", "touches")
 _TOUCHES = 2  # by which neighbours differ where something may be hidden between them
 # With 61 values of a ramp's duration 18 slivers of 1e-5 s are found of the 29 that 961 values show; with 10 halvings
 # they are 15, with 22 no more than with 16.
 _HALVINGS = 16  # of the spacing where something may be hidden
 _STEEPER = 2.0  # than between known values, as the number of the runs may fall between them
-_EXAMPLES = zip((*MEASURED, *OF_IMPACTS), (8000.0, 10.0, 0.0, 0.0, 0.5, 0.1, 10.0, 0.05), strict=True)
-
-
-def _alone(name: str, example: float) -> str:
-    return f"{name} changes everywhere; give a bound, for example {name}<={example:g}."
-
-
-_ALONE = {NOMINAL: "", **{name: _alone(name, example) for name, example in _EXAMPLES if name not in _COUNTS}}
 
 
 class ThresholdError(ClunkError):
@@ -78,7 +68,7 @@ class Thresholds:
     study : Study
     along : the key's axis, its values ascending
     axes : the other axes; with tolerances the first is `draw`
-    outcome : Outcome
+    outcome : Quantity
     words : code -> label, whether something holds, or count; the code -1 is `failed`, and -3 `uncertain`
     lowest : (cells,) int64, the outcome's code at the axis's least value
     cell : (n,) int64
@@ -92,7 +82,7 @@ class Thresholds:
     study: Study
     along: ResultAxis
     axes: tuple[ResultAxis, ...]
-    outcome: Outcome
+    outcome: Quantity
     words: tuple[Word, ...]
     lowest: Codes
     cell: Codes
@@ -205,7 +195,7 @@ def thresholds(
         The key.
     of : str, optional
         The outcome: `label`, `double_sided`, `chatter`, `label=DS(2)`, `touches`, `primary_impacts`, or a bound on a
-        number such as `severity<=8000`; see `clunk.analysis.outcomes`.
+        number such as `severity<=8000`; see `clunk.results.quantities`.
     lash : str, optional
         Of several lashes, the one whose outcome is meant, by name or number; by default the first.
     workers, progress
@@ -263,10 +253,14 @@ def thresholds(
     )
 
 
-def parse(of: str, study: Study) -> Outcome:
-    """The outcome that a text names. Raises ThresholdError where it has no thresholds."""
-    without = _ALONE | {each.name: _alone(each.name, 1.0) for each in study.measures}
-    return outcome_of(of, study, without, ThresholdError)
+def parse(of: str, study: Study) -> Quantity:
+    """The quantity that a text names. Raises ThresholdError where it has no thresholds."""
+    quantity = quantity_of(of, study)
+    if quantity.type == NUMBER:
+        raise ThresholdError(f"{quantity.name} changes everywhere; give a bound, as in severity<=8000.")
+    if quantity.name == NOMINAL:
+        raise ThresholdError(f"{NOMINAL} has no thresholds; name the label, as in label=DS(1)SS(1).")
+    return quantity
 
 
 def scan_count(study: Study) -> int:
@@ -312,7 +306,7 @@ class _Search:
     study: Study
     along: ResultAxis
     axes: tuple[ResultAxis, ...]
-    outcome: Outcome
+    outcome: Quantity
     progress: Progress | None
     lash: str  # its number
     engine: Executor | None = None
@@ -348,8 +342,7 @@ class _Search:
         points = np.zeros(values.size, POINT)
         points["cell"], points["value"], points["touches"] = cells, values, results.touches
         finished = results.status == Status.OK
-        values_of_runs = results.label_map if self.outcome == Outcome(LABEL) else self.outcome.of_runs(results)
-        unique, inverse = np.unique(values_of_runs[finished], return_inverse=True)
+        unique, inverse = np.unique(self.outcome.of_runs(results)[finished], return_inverse=True)
         known = [self.codes.setdefault(self._word(value), len(self.codes)) for value in unique.tolist()]
         points["outcome"], points["measure"] = FAILED_CODE, np.nan
         points["outcome"][finished] = np.array(known, np.int64)[inverse.reshape(-1)]
@@ -362,16 +355,16 @@ class _Search:
         return points
 
     def _word(self, value: str | float) -> Word:
-        return value if isinstance(value, str) else bool(value) if self.outcome.is_indicator else int(value)
+        return value if isinstance(value, str) else bool(value) if self.outcome.type == YES_NO else int(value)
 
     def _measure(self, results: Results) -> Floats:
         """A number of each run that changes sign where the outcome changes, as far as one is known; else NaN."""
-        if self.outcome.quantity == CHATTER:
+        if self.outcome.name == CHATTER:
             return np.asarray(results.touches - results.primary_impacts - 0.5, np.float64)
-        if self.outcome.number is None:
+        base = self.outcome if self.outcome.base is None else self.outcome.base
+        if base.type in (TEXT, YES_NO):
             return results.margin
-        values = np.asarray(results.values(self.outcome.quantity), np.float64)
-        return values - float(self.outcome.bound)
+        return base.of_runs(results) - float(self.outcome.bound)
 
     def scan(self) -> Points:
         """Run the axis's own values in every cell, and more where something may be hidden; by cell and value."""

@@ -116,7 +116,7 @@ def thresholds(
     asked = analysis.parse(outcome, study)
     lash_position(lash, study.lash_names)
     torques = load_step(study.load)
-    if asked.quantity == "double_sided" and torques.before * torques.after < 0.0:
+    if asked.name == "double_sided" and torques.before * torques.after < 0.0:
         terminal.complain(
             "note: the torque reverses, so that teeth cross even without a double-sided impact: CR(1) is none"
         )
@@ -173,10 +173,11 @@ def thresholds(
 def print_thresholds(result: Thresholds) -> None:
     """Print a row for each threshold, with its value and the outcomes below and above."""
     from clunk.analysis.thresholds import word_text
+    from clunk.results.quantities import YES_NO
 
     along = result.along
     unit = "" if along.unit == "1" else f" [{along.unit}]"
-    what = f"{'whether ' if result.outcome.is_indicator else ''}{result.outcome.heading()}"
+    what = f"{'whether ' if result.outcome.type == YES_NO else ''}{result.outcome.heading_with_unit}"
     what += f" of {result.lash}" if result.lash else ""
     click.echo(phrases.fill(f"thresholds of {along.parameter}{unit}, scanned from {along.spread}: {what}"))
     cells = result.cells()

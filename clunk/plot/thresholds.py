@@ -66,7 +66,7 @@ def arranged(thresholds: Thresholds, axes: Sequence[ResultAxis]) -> tuple[Positi
 def heading(drawn: str, thresholds: Thresholds) -> str:
     """Second line of a figure's title: the quantity drawn, the outcome, and the axes of one value."""
     fixed = [value_text(axis, axis.values[0]) for axis in thresholds.axes if len(axis.values) == 1]
-    return "; ".join([f"{drawn}: {thresholds.outcome.heading()}", *fixed])
+    return "; ".join([f"{drawn}: {thresholds.outcome.heading_with_unit}", *fixed])
 
 
 def bands(thresholds: Thresholds, cell: int) -> tuple[tuple[int, ...], list[float]]:

@@ -16,7 +16,7 @@ from clunk.results.boundaries import Boundaries
 from clunk.results.dataset import COUNTED_BY, first_entries
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.quantities import Quantity, measured_quantities
-from clunk.study.arrays import Array, Integers
+from clunk.study.arrays import Array, Floats, Integers
 from clunk.study.axes import LASH, RUN, ResultAxis
 from clunk.study.lashes import lash_name, lash_position
 from clunk.study.summaries import Rows, as_html, as_text, counted, html_table
@@ -150,6 +150,23 @@ class Map(Description, ABC):
     @abstractmethod
     def quantities(self) -> dict[str, Quantity]:
         """The quantities of the map, in the order of their file."""
+
+    @property
+    @abstractmethod
+    def quantities_of_cells(self) -> dict[str, Quantity]:
+        """The quantities that each cell has, by the names that options take; see `clunk.results.quantities`."""
+
+    def plot_label(self, quantity: Quantity) -> str:
+        """Name of one of `quantities_of_cells`, with symbol and unit, beside an axis or a colour bar."""
+        return quantity.plot_label
+
+    @abstractmethod
+    def of_labels(self, holds: Sequence[bool]) -> Floats:
+        """Whether something that holds for some labels, in their order, holds in each cell; NaN where it failed."""
+
+    @abstractmethod
+    def numbers(self, name: str) -> Floats:
+        """A number of `quantities_of_cells` in each cell as float64, NaN where it failed or it is not defined."""
 
     @property
     @abstractmethod

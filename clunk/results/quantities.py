@@ -1,18 +1,66 @@
-"""The quantities of maps, described once, in quantities.csv: what files, plots and tables say of each."""
+"""The quantities of runs and of maps, described once, in quantities.csv: what files, plots and tables say of each.
+
+`quantity_of` reads a quantity of runs in the words that options such as --of and --quantity take:
+
+label, regimes                       the label
+severity, touches, margin, …         a number, see `known_quantities`
+impulse, peak_torque, energy         numbers, see `clunk help measures`; a run to come need not be asked for them
+shuffle                              a measure of the config, by its name
+severity<=8000, touches=4            whether a number is <=, <, >=, > or = another
+single_sided, double_sided, …        whether the label has an SS, a DS, an OS (opposite_sided), a CR (crossed)
+NI, SS, DS, OS, CR                   short for label=NI, single_sided and so on
+chatter                              whether touches follow that are no primary impacts
+label=DS(1)SS(1)                     whether it is this one
+nominal_label                        whether it is that of the run without tolerances, see `Quantity.named`
+
+>>> import clunk
+>>> from clunk.results.quantities import quantity_of
+>>> results = clunk.sweep(clunk.load_study("configs/smoke.toml"))
+>>> severity = quantity_of("severity", results)
+>>> severity.type, severity.heading_with_unit, severity.of_runs(results).max() > 2e4
+('number', 'severity Q [rad/s²]', np.True_)
+>>> hard = quantity_of("severity<=8000", results)
+>>> hard.type, hard.heading, int(hard.of_runs(results).sum())
+('yes/no', 'severity Q is at most 8000 rad/s²', 244)
+"""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Mapping, Sequence
+import math
+import operator
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clunk.core.status import QUALITY_MEANINGS, Status
-from clunk.results.labels import FAILED, FAILED_CODE
-from clunk.study.problems import nearest
+from clunk.results.labels import FAILED, FAILED_CODE, normalised_label
+from clunk.study.arrays import Array
+from clunk.study.errors import ClunkError
+from clunk.study.measures import OF_IMPACTS
+from clunk.study.problems import listing, nearest, shorten
+from clunk.study.study import Study
+
+if TYPE_CHECKING:
+    from clunk.results.maps import Map
+
+TEXT, NUMBER, WHOLE, YES_NO = "label", "number", "whole number", "yes/no"  # types of quantities
+LABEL, CHATTER, NOMINAL = "label", "chatter", "nominal_label"
+_SIDED = {"single_sided": "SS", "double_sided": "DS", "opposite_sided": "OS", "crossed": "CR"}  # -> the word in labels
+_SHORT = {word: name for name, word in _SIDED.items()} | {"NI": "label=NI", "REGIMES": LABEL}
+_RELATIONS: dict[str, tuple[Callable[[Any, Any], Any], str]] = {
+    "<=": (operator.le, "is at most"),
+    "<": (operator.lt, "is less than"),
+    ">=": (operator.ge, "is at least"),
+    ">": (operator.gt, "is greater than"),
+    "=": (operator.eq, "is"),
+}
+_UNDEFINED = {"severity": "approach_velocity", "peak_torque": "impulse"}  # of impulsive touches, and what is
+_REQUEST = re.compile(r"\s*([^<>=\s]+)\s*(?:(<=|>=|<|>|=)\s*(.*?)\s*)?", re.DOTALL)
 
 _UNIT_SYMBOLS = {"1": "", "rad s-1": "rad/s", "rad s-2": "rad/s²"}
 _WORDS: dict[str, Mapping[int, str]] = {  # integer -> word
@@ -26,10 +74,10 @@ _WORDS: dict[str, Mapping[int, str]] = {  # integer -> word
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity of each cell of a map, or of each primary impact, label or quantile of a cell.
+    """A quantity of each run or cell of a map, or of each primary impact, label or quantile of a cell.
 
-    name : of the attribute of `Results` or `ToleranceMap` and of the variable in the file
-    dtype : numpy scalar type
+    name : as options name it; of what a file holds that of the variable and of the attribute of the map
+    dtype : numpy scalar type; bool of what holds or not, str of labels
     unit : in the notation of UDUNITS, ``1`` where there is none
     dimension : the dimension behind the map's axes: ``impact``, ``label``, ``quantile``; empty where there is none
     of : ``lash``, or ``cell`` where all lashes of a cell have the same
@@ -37,6 +85,8 @@ class Quantity:
     words, symbol : name and symbol for people; empty where the values are not drawn or printed as numbers
     title : name in plots, where that is not `words`
     long_name : description in the file
+    base : of a relation such as ``severity<=8000`` the quantity, and
+    relation, bound : what it is compared with, a number or a label
     """
 
     name: str
@@ -49,6 +99,18 @@ class Quantity:
     symbol: str
     title: str
     long_name: str
+    base: Quantity | None = None
+    relation: str = ""
+    bound: float | str = math.nan
+
+    @property
+    def type(self) -> str:
+        """``label``, ``number``, ``whole number`` or ``yes/no``."""
+        if issubclass(self.dtype, np.bool_):
+            return YES_NO
+        if issubclass(self.dtype, np.str_):
+            return TEXT
+        return WHOLE if issubclass(self.dtype, np.integer) else NUMBER
 
     @property
     def unit_symbol(self) -> str:
@@ -76,6 +138,36 @@ class Quantity:
         # The failed code comes last: flag_meanings.split()[code] is then right for -1, too.
         return (dict(enumerate(labels)) if self.coded == "labels" else {}) | dict(_WORDS[self.coded])
 
+    def of_runs(self, results: Map) -> Array:
+        """The quantity in each cell of a map, in the map's shape.
+
+        A number as float64, NaN where it is not defined; what holds or not as 1 and 0, of a tolerance map as its
+        probability. In cells that failed both are NaN. Labels are texts, there ``failed``. Where nothing happens no
+        event is later than the load step: in a relation the time of the last counts as 0.
+        """
+        sequence = results.arrays["sequence"]
+        if self.type == TEXT:
+            return np.array([*results.labels, FAILED])[sequence]  # the code of failed cells, -1, is the last
+        if self.name in _SIDED:
+            return results.of_labels([f"{_SIDED[self.name]}(" in label for label in results.labels])
+        if self.name == NOMINAL or (self.base is not None and self.base.type == TEXT):
+            return results.of_labels([label == self.bound for label in results.labels])
+        if self.name == CHATTER:
+            holds = results.arrays["touches"] > results.arrays["primary_impacts"]
+            return np.where(sequence == FAILED_CODE, np.nan, holds)
+        if self.base is None:
+            return results.numbers(self.name)
+        numbers = results.numbers(self.base.name)
+        if self.base.name == "last_event_time":
+            numbers = np.where(sequence == FAILED_CODE, np.nan, np.nan_to_num(numbers))
+        return np.where(np.isnan(numbers), np.nan, _RELATIONS[self.relation][0](numbers, self.bound))
+
+    def named(self, nominal: str) -> Quantity:
+        """`nominal_label` with the label of the run without tolerances; any other quantity as it is."""
+        if self.name != NOMINAL:
+            return self
+        return replace(self, words=f"the label is the nominal {nominal}", bound=nominal)
+
 
 def likely_name(text: str, names: Iterable[str]) -> str | None:
     """The name that a word most likely means: that of the quantity with this symbol, or the nearest one, if any."""
@@ -88,6 +180,7 @@ def _read() -> dict[str, dict[str, Quantity]]:
     """Read the table: map -> name -> quantity, in the order of the variables in a file and in its digest."""
     maps: dict[str, dict[str, Quantity]] = {}
     text = files(__package__).joinpath("quantities.csv").read_text("utf-8")
+    row: dict[str, Any]
     for row in csv.DictReader(text.splitlines()):
         quantities = maps.setdefault(row.pop("map"), {})
         dtype = np.dtype(row.pop("dtype")).type
@@ -100,6 +193,7 @@ REGIME_QUANTITIES = _MAPS["regimes"]
 CELL_QUANTITIES = {name: each for name, each in REGIME_QUANTITIES.items() if not each.dimension}
 IMPACT_QUANTITIES = {name: each for name, each in REGIME_QUANTITIES.items() if each.dimension == "impact"}
 TOLERANCE_QUANTITIES = _MAPS["tolerances"]
+OF_RUNS = _MAPS["runs"]
 
 
 def measured_quantities(of_impacts: Sequence[str], measures: Sequence[Mapping[str, Any]]) -> dict[str, Quantity]:
@@ -116,3 +210,81 @@ def measured_quantities(of_impacts: Sequence[str], measures: Sequence[Mapping[st
         words = f"{measure['reduce']} {about}"
         measured[measure["name"]] = replace(described, name=measure["name"], words=words, long_name=words)
     return measured | {f"impact_{name}": table[f"impact_{name}"] for name in of_impacts}
+
+
+def named_numbers(quantities: Mapping[str, Quantity]) -> dict[str, Quantity]:
+    """Those of some quantities that are numbers of cells which people ask for."""
+    return {name: each for name, each in quantities.items() if each.words and not each.dimension and not each.coded}
+
+
+def quantities_of(source: Study | Map) -> dict[str, Quantity]:
+    """The quantities of a study's runs, or those that a map has in each cell, by the names that options take.
+
+    First the label, then numbers, then what holds or not; relations such as ``severity<=8000`` come besides.
+    """
+    if not isinstance(source, Study):
+        return source.quantities_of_cells
+    measured = measured_quantities(OF_IMPACTS, [dict(each) for each in source.measures])
+    return {LABEL: OF_RUNS[LABEL]} | named_numbers(CELL_QUANTITIES | measured) | OF_RUNS
+
+
+def quantity_of(text: str, source: Study | Map) -> Quantity:
+    """A quantity of a study's runs or of a map's cells, in the words that options take; see above.
+
+    Raises ClunkError where there is none, or it is not defined for the study's contact model.
+    """
+    known = quantities_of(source)
+    text = _SHORT.get(text.strip().upper(), text)
+    words = _REQUEST.fullmatch(text)
+    name, relation, bound = words.groups("") if words else (text, "", "")
+    if name not in known:
+        raise ClunkError(_unknown(text, name, source))
+    restitution = isinstance(source, Study) and any(lash.contact.model == "restitution" for lash in source.lashes)
+    if name in _UNDEFINED and restitution:
+        raise ClunkError(f"{name} is not defined for the restitution model; {_UNDEFINED[name]} is.")
+    quantity = known[name]
+    if not relation:
+        return quantity
+    if quantity.type == TEXT and relation == "=":
+        try:
+            return _related(quantity, relation, normalised_label(bound))
+        except ValueError:
+            raise ClunkError(f"{shorten(text)} names no label; an example is 'label=DS(1)SS(1)'.") from None
+    if quantity.type not in (NUMBER, WHOLE):
+        example = "label=DS(1)SS(1)" if quantity.type == TEXT else name
+        raise ClunkError(f"{shorten(text)}: only numbers are compared so; {example!r} is a quantity.")
+    try:
+        number = float(bound)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise ClunkError(f"{shorten(text)}: {shorten(bound)} is not a number to compare {name} with.")
+    return _related(quantity, relation, number)
+
+
+def _related(base: Quantity, relation: str, bound: float | str) -> Quantity:
+    """Whether a quantity is so related to a number or a label."""
+    value = bound if isinstance(bound, str) else f"{bound:.15g}"
+    words = f"{base.heading} {_RELATIONS[relation][1]} {value} {base.unit_symbol}".rstrip()
+    words = f"the {words}" if base.type == TEXT else words
+    name = f"{base.name}{relation}{value}"
+    described = replace(OF_RUNS[CHATTER], name=name, words=words, long_name=f"whether {words}")
+    return replace(described, base=base, relation=relation, bound=bound)
+
+
+def _unknown(text: str, name: str, source: Study | Map) -> str:
+    known = [*quantities_of(source)]
+    likely = likely_name(name, known)
+    hint = f"; did you mean {likely}?" if likely else "."
+    if name in OF_IMPACTS:
+        hint = f"; impacts.quantities = [{name!r}] in the config measures it."
+    examples = ["severity<=8000", "label=DS(1)SS(1)"]
+    return f"There is no quantity {shorten(text)}; there are {listing([*known, *examples])}{hint}"
+
+
+def measuring(study: Study, quantities: Iterable[Quantity]) -> Study:
+    """The study whose runs are measured by what these quantities need, and by nothing else."""
+    names = {each.name if each.base is None else each.base.name for each in quantities}
+    impacts = study.impacts.model_copy(update={"quantities": tuple(name for name in OF_IMPACTS if name in names)})
+    measures = tuple(measure for measure in study.measures if measure.name in names)
+    return study.model_copy(update={"impacts": impacts, "measures": measures})

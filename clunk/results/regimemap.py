@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.status import QUALITY_MEANINGS, Status
-from clunk.results.labels import FAILED
+from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.maps import Map, share, values_at
-from clunk.results.quantities import REGIME_QUANTITIES, Quantity
+from clunk.results.quantities import LABEL, NOMINAL, OF_RUNS, REGIME_QUANTITIES, Quantity, named_numbers
 from clunk.study.arrays import Array, Floats
 from clunk.study.summaries import Rows
 
@@ -58,6 +58,20 @@ class Results(Map):
     def quantities(self) -> dict[str, Quantity]:
         """The quantities of these results, in the order of their file."""
         return REGIME_QUANTITIES | self.measured_quantities
+
+    @cached_property
+    def quantities_of_cells(self) -> dict[str, Quantity]:
+        """The label, numbers, and what holds or not."""
+        holding = {name: each for name, each in OF_RUNS.items() if name != NOMINAL}
+        return {LABEL: OF_RUNS[LABEL]} | named_numbers(self.quantities) | holding
+
+    def of_labels(self, holds: Sequence[bool]) -> Floats:
+        """1 in cells whose label it holds for, else 0; NaN where the run failed."""
+        return np.array([*holds, np.nan], np.float64)[self.sequence]  # the code of failed cells, -1, is the last
+
+    def numbers(self, name: str) -> Floats:
+        """A quantity of cells as float64, NaN where the run failed."""
+        return np.where(self.sequence == FAILED_CODE, np.nan, self.values(name).astype(np.float64))
 
     @property
     def entries(self) -> dict[str, Array]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -10,12 +12,13 @@ import numpy.typing as npt
 
 from clunk.results.labels import FAILED, FAILED_CODE, double_sided
 from clunk.results.maps import Map, require_codes, share
-from clunk.results.quantities import TOLERANCE_QUANTITIES, Quantity
+from clunk.results.quantities import CHATTER, NOMINAL, OF_RUNS, TOLERANCE_QUANTITIES, YES_NO, Quantity
 from clunk.results.regimemap import Results
 from clunk.study.arrays import Array, Floats
 from clunk.study.summaries import Rows
 
 QUANTILES = (0.05, 0.5, 0.95)
+_QUANTILE_NAMES = [f"severity_{100 * level:g}" for level in QUANTILES]
 CERTAIN = 0.95  # a cell whose most likely label is less probable lies in the band between regimes
 
 
@@ -60,6 +63,33 @@ class ToleranceMap(Map):
         """The quantities of a tolerance map, in the order of their file."""
         return TOLERANCE_QUANTITIES
 
+    @cached_property
+    def quantities_of_cells(self) -> dict[str, Quantity]:
+        """The most likely label, probabilities of what holds for labels, and the severity's mean and quantiles."""
+        of_labels = {name: each for name, each in OF_RUNS.items() if name not in (CHATTER, NOMINAL)}
+        quantile = replace(self.quantities["severity_quantiles"], dimension="")
+        quantiles = {
+            name: replace(quantile, name=name, words=f"{100 * level:g} % {quantile.words}")
+            for name, level in zip(_QUANTILE_NAMES, QUANTILES, strict=True)
+        }
+        mean = replace(self.quantities["severity_mean"], name="severity")
+        return {**of_labels, "severity": mean, **quantiles}
+
+    def plot_label(self, quantity: Quantity) -> str:
+        """The quantity's name beside an axis: what holds for labels has a probability."""
+        return f"Probability that {quantity.words}" if quantity.type == YES_NO else quantity.plot_label
+
+    def of_labels(self, holds: Sequence[bool]) -> Floats:
+        """Share of the runs of each cell whose label it holds for."""
+        share_of_runs: Floats = self.runs[..., :-1][..., np.flatnonzero(holds)].sum(axis=-1) / self.draws
+        return share_of_runs
+
+    def numbers(self, name: str) -> Floats:
+        """The severity's mean or one of its quantiles in each cell."""
+        if name in _QUANTILE_NAMES:
+            return np.ascontiguousarray(self.severity_quantiles[..., _QUANTILE_NAMES.index(name)])
+        return self.severity_mean
+
     @property
     def entries(self) -> dict[str, Array]:
         """The labels and ``failed``, the quantiles, and numbers of the draws."""
@@ -85,9 +115,7 @@ class ToleranceMap(Map):
     @property
     def double_sided(self) -> Floats:
         """Probability of a label with a double-sided impact, shape."""
-        crossing = [code for code, label in enumerate(self.labels) if double_sided(label)]
-        probability: Floats = self.runs[..., crossing].sum(axis=-1) / self.draws
-        return probability
+        return self.of_labels([double_sided(label) > 0 for label in self.labels])
 
     @property
     def failed(self) -> int:
