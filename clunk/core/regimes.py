@@ -91,7 +91,9 @@ class System(NamedTuple):
     # before the step
     preload: FloatArray  # (S, N, I)  steady motion in contact at the load step, in each combination of stages, by u
     contact_torque: FloatArray  # (S, L, I)  the torque across each lash in it, signed like q
-    drift: FloatArray  # (2n, 0 to 2)  what no torque depends on: the rigid-body angle and, without drag, its speed
+    # (2n, 0 to 2)  what no torque depends on: the angle by which the driveline rolls, if it does so, and, without drag,
+    # its speed; the first inertia that rolls has a share of 1 in it
+    drift: FloatArray
     # scalars
     end_time: float  # s after the load step
     sticking_time: FloatArray  # (L,)  s
@@ -148,6 +150,28 @@ def frictions_of(system: System) -> int:
 
 
 @inlined_part
+def rolls(system: System) -> bool:
+    """Whether the driveline rolls by an angle that nothing depends on."""
+    return bool(system.drift.shape[1] > 0)
+
+
+@part
+def first_to_roll(system: System) -> int:
+    """The first inertia that rolls, by whose angle rolling is counted."""
+    first = 0
+    while system.drift[first, 0] == 0.0:
+        first += 1
+    return first
+
+
+@part
+def roll(system: System, angle: float, x: FloatArray) -> None:
+    """Turn a state by an angle of the first inertia that rolls  [rad]."""
+    for k in range(system.inertias):
+        x[k] += system.drift[k, 0] * angle
+
+
+@inlined_part
 def state_of_friction(system: System, regime: int, friction: int) -> int:
     """The state of a friction in a regime: one of `tables.STICKS` and those behind it."""
     return int(regime // stride_of_friction(system, friction) % 3)
@@ -201,8 +225,8 @@ class RigidMotion(NamedTuple):
 
 def rubs(friction: Friction, rigid: RigidMotion) -> bool:
     """Whether a friction would slip in steady motion."""
-    terms = friction.twist * rigid.speeds
-    return bool(rigid.shape.shape[1] == 1 and abs(terms.sum()) > _SINGULAR * np.abs(terms).sum())
+    terms = friction.twist[:, None] * rigid.shape
+    return bool(np.any(np.abs(terms.sum(axis=0)) > _SINGULAR * np.abs(terms).sum(axis=0)))
 
 
 def held(n: int) -> RigidMotion:
@@ -324,6 +348,8 @@ def build_system(
             angles = preload(spring, -shaft.twist, twists, momentum, contact)
             steady[k, :n, j] = angles[:, 0]
             carried[k, :, j] = contact_torques(spring, -shaft.twist, twists, contact, angles)[:, 0]
+    status = Status.NO_EQUILIBRIUM if motions > 1 or any(rubs(each, rigid) for each in frictions) else Status.OK
+    drifts = 0 if status != Status.OK else 1 if rigid.is_dragged else 2
     zeros, tables = np.zeros((count, n)), build_tables(lashes, staged, frictions)
     offsets = np.broadcast_to(tables.offsets, (*batch, *tables.offsets.shape[-3:])).copy(order="C")
     tables = tables._replace(offsets=offsets)
@@ -353,12 +379,10 @@ def build_system(
         excess=excess,
         preload=steady,
         contact_torque=carried,
-        drift=np.ascontiguousarray(np.kron(np.eye(2)[:, : 1 if rigid.is_dragged else 2], rigid.shape)),
+        drift=np.ascontiguousarray(np.kron(np.eye(2)[:, :drifts], rigid.shape)),
         end_time=end_time,
         sticking_time=_of_lashes([lash.sticking_time for lash in lashes], batch),
-        status=int(
-            Status.NO_EQUILIBRIUM if motions > 1 or any(rubs(friction, rigid) for friction in frictions) else Status.OK
-        ),
+        status=int(status),
     )
     return system if wave_rates is None else _with_wave(system, wave_rates)
 

@@ -323,7 +323,7 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
         ties = constrained(twists, [*(restitution * lash for lash in closed), *stuck])
         chains.append(_chain(line, (0,) * len(closed) if restitution else closed, ties, parts))
     held = tables.held_inputs(len(driveline.lashes), len(rubbing), system.inputs.shape[2])
-    return build_flows(system.rates, system.inputs, system.functionals, system.feedthrough, chains, held)
+    return build_flows(system.rates, system.inputs, system.functionals, system.feedthrough, chains, held, system.drift)
 
 
 def _chain(line: Driveline, closed: tuple[int, ...], ties: Reduction, parts: FloatArray) -> Chain:

@@ -9,7 +9,8 @@ and on that no derivative depends. So a functional's nth derivative stays within
 at any earlier time.
 
 The angle that a driveline rolls by, if nothing holds it, moves no functional. It is kept in units so large that it adds
-nothing to an amplitude.
+nothing to an amplitude. In states that come of coordinates it stands apart, at the first inertia that rolls: the other
+angles are less their share of it, so that they have their digits however far it goes.
 
 Four pairs of coordinates lie together: first the one member of each, then the other.
 
@@ -58,10 +59,11 @@ _FAR = 2.0**40  # units of a displacement that nothing depends on
 class Flows(NamedTuple):
     """The flows' tables: K flows, N states, I inputs, F functionals, C coordinates, a multiple of 8, B = C/8."""
 
-    origin: FloatArray  # (K, 4, I, C)  the particular solution and its first three derivatives at t = 0, per input
+    # the particular solution and its first three derivatives at t = 0, per input; rolling apart, as in `basis`
+    origin: FloatArray  # (K, 4, I, C)
     origin_output: FloatArray  # (K, 4, F, I)  the functionals of it
     coordinates: FloatArray  # (K, N, C)  x - origin -> y
-    basis: FloatArray  # (K, C, C)  y -> x - origin, filled up
+    basis: FloatArray  # (K, C, C)  y -> x - origin, filled up; the angles of x less the rolling, which stands apart
     modal: IntArray  # (K,)  whether the coordinates are modes
     oscillating: IntArray  # (K,)  how many pairs, from the first on and fastest first, are oscillating modes
     span: FloatArray  # (K, SPANS)  [s]
@@ -123,10 +125,13 @@ def build_flows(
     feedthrough: FloatArray,
     chains: list[Chain],
     held: list[int],
+    drift: FloatArray,
 ) -> Flows:
     """Tables of each flow; the arrays are those of `regimes.System`, of one driveline or of a batch.
 
     Of a batch all tables have an axis more in front. The bits of a driveline do not depend on its batch.
+
+    drift : (2n, 0 to 2) float64, of `regimes.System`
     """
     batch, (flows, states) = rates.shape[:-3], rates.shape[-3:-1]
     count, driven = functionals.shape[-2], inputs.shape[-1]
@@ -154,7 +159,25 @@ def build_flows(
         matrices = _Matrices(*(array[..., k, :, :].reshape(*many, *array.shape[-2:]) for array in arrays))
         numbers = [array.reshape(*many, *array.shape[len(batch) :]) for array in chain[:3]]
         _fill(Flows._make(table[:, k] for table in tables), matrices, Chain._make([*numbers, *chain[3:]]), held)
+    if drift.size:
+        rolling = drift[: len(drift) // 2, 0]
+        _set_rolling_apart(tables.basis, rolling)
+        _set_rolling_apart(tables.origin, rolling)
+        tables.origin[:, :, 0, :, np.flatnonzero(rolling)[0]] = 0.0  # it begins with the phase
     return tables if batch else Flows._make(table[0] for table in tables)
+
+
+def _set_rolling_apart(states: FloatArray, rolling: FloatArray) -> None:
+    """Write the angle that states (…, N) have rolled by in place of that of the first inertia that rolls.
+
+    It is taken from the other angles, which become zero to the last bit where only rounding is left.
+    """
+    n, first = rolling.size, np.flatnonzero(rolling)[0]
+    rolled = states[..., first, None] * rolling
+    angles = states[..., :n] - rolled
+    angles[np.abs(angles) <= _ROUNDING * np.abs(rolled)] = 0.0
+    states[..., :n] = angles
+    states[..., first] = rolled[..., first]
 
 
 class _Matrices(NamedTuple):

@@ -44,6 +44,7 @@ RUN = np.dtype(
         ("guard", np.int64),  # the one that ended it, by an event
         ("depth_known", np.int64),  # whether the depth of that guard is known, or known to be no concern of the margin
         ("time", np.float64),  # s, when the phase began; after the end, when the run did
+        ("rolled", np.float64),  # rad, by the first inertia that rolls; the angles of the run are less that
     ],
     align=True,
 )

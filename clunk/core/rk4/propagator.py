@@ -143,9 +143,8 @@ def _modal_bound(system: System, step: float) -> tuple[dict[str, Any], bool]:
     for flow in range(flows):
         ties = [system.impulsive * (flow >> lash & 1) for lash in range(lashes)]
         ties += [flow // (stuck_stride << k) & 1 for k in range(rubbing)]
-        rolls = system.drift[:, : 0 if (joints[np.array(ties) > 0] @ system.drift[: system.inertias]).any() else None]
         reduction = constrained(joints, ties)
-        expand, pick, shift = with_wave(without_drift(reduction, rolls), states - mechanical)
+        expand, pick, shift = with_wave(without_drift(reduction, system.drift), states - mechanical)
         reduced = pick @ rates[flow] @ expand
         eigenvalues, right = np.linalg.eig(reduced)
         eigenvalues, right = eigenvalues.astype(np.complex128), right.astype(np.complex128)
