@@ -205,13 +205,15 @@ class Flow:
         self.augmented *= self.units.T / self.units
         self.impulsive = bool(system.impulsive)
         self.lash = system.lashes[0, self.size // 2 :]
+        self.rolling = system.drift[:, :1]  # (2n, 0 or 1)
+        self.first = int(np.argmax(self.rolling != 0.0)) if self.rolling.size else 0
 
     @property
     def is_modal(self):
         return bool(self.modal)
 
     def starts(self):
-        """(2n, W), (INPUTS, W): random states and inputs; on the constraint, where the flow has one."""
+        """(2n, W), (INPUTS, W): random states and inputs, on the constraint, if there is one, and not yet rolled."""
         random = np.random.default_rng(1)
         x, u = random.normal(size=(self.size, WIDTH)), np.zeros((INPUTS, WIDTH))
         u[:TORQUE_RATE] = random.normal(size=(2, WIDTH))
@@ -220,7 +222,11 @@ class Flow:
         if self.impulsive and not np.any(self.rates[n:].T @ self.lash):  # locked: q = s φ/2 and q' = 0
             x[:n] -= np.outer(self.lash, self.lash @ x[:n] - u[1]) / (self.lash @ self.lash)
             x[n:] -= np.outer(self.lash, self.lash @ x[n:]) / (self.lash @ self.lash)
-        return x, u
+        return self.rolled(x, -x[self.first]), u
+
+    def rolled(self, x, angles):
+        """States turned by angles of the first inertia that rolls, (W,)."""
+        return x + np.outer(self.rolling[:, 0], angles) if self.rolling.size else x
 
     def moved(self, x, u, times):
         """exp of the augmented matrix: the states after times."""
@@ -253,7 +259,11 @@ class Flow:
 
     def leave(self, work, u, times):
         value, slope, curvature, _ = self.origin @ u
-        return value + times * (slope + 0.5 * times * curvature) + (self.basis.T @ work[: self.count])[: self.size]
+        x = value + times * (slope + 0.5 * times * curvature) + (self.basis.T @ work[: self.count])[: self.size]
+        angles = x[self.first].copy()
+        if self.rolling.size:
+            x[self.first] = 0.0
+        return self.rolled(x, angles)
 
     def observe(self, f, work, u, times):
         """(3, W)."""

@@ -238,10 +238,10 @@ def explained(study: Study, status: Status) -> str:
     driveline = Driveline.from_study(study)
     for friction, shares in driveline.frictions:
         if rubs(friction, driveline.rigid_motion):
-            shaft = int(np.flatnonzero(shares)[0]) + 1
+            key = f"driveline.shafts[{int(np.flatnonzero(shares)[0]) + 1}]"
             return (
-                f"no steady motion before the load step that is the only one: the friction of shaft {shaft} carries "
-                "nothing in it, and the driveline rolls at a speed at which that shaft slips"
+                f"no steady motion before the load step: {key}.friction carries nothing in it, and nothing holds the "
+                f"driveline, which rolls, so that this shaft slips; give it {key}.damping instead"
             )
     if driveline.rigid_motion.shape.shape[1] <= 1:
         return (
