@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from clunk.analysis.comparison import Comparison as Comparison
     from clunk.analysis.comparison import ComparisonError as ComparisonError
     from clunk.analysis.comparison import compare as compare
+    from clunk.analysis.comparison import verify as verify
     from clunk.analysis.fitted import Fitted as Fitted
     from clunk.analysis.fittedstudy import fitted_study as fitted_study
     from clunk.analysis.fitting import FitError as FitError
@@ -27,13 +28,11 @@ if TYPE_CHECKING:
     from clunk.analysis.thresholds import ThresholdError as ThresholdError
     from clunk.analysis.thresholds import Thresholds as Thresholds
     from clunk.analysis.thresholds import thresholds as thresholds
-    from clunk.analysis.verification import Verification as Verification
     from clunk.api import draw as draw
     from clunk.api import fit as fit
     from clunk.api import run_points as run_points
     from clunk.api import sweep as sweep
     from clunk.api import tolerance_map as tolerance_map
-    from clunk.api import verify as verify
     from clunk.explorer.server import Explorer as Explorer
     from clunk.explorer.server import explore as explore
     from clunk.explorer.subject import ExplorerError as ExplorerError
@@ -91,7 +90,6 @@ _HOME = {
     "Thresholds": "analysis.thresholds",
     "ToleranceMap": "results.tolerancemap",
     "Trajectory": "simulation.trajectory",
-    "Verification": "analysis.verification",
     "compare": "analysis.comparison",
     "draw": "api",
     "explore": "explorer.server",
@@ -112,7 +110,7 @@ _HOME = {
     "thresholds": "analysis.thresholds",
     "to_dataset": "results.datasets",
     "tolerance_map": "api",
-    "verify": "api",
+    "verify": "analysis.comparison",
     "write_results": "results.store",
 }
 __all__ = list(_HOME)

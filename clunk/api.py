@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import os
-import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,13 +14,12 @@ from typing import TYPE_CHECKING
 
 import numpy.typing as npt
 
-from clunk.analysis import fitting, verification
+from clunk.analysis import fitting
 from clunk.analysis.boundaries import require_boundaries, with_boundaries
 from clunk.analysis.fitmaps import fit_maps
 from clunk.analysis.fitted import Fitted
 from clunk.analysis.measurements import read_experiment
 from clunk.analysis.small_gap import thresholds_of
-from clunk.analysis.verification import METHODS, Verification, by
 from clunk.report.tables import TABLES
 from clunk.results import targets
 from clunk.results.regimemap import Results
@@ -32,8 +30,7 @@ from clunk.study.lashes import lash_position
 from clunk.study.problems import ConfigError
 from clunk.study.study import Study
 from clunk.sweeping import sweep as sweeping
-from clunk.sweeping.cells import compiling_note
-from clunk.sweeping.progress import Progress, shown
+from clunk.sweeping.progress import Progress, reporting
 from clunk.sweeping.reduction import SweepError
 
 if TYPE_CHECKING:
@@ -208,7 +205,7 @@ def run_points(
         raise ConfigError("There is nothing to run: points names no parameter, such as load.ratio.")
     design = design_of_points(study, points)
     base = study.model_copy(update={"sweep": None})
-    with sweeping.engine_of(scheduler, workers) as engine, _shown(progress, design.cells, base) as report:
+    with sweeping.engine_of(scheduler, workers) as engine, reporting(progress, design.cells, base) as report:
         results = sweeping.sweep(base, design, engine=engine, progress=report)
     values = hashlib.sha256(results.config_digest.encode())
     for axis in sorted(results.coordinates, key=lambda axis: axis.parameter):
@@ -262,35 +259,8 @@ def fit(
     experiment = read_experiment(measurements, TABLES)
     fitting.check(study, experiment)
     assert study.fit is not None
-    with _shown(progress, fitting.planned(study.fit), study, what="candidates") as report:
+    with reporting(progress, fitting.planned(study.fit), study, what="candidates") as report:
         return fitting.fit(study, experiment, lash=lash, workers=workers, progress=report)
-
-
-def verify(study: Study, *, progress: bool | Progress = False, workers: int | None = None) -> Verification:
-    """Run a study by both methods, rk4 and exact, and compare.
-
-    Parameters
-    ----------
-    study : Study
-        Without axes, its single run is compared, event by event.
-    progress, workers
-        As of `sweep`; the cells of both methods are counted together.
-
-    Raises
-    ------
-    SweepError, SimulationError
-        Where no cell can run; the single run of a study without axes must finish.
-
-    Examples
-    --------
-    >>> import clunk
-    >>> verification = clunk.verify(clunk.load_study("configs/smoke.toml"))
-    >>> verification.equal, verification.differing_elsewhere
-    (441, 0)
-    """
-    both = [by(study, method) for method in METHODS]
-    with _shown(progress, len(both) * sweeping.cell_count(study), *both) as report:
-        return verification.verify(study, workers=workers, progress=report)
 
 
 def draw(
@@ -367,21 +337,5 @@ def _run(
     with sweeping.opened(path, study, restart=restart, force=force) as job:
         if job.counts is not None:
             return job.finished(finish)
-        with engine as executor, _shown(progress, sweeping.cell_count(study), study) as report:
+        with engine as executor, reporting(progress, sweeping.cell_count(study), study) as report:
             return job.run(executor, progress=report, finish=finish)
-
-
-@contextmanager
-def _shown(progress: bool | Progress, cells: int, *studies: Study, what: str = "cells") -> Iterator[Progress | None]:
-    """Function to report progress to; a bar is shown when the kernels that the studies need are compiled."""
-    if progress is False or cells == 0:
-        yield None
-    elif progress is True:
-        if note := compiling_note(*studies):
-            print(note, file=sys.stderr)
-        for study in studies:
-            sweeping.warm_up(study)
-        with shown(cells, what) as report:
-            yield report
-    else:
-        yield progress

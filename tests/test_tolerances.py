@@ -10,7 +10,7 @@ from matplotlib.colors import to_rgb
 from test_cli import clunk, here  # noqa: F401  fixtures
 
 import clunk as clunk_api
-from clunk.analysis.verification import verify
+from clunk.analysis.comparison import verify
 from clunk.core.status import Status
 from clunk.plot import PlotError, certainty, save
 from clunk.plot.style import palette_of

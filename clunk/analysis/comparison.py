@@ -1,4 +1,10 @@
-"""Comparison of two regime maps of the same grid, cell by cell: labels that differ, and ratios of the severities."""
+"""Comparison of two regime maps of the same grid, cell by cell: labels that differ, and how far other quantities do.
+
+Of one study, the methods `rk4` and `exact` give such maps (`verify`): they share the model and nothing else. `rk4`
+steps in time, `exact` follows the modes of each regime and is guarded: it cannot skip an event, to rounding, for this
+model; and it knows how near each run came to another label. So labels may differ only in flagged cells, undecided or
+grazing ones; where they differ elsewhere, the step is too coarse.
+"""
 
 from __future__ import annotations
 
@@ -6,18 +12,32 @@ import math
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, Literal
 
 import numpy as np
 
+from clunk.core.status import QUALITY_GRAZING, QUALITY_UNDECIDED
 from clunk.results.labels import FAILED_CODE
-from clunk.results.maps import parameters_of, values_at
+from clunk.results.maps import at_cell, values_at
+from clunk.results.quantities import IMPACT_QUANTITIES, REGIME_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.study.arrays import Bools, Positions
 from clunk.study.axes import ResultAxis
-from clunk.study.document import leaves
+from clunk.study.designs import nominal
+from clunk.study.document import dotted, leaves
 from clunk.study.errors import ClunkError
+from clunk.study.records import SENTENCE, Record, tells, told
+from clunk.study.study import Study
+from clunk.study.summaries import counted, percent
+from clunk.study.sweeps import Axis, Sweep
+from clunk.sweeping import sweep as sweeping
+from clunk.sweeping.progress import Progress, reporting
 
+Method = Literal["rk4", "exact"]
+
+METHODS: tuple[Method, Method] = ("rk4", "exact")
+_SMALL = 0.01  # of the map's largest value: below it a relative difference says nothing
 _SAME_AXIS = 1e-9  # of an axis's smallest step: the same values computed in another way differ by rounding
 _ROUNDING = 1e-14  # of a value itself: drawn ones may lie as near to each other as that
 
@@ -27,154 +47,224 @@ class ComparisonError(ClunkError):
 
 
 @dataclass(frozen=True)
-class Transition:
+class Transition(Record):
     """A label of A that is another one in B, and in how many cells."""
 
-    a: str
-    b: str
-    cells: int
+    a: str = told("A")
+    b: str = told("B")
+    cells: int = told("cells")
 
 
 @dataclass(frozen=True)
-class DifferingCell:
-    """A cell with two labels: its index, its parameters' values in their units, and its label in A and in B."""
+class DifferingCell(Record):
+    """A cell with two labels.
 
-    at: tuple[int, ...]
-    values: tuple[float, ...]
-    a: str
-    b: str
+    index : on the axes
+    at : value of each parameter
+    a, b : label
+    flagged : whether a method that knows it calls the run undecided or grazing
+    """
+
+    index: tuple[int, ...]
+    at: dict[str, float | str] = told("at")
+    a: str = told("A")
+    b: str = told("B")
+    flagged: bool = told("flagged")
 
 
 @dataclass(frozen=True)
-class Extreme:
-    """A quantity in the cell where A and B are furthest apart; `values` are those of the comparison's parameters."""
+class Extreme(Record):
+    """A quantity in the cell where A and B are furthest apart."""
 
-    values: tuple[float, ...]
-    a: float
-    b: float
+    at: dict[str, float | str] = told("at")
+    a: float = told("A", form=".5g")
+    b: float = told("B", form=".5g")
 
     @property
+    @tells("B over A", form=".4g")
     def ratio(self) -> float:
         """B over A."""
         return self.b / self.a
 
     @property
+    @tells("B less A", form="+.4g")
     def difference(self) -> float:
         """B less A, in the quantity's unit."""
         return self.b - self.a
 
 
 @dataclass(frozen=True)
-class Deviation:
+class Deviation(Record):
     """Ratio of a quantity in B to the one in A, over the cells where it is positive in both.
 
-    quantity : `severity` [rad/s²] or `approach_velocity` [rad/s]
+    quantity : `severity` [rad/s²] or, where one map has none, `approach_velocity` [rad/s]
     cells : number of these cells
     zero_in_one : number of cells where it is zero in one of the two only, and there is no ratio
-    median, low, high : of the ratio B/A; low and high are its 5 and 95 % quantiles
+    ratio : median, 5 and 95 % quantiles of B/A
     largest_ratio : the cell whose ratio is furthest from 1; 1/2 is as far as 2
     largest_difference : the cell whose difference is largest
     """
 
-    quantity: str
-    cells: int
-    zero_in_one: int
-    median: float
-    low: float
-    high: float
-    largest_ratio: Extreme
-    largest_difference: Extreme
+    quantity: str = told("of")
+    cells: int = told("cells where it is not zero")
+    zero_in_one: int = told("zero in one of the two")
+    ratio: dict[str, float] = told("B over A", form=".4g")
+    largest_ratio: Extreme = told("furthest ratio")
+    largest_difference: Extreme = told("largest difference")
 
 
 @dataclass(frozen=True)
-class ConfigDifference:
+class Difference(Record):
+    """The largest difference of a quantity, over the cells with equal labels.
+
+    quantity : of `Results`
+    unit : of the quantity and of the difference
+    over_largest : the difference over B's largest value
+    over_own : the largest difference over B's value itself, where that is 1 % of the largest or more; NaN where none is
+    at : the cell that has the difference
+    touches : of that cell; where A and B have not as many, one of them may have lost a weak rebound
+    """
+
+    quantity: str = told("quantity")
+    difference: float = told("difference", form=".1e")
+    unit: str = told("unit")
+    over_largest: float = told("over largest", form=".1e")
+    over_own: float = told("over own", form=".1e")
+    at: dict[str, float | str] = told("at")
+    touches: dict[str, int] = told()
+
+
+@dataclass(frozen=True)
+class ConfigDifference(Record):
     """A key that the two configs do not agree on; None where one has no such key."""
 
-    key: str
-    a: Any
-    b: Any
+    key: str = told("key")
+    a: Any = told("A")
+    b: Any = told("B")
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Record):
     """Differences between two maps of the same grid, A and B.
 
-    titles : of A and of B
-    axes, coordinates : A's; B's are the same
+    maps : A and B
     labels : of both, A's first
-    differs : shape, bool: both have a label, and not the same
-    failed_a, failed_b : shape, bool
     codes_a, codes_b : shape, int: the label in `labels`, or -1 where the cell failed
+    flagged : shape, bool: undecided or grazing in A or in B
     transitions : the most frequent first
-    deviation : of the severity or, where one map has none, of the approach velocity; None where nothing can be compared
+    deviation : None where nothing can be compared
+    largest_differences : for each quantity that is defined somewhere
     identical : whether every array of the two is the same, bit for bit
     configs_equal : whether the two digests are, that is everything that decides the results
     config_differences : keys of the two configs that differ, those that decide nothing (a title) among them
     provenance_differences : versions and machines that differ, by name
     """
 
-    titles: tuple[str, str]
-    axes: tuple[ResultAxis, ...]
+    maps: tuple[Results, Results]
     labels: tuple[str, ...]
-    differs: Bools
-    failed_a: Bools
-    failed_b: Bools
     codes_a: Positions
     codes_b: Positions
-    transitions: tuple[Transition, ...]
-    deviation: Deviation | None
-    identical: bool
-    configs_equal: bool
-    config_differences: tuple[ConfigDifference, ...]
-    provenance_differences: dict[str, tuple[str, str]]
-    coordinates: tuple[ResultAxis, ...] = ()
+    flagged: Bools
+    identical: bool = told("identical bit for bit")
+    configs_equal: bool = told("digests of the configs are the same")
+    transitions: tuple[Transition, ...] = told("labels that differ")
+    deviation: Deviation | None = told("how hard impacts are")
+    largest_differences: tuple[Difference, ...] = told("largest differences in cells with equal labels")
+    config_differences: tuple[ConfigDifference, ...] = told("configs")
+    provenance_differences: dict[str, dict[str, str]] = told("computed with or on other")
 
     @property
-    def parameters(self) -> tuple[ResultAxis, ...]:
-        """The swept parameters: the axes, and in the place of `run` its coordinates."""
-        return parameters_of(self.axes, self.coordinates)
+    @tells(SENTENCE)
+    def verdict(self) -> str:
+        """Whether the labels are the same, in a sentence."""
+        if not self.cells:
+            return "No cell has a label in both maps."
+        if not self.differing:
+            return f"The labels are the same in {counted(self.cells, 'cell')}."
+        cells = f"{self.differing:,} of {self.cells:,} cells"
+        differ = f"The labels of {cells} differ ({percent(self.differing, self.cells)})"
+        return f"{differ}, of {self.differing_elsewhere:,} of them where no run is flagged as undecided or grazing."
 
     @property
+    @tells()
+    def titles(self) -> dict[str, str]:
+        """Titles of A and of B."""
+        return dict(zip("ab", (each.title for each in self.maps), strict=True))
+
+    @property
+    def failed_a(self) -> Bools:
+        """Cells that failed in A, shape."""
+        return np.asarray(self.codes_a == FAILED_CODE)
+
+    @property
+    def failed_b(self) -> Bools:
+        """Cells that failed in B, shape."""
+        return np.asarray(self.codes_b == FAILED_CODE)
+
+    @cached_property
+    def differs(self) -> Bools:
+        """Cells that have two labels, shape."""
+        return np.asarray((self.codes_a != self.codes_b) & ~self.failed_a & ~self.failed_b)
+
+    @property
+    @tells("cells", key="cells_compared")
     def cells(self) -> int:
         """Number of cells that have a label in both maps; only these are compared."""
         return int(np.count_nonzero(~(self.failed_a | self.failed_b)))
 
     @property
+    @tells("labels differ in", key="cells_differing")
     def differing(self) -> int:
         """Number of compared cells whose labels differ."""
         return int(np.count_nonzero(self.differs))
 
     @property
+    @tells("and no run is flagged in")
+    def differing_elsewhere(self) -> int:
+        """Number of compared cells whose labels differ and neither run is undecided or grazing."""
+        return int(np.count_nonzero(self.differs & ~self.flagged))
+
+    @property
+    @tells("share of all cells", form=".2%", key="share_differing")
     def share(self) -> float:
         """Share of the compared cells whose labels differ; NaN where no cell could be compared."""
         return self.differing / self.cells if self.cells else math.nan
 
     @property
-    def failed_in_a_only(self) -> int:
-        """Number of cells that have no label in A and one in B."""
-        return int(np.count_nonzero(self.failed_a & ~self.failed_b))
+    @tells("touches as many in")
+    def touches_equal(self) -> int:
+        """Number of compared cells with as many touches in A as in B."""
+        a, b = (each.arrays["touches"] for each in self.maps)
+        return int(np.count_nonzero(~(self.failed_a | self.failed_b) & (a == b)))
 
     @property
-    def failed_in_b_only(self) -> int:
-        """Number of cells that have no label in B and one in A."""
-        return int(np.count_nonzero(self.failed_b & ~self.failed_a))
+    @tells("failed, not compared")
+    def failed(self) -> dict[str, int]:
+        """Number of cells without a label in A only, in B only, and in both."""
+        a, b = self.failed_a, self.failed_b
+        counts = {"a_only": a & ~b, "b_only": b & ~a, "both": a & b}
+        return {name: int(np.count_nonzero(cells)) for name, cells in counts.items()}
 
     @property
-    def failed_in_both(self) -> int:
-        """Number of cells that have no label in either."""
-        return int(np.count_nonzero(self.failed_a & self.failed_b))
-
-    @property
+    @tells()
     def same_regimes(self) -> bool:
         """Whether the two agree in every cell: the same label, or failed in both; never if nothing was compared."""
-        return self.cells > 0 and not (self.differing or self.failed_in_a_only or self.failed_in_b_only)
+        return self.cells > 0 and not (self.differing or self.failed["a_only"] or self.failed["b_only"])
 
-    def differing_cells(self, among: Bools | bool = True) -> Iterator[DifferingCell]:
-        """The cells whose labels differ, in the grid's order; with a mask only those among its cells."""
-        for cell in np.argwhere(self.differs & among):
-            at = tuple(cell.tolist())
-            values = values_at(self.axes, at, self.coordinates)
-            yield DifferingCell(at, values, self.labels[self.codes_a[at]], self.labels[self.codes_b[at]])
+    @property
+    @tells("cells with two labels")
+    def differing_cells(self) -> list[DifferingCell]:
+        """The cells whose labels differ, in the grid's order, those without a flag first."""
+        cells = []
+        for index in map(tuple, np.argwhere(self.differs).tolist()):
+            labels = self.labels[self.codes_a[index]], self.labels[self.codes_b[index]]
+            cells.append(DifferingCell(index, self.at(index), *labels, bool(self.flagged[index])))
+        return sorted(cells, key=lambda cell: cell.flagged)
+
+    def at(self, cell: tuple[int, ...]) -> dict[str, float | str]:
+        """The parameters of a cell."""
+        a = self.maps[0]
+        return at_cell(a.parameters, values_at(a.axes, cell, a.coordinates))
 
 
 def compare(a: Results, b: Results) -> Comparison:
@@ -189,27 +279,25 @@ def compare(a: Results, b: Results) -> Comparison:
     --------
     >>> import clunk
     >>> maps = [clunk.sweep(clunk.load_study("configs/smoke.toml", [f"solver.step={h}"])) for h in (2e-4, 1e-4)]
-    >>> int(clunk.compare(*maps).differs.sum())
+    >>> clunk.compare(*maps).differing
     0
     """
     _require_same_axes(a.parameters, b.parameters)
     _require_same_axes(a.axes, b.axes)
     labels = tuple(dict.fromkeys((*a.labels, *b.labels)))
     codes_a, codes_b = (codes_among(results, labels) for results in (a, b))
-    failed_a, failed_b = codes_a == FAILED_CODE, codes_b == FAILED_CODE
-    differs = (codes_a != codes_b) & ~failed_a & ~failed_b
+    differs = (codes_a != codes_b) & (codes_a != FAILED_CODE) & (codes_b != FAILED_CODE)
+    equal = (codes_a == codes_b) & (codes_a != FAILED_CODE)
     configs = _flat_config(a, "A"), _flat_config(b, "B")
     return Comparison(
-        titles=(a.title, b.title),
-        axes=a.axes,
+        maps=(a, b),
         labels=labels,
-        differs=differs,
-        failed_a=failed_a,
-        failed_b=failed_b,
         codes_a=codes_a,
         codes_b=codes_b,
+        flagged=((a.quality | b.quality) & (QUALITY_UNDECIDED | QUALITY_GRAZING)) != 0,
         transitions=_transitions(labels, codes_a[differs], codes_b[differs]),
         deviation=_deviation(a, b),
+        largest_differences=() if _identical(a, b) else tuple(_largest_differences(a, b, equal)),
         identical=_identical(a, b),
         configs_equal=a.config_digest == b.config_digest,
         config_differences=tuple(
@@ -218,12 +306,55 @@ def compare(a: Results, b: Results) -> Comparison:
             if configs[0].get(key) != configs[1].get(key)
         ),
         provenance_differences={
-            name: (a.attributes.get(name, ""), b.attributes.get(name, ""))
+            name: {"a": a.attributes.get(name, ""), "b": b.attributes.get(name, "")}
             for name in dict.fromkeys((*a.attributes, *b.attributes))
             if name != "created" and a.attributes.get(name) != b.attributes.get(name)
         },
-        coordinates=a.coordinates,
     )
+
+
+def verify(study: Study, *, progress: bool | Progress = False, workers: int | None = None) -> Comparison:
+    """Run a study by both methods, rk4 (A) and exact (B), whichever its own is, and compare.
+
+    Parameters
+    ----------
+    study : Study
+        Without axes its single run is compared; of one with tolerances, the nominal runs.
+    progress, workers
+        As of `clunk.sweep`; each method's cells are counted for themselves.
+
+    Returns
+    -------
+    Comparison
+        Where `differing_elsewhere` is not 0, the step is too coarse.
+
+    Raises
+    ------
+    SweepError
+        Where no cell can run.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> methods = clunk.verify(clunk.load_study("configs/smoke.toml"))
+    >>> methods.cells, methods.differing
+    (441, 0)
+    """
+    grid = nominal(study)
+    if study.sweep is None:
+        parameter = dotted((*study.lash_places[0], "backlash_deg"))
+        one = Axis(parameter=parameter, values=(study.lashes[0].backlash_deg,))
+        grid = study.model_copy(update={"sweep": Sweep(axes=(one,))})
+    maps = []
+    for each in (with_method(grid, method) for method in METHODS):
+        with reporting(progress, sweeping.cell_count(each), each) as report:
+            maps.append(sweeping.sweep(each, workers=workers, progress=report))
+    return compare(*maps)
+
+
+def with_method(study: Study, method: Method) -> Study:
+    """The study with this method in its solver."""
+    return study.model_copy(update={"solver": study.solver.model_copy(update={"method": method})})
 
 
 def _require_same_axes(a: tuple[ResultAxis, ...], b: tuple[ResultAxis, ...]) -> None:
@@ -294,18 +425,45 @@ def _deviation(a: Results, b: Results) -> Deviation | None:
 
     def extreme(k: np.intp) -> Extreme:
         at = tuple(int(index) for index in cells[k])
-        return Extreme(values_at(a.axes, at, a.coordinates), float(values_a[at]), float(values_b[at]))
+        place = at_cell(a.parameters, values_at(a.axes, at, a.coordinates))
+        return Extreme(place, float(values_a[at]), float(values_b[at]))
 
     return Deviation(
         quantity=name,
         cells=len(cells),
         zero_in_one=int(np.count_nonzero(known & ((values_a > 0.0) != (values_b > 0.0)))),
-        median=float(median),
-        low=float(low),
-        high=float(high),
+        ratio={"median": float(median), "quantile_5": float(low), "quantile_95": float(high)},
         largest_ratio=extreme(np.argmax(np.abs(np.log(ratio)))),
         largest_difference=extreme(np.argmax(np.abs(values_b[both] - values_a[both]))),
     )
+
+
+def _largest_differences(a: Results, b: Results, equal: Bools) -> Iterator[Difference]:
+    """Those over the cells with equal labels, whose primary impacts correspond one to one."""
+    for name in ("impact_time", "last_event_time", "severity", "impact_severity", "approach_velocity"):
+        of_impacts = name in IMPACT_QUANTITIES
+        # the cell of each value; with equal labels both maps have as many values in it
+        cells_a, cells_b = (
+            np.repeat(np.arange(equal.size), each.primary_impacts.ravel() if of_impacts else 1) for each in (a, b)
+        )
+        all_values, is_equal = b.values(name).ravel(), equal.ravel()
+        mine, theirs = a.values(name).ravel()[is_equal[cells_a]], all_values[is_equal[cells_b]]
+        defined = np.isfinite(mine) & np.isfinite(theirs)
+        if not defined.any():
+            continue
+        difference, size = np.abs(mine - theirs)[defined], np.abs(theirs)[defined]
+        largest, k = float(np.nanmax(np.abs(all_values))), int(difference.argmax())
+        at = np.unravel_index(cells_b[is_equal[cells_b]][defined][k], b.shape)
+        counted = (size >= _SMALL * largest) & (size > 0.0)
+        yield Difference(
+            quantity=name,
+            difference=float(difference[k]),
+            unit=REGIME_QUANTITIES[name].unit_symbol,
+            over_largest=float(difference[k]) / largest if largest > 0.0 else 0.0,
+            over_own=float(np.max(difference[counted] / size[counted])) if counted.any() else math.nan,
+            at=at_cell(b.parameters, values_at(b.axes, at, b.coordinates)),
+            touches={"a": int(a.touches[at]), "b": int(b.touches[at])},
+        )
 
 
 def _identical(a: Results, b: Results) -> bool:

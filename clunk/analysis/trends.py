@@ -12,25 +12,31 @@ import numpy as np
 
 from clunk.analysis.measurements import Experiment, ExperimentError, Measurement
 from clunk.results.labels import FAILED, FAILED_CODE, double_sided
-from clunk.results.maps import values_at
+from clunk.results.maps import at_cell, values_at
 from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
+from clunk.study.records import SENTENCE, Record, tells, told
 
 
 @dataclass(frozen=True)
-class Point:
+class Point(Record):
     """A measured point and the cell nearest to it.
 
-    values : of the measurement, in the results' axes' order and units; NaN on an axis of one value that has no column
+    at : parameter -> measured value; NaN on an axis of one value that has no column
     measured : label
     computed : label of the nearest cell, ``failed``, or None where the point lies outside the swept range
-    cell : the nearest cell's values, None outside
+    cell : the nearest cell's parameters, None outside
     """
 
-    values: tuple[float, ...]
-    measured: str
-    computed: str | None
-    cell: tuple[float, ...] | None
+    at: dict[str, float] = told("at")
+    measured: str = told("measured")
+    computed: str | None = told("computed")
+    cell: dict[str, float | str] | None = told()
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """The measured values, in the order of the results' axes."""
+        return tuple(self.at.values())
 
     @property
     def counts(self) -> bool:
@@ -38,18 +44,22 @@ class Point:
         return self.computed is not None and self.computed != FAILED
 
     @property
+    @tells("agrees")
     def agrees(self) -> bool:
         """Whether the labels are the same."""
         return self.counts and self.measured == self.computed
 
 
 @dataclass(frozen=True)
-class Tally:
+class Tally(Record):
     """Numbers of pairs of neighbours between which the number of double-sided impacts rises, stays or falls."""
 
-    rises: int
-    same: int
-    falls: int
+    rises: int = told("rises")
+    same: int = told("same")
+    falls: int = told("falls")
+
+    def __str__(self) -> str:
+        return f"{self.direction} ({self.rises}, {self.same}, {self.falls})"
 
     @property
     def direction(self) -> str:
@@ -60,7 +70,7 @@ class Tally:
 
 
 @dataclass(frozen=True)
-class Trend:
+class Trend(Record):
     """Change of the number of double-sided impacts along one parameter, from each point to its neighbour.
 
     parameter, name, symbol : of the axis
@@ -69,58 +79,76 @@ class Trend:
     opposed : pairs in which one rises and the other falls
     """
 
-    parameter: str
-    name: str
-    symbol: str
-    measured: Tally
-    computed: Tally
-    alike: int
-    opposed: int
+    parameter: str = told("along")
+    name: str = told()
+    symbol: str = told()
+    measured: Tally = told("measured")
+    computed: Tally = told("computed")
+    alike: int = told("alike")
+    opposed: int = told("opposed")
 
     @property
+    @tells("pairs")
     def pairs(self) -> int:
         """Number of pairs of neighbours that have computed labels."""
         return self.measured.rises + self.measured.same + self.measured.falls
 
     @property
+    @tells(key="share_alike")
     def share(self) -> float:
         """Share of the pairs that are ordered alike; NaN without any."""
         return self.alike / self.pairs if self.pairs else math.nan
 
 
-@dataclass(frozen=True, eq=False)
-class ExperimentComparison:
+@dataclass(frozen=True, eq=False, repr=False)
+class ExperimentComparison(Record):
     """Comparison of measurements with a map.
 
-    title : of the results
     experiment : what was measured
     axes : the results'
+    title : of the results
     points : in the file's order
     trends : one for each axis of more than one value
     """
 
-    title: str
     experiment: Experiment
     axes: tuple[ResultAxis, ...]
-    points: tuple[Point, ...]
-    trends: tuple[Trend, ...]
+    title: str = told()
+    points: tuple[Point, ...] = told("measured points")
+    trends: tuple[Trend, ...] = told("double-sided impacts from a point to the next: pairs where they rise, stay, fall")
 
     @property
+    @tells(SENTENCE)
+    def caveat(self) -> str:
+        """What keeps the measurements from being a test of the model."""
+        return self.experiment.caveat
+
+    @property
+    @tells(key="experiment")
+    def experiment_name(self) -> str:
+        """Name of the file of the measurements."""
+        return self.experiment.name
+
+    @property
+    @tells("points with a computed label", key="points_counted")
     def counted(self) -> int:
         """Number of points with a computed label."""
         return sum(point.counts for point in self.points)
 
     @property
+    @tells("labels agree at", key="points_agreeing")
     def agreeing(self) -> int:
         """Number of points whose labels are the same."""
         return sum(point.agrees for point in self.points)
 
     @property
+    @tells("share that agrees", form=".1%", key="share_agreeing")
     def share(self) -> float:
         """Share of the counted points that agree; NaN without any."""
         return self.agreeing / self.counted if self.counted else math.nan
 
     @property
+    @tells("double-sided impacts agree at", key="points_same_double_sided")
     def same_double_sided(self) -> int:
         """Number of counted points with the same number of double-sided impacts."""
         return sum(
@@ -128,16 +156,19 @@ class ExperimentComparison:
         )
 
     @property
+    @tells("outside the swept range", key="points_outside")
     def outside(self) -> int:
         """Number of points more than half a cell outside the swept range."""
         return sum(point.computed is None for point in self.points)
 
     @property
+    @tells("nearest to a failed cell", key="points_failed")
     def failed(self) -> int:
         """Number of points whose nearest cell failed."""
         return sum(point.computed == FAILED for point in self.points)
 
     @property
+    @tells()
     def same_regimes(self) -> bool:
         """Whether every point inside the swept range agrees; never if there is none."""
         return self.counted > 0 and self.agreeing == self.counted and not self.failed
@@ -163,22 +194,19 @@ def compare_experiment(results: Results, experiment: Experiment) -> ExperimentCo
             raise ExperimentError(f"The results sweep {axis.parameter}, and {experiment.name} has no column for it.")
     points = tuple(_point(results, experiment.columns, measurement) for measurement in experiment.measurements)
     trends = tuple(_trend(axis, position, points) for position, axis in enumerate(results.axes) if len(axis.values) > 1)
-    return ExperimentComparison(results.title, experiment, results.axes, points, trends)
+    return ExperimentComparison(experiment, results.axes, results.title, points, trends)
 
 
 def _point(results: Results, columns: tuple[str, ...], measurement: Measurement) -> Point:
     measured = dict(zip(columns, measurement.values, strict=True))
-    values = tuple(measured.get(axis.variable, math.nan) for axis in results.axes)
-    at = [
-        _nearest(axis, value) if axis.variable in measured else 0
-        for axis, value in zip(results.axes, values, strict=True)
-    ]
+    values = {axis.parameter: measured.get(axis.variable, math.nan) for axis in results.axes}
+    at = [_nearest(axis, values[axis.parameter]) if axis.variable in measured else 0 for axis in results.axes]
     if None in at:
         return Point(values, measurement.label, None, None)
     cell = cast("tuple[int, ...]", tuple(at))
     code = int(results.sequence[cell])
     computed = FAILED if code == FAILED_CODE else results.labels[code]
-    return Point(values, measurement.label, computed, values_at(results.axes, cell))
+    return Point(values, measurement.label, computed, at_cell(results.axes, values_at(results.axes, cell)))
 
 
 def _nearest(axis: ResultAxis, value: float) -> int | None:

@@ -33,7 +33,6 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, lash: str
     from clunk.analysis.comparison import compare as compare_maps
     from clunk.analysis.measurements import is_experiment, read_experiment
     from clunk.analysis.trends import compare_experiment
-    from clunk.cli.compare_report import as_record, report
     from clunk.report.tables import TABLES
     from clunk.results import targets
     from clunk.results.store import read_results
@@ -51,10 +50,9 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, lash: str
         comparison = compare_experiment(results, read_experiment(b, TABLES))
     else:
         comparison = compare_maps(results, other)
-    if as_json:
-        tables.print_record(as_record(comparison))
-    else:
-        click.echo(report(comparison, (str(a), str(b))), nl=False)
+    if not as_json:
+        click.echo(f"A  {a}\nB  {b}\n")
+    tables.tell(comparison, as_json)
     if output is not None:
         from clunk.plot.comparisons import difference_map, experiment_map
 

@@ -36,7 +36,7 @@ def reproduce(output: Path, workers: int | None, coarsen: int, table: Path | Non
       clunk reproduce
       clunk reproduce --table results/README.md
     """
-    from clunk.analysis.verification import METHODS, by
+    from clunk.analysis.comparison import METHODS, with_method
     from clunk.report import reproduction
     from clunk.report.claims import claims as claims_of
     from clunk.report.evidence import Evidence, map_studies, run_maps
@@ -45,7 +45,7 @@ def reproduce(output: Path, workers: int | None, coarsen: int, table: Path | Non
 
     targets.check(output / "figure_3_1.png", targets.PICTURES)
     studies = [*map_studies(coarsen).values()]
-    terminal.say_if_compiling(*(by(studies[0], method) for method in METHODS))
+    terminal.say_if_compiling(*(with_method(studies[0], method) for method in METHODS))
     total = sum(map(cell_count, studies))
     with progress.shown(total) as show:
         maps = run_maps(coarsen, workers, show)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from clunk.cli import phrases, terminal
+from clunk.study.records import Record, text_of
 from clunk.study.summaries import counted
 
 if TYPE_CHECKING:
@@ -25,6 +26,14 @@ Value = TypeVar("Value")
 def print_record(record: object) -> None:
     """Print a record as one line of JSON; numbers that are not finite are null."""
     click.echo(json.dumps(phrases.plain(record), ensure_ascii=False))
+
+
+def tell(record: Record, as_json: bool) -> None:
+    """Print a record as text, or as one line of JSON."""
+    if as_json:
+        print_record(record)
+    else:
+        click.echo(text_of(record), nl=False)
 
 
 def print_table(rows: Sequence[Sequence[str]], right: Sequence[bool] = ()) -> None:

@@ -54,7 +54,7 @@ def difference_map(a: Results, comparison: Comparison) -> Figure:
 
     Raises PlotError unless two axes were swept.
     """
-    title = f"Differences: {a.title}" if len(set(comparison.titles)) == 1 else "Differences between two maps"
+    title = f"Differences: {a.title}" if len(set(comparison.titles.values())) == 1 else "Differences between two maps"
     layers = replace(Layers.of(a, 2), title=title)
     view, marks = layers.view, _marks(layers.view, comparison)
     dense = comparison.differing > _DENSE * a.sequence.size
@@ -177,9 +177,9 @@ def _differences(comparison: Comparison) -> list[str]:
     lines = [f"{comparison.differing:,} of {comparison.cells:,} cells differ"]
     if comparison.cells:
         lines[0] += f" ({percent(comparison.differing, comparison.cells)})"
-    if comparison.titles[0] != comparison.titles[1]:
-        for letter, title in zip("AB", comparison.titles, strict=True):
-            lines += textwrap.wrap(f"{letter}: {title}", _LINE)
+    if comparison.titles["a"] != comparison.titles["b"]:
+        for letter, title in comparison.titles.items():
+            lines += textwrap.wrap(f"{letter.upper()}: {title}", _LINE)
     changes = [change for change in comparison.config_differences if change.key != "title"]
     if comparison.configs_equal:
         lines.append("A and B: the same config")

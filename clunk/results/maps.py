@@ -292,6 +292,11 @@ def values_at(
     )
 
 
+def at_cell(parameters: Sequence[ResultAxis], values: Sequence[float]) -> dict[str, float | str]:
+    """A cell by its parameters, words for numbers that have them."""
+    return {axis.parameter: axis.word(value) or value for axis, value in zip(parameters, values, strict=True)}
+
+
 def share(count: int, cells: int) -> str:
     """A number of cells and their part of all cells, for people: ``21 cells, 4.8 %``."""
     return f"{counted(count, 'cell')}, {100.0 * count / cells:.1f} %"

@@ -7,6 +7,10 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from html import escape
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from clunk.study.study import Study
 
 Progress = Callable[[int, int], None]
 
@@ -30,6 +34,24 @@ def shown(total: int, unit: str = "cells") -> Iterator[Progress]:
             show()
 
         yield update
+
+
+@contextmanager
+def reporting(progress: bool | Progress, cells: int, *studies: Study, what: str = "cells") -> Iterator[Progress | None]:
+    """Function to report progress to; a bar is shown when the kernels that the studies need are compiled."""
+    from clunk.sweeping.cells import compiling_note, warm_up
+
+    if progress is False or cells == 0:
+        yield None
+    elif progress is True:
+        if note := compiling_note(*studies):
+            print(note, file=sys.stderr)
+        for study in studies:
+            warm_up(study)
+        with shown(cells, what) as report:
+            yield report
+    else:
+        yield progress
 
 
 class _State:

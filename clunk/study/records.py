@@ -1,0 +1,247 @@
+"""Records: what an analysis or a command tells, said once, for people and for scripts.
+
+A record is a dataclass derived from `Record`, whose fields (`told`) and properties (`tells`) say under which heading,
+in which unit and in which format they are told. From that follow its text for 80 columns (`text_of`), its JSON
+(`plain`), its repr and its tables of HTML. Values may be numbers, texts, dictionaries, records, and sequences of these.
+
+In a text, sentences come first (`SENTENCE` stands in the place of their heading), then single values, a line each, and
+then records and tables of records, each under its heading. What has no heading is for scripts alone.
+"""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+
+from clunk.study.summaries import WIDTH, as_html, as_text, cut, html_table
+
+SENTENCE = "."
+_MOST = 30  # rows of a table in a text; scripts get all
+
+
+@dataclass(frozen=True)
+class Told:
+    """How a value is told.
+
+    heading : for people; empty where the value is for scripts alone
+    unit : as people write it; empty where there is none
+    form : format of a number
+    key : for scripts, where that is not the name of the field
+    """
+
+    heading: str = ""
+    unit: str = ""
+    form: str = ""
+    key: str = ""
+
+
+def told(heading: str = "", unit: str = "", form: str = "", key: str = "") -> Any:
+    """A field of a record that is told, see `Told`."""
+    return field(metadata={"told": Told(heading, unit, form, key)})
+
+
+def tells(
+    heading: str = "", unit: str = "", form: str = "", key: str = ""
+) -> Callable[[Callable[[Any], Any]], Callable[[Any], Any]]:
+    """Decorate the getter of a record's property that is told, see `Told`."""
+
+    def decorate(getter: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        getter.__dict__["told"] = Told(heading, unit, form, key)
+        return getter
+
+    return decorate
+
+
+class Record:
+    """What an analysis or a command tells."""
+
+    title: str = ""
+
+    def told(self) -> Iterator[tuple[str, Told, Any]]:
+        """Name, description and value of everything that is told: fields and then properties."""
+        for each in fields(self):  # type: ignore[arg-type]  # records are dataclasses
+            if "told" in each.metadata:
+                yield each.name, each.metadata["told"], getattr(self, each.name)
+        for name, member in vars(type(self)).items():
+            if isinstance(member, property) and "told" in vars(member.fget):
+                yield name, vars(member.fget)["told"], getattr(self, name)
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Heading and text of each single value for people."""
+        return [
+            (each.heading, words(value, each))
+            for _, each, value in self.told()
+            if each.heading not in ("", SENTENCE) and not _is_empty(value) and not _is_block(value)
+        ]
+
+    def __repr__(self) -> str:
+        return as_text(f"clunk.{type(self).__name__} {self.title!r}", self.rows())
+
+    def _repr_html_(self) -> str:
+        blocks = [value for _, each, value in self.told() if each.heading and _is_block(value)]
+        tables = [columns_of(value) for value in blocks if isinstance(value, list | tuple) and value]
+        return as_html(self.title, html_table(self.rows()), *(html_table(table[1:], table[0]) for table in tables))
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON has it: None for NaN and infinities, lists for tuples and arrays, text for dates and times."""
+    if isinstance(value, Record):
+        return {each.key or name: plain(inner) for name, each, inner in value.told()}
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
+
+
+def text_of(record: Record) -> str:
+    """A record as text for 80 columns, which ends with a line feed."""
+    return "\n".join(line.rstrip() for line in _lines(record)) + "\n"
+
+
+def _lines(record: Record, width: int = WIDTH) -> Iterator[str]:
+    sentences = [
+        fill(str(value), width=width) for _, each, value in record.told() if each.heading == SENTENCE and value
+    ]
+    rows = [*value_lines(record.rows(), width)]
+    yield from sentences
+    yield from [""] * bool(sentences and rows)
+    yield from rows
+    for _, each, value in record.told():
+        if each.heading in ("", SENTENCE) or _is_empty(value) or not _is_block(value):
+            continue
+        yield from [""] * bool(sentences or rows)
+        yield each.heading
+        if isinstance(value, Record):
+            yield from textwrap.indent("\n".join(_lines(value, width - 2)), "  ").split("\n")
+        elif isinstance(value, Mapping):
+            yield from table([{"": key} | dict(item) for key, item in value.items()], width=width)
+        else:
+            yield from table(value, width=width)
+
+
+def value_lines(rows: Iterable[tuple[str, str]], width: int = WIDTH) -> Iterator[str]:
+    """Headings and texts, a line each, the texts below each other."""
+    rows = list(rows)
+    indent = max((len(heading) for heading, _ in rows), default=0) + 2
+    for heading, text in rows:
+        yield fill(text, f"{heading:<{indent}}", " " * indent, width)
+
+
+def table(rows: Sequence[Record | Mapping[str, Any]], most: int = _MOST, width: int = WIDTH) -> Iterator[str]:
+    """Rows as columns two blanks apart, indented by two; numbers to the right.
+
+    What a dictionary in a row has takes columns of its own or, where they find no room, a line under the row.
+    """
+    shown = rows[:most]
+    texts, beneath = columns_of(shown), [""] * len(shown)
+    if _width(texts) > width:
+        texts = columns_of(shown, spread=False)
+        beneath = [f"at {_joined(at)}" if at else "" for at in map(_place, shown)]
+    widths = [max(len(row[k]) for row in texts) for k in range(len(texts[0]))]
+    while 2 + sum(widths) + 2 * (len(widths) - 1) > width and max(widths) > 8:
+        widths[widths.index(max(widths))] -= 1
+    right = [all(_is_number(row[k]) for row in texts[1:]) for k in range(len(widths))]
+    for line, below in zip(texts, ["", *beneath], strict=True):
+        cells = (
+            f"{cut(cell, wide):{'>' if is_right else '<'}{wide}}"
+            for cell, wide, is_right in zip(line, widths, right, strict=True)
+        )
+        yield ("  " + "  ".join(cells)).rstrip()
+        if below:
+            yield fill(below, "    ", "       ", width)
+    if len(rows) > len(shown):
+        yield f"  and {len(rows) - len(shown):,} more"
+
+
+def columns_of(rows: Sequence[Record | Mapping[str, Any]], spread: bool = True) -> list[list[str]]:
+    """Texts of a table, the headings first; spread : whether what a dictionary in a row has takes columns."""
+    texts: list[dict[str, str]] = []
+    for row in rows:
+        cells: dict[str, str] = {}
+        for each, value in _entries(row):
+            if not isinstance(value, Mapping):
+                head = f"{each.heading} [{each.unit}]" if each.unit else each.heading
+                cells[head] = words(value, Told(form=each.form))
+            elif spread:
+                cells |= {key: words(inner, each) for key, inner in value.items()}
+        texts.append(cells)
+    heads = list(dict.fromkeys(head for cells in texts for head in cells))
+    return [heads, *([cells.get(head, "") for head in heads] for cells in texts)]
+
+
+def words(value: Any, how: Told = Told()) -> str:
+    """A single value for people, with its unit."""
+    if isinstance(value, Mapping):
+        return _joined(value, how.form)
+    if isinstance(value, list | tuple | np.ndarray):
+        return " ".join(words(item, Told(form=how.form)) for item in value)
+    if value is None:
+        return "-"
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
+    if isinstance(value, float | np.floating):
+        text = number(float(value), how.form or ".6g")
+    elif isinstance(value, int | np.integer):
+        text = f"{value:{how.form or ','}}"
+    else:
+        text = str(value)
+    return f"{text} {how.unit}" if how.unit else text
+
+
+def number(value: float, form: str = ".6g") -> str:
+    """A number in a format, - where it is not defined."""
+    return "-" if math.isnan(value) else f"{value:{form}}"
+
+
+def fill(text: str, first: str = "", rest: str = "", width: int = WIDTH) -> str:
+    """Wrap a text to a width, by default a terminal's; its first line and the rest with these indents."""
+    return textwrap.fill(text, width, initial_indent=first, subsequent_indent=rest, break_on_hyphens=False)
+
+
+def _joined(values: Mapping[str, Any], form: str = "") -> str:
+    return ", ".join(f"{key} = {words(value, Told(form=form))}" for key, value in values.items())
+
+
+def _entries(row: Record | Mapping[str, Any]) -> list[tuple[Told, Any]]:
+    """What a row tells people; of a dictionary all that it has."""
+    if isinstance(row, Record):
+        return [(each, value) for _, each, value in row.told() if each.heading]
+    return [(Told(key), value) for key, value in row.items()]
+
+
+def _place(row: Record | Mapping[str, Any]) -> Mapping[str, Any]:
+    """The first dictionary in a row."""
+    return next((value for _, value in _entries(row) if isinstance(value, Mapping)), {})
+
+
+def _width(texts: list[list[str]]) -> int:
+    return 2 * len(texts[0]) + sum(max(len(row[k]) for row in texts) for k in range(len(texts[0])))
+
+
+def _is_number(text: str) -> bool:
+    return text in ("", "-") or text.lstrip("+-")[:1].isdigit()
+
+
+def _is_empty(value: Any) -> bool:
+    """Whether there is nothing to tell people."""
+    if isinstance(value, Mapping):
+        return not any(value.values())
+    return value is None or (isinstance(value, str | list | tuple) and not value)
+
+
+def _is_block(value: Any) -> bool:
+    """Whether a value has a heading of its own above it."""
+    if isinstance(value, Mapping):
+        return any(isinstance(item, Mapping) for item in value.values())
+    is_table = isinstance(value, list | tuple) and bool(value) and isinstance(value[0], Record | Mapping)
+    return isinstance(value, Record) or is_table
