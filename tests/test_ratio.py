@@ -25,7 +25,7 @@ CONTACTS = {
 }
 METHODS = ("rk4", "exact")
 PLAIN = np.ones(4)
-BINARY = np.array([1.0, 0.5, -4.0, 0.25])  # every scaling is without rounding; the lash reverses
+BINARY = np.array([1.0, 0.5, -4.0, 0.25])  # no scaling rounds, but LAPACK may sum in another order; the lash reverses
 DECIMAL = np.array([1.3, 4.81, -0.37, 0.12])
 
 
@@ -57,15 +57,6 @@ def test_a_geared_driveline_moves_as_the_reflected_one(turns, rounding, contact,
     assert balance(trajectory).relative_residual == pytest.approx(balance(plain).relative_residual, abs=1e-10)
     for term in ("work", "stored_before", "damped_in_contact", "lost_at_impacts", "dropped"):
         assert getattr(balance(trajectory), term) == pytest.approx(getattr(balance(plain), term), rel=1e-7, abs=1e-12)
-
-
-@pytest.mark.parametrize("separation", ["gap", "force"])
-def test_rk4_of_binary_gears_gives_the_reflected_bits(separation):
-    """A product with a power of two is exact. Locked flanks, though, leave out another angle where there is a gear."""
-    plant = reference.Plant(separation=separation)
-    plain, trajectory = (simulate(geared(plant, turns)) for turns in (PLAIN, BINARY))
-    assert np.array_equal(trajectory.states, plain.states * np.tile(BINARY, 2))
-    assert np.array_equal(trajectory.events["time"], plain.events["time"])
 
 
 TO_GROUND = reference.Plant(

@@ -65,6 +65,19 @@ class EventTable(NamedTuple):
         """Where the events of a run are."""
         return slice(int(self.first[run]), int(self.first[run + 1]))
 
+    def every(self, step: int) -> "EventTable":
+        """The table of each so many-th run."""
+        runs = range(0, self.label.size, step)
+        rows = [self.of(run) for run in runs]
+        return EventTable(
+            self.ratio[::step],
+            self.backlash_deg[::step],
+            np.cumsum([0, *(row.stop - row.start for row in rows)]),
+            *(np.concatenate([getattr(self, name)[row] for row in rows]) for name in self._fields[3:9]),
+            np.concatenate([self.severity_of(run) for run in runs]),
+            self.label[::step],
+        )
+
     def severity_of(self, run: int) -> np.ndarray:
         """Q_i of a run's primary impacts  [rad/s2]."""
         before = int(np.count_nonzero(self.primary[: self.first[run]]))

@@ -1,11 +1,12 @@
 """How fast the report's figure is computed: the 201 x 201 map at h = 1e-4 s to 2.0 s, labels and severity.
 
-Run by hand: python tests/benchmarks/figure.py [repeats]
+Run by hand: python tests/benchmarks/figure.py [--repeats N] [--quick]
 
 Prints runs/s, ns per step per core and peak memory, as medians of interleaved repeats: runs that stop when nothing can
 follow and runs of full length, on one thread and on all cores.
 """
 
+import argparse
 import os
 import platform
 import resource
@@ -32,9 +33,9 @@ def report_map(count: int) -> Study:
     return load_study(FIGURE, counts)
 
 
-def main(repeats: int) -> None:
-    """Print the table."""
-    study = report_map(201)
+def main(repeats: int, count: int, sizes: tuple[int, int]) -> None:
+    """Print the table, of a map of count x count cells; memory is that between maps of two sizes."""
+    study = report_map(count)
     cells = sweeping.cell_count(study)
     sweeping.sweep(report_map(3))  # compile
     cores = len(os.sched_getaffinity(0))
@@ -51,16 +52,16 @@ def main(repeats: int) -> None:
         name = "stopped when complete" if early else "full length"
         per_step = "" if early else f"{each / STEPS * 1e9:14.1f}"
         print(f"{name:<24}{workers:>8}{median:>9.2f}{cells / median:>9.0f}{each * 1e6:>13.1f}{per_step}")
-    print("peak memory per cell above a constant:", f"{bytes_per_cell():.0f} bytes")
+    print("peak memory per cell above a constant:", f"{bytes_per_cell(*sizes):.0f} bytes")
 
 
 def timed(study, workers: int, early: bool) -> float:
     """Seconds of one sweep; without `early` no regime counts as provable, so that each run goes to its end."""
     prepare = driveline.prepare
 
-    def unproved(study):
-        system, steps = prepare(study)
-        return system, steps._replace(provable=np.zeros(2, np.int64))
+    def unproved(study, line=None):
+        system, steps = prepare(study, line)
+        return system, steps._replace(provable=np.zeros_like(steps.provable))
 
     if not early:
         driveline.prepare = unproved
@@ -72,10 +73,10 @@ def timed(study, workers: int, early: bool) -> float:
         driveline.prepare = prepare
 
 
-def bytes_per_cell() -> float:
+def bytes_per_cell(small: int, large: int) -> float:
     """Slope of the peak memory between a small and a large sweep, each whole process with its file written."""
-    small, large = (int(subprocess.check_output([sys.executable, __file__, f"--peak={n}"])) for n in (101, 501))
-    return (large - small) / (501**2 - 101**2)
+    peaks = [int(subprocess.check_output([sys.executable, __file__, f"--peak={n}"])) for n in (small, large)]
+    return (peaks[1] - peaks[0]) / (large**2 - small**2)
 
 
 def peak(count: int) -> int:
@@ -90,8 +91,14 @@ def peak(count: int) -> int:
 
 
 if __name__ == "__main__":
-    argument = sys.argv[1] if len(sys.argv) > 1 else "5"
-    if argument.startswith("--peak="):
-        print(peak(int(argument.removeprefix("--peak="))))
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--quick", action="store_true", help="one repeat on 21 x 21 cells")
+    parser.add_argument("--peak", type=int, metavar="COUNT", help="only the peak memory of one sweep [bytes]")
+    options = parser.parse_args()
+    if options.peak:
+        print(peak(options.peak))
+    elif options.quick:
+        main(1, 21, (11, 41))
     else:
-        main(int(argument))
+        main(options.repeats, 201, (101, 501))

@@ -1,14 +1,14 @@
 """What a second lash costs: runs/s of the report's rig and of a car, with one lash and with two, by either method.
 
-Run by hand: python tests/benchmarks/lashes.py [repeats]
+Run by hand: python tests/benchmarks/lashes.py [--repeats N] [--quick]
 
 The rig's second lash is in the place of its second shaft, between flange and pinion. Medians of interleaved repeats, on
 all cores.
 """
 
+import argparse
 import os
 import statistics
-import sys
 import time
 from pathlib import Path
 
@@ -66,11 +66,12 @@ count = 3
 """
 
 
-def studies() -> dict[tuple[str, str, int], Study]:
-    """Each study, by its driveline, its method and the number of its lashes."""
+def studies(largest: int = 201) -> dict[tuple[str, str, int], Study]:
+    """Each study, by its driveline, its method and the number of its lashes; axes have `largest` values at most."""
     sizes = {("rig", "exact"): 201, ("rig", "rk4"): 41, ("car", "exact"): 121, ("car", "rk4"): 5}
     cases = {}
-    for (driveline, method), count in sizes.items():
+    for (driveline, method), whole in sizes.items():
+        count = min(whole, largest)
         settings = [f"solver.method = '{method}'", *(f"sweep.axes[{axis}].count = {count}" for axis in (1, 2))]
         if driveline == "rig":
             cases[driveline, method, 1] = load_study(CONFIGS / "figure_3_4.toml", settings)
@@ -81,14 +82,14 @@ def studies() -> dict[tuple[str, str, int], Study]:
     return cases
 
 
-def main(repeats: int) -> None:
-    """Print the table."""
-    cases, watch, cores = studies(), Watch([]), len(os.sched_getaffinity(0))
+def main(repeats: int, largest: int, patience: float) -> None:
+    """Print the table; each measurement waits for an idle machine, but no longer than `patience` [s]."""
+    cases, watch, cores = studies(largest), Watch([]), len(os.sched_getaffinity(0))
     touches = {case: touches_of(study) for case, study in cases.items()}
     seconds: dict[tuple[str, str, int], list[float]] = {case: [] for case in cases}
     for _ in range(repeats):
         for case, study in cases.items():
-            watch.wait(0.05, 20.0)
+            watch.wait(0.05, patience)
             began = time.perf_counter()
             sweeping.sweep(study, workers=cores)
             seconds[case].append(time.perf_counter() - began)
@@ -109,4 +110,11 @@ def touches_of(study: Study) -> float:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 5)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--quick", action="store_true", help="one repeat on 3 x 3 cells")
+    options = parser.parse_args()
+    if options.quick:
+        main(1, 3, 0.0)
+    else:
+        main(options.repeats, 201, 20.0)

@@ -1,6 +1,6 @@
 """Recovery of known parameters by `clunk fit`: how often its 90 % intervals hold them.
 
-    python tests/benchmarks/recovery.py driveline|axes [SETS] [FIRST]
+    python tests/benchmarks/recovery.py driveline|axes [SETS] [FIRST] [--quick]
 
 Each set is the report's driveline with three parameters drawn from their priors (`driveline`: scales of the gap, of a
 damping and of an inertia; `axes`: scale and offset of the gap, and scale of the load ratio), measured at 20 operating
@@ -9,7 +9,7 @@ by labels and times, and by labels alone. Of 200 sets, a right interval holds th
 standard errors).
 """
 
-import sys
+import argparse
 import time
 
 import numpy as np
@@ -86,10 +86,10 @@ def intervals(study, text, engine):
     return bounds, effective_size(weights), len(draws)
 
 
-def main(which="driveline", sets=200, first=0):
+def main(which, sets, first, overrides=()):
     """Print the share of the sets in which each interval holds the true number, and how wide it is."""
     parameters = PARAMETERS[which]
-    study = study_from_text(CONFIG + "".join(PRIOR.format(*each) for each in parameters))
+    study = study_from_text(CONFIG + "".join(PRIOR.format(*each) for each in parameters), overrides=list(overrides))
     spans = np.array([high - low for *_, low, high in parameters])
     held, widths, sizes = ({"times": [], "labels": []} for _ in range(3))
     began = time.perf_counter()
@@ -112,4 +112,13 @@ def main(which="driveline", sets=200, first=0):
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:2], *map(int, sys.argv[2:]))
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("which", nargs="?", choices=PARAMETERS, default="driveline")
+    parser.add_argument("sets", nargs="?", type=int, default=200)
+    parser.add_argument("first", nargs="?", type=int, default=0)
+    parser.add_argument("--quick", action="store_true", help="one set with few draws")
+    options = parser.parse_args()
+    if options.quick:
+        main(options.which, 1, options.first, ["fit.draws=256", "fit.effective_draws=10"])
+    else:
+        main(options.which, options.sets, options.first)

@@ -176,23 +176,24 @@ def make_empty() -> None:
 def main() -> None:
     """Print a table for each size."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("cells", nargs="+", type=float)
+    parser.add_argument("cells", nargs="*", type=float, default=[1e6])
+    parser.add_argument("--quick", action="store_true", help="1e4 cells")
     parser.add_argument("--here", action="store_true", help="in this process, as JSON")
     parser.add_argument("--workers", type=int, help="what a tile costs by so many local dask workers, instead")
     options = parser.parse_args()
+    sizes = [1e4] if options.quick else options.cells
     if options.workers:
-        measure_tasks(options.cells[0], options.workers)
+        measure_tasks(sizes[0], options.workers)
         return
     if options.here:
-        print(json.dumps(measure(options.cells[0])))
+        print(json.dumps(measure(sizes[0])))
         return
-    for count in options.cells:
+    for count in sizes:
         done = subprocess.run(
             [sys.executable, __file__, "--here", str(count)], stdout=subprocess.PIPE, text=True, check=False
         )
         if done.returncode:
-            print(f"{count:.0e} cells: ended with {done.returncode}")
-            continue
+            sys.exit(f"{count:.0e} cells: ended with {done.returncode}")
         found = json.loads(done.stdout)
         print(f"{found['cells']:,} cells; parts {found['parts']:.0f} and file {found['file']:.0f} bytes a cell")
         print(f"{'':<20}{'s':>10}{'ns a cell':>12}{'GB at most by then':>21}")

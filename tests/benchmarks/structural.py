@@ -1,6 +1,7 @@
 """Runs that each have a driveline of their own: clunk beside heyoka, which takes stiffnesses and inertias at run time.
 
-Run by hand: python tests/benchmarks/structural.py [--runs N] [--repeats N]   (clunk's extra `bench`)
+Run by hand: python tests/benchmarks/structural.py [--runs N] [--repeats N] [--quick]   (clunk's extra `bench`;
+without heyoka clunk alone)
 
 The report's driveline at its nominal load and backlash, 1.5 s after the load step. Of each run the contact's and the
 first shaft's stiffness and the inertias of pinion and ring are drawn within 30 % of nominal. heyoka runs eight in the
@@ -18,7 +19,6 @@ import statistics
 import time
 from array import array
 
-import heyoka as hy
 import numpy as np
 
 import clunk
@@ -32,6 +32,11 @@ from clunk.study.parameters import nominal_value
 from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.cells import Grid
 from clunk.sweeping.engines import cpu_model
+
+try:
+    import heyoka as hy
+except ImportError:
+    hy = None
 
 END_TIME = 1.5  # s
 LANES = 8
@@ -130,7 +135,7 @@ def make(study: clunk.Study):
     return solve
 
 
-def sum_of(row: np.ndarray, coordinates: list[hy.expression]) -> hy.expression:
+def sum_of(row: np.ndarray, coordinates: "list[hy.expression]") -> "hy.expression":
     """row · coordinates."""
     return hy.sum([weight * each for weight, each in zip(row, coordinates, strict=True) if weight])
 
@@ -161,12 +166,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=2000)
     parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--quick", action="store_true", help="one repeat of 64 runs")
     options = parser.parse_args()
+    if options.quick:
+        options.runs, options.repeats = 64, 1
     study = study_from_text(CONFIG)
     values = points(study, options.runs)
     states = states_of(study, values)
     context, peers = multiprocessing.get_context("spawn"), []
-    for _ in range(max(CORES)):
+    for _ in range(max(CORES) if hy else 0):
         here, there = context.Pipe()
         context.Process(target=serve, args=(there,), daemon=True).start()
         here.recv()
@@ -190,7 +198,7 @@ def main() -> None:
     by_clunk(1)
     for _ in range(options.repeats):
         for cores in CORES:
-            for name, run in (("clunk", by_clunk), ("heyoka", by_heyoka)):
+            for name, run in (("clunk", by_clunk), ("heyoka", by_heyoka))[: 2 if hy else 1]:
                 began = time.perf_counter()
                 busy = run(cores)
                 rates.setdefault((name, cores), []).append((time.perf_counter() - began, busy))
@@ -205,6 +213,9 @@ def main() -> None:
     }
     for (name, cores), (by_clock, by_processor) in sorted(medians.items()):
         print(f"{name:<8}{cores:>6}{by_clock:>10,.0f}{by_processor:>26,.0f}")
+    if not hy:
+        print("heyoka is not installed: clunk alone")
+        return
     for cores in CORES:
         ratios = (one / other for one, other in zip(medians["clunk", cores], medians["heyoka", cores], strict=True))
         print(f"clunk / heyoka, {cores}: " + ", ".join(f"{ratio:.2f}" for ratio in ratios))
