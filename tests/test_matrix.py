@@ -1,0 +1,193 @@
+"""Every study by every command: random drivelines and all shipped configs, by both methods.
+
+pytest -m slow tests/test_matrix.py       1,000 random studies in the place of 40
+"""
+
+import signal
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from helpers.studies import random_study
+
+import clunk
+from clunk.analysis.verification import by
+from clunk.cli import main
+from clunk.core.status import Status
+from clunk.simulation.energy import balance
+from clunk.study.designs import has_tolerances
+from clunk.study.study import replace_values, to_toml
+
+METHODS = ("rk4", "exact")
+CONFIGS = sorted((Path(__file__).parent.parent / "configs").glob("*.toml"))
+ENERGY = {"exact": 1e-9, "rk4": 1e-3}  # of the largest term: exact to rounding, rk4 as its step is
+REFINEMENTS = (4, 16, 64)  # of rk4's step, where labels differ
+LAST_EVENT = 1e-5  # s, to which the last event's time is the same where rk4 has converged
+REFUSED = ("no steady motion before the load step",)  # what a study may be refused for
+
+STUDIES = [
+    *(pytest.param(path, id=path.stem) for path in CONFIGS),
+    *range(40),
+    *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(40, 1000)),
+]
+
+
+class Ran(NamedTuple):
+    """A study of few cells, by both methods; `refusal` is why it could not run, and then there is no verification."""
+
+    study: clunk.Study
+    verification: clunk.Verification | None
+    refusal: str
+
+
+def shipped(path):
+    """A shipped config with three values an axis, and as few draws."""
+    study = clunk.load_study(path)
+    if study.sweep is None:
+        return clunk.load_study(path, ["sweep.axes=[{parameter='lash.backlash_deg', values=[2.0, 6.0]}]"])
+    few = [f"sweep.axes[{k}].count=3" for k, axis in enumerate(study.sweep.axes, 1) if axis.values is None]
+    few += ["sweep.sampling.count=8"] if has_tolerances(study) else []
+    return clunk.load_study(path, few)
+
+
+@pytest.fixture(scope="module", params=STUDIES)
+def ran(request):
+    study = random_study(request.param) if isinstance(request.param, int) else shipped(request.param)
+    try:
+        return Ran(study, clunk.verify(study, workers=1), "")
+    except clunk.ClunkError as refusal:
+        return Ran(study, None, str(refusal))
+
+
+@pytest.fixture
+def verified(ran):
+    """The verification of a study that is not refused."""
+    if ran.verification is None:
+        pytest.skip("refused, as another test looks at")
+    return ran.verification
+
+
+def test_a_study_runs_or_is_refused_in_a_sentence(ran):
+    if ran.verification is None:
+        assert any(reason in ran.refusal for reason in REFUSED), ran.refusal
+        assert ran.refusal.endswith(".")
+
+
+def test_no_cell_fails(verified):
+    for results in (verified.rk4, verified.exact):
+        assert {Status(code).name for code in np.unique(results.status)} == {"OK"}
+
+
+def test_labels_of_the_methods_differ_in_flagged_cells_only(verified):
+    """Where rk4 has converged: once two step sizes agree in a run's label and last event, its label is exact's.
+
+    Of a thousand touches of undamped flanks each magnifies an error, from rounding to the size of the gap: there is no
+    step at which rk4 converges.
+    """
+    cells = list(verified.disagreements(flagged=False))
+    parameters = [axis.parameter for axis in verified.exact.parameters]
+    before = [None] * len(cells)
+    for refinement in REFINEMENTS:
+        if not cells:
+            break
+        values = np.array([cell.values for cell in cells])
+        points = {key: values[:, k] for k, key in enumerate(parameters) if key != "lash"}
+        finer = {"solver.step": verified.study.solver.step / refinement}
+        runs = clunk.run_points(replace_values(by(verified.study, "rk4"), finer), points, workers=1)
+        lash = values[:, -1].astype(int) - 1 if "lash" in parameters else ()
+        at = (np.arange(len(cells)), lash) if "lash" in parameters else np.arange(len(cells))
+        last = np.round(runs.last_event_time[at] / LAST_EVENT).tolist()
+        outcomes = list(zip(runs.label_map[at].tolist(), last, strict=True))
+        for cell, outcome, earlier in zip(cells, outcomes, before, strict=True):
+            assert outcome[0] == cell.b or outcome != earlier, f"{cell}, by steps of a {refinement}th"
+        left = [k for k, (cell, outcome) in enumerate(zip(cells, outcomes, strict=True)) if outcome[0] != cell.b]
+        cells, before = [cells[k] for k in left], [outcomes[k] for k in left]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_energy_of_its_nominal_run_closes(verified, method):
+    energy = balance(clunk.simulate(by(verified.study, method)))
+    assert abs(energy.residual) <= ENERGY[method] * energy.largest + 1e-20  # J, where nothing moves at all
+
+
+def test_its_results_file_has_the_same_bits(verified, tmp_path):
+    for results in (verified.rk4, verified.exact):
+        clunk.write_results(tmp_path / "map.h5", results)
+        read = clunk.read_results(tmp_path / "map.h5")
+        assert (read.labels, read.axes[0].parameter) == (results.labels, results.axes[0].parameter)
+        for name in results.arrays:
+            np.testing.assert_array_equal(read.arrays[name], results.arrays[name], strict=True)
+
+
+def test_single_runs_are_those_of_its_cells(verified):
+    """A run alone is the cell's: the one in the middle of the grid, by its values."""
+    for method, results in zip(METHODS, (verified.rk4, verified.exact), strict=True):
+        of_lash = results.of_lash()
+        number = of_lash.sequence.size // 2
+        at = np.unravel_index(number, of_lash.sequence.shape)
+        points = {each.parameter: float(np.broadcast_to(grid, of_lash.shape)[at]) for each, grid in _values(of_lash)}
+        runs = clunk.run_points(by(verified.study, method), {key: [value] for key, value in points.items()}, workers=1)
+        alone = clunk.simulate(replace_values(by(verified.study, method), points))
+        assert runs.of_lash().label_map[0] == of_lash.label_map[at] == alone.label
+        assert runs.of_lash().touches[0] == of_lash.touches[at]
+
+
+def _values(results):
+    """Each parameter of a map with its values, in a shape that broadcasts to the map's."""
+    for k, axis in enumerate(results.axes):
+        of_axis = results.coordinates if axis.parameter == "run" else (axis,)
+        for each in of_axis:
+            yield each, each.values.reshape([-1 if j == k else 1 for j in range(len(results.axes))])
+
+
+COMMANDS = (
+    ("plot", "map.h5", "-o", "map.svg"),
+    ("info", "map.h5", "--check"),
+    ("simulate", "study.toml", "-o", "run.png"),
+    ("modes", "study.toml"),
+    ("report", "map.h5", "-o", "page.html"),
+    ("export", "map.h5", "map.csv"),
+    ("verify", "study.toml"),
+    ("compare", "map.h5", "map.h5"),
+    ("export", "map.h5", "map.mat"),
+    ("simulate", "study.toml", "-o", "run.csv"),
+)
+OF_MAPS_OF_TWO_AXES = ("plot", "report")  # of more axes a picture is a slice, which the user chooses
+
+
+def test_commands_answer(ran, tmp_path, monkeypatch, capsys):
+    """Each command by every fifth study: it does what it says, or refuses in a sentence."""
+    (tmp_path / "study.toml").write_text(to_toml(ran.study), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    if ran.verification is None:
+        code, _, errors = _command(monkeypatch, capsys, "sweep", "study.toml", "-o", "map.h5")
+        assert code == 2
+        assert "Traceback" not in errors
+        return
+    if has_tolerances(ran.study):
+        code, output, errors = _command(monkeypatch, capsys, "sweep", "study.toml", "-o", "map.h5")
+        assert code == 0, errors
+    else:
+        clunk.write_results("map.h5", ran.verification.exact)
+    turn = sum(map(ord, ran.study.title)) % 5
+    for command in COMMANDS[turn::5]:
+        if command[0] in OF_MAPS_OF_TWO_AXES and len(ran.verification.exact.of_lash().axes) > 2:
+            continue
+        code, output, errors = _command(monkeypatch, capsys, *command)
+        plt.close("all")
+        agrees = command[0] != "verify" or ran.verification.agrees
+        assert code == (0 if agrees else 4), f"{command}\n{errors}"
+        assert output or Path(command[-1]).stat().st_size, command
+
+
+def _command(monkeypatch, capsys, *words):
+    """Exit code, output and messages of a command."""
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # main's handler must not outlive a test
+    monkeypatch.setattr(sys, "argv", ["clunk", *words])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    captured = capsys.readouterr()
+    return stopped.value.code, captured.out, captured.err
