@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from test_store import BACKLASH, RATIO, example
 
+from clunk.api import draw
 from clunk.cli import cli, main
 from clunk.cli.textmap import text_map
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
@@ -132,6 +133,20 @@ def test_a_large_map_is_printed_within_80_columns():
     letters = dict(line.split() for line in "\n".join(lines[lines.index("", 1) :]).replace("   ", "\n").split("\n")[1:])
     assert letters[rows[0][0]] == results.label_map[0, -1]
     assert letters[rows[-1][-1]] == results.label_map[-1, 0]
+
+
+def test_runs_that_are_cut_off_are_announced(clunk, small):
+    """A hundredth of a second after the load step nothing has happened; without a change of load nothing will."""
+    for times in range(2):
+        code, out, err = clunk("sweep", small, "--set", "solver.end_time=0.01")
+        assert code == 0
+        assert "NI" in out
+        assert "25 of 30 runs ended at solver.end_time with more to follow" in err, times
+    assert "25 of 30 runs ended at solver.end_time with more to follow" in clunk("info", "results/small.h5")[1]
+    results = read_results("results/small.h5")
+    assert np.array_equal(results.cut_off.any(axis=1), results.axes[0].values > 0.0)
+    assert results.caveats[0] in " ".join(draw(results).axes[0].get_title(loc="left").split())
+    assert "end_time" not in clunk("sweep", small, "--force")[2]
 
 
 def test_a_finished_sweep_is_not_run_again(clunk, small, here):
@@ -663,6 +678,7 @@ def test_help_and_version_import_nothing_heavy():
     """Nor do the topics, where no terminal has them drawn."""
     script = f"""
 import sys
+from clunk.api import draw
 from clunk.cli import cli, main
 for arguments in (["--help"], ["--version"], ["help"], ["help", "method"], *([name, "--help"] for name in {COMMANDS})):
     sys.argv = ["clunk", *arguments]

@@ -120,6 +120,18 @@ def test_a_fit_recovers_the_scale_of_the_gap(measured: Experiment) -> None:
     assert fitted.combinations[0][0] < 0.3
 
 
+def test_maps_of_a_fit_count_the_labels_of_runs_and_not_of_nearest_cells(measured: Experiment) -> None:
+    study = study_from_text(
+        RIG + SMALL + GAP + AXES.format("load.ratio", [2.0, 9.0]) + AXES.format("lash.backlash_deg", [3.0, 8.0])
+    )
+    fitted = fitting.fit(study, measured)
+    titles = [ax.get_title(loc="left") for ax in clunk.draw(fitted).axes[:2]]
+    assert titles == [
+        f"nominal: {fitted.hits(fitted.nominal_matches['pattern'])} of 8 labels",
+        f"fitted: {fitted.met} of 8 labels",
+    ]
+
+
 def test_a_measured_label_that_nobody_meets_is_missed_with_a_reason(measured: Experiment) -> None:
     first, *others = measured.measurements
     wrong = replace(measured, measurements=(replace(first, label="DS(9)"), *others))

@@ -3,15 +3,19 @@
 ruff's S rules and a contract of import-linter hold the package to it; these tests state what a user sees.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
 from clunk.cli import cli
+from clunk.cli.terminal import safe
+from clunk.results.store import write_results
 from clunk.study.config import study_from_text
 from clunk.study.keys import keys
 from clunk.study.problems import ConfigError
+from clunk.sweeping.sweep import sweep
 
 
 def test_no_key_of_a_config_is_a_path():
@@ -55,3 +59,20 @@ def test_a_title_names_no_file(tmp_path, monkeypatch, title):
         assert CliRunner().invoke(cli, arguments).exit_code == 0
     found = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file())
     assert found == ["a/b/results/study.h5", "a/b/run.csv", "a/b/study.toml"]
+
+
+HOSTILE = "\x1b]0;owned\x07 \x1b[2J\x9b31m \u202egnp.exe"
+
+
+def test_text_of_a_results_file_reaches_a_terminal_as_text(tmp_path, monkeypatch):
+    """A title and a lash's name may come from anybody: escape sequences are shown, and not obeyed."""
+    monkeypatch.chdir(tmp_path)
+    axes = '[[sweep.axes]]\nparameter = "load.ratio"\nvalues = [2.0, 5.0]\n'
+    results = sweep(study_from_text(f'[driveline]\npreset = "boere-2008"\n{axes}'))
+    config = results.config.replace('title = "Untitled"', f'title = "{HOSTILE}"')
+    write_results("map.h5", replace(results, title=HOSTILE, config=config))
+    for arguments in (["info", "map.h5"], ["info", "map.h5", "--config"]):
+        shown = CliRunner().invoke(cli, arguments, color=True).output
+        assert not set(shown) & set("\x1b\x07\x9b\u202e"), arguments
+        assert "\\x1b]0;owned\\x07" in shown, arguments
+    assert safe("load ratio σr\t5 °\n") == "load ratio σr\t5 °\n"

@@ -265,6 +265,17 @@ class TestFailedRuns:
         for k in range(3):
             same_as_single_runs(found, failing, (k,))
 
+    def test_probabilities_are_of_the_others_and_pictures_say_so(self, failing):
+        found = clunk_api.tolerance_map(failing)
+        crossing = ["DS" in label for label in found.labels]
+        finished = found.runs[:, :-1].sum(axis=-1)
+        assert found.double_sided == pytest.approx(found.runs[:, :-1][:, crossing].sum(axis=-1) / finished)
+        assert found.certainty == pytest.approx(found.runs[:, :-1].max(axis=-1) / finished)
+        (caveat,) = found.caveats
+        assert "probabilities are of the others" in caveat
+        titles = [ax.get_title(loc="left") for ax in clunk_api.draw(found).axes]
+        assert any(caveat in " ".join(title.split()) for title in titles)
+
     def test_the_command_says_where_and_exits_with_3(self, failing, clunk, here):  # noqa: F811
         (here / "failing.toml").write_text(to_toml(failing))
         code, out, err = clunk("sweep", "failing.toml", "-o", "map.h5")

@@ -100,7 +100,8 @@ def _terminate(_signal: int, _frame: object) -> NoReturn:
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 80})
 @click.version_option(__version__, prog_name="clunk")
-def cli() -> None:
+@click.pass_context
+def cli(context: click.Context) -> None:
     """Impact regime maps of drivelines with backlash.
 
     \b
@@ -109,3 +110,4 @@ def cli() -> None:
     clunk plot results/study.h5    draw the regime and severity maps
     clunk help words               what labels, symbols and terms mean
     """
+    context.with_resource(terminal.safe_output())

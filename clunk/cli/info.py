@@ -36,6 +36,7 @@ def info(file: Path, show_config: bool, show_map: bool, ranks: bool, check: bool
     has_checksum = netcdf.check(file) if check else False
     header = store.read_header(file)
     tolerances = store.read_tolerance_map(file) if header.tolerance_map else None
+    caveats = header.caveats if tolerances is None else tolerances.caveats
     if ranks and tolerances is not None:
         raise click.UsageError(f"--ranks does not go with a tolerance map, which {file} holds.")
     if show_map and as_json:
@@ -67,7 +68,7 @@ def info(file: Path, show_config: bool, show_map: bool, ranks: bool, check: bool
             record |= {"boundaries": tables.boundary_record(header.boundaries)}
         if ranks:
             record |= {"ranks": tables.of_lashes({name: tables.rank_record(each) for name, each in of_lashes.items()})}
-        record |= {"config_digest": header.config_digest}
+        record |= {"caveats": caveats, "config_digest": header.config_digest}
         checked: dict[str, Any] = {"checked": {"data": True, "bytes": has_checksum}} if check else {}
         tables.print_record(record | header.attributes | checked)
         return
@@ -106,6 +107,8 @@ def info(file: Path, show_config: bool, show_map: bool, ranks: bool, check: bool
             tables.print_lashes(of_lashes, lambda each: tables.print_ranks(each, header.axes))
     else:
         tables.print_lashes(tolerances.by_lash(), tables.print_tolerances)
+    for caveat in caveats:
+        click.echo(phrases.fill(f"note: {caveat}"))
     if show_map:
         click.echo()
         tables.print_map(store.read_map(file))

@@ -95,12 +95,13 @@ def sweep(
             if boundaries:
                 job.finished(tracing)
             click.echo(f"{target} {'has no failed cells' if retry_failed else 'is already complete'}.", err=True)
-            if tolerances:
-                from clunk.results.store import read_tolerance_map
+            from clunk.results.store import read_header, read_tolerance_map
 
+            if tolerances:
                 failed = tables.report_tolerances(read_tolerance_map(target), target, 0.0, as_json)
             else:
                 failed = tables.report_counts(job.counts, target, 0.0, as_json)
+                terminal.report_caveats(read_header(target).caveats)
     if failed:
         sys.exit(EXIT_FAILED_CELLS)
 
@@ -151,6 +152,7 @@ def _report(result: AnyMap, job: Job, as_json: bool) -> int:
         failed = tables.report_counts(result.counts_of_lashes, job.path, job.seconds, as_json)
         terminal.report_speed(job)
         terminal.report_failures(result)
+    terminal.report_caveats(result.caveats)
     if sys.stdout.isatty() and not as_json and is_drawable(result.of_lash().axes):
         click.echo()
         tables.print_map(result)

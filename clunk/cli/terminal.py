@@ -1,11 +1,12 @@
-"""Messages on stderr: complaints, warnings before a run, and how a sweep went."""
+"""What reaches a terminal: text made safe; and messages on stderr, before a run and on how a sweep went."""
 
 from __future__ import annotations
 
+import re
 import sys
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
@@ -14,7 +15,8 @@ from clunk.cli.options import EXIT_INTERRUPTED, EXIT_USAGE
 from clunk.study.summaries import WIDTH, counted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
+    from typing import TextIO
 
     from matplotlib.figure import Figure
 
@@ -24,11 +26,47 @@ if TYPE_CHECKING:
 
 
 _FEWEST_STEPS = 10  # a period of the fastest oscillation
+# What a terminal obeys instead of showing: control characters but for tabs and line ends, and changes of direction.
+_OBEYED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+
+
+def safe(text: str) -> str:
+    """Text that a terminal only shows: characters that it obeys are spelled out, as in ``\\x1b]0;title``."""
+    return _OBEYED.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
+
+
+class _SafeStream:
+    """A text stream to which everything is written as `safe` text; `direct` is the stream itself, for bars and styles.
+
+    It offers no bytes (`buffer`), which would go around it.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self.direct = stream
+
+    def write(self, text: str) -> int:
+        return self.direct.write(safe(text))
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "buffer":
+            raise AttributeError(name)
+        return getattr(self.direct, name)
+
+
+@contextmanager
+def safe_output() -> Iterator[None]:
+    """Make everything safe that is printed within: titles, names and labels may come out of files of others."""
+    streams = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = (cast("TextIO", _SafeStream(stream)) for stream in streams)
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = streams
 
 
 def complain(message: str) -> None:
     """Print what is wrong, within the width of a terminal; a report that is laid out already stays as it is."""
-    for line in message.splitlines():
+    for line in safe(message).splitlines():
         click.echo(line if len(line) <= WIDTH else phrases.fill(line), err=True)
 
 
@@ -122,6 +160,12 @@ def report_failures(results: AnyMap, how: str = "") -> None:
             click.echo(phrases.at_cell(results.parameters, values), err=True)
         if len(cells) > 3:
             click.echo(f"  and {len(cells) - 3:,} more", err=True)
+
+
+def report_caveats(caveats: Iterable[str]) -> None:
+    """Print what a map's labels or probabilities do not tell."""
+    for caveat in caveats:
+        complain(f"note: {caveat}")
 
 
 def say_written(path: Path) -> None:

@@ -69,7 +69,8 @@ def facet_map(results: Results, facets: Sequence[str], quantity: str = "regimes"
     inner.supxlabel(axis_label(layers[0].view.x), fontsize=10.0)
     inner.supylabel(axis_label(layers[0].view.y), fontsize=10.0)
     notes = _paint_regimes(panels) if is_regimes else _paint_quantity(inner, panels)
-    line = _subtitle(results, axes, stacked(layers), figure.get_figwidth())
+    together = replace(stacked(layers), caveats=tuple(results.caveats))
+    line = _subtitle(results, axes, together, figure.get_figwidth())
     subtitle = inner.suptitle(line, fontsize=9.0, color=FAINT_INK, ha="left", parse_math=False)
     set_notes(figure, notes)
     if notes:

@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from clunk.analysis.fitmaps import WHICH
+from clunk.analysis.fitruns import label_of
 from clunk.analysis.fitted import Fitted, weighted_quantiles
-from clunk.analysis.trends import compare_experiment
+from clunk.analysis.trends import Point
 from clunk.plot import style
 from clunk.plot.comparisons import draw_points
 from clunk.plot.facets import facet_map
@@ -35,21 +36,23 @@ _ENSEMBLE, _ESTIMATE = style.LINE_COLOURS[0], style.LINE_COLOURS[1]
 def measured_on_maps(results: Results, fitted: Fitted) -> Figure:
     """The measured labels on the maps before and after the fit, side by side: filled points agree, others do not.
 
+    Points are compared with their own runs, not with the map's nearest cells.
+
     results : of `clunk.analysis.fitmaps.fit_maps`
 
     Raises PlotError where the maps cannot be drawn.
     """
     figure = facet_map(results, ["fit"])
-    for number, (ax, which) in enumerate(zip(figure.axes, WHICH, strict=False), 1):
-        part = results.at({"fit": float(number)})
-        comparison = compare_experiment(part, fitted.experiment)
-        columns = [fitted.axes.index(axis.parameter) for axis in part.axes[1:] if len(axis.values) > 1]
-        points = fitted.points[:, columns]
-        draw_points(ax, points, comparison.points)
-        for at, measurement in zip(points, fitted.experiment.measurements, strict=True):
+    columns = [fitted.axes.index(axis.parameter) for axis in results.axes[1:] if len(axis.values) > 1]
+    points, measurements = fitted.points[:, columns], fitted.experiment.measurements
+    for ax, which, matches in zip(figure.axes, WHICH, (fitted.nominal_matches, fitted.estimate_matches), strict=False):
+        labels = map(label_of, matches["pattern"].tolist())
+        runs = [Point(each.values, each.label, label, None) for each, label in zip(measurements, labels, strict=True)]
+        draw_points(ax, points, runs)
+        for at, measurement in zip(points, measurements, strict=True):
             look: dict[str, Any] = style.CENTRED | {"path_effects": style.halo(1.6), "zorder": 7, "parse_math": False}
             ax.annotate(measurement.label, at, (0, -8), textcoords="offset points", fontsize=5.5, **look)
-        ax.set_title(f"{which}: {comparison.agreeing} of {comparison.counted} labels", loc="left", fontsize=9.0)
+        ax.set_title(f"{which}: {fitted.hits(matches['pattern'])} of {len(points)} labels", loc="left", fontsize=9.0)
     return figure
 
 

@@ -48,6 +48,7 @@ class Layers:
     described : Quantity, its description
     points : int, fine points across the map, as of `Regions`
     boundaries : Boundaries, if they have been traced: they are drawn in the place of smooth ones
+    caveats : phrases on what the map does not tell
     """
 
     title: str
@@ -61,6 +62,7 @@ class Layers:
     described: Quantity = REGIME_QUANTITIES["sequence"]
     points: int = 700
     boundaries: Boundaries | None = None
+    caveats: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -89,6 +91,7 @@ class Layers:
             quantity=quantity,
             values=np.full(codes.shape, np.nan) if values is None else view.arrange(values),
             boundaries=traced,
+            caveats=tuple(drawn.caveats),
         )
 
     @classmethod
@@ -151,14 +154,14 @@ class Layers:
         return int(np.count_nonzero(self.codes == self.labels.index(label)))
 
     def subtitle(self, *facts: str, fixed: Iterable[ResultAxis] | None = None, width: float = SIZE[0]) -> str:
-        """The load, the values of fixed parameters, and further facts; in lines.
+        """The load, the values of fixed parameters, further facts and the map's caveats; in lines.
 
         fixed : by default the axes that are not drawn
         width : of the figure  [inches]
         """
         values = [value_text(axis, axis.values[0]) for axis in (self.view.fixed if fixed is None else fixed)]
         lines = [""]
-        for part in filter(None, [self.load, *values, *facts]):
+        for part in filter(None, [self.load, *values, *facts, *self.caveats]):
             if lines[-1] and len(lines[-1]) + len(part.split("\n")[0]) > _LINE * width / SIZE[0]:
                 lines.append("")
             lines[-1] += f"; {part}" if lines[-1] else part

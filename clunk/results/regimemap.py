@@ -9,12 +9,12 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.status import QUALITY_MEANINGS, Status
+from clunk.core.status import QUALITY_COMPLETE, QUALITY_MEANINGS, Status
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.maps import Map, share, values_at
 from clunk.results.quantities import LABEL, NOMINAL, OF_RUNS, REGIME_QUANTITIES, Quantity, named_numbers
-from clunk.study.arrays import Array, Floats
-from clunk.study.summaries import Rows
+from clunk.study.arrays import Array, Bools, Floats
+from clunk.study.summaries import Rows, counted
 
 
 class Results(Map):
@@ -72,6 +72,17 @@ class Results(Map):
     def numbers(self, name: str) -> Floats:
         """A quantity of cells as float64, NaN where the run failed."""
         return np.where(self.sequence == FAILED_CODE, np.nan, self.values(name).astype(np.float64))
+
+    @property
+    def cut_off(self) -> Bools:
+        """Cells whose run ended at ``solver.end_time`` before it was proved that nothing follows, shape."""
+        return cut_off(self.status, self.quality)
+
+    @property
+    def caveats(self) -> list[str]:
+        """Phrases on what the labels do not tell: runs that were cut off."""
+        run = self.of_lash()  # all lashes of a run end together
+        return cut_off_phrases(int(np.count_nonzero(run.cut_off)), run.sequence.size)
 
     @property
     def entries(self) -> dict[str, Array]:
@@ -145,3 +156,13 @@ class Results(Map):
     def _label_rows(self) -> Rows:
         cells = self.sequence.size
         return [(label, share(n, cells)) for label, n in self.counts().items() if n]
+
+
+def cut_off(status: npt.NDArray[np.uint8], quality: npt.NDArray[np.uint8]) -> Bools:
+    """Runs that did not fail, of which it was not proved that nothing follows."""
+    return np.asarray((status == Status.OK) & (quality & QUALITY_COMPLETE == 0))
+
+
+def cut_off_phrases(count: int, cells: int) -> list[str]:
+    """Phrase on a number of runs that were cut off, for people; none where there are none."""
+    return [f"{count:,} of {counted(cells, 'run')} ended at solver.end_time with more to follow"] if count else []

@@ -17,7 +17,7 @@ from clunk.results.dataset import Dataset, Variable, flags, meanings_of
 from clunk.results.maps import Description, count_labels, counts_by_lash, require_array, require_codes
 from clunk.results.netcdf import StoreError, opened, write
 from clunk.results.quantities import REGIME_QUANTITIES, TOLERANCE_QUANTITIES
-from clunk.results.regimemap import Results
+from clunk.results.regimemap import Results, cut_off, cut_off_phrases
 from clunk.results.tolerancemap import AnyMap, ToleranceMap
 from clunk.study.arrays import Array
 from clunk.study.axes import LASH, RUN, ResultAxis, lash_axis
@@ -40,10 +40,12 @@ class Header(Description):
 
     counts_of_lashes : name of a lash, empty for an only one -> label -> number of cells, ``failed`` last; of a
         tolerance map, cells in which the label is the most likely one
+    caveats : as of the map
     content_digest : SHA-256 of all variables
     """
 
     counts_of_lashes: dict[str, dict[str, int]]
+    caveats: tuple[str, ...]
     content_digest: str
 
     @property
@@ -123,8 +125,15 @@ def read_header(path: str | os.PathLike[str]) -> Header:
         return Header(
             **described,
             counts_of_lashes=counts_by_lash(counts or {"": count_labels(labels, codes)}),
+            caveats=() if described["sample"] else _caveats(dataset),
             content_digest=dataset.attributes["content_digest"],
         )
+
+
+def _caveats(dataset: Dataset) -> tuple[str, ...]:
+    """The caveats of a regime map."""
+    status, quality = (dataset.variables[name].values[...] for name in ("status", "quality"))
+    return tuple(cut_off_phrases(int(np.count_nonzero(cut_off(status, quality))), status.size))
 
 
 # --- from maps to datasets

@@ -15,7 +15,7 @@ from clunk.results.maps import Map, require_codes, share
 from clunk.results.quantities import CHATTER, NOMINAL, OF_RUNS, TOLERANCE_QUANTITIES, YES_NO, Quantity
 from clunk.results.regimemap import Results
 from clunk.study.arrays import Array, Floats
-from clunk.study.summaries import Rows
+from clunk.study.summaries import Rows, counted
 
 QUANTILES = (0.05, 0.5, 0.95)
 _QUANTILE_NAMES = [f"severity_{100 * level:g}" for level in QUANTILES]
@@ -27,7 +27,8 @@ class ToleranceMap(Map):
 
     Its fields are those of `Map`. N is the size of the sample.
 
-    probability : shape + (labels + 1,), share of each label in the N runs of a cell, and last of the failed ones
+    probability : shape + (labels + 1,), share of each label in the N runs of a cell, and last of the failed ones;
+        other probabilities are of the runs that did not fail
     sequence : shape, codes of the most likely labels; of equally likely ones the first in the labels' order
     nominal_sequence : shape, codes of the runs without tolerances
     severity_mean : shape, mean Q of the runs that did not fail  [rad/s²]; without impacts Q is 0. NaN where it is not
@@ -80,9 +81,14 @@ class ToleranceMap(Map):
         return f"Probability that {quantity.words}" if quantity.type == YES_NO else quantity.plot_label
 
     def of_labels(self, holds: Sequence[bool]) -> Floats:
-        """Share of the runs of each cell whose label it holds for."""
-        share_of_runs: Floats = self.runs[..., :-1][..., np.flatnonzero(holds)].sum(axis=-1) / self.draws
-        return share_of_runs
+        """Share of the runs of each cell that did not fail whose label it holds for; NaN where all failed."""
+        return self._of_finished(self.runs[..., np.flatnonzero(holds)].sum(axis=-1))
+
+    def _of_finished(self, runs: npt.NDArray[np.int32]) -> Floats:
+        """Numbers of runs as shares of those of their cells that did not fail."""
+        finished = self.draws - self.runs[..., FAILED_CODE]
+        shares: Floats = np.divide(runs, finished, out=np.full(self.shape, np.nan), where=finished > 0)
+        return shares
 
     def numbers(self, name: str) -> Floats:
         """The severity's mean or one of its quantiles in each cell."""
@@ -108,14 +114,24 @@ class ToleranceMap(Map):
 
     @property
     def certainty(self) -> Floats:
-        """Probability of the most likely label, shape."""
-        certainty: Floats = self.probability.max(axis=-1)
-        return certainty
+        """Probability of the most likely label among the runs that did not fail, shape; NaN where all failed."""
+        return self._of_finished(self.runs[..., :FAILED_CODE].max(axis=-1, initial=0))
 
     @property
     def double_sided(self) -> Floats:
-        """Probability of a label with a double-sided impact, shape."""
+        """Probability of a double-sided impact among the runs that did not fail, shape; NaN where all failed."""
         return self.of_labels([double_sided(label) > 0 for label in self.labels])
+
+    @property
+    def caveats(self) -> list[str]:
+        """Phrases on what the probabilities do not tell: runs that failed, which they leave out."""
+        cells = self.of_lash().runs[..., FAILED_CODE]  # all lashes of a run fail together
+        if not cells.any():
+            return []
+        affected = counted(int(np.count_nonzero(cells)), "cell")
+        return [
+            f"failed: up to {cells.max() / self.draws:.2g} of the runs in {affected}; probabilities are of the others"
+        ]
 
     @property
     def failed(self) -> int:

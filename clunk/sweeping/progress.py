@@ -112,7 +112,8 @@ def _terminal_bar(state: _State) -> Iterator[Callable[[], None]]:
 
     text = TextColumn(state.unit + "  {task.fields[rate]}")
     columns = BarColumn(bar_width=None), MofNCompleteColumn(), text, TimeRemainingColumn()
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    stream = getattr(sys.stderr, "direct", sys.stderr)  # a command's own stderr shows control sequences as text
+    with Progress(*columns, console=Console(file=stream), transient=True) as bar:
         task = bar.add_task("", total=state.total, rate="")
         yield lambda: bar.update(task, completed=state.done, total=state.total, rate=f"{state.rate:,.0f}/s ")
 

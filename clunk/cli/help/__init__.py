@@ -36,6 +36,6 @@ def help(topic: str | None) -> None:  # noqa: A001  # as the command is named
 
         from clunk.cli.help.page import show
 
-        show(topics[topic], Console())
+        show(topics[topic], Console(file=getattr(sys.stdout, "direct", sys.stdout)))
     else:
         click.echo(topics[topic], nl=False)
