@@ -14,14 +14,13 @@ import pytest
 from helpers.studies import random_study
 
 import clunk
-from clunk.analysis.verification import by
+from clunk.analysis.comparison import METHODS, with_method
 from clunk.cli import main
 from clunk.core.status import Status
 from clunk.simulation.energy import balance
 from clunk.study.designs import has_tolerances
 from clunk.study.study import replace_values, to_toml
 
-METHODS = ("rk4", "exact")
 CONFIGS = sorted((Path(__file__).parent.parent / "configs").glob("*.toml"))
 ENERGY = {"exact": 1e-9, "rk4": 1e-3}  # of the largest term: exact to rounding, rk4 as its step is
 REFINEMENTS = (4, 16, 64)  # of rk4's step, where labels differ
@@ -36,11 +35,16 @@ STUDIES = [
 
 
 class Ran(NamedTuple):
-    """A study of few cells, by both methods; `refusal` is why it could not run, and then there is no verification."""
+    """A study of few cells, by rk4 and by exact; `refusal` is why it could not run, and then there is no comparison."""
 
     study: clunk.Study
-    verification: clunk.Verification | None
+    comparison: clunk.Comparison | None
     refusal: str
+
+    @property
+    def maps(self):
+        """Results by the method."""
+        return dict(zip(METHODS, self.comparison.maps, strict=True))
 
 
 def shipped(path):
@@ -64,20 +68,20 @@ def ran(request):
 
 @pytest.fixture
 def verified(ran):
-    """The verification of a study that is not refused."""
-    if ran.verification is None:
+    """A study that is not refused."""
+    if ran.comparison is None:
         pytest.skip("refused, as another test looks at")
-    return ran.verification
+    return ran
 
 
 def test_a_study_runs_or_is_refused_in_a_sentence(ran):
-    if ran.verification is None:
+    if ran.comparison is None:
         assert any(reason in ran.refusal for reason in REFUSED), ran.refusal
         assert ran.refusal.endswith(".")
 
 
 def test_no_cell_fails(verified):
-    for results in (verified.rk4, verified.exact):
+    for results in verified.maps.values():
         assert {Status(code).name for code in np.unique(results.status)} == {"OK"}
 
 
@@ -87,18 +91,17 @@ def test_labels_of_the_methods_differ_in_flagged_cells_only(verified):
     Of a thousand touches of undamped flanks each magnifies an error, from rounding to the size of the gap: there is no
     step at which rk4 converges.
     """
-    cells = list(verified.disagreements(flagged=False))
-    parameters = [axis.parameter for axis in verified.exact.parameters]
+    cells = [cell for cell in verified.comparison.differing_cells if not cell.flagged]
+    names = list(verified.study.lash_names)
     before = [None] * len(cells)
     for refinement in REFINEMENTS:
         if not cells:
             break
-        values = np.array([cell.values for cell in cells])
-        points = {key: values[:, k] for k, key in enumerate(parameters) if key != "lash"}
+        points = {key: [cell.at[key] for cell in cells] for key in cells[0].at if key != "lash"}
         finer = {"solver.step": verified.study.solver.step / refinement}
-        runs = clunk.run_points(replace_values(by(verified.study, "rk4"), finer), points, workers=1)
-        lash = values[:, -1].astype(int) - 1 if "lash" in parameters else ()
-        at = (np.arange(len(cells)), lash) if "lash" in parameters else np.arange(len(cells))
+        runs = clunk.run_points(replace_values(with_method(verified.study, "rk4"), finer), points, workers=1)
+        lash = [names.index(cell.at["lash"]) for cell in cells] if len(names) > 1 else None
+        at = np.arange(len(cells)) if lash is None else (np.arange(len(cells)), lash)
         last = np.round(runs.last_event_time[at] / LAST_EVENT).tolist()
         outcomes = list(zip(runs.label_map[at].tolist(), last, strict=True))
         for cell, outcome, earlier in zip(cells, outcomes, before, strict=True):
@@ -109,12 +112,12 @@ def test_labels_of_the_methods_differ_in_flagged_cells_only(verified):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_the_energy_of_its_nominal_run_closes(verified, method):
-    energy = balance(clunk.simulate(by(verified.study, method)))
+    energy = balance(clunk.simulate(with_method(verified.study, method)))
     assert abs(energy.residual) <= ENERGY[method] * energy.largest + 1e-20  # J, where nothing moves at all
 
 
 def test_its_results_file_has_the_same_bits(verified, tmp_path):
-    for results in (verified.rk4, verified.exact):
+    for results in verified.maps.values():
         clunk.write_results(tmp_path / "map.h5", results)
         read = clunk.read_results(tmp_path / "map.h5")
         assert (read.labels, read.axes[0].parameter) == (results.labels, results.axes[0].parameter)
@@ -124,13 +127,15 @@ def test_its_results_file_has_the_same_bits(verified, tmp_path):
 
 def test_single_runs_are_those_of_its_cells(verified):
     """A run alone is the cell's: the one in the middle of the grid, by its values."""
-    for method, results in zip(METHODS, (verified.rk4, verified.exact), strict=True):
+    for method, results in verified.maps.items():
         of_lash = results.of_lash()
         number = of_lash.sequence.size // 2
         at = np.unravel_index(number, of_lash.sequence.shape)
         points = {each.parameter: float(np.broadcast_to(grid, of_lash.shape)[at]) for each, grid in _values(of_lash)}
-        runs = clunk.run_points(by(verified.study, method), {key: [value] for key, value in points.items()}, workers=1)
-        alone = clunk.simulate(replace_values(by(verified.study, method), points))
+        runs = clunk.run_points(
+            with_method(verified.study, method), {key: [value] for key, value in points.items()}, workers=1
+        )
+        alone = clunk.simulate(replace_values(with_method(verified.study, method), points))
         assert runs.of_lash().label_map[0] == of_lash.label_map[at] == alone.label
         assert runs.of_lash().touches[0] == of_lash.touches[at]
 
@@ -162,7 +167,7 @@ def test_commands_answer(ran, tmp_path, monkeypatch, capsys):
     """Each command by every fifth study: it does what it says, or refuses in a sentence."""
     (tmp_path / "study.toml").write_text(to_toml(ran.study), encoding="utf-8")
     monkeypatch.chdir(tmp_path)
-    if ran.verification is None:
+    if ran.comparison is None:
         code, _, errors = _command(monkeypatch, capsys, "sweep", "study.toml", "-o", "map.h5")
         assert code == 2
         assert "Traceback" not in errors
@@ -171,14 +176,14 @@ def test_commands_answer(ran, tmp_path, monkeypatch, capsys):
         code, output, errors = _command(monkeypatch, capsys, "sweep", "study.toml", "-o", "map.h5")
         assert code == 0, errors
     else:
-        clunk.write_results("map.h5", ran.verification.exact)
+        clunk.write_results("map.h5", ran.maps["exact"])
     turn = sum(map(ord, ran.study.title)) % 5
     for command in COMMANDS[turn::5]:
-        if command[0] in OF_MAPS_OF_TWO_AXES and len(ran.verification.exact.of_lash().axes) > 2:
+        if command[0] in OF_MAPS_OF_TWO_AXES and len(ran.maps["exact"].of_lash().axes) > 2:
             continue
         code, output, errors = _command(monkeypatch, capsys, *command)
         plt.close("all")
-        agrees = command[0] != "verify" or ran.verification.agrees
+        agrees = command[0] != "verify" or not ran.comparison.differing_elsewhere
         assert code == (0 if agrees else 4), f"{command}\n{errors}"
         assert output or Path(command[-1]).stat().st_size, command
 
