@@ -47,7 +47,7 @@ def measured_on_maps(results: Results, fitted: Fitted) -> Figure:
     points, measurements = fitted.points[:, columns], fitted.experiment.measurements
     for ax, which, matches in zip(figure.axes, WHICH, (fitted.nominal_matches, fitted.estimate_matches), strict=False):
         labels = map(label_of, matches["pattern"].tolist())
-        runs = [Point(each.values, each.label, label, None) for each, label in zip(measurements, labels, strict=True)]
+        runs = [Point({}, each.label, label, None) for each, label in zip(measurements, labels, strict=True)]
         draw_points(ax, points, runs)
         for at, measurement in zip(points, measurements, strict=True):
             look: dict[str, Any] = style.CENTRED | {"path_effects": style.halo(1.6), "zorder": 7, "parse_math": False}
