@@ -1,5 +1,8 @@
 """Drivelines prepared many at a time have the bits that each has alone, and the same errors."""
 
+from contextlib import suppress
+from pathlib import Path
+
 import numpy as np
 import pytest
 from helpers import reference
@@ -12,9 +15,9 @@ import clunk
 from clunk.simulation import batches, driveline
 from clunk.study.config import study_from_text
 from clunk.study.designs import design_of_points
-from clunk.study.parameters import located
+from clunk.study.parameters import located, parameters
 from clunk.study.study import replace_values
-from clunk.sweeping.cells import Grid
+from clunk.sweeping.cells import Grid, leaves_system
 
 CRITICAL = Plant(
     inertias=(0.02, 0.01),
@@ -121,7 +124,35 @@ def test_of_drivelines_about_critical_damping_each_is_what_it_is_alone():
     assert [int(tables[k][1].modal[0]) for k in range(dampings.size)] == [1, 0, 1, 0, 1, 1]
 
 
-def test_keys_that_are_no_sizes_can_change_beside_them():
+CONFIGS = sorted(path.name for path in Path("configs").glob("*.toml"))
+
+
+@pytest.mark.parametrize("method", ["exact", "rk4"])
+@pytest.mark.parametrize("config", CONFIGS)
+def test_values_of_any_key_of_any_config_are_prepared_together_with_the_bits_that_each_has_alone(config, method):
+    study = clunk.load_study(f"configs/{config}", [f"solver.method='{method}'"])
+    study, factors, points = study.model_copy(update={"sweep": None, "fit": None}), np.array([1.01, 1.02, 1.03]), {}
+    for key in parameters(study.model_dump(exclude_none=True)):
+        with suppress(clunk.ConfigError):  # a shaft with stages has no one stiffness
+            _, known, value = located(study, key)
+            if not known.whole and value != 0.0 and np.isfinite(value) and not leaves_system(study, key):
+                points[key] = value * factors
+    for key, column in points.items():
+        batches_of_key = [*batches.prepare_many(study, [key], column[:, None])]
+        assert len(batches_of_key) == (1 if method == "exact" else 3), key
+    same_as_alone(study, points)
+
+
+def test_breakpoints_that_cross_are_refused_though_each_value_is_sound():
+    study = clunk.load_study("configs/clutch_damper.toml", ["solver.method='exact'"])
+    keys = [f"driveline.shafts[1].breakpoints_deg[{k}]" for k in (1, 2)]
+    low, high = (located(study, key)[2] for key in keys)
+    crossed = np.array([[low, high], [high + 1.0, high], [high + 1.0, high + 2.0]])
+    with pytest.raises(clunk.ConfigError, match="breakpoint"):
+        list(batches.prepare_many(study, keys, crossed))
+
+
+def test_kinds_of_drivelines_are_told_apart():
     study = study_from_text(reference.config_of(Plant(), method="exact"))
     points = {
         "lash.ratio": np.array([1.0, 2.0, 1.0, 2.0]),
@@ -130,12 +161,6 @@ def test_keys_that_are_no_sizes_can_change_beside_them():
         "impacts.sticking_time": np.array([4e-3, 4e-3, 5e-3, 4e-3]),
     }
     same_as_alone(study, points)
-
-
-@pytest.mark.parametrize("method", ["exact", "rk4"])
-def test_staged_shafts_friction_and_rk4_are_prepared_one_by_one(method):
-    study = clunk.load_study("configs/clutch_damper.toml", [f"solver.method='{method}'"])
-    same_as_alone(study, {"driveline.inertias[2]": np.array([0.9, 1.1]) * study.driveline.inertias[1]})
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, 1e31])

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.exponential import exponentials
-from clunk.core.regimes import System
+from clunk.core.regimes import Each, System
 from clunk.core.tables import TORQUE, TORQUE_RATE
 
 FloatArray = npt.NDArray[np.float64]
@@ -63,29 +63,29 @@ class Levels(NamedTuple):
     series: FloatArray  # (F, V, C, Z, TERMS)
 
 
-def tabulate(rates: FloatArray, inputs: FloatArray, channels: FloatArray, system: System) -> Levels:
+def tabulate(each: Each, channels: FloatArray, system: System) -> Levels:
     """The levels of each flow of D drivelines, (D, K, V, …).
 
     Parameters
     ----------
-    rates, inputs : (D, K, N, N) and (D, K, N, I) float64
-        A and B of each flow.
+    each : Each
     channels : (D, K, C, Z) float64
         Channel = row · z.
     system : System
-        That is common to the drivelines but for these.
+        Of the first driveline.
     """
-    *batch, size, driven = inputs.shape
+    *batch, size, driven = each.inputs.shape
     generators = np.zeros((*batch, size + driven, size + driven))
-    generators[..., :size, :size], generators[..., :size, size:] = rates, inputs
+    generators[..., :size, :size], generators[..., :size, size:] = each.rates, each.inputs
     generators[..., size + TORQUE, size + TORQUE_RATE] = system.ramps
     flows, rows = (array.reshape(-1, *array.shape[-2:]) for array in (generators, channels))
-    levels = _levels(flows, rows, system.inertias, system.end_time)
+    ends = np.repeat(each.end_time[:, 0], batch[1])
+    levels = _levels(flows, rows, system.inertias, ends)
     return Levels._make(array.reshape(*batch, *array.shape[1:]) for array in levels)
 
 
-def _levels(generators: FloatArray, channels: FloatArray, n: int, end_time: float) -> Levels:
-    """The levels of flows, each with longer steps than the one before; (F, Z, Z) and (F, C, Z)."""
+def _levels(generators: FloatArray, channels: FloatArray, n: int, ends: FloatArray) -> Levels:
+    """The levels of flows, each with longer steps than the one before; (F, Z, Z) and (F, C, Z), to these ends, (F,)."""
     # speeds in units in which they are of the size of the angles
     unit = np.ones(generators.shape[:2])
     fastest = np.sqrt(np.abs(generators[:, n : 2 * n, :n]).max(axis=(1, 2), initial=0.0))
@@ -94,7 +94,7 @@ def _levels(generators: FloatArray, channels: FloatArray, n: int, end_time: floa
     scaled = generators * into
     rates, right = _fastest_first(*np.linalg.eig(scaled))
     others, left = _fastest_first(*np.linalg.eig(scaled.swapaxes(1, 2)))
-    sizes, slowest, levels = np.abs(rates), _STEP / end_time, list[Levels]()
+    sizes, slowest, levels = np.abs(rates), _STEP / ends, list[Levels]()
     fastest, going = sizes[:, 0], np.arange(len(sizes))
     while going.size:
         faster = fastest[:, None] * (1.0 + 1e-6)
@@ -103,11 +103,11 @@ def _levels(generators: FloatArray, channels: FloatArray, n: int, end_time: floa
         projector = _without(fast, right[going], left[going])
         slow = scaled[going] @ projector
         wrong = np.abs(projector @ projector - projector).max(axis=(1, 2))
-        moved = np.abs(projector @ scaled[going] - slow).max(axis=(1, 2)) / np.maximum(sizes[going, 0], slowest)
+        moved = np.abs(projector @ scaled[going] - slow).max(axis=(1, 2)) / np.maximum(sizes[going, 0], slowest[going])
         sound = (decay > 0.0) & (wrong <= _SOUND) & (moved <= _SOUND)
         going, fastest, decay, projector, slow = (each[sound] for each in (going, fastest, decay, projector, slow))
 
-        length = _STEP / np.maximum(fastest, slowest)
+        length = _STEP / np.maximum(fastest, slowest[going])
         moving = (slow * length[:, None, None]) * back[going]
         terms = [channels[going] @ (projector * back[going])]
         for k in range(1, TERMS):
@@ -119,7 +119,7 @@ def _levels(generators: FloatArray, channels: FloatArray, n: int, end_time: floa
         levels.append(_spread(level, going, levels[0]) if levels else level)
 
         slower = np.where(sizes[going] <= fastest[:, None] / 2.0, sizes[going], -1.0).max(axis=1)
-        more = (fastest > slowest) & (slower >= 0.0) & (begin < end_time)
+        more = (fastest > slowest[going]) & (slower >= 0.0) & (begin < ends[going])
         going, fastest = going[more], slower[more]
     return Levels._make(np.stack(arrays, axis=1) for arrays in zip(*levels, strict=True))
 

@@ -27,19 +27,20 @@ def preload(
     """
     if contact is None:
         n = load.shape[-1]
-        expand, _, shift = (part[:n] for part in constrained(lashes, [1] * len(lashes)))
-        basis = expand[:, : expand.shape[1] // 2]
+        expand, _, shift = (part[..., :n, :] for part in constrained(lashes, [1] * lashes.shape[-2]))
+        basis = expand[..., : expand.shape[-1] // 2]
+        across = np.swapaxes(basis, -1, -2)
         forces = _beside(load, -stiffness @ shift)
         momenta = -np.swapaxes(momentum, -1, -2) @ shift
         kept = _beside(np.zeros(momenta.shape[:-1]), momenta)
-        rest: FloatArray = basis @ _solve(basis.T @ stiffness @ basis, basis.T @ forces, basis.T @ momentum, kept)
+        rest: FloatArray = basis @ _solve(across @ stiffness @ basis, across @ forces, across @ momentum, kept)
         rest[..., 1:] += shift
         return rest
     closed = stiffness
-    for k, lash in enumerate(lashes):
-        closed = closed + contact[..., k, None, None] * lash[:, None] * lash
+    for k, lash in enumerate(np.moveaxis(lashes, -2, 0)):
+        closed = closed + contact[..., k, None, None] * lash[..., :, None] * lash[..., None, :]
     forces = _beside(load, np.swapaxes(contact[..., None] * lashes, -1, -2))
-    return _solve(closed, forces, momentum, np.zeros((*momentum.shape[:-2], momentum.shape[-1], 1 + len(lashes))))
+    return _solve(closed, forces, momentum, np.zeros((*forces.shape[:-2], momentum.shape[-1], 1 + lashes.shape[-2])))
 
 
 def _beside(column: FloatArray, columns: FloatArray) -> FloatArray:
@@ -76,13 +77,13 @@ def contact_torques(
     load, lashes, contact : as for `preload`
     angles : (n, 1 + L) float64
     """
-    count = len(lashes)
+    count, across = lashes.shape[-2], np.swapaxes(lashes, -1, -2)
     torques = np.zeros((*angles.shape[:-2], count, 1 + count))
     if contact is not None:
         torques[:] = contact[..., None] * (lashes @ angles - np.eye(count, 1 + count, 1))
-    missing = -stiffness @ angles - lashes.T @ torques
+    missing = -stiffness @ angles - across @ torques
     missing[..., 0] += load
-    torques += np.linalg.pinv(lashes.T) @ missing
+    torques += np.linalg.pinv(across) @ missing
     # a load that does not reach the lash, or a gap that does not load it, leaves rounding only
     scale = np.ones((*angles.shape[:-2], 1, 1 + count))
     scale[..., 1:] = _largest(stiffness)[..., None, None] + 1e-300

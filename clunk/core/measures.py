@@ -22,7 +22,8 @@ from clunk.core.channels import CLOSING, CONTACT_TORQUE, OF_LASH, PEAK_TO_PEAK, 
 from clunk.core.events import INSTANT, REJOIN, SEPARATION, TOUCH
 from clunk.core.extremes import NODES, integral, integral_of_square, widened
 from clunk.core.jit import compiled, part, unowned
-from clunk.core.regimes import System, gap_input
+from clunk.core.references import put, refer, reference_at, words_of
+from clunk.core.regimes import Each, System, gap_input
 from clunk.core.rigid import held_with
 from clunk.core.runs import BEGIN, begin_wave, piece_at, set_gaps, set_torque
 from clunk.core.sequence import find_primaries
@@ -86,7 +87,7 @@ def make_room(system: System, channels: Channels) -> Room:
 @compiled
 def measure_runs(
     system: System,
-    sticking_times: FloatArray,
+    each: Each,
     channels: Channels,
     cases: Cases,
     cells: npt.NDArray[np.void],
@@ -99,8 +100,8 @@ def measure_runs(
 
     Parameters
     ----------
-    system, sticking_times, channels
-        Of the drivelines of a batch: what they have in common, and what differs, (D, …).
+    system, each, channels
+        Of the drivelines of a batch, as `tile.Batch`.
     cases, cells, logs, states
         Of a tile, as `tile.Output`; in `logs` the times behind a run's events are NaN.
     totals : (cells, L, OF_IMPACTS + measures) float64
@@ -108,7 +109,11 @@ def measure_runs(
     of_impacts : (impacts, OF_IMPACTS) float64
         Output, each cell's behind those of the cell before.
     """
+    system, each = refer(system), refer(each)
     room, first, lashes = make_room(system, channels), 0, system.lashes.shape[0]
+    systems = np.empty((each.rates.shape[0], words_of(system)), np.int64)
+    for k in range(systems.shape[0]):
+        put(system, each, k, systems)
     primaries, impacts = np.empty((lashes, logs.shape[1]), np.int64), np.zeros(lashes, np.int64)
     for k in range(cells.shape[0]):
         for lash in range(lashes):
@@ -117,12 +122,13 @@ def measure_runs(
             driveline, written = cases.drivelines[k % cases.drivelines.size], 0
             while written < logs.shape[1] and not np.isnan(logs[k, written].time):
                 written += 1
+            of_run = reference_at(systems, driveline, system)
             for lash in range(lashes):
-                side, sticking_time = int(cells[k, lash].initial_side), sticking_times[driveline, lash]
+                side, sticking_time = int(cells[k, lash].initial_side), of_run.sticking_time[lash]
                 find_primaries(logs[k], written, lash, side, sticking_time, primaries[lash])
             load = cases.loads[k % cases.loads.shape[0]]
             run = Run(load, cases.before[k], logs[k], states[k], written, primaries, impacts)
-            measure(system, channels, driveline, run, room, totals[k], of_impacts[first : first + impacts.sum()])
+            measure(of_run, channels, driveline, run, room, totals[k], of_impacts[first : first + impacts.sum()])
         first += impacts.sum()
 
 
@@ -159,7 +165,7 @@ def measure(
             _begin_impacts(run, room, k)
             if event.lash >= 0:
                 _add_event(system, channels, driveline, run, k, x, room.row, of_impacts)
-        time, end = event.time, system.end_time
+        time, end = event.time, system.end_time[0]
         if k + 1 < run.written:
             end = run.events[k + 1].time
         while end - time > shortest:

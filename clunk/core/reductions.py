@@ -1,4 +1,7 @@
-"""Linear chains: their matrices, and the coordinates in which a constraint on q leaves them free."""
+"""Linear chains: their matrices, and the coordinates in which a constraint on q leaves them free.
+
+Arrays have their shape for one driveline, or an axis more in front for each of a batch.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -6,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from clunk.core.batches import alike
 from clunk.core.tables import INPUTS, TORQUE
 
 FloatArray = npt.NDArray[np.float64]
@@ -40,16 +44,17 @@ def locked(
     """
     n = inertia.shape[-1]
     rates, inputs = rates.copy(), inputs.copy()
-    basis = constrained(lashes, closed).expand[:n]
+    basis = constrained(lashes, closed).expand[..., :n, :]
+    moves = alike(basis != 0.0, 2)
     for matrix in (rates, inputs):
-        matrix[..., n:, :][..., ~basis.any(axis=1), :] = 0.0  # tied to ground
-        for column in basis[:, : basis.shape[1] // 2].T:
-            tied = np.flatnonzero(column)
+        matrix[..., n:, :][..., ~moves.any(axis=1), :] = 0.0  # tied to ground
+        for k in range(basis.shape[-1] // 2):
+            tied = np.flatnonzero(moves[:, k])
             if tied.size > 1:
-                motion, inertias = column[tied], inertia[..., tied]
+                motion, inertias = basis[..., k].take(tied, axis=-1), inertia.take(tied, axis=-1)
                 torques = (inertias * motion)[..., None, :] @ matrix.take(n + tied, axis=-2)
                 together = np.sum(inertias * motion**2, axis=-1)[..., None, None]
-                matrix[..., n + tied, :] = motion[:, None] * (torques / together)
+                matrix[..., n + tied, :] = motion[..., None] * (torques / together)
     return rates, inputs
 
 
@@ -81,27 +86,35 @@ def constrained(lashes: FloatArray, closed: Sequence[int]) -> Reduction:
 
     lashes, closed : as for `locked`
     """
-    n = lashes.shape[1]
+    *batch, count, n = lashes.shape
     basis: FloatArray = np.eye(n)
     pick: FloatArray = np.eye(n)
-    shift = np.zeros((2 * n, len(lashes)))
+    shift = np.zeros((*batch, 2 * n, count))
     for k in np.flatnonzero(closed):
-        row = lashes[k] @ basis
-        row[np.abs(row) <= _FITS * np.abs(lashes[k]).max()] = 0.0
-        ends = np.flatnonzero(row)
+        lash = lashes[..., k, None, :]
+        row = (lash @ basis)[..., 0, :]
+        row[np.abs(row) <= _FITS * np.abs(lash).max(axis=-1)] = 0.0
+        ends = np.flatnonzero(alike(row != 0.0))
         if not ends.size:
             continue
-        plain = ends[np.abs(row[ends]) == 1.0]
+        plain = ends[alike(np.abs(row[..., ends]) == 1.0)]
         pivot = int(plain[-1] if plain.size else ends[-1])
-        offset = -lashes[k] @ shift[:n]
-        offset[k] += 1.0
-        shift[:n] += basis[:, pivot, None] * (offset / row[pivot])
-        one: FloatArray = np.eye(row.size)
-        one[pivot] = -row / row[pivot]
-        basis = basis @ np.delete(one, pivot, axis=1)
+        offset = (-lash @ shift[..., :n, :])[..., 0, :]
+        offset[..., k] += 1.0
+        shift[..., :n, :] += basis[..., pivot, None] * (offset / row[..., pivot, None])[..., None, :]
+        one = np.broadcast_to(np.eye(row.shape[-1]), (*batch, row.shape[-1], row.shape[-1])).copy()
+        one[..., pivot, :] = -row / row[..., pivot, None]
+        basis = basis @ np.delete(one, pivot, axis=-1)
         pick = np.delete(pick, pivot, axis=0)
-    both: FloatArray = np.eye(2)
-    return Reduction(np.kron(both, basis).astype(np.float64), np.kron(both, pick).astype(np.float64), shift)
+    return Reduction(_for_both(basis), _for_both(pick), shift)
+
+
+def _for_both(matrix: FloatArray) -> FloatArray:
+    """A matrix twice, on the diagonal: what it is to angles it is to speeds."""
+    rows, columns = matrix.shape[-2:]
+    both = np.zeros((*matrix.shape[:-2], 2 * rows, 2 * columns))
+    both[..., :rows, :columns] = both[..., rows:, columns:] = matrix
+    return both
 
 
 def without_drift(reduction: Reduction, drift: FloatArray) -> Reduction:

@@ -12,11 +12,12 @@ A regime ends when one of its *guards*, sign · functional(x, u) + offsets · d,
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from clunk.core.batches import alike
 from clunk.core.equilibrium import contact_torques, preload
 from clunk.core.jit import inlined_part, part
 from clunk.core.reductions import chain, locked
@@ -35,6 +36,7 @@ from clunk.core.tables import (
     FlowOf,
     Friction,
     Lash,
+    Number,
     StagedShaft,
     build_tables,
     flows_of,
@@ -95,26 +97,35 @@ class System(NamedTuple):
     # its speed; the first inertia that rolls has a share of 1 in it
     drift: FloatArray
     # scalars
-    end_time: float  # s after the load step
+    end_time: FloatArray  # (1,)  s after the load step
     sticking_time: FloatArray  # (L,)  s
     status: int  # why this system cannot be run, or OK
 
 
 class Each(NamedTuple):
-    """Those fields of `System` that depend on inertias, stiffnesses, dampings and radii, of D drivelines: (D, …)."""
+    """Those fields of `System` in which drivelines of one structure differ, of D drivelines: (D, …)."""
 
     rates: FloatArray
     inputs: FloatArray
     functionals: FloatArray
     feedthrough: FloatArray
+    lashes: FloatArray
     offsets: FloatArray
+    weights: FloatArray
     impulse: FloatArray
     passed: FloatArray
     restitution: FloatArray
     locking_speed: FloatArray
+    frictions: FloatArray
+    friction_torques: FloatArray
     preload: FloatArray
     contact_torque: FloatArray
+    drift: FloatArray
+    end_time: FloatArray
     sticking_time: FloatArray
+
+
+_DIMENSIONS = (3, 3, 3, 3, 2, 3, 2, 3, 3, 1, 1, 2, 1, 3, 3, 2, 1, 1)  # of these arrays, of one driveline
 
 
 def alone(system: System) -> Each:
@@ -217,7 +228,7 @@ def opened(system: System, regime: int, lash: int) -> int:
 class RigidMotion(NamedTuple):
     """Motion of a driveline that twists no spring and no closed lash, if there is one, and what keeps it up."""
 
-    shape: FloatArray  # (n, k)  speeds, relative to each other, of each of the k motions; more than one are refused
+    shape: FloatArray  # (…, n, k)  speeds, relative to each other, of each of the k motions; more than one are refused
     speeds: FloatArray  # (…, n)  constant speeds under a load of 1 N m, where dampers resist  [rad/s]
     accelerations: FloatArray  # (…, n)  where none does  [rad/s2]
     is_dragged: bool  # whether dampers resist
@@ -225,8 +236,9 @@ class RigidMotion(NamedTuple):
 
 def rubs(friction: Friction, rigid: RigidMotion) -> bool:
     """Whether a friction would slip in steady motion."""
-    terms = friction.twist[:, None] * rigid.shape
-    return bool(np.any(np.abs(terms.sum(axis=0)) > _SINGULAR * np.abs(terms).sum(axis=0)))
+    terms = friction.twist[..., None] * rigid.shape
+    slips = np.abs(terms.sum(axis=-2)) > _SINGULAR * np.abs(terms).sum(axis=-2)
+    return bool(alike(slips.any(axis=-1), 0))
 
 
 def held(n: int) -> RigidMotion:
@@ -241,7 +253,7 @@ def build_system(
     stiffness: FloatArray,
     load: FloatArray,
     lashes: Sequence[Lash],
-    end_time: float,
+    end_time: Number,
     rigid: RigidMotion,
     wave_rates: FloatArray | None = None,
     ramps: bool = False,
@@ -250,8 +262,9 @@ def build_system(
 ) -> System:
     """The switched linear system of a driveline with lashes (report Eqs 2.6, and 2.12 or 2.9).
 
-    Or those of a batch of drivelines alike but for numbers, without staged shafts and frictions: inertias, dampings,
-    stiffnesses, speeds and the numbers of lashes then have an axis more in front, and so have the fields of `Each`.
+    Or those of a batch of drivelines alike but for numbers: inertias, dampings, stiffnesses, speeds and the numbers of
+    lashes, shafts and frictions then have an axis more in front, and so have the fields of `Each`; twists and the
+    shapes of rigid motions may have it. Raises UnlikeError where the drivelines differ in more than numbers.
 
     Parameters
     ----------
@@ -275,7 +288,7 @@ def build_system(
     """
     (*batch, n), count, stride = inertia.shape, len(lashes), functionals_of(lashes)
     impulsive, constants = lashes[0].restitution is not None, INPUTS + count - 1
-    rubbing, twists = constants + len(staged), np.array([lash.twist for lash in lashes])
+    rubbing, twists = constants + len(staged), np.stack([lash.twist for lash in lashes], axis=-2)
     driven, every = rubbing + OF_FRICTION * len(frictions), flows_of(count, staged, len(frictions))
     mobility = (twists**2 / inertia[..., None, :]).sum(axis=-1)
     impulse, passed = _impacts(inertia, twists, mobility, 2**count if impulsive and count > 1 else 1)
@@ -289,7 +302,7 @@ def build_system(
     feedthrough = np.zeros((*functionals.shape[:-1], driven))
     for k, lash in enumerate(lashes):
         of_lash, fed = functionals[..., k * stride :, :], feedthrough[..., k * stride :, :]
-        of_lash[..., GAP, :n] = lash.twist
+        of_lash[..., GAP, :n] = lash.twist[..., None, :]
         of_lash[..., ACCELERATION, :] = rates[..., n + lash.acceleration_of, :]
         fed[..., ACCELERATION, :] = inputs[..., n + lash.acceleration_of, :]
         if impulsive:  # the torque that keeps q'' at zero, also where nothing does
@@ -299,34 +312,34 @@ def build_system(
                 others = sum(closed << j for j, closed in enumerate(opened.closed))
                 yielding = mobility[..., k, None] if others == 0 else 1.0 / passed[..., others, k, k, None]
                 if any(active.stuck):
-                    tied = np.vstack([twists, *(friction.twist for friction in frictions)])
-                    pushed = np.append(np.zeros(n), lash.twist / inertia)[:, None]
+                    tied = np.concatenate([twists, _rows([friction.twist for friction in frictions], n)], axis=-2)
+                    pushed = _behind_zeros(lash.twist / inertia)[..., None]
                     pushed, _ = locked(pushed, pushed, inertia, tied, [*opened.closed, *active.stuck])
-                    yielding = lash.twist @ pushed[n:]
-                    if yielding <= _SINGULAR * mobility[k]:  # frictions hold it
+                    yielding = _across(lash.twist, pushed[..., n:, :])
+                    if alike(yielding[..., 0] <= _SINGULAR * mobility[..., k], 0):  # frictions hold it
                         continue
-                of_lash[..., flow, FORCE, :] = lash.twist @ free_rates[..., n:, :] / yielding
-                fed[..., flow, FORCE, :] = lash.twist @ free_inputs[..., n:, :] / yielding
+                of_lash[..., flow, FORCE, :] = _across(lash.twist, free_rates[..., n:, :]) / yielding
+                fed[..., flow, FORCE, :] = _across(lash.twist, free_inputs[..., n:, :]) / yielding
         elif lash.separation_by_force:
-            of_lash[..., FORCE, :n] = _in_each_flow(lash.stiffness) * lash.twist
-            of_lash[..., FORCE, n:] = _in_each_flow(lash.damping) * lash.twist
+            of_lash[..., FORCE, :n] = _in_each_flow(lash.stiffness) * lash.twist[..., None, :]
+            of_lash[..., FORCE, n:] = _in_each_flow(lash.damping) * lash.twist[..., None, :]
     for k, shaft in enumerate(staged, count * stride):
-        functionals[:, k, :n] = shaft.twist
+        functionals[..., k, :n] = shaft.twist[..., None, :]
     excess = np.zeros(len(every), np.int64)
     for k, friction in enumerate(frictions):
         rate, torque = first_rate + OF_FRICTION * k + RATE, rubbing + OF_FRICTION * k
         for flow, active in enumerate(every):
             free_rates, free_inputs = flow_of(active._replace(stuck=(*active.stuck[:k], 0, *active.stuck[k + 1 :])))
-            yielding = -friction.twist @ free_inputs[n:, torque]
-            is_held = yielding <= _SINGULAR * np.sum(friction.twist**2 / inertia)
+            yielding = -_across(friction.twist, free_inputs[..., n:, torque, None])
+            is_held = alike(yielding[..., 0] <= _SINGULAR * np.sum(friction.twist**2 / inertia, axis=-1), 0)
             if not is_held:
-                functionals[flow, rate, n:] = friction.twist
-                functionals[flow, rate + HOLDING] = friction.twist @ free_rates[n:] / yielding
-                feedthrough[flow, rate + HOLDING] = friction.twist @ free_inputs[n:] / yielding
-                feedthrough[flow, rate + HOLDING, torque] = 0.0
+                functionals[..., flow, rate, n:] = friction.twist
+                functionals[..., flow, rate + HOLDING, :] = _across(friction.twist, free_rates[..., n:, :]) / yielding
+                feedthrough[..., flow, rate + HOLDING, :] = _across(friction.twist, free_inputs[..., n:, :]) / yielding
+                feedthrough[..., flow, rate + HOLDING, torque] = 0.0
             excess[flow] |= is_held and active.stuck[k]
 
-    motions = rigid.shape.shape[1]
+    motions = rigid.shape.shape[-1]
     springs = [stiffness + _of_stages(staged, stages) for stages in stages_of(staged)]
     steady = np.zeros((*batch, len(springs), 2 * n, driven))
     carried = np.zeros((*batch, len(springs), count, driven))
@@ -337,7 +350,7 @@ def build_system(
     for k, spring in enumerate(springs if motions <= 1 else []):
         momentum = inertia[..., None] * rigid.shape
         if staged and _is_loose(spring, inertia, twists, motions):
-            steady[k] = np.nan  # no equilibrium, or many
+            steady[..., k, :, :] = np.nan  # no equilibrium, or many
             continue
         contact = None if impulsive else _of_lashes([lash.stiffness for lash in lashes])
         angles = preload(spring, inertial, twists, momentum, contact)
@@ -346,24 +359,27 @@ def build_system(
         held_by[..., by_load] = contact_torques(spring, inertial, twists, contact, angles)
         for j, shaft in enumerate(staged, constants):
             angles = preload(spring, -shaft.twist, twists, momentum, contact)
-            steady[k, :n, j] = angles[:, 0]
-            carried[k, :, j] = contact_torques(spring, -shaft.twist, twists, contact, angles)[:, 0]
+            moving[..., :n, j] = angles[..., 0]
+            held_by[..., j] = contact_torques(spring, -shaft.twist, twists, contact, angles)[..., 0]
     status = Status.NO_EQUILIBRIUM if motions > 1 or any(rubs(each, rigid) for each in frictions) else Status.OK
-    drifts = 0 if status != Status.OK else 1 if rigid.is_dragged else 2
-    zeros, tables = np.zeros((count, n)), build_tables(lashes, staged, frictions)
-    offsets = np.broadcast_to(tables.offsets, (*batch, *tables.offsets.shape[-3:])).copy(order="C")
-    tables = tables._replace(offsets=offsets)
+    drift = np.zeros((*rigid.shape.shape[:-2], 2 * n, 0))
+    if status == Status.OK:
+        still = np.zeros(rigid.shape.shape)
+        drift = np.concatenate([rigid.shape, still], axis=-2)
+        if not rigid.is_dragged:
+            drift = np.concatenate([drift, np.concatenate([still, rigid.shape], axis=-2)], axis=-1)
+    tables = build_tables(lashes, staged, frictions)
     for k in range(len(frictions)):  # a rate that stays zero ends nothing
         rate = first_rate + OF_FRICTION * k + RATE
-        is_held = ~functionals[tables.regimes["flow"], rate].any(axis=1)[:, None]
-        tables.offsets[is_held & (tables.guards["functional"] == rate), rubbing + OF_FRICTION * k] = 1.0
+        is_held = ~alike(functionals[..., tables.regimes["flow"], rate, :].any(axis=-1))[:, None]
+        tables.offsets[..., is_held & (tables.guards["functional"] == rate), rubbing + OF_FRICTION * k] = 1.0
     system = System(
         rates=rates,
         inputs=inputs,
         functionals=functionals,
         feedthrough=feedthrough,
         functionals_per_lash=stride,
-        lashes=np.hstack([zeros, twists]),
+        lashes=_behind_zeros(twists),
         inertias=n,
         ramps=int(ramps),
         **tables._asdict(),
@@ -374,17 +390,25 @@ def build_system(
         locking_speed=_of_lashes(
             [-LOCKING_SHARE if lash.locking_speed is None else lash.locking_speed for lash in lashes], batch
         ),
-        frictions=np.array([[*zeros[0], *friction.twist] for friction in frictions]).reshape(-1, 2 * n),
-        friction_torques=np.array([friction.most for friction in frictions], np.float64),
+        frictions=_behind_zeros(_rows([friction.twist for friction in frictions], n)),
+        friction_torques=_of_lashes([friction.most for friction in frictions], batch),
         excess=excess,
         preload=steady,
         contact_torque=carried,
-        drift=np.ascontiguousarray(np.kron(np.eye(2)[:, :drifts], rigid.shape)),
-        end_time=end_time,
+        drift=np.ascontiguousarray(drift),
+        end_time=_of_lashes([end_time], batch),
         sticking_time=_of_lashes([lash.sticking_time for lash in lashes], batch),
         status=int(status),
     )
-    return system if wave_rates is None else _with_wave(system, wave_rates)
+    system = system if wave_rates is None else _with_wave(system, wave_rates)
+    if not batch:
+        return system
+    # what is common to all of a batch has no axis for it yet
+    each: dict[str, Any] = {}
+    for name, dimensions in zip(Each._fields, _DIMENSIONS, strict=True):
+        array = getattr(system, name)
+        each[name] = np.ascontiguousarray(array if array.ndim > dimensions else array[None].repeat(batch[0], axis=0))
+    return system._replace(**each)
 
 
 def _flow(
@@ -402,7 +426,7 @@ def _flow(
     stiffness = stiffness + _of_stages(staged, active.stages)
     closed = [(k, lash) for k, lash in enumerate(lashes) if active.closed[k] and lash.restitution is None]
     for _, lash in closed:
-        coupling = lash.twist[:, None] * lash.twist
+        coupling = lash.twist[..., :, None] * lash.twist[..., None, :]
         damping = damping + _in_each_flow(lash.damping) * coupling
         stiffness = stiffness + _in_each_flow(lash.stiffness) * coupling
     rubbing = constants + len(staged)
@@ -410,13 +434,13 @@ def _flow(
     for k, lash in closed:
         inputs[..., n:, half_gap_of(k)] = np.asarray(lash.stiffness)[..., None] * lash.twist / inertia
     for k, shaft in enumerate(staged, constants):
-        inputs[n:, k] = -shaft.twist / inertia
+        inputs[..., n:, k] = -shaft.twist / inertia
     for k, friction in enumerate(frictions):
-        inputs[n:, rubbing + OF_FRICTION * k] = -friction.twist / inertia
+        inputs[..., n:, rubbing + OF_FRICTION * k] = -friction.twist / inertia
     locks = lashes[0].restitution is not None
     if not locks and not any(active.stuck):
         return rates, inputs
-    twists = np.array([lash.twist for lash in lashes] + [friction.twist for friction in frictions])
+    twists = np.stack([*(lash.twist for lash in lashes), *(friction.twist for friction in frictions)], axis=-2)
     return locked(rates, inputs, inertia, twists, [*(locks * closed for closed in active.closed), *active.stuck])
 
 
@@ -426,16 +450,16 @@ def _impacts(inertia: FloatArray, twists: FloatArray, mobility: FloatArray, sets
     Returns (…, H, L, n) and (…, H, L, L) float64, zero where the lash itself is in the set that holds.
     """
     *batch, n = inertia.shape
-    count = len(twists)
+    count = twists.shape[-2]
     change, passed = np.zeros((*batch, sets, count, n)), np.zeros((*batch, sets, count, count))
     change[..., 0, :, :] = twists / inertia[..., None, :] / mobility[..., None]
     passed[..., 0, range(count), range(count)] = 1.0 / mobility
     for held in range(1, sets):
         bits = [k for k in range(count) if held >> k & 1]
         for lash in set(range(count)) - set(bits):
-            tied = twists[[lash, *bits]]
+            tied = twists[..., [lash, *bits], :]
             across = tied / inertia[..., None, :]
-            impulses = np.linalg.solve(across @ tied.T, np.eye(len(tied))[0])
+            impulses = np.linalg.solve(across @ np.swapaxes(tied, -1, -2), np.eye(1 + len(bits))[0])
             change[..., held, lash, :] = np.einsum("...k,...kn->...n", impulses, across)
             passed[..., held, lash, [lash, *bits]] = impulses
     return change, passed
@@ -445,7 +469,7 @@ def _with_wave(system: System, wave_rates: FloatArray) -> System:
     """A system with two states more, w, the first of which is added to the torque."""
     *flows, size, _ = system.rates.shape
     rates, functionals = np.zeros((*flows, size + 2, size + 2)), _wider(system.functionals)
-    rates[..., :size, :size], rates[..., size:, size:] = system.rates, wave_rates
+    rates[..., :size, :size], rates[..., size:, size:] = system.rates, wave_rates[..., None, :, :]
     rates[..., :size, size], functionals[..., size] = system.inputs[..., TORQUE], system.feedthrough[..., TORQUE]
     return system._replace(
         rates=rates,
@@ -461,14 +485,27 @@ def _with_wave(system: System, wave_rates: FloatArray) -> System:
 def _of_stages(staged: Sequence[StagedShaft], stages: tuple[int, ...]) -> FloatArray | float:
     """What staged shafts add to the stiffness in some stages: (n, n)  [N m/rad]."""
     parts = (
-        shaft.stiffness[stage] * shaft.twist[:, None] * shaft.twist for shaft, stage in zip(staged, stages, strict=True)
+        shaft.stiffness[..., stage, None, None] * shaft.twist[..., :, None] * shaft.twist[..., None, :]
+        for shaft, stage in zip(staged, stages, strict=True)
     )
     return sum(parts, 0.0)
 
 
 def _of_lashes(numbers: Sequence[FloatArray | float], batch: Sequence[int] = ()) -> FloatArray:
-    """(…, L) a number of each lash."""
+    """(…, L) a number of each lash, or of each of some other things."""
+    if not numbers:
+        return np.zeros((*batch, 0))
     return np.stack([np.broadcast_to(number, batch or np.shape(number)) for number in numbers], axis=-1, dtype=float)
+
+
+def _rows(rows: Sequence[FloatArray], n: int) -> FloatArray:
+    """(…, m, n) vectors (…, n) as rows."""
+    return np.stack(rows, axis=-2) if rows else np.zeros((0, n))
+
+
+def _across(twist: FloatArray, matrix: FloatArray) -> FloatArray:
+    """(…, columns) a twist times the columns of a matrix, (…, n, columns)."""
+    return np.asarray((twist[..., None, :] @ matrix)[..., 0, :])
 
 
 def _in_each_flow(number: FloatArray | float) -> FloatArray:
@@ -484,12 +521,12 @@ def _behind_zeros(array: FloatArray) -> FloatArray:
 def _is_loose(stiffness: FloatArray, inertia: FloatArray, lashes: FloatArray, motions: int) -> bool:
     """Whether springs and the closed lashes leave the driveline more rigid-body motions than it has in other stages."""
     root = np.sqrt(inertia)
-    scaled = stiffness / (root[:, None] * root)
-    tied = lashes / root
-    units = tied / np.linalg.norm(tied, axis=1, keepdims=True)
-    scaled = scaled + np.abs(scaled).max(initial=0.0) * units.T @ units
-    squared = np.linalg.eigvalsh(scaled)
-    return bool(np.count_nonzero(squared <= _SINGULAR * squared[-1]) > motions)
+    scaled = stiffness / (root[..., :, None] * root[..., None, :])
+    tied = lashes / root[..., None, :]
+    units = tied / np.linalg.norm(tied, axis=-1, keepdims=True)
+    largest = np.abs(scaled).max(axis=(-2, -1), initial=0.0)[..., None, None]
+    squared = np.linalg.eigvalsh(scaled + largest * np.swapaxes(units, -1, -2) @ units)
+    return bool(alike(np.count_nonzero(squared <= _SINGULAR * squared[..., -1:], axis=-1) > motions, 0))
 
 
 def _wider(array: FloatArray) -> FloatArray:

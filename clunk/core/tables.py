@@ -34,6 +34,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from clunk.core.batches import alike
 from clunk.core.events import OPENING, REJOIN, SEPARATION, STAGE, TOUCH
 
 FloatArray = npt.NDArray[np.float64]
@@ -120,6 +121,8 @@ class StagedShaft(NamedTuple):
     twist : (n,) float64, its twist is twist · θ
     stiffness : (m + 1,) float64, the slope in each stage  [N m/rad]
     breakpoints : (m,) float64, the twists between stages, increasing  [rad]
+
+    In a batch of drivelines they have an axis more in front.
     """
 
     twist: FloatArray
@@ -129,9 +132,10 @@ class StagedShaft(NamedTuple):
     @property
     def torques(self) -> FloatArray:
         """(m + 1,) the torque at twist 0 of the line that each stage is on  [N m]."""
-        rest = int(np.searchsorted(self.breakpoints, 0.0))
-        jumps = np.concatenate([[0.0], np.cumsum(-np.diff(self.stiffness) * self.breakpoints)])
-        return np.asarray(jumps - jumps[rest], np.float64)
+        rest = int(np.count_nonzero(alike(self.breakpoints < 0.0)))
+        jumps = np.zeros(self.stiffness.shape)
+        np.cumsum(-np.diff(self.stiffness) * self.breakpoints, axis=-1, out=jumps[..., 1:])
+        return jumps - jumps[..., rest, None]
 
     def energy(self, twist: float) -> float:
         """Energy stored at a twist  [J]."""
@@ -146,14 +150,14 @@ class Friction(NamedTuple):
     """Coulomb friction across a shaft.
 
     twist : (n,) float64, its twist is twist · θ
-    torque : float, F  [N m]
+    torque : float or (D,) float64 in a batch of drivelines, F  [N m]
     """
 
     twist: FloatArray
-    torque: float
+    torque: Number
 
     @property
-    def most(self) -> float:
+    def most(self) -> Number:
         """The torque that it holds where it sticks: above F by so little that a load equal to F does not part it."""
         return self.torque * (1.0 + ABOVE)
 
@@ -175,7 +179,7 @@ class _State(NamedTuple):
     """A state of an element, its guards, and those functionals that end nothing, but whose turning makes a margin."""
 
     flow: int  # of the element's
-    weight: float  # of the element's input in u; of a lash the side
+    weight: Number  # of the element's input in u; of a lash the side
     guards: list[_Guard]
     watched: tuple[_Guard, ...] = ()
     of_gap: float = 0.0
@@ -243,14 +247,14 @@ def _stages(shaft: StagedShaft) -> list[_State]:
 
     Where one is passed, the guard of the way back is zero on entry: behind the way on, where there is one.
     """
-    last = shaft.breakpoints.size
+    last = shaft.breakpoints.shape[-1]
     states = []
-    for stage, torque in enumerate(shaft.torques.tolist()):
+    for stage, torque in enumerate(np.moveaxis(shaft.torques, -1, 0)):
         guards = []
         if stage < last:
-            guards.append(_Guard(0, -1.0, shaft.breakpoints[stage], stage + 1, STAGE, int(stage + 1 < last), 1))
+            guards.append(_Guard(0, -1.0, shaft.breakpoints[..., stage], stage + 1, STAGE, int(stage + 1 < last), 1))
         if stage > 0:
-            guards.append(_Guard(0, 1.0, -shaft.breakpoints[stage - 1], stage - 1, STAGE, 0, 1))
+            guards.append(_Guard(0, 1.0, -shaft.breakpoints[..., stage - 1], stage - 1, STAGE, 0, 1))
         states.append(_State(stage, torque, guards))
     return states
 
@@ -284,7 +288,7 @@ def combinations(counts: Sequence[int]) -> list[tuple[int, ...]]:
 
 def stages_of(staged: Sequence[StagedShaft]) -> list[tuple[int, ...]]:
     """The combinations of stages, one for each shaft, in the order in which regimes have them."""
-    return combinations([shaft.stiffness.size for shaft in staged])
+    return combinations([shaft.stiffness.shape[-1] for shaft in staged])
 
 
 class FlowOf(NamedTuple):
@@ -298,14 +302,14 @@ class FlowOf(NamedTuple):
 def flows_of(lashes: int, staged: Sequence[StagedShaft], frictions: int) -> list[FlowOf]:
     """The flows of a driveline in the order of their numbers."""
     shafts = lashes + len(staged)
-    every = combinations([2] * lashes + [shaft.stiffness.size for shaft in staged] + [2] * frictions)
+    every = combinations([2] * lashes + [shaft.stiffness.shape[-1] for shaft in staged] + [2] * frictions)
     return [FlowOf(active[:lashes], active[lashes:shafts], active[shafts:]) for active in every]
 
 
 class Tables(NamedTuple):
     """The tables of `System`: R regimes in U groups, G guards at most, L lashes, I inputs; see there.
 
-    In a batch of drivelines whose guards differ, offsets have an axis more in front.
+    In a batch of drivelines that differ in them, offsets and weights have an axis more in front.
     """
 
     regimes: npt.NDArray[np.void]
@@ -355,20 +359,21 @@ def _product(elements: list[_Element], lashes: int, inputs: int) -> Tables:
     regimes, contacts = np.zeros(len(states), REGIME), np.zeros((len(states), lashes), CONTACT)
     batch = max((np.shape(guard.offset) for row in rows for _, guard in row), default=())
     guards, offsets = np.zeros((len(states), most), GUARD), np.zeros((*batch, len(states), most, inputs))
-    weights, leaders, alike = np.ones((len(states), inputs)), [], []
+    batch = max((np.shape(state.weight) for active in states for state in active), default=())
+    weights, leaders, groups = np.ones((*batch, len(states), inputs)), [], []
     for k, active in enumerate(states):
         flow = int(np.dot([state.flow for state in active], flow_strides[:-1]))
-        sides = [int(state.weight) for state in active[:lashes]]
+        sides = [int(np.asarray(state.weight)) for state in active[:lashes]]
         functionals = [elements[e].functional + guard.functional for e, guard in rows[k]]
         signs = [guard.sign * (sides[e] or 1 if e < lashes else 1) for e, guard in rows[k]]
         key = flow, [side != 0 for side in sides], functionals, signs
-        if key not in alike:
-            alike.append(key)
+        if key not in groups:
+            groups.append(key)
             leaders.append(k)
         count = sum(len(state.guards) for state in active)
-        regimes[k] = (flow, count, len(rows[k]), alike.index(key))
+        regimes[k] = (flow, count, len(rows[k]), groups.index(key))
         for e, (element, state) in enumerate(zip(elements, active, strict=True)):
-            weights[k, element.input] = state.weight
+            weights[..., k, element.input] = state.weight
             if element.lash >= 0:
                 contacts[k, e] = (state.flow, sides[e], state.of_gap, state.of_rest)
         for g, (e, guard) in enumerate(rows[k]):

@@ -3,7 +3,7 @@
 M θ'' + C θ' + K θ = b T (report Eq. 2.6), where closing a lash adds a spring and a damper across it (Eq. 2.12).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -11,20 +11,23 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core import tables
+from clunk.core.batches import alike
 from clunk.core.exact.flows import Chain, Flows, build_flows
 from clunk.core.reductions import Reduction, chain, constrained, locked
 from clunk.core.regimes import RigidMotion, System, build_system, rubs
 from clunk.core.rk4.propagator import Steps, build_steps
 from clunk.core.status import Status
-from clunk.core.tables import Friction, Number, StagedShaft, stages_of
+from clunk.core.tables import Friction, StagedShaft, stages_of
 from clunk.simulation import rigid
 from clunk.simulation.load import is_moving, run_load, wave_rates
 from clunk.simulation.phases import preload
+from clunk.study.document import Place
 from clunk.study.errors import ClunkError
 from clunk.study.models import Lash, Shaft
 from clunk.study.study import Study
 
 FloatArray = npt.NDArray[np.float64]
+Varied = Mapping[Place, FloatArray]  # values of keys in a batch of D drivelines, (D,) each, in the keys' units
 
 _SIDE_BY_SIDE = 1e-12  # of a unit vector, by which twists of shafts side by side may differ: rounding
 
@@ -42,8 +45,8 @@ class Modes:
 class Driveline:
     """The matrices of a driveline; n inertias, S shafts.
 
-    In a batch of drivelines that are alike but for numbers, inertias, stiffnesses and dampings have an axis more in
-    front, and so have the matrices; it has neither staged shafts nor friction.
+    In a batch of drivelines that are alike but for numbers, all numbers have an axis more in front, and so have the
+    matrices; twists have it where gear ratios differ.
     """
 
     names: tuple[str, ...]  # (n,)  of the inertias
@@ -57,35 +60,55 @@ class Driveline:
     load: FloatArray  # (n,)  1 at the loaded inertia
     staged: tuple[tuple[int, StagedShaft], ...] = ()  # shafts with stages, each with its row
     shaft_friction: FloatArray = field(default_factory=lambda: np.zeros(0))  # (S,)  N m, or none
+    varied: Varied = field(default_factory=dict)
 
     @classmethod
-    def from_study(cls, study: Study) -> "Driveline":
-        """The driveline that a study's config spells out."""
-        n, shafts, lashes = len(study.driveline.inertias), study.driveline.shafts, study.lashes
-        rigid = any(lash.contact.model == "restitution" for lash in lashes)
-        if rigid and np.linalg.matrix_rank(_incidence(lashes, n)) < len(lashes):
+    def from_study(cls, study: Study, varied: Varied | None = None) -> "Driveline":
+        """The driveline that a study's config spells out, or a batch of those that have other values of some keys.
+
+        Raises UnlikeError where the drivelines of a batch differ in more than numbers.
+        """
+        n, shafts, lashes, varied = len(study.driveline.inertias), study.driveline.shafts, study.lashes, varied or {}
+        of_shafts, of_lashes = [("driveline", "shafts", k) for k in range(len(shafts))], study.lash_places
+        shaft_rows, rows = _incidence(varied, of_shafts, shafts, n), _incidence(varied, of_lashes, lashes, n)
+        contacts = [lash.contact for lash in lashes]
+        if any(each.model == "restitution" for each in contacts) and alike(
+            np.linalg.matrix_rank(rows) < len(lashes), 0
+        ):
             raise ClunkError(
                 "Rigid lashes in a ring or side by side share a torque that nothing divides between them: "
                 'give each contact.model = "indentation".'
             )
+
+        def numbers(places: Sequence[Place], key: str, own: Sequence[float]) -> FloatArray:
+            return _numbers(varied, [(*place, key) for place in places], own)
+
+        staged = tuple(
+            (k, _staged(varied, of_shafts[k], shaft, shaft_rows[..., k, :]))
+            for k, shaft in enumerate(shafts)
+            if shaft.breakpoints_deg
+        )
+        stiffness = numbers(of_shafts, "stiffness", [shaft.stages[0] for shaft in shafts])
+        for k, each in staged:  # at a breakpoint, the stage above
+            stiffness[..., k] = each.stiffness[..., np.count_nonzero(alike(each.breakpoints <= 0.0))]
+        radii = numbers(of_lashes, "radius", [lash.radius for lash in lashes])
+        squares = np.reshape([radius**2 for radius in radii.ravel().tolist()], radii.shape)  # as Python rounds them
+        in_contact = [(*place, "contact") for place in of_lashes]
         return cls(
             names=study.driveline.names or tuple(f"inertia {k}" for k in range(1, n + 1)),
-            inertia=np.array(study.driveline.inertias, dtype=np.float64),
-            shafts=_incidence(shafts, n),
-            shaft_stiffness=np.array([_at_rest(shaft) for shaft in shafts], dtype=np.float64),
-            shaft_damping=np.array([shaft.damping for shaft in shafts], dtype=np.float64),
-            lashes=_incidence(lashes, n),
-            contact_stiffnesses=np.array([lash.radius**2 * (lash.contact.stiffness or 0.0) for lash in lashes]),
-            contact_dampings=np.array([lash.radius**2 * (lash.contact.damping or 0.0) for lash in lashes]),
+            inertia=_numbers(varied, [("driveline", "inertias", k) for k in range(n)], study.driveline.inertias),
+            shafts=shaft_rows,
+            shaft_stiffness=stiffness,
+            shaft_damping=numbers(of_shafts, "damping", [shaft.damping for shaft in shafts]),
+            lashes=rows,
+            contact_stiffnesses=squares
+            * numbers(in_contact, "stiffness", [each.stiffness or 0.0 for each in contacts]),
+            contact_dampings=squares * numbers(in_contact, "damping", [each.damping or 0.0 for each in contacts]),
             load=np.eye(n)[int(study.load.on) - 1],
-            staged=tuple((k, _staged(shaft, n)) for k, shaft in enumerate(shafts) if shaft.breakpoints_deg),
-            shaft_friction=np.array([shaft.friction for shaft in shafts], dtype=np.float64),
+            staged=staged,
+            shaft_friction=numbers(of_shafts, "friction", [shaft.friction for shaft in shafts]),
+            varied=varied,
         )
-
-    def of_batch(self, number: int) -> "Driveline":
-        """One driveline of a batch."""
-        names = ("inertia", "shaft_stiffness", "shaft_damping", "contact_stiffnesses", "contact_dampings")
-        return replace(self, **{name: getattr(self, name)[number] for name in names})
 
     @cached_property
     def damping(self) -> FloatArray:
@@ -118,8 +141,8 @@ class Driveline:
         closed : (L,), whether each is, or one for all
         """
         damping, stiffness = self.damping, self.stiffness
-        for k in np.flatnonzero(np.broadcast_to(closed, len(self.lashes))):
-            coupling = np.outer(self.lashes[k], self.lashes[k])
+        for k in np.flatnonzero(np.broadcast_to(closed, self.lashes.shape[-2])):
+            coupling = self.lashes[..., k, :, None] * self.lashes[..., k, None, :]
             damping = damping + self.contact_dampings[..., k, None, None] * coupling
             stiffness = stiffness + self.contact_stiffnesses[..., k, None, None] * coupling
         return damping, stiffness
@@ -128,31 +151,34 @@ class Driveline:
     def frictions(self) -> tuple[tuple[Friction, FloatArray], ...]:
         """The frictions, those side by side as one, each with the share that every shaft has in it, (S,)."""
         frictions: list[tuple[Friction, FloatArray]] = []
-        units = self.shafts / np.maximum(np.linalg.norm(self.shafts, axis=1, keepdims=True), 1e-300)
+        units = self.shafts / np.maximum(np.linalg.norm(self.shafts, axis=-1, keepdims=True), 1e-300)
         rest = self.shaft_friction.copy()
-        for k in range(rest.size):
-            beside = np.abs(units @ units[k]) > 1.0 - _SIDE_BY_SIDE
-            ratios = np.abs(self.shafts @ self.shafts[k]) / (self.shafts[k] @ self.shafts[k] or 1.0)
-            torques = np.where(beside, rest * ratios, 0.0)
-            if rest[k] and torques.any():
-                frictions.append((Friction(self.shafts[k], float(torques.sum())), torques / torques.sum()))
-                rest[beside] = 0.0
+        for k in range(rest.shape[-1]):
+            shaft = self.shafts[..., k, :]
+            beside = alike(np.abs(units @ units[..., k, :, None])[..., 0] > 1.0 - _SIDE_BY_SIDE)
+            if not (alike(rest[..., k] > 0.0, 0) and beside.any()):
+                continue
+            along = (self.shafts @ shaft[..., None])[..., 0]
+            torques = np.where(beside, rest * (np.abs(along) / along[..., k, None]), 0.0)
+            total = torques.sum(axis=-1)
+            frictions.append((Friction(shaft, total), torques / total[..., None]))
+            rest[..., beside] = 0.0
         return tuple(frictions)
 
     @cached_property
     def plain_stiffness(self) -> FloatArray:
         """(n, n) stiffness with the lash open, without the shafts that have stages  [N m/rad]."""
         plain = self.shaft_stiffness.copy()
-        plain[[k for k, _ in self.staged]] = 0.0
+        plain[..., [k for k, _ in self.staged]] = 0.0
         return _across(self.shafts, plain)
 
     @cached_property
     def is_spring(self) -> npt.NDArray[np.bool_]:
         """(S,) whether a shaft has a stiffness, in any stage."""
-        springs: npt.NDArray[np.bool_] = np.atleast_2d(self.shaft_stiffness)[0] > 0.0
+        springs: npt.NDArray[np.bool_] = self.shaft_stiffness > 0.0
         for k, shaft in self.staged:
-            springs[k] = shaft.stiffness.any()
-        return springs
+            springs[..., k] = shaft.stiffness.any(axis=-1)
+        return alike(springs)
 
     def in_stages(self, stages: tuple[int, ...]) -> "Driveline":
         """The driveline whose staged shafts have the stiffness of these stages for every twist."""
@@ -160,7 +186,7 @@ class Driveline:
             return self
         stiffness = self.shaft_stiffness.copy()
         for (k, shaft), stage in zip(self.staged, stages, strict=True):
-            stiffness[k] = shaft.stiffness[stage]
+            stiffness[..., k] = shaft.stiffness[..., stage]
         return replace(self, shaft_stiffness=stiffness, staged=())
 
     def shaft_energy(self, angles: FloatArray) -> FloatArray:
@@ -174,9 +200,9 @@ class Driveline:
     @cached_property
     def rigid_motion(self) -> RigidMotion:
         """The rigid-body motion with the lashes closed, and what the load keeps up of it."""
-        springs = [*self.shafts[self.is_spring], *self.lashes]
+        springs = np.concatenate([self.shafts[..., self.is_spring, :], self.lashes], axis=-2)
         dampers = np.sqrt(self.shaft_damping)[..., None] * self.shafts
-        return rigid.steady_motion(self.inertia, np.array(springs), dampers, self.load)
+        return rigid.steady_motion(self.inertia, springs, dampers, self.load)
 
     @property
     def contact_period(self) -> float:
@@ -223,11 +249,15 @@ def prepare(study: Study, driveline: Driveline | None = None) -> tuple[System, S
     """
     driveline = driveline or Driveline.from_study(study)
     if study.solver.method == "exact":  # to which a ramp is an input
-        rates = wave_rates(study.load)
+        rates = wave_rates(study.load, driveline.varied)
         system = _build(study, driveline, rates, ramps=rates is None and is_moving(study.load))
         return system, _flows(study, driveline, system)
-    system = _build(study, driveline, _wave_rates(study))
-    steps = build_steps(system, study.solver.step)
+    return with_steps(build(study, driveline, waves=True), study.solver.step)
+
+
+def with_steps(system: System, step: float) -> tuple[System, Steps]:
+    """A system, of one driveline with the states of its load's wave, and the tables of RK4 with a step of `step` s."""
+    steps = build_steps(system, step)
     return (system if steps.stable else system._replace(status=int(Status.UNSTABLE_STEP))), steps
 
 
@@ -251,9 +281,13 @@ def explained(study: Study, status: Status) -> str:
     return rigid.separate_part(driveline.rigid_motion, driveline.load, driveline.names)
 
 
-def build(study: Study, *, waves: bool = False) -> System:
-    """The switched linear system of a study; with the states of its load's wave, as RK4 has them, if that moves."""
-    return _build(study, Driveline.from_study(study), _wave_rates(study) if waves else None)
+def build(study: Study, driveline: Driveline | None = None, *, waves: bool = False) -> System:
+    """The switched linear system of a study; with the states of its load's wave, as RK4 has them, if that moves.
+
+    driveline : with other numbers than the study's, or a batch
+    """
+    driveline = driveline or Driveline.from_study(study)
+    return _build(study, driveline, _wave_rates(study, driveline) if waves else None)
 
 
 def _build(study: Study, driveline: Driveline, wave_rates: FloatArray | None = None, *, ramps: bool = False) -> System:
@@ -262,19 +296,8 @@ def _build(study: Study, driveline: Driveline, wave_rates: FloatArray | None = N
         damping=driveline.damping,
         stiffness=driveline.plain_stiffness if driveline.staged else driveline.stiffness,
         load=driveline.load,
-        lashes=[
-            _core_lash(study, lash, watched, *of_driveline)
-            for lash, watched, *of_driveline in zip(
-                study.lashes,
-                study.watched,
-                driveline.lashes,
-                np.moveaxis(driveline.contact_stiffnesses, -1, 0),
-                np.moveaxis(driveline.contact_dampings, -1, 0),
-                np.moveaxis(driveline.contact_periods, -1, 0),
-                strict=True,
-            )
-        ],
-        end_time=study.solver.end_time,
+        lashes=[_core_lash(study, driveline, k) for k in range(len(study.lashes))],
+        end_time=driveline.varied.get(("solver", "end_time"), study.solver.end_time),
         rigid=driveline.rigid_motion,
         wave_rates=wave_rates,
         ramps=ramps,
@@ -283,58 +306,58 @@ def _build(study: Study, driveline: Driveline, wave_rates: FloatArray | None = N
     )
 
 
-def _core_lash(
-    study: Study, lash: Lash, watched: int, twist: FloatArray, stiffness: Number, damping: Number, period: Number
-) -> tables.Lash:
+def _core_lash(study: Study, driveline: Driveline, k: int) -> tables.Lash:
     """A lash as the core has it."""
-    restitution = lash.contact.model == "restitution"
-    sticking_time = study.impacts.sticking_time or period
+    contact, place = study.lashes[k].contact, (*study.lash_places[k], "contact")
+    restitution, varied = contact.model == "restitution", driveline.varied
+    sticking_time = varied.get(("impacts", "sticking_time"), study.impacts.sticking_time)
+    if sticking_time is None:
+        sticking_time = driveline.contact_periods[..., k]
     return tables.Lash(
-        twist=twist,
-        stiffness=stiffness,
-        damping=damping,
-        acceleration_of=watched - 1,
+        twist=driveline.lashes[..., k, :],
+        stiffness=driveline.contact_stiffnesses[..., k],
+        damping=driveline.contact_dampings[..., k],
+        acceleration_of=study.watched[k] - 1,
         sticking_time=0.0 if restitution else sticking_time,  # the locked state itself is sticking
-        separation_by_force=lash.contact.separation == "force",
-        restitution=lash.contact.restitution if restitution else None,
-        locking_speed=lash.contact.locking_speed,
+        separation_by_force=contact.separation == "force",
+        restitution=varied.get((*place, "restitution"), contact.restitution) if restitution else None,
+        locking_speed=varied.get((*place, "locking_speed"), contact.locking_speed),
     )
 
 
-def _wave_rates(study: Study) -> FloatArray | None:
+def _wave_rates(study: Study, driveline: Driveline) -> FloatArray | None:
     """S of the load's wave, which may be a ramp; None where the load moves by jumps only."""
-    rates = wave_rates(study.load)
+    rates = wave_rates(study.load, driveline.varied)
     return np.array([[0.0, 1.0], [0.0, 0.0]]) if rates is None and is_moving(study.load) else rates
 
 
 def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
     restitution = study.lashes[0].contact.model == "restitution"
     staged = [shaft for _, shaft in driveline.staged]
-    n = driveline.inertia.shape[-1]
-    rubbing = np.array([friction.twist for friction, _ in driveline.frictions]).reshape(-1, n)
-    twists, chains = np.vstack([driveline.lashes, rubbing]), []
-    for closed, stages, stuck in tables.flows_of(len(driveline.lashes), staged, len(rubbing)):
+    lashes, rubbing = driveline.lashes.shape[-2], [friction.twist[..., None, :] for friction, _ in driveline.frictions]
+    twists, chains = np.concatenate([driveline.lashes, *rubbing], axis=-2), []
+    for closed, stages, stuck in tables.flows_of(lashes, staged, len(rubbing)):
         line = driveline.in_stages(stages)
-        joints = [*line.shafts[line.is_spring], *twists[np.array([*closed, *stuck]) > 0]]
         if not staged and not any(stuck) and (all(closed) or not driveline.rigid_motion.shape.size):
             parts = driveline.rigid_motion.shape
         else:
-            parts = rigid.rigid_motions(np.array(joints).reshape(-1, n))
+            tied = twists[..., np.array([*closed, *stuck]) > 0, :]
+            parts = rigid.rigid_motions(np.concatenate([line.shafts[..., line.is_spring, :], tied], axis=-2))
         ties = constrained(twists, [*(restitution * lash for lash in closed), *stuck])
         chains.append(_chain(line, (0,) * len(closed) if restitution else closed, ties, parts))
-    held = tables.held_inputs(len(driveline.lashes), len(rubbing), system.inputs.shape[2])
+    held = tables.held_inputs(lashes, len(rubbing), system.inputs.shape[-1])
     return build_flows(system.rates, system.inputs, system.functionals, system.feedthrough, chains, held, system.drift)
 
 
 def _chain(line: Driveline, closed: tuple[int, ...], ties: Reduction, parts: FloatArray) -> Chain:
     """The chain with contacts and ties; each row of its basis has one entry at most: its inertias stay diagonal."""
     damping, stiffness = line.matrices(closed=closed)
-    n, left = line.inertia.shape[-1], ties.expand.shape[1] // 2
+    n, left = line.inertia.shape[-1], ties.expand.shape[-1] // 2
     if left == n:
         return Chain(line.inertia, damping, stiffness, *ties, parts)
-    basis, pick = ties.expand[:n, :left], ties.pick[:left, :n]
-    inertia = (line.inertia[..., None, :] @ basis**2)[..., 0, :]
-    return Chain(inertia, basis.T @ damping @ basis, basis.T @ stiffness @ basis, *ties, pick @ parts)
+    basis, pick = ties.expand[..., :n, :left], ties.pick[..., :left, :n]
+    across, inertia = basis.swapaxes(-1, -2), (line.inertia[..., None, :] @ basis**2)[..., 0, :]
+    return Chain(inertia, across @ damping @ basis, across @ stiffness @ basis, *ties, pick @ parts)
 
 
 def steady_stages(study: Study) -> dict[int, int]:
@@ -368,23 +391,37 @@ def steps_a_period(study: Study) -> float:
 
 def _across(joints: FloatArray, sizes: FloatArray) -> FloatArray:
     """(n, n) the matrix of springs or dampers, by the twists of their joints."""
-    return np.asarray((joints.T * sizes[..., None, :]) @ joints)
+    return np.asarray((joints.swapaxes(-1, -2) * sizes[..., None, :]) @ joints)
 
 
-def _at_rest(shaft: Shaft) -> float:
-    """Stiffness of a shaft at twist 0; between two stages, of the one above."""
-    return shaft.stages[int(np.searchsorted(shaft.breakpoints_deg or (), 0.0, side="right"))]
+def _numbers(varied: Varied, places: Sequence[Place], own: Sequence[float]) -> FloatArray:
+    """(…, m) the numbers at some places of a config: a study's own, or in a batch those of each driveline."""
+    numbers = np.tile(np.asarray(own, np.float64), (*next((each.shape for each in varied.values()), ()), 1))
+    for k, place in enumerate(places):
+        numbers[..., k] = varied.get(place, numbers[..., k])
+    return numbers
 
 
-def _staged(shaft: Shaft, n: int) -> StagedShaft:
-    return StagedShaft(_incidence([shaft], n)[0], np.array(shaft.stages), np.deg2rad(shaft.breakpoints_deg or ()))
+def _staged(varied: Varied, place: Place, shaft: Shaft, twist: FloatArray) -> StagedShaft:
+    stages, breakpoints = (
+        _numbers(varied, [(*place, key, k) for k in range(len(own))], own)
+        for key, own in (("stiffness", shaft.stages), ("breakpoints_deg", shaft.breakpoints_deg or ()))
+    )
+    alike(np.diff(breakpoints) > 0.0)  # values that cross are no others' like, and refused alone
+    return StagedShaft(twist, stages, np.deg2rad(breakpoints))
 
 
-def _incidence(joints: Sequence[Shaft | Lash], n: int) -> FloatArray:
-    """(joints, n) float64: twist = row · θ, 1 at the first end and minus the ratio at the second, nothing at ground."""
-    rows = np.zeros((len(joints), n))
-    for row, joint in zip(rows, joints, strict=True):
-        for end, weight in zip(joint.between, (1.0, -joint.ratio), strict=True):
-            if end != "ground":
-                row[int(end) - 1] += weight
+def _incidence(varied: Varied, places: Sequence[Place], joints: Sequence[Shaft | Lash], n: int) -> FloatArray:
+    """(…, joints, n) twist = row · θ, 1 at the first end and minus the ratio at the second, nothing at ground."""
+    differ = any(place[-1] == "ratio" for place in varied)
+    ratios = _numbers(
+        varied if differ else {}, [(*place, "ratio") for place in places], [each.ratio for each in joints]
+    )
+    rows = np.zeros((*ratios.shape, n))
+    for k, joint in enumerate(joints):
+        one, other = joint.between
+        if one != "ground":
+            rows[..., k, int(one) - 1] += 1.0
+        if other != "ground":
+            rows[..., k, int(other) - 1] -= ratios[..., k]
     return rows

@@ -8,6 +8,7 @@ import numpy as np
 
 from clunk.core.runs import BEGIN, LEVEL, PIECE, SLOPE, WAVE, WAVE_PARTNER
 from clunk.study.arrays import Floats
+from clunk.study.document import Place
 from clunk.study.loads import Load
 from clunk.study.study import Study
 
@@ -125,20 +126,27 @@ def _rows(*pieces: tuple[Numbers, ...]) -> Floats:
     return np.stack(columns, axis=-1).astype(np.float64).reshape(-1, len(pieces), PIECE)
 
 
-def wave_rates(load: Load) -> Floats | None:
-    """The matrix S of w' = S w, (2, 2)  [1/s]; None where the profile has no wave."""
-    swing = decay = 0.0
-    if load.profile == "smooth":
-        swing = float(np.pi / _divisor(np.asarray(load.duration)))
-    elif load.profile == "sine":
-        swing = 2.0 * np.pi * float(load.frequency or 0.0)
-    elif load.profile == "lag":
-        decay = float(1.0 / _divisor(np.asarray(load.time_constant)))
-    else:
+WAVES = {"smooth": "duration", "lag": "time_constant", "sine": "frequency"}  # profile -> key of how fast it moves
+
+
+def wave_rates(load: Load, varied: Mapping[Place, Floats] | None = None) -> Floats | None:
+    """The matrix S of w' = S w, (2, 2)  [1/s]; None where the profile has no wave.
+
+    varied : other values of keys, of a batch; S is (D, 2, 2) then, where its key is among them
+    """
+    if load.profile not in WAVES:
         return None
-    if swing == 0.0 == decay:  # a step: its wave, zero, may have any rate
-        decay = 1.0
-    return np.array([[-decay, swing], [-swing, -decay]])
+    key = WAVES[load.profile]
+    value = np.asarray((varied or {}).get(("load", key), getattr(load, key) or 0.0), np.float64)
+    swing = decay = np.zeros(value.shape)
+    if load.profile == "smooth":
+        swing = np.pi / _divisor(value)
+    elif load.profile == "sine":
+        swing = 2.0 * np.pi * value
+    else:
+        decay = 1.0 / _divisor(value)
+    decay = np.where((swing == 0.0) & (decay == 0.0), 1.0, decay)  # a step: its wave, zero, may have any rate
+    return np.stack([np.stack([-decay, swing], axis=-1), np.stack([-swing, -decay], axis=-1)], axis=-2)
 
 
 def is_moving(load: Load) -> bool:

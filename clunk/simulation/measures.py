@@ -44,12 +44,12 @@ def channels_of(
         Whether primary impacts are measured too; by default if the config says so.
     """
     measures, parts = study.measures, parts_of(study)
-    n, lashes = system.inertias, len(line.lashes)
+    n, lashes = system.inertias, line.lashes.shape[-2]
     count, _, size, driven = each.inputs.shape
     flows = flows_of(lashes, [shaft for _, shaft in line.staged], len(line.frictions))
     rows = np.zeros((count, len(flows), OF_LASH * lashes + len(measures), size + driven))
     for flow, active in enumerate(flows):
-        for lash, twist in enumerate(line.lashes):
+        for lash, twist in enumerate(np.moveaxis(line.lashes, -2, 0)):
             of_lash = rows[:, flow, OF_LASH * lash :]
             if active.closed[lash]:
                 of_lash[:, CONTACT_TORQUE] = torque_across(line, system, each, flow, lash)
@@ -57,7 +57,7 @@ def channels_of(
         for m, (quantity, part) in enumerate(zip(measures, parts, strict=True)):
             row = _row(quantity, part, active, line, system, each, flow, rows[:, flow])
             rows[:, flow, OF_LASH * lashes + m] = row
-    levels = tabulate(each.rates, each.inputs, rows, system)
+    levels = tabulate(each, rows, system)
     pressed = 0.0 if system.impulsive else 1.0
     return Channels(
         *levels,
@@ -76,8 +76,8 @@ def torque_across(line: Driveline, system: System, each: Each, flow: int, lash: 
         return _read(each, flow, force)
     n, (count, _, size, driven) = system.inertias, each.inputs.shape
     row, stiffness, damping = np.zeros((count, size + driven)), line.contact_stiffnesses, line.contact_dampings
-    row[:, :n] = stiffness[..., lash, None] * line.lashes[lash]
-    row[:, n : 2 * n] = damping[..., lash, None] * line.lashes[lash]
+    row[:, :n] = stiffness[..., lash, None] * line.lashes[..., lash, :]
+    row[:, n : 2 * n] = damping[..., lash, None] * line.lashes[..., lash, :]
     row[:, size + half_gap_of(lash)] = -stiffness[..., lash]
     return row
 
@@ -104,7 +104,8 @@ def _row(
     if measure.quantity == "contact torque":
         torque: Floats = channels[:, OF_LASH * k + CONTACT_TORQUE]
         return torque
-    row, twist = np.zeros((count, size + driven)), line.lashes[k] if part.element == "lash" else line.shafts[k]
+    row, twists = np.zeros((count, size + driven)), line.lashes if part.element == "lash" else line.shafts
+    twist = twists[..., k, :]
     if measure.quantity == "twist":
         row[:, :n] = twist
         return row
@@ -113,13 +114,13 @@ def _row(
     row[:, n : 2 * n] = stage.shaft_damping[..., k, None] * twist
     staged = [shaft for shaft, _ in line.staged]
     if k in staged:
-        row[:, size + half_gap_of(len(line.lashes)) + staged.index(k)] = 1.0  # behind the half gaps
+        row[:, size + half_gap_of(system.lashes.shape[0]) + staged.index(k)] = 1.0  # behind the half gaps
     behind = OF_FRICTION * len(active.stuck)
     torque_at, holding = row.shape[-1] - behind, each.functionals.shape[-2] - behind
     for (friction, shares), sticks in zip(line.frictions, active.stuck, strict=True):
-        share = shares[k] * np.sign(twist @ friction.twist)
+        share = shares[..., k] * np.sign((twist * friction.twist).sum(axis=-1))
         if sticks:
-            row += share * _read(each, flow, holding + HOLDING)
+            row += share[..., None] * _read(each, flow, holding + HOLDING)
         else:
             row[:, torque_at] += share
         torque_at, holding = torque_at + OF_FRICTION, holding + OF_FRICTION

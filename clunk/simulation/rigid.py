@@ -2,12 +2,15 @@
 
 It is found along the joints and their gear ratios, exactly but for the rounding of the ratios, where the rank of the
 stiffness matrix would need a tolerance between the softest spring and nothing.
+
+Twists and speeds have an axis more in front for drivelines of a batch that differ in gear ratios.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
 
+from clunk.core.batches import alike
 from clunk.core.regimes import RigidMotion
 from clunk.study.arrays import Floats
 from clunk.study.problems import listing
@@ -23,26 +26,27 @@ def rigid_motions(joints: Floats) -> Floats:
     Returns (n, k) float64, the speeds in each of the k motions; none for a part that is held to ground, or whose gear
     ratios along a loop do not fit each other.
     """
-    motions, left = [], set(range(joints.shape[1]))
+    motions, left = [], set(range(joints.shape[-1]))
     while left:
         speeds = speeds_along(joints, min(left))
-        left -= set(np.flatnonzero(speeds).tolist())
-        if not _twists(joints, speeds).any():
+        left -= set(np.flatnonzero(alike(speeds != 0.0)).tolist())
+        if not alike(_twists(joints, speeds).any(axis=-1), 0):
             motions.append(speeds)
-    return np.array(motions).reshape(len(motions), joints.shape[1]).T
+    return np.stack(motions, axis=-2).swapaxes(-1, -2) if motions else np.zeros((joints.shape[-1], 0))
 
 
 def speeds_along(joints: Floats, start: int) -> Floats:
     """Speeds of the inertias that joints connect to one, where that turns by 1; zero of all others: (n,)."""
-    speeds = np.zeros(joints.shape[1])
-    speeds[start] = 1.0
-    pairs = [(row, *np.flatnonzero(row).tolist()) for row in joints if np.count_nonzero(row) == 2]
+    speeds, turns = np.zeros((*joints.shape[:-2], joints.shape[-1])), {start}
+    speeds[..., start] = 1.0
+    ends = [np.flatnonzero(row).tolist() for row in alike(joints != 0.0, 2)]
+    pairs = [(k, *between) for k, between in enumerate(ends) if len(between) == 2]
     for _ in pairs:
-        for row, one, other in pairs:
-            if speeds[one] != 0.0 and speeds[other] == 0.0:
-                speeds[other] = -speeds[one] * row[one] / row[other]
-            elif speeds[other] != 0.0 and speeds[one] == 0.0:
-                speeds[one] = -speeds[other] * row[other] / row[one]
+        for k, one, other in pairs:
+            if (one in turns) != (other in turns):
+                known, next_one = (one, other) if one in turns else (other, one)
+                speeds[..., next_one] = -speeds[..., known] * joints[..., k, known] / joints[..., k, next_one]
+                turns.add(next_one)
     return speeds
 
 
@@ -61,12 +65,15 @@ def steady_motion(inertia: Floats, springs: Floats, dampers: Floats, load: Float
     """
     shape = rigid_motions(springs)
     speeds = accelerations = np.zeros(inertia.shape)
-    slips = _twists(dampers, shape[:, 0]) if shape.shape[1] == 1 else np.zeros(0)
-    if slips.any():
-        speeds = shape[:, 0] * (shape[:, 0] @ load) / (slips[..., None, :] @ slips[..., None])[..., 0]
-    elif shape.shape[1] == 1:
-        accelerations = shape[:, 0] * (shape[:, 0] @ load) / (inertia[..., None, :] @ shape**2)[..., 0]
-    return RigidMotion(shape, speeds, accelerations, bool(slips.any()))
+    if shape.shape[-1] != 1:
+        return RigidMotion(shape, speeds, accelerations, False)
+    slips = _twists(dampers, shape[..., 0])
+    is_dragged, moved = bool(alike(slips.any(axis=-1), 0)), shape[..., 0] * (shape[..., 0] @ load)[..., None]
+    if is_dragged:
+        speeds = moved / (slips[..., None, :] @ slips[..., None])[..., 0]
+    else:
+        accelerations = moved / (inertia[..., None, :] @ shape**2)[..., 0]
+    return RigidMotion(shape, speeds, accelerations, is_dragged)
 
 
 def separate_part(rigid: RigidMotion, load: Floats, names: Sequence[str]) -> str:
@@ -82,6 +89,6 @@ def separate_part(rigid: RigidMotion, load: Floats, names: Sequence[str]) -> str
 
 def _twists(joints: Floats, speeds: Floats) -> Floats:
     """Rates of twist of joints at these speeds, without rounding."""
-    twists = joints @ speeds
-    twists[np.abs(twists) <= _FITS * (np.abs(joints) @ np.abs(speeds))] = 0.0
+    twists = (joints @ speeds[..., None])[..., 0]
+    twists[np.abs(twists) <= _FITS * (np.abs(joints) @ np.abs(speeds)[..., None])[..., 0]] = 0.0
     return np.asarray(twists)

@@ -19,7 +19,7 @@ from clunk.core.regimes import System
 from clunk.core.switching import MOST_STAGES
 from clunk.simulation import driveline
 from clunk.simulation.batches import prepare_many, prepare_one
-from clunk.simulation.load import loads_of
+from clunk.simulation.load import WAVES, loads_of
 from clunk.study.arrays import Cells, Floats, Records
 from clunk.study.designs import Design, design_of
 from clunk.study.document import dotted
@@ -34,7 +34,7 @@ Runs = tuple[Cells, Records, list[Records]]  # positions of runs, their records,
 CELL, IMPACT = kernel.CELL, kernel.IMPACT
 
 _BACKLASH = re.compile(r"lash(\[\d+\])?\.backlash_deg")
-_RATES = {"smooth": "load.duration", "lag": "load.time_constant", "sine": "load.frequency"}  # how fast a wave swings
+
 _NOMINAL: _Key = (), ()
 KEPT_SYSTEMS = 4096  # about 30 KB each
 _KEPT_MEASURED = 256  # some 100 KB more each
@@ -50,7 +50,8 @@ _TILE_POINTS = 2**19  # of tabulated loads: 20 MB where each cell has its own
 
 def leaves_system(study: Study, parameter: str) -> bool:
     """Whether cells that differ in a parameter have the same system: only the load's pieces or the gap change."""
-    is_load = parameter.startswith("load.") and parameter not in ("load.on", _RATES.get(study.load.profile))
+    of_wave = f"load.{WAVES.get(study.load.profile)}"
+    is_load = parameter.startswith("load.") and parameter not in ("load.on", of_wave)
     return is_load or _BACKLASH.fullmatch(parameter) is not None
 
 
@@ -180,7 +181,10 @@ class Grid:
 
     def run(self, cells: Cells, stop: Flag) -> Tile:
         """Run cells; the tile has those that were done before `stop` was set."""
-        values = self.design.at(cells)
+        return self.run_at(cells, self.design.at(cells), stop)
+
+    def run_at(self, cells: Cells, values: Mapping[str, Floats], stop: Flag) -> Tile:
+        """Run cells with these values of the design's parameters, whatever the design's are."""
         cases = self.cases(values, cells.size)
         points = self.points(values, cells.size)
         runs = self._runs(self.structural, *points, cases, stop, self.study.measured)
@@ -287,7 +291,7 @@ class Grid:
             cells, details = rows.reshape(-1, self.layout.lashes), np.concatenate([np.zeros(0, IMPACT), *pieces])
             totals = np.full((*cells.shape, OF_IMPACTS + len(self.study.measures)), np.nan)
             of_impacts = np.full((details.size, OF_IMPACTS), np.nan)
-            measure_runs(system, batch.each.sticking_time, channels, part, cells, logs, states, totals, of_impacts)
+            measure_runs(system, batch.each, channels, part, cells, logs, states, totals, of_impacts)
             names = self.study.impacts.quantities
             columns = [*(IMPACT_MEASURES.index(name) for name in names), *range(OF_IMPACTS, totals.shape[2])]
             records.append(_joined(rows, self.layout.record, totals[..., columns].reshape(rows.size, -1)))

@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from clunk.core.batches import UnlikeError, alike
 from clunk.core.lanes.vectors import ROW
 from clunk.core.tables import TORQUE, TORQUE_RATE
 
@@ -79,7 +80,7 @@ class Flows(NamedTuple):
 class Chain(NamedTuple):
     """A chain M θ'' + C θ' + K θ = … in m angles without constraint, and how they lie in the n of the driveline.
 
-    Or those of D drivelines, whose numbers then have an axis more in front.
+    Or those of D drivelines: all arrays then have an axis more in front.
 
     inertia : (m,) float64, the diagonal of M
     damping, stiffness : (m, m) float64
@@ -98,24 +99,10 @@ class Chain(NamedTuple):
 
     def of(self, drivelines: IntArray) -> "Chain":
         """The chains of some drivelines of a batch."""
-        matrices = self.inertia[drivelines], self.damping[drivelines], self.stiffness[drivelines]
-        return Chain(*matrices, *self[len(matrices) :])
+        return Chain._make(array[drivelines] for array in self)
 
 
-class _UnlikeError(Exception):
-    """Drivelines of a batch differ in more than numbers: `parts`, positions of those that are alike."""
-
-    def __init__(self, parts: list[IntArray]) -> None:
-        super().__init__()
-        self.parts = parts
-
-
-def _alike(patterns: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """The pattern that D drivelines have in common; patterns : (D, …). Raises _UnlikeError where they differ."""
-    if (patterns != patterns[:1]).any():
-        _, part_of = np.unique(patterns.reshape(len(patterns), -1), axis=0, return_inverse=True)
-        raise _UnlikeError([np.flatnonzero(part_of.ravel() == part) for part in range(part_of.max() + 1)])
-    return np.asarray(patterns[0])
+_DIMENSIONS = (1, 2, 2, 2, 2, 2, 2)  # of the arrays of a chain of one driveline
 
 
 def build_flows(
@@ -157,23 +144,27 @@ def build_flows(
     arrays = rates, inputs, functionals, feedthrough
     for k, chain in enumerate(chains):
         matrices = _Matrices(*(array[..., k, :, :].reshape(*many, *array.shape[-2:]) for array in arrays))
-        numbers = [array.reshape(*many, *array.shape[len(batch) :]) for array in chain[:3]]
-        _fill(Flows._make(table[:, k] for table in tables), matrices, Chain._make([*numbers, *chain[3:]]), held)
+        # what is common to all of a batch has no axis for it
+        numbers = Chain._make(
+            np.broadcast_to(array, (*many, *array.shape[-dimensions:]))
+            for array, dimensions in zip(chain, _DIMENSIONS, strict=True)
+        )
+        _fill(Flows._make(table[:, k] for table in tables), matrices, numbers, held)
     if drift.size:
-        rolling = drift[: len(drift) // 2, 0]
+        rolling = drift[..., : drift.shape[-2] // 2, 0].reshape(-1, drift.shape[-2] // 2)
         _set_rolling_apart(tables.basis, rolling)
         _set_rolling_apart(tables.origin, rolling)
-        tables.origin[:, :, 0, :, np.flatnonzero(rolling)[0]] = 0.0  # it begins with the phase
+        tables.origin[:, :, 0, :, np.flatnonzero(rolling[0])[0]] = 0.0  # it begins with the phase
     return tables if batch else Flows._make(table[0] for table in tables)
 
 
 def _set_rolling_apart(states: FloatArray, rolling: FloatArray) -> None:
-    """Write the angle that states (…, N) have rolled by in place of that of the first inertia that rolls.
+    """Write the angle that states (D, …, N) have rolled by in place of that of the first inertia that rolls.
 
     It is taken from the other angles, which become zero to the last bit where only rounding is left.
     """
-    n, first = rolling.size, np.flatnonzero(rolling)[0]
-    rolled = states[..., first, None] * rolling
+    n, first = rolling.shape[-1], np.flatnonzero(alike(rolling != 0.0))[0]
+    rolled = states[..., first, None] * rolling.reshape(-1, *(1,) * (states.ndim - 2), n)
     angles = states[..., :n] - rolled
     angles[np.abs(angles) <= _ROUNDING * np.abs(rolled)] = 0.0
     states[..., :n] = angles
@@ -205,7 +196,7 @@ def _fill(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int]) -> 
     """Tables of one flow of D drivelines, (D, …); what they differ in but for numbers, they are divided by."""
     try:
         _fill_alike(tables, matrices, chain, held)
-    except _UnlikeError as unlike:
+    except UnlikeError as unlike:
         for part in unlike.parts:
             some = Flows._make(np.zeros_like(table[part]) for table in tables)
             _fill(some, _Matrices(*(array[part] for array in matrices)), chain.of(part), held)
@@ -216,7 +207,7 @@ def _fill(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int]) -> 
 def _fill_alike(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int]) -> None:
     """`_fill` of drivelines that are alike; the coordinates that a chain has fewer than the tables stay zero."""
     rates, inputs, functionals, feedthrough = matrices
-    scaled, unforced = _scale(chain), len(chain.shift)  # states but for a wave's
+    scaled, unforced = _scale(chain), chain.shift.shape[-2]  # states but for a wave's
     into, back = scaled.into @ chain.pick, chain.expand @ scaled.back
     forcing = inputs[:, :unforced].copy()
     forcing[..., held] += rates[:, :unforced, :unforced] @ chain.shift
@@ -238,7 +229,7 @@ def _fill_alike(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int
         tables.oscillating[:] = np.count_nonzero(block[:, 1::2, ::2].diagonal(axis1=-2, axis2=-1), axis=-1)
     modal, growth = modes is not None, 1.0
     seen = _outputs(functionals[..., :unforced], back, chain)
-    unseen = _alike(~np.any(block, axis=-2) & ~np.any(seen, axis=-2))
+    unseen = alike(~np.any(block, axis=-2) & ~np.any(seen, axis=-2))
     into[:, unseen], block[:, unseen] = into[:, unseen] / _FAR, block[:, unseen] / _FAR
     back[..., unseen] *= _FAR
     if rates.shape[-1] > unforced:
@@ -312,7 +303,7 @@ def _scale(chain: Chain) -> _Scaled:
     root = np.sqrt(chain.inertia)[..., None]
     squared, rotated = _undamped_modes(chain.stiffness / (root * root.swapaxes(-1, -2)), root * chain.rigid)
     shapes = rotated / root
-    free = _alike(squared <= _ROUNDING * squared.max(axis=-1, initial=0.0, keepdims=True))
+    free = alike(squared <= _ROUNDING * squared.max(axis=-1, initial=0.0, keepdims=True))
     drifting = bool(free.any())
     if np.count_nonzero(free) > 1:  # among the free shapes those apart that are not damped either
         damped = shapes[..., free].swapaxes(-1, -2) @ chain.damping @ shapes[..., free]
@@ -323,7 +314,7 @@ def _scale(chain: Chain) -> _Scaled:
     if drifting:
         stiffness[:, free], stiffness[..., free] = 0.0, 0.0
         friction = damping.diagonal(axis1=-2, axis2=-1)
-        undamped = _alike(free & (friction <= _ROUNDING * friction.max(axis=-1, initial=0.0, keepdims=True)))
+        undamped = alike(free & (friction <= _ROUNDING * friction.max(axis=-1, initial=0.0, keepdims=True)))
         damping[:, undamped], damping[..., undamped] = 0.0, 0.0
         squared = np.where(free, squared[:, ~free].min(axis=-1, initial=np.inf, keepdims=True), squared)
         squared[np.isinf(squared)] = 1.0
@@ -384,7 +375,7 @@ def _with_wave(
     (count, size), states = drive.shape, into.shape[-1]
     rate = wave[:, 0, 0] + 1j * wave[:, 0, 1]
     away = np.abs(np.linalg.eigvals(block) - rate[:, None]).min(axis=-1, initial=np.inf)
-    resonates = modal and bool(_alike(away <= _RESONANCE * np.abs(rate)))
+    resonates = modal and bool(alike(away <= _RESONANCE * np.abs(rate), 0))
     both, generator = np.zeros((count, size, 2)), np.zeros((count, size + 2, size + 2))
     generator[:, :size, :size], generator[:, size:, size:] = block, wave
     scale = np.ones((count, 1, 1))
@@ -431,7 +422,7 @@ def _modes(scaled: _Scaled) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     eigenvalues = np.take_along_axis(eigenvalues, fastest_first, axis=-1)
     vectors = np.take_along_axis(vectors, fastest_first[:, None], axis=-1)
     sigma, omega = np.minimum(eigenvalues.real, 0.0), eigenvalues.imag  # a chain is passive: growth is rounding
-    _alike(np.stack([np.count_nonzero(omega > 0.0, axis=-1), np.count_nonzero(omega == 0.0, axis=-1)], axis=-1))
+    alike(np.stack([np.count_nonzero(omega > 0.0, axis=-1), np.count_nonzero(omega == 0.0, axis=-1)], axis=-1))
     rings, decays = (np.nonzero(chosen)[1].reshape(count, -1) for chosen in (omega > 0.0, omega == 0.0))
 
     def vectors_of(modes: IntArray) -> npt.NDArray[Any]:
@@ -470,13 +461,13 @@ def _modes(scaled: _Scaled) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         inverse = np.linalg.inv(basis)
     except np.linalg.LinAlgError:
         if count > 1:
-            raise _UnlikeError([np.array([k]) for k in range(count)]) from None
+            raise UnlikeError([np.array([k]) for k in range(count)]) from None
         return None
     # by the Frobenius norms, at most as many times larger as there are coordinates, the condition is known sooner
     sound = np.sqrt((basis * basis).sum(axis=(-2, -1)) * (inverse * inverse).sum(axis=(-2, -1))) <= _MAX_CONDITION
     if size and not sound.all():
         sound[~sound] = np.linalg.cond(basis[~sound]) <= _MAX_CONDITION
-    if size and not _alike(sound):
+    if size and not alike(sound, 0):
         return None
     return basis, inverse @ (2.0 * unit - basis @ inverse), block
 
@@ -489,7 +480,7 @@ def _velocities_of(damped: IntArray, vectors: npt.NDArray[Any], decays: IntArray
     columns = np.take_along_axis(vectors[:, damped], slowest[:, None], axis=-1).real
     lengths = np.linalg.norm(columns, axis=-2, keepdims=True)
     moved = np.linalg.svd(columns / np.where(lengths > 0.0, lengths, 1.0), compute_uv=False)
-    return slowest if _alike(moved[:, -1] > _APART) else slowest[:, :0]
+    return slowest if alike(moved[:, -1] > _APART, 0) else slowest[:, :0]
 
 
 @functools.cache

@@ -117,7 +117,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     """Enter a regime, or go on in it: the state, what it makes of the inputs and the guards, and the run's queue."""
     system, row, inputs = system_of(space, slot), space.runs[slot], space.inputs[slot]
     numbers, regime = space.numbers[slot, space.behind :], entry.regime
-    numbers[rows.limit(lashes_of(system))], space.numbers[slot, space.kink_at] = system.end_time - time, 0.0
+    numbers[rows.limit(lashes_of(system))], space.numbers[slot, space.kink_at] = system.end_time[0] - time, 0.0
     if space.loads.shape[1] > 1:
         _take_piece(space, slot, time, x)
     if frictions_of(system) > 0:
@@ -162,7 +162,8 @@ def _take_piece(space: Workspace, slot: int, time: float, x: FloatArray) -> None
         begin_wave(space.system, load, piece, x)
     set_torque(space.system, load, piece, time, space.inputs[slot])
     if piece + 1 < load.shape[0]:
-        numbers[rows.limit(lashes_of(space.system))] = min(space.system.end_time, load[piece + 1, BEGIN]) - time
+        end = min(system_of(space, slot).end_time[0], load[piece + 1, BEGIN])
+        numbers[rows.limit(lashes_of(space.system))] = end - time
         space.numbers[slot, space.kink_at] = 1.0
 
 
@@ -267,10 +268,11 @@ def _follow(space: Workspace, slot: int) -> None:
         _end(space, slot, _OK, now)
     elif row.ended == rows.AT_END:
         load = space.loads[row.load]
-        if row.piece + 1 < load.shape[0] and load[row.piece + 1, BEGIN] < space.system.end_time:
+        end = system_of(space, slot).end_time[0]
+        if row.piece + 1 < load.shape[0] and load[row.piece + 1, BEGIN] < end:
             _go_on(space, slot, load[row.piece + 1, BEGIN])
         else:
-            _end(space, slot, _OK, space.system.end_time)
+            _end(space, slot, _OK, end)
     elif row.ended == rows.LOST:
         _end(space, slot, _NON_FINITE, now)
     else:

@@ -121,8 +121,8 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
             if over:
                 return Outcome(_OK, entry.written, QUALITY_COMPLETE, begin + index * grid.step)
             if index >= grid.last:
-                if piece + 1 == load.shape[0] or load[piece + 1, BEGIN] >= system.end_time:
-                    return Outcome(_OK, entry.written, 0, system.end_time)
+                if piece + 1 == load.shape[0] or load[piece + 1, BEGIN] >= system.end_time[0]:
+                    return Outcome(_OK, entry.written, 0, system.end_time[0])
                 piece = piece_at(load, piece + 1, load[piece + 1, BEGIN])
                 begin, grid = _begin_piece(system, steps, load, piece, x, inputs)
                 index, offset = 0, 0.0
@@ -153,7 +153,7 @@ def _begin_piece(
 ) -> tuple[float, _Grid]:
     """Set wave and torque to those of a piece; return where it begins, and the time grid until it ends."""
     begin = load[piece, BEGIN]
-    end = min(system.end_time, load[piece + 1, BEGIN]) if piece + 1 < load.shape[0] else system.end_time
+    end = min(system.end_time[0], load[piece + 1, BEGIN]) if piece + 1 < load.shape[0] else system.end_time[0]
     begin_wave(system, load, piece, x)
     set_torque(system, load, piece, begin, inputs)
     return begin, _grid_of(end - begin, steps.step)
