@@ -60,6 +60,7 @@ if TYPE_CHECKING:
     from clunk.sweeping.engines import EngineError as EngineError
     from clunk.sweeping.parts import PartsError as PartsError
     from clunk.sweeping.reduction import SweepError as SweepError
+    from clunk.sweeping.runner import Runner as Runner
 
 # Public name -> the module that it is in; `plot` is a module itself.
 _HOME = {
@@ -79,6 +80,7 @@ _HOME = {
     "PartsError": "sweeping.parts",
     "PlotError": "plot",
     "Results": "results.regimemap",
+    "Runner": "sweeping.runner",
     "Sensitivity": "analysis.sobol",
     "SensitivityError": "analysis.sobol",
     "SimulationError": "simulation.trajectory",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Mapping
 from concurrent.futures import Executor
@@ -12,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import numpy.typing as npt
 
 from clunk.analysis import fitting
@@ -32,6 +32,7 @@ from clunk.study.study import Study
 from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.progress import Progress, reporting
 from clunk.sweeping.reduction import SweepError
+from clunk.sweeping.runner import Runner
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -204,13 +205,14 @@ def run_points(
     if not points:
         raise ConfigError("There is nothing to run: points names no parameter, such as load.ratio.")
     design = design_of_points(study, points)
-    base = study.model_copy(update={"sweep": None})
-    with sweeping.engine_of(scheduler, workers) as engine, reporting(progress, design.cells, base) as report:
-        results = sweeping.sweep(base, design, engine=engine, progress=report)
-    values = hashlib.sha256(results.config_digest.encode())
-    for axis in sorted(results.coordinates, key=lambda axis: axis.parameter):
-        values.update(axis.parameter.encode() + b"\0" + axis.values.tobytes())
-    return replace(results, config_digest=values.hexdigest())
+    runner = Runner(study, [column.parameter for column in design.columns], workers=workers)
+    with reporting(progress, design.cells, runner.study) as report:
+        values = np.stack([column.values for column in design.columns], axis=-1)
+        if scheduler is None:
+            return runner(values, progress=report)
+        with sweeping.engine_of(scheduler, workers) as engine:
+            results = sweeping.sweep(runner.study, design, engine=engine, progress=report)
+    return replace(results, config_digest=runner.digest(values))
 
 
 def fit(

@@ -23,15 +23,13 @@ from clunk.results.labels import FAILED, flanks_of_label
 from clunk.results.quantities import measuring
 from clunk.study.arrays import Bools, Floats, Patterns, Positions, Records
 from clunk.study.axes import variable_of
-from clunk.study.designs import Column, Design
 from clunk.study.document import dotted
 from clunk.study.keys import key_at
 from clunk.study.parameters import located, nominal_value, parameters
 from clunk.study.study import Study
 from clunk.study.sweeps import Draw
 from clunk.sweeping.assembly import flanks_of
-from clunk.sweeping.cells import Systems
-from clunk.sweeping.sweep import sweep
+from clunk.sweeping.runner import Runner
 
 Worth = Callable[[Records], Bools]
 
@@ -82,20 +80,20 @@ class CandidateRuns:
 
         Returns MATCH, (n, points); the distances are 0 of candidates that do not need them.
         """
-        systems = Systems(self.study)  # of these candidates only: there are too many to keep
+        runner = self._runner()  # for these candidates only: there are too many drivelines to keep
         matches = np.zeros((len(candidates), len(self.points)), MATCH)
         every = np.indices(matches.shape).reshape(2, -1)
-        patterns, status, impacts = self._run(candidates, every, self.points[every[1]], systems)
+        patterns, status, impacts = self._run(candidates, every, self.points[every[1]], runner)
         matches["pattern"], matches["status"] = (each.reshape(matches.shape) for each in (patterns, status))
         matches["misfit"] = self._misfits(every[1], patterns, impacts).reshape(matches.shape)
         missed = np.flatnonzero(patterns != self.wanted[every[1]])
         if worth is not None:
             missed = missed[worth(matches)[every[0, missed]]]
-        self._look_around(candidates, matches.reshape(-1), missed, every, systems)
+        self._look_around(candidates, matches.reshape(-1), missed, every, runner)
         return matches
 
     def _look_around(
-        self, candidates: Floats, matches: Records, missed: Positions, every: Positions, systems: Systems
+        self, candidates: Floats, matches: Records, missed: Positions, every: Positions, runner: Runner
     ) -> None:
         """Find the distances of runs that missed the measured label, on either side of the point.
 
@@ -108,7 +106,7 @@ class CandidateRuns:
 
         def edits_at(rows: Positions, changes: Floats) -> tuple[Patterns, Floats]:
             point = runs[1, rows]
-            patterns = self._run(candidates, runs[:, rows], self._beside(point, self.axis, changes), systems)[0]
+            patterns = self._run(candidates, runs[:, rows], self._beside(point, self.axis, changes), runner)[0]
             return patterns, self._edits(point, patterns)
 
         row, side = np.repeat(np.arange(missed.size), 2), np.tile([-1.0, 1.0], missed.size)
@@ -137,12 +135,12 @@ class CandidateRuns:
     def _telling_axis(self) -> int:
         """Number of the axis along which labels change most, by some draws of the prior."""
         normal = np.random.default_rng(0).standard_normal((_TRIED, len(self.priors)))
-        candidates, systems = numbers_at(self.study, self.priors, normal), Systems(self.study)
+        candidates, runner = numbers_at(self.study, self.priors, normal), self._runner()
         runs = np.indices((_TRIED, len(self.points))).reshape(2, -1)
-        at = self._run(candidates, runs, self.points[runs[1]], systems)[0]
+        at = self._run(candidates, runs, self.points[runs[1]], runner)[0]
         changed = [
             sum(
-                int((self._run(candidates, runs, self._beside(runs[1], axis, change), systems)[0] != at).sum())
+                int((self._run(candidates, runs, self._beside(runs[1], axis, change), runner)[0] != at).sum())
                 for change in (np.array(-_FIRST), np.array(_FIRST))
             )
             for axis in range(len(self.axes))
@@ -150,7 +148,7 @@ class CandidateRuns:
         return int(np.argmax(changed))
 
     def _run(
-        self, candidates: Floats, runs: Positions, measured: Floats, systems: Systems
+        self, candidates: Floats, runs: Positions, measured: Floats, runner: Runner
     ) -> tuple[Patterns, npt.NDArray[np.uint8], Records]:
         """Run candidates at measured values: patterns, statuses, and seen impacts with their run's number.
 
@@ -168,8 +166,8 @@ class CandidateRuns:
         patterns, status = np.zeros(candidate.size, np.uint64), np.full(candidate.size, Status.NON_FINITE, np.uint8)
         if not ran.size:
             return patterns, status, np.zeros(0, [("run", "i8")])
-        design = Design((ran.size,), tuple(Column(key, 0, column[ran]) for key, column in values.items()), run=0)
-        results = sweep(self.study, design, engine=self._engine, systems=systems).of_lash(str(self.lash + 1))
+        results = runner(runner.values({key: column[ran] for key, column in values.items()}))
+        results = results.of_lash(str(self.lash + 1))
         status[ran] = results.status
         row = ran[np.repeat(np.arange(ran.size), results.primary_impacts)]
         seen = results.impact_closing_speed >= self._speeds[point[row]]
@@ -185,6 +183,10 @@ class CandidateRuns:
         for name in self._numbers:
             numbered[name] = results.values(name)[seen]
         return patterns, status, numbered
+
+    def _runner(self) -> Runner:
+        keys = dict.fromkeys([*self.axes, *(prior.parameter for prior in self.priors)])
+        return Runner(self.study, [*keys], engine=self._engine)
 
     def values(self, candidates: Floats, measured: Floats) -> dict[str, Floats]:
         """Values of every parameter in runs of candidates, (n, priors), at measured values, (n, axes)."""

@@ -1,9 +1,10 @@
-"""Runs of a study at arbitrary points of some parameters, batch after batch, without making a map of each batch."""
+"""Runs of a study at points of some parameters, batch after batch, with a code for each label."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
+from contextlib import closing
 
 import numpy as np
 import numpy.typing as npt
@@ -11,13 +12,12 @@ import numpy.typing as npt
 from clunk.core.sequence import label
 from clunk.core.status import Status
 from clunk.results.labels import FAILED_CODE, excursions
-from clunk.results.machine import available_cores
 from clunk.results.quantities import measuring
 from clunk.study.arrays import Codes, Floats, Records
-from clunk.study.designs import Column, Design
 from clunk.study.study import Study
 from clunk.sweeping.assembly import flanks_of, long_sequences
-from clunk.sweeping.cells import Grid
+from clunk.sweeping.runner import Runner
+from clunk.sweeping.tiles import Tile
 
 RUN_FIELDS = ("outcome", "measure", "touches")
 RUN = np.dtype([*zip(RUN_FIELDS, ("i8", "f8", "i8"), strict=True)])
@@ -26,7 +26,7 @@ Runs = npt.NDArray[np.void]  # RUN: the label's code, the margin and the number 
 Events = npt.NDArray[np.void]  # EVENT
 
 _EVENT_MEMORY = 500_000  # events that there is room for at a time, in each thread: 28 MB
-_ALONE = 100  # runs: fewer are not worth a second thread
+_FEW = 50  # pairs: fewer are not worth a second thread
 
 
 class PointRuns:
@@ -42,41 +42,26 @@ class PointRuns:
     def __init__(
         self, study: Study, parameters: Sequence[str], labels: Sequence[str], engine: Executor, lash: int = 0
     ) -> None:
-        self.study, self.parameters = measuring(study, ()).model_copy(update={"sweep": None}), tuple(parameters)
-        self.lash = lash
-        self._engine, self._workers = engine, getattr(engine, "_max_workers", None) or available_cores()
+        self._runner = Runner(measuring(study, ()), parameters, engine=engine)
+        self.study, self.lash = self._runner.study, lash
+        self._engine = engine
         self._codes = {text: code for code, text in enumerate(labels)}
         self._code_of_pattern: dict[int, int] = {}
-        design = Design((1,), tuple(Column(key, 0, np.zeros(1)) for key in self.parameters), run=0)
-        self._grid = Grid(self.study, design)  # one for all batches, so that a driveline is prepared once
-
-    def _values(self, values: Floats) -> tuple[dict[str, Floats], int]:
-        """Values of each parameter at points, (n, parameters), and the number of points."""
-        return dict(zip(self.parameters, values.T, strict=True)), len(values)
 
     def __call__(self, values: Floats) -> Runs:
         """Run points; values : (n, parameters), in their units. Returns (n,) RUN."""
-        grid, stop, size = self._grid, np.zeros(1, np.uint8), len(values)
+        with closing(self._runner.tiles(values)) as tiles:
+            return np.concatenate([np.zeros(0, RUN), *map(self._described, tiles)])
 
-        def run(part: Floats) -> tuple[Records, Records]:
-            at = self._values(part)
-            return grid.run_cases(grid.structural, *grid.points(*at), grid.cases(*at), stop)[1:]
-
-        parts = np.array_split(values, self._workers) if size > _ALONE else [values] if size else []
-        try:
-            finished = [run(part) for part in parts] if len(parts) < 2 else [*self._engine.map(run, parts)]
-        finally:
-            stop[0] = 1
-        return np.concatenate([np.zeros(0, RUN), *(self._described(*part) for part in finished)])
-
-    def _described(self, records: Records, impacts: Records) -> Runs:
-        """RUN of the records of runs, and of their impacts."""
-        lashes, rows = self._grid.layout.lashes, records[self.lash :: self._grid.layout.lashes]
+    def _described(self, tile: Tile) -> Runs:
+        """RUN of each run of a tile."""
+        records, lashes = tile.records, self._runner.grid.layout.lashes
+        rows = records[self.lash :: lashes]
         runs = np.zeros(rows.size, RUN)
         runs["measure"], runs["touches"] = rows["margin"], rows["touches"]
         patterns, inverse = np.unique(rows["pattern"], return_inverse=True)
         runs["outcome"] = np.array([self._of_pattern(pattern) for pattern in patterns.tolist()])[inverse]
-        for row, flanks in long_sequences(records, [impacts]):
+        for row, flanks in long_sequences(records, [tile.details]):
             if row % lashes == self.lash:
                 runs["outcome"][row // lashes] = self._code(label(flanks))
         runs["outcome"][rows["status"] != Status.OK] = FAILED_CODE
@@ -88,11 +73,12 @@ class PointRuns:
         Yields of some pairs after the others CELL (k, 2), and EVENT (k, 2, events), with times NaN behind the last one.
         """
         most = max(_EVENT_MEMORY // (2 * self.study.solver.max_events + 2), 1)
-        pieces = [*range(0, len(one), min(most, max(-(-len(one) // self._workers), _ALONE // 2)))]
+        pieces = [*range(0, len(one), min(most, max(-(-len(one) // self._runner.workers), _FEW)))]
+        keys = self._runner.keys
 
         def run(begin: int, end: int) -> tuple[Records, Events]:
-            both = np.stack([one[begin:end], other[begin:end]], 1).reshape(-1, len(self.parameters))
-            records, logs = self._grid.logged(*self._values(both))
+            both = np.stack([one[begin:end], other[begin:end]], 1).reshape(-1, len(keys))
+            records, logs = self._runner.grid.logged(dict(zip(keys, both.T, strict=True)), len(both))
             return records[:, self.lash].reshape(-1, 2), logs.reshape(end - begin, 2, -1)
 
         ends = [*pieces[1:], len(one)]

@@ -30,16 +30,16 @@ from clunk.results.quantities import CHATTER, LABEL, NOMINAL, NUMBER, TEXT, YES_
 from clunk.results.regimemap import Results
 from clunk.study.arrays import Bools, Codes, Floats
 from clunk.study.axes import ResultAxis
-from clunk.study.designs import Column, Design, design_of, drawn_numbers, has_tolerances
+from clunk.study.designs import design_of, drawn_numbers, has_tolerances
 from clunk.study.errors import ClunkError
 from clunk.study.lashes import lash_position
 from clunk.study.parameters import located, nominal_value
 from clunk.study.problems import listing, nearest, shorten
 from clunk.study.study import Study
 from clunk.study.summaries import as_text
-from clunk.sweeping.cells import Systems
 from clunk.sweeping.progress import Progress
-from clunk.sweeping.sweep import engine_of, sweep
+from clunk.sweeping.runner import Runner
+from clunk.sweeping.sweep import engine_of
 
 Word = str | bool | int  # an outcome: a label, whether something holds, or a count; `FAILED` of a run that failed
 
@@ -310,14 +310,14 @@ class _Search:
     progress: Progress | None
     lash: str  # its number
     engine: Executor | None = None
+    runner: Runner | None = None
     runs: int = 0
     failures: dict[Status, int] = field(default_factory=dict)
     codes: dict[Word, int] = field(default_factory=dict)  # in the order in which they were seen first
 
     def __post_init__(self) -> None:
         assert self.study.sweep is not None
-        self.nominal = measuring(self.study, [self.outcome]).model_copy(update={"sweep": None})
-        self.systems = Systems(self.nominal)  # so that a driveline is prepared once for all batches
+        self.nominal = measuring(self.study, [self.outcome])
         tolerances = self.study.sweep.tolerances
         self.drawn = [*zip(tolerances, drawn_numbers(self.study, tolerances) if tolerances else (), strict=True)]
 
@@ -336,9 +336,10 @@ class _Search:
 
     def run(self, cells: Codes, values: Floats, more: int = 0) -> Points:
         """Run the cells at these values of the key; more : number of runs that are expected to follow."""
-        columns = tuple(Column(parameter, 0, each) for parameter, each in self.columns(cells, values).items())
-        design = Design((values.size,), columns, run=0)
-        results = sweep(self.nominal, design, engine=self.engine, systems=self.systems).of_lash(self.lash)
+        columns = self.columns(cells, values)
+        if self.runner is None:
+            self.runner = Runner(self.nominal, [*columns], engine=self.engine)
+        results = self.runner(self.runner.values(columns)).of_lash(self.lash)
         points = np.zeros(values.size, POINT)
         points["cell"], points["value"], points["touches"] = cells, values, results.touches
         finished = results.status == Status.OK

@@ -6,7 +6,7 @@ import tomllib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
@@ -86,7 +86,7 @@ class Description:
 
     def setting(self, key: str) -> Any:
         """Value of a dotted key of the resolved config; None where it has none."""
-        table: Any = self._settings
+        table: Any = _tables_of(self.config)
         for name in key.split("."):
             table = table.get(name) if isinstance(table, dict) else None
         return table
@@ -96,12 +96,14 @@ class Description:
         """Quantities that the config asks for besides those that all runs have, by name: of cells, then of impacts."""
         return measured_quantities(self.setting("impacts.quantities") or (), self.setting("measures") or ())
 
-    @cached_property
-    def _settings(self) -> dict[str, Any]:
-        try:
-            return tomllib.loads(self.config)
-        except tomllib.TOMLDecodeError:
-            return {}
+
+@lru_cache(maxsize=4)
+def _tables_of(config: str) -> dict[str, Any]:
+    """The tables of a config's TOML, parsed once for all maps of a runner; none of what is no TOML."""
+    try:
+        return tomllib.loads(config)
+    except tomllib.TOMLDecodeError:
+        return {}
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)

@@ -20,13 +20,14 @@ from clunk.study.arrays import Array, Cells, Records
 from clunk.study.config import study_from_text
 from clunk.study.designs import Design
 from clunk.study.study import Study, digest
-from clunk.sweeping.cells import Grid, Systems
+from clunk.sweeping.cells import Grid
 from clunk.sweeping.reduction import Flanks, Reduction, SweepError
 from clunk.sweeping.scratch import Scratch
 from clunk.sweeping.signals import Threads
 from clunk.sweeping.tiles import Tile
 
 _SHORT = 1 << 12  # patterns below it, of up to eleven primaries, are looked up in a table
+_MANY = 10_000  # rows: fewer are not worth a second thread
 _UNSEEN = -2  # the code there of a pattern that has not turned up yet
 
 
@@ -36,7 +37,8 @@ class RegimeReduction(Reduction[Results]):
     study : Study
     design : Design, by default that of the study's sweep
     scratch : maker of the arrays, by default in memory
-    systems : of this study, where some are known already
+    grid : runs the cells, where there is one already
+    heading : as of `Reduction`
     """
 
     def __init__(
@@ -44,10 +46,11 @@ class RegimeReduction(Reduction[Results]):
         study: Study,
         design: Design | None = None,
         scratch: Scratch | None = None,
-        systems: Systems | None = None,
+        grid: Grid | None = None,
+        heading: dict[str, str] | None = None,
     ) -> None:
-        grid = Grid(study, design, systems)
-        super().__init__(study, grid.design, grid)
+        grid = grid or Grid(study, design)
+        super().__init__(study, design or grid.design, grid, heading)
         self._scratch = scratch or Scratch()
         self._code_of = np.full(_SHORT + 1, _UNSEEN, np.int32)  # of a pattern; the last is of all longer ones
         self._code_of[0] = FAILED_CODE
@@ -104,7 +107,9 @@ class RegimeReduction(Reduction[Results]):
         return Results(**self.heading(), labels=labels, arrays=made, attributes=attributes)
 
     def for_each(self, function: Callable[[str], Any], names: Sequence[str]) -> dict[str, Any]:
-        """Call a function with each name, in several threads; returns its values by name."""
+        """Call a function with each name, of many rows in several threads; returns its values by name."""
+        if self.rows < _MANY:
+            return {name: function(name) for name in names}
         with Threads(available_cores()) as pool:
             return dict(zip(names, pool.map(function, names), strict=True))
 

@@ -7,6 +7,7 @@ maps (`clunk.sweeping.assembly`) and tolerance maps (`clunk.sweeping.tolerances`
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from functools import cached_property
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -36,6 +37,7 @@ class Reduction(ABC, Generic[SomeMap]):
 
     study, design : of the cells
     runner : makes the tiles
+    heading : title and config of the map, where they are known already
     plan : which cells are run, for people
     rows : number of rows of all cells, one for each lash
     known : (cells,) bool, whether a cell has been added
@@ -44,8 +46,9 @@ class Reduction(ABC, Generic[SomeMap]):
 
     plan = "every cell"
 
-    def __init__(self, study: Study, design: Design, runner: Runner) -> None:
+    def __init__(self, study: Study, design: Design, runner: Runner, heading: dict[str, str] | None = None) -> None:
         self.study, self.design, self.runner = study, design, runner
+        self._heading = heading
         self.rows = design.cells * runner.layout.lashes
         self.known: Bools = np.zeros(design.cells, bool)
         self.done = 0
@@ -88,26 +91,26 @@ class Reduction(ABC, Generic[SomeMap]):
         labels = tuple(sorted(lengths, key=lambda text: (lengths[text], text)))
         return labels, np.array([*(labels.index(label(flanks)) for flanks in self.sequences), FAILED_CODE], np.int16)
 
-    @property
+    @cached_property
     def axes(self) -> tuple[ResultAxis, ...]:
         """The axes of the map: those of the design and, of several lashes, theirs."""
         names = self.study.lash_names
         return (*self.design.axes, lash_axis(names)) if len(names) > 1 else self.design.axes
 
-    @property
+    @cached_property
     def shape(self) -> tuple[int, ...]:
         """The shape of the map."""
         return tuple(len(axis.values) for axis in self.axes)
 
     def heading(self) -> dict[str, Any]:
         """Title, axes and config: the fields that all maps have in common."""
-        return {
-            "title": self.study.title,
-            "axes": self.axes,
-            "coordinates": self.design.coordinates,
-            "config": to_toml(self.study),
-            "config_digest": digest(self.study),
-        }
+        heading = self._heading or heading_of(self.study)
+        return {"axes": self.axes, "coordinates": self.design.coordinates, **heading}
+
+
+def heading_of(study: Study) -> dict[str, str]:
+    """Title and config of a study's maps."""
+    return {"title": study.title, "config": to_toml(study), "config_digest": digest(study)}
 
 
 def as_index(cells: Cells) -> slice | Cells:

@@ -23,7 +23,7 @@ from clunk.study.designs import Design, design_of, has_tolerances
 from clunk.study.problems import ConfigError
 from clunk.study.study import Study, digest
 from clunk.sweeping.assembly import MendedReduction, RegimeReduction
-from clunk.sweeping.cells import Systems, warm_up
+from clunk.sweeping.cells import warm_up
 from clunk.sweeping.engines import EngineError, Work, run_tiles
 from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory, differences, flat
 from clunk.sweeping.progress import Progress
@@ -50,7 +50,6 @@ class Job:
 
     study : with at least one axis or sample; with tolerances, the map is a ToleranceMap, else Results
     design : cells to run instead of those of the study's sweep
-    systems : of this study, where some are known already
     earlier : finished results of which only the failed cells are run again, with another [solver]
     directory : open; finished cells are kept there as the sweep goes on, and taken up from there
     path : results file to write
@@ -63,14 +62,13 @@ class Job:
         study: Study,
         design: Design | None = None,
         *,
-        systems: Systems | None = None,
         earlier: Results | None = None,
         directory: WorkingDirectory | None = None,
         path: Path | None = None,
         counts: dict[str, dict[str, int]] | None = None,
     ) -> None:
         self.study, self.design = study, design or design_of(study)
-        self.systems, self.earlier = systems, earlier
+        self.earlier = earlier
         self.directory, self.path, self.counts = directory, path, counts
         self.ran, self.seconds = 0, 0.0
 
@@ -90,7 +88,7 @@ class Job:
         scratch = scratch_for(design.cells * lashes, on_disk)
         if self.earlier is not None:
             return MendedReduction(self.study, self.earlier, scratch)
-        return RegimeReduction(self.study, design, scratch, self.systems)
+        return RegimeReduction(self.study, design, scratch)
 
     @cached_property
     def parts(self) -> Parts | None:
@@ -266,7 +264,6 @@ def sweep(
     workers: int | None = None,
     engine: Executor | None = None,
     progress: Progress | None = None,
-    systems: Systems | None = None,
 ) -> Results:
     """Run the cells of a study in memory.
 
@@ -274,7 +271,7 @@ def sweep(
     """
     if has_tolerances(study):
         raise SweepError(HAS_TOLERANCES)
-    results = Job(study, design, systems=systems).run(engine, workers=workers, progress=progress)
+    results = Job(study, design).run(engine, workers=workers, progress=progress)
     assert isinstance(results, Results)
     return results
 
