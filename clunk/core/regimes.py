@@ -160,26 +160,37 @@ def frictions_of(system: System) -> int:
     return int(system.frictions.shape[0])
 
 
-@inlined_part
-def rolls(system: System) -> bool:
-    """Whether the driveline rolls by an angle that nothing depends on."""
-    return bool(system.drift.shape[1] > 0)
+@part
+def roll(system: System, angle: float, x: FloatArray) -> None:
+    """Turn a state by an angle of the first inertia that rolls  [rad]."""
+    for k in range(system.inertias if system.drift.shape[1] > 0 else 0):
+        x[k] += system.drift[k, 0] * angle
 
 
 @part
-def first_to_roll(system: System) -> int:
-    """The first inertia that rolls, by whose angle rolling is counted."""
+def turn_back(system: System, x: FloatArray) -> float:
+    """Turn a state back by the angle of the first inertia that rolls, and return it  [rad]."""
+    angle = x[_first_to_roll(system)] if system.drift.shape[1] > 0 else 0.0
+    roll(system, -angle, x)
+    return float(angle)
+
+
+@part
+def take_rolling(system: System, x: FloatArray) -> float:
+    """Take the angle that it rolled by out of a state where that stands apart, and return it  [rad]."""
+    if system.drift.shape[1] == 0:
+        return 0.0
+    first = _first_to_roll(system)
+    angle, x[first] = x[first], 0.0
+    return float(angle)
+
+
+@part
+def _first_to_roll(system: System) -> int:
     first = 0
     while system.drift[first, 0] == 0.0:
         first += 1
     return first
-
-
-@part
-def roll(system: System, angle: float, x: FloatArray) -> None:
-    """Turn a state by an angle of the first inertia that rolls  [rad]."""
-    for k in range(system.inertias):
-        x[k] += system.drift[k, 0] * angle
 
 
 @inlined_part

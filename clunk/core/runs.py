@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.jit import inlined_part
-from clunk.core.regimes import System, gap_input, lashes_of
+from clunk.core.jit import inlined_part, part
+from clunk.core.regimes import System, gap_input, lashes_of, roll
 from clunk.core.tables import TORQUE, TORQUE_RATE
 
 FloatArray = npt.NDArray[np.float64]
@@ -109,3 +109,10 @@ def record(
     if log.states.shape[0] > k:
         for j in range(x.size):
             log.states[k, j] = x[j]
+
+
+@part
+def roll_states(system: System, angle: float, log: Log, first: int, written: int) -> None:
+    """Turn the states at events, from the first up to those written, by what the run rolled by  [rad]."""
+    for k in range(first, min(written, log.states.shape[0])):
+        roll(system, angle, log.states[k])

@@ -49,18 +49,17 @@ from clunk.core.lanes.vectors import WIDTH
 from clunk.core.regimes import (
     System,
     elements_of,
-    first_to_roll,
     frictions_of,
     gap_input,
     inputs_of,
     lash_of,
     lashes_of,
-    roll,
-    rolls,
+    take_rolling,
+    turn_back,
 )
 from clunk.core.rigid import holding_torque
 from clunk.core.rubbing import stick_all
-from clunk.core.runs import BEGIN, LEVEL, Entry, Start, begin_wave, piece_at, record, set_gaps, set_torque
+from clunk.core.runs import BEGIN, LEVEL, Entry, Start, begin_wave, piece_at, record, roll_states, set_gaps, set_torque
 from clunk.core.status import QUALITY_COMPLETE, Status
 from clunk.core.switching import MOST_STAGES, after_rubbing, room_for_a_switch, switch, weigh
 from clunk.core.tables import ACCELERATION, FORCE, GAP, HALF_GAP, INPUTS, TORQUE
@@ -80,7 +79,7 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
     """Put a run of a driveline into an empty place of a workspace."""
     row, system = space.runs[slot], system_at(space, driveline)
     row.driveline, row.status, row.quality, row.stages = driveline, _OK, 0, 0
-    row.load, row.piece, row.rolled = start.load, piece_at(start.loads[start.load], 0, 0.0), 0.0
+    row.load, row.piece = start.load, piece_at(start.loads[start.load], 0, 0.0)
     set_gaps(system, start.before, space.inputs[slot])
     stick_all(system, start.x, space.inputs[slot])
     begin_wave(system, start.loads[start.load], row.piece, start.x)
@@ -97,9 +96,7 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
         set_number_of(space, slot, rows.WINDOW_MIN, lash, -np.inf)
     side = system.contacts[start.regime, 0].side
     record(log_of(space, slot), 0, 0.0, 0.0, LOAD_STEP, start.regime, -1, side, start.x)
-    if rolls(system):
-        row.rolled = start.x[first_to_roll(system)]
-        roll(system, -row.rolled, start.x)
+    row.rolled = turn_back(system, start.x)
     _begin_phase(space, slot)
     _enter(space, slot, 0.0, start.x, Entry(written=1, regime=start.regime, zero_guard=-1, zero_order=0))
 
@@ -287,7 +284,7 @@ def _go_on(space: Workspace, slot: int, time: float) -> None:
     """
     system, row, inputs = system_of(space, slot), space.runs[slot], space.inputs[slot]
     x, lashes = space.state[slot, : system.lashes.shape[1]], lashes_of(system)
-    _take_rolling(space, slot, x)
+    row.rolled += take_rolling(system, x)
     if frictions_of(system) > 0 and not room_for_a_switch(system, inputs, log_of(space, slot), row.count):
         _end(space, slot, _EVENT_BUFFER_FULL, time)
         return
@@ -309,16 +306,6 @@ def _go_on(space: Workspace, slot: int, time: float) -> None:
         least = min(contact.side * torque, contact.side * torque_after) / scale
         if falls and rises and 0.0 <= least < abs(number_of(space, slot, rows.MARGIN, lash)):
             set_number_of(space, slot, rows.MARGIN, lash, least)
-
-
-@part
-def _take_rolling(space: Workspace, slot: int, x: FloatArray) -> None:
-    """Take the angle that a run rolled by in a phase from the state at the phase's end, where it stands apart."""
-    system = system_of(space, slot)
-    if rolls(system):
-        first = first_to_roll(system)
-        space.runs[slot].rolled += x[first]
-        x[first] = 0.0
 
 
 @part
@@ -370,7 +357,7 @@ def _switch(space: Workspace, slot: int) -> None:
     system, row, inputs, log = system_of(space, slot), space.runs[slot], space.inputs[slot], log_of(space, slot)
     numbers = space.numbers[slot, space.behind :]
     x, time, total = space.state[slot, : system.lashes.shape[1]], row.time + numbers[rows.ELAPSED], 0.0
-    _take_rolling(space, slot, x)
+    row.rolled += take_rolling(system, x)
     for k in range(x.size):
         total += abs(x[k])
     if not np.isfinite(total):
@@ -398,10 +385,9 @@ def _switch(space: Workspace, slot: int) -> None:
 def _take_events(space: Workspace, slot: int, first: int, written: int) -> None:
     """Take what events from the first up to those written say of their lashes' contacts and windows."""
     system, log = system_of(space, slot), log_of(space, slot)
+    roll_states(system, space.runs[slot].rolled, log, first, written)
     for k in range(first, written):
         event = log.events[k]
-        if rolls(system) and log.states.shape[0] > 0:
-            roll(system, space.runs[slot].rolled, log.states[k])
         if event.lash < 0:
             continue
         lash = event.lash

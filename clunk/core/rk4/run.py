@@ -15,13 +15,33 @@ import numpy.typing as npt
 from clunk.core.events import INSTANT, LOAD_STEP
 from clunk.core.jit import allocating_part, inlined_part, part
 from clunk.core.references import refer
-from clunk.core.regimes import System, elements_of, frictions_of, inputs_of, lashes_of
+from clunk.core.regimes import (
+    System,
+    elements_of,
+    frictions_of,
+    inputs_of,
+    lashes_of,
+    take_rolling,
+    turn_back,
+)
 from clunk.core.rk4 import quartic
 from clunk.core.rk4.propagator import BEND, BLOCK, Steps
 from clunk.core.rk4.settling import settled
 from clunk.core.rk4.step import Phase, enter, expand, finish, first_event, make_phase, widen_extremes
 from clunk.core.rubbing import stick_all
-from clunk.core.runs import BEGIN, Entry, Log, Outcome, Start, begin_wave, piece_at, record, set_gaps, set_torque
+from clunk.core.runs import (
+    BEGIN,
+    Entry,
+    Log,
+    Outcome,
+    Start,
+    begin_wave,
+    piece_at,
+    record,
+    roll_states,
+    set_gaps,
+    set_torque,
+)
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
 from clunk.core.switching import MOST_STAGES, after_rubbing, room_for_a_switch, switch
 from clunk.core.tables import ACCELERATION
@@ -69,7 +89,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
     Parameters
     ----------
     start : Start
-        Its state is overwritten by the one at the end.
+        Its state is overwritten by the one at the end, less what the driveline rolled by.
     log : Log
         Output.
     stop : (1,) uint8
@@ -83,11 +103,13 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
     log.margins[:] = np.nan
     entry = Entry(_unknown(1), start.regime, _unknown(-1), _unknown(0))
     record(log, 0, 0.0, 0.0, LOAD_STEP, entry.regime, -1, system.contacts[entry.regime, 0].side, x)
+    rolled, written = turn_back(system, x), entry.written
     piece = piece_at(load, 0, 0.0)
     begin, grid = _begin_piece(system, steps, load, piece, x, inputs)
     index, offset, spanned, stages = 0, 0.0, 1, 0  # the time is begin + index · step + offset
     while True:
         entry = after_rubbing(system, entry, begin + index * grid.step + offset, x, inputs, log)
+        roll_states(system, rolled, log, written, entry.written)
         flow, zero_guard = system.regimes[entry.regime].flow, entry.zero_guard
         enter(phase, system, entry.regime, inputs)
         _combine(steps.transfer_input[flow], phase.inputs, full.affine)
@@ -100,6 +122,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
             widen_extremes(system, flow, phase, s, extremes)
             if not finish(phase, s, x):
                 return Outcome(_NON_FINITE, entry.written, 0, begin + index * grid.step + offset)
+            rolled += turn_back(system, x)
             if guard >= 0:
                 offset += s
                 break
@@ -111,6 +134,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
             while clear and not over and index < grid.full:
                 budget = min(_BETWEEN_LOOKS, grid.full - index)
                 taken = _coast(system, steps, entry.regime, phase, full, budget, extremes)
+                rolled += take_rolling(system, full.z)
                 index += taken
                 clear = taken == budget
                 if stop[0] != 0:
@@ -127,16 +151,16 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
                 begin, grid = _begin_piece(system, steps, load, piece, x, inputs)
                 index, offset = 0, 0.0
                 break
+        written = entry.written
         if guard < 0:  # another piece of the load
-            if frictions_of(system) > 0 and not room_for_a_switch(system, inputs, log, entry.written):
-                return Outcome(_EVENT_BUFFER_FULL, entry.written, 0, begin)
-            entry = Entry(entry.written, entry.regime, -1, 0)
+            if frictions_of(system) > 0 and not room_for_a_switch(system, inputs, log, written):
+                return Outcome(_EVENT_BUFFER_FULL, written, 0, begin)
+            entry = Entry(written, entry.regime, -1, 0)
             continue
 
         time = begin + index * grid.step + offset
-        if not room_for_a_switch(system, inputs, log, entry.written):
-            return Outcome(_EVENT_BUFFER_FULL, entry.written, 0, time)
-        written = entry.written
+        if not room_for_a_switch(system, inputs, log, written):
+            return Outcome(_EVENT_BUFFER_FULL, written, 0, time)
         if elements_of(system) > 1 and time - log.events[written - 1].time < INSTANT:
             extremes[:, 0], extremes[:, 1] = -np.inf, np.inf
         entry = switch(system, entry.regime, guard, time, x, inputs, log, written, fastest)
