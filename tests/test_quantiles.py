@@ -119,7 +119,15 @@ def test_outcomes_that_come_back_are_counted_at_each_value():
     made = Thresholds(
         study=study(FEW, STIFFNESS),
         **{"along": along, "axes": axes, "outcome": OF_RUNS["label"], "words": words, "lowest": lowest},
-        **{"cell": cell, "value": value, "below": below, "above": above, "runs": 0, "failures": {}},
+        **{
+            "cell": cell,
+            "value": value,
+            "off": np.zeros(value.size),
+            "below": below,
+            "above": above,
+            "runs": 0,
+            "failures": {},
+        },
     )
     result = threshold_quantiles(made, [0.5, 0.7])
     for at in rng.uniform(0.0, 1.0, 200):

@@ -11,7 +11,8 @@ from helpers.feet import feet_of_figure_3_4
 
 import clunk
 from clunk.analysis import thresholds as analysis
-from clunk.analysis.thresholds import ThresholdError, thresholds
+from clunk.analysis.brackets import POINT, TOLERANCE, narrow
+from clunk.analysis.thresholds import thresholds
 from clunk.cli import main
 from clunk.plot.style import PlotError
 from clunk.plot.thresholds import threshold_figure
@@ -187,10 +188,51 @@ def test_what_has_no_thresholds_is_refused_in_a_sentence(text, along, of, messag
         thresholds(study(text), along=along, of=of)
 
 
-def test_noise_is_refused(monkeypatch):
-    monkeypatch.setattr(analysis, "MOST_BRACKETS", 2)
-    with pytest.raises(ThresholdError, match=r"more than 2 times along load\.ratio"):
-        thresholds(study(RATIO, of=RAMP[1:]), along="load.ratio")
+def test_a_bracket_of_noise_is_given_up_and_another_beside_it_is_not():
+    ran = []
+
+    def run(cells, values):
+        yield from ()
+        ran.append(values.size)
+        points = np.zeros(values.size, POINT)
+        noise = np.modf(1e12 * np.sin(1e9 * values))[0] > 0.0
+        points["cell"], points["value"], points["outcome"] = cells, values, np.where(cells == 0, noise, values > 0.3)
+        points["measure"] = np.nan
+        return points
+
+    ends = np.zeros((2, 4), POINT)
+    ends["cell"], ends["value"], ends["outcome"] = np.array([[0], [1]]), [0.0, 0.0, 1.0, 1.0], [0, 0, 1, 1]
+    ends["measure"] = np.nan
+    with pytest.raises(StopIteration) as end:
+        next(narrow(ends, run, most=8))
+    low, high = end.value.value
+    wide, sharp = low["cell"] == 0, low["cell"] == 1
+    assert 8 < wide.sum() < 8 * 20  # one step may make as many of each as it has runs
+    assert sharp.sum() == 1
+    assert high["value"][sharp] - low["value"][sharp] <= TOLERANCE
+    assert low["value"][sharp] <= 0.3 <= high["value"][sharp]
+    assert sum(ran) < 3 * 3 * 30 + 8 * 20  # a sharp one is halved by every third step, with three runs, 30 times
+
+
+def test_where_the_label_changes_too_often_the_place_is_told(monkeypatch):
+    monkeypatch.setattr(analysis, "_MOST", 1)
+    few = thresholds(study(axis("load.ratio", 0.0, 10.0, 2), of=RAMP[1:]), along="load.ratio")
+    ((cell, begin, end),) = few.unresolved
+    assert (cell, few.at(cell)) == (0, {})
+    assert 0.0 <= begin < end <= 10.0
+    monkeypatch.undo()
+    every = thresholds(study(axis("load.ratio", 0.0, 10.0, 2), of=RAMP[1:]), along="load.ratio")
+    assert not every.unresolved
+    assert every.value.size > 1
+    assert ((begin <= every.value) & (every.value <= end)).all()
+
+
+def test_progress_is_told_as_a_sweep_tells_it(capsys):
+    told, text = [], study(RATIO, of=RAMP[1:])
+    result = thresholds(text, along="load.ratio", progress=lambda done, total: told.append((done, total)))
+    assert told[-1][0] == result.runs
+    assert all(done <= total for done, total in told)
+    assert thresholds(text, along="load.ratio", progress=True).runs == result.runs
 
 
 @pytest.fixture

@@ -6,6 +6,9 @@ last points beyond them is zero, as in Alefeld, Potra and Shi 1995 (doi:10.1145/
 to another change, or jump at this one, a bracket that does not get narrow so is divided where the secant of either side
 leads, and ever nearer to its middle.
 Where further outcomes lie within a bracket, it becomes several.
+
+It ends: a bracket that has stalled three times is divided in its middle, so that of three steps in a row one halves it
+at least, and where a bracket becomes more than a number that is stated beforehand, those are given up as they are.
 """
 
 from __future__ import annotations
@@ -26,6 +29,7 @@ _MOST_SPREAD = 16  # of them in a bracket
 _BESIDE = 0.45  # tolerances from the expected place, so that a bracket of two such values is narrow
 _BENT = 0.2  # times the bracket's width squared, by which a secant may be off
 _SURE = 100.0  # tolerances by which polynomials of two orders differ, where the place of the higher one is right
+_MOST_STALLS = 3  # behind which a bracket is divided in its middle
 _STALLED = 0.5  # of its width, which a bracket is expected to fall below
 _NARROWED = 0.1  # of its width, below which the expected place was right
 _FARTHEST = 0.8  # of a bracket, that a secant of one side is followed
@@ -39,22 +43,29 @@ def narrow(
     run: Callable[[Codes, Floats], Generator[Any, Any, Points]],
     span: float = 1.0,
     tolerance: float = TOLERANCE,
+    most: int | None = None,
 ) -> Generator[Any, Any, tuple[Points, Points]]:
     """Narrow brackets to a tolerance, as a share of the span; returns their lower and their upper ends, in no order.
 
+    most : that one of the brackets may become; those of one that becomes more are returned as wide as they are
     ends : (n, 4), at ascending values of one cell: the ends of a bracket, of different outcome, and before and behind
         these the next points that are known there, or once more the ends
     run : runs cells at values, (m,) each; what it yields is yielded
     """
     tolerance *= span
     stalls, narrowed = np.zeros(len(ends), np.int64), [ends[:0]]
+    origin, begun = np.arange(len(ends)), len(ends)  # of each bracket the one that it is a part of
+    finished = np.zeros(begun, np.int64)  # parts of each
     while True:
         inner = ends["value"][:, 1:3]
         width, middle = inner[:, 1] - inner[:, 0], inner.mean(axis=1)
         wide = (width > tolerance) & (inner[:, 0] < middle) & (middle < inner[:, 1])
         rest = np.flatnonzero(wide)  # `take` and `put` do with records in a tenth of the time what indexing does
-        narrowed.append(ends.take(np.flatnonzero(~wide), axis=0))
-        ends, stalls, width = ends.take(rest, axis=0), stalls[rest], width[rest]
+        finished += np.bincount(origin[~wide], minlength=begun)
+        crowded = finished + np.bincount(origin[rest], minlength=begun) > (most or np.inf)
+        rest = rest[~crowded[origin[rest]]]
+        narrowed.append(np.delete(ends, rest, axis=0))
+        ends, stalls, width, origin = ends.take(rest, axis=0), stalls[rest], width[rest], origin[rest]
         if not len(ends):
             break
         values = _next(ends, stalls, span, tolerance)
@@ -69,7 +80,7 @@ def narrow(
         ends = points.take((begins[rows] + columns)[:, None] + np.arange(4))
         shrunk = (ends["value"][:, 2] - ends["value"][:, 1]) / width[rows]
         fewer = np.where(shrunk > _NARROWED, np.maximum(stalls[rows] - 1, 0), 0)
-        stalls = np.where(shrunk > _STALLED, stalls[rows] + 1, fewer)
+        stalls, origin = np.where(shrunk > _STALLED, stalls[rows] + 1, fewer), origin[rows]
     ends = np.concatenate(narrowed)
     return ends[:, 1], ends[:, 2]
 
@@ -99,6 +110,7 @@ def _next(ends: Points, stalls: Codes, span: float, tolerance: float) -> Floats:
     divided = unknown & (np.isnan(ahead).all(axis=1) | (stalls > 1))
     share = np.clip(np.nan_to_num(share, nan=0.5), _LEAST, 1.0 - _LEAST)
     share = np.where(share < 0.5, np.sqrt(0.5 * share), 1.0 - np.sqrt(0.5 * (1.0 - share)))
+    share[stalls >= _MOST_STALLS] = 0.5
     spread = min(_FEW // len(ends), _MOST_SPREAD)
     even = low[:, None] + width[:, None] * np.arange(1, spread + 1) / (spread + 1)
     return np.column_stack([first, second, np.where(divided, low + share * width, np.nan), even])

@@ -28,7 +28,7 @@ def probabilities(thresholds: Thresholds, cell: int = 0) -> tuple[Floats, Floats
     outcomes in the order of `words` and last of `failed`, (m, words + 1). Raises ThresholdError without draws.
     """
     draws = _draws(thresholds)
-    counts, edges = _counts(thresholds, cell, thresholds.lowest.size // draws)
+    counts, edges, _ = _counts(thresholds, cell, thresholds.lowest.size // draws)
     return edges, counts / draws
 
 
@@ -80,7 +80,7 @@ def threshold_quantiles(thresholds: Thresholds, quantiles: Sequence[float] = (0.
     needed = [math.ceil(quantile * draws - 1e-9) for quantile in quantiles]
     lowest, columns = [], []
     for cell in range(cells):
-        counts, edges = _counts(thresholds, cell, cells)
+        counts, edges, off = _counts(thresholds, cell, cells)
         likely = counts.argmax(axis=1)
         codes = np.where(likely == len(thresholds.words), FAILED_CODE, likely)
         for k, count in enumerate(needed):
@@ -88,15 +88,16 @@ def threshold_quantiles(thresholds: Thresholds, quantiles: Sequence[float] = (0.
             at = np.flatnonzero(certain[1:] != certain[:-1])
             lowest.append(certain[0])
             place = np.full(at.size, cell * len(needed) + k)
-            columns.append((place, edges[at + 1], certain[at], certain[at + 1]))
+            columns.append((place, edges[at + 1], off[at], certain[at], certain[at + 1]))
     axis = ResultAxis(QUANTILE, np.array(quantiles, np.float64), "share of the draws", "", "1")
-    place, value, below, above = map(np.concatenate, zip(*columns, strict=True))
+    place, value, off, below, above = map(np.concatenate, zip(*columns, strict=True))
     return replace(
         thresholds,
         axes=(*thresholds.axes[1:], axis),
         lowest=np.array(lowest),
         cell=place,
         value=value,
+        off=off,
         below=below,
         above=above,
     )
@@ -108,8 +109,11 @@ def _draws(thresholds: Thresholds) -> int:
     return len(thresholds.axes[0].values)
 
 
-def _counts(thresholds: Thresholds, cell: int, cells: int) -> tuple[Codes, Floats]:
-    """Number of draws with each outcome between the thresholds of all draws, (m, words + 1), and the ends, (m + 1,)."""
+def _counts(thresholds: Thresholds, cell: int, cells: int) -> tuple[Codes, Floats, Floats]:
+    """Number of draws with each outcome between the thresholds of all draws, (m, words + 1), and the ends, (m + 1,).
+
+    Also by how much each of the ends but the outer two may be off, (m - 1,).
+    """
     outcomes = len(thresholds.words) + 1  # the code of failed runs, -1, is the last
     part = np.flatnonzero(thresholds.cell % cells == cell)
     part = part[np.argsort(thresholds.value[part], kind="stable")]
@@ -119,5 +123,5 @@ def _counts(thresholds: Thresholds, cell: int, cells: int) -> tuple[Codes, Float
     steps[rows, thresholds.above[part]] += 1
     steps[rows, thresholds.below[part]] -= 1
     edges = np.concatenate([thresholds.along.values[:1], thresholds.value[part], thresholds.along.values[-1:]])
-    wide = np.diff(edges) > 0.0
-    return steps.cumsum(axis=0)[wide], np.append(edges[:-1][wide], edges[-1])
+    wide, off = np.diff(edges) > 0.0, np.append(0.0, thresholds.off[part])
+    return steps.cumsum(axis=0)[wide], np.append(edges[:-1][wide], edges[-1]), off[wide][1:]

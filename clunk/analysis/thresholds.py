@@ -8,6 +8,12 @@ tolerance map, made once for all cells.
 
 Thresholds that lie in pairs between two values of the axis show in no outcome there. They are looked for where touches
 differ by two or more, and where the number of the runs dips towards zero.
+
+It ends, whatever the runs do. Between two values of the axis `_LOOKED` runs at most look for hidden thresholds, down to
+the spacing over 2^`_HALVINGS`. Of neighbours whose outcomes differ, the bracket becomes `_MOST` at most, of which three
+steps in a row, with three runs each, at least halve each one. Where the outcome changes more often than that, as labels
+do where touches without end are cut off, or motion is chaotic, the brackets are left as wide as they are then: the
+place is unresolved, and told as such.
 """
 
 from __future__ import annotations
@@ -22,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from clunk.analysis.brackets import POINT, Points, narrow
+from clunk.analysis.brackets import POINT, TOLERANCE, Points, narrow
 from clunk.analysis.searches import Search, side_by_side
 from clunk.core.status import Status
 from clunk.results.labels import FAILED, FAILED_CODE, excursions
@@ -37,13 +43,12 @@ from clunk.study.parameters import located, nominal_value
 from clunk.study.problems import listing, nearest, shorten
 from clunk.study.study import Study
 from clunk.study.summaries import as_text
-from clunk.sweeping.progress import Progress
+from clunk.sweeping.progress import Progress, reporting
 from clunk.sweeping.runner import Runner
 from clunk.sweeping.sweep import engine_of
 
 Word = str | bool | int  # an outcome: a label, whether something holds, or a count; `FAILED` of a run that failed
 
-MOST_BRACKETS = 1_000_000  # at once; where labels are noise each bracket divides into two, and so on
 DRAW = "draw"  # the axis of the drawn drivelines, their numbers from 1
 UNCERTAIN, UNCERTAIN_CODE = "uncertain", -3  # see `clunk.analysis.quantiles`
 
@@ -51,6 +56,8 @@ _TOUCHES = 2  # by which neighbours differ where something may be hidden between
 # With 61 values of a ramp's duration 18 slivers of 1e-5 s are found of the 29 that 961 values show; with 10 halvings
 # they are 15, with 22 no more than with 16.
 _HALVINGS = 16  # of the spacing where something may be hidden
+_LOOKED = 64  # runs between two values of the axis that look for what is hidden, at most, but for those of a halving
+_MOST = 32  # thresholds between two neighbours that are resolved
 _STEEPER = 2.0  # than between known values, as the number of the runs may fall between them
 
 
@@ -72,7 +79,8 @@ class Thresholds:
     words : code -> label, whether something holds, or count; the code -1 is `failed`, and -3 `uncertain`
     lowest : (cells,) int64, the outcome's code at the axis's least value
     cell : (n,) int64
-    value : (n,) float64, in the key's unit, right to 1e-9 of the axis's range
+    value : (n,) float64, in the key's unit, right to 1e-9 of the axis's range where it is resolved
+    off : (n,) float64, in the key's unit, by how much it may be off
     below, above : (n,) int64, the outcome's code at smaller and at greater values
     runs : number of runs that it took
     failures : number of these that failed, by their cause
@@ -87,6 +95,7 @@ class Thresholds:
     lowest: Codes
     cell: Codes
     value: Floats
+    off: Floats
     below: Codes
     above: Codes
     runs: int
@@ -112,6 +121,17 @@ class Thresholds:
         """Values of the other axes in a cell, by parameter."""
         places = np.unravel_index(cell, self.shape) if self.shape else ()
         return {axis.parameter: float(axis.values[k]) for axis, k in zip(self.axes, places, strict=True)}
+
+    @property
+    def unresolved(self) -> list[tuple[int, float, float]]:
+        """Places at which the outcome changes too often to be followed: the cell, and where they begin and end."""
+        places: list[tuple[int, float, float]] = []
+        for k in np.flatnonzero(self.off > TOLERANCE * np.ptp(self.along.values)).tolist():
+            cell, begin, end = int(self.cell[k]), float(self.value[k] - self.off[k]), float(self.value[k] + self.off[k])
+            if places and places[-1][0] == cell and begin - places[-1][2] <= end - places[-1][1]:
+                begin = places.pop()[1]
+            places.append((cell, begin, end))
+        return places
 
     def of_cell(self, cell: int) -> slice:
         """Slice of a cell's thresholds in the arrays."""
@@ -182,7 +202,7 @@ def thresholds(
     of: str = LABEL,
     lash: str | None = None,
     workers: int | None = None,
-    progress: Progress | None = None,
+    progress: bool | Progress = False,
 ) -> Thresholds:
     """All values of a swept key at which an outcome changes, in each cell of the other axes.
 
@@ -204,13 +224,14 @@ def thresholds(
     Returns
     -------
     Thresholds
-        Where a run fails, that is an outcome of its own. With tolerances, those of each drawn driveline;
+        Where a run fails, that is an outcome of its own. Where outcomes change too often to be followed, the places are
+        among `unresolved`. With tolerances, those of each drawn driveline;
         `clunk.threshold_quantiles` says what most of them have in common.
 
     Raises
     ------
     ThresholdError
-        Where the key is no axis of this study, there is no such outcome, or it changes too often to be followed.
+        Where the key is no axis of this study, or there is no such outcome.
     ConfigError
         Where there is no such lash.
     SweepError, KeyboardInterrupt
@@ -229,8 +250,11 @@ def thresholds(
     """
     along_axis, axes = axes_of(study, along)
     position = lash_position(lash, study.lash_names)
-    search = _Search(study, along_axis, axes, parse(of, study), progress, str(position + 1))
-    with engine_of(None, workers) as search.engine:
+    search = _Search(study, along_axis, axes, parse(of, study), str(position + 1))
+    with (
+        engine_of(None, workers) as search.engine,
+        reporting(progress, scan_count(study), study, what="runs") as search.progress,
+    ):
         points = search.scan()
         low, high = search.located(points)
     order = np.lexsort((low["value"], low["cell"]))
@@ -245,6 +269,7 @@ def thresholds(
         lowest=renumbered[points["outcome"][np.unique(points["cell"], return_index=True)[1]]],
         cell=low["cell"].copy(),
         value=0.5 * (low["value"] + high["value"]),
+        off=0.5 * (high["value"] - low["value"]),
         below=renumbered[low["outcome"]],
         above=renumbered[high["outcome"]],
         runs=search.runs,
@@ -307,8 +332,8 @@ class _Search:
     along: ResultAxis
     axes: tuple[ResultAxis, ...]
     outcome: Quantity
-    progress: Progress | None
     lash: str  # its number
+    progress: Progress | None = None
     engine: Executor | None = None
     runner: Runner | None = None
     runs: int = 0
@@ -371,10 +396,16 @@ class _Search:
         """Run the axis's own values in every cell, and more where something may be hidden; by cell and value."""
         cells = math.prod(len(axis.values) for axis in self.axes)
         points = self.run(np.repeat(np.arange(cells), len(self.along.values)), np.tile(self.along.values, cells))
+        looked = np.zeros((cells, len(self.along.values)), np.int64)  # runs behind each value of the axis
         for _ in range(_HALVINGS):
             between = np.flatnonzero(_may_hide(points))
+            behind = np.searchsorted(self.along.values, points["value"][between], side="right") - 1
+            begun = points["cell"][between], behind
+            few = looked[begun] < _LOOKED
+            between, begun = between[few], (begun[0][few], behind[few])
             if not between.size:
                 break
+            np.add.at(looked, begun, 1)
             middles = 0.5 * (points["value"][between] + points["value"][between + 1])
             points = np.insert(points, between + 1, self.run(points["cell"][between], middles))
         return points
@@ -389,16 +420,12 @@ class _Search:
         def run_at(cells: Codes, values: Floats) -> Search[Points]:
             return (yield np.column_stack([cells, values]))
 
-        narrowing = narrow(points[around], run_at, float(np.ptp(self.along.values)))
+        narrowing = narrow(points[around], run_at, float(np.ptp(self.along.values)), most=_MOST)
         (ends,) = side_by_side(self._run_within, narrowing)
         return ends[0], ends[1]
 
     def _run_within(self, places: Floats) -> Points:
-        cells, values = places[:, 0].astype(np.int64), places[:, 1]
-        if values.size > MOST_BRACKETS:
-            name, key = self.outcome.name, self.along.parameter
-            raise ThresholdError(f"{name} changes more than {MOST_BRACKETS:,} times along {key}: no threshold tells.")
-        return self.run(cells, values, more=4 * values.size)
+        return self.run(places[:, 0].astype(np.int64), places[:, 1], more=4 * len(places))
 
     def numbered(self) -> tuple[Codes, tuple[Word, ...]]:
         """New codes by old ones, in an order that does not depend on that of the runs, and the outcome of each."""

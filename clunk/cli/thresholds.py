@@ -22,7 +22,6 @@ from clunk.cli.options import (
     workers_option,
 )
 from clunk.study.summaries import counted
-from clunk.sweeping import progress
 
 if TYPE_CHECKING:
     from clunk.analysis.thresholds import Thresholds
@@ -139,8 +138,7 @@ def thresholds(
         (toleranced_plot if is_toleranced else plot).curve_axes(axes)
     terminal.warm_up(study)
     began = time.perf_counter()
-    with progress.shown(analysis.scan_count(study), "runs") as show:
-        located = analysis.thresholds(study, along=along, of=outcome, lash=lash, workers=workers, progress=show)
+    located = analysis.thresholds(study, along=along, of=outcome, lash=lash, workers=workers, progress=True)
     seconds = time.perf_counter() - began
     result = threshold_quantiles(located, shares) if is_toleranced and not draws else located
     if as_json:
@@ -164,6 +162,13 @@ def thresholds(
         text = result.csv() if is_csv else json.dumps(result.cells(), ensure_ascii=False) + "\n"
         write_text(output, text, analysis.ThresholdError)
         terminal.say_written(output)
+    if places := located.unresolved:
+        cell, begin, end = places[0]
+        where = "".join(f", {key} = {phrases.number(value)}" for key, value in located.at(cell).items())
+        terminal.complain(
+            f"note: in {counted(len(places), 'place')} {located.outcome.words} changes too often along {along} to be "
+            f"followed; the first is from {begin:.10g} to {end:.10g}{where}"
+        )
     for status, count in located.failures.items():
         terminal.complain(f"{count:,} runs failed: {status.sentence}")
     if located.failures:
