@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import xarray
-from matplotlib.collections import QuadMesh
+from matplotlib import colormaps
 from test_store import assert_same
 from test_sweeping import equal, regimes, same_as_single_run
 
@@ -13,6 +13,8 @@ from clunk import plot
 from clunk.analysis.comparison import ComparisonError, compare
 from clunk.analysis.small_gap import thresholds_of
 from clunk.cli import main
+from clunk.plot.layers import Layers, stacked
+from clunk.plot.maps import Colours
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.results.store import read_header, read_results, write_results
 from clunk.study.axes import RUN
@@ -422,12 +424,16 @@ class TestFigures:
     def test_panels_share_the_scale_of_a_quantity(self, four):
         part = four.at({"driveline.shafts[1].damping": 0.04})
         figure = plot.draw(part, "severity", facets=["lash.contact.stiffness"])
-        meshes = [mesh for panel in figure.subfigs[0].axes for mesh in panel.collections]
-        shown = [mesh for mesh in meshes if isinstance(mesh, QuadMesh) and np.size(mesh.get_array()) == 24]
-        assert len(shown) == 3
-        assert len({mesh.norm.vmax for mesh in shown}) == 1
-        for k, mesh in enumerate(shown):
-            np.testing.assert_array_equal(np.asarray(mesh.get_array()).reshape(4, 6).T, four.severity[:, :, k, 0])
+        slices = [part.at({"lash.contact.stiffness": value}) for value in part.axes[2].values]
+        panels = [Layers.of(each, 2, "severity") for each in slices]
+        colours = Colours.of(stacked(panels))
+        assert colours.norm.vmax == part.severity.max()
+        for ax, layers in zip(figure.axes, panels, strict=False):
+            (picture,) = ax.images
+            corner = np.asarray(picture.get_array())[0, 0] / 255.0  # of the first cell
+            np.testing.assert_allclose(
+                corner, colormaps[colours.cmap](colours.norm(layers.values[0, 0]))[:3], atol=0.005
+            )
 
     def test_of_many_values_twelve_are_drawn_from_the_first_to_the_last(self):
         fine = '[[sweep.axes]]\nparameter = "load.ratio"\nstart = 0\nstop = 10\ncount = 101\n'
@@ -487,7 +493,7 @@ class TestFigures:
 
     def test_only_labels_of_the_slice_are_noted(self, four):
         part = four.at({"load.ratio": 2.5, "driveline.shafts[1].damping": 0.04})
-        figure = plot.regime_map(part)
+        figure = plot.draw(part, "regimes")
         written = {text.get_text() for ax in figure.axes for text in ax.texts}
         written |= {text.get_text().split(":")[0] for legend in figure.legends for text in legend.get_texts()}
         present = set(regimes(part).ravel())

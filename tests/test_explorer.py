@@ -25,8 +25,8 @@ from clunk.explorer.newest import Newest
 from clunk.explorer.pictures import cells_picture
 from clunk.explorer.subject import Subject
 from clunk.explorer.variations import Variations, of_one_cell
-from clunk.plot import certainty
 from clunk.plot.style import palette_of
+from clunk.results.quantities import quantity_of
 from clunk.results.tolerancemap import CERTAIN
 from clunk.simulation.history import sample
 from clunk.study.config import study_from_text
@@ -204,7 +204,7 @@ class TestTolerances:
     def test_its_probabilities_and_quantiles_have_colours(self, subject, quantity):
         shades = picture_of(subject.results, quantity, 2).shades
         assert shades.low <= shades.high
-        assert shades.label == certainty.QUANTITIES[quantity]
+        assert shades.label == subject.results.plot_label(quantity_of(quantity, subject.results))
 
 
 class TestPictures:

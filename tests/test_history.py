@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from clunk.core.events import LOCK, TOUCH
 from clunk.plot import PlotError, histories, save
-from clunk.plot.small_gap import small_gap
+from clunk.plot.histories import small_gap
 from clunk.results.historyfile import save_csv
 from clunk.simulation.history import HistoryError, sample, shown_until
 from clunk.simulation.phases import balanced

@@ -12,8 +12,8 @@ from test_thresholds import DURATION, LASH, NOMINAL, RAMP, RATIO, axis
 import clunk as clunk_api
 from clunk.analysis.quantiles import probabilities, threshold_quantiles
 from clunk.analysis.thresholds import UNCERTAIN, ThresholdError, Thresholds, thresholds
-from clunk.plot.quantiles import quantile_figure
 from clunk.plot.style import PlotError
+from clunk.plot.thresholds import quantile_figure
 from clunk.results.quantities import OF_RUNS
 from clunk.study.axes import ResultAxis
 from clunk.study.config import study_from_text

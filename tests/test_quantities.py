@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import clunk
+from clunk.results.labels import double_sided
 from clunk.results.quantities import measuring, quantities_of, quantity_of
 from clunk.study.config import study_from_text
 from clunk.study.errors import ClunkError
@@ -32,6 +33,8 @@ def test_every_quantity_of_a_map_has_a_value_in_each_of_its_cells(results):
             assert set(values[results.sequence >= 0]) <= {0.0, 1.0}
         elif quantity.type == "label":
             assert np.array_equal(values, results.label_map)
+        elif text == "double_sided_impacts":
+            assert values.tolist() == [double_sided(label) for label in results.label_map]
         else:
             assert np.array_equal(values, np.where(results.sequence < 0, np.nan, results.values(text)), equal_nan=True)
 

@@ -10,9 +10,12 @@ from matplotlib.colors import to_rgb
 from test_cli import clunk, here  # noqa: F401  fixtures
 
 import clunk as clunk_api
+from clunk import plot
 from clunk.analysis.comparison import verify
 from clunk.core.status import Status
-from clunk.plot import PlotError, certainty, save
+from clunk.plot import PlotError, save
+from clunk.plot.layers import Layers
+from clunk.plot.strips import likelihood_curves
 from clunk.plot.style import palette_of
 from clunk.results import netcdf, store
 from clunk.results.labels import double_sided, excursions
@@ -445,12 +448,9 @@ class TestCommands:
         ("arguments", "sentence"),
         [
             (("sweep", "small.toml", "--retry-failed"), "--retry-failed does not go with [[sweep.tolerances]]"),
-            (("plot", "small.h5", "--facet", "load.ratio"), "--facet, --x and --y do not go with a tolerance map"),
+            (("plot", "small.h5", "--x", "load.ratio"), "--x and --y do not go with a tolerance map"),
             (("compare", "small.h5", "small.h5"), "small.h5 holds a tolerance map, where a regime map is needed"),
-            (
-                ("plot", "small.h5", "--quantity", "touches"),
-                "A tolerance map has no quantity 'touches'; it has regimes",
-            ),
+            (("plot", "small.h5", "--quantity", "touches"), 'There is no quantity "touches"; there are label'),
         ],
     )
     def test_what_does_not_go_is_a_sentence(self, config, clunk, found, arguments, sentence):  # noqa: F811
@@ -499,7 +499,7 @@ class TestFromPython:
 class TestFigures:
     def test_a_certain_cell_has_its_label_s_colour_and_an_uncertain_one_is_paler(self, found, tmp_path):
         """Within NI, and at the cell that is least certain of all."""
-        figure = certainty.likely_regimes(found)
+        figure = plot.draw(found, "regimes")
         save(figure, tmp_path / "map.png")
         ax = figure.axes[0]
         present = tuple(
@@ -524,23 +524,23 @@ class TestFigures:
 
     @pytest.mark.parametrize("quantity", ["double_sided", "severity_5"])
     def test_what_is_drawn_of_two_axes_is_a_picture(self, found, quantity, tmp_path):
-        save(certainty.draw(found, quantity), tmp_path / "map.png")
+        save(plot.draw(found, quantity), tmp_path / "map.png")
 
-    @pytest.mark.parametrize("quantity", certainty.QUANTITIES)
+    @pytest.mark.parametrize("quantity", ["regimes", "double_sided", "severity", "severity_50"])
     def test_of_one_axis_every_quantity_is_in_the_same_picture(self, found, quantity):
-        assert len(certainty.draw(found.at({"lash.backlash_deg": 9.5}), quantity).axes) == 2
+        assert len(plot.draw(found.at({"lash.backlash_deg": 9.5}), quantity).axes) == 2
 
     def test_the_map_of_double_sided_impacts_shows_their_probability(self, found):
-        mesh = certainty.draw(found, "double_sided").axes[0].collections[0]
-        assert np.array_equal(mesh.get_array(), found.double_sided.T)
-        assert mesh.get_clim() == (0.0, 1.0)
+        assert np.array_equal(Layers.of(found, 2, "double_sided").values, found.double_sided)
+        figure = plot.draw(found, "double_sided")
+        assert figure.axes[1].get_ylim() == (0.0, 1.0)
+        assert "Probability" in figure.axes[1].get_ylabel()
 
     def test_a_quantile_of_the_severity_is_drawn_by_its_name(self, found):
-        mesh = certainty.draw(found, "severity_95").axes[0].collections[0]
-        assert np.array_equal(mesh.get_array(), found.severity_quantiles[..., 2].T)
+        assert np.array_equal(Layers.of(found, 2, "severity_95").values, found.severity_quantiles[..., 2])
 
     def test_along_one_axis_the_median_is_drawn_within_its_band(self, found):
-        ax = certainty.likelihood_curves(found.at({"lash.backlash_deg": 9.5})).axes[1]
+        ax = likelihood_curves(found.at({"lash.backlash_deg": 9.5})).axes[1]
         median = next(line for line in ax.lines if line.get_label() == "median")
         assert np.array_equal(median.get_ydata(), found.severity_quantiles[:, 3, 1])
         band = ax.collections[0].get_paths()[0].vertices[:, 1]
@@ -551,7 +551,7 @@ class TestFigures:
         found = clunk_api.tolerance_map(
             study(tolerance("lash.backlash_deg"), axes=AXES.replace("21", "3"), count=2, base=base)
         )
-        assert certainty.default_quantities(found) == ["regimes", "double_sided"]
+        assert plot.default_quantities(found) == ["regimes", "double_sided"]
         with pytest.raises(PlotError, match="no severity to draw"):
-            certainty.draw(found, "severity")
-        certainty.likelihood_curves(found.at({"lash.backlash_deg": 9.5}))
+            plot.draw(found, "severity")
+        likelihood_curves(found.at({"lash.backlash_deg": 9.5}))

@@ -106,11 +106,12 @@ def _write(fitted: Fitted, path: Path, tolerances: int) -> None:
 def _draw(fitted: Fitted, path: Path, workers: int | None) -> None:
     """Draw the pictures of a fit: PATH-ensemble, PATH-labels and, of two measured parameters, PATH-maps."""
     from clunk.analysis.fitmaps import FitMapError, fit_maps
+    from clunk.plot import comparisons
     from clunk.plot import fit as figures
 
     pictures = {name: figure_of(fitted) for name, figure_of in figures.FIGURES.items()}
     try:
-        pictures["maps"] = figures.measured_on_maps(fit_maps(fitted, workers), fitted)
+        pictures["maps"] = comparisons.measured_on_maps(fit_maps(fitted, workers), fitted)
     except FitMapError as error:
         terminal.complain(f"note: {error}")
     for name, figure in pictures.items():

@@ -15,12 +15,16 @@ from clunk.cli.options import PATH, at_option
 if TYPE_CHECKING:
     from clunk.plot import SurplusAxesError
 
+_NO_FILE = r"[^\w.-]+"  # of a name, what a file's should not have
+
 
 @click.command()
 @click.argument("file", type=PATH)
 @click.option("-o", "--output", type=PATH, help="Picture: .png, .svg or .pdf [FILE.png].")
 @click.option(
-    "--quantity", metavar="NAME", help="One picture only: regimes, severity, approach_velocity, touches, margin, …"
+    "--quantity",
+    metavar="NAME",
+    help="One picture only: regimes, severity, touches, double_sided_impacts, 'severity<=8000', …",
 )
 @at_option
 @click.option(
@@ -58,6 +62,7 @@ def plot(
 
     A map has two axes: of more, --at takes a slice, and --facet draws a map for each value. Of a
     tolerance map: the most likely regimes, where they are uncertain, and how probable double-sided impacts are.
+    Of more than 16 labels a map shows the numbers of double-sided impacts; info and the explorer have the labels.
 
     \b
     Examples:
@@ -80,8 +85,8 @@ def plot(
     if output is not None:
         targets.check(base, targets.PICTURES, reads=file)
     results = read_map(file)
-    if not isinstance(results, Results) and (facets or x is not None or y is not None):
-        raise click.UsageError(f"--facet, --x and --y do not go with a tolerance map, which {file} holds; --at does.")
+    if not isinstance(results, Results) and (x is not None or y is not None):
+        raise click.UsageError(f"--x and --y do not go with a tolerance map, which {file} holds; --at and --facet do.")
     if at:
         results = results.at(cells.nearest_values(results.axes, results.coordinates, at))
         if results.of_lash().sequence.size == 1:
@@ -90,11 +95,11 @@ def plot(
     look: dict[str, Any] = {"facets": facets, "x": x, "y": y}
     each = {"": results if LASH in facets else results.at_lash(lash)}
     if lash is None and results.lashes and LASH not in facets:
-        each = {"-" + re.sub(r"[^\w.-]+", "_", name): results.at_lash(name) for name in results.lashes}
+        each = {"-" + re.sub(_NO_FILE, "_", name): results.at_lash(name) for name in results.lashes}
     for of_lash, part in each.items():
         names = [quantity] if quantity else plots.default_quantities(part, **look)
         for name in names:
-            of_quantity = "" if output and quantity else f"-{name}"
+            of_quantity = "" if output and quantity else f"-{re.sub(_NO_FILE, '_', name)}"
             target = base.with_name(f"{base.stem}{of_lash}{of_quantity}{base.suffix}")
             try:
                 figure = plots.draw(part, name, thresholds_of(part), **look)

@@ -173,7 +173,6 @@ def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, options: Drawin
         terminal.say_written(output)
         return
     from clunk.plot import histories as figures
-    from clunk.plot.small_gap import small_gap
     from clunk.simulation.small_gap import SmallGap
 
     latest = max(histories.shown_until(trajectory) for _, trajectory in runs)
@@ -188,7 +187,7 @@ def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, options: Drawin
         "backlash": lambda: figures.backlash(drawn, each_lash=each_lash),
         "closeup": lambda: figures.closeup(drawn, options.around, options.width),
         "acceleration": lambda: figures.acceleration(drawn, each_lash=each_lash),
-        "small-gap": lambda: small_gap(runs[0][1].study.title, SmallGap.of(runs[0][1].study)),
+        "small-gap": lambda: figures.small_gap(runs[0][1].study.title, SmallGap.of(runs[0][1].study)),
     }
     terminal.save_picture(draw[options.figure](), output)
 

@@ -130,12 +130,11 @@ def thresholds(
     if output is not None:
         targets.check(output, (".csv", ".json", *targets.PICTURES), reads=config)
     if is_picture:
-        from clunk.plot import quantiles as toleranced_plot
         from clunk.plot import thresholds as plot
 
         if draws:
             raise click.UsageError("--draws has no picture; -o FILE.csv takes the thresholds of each draw.")
-        (toleranced_plot if is_toleranced else plot).curve_axes(axes)
+        plot.curve_axes(axes, toleranced=is_toleranced)
     terminal.warm_up(study)
     began = time.perf_counter()
     located = analysis.thresholds(study, along=along, of=outcome, lash=lash, workers=workers, progress=True)
@@ -153,7 +152,7 @@ def thresholds(
     if output is not None and is_picture:
         if is_toleranced:
             undrawn = analysis.thresholds(nominal(study), along=along, of=outcome, lash=lash, workers=workers)
-            figure = toleranced_plot.quantile_figure(located, result, undrawn)
+            figure = plot.quantile_figure(located, result, undrawn)
         else:
             figure = plot.threshold_figure(located)
         terminal.save_picture(figure, output)

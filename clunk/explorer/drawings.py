@@ -1,122 +1,84 @@
-"""Pictures of maps as `clunk plot` draws them: smooth or traced boundaries, labels where they fit, quantities."""
+"""Pictures of maps as `clunk plot` draws them: traced boundaries or cells, names where they fit, quantities."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from contourpy import contour_generator
 from matplotlib import colors
 from matplotlib.cm import ScalarMappable
 from scipy import ndimage
 
-from clunk.explorer.pictures import Picture, Pixels, Shades, cells_of, label_colours, legend_of, packed, pixel_centres
-from clunk.plot import certainty
+from clunk.explorer.pictures import Picture, Pixels, Shades, legend_of, packed, pixel_centres
+from clunk.plot.labelling import corners_that_fit
 from clunk.plot.layers import Layers
-from clunk.plot.network import codes_at
-from clunk.plot.painting import Colours, margin_of
-from clunk.plot.raster import corners_that_fit, fine_index
+from clunk.plot.maps import Colours
+from clunk.plot.plane import cells_of
 from clunk.plot.style import FAILED_FILL, UNDEFINED
 from clunk.results.labels import FAILED_CODE
-from clunk.results.tolerancemap import AnyMap, ToleranceMap
+from clunk.results.tolerancemap import AnyMap
 from clunk.study.arrays import Floats
 
-_SKIP = 4  # of the image, between the pixels among which labels are placed
-_WIDTH, _HEIGHT = 2, 5  # of these pixels, that a character of a label takes
+_SKIP = 4  # of the image, between the pixels among which names are placed
+_WIDTH, _HEIGHT = 2, 5  # of these pixels, that a character of a name takes
 _SHADES = 256
 
 
 def picture_of(results: AnyMap, quantity: str, dimensions: int) -> Picture:
     """The picture of one lash's map over this many axes. Raises PlotError where the quantity has no value at all."""
-    paleness, colours = None, None
-    if isinstance(results, ToleranceMap):
-        if quantity == "regimes":
-            layers = certainty.likely_layers(results, dimensions)
-            paleness = layers.view.arrange(certainty.paleness(results.certainty))
-        else:
-            layers, colours = certainty.layers_of_quantity(results, dimensions, quantity)
-    elif quantity == "regimes":
-        layers = Layers.of(results, dimensions)
-    else:
-        layers = Layers.of_quantity(results, dimensions, quantity)
-        layers.require_values()
-        colours = Colours.of(layers.described, layers.values)
-    return _map(layers, colours, paleness) if dimensions == 2 else _strip(layers)
+    layers = Layers.of(results, dimensions, quantity)
+    return _map(layers) if dimensions == 2 else _strip(Layers.of(results, 1), layers)
 
 
-def _strip(layers: Layers) -> Picture:
-    edges, codes = layers.bands
-    first = np.flatnonzero(np.diff(codes, prepend=codes[0] - 1))  # of the bands of a label that lie side by side
-    edges, codes = np.append(edges[first], edges[-1]), codes[first]
-    values = layers.values if layers.quantity != "regimes" else np.full(layers.codes.shape, np.nan)
+def _strip(regimes: Layers, layers: Layers) -> Picture:
+    edges, codes = regimes.bands
+    values = np.full(regimes.codes.shape, np.nan) if layers.values is None else layers.values
     return Picture(
-        pixels=label_colours(layers.labels)[codes],
-        legend=_legend(layers),
+        pixels=_region_colours(regimes)[codes],
+        legend=_legend(regimes),
         edges=edges,
         curve=np.column_stack([layers.view.x.values, values]),
         peak=_peak(layers),
     )
 
 
-def _map(layers: Layers, shades: Colours | None, paleness: Floats | None) -> Picture:
+def _map(layers: Layers) -> Picture:
     view = layers.view
     x, y = (pixel_centres(axis) for axis in view.axes)
-    labels = _label_raster(layers, x, y)
-    undecided = np.argwhere(layers.undecided)
-    dots = np.column_stack([axis.values[at] for axis, at in zip(view.axes, undecided.T, strict=True)])
-    lines, legend = _lines(layers), _legend(layers)
+    regions = layers.codes_at(x, y)
     columns, rows = (cells_of(axis, at) for axis, at in zip(view.axes, (x, y), strict=True))
-    if shades is None:
-        pixels, texts = label_colours(layers.labels)[labels], _texts(labels, layers, x, y)
-        if paleness is not None:
-            pixels = _whitened(pixels, paleness[np.ix_(columns, rows)].T)
-        return Picture(pixels, legend, lines, dots, texts)
+    if not layers.shaded:
+        pixels = _region_colours(layers)[regions]
+        if layers.paint is not None:
+            opaque = np.full((*layers.paint.shape[:2], 4), 255, np.uint8)
+            opaque[..., :3] = layers.paint
+            pixels = _packed_rows(opaque)[np.ix_(columns, rows)].T
+        return Picture(pixels, _legend(layers), layers.lines, layers.doubts, _texts(regions, layers, x, y))
+    assert layers.values is not None
+    shades = Colours.of(layers)
     mappable = ScalarMappable(shades.norm, shades.cmap)
     values = layers.values[np.ix_(columns, rows)].T
     pixels = np.where(np.isnan(values), packed(UNDEFINED), _packed_rows(mappable.to_rgba(values, bytes=True)))
-    pixels[labels == FAILED_CODE] = packed(FAILED_FILL)
+    pixels[regions == FAILED_CODE] = packed(FAILED_FILL)
     low, high = float(shades.norm.vmin or 0.0), float(shades.norm.vmax or 0.0)
     scale = [colors.to_hex(colour) for colour in np.asarray(mappable.to_rgba(np.linspace(low, high, _SHADES))).tolist()]
-    bar = Shades(shades.label, low, high, scale, layers.has_dark_lines)
-    return Picture(pixels.astype(np.uint32), legend, lines, shades=bar, peak=_peak(layers))
+    bar = Shades(shades.label, low, high, scale, not layers.has_light_lines)
+    return Picture(pixels.astype(np.uint32), _legend(layers), layers.lines, shades=bar, peak=_peak(layers))
 
 
 def _peak(layers: Layers) -> tuple[float, ...] | None:
     """The largest value of a quantity, and those of the axes in its cell."""
-    if layers.quantity == "regimes":
+    if layers.values is None:
         return None
     at = np.unravel_index(int(np.nanargmax(layers.values)), layers.values.shape)
     return (float(layers.values[at]), *(float(axis.values[k]) for axis, k in zip(layers.view.axes, at, strict=True)))
 
 
-def _label_raster(layers: Layers, x: Floats, y: Floats) -> npt.NDArray[np.int16]:
-    """Codes of the labels at the pixels, (rows, columns)."""
-    view = layers.view
-    if layers.boundaries is not None:
-        columns, rows = (fine_index(at, axis, 1) for at, axis in zip((x, y), view.axes, strict=True))
-        return codes_at(layers.boundaries, view, x, y, layers.codes[np.ix_(columns, rows)].T)
-    columns, rows = map(fine_index, (x, y), view.axes, layers.regions.factor)
-    return layers.regions.label[np.ix_(columns, rows)].T
-
-
-def _lines(layers: Layers) -> list[Floats]:
-    """The boundaries between the labels."""
-    if layers.boundaries is not None:
-        return [curve.vertices[:, layers.view.keep] for curve in layers.boundaries.curves]
-    lines: list[Floats] = []
-    present = layers.regions.present
-    for code in present if len(present) > 1 else ():
-        x, y, margin = margin_of(layers, code)
-        if margin.min() < 0.0 < margin.max():
-            lines += [np.asarray(line) for line in contour_generator(x, y, margin).lines(0.0)]
-    return lines
-
-
 def _texts(labels: npt.NDArray[np.int16], layers: Layers, x: Floats, y: Floats) -> list[tuple[str, float, float]]:
-    """Labels in the roomiest part of their largest region, where they have room."""
+    """Names in the roomiest part of their largest region, where they have room."""
     labels, x, y = labels[::_SKIP, ::_SKIP], x[::_SKIP], y[::_SKIP]
     texts = []
-    for text in layers.present:
-        parts, count = ndimage.label(labels == layers.labels.index(text))
+    for text in layers.seen:
+        parts, count = ndimage.label(labels == layers.names.index(text))
         if not count:
             continue
         largest = 1 + int(np.argmax(np.bincount(parts.ravel())[1:]))
@@ -132,14 +94,12 @@ def _texts(labels: npt.NDArray[np.int16], layers: Layers, x: Floats, y: Floats) 
 
 
 def _legend(layers: Layers) -> list[tuple[str, str, str]]:
-    drawn = () if layers.boundaries is None else layers.boundaries.region_label.tolist()
-    return legend_of(layers.labels, layers.codes, drawn)
+    return legend_of(layers.names, layers.colours, layers.shares)
 
 
-def _whitened(pixels: Pixels, amounts: Floats) -> Pixels:
-    """Pixels taken towards white by these amounts, 0 to 1."""
-    rgba = np.ascontiguousarray(pixels).view(np.uint8).reshape(*pixels.shape, 4)
-    return _packed_rows((rgba + amounts[..., None] * (255.0 - rgba)).astype(np.uint8))
+def _region_colours(layers: Layers) -> Pixels:
+    """Colour of each region, and last that of failed cells."""
+    return np.array([packed(colour) for colour in (*layers.colours, FAILED_FILL)], np.uint32)
 
 
 def _packed_rows(rgba: npt.NDArray[np.uint8]) -> Pixels:

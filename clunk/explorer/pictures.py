@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from clunk.plot.plane import Codes, View, cell_edges, ruler
-from clunk.plot.style import FAILED_FILL, palette_of
-from clunk.results.labels import FAILED, FAILED_CODE
+from clunk.plot.layers import Layers
+from clunk.plot.plane import cells_of, ruler
+from clunk.plot.style import FAILED_FILL
+from clunk.results.labels import FAILED
 from clunk.results.tolerancemap import AnyMap
-from clunk.study.arrays import Floats, Positions
+from clunk.study.arrays import Floats
 from clunk.study.axes import ResultAxis
 
 Pixels = npt.NDArray[np.uint32]
@@ -61,12 +62,12 @@ class Picture:
 
 def cells_picture(results: AnyMap) -> Picture:
     """The picture of one lash's regimes over two axes without boundaries, each pixel of the nearest cell's colour."""
-    view = View.of(results, 2)
-    labels = results.labels if results.boundaries is None else results.boundaries.labels
-    codes = view.arrange(results.sequence)
-    pixels = _FEW_PIXELS if max(codes.shape) < _FEW_PIXELS // 4 else _PIXELS
-    columns, rows = (cells_of(axis, pixel_centres(axis, pixels)) for axis in view.axes)
-    return Picture(label_colours(labels)[codes[np.ix_(columns, rows)].T], legend_of(labels, codes))
+    layers = replace(Layers.of(results, 2), boundaries=None)
+    pixels = _FEW_PIXELS if max(layers.codes.shape) < _FEW_PIXELS // 4 else _PIXELS
+    columns, rows = (cells_of(axis, pixel_centres(axis, pixels)) for axis in layers.view.axes)
+    colours = np.array([packed(colour) for colour in (*layers.colours, FAILED_FILL)], np.uint32)
+    legend = legend_of(layers.names, layers.colours, layers.shares)
+    return Picture(colours[layers.codes[np.ix_(columns, rows)].T], legend)
 
 
 def pixel_centres(axis: ResultAxis, pixels: int = _PIXELS) -> Floats:
@@ -76,25 +77,10 @@ def pixel_centres(axis: ResultAxis, pixels: int = _PIXELS) -> Floats:
     return np.asarray(back(0.5 * (edges[1:] + edges[:-1])), np.float64)
 
 
-def cells_of(axis: ResultAxis, at: Floats) -> Positions:
-    """Positions of the cells of an ascending axis in which points lie."""
-    return np.clip(np.searchsorted(cell_edges(axis), at) - 1, 0, len(axis.values) - 1)
-
-
-def legend_of(labels: Sequence[str], codes: Codes, drawn: Sequence[int] = ()) -> list[tuple[str, str, str]]:
-    """Legend of a map with these codes; drawn : codes of further regions, in which no cell may lie."""
-    colours = {**palette_of(tuple(labels)), FAILED: FAILED_FILL}
-    legend = []
-    for code in sorted({*codes.ravel().tolist(), *drawn}, key=lambda code: (code == FAILED_CODE, code)):
-        name = FAILED if code == FAILED_CODE else labels[code]
-        legend.append((name, colours[name], f"{100.0 * np.count_nonzero(codes == code) / codes.size:.3g} %"))
-    return legend
-
-
-def label_colours(labels: Sequence[str]) -> Pixels:
-    """Colour of each code, and last of the code of failed cells, -1."""
-    palette = palette_of(tuple(labels))
-    return np.array([packed(palette[label]) for label in labels] + [packed(FAILED_FILL)], np.uint32)
+def legend_of(names: Sequence[str], colours: Sequence[str], shares: Floats) -> list[tuple[str, str, str]]:
+    """Legend of a map's regions, each with its share of the map; the last share is that of failed cells."""
+    entries = zip((*names, FAILED), (*colours, FAILED_FILL), shares.tolist(), strict=True)
+    return [(name, colour, f"{100.0 * share:.3g} %") for name, colour, share in entries if share > 0.0]
 
 
 def packed(colour: str) -> int:

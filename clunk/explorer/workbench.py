@@ -19,10 +19,10 @@ from clunk.explorer.pictures import Picture, cells_picture
 from clunk.explorer.runpanel import RunPanel
 from clunk.explorer.saving import NAMES, Cell, Shown, download
 from clunk.explorer.variations import Variations
-from clunk.plot.layers import QUANTITIES, quantities_of
+from clunk.plot.layers import hardness
 from clunk.plot.plane import number_text, value_text
 from clunk.results.maps import share
-from clunk.results.regimemap import Results
+from clunk.results.quantities import TEXT, quantities_of
 from clunk.results.tolerancemap import CERTAIN, AnyMap, ToleranceMap
 from clunk.simulation.energy import balance
 from clunk.study.errors import ClunkError
@@ -62,7 +62,7 @@ class Workbench:
         options = {"width": 260, "margin": (0, 6, 4, 6)}
         # over one axis, labels are the colours under a curve
         described = list(_quantities(results).items())[len(self._subject.plane) == 1 :]
-        first = described[0][0] if len(self._subject.plane) > 1 else _hardness(results)
+        first = described[0][0] if len(self._subject.plane) > 1 else hardness(results)
         has_map = page.map is not None
         self._quantity = Select(value=first, options=described, name="quantity", visible=has_map, **options)
         self._lash = Select(value=results.lash_names[0], options=list(results.lash_names), name="of lash", **options)
@@ -270,7 +270,7 @@ class Workbench:
         subject, variations = self._subject, self._variations
         slices, numbers = dict(self._slices), self._active_numbers()
         quantity, lash = self._quantity.value, self._lash.value
-        if numbers and isinstance(subject.results, ToleranceMap) and quantity not in QUANTITIES:
+        if numbers and isinstance(subject.results, ToleranceMap) and quantity.startswith("severity_"):
             quantity = "regimes"  # of the nominal map: other numbers leave tolerances aside
         self._reset.visible = bool(numbers)
         if not subject.plane:
@@ -376,17 +376,7 @@ def _listed(what: str, values: list[float]) -> list[str]:
     return [f"{what}: {', '.join(f'{each:.4g}' for each in values)}"] if 0 < len(values) <= _LISTED else []
 
 
-def _hardness(results: AnyMap) -> str:
-    from clunk.plot.drawing import hardness  # only where there is a curve, not a map
-
-    return hardness(results) if isinstance(results, Results) else "severity"
-
-
 def _quantities(results: AnyMap) -> dict[str, str]:
     """Quantities of results that can be drawn, with their names for people."""
-    if isinstance(results, ToleranceMap):
-        from clunk.plot import certainty  # with matplotlib, which regime maps do not wait for
-
-        return certainty.QUANTITIES
-    labels = {name: results.quantities[name].plot_label for name in quantities_of(results)[1:]}
-    return {"regimes": "regimes", **labels}
+    known = quantities_of(results).items()
+    return {"regimes": "regimes"} | {name: results.plot_label(each) for name, each in known if each.type != TEXT}

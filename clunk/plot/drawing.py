@@ -1,30 +1,31 @@
-"""The figure of a map's quantity: a map, small multiples of it, a strip along one axis or path, or points."""
+"""The figure of a map's quantity: a map, maps side by side, a strip along one axis or path, or points."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from clunk.plot import certainty
-from clunk.plot.facets import facet_map
-from clunk.plot.layers import quantities_of
-from clunk.plot.maps import quantity_map, regime_map
-from clunk.plot.plane import axis_span, drawn_axes
+from clunk.plot.layers import Layers, hardness, stacked
+from clunk.plot.maps import grid_of, plane_map, several_maps
+from clunk.plot.plane import SurplusAxesError, axis_span, drawn_axes, value_text
 from clunk.plot.scatter import parameter_choice, scatter_curve, scatter_map
-from clunk.plot.strips import strip
-from clunk.plot.style import PlotError
-from clunk.results.quantities import likely_name
+from clunk.plot.strips import likelihood_curves, strip
+from clunk.plot.style import PlotError, bare, symbol_text
+from clunk.results.quantities import LABEL, TEXT, quantity_of
 from clunk.results.regimemap import Results
-from clunk.results.tolerancemap import ToleranceMap
-from clunk.study.axes import RUN
-from clunk.study.measures import OF_IMPACTS
+from clunk.results.tolerancemap import AnyMap, ToleranceMap
+from clunk.study.arrays import Floats
+from clunk.study.axes import RUN, ResultAxis
+
+MOST_VALUES = (12, 4)  # of one facet, of each of two
 
 
 def draw(
-    drawn: Results | ToleranceMap,
+    drawn: AnyMap,
     quantity: str,
     thresholds: Sequence[float] = (),
     *,
@@ -32,65 +33,121 @@ def draw(
     x: str | None = None,
     y: str | None = None,
 ) -> Figure:
-    """The figure of a quantity: of a regime map one of its `quantities_of`, of a tolerance map `certainty.QUANTITIES`.
+    """The figure of a quantity, in the words of `clunk.results.quantities`.
 
     A map for two swept axes, a strip for one or for axes that are walked together, points for a sample. More axes are
-    taken by `facets`, or fixed beforehand (`Results.at`). A tolerance map takes neither facets nor x and y.
+    taken by `facets`, or fixed beforehand (`Results.at`). A tolerance map takes neither x nor y.
 
-    thresholds : see `regime_map`
+    thresholds : see `plane_map`
     facets : one axis or two, of which each value has its own map
     x, y : of axes that are walked together x, by default the first that rises or falls throughout; of a sample both,
         where x alone asks for the quantity over x
 
-    Raises PlotError.
+    Raises PlotError, and ClunkError where there is no such quantity.
     """
-    if isinstance(drawn, ToleranceMap):
-        return certainty.draw(drawn, quantity)
-    known = quantities_of(drawn)
-    if quantity not in known:
-        likely = likely_name(quantity, known)
-        hint = f"did you mean {likely!r}? There" if likely else "there"
-        end = f"; impacts.quantities = [{quantity!r}] in the config measures it" if quantity in OF_IMPACTS else ""
-        raise PlotError(f"There is no quantity {quantity!r}; {hint} are {', '.join(known)}{end}.")
+    described = quantity_of(quantity, drawn)
     if y is not None and x is None:
         raise PlotError("y goes with x, which is missing.")
-    if _has_runs(drawn) and not facets:
-        return _draw_runs(drawn, quantity, x, y)
+    if isinstance(drawn, Results) and _has_runs(drawn) and not facets:
+        return _draw_runs(drawn, described.name, x, y)
     if x is not None:
         raise PlotError(
             "x and y are for axes that are walked together and for samples; of a map's two axes the load ratio or else "
             "the first is x."
         )
     if facets:
-        return facet_map(drawn, facets, quantity)
-    if len(drawn_axes(drawn)) == 1:
-        return strip(drawn, _curve_quantity(drawn, quantity))
-    return regime_map(drawn, thresholds) if quantity == "regimes" else quantity_map(drawn, quantity)
+        return facet_map(drawn, facets, described.name)
+    if len(drawn_axes(drawn)) > 1:
+        return plane_map(Layers.of(drawn, 2, described), thresholds)
+    if isinstance(drawn, ToleranceMap):
+        return likelihood_curves(drawn)
+    return strip(drawn, hardness(drawn) if described.type == TEXT else described.name)
+
+
+def facet_map(results: AnyMap, facets: Sequence[str], quantity: str = LABEL) -> Figure:
+    """A map of the regimes or of a quantity for each value of one facet, or of two: rows, then columns.
+
+    Of many values those that `shown_values` chooses are drawn. Raises PlotError where a facet is no axis of several
+    values, or not two axes are left for the maps.
+    """
+    axes = _facet_axes(results, facets)
+    values = [shown_values(axis, len(axes)) for axis in axes]
+    slices = [results.at(dict(zip(facets, place, strict=True))) for place in product(*values)]
+    panels = [Layers.of(each, 2, quantity) for each in slices]
+    varying = {axis.parameter for axis in axes}
+    if RUN in varying:
+        varying |= {axis.parameter for axis in results.coordinates}
+    fixed = [axis for axis in panels[0].view.fixed if axis.parameter not in varying]
+    width = grid_of([len(each) for each in values])[2][0]
+    names = [
+        [symbol_text(value_text(axis, v, symbol=True)) for v in each] for axis, each in zip(axes, values, strict=True)
+    ]
+    fact = f"each map at one {' and '.join(map(_full_name, axes))}"
+    together = replace(stacked(panels), caveats=tuple(results.caveats))
+    return several_maps(panels, names, together.subtitle(fact, fixed=fixed, width=width))
+
+
+def shown_values(axis: ResultAxis, facets: int) -> Floats:
+    """The values of a facet that are drawn, ascending: all, or evenly spaced ones with the first and the last."""
+    values, most = np.sort(axis.values), MOST_VALUES[facets - 1]
+    if len(values) <= most:
+        return values
+    return values[np.rint(np.linspace(0, len(values) - 1, most)).astype(np.intp)]
+
+
+def _facet_axes(results: AnyMap, facets: Sequence[str]) -> list[ResultAxis]:
+    """The axes of the facets. Raises PlotError where no maps can be drawn for each of their values."""
+    if len(facets) > len(MOST_VALUES):
+        raise PlotError("Small multiples have one facet, or two for rows and columns; fix the other axes.")
+    changing = {results.axes[index].parameter: results.axes[index] for index in drawn_axes(results)}
+    for facet in facets:
+        if facet not in changing:
+            raise PlotError(f"{facet} is no axis of several values; these are {', '.join(changing)}.")
+    if len(set(facets)) < len(facets):
+        raise PlotError(f"The facet {facets[0]} is there twice; rows and columns need two axes.")
+    rest = [axis for name, axis in changing.items() if name not in facets]
+    if len(rest) < 2:
+        count, names = len(rest) or "none", ", ".join(changing)
+        problem = f"A map needs two axes, and beside the facets {count} of {names} is left"
+        raise PlotError(f"{problem}; leave out a facet, or take a slice with --at instead.")
+    if len(rest) > 2:
+        names = ", ".join(axis.parameter for axis in rest)
+        text = f"Each map of a family shows two axes, and beside the facets {len(rest)} are left ({names})"
+        raise SurplusAxesError(text, rest[2:])
+    return [changing[facet] for facet in facets]
+
+
+def _full_name(axis: ResultAxis) -> str:
+    """Name and symbol of a parameter."""
+    symbol = bare(axis.symbol)
+    return f"{axis.name or axis.parameter} ({symbol})" if symbol else axis.name or axis.parameter
 
 
 def _draw_runs(results: Results, quantity: str, x: str | None, y: str | None) -> Figure:
     """The figure of axes that are walked together, or of a sample."""
+    curve = hardness(results) if quantity == LABEL else quantity
     if _is_path(results):
         if y is not None:
             raise PlotError("y is for samples: axes that are walked together are a path, drawn along x.")
-        return _path(results, _curve_quantity(results, quantity), x)
+        return _path(results, curve, x)
     chosen = parameter_choice(results) if x is None else (x,) if y is None else (x, y)
     if len(chosen) == 1:
-        return scatter_curve(results, chosen[0], _curve_quantity(results, quantity))
+        return scatter_curve(results, chosen[0], curve)
     return scatter_map(results, chosen[0], chosen[1], quantity)
 
 
 def default_quantities(
-    drawn: Results | ToleranceMap, *, facets: Sequence[str] = (), x: str | None = None, y: str | None = None
+    drawn: AnyMap, *, facets: Sequence[str] = (), x: str | None = None, y: str | None = None
 ) -> list[str]:
     """Quantities that are drawn where none is named: the regimes, and how hard the impacts are.
 
-    Where one parameter is drawn from left to right and a quantity upwards, the labels are in the same picture. Q is not
-    defined for the restitution model, V is.
+    Where one parameter is drawn from left to right and a quantity upwards, the labels are in the same picture. Of a
+    tolerance map how probable double-sided impacts are, too.
     """
-    if isinstance(drawn, ToleranceMap):
-        return certainty.default_quantities(drawn)
     is_map = len(drawn_axes(drawn)) > 1
+    if isinstance(drawn, ToleranceMap):
+        hard = ["severity"] * bool(np.isfinite(drawn.severity_mean).any())
+        return ["regimes", "double_sided", *hard] if is_map else ["regimes"]
     if _has_runs(drawn) and not facets:
         is_map = not _is_path(drawn) and (y is not None or (x is None and len(parameter_choice(drawn)) > 1))
     return ["regimes", hardness(drawn)] if is_map else [hardness(drawn)]
@@ -99,16 +156,6 @@ def default_quantities(
 def _has_runs(results: Results) -> bool:
     """Whether several runs are points of a path or of a sample."""
     return any(axis.parameter == RUN and len(axis.values) > 1 for axis in results.axes)
-
-
-def hardness(results: Results) -> str:
-    """The quantity that tells how hard impacts are."""
-    return "severity" if np.isfinite(results.severity).any() else "approach_velocity"
-
-
-def _curve_quantity(results: Results, quantity: str) -> str:
-    """The quantity that goes upwards: with labels in the same picture there is one beside the regimes."""
-    return hardness(results) if quantity == "regimes" else quantity
 
 
 def _is_path(results: Results) -> bool:

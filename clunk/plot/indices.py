@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib import ticker
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -62,13 +63,12 @@ def sobol_bars(sensitivity: Sensitivity) -> Figure:
         ax.set_xlabel("Share of the variance")
         ax.xaxis.set_tick_params(labelbottom=True)
     bar: dict[str, Any] = {"color": style.INK, "linewidth": 1.0, "marker": "|", "markersize": 5}
-    notes = [
+    notes: list[Artist] = [
         Patch(color=_FIRST, label="alone (first-order index)"),
         Patch(color=_TOTAL, label="in all (total index)"),
         Line2D([], [], **bar, label=f"{100 * CONFIDENCE:g} % interval"),
     ]
-    figure.legend(handles=notes, loc="outside lower center", ncols=3, frameon=False, handlelength=1.6)
-    style.freeze_layout(figure, panels[0])
+    style.freeze_layout(figure, panels[0], notes)
     return figure
 
 

@@ -133,6 +133,11 @@ def cell_edges(axis: ResultAxis) -> Floats:
     return edges
 
 
+def cells_of(axis: ResultAxis, at: Floats) -> Positions:
+    """Positions of the cells of an ascending axis in which points lie; beyond it the first and the last."""
+    return np.clip(np.searchsorted(cell_edges(axis), at) - 1, 0, len(axis.values) - 1)
+
+
 def scale_axes(ax: Axes, view: View) -> None:
     """Scale both axes of a map, from the first to the last value."""
     for which, axis in zip("xy", view.axes, strict=True):

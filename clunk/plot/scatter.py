@@ -9,21 +9,17 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from clunk.plot import style
 from clunk.plot.layers import Layers
-from clunk.plot.notes import cells_phrase, set_notes, undecided_notes
-from clunk.plot.painting import Colours, new_plot
+from clunk.plot.maps import Colours, new_plot, notes_of
 from clunk.plot.plane import SurplusAxesError, axis_label, drawn_axes, set_log_scale
-from clunk.results.labels import FAILED
 from clunk.results.regimemap import Results
 from clunk.study.arrays import Floats
 from clunk.study.axes import RUN, ResultAxis
 
 _ROOM = 0.03  # of an axis's span, beside the outermost points
 _LOG_SPAN = 30.0  # of the largest value over the smallest, from which a scale may be logarithmic
-_NOT_KNOWN = "#ffffff"
 
 
 @style.styled()
@@ -34,16 +30,16 @@ def scatter_map(results: Results, x: str, y: str, quantity: str = "regimes") -> 
     """
     across, upward = _parameter(results, x), _parameter(results, y)
     _require_points_apart(results, (x, y))
-    layers = Layers.of(results, 0) if quantity == "regimes" else Layers.of_quantity(results, 0, quantity)
-    layers.require_values()
+    layers = Layers.of(results, 0, quantity)
     place = _values_of(results, across), _values_of(results, upward)
     figure, ax = new_plot(layers, f"{layers.codes.size:,} runs")
-    notes = _draw_labels(ax, layers, *place) if quantity == "regimes" else _draw_values(figure, ax, layers, *place)
-    if layers.failed.any():
-        crosses = [values[layers.failed] for values in place]
-        ax.plot(*crosses, "x", color=style.FAILED_HATCH, markersize=4.0, zorder=2, gid="failed")
-        notes.append(_failed_note(layers, FAILED, marker="x"))
-    _finish(figure, ax, (across, upward), notes)
+    if layers.shaded:
+        _draw_values(figure, ax, layers, *place)
+    else:
+        _draw_regions(ax, layers, *place)
+    crosses = [values[layers.failed] for values in place]
+    ax.plot(*crosses, "x", color=style.FAILED_HATCH, markersize=4.0, zorder=2, gid="failed")
+    _finish(figure, ax, (across, upward), notes_of(layers, layers.names))
     return figure
 
 
@@ -57,14 +53,12 @@ def scatter_curve(results: Results, x: str, quantity: str) -> Figure:
     """
     across = _parameter(results, x)
     _require_points_apart(results, (x, RUN))
-    layers = Layers.of_quantity(results, 0, quantity)
-    layers.require_values()
-    figure, ax = new_plot(layers, f"{layers.codes.size:,} runs")
-    notes = _draw_labels(ax, layers, _values_of(results, across), layers.values)
-    if layers.failed.any():
-        notes.append(_failed_note(layers, f"{FAILED}, not shown"))
-    ax.set_ylabel(layers.described.plot_label)
-    _finish(figure, ax, (across,), notes)
+    layers, regimes = Layers.of(results, 0, quantity), Layers.of(results, 0)
+    assert layers.values is not None
+    figure, ax = new_plot(regimes, f"{layers.codes.size:,} runs")
+    _draw_regions(ax, regimes, _values_of(results, across), layers.values)
+    ax.set_ylabel(layers.value_label)
+    _finish(figure, ax, (across,), notes_of(regimes, regimes.names))
     return figure
 
 
@@ -115,40 +109,21 @@ def _look(count: int) -> dict[str, Any]:
     return {"s": size**2, "rasterized": count > style.MOST_POINTS, **edges}
 
 
-def _draw_labels(ax: Axes, layers: Layers, x: Floats, y: Floats) -> list[Artist]:
-    """Draw points in their labels' colours; returns the notes that name them."""
-    palette = style.palette_of(layers.labels)
-    fills = np.array([palette[label] for label in layers.labels] + [style.FAILED_FILL])
+def _draw_regions(ax: Axes, layers: Layers, x: Floats, y: Floats) -> None:
+    """Draw points in the colours of their labels, or of what is shown in their place."""
     known = ~layers.failed & np.isfinite(y)
-    ax.scatter(x[known], y[known], c=fills[layers.codes[known]], **_look(x.size), zorder=3)
-    undecided = known & layers.undecided
-    ax.plot(x[undecided], y[undecided], ".", color=style.INK, markersize=1.5, zorder=4, gid="undecided")
-    texts = {label: f"{label}: {cells_phrase(layers.count(label))}" for label in layers.present}
-    return [*(_note(text, palette[label]) for label, text in texts.items()), *undecided_notes(undecided)]
+    ax.scatter(x[known], y[known], c=np.array(layers.colours)[layers.codes[known]], **_look(x.size), zorder=3)
 
 
-def _draw_values(figure: Figure, ax: Axes, layers: Layers, x: Floats, y: Floats) -> list[Artist]:
-    """Draw points in the colours of a quantity; returns the note of those without one."""
-    shown, colours = np.isfinite(layers.values), Colours.of(layers.described, layers.values)
+def _draw_values(figure: Figure, ax: Axes, layers: Layers, x: Floats, y: Floats) -> None:
+    """Draw points in the colours of a quantity, and those without one behind them."""
+    assert layers.values is not None
+    shown, colours = np.isfinite(layers.values), Colours.of(layers)
+    colours.add_bar(figure, ax)
     look = _look(x.size) | {"cmap": colours.cmap, "norm": colours.norm}
-    colours.add_bar(figure, ax.scatter(x[shown], y[shown], c=layers.values[shown], **look, zorder=3), ax)
+    ax.scatter(x[shown], y[shown], c=layers.values[shown], **look, zorder=3)
     undefined = ~shown & ~layers.failed
-    if not undefined.any():
-        return []
-    ax.scatter(x[undefined], y[undefined], c=_NOT_KNOWN, **_look(x.size), zorder=2)
-    return [_note("not defined (no events)", _NOT_KNOWN)]
-
-
-def _failed_note(layers: Layers, text: str, marker: str = "") -> Line2D:
-    """A note with the number of failed runs."""
-    label = f"{text}: {cells_phrase(int(np.count_nonzero(layers.failed)))}"
-    return Line2D([], [], linestyle="none", marker=marker, color=style.FAILED_HATCH, label=label)
-
-
-def _note(text: str, fill: str) -> Line2D:
-    """A note that begins with a point."""
-    look: dict[str, Any] = {"markerfacecolor": fill, "markeredgecolor": style.INK}
-    return Line2D([], [], linestyle="none", marker="o", markersize=6.0, markeredgewidth=0.5, label=text, **look)
+    ax.scatter(x[undefined], y[undefined], c=style.UNDEFINED, **_look(x.size), zorder=2)
 
 
 def _finish(figure: Figure, ax: Axes, axes: tuple[ResultAxis, ...], notes: list[Artist]) -> None:
@@ -162,8 +137,7 @@ def _finish(figure: Figure, ax: Axes, axes: tuple[ResultAxis, ...], notes: list[
         ax.set(**{f"{which}lim": limits, f"{which}label": axis_label(axis)})
     ax.grid(color="0.92", linewidth=0.6)
     ax.set_axisbelow(True)
-    set_notes(figure, notes)
-    style.freeze_layout(figure, ax)
+    style.freeze_layout(figure, ax, notes)
 
 
 def _is_skew(axis: ResultAxis) -> bool:

@@ -1,14 +1,16 @@
-"""Style of all figures: colours, sizes, titles, and how they are saved.
+"""Style of all figures: colours, sizes, titles, notes under them, and how they are saved.
 
 matplotlib is imported when it is first drawn with: of the colours there are other users, which do not wait for it.
 """
 
 from __future__ import annotations
 
+import io
+import math
 import os
 import re
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -16,12 +18,14 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from clunk.results.files import reason, write_whole
-from clunk.results.labels import double_sided, excursions
+from clunk.results.labels import double_sided
 from clunk.study.errors import ClunkError
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
     from matplotlib.patheffects import AbstractPathEffect
     from matplotlib.text import Text
 
@@ -29,7 +33,7 @@ _FORMATS = ("png", "svg", "pdf")
 SIZE = (7.0, 5.2)  # inches
 HISTORY_WIDTH = 7.2  # inches
 MOST_POINTS = 10_000  # that a vector file has one by one: more would take seconds to show
-_TITLE_MARGIN = 0.08  # inches, at the right of a title
+_TITLE_INDENT, _TITLE_MARGIN = 0.9, 0.08  # inches, at most at the left of a title, and at its right
 _DPI = 150
 INK = "#1c2126"
 FAINT_INK = "#5b646c"
@@ -41,11 +45,16 @@ LINE_COLOURS = ("#2f7fc1", "#dd6b1f", "#1f9e83", "#7d55a8", "#b8447c", "#d9b310"
 CENTRED: dict[str, Any] = {"ha": "center", "va": "center"}
 DASHED = (0, (4.0, 1.6))
 MINUS = "\N{MINUS SIGN}"
-# One hue per number of double-sided impacts, tinted. Chosen so that the nine labels of Figure 3.4 stay apart under
-# simulated protanopia, deuteranopia and tritanopia too (Machado et al. 2009; at least 6.8 in CIE L*a*b*).
 _NO_IMPACT = "#f6f5f1"
-HUES = ("#b5b010", "#2f7fc1", "#dd6b1f", "#a84a72", "#1f9e83", "#6b7480", "#9a6a4a")
-_TINTS = (0.30, 0.70)  # lightest and darkest member of a family; text stays readable on the darkest
+# One hue for each number of double-sided impacts, so that a colour means the same in every picture. Chosen so that the
+# labels of Figure 3.4 and the numbers up to five stay apart under simulated protanopia, deuteranopia and tritanopia,
+# too (Machado et al. 2009; tests/test_plot.py).
+HUES = ("#8fae20", "#1154d4", "#d95f28", "#a05585", "#199ec4", "#725ed4", "#c98a2a")
+_LIGHTEST, _RANGE, _FALL = 0.172, 0.62, 2.35  # depth of a tint, and how it grows with what follows
+_GROUP_TINT = 0.55
+_WEIGHTS = {"DS": 0.0, "SS": 1.0, "OS": 1.67, "CR": 0.0}  # of an excursion, in what follows
+_BEFORE = 0.4  # more for an excursion before the last double-sided one
+_NOTE = 0.18  # inches, of a row of notes
 _STYLE: dict[str, Any] = {
     "font.size": 9.0,
     "axes.labelsize": 10.0,
@@ -76,13 +85,22 @@ def styled() -> Iterator[None]:
 
 
 def new_figure(size: tuple[float, float] = SIZE) -> Figure:
-    """An empty figure.
+    """An empty figure, which a notebook shows without pyplot.
 
     size : width and height  [inches]
     """
-    from clunk.plot.notebook import NotebookFigure
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
-    return NotebookFigure(figsize=size, dpi=_DPI, layout="constrained")
+    class NotebookFigure(Figure):
+        def _repr_png_(self) -> bytes:
+            picture = io.BytesIO()
+            encode(self, "png", picture)
+            return picture.getvalue()
+
+    figure = NotebookFigure(figsize=size, dpi=_DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
 
 
 def set_titles(figure: Figure, ax: Axes, title: str, line: str, *, parse_math: bool = False) -> None:
@@ -94,28 +112,63 @@ def set_titles(figure: Figure, ax: Axes, title: str, line: str, *, parse_math: b
     ax.set_title(line, loc="left", fontsize=9.0, color=FAINT_INK, parse_math=parse_math)
 
 
-def freeze_layout(figure: Figure, ax: Axes) -> None:
-    """Lay the figure out once and for all, so that labels can be fitted to it."""
-    figure.set_layout_engine("constrained")
-    figure.draw_without_rendering()
+def freeze_layout(figure: Figure, ax: Axes, notes: Sequence[Artist] = ()) -> None:
+    """Lay the figure out once and for all, so that labels can be fitted to it; then append the notes."""
     title = figure._suptitle  # type: ignore[attr-defined]
-    left = ax.get_position().x0
-    if _wrap(figure, title, (1.0 - left) * figure.bbox.width - _TITLE_MARGIN * figure.dpi):
-        figure.draw_without_rendering()  # the title takes another height
+    _wrap(figure, title, figure.bbox.width - (_TITLE_INDENT + _TITLE_MARGIN) * figure.dpi)
+    engine = figure.get_layout_engine()
+    assert engine is not None
+    engine.execute(figure)
     figure.set_layout_engine("none")
-    title.set_x(left)
+    title.set_x(ax.get_position().x0)
+    append_notes(figure, notes)
 
 
-def _wrap(figure: Figure, title: Text, room: float) -> bool:
-    """Break a title into lines of `room` display pixels at most; whether that changed it."""
-    before = title.get_text()
-    text = " ".join(before.split())
+def append_notes(figure: Figure, handles: Sequence[Artist]) -> None:
+    """Put rows of notes under a figure whose layout is frozen: it grows, and what is above keeps its size."""
+    if not handles:
+        return
+    widest = max(len(str(handle.get_label())) for handle in handles)
+    columns = max(1, int((figure.get_figwidth() - 0.4) / (0.45 + 0.075 * widest)))  # inches: a swatch, a character
+    before = figure.get_figheight()
+    after = before + 0.1 + _NOTE * math.ceil(len(handles) / columns)
+    for ax in figure.axes:
+        box = ax.get_position(original=True)
+        ax.set_position((box.x0, 1.0 - (1.0 - box.y0) * before / after, box.width, box.height * before / after))
+    for part in (figure, *figure.subfigs):
+        for text in part.texts:
+            text.set_y(1.0 - (1.0 - text.get_position()[1]) * before / after)
+    figure.set_figheight(after)
+    look: dict[str, Any] = {"ncols": min(columns, len(handles)), "frameon": False, "handlelength": 1.6}
+    figure.legend(handles=list(handles), loc="lower center", borderaxespad=0.2, **look)
+
+
+def swatch(text: str, colour: str, **look: Any) -> Patch:
+    """A note that begins with a colour."""
+    from matplotlib.patches import Patch
+
+    fill: dict[str, Any] = {"facecolor": colour, "edgecolor": INK, "linewidth": 0.6} | look
+    return Patch(label=text, **fill)
+
+
+def remark(text: str) -> Patch:
+    """A note without a mark."""
+    return swatch(text, "none", edgecolor="none")
+
+
+def cells_phrase(count: int) -> str:
+    """A number of cells, for example 1 cell or 1,234 cells."""
+    return f"{count:,} cell{'' if count == 1 else 's'}"
+
+
+def _wrap(figure: Figure, title: Text, room: float) -> None:
+    """Break a title into lines of `room` display pixels at most."""
+    text = " ".join(title.get_text().split())
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
     for columns in range(max(1, len(text)), 0, -1):
         title.set_text(textwrap.fill(text, columns))
         if title.get_window_extent(renderer).width <= room:
             break
-    return bool(title.get_text() != before)
 
 
 def halo(linewidth: float = 2.4, colour: str = "white") -> list[AbstractPathEffect]:
@@ -152,23 +205,32 @@ def symbol_text(symbol: str) -> str:
     return re.sub(r"(?<!\w)([^\W\d_])([^\W\d_]|\d{1,2})(?!\w)", r"\1$_\\mathregular{\2}$", plain(symbol))
 
 
-def palette_of(labels: tuple[str, ...]) -> dict[str, str]:
-    """A light tint for every label: the hue tells the number of double-sided impacts, the depth what follows them."""
-    families: dict[int, list[str]] = {}
-    for label in labels:
-        families.setdefault(double_sided(label), []).append(label)
-    palette: dict[str, str] = {}
-    for pairs, members in families.items():
-        hue = np.frombuffer(bytes.fromhex(HUES[pairs % len(HUES)][1:]), np.uint8) / 255.0
-        impacts = sorted((label for label in members if label != "NI"), key=lambda label: (excursions(label), label))
-        # Three depths at least, so that a family of one or two is light and the same label looks alike across maps.
-        depths = np.linspace(*_TINTS, max(3, len(impacts)))
-        for label, depth in zip(impacts, depths, strict=False):
-            tint = np.rint(255.0 * (1.0 - depth * (1.0 - hue))).astype(np.uint8)
-            palette[label] = f"#{tint.tobytes().hex()}"
-    if "NI" in labels:
-        palette["NI"] = _NO_IMPACT
-    return palette
+def tint(colour: str, depth: float) -> str:
+    """A colour mixed with white; depth : 1 for the colour itself."""
+    mixed = 255.0 - depth * (255.0 - np.frombuffer(bytes.fromhex(colour[1:]), np.uint8))
+    return f"#{np.rint(mixed).astype(np.uint8).tobytes().hex()}"
+
+
+def group_colour(count: int) -> str:
+    """Colour of all labels with this number of double-sided impacts."""
+    return tint(HUES[count % len(HUES)], _GROUP_TINT)
+
+
+def colour_of(label: str) -> str:
+    """Colour of a label, the same in every picture: the hue tells its double-sided impacts, the shade what follows."""
+    if label == "NI":
+        return _NO_IMPACT
+    terms = [(kind, int(count)) for kind, count in re.findall(r"([A-Z]+)\((\d+)\)", label)]
+    last = max((k for k, (kind, _) in enumerate(terms) if kind == "DS"), default=0)
+    follows = sum(count * _WEIGHTS.get(kind, 1.0) for kind, count in terms)
+    follows += sum(_BEFORE * count for kind, count in terms[:last] if kind != "DS")
+    depth = _LIGHTEST + _RANGE * (1.0 - math.exp(-follows / _FALL))
+    return tint(HUES[double_sided(label) % len(HUES)], depth)
+
+
+def palette_of(labels: Iterable[str]) -> dict[str, str]:
+    """Colour of every label."""
+    return {label: colour_of(label) for label in labels}
 
 
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:
@@ -186,6 +248,5 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> None:
 def encode(figure: Figure, suffix: str, target: BinaryIO) -> None:
     """Write a figure to a stream as png, svg or pdf; the same figure gives the same bytes."""
     metadata: dict[str, Any] = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[suffix]
-    options: dict[str, Any] = {"pil_kwargs": {"optimize": True}} if suffix == "png" else {}
     with styled():
-        figure.savefig(target, format=suffix, metadata=metadata, **options)
+        figure.savefig(target, format=suffix, metadata=metadata)

@@ -1,9 +1,13 @@
-"""Thresholds as curves: over one other axis with the outcomes between them, over two as families of curves."""
+"""Thresholds as curves: over one other axis with the outcomes between them, over two as families of curves.
+
+Under tolerances they are quantiles, as curves over one other axis, or probabilities along the key without one.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import groupby
 from typing import Any
 
@@ -17,9 +21,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from scipy.optimize import linear_sum_assignment
 
-from clunk.analysis.thresholds import Thresholds, word_text
+from clunk.analysis.quantiles import QUANTILE, probabilities
+from clunk.analysis.thresholds import DRAW, Thresholds, word_text
 from clunk.plot import style
-from clunk.plot.notes import remark, set_notes, swatch
 from clunk.plot.plane import cell_edges, scale_axis, value_text
 from clunk.results.labels import FAILED_CODE
 from clunk.study.arrays import Floats, Positions
@@ -27,17 +31,21 @@ from clunk.study.axes import ResultAxis
 
 _MOST_PANELS = 6
 _MOST_CURVES = 8  # of a family
+_LEAST = 0.002  # mean probability along the key of an outcome that is outlined and named
 _NARROWEST = 0.002  # of the axis, a band that is seen
 _PANEL = (3.4, 2.9)  # inches
 
 
-def curve_axes(axes: Sequence[ResultAxis]) -> tuple[ResultAxis, ...]:
-    """The axes with several values, x first, then that of a family. Raises PlotError where there are not one or two."""
-    several = [axis for axis in axes if len(axis.values) > 1]
-    if not 1 <= len(several) <= 2:
+def curve_axes(axes: Sequence[ResultAxis], *, toleranced: bool = False) -> tuple[ResultAxis, ...]:
+    """The axes with several values, x first, then that of a family.
+
+    Raises PlotError where there are not one or two; of toleranced thresholds, where there are more than one.
+    """
+    several = [axis for axis in axes if len(axis.values) > 1 and axis.parameter not in (DRAW, QUANTILE)]
+    if not (len(several) <= 1 if toleranced else 1 <= len(several) <= 2):
         count = "no other axis" if not several else f"{len(several)} other axes"
-        problem = f"Thresholds are drawn over one or two other axes, and the config has {count}"
-        raise style.PlotError(f"{problem}; -o FILE.csv takes all.")
+        what, most = ("Quantiles", "one other axis") if toleranced else ("Thresholds", "one or two other axes")
+        raise style.PlotError(f"{what} are drawn over {most}, and the config has {count}; -o FILE.csv takes all.")
     return tuple(sorted(several, key=lambda axis: -len(axis.values)))
 
 
@@ -48,12 +56,12 @@ def threshold_figure(thresholds: Thresholds) -> Figure:
     Raises PlotError where there is no other axis with several values, or more than two.
     """
     axes = curve_axes(thresholds.axes)
-    cells, ascending = arranged(thresholds, axes)
+    cells, ascending = _arranged(thresholds, axes)
     draw = _draw_map if len(axes) == 1 else _draw_family
-    return draw(thresholds, cells, ascending, heading("thresholds of", thresholds))
+    return draw(thresholds, cells, ascending, _heading("thresholds of", thresholds))
 
 
-def arranged(thresholds: Thresholds, axes: Sequence[ResultAxis]) -> tuple[Positions, list[ResultAxis]]:
+def _arranged(thresholds: Thresholds, axes: Sequence[ResultAxis]) -> tuple[Positions, list[ResultAxis]]:
     """Positions along these axes, which have all that have several values, and the axes, all in ascending order."""
     cells = np.arange(thresholds.lowest.size).reshape(thresholds.shape)
     order = [np.argsort(axis.values, kind="stable") for axis in thresholds.axes]
@@ -63,13 +71,13 @@ def arranged(thresholds: Thresholds, axes: Sequence[ResultAxis]) -> tuple[Positi
     return cells, [ResultAxis(a.parameter, np.sort(a.values), a.name, a.symbol, a.unit) for a in axes]
 
 
-def heading(drawn: str, thresholds: Thresholds) -> str:
+def _heading(drawn: str, thresholds: Thresholds) -> str:
     """Second line of a figure's title: the quantity drawn, the outcome, and the axes of one value."""
     fixed = [value_text(axis, axis.values[0]) for axis in thresholds.axes if len(axis.values) == 1]
     return "; ".join([f"{drawn}: {thresholds.outcome.heading_with_unit}", *fixed])
 
 
-def bands(thresholds: Thresholds, cell: int) -> tuple[tuple[int, ...], list[float]]:
+def _bands(thresholds: Thresholds, cell: int) -> tuple[tuple[int, ...], list[float]]:
     """Codes of a cell's intervals that are wide enough to be seen, and the thresholds between them."""
     narrowest = _NARROWEST * float(np.ptp(thresholds.along.values))
     codes: list[int] = []
@@ -81,7 +89,7 @@ def bands(thresholds: Thresholds, cell: int) -> tuple[tuple[int, ...], list[floa
     return tuple(codes), begins[1:]
 
 
-def segments(thresholds: Thresholds, x: Floats, cells: Positions) -> Iterator[tuple[tuple[int, int], Floats]]:
+def _segments(thresholds: Thresholds, x: Floats, cells: Positions) -> Iterator[tuple[tuple[int, int], Floats]]:
     """Yield the pieces of curves between neighbouring cells: codes below and above, and both ends, (2, 2) float64.
 
     A threshold goes on in the one of the same change that is nearest, all together; alone, it is both points.
@@ -111,17 +119,18 @@ def _draw_map(thresholds: Thresholds, cells: Positions, axes: Sequence[ResultAxi
     figure = style.new_figure()
     ax = figure.subplots()
     style.set_titles(figure, ax, thresholds.study.title, line)
-    fills = outcome_fills(thresholds)
-    seen = fill_bands(ax, thresholds, x, cells, fills)
-    draw_curves(ax, [points for _, points in segments(thresholds, x.values, cells)], style.INK)
-    scale_plane(ax, x, thresholds.along)
-    notes: list[Artist] = [swatch(outcome_name(thresholds, code), fills[code]["facecolor"]) for code in sorted(seen)]
-    set_notes(figure, notes)
-    style.freeze_layout(figure, ax)
+    fills = _outcome_fills(thresholds)
+    seen = _fill_bands(ax, thresholds, x, cells, fills)
+    _draw_curves(ax, [points for _, points in _segments(thresholds, x.values, cells)], style.INK)
+    _scale_plane(ax, x, thresholds.along)
+    notes: list[Artist] = [
+        style.swatch(_outcome_name(thresholds, code), fills[code]["facecolor"]) for code in sorted(seen)
+    ]
+    style.freeze_layout(figure, ax, notes)
     return figure
 
 
-def fill_bands(
+def _fill_bands(
     ax: Axes, thresholds: Thresholds, x: ResultAxis, cells: Positions, fills: Mapping[int, Mapping[str, Any]]
 ) -> set[int]:
     """Fill the intervals of the key with one outcome as bands over x; those without a fill stay empty.
@@ -131,7 +140,7 @@ def fill_bands(
     seen: set[int] = set()
     edges = np.clip(cell_edges(x), x.values[0], x.values[-1])
     low, high = thresholds.along.values[[0, -1]]
-    columns = [bands(thresholds, cell) for cell in cells.tolist()]
+    columns = [_bands(thresholds, cell) for cell in cells.tolist()]
     for codes, group in groupby(range(len(columns)), key=lambda k: columns[k][0]):
         alike = list(group)
         across = np.array([edges[alike[0]], *x.values[alike], edges[alike[-1] + 1]])
@@ -145,7 +154,7 @@ def fill_bands(
     return seen
 
 
-def scale_plane(ax: Axes, x: ResultAxis, along: ResultAxis) -> None:
+def _scale_plane(ax: Axes, x: ResultAxis, along: ResultAxis) -> None:
     """Scale both axes to their values: the other axis from left to right, the key upwards."""
     scale_axis(ax, "x", x)
     scale_axis(ax, "y", along)
@@ -169,12 +178,12 @@ def _draw_family(thresholds: Thresholds, cells: Positions, axes: Sequence[Result
     chosen = np.unique(np.linspace(0, len(other.values) - 1, _MOST_CURVES).round().astype(int))
     shades = [colors.to_hex(mpl.colormaps["viridis"](share)) for share in np.linspace(0.0, 0.85, len(chosen))]
     for k, (ax, change) in enumerate(zip(panels, drawn, strict=False)):
-        names = " and ".join(outcome_name(thresholds, code) for code in change)
+        names = " and ".join(_outcome_name(thresholds, code) for code in change)
         style.set_titles(figure, ax, thresholds.study.title, f"{line}\nbetween {names}" if k == 0 else f"\n{names}")
         for at, colour in zip(chosen, shades, strict=True):
-            pieces = segments(thresholds, x.values, cells[:, at])
-            draw_curves(ax, [points for codes, points in pieces if tuple(sorted(codes)) == change], colour)
-        scale_plane(ax, x, thresholds.along)
+            pieces = _segments(thresholds, x.values, cells[:, at])
+            _draw_curves(ax, [points for codes, points in pieces if tuple(sorted(codes)) == change], colour)
+        _scale_plane(ax, x, thresholds.along)
         ax.label_outer()
         style.tidy(ax)
     notes: list[Artist] = [
@@ -182,13 +191,12 @@ def _draw_family(thresholds: Thresholds, cells: Positions, axes: Sequence[Result
         for at, colour in zip(chosen, shades, strict=True)
     ]
     if len(frequent) > len(drawn):
-        notes.append(remark(f"and {len(frequent) - len(drawn)} more changes"))
-    set_notes(figure, notes)
-    style.freeze_layout(figure, panels[0])
+        notes.append(style.remark(f"and {len(frequent) - len(drawn)} more changes"))
+    style.freeze_layout(figure, panels[0], notes)
     return figure
 
 
-def draw_curves(ax: Axes, pieces: Sequence[Floats], colour: str, **look: Any) -> None:
+def _draw_curves(ax: Axes, pieces: Sequence[Floats], colour: str, **look: Any) -> None:
     """Draw pieces of curves, (2, 2) float64 each, and those of no length as points."""
     lines: dict[str, Any] = {"colors": colour, "linewidths": 1.4, "capstyle": "round", "zorder": 3} | look
     ax.add_collection(LineCollection(pieces, **lines))
@@ -196,18 +204,104 @@ def draw_curves(ax: Axes, pieces: Sequence[Floats], colour: str, **look: Any) ->
     ax.plot(*alone.T, ".", color=colour, markersize=4.0, zorder=3)
 
 
-def outcome_name(thresholds: Thresholds, code: int) -> str:
+def _outcome_name(thresholds: Thresholds, code: int) -> str:
     """An outcome for people: yes and no for whether something holds."""
     word = thresholds.word(code)
     return ("no", "yes")[word] if isinstance(word, bool) else word_text(word)
 
 
-def outcome_fills(thresholds: Thresholds) -> dict[int, dict[str, Any]]:
+def _outcome_fills(thresholds: Thresholds) -> dict[int, dict[str, Any]]:
     """Look of the band of each code: the tints of the labels, or shades of one hue."""
-    palette = style.palette_of(tuple(word for word in thresholds.words if isinstance(word, str)))
     whole = max(len(thresholds.words) - 1, 1)
-    depths = {word: 0.08 + 0.52 * code / whole for code, word in enumerate(thresholds.words)}
-    hue = np.array(colors.to_rgb(style.HUES[1]))
-    shades = {word: colors.to_hex(tuple(1.0 - depth * (1.0 - hue))) for word, depth in depths.items()}
-    fills = {code: {"facecolor": (shades | palette)[word]} for code, word in enumerate(thresholds.words)}
-    return fills | {FAILED_CODE: style.FAILED_LOOK}
+    shades = [style.tint(style.LINE_COLOURS[0], 0.08 + 0.52 * code / whole) for code in range(len(thresholds.words))]
+    words = zip(thresholds.words, shades, strict=True)
+    fills = [style.colour_of(word) if isinstance(word, str) else shade for word, shade in words]
+    return {code: {"facecolor": fill} for code, fill in enumerate(fills)} | {FAILED_CODE: style.FAILED_LOOK}
+
+
+@style.styled()
+def quantile_figure(drawn: Thresholds, quantiles: Thresholds, nominal: Thresholds) -> Figure:
+    """Bands over the other axis in which a share of the drawn drivelines has one outcome, darker for a larger share.
+
+    drawn : thresholds of each draw
+    quantiles : of these thresholds
+    nominal : thresholds without tolerances, drawn as dashed curves
+
+    Without another axis, the probability of each outcome along the key. Raises PlotError where there are more.
+    """
+    axes = curve_axes(nominal.axes, toleranced=True)
+    if not axes:
+        return _draw_probabilities(drawn, nominal)
+    figure = style.new_figure()
+    ax = figure.subplots()
+    draws = len(drawn.axes[0].values)
+    style.set_titles(figure, ax, drawn.study.title, _heading(f"share of {draws:,} drivelines", nominal))
+    cells, (x,) = _arranged(nominal, axes)
+    fills = _outcome_fills(quantiles)
+    shares = quantiles.axes[-1].values
+    shades = [colors.to_hex(mpl.colormaps["viridis"](depth)) for depth in np.linspace(0.85, 0.0, len(shares))]
+    seen: set[int] = set()
+    notes: list[Artist] = []
+    for rank, k in enumerate(np.argsort(shares)):
+        part = _of_quantile(quantiles, int(k))
+        depth = (rank + 1.0) / len(shares)
+        seen |= _fill_bands(
+            ax,
+            part,
+            x,
+            cells,
+            {code: fill | {"facecolor": style.tint(fill["facecolor"], depth)} for code, fill in fills.items()},
+        )
+        _draw_curves(ax, [points for _, points in _segments(part, x.values, cells)], shades[rank])
+        notes.append(Line2D([], [], color=shades[rank], linewidth=1.6, label=f"in {100.0 * shares[k]:g} %"))
+    _draw_curves(ax, [points for _, points in _segments(nominal, x.values, cells)], style.INK, linestyles="--")
+    notes.append(Line2D([], [], color=style.INK, linewidth=1.6, linestyle="--", label="without tolerances"))
+    _scale_plane(ax, x, quantiles.along)
+    swatches = [style.swatch(_outcome_name(quantiles, code), fills[code]["facecolor"]) for code in sorted(seen)]
+    style.freeze_layout(figure, ax, [*swatches, *notes])
+    return figure
+
+
+def _of_quantile(quantiles: Thresholds, k: int) -> Thresholds:
+    """The thresholds of one quantile, in the cells of the other axes."""
+    count = len(quantiles.axes[-1].values)
+    part = quantiles.cell % count == k
+    return replace(
+        quantiles,
+        axes=quantiles.axes[:-1],
+        lowest=quantiles.lowest[k::count],
+        cell=quantiles.cell[part] // count,
+        value=quantiles.value[part],
+        below=quantiles.below[part],
+        above=quantiles.above[part],
+    )
+
+
+def _draw_probabilities(drawn: Thresholds, nominal: Thresholds) -> Figure:
+    """Draw the probability of each outcome along the key, one upon the other."""
+    edges, shares = probabilities(drawn)
+    figure = style.new_figure()
+    ax = figure.subplots()
+    style.set_titles(
+        figure, ax, drawn.study.title, _heading(f"share of {len(drawn.axes[0].values):,} drivelines", nominal)
+    )
+    fills = _outcome_fills(drawn)
+    codes = [*range(len(drawn.words)), FAILED_CODE]
+    bottom = np.zeros(len(shares))
+    notes: list[Artist] = []
+    for code, share in zip(codes, shares.T, strict=True):
+        top = bottom + share
+        ax.stairs(top, edges, baseline=bottom, fill=True, linewidth=0.0, **fills[code])
+        if np.average(share, weights=np.diff(edges)) >= _LEAST:
+            ax.stairs(top, edges, baseline=None, color=style.INK, linewidth=0.8)
+            notes.append(style.swatch(_outcome_name(drawn, code), fills[code]["facecolor"]))
+        bottom = top
+    _, without = _bands(nominal, 0)
+    for value in without:
+        ax.axvline(value, color=style.INK, linewidth=1.2, linestyle="--")
+    if without:
+        notes.append(Line2D([], [], color=style.INK, linewidth=1.2, linestyle="--", label="without tolerances"))
+    scale_axis(ax, "x", drawn.along)
+    ax.set(xlim=drawn.along.values[[0, -1]], ylim=(0.0, 1.0), ylabel="Probability")
+    style.freeze_layout(figure, ax, notes)
+    return figure

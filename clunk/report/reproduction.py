@@ -10,9 +10,7 @@ from matplotlib.figure import Figure
 from clunk import plot
 from clunk.analysis.comparison import compare
 from clunk.analysis.fitmaps import fit_maps
-from clunk.plot import comparisons, histories, profiles
-from clunk.plot.fit import measured_on_maps
-from clunk.plot.small_gap import small_gap
+from clunk.plot import comparisons, histories, strips
 from clunk.report.claims import Claim, Verdict
 from clunk.report.evidence import MAPS, NOMINAL_RATIO, RATIOS, Evidence
 from clunk.results.files import reason, write_text
@@ -88,17 +86,17 @@ def figures(e: Evidence) -> list[Job]:
         ("figure_3_1", lambda: histories.angles([nominal])),
         ("figure_3_2", lambda: histories.backlash(all_runs)),
         ("figure_3_3", lambda: histories.closeup(both, 0.22, 0.1)),
-        ("figure_3_4", lambda: plot.regime_map(maps["indentation"], thresholds)),
-        ("figure_3_4_restitution", lambda: plot.regime_map(maps["restitution"], thresholds)),
+        ("figure_3_4", lambda: plot.draw(maps["indentation"], "regimes", thresholds)),
+        ("figure_3_4_restitution", lambda: plot.draw(maps["restitution"], "regimes", thresholds)),
         ("figure_3_4_difference", lambda: comparisons.difference_map(maps["indentation"], between)),
-        ("figure_3_4_as_printed", lambda: plot.regime_map(maps["as_printed"])),
-        ("figure_3_5", lambda: small_gap(e.study.title, SmallGap.of(e.study))),
+        ("figure_3_4_as_printed", lambda: plot.draw(maps["as_printed"], "regimes")),
+        ("figure_3_5", lambda: histories.small_gap(e.study.title, SmallGap.of(e.study))),
         ("figure_3_6", lambda: histories.acceleration([run("indentation", until=1.5)])),
-        ("figure_3_7", lambda: plot.quantity_map(maps["indentation"], "severity")),
-        ("figure_3_7_by_force", lambda: plot.quantity_map(maps["by_force"], "severity")),
-        ("figure_3_7_velocity", lambda: plot.quantity_map(maps["indentation"], "approach_velocity")),
-        ("figure_3_7_velocity_restitution", lambda: plot.quantity_map(maps["restitution"], "approach_velocity")),
-        ("figure_4_4_trend", lambda: profiles.severity_profiles(maps["indentation"], (2.5, 4.6, 6.7, 8.5, 10.0))),
+        ("figure_3_7", lambda: plot.draw(maps["indentation"], "severity")),
+        ("figure_3_7_by_force", lambda: plot.draw(maps["by_force"], "severity")),
+        ("figure_3_7_velocity", lambda: plot.draw(maps["indentation"], "approach_velocity")),
+        ("figure_3_7_velocity_restitution", lambda: plot.draw(maps["restitution"], "approach_velocity")),
+        ("figure_4_4_trend", lambda: strips.severity_profiles(maps["indentation"], (2.5, 4.6, 6.7, 8.5, 10.0))),
         ("table_4_1", lambda: comparisons.experiment_map(maps["indentation"], e.measured)),
-        ("table_4_1_fitted", lambda: measured_on_maps(fit_maps(e.fitted), e.fitted)),
+        ("table_4_1_fitted", lambda: comparisons.measured_on_maps(fit_maps(e.fitted), e.fitted)),
     ]

@@ -14,6 +14,11 @@ def double_sided(label: str) -> int:
     return sum(int(count) for count in re.findall(r"DS\((\d+)\)", label))
 
 
+def primary_impacts(label: str) -> int:
+    """Number of primary impacts in a label: a double-sided one is an impact on either flank."""
+    return excursions(label) + double_sided(label)
+
+
 def excursions(label: str) -> int:
     """Number of excursions from a flank in a label, of whatever type."""
     return sum(int(count) for count in re.findall(r"\((\d+)\)", label))

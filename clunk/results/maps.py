@@ -163,8 +163,8 @@ class Map(Description, ABC):
         return quantity.plot_label
 
     @abstractmethod
-    def of_labels(self, holds: Sequence[bool]) -> Floats:
-        """Whether something that holds for some labels, in their order, holds in each cell; NaN where it failed."""
+    def of_labels(self, numbers: Sequence[float]) -> Floats:
+        """What follows from the label of each cell; NaN where it failed. numbers : of the labels, in their order"""
 
     @abstractmethod
     def numbers(self, name: str) -> Floats:

@@ -38,7 +38,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clunk.core.status import QUALITY_MEANINGS, Status
-from clunk.results.labels import FAILED, FAILED_CODE, normalised_label
+from clunk.results.labels import FAILED, FAILED_CODE, double_sided, normalised_label, primary_impacts
 from clunk.study.arrays import Array
 from clunk.study.errors import ClunkError
 from clunk.study.measures import OF_IMPACTS
@@ -148,10 +148,8 @@ class Quantity:
         sequence = results.arrays["sequence"]
         if self.type == TEXT:
             return np.array([*results.labels, FAILED])[sequence]  # the code of failed cells, -1, is the last
-        if self.name in _SIDED:
-            return results.of_labels([f"{_SIDED[self.name]}(" in label for label in results.labels])
-        if self.name == NOMINAL or (self.base is not None and self.base.type == TEXT):
-            return results.of_labels([label == self.bound for label in results.labels])
+        if self.of_label("NI") is not None:
+            return results.of_labels([self.of_label(label) or 0.0 for label in results.labels])
         if self.name == CHATTER:
             holds = results.arrays["touches"] > results.arrays["primary_impacts"]
             return np.where(sequence == FAILED_CODE, np.nan, holds)
@@ -161,6 +159,15 @@ class Quantity:
         if self.base.name == "last_event_time":
             numbers = np.where(sequence == FAILED_CODE, np.nan, np.nan_to_num(numbers))
         return np.where(np.isnan(numbers), np.nan, _RELATIONS[self.relation][0](numbers, self.bound))
+
+    def of_label(self, label: str) -> float | None:
+        """What follows from the label alone: 1 and 0 of what holds or not, or a number of impacts; else None."""
+        if self.name in _SIDED:
+            return float(f"{_SIDED[self.name]}(" in label)
+        if self.name == NOMINAL or (self.base is not None and self.base.type == TEXT):
+            return float(label == self.bound)
+        count = {"double_sided_impacts": double_sided, "primary_impacts": primary_impacts}.get(self.name)
+        return None if count is None else float(count(label))
 
     def named(self, nominal: str) -> Quantity:
         """`nominal_label` with the label of the run without tolerances; any other quantity as it is."""

@@ -65,9 +65,9 @@ class Results(Map):
         holding = {name: each for name, each in OF_RUNS.items() if name != NOMINAL}
         return {LABEL: OF_RUNS[LABEL]} | named_numbers(self.quantities) | holding
 
-    def of_labels(self, holds: Sequence[bool]) -> Floats:
-        """1 in cells whose label it holds for, else 0; NaN where the run failed."""
-        return np.array([*holds, np.nan], np.float64)[self.sequence]  # the code of failed cells, -1, is the last
+    def of_labels(self, numbers: Sequence[float]) -> Floats:
+        """The number of the label of each cell; NaN where the run failed."""
+        return np.array([*numbers, np.nan], np.float64)[self.sequence]  # the code of failed cells, -1, is the last
 
     def numbers(self, name: str) -> Floats:
         """A quantity of cells as float64, NaN where the run failed."""

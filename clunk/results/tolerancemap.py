@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from clunk.results.labels import FAILED, FAILED_CODE, double_sided
 from clunk.results.maps import Map, require_codes, share
-from clunk.results.quantities import CHATTER, NOMINAL, OF_RUNS, TOLERANCE_QUANTITIES, YES_NO, Quantity
+from clunk.results.quantities import CHATTER, NOMINAL, OF_RUNS, TEXT, TOLERANCE_QUANTITIES, YES_NO, Quantity
 from clunk.results.regimemap import Results
 from clunk.study.arrays import Array, Floats
 from clunk.study.summaries import Rows, counted
@@ -67,7 +67,11 @@ class ToleranceMap(Map):
     @cached_property
     def quantities_of_cells(self) -> dict[str, Quantity]:
         """The most likely label, probabilities of what holds for labels, and the severity's mean and quantiles."""
-        of_labels = {name: each for name, each in OF_RUNS.items() if name not in (CHATTER, NOMINAL)}
+        of_labels = {
+            name: each
+            for name, each in OF_RUNS.items()
+            if each.type in (TEXT, YES_NO) and name not in (CHATTER, NOMINAL)
+        }
         quantile = replace(self.quantities["severity_quantiles"], dimension="")
         quantiles = {
             name: replace(quantile, name=name, words=f"{100 * level:g} % {quantile.words}")
@@ -80,11 +84,11 @@ class ToleranceMap(Map):
         """The quantity's name beside an axis: what holds for labels has a probability."""
         return f"Probability that {quantity.words}" if quantity.type == YES_NO else quantity.plot_label
 
-    def of_labels(self, holds: Sequence[bool]) -> Floats:
-        """Share of the runs of each cell that did not fail whose label it holds for; NaN where all failed."""
-        return self._of_finished(self.runs[..., np.flatnonzero(holds)].sum(axis=-1))
+    def of_labels(self, numbers: Sequence[float]) -> Floats:
+        """Mean over the runs of each cell that did not fail: where the numbers are 1 and 0, a share; NaN without any."""
+        return self._of_finished(self.runs[..., :FAILED_CODE] @ np.asarray(numbers, np.float64))
 
-    def _of_finished(self, runs: npt.NDArray[np.int32]) -> Floats:
+    def _of_finished(self, runs: npt.NDArray[np.int32] | Floats) -> Floats:
         """Numbers of runs as shares of those of their cells that did not fail."""
         finished = self.draws - self.runs[..., FAILED_CODE]
         shares: Floats = np.divide(runs, finished, out=np.full(self.shape, np.nan), where=finished > 0)
