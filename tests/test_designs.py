@@ -486,7 +486,7 @@ class TestFigures:
         assert f"inertia 4 = {mixed.coordinates[1].values[2]:.6g} kg m2" in line
 
     def test_thresholds_are_those_of_the_slices_driveline(self, four):
-        """σr = exp(2π ζ1 (n - 1/2)): more damping, higher thresholds."""
+        """More damping, higher thresholds."""
         light, heavy = (thresholds_of(four.at({"driveline.shafts[1].damping": c})) for c in (0.04, 0.16))
         assert len(light) == len(heavy) > 2
         assert all(b > 1.02 * a for a, b in zip(light, heavy, strict=True))

@@ -1,7 +1,7 @@
-"""Thresholds of vanishing backlash on the axes of a map (report Table 3.1)."""
+"""Thresholds of vanishing backlash on the axes of a map, by all modes of the locked chain (report §3.2)."""
 
 from clunk.results.maps import Map
-from clunk.simulation.linear import one_mode_thresholds, thresholds_on
+from clunk.simulation.linear import rigid_contact_thresholds, thresholds_on
 from clunk.study.config import study_from_text
 from clunk.study.study import replace_values
 
@@ -24,4 +24,4 @@ def thresholds_of(results: Map) -> list[float]:
         return []
     fixed = {axis.parameter: float(axis.values[0]) for axis in results.parameters if len(axis.values) == 1}
     study = replace_values(study, fixed)
-    return [float(value) for value in thresholds_on(study, parameter, one_mode_thresholds(study))]
+    return [float(value) for value in thresholds_on(study, parameter, rigid_contact_thresholds(study))]

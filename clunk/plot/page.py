@@ -82,7 +82,7 @@ def _part(part: Results | ToleranceMap, lash: str) -> Iterator[str]:
     if thresholds and len(changing) == 1:  # others would change them
         values = ", ".join(f"{value:.6g}" for value in thresholds)
         yield "<h3>Thresholds as the backlash vanishes</h3>"
-        yield f"<p>One more impact appears at {escape(changing.pop())} = {values} (lowest mode).</p>"
+        yield f"<p>One more impact appears at {escape(changing.pop())} = {values} (all modes, the lash locked).</p>"
     boundaries = part.boundaries if isinstance(part, Results) else None
     if boundaries is not None:
         heads, *rows = boundaries.meeting_rows()

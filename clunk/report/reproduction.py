@@ -17,7 +17,7 @@ from clunk.results.files import reason, write_text
 from clunk.results.netcdf import StoreError
 from clunk.results.store import write_results
 from clunk.simulation.history import History, sample
-from clunk.simulation.linear import one_mode_thresholds
+from clunk.simulation.linear import rigid_contact_thresholds
 from clunk.simulation.small_gap import SmallGap
 from clunk.sweeping.progress import Progress
 
@@ -73,7 +73,7 @@ def write_tables(path: Path, claims: Sequence[Claim]) -> None:
 
 def figures(e: Evidence) -> list[Job]:
     """Every figure of the report and of what bears on it: a file name's stem, and how to draw it."""
-    thresholds = [float(ratio) for ratio in one_mode_thresholds(e.study)]
+    thresholds = [float(ratio) for ratio in rigid_contact_thresholds(e.study)]
     maps = e.maps
 
     def run(name: str, ratio: float = NOMINAL_RATIO, title: str = "", until: float = 1.0) -> History:
