@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 
 from clunk.analysis.comparison import Comparison
 from clunk.analysis.fitmaps import WHICH
-from clunk.analysis.fitted import Fitted
 from clunk.analysis.fitruns import label_of
+from clunk.analysis.fitted import Fitted
 from clunk.analysis.trends import ExperimentComparison
 from clunk.plot.layers import Layers, Measured, Note
 from clunk.plot.maps import plane_map, several_maps
@@ -86,14 +86,13 @@ def measured_on_maps(results: Results, fitted: Fitted) -> Figure:
 
     Raises PlotError where the maps cannot be drawn.
     """
-    columns = [fitted.axes.index(axis.parameter) for axis in results.axes[1:] if len(axis.values) > 1]
     panels, names = [], []
     for number, matches in enumerate((fitted.nominal_matches, fitted.estimate_matches)):
         layers = Layers.of(results.at({"fit": number + 1.0}), 2)
-        labels = [label_of(pattern) for pattern in matches["pattern"].tolist()]
-        rows = zip(fitted.points[:, columns].tolist(), fitted.experiment.measurements, labels, strict=True)
-        ordered = [(place[:: -1 if layers.view.keep[0] > layers.view.keep[1] else 1], *rest) for place, *rest in rows]
-        points = tuple(Measured(*place, each.label, each.label == label) for place, each, label in ordered)
+        places = fitted.points[:, [fitted.axes.index(axis.parameter) for axis in layers.view.axes]].tolist()
+        labels = map(label_of, matches["pattern"].tolist())
+        rows = zip(places, fitted.experiment.measurements, labels, strict=True)
+        points = tuple(Measured(x, y, each.label, each.label == label) for (x, y), each, label in rows)
         panels.append(replace(layers, points=points))
         names.append(f"{WHICH[number]}: {fitted.hits(matches['pattern'])} of {len(points)} labels")
     line = replace(panels[0], caveats=tuple(results.caveats)).subtitle(fixed=())

@@ -118,8 +118,8 @@ def plane_map(layers: Layers, thresholds: Sequence[float] = ()) -> Figure:
 
     Of how hard impacts are there is also the ridge: the backlash at which it is worst for each load ratio.
 
-    thresholds : values of the x axis at which the number of impacts for vanishing backlash changes (report §3.2), marked
-        where x is the load ratio or a load torque and y the backlash from zero on
+    thresholds : values of the x axis at which the number of impacts for vanishing backlash changes (report §3.2),
+        marked where x is the load ratio or a load torque and y the backlash from zero on
     """
     figure, ax = new_plot(layers)
     scale_axes(ax, layers.view)

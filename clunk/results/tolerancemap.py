@@ -85,7 +85,7 @@ class ToleranceMap(Map):
         return f"Probability that {quantity.words}" if quantity.type == YES_NO else quantity.plot_label
 
     def of_labels(self, numbers: Sequence[float]) -> Floats:
-        """Mean over the runs of each cell that did not fail: where the numbers are 1 and 0, a share; NaN without any."""
+        """Mean over the runs of each cell that did not fail: of 1 and 0 a share; NaN where all failed."""
         return self._of_finished(self.runs[..., :FAILED_CODE] @ np.asarray(numbers, np.float64))
 
     def _of_finished(self, runs: npt.NDArray[np.int32] | Floats) -> Floats:
