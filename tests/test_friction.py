@@ -147,7 +147,7 @@ def same_as_the_reference(plant, method="exact", near=NEAR):
     study = study_from_text(reference.config_of(plant, step=2e-5, end_time=0.5, method=method))
     line = Driveline.from_study(study)
     if any(rubs(friction, line.rigid_motion) for friction, _ in line.frictions):
-        with pytest.raises(SimulationError, match=r"shafts\[\d+\]\.friction carries nothing"):
+        with pytest.raises(SimulationError, match=r"shafts\[\d+\] slips as the driveline rolls"):
             simulate(study)
         return
     run = simulate(study)
@@ -275,5 +275,5 @@ def test_a_friction_that_slips_before_the_load_step_is_refused(method, drag):
     study = load_study("configs/car_tip_out.toml", [f"solver.method='{method}'"])
     shafts = [shaft.model_dump(exclude_none=True) for shaft in study.driveline.shafts]
     shafts.append({"between": (1, "ground"), "stiffness": 0.0, "damping": drag, "friction": 1.0})
-    with pytest.raises(SimulationError, match=rf"shafts\[{len(shafts)}\]\.friction .*, which rolls, .*damping instead"):
+    with pytest.raises(SimulationError, match=rf"shafts\[{len(shafts)}\] slips .* give it .*damping"):
         simulate(study.model_copy(update={"driveline": with_shafts(study, shafts)}))

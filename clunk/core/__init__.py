@@ -45,6 +45,7 @@ span        one of a ladder of time intervals, two an octave, for which a flow's
 origin      a particular solution of a flow, which the modal coordinates are measured from
 steady      of a flow: the functionals of its origin rest under a constant torque; still: and so under this load
 rolls       of a steady flow: its angles go on all the same, which no functional depends on
+rolled      by what angle of the first inertia that rolls a run's angles, which are less that, have turned together
 pair        two modal coordinates that belong together; its amplitude never grows, its sway is what it adds at most
 left out    of a step's guards: the fastest pairs, whose sway is subtracted instead; how many, in LEFT_OUT
 group       regimes with one flow and, but for the sides, the same guards, whose runs take steps together

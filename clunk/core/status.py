@@ -21,7 +21,9 @@ class Status(IntEnum):
 
 _SENTENCES = {
     Status.OK: "the run finished",
-    Status.NO_EQUILIBRIUM: "no steady motion: two parts or more can turn by themselves, joined by no stiffness",
+    Status.NO_EQUILIBRIUM: (
+        "no steady motion: two parts or more can turn by themselves, joined by no stiffness, or a friction slips in it"
+    ),
     Status.NO_INITIAL_FLANK: "no initial flank: the lash carries no torque in the steady motion before the load step",
     Status.NON_FINITE: "the state became infinite or undefined",
     Status.EVENT_BUFFER_FULL: "more events than solver.max_events allows; raise it, or shorten solver.end_time",

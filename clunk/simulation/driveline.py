@@ -270,8 +270,8 @@ def explained(study: Study, status: Status) -> str:
         if rubs(friction, driveline.rigid_motion):
             key = f"driveline.shafts[{int(np.flatnonzero(shares)[0]) + 1}]"
             return (
-                f"no steady motion before the load step: {key}.friction carries nothing in it, and nothing holds the "
-                f"driveline, which rolls, so that this shaft slips; give it {key}.damping instead"
+                f"no steady motion before the load step: {key} slips as the driveline rolls, where its friction would "
+                f"carry nothing; give it {key}.damping instead of {key}.friction"
             )
     if driveline.rigid_motion.shape.shape[1] <= 1:
         return (
