@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from clunk.analysis.comparison import ComparisonError as ComparisonError
     from clunk.analysis.comparison import compare as compare
     from clunk.analysis.comparison import verify as verify
+    from clunk.analysis.fitmaps import FitMapError as FitMapError
     from clunk.analysis.fitted import Fitted as Fitted
     from clunk.analysis.fittedstudy import fitted_study as fitted_study
     from clunk.analysis.fitting import FitError as FitError
-    from clunk.analysis.fitting import fit as fit
     from clunk.analysis.measurements import ExperimentError as ExperimentError
     from clunk.analysis.quantiles import threshold_quantiles as threshold_quantiles
     from clunk.analysis.sobol import Sensitivity as Sensitivity
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from clunk.analysis.thresholds import Thresholds as Thresholds
     from clunk.analysis.thresholds import thresholds as thresholds
     from clunk.api import draw as draw
+    from clunk.api import fit as fit
     from clunk.api import run_points as run_points
     from clunk.api import sweep as sweep
     from clunk.api import tolerance_map as tolerance_map
@@ -76,6 +77,7 @@ _HOME = {
     "Explorer": "explorer.server",
     "ExplorerError": "explorer.subject",
     "FitError": "analysis.fitting",
+    "FitMapError": "analysis.fitmaps",
     "Fitted": "analysis.fitted",
     "PartsError": "sweeping.parts",
     "PlotError": "plot",
@@ -95,11 +97,10 @@ _HOME = {
     "compare": "analysis.comparison",
     "draw": "api",
     "explore": "explorer.server",
-    "fit": "analysis.fitting",
+    "fit": "api",
     "fitted_study": "analysis.fittedstudy",
     "load_study": "study.config",
     "open_results": "results.datasets",
-    "optimize": "analysis.optimisation",
     "plot": "plot",
     "read_results": "results.store",
     "read_tolerance_map": "results.store",

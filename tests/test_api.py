@@ -374,3 +374,15 @@ def test_ipython_in_a_terminal_is_a_terminal(notebook, monkeypatch, capsys):
     with progress.shown(24) as tell:
         tell(24, 24)
     assert not notebook
+
+
+def test_errors_that_public_functions_document_are_public():
+    raised = {
+        error
+        for name in clunk.__all__
+        if callable(function := getattr(clunk, name))
+        for section in re.findall(r"Raises?\n\s*-+\n(.*?)(?:\n\s*\n|\Z)", function.__doc__ or "", flags=re.DOTALL)
+        for error in re.findall(r"\b[A-Z]\w+Error\b", section)
+    }
+    assert {"ConfigError", "FitMapError", "SweepError"} <= raised
+    assert raised <= {*clunk.__all__, "ValueError", "TypeError", "ImportError", "KeyError"}

@@ -103,7 +103,7 @@ LASH_AND_LOAD = """[lash]
 between = [1, 2]
 backlash_deg = 1.0
 radius = 1.0
-contact = { stiffness = 1.0, damping = 0.0 }
+contact = { stiffness = 100.0, damping = 0.0 }
 [load]
 static_torque = -1.0
 ratio = 5.0
@@ -1338,3 +1338,38 @@ def test_points_obey_the_rules_of_a_file(points, key, message):
     (problem,) = caught.value.problems
     assert problem.key == key
     assert message in problem.message
+
+
+DAMPER = 'name = "clutch damper"\nbetween = [1, 2]\nstiffness = 31.3\ndamping = 0.08\n'
+NAMED_SHAFT = (
+    f'[driveline]\npreset = "boere-2008"\ninertias = [0.024, 0.002, 0.002, 0.002]\n[[driveline.shafts]]\n{DAMPER}'
+)
+
+
+def test_keys_of_a_shaft_go_by_its_name():
+    key = "driveline.shafts[clutch damper].stiffness"
+    axis = f'[[sweep.axes]]\nparameter = "{key}"\nvalues = [20.0, 30.0]\n'
+    study = study_from_text(NAMED_SHAFT + axis, overrides=["driveline.shafts[clutch damper].damping=0.2"])
+    assert study.sweep.axes[0].parameter == "driveline.shafts[1].stiffness"
+    assert study.driveline.shafts[0].damping == 0.2
+    assert replace_values(study, {key: 25.0}).driveline.shafts[0].stiffness == 25.0
+    with pytest.raises(ConfigError, match=r'no shaft has this name; the names are\s+"clutch damper"'):
+        study_from_text(NAMED_SHAFT, overrides=["driveline.shafts[gear].damping=0.2"])
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["lash.contact.stiffness=0.4"], "press the flanks 2.34e+03 rad into each other"),
+        (["lash.radius=80"], "lash.radius = 80 m; it is in meters"),
+        (["load.duration=0.1"], 'a load of profile "step" has none; "ramp", "smooth" or "pulse" would use it'),
+        (["load.profile=ramp", "load.duration=150"], "only 1.3 % of the change"),
+        (["load.profile=lag", "load.time_constant=80"], "only 2.5 % of the change"),
+        (["load.profile=table", "load.times=[0,10,50]", "load.torques=[5,5,1]"], "only 0 % of the change"),
+    ],
+)
+def test_numbers_that_can_hardly_be_meant_are_warned_of(overrides, words):
+    """A trace in ms, a radius in mm, a stiffness in N/µm: each is allowed, and has its sentence."""
+    with pytest.warns(ClunkWarning) as warned:
+        study_from_text('[driveline]\npreset = "boere-2008"\n', overrides=overrides)
+    assert words in str(warned[0].message)

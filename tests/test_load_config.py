@@ -9,6 +9,7 @@ from jsonschema import Draft202012Validator
 
 from clunk.simulation.load import load_step
 from clunk.study.config import load_study, study_from_text
+from clunk.study.errors import ClunkWarning
 from clunk.study.keys import json_schema
 from clunk.study.loads import PROFILES
 from clunk.study.problems import ConfigError
@@ -69,7 +70,9 @@ def test_a_table_takes_the_place_of_the_presets_torques():
 
 
 def test_keys_that_a_profile_does_not_use_make_no_difference_to_it():
-    assert study_from_text(config("duration = 0.3\ntimes = [0.0]\nfrequency = 3")).load.duration == 0.3
+    with pytest.warns(ClunkWarning, match="a load of profile") as warned:
+        assert study_from_text(config("duration = 0.3\ntimes = [0.0]\nfrequency = 3")).load.duration == 0.3
+    assert len(warned) == 3
 
 
 # --- What is wrong ---------------------------------------------------------------------------------------------------

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from clunk import load_study, sweep
-from clunk.cli import main
+from clunk import fit, load_study, simulate, study_from_text, sweep
+from clunk.cli import cli, main
 from clunk.cli.help.page import show
 from clunk.core.status import Status
 from clunk.results.quantities import REGIME_QUANTITIES, TOLERANCE_QUANTITIES, measured_quantities
@@ -25,6 +25,7 @@ from clunk.study.parameters import quantity
 
 ROOT = Path(__file__).parent.parent
 TOPICS = sorted((ROOT / "clunk/cli/help").glob("*.md"))
+LANGUAGES = {"sh", "python", "toml", "csv", "text", "bash"}  # bash: to be run by hand, on other machines
 PAGES = [ROOT / "README.md", *TOPICS, ROOT / "results/README.md", ROOT / "tests/benchmarks/README.md"]
 
 
@@ -34,10 +35,14 @@ def blocks(page, language):
 
 def commands(page):
     for block in blocks(page, "sh"):
-        for line in block.replace("\\\n", " ").splitlines():
-            command = line.split("#")[0].strip()
-            if command.startswith("clunk "):
-                yield command
+        yield from commands_of(block)
+
+
+def commands_of(block):
+    for line in block.replace("\\\n", " ").splitlines():
+        command = line.split(" #")[0].split(" > ")[0].strip()  # what is printed need not go to a file
+        if command.startswith("clunk "):
+            yield command
 
 
 def named(pages):
@@ -64,20 +69,64 @@ def test_the_commands_and_then_the_python_of_a_page_do_as_printed(page, checkout
     """A command that is on an earlier page too is not run again: `clunk reproduce` alone takes 14 s."""
     directory, done = checkout
     monkeypatch.chdir(directory)
-    monkeypatch.setattr(signal, "signal", lambda *_: None)  # main's handler must not outlive a test
     for command in commands(page):
         if command in done:
             continue
         done.add(command)
-        monkeypatch.setattr(sys, "argv", shlex.split(command))
-        with pytest.raises(SystemExit) as stopped:
-            main()
-        assert stopped.value.code == 0, f"{command}\n{capsys.readouterr().err}"
+        assert _run(command, monkeypatch) == 0, f"{command}\n{capsys.readouterr().err}"
     source = "\n".join(blocks(page, "python"))
     examples = doctest.DocTestParser().get_doctest(source, {}, page.name, str(page), 0)
     report = io.StringIO()
     failed, _ = doctest.DocTestRunner(verbose=False).run(examples, out=report.write)
     assert not failed, report.getvalue()
+
+
+def _run(command, monkeypatch):
+    """Run a command here; returns its exit code."""
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # main's handler must not outlive a test
+    monkeypatch.setattr(sys, "argv", shlex.split(command))
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    return stopped.value.code
+
+
+@pytest.mark.parametrize("page", named(PAGES))
+def test_other_code_of_a_page_is_sound_too(page, checkout, monkeypatch):
+    """Tables of configs become a study, measurements are fitted to, and what has no other machine here is parsed."""
+    monkeypatch.chdir(checkout[0])
+    assert set(re.findall(r"^```(\w+)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)) <= LANGUAGES
+    for block in blocks(page, "toml"):
+        axes = [f"{{parameter = '{key}', values = [2.0, 5.0]}}" for key in ("load.ratio", "lash.backlash_deg")]
+        study = study_from_text(
+            f'driveline.preset = "boere-2008"\n{block}', overrides=[f"sweep.axes = [{', '.join(axes)}]"]
+        )
+        assert simulate(study).label
+    for k, block in enumerate(blocks(page, "csv")):
+        Path(f"measured{k}.csv").write_text(block, encoding="utf-8")
+        few = ["fit.candidates = 1", "fit.draws = 64", "fit.effective_draws = 1"]
+        fitted = fit(load_study("configs/fit_table_4_1.toml", few), f"measured{k}.csv")
+        assert len(fitted.points) == len(block.splitlines()) - 1
+    for block in blocks(page, "python"):
+        if ">>>" not in block:
+            compile(block, page.name, "exec")
+    for command in [command for block in blocks(page, "bash") for command in commands_of(block)]:
+        name, *words = shlex.split(command)[1:]
+        assert cli.get_command(None, name).make_context(name, words)
+
+
+@pytest.mark.parametrize("page", named(TOPICS))
+def test_output_that_a_topic_shows_has_the_words_of_what_its_commands_print(page, checkout, monkeypatch, capsys):
+    """Numbers are of more draws than a test takes."""
+    monkeypatch.chdir(checkout[0])
+    shown = [set(re.findall(r"[a-zA-Z][\w.]+", block)) for block in blocks(page, "text")]
+    for words in shown:
+        printed = set()
+        for command in commands(page):
+            if words <= printed:
+                break
+            _run(command, monkeypatch)
+            printed |= set(re.findall(r"[a-zA-Z][\w.]+", capsys.readouterr().out))
+        assert words <= printed
 
 
 @pytest.mark.parametrize("page", named(TOPICS))

@@ -26,9 +26,10 @@ from clunk.study.document import (
     read_text,
     value_at,
 )
+from clunk.study.doubts import doubts
 from clunk.study.errors import ClunkWarning
 from clunk.study.keys import PRESETS, key_at
-from clunk.study.loads import STEP_KEYS, TORQUES, read_trace, uses
+from clunk.study.loads import PROFILES, STEP_KEYS, TORQUES, read_trace, uses
 from clunk.study.parameters import Names, complaint, names_of, place_of
 from clunk.study.problems import ConfigError, Problem, listing, nearest, report, shorten
 from clunk.study.study import Study
@@ -59,7 +60,7 @@ def load_study(path: str | PathLike[str], overrides: Sequence[str] = ()) -> Stud
     Warns
     -----
     ClunkWarning
-        Where the file has fewer shafts than its preset, all of which they replace.
+        Where the file has fewer shafts than its preset, all of which they replace, or numbers that are hardly meant.
 
     Examples
     --------
@@ -124,10 +125,13 @@ def study_from_text(
     if isinstance(document.get("driveline"), dict):
         document["driveline"].pop("preset", None)
     findings += _fill_in(document, assigned)
-    _number_free_keys(document)
     study, wrong = validated(Study, document, document.get("driveline"))
     findings += wrong
     if study is not None and not findings and not malformed:
+        of_file = raw.get("load", {}) if ("load", "profile") not in assignments else {}
+        given = {*of_file, *(str(place[1]) for place in assignments if place[:1] == ("load",) and len(place) > 1)}
+        for doubt in doubts(study, given):
+            warnings.warn(doubt, ClunkWarning, stacklevel=2)
         return study
     lines, problems = KeyLines(text), {}
     for place, finding in findings:
@@ -164,7 +168,10 @@ def _preset(raw: dict[str, Any], assignments: Mapping[Place, Any]) -> tuple[str,
     for at in (*of_file, *(("load", key) for key in together)):
         _displace(preset, at)
     profile: Place = ("load", "profile")
-    _displace(preset, profile, assignments.get(profile, value_at(raw, profile)))
+    word = assignments.get(profile, value_at(raw, profile))
+    _displace(preset, profile, word)
+    if isinstance(word, str) and word in PROFILES:  # what belongs to the preset's own profile
+        preset["load"] = {key: value for key, value in preset["load"].items() if uses(word, key) or key == "profile"}
     if items_of(assignments.get(("lash",), raw.get("lash"))):  # which replace the preset's lash as a whole
         preset.get("impacts", {}).pop("acceleration_of", None)
     return name, preset, findings
@@ -178,7 +185,10 @@ def _read_preset(name: str) -> dict[str, Any]:
 
 
 def _unknown_name(place: Place, names: Names) -> str:
-    noun, known = ("lash", names.lashes) if place[0] == "lash" else ("inertia", names.inertias)
+    noun, listed_names = ("lash", names.lashes) if place[0] == "lash" else ("inertia", names.inertias)
+    if place[:2] == ("driveline", "shafts"):
+        noun, listed_names = "shaft", names.shafts
+    known = [name for name in listed_names if name is not None]
     listed = listing([shorten(name) for name in known[:8]])
     return f"no {noun} has this name; {f'the names are {listed}' if known else 'none has a name'}"
 
@@ -261,23 +271,6 @@ def _load_trace(document: dict[str, Any], folder: str | PathLike[str]) -> list[F
         return [(("load", "file"), str(error).rstrip("."))]
     del load["file"]
     return []
-
-
-def _number_free_keys(document: dict[str, Any]) -> None:
-    """Write the keys of an optimisation with numbers in the place of names; those that are none have errors later."""
-
-    def numbered(value: Any) -> Any:
-        if isinstance(value, list):
-            return [numbered(each) for each in value]
-        place = place_of(value, names) if isinstance(value, str) else None
-        return value if place is None else dotted(place)
-
-    names = names_of(document)
-    table = value_at(document, ("optimize",))
-    for each in (table, *items_of(value_at(table, ("parameters",)))):
-        for key in ("minimize", "parameter"):
-            if isinstance(each, dict) and key in each:
-                each[key] = numbered(each[key])
 
 
 def _fill_in(document: dict[str, Any], assigned: Sequence[Place]) -> list[Finding]:

@@ -21,10 +21,11 @@ _NAMED_ITEMS = 100  # of a list, among which a misspelt parameter is looked for
 
 
 class Names(NamedTuple):
-    """Names by which items of a config's lists go: of its inertias and of its lashes."""
+    """Names by which items of a config's lists go: of its inertias, its lashes and its shafts."""
 
     inertias: tuple[Any, ...] = ()
     lashes: tuple[Any, ...] = ()
+    shafts: tuple[Any, ...] = ()
 
 
 def place_of(parameter: str, names: Names) -> Place | None:
@@ -36,7 +37,8 @@ def place_of(parameter: str, names: Names) -> Place | None:
     for k, step in enumerate(place or ()):
         if isinstance(step, str) and step.startswith("["):
             assert place is not None
-            listed = {"driveline.inertias": names.inertias, "lash": names.lashes}.get(dotted(place[:k]), ())
+            of_lists = {"driveline.inertias": names.inertias, "driveline.shafts": names.shafts, "lash": names.lashes}
+            listed = of_lists.get(dotted(place[:k]), ())
             if step[1:-1] not in listed:
                 return None
             place = (*place[:k], listed.index(step[1:-1]), *place[k + 1 :])
@@ -44,11 +46,12 @@ def place_of(parameter: str, names: Names) -> Place | None:
 
 
 def names_of(document: Mapping[str, Any]) -> Names:
-    """The names of a document's inertias and lashes."""
+    """The names of a document's inertias, lashes and shafts."""
     lash = document.get("lash")
     names = (value_at(each, ("name",)) for each in (lash if isinstance(lash, list | tuple) else (lash,)))
     inertias = items_of(value_at(document, ("driveline", "names")))
-    return Names(tuple(inertias), tuple(lash_name(k, name) for k, name in enumerate(names)))
+    shafts = (value_at(each, ("name",)) for each in items_of(value_at(document, ("driveline", "shafts"))))
+    return Names(tuple(inertias), tuple(lash_name(k, name) for k, name in enumerate(names)), tuple(shafts))
 
 
 def parameters(document: Mapping[str, Any]) -> list[str]:
@@ -127,7 +130,8 @@ def located(config: Config, parameter: str) -> tuple[Place, Key, float]:
     ConfigError
         Where there is no such parameter.
     """
-    place = _place_of(parameter, Names(config.driveline.names or (), config.lash_names))
+    shafts = tuple(shaft.name for shaft in config.driveline.shafts)
+    place = _place_of(parameter, Names(config.driveline.names or (), config.lash_names, shafts))
     key = None if place is None else key_at(place)
     value: Any = config if key is not None and key.quantity is not None else None
     for step in place or ():

@@ -89,7 +89,7 @@ def _driveline(rng, kind, held):
         turns[b] = turns[a] / float(rng.choice(kind.ratios))
     contact = {"model": "restitution", "restitution": _rounded(rng.uniform(0.0, 0.8))} if rng.random() < 0.3 else {}
     staged, rubbing = rng.random() < 0.4, rng.random() < 0.35
-    shafts, lashes, stiff = [], [], np.zeros(n)
+    shafts, lashes, matrices = [], [], np.zeros((2, n, n))  # stiffness and damping, lashes closed
     for a, b in joints:
         stiffness = _drawn(rng, kind.stiffness)
         lever, smaller = turns[a], min(inertias[a], inertias[b])
@@ -98,7 +98,8 @@ def _driveline(rng, kind, held):
             ends["ratio"] = float(turns[a] / turns[b])
         if b in loose and b < chain:
             stiffness *= rng.uniform(10.0, 50.0)
-            lashes.append(ends | _lash(rng, kind, contact, stiffness, smaller, lever))
+            damping = 2.0 * float(rng.choice([0.0, 0.03, 0.1, 0.4])) * np.sqrt(stiffness * smaller)
+            lashes.append(ends | _lash(rng, kind, contact, (stiffness, damping), lever))
             if contact:
                 continue
         else:
@@ -109,12 +110,12 @@ def _driveline(rng, kind, held):
                 element |= _stages(rng, stiffness / lever**2, 3.0 * abs(lever))
             rubs = rubbing and bool(first_element or "breakpoints_deg" in element or rng.random() < 0.2)
             shafts.append(ends | element | {"rubs": rubs, "lever": 1.0 / lever})
-        stiff[[a, b]] += stiffness
+        matrices += np.multiply.outer([stiffness, damping], np.outer(*2 * [np.eye(n)[a] - np.eye(n)[b]]))
     far, ground = chain - 1, turns[chain - 1]
     if held:
         stiffness = _drawn(rng, kind.stiffness)
-        stiff[far] += stiffness
         damping = 2.0 * rng.uniform(0.01, 0.05) * np.sqrt(stiffness * inertias[far])
+        matrices[:, far, far] += stiffness, damping
         held_by = {"stiffness": _rounded(stiffness / ground**2), "damping": _rounded(damping / ground**2)}
         rubs = rubbing and bool(rng.random() < 0.5)
         shafts.append({"between": [far + 1, "ground"]} | held_by | {"rubs": rubs, "lever": 1.0 / ground})
@@ -124,18 +125,18 @@ def _driveline(rng, kind, held):
     if len(lashes) > 1:
         lashes = [{"name": f"play {chr(97 + k)}"} | lash for k, lash in enumerate(lashes)]
     tables = {"inertias": [_rounded(size) for size in inertias / turns**2], "shafts": shafts}
-    return tables, lashes, max(1.0, np.sqrt(np.max(2.0 * stiff / inertias)))
+    rates = np.block([[np.zeros((n, n)), np.eye(n)], [*(-matrix / inertias[:, None] for matrix in matrices)]])
+    return tables, lashes, max(1.0, np.abs(np.linalg.eigvals(rates)).max())
 
 
-def _lash(rng, kind, contact, stiffness, smaller, lever):
-    """A lash's table but for its ends; its contact as the first inertia sees it, N m/rad."""
+def _lash(rng, kind, contact, flank, lever):
+    """A lash's table but for its ends; stiffness and damping of its flanks as the first inertia sees them."""
     radius = _rounded(rng.uniform(0.02, 0.1))
     table = {"backlash_deg": _rounded(_drawn(rng, kind.gap_deg) * abs(lever)), "radius": radius}
     if contact:
         return table | {"contact": contact}
-    damping = 2.0 * float(rng.choice([0.0, 0.03, 0.1, 0.4])) * np.sqrt(stiffness * smaller)
     size = (lever * radius) ** 2
-    flanks = {"stiffness": _rounded(stiffness / size), "damping": _rounded(damping / size)}
+    flanks = {"stiffness": _rounded(flank[0] / size), "damping": _rounded(flank[1] / size)}
     return table | {"contact": flanks | {"separation": str(rng.choice(["gap", "force"]))}}
 
 
