@@ -225,7 +225,7 @@ def test_failed_cells_are_run_again_and_the_file_says_so(clunk, small, here):
     assert note.startswith(
         f"{np.count_nonzero(failed)} failed cells run again with solver.max_events = 14 instead of 10"
     )
-    assert "solver.max_events = 512 instead of 10: 0 failed again" in note
+    assert "solver.max_events = 100000 instead of 10: 0 failed again" in note
     assert "already complete" in clunk("sweep", small, *few)[2]  # the file's config is still its own
     assert "has no failed cells" in clunk("sweep", small, "--retry-failed")[2]
     clunk("sweep", small, "-o", "dense.h5")

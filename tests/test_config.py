@@ -147,7 +147,7 @@ def test_preset_is_the_corrected_table_2_2():
         "method": "rk4",
         "step": 1e-4,
         "end_time": 2.0,
-        "max_events": 512,
+        "max_events": 100000,
         "margin_tolerance": 1e-4,
     }
     assert study.sweep is None

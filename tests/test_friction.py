@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from helpers import reference
 from helpers.agreement import NUDGE, kinds_of
-from helpers.randomplants import element_plant, nudged
+from helpers.randomplants import clutch_plant, element_plant, nudged
 
 from clunk.api import sweep
 from clunk.core.events import STAGE
@@ -183,6 +183,19 @@ def test_events_are_those_of_the_reference_in_many_drivelines(seed):
 @pytest.mark.parametrize("seed", range(12, 18))
 def test_rk4_has_the_events_of_the_reference(seed):
     same_as_the_reference(element_plant(seed, lashes=1, frictions=1 + seed % 3), "rk4", near=1e-5)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("seed", range(6))
+def test_a_hysteretic_clutch_has_the_events_of_the_reference(seed, method):
+    """Stages and friction on one shaft: it sticks at any twist, at a breakpoint too."""
+    same_as_the_reference(clutch_plant(seed), method, near=NEAR if method == "exact" else 1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6, 200))
+def test_many_hysteretic_clutches_have_the_events_of_the_reference(seed):
+    same_as_the_reference(clutch_plant(seed))
 
 
 @pytest.mark.parametrize("method", METHODS)

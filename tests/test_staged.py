@@ -8,6 +8,7 @@ from helpers.randomplants import nudged
 from helpers.reference import Plant
 
 from clunk.api import sweep
+from clunk.core.events import STAGE
 from clunk.simulation.driveline import Driveline, steady_stages
 from clunk.simulation.energy import balance
 from clunk.simulation.history import sample
@@ -134,6 +135,26 @@ class TestStages:
         assert mirrored.label == run.label
         assert mirrored.events["time"] == pytest.approx(run.events["time"], abs=1e-13)
         assert np.array_equal(mirrored.events["side"], -run.events["side"])
+
+
+KNEE = float(np.rad2deg(-1.0 / 31.3))  # of shaft 1 under the load's last 1 N m
+RESTING = {
+    "under its last load": [f"driveline.shafts[1].breakpoints_deg=[{KNEE!r}]", "load.ratio=5.0"],
+    "under no load": ["driveline.shafts[1].breakpoints_deg=[0.0]", "load={initial_torque=-5.0, final_torque=0.0}"],
+    "under both loads": [f"driveline.shafts[1].breakpoints_deg=[{KNEE!r}]", "load.ratio=0.0"],
+}
+
+
+@pytest.mark.parametrize("where", RESTING)
+@pytest.mark.parametrize("method", [EXACT, RK4], ids=["exact", "rk4"])
+def test_a_twist_that_comes_to_rest_at_a_breakpoint_rests(method, where):
+    """It changes stage as long as it swings, no more often than its fastest mode of 20 Hz; then nothing can follow."""
+    stages = ["driveline.shafts[1].stiffness=[10.0, 31.3]", "driveline.shafts[1].damping=0.8"]
+    run = simulate(nominal(*method, *stages, *RESTING[where], "solver.end_time=20.0"))
+    changes = run.phases["time"][run.phases["kind"] == STAGE]
+    assert (changes.size > 0) == (where != "under both loads")
+    assert np.all(np.diff(changes) > 0.02)
+    assert run.complete or where == "under no load"  # where the lash stays open, and what is behind it may drift
 
 
 def test_both_methods_agree_and_energy_closes():

@@ -5,6 +5,7 @@ import pytest
 from conftest import NOMINAL
 from test_sweeping import equal, figure_3_4
 
+from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.designs import design_of_points
 from clunk.sweeping import cells
@@ -67,6 +68,26 @@ def test_impacts_that_find_no_room_get_it(method, monkeypatch):
     for arrays in ((tile.records, at_once.records), (tile.details, at_once.details)):
         for name in arrays[0].dtype.names:
             np.testing.assert_array_equal(*(array[name] for array in arrays))
+
+
+@pytest.mark.parametrize("method", ["rk4", "exact"])
+@pytest.mark.parametrize("measured", [[], ['impacts.quantities = ["impulse"]']], ids=["plain", "measured"])
+def test_events_that_find_no_room_get_it(method, measured, monkeypatch):
+    """With room for 3 events at first, then 24, runs of up to some 40 have the bits, and their order, of room for all;
+    so have their events, and one run alone."""
+    study = study_from_text(NOMINAL, overrides=[f"solver.method = '{method}'", *measured])
+    ratios = {"load.ratio": np.linspace(0.0, 10.0, 50)}
+    grid = Grid(study, design_of_points(study, ratios))
+
+    def bits():
+        tile, run = grid.run(np.arange(50), np.zeros(1, np.uint8)), simulate(study)
+        assert not tile.records["status"].any()
+        arrays = tile.records, tile.details, *grid.logged(ratios, 50), run.phases
+        return [*(array[name].tobytes() for array in arrays for name in array.dtype.names), run.phase_states.tobytes()]
+
+    at_once = bits()
+    monkeypatch.setattr(cells.kernel, "EVENTS", 3)
+    assert bits() == at_once
 
 
 def test_bytes_give_the_same_tile_again(tile):

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from clunk.core.sequence import label
 from clunk.core.status import Status
+from clunk.core.tile import EVENTS
 from clunk.results.labels import FAILED_CODE, excursions
 from clunk.results.quantities import measuring
 from clunk.study.arrays import Codes, Floats, Records
@@ -72,7 +73,7 @@ class PointRuns:
 
         Yields of some pairs after the others CELL (k, 2), and EVENT (k, 2, events), with times NaN behind the last one.
         """
-        most = max(_EVENT_MEMORY // (2 * self.study.solver.max_events + 2), 1)
+        most = max(_EVENT_MEMORY // (2 * min(self.study.solver.max_events, EVENTS) + 2), 1)
         pieces = [*range(0, len(one), min(most, max(-(-len(one) // self._runner.workers), _FEW)))]
         keys = self._runner.keys
 

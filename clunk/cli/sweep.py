@@ -59,7 +59,7 @@ def sweep(
       clunk sweep configs/figure_3_4.toml --set solver.step=5e-5
       clunk sweep configs/figure_3_4.toml --boundaries -o traced.h5
       clunk sweep configs/figure_3_4.toml --retry-failed \\
-          --set solver.max_events=4096
+          --set solver.step=2e-5
       clunk sweep configs/figure_3_4.toml --scheduler tcp://localhost:8786
     """
     if retry_failed and force:

@@ -37,7 +37,9 @@ from clunk.core.tables import ABOVE, FORCE, HOLDING, SLIPS_BACKWARD, SLIPS_FORWA
 FloatArray = npt.NDArray[np.float64]
 
 _WITHIN = 1e-11  # of its terms: a rate of twist, an acceleration or an excess of torque this small is zero
-_KICK = 1e-13  # of what it could be: the rate with which a friction sets off that begins to slip beside another one
+# Of what it could be: the rate with which a friction sets off that begins to slip beside another one, or where rounding
+# tells that it does, but not what sets it in motion.
+_KICK = 1e-13
 _MOMENT = 1e-3  # s, of the acceleration's terms, which say what that could be where all rests
 
 
@@ -112,12 +114,15 @@ def settle(
             if state_of_friction(system, regime, k) != STICKS:
                 inputs[input_of_friction(system, k) + 1] = _twist(system, k, x)
         elif resting >> k & 1 and not _is_held(system, best, k):
+            way = 1.0 if state == SLIPS_FORWARD else -1.0
             speeds_up, size = _speeds_up(system, best, k, x, inputs)
-            if k == event or (event < 0 and zero_guard < 0):
-                zero_guard, zero_order = _guard_of(system, best, k), 1 if abs(speeds_up) > _WITHIN * size else 2
-            elif not abs(speeds_up) > _WITHIN * size:
+            clearly = abs(speeds_up) > _WITHIN * size
+            sets_off = clearly or way * _jerk(system, best, k, x, inputs) > 0.0
+            if sets_off and (k == event or (event < 0 and zero_guard < 0)):
+                zero_guard, zero_order = _guard_of(system, best, k), 1 if clearly else 2
+            elif not clearly:
                 fastest = _rate(system, k, 0.0, x)[1] + _MOMENT * size
-                _set_off(system, k, _KICK * (fastest if state == SLIPS_FORWARD else -fastest), x)
+                _set_off(system, k, _KICK * way * fastest, x)
     return best, zero_guard, zero_order
 
 

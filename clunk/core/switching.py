@@ -13,6 +13,7 @@ from clunk.core.regimes import System, frictions_of, gap_input, inputs_of, lash_
 from clunk.core.runs import Entry, Log, record
 from clunk.core.status import Status
 from clunk.core.tables import (
+    BEYOND,
     GAP,
     INPUTS,
     OPEN,
@@ -25,7 +26,7 @@ _OK = int(Status.OK)
 _NO_EQUILIBRIUM = int(Status.NO_EQUILIBRIUM)
 _NO_INITIAL_FLANK = int(Status.NO_INITIAL_FLANK)
 _WITHIN = 1e-11  # of its terms: the steady twist of a staged shaft this little beyond a breakpoint is at it
-MOST_STAGES = 16  # changes of stage an event, of all that a run may have: a twist at rest at a breakpoint has many
+MOST_STAGES = 100_000  # changes of stage, and of what sticks, of a run: what has more truly runs away
 
 
 @inlined_part
@@ -93,8 +94,8 @@ def _of_inputs(system: System, regime: int, by: FloatArray, inputs: FloatArray) 
 
 @inlined_part
 def breakpoint_of(system: System, regime: int, guard: int) -> float:
-    """The offset of a guard of a staged shaft, its breakpoint with the guard's sign  [rad]."""
-    total = 0.0
+    """The breakpoint that a guard of a staged shaft is of, with the sign that it has in the guard  [rad]."""
+    total = -BEYOND
     for k in range(INPUTS + system.lashes.shape[0] - 1, system.offsets.shape[2]):
         total += system.offsets[regime, guard, k]
     return float(total)

@@ -18,7 +18,9 @@ the open state, or, below the locking speed and under a compressive torque, lock
 
 A staged shaft's torque is continuous and piecewise linear in its twist. In stage i the twist lies between breakpoints
 i - 1 and i, which are two guards more; where one turns negative, the neighbouring stage follows, and nothing else
-changes.
+changes. Each goes BEYOND its breakpoints: a twist that comes to rest at one, or that friction holds there, is in both
+of its stages, and rounding takes it from neither; and none can change again before its twist has gone back twice that
+way.
 
 A friction across a shaft (Coulomb's, static and kinetic alike) sticks, its twist held as a true constraint whose torque
 is at most F either way, or slips with a torque of F against the rate of twist; `clunk.core.rubbing` says which follows.
@@ -55,6 +57,7 @@ GAP, ACCELERATION, FORCE = range(3)
 RATE, HOLDING = range(2)
 STICKS, SLIPS_FORWARD, SLIPS_BACKWARD = range(3)  # states of a friction
 ABOVE = 1e-9  # of F: more than rounding, less than any measurement
+BEYOND = 1e-12  # rad, behind its breakpoint, that a stage ends: the same of a twist
 
 REGIME = np.dtype(
     [
@@ -243,18 +246,14 @@ def _reached(side: int) -> int:
 
 
 def _stages(shaft: StagedShaft) -> list[_State]:
-    """The stages: the twist is below the breakpoint above, and above the one below.
-
-    Where one is passed, the guard of the way back is zero on entry: behind the way on, where there is one.
-    """
-    last = shaft.breakpoints.shape[-1]
+    """The stages: the twist is below the breakpoint above, and above the one below, or BEYOND by no more."""
     states = []
     for stage, torque in enumerate(np.moveaxis(shaft.torques, -1, 0)):
         guards = []
-        if stage < last:
-            guards.append(_Guard(0, -1.0, shaft.breakpoints[..., stage], stage + 1, STAGE, int(stage + 1 < last), 1))
+        if stage < shaft.breakpoints.shape[-1]:
+            guards.append(_Guard(0, -1.0, BEYOND + shaft.breakpoints[..., stage], stage + 1, STAGE))
         if stage > 0:
-            guards.append(_Guard(0, 1.0, -shaft.breakpoints[..., stage - 1], stage - 1, STAGE, 0, 1))
+            guards.append(_Guard(0, 1.0, BEYOND - shaft.breakpoints[..., stage - 1], stage - 1, STAGE))
         states.append(_State(stage, torque, guards))
     return states
 

@@ -1,5 +1,6 @@
 """A single run of a study: its events, primary impacts and severity."""
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -25,6 +26,7 @@ from clunk.study.summaries import Rows, as_html, as_text, html_table
 
 _EVENT_COLUMNS = ("time [s]", "event", "flank", "q' [rad/s]", "impact", "Qi [rad/s²]")
 _SHOWN_EVENTS = 40  # in a notebook
+_LAST = 1000  # events of a run that has too many: what repeats is among them
 
 
 class SimulationError(ClunkError):
@@ -236,24 +238,27 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
     else:
         state = np.asarray(initial_state, dtype=np.float64)
         sides, start = _started_at(study, system, before, pieces, state)
-    capacity, lashes = study.solver.max_events + 1, len(study.lashes)
-    if system.regimes.size > system.regime_strides[len(system.lashes)]:
-        capacity *= switching.MOST_STAGES
-    log = Log(
-        events=np.zeros(capacity, EVENT),
-        extremes=np.zeros((capacity, lashes, 2)),
-        margins=np.zeros(lashes),
-        states=np.zeros((capacity, system.rates.shape[1])),
-    )
-    outcome = tile.run(system, tables, start, log, np.zeros(1, np.uint8))
-    if outcome.status != Status.OK:
-        raise SimulationError(_sentence(study, Status(outcome.status)))
-    phases, states = log.events[: outcome.written].copy(), log.states[: outcome.written, : 2 * system.inertias].copy()
-    is_event = phases["kind"] != STAGE
+    room, lashes, status = tile.EVENTS, len(study.lashes), Status.EVENT_BUFFER_FULL
+    while status == Status.EVENT_BUFFER_FULL:
+        capacity = room + 1
+        log = Log(
+            events=np.zeros(capacity, EVENT),
+            extremes=np.zeros((capacity, lashes, 2)),
+            margins=np.zeros(lashes),
+            states=np.zeros((capacity, system.rates.shape[1])),
+        )
+        outcome = tile.run(system, tables, start._replace(x=start.x.copy()), log, np.zeros(1, np.uint8))
+        phases, status = log.events[: outcome.written].copy(), Status(outcome.status)
+        is_event = phases["kind"] != STAGE
+        stages = np.count_nonzero(~is_event)
+        if len(phases) - stages > study.solver.max_events + 1 or stages > switching.MOST_STAGES:
+            raise SimulationError(f"{_sentence(study, Status.EVENT_BUFFER_FULL)} {_repeating(study, system, phases)}")
+        room *= tile.MORE
+    if status != Status.OK:
+        raise SimulationError(_sentence(study, status))
+    states = log.states[: outcome.written, : 2 * system.inertias].copy()
     events, begins, (high, low) = phases[is_event].copy(), np.flatnonzero(is_event), log.extremes[: outcome.written].T
     extremes = np.stack([np.maximum.reduceat(high, begins, 1), np.minimum.reduceat(low, begins, 1)]).T
-    if len(events) > study.solver.max_events + 1:
-        raise SimulationError(_sentence(study, Status.EVENT_BUFFER_FULL))
     primaries_of, severities_of = [], []
     begun = system.contacts[start.regime]["side"].tolist()
     for lash, (side, sticking_time) in enumerate(zip(begun, system.sticking_time.tolist(), strict=True)):
@@ -305,6 +310,20 @@ def _started_at(study: Study, system: System, before: Floats, pieces: Floats, st
     x[:size], inputs[: before.size] = state, before
     sides = np.where(gaps >= 0.0, 1, -1)
     return sides, Start(x, switching.regime_of(system, x, inputs), before, pieces[None], 0)
+
+
+def _repeating(study: Study, system: System, phases: Records) -> str:
+    """Sentence on what happens most often at the end of a run that has too many events or changes of stage."""
+    line, last, strides = driveline.Driveline.from_study(study), phases[-_LAST:], system.regime_strides
+    names = [f"touches and separations of {name}" for name in study.lash_names]
+    names += [f"changes of stage of shaft {k + 1}" for k, _ in line.staged]
+    names += [f"the sticking and slipping of shaft {np.flatnonzero(shares)[0] + 1}" for _, shares in line.frictions]
+    states = last["regime"][:, None] % strides[1:] // strides[:-1]
+    changed = np.nonzero(np.diff(states, axis=0))[1]
+    of_lashes, lashes = last["lash"][last["lash"] >= 0], len(study.lashes)
+    element, times = Counter([*of_lashes.tolist(), *changed[changed >= lashes].tolist()]).most_common(1)[0]
+    begin, end = (f"{time:.9g}" for time in last["time"][[0, -1]])
+    return f"Of the last {len(last):,}, from {begin} to {end} s after the load step, {times:,} are {names[element]}."
 
 
 def _sentence(study: Study, status: Status) -> str:

@@ -203,13 +203,13 @@ class Solver(Table):
     step : float, of rk4; the exact method does not use it
     end_time : float, after the load step
     margin_tolerance : float, a run of the exact method that came nearer than this to another label is undecided
-    max_events : int, touches and separations
+    max_events : int, touches and separations of a run; one with more has failed
     """
 
     method: Literal["rk4", "exact"] = "rk4"
     step: Annotated[Positive, Quantity("time step", "h", "s")] = 1e-4
     end_time: Annotated[Positive, Quantity("end time", "t_end", "s")] = 2.0
-    max_events: Annotated[int, Field(ge=1, le=100_000)] = 512
+    max_events: Annotated[int, Field(ge=1, le=100_000)] = 100_000
     margin_tolerance: Annotated[float, Field(ge=0, le=0.25)] = 1e-4
 
 

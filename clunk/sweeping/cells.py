@@ -6,7 +6,7 @@ import contextlib
 import re
 import threading
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from clunk.core import tile as kernel
 from clunk.core.events import EVENT
 from clunk.core.measures import OF_IMPACTS, measure_runs
 from clunk.core.regimes import System
+from clunk.core.status import Status
 from clunk.core.switching import MOST_STAGES
 from clunk.simulation import driveline
 from clunk.simulation.batches import prepare_many, prepare_one
@@ -235,7 +236,33 @@ class Grid:
         for batch, positions, part in self._by_batches(parameters, points, point_of, cases):
             if stop[0]:
                 return
-            yield positions, *(self._measured if measured else self._run)(batch, part, stop)
+            run = self._measured if measured else self._run
+            yield from self._with_room(run, batch, positions, part, stop, measured)
+
+    def _with_room(
+        self,
+        run: Callable[[kernel.Batch, kernel.Cases, Flag, int], tuple[Records, list[Records]]],
+        batch: kernel.Batch,
+        positions: Cells,
+        cases: kernel.Cases,
+        stop: Flag,
+        writes_stages: bool = False,
+    ) -> Iterator[Runs]:
+        """Runs with room for few events at first; those that find too little are run again, with more.
+
+        run : by batch, cases, stop and the room for events; those that find too little have no impacts
+        writes_stages : whether changes of stage need room too
+        """
+        lashes, most = self.layout.lashes, self.study.solver.max_events
+        if writes_stages and batch.system.regimes.size > batch.system.regime_strides[lashes]:
+            most += MOST_STAGES
+        room = min(kernel.EVENTS, most)
+        while positions.size and not stop[0]:
+            rows, impacts = run(batch, cases, stop, room)
+            full = (rows["status"][::lashes] == Status.EVENT_BUFFER_FULL) & (room < most)
+            yield positions[: full.size][~full], rows[np.repeat(~full, lashes)], impacts
+            again = np.flatnonzero(full)
+            positions, cases, room = positions[again], cases.at(again), min(kernel.MORE * room, most)
 
     def _by_batches(
         self, parameters: tuple[str, ...], points: Floats, point_of: Cells, cases: kernel.Cases
@@ -261,33 +288,41 @@ class Grid:
 
         Returns CELL (count, lashes), and EVENT (count, events), times NaN behind the last one.
         """
-        cases = self.cases(values, count)
+        cases, stop, logs = self.cases(values, count), np.zeros(1, np.uint8), []
         records = np.zeros((count, self.layout.lashes), CELL)
-        logs = np.zeros((count, self.study.solver.max_events + 1), EVENT)
-        logs["time"] = np.nan
         points, point_of = self.points(values, count)
         for batch, positions, part in self._by_batches(self.structural, points, point_of, cases):
-            events = logs[positions] if positions.size < count else logs
-            rows, _ = self._run(batch, part, np.zeros(1, np.uint8), events)
-            records[positions] = rows.reshape(len(positions), -1)
-            if events is not logs:
-                logs[positions] = events
-        return records, logs[:, : int((~np.isnan(logs["time"])).sum(axis=1).max(initial=0))]
+            for done, rows, (events,) in self._with_room(self._logged, batch, positions, part, stop):
+                records[done] = rows.reshape(done.size, -1)
+                logs.append((done[records["status"][done, 0] == Status.OK], events))
+        joined = np.zeros((count, max((events.shape[1] for _, events in logs), default=0)), EVENT)
+        joined["time"] = np.nan
+        for done, events in logs:
+            joined[done, : events.shape[1]] = events
+        return records, joined
 
-    def _measured(self, batch: kernel.Batch, cases: kernel.Cases, stop: Flag) -> tuple[Records, list[Records]]:
+    def _logged(self, batch: kernel.Batch, cases: kernel.Cases, stop: Flag, room: int) -> tuple[Records, list[Records]]:
+        """Records of runs, and the events of those that have not failed, with times NaN behind the last one."""
+        logs = np.zeros((len(cases.before), room + 1), EVENT)
+        logs["time"] = np.nan
+        rows, _ = self._run(batch, cases, stop, room, logs)
+        logs = logs[rows["status"][:: self.layout.lashes] == Status.OK]
+        return rows, [logs[:, : int((~np.isnan(logs["time"])).sum(axis=1).max(initial=0))]]
+
+    def _measured(
+        self, batch: kernel.Batch, cases: kernel.Cases, stop: Flag, room: int
+    ) -> tuple[Records, list[Records]]:
         """Records and impacts of runs with measures, as the grid's layout has them."""
         system, channels = batch.system, batch.channels
         assert channels is not None
-        has_stages = system.regimes.size > system.regime_strides[len(system.lashes)]
-        capacity = (self.study.solver.max_events + 1) * (MOST_STAGES if has_stages else 1)
-        runs, size = len(cases.before), system.rates.shape[1]
+        runs, size, capacity = len(cases.before), system.rates.shape[1], room + 1
         each = min(max(_STATES // capacity, 1), runs)
         logs, states = np.zeros((each, capacity), EVENT), np.empty((each, capacity, size))
         records, impacts = [np.zeros(0, self.layout.record)], [np.zeros(0, self.layout.detail)]
         for begin in range(0, runs, each):
             part = cases.at(slice(begin, begin + each))
             logs["time"] = np.nan
-            rows, pieces = self._run(batch, part, stop, logs, states)
+            rows, pieces = self._run(batch, part, stop, room, logs, states)
             cells, details = rows.reshape(-1, self.layout.lashes), np.concatenate([np.zeros(0, IMPACT), *pieces])
             totals = np.full((*cells.shape, OF_IMPACTS + len(self.study.measures)), np.nan)
             of_impacts = np.full((details.size, OF_IMPACTS), np.nan)
@@ -305,22 +340,24 @@ class Grid:
         batch: kernel.Batch,
         cases: kernel.Cases,
         stop: Flag,
+        room: int,
         logs: Records = _NO_LOGS,
         states: Floats = _NO_STATES,
     ) -> tuple[Records, list[Records]]:
         """CELL, one of each run and lash, of those that were done before `stop` was set; and IMPACT, in pieces.
 
         Runs whose impacts find no room are run again, so that the room for each is doubled then.
+
+        room : for the events of each
         """
         solver, runs, lashes = self.study.solver, len(cases.before), self.layout.lashes
+        most = min(room, solver.max_events)
         cells, done, impacts, each = np.zeros((runs, lashes), CELL), 0, [], _IMPACTS * lashes
         while done < runs and not stop[0]:
-            room = np.zeros(each * (runs - done) + solver.max_events, IMPACT)
-            output = kernel.Output(cells, room, logs, states)
-            done, written = kernel.run_tile(
-                batch, solver.margin_tolerance, cases, done, solver.max_events, output, stop
-            )
-            impacts.append(room[:written].copy())
+            found = np.zeros(each * (runs - done) + most, IMPACT)
+            output = kernel.Output(cells, found, logs, states)
+            done, written = kernel.run_tile(batch, solver.margin_tolerance, cases, done, most, output, stop)
+            impacts.append(found[:written].copy())
             each *= 2
         return cells[:done].ravel(), impacts
 

@@ -158,6 +158,39 @@ def nudged(plant, state, share):
     return plant, state * (1.0 + share * signs)
 
 
+def clutch_plant(seed):
+    """An engine, a clutch with stages and friction on one shaft, a gear with play, a vehicle that rolls or is held.
+
+    Every third has stages that meet at twist 0; every third, if held, begins with the torque of a breakpoint.
+    """
+    rng = np.random.default_rng(seed)
+    slopes = np.round(rng.uniform(100.0, 3000.0, int(rng.integers(2, 4))), 1)
+    breakpoints = np.array([0.0, 0.1] if seed % 3 == 0 else [0.06, 0.15])[: slopes.size - 1]
+    held, before = rng.random() < 0.4, float(np.round(rng.choice([-1.0, 1.0]) * rng.uniform(50.0, 600.0), 1))
+    if held and seed % 3 == 1:
+        before = float(slopes[0] * breakpoints[0])
+    friction = float(np.round(rng.uniform(1.0, 30.0), 2))
+    shafts = (
+        Shaft(1, 2, tuple(slopes.tolist()), 0.5, tuple(breakpoints.tolist()), friction),
+        Shaft(3, 4, 1e4, 3.0, friction=float(rng.choice([0.0, 2.0]))),
+        Shaft(4, "ground", 2e4 if held else 0.0, float(np.round(rng.uniform(1.0, 30.0), 2))),
+    )
+    return Plant(
+        inertias=tuple(np.round([rng.uniform(0.2, 1.5), 0.05, 0.05, rng.choice([2.0, 100.0])], 4).tolist()),
+        shafts=shafts,
+        ratios=(1.0, float(rng.choice([1.0, 3.5])), 1.0),
+        lash=(2, 3),
+        lash_ratio=float(rng.choice([1.0, 6.5, -2.0])),
+        contact_stiffness=4e4,
+        contact_damping=float(rng.choice([0.0, 2.0])),
+        backlash=float(rng.choice([0.002, 0.02])),
+        before=before,
+        after=-0.1 * before,
+        acceleration_of=2,
+        **({"separation": "force"}, {"restitution": 0.5}, {})[int(rng.integers(3))],
+    )
+
+
 def element_plant(seed, lashes=0, staged=0, frictions=0, restitution=None):
     """A driveline of 2 to 6 inertias with so many lashes, staged shafts and frictions; the same for the same seed.
 

@@ -363,7 +363,7 @@ def _switch(space: Workspace, slot: int) -> None:
     if not np.isfinite(total):
         _end(space, slot, _NON_FINITE, time)
         return
-    if not room_for_a_switch(system, inputs, log, row.count) or row.stages > MOST_STAGES * log.events.size:
+    if not room_for_a_switch(system, inputs, log, row.count) or row.stages > MOST_STAGES:
         _end(space, slot, _EVENT_BUFFER_FULL, time)
         return
     if system.ramps != 0:

@@ -165,7 +165,7 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
             extremes[:, 0], extremes[:, 1] = -np.inf, np.inf
         entry = switch(system, entry.regime, guard, time, x, inputs, log, written, fastest)
         stages += entry.written == written
-        if stages > MOST_STAGES * log.events.size:
+        if stages > MOST_STAGES:
             return Outcome(_EVENT_BUFFER_FULL, written, 0, time)
         if spanned == 2 and offset >= grid.step:
             index, offset = index + 1, offset - grid.step
