@@ -1,4 +1,4 @@
-"""A damaged cache of compiled kernels costs a compilation, and nothing else.
+"""A damaged cache of compiled kernels, and another numba than the usual, cost a compilation, and nothing else.
 
 pytest -m slow tests/test_cache.py        every kind of damage; each compiles for about 20 s
 """
@@ -159,3 +159,50 @@ def test_a_cache_that_is_a_file_is_done_without(tmp_path, variable):
     (tmp_path / "cache").write_text("not a directory")
     simulate(variable, tmp_path / "cache")
     assert (tmp_path / "cache").read_text() == "not a directory"
+
+
+HIDING = """
+import numba.core.codegen
+del numba.core.codegen.JITCodeLibrary
+from clunk.core import jit
+assert jit.partial is None
+"""
+ONE_PART = """
+from clunk.core.jit import compiled, inlined_part, part
+from clunk.core.references import refer
+import typing, numpy
+class Pair(typing.NamedTuple):
+    ends: numpy.ndarray
+    share: float
+@part
+def twice(x):
+    return x + x
+@inlined_part
+def between(pair):
+    return pair.ends[0] + pair.share * (pair.ends[1] - twice(pair.ends[0]))
+@compiled
+def calculate(pair):
+    return between(refer(pair))
+print(calculate(Pair(numpy.array([0.1, 0.7]), 1.0 / 3.0)).hex())
+"""
+RUN = f"""
+import sys
+from clunk.cli import main
+sys.argv[1:] = ["simulate", {str(ROOT / "configs/nominal.toml")!r}]
+main()
+"""
+
+
+@pytest.mark.parametrize("program", [ONE_PART, pytest.param(RUN, marks=pytest.mark.slow)], ids=["part", "run"])
+def test_without_the_inner_parts_of_numba_the_bits_are_the_same(tmp_path, program):
+    """Where numba has others than those that `partial` reaches for, its documented interface alone will do."""
+    printed = []
+    for hiding in ("", HIDING):
+        (tmp_path / "program.py").write_text(hiding + program)
+        environment = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}
+        environment |= {"XDG_CACHE_HOME": str(tmp_path)}
+        command = [sys.executable, str(tmp_path / "program.py")]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=600, check=False)
+        assert done.returncode == 0, done.stderr
+        printed.append(done.stdout)
+    assert printed[0] == printed[1] != ""

@@ -5,8 +5,9 @@ in reading order: `tables` (elements, and regimes as combinations of their state
 `equilibrium`: its steady motion), `switching` (preload, and what happens at an event), `rigid` (impacts and releases of
 rigid flanks), `rubbing` (which flanks stay locked and which frictions stick then), `runs` (what a run begins with and
 leaves behind, and `status`: how it ended), then one of two methods, and `events`, `sequence` and `severity` (label, Q
-and V), `tile` (many runs), `jit` (how all of it is compiled, once for all drivelines), `partial` (functions that are
-compiled with their callers alone) and `references` (systems and workspaces as arguments).
+and V), `tile` (many runs), `jit` (how all of it is compiled, once for all drivelines), `partial` (all that reaches
+into numba's inner parts, without which it takes longer) and `references` (systems and workspaces as arguments). Kernels
+allocate nothing: what calls them makes their room.
 
 `rk4`: `run` (a run from preload to end), `step` and `quartic` (one short step with everything in it located),
 `propagator` (full steps as matrices), `settling` (when a run is over).

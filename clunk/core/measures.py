@@ -21,7 +21,7 @@ import numpy.typing as npt
 from clunk.core.channels import CLOSING, CONTACT_TORQUE, OF_LASH, PEAK_TO_PEAK, TERMS, Channels
 from clunk.core.events import INSTANT, REJOIN, SEPARATION, TOUCH
 from clunk.core.extremes import NODES, integral, integral_of_square, widened
-from clunk.core.jit import compiled, part, unowned
+from clunk.core.jit import compiled, part
 from clunk.core.references import put, refer, reference_at, words_of
 from clunk.core.regimes import Each, System, gap_input
 from clunk.core.rigid import held_with
@@ -65,11 +65,12 @@ class Room(NamedTuple):
     high: FloatArray  # (C,)
     impact: IntArray  # (L,)  the last primary impact of each lash, or -1
     row: IntArray  # (L,)  and the row of its values, or -1 where they are not wanted
+    primaries: IntArray  # (L, capacity)  as of `Run`
+    impacts: IntArray  # (L,)
+    systems: IntArray  # (D, …)  of each driveline, see `references.put`
 
 
-@compiled
-def make_room(system: System, channels: Channels) -> Room:
-    """Scratch for walks over runs of these drivelines."""
+def _make_room(system: System, channels: Channels, capacity: int) -> Room:
     size, count, lashes = channels.rates.shape[3], channels.series.shape[3], system.lashes.shape[0]
     return Room(
         z=np.zeros(size),
@@ -81,10 +82,12 @@ def make_room(system: System, channels: Channels) -> Room:
         high=np.zeros(count),
         impact=np.zeros(lashes, np.int64),
         row=np.zeros(lashes, np.int64),
+        primaries=np.empty((lashes, capacity), np.int64),
+        impacts=np.zeros(lashes, np.int64),
+        systems=np.empty((channels.rates.shape[0], words_of(system)), np.int64),
     )
 
 
-@compiled
 def measure_runs(
     system: System,
     each: Each,
@@ -105,35 +108,52 @@ def measure_runs(
     cases, cells, logs, states
         Of a tile, as `tile.Output`; in `logs` the times behind a run's events are NaN.
     totals : (cells, L, OF_IMPACTS + measures) float64
-        Output, see `measure`.
+        Output, see `_measure`.
     of_impacts : (impacts, OF_IMPACTS) float64
         Output, each cell's behind those of the cell before.
     """
-    system, each = refer(system), refer(each)
-    room, first, lashes = make_room(system, channels), 0, system.lashes.shape[0]
-    systems = np.empty((each.rates.shape[0], words_of(system)), np.int64)
-    for k in range(systems.shape[0]):
-        put(system, each, k, systems)
-    primaries, impacts = np.empty((lashes, logs.shape[1]), np.int64), np.zeros(lashes, np.int64)
+    room = _make_room(system, channels, logs.shape[1])
+    _measure_runs(system, each, channels, cases, cells, logs, states, room, totals, of_impacts)
+
+
+@compiled
+def _measure_runs(
+    system: System,
+    each: Each,
+    channels: Channels,
+    cases: Cases,
+    cells: npt.NDArray[np.void],
+    logs: npt.NDArray[np.void],
+    states: FloatArray,
+    room: Room,
+    totals: FloatArray,
+    of_impacts: FloatArray,
+) -> None:
+    system, each, channels, room = refer(system), refer(each), refer(channels), refer(room)
+    first, primaries, impacts = 0, room.primaries, room.impacts
+    for k in range(room.systems.shape[0]):
+        put(system, each, k, room.systems)
     for k in range(cells.shape[0]):
-        for lash in range(lashes):
+        count = 0
+        for lash in range(impacts.size):
             impacts[lash] = cells[k, lash].primary_impacts
+            count += impacts[lash]
         if cells[k, 0].status == _OK:
             driveline, written = cases.drivelines[k % cases.drivelines.size], 0
             while written < logs.shape[1] and not np.isnan(logs[k, written].time):
                 written += 1
-            of_run = reference_at(systems, driveline, system)
-            for lash in range(lashes):
+            of_run = reference_at(room.systems, driveline, system)
+            for lash in range(impacts.size):
                 side, sticking_time = int(cells[k, lash].initial_side), of_run.sticking_time[lash]
                 find_primaries(logs[k], written, lash, side, sticking_time, primaries[lash])
             load = cases.loads[k % cases.loads.shape[0]]
             run = Run(load, cases.before[k], logs[k], states[k], written, primaries, impacts)
-            measure(of_run, channels, driveline, run, room, totals[k], of_impacts[first : first + impacts.sum()])
-        first += impacts.sum()
+            _measure(of_run, channels, driveline, run, room, totals[k], of_impacts[first : first + count])
+        first += count
 
 
-@unowned
-def measure(
+@part
+def _measure(
     system: System,
     channels: Channels,
     driveline: int,
@@ -155,8 +175,13 @@ def measure(
     x, shortest = room.z[:size], INSTANT if lashes > 1 else 0.0
     set_gaps(system, run.before, room.inputs)
     begin_wave(system, run.load, 0, x)
-    room.low[:], room.high[:], room.impact[:], room.row[:] = np.inf, -np.inf, -1, -1
-    of_impacts[:] = 0.0
+    for c in range(room.low.size):
+        room.low[c], room.high[c] = np.inf, -np.inf
+    for lash in range(lashes):
+        room.impact[lash], room.row[lash] = -1, -1
+    for i in range(of_impacts.shape[0]):
+        for j in range(OF_IMPACTS):
+            of_impacts[i, j] = 0.0
     for k in range(run.written):
         event = run.events[k]
         for j in range(n):
@@ -187,7 +212,8 @@ def measure(
             totals[lash, j] = np.nan
             if channels.of_impacts != 0:
                 if system.impulsive != 0 and j == PEAK_TORQUE:
-                    of_impacts[first:last, j] = np.nan
+                    for i in range(first, last):
+                        of_impacts[i, j] = np.nan
                 totals[lash, j] = root_of_squares(of_impacts[first:last, j], run.impacts[lash])
         first = last
         if system.impulsive != 0:

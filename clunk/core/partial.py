@@ -1,17 +1,58 @@
-"""Compiling functions that only compiled functions call.
+"""How numba compiles kernels and their parts: all that reaches into numba's inner parts.
 
 numba optimises each function with all that it calls, and makes machine code of that: what is called by a function that
-is called by another one is worked on three times. Here that is left to the outermost one.
+is called by another one is worked on three times. Here that is left to the outermost one, the kernel.
+
+Importing this raises ImportError where those inner parts are not as expected; `jit` does without it then.
 """
 
+import contextlib
 from typing import Any
 
 from numba import _dynfunc, types
+from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import CompilerBase, DefaultPassBuilder
-from numba.core.compiler_machinery import AnalysisPass, register_pass
+from numba.core.compiler import CompilerBase, DefaultPassBuilder, Flags
+from numba.core.compiler_machinery import AnalysisPass, PassManager, register_pass
+from numba.core.cpu import CPUContext
 from numba.core.registry import CPUDispatcher
 from numba.core.typed_passes import AnnotateTypes, NativeLowering
+
+for _owner, _names in (
+    (_dynfunc, "make_function"),
+    (CPUContext, "insert_user_function"),
+    (CPUDispatcher, "compile"),
+    (DefaultPassBuilder, "define_nopython_pipeline"),
+    (Flags, "no_compile nrt"),
+    (FunctionCache, "flush load_overload save_overload"),
+    (JITCodeLibrary, "_finalize_dynamic_globals _finalize_final_module _optimize_final_module"),
+    (PassManager, "add_pass_after"),
+):
+    for _name in _names.split():
+        if not hasattr(_owner, _name):
+            raise ImportError(f"numba's {_owner.__name__} has no {_name}")
+
+
+class _Cache(FunctionCache):
+    """numba's cache of one function; where it is damaged or cannot be written, that costs a compilation and no more."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception:  # whatever it is that reading half a file, or something else in its place, raises
+            with contextlib.suppress(OSError):
+                self.flush()
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        with contextlib.suppress(OSError):
+            super().save_overload(sig, data)
+
+
+def kernel(dispatcher: Any) -> Any:
+    """Make a function of `numba.njit` one that is kept between processes, as cache=True does."""
+    dispatcher._cache = _Cache(dispatcher.py_func)
+    return dispatcher
 
 
 @register_pass(mutates_CFG=False, analysis_only=True)
@@ -25,7 +66,7 @@ class _BeginPart(AnalysisPass):
 
     def run_pass(self, state: Any) -> bool:
         codegen = state.targetctx.codegen()
-        state.library = _Part(codegen, state.func_id.func_qualname)
+        state.library = _PartLibrary(codegen, state.func_id.func_qualname)
         state.flags.no_compile = True
         return False
 
@@ -47,7 +88,7 @@ class _EndPart(AnalysisPass):
         return False
 
 
-class _Part(JITCodeLibrary):
+class _PartLibrary(JITCodeLibrary):
     """The code of a part: neither optimised nor made machine code before it is in that of a whole."""
 
     def _optimize_final_module(self) -> None:
@@ -58,16 +99,16 @@ class _Part(JITCodeLibrary):
         self._finalized = True
 
 
-class Part(CPUDispatcher):
+class _Part(CPUDispatcher):
     """A function that only compiled functions call."""
 
     def compile(self, signature: Any) -> Any:
         """Compile once for all ints, not again for each constant in a call: that would take an eighth longer."""
         return super().compile(tuple(map(types.unliteral, signature)))
 
-    def __call__(self, *_: Any) -> Any:
-        """Raise TypeError: there is no code for Python to call."""
-        raise TypeError(f"{self.__name__} is called by compiled functions only")
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the function as Python has it: there is no other code for Python to call."""
+        return self.py_func(*arguments)
 
 
 class PartCompiler(CompilerBase):
@@ -80,3 +121,9 @@ class PartCompiler(CompilerBase):
         passes.add_pass_after(_EndPart, NativeLowering)
         passes.finalize()
         return [passes]
+
+
+def part(dispatcher: Any) -> Any:
+    """Make a function of `numba.njit` with `PartCompiler` one that is compiled with its callers alone."""
+    dispatcher.__class__ = _Part
+    return dispatcher

@@ -88,19 +88,6 @@ def _reference(_: Any, values: Any) -> Any:
     return (values(values), _same) if isinstance(values, Reference) else (Reference(values)(values), _refer)
 
 
-@intrinsic
-def _until_here(_: Any, values: Any) -> Any:
-    return types.none(values), lambda context, builder, signature, arguments: context.get_dummy_value()
-
-
-@intrinsic
-def _words(_: Any, values: Any) -> Any:
-    def emit(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
-        return context.get_constant(types.intp, -(-context.get_abi_sizeof(context.get_value_type(values.of)) // 8))
-
-    return types.intp(values), emit
-
-
 def _row(context: Any, builder: ir.IRBuilder, kept: Any, value: Any, row: Any, of: Any) -> Any:
     """A pointer to the tuple in a row of an array of words."""
     array = context.make_array(kept)(context, builder, value)
@@ -137,13 +124,13 @@ def _reference_at(_: Any, kept: Any, k: Any, like: Any) -> Any:
     return like(kept, types.intp, like), emit
 
 
+def words_of(values: tuple[Any, ...]) -> int:
+    """How many words of an array of int64 hold a named tuple of numbers and arrays: numba's arrays are a structure."""
+    return sum(5 + 2 * np.ndim(field) for field in values)
+
+
 # A reference to a named tuple, good in the compiled function that was passed the tuple.
 refer = cast(Callable[[Tuple], Tuple], _reference)
-# The arrays of a tuple that is made in a function are freed after its last mention there: this is one, for where no
-# reference to it is used any more.
-keep_alive = cast(Callable[[object], None], _until_here)
-# How many words of an array of int64 hold a named tuple, of which there is a reference.
-words_of = cast(Callable[[object], int], _words)
 # Copy the tuple into row k of such an array, with each of its arrays that `each` names pointing to `each.NAME[k]`. Rows
 # hold bare pointers: `each` is to outlive them.
 put = cast(Callable[[object, object, int, npt.NDArray[np.int64]], None], _put)

@@ -13,13 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.events import LOCK, SEPARATION, TOUCH
-from clunk.core.jit import unowned
+from clunk.core.jit import compiled
 
 INITIAL = -1
 OPPOSITE = 1
 
 
-@unowned
+@compiled
 def find_primaries(
     events: npt.NDArray[np.void],
     count: int,

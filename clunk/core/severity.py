@@ -6,10 +6,10 @@ Q_i = max θ'' - min θ'' and Q = sqrt(sum Q_i²) are report Eqs 3.2 and 3.3.
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.jit import part, unowned
+from clunk.core.jit import compiled, part
 
 
-@unowned
+@compiled
 def peak_to_peak(
     extremes: npt.NDArray[np.float64],
     count: int,
@@ -54,7 +54,7 @@ def approach_velocity(
     return root_of_squares(speeds, impacts)
 
 
-@unowned
+@compiled
 def root_of_squares(values: npt.NDArray[np.float64], count: int) -> float:
     """The square root of the sum of the squares of `values[:count]`, summed in order."""
     total = 0.0

@@ -8,7 +8,8 @@ import numpy.typing as npt
 
 from clunk.core import rigid, rubbing
 from clunk.core.events import STAGE, TOUCH
-from clunk.core.jit import inlined_part, part, unowned
+from clunk.core.jit import compiled, inlined_part, part
+from clunk.core.references import refer
 from clunk.core.regimes import System, frictions_of, gap_input, inputs_of, lash_of, lashes_of
 from clunk.core.runs import Entry, Log, record
 from clunk.core.status import Status
@@ -45,7 +46,7 @@ def set_weighed(system: System, regime: int, inputs: FloatArray, u: FloatArray) 
         u[k] = system.weights[regime, k] * inputs[k]
 
 
-@unowned
+@compiled
 def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int]:
     """Set `x` to steady motion in contact; return the status and the regime.
 
@@ -59,6 +60,7 @@ def preload(system: System, inputs: FloatArray, x: FloatArray) -> tuple[int, int
     x : (N,) float64  [rad, rad/s]
         Output.
     """
+    system = refer(system)
     lashes, stages, in_stage = lashes_of(system), system.preload.shape[0], False
     for regime in range(stages * system.regime_strides[lashes]):
         closed, presses = True, True
@@ -140,12 +142,13 @@ def _is_beside_loose(system: System, regime: int, x: FloatArray) -> bool:
     return False
 
 
-@unowned
+@compiled
 def regime_of(system: System, x: FloatArray, inputs: FloatArray) -> int:
     """The regime of a state: of each lash the first flank whose overlap and guards are not negative, else it is open.
 
     In the restitution model they are open; flanks that rest on each other lock by a touch at rest.
     """
+    system = refer(system)
     lashes, first = lashes_of(system), 0
     while first + system.regime_strides[lashes] < system.preload.shape[0] * system.regime_strides[
         lashes

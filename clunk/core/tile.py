@@ -10,11 +10,20 @@ from clunk.core.channels import Channels
 from clunk.core.events import EVENT, STAGE, TOUCH
 from clunk.core.exact import run as exact
 from clunk.core.exact.flows import Flows
-from clunk.core.exact.workspace import UNDER_WAY, make_workspace, system_at, system_of, waiting_queues
-from clunk.core.jit import allocating_part, compiled, part
+from clunk.core.exact.workspace import (
+    UNDER_WAY,
+    Workspace,
+    log_of,
+    make_workspace,
+    put_systems,
+    system_at,
+    system_of,
+    waiting_queues,
+)
+from clunk.core.jit import compiled, part
 from clunk.core.lanes.vectors import WIDTH
-from clunk.core.references import keep_alive, refer
-from clunk.core.regimes import Each, System, alone, elements_of, lashes_of
+from clunk.core.references import refer
+from clunk.core.regimes import Each, System, alone, lashes_of
 from clunk.core.rk4 import run as rk4
 from clunk.core.rk4.propagator import Steps
 from clunk.core.runs import Log, Outcome, Start
@@ -96,9 +105,10 @@ class Output(NamedTuple):
 
 
 class _Scratch(NamedTuple):
-    """Room for the primary impacts of a lash in one run: their events, Q_i and closing speeds."""
+    """Room for a run's state, and for the primary impacts of a lash in it: their events, Q_i and closing speeds."""
 
-    primaries: npt.NDArray[np.int64]
+    x: FloatArray  # (N,)  [rad, rad/s]
+    primaries: IntArray
     severity: FloatArray
     speeds: FloatArray
 
@@ -192,10 +202,29 @@ def run_tile(
         The first cell that was not run, and how many impacts were written.
     """
     system, each, tables, _ = batch
-    if isinstance(tables, Flows):
-        done, written = by_exact(system, each, tables, undecided, cases, first, max_events, output, stop)
-    else:
-        done, written = by_rk4(system, tables, undecided, cases, first, max_events, output, stop)
+    size, cells = system.lashes.shape[1], len(output.cells)
+    capacity, states = (output.logs.shape[1],) * 2 if output.states.size else (max_events + 1, 0)
+    primaries = np.empty(max_events + 1, np.int64)
+    scratch = _Scratch(np.empty(size), primaries, np.empty(max_events + 1), np.empty(max_events + 1))
+    if not isinstance(tables, Flows):
+        lashes = len(system.lashes)
+        log = Log(
+            np.empty(capacity, EVENT), np.empty((capacity, lashes, 2)), np.empty(lashes), np.empty((states, size))
+        )
+        room = rk4.make_room(system, tables, capacity)
+        return by_rk4(system, tables, undecided, cases, first, max_events, output, log, room, scratch, stop)
+    # of several lashes there are more queues: enough runs that each may have as many as there are lanes
+    several = len(system.regime_strides) > 2
+    under_way = max(UNDER_WAY, WIDTH * waiting_queues(system, tables)) if several else UNDER_WAY
+    slots = min(under_way, max(cells - first, 1), max(_EVENT_MEMORY // capacity, 1))
+    space, free = make_workspace(system, tables, cases.loads, slots, capacity, states), np.arange(slots)
+    begins, impacts = np.full(cells - first, -1), output.impacts
+    done: int = by_exact(space, each, undecided, cases, first, max_events, output, scratch, free, begins, stop)
+    # runs were over in any order: put their impacts in that of the cells
+    counts = output.cells["primary_impacts"][first:done].sum(axis=1, dtype=np.int64)
+    behind = np.cumsum(counts)
+    written = int(counts.sum())
+    impacts[:written] = impacts[np.arange(written) + np.repeat(begins[: done - first] - behind + counts, counts)]
     return done, written
 
 
@@ -208,15 +237,15 @@ def by_rk4(
     first: int,
     max_events: int,
     output: Output,
+    log: Log,
+    room: rk4.Room,
+    scratch: _Scratch,
     stop: npt.NDArray[np.uint8],
 ) -> tuple[int, int]:
     """`run_tile` by RK4: one run after the other."""
-    system, steps, output, cells = refer(system), refer(steps), refer(output), output.cells
-    size = system.lashes.shape[1]
-    capacity, states = _capacity(max_events, output)
-    x, log = np.empty(size), _log(system, capacity, states)
-    scratch = _scratch(max_events)
-    written = 0
+    system, steps, cases, output = refer(system), refer(steps), refer(cases), refer(output)
+    log, room, scratch = refer(log), refer(room), refer(scratch)
+    cells, x, written = output.cells, scratch.x, 0
     for k in range(first, cells.shape[0]):
         if stop[0] != 0 or written + max_events > output.impacts.size:
             return k, written
@@ -224,11 +253,12 @@ def by_rk4(
         if cells[k, 0].status != _OK:
             continue
         start = Start(x, regime, cases.before[k], cases.loads, k % cases.loads.shape[0])
-        outcome = rk4.run(system, steps, start, log, stop)
+        outcome = rk4.run(system, steps, start, log, room, stop)
         if outcome.status == INTERRUPTED:
             return k, written
         if cases.regimes.size > 0:
-            cases.states[k] = x
+            for j in range(x.size):
+                cases.states[k, j] = x[j]
         _copy_log(log, outcome.written, outcome.end, output, k)
         written += _describe(system, undecided, outcome, log, max_events, cells[k], scratch, output.impacts, written)
     return cells.shape[0], written
@@ -236,33 +266,31 @@ def by_rk4(
 
 @compiled
 def by_exact(
-    system: System,
+    space: Workspace,
     each: Each,
-    flows: Flows,
     undecided: float,
     cases: Cases,
     first: int,
     max_events: int,
     output: Output,
+    scratch: _Scratch,
+    free: IntArray,
+    begins: IntArray,
     stop: npt.NDArray[np.uint8],
-) -> tuple[int, int]:
-    """`run_tile` by the exact method: many runs at a time.
+) -> int:
+    """`run_tile` by the exact method: many runs at a time, over in any order. Returns the first cell that was not run.
 
-    They are over in any order; their impacts are put in that of the cells at the end.
+    Parameters
+    ----------
+    free : (S,) int64
+        The places of the workspace that no run is in: all of them.
+    begins : (cells,) int64
+        Output, where the impacts of each cell from `first` on begin; -1 until the cell is done.
     """
-    system, each, flows, size = refer(system), refer(each), refer(flows), system.lashes.shape[1]
-    capacity, states = _capacity(max_events, output)
-    # of several lashes there are more queues: enough runs that each may have as many as there are lanes
-    under_way = UNDER_WAY if elements_of(system) == 1 else max(UNDER_WAY, WIDTH * waiting_queues(system, flows))
-    slots = min(under_way, max(output.cells.shape[0] - first, 1), max(_EVENT_MEMORY // capacity, 1))
-    events, extremes = np.empty((slots, capacity), EVENT), np.empty((slots, capacity, lashes_of(system), 2))
-    margins, at_events = np.empty((slots, lashes_of(system))), np.empty((slots, states, size))
-    owner = make_workspace(system, each, flows, cases.loads, events, extremes, margins, at_events)
-    space, output, cells, impacts = refer(owner), refer(output), output.cells, output.impacts
-    pool, over, scratch, x = space.pool, space.queues.over, _scratch(max_events), np.empty(size)
-    waiting, lashes, spare = cells.shape[0] - first, lashes_of(system), slots
-    free = np.arange(slots)
-    begins, pending = np.full(waiting, -1), np.ones(waiting, np.bool_)  # where its impacts are; whether it is not over
+    space, each, cases, output, scratch = refer(space), refer(each), refer(cases), refer(output), refer(scratch)
+    put_systems(space, each)
+    cells, impacts, x, pool, over = output.cells, output.impacts, scratch.x, space.pool, space.queues.over
+    slots = spare = free.size
     admitted, oldest, written, full = first, first, 0, False
     while True:
         while spare > 0 and admitted < cells.shape[0] and not full:
@@ -275,9 +303,9 @@ def by_exact(
                 load = admitted % cases.loads.shape[0]
                 exact.begin(space, slot, driveline, Start(x, regime, before, cases.loads, load))
             else:
-                pending[admitted - first] = False
+                begins[admitted - first] = written
             admitted += 1
-        while oldest < admitted and not pending[oldest - first]:
+        while oldest < admitted and begins[oldest - first] >= 0:
             oldest += 1
         if spare == slots or stop[0] != 0:
             break
@@ -288,7 +316,7 @@ def by_exact(
             k = row.tag
             free[spare] = slot
             spare += 1
-            log = Log(space.events[slot], space.extremes[slot], space.margins[slot], space.states[slot])
+            log = log_of(space, slot)
             _copy_log(log, row.count, row.time, output, k)
             outcome = Outcome(row.status, row.count, row.quality, row.time)
             of_run = system_of(space, slot)
@@ -298,38 +326,12 @@ def by_exact(
             if written + primaries + (0 if k == oldest else max_events) > impacts.size:
                 full = True
                 continue
-            begins[k - first], pending[k - first] = written, False
+            begins[k - first] = written
             written += primaries
-            while oldest < admitted and not pending[oldest - first]:
+            while oldest < admitted and begins[oldest - first] >= 0:
                 oldest += 1
         pool.length[over] = 0
-    ordered, count = impacts[:written].copy(), 0
-    for k in range(first, oldest):
-        i = begins[k - first]
-        for lash in range(lashes):
-            for _ in range(cells[k, lash].primary_impacts):
-                impacts[count] = ordered[i]
-                i, count = i + 1, count + 1
-    keep_alive(owner)
-    return oldest, count
-
-
-@allocating_part
-def _scratch(max_events: int) -> _Scratch:
-    return _Scratch(np.empty(max_events + 1, np.int64), np.empty(max_events + 1), np.empty(max_events + 1))
-
-
-@part
-def _capacity(max_events: int, output: Output) -> tuple[int, int]:
-    """How many events and states there is room for in a run."""
-    return (output.logs.shape[1], output.logs.shape[1]) if output.states.size > 0 else (max_events + 1, 0)
-
-
-@allocating_part
-def _log(system: System, capacity: int, states: int) -> Log:
-    """Room for the events of a run, and for so many states at them."""
-    lashes, size = lashes_of(system), system.lashes.shape[1]
-    return Log(np.empty(capacity, EVENT), np.empty((capacity, lashes, 2)), np.empty(lashes), np.empty((states, size)))
+    return oldest
 
 
 @part
@@ -397,14 +399,17 @@ def _describe(
     if status != _OK:
         return 0
     for lash in range(lashes_of(system)):
-        cell, events, (primaries, severity, speeds) = cells[lash], log.events, scratch
+        cell, events = cells[lash], log.events
+        primaries, severity, speeds = scratch.primaries, scratch.severity, scratch.speeds
         cell.margin = log.margins[lash]
         cell.quality = outcome.quality | (QUALITY_UNDECIDED if nearest < undecided else 0)
         side, sticking_time = int(cell.initial_side), system.sticking_time[lash]
         count = find_primaries(events, outcome.written, lash, side, sticking_time, primaries)
         cell.severity = peak_to_peak(log.extremes[:, lash], outcome.written, primaries, count, severity)
         if system.impulsive != 0:  # the acceleration of an impulsive touch is not a number
-            cell.severity, severity[:count] = np.nan, np.nan
+            cell.severity = np.nan
+            for i in range(count):
+                severity[i] = np.nan
         cell.approach_velocity = approach_velocity(events, primaries, count, speeds)
         cell.pattern = np.uint64(1) if count <= LONGEST_PATTERN else np.uint64(0)
         cell.primary_impacts = count

@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from clunk.core.channels import CLOSING, CONTACT_TORQUE, LARGEST, OF_LASH, PEAK_TO_PEAK, Channels, tabulate
-from clunk.core.measures import Run, make_room, measure
+from clunk.core.measures import measure_runs
 from clunk.core.regimes import Each, System, alone
-from clunk.core.sequence import find_primaries
 from clunk.core.tables import FORCE, HOLDING, OF_FRICTION, FlowOf, flows_of, half_gap_of
+from clunk.core.tile import CELL, Cases
 from clunk.simulation.driveline import Driveline, build
 from clunk.simulation.load import run_load
 from clunk.simulation.trajectory import Trajectory
@@ -132,15 +132,17 @@ def measured(trajectory: Trajectory) -> Measures:
     study, system, phases = trajectory.study, build(trajectory.study, waves=True), trajectory.phases
     channels = channels_of(study, Driveline.from_study(study), system, alone(system), of_impacts=True)
     before, load = run_load(study)
-    lashes = len(study.lashes)
-    primaries, impacts = np.zeros((lashes, phases.size), np.int64), np.zeros(lashes, np.int64)
-    for lash, (side, sticking_time) in enumerate(zip(trajectory.initial_sides, system.sticking_time, strict=True)):
-        impacts[lash] = find_primaries(phases, phases.size, lash, side, float(sticking_time), primaries[lash])
-    run = Run(load, before, phases, trajectory.phase_states, phases.size, primaries, impacts)
-    totals, of_impacts = np.zeros((lashes, len(NAMES) + len(study.measures))), np.zeros((impacts.sum(), len(NAMES)))
-    measure(system, channels, 0, run, make_room(system, channels), totals, of_impacts)
+    cells = np.zeros((1, len(study.lashes)), CELL)
+    cells["initial_side"] = trajectory.initial_sides
+    cells["primary_impacts"] = impacts = [primaries.size for primaries in trajectory.primaries_of]
+    totals, of_impacts = (
+        np.zeros((*cells.shape, len(NAMES) + len(study.measures))),
+        np.zeros((sum(impacts), len(NAMES))),
+    )
+    cases, states = Cases(before[None], load[None], np.zeros(1, np.int64)), trajectory.phase_states[None]
+    measure_runs(system, alone(system), channels, cases, cells, phases[None], states, totals, of_impacts)
     names, part = (*NAMES, *(each.name for each in study.measures)), np.cumsum(impacts)[:-1]
     of_lash = np.split(of_impacts, part)[trajectory.lash]
     return Measures(
-        dict(zip(names, totals[trajectory.lash].tolist(), strict=True)), dict(zip(NAMES, of_lash.T, strict=True))
+        dict(zip(names, totals[0, trajectory.lash].tolist(), strict=True)), dict(zip(NAMES, of_lash.T, strict=True))
     )

@@ -65,7 +65,7 @@ def gather_functional(space: Workspace, flow: int, f: int) -> None:
 
 
 @part
-def watch_of_lanes(space: Workspace, f: int) -> OfLanes:
+def _watch_of_lanes(space: Workspace, f: int) -> OfLanes:
     """What has been gathered of a functional."""
     return OfLanes(space.lane_watch[f * space.flows.watch[0, 0, 0].size :])
 
@@ -75,17 +75,10 @@ def evaluate(
     space: Workspace, flow: int, f: int, left_out: Vector, most_left_out: int
 ) -> tuple[curves.Curve, Vector, curves.Curve, Vector, Vector]:
     """`curves.evaluate` of the runs taken."""
+    work, size = space.pool.work, size_of(space)
     if space.mixed != 0:
-        return _evaluate_of_lanes(space, f, left_out, most_left_out)
-    return curves.evaluate(space.flows.watch[0, flow, f], space.pool.work, size_of(space), left_out, most_left_out)
-
-
-@part
-def _evaluate_of_lanes(
-    space: Workspace, f: int, left_out: Vector, most_left_out: int
-) -> tuple[curves.Curve, Vector, curves.Curve, Vector, Vector]:
-    vectors.stay_apart()
-    return curves.evaluate(watch_of_lanes(space, f), space.pool.work, size_of(space), left_out, most_left_out)
+        return curves.evaluate(_watch_of_lanes(space, f), work, size, left_out, most_left_out)
+    return curves.evaluate(space.flows.watch[0, flow, f], work, size, left_out, most_left_out)
 
 
 @part
@@ -93,65 +86,38 @@ def evaluate_again(
     space: Workspace, flow: int, f: int, left_out: Vector, most_left_out: int, before: curves.Curve
 ) -> curves.Curve:
     """`curves.evaluate_again` of the runs taken."""
+    work, size = space.pool.work, size_of(space)
     if space.mixed != 0:
-        return _evaluate_again_of_lanes(space, f, left_out, most_left_out, before)
-    watch = space.flows.watch[0, flow, f]
-    return curves.evaluate_again(watch, space.pool.work, size_of(space), left_out, most_left_out, before)
-
-
-@part
-def _evaluate_again_of_lanes(
-    space: Workspace, f: int, left_out: Vector, most_left_out: int, before: curves.Curve
-) -> curves.Curve:
-    vectors.stay_apart()
-    watch, size = watch_of_lanes(space, f), size_of(space)
-    return curves.evaluate_again(watch, space.pool.work, size, left_out, most_left_out, before)
+        return curves.evaluate_again(_watch_of_lanes(space, f), work, size, left_out, most_left_out, before)
+    return curves.evaluate_again(space.flows.watch[0, flow, f], work, size, left_out, most_left_out, before)
 
 
 @part
 def bounds(space: Workspace, flow: int, f: int) -> tuple[Vector, Vector, Vector]:
     """`curves.bounds` of the runs taken."""
     if space.mixed != 0:
-        return _bounds_of_lanes(space, f)
+        return curves.bounds(_watch_of_lanes(space, f), space.pool.work, size_of(space))
     return curves.bounds(space.flows.watch[0, flow, f], space.pool.work, size_of(space))
-
-
-@part
-def _bounds_of_lanes(space: Workspace, f: int) -> tuple[Vector, Vector, Vector]:
-    vectors.stay_apart()
-    return curves.bounds(watch_of_lanes(space, f), space.pool.work, size_of(space))
 
 
 @part
 def slope_bound(space: Workspace, flow: int, f: int, left_out: Vector, most_left_out: int) -> Vector:
     """`curves.slope_bound` of the runs taken."""
+    work, size = space.pool.work, size_of(space)
     if space.mixed != 0:
-        return _slope_bound_of_lanes(space, f, left_out, most_left_out)
-    return curves.slope_bound(space.flows.watch[0, flow, f], space.pool.work, size_of(space), left_out, most_left_out)
-
-
-@part
-def _slope_bound_of_lanes(space: Workspace, f: int, left_out: Vector, most_left_out: int) -> Vector:
-    vectors.stay_apart()
-    return curves.slope_bound(watch_of_lanes(space, f), space.pool.work, size_of(space), left_out, most_left_out)
+        return curves.slope_bound(_watch_of_lanes(space, f), work, size, left_out, most_left_out)
+    return curves.slope_bound(space.flows.watch[0, flow, f], work, size, left_out, most_left_out)
 
 
 @part
 def origin(space: Workspace, flow: int, f: int, still: bool, elapsed: Vector) -> curves.Origin:
     """`curves.origin` of the runs taken."""
+    output, ramps = space.flows.origin_output, space.system.ramps != 0
+    functionals, work, driven = output.shape[3], space.pool.work, inputs_of(space.system)
     if space.mixed != 0:
-        return _origin_of_lanes(space, f, still, elapsed)
-    output, functionals, ramps = space.flows.origin_output, space.flows.origin_output.shape[3], space.system.ramps != 0
-    work, driven = space.pool.work, inputs_of(space.system)
+        gathered = OfLanes(space.lane_output_origins)
+        return curves.origin(gathered, f, functionals, work, space.inputs_at, driven, still, ramps, elapsed)
     return curves.origin(output[0, flow], f, functionals, work, space.inputs_at, driven, still, ramps, elapsed)
-
-
-@part
-def _origin_of_lanes(space: Workspace, f: int, still: bool, elapsed: Vector) -> curves.Origin:
-    vectors.stay_apart()
-    output, functionals = OfLanes(space.lane_output_origins), space.flows.origin_output.shape[3]
-    work, driven, ramps = space.pool.work, inputs_of(space.system), space.system.ramps != 0
-    return curves.origin(output, f, functionals, work, space.inputs_at, driven, still, ramps, elapsed)
 
 
 @part
@@ -167,16 +133,9 @@ def origin_slope(space: Workspace, flow: int, f: int) -> Vector:
 @part
 def expand(space: Workspace, flow: int, f: int, sign: Vector, shift: Vector, at: curves.Origin) -> None:
     """`taylor.expand` of the runs taken, into `space.series`."""
+    size, shortest, series, work = size_of(space), shortest_span(space, flow), space.flows.series, space.pool.work
     if space.mixed != 0:
-        _expand_of_lanes(space, flow, f, sign, shift, at)
+        gather(space, series, (flow * series.shape[2] + f) * size * LONG, size * LONG, space.lane_table)
+        taylor.expand(OfLanes(space.lane_table), work, size, shortest, sign, shift, at, space.series)
     else:
-        series, shortest = space.flows.series[0, flow, f], shortest_span(space, flow)
-        taylor.expand(series, space.pool.work, size_of(space), shortest, sign, shift, at, space.series)
-
-
-@part
-def _expand_of_lanes(space: Workspace, flow: int, f: int, sign: Vector, shift: Vector, at: curves.Origin) -> None:
-    vectors.stay_apart()
-    size, shortest, series = size_of(space), shortest_span(space, flow), space.flows.series
-    gather(space, series, (flow * series.shape[2] + f) * size * LONG, size * LONG, space.lane_table)
-    taylor.expand(OfLanes(space.lane_table), space.pool.work, size, shortest, sign, shift, at, space.series)
+        taylor.expand(series[0, flow, f], work, size, shortest, sign, shift, at, space.series)

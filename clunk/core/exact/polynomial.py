@@ -3,12 +3,12 @@
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.jit import part, unowned
+from clunk.core.jit import part
 
 FloatArray = npt.NDArray[np.float64]
 
 
-@unowned
+@part
 def value_of(c: FloatArray, count: int, s: float) -> float:
     """c[0] + c[1] s + ... + c[count - 1] s^(count - 1): Horner's rule, even and odd powers side by side."""
     square = s * s
@@ -38,7 +38,7 @@ def derivatives(c: FloatArray, count: int, s: float) -> tuple[float, float, floa
     return value, slope, half
 
 
-@unowned
+@part
 def zero_between(c: FloatArray, count: int, low: float, high: float, first: float, last: float) -> float:
     """The zero where a polynomial changes sign between `low` and `high`: Newton's steps, kept within the bracket.
 
@@ -63,7 +63,7 @@ def zero_between(c: FloatArray, count: int, low: float, high: float, first: floa
     return s
 
 
-@unowned
+@part
 def sign_changes(c: FloatArray, count: int, length: float, points: FloatArray, ladder: FloatArray) -> int:
     """Write the points of (0, length) at which a polynomial changes sign to `points`, in order; return their number.
 
@@ -93,22 +93,16 @@ def sign_changes(c: FloatArray, count: int, length: float, points: FloatArray, l
     return kept
 
 
-@unowned
+@part
 def turning_points(c: FloatArray, length: float, points: FloatArray, ladder: FloatArray) -> int:
     """Write the points of (0, length) at which the slope changes sign to `points`, in order; return their number."""
-    highest_terms, power = 0.0, 1.0
-    for k in range(2, c.size):
-        power *= length
-        highest_terms += k * abs(c[k]) * power
-    if abs(c[1]) > highest_terms:
-        return 0
     derivative = ladder[c.size - 1]
     for k in range(c.size - 1):
         derivative[k] = (k + 1) * c[k + 1]
     return sign_changes(derivative, c.size - 1, length, points, ladder)
 
 
-@unowned
+@part
 def first_negative_of(c: FloatArray, length: float, points: FloatArray, ladder: FloatArray) -> float:
     """The first s of [0, length] from which on a polynomial is negative, or -1 where there is none."""
     if c[0] < 0.0:

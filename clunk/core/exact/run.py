@@ -174,7 +174,8 @@ def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
     pool, queues, queue = space.pool, space.queues, space.queues.span
     while pool.length[queues.over] < WIDTH and stop[0] == 0:
         if pool.length[queue] < WIDTH:
-            queue = int(np.argmax(pool.length[: queues.over]))
+            for other in range(queues.over):
+                queue = other if pool.length[other] > pool.length[queue] else queue
             if pool.length[queue] == 0:
                 break
         if queue < queues.extremes:

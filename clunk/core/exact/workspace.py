@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from clunk.core.events import EVENT
 from clunk.core.exact import rows
 from clunk.core.exact.flows import LONG, TERMS, Flows
-from clunk.core.jit import allocating_part, part
+from clunk.core.jit import part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import Pool, aligned, make_pool, push, whole
 from clunk.core.lanes.vectors import WIDTH, Vector
@@ -128,53 +129,37 @@ class Workspace(NamedTuple):
     ladder: FloatArray  # (TERMS, TERMS)
 
 
-@allocating_part
 def make_workspace(
-    system: System,
-    each: Each,
-    flows: Flows,
-    loads: FloatArray,
-    events: npt.NDArray[np.void],
-    extremes: FloatArray,
-    margins: FloatArray,
-    states: FloatArray,
+    system: System, flows: Flows, loads: FloatArray, slots: int, capacity: int, states: int
 ) -> Workspace:
-    """Room for as many runs as there are rows of events, none of which has begun.
+    """Room for `slots` runs of so many events and states at them, none of which has begun.
 
     Parameters
     ----------
-    system, each : System, Each
-        Of the first driveline, and what differs in all of them.
+    system : System
+        Of the first driveline.
     flows : Flows
         Of all drivelines, with an axis in front.
     loads : (loads, P, PIECE) float64
-    events : (S, capacity) EVENT
-    extremes : (S, capacity, L, 2) float64
-    margins : (S, L) float64
-    states : (S, capacity or 0, N) float64
     """
-    slots, size, most = events.shape[0], flows.basis.shape[3], system.guards.shape[1]
+    size, most = flows.basis.shape[3], system.guards.shape[1]
     drivelines, count, functionals = flows.watch.shape[:3]
     mixed = drivelines > 1
-    systems = np.empty((drivelines, words_of(system)), np.int64)
-    for k in range(drivelines):
-        put(system, each, k, systems)
     shortest = aligned(count, WIDTH)
-    for k in range(count):
-        shortest[k] = flows.span[0, k, 0]
+    shortest[:] = flows.span[0, :, :1]
     # in order: span, short, enter, each by group; extremes, turn, depth, each by flow and functional; over; follow
     groups, searched = system.leaders.size, count * functionals
     first = 3 * groups
     over = waiting_queues(system, flows)
     queues = Queues(0, groups, 2 * groups, first, first + searched, first + 2 * searched, over, over + 1)
-    behind, lashes, driven = size * 3 // 2, lashes_of(system), inputs_of(system)
+    behind, lashes, driven = size * 3 // 2, len(system.lashes), system.weights.shape[1]
     inputs_at = behind + rows.shift(most, lashes)
     kink_at = inputs_at + driven
     of_a_run, searches = kink_at + 1, lashes + most
     read = whole(of_a_run if system.ramps != 0 or loads.shape[1] > 1 or driven > INPUTS else inputs_at + TORQUE_RATE)
     return Workspace(
         system=system,
-        systems=systems,
+        systems=np.empty((drivelines, words_of(system)), np.int64),
         flows=flows,
         mixed=int(mixed),
         pool=make_pool(over + 2, slots, of_a_run),
@@ -192,10 +177,10 @@ def make_workspace(
         loads=loads,
         inputs=np.ones((slots, driven)),
         state=aligned(slots + 1, size),
-        events=events,
-        extremes=extremes,
-        margins=margins,
-        states=states,
+        events=np.empty((slots, capacity), EVENT),
+        extremes=np.empty((slots, capacity, lashes, 2)),
+        margins=np.empty((slots, lashes)),
+        states=np.empty((slots, states, system.lashes.shape[1])),
         outputs=aligned(most * OF_OUTPUT, WIDTH),
         guards=aligned(most * OF_GUARD, WIDTH),
         guard_lanes=np.zeros(most, np.int64),
@@ -219,10 +204,16 @@ def make_workspace(
     )
 
 
-@part
 def waiting_queues(system: System, flows: Flows) -> int:
     """The number of queues in which runs and searches wait: three for each group, and for each functional of a flow."""
     return int(3 * (system.leaders.size + flows.watch.shape[1] * flows.watch.shape[2]))
+
+
+@part
+def put_systems(space: Workspace, each: Each) -> None:
+    """Keep the system of each driveline, whose arrays `each` are to outlive the workspace."""
+    for k in range(space.systems.shape[0]):
+        put(space.system, each, k, space.systems)
 
 
 @part

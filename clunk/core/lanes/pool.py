@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.jit import allocating_part, part
+from clunk.core.jit import part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, WIDTH
 
@@ -27,7 +27,6 @@ class Pool(NamedTuple):
     places: IntArray  # (W,)  where the numbers of each begin in their array
 
 
-@allocating_part
 def make_pool(queues: int, items: int, numbers: int) -> Pool:
     """Empty queues, each with room for `items`, whose arrays have up to `numbers` columns."""
     return Pool(
@@ -39,17 +38,15 @@ def make_pool(queues: int, items: int, numbers: int) -> Pool:
     )
 
 
-@part
 def whole(count: int) -> int:
     """`count`, filled up to a multiple of what `gather` takes at a time."""
     return -(-count // ROW) * ROW
 
 
-@allocating_part
 def aligned(count: int, columns: int) -> FloatArray:
     """Zeros that begin where a register's worth of memory does."""
     flat = np.zeros(count * columns + ROW)
-    first = -(flat.ctypes.data >> 3) & (ROW - 1)
+    first = -(flat.ctypes.data >> 3) % ROW
     return flat[first : first + count * columns].reshape(count, columns)
 
 

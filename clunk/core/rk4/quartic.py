@@ -8,18 +8,18 @@ step's length. Finding an event is finding a zero of p, without integrating anyt
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.jit import part, unowned
+from clunk.core.jit import part
 
 FloatArray = npt.NDArray[np.float64]
 
 
-@unowned
+@part
 def evaluate(c0: float, c1: float, c2: float, c3: float, c4: float, s: float) -> float:
     """p(s) by Horner's rule."""
     return c0 + s * (c1 + s * (c2 + s * (c3 + s * c4)))
 
 
-@unowned
+@part
 def bisect(c0: float, c1: float, c2: float, c3: float, c4: float, low: float, high: float) -> float:
     """Bisect a sign change of p between `low` and `high` down to neighbouring floating-point numbers.
 
@@ -39,7 +39,7 @@ def bisect(c0: float, c1: float, c2: float, c3: float, c4: float, low: float, hi
     return low
 
 
-@unowned
+@part
 def stationary_points(c1: float, c2: float, c3: float, c4: float, length: float) -> tuple[int, float, float, float]:
     """The points of (0, length) at which p' changes sign, in order.
 
@@ -97,7 +97,7 @@ def _quadratic_roots(a0: float, a1: float, a2: float, length: float) -> tuple[fl
     return min(first, second), max(first, second)
 
 
-@unowned
+@part
 def first_negative(c0: float, c1: float, c2: float, c3: float, c4: float, length: float) -> float:
     """The first s of [0, length] from which on p is negative, or -1 where there is none."""
     if c0 < 0.0:
@@ -116,7 +116,7 @@ def first_negative(c0: float, c1: float, c2: float, c3: float, c4: float, length
     return -1.0
 
 
-@unowned
+@part
 def extremes(c0: float, c1: float, c2: float, c3: float, c4: float, length: float) -> tuple[float, float]:
     """The largest and the smallest value of p on [0, length], both ends included."""
     end = evaluate(c0, c1, c2, c3, c4, length)

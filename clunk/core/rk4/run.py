@@ -13,17 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.events import INSTANT, LOAD_STEP
-from clunk.core.jit import allocating_part, inlined_part, part
-from clunk.core.references import refer
-from clunk.core.regimes import (
-    System,
-    elements_of,
-    frictions_of,
-    inputs_of,
-    lashes_of,
-    take_rolling,
-    turn_back,
-)
+from clunk.core.jit import inlined_part, part
+from clunk.core.regimes import System, elements_of, frictions_of, lashes_of, take_rolling, turn_back
 from clunk.core.rk4 import quartic
 from clunk.core.rk4.propagator import BEND, BLOCK, Steps
 from clunk.core.rk4.settling import settled
@@ -67,8 +58,12 @@ class _Grid(NamedTuple):
     last: int  # steps, that one included
 
 
-class _Full(NamedTuple):
-    """What full steps are taken by, in the flow of a phase."""
+class Room(NamedTuple):
+    """Room for a run: for its phases, and for what full steps are taken by in the flow of a phase."""
+
+    phase: Phase
+    inputs: FloatArray  # (I,)  d of the run
+    fastest: FloatArray  # (L,)  rad/s, of the touches of each lash so far
 
     affine: FloatArray  # what the inputs add to a step
     block_affine: FloatArray  # and to a block of them
@@ -82,8 +77,8 @@ def _unknown(value: int) -> int:
     return int(np.int64(value))
 
 
-@allocating_part
-def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[np.uint8]) -> Outcome:
+@part
+def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: npt.NDArray[np.uint8]) -> Outcome:
     """Run from the load step to the end time, or until it is proved that nothing can follow.
 
     Parameters
@@ -92,15 +87,21 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
         Its state is overwritten by the one at the end, less what the driveline rolled by.
     log : Log
         Output.
+    room : Room
+        Scratch.
     stop : (1,) uint8
         Set to non-zero from another thread to abandon the run.
     """
-    system, steps = refer(system), refer(steps)
-    x, phase, full, load = start.x, make_phase(system), _make_full(steps), start.loads[start.load]
-    inputs, fastest = np.ones(inputs_of(system)), np.zeros(lashes_of(system))
+    x, phase, load = start.x, room.phase, start.loads[start.load]
+    inputs, fastest = room.inputs, room.fastest
+    for k in range(inputs.size):
+        inputs[k] = 1.0
+    for lash in range(lashes_of(system)):
+        fastest[lash], log.margins[lash] = 0.0, np.nan
+    for k in range(room.z.size):
+        room.z[k] = 0.0  # a run before may have left what is not a number where nothing is written
     set_gaps(system, start.before, inputs)
     stick_all(system, x, inputs)
-    log.margins[:] = np.nan
     entry = Entry(_unknown(1), start.regime, _unknown(-1), _unknown(0))
     record(log, 0, 0.0, 0.0, LOAD_STEP, entry.regime, -1, system.contacts[entry.regime, 0].side, x)
     rolled, written = turn_back(system, x), entry.written
@@ -112,8 +113,8 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
         roll_states(system, rolled, log, written, entry.written)
         flow, zero_guard = system.regimes[entry.regime].flow, entry.zero_guard
         enter(phase, system, entry.regime, inputs)
-        _combine(steps.transfer_input[flow], phase.inputs, full.affine)
-        _combine(steps.block_input[flow], phase.inputs, full.block_affine)
+        _combine(steps.transfer_input[flow], phase.inputs, room.affine)
+        _combine(steps.block_input[flow], phase.inputs, room.block_affine)
         extremes = log.extremes[entry.written - 1]
         while True:
             length, spanned = _next_length(grid, index, offset)
@@ -129,19 +130,20 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
             index, offset, zero_guard = index + spanned, 0.0, -1
 
             # full steps as long as nothing can happen in them
-            _load(steps, flow, phase, x, full)
+            _load(steps, flow, phase, x, room)
             clear, over = True, False
             while clear and not over and index < grid.full:
                 budget = min(_BETWEEN_LOOKS, grid.full - index)
-                taken = _coast(system, steps, entry.regime, phase, full, budget, extremes)
-                rolled += take_rolling(system, full.z)
+                taken = _coast(system, steps, entry.regime, phase, room, budget, extremes)
+                rolled += take_rolling(system, room.z)
                 index += taken
                 clear = taken == budget
                 if stop[0] != 0:
                     return Outcome(INTERRUPTED, entry.written, 0, begin + index * grid.step)
                 if clear and (taken == _BETWEEN_LOOKS or index == grid.full) and piece + 1 == load.shape[0]:
-                    over = settled(system, steps, entry.regime, start.regime, phase, full.z, log, entry.written)
-            x[:] = full.z[: x.size]
+                    over = settled(system, steps, entry.regime, start.regime, phase, room.z, log, entry.written)
+            for k in range(x.size):
+                x[k] = room.z[k]
             if over:
                 return Outcome(_OK, entry.written, QUALITY_COMPLETE, begin + index * grid.step)
             if index >= grid.last:
@@ -162,7 +164,8 @@ def run(system: System, steps: Steps, start: Start, log: Log, stop: npt.NDArray[
         if not room_for_a_switch(system, inputs, log, written):
             return Outcome(_EVENT_BUFFER_FULL, written, 0, time)
         if elements_of(system) > 1 and time - log.events[written - 1].time < INSTANT:
-            extremes[:, 0], extremes[:, 1] = -np.inf, np.inf
+            for lash in range(lashes_of(system)):
+                extremes[lash, 0], extremes[lash, 1] = -np.inf, np.inf
         entry = switch(system, entry.regime, guard, time, x, inputs, log, written, fastest)
         stages += entry.written == written
         if stages > MOST_STAGES:
@@ -199,10 +202,18 @@ def _next_length(grid: _Grid, index: int, offset: float) -> tuple[float, int]:
     return length, 1
 
 
-@allocating_part
-def _make_full(steps: Steps) -> _Full:
-    affine, block_affine = np.empty(steps.transfer.shape[2]), np.empty(steps.block.shape[2])
-    return _Full(affine, block_affine, np.zeros(affine.size), np.zeros(block_affine.size))
+def make_room(system: System, steps: Steps, capacity: int) -> Room:
+    """Room for runs of up to `capacity` events."""
+    width, of_block, driven = steps.transfer.shape[2], steps.block.shape[2], system.weights.shape[1]
+    return Room(
+        phase=make_phase(system, capacity),
+        inputs=np.ones(driven),
+        fastest=np.zeros(len(system.lashes)),
+        affine=np.empty(width),
+        block_affine=np.empty(of_block),
+        z=np.zeros(width),
+        after=np.zeros(of_block),
+    )
 
 
 @part
@@ -216,9 +227,9 @@ def _combine(weights: FloatArray, inputs: FloatArray, out: FloatArray) -> None:
 
 
 @part
-def _load(steps: Steps, flow: int, phase: Phase, x: FloatArray, full: _Full) -> None:
+def _load(steps: Steps, flow: int, phase: Phase, x: FloatArray, room: Room) -> None:
     """Put a state and its outputs where `_coast` steps them."""
-    columns, z = steps.transfer.shape[1], full.z
+    columns, z = steps.transfer.shape[1], room.z
     for k in range(x.size):
         z[k] = x[k]
     for r in range(steps.observe.shape[2]):
@@ -253,7 +264,7 @@ def _advance(transfer: FloatArray, affine: FloatArray, z: FloatArray, out: Float
 
 @part
 def _coast(
-    system: System, steps: Steps, regime: int, phase: Phase, full: _Full, budget: int, extremes: FloatArray
+    system: System, steps: Steps, regime: int, phase: Phase, room: Room, budget: int, extremes: FloatArray
 ) -> int:
     """Take up to `budget` full steps, and return how many: it stops before one in which a guard might turn negative.
 
@@ -264,13 +275,13 @@ def _coast(
         Of each lash's acceleration, updated.
     """
     row = system.regimes[regime]
-    transfer, block, z, after = steps.transfer[row.flow], steps.block[row.flow], full.z, full.after
+    transfer, block, z, after = steps.transfer[row.flow], steps.block[row.flow], room.z, room.after
     columns, outputs, lashes = transfer.shape[0], steps.observe.shape[2], lashes_of(system)
     width, taken = columns + outputs, 0
     while taken < budget:
         singly = 1
         if taken + BLOCK <= budget:
-            _advance(block, full.block_affine, z, after)
+            _advance(block, room.block_affine, z, after)
             if _clears(phase, row.guards, columns, outputs, z, after, BLOCK):
                 for lash in range(lashes):
                     at = columns + 4 * (lash * system.functionals_per_lash + ACCELERATION)
@@ -284,7 +295,7 @@ def _coast(
                 continue
             singly = BLOCK
         for _ in range(singly):
-            _advance(transfer, full.affine, z, after)
+            _advance(transfer, room.affine, z, after)
             if not _clears(phase, row.guards, columns, outputs, z, after, 1):
                 return taken
             for lash in range(lashes):

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.jit import allocating_part
+from clunk.core.jit import part
 from clunk.core.regimes import System, lashes_of
 from clunk.core.rk4.propagator import Steps
 from clunk.core.rk4.step import Phase
@@ -16,7 +16,7 @@ from clunk.core.tables import ACCELERATION
 FloatArray = npt.NDArray[np.float64]
 
 
-@allocating_part
+@part
 def settled(
     system: System,
     steps: Steps,
@@ -34,7 +34,8 @@ def settled(
     flow = system.regimes[regime].flow
     if steps.provable[flow] == 0:
         return False
-    reach = _reach(steps, flow, phase, x)
+    reach, primaries = phase.reach, phase.primaries
+    _reach(steps, flow, phase, x, reach)
     for guard in range(system.regimes[regime].guards):
         functional = system.guards[regime, guard].functional
         at_rest = phase.sign[guard] * weigh(steps.rest_functional[flow, functional], phase.inputs, phase.inputs.size)
@@ -42,7 +43,6 @@ def settled(
             return False
     if system.impulsive != 0:  # nothing is asked of the acceleration
         return True
-    primaries = np.empty(log.events.size, np.int64)
     for lash in range(lashes_of(system)):
         side = system.contacts[first_regime, lash].side
         impacts = find_primaries(log.events, count, lash, side, system.sticking_time[lash], primaries)
@@ -56,11 +56,12 @@ def settled(
     return True
 
 
-@allocating_part
-def _reach(steps: Steps, flow: int, phase: Phase, x: FloatArray) -> FloatArray:
-    """How far each functional can get from its rest value from now on: its modes' amplitudes, summed."""
+@part
+def _reach(steps: Steps, flow: int, phase: Phase, x: FloatArray, reach: FloatArray) -> None:
+    """How far each functional can get from its rest value from now on, into `reach`: its modes' amplitudes, summed."""
     size, watched = steps.mode_reach.shape[2], steps.mode_reach.shape[1]
-    reach = np.zeros(watched)
+    for functional in range(watched):
+        reach[functional] = 0.0
     for mode in range(size):
         widest = 0.0
         for functional in range(watched):
@@ -77,4 +78,3 @@ def _reach(steps: Steps, flow: int, phase: Phase, x: FloatArray) -> FloatArray:
         amplitude = np.sqrt(real * real + imaginary * imaginary)
         for functional in range(watched):
             reach[functional] += amplitude * steps.mode_reach[flow, functional, mode]
-    return reach

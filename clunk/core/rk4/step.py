@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.events import INSTANT
-from clunk.core.jit import allocating_part, part
+from clunk.core.jit import part
 from clunk.core.regimes import ROUNDING, System, elements_of, inputs_of, lashes_of
 from clunk.core.rk4 import quartic
 from clunk.core.switching import set_weighed, weigh
@@ -26,11 +26,13 @@ class Phase(NamedTuple):
     sign: FloatArray  # (G,)
     shift: FloatArray  # (G,)
     taylor: FloatArray  # (5, N)  x(s) = sum of taylor[k] s^k
+    # scratch of `settling`
+    reach: FloatArray  # (F,)
+    primaries: npt.NDArray[np.int64]  # (capacity,)
 
 
-@allocating_part
-def make_phase(system: System) -> Phase:
-    """Room for the phases of a run."""
+def make_phase(system: System, capacity: int) -> Phase:
+    """Room for the phases of a run of up to `capacity` events."""
     most = system.guards.shape[1]
     driven = system.weights.shape[1]
     return Phase(
@@ -39,6 +41,8 @@ def make_phase(system: System) -> Phase:
         np.empty(most),
         np.empty(most),
         np.empty((5, system.lashes.shape[1])),
+        np.empty(system.functionals.shape[1]),
+        np.empty(capacity, np.int64),
     )
 
 
