@@ -258,7 +258,8 @@ def notes_of(layers: Layers, names: Sequence[str] = (), *, counted: bool = True)
         notes.append(swatch(text, UNDEFINED))
     if layers.points:
         total, agreeing = len(layers.points), sum(point.agrees for point in layers.points)
-        for agree, text in ((True, f"measured, agrees: {agreeing} of {total}"), (False, "measured, differs")):
+        agrees = f"measured, agrees: {agreeing} of {total}" if counted else "measured, agrees"
+        for agree, text in ((True, agrees), (False, "measured, differs")):
             notes.append(Line2D([], [], linestyle="none", label=text, **POINT_LOOKS[agree]))
     if layers.doubts_text:
         notes.append(Line2D([], [], **_DOUBT, markersize=3.0, label=layers.doubts_text))

@@ -1,11 +1,10 @@
-"""Thresholds as curves: over one other axis with the outcomes between them, over two as families of curves.
+"""Thresholds as curves: over one other axis with the outcomes between them, over two in panels.
 
 Under tolerances they are quantiles, as curves over one other axis, or probabilities along the key without one.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
@@ -24,20 +23,19 @@ from scipy.optimize import linear_sum_assignment
 from clunk.analysis.quantiles import QUANTILE, probabilities
 from clunk.analysis.thresholds import DRAW, Thresholds, word_text
 from clunk.plot import style
+from clunk.plot.maps import grid_of
 from clunk.plot.plane import cell_edges, scale_axis, value_text
 from clunk.results.labels import FAILED_CODE
 from clunk.study.arrays import Floats, Positions
 from clunk.study.axes import ResultAxis
 
 _MOST_PANELS = 6
-_MOST_CURVES = 8  # of a family
 _LEAST = 0.002  # mean probability along the key of an outcome that is outlined and named
 _NARROWEST = 0.002  # of the axis, a band that is seen
-_PANEL = (3.4, 2.9)  # inches
 
 
 def curve_axes(axes: Sequence[ResultAxis], *, toleranced: bool = False) -> tuple[ResultAxis, ...]:
-    """The axes with several values, x first, then that of a family.
+    """The axes with several values, x first, then that of the panels.
 
     Raises PlotError where there are not one or two; of toleranced thresholds, where there are more than one.
     """
@@ -51,14 +49,35 @@ def curve_axes(axes: Sequence[ResultAxis], *, toleranced: bool = False) -> tuple
 
 @style.styled()
 def threshold_figure(thresholds: Thresholds) -> Figure:
-    """The thresholds as curves over the other axis; of two, over the longer one, a curve for values of the other.
+    """The outcomes as coloured bands over the other axis, exact upwards, and the thresholds as curves between them.
+
+    Of two other axes the longer is x, and values of the other have a panel each.
 
     Raises PlotError where there is no other axis with several values, or more than two.
     """
     axes = curve_axes(thresholds.axes)
-    cells, ascending = _arranged(thresholds, axes)
-    draw = _draw_map if len(axes) == 1 else _draw_family
-    return draw(thresholds, cells, ascending, _heading("thresholds of", thresholds))
+    cells, (x, *others) = _arranged(thresholds, axes)
+    count = len(others[0].values) if others else 1
+    chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_PANELS)).round().astype(int))
+    rows, columns, size = grid_of([chosen.size])
+    figure = style.new_figure(size if others else style.SIZE)
+    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    for ax in panels[chosen.size :]:
+        ax.remove()
+    fills = _outcome_fills(thresholds)
+    seen: set[int] = set()
+    line = _heading("thresholds of", thresholds)
+    for k, (ax, at) in enumerate(zip(panels, chosen, strict=False)):
+        column = cells[:, at] if others else cells
+        name = "".join(f"\n{value_text(other, other.values[at], symbol=True)}" for other in others)
+        style.set_titles(figure, ax, thresholds.study.title, f"{line if k == 0 else ''}{name}")
+        seen |= _fill_bands(ax, thresholds, x, column, fills)
+        _draw_curves(ax, [points for _, points in _segments(thresholds, x.values, column)], style.INK)
+        _scale_plane(ax, x, thresholds.along)
+        ax.label_outer()
+    notes = [style.swatch(_outcome_name(thresholds, code), fills[code]["facecolor"]) for code in sorted(seen)]
+    style.freeze_layout(figure, panels[0], notes)
+    return figure
 
 
 def _arranged(thresholds: Thresholds, axes: Sequence[ResultAxis]) -> tuple[Positions, list[ResultAxis]]:
@@ -113,23 +132,6 @@ def _by_change(thresholds: Thresholds, part: slice) -> dict[tuple[int, int], Flo
     return {change: values[[each == change for each in changes]] for change in dict.fromkeys(changes)}
 
 
-def _draw_map(thresholds: Thresholds, cells: Positions, axes: Sequence[ResultAxis], line: str) -> Figure:
-    """Draw the outcomes as coloured bands over the other axis, exact upwards, and the thresholds between them."""
-    (x,) = axes
-    figure = style.new_figure()
-    ax = figure.subplots()
-    style.set_titles(figure, ax, thresholds.study.title, line)
-    fills = _outcome_fills(thresholds)
-    seen = _fill_bands(ax, thresholds, x, cells, fills)
-    _draw_curves(ax, [points for _, points in _segments(thresholds, x.values, cells)], style.INK)
-    _scale_plane(ax, x, thresholds.along)
-    notes: list[Artist] = [
-        style.swatch(_outcome_name(thresholds, code), fills[code]["facecolor"]) for code in sorted(seen)
-    ]
-    style.freeze_layout(figure, ax, notes)
-    return figure
-
-
 def _fill_bands(
     ax: Axes, thresholds: Thresholds, x: ResultAxis, cells: Positions, fills: Mapping[int, Mapping[str, Any]]
 ) -> set[int]:
@@ -159,41 +161,6 @@ def _scale_plane(ax: Axes, x: ResultAxis, along: ResultAxis) -> None:
     scale_axis(ax, "x", x)
     scale_axis(ax, "y", along)
     ax.set(xlim=(x.values[0], x.values[-1]), ylim=(along.values[0], along.values[-1]))
-
-
-def _draw_family(thresholds: Thresholds, cells: Positions, axes: Sequence[ResultAxis], line: str) -> Figure:
-    """Draw a panel for each change of outcome, the most frequent first, with a curve for values of the second axis."""
-    x, other = axes
-    pairs = np.sort(np.stack([thresholds.below, thresholds.above], axis=1), axis=1)
-    changes, counts = np.unique(pairs, axis=0, return_counts=True)
-    frequent = [tuple(change) for change in changes[np.argsort(-counts, kind="stable")].tolist()]
-    drawn = frequent[:_MOST_PANELS] or [(int(thresholds.lowest[0]),) * 2]
-    columns = min(3, len(drawn)) if len(drawn) != 4 else 2
-    rows = math.ceil(len(drawn) / columns)
-    size = style.SIZE if len(drawn) == 1 else (columns * _PANEL[0], rows * _PANEL[1] + 0.9)
-    figure = style.new_figure(size)
-    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
-    for ax in panels[len(drawn) :]:
-        ax.remove()
-    chosen = np.unique(np.linspace(0, len(other.values) - 1, _MOST_CURVES).round().astype(int))
-    shades = [colors.to_hex(mpl.colormaps["viridis"](share)) for share in np.linspace(0.0, 0.85, len(chosen))]
-    for k, (ax, change) in enumerate(zip(panels, drawn, strict=False)):
-        names = " and ".join(_outcome_name(thresholds, code) for code in change)
-        style.set_titles(figure, ax, thresholds.study.title, f"{line}\nbetween {names}" if k == 0 else f"\n{names}")
-        for at, colour in zip(chosen, shades, strict=True):
-            pieces = _segments(thresholds, x.values, cells[:, at])
-            _draw_curves(ax, [points for codes, points in pieces if tuple(sorted(codes)) == change], colour)
-        _scale_plane(ax, x, thresholds.along)
-        ax.label_outer()
-        style.tidy(ax)
-    notes: list[Artist] = [
-        Line2D([], [], color=colour, linewidth=1.6, label=value_text(other, other.values[at], symbol=True))
-        for at, colour in zip(chosen, shades, strict=True)
-    ]
-    if len(frequent) > len(drawn):
-        notes.append(style.remark(f"and {len(frequent) - len(drawn)} more changes"))
-    style.freeze_layout(figure, panels[0], notes)
-    return figure
 
 
 def _draw_curves(ax: Axes, pieces: Sequence[Floats], colour: str, **look: Any) -> None:
