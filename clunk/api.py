@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.analysis import fitting
-from clunk.analysis.boundaries import require_boundaries, with_boundaries
+from clunk.analysis.boundaries import RUNS_OF_BOUNDARIES, require_boundaries, with_boundaries
 from clunk.analysis.fitmaps import fit_maps
 from clunk.analysis.fitted import Fitted
 from clunk.analysis.measurements import read_experiment
@@ -30,7 +29,7 @@ from clunk.study.lashes import lash_position
 from clunk.study.problems import ConfigError
 from clunk.study.study import Study
 from clunk.sweeping import sweep as sweeping
-from clunk.sweeping.progress import Progress, reporting
+from clunk.sweeping.progress import Progress, reporting, shown
 from clunk.sweeping.reduction import SweepError
 from clunk.sweeping.runner import Runner
 
@@ -111,8 +110,13 @@ def sweep(
         require_boundaries(study)
         lash_position(lash, study.lash_names)
     engine = sweeping.engine_of(scheduler, workers)
-    finish = partial(with_boundaries, study, lash=lash, workers=workers) if boundaries else None
-    results = _run(study, output, progress, engine, finish=finish, restart=restart, force=force)
+
+    def trace(results: AnyMap) -> AnyMap:
+        with shown(0, RUNS_OF_BOUNDARIES) if progress is True else nullcontext() as report:
+            return with_boundaries(study, results, lash=lash, workers=workers, progress=report)
+
+    addition = trace if boundaries else None
+    results = _run(study, output, progress, engine, addition=addition, restart=restart, force=force)
     assert isinstance(results, Results)
     return results
 
@@ -329,16 +333,18 @@ def _run(
     progress: bool | Progress,
     engine: AbstractContextManager[Executor],
     *,
-    finish: sweeping.Finish | None = None,
+    addition: Callable[[AnyMap], AnyMap] | None = None,
     restart: bool,
     force: bool,
 ) -> AnyMap:
-    """The map of a study's sweep, or the one that its file already has; finish : adds to it."""
+    """The map of a study's sweep, or the one that its file already has; addition : adds to it when it is finished."""
     path = None if output is None else Path(output)
     if path is not None:
         targets.check(path, targets.RESULTS)
     with sweeping.opened(path, study, restart=restart, force=force) as job:
         if job.counts is not None:
-            return job.finished(finish)
-        with engine as executor, reporting(progress, sweeping.cell_count(study), study) as report:
-            return job.run(executor, progress=report, finish=finish)
+            result = job.finished()
+        else:
+            with engine as executor, reporting(progress, sweeping.cell_count(study), study) as report:
+                result = job.run(executor, progress=report)
+        return result if addition is None else job.add(result, addition)

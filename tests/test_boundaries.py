@@ -261,7 +261,7 @@ def test_geojson_has_closed_rings_in_the_right_sense(coarse):
     assert counts == {
         "Polygon": len(coarse.regions),
         "LineString": len(coarse.curves),
-        "Point": len(coarse.meetings),
+        "Point": len(coarse.meetings) + len(coarse.unresolved),
     }
     for feature in features:
         for k, ring in enumerate(
@@ -342,6 +342,28 @@ def test_the_command_adds_boundaries_to_a_file_tells_of_them_and_exports_them(co
     rows = list(csv.DictReader((tmp_path / "b.csv").read_text("utf-8").splitlines()))
     assert [[float(row[each.parameter]) for each in traced.axes] for row in rows] == traced.vertices.tolist()
     assert "must end in .csv, .geojson" in command("export", "r.h5", "b.mat", "--boundaries")[2]
+
+
+def test_a_map_is_kept_whole_where_its_tracing_is_interrupted(command, tmp_path, monkeypatch):
+    axes = axis("load.ratio", 2.0, 6.0, 9), axis("lash.backlash_deg", 2.0, 6.0, 9)
+    (tmp_path / "c.toml").write_text(NOMINAL + "".join(axes), encoding="utf-8")
+    sweep = ("sweep", "c.toml", "--set", EXACT, "-o", "r.h5", "--boundaries")
+
+    def interrupt(*_arguments):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr("clunk.analysis.tracing.Lines.trace", interrupt)
+        code, out, err = command(*sweep)
+    assert code == 130
+    assert "the map is complete in r.h5, without its boundaries" in err
+    assert "DS(1)SS(1)" in out
+    assert clunk.read_results("r.h5").boundaries is None
+    assert not [*tmp_path.glob("*.partial")]
+    code, _, err = command(*sweep)
+    assert code == 0
+    assert "already complete" in err
+    assert clunk.read_results("r.h5").boundaries.region_area.sum() == pytest.approx(1.0)
 
 
 def test_boundaries_are_traced_again_where_failed_cells_are_run_again(command, tmp_path):

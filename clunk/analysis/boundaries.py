@@ -30,7 +30,10 @@ from clunk.study.errors import ClunkError
 from clunk.study.lashes import lash_position
 from clunk.study.parameters import located
 from clunk.study.study import Study
+from clunk.sweeping.progress import Progress
 from clunk.sweeping.sweep import engine_of
+
+RUNS_OF_BOUNDARIES = "runs along the boundaries"  # of which progress tells
 
 
 class BoundaryError(ClunkError):
@@ -60,7 +63,14 @@ def require_boundaries(study: Study) -> None:
             raise BoundaryError(f"{axis.parameter} is a whole number, between whose values nothing lies.")
 
 
-def boundaries(study: Study, results: Results, *, lash: str | None = None, workers: int | None = None) -> Boundaries:
+def boundaries(
+    study: Study,
+    results: Results,
+    *,
+    lash: str | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Boundaries:
     """Trace the boundaries of a study's regime map.
 
     Parameters
@@ -72,6 +82,8 @@ def boundaries(study: Study, results: Results, *, lash: str | None = None, worke
         Of several lashes, the one whose labels are meant, by name or number; by default the first.
     workers : int, optional
         Threads; by default one for each core that this process may use.
+    progress : callable(done, 0), optional
+        Called in this thread with the number of points that have been run.
 
     Raises
     ------
@@ -82,15 +94,22 @@ def boundaries(study: Study, results: Results, *, lash: str | None = None, worke
     """
     require_boundaries(study)
     position, part = lash_position(lash, results.lash_names), results.of_lash(lash)
-    traced = (_of_axis if len(part.axes) == 1 else _of_plane)(study, part, position, workers)
+    traced = (_of_axis if len(part.axes) == 1 else _of_plane)(study, part, position, workers, progress)
     return replace(traced, lash=results.lashes[position]) if results.lashes else traced
 
 
-def with_boundaries(study: Study, results: AnyMap, *, lash: str | None = None, workers: int | None = None) -> AnyMap:
+def with_boundaries(
+    study: Study,
+    results: AnyMap,
+    *,
+    lash: str | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> AnyMap:
     """A regime map with its boundaries, traced where it has none of this lash yet. Raises as `boundaries`."""
     if not isinstance(results, Results) or results.of_lash(lash).boundaries is not None:
         return results
-    return replace(results, boundaries=boundaries(study, results, lash=lash, workers=workers))
+    return replace(results, boundaries=boundaries(study, results, lash=lash, workers=workers, progress=progress))
 
 
 class _Scale:
@@ -114,7 +133,7 @@ class _Scale:
         return values
 
 
-def _of_plane(study: Study, results: Results, lash: int, workers: int | None) -> Boundaries:
+def _of_plane(study: Study, results: Results, lash: int, workers: int | None, progress: Progress | None) -> Boundaries:
     scales = [_Scale(axis) for axis in results.axes]
     ascending = np.ix_(*(scale.order for scale in scales))
 
@@ -134,7 +153,7 @@ def _of_plane(study: Study, results: Results, lash: int, workers: int | None) ->
         nodes["outcome"], nodes["measure"] = results.sequence[ascending], results.margin[ascending]
         nodes["touches"] = results.touches[ascending]
         triangles = Triangles(across, upward, nodes)
-        lines = Lines(triangles, run)
+        lines = Lines(triangles, run, progress)
         paths = paths_of(*lines.trace(), lines.position)
         regions = regions_of(rings_of(paths, int(triangles.outcome[0])))
 
@@ -167,7 +186,15 @@ def _of_plane(study: Study, results: Results, lash: int, workers: int | None) ->
         region_rings=np.array([len(region) for region in regions], np.int32),
         region_label=codes_of(region[0].label for region in regions),
         region_area=np.array([sum(ring.area for ring in region) for region in regions]),
+        unresolved=values_at(_one_of_each_cell(lines.unresolved, across, upward)),
     )
+
+
+def _one_of_each_cell(places: Floats, across: Floats, upward: Floats) -> Floats:
+    """The first of the places (n, 2) within each cell of a map, in the order of the cells."""
+    cells = np.column_stack([np.searchsorted(across, places[:, 0]), np.searchsorted(upward, places[:, 1])])
+    _, first = np.unique(cells, axis=0, return_index=True)
+    return places[first]
 
 
 def _filled(labels: list[list[int]]) -> npt.NDArray[np.int16]:
@@ -176,10 +203,10 @@ def _filled(labels: list[list[int]]) -> npt.NDArray[np.int16]:
     return np.array([codes + [NO_LABEL] * (width - len(codes)) for codes in labels], np.int16).reshape(-1, width)
 
 
-def _of_axis(study: Study, results: Results, lash: int, workers: int | None) -> Boundaries:
+def _of_axis(study: Study, results: Results, lash: int, workers: int | None, progress: Progress | None) -> Boundaries:
     """The boundaries along one axis: single values, and intervals between them."""
     (axis,) = results.axes
-    scan = thresholds(study, along=axis.parameter, lash=str(lash + 1), workers=workers)
+    scan = thresholds(study, along=axis.parameter, lash=str(lash + 1), workers=workers, progress=progress or False)
     words = [word for word in scan.words if word not in results.labels]
     labels = (*results.labels, *map(str, words))
     number = np.array([*(labels.index(str(word)) for word in scan.words), -1], np.int16)
@@ -207,4 +234,5 @@ def _of_axis(study: Study, results: Results, lash: int, workers: int | None) -> 
         region_rings=np.ones(count + 1, np.int32),
         region_label=codes,
         region_area=np.diff(scale.shares(edges)),
+        unresolved=np.array([0.5 * (begin + end) for _, begin, end in scan.unresolved]).reshape(-1, 1),
     )

@@ -44,6 +44,7 @@ def narrow(
     span: float = 1.0,
     tolerance: float = TOLERANCE,
     most: int | None = None,
+    may_run: Callable[[], bool] = lambda: True,
 ) -> Generator[Any, Any, tuple[Points, Points]]:
     """Narrow brackets to a tolerance, as a share of the span; returns their lower and their upper ends, in no order.
 
@@ -51,6 +52,7 @@ def narrow(
     ends : (n, 4), at ascending values of one cell: the ends of a bracket, of different outcome, and before and behind
         these the next points that are known there, or once more the ends
     run : runs cells at values, (m,) each; what it yields is yielded
+    may_run : asked before each batch; once it says no, all brackets are returned as wide as they are
     """
     tolerance *= span
     stalls, narrowed = np.zeros(len(ends), np.int64), [ends[:0]]
@@ -59,7 +61,7 @@ def narrow(
     while True:
         inner = ends["value"][:, 1:3]
         width, middle = inner[:, 1] - inner[:, 0], inner.mean(axis=1)
-        wide = (width > tolerance) & (inner[:, 0] < middle) & (middle < inner[:, 1])
+        wide = (width > tolerance) & (inner[:, 0] < middle) & (middle < inner[:, 1]) & may_run()
         rest = np.flatnonzero(wide)  # `take` and `put` do with records in a tenth of the time what indexing does
         finished += np.bincount(origin[~wide], minlength=begun)
         crowded = finished + np.bincount(origin[rest], minlength=begun) > (most or np.inf)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from clunk.analysis.pointruns import RUN, RUN_FIELDS, Runs
 from clunk.analysis.searches import Search
 from clunk.study.arrays import Codes, Floats
 
+_MOST = 8  # crossings on a line that are told apart
 _ONCE_MORE = [0, 0, 1, 1]
 
 
@@ -28,8 +30,12 @@ class Crossings(NamedTuple):
         return places
 
 
-def located(places: Floats, runs: Runs, tolerance: float = TOLERANCE) -> Search[Crossings]:
+def located(
+    places: Floats, runs: Runs, tolerance: float = TOLERANCE, *, may_run: Callable[[], bool]
+) -> Search[Crossings]:
     """Locate crossings on straight lines between points of different labels, by default to 1e-9 of each axis.
+
+    Where there are more than `_MOST` on a line, or `may_run` says no, their brackets stay wide.
 
     places, runs : (n, 2, 2) points and (n, 2) their runs; or (n, 4, 2) and (n, 4), with further points on these lines
         before and behind them, or once more the ends
@@ -46,7 +52,9 @@ def located(places: Floats, runs: Runs, tolerance: float = TOLERANCE) -> Search[
     distances = ((places - begin[:, None]) * steps[:, None]).sum(axis=2)
     distances[:, 2] = lengths[:, 0]
     lines = np.broadcast_to(np.arange(len(runs))[:, None], runs.shape)
-    low, high = yield from narrow(_points(lines, distances, runs), run_at, tolerance=tolerance)
+    low, high = yield from narrow(
+        _points(lines, distances, runs), run_at, tolerance=tolerance, most=_MOST, may_run=may_run
+    )
     order = np.lexsort((low["value"], low["cell"]))
     ends = np.stack([low, high], axis=1).take(order, axis=0)
     lines, narrowed = ends["cell"][:, 0], np.zeros(ends.shape, RUN)

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from clunk.analysis.brackets import TOLERANCE
 from clunk.analysis.crossings import located
 from clunk.analysis.searches import Search
-from clunk.study.arrays import Codes, Floats
+from clunk.study.arrays import Bools, Codes, Floats
 
 _NEARER = np.append(
     1 / np.array([64, 16, 8, 4, 2]), 1.0 - 0.5 ** np.array([2, 4, 8, 14, 20, 26])
 )  # of a way to a corner
 _SHARP = 1e-13, 1e-7  # of the map and of a triangle, crossings from which a triple point follows
 _SETTLED = 1e-10  # of the map, by which a triple point moves at last
+CLOSE = 1e-6  # of the map, within which a triple point is known from its crossings, or by how little it moves
 _NEEDLE = 5e-8  # of the map, a triangle so narrow that its crossings tell where lines meet, and no directions
 _RADII = 1e-7, 1e-8  # of the map, of circles around a junction: the smaller they are, the straighter lines leave them
 _SHARPER = 2e-4  # of a circle's radius, crossings on it
@@ -23,8 +26,10 @@ _PARALLEL = 1e-12  # determinant of the equations of lines that have no point in
 _MOST_STEPS = 12  # towards a triple point, 5 as a rule
 
 
-def triple_points(corners: Floats, labels: Codes, crossings: Floats) -> Search[Floats]:
-    """Points (n, 2) at which the three labels of triangles meet.
+def triple_points(
+    corners: Floats, labels: Codes, crossings: Floats, may_run: Callable[[], bool]
+) -> Search[tuple[Floats, Bools]]:
+    """Points (n, 2) at which the three labels of triangles meet, and which of them are known (n,).
 
     On the way from a guess to the corners are points of the same labels, and between these crossings. Lines through
     two crossings of each pair of labels, these and earlier ones, meet in the next guess; so often that the lines are
@@ -33,13 +38,17 @@ def triple_points(corners: Floats, labels: Codes, crossings: Floats) -> Search[F
     corners : (n, 3, 2)
     labels : (n, 3)
     crossings : (n, 3, 2), on the way from each corner to the next one
+    may_run : asked before each batch of runs
     """
     corners, crossings, every = corners.copy(), crossings.copy(), np.arange(len(corners))
     after = np.roll(crossings, -1, axis=1)
     apart = np.hypot(*np.moveaxis(after - crossings, 2, 0))
     guess: Floats = 0.5 * (crossings + after)[every, np.argmin(apart, axis=1)]  # in a needle they meet near its tip
     active = every[apart.min(axis=1) > _NEEDLE]
+    is_known = apart.min(axis=1) <= CLOSE
     for _ in range(_MOST_STEPS):
+        if not active.size or not may_run():
+            break
         # on the way to each corner, the nearest points from which on the label is the corner's
         ways = corners[active] - guess[active, None]
         places = guess[active, None, None] + ways[:, :, None] * _NEARER[:, None]
@@ -55,7 +64,7 @@ def triple_points(corners: Floats, labels: Codes, crossings: Floats) -> Search[F
         begin, end = nearer.reshape(-1, 2), np.roll(nearer, -1, axis=1).reshape(-1, 2)
         pairs = np.stack([corner_runs.ravel(), np.roll(corner_runs, -1, axis=1).ravel()], axis=1)
         sharp = max(_SHARP[0], _SHARP[1] * np.hypot(*(end - begin).T).max())
-        ways = yield from located(np.stack([begin, end], 1), pairs, sharp)
+        ways = yield from located(np.stack([begin, end], 1), pairs, sharp, may_run=may_run)
         _, first, counts = np.unique(ways.lines, return_index=True, return_counts=True)
         new, single = ways.places[first].reshape(-1, 3, 2), (counts == 1).reshape(-1, 3)
         along = new - crossings[active]
@@ -79,13 +88,23 @@ def triple_points(corners: Floats, labels: Codes, crossings: Floats) -> Search[F
         solution = np.clip(np.linalg.solve(matrix[solvable], right[solvable][..., None])[..., 0], 0.0, 1.0)
         moved = np.abs(solution - guess[active]).max(axis=1)
         guess[active] = solution
+        is_known[active] |= moved <= CLOSE
         active = active[moved > _SETTLED]
     for radius in _RADII:
-        guess = yield from _sharpened(guess, radius)
-    return guess
+        if may_run():
+            guess = yield from _sharpened(guess, radius, may_run)
+    return guess, is_known
 
 
-def _sharpened(points: Floats, radius: float) -> Search[Floats]:
+def have_around(points: Floats, labels: Codes) -> Search[Bools]:
+    """Whether close around points (n, 2) runs have all of the labels (n, k)."""
+    circles = points[:, None] + _RADII[-1] * _DIRECTIONS
+    runs = (yield np.clip(circles, 0.0, 1.0).reshape(-1, 2)).reshape(circles.shape[:2])
+    have: Bools = (runs["outcome"][:, None] == labels[..., None]).any(axis=2).all(axis=1)
+    return have
+
+
+def _sharpened(points: Floats, radius: float, may_run: Callable[[], bool]) -> Search[Floats]:
     """The points (n, 2), within the map where the lines meet that leave two circles around each of them.
 
     A junction of four labels is found in needles as narrow as crossings are sharp, whose directions say nothing.
@@ -98,7 +117,7 @@ def _sharpened(points: Floats, radius: float) -> Search[Floats]:
     after = np.where(at % size == size - 1, at + 1 - size, at + 1)
     begin, end = circles.reshape(-1, 2)[at], circles.reshape(-1, 2)[after]
     pairs = runs.ravel()[np.stack([at, after], 1)]
-    crossings = yield from located(np.stack([begin, end], 1), pairs, _SHARPER * radius)
+    crossings = yield from located(np.stack([begin, end], 1), pairs, _SHARPER * radius, may_run=may_run)
     circle, lines, places = at[crossings.lines] // size, crossings.runs["outcome"], crossings.places
     for k, point in enumerate(inside.tolist()):
         outer, inner = (np.flatnonzero(circle == number) for number in (2 * k, 2 * k + 1))

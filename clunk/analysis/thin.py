@@ -7,7 +7,7 @@ followed from triangle to triangle.
 
 from __future__ import annotations
 
-from itertools import count
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,7 @@ _NEXT = np.array([_BEFORE]), np.array([1.35]), np.array([_BEFORE, 1.02])  # the 
 _JUMP = 1000.0  # times as far from zero as expected beyond that place: a touch there is of no label's concern
 _STAYS = 0.8, 2.0  # times itself, a margin that comes to no zero: a boundary passes by
 _STEEPER = 2.0  # than between known values, as the margin may fall between them
+_MOST_ROUNDS = 64  # of points on an edge, 10 as a rule
 _ASTRAY = 0.02  # of an edge, by which a region that is followed may be off the straight line
 _OPPOSITE = {(1, 0): ((1, 1), (0, -1)), (0, 1): ((1, 1), (-1, 0)), (1, 1): ((1, 0), (0, 1))}  # corners, by edge
 
@@ -49,21 +50,24 @@ HIT = np.dtype(
 )
 
 
-def hidden(triangles: Triangles) -> Search[Hits]:
-    """Find points of another label on edges whose two ends have the same: HIT, one for each such edge."""
+def hidden(triangles: Triangles, may_run: Callable[[], bool]) -> Search[Hits]:
+    """Find points of another label on edges whose two ends have the same: HIT, one for each such edge.
+
+    may_run : asked before each batch of runs
+    """
     suspects, all_hits = _suspects(triangles), np.zeros(0, HIT)
     while True:
-        hits = yield from _hits(triangles, suspects)
+        hits = yield from _hits(triangles, suspects, may_run)
         known = keys_of(all_hits["first"], all_hits["second"])
         keys, at = np.unique(keys_of(hits["first"], hits["second"]), return_index=True)
         new = ~np.isin(keys, known)
-        if not new.any():
-            return all_hits
         all_hits = np.concatenate([all_hits, hits[at[new]]])
+        if not new.any() or not may_run():
+            return all_hits
         suspects = yield from _onward(triangles, hits[at[new]], np.append(known, keys[new]))
 
 
-def _hits(triangles: Triangles, suspects: Suspects) -> Search[Hits]:
+def _hits(triangles: Triangles, suspects: Suspects, may_run: Callable[[], bool]) -> Search[Hits]:
     """Look for points of another label on suspected edges; returns HIT.
 
     A region thinner than a cell begins where the margin falls to zero. Where it falls towards a node, so that it may be
@@ -74,8 +78,8 @@ def _hits(triangles: Triangles, suspects: Suspects) -> Search[Hits]:
     step, edges = triangles.positions[suspects["second"]] - begin, np.arange(suspects.size)
     suspects, pieces = suspects.copy(), [np.zeros(0, HIT)]
     thinnest = _THINNEST / np.hypot(*step.T)
-    for round_ in count():
-        if not edges.size:
+    for round_ in range(_MOST_ROUNDS):
+        if not edges.size or not may_run():
             break
         low, high, before, slope = (suspects[name] for name in ("low", "high", "before", "slope"))
         size, sign = np.abs(before["measure"]), np.sign(before["measure"])

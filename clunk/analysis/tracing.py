@@ -3,24 +3,37 @@
 The cells in which labels differ are cut into triangles. Where the ends of an edge differ, a crossing is located
 (`clunk.analysis.brackets`); a third label in between becomes a node, and a triangle of three labels has a triple point.
 Where a line is further from its chord than `CHORD`, further crossings are located within the triangle.
+
+It ends because an edge is cut only between crossings that are `RESOLUTION` apart, in `_MOST_ROUNDS` rounds at most, and
+only with the first half of the runs that there are (`most_runs`). With the second half the lines between the nodes are
+located, which takes a known number of rounds; without a run left they stay as they are known. The network is closed
+whatever is cut, as it follows from the labels of the nodes alone. Where a line is not located, its place is kept as
+unresolved.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from clunk.analysis.crossings import located
-from clunk.analysis.junctions import triple_points
-from clunk.analysis.pointruns import RUN
+from clunk.analysis.brackets import TOLERANCE
+from clunk.analysis.crossings import Crossings, located
+from clunk.analysis.junctions import CLOSE, have_around, triple_points
+from clunk.analysis.pointruns import RUN, Runs
 from clunk.analysis.searches import Run, Search, side_by_side
 from clunk.analysis.thin import hidden
 from clunk.analysis.triangles import Triangles, cross, ends_of, keys_of
-from clunk.study.arrays import Codes, Floats, Nodes, Records
+from clunk.study.arrays import Bools, Codes, Floats, Nodes, Records
+from clunk.sweeping.progress import Progress
 
 CHORD = 1e-4  # of the map, that a line may be off its chord
-_MOST_ROUNDS = 12  # of new nodes
+RESOLUTION = 1e-8  # of the map: crossings on an edge that are nearer to each other are not parted by a node
+_MOST_ROUNDS, _MOST_CUTS = 32, 32  # of tracing lines, and in each of cutting edges
+_NEAR, _INNER = 0.25, 0.05  # of an edge's length, how near to it a node is, and how far its foot is from its ends
+_RUNS_PER_CELL, _RUNS_OF_ANY_MAP = 20, 30_000
+_LOCATED = 4.0 * TOLERANCE  # of the map, the widest bracket of a single crossing
 
 # A segment of a line within a triangle. Beside it are its rails, on which no other segment ends.
 SEGMENT = np.dtype(
@@ -33,54 +46,145 @@ SEGMENT = np.dtype(
         ("far", "i8"),  # key of the edge that is the right rail of a triangle with two labels, else -1
     ]
 )
-_ASKED = np.dtype([("cell", "i8"), ("place", "f8", 2), ("run", RUN)])  # a node to add to an edge or segment
+# A node to add to an edge or a segment's far edge, whether that is long enough there, and the middle of the chord.
+_ASKED = np.dtype([("cell", "i8"), ("place", "f8", 2), ("run", RUN), ("is_long", "?"), ("chord", "f8", 2)])
 
 
-@dataclass
+def most_runs(cells: int) -> int:
+    """Number of runs with which the lines of a map are traced at most, but for one batch."""
+    return _RUNS_OF_ANY_MAP + _RUNS_PER_CELL * cells
+
+
 class Lines:
     """Lines of a map as they are traced; positions are on each axis from 0 to 1.
 
     triangles : Triangles
     run : runs points
-    crossings : (n,) keys of edges, ascending, and of each the two ends of its bracket (n, 2, 2), from the first node on
+    progress : called with the number of points that have been run, after each batch
+    runs : this number
+    keys, brackets : (n,) keys of edges, ascending, and of each the two ends of its bracket (n, 2, 2), from the first
+        node on
     triples : corners of a triangle -> its triple point
     inner : name of a segment -> points within it
     met, met_labels : (n, 2) triple points of the segments, and (n, 3) the labels that meet there, ascending
+    unresolved : (n, 2) places where lines are not located
     """
 
-    triangles: Triangles
-    run: Run
-    keys: Codes = field(default_factory=lambda: np.zeros(0, np.int64))
-    brackets: Floats = field(default_factory=lambda: np.zeros((0, 2, 2)))
-    triples: dict[tuple[int, ...], Floats] = field(default_factory=dict)
-    inner: dict[tuple[int, ...], Floats] = field(default_factory=dict)
-    met: Floats = field(default_factory=lambda: np.zeros((0, 2)))
-    met_labels: Codes = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+    def __init__(self, triangles: Triangles, run: Run, progress: Progress | None = None) -> None:
+        self.triangles, self.runs = triangles, 0
+        self._run, self._most_runs, self._rounds = run, most_runs(triangles.runs.size), 0
+        self._cuts, self._progress = 0, progress
+        self._checked = triangles.runs.size  # nodes that have been looked at, whether a region passes an edge near them
+        self.keys, self.brackets = np.zeros(0, np.int64), np.zeros((0, 2, 2))
+        self.triples: dict[tuple[int, ...], Floats] = {}
+        self.inner: dict[tuple[int, ...], Floats] = {}
+        self._off_chord: dict[tuple[int, ...], Floats] = {}  # name of a segment -> a place where it may be off
+        self._unknown: set[tuple[int, ...]] = set()  # corners of triangles whose triple point is not located
+        self.met, self.met_labels = np.zeros((0, 2)), np.zeros((0, 3), np.int64)
+        self.unresolved = np.zeros((0, 2))
 
     def trace(self) -> tuple[Codes, Codes, list[Floats]]:
         """Trace the lines; returns the ends, labels and inner points of their segments, see `paths_of`."""
-        hits, _ = side_by_side(self.run, hidden(self.triangles), self._locate())
+        hits, _ = self._search(hidden(self.triangles, self._may_cut), self._locate())
         if hits.size:
             numbers = self.triangles.runs.size + np.arange(hits.size)
             self.triangles.add(keys_of(hits["first"], hits["second"]), hits["place"], hits["run"])
             self.triangles.keep_before(numbers, hits["beside"], hits["of_beside"])
-        for _ in range(_MOST_ROUNDS):
-            side_by_side(self.run, self._locate())
+        while True:
+            self._search(self._locate())
             two, three = self._mixed()
             known = np.array([tuple(corners) in self.triples for corners in three.tolist()], bool)
             segments = np.concatenate([self._of_two(two), self._of_three(three[known])])
-            asked, _ = side_by_side(self.run, self._bend(segments), self._locate_triples(three[~known]))
-            if known.all() and not asked.size:
+            asked, _ = self._search(self._bend(segments), self._locate_triples(three[~known]))
+            cuts = np.zeros(0, np.int64)
+            self._rounds, self._cuts = self._rounds + 1, 0
+            if self._may_cut():
+                cuts, first = np.unique(asked["cell"], return_index=True)
+                if cuts.size:
+                    self.triangles.add(cuts, asked["place"][first], asked["run"][first])
+            if known.all() and not cuts.size:
                 break
-            keys, first = np.unique(asked["cell"], return_index=True)
-            if keys.size:
-                self.triangles.add(keys, asked["place"][first], asked["run"][first])
+        self._search(self._join_triples(three))
+        self.unresolved = self._find_unresolved(two, three, _names(segments))
         return segments["nodes"], segments["labels"], [self.inner[name] for name in _names(segments)]
+
+    def _search(self, *searches: Search[Any]) -> list[Any]:
+        """Do searches side by side, counting the points that are run."""
+
+        def run(places: Floats) -> Runs:
+            runs = self._run(places)
+            self.runs += len(places)
+            if self._progress is not None:
+                self._progress(self.runs, 0)
+            return runs
+
+        return side_by_side(run, *searches)
+
+    def _may_run(self) -> bool:
+        return self.runs < self._most_runs
+
+    def _may_cut(self) -> bool:
+        return self.runs < 0.5 * self._most_runs and self._rounds < _MOST_ROUNDS and self._cuts < _MOST_CUTS
+
+    def _join_triples(self, triangles: Nodes) -> Search[None]:
+        """Put triple points that are one junction at one place, with the crossing between them.
+
+        Where two boundaries cross, no edge parts the two triangles of three labels without a third label in between.
+        """
+        keys = keys_of(triangles, np.roll(triangles, -1, axis=1)).ravel()
+        order = np.argsort(keys, kind="stable")
+        same = np.flatnonzero(keys[order[:-1]] == keys[order[1:]])
+        at = np.searchsorted(self.keys, keys[order[same]])
+        pairs = np.stack([order[same], order[same + 1]], axis=1) // 3
+        wide = np.hypot(*(self.brackets[at, 1] - self.brackets[at, 0]).T) > _LOCATED
+        wide |= np.abs(self.met[pairs[:, 1]] - self.met[pairs[:, 0]]).max(axis=1, initial=0.0) < CLOSE
+        edges, pairs = at[wide], pairs[wide]
+        points, labels = self.met[pairs], self.met_labels[pairs].reshape(-1, 6)
+        is_junction = yield from have_around(points.reshape(-1, 2), np.repeat(labels, 2, axis=0))
+        for edge, pair, is_met in zip(edges, pairs, is_junction.reshape(-1, 2), strict=True):
+            if is_met.any():
+                self.met[pair] = self.brackets[edge] = self.met[pair[np.argmax(is_met)]]
+
+    def _find_unresolved(self, two: Nodes, three: Nodes, names: list[tuple[int, ...]]) -> Floats:
+        """Places of edges whose crossing is not located, of such triple points, and of chords that may be off."""
+        mixed = np.concatenate([two, three])
+        keys = np.unique(keys_of(mixed, np.roll(mixed, -1, axis=1)))
+        keys = keys[np.isin(keys, self.keys)]
+        ends = self.bracket(keys)
+        wide = np.hypot(*(ends[:, 1] - ends[:, 0]).T) > _LOCATED
+        points = [self.triples[name] for name in map(tuple, three.tolist()) if name in self._unknown]
+        points += [self._off_chord[name] for name in names if name in self._off_chord]
+        return np.concatenate([ends[wide].mean(axis=1), np.array(points).reshape(-1, 2)])
 
     def _locate(self) -> Search[None]:
         """Locate crossings on edges, and on further edges where they have several."""
+        self._cuts = 0
         while (yield from self._locate_new()):
-            pass
+            self._cuts += 1
+            yield from self._look_through()
+
+    def _look_through(self) -> Search[None]:
+        """Add nodes on edges that a region passes without a crossing, where a new node of another label is close.
+
+        Without these, edges from that node on would be cut nearer and nearer to the one that the region passes.
+        """
+        checked, self._checked = self._checked, self.triangles.runs.size
+        corners = self.triangles.corners[(self.triangles.corners >= checked).any(axis=1)]
+        corners = np.concatenate([np.roll(corners, -k, axis=1) for k in range(3)])
+        labels = self.triangles.outcome[corners]
+        corners = corners[(labels[:, 0] != labels[:, 1]) & (labels[:, 0] != labels[:, 2])]
+        tips, begin, end = np.moveaxis(self.triangles.positions[corners], 1, 0)
+        base, slant = end - begin, tips - begin
+        length = np.hypot(*base.T)
+        share, height = (base * slant).sum(axis=1) / length**2, np.abs(cross(base, slant)) / length
+        near = (share > _INNER) & (share < 1.0 - _INNER) & (height < _NEAR * length) & (height > RESOLUTION)
+        keys, at = np.unique(keys_of(*corners[near, 1:].T), return_index=True)
+        places = (begin + share[:, None] * base)[near][at]
+        if keys.size and self._may_cut():
+            runs = yield places
+            passes = (runs["outcome"] != self.triangles.outcome[np.array(ends_of(keys))]).all(axis=0)
+            if passes.any():
+                self.triangles.add(keys[passes], places[passes], runs[passes])
 
     def _locate_new(self) -> Search[bool]:
         """Locate crossings on new edges; returns whether there are new nodes, and so further edges."""
@@ -92,9 +196,9 @@ class Lines:
         keys = keys[differ & ~np.isin(keys, self.keys)]
         first, second = ends_of(keys)
         nodes = self.triangles.along(first, second)
-        crossings = yield from located(positions[nodes], runs[nodes])
-        ends = crossings.brackets
-        edges, begins, counts = np.unique(crossings.lines, return_index=True, return_counts=True)
+        crossings = yield from located(positions[nodes], runs[nodes], may_run=self._may_run)
+        lines, ends, middle = self._parted(crossings)
+        edges, begins, counts = np.unique(lines, return_index=True, return_counts=True)
         begin, rest = ends_of(keys[edges])
         for k in range(counts.max(initial=0)):
             # the k-th crossing of each edge, and behind it a node, if there is another
@@ -106,11 +210,27 @@ class Lines:
             each = ends[begins + k]
             self._keep(keys_of(begin, after), np.where((begin < after)[:, None, None], each, each[:, ::-1]))
             if several.any():
-                next_ = begins[several] + k
-                between = 0.5 * (ends[next_, 1] + ends[next_ + 1, 0])
-                self.triangles.add(keys_of(begin, rest)[several], between, crossings.runs[next_, 1])
+                behind = begins[several] + k
+                self.triangles.add(keys_of(begin, rest)[several], middle["place"][behind], middle["run"][behind])
             begin = after
         return bool((counts > 1).any())
+
+    def _parted(self, crossings: Crossings) -> tuple[Codes, Floats, Records]:
+        """Crossings of which those nearer to each other than the resolution are one, or all of an edge.
+
+        Returns the numbers of their lines (n,), their brackets (n, 2, 2), and nodes between each and the next (n,).
+        """
+        lines, ends, runs = crossings
+        gaps = np.hypot(*(ends[1:, 0] - ends[:-1, 1]).T)
+        parted = (lines[1:] != lines[:-1]) | ((gaps >= RESOLUTION) & self._may_cut())
+        first, last = np.flatnonzero(np.append(True, parted)[: lines.size]), np.flatnonzero(np.append(parted, True))
+        last = last[: first.size]
+        differ = runs["outcome"][first, 0] != runs["outcome"][last, 1]  # else a label without width
+        first, last = first[differ], last[differ]
+        nodes = np.zeros(first.size, _ASKED)
+        behind = np.minimum(last + 1, max(lines.size - 1, 0))
+        nodes["place"], nodes["run"] = 0.5 * (ends[last, 1] + ends[behind, 0]), runs[last, 1]
+        return lines[first], np.stack([ends[first, 0], ends[last, 1]], axis=1), nodes
 
     def _keep(self, keys: Codes, brackets: Floats) -> None:
         """Keep crossings: keys of the edges (n,), and brackets (n, 2, 2) from the smaller node on."""
@@ -172,28 +292,42 @@ class Lines:
             edges = keys_of(triangles, np.roll(triangles, -1, axis=1))
             crossings = self.position(edges.ravel()).reshape(-1, 3, 2)
             positions, outcome = self.triangles.positions[triangles], self.triangles.outcome[triangles]
-            points = yield from triple_points(positions, outcome, crossings)
-            self.triples |= zip(map(tuple, triangles.tolist()), points, strict=True)
+            points, is_known = yield from triple_points(positions, outcome, crossings, self._may_run)
+            is_within = _within(positions, points)
+            is_known &= is_within
+            points[~is_within] = crossings[~is_within].mean(axis=1)
+            names = [*map(tuple, triangles.tolist())]
+            self.triples |= zip(names, points, strict=True)
+            self._unknown |= {name for name, known in zip(names, is_known.tolist(), strict=True) if not known}
 
     def _bend(self, segments: Records) -> Search[Records]:
         """Follow lines that are bent within triangles; returns nodes to add, _ASKED, with the edges' keys as cells."""
         names = _names(segments)
         todo = np.array([k for k, name in enumerate(names) if name not in self.inner], np.int64)
-        points, owner, share, asked = yield from bent(segments, todo)
+        points, owner, share, asked = yield from bent(segments, todo, self._may_run)
         order = np.lexsort((share, owner))
         points, owner = points[order], owner[order]
         begins = np.searchsorted(owner, np.append(todo, len(names)))
         for k, number in enumerate(todo.tolist()):
             self.inner[names[number]] = points[begins[k] : begins[k + 1]]
+        self._off_chord |= {names[k]: place for k, place in zip(asked["cell"].tolist(), asked["chord"], strict=True)}
         asked["cell"] = segments["far"][asked["cell"]]
-        return asked[asked["cell"] >= 0]
+        return asked.take(np.flatnonzero((asked["cell"] >= 0) & asked["is_long"]))
 
 
 def _names(segments: Records) -> list[tuple[int, ...]]:
     return [*map(tuple, segments["name"].tolist())]
 
 
-def bent(segments: Records, todo: Codes) -> Search[tuple[Floats, Codes, Floats, Records]]:
+def _within(corners: Floats, points: Floats) -> Bools:
+    """Whether points (n, 2) are within anticlockwise triangles (n, 3, 2), or no further outside than is close."""
+    edges = np.roll(corners, -1, axis=1) - corners
+    heights = cross(edges, points[:, None] - corners) / np.hypot(edges[..., 0], edges[..., 1])
+    within: Bools = np.all(heights > -CLOSE, axis=1)
+    return within
+
+
+def bent(segments: Records, todo: Codes, may_run: Callable[[], bool]) -> Search[tuple[Floats, Codes, Floats, Records]]:
     """Points on lines between the ends of segments, so many that no chord is off its line by more than `CHORD`.
 
     A line is within that of its chord if the labels are those of its sides as far from the chord, where that meets the
@@ -207,6 +341,11 @@ def bent(segments: Records, todo: Codes) -> Search[tuple[Floats, Codes, Floats, 
     segment, ends, sides = todo, segments["ends"][todo], segments["sides"][todo]
     shares = np.tile([0.0, 1.0], (todo.size, 1))
     while segment.size:
+        if not may_run():
+            left = np.zeros(segment.size, _ASKED)
+            left["cell"], left["chord"] = segment, ends.mean(axis=1)
+            asked.append(left)
+            break
         long = np.hypot(*(ends[:, 1] - ends[:, 0]).T) > CHORD
         segment, ends, sides, shares = segment[long], ends[long], sides[long], shares[long]
         middles, expected = sides.mean(axis=1), segments["labels"][segment]  # of the rails, and the labels there
@@ -226,13 +365,14 @@ def bent(segments: Records, todo: Codes) -> Search[tuple[Floats, Codes, Floats, 
         around = np.select([side[:, :1], side[:, 1:]], [[1, 2, 3, 3], [0, 0, 1, 2]], [0, 0, 3, 3])
         places = np.stack([middles[:, 0], beside[off, 0], beside[off, 1], middles[:, 1]], axis=1)
         each = np.arange(off.size)[:, None]
-        crossings = yield from located(places[each, around][clear], four[each, around][clear])
+        crossings = yield from located(places[each, around][clear], four[each, around][clear], may_run=may_run)
         counts = np.bincount(crossings.lines, minlength=int(clear.sum()))
         single = clear.copy()
         single[clear] = counts == 1
         asks = np.zeros(int((~single).sum()), _ASKED)
         asks["cell"], asks["run"] = segment[~single], runs[~single, 1]
-        asks["place"] = middles[~single, 1]
+        asks["place"], asks["chord"] = middles[~single, 1], ends[~single].mean(axis=1)
+        asks["is_long"] = np.hypot(*(sides[~single, 1, 1] - sides[~single, 0, 1]).T) >= RESOLUTION
         asked.append(asks)
         bends = crossings.places[counts[crossings.lines] == 1]
         segment, ends, sides, shares, middles = (part[single] for part in (segment, ends, sides, shares, middles))

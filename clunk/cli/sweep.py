@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from clunk.results.tolerancemap import AnyMap
     from clunk.study.study import Study
-    from clunk.sweeping.sweep import Finish, Job
+    from clunk.sweeping.sweep import Job
 
 
 @click.command()
@@ -88,12 +88,9 @@ def sweep(
     with opened(target, study, retry=retry_failed, restart=restart, force=force) as job:
         # those of a file whose failed cells are run again belong to its old labels
         earlier = getattr(job.earlier, "boundaries", None)
-        tracing = _tracing(study, lash or getattr(earlier, "lash", None) or None, workers)
         if job.counts is None:
-            failed = _report(_run(job, opening, tracing if boundaries or earlier else None), job, as_json)
+            failed = _report(_run(job, opening), job, as_json)
         else:
-            if boundaries:
-                job.finished(tracing)
             click.echo(f"{target} {'has no failed cells' if retry_failed else 'is already complete'}.", err=True)
             from clunk.results.store import read_header, read_tolerance_map
 
@@ -102,26 +99,31 @@ def sweep(
             else:
                 failed = tables.report_counts(job.counts, target, 0.0, as_json)
                 terminal.report_caveats(read_header(target).caveats)
+        if boundaries or (earlier and job.counts is None):
+            _trace(job, job.finished(), study, lash or getattr(earlier, "lash", None) or None, workers)
     if failed:
         sys.exit(EXIT_FAILED_CELLS)
 
 
-def _tracing(study: Study, lash: str | None, workers: int | None) -> Finish:
-    """Function that adds the boundaries to a map, and says how many there are."""
-    from clunk.analysis.boundaries import with_boundaries
+def _trace(job: Job, result: AnyMap, study: Study, lash: str | None, workers: int | None) -> None:
+    """Add the boundaries to a finished map, and say how many there are."""
+    from clunk.analysis.boundaries import RUNS_OF_BOUNDARIES, with_boundaries
 
     def trace(results: AnyMap) -> AnyMap:
-        began = time.perf_counter()
-        traced = with_boundaries(study, results, lash=lash, workers=workers)
-        if traced is not results and traced.boundaries is not None:
-            ((_, numbers),) = traced.boundaries.summary()
-            click.echo(f"boundaries: {numbers}, {time.perf_counter() - began:.1f} s", err=True)
-        return traced
+        with progress.shown(0, RUNS_OF_BOUNDARIES) as show:
+            return with_boundaries(study, results, lash=lash, workers=workers, progress=show)
 
-    return trace
+    began = time.perf_counter()
+    with terminal.telling_what_is_kept(lambda: job.kept):
+        traced = job.add(result, trace)
+    if traced is not result and traced.boundaries is not None:
+        ((_, numbers),) = traced.boundaries.summary()
+        click.echo(f"boundaries: {numbers}, {time.perf_counter() - began:.1f} s", err=True)
+        if traced.boundaries.unresolved_sentence:
+            click.echo(traced.boundaries.unresolved_sentence, err=True)
 
 
-def _run(job: Job, opening: AbstractContextManager[Executor], finish: Finish | None = None) -> AnyMap:
+def _run(job: Job, opening: AbstractContextManager[Executor]) -> AnyMap:
     """Run a sweep with a progress bar; print what is used of an earlier one, and what is kept where it is stopped."""
     parts = job.parts
     terminal.warm_up(job.study, "swept")
@@ -135,7 +137,7 @@ def _run(job: Job, opening: AbstractContextManager[Executor], finish: Finish | N
             is_reported = True
             show(done, total)
 
-        return job.run(engine, progress=advance, finish=finish)
+        return job.run(engine, progress=advance)
 
 
 def _report(result: AnyMap, job: Job, as_json: bool) -> int:

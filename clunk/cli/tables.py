@@ -119,6 +119,8 @@ def print_boundaries(boundaries: Boundaries) -> None:
     rows = boundaries.meeting_rows()
     if len(rows) > 1:
         print_table(rows, [True] * len(boundaries.axes))
+    if boundaries.unresolved_sentence:
+        click.echo(boundaries.unresolved_sentence)
 
 
 def print_ranks(ranks: Ranks, axes: Sequence[ResultAxis]) -> None:
@@ -160,6 +162,7 @@ def boundary_record(boundaries: Boundaries) -> dict[str, Any]:
         ],
         "junctions": [{"at": place.tolist(), "labels": labels} for place, labels in boundaries.meetings],
         "areas": boundaries.areas,
+        "unresolved": boundaries.unresolved.tolist(),
     }
 
 

@@ -73,6 +73,8 @@ class Boundaries:
     region_rings : (R,) int32, number of rings of each region
     region_label : (R,) int16, code
     region_area : (R,) float64, share of the map
+    unresolved : (U, axes) float64, a place in each cell where no line could be located: a label has no width there or
+        hangs on rounding, or labels change more finely than lines are traced
     lash : name of the lash whose labels they are; empty where there is one
 
     Raises ValueError where the arrays do not belong together.
@@ -92,6 +94,7 @@ class Boundaries:
     region_rings: npt.NDArray[np.int32]
     region_label: npt.NDArray[np.int16]
     region_area: Floats
+    unresolved: Floats
     lash: str = ""
 
     def __post_init__(self) -> None:
@@ -150,6 +153,22 @@ class Boundaries:
         parts += [counted(len(self.junctions), "junction"), counted(len(self.region_area), "region")]
         return [(name, ", ".join(parts))]
 
+    @property
+    def unresolved_sentence(self) -> str:
+        """A sentence on the places that are unresolved; empty without any."""
+        if not len(self.unresolved):
+            return ""
+        several = len(self.unresolved) > 1
+        parts = [
+            f"{axis.parameter} = {value:.6g}"
+            for axis, value in zip(self.axes, self.unresolved[0].tolist(), strict=True)
+        ]
+        return (
+            f"{counted(len(self.unresolved), 'place')} {'are' if several else 'is'} unresolved, "
+            f"{'the first ' if several else ''}at {', '.join(parts)}: "
+            "labels change there more finely than lines are traced, or by rounding."
+        )
+
     def meeting_rows(self) -> list[list[str]]:
         """Values of one axis with the labels on either side, or junctions with the labels that meet; headings first."""
         if len(self.axes) == 1:
@@ -187,6 +206,8 @@ class Boundaries:
             features.append(_feature(*shape, left=curve.left, right=curve.right, event=curve.event))
         for point, labels in self.meetings:
             features.append(_feature("Point", point.tolist(), labels=labels))
+        for place in plain(self.unresolved):
+            features.append(_feature("Point", place, unresolved=True))
         names = [axis.parameter for axis in self.axes]
         return {"type": "FeatureCollection", "axes": names, "features": features}
 

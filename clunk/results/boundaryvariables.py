@@ -54,6 +54,7 @@ _PLACES = (  # prefix of a variable for each axis, field, dimension
     ("boundary", "vertices", "boundary_vertex"),
     ("junction", "junctions", "junction"),
     ("ring", "ring_vertices", "ring_vertex"),
+    ("unresolved", "unresolved", "unresolved"),
 )
 _FIRST = "boundary_vertices"  # in a file that has boundaries; it names the lash
 

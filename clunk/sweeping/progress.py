@@ -20,7 +20,7 @@ _BAR_EVERY = 0.1  # s; each update of a notebook is a message to the browser
 
 @contextmanager
 def shown(total: int, unit: str = "cells") -> Iterator[Progress]:
-    """Show progress while this is open; the function that it yields takes the numbers done and in all."""
+    """Show progress while this is open; the function that it yields takes the numbers done and in all, 0 if unknown."""
     state = _State(total, unit)
     display: AbstractContextManager[Callable[[], None]] = nullcontext(state.print_line)
     if in_notebook():
@@ -84,7 +84,7 @@ class _State:
 
     def __repr__(self) -> str:
         """For example 1,000 of 40,401 cells, 6,200/s, 6 s left."""
-        line = f"{self.done:,} of {self.total:,} {self.unit}"
+        line = f"{self.done:,} of {self.total:,} {self.unit}" if self.total else f"{self.done:,} {self.unit}"
         if self.rate > 0.0:
             line += f", {self.rate:,.0f}/s"
             if self.done < self.total:
@@ -92,7 +92,8 @@ class _State:
         return line
 
     def _repr_html_(self) -> str:
-        bar = f'<progress style="width: 50%" max="{self.total}" value="{self.done}"></progress>'
+        share = f' max="{self.total}" value="{self.done}"' if self.total else ""
+        bar = f'<progress style="width: 50%"{share}></progress>'
         return f"<div>{bar} {escape(repr(self))}</div>"
 
 
@@ -114,8 +115,8 @@ def _terminal_bar(state: _State) -> Iterator[Callable[[], None]]:
     columns = BarColumn(bar_width=None), MofNCompleteColumn(), text, TimeRemainingColumn()
     stream = getattr(sys.stderr, "direct", sys.stderr)  # a command's own stderr shows control sequences as text
     with Progress(*columns, console=Console(file=stream), transient=True) as bar:
-        task = bar.add_task("", total=state.total, rate="")
-        yield lambda: bar.update(task, completed=state.done, total=state.total, rate=f"{state.rate:,.0f}/s ")
+        task = bar.add_task("", total=state.total or None, rate="")
+        yield lambda: bar.update(task, completed=state.done, total=state.total or None, rate=f"{state.rate:,.0f}/s ")
 
 
 @contextmanager

@@ -36,7 +36,6 @@ from clunk.sweeping.tolerances import ToleranceReduction
 __all__ = ["Job", "SweepError", "cell_count", "engine_of", "opened", "sweep", "warm_up"]
 
 HAS_TOLERANCES = "The study has [[sweep.tolerances]]: clunk.tolerance_map runs it."
-Finish = Callable[[AnyMap], AnyMap]  # adds to a map
 
 _NO_SWEEP = (
     "There is nothing to sweep: the config has no [[sweep.axes]] and no [[sweep.samples]] (clunk help designs). "
@@ -55,6 +54,7 @@ class Job:
     path : results file to write
     counts : lash -> number of cells of each label, if the file is complete already, so that there is nothing to run
     ran, seconds : number of cells that `run` has run, and the time that they took
+    is_written : whether the map is in its file
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class Job:
         self.study, self.design = study, design or design_of(study)
         self.earlier = earlier
         self.directory, self.path, self.counts = directory, path, counts
-        self.ran, self.seconds = 0, 0.0
+        self.ran, self.seconds, self.is_written = 0, 0.0, counts is not None
 
     @cached_property
     def reduction(self) -> Reduction[AnyMap]:
@@ -97,19 +97,34 @@ class Job:
 
     @property
     def kept(self) -> str:
-        """Sentence on the finished cells of a sweep that was stopped."""
+        """Sentence on what is on the disk of a sweep that was stopped."""
+        if self.is_written:
+            return f"the map is complete in {self.path}, without its boundaries; the same command goes on with these"
         if self.parts is None or not self.parts.kept:
             return "no cell was finished"
         return f"{self.parts.kept:,} cells are kept in {self.parts.directory.path}; the same command goes on from there"
 
-    def finished(self, finish: Finish | None = None) -> AnyMap:
-        """Read the map that is complete already; what `finish` adds to it is written. Raises StoreError."""
+    def finished(self) -> AnyMap:
+        """Read the map that is complete already. Raises StoreError."""
         assert self.path is not None
-        result = read_map(self.path)
-        added = finish(result) if finish is not None else result
+        return read_map(self.path)
+
+    def add(self, result: AnyMap, addition: Callable[[AnyMap], AnyMap]) -> AnyMap:
+        """Add something to a finished map, and to its file; where that is stopped, the file stays as it is."""
+        try:
+            added = addition(result)
+        except (KeyboardInterrupt, SystemExit) as stopped:
+            if self.path is not None:
+                stopped.add_note(self.kept)
+            raise
         if added is not result:
-            write_results(self.path, added, None if self.directory is None else self.directory.path)
+            self._write(added)
         return added
+
+    def _write(self, result: AnyMap) -> None:
+        if self.path is not None:
+            write_results(self.path, result, None if self.directory is None else self.directory.path)
+            self.is_written = True
 
     def run(
         self,
@@ -117,14 +132,12 @@ class Job:
         *,
         workers: int | None = None,
         progress: Progress | None = None,
-        finish: Finish | None = None,
     ) -> AnyMap:
         """Run the cells that are not finished, and write the map to its file, if it has one.
 
         engine : runs tiles of cells, see `clunk.sweeping.engines`; by default threads
         workers : number of these threads; by default one for each core that this process may use
         progress : called in this thread with the number of cells, first of those taken up and then after each tile
-        finish : adds to the map before it is written
 
         Raises as `clunk.sweep`, and ScratchError where the disk has no room for the results.
         """
@@ -161,12 +174,10 @@ class Job:
             parts.flush()
         result = reduction.result(provenance(engine))
         self.ran, self.seconds = reduction.done - before, time.perf_counter() - began
-        if finish is not None:
-            result = finish(result)
-        if self.path is not None:
-            write_results(self.path, result, None if self.directory is None else self.directory.path)
-            if self.directory is not None:
-                self.directory.remove()
+        self._write(result)
+        if self.directory is not None:
+            with suppress(PartsError):  # the map is in its file: parts of it that cannot be removed stay
+                self.directory.clear()
         return result
 
 
