@@ -501,6 +501,16 @@ def test_more_labels_than_can_be_read_are_grouped_and_that_is_said() -> None:
     assert len(lines.get_segments()) == 4  # between labels of one group there is none
 
 
+def test_panels_side_by_side_are_grouped_alike() -> None:
+    many = many_labels()
+    third = ResultAxis("lash.contact.damping", np.array([94.0, 95.0]), "contact damping", "c34", "N s/m")
+    codes = np.stack([many.sequence, np.minimum(many.sequence, 3)])  # the second alone has four labels
+    results = make((third, *many.axes), many.labels, codes, np.ones(codes.shape))
+    figure = plot.draw(results, "regimes", facets=["lash.contact.damping"])
+    written = {text.get_text() for ax in figure.axes for text in ax.texts} | set(notes(figure))
+    assert written == {"NI", "no double-sided", *(f"{n} double-sided" for n in (1, 2, 3))}
+
+
 def test_undecided_cells_within_a_group_make_no_difference() -> None:
     results = many_labels()
     quality = results.quality.copy()

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 from matplotlib.figure import Figure
 
-from clunk.plot.layers import Layers, hardness, stacked
+from clunk.plot.layers import MOST_LABELS, Layers, hardness, stacked
 from clunk.plot.maps import grid_of, plane_map, several_maps
 from clunk.plot.plane import SurplusAxesError, axis_span, drawn_axes, value_text
 from clunk.plot.scatter import parameter_choice, scatter_curve, scatter_map
@@ -73,7 +73,8 @@ def facet_map(results: AnyMap, facets: Sequence[str], quantity: str = LABEL) -> 
     axes = _facet_axes(results, facets)
     values = [shown_values(axis, len(axes)) for axis in axes]
     slices = [results.at(dict(zip(facets, place, strict=True))) for place in product(*values)]
-    panels = [Layers.of(each, 2, quantity) for each in slices]
+    most = 0 if len(np.unique(results.sequence)) > MOST_LABELS else MOST_LABELS  # all panels alike
+    panels = [Layers.of(each, 2, quantity, most) for each in slices]
     varying = {axis.parameter for axis in axes}
     if RUN in varying:
         varying |= {axis.parameter for axis in results.coordinates}

@@ -101,8 +101,10 @@ class Layers:
     caveats: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, drawn: AnyMap, dimensions: int, quantity: str | Quantity = LABEL) -> Layers:
+    def of(cls, drawn: AnyMap, dimensions: int, quantity: str | Quantity = LABEL, most: int = MOST_LABELS) -> Layers:
         """Layers of a quantity of a map over this many axes, 0 for its cells as points.
+
+        most : labels that are told apart; more are shown by their number of double-sided impacts
 
         Raises PlotError where the map has other axes, or the quantity is not defined in any cell; ClunkError where
         there is no such quantity.
@@ -139,26 +141,26 @@ class Layers:
                 layers = replace(layers, unresolved=unresolved[:, list(view.keep)])
         else:
             layers = replace(layers, facts=(f"{drawn.draws:,} draws",))
-            return layers._faded(drawn) if values is None else layers._shaded("the most likely regimes")
+            return layers._faded(drawn, most) if values is None else layers._shaded("the most likely regimes", most)
         if values is None:
-            return layers._grouped()
+            return layers._grouped(most)
         of_labels = [described.of_label(label) for label in labels]
         by_label = None not in of_labels
         whole = np.unique([*of_labels, *values[np.isfinite(values)]] if by_label else values[np.isfinite(values)])
         if described.type == NUMBER or whole.size > MOST_LABELS or not (by_label or described.type == YES_NO):
-            return layers._shaded("the regimes")
+            return layers._shaded("the regimes", most)
         return layers._by_value(np.array(of_labels) if by_label else None, values, whole)
 
-    def _shaded(self, regimes: str) -> Layers:
+    def _shaded(self, regimes: str, most: int) -> Layers:
         """The layers with the values as colours under the lines between regimes."""
         lines = f"{'light' if self.has_light_lines else 'dark'} lines: boundaries of {regimes}"
         facts = (*self.facts, lines) if len(self.view.axes) > 1 else self.facts
-        return replace(self._grouped(), shaded=True, facts=facts, undecided=np.zeros_like(self.undecided))
+        return replace(self._grouped(most), shaded=True, facts=facts, undecided=np.zeros_like(self.undecided))
 
-    def _grouped(self) -> Layers:
+    def _grouped(self, most: int) -> Layers:
         """Regions of labels, or of their numbers of double-sided impacts where the labels are too many to be read."""
         seen = len(self.seen)
-        if seen <= MOST_LABELS:
+        if seen <= most:
             return self
         numbers = np.array([-1 if name == "NI" else double_sided(name) for name in self.names])
         present, group = np.unique(numbers, return_inverse=True)
@@ -194,12 +196,12 @@ class Layers:
         meets = ndimage.maximum_filter(codes, 3) != ndimage.minimum_filter(codes, 3)
         return replace(self, codes=codes, regions_of=regions_of, undecided=self.undecided & meets)
 
-    def _faded(self, drawn: ToleranceMap) -> Layers:
+    def _faded(self, drawn: ToleranceMap, most: int) -> Layers:
         """The most likely labels, paler where they are less certain, without those that are nowhere most likely."""
         present = np.unique(self.codes[self.codes != FAILED_CODE])
         codes = np.where(self.codes == FAILED_CODE, FAILED_CODE, np.searchsorted(present, self.codes)).astype(np.int16)
         names = tuple(self.names[code] for code in present)
-        layers = replace(self, names=names, colours=tuple(map(colour_of, names)), codes=codes)._grouped()
+        layers = replace(self, names=names, colours=tuple(map(colour_of, names)), codes=codes)._grouped(most)
         certainty, white = self.view.arrange(drawn.certainty), np.zeros(codes.shape)
         for below, amount in _FADES:
             white[certainty < below] = amount
