@@ -82,7 +82,7 @@ def expand(series, work, size, shortest, sides, rest, c):
 
 @compiled
 def find_longest(shortest, guards, rest, results):
-    h, k = curves.longest(vectors.splat(shortest), guards, 0, 5, 2, vectors.load(rest, 0))
+    h, k = curves.longest(vectors.splat(shortest), guards, 0, 5, 2, vectors.load(rest, 0), SPANS)
     vectors.store(results, 0, h)
     vectors.store(results, 1, k)
 

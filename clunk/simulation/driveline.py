@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from clunk.core import tables
 from clunk.core.batches import alike
-from clunk.core.exact.flows import Chain, Flows, build_flows
+from clunk.core.exact.flows import MORE_SPANS, SPANS, Chain, Flows, build_flows
 from clunk.core.reductions import Reduction, chain, constrained, locked
 from clunk.core.regimes import RigidMotion, System, build_system, rubs
 from clunk.core.rk4.propagator import Steps, build_steps
@@ -29,6 +29,7 @@ from clunk.study.study import Study
 FloatArray = npt.NDArray[np.float64]
 Varied = Mapping[Place, FloatArray]  # values of keys in a batch of D drivelines, (D,) each, in the keys' units
 
+_FAST = 1e6  # rate of a load's wave by the end time: the shorter ladder of spans ends at some hundredth of it
 _SIDE_BY_SIDE = 1e-12  # of a unit vector, by which twists of shafts side by side may differ: rounding
 
 
@@ -346,7 +347,18 @@ def _flows(study: Study, driveline: Driveline, system: System) -> Flows:
         ties = constrained(twists, [*(restitution * lash for lash in closed), *stuck])
         chains.append(_chain(line, (0,) * len(closed) if restitution else closed, ties, parts))
     held = tables.held_inputs(lashes, len(rubbing), system.inputs.shape[-1])
-    return build_flows(system.rates, system.inputs, system.functionals, system.feedthrough, chains, held, system.drift)
+    spans = MORE_SPANS if alike(_is_fast(study, driveline), 0) else SPANS
+    matrices = system.rates, system.inputs, system.functionals, system.feedthrough
+    return build_flows(*matrices, chains, held, system.drift, spans)
+
+
+def _is_fast(study: Study, driveline: Driveline) -> npt.NDArray[np.bool_]:
+    """Whether the load's wave is over, or turns, long before a run ends."""
+    rates = wave_rates(study.load, driveline.varied)
+    if rates is None:
+        return np.array(False)
+    end_time = driveline.varied.get(("solver", "end_time"), study.solver.end_time)
+    return np.asarray(np.abs(rates).max(axis=(-2, -1)) * end_time > _FAST)
 
 
 def _chain(line: Driveline, closed: tuple[int, ...], ties: Reduction, parts: FloatArray) -> Chain:

@@ -314,7 +314,7 @@ def guess(guard: Curve, h: Vector) -> Vector:
 
 @part
 def longest(
-    shortest: Vector, guards: FloatArray, first: int, stride: int, count: int, at_most: Vector
+    shortest: Vector, guards: FloatArray, first: int, stride: int, count: int, at_most: Vector, spans: int
 ) -> tuple[Vector, Vector]:
     """The longest span of the ladder, at most `at_most`, up to which all guards stay positive by `guess`; its number.
 
@@ -322,17 +322,19 @@ def longest(
 
     guards : (…, W) float64
         `count` curves, the first from row `first` on, each `stride` rows behind the one before it.
+    spans : of the ladder, 32 or 128
     """
     h, k = shortest, vectors.splat(0.0)
     blocked = ~_passes(guards, first, stride, count, h, at_most)
-    for octaves in (4, 1):  # the octave, of 16, in base 4: three at once, since each takes long to be known
-        a, b, c = h * float(1 << octaves), h * float(1 << 2 * octaves), h * float(1 << 3 * octaves)
-        one = _passes(guards, first, stride, count, a, at_most)
-        two = _passes(guards, first, stride, count, b, at_most) & one
-        three = _passes(guards, first, stride, count, c, at_most) & two
-        h = vectors.choose(three, c, vectors.choose(two, b, vectors.choose(one, a, h)))
-        step = 2.0 * octaves
-        k += vectors.choose(three, 3.0 * step, vectors.choose(two, 2.0 * step, vectors.choose(one, step, 0.0)))
+    for octaves in (16, 4, 1):  # the octave, in base 4: three at once, since each takes long to be known
+        if octaves < spans // 4:  # of 16 octaves, or of 64
+            a, b, c = h * float(1 << octaves), h * float(1 << 2 * octaves), h * float(1 << 3 * octaves)
+            one = _passes(guards, first, stride, count, a, at_most)
+            two = _passes(guards, first, stride, count, b, at_most) & one
+            three = _passes(guards, first, stride, count, c, at_most) & two
+            h = vectors.choose(three, c, vectors.choose(two, b, vectors.choose(one, a, h)))
+            step = 2.0 * octaves
+            k += vectors.choose(three, 3.0 * step, vectors.choose(two, 2.0 * step, vectors.choose(one, step, 0.0)))
     half = h * 1.5
     passes = _passes(guards, first, stride, count, half, at_most)
     h, k = vectors.choose(passes, half, h), vectors.choose(passes, k + 1.0, k)

@@ -35,6 +35,7 @@ IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
 SPANS = 32  # two an octave
+MORE_SPANS = 128  # of flows with a wave so fast that the former end long before a run does
 BLOCK = ROW // 2  # pairs: their number is filled up to a multiple
 TERMS = 12  # of a Taylor series over the shortest span
 LONG = 2 * ROW  # room for its terms
@@ -47,7 +48,6 @@ WATCHED = 3 * ROW + 4 * BLOCK
 _BOUNDED = (3, 0, 1, 6)  # the orders that JERK and what follows it bound
 SELF, CROSS, DECAY = range(3)  # of a 2 x 2 block: what multiplies a coordinate itself, and its partner
 _SHORTEST = 1.0 / 4.0  # |λ| times the shortest span: TERMS terms are then exact to rounding
-_LADDER = np.ldexp(np.tile([1.0, 1.5], SPANS // 2), np.repeat(np.arange(SPANS // 2), 2))
 _TAYLOR = np.array([1.0 / math.factorial(k) for k in range(TERMS)])
 _MAX_CONDITION = 1e4  # of an eigenbasis in energy coordinates: beyond it, more than four digits are lost
 _APART = 1e-2  # of unit vectors that may make a basis
@@ -113,12 +113,14 @@ def build_flows(
     chains: list[Chain],
     held: list[int],
     drift: FloatArray,
+    spans: int = SPANS,
 ) -> Flows:
     """Tables of each flow; the arrays are those of `regimes.System`, of one driveline or of a batch.
 
     Of a batch all tables have an axis more in front. The bits of a driveline do not depend on its batch.
 
     drift : (2n, 0 to 2) float64, of `regimes.System`
+    spans : SPANS or MORE_SPANS
     """
     batch, (flows, states) = rates.shape[:-3], rates.shape[-3:-1]
     count, driven = functionals.shape[-2], inputs.shape[-1]
@@ -132,8 +134,8 @@ def build_flows(
         basis=np.zeros((*many, flows, size, size)),
         modal=np.zeros((*many, flows), np.int64),
         oscillating=np.zeros((*many, flows), np.int64),
-        span=np.zeros((*many, flows, SPANS)),
-        propagator=np.empty((*many, flows, SPANS, blocks, 3, ROW)),  # the most: in larger pages, if any
+        span=np.zeros((*many, flows, spans)),
+        propagator=np.empty((*many, flows, spans, blocks, 3, ROW)),  # the most: in larger pages, if any
         power=np.zeros((*many, flows, TERMS, blocks, 2, ROW)),
         generator=np.zeros((*many, flows, size, size)),
         watch=np.zeros((*many, flows, count, blocks, WATCHED)),
@@ -243,7 +245,7 @@ def _fill_alike(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int
     fastest = np.sqrt((block * block).sum(axis=-1).max(axis=-1, initial=0.0)) if modal else _norm(block)
     fastest[fastest == 0.0] = _SHORTEST
     shortest = np.ldexp(1.0, np.frexp(_SHORTEST / fastest)[1] - 1)
-    tables.span[:] = shortest[:, None] * _LADDER
+    tables.span[:] = shortest[:, None] * _ladder(tables.span.shape[1])
 
     states, size = tables.coordinates.shape[-2:]
     place = _places(size)[: into.shape[1]]
@@ -276,6 +278,12 @@ def _outputs(functionals: FloatArray, columns: FloatArray, chain: Chain) -> Floa
     if chain.rigid.size:
         outputs[np.abs(outputs) <= _ROUNDING * (np.abs(functionals) @ np.abs(columns))] = 0.0
     return outputs
+
+
+@functools.cache
+def _ladder(spans: int) -> FloatArray:
+    """Spans as multiples of the shortest, two an octave."""
+    return np.asarray(np.ldexp(np.tile([1.0, 1.5], spans // 2), np.repeat(np.arange(spans // 2), 2)), np.float64)
 
 
 @functools.cache
@@ -508,9 +516,10 @@ def _propagate(pairs: _Pairs, unseen: BoolArray, result: FloatArray) -> None:
     unseen : (B, 2, 4), coordinates that no functional sees, and amplitudes need not bound
     result : (D, SPANS, B, 3, 8)
     """
+    spans = result.shape[1]
     # one coordinate after the other, (…, D, SPANS), and each pass along memory
     sigma, omega, drift = (np.moveaxis(array, 0, -1)[..., None] for array in pairs)
-    rates, angle, drifting = sigma * _LADDER, omega * _LADDER, drift.any()
+    rates, angle, drifting = sigma * _ladder(spans), omega * _ladder(spans), drift.any()
     decay = np.empty_like(rates)
     decay[:, 0] = decay[:, 1] = np.exp(rates[:, 0])  # which of all takes longest: once where both rates are the same
     for block, pair in np.argwhere((sigma[:, 0] != sigma[:, 1]).any(axis=(-2, -1))):
@@ -523,11 +532,11 @@ def _propagate(pairs: _Pairs, unseen: BoolArray, result: FloatArray) -> None:
     decay[unseen] = 0.0
     table[:, DECAY] = np.maximum(decay[:, 0], decay[:, 1])[:, None]
     if drifting:
-        speed = sigma[:, 1] * _LADDER
+        speed = sigma[:, 1] * _ladder(spans)
         with np.errstate(invalid="ignore"):
             share = np.where(speed != 0.0, np.expm1(speed) / speed, 1.0)
         table[:, CROSS, 0] += np.where(drift, angle * share, 0.0)
-    result.reshape(-1, SPANS, table[..., 0, 0].size)[:] = table.reshape(-1, *rates.shape[-2:]).transpose(1, 2, 0)
+    result.reshape(-1, spans, table[..., 0, 0].size)[:] = table.reshape(-1, *rates.shape[-2:]).transpose(1, 2, 0)
 
 
 def _expand(pairs: _Pairs, result: FloatArray) -> None:

@@ -5,7 +5,7 @@ import numpy.typing as npt
 
 from clunk.core.exact import functionals, rows
 from clunk.core.exact.curves import A_THIRD, weighed, weighed_drift, weight
-from clunk.core.exact.flows import BLOCK, CROSS, DECAY, SELF, SPANS, TERMS
+from clunk.core.exact.flows import BLOCK, CROSS, DECAY, SELF, TERMS
 from clunk.core.exact.workspace import Workspace, field, is_still, size_of
 from clunk.core.jit import part
 from clunk.core.lanes import vectors
@@ -103,7 +103,8 @@ def _to_states(space: Workspace, origins: Table, basis: Table, still: bool) -> N
 @part
 def move_by_spans(space: Workspace, flow: int, numbers: Vector) -> None:
     """Move each of the items taken by the span of the ladder with its number; a negative one counts as 0."""
-    size, propagator, first = size_of(space), space.flows.propagator, flow * SPANS
+    size, propagator = size_of(space), space.flows.propagator
+    first = flow * propagator.shape[2]
     vectors.store(space.notes, 0, numbers)
     for lane in range(WIDTH):
         space.offsets[lane] = (first + int(max(vectors.number(space.notes, lane), 0.0))) * 3 * size

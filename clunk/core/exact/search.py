@@ -77,7 +77,7 @@ def search(space: Workspace, sought: int, flow: int, f: int, count: int) -> int:
         top, bottom = vectors.larger(top, value), vectors.smaller(bottom, value)
     known = _Known(curve, top, bottom, time_left - field(space, rows.COUNTS))
 
-    h, k, near = _longest_empty(known, sought, shortest, modal)
+    h, k, near = _longest_empty(known, sought, shortest, space.flows.propagator.shape[2], modal)
     near &= present & ~done
     if near != 0:
         functionals.expand(space, flow, f, sign, shift, origin)
@@ -110,7 +110,7 @@ def search(space: Workspace, sought: int, flow: int, f: int, count: int) -> int:
 
 
 @part
-def _longest_empty(known: _Known, sought: int, shortest: Vector, modes: bool) -> tuple[Vector, Vector, int]:
+def _longest_empty(known: _Known, sought: int, shortest: Vector, spans: int, modes: bool) -> tuple[Vector, Vector, int]:
     """The longest span of the ladder with nothing to be found, its number, and the lanes where there is none.
 
     Without modes there is but the shortest span.
@@ -118,7 +118,7 @@ def _longest_empty(known: _Known, sought: int, shortest: Vector, modes: bool) ->
     h, k = shortest, vectors.splat(0.0)
     near = ~_is_empty(known, sought, h)
     if modes:
-        step = 8
+        step = spans // 4
         while step > 0:
             longer = h * float(1 << step)
             passes = _is_empty(known, sought, longer)

@@ -360,8 +360,8 @@ def _propose_span(
     """
     system, guards, outputs = space.system, space.guards, space.outputs
     count, watched = system.regimes[regime].guards, system.regimes[regime].watched
-    shortest = shortest_span(space, system.regimes[regime].flow)
-    h, k = curves.longest(shortest, guards, _START, OF_GUARD, count, at_most)
+    shortest, spans = shortest_span(space, system.regimes[regime].flow), space.flows.propagator.shape[2]
+    h, k = curves.longest(shortest, guards, _START, OF_GUARD, count, at_most, spans)
     # where a guard is zero with its slope, its series decides
     starts_flat = 0
     if (field(space, rows.ZERO) > 0.0) != 0:
@@ -382,7 +382,7 @@ def _propose_span(
         for n in range(count):
             cleared = curves.less(_without_pair(space, regime, n), _CLEAR * _bar(space, regime, n))
             store_curve(guards, n * OF_GUARD + _CLEARED, cleared)
-        longer, number = curves.longest(shortest, guards, _CLEARED, OF_GUARD, count, at_most)
+        longer, number = curves.longest(shortest, guards, _CLEARED, OF_GUARD, count, at_most, spans)
         one_more &= number > k
         k, h = vectors.choose(one_more, number, k), vectors.choose(one_more, longer, h)
         left_out = vectors.choose(one_more, left_out + 1.0, left_out)
