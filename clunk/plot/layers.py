@@ -190,11 +190,14 @@ class Layers:
         return replace(layers, names=names, colours=colours, facts=(*self.facts, fact))
 
     def _regrouped(self, group: Array) -> Layers:
-        """The layers with regions of groups, undecided where these meet; group : of each region."""
+        """The layers with regions of groups, marked where these meet; group : of each region."""
         regions_of = np.array([*group, FAILED_CODE], np.int16)
         codes = regions_of[self.codes]
         meets = ndimage.maximum_filter(codes, 3) != ndimage.minimum_filter(codes, 3)
-        return replace(self, codes=codes, regions_of=regions_of, undecided=self.undecided & meets)
+        places = tuple(cells_of(axis, at) for axis, at in zip(self.view.axes, self.unresolved.T, strict=False))
+        unresolved = self.unresolved[meets[places]] if len(self.unresolved) else self.unresolved
+        marks = {"undecided": self.undecided & meets, "unresolved": unresolved}
+        return replace(self, codes=codes, regions_of=regions_of, **marks)
 
     def _faded(self, drawn: ToleranceMap, most: int) -> Layers:
         """The most likely labels, paler where they are less certain, without those that are nowhere most likely."""
