@@ -158,7 +158,9 @@ def _fill(ax: Axes, layers: Layers, code: int, **look: Any) -> None:
     rings = [ring for region, rings in layers.outlines if region == code for ring in rings]
     if rings:
         path = Path.make_compound_path(*(Path(ring, closed=True) for ring in rings))
-        ax.add_artist(PathPatch(path, zorder=1, gid=f"region {code}", **{"linewidth": 0.3} | look))
+        ax.add_artist(
+            PathPatch(path, zorder=1, gid=f"region {(*layers.names, FAILED)[code]}", **{"linewidth": 0.3} | look)
+        )
 
 
 def _show_cells(ax: Axes, layers: Layers, colours: Colours | None) -> None:
