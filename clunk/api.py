@@ -278,8 +278,9 @@ def draw(
     ----------
     what : Results, ToleranceMap, Trajectory or Fitted
     quantity : str
-        Of results: regimes, severity, approach_velocity, primary_impacts, touches, last_event_time or margin. Of a
-        tolerance map: regimes, double_sided, severity (its mean), severity_5, severity_50 or severity_95. Of a fit:
+        Of results: regimes, severity, touches, double_sided_impacts, severity<=8000 and so on, in the words of
+        `clunk.results.quantities`. Of a tolerance map: regimes, severity (its mean), severity_5, severity_50,
+        severity_95, or the probability of double_sided and the like. Of a fit:
         regimes (the maps before and after, with the measured labels, which are run for it), ensemble or labels.
     lash : str, optional
         Of a map of several lashes, the one to draw, by name or number; by default the first.
