@@ -28,7 +28,6 @@ def info(file: Path, show_config: bool, show_map: bool, ranks: bool, check: bool
       clunk info results/figure_3_4.h5 --check
       clunk info results/figure_3_4.h5 --map
     """
-    from clunk.analysis.ranks import ranks_of
     from clunk.cli.textmap import is_drawable
     from clunk.results import netcdf, store
     from clunk.study.loads import PROFILES, numbers
@@ -43,7 +42,11 @@ def info(file: Path, show_config: bool, show_map: bool, ranks: bool, check: bool
         raise click.UsageError("--map is for people and does not go with --json; clunk export writes each cell.")
     if show_map and not is_drawable(header.axes[:-1] if header.lashes else header.axes):
         raise click.UsageError("--map shows one axis or two; of more, clunk plot --at draws a slice.")
-    of_lashes = {name: ranks_of(each) for name, each in store.read_results(file).by_lash().items()} if ranks else {}
+    of_lashes = {}
+    if ranks:
+        from clunk.analysis.ranks import ranks_of  # with scipy.stats
+
+        of_lashes = {name: ranks_of(each) for name, each in store.read_results(file).by_lash().items()}
     if show_config:
         click.echo(header.config, nl=not header.config.endswith("\n"))
         return

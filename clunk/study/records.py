@@ -16,8 +16,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-import numpy as np
-
 from clunk.study.summaries import WIDTH, as_html, as_text, cut, html_table
 
 SENTENCE = "."
@@ -94,7 +92,7 @@ def plain(value: Any) -> Any:
         return {each.key or name: plain(inner) for name, each, inner in value.told()}
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
+    if hasattr(value, "tolist"):  # arrays and scalars of numpy, whose import --help does not wait for
         return plain(value.tolist())
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
@@ -181,17 +179,18 @@ def columns_of(rows: Sequence[Record | Mapping[str, Any]], spread: bool = True) 
 
 def words(value: Any, how: Told = Told()) -> str:
     """A single value for people, with its unit."""
+    value = value.tolist() if hasattr(value, "tolist") else value
     if isinstance(value, Mapping):
         return _joined(value, how.form)
-    if isinstance(value, list | tuple | np.ndarray):
+    if isinstance(value, list | tuple):
         return " ".join(words(item, Told(form=how.form)) for item in value)
     if value is None:
         return "-"
-    if isinstance(value, bool | np.bool_):
+    if isinstance(value, bool):
         return "yes" if value else "no"
-    if isinstance(value, float | np.floating):
-        text = number(float(value), how.form or ".6g")
-    elif isinstance(value, int | np.integer):
+    if isinstance(value, float):
+        text = number(value, how.form or ".6g")
+    elif isinstance(value, int):
         text = f"{value:{how.form or ','}}"
     else:
         text = str(value)
