@@ -12,11 +12,12 @@ import inspect
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from clunk.core.status import Status
-from clunk.results.quantities import TEXT, YES_NO, Quantity, measuring, quantity_of
+from clunk.results.quantities import TEXT, Quantity, measuring, quantity_of
 from clunk.results.regimemap import Results
 from clunk.simulation.trajectory import simulate
 from clunk.study.arrays import Floats, Positions
@@ -27,8 +28,9 @@ from clunk.study.lashes import lash_position
 from clunk.study.loads import PROFILES
 from clunk.study.parameters import get_value, nominal_value
 from clunk.study.problems import ConfigError
-from clunk.study.study import Study, replace_values
-from clunk.study.sweeps import Draw, Sweep
+from clunk.study.records import Record, tells, told
+from clunk.study.study import Study, digest, replace_values
+from clunk.study.sweeps import Sweep
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.sweep import sweep
 
@@ -44,31 +46,54 @@ class SensitivityError(ClunkError):
     """A study or an outcome without Sobol indices; its text is one sentence for the user."""
 
 
-@dataclass(frozen=True, eq=False)
-class Indices:
+@dataclass(frozen=True)
+class Share(Record):
+    """Share of a parameter in the variance of a quantity: alone (S), in all (ST), that is with its interactions."""
+
+    first: float = told("alone", form=".3f")
+    first_interval: list[float] = told(f"alone {CONFIDENCE:.0%}", form=".3f")
+    total: float = told("in all", form=".3f")
+    total_interval: list[float] = told(f"in all {CONFIDENCE:.0%}", form=".3f")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Indices(Record):
     """Sobol indices of one quantity: the shares of d parameters in its variance.
 
     quantity : its name, see `sensitivity`
     heading : name for people, with symbol and unit
-    is_indicator : whether the quantity is 1 where something holds and else 0
+    parameters : (d,) str, dotted keys
     nominal : float, without tolerances
     mean, std : float, over the 2 n runs of A and B; the mean of an indicator is its probability
-    quantiles : (3,) float64, at `QUANTILES`
+    quantiles : at `QUANTILES`
     first, total : (d,) float64, NaN where the quantity is the same in all of those runs
     first_interval, total_interval : (2, d) float64, their percentile bootstrap intervals, low and high
     """
 
     quantity: str
     heading: str
-    is_indicator: bool
-    nominal: float
-    mean: float
-    std: float
-    quantiles: Floats
+    parameters: tuple[str, ...]
     first: Floats
     total: Floats
     first_interval: Floats
     total_interval: Floats
+    nominal: float = told("without tolerances")
+    mean: float = told("mean")
+    std: float = told("standard deviation", form=".4g")
+    quantiles: dict[str, float] = told("quantiles")
+
+    @property
+    @tells("share of the variance, alone (S) and in all (ST)")
+    def indices(self) -> dict[str, Share] | None:
+        """Share of each parameter, by falling total index; None where there is no variance to divide."""
+        if not self.varies:
+            return None
+        intervals = zip(self.first_interval.T.tolist(), self.total_interval.T.tolist(), strict=True)
+        shares = [
+            Share(float(first), of_first, float(total), of_total)
+            for first, total, (of_first, of_total) in zip(self.first, self.total, intervals, strict=True)
+        ]
+        return {self.parameters[k]: shares[k] for k in self.order}
 
     @property
     def varies(self) -> bool:
@@ -81,8 +106,8 @@ class Indices:
         return np.argsort(-self.total, kind="stable")
 
 
-@dataclass(frozen=True, eq=False)
-class Sensitivity:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sensitivity(Record):
     """The Sobol indices of some quantities at one operating point.
 
     study : Study, at that point, with its tolerances
@@ -96,20 +121,62 @@ class Sensitivity:
 
     study: Study
     parameters: tuple[str, ...]
-    samples: int
-    runs: int
     label: str
     severity: float
     approach_velocity: float
-    labels: dict[str, float]
     indices: tuple[Indices, ...]
+    samples: int = told("samples")
+    runs: int = told("runs")
+    labels: dict[str, float] = told("labels with tolerances", form=".2%")
+    confidence: float = told()
 
     @property
-    def draws(self) -> tuple[Draw, ...]:
-        """The distribution of each parameter."""
-        return _sweep(self.study).tolerances
+    @tells()
+    def title(self) -> str:
+        """The study's title."""
+        return self.study.title
 
     @property
+    @tells()
+    def config_digest(self) -> str:
+        """Digest of the study."""
+        return digest(self.study)
+
+    @property
+    @tells()
+    def sampling(self) -> str:
+        """How the sample was drawn."""
+        return _sweep(self.study).sampling.method
+
+    @property
+    @tells()
+    def seed(self) -> int:
+        """Seed of the sample."""
+        return _sweep(self.study).sampling.seed
+
+    @property
+    @tells("without tolerances")
+    def nominal(self) -> dict[str, str | float]:
+        """Label, severity and approach velocity of the run without tolerances."""
+        return {"label": self.label, "severity": self.severity, "approach_velocity": self.approach_velocity}
+
+    @property
+    @tells("tolerances", key="parameters")
+    def draws(self) -> list[dict[str, Any]]:
+        """The distribution of each parameter, with its nominal value."""
+        return [
+            draw.model_dump(exclude_none=True) | {"nominal": nominal_value(self.study, draw.parameter)}
+            for draw in _sweep(self.study).tolerances
+        ]
+
+    @property
+    @tells("of what the spread comes")
+    def quantities(self) -> dict[str, Indices]:
+        """The indices of each quantity, by its name."""
+        return {each.quantity: each for each in self.indices}
+
+    @property
+    @tells("operating point")
     def at(self) -> dict[str, float]:
         """The operating point: load and backlash, by parameter, in their units."""
         load = self.study.load
@@ -165,6 +232,7 @@ def sensitivity(
     """
     point = operating_point(study)
     names = of or default_quantities(point)
+    parameters = tuple(draw.parameter for draw in _sweep(point).tolerances)
     quantities = tuple(dict.fromkeys(quantity_of(name, point) for name in names))
     if any(each.type == TEXT for each in quantities):
         raise SensitivityError("The label is no number; nominal_label, double_sided and label=DS(1)SS(1) are 1 or 0.")
@@ -179,7 +247,7 @@ def sensitivity(
     without = np.array([nominal_value(point, draw.parameter) for draw in _sweep(point).tolerances])
     run = sweep(runs, _design(point, without)).of_lash(lash)
     indices = tuple(
-        _indices(each, run, _values(each, results).reshape(n, pages), seed)
+        _indices(each, run, parameters, _values(each, results).reshape(n, pages), seed)
         for each in (quantity.named(nominal.label) for quantity in quantities)
     )
     base = results.sequence.reshape(n, pages)[:, :2]
@@ -187,9 +255,10 @@ def sensitivity(
     frequent = sorted(zip(counts.tolist(), results.labels, strict=True), key=lambda pair: (-pair[0], pair[1]))
     return Sensitivity(
         study=point,
-        parameters=tuple(draw.parameter for draw in _sweep(point).tolerances),
+        parameters=parameters,
         samples=n,
         runs=results.sequence.size,
+        confidence=CONFIDENCE,
         label=nominal.label,
         severity=nominal.severity,
         approach_velocity=nominal.approach_velocity,
@@ -345,7 +414,7 @@ def _values(quantity: Quantity, results: Results) -> Floats:
     return values
 
 
-def _indices(quantity: Quantity, nominal: Results, values: Floats, seed: int) -> Indices:
+def _indices(quantity: Quantity, nominal: Results, parameters: tuple[str, ...], values: Floats, seed: int) -> Indices:
     """Sobol indices of a quantity.
 
     nominal : the single run without tolerances
@@ -359,11 +428,11 @@ def _indices(quantity: Quantity, nominal: Results, values: Floats, seed: int) ->
     return Indices(
         quantity=quantity.name,
         heading=quantity.heading_with_unit,
-        is_indicator=quantity.type == YES_NO,
+        parameters=parameters,
         nominal=float(quantity.of_runs(nominal)[0]),
         mean=float(base.mean()),
         std=float(base.std()) if varies else 0.0,  # the rounding of a mean is no variance
-        quantiles=np.quantile(base, QUANTILES),
+        quantiles={f"{q:g}": float(value) for q, value in zip(QUANTILES, np.quantile(base, QUANTILES), strict=True)},
         first=first,
         total=total,
         first_interval=first_interval,

@@ -52,7 +52,7 @@ def shuffle_mode(driveline: Driveline) -> int | None:
 
 
 def _parts(joints: Bools) -> int:
-    """Number of parts that joints between n inertias, (n, n), leave apart; scipy's takes a third of a second to import."""
+    """Number of parts that joints between n inertias, (n, n), leave apart. scipy's takes long to import."""
     reached = joints | joints.T | np.eye(len(joints), dtype=bool)
     for _ in range(len(joints).bit_length()):  # each time over twice as many joints
         reached = reached @ reached

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from clunk.study.summaries import WIDTH, as_html, as_text, cut, html_table
+from clunk.study.summaries import WIDTH, as_html, as_text, html_table
 
 SENTENCE = "."
 _MOST = 30  # rows of a table in a text; scripts get all
@@ -58,8 +58,6 @@ def tells(
 class Record:
     """What an analysis or a command tells."""
 
-    title: str = ""
-
     def told(self) -> Iterator[tuple[str, Told, Any]]:
         """Name, description and value of everything that is told: fields and then properties."""
         for each in fields(self):  # type: ignore[arg-type]  # records are dataclasses
@@ -77,13 +75,20 @@ class Record:
             if each.heading not in ("", SENTENCE) and not _is_empty(value) and not _is_block(value)
         ]
 
+    @property
+    def _title(self) -> str:
+        return str(getattr(self, "title", ""))
+
     def __repr__(self) -> str:
-        return as_text(f"clunk.{type(self).__name__} {self.title!r}", self.rows())
+        return as_text(f"clunk.{type(self).__name__} {self._title!r}", self.rows())
 
     def _repr_html_(self) -> str:
         blocks = [value for _, each, value in self.told() if each.heading and _is_block(value)]
         tables = [columns_of(value) for value in blocks if isinstance(value, list | tuple) and value]
-        return as_html(self.title, html_table(self.rows()), *(html_table(table[1:], table[0]) for table in tables))
+        return as_html(self._title, html_table(self.rows()), *(html_table(table[1:], table[0]) for table in tables))
+
+
+Row = Record | Mapping[str, Any] | tuple[str, Record | Mapping[str, Any]]
 
 
 def plain(value: Any) -> Any:
@@ -120,11 +125,20 @@ def _lines(record: Record, width: int = WIDTH) -> Iterator[str]:
         yield from [""] * bool(sentences or rows)
         yield each.heading
         if isinstance(value, Record):
-            yield from textwrap.indent("\n".join(_lines(value, width - 2)), "  ").split("\n")
-        elif isinstance(value, Mapping):
-            yield from table([{"": key} | dict(item) for key, item in value.items()], width=width)
+            yield from _indented(value, width)
+        elif isinstance(value, Mapping) and any(map(_has_tables, value.values())):
+            for key, item in value.items():
+                yield from ["", f"  {key}", *_indented(item, width, "    ")]
         else:
-            yield from table(value, width=width)
+            yield from table([*value.items()] if isinstance(value, Mapping) else value, width=width)
+
+
+def _indented(record: Record, width: int, indent: str = "  ") -> list[str]:
+    return textwrap.indent("\n".join(_lines(record, width - len(indent))), indent).split("\n")
+
+
+def _has_tables(value: Any) -> bool:
+    return isinstance(value, Record) and any(each.heading and _is_block(inner) for _, each, inner in value.told())
 
 
 def value_lines(rows: Iterable[tuple[str, str]], width: int = WIDTH) -> Iterator[str]:
@@ -135,33 +149,37 @@ def value_lines(rows: Iterable[tuple[str, str]], width: int = WIDTH) -> Iterator
         yield fill(text, f"{heading:<{indent}}", " " * indent, width)
 
 
-def table(rows: Sequence[Record | Mapping[str, Any]], most: int = _MOST, width: int = WIDTH) -> Iterator[str]:
-    """Rows as columns two blanks apart, indented by two; numbers to the right.
+def table(rows: Sequence[Row], most: int = _MOST, width: int = WIDTH) -> Iterator[str]:
+    """Rows as columns two blanks apart, indented by two; numbers to the right. A row may have a name before it.
 
-    What a dictionary in a row has takes columns of its own or, where they find no room, a line under the row.
+    What a dictionary in a row has takes columns of its own or, where they find no room, a line under the row. Rows that
+    are too wide for columns all the same are told one after the other.
     """
     shown = rows[:most]
     texts, beneath = columns_of(shown), [""] * len(shown)
     if _width(texts) > width:
         texts = columns_of(shown, spread=False)
         beneath = [f"at {_joined(at)}" if at else "" for at in map(_place, shown)]
-    widths = [max(len(row[k]) for row in texts) for k in range(len(texts[0]))]
-    while 2 + sum(widths) + 2 * (len(widths) - 1) > width and max(widths) > 8:
-        widths[widths.index(max(widths))] -= 1
-    right = [all(_is_number(row[k]) for row in texts[1:]) for k in range(len(widths))]
-    for line, below in zip(texts, ["", *beneath], strict=True):
-        cells = (
-            f"{cut(cell, wide):{'>' if is_right else '<'}{wide}}"
-            for cell, wide, is_right in zip(line, widths, right, strict=True)
-        )
-        yield ("  " + "  ".join(cells)).rstrip()
-        if below:
-            yield fill(below, "    ", "       ", width)
+    if _width(texts) > width:  # too wide for columns
+        for row in shown:
+            named = [(each.heading, words(value, each)) for each, value in _entries(row) if not _is_empty(value)]
+            yield fill(", ".join(f"{heading} {text}".lstrip() for heading, text in named), "  ", "    ", width)
+    else:
+        widths = [max(len(row[k]) for row in texts) for k in range(len(texts[0]))]
+        right = [all(_is_number(row[k]) for row in texts[1:]) for k in range(len(widths))]
+        for line, below in zip(texts, ["", *beneath], strict=True):
+            cells = (
+                f"{cell:{'>' if is_right else '<'}{wide}}"
+                for cell, wide, is_right in zip(line, widths, right, strict=True)
+            )
+            yield ("  " + "  ".join(cells)).rstrip()
+            if below:
+                yield fill(below, "    ", "       ", width)
     if len(rows) > len(shown):
         yield f"  and {len(rows) - len(shown):,} more"
 
 
-def columns_of(rows: Sequence[Record | Mapping[str, Any]], spread: bool = True) -> list[list[str]]:
+def columns_of(rows: Sequence[Row], spread: bool = True) -> list[list[str]]:
     """Texts of a table, the headings first; spread : whether what a dictionary in a row has takes columns."""
     texts: list[dict[str, str]] = []
     for row in rows:
@@ -211,14 +229,16 @@ def _joined(values: Mapping[str, Any], form: str = "") -> str:
     return ", ".join(f"{key} = {words(value, Told(form=form))}" for key, value in values.items())
 
 
-def _entries(row: Record | Mapping[str, Any]) -> list[tuple[Told, Any]]:
+def _entries(row: Row) -> list[tuple[Told, Any]]:
     """What a row tells people; of a dictionary all that it has."""
+    if isinstance(row, tuple):
+        return [(Told(), row[0]), *_entries(row[1])]
     if isinstance(row, Record):
         return [(each, value) for _, each, value in row.told() if each.heading]
     return [(Told(key), value) for key, value in row.items()]
 
 
-def _place(row: Record | Mapping[str, Any]) -> Mapping[str, Any]:
+def _place(row: Row) -> Mapping[str, Any]:
     """The first dictionary in a row."""
     return next((value for _, value in _entries(row) if isinstance(value, Mapping)), {})
 
@@ -241,6 +261,6 @@ def _is_empty(value: Any) -> bool:
 def _is_block(value: Any) -> bool:
     """Whether a value has a heading of its own above it."""
     if isinstance(value, Mapping):
-        return any(isinstance(item, Mapping) for item in value.values())
+        return any(isinstance(item, Mapping | Record) for item in value.values())
     is_table = isinstance(value, list | tuple) and bool(value) and isinstance(value[0], Record | Mapping)
     return isinstance(value, Record) or is_table
