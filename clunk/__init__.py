@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from clunk.analysis.fitted import Fitted as Fitted
     from clunk.analysis.fittedstudy import fitted_study as fitted_study
     from clunk.analysis.fitting import FitError as FitError
+    from clunk.analysis.fitting import fit as fit
     from clunk.analysis.measurements import ExperimentError as ExperimentError
     from clunk.analysis.quantiles import threshold_quantiles as threshold_quantiles
     from clunk.analysis.sobol import Sensitivity as Sensitivity
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from clunk.analysis.thresholds import Thresholds as Thresholds
     from clunk.analysis.thresholds import thresholds as thresholds
     from clunk.api import draw as draw
-    from clunk.api import fit as fit
     from clunk.api import run_points as run_points
     from clunk.api import sweep as sweep
     from clunk.api import tolerance_map as tolerance_map
@@ -97,7 +97,7 @@ _HOME = {
     "compare": "analysis.comparison",
     "draw": "api",
     "explore": "explorer.server",
-    "fit": "api",
+    "fit": "analysis.fitting",
     "fitted_study": "analysis.fittedstudy",
     "load_study": "study.config",
     "open_results": "results.datasets",

@@ -13,13 +13,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis import fitting
 from clunk.analysis.boundaries import RUNS_OF_BOUNDARIES, require_boundaries, with_boundaries
-from clunk.analysis.fitmaps import fit_maps
 from clunk.analysis.fitted import Fitted
-from clunk.analysis.measurements import read_experiment
+from clunk.analysis.fittedstudy import fit_maps
 from clunk.analysis.small_gap import thresholds_of
-from clunk.report.tables import TABLES
 from clunk.results import targets
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import AnyMap, ToleranceMap
@@ -217,56 +214,6 @@ def run_points(
         with sweeping.engine_of(scheduler, workers) as engine:
             results = sweeping.sweep(runner.study, design, engine=engine, progress=report)
     return replace(results, config_digest=runner.digest(values))
-
-
-def fit(
-    study: Study,
-    measurements: str | os.PathLike[str],
-    *,
-    progress: bool | Progress = False,
-    workers: int | None = None,
-    lash: str | None = None,
-) -> Fitted:
-    """Fit the parameters of a study to measured sequences of impacts.
-
-    Parameters
-    ----------
-    study : Study
-        With [[fit.parameters]]; its sweep is left aside.
-    measurements : path of a CSV file
-        Operating points, their labels and what else was measured, as ``clunk help fit`` tells; or ``table_4_1``, the
-        report's.
-    lash : str, optional
-        Of several lashes, the one that was measured, by name or number; by default the first.
-    progress, workers
-        As of `sweep`; candidates are counted.
-
-    Returns
-    -------
-    Fitted
-        `estimate` and `intervals()` of the parameters, `met` labels, `predictions`, `reasons` for the labels that are
-        not met, `warnings()` and all draws of the ensemble with their `weights`. `draw` makes its pictures, and
-        `fitted_study` the study that it gives.
-
-    Raises
-    ------
-    FitError, ExperimentError
-        Where the measurements cannot be read or do not go with the study, or a prior with them.
-
-    Examples
-    --------
-    >>> import clunk
-    >>> study = clunk.load_study("configs/fit_table_4_1.toml", ["fit.candidates=64", "fit.draws=512"])
-    >>> fitted = clunk.fit(study, "table_4_1")
-    >>> fitted.met, fitted.hits(fitted.nominal_matches["pattern"])
-    (15, 2)
-    >>> factor, offset = fitted.intervals()  # of 5 and 95 %
-    """
-    experiment = read_experiment(measurements, TABLES)
-    fitting.check(study, experiment)
-    assert study.fit is not None
-    with reporting(progress, fitting.planned(study.fit), study, what="candidates") as report:
-        return fitting.fit(study, experiment, lash=lash, workers=workers, progress=report)
 
 
 def draw(

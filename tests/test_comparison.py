@@ -22,6 +22,7 @@ from clunk.analysis.comparison import (
 )
 from clunk.analysis.measurements import (
     CAVEAT,
+    TABLES,
     Experiment,
     ExperimentError,
     Measurement,
@@ -31,7 +32,6 @@ from clunk.analysis.measurements import (
 from clunk.analysis.trends import ExperimentComparison, Tally, compare_experiment
 from clunk.plot import PlotError, save
 from clunk.plot.comparisons import difference_map, experiment_map
-from clunk.report.tables import TABLES
 from clunk.results.labels import normalised_label
 from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
@@ -317,7 +317,7 @@ def test_reports_fit_80_columns_and_records_are_json() -> None:
     record = json.loads(json.dumps(plain(comparison), allow_nan=False))
     assert record["cells_differing"] == len(record["differing_cells"]) == comparison.differing
     assert sum(found["cells"] for found in record["transitions"]) == comparison.differing
-    measured = compare_experiment(a, read_experiment("table_4_1", TABLES))
+    measured = compare_experiment(a, read_experiment("table_4_1"))
     assert max(map(len, text_of(measured).splitlines())) <= 80
     json.dumps(plain(measured), allow_nan=False)
 
@@ -326,7 +326,7 @@ def test_reports_fit_80_columns_and_records_are_json() -> None:
 
 
 def test_table_4_1_is_the_reports() -> None:
-    experiment = read_experiment("table_4_1", TABLES)
+    experiment = read_experiment("table_4_1")
     table = {
         0.7: "S(1) D(1)+S(1) D(1)+S(1) D(2)+S(1) D(3)+S(1)",
         2.1: "S(1) D(1)+S(1) D(1)+S(2) D(2)+S(1) D(2)+S(1)",
@@ -348,13 +348,12 @@ def test_table_4_1_is_the_reports() -> None:
 def test_packaged_tables_are_known_by_name_and_files_by_their_suffix(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert is_experiment("table_4_1", TABLES)
-    assert not is_experiment("table_4_1")
+    assert is_experiment("table_4_1")
     assert is_experiment(tmp_path / "mine.CSV")
     assert not is_experiment("results/map.h5")
     monkeypatch.chdir(tmp_path)
     Path("table_4_1").write_text("load_ratio,label\n1,NI\n")  # a file comes before a table of its name
-    assert [found.label for found in read_experiment("table_4_1", TABLES).measurements] == ["NI"]
+    assert [found.label for found in read_experiment("table_4_1").measurements] == ["NI"]
 
 
 @pytest.mark.parametrize(
@@ -435,7 +434,7 @@ def test_a_file_without_measurements_is_refused(tmp_path: Path, content: str, fo
 
 def test_a_missing_file_a_directory_and_a_nul_are_sentences(tmp_path: Path) -> None:
     with pytest.raises(ExperimentError, match=r"does not exist; .* table_4_1"):
-        read_experiment(tmp_path / "none.csv", TABLES)
+        read_experiment(tmp_path / "none.csv")
     with pytest.raises(ExperimentError, match="is a directory"):
         read_experiment(tmp_path)
     with pytest.raises(ExperimentError, match="cannot be read"):
@@ -542,7 +541,7 @@ def test_a_point_without_a_computed_label_is_not_skipped_over() -> None:
 
 
 def test_table_4_1_has_the_trends_of_a_map_like_figure_3_4() -> None:
-    comparison = compare_experiment(like_figure_3_4(), read_experiment("table_4_1", TABLES))
+    comparison = compare_experiment(like_figure_3_4(), read_experiment("table_4_1"))
     ratio, backlash = comparison.trends
     assert (ratio.measured.direction, ratio.computed.direction, ratio.opposed) == ("rises", "rises", 0)
     assert (backlash.measured.direction, backlash.computed.direction, backlash.opposed) == ("falls", "falls", 0)
@@ -640,7 +639,7 @@ def test_difference_map_of_equal_maps_marks_nothing() -> None:
 
 def table_on_the_map() -> tuple[Results, ExperimentComparison]:
     results = like_figure_3_4()
-    return results, compare_experiment(results, read_experiment("table_4_1", TABLES))
+    return results, compare_experiment(results, read_experiment("table_4_1"))
 
 
 def test_experiment_map_shows_every_point_inside_filled_where_it_agrees() -> None:
@@ -677,7 +676,7 @@ def test_maps_with_the_axes_the_other_way_round_look_the_same() -> None:
         np.array([[results.labels[code] for code in row] for row in results.sequence], dtype=object).T,
         (BACKLASH, RATIO),
     )
-    figure = experiment_map(turned, compare_experiment(turned, read_experiment("table_4_1", TABLES)))
+    figure = experiment_map(turned, compare_experiment(turned, read_experiment("table_4_1")))
     assert drawn(figure, "agrees") == drawn(experiment_map(results, comparison), "agrees")
 
 

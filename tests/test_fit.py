@@ -10,12 +10,10 @@ from click.testing import CliRunner
 
 import clunk
 from clunk.analysis import fitting
-from clunk.analysis.fitensemble import effective_size, sample, weights_of
-from clunk.analysis.fitpredictions import losses
-from clunk.analysis.fitreasons import order_of_events
 from clunk.analysis.fitruns import MATCH, label_of, outlier_misfit, partners
+from clunk.analysis.fitted import effective_size, losses, order_of_events, weights_of
 from clunk.analysis.fittedstudy import fitted_study
-from clunk.analysis.fitting import FitError
+from clunk.analysis.fitting import FitError, sample
 from clunk.analysis.measurements import Experiment, ExperimentError, experiment_of
 from clunk.api import run_points, sweep, tolerance_map
 from clunk.cli import cli
@@ -254,7 +252,7 @@ def test_the_same_seed_gives_the_same_fit_and_its_pictures_go_by_name(tmp_path: 
     (tmp_path / "rig.csv").write_text(CSV)
     first, again = (clunk.fit(study_of(GAP), tmp_path / "rig.csv") for _ in range(2))
     assert np.array_equal(again.matches, first.matches)
-    assert f"labels met         {first.met} of 2" in repr(again)
+    assert f"met by the best candidate      {first.met}" in repr(again)
     assert clunk.draw(first, "ensemble").axes
     with pytest.raises(clunk.PlotError, match="no picture severity of a fit"):
         clunk.draw(first, "severity")

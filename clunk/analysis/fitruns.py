@@ -29,6 +29,7 @@ from clunk.study.parameters import located, nominal_value, parameters
 from clunk.study.study import Study
 from clunk.study.sweeps import Draw
 from clunk.sweeping.assembly import flanks_of
+from clunk.sweeping.progress import Progress
 from clunk.sweeping.runner import Runner
 
 Worth = Callable[[Records], Bools]
@@ -54,20 +55,30 @@ class CandidateRuns:
     priors : of the numbers that make a candidate
     engine : of threads
     lash : position of the one that was measured
+    progress, planned : called with the number of candidates so far, and this number in all
+    candidates : number of them so far
     axes : dotted keys of the measured columns
     axis : number of the one along which labels change most
     wanted : patterns of the measured labels
     """
 
     def __init__(
-        self, study: Study, experiment: Experiment, priors: Sequence[Draw], engine: Executor, lash: int = 0
+        self,
+        study: Study,
+        experiment: Experiment,
+        priors: Sequence[Draw],
+        engine: Executor,
+        lash: int = 0,
+        progress: Progress | None = None,
+        planned: int = 0,
     ) -> None:
         self.study = measuring(study, ()).model_copy(update={"sweep": None, "fit": None})
         self.experiment, self.priors, self.lash = experiment, tuple(priors), lash
         self.axes = axes_of(self.study, experiment)
         self.points = np.array([each.values for each in experiment.measurements])
         self._speeds = np.array([each.detection_speed for each in experiment.measurements])
-        self._engine = engine
+        self._engine, self._progress, self._planned = engine, progress, planned
+        self.candidates = 0
         self.wanted = patterns_of(experiment)
         self._flanks = [flanks_of_label(each.label) for each in experiment.measurements]
         self._numbers = tuple(dict.fromkeys(name for each in experiment.measurements for name in each.impacts))
@@ -90,6 +101,9 @@ class CandidateRuns:
         if worth is not None:
             missed = missed[worth(matches)[every[0, missed]]]
         self._look_around(candidates, matches.reshape(-1), missed, every, runner)
+        self.candidates += len(candidates)
+        if self._progress is not None:
+            self._progress(self.candidates, max(self._planned, self.candidates))
         return matches
 
     def _look_around(

@@ -1,31 +1,40 @@
-"""Outcome of a fit: the best candidate, the ensemble, and what they say of parameters, labels and predictions."""
+"""Outcome of a fit: the best candidate, the ensemble, and what they say of parameters, labels and predictions.
+
+The ensemble's draws are weighted by their likelihood: of the measured labels as they are met, or of some of them, from
+which the others are predicted. Why a label is missed is told by the two events that would have to change their order.
+"""
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import zip_longest
+from typing import Any
 
 import numpy as np
 
-from clunk.analysis.fitensemble import effective_size, weights_of
-from clunk.analysis.fitpredictions import Prediction, left_out_groups, losses, predict_left_out, probabilities
-from clunk.analysis.fitreasons import reason_of
 from clunk.analysis.fitruns import axes_of, label_of, numbers_at, patterns_of
 from clunk.analysis.measurements import Experiment
-from clunk.study.arrays import Floats, Patterns, Records
+from clunk.core.sequence import INITIAL
+from clunk.results.labels import flanks_of_label
+from clunk.study.arrays import Bools, Floats, Patterns, Records
 from clunk.study.fits import Fit
 from clunk.study.parameters import nominal_value
+from clunk.study.records import Record, tells, told
 from clunk.study.study import Study
-from clunk.study.summaries import as_text
 from clunk.study.sweeps import Draw
+from clunk.sweeping.assembly import flanks_of
 
 INTERVAL = (0.05, 0.95)  # quantiles of the ensemble that bound a parameter
-UNDETERMINED = 0.7  # standard deviation, of the prior's, from which on the data leave a combination undetermined
+
+_PRIOR_WEIGHT = 10.0  # measurements that the expected share of wrong labels is worth
 
 
-@dataclass(frozen=True, eq=False)
-class Fewer:
+@dataclass(frozen=True, eq=False, repr=False)
+class Fewer(Record):
     """A fit of the first parameters alone, the others being nominal.
 
     parameters : number of them
@@ -34,14 +43,76 @@ class Fewer:
     effective : effective size of its ensemble
     """
 
-    parameters: int
-    met: int
-    predicted: int
-    effective: float
+    parameters: int = told("parameters")
+    met: int = told("most labels met")
+    predicted: int = told("predicted")
+    effective: float = told("effective draws", form=".0f")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Estimate(Record):
+    """A parameter's number: a value, a factor or an offset.
+
+    interval, prior_interval : 5 and 95 % quantiles, of the ensemble and of the prior
+    prior : its distribution
+    """
+
+    parameter: str = told("parameter")
+    draws: str = told("draws")
+    estimate: float = told("estimate", form=".4g")
+    interval: list[float] = told("5 to 95 %", form=".4g")
+    prior_interval: list[float] = told("of the prior", form=".4g")
+    prior: dict[str, Any] = told()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Combination(Record):
+    """A combination of parameters, and how much of the prior's spread the data leave to it.
+
+    direction : of each parameter, in standard deviations of its prior
+    """
+
+    spread: float = told("spread left", form=".0%")
+    direction: list[float] = told("direction (in the priors' standard deviations)", form="+.2f")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Measured(Record):
+    """A measured label, and what the fit makes of it.
+
+    computed : by the best candidate
+    probabilities : of labels, in the ensemble
+    met_by_some : whether any candidate meets it
+    reason : sentences on why the best candidate misses it; empty where it does not
+    """
+
+    at: dict[str, float] = told("at")
+    label: str = told("measured")
+    computed: str = told("computed")
+    probabilities: dict[str, float] = told()
+    met_by_some: bool = told("met by some candidate")
+    reason: str = told("why")
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class Prediction:
+    """Labels predicted without the measurements themselves.
+
+    left_out : at a time: measurement, or a measured parameter all of whose equal values were
+    predicted : (points,) uint64 patterns
+    majority, nearest : as the ensemble, by the most frequent label of the others, and by that of the nearest one
+    effective : the least effective size of an ensemble that is left
+    """
+
+    left_out: str
+    predicted: Patterns
+    majority: Patterns
+    nearest: Patterns
+    effective: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fitted(Record):
     """Outcome of a fit of d parameters to n measurements.
 
     study : Study, with its [fit]
@@ -69,10 +140,28 @@ class Fitted:
     matches: Records
     log_density: Floats
     best_distances: Floats
-    fewer: tuple[Fewer, ...]
     axis: int
-    candidates: int
     failed: int
+    fewer: tuple[Fewer, ...] = told("fits of fewer parameters, the others as in the config")
+    candidates: int = told("candidates")
+
+    @property
+    @tells()
+    def title(self) -> str:
+        """The study's title."""
+        return self.study.title
+
+    @property
+    @tells("measurements")
+    def measurements(self) -> str:
+        """Name of the file of the measurements."""
+        return self.experiment.name
+
+    @property
+    @tells("measured labels", key="points")
+    def count(self) -> int:
+        """Number of measurements."""
+        return len(self.points)
 
     @property
     def fit(self) -> Fit:
@@ -111,6 +200,13 @@ class Fitted:
         return numbers_at(self.study, self.priors, self.coordinates)
 
     @property
+    @tells("ensemble's draws", key="draws")
+    def ensemble_size(self) -> int:
+        """Number of the ensemble's draws."""
+        return len(self.weights)
+
+    @property
+    @tells("which are worth", form=".0f", key="effective_draws")
     def effective(self) -> float:
         """Effective size of the ensemble."""
         return effective_size(self.weights)
@@ -120,9 +216,81 @@ class Fitted:
         return int(np.count_nonzero(patterns == self.wanted))
 
     @property
+    @tells("met by the best candidate")
     def met(self) -> int:
         """Number of labels that the best candidate meets."""
         return self.hits(self.estimate_matches["pattern"])
+
+    @property
+    @tells("met by the config as it is")
+    def met_by_config(self) -> int:
+        """Number of labels that the config's own values meet."""
+        return self.hits(self.nominal_matches["pattern"])
+
+    @property
+    @tells("most probable in the ensemble")
+    def most_probable(self) -> int:
+        """Number of measured labels that are the most probable ones of the ensemble."""
+        pairs = zip(self.probabilities, self.experiment.measurements, strict=True)
+        return sum(next(iter(shares)) == measurement.label for shares, measurement in pairs)
+
+    @property
+    @tells("parameters", key="parameters")
+    def estimates(self) -> list[Estimate]:
+        """Each parameter's estimate and intervals."""
+        numbers = zip(self.priors, self.estimate, self.intervals(), self.prior_intervals(), strict=True)
+        return [
+            Estimate(prior.parameter, prior.draws, float(number), within.tolist(), before.tolist(), prior.model_dump())
+            for prior, number, within, before in numbers
+        ]
+
+    @property
+    @tells("what the data leave undetermined", key="combinations")
+    def undetermined(self) -> list[Combination]:
+        """The combinations of parameters, the least determined first."""
+        pairs = zip(*self.combinations, strict=True)
+        return [Combination(float(spread), direction.tolist()) for spread, direction in pairs]
+
+    @property
+    @tells("labels predicted from the other measurements", key="predictions")
+    def predicted_labels(self) -> list[dict[str, Any]]:
+        """Number of labels that are predicted without some measurements, by the ensemble and by simple rules."""
+        return [
+            {"left_out": each.left_out}
+            | {name: self.hits(getattr(each, name)) for name in ("predicted", "majority", "nearest")}
+            | {"effective_draws": each.effective}
+            for each in self.predictions
+        ]
+
+    @property
+    @tells()
+    def measured(self) -> list[Measured]:
+        """Each measured label."""
+        return [
+            Measured(
+                at=dict(zip(self.axes, measurement.values, strict=True)),
+                label=measurement.label,
+                computed=label_of(int(match["pattern"])),
+                probabilities=shares,
+                met_by_some=bool(best == 0.0),
+                reason=self.reasons.get(k, ""),
+            )
+            for k, (measurement, match, shares, best) in enumerate(
+                zip(
+                    self.experiment.measurements,
+                    self.estimate_matches,
+                    self.probabilities,
+                    self.best_distances,
+                    strict=True,
+                )
+            )
+        ]
+
+    @property
+    @tells("not met by the best candidate")
+    def missed(self) -> list[Measured]:
+        """The labels that the best candidate misses."""
+        return [each for each in self.measured if each.reason]
 
     def intervals(self, shares: Sequence[float] = INTERVAL) -> Floats:
         """(d, shares) quantiles of each parameter in the ensemble."""
@@ -168,15 +336,8 @@ class Fitted:
             if match["pattern"] != self.wanted[k]
         }
 
-    def __repr__(self) -> str:
-        intervals = zip(self.priors, self.estimate, self.intervals(), strict=True)
-        rows = [
-            ("labels met", f"{self.met} of {len(self.points)}; predicted {self.hits(self.predictions[0].predicted)}"),
-            ("ensemble", f"{len(self.weights):,} draws, effectively {self.effective:.0f}"),
-            *((each.parameter, f"{each.draws} {n:.4g}, {low:.4g} to {high:.4g}") for each, n, (low, high) in intervals),
-        ]
-        return as_text(f"clunk.Fitted {self.study.title!r}", rows)
-
+    @property
+    @tells()
     def warnings(self) -> list[str]:
         """Sentences on what makes the fit doubtful."""
         sentences = []
@@ -214,3 +375,124 @@ def weighted_quantiles(values: Floats, weights: Floats, shares: Sequence[float])
         middle = np.cumsum(weights[order]) - weights[order] / 2.0
         quantiles[k] = np.interp(shares, middle, column[order])
     return quantiles
+
+
+# --- Weights and predictions ------------------------------------------------------------------------------------------
+
+
+def weights_of(losses: Floats, log_density: Floats, flattening: float = 1.0) -> Floats:
+    """Weights of draws, which add up to 1; flattening : power of the likelihood."""
+    exponents = -flattening * losses - log_density
+    weights = np.exp(exponents - exponents.max())
+    return np.asarray(weights / weights.sum())
+
+
+def effective_size(weights: Floats) -> float:
+    """Number of equally weighted draws that would be as good."""
+    return float(1.0 / (weights**2).sum())
+
+
+def losses(matches: Records, wanted: Patterns, fit: Fit, rows: Bools | slice = slice(None)) -> Floats:
+    """Minus the logarithm of candidates' likelihood, up to a constant.
+
+    A label that is not met costs its distance over the scatter. Besides, labels are wrong with a probability that is
+    not known: its beta distribution is integrated over, so that one miss more costs much where few labels are missed
+    and little where many are.
+
+    Parameters
+    ----------
+    matches : (n, points) MATCH
+    wanted : (points,) uint64, patterns of the measured labels
+    rows : of the measurements that count
+    """
+    from scipy.special import betaln
+
+    matches, wanted = matches[:, rows], wanted[rows]
+    missed = matches["pattern"] != wanted
+    misses, count = missed.sum(axis=1), matches.shape[1]
+    wrong, right = _PRIOR_WEIGHT * fit.wrong_labels, _PRIOR_WEIGHT * (1.0 - fit.wrong_labels)
+    of_labels = betaln(wrong, count + right) - betaln(misses + wrong, count - misses + right)
+    of_distances = np.where(missed, matches["distance"], 0.0).sum(axis=1) / fit.scatter
+    return np.asarray(of_labels + of_distances + matches["misfit"].sum(axis=1))
+
+
+def probabilities(patterns: Patterns, weights: Floats) -> list[dict[int, float]]:
+    """Probability of each pattern at each point, the largest first; patterns : (n, points), weights : (n,)."""
+    every = []
+    for column in patterns.T:
+        unique, inverse = np.unique(column, return_inverse=True)
+        shares = np.bincount(inverse.reshape(-1), weights, unique.size)
+        order = np.lexsort((unique, -shares))
+        every.append({int(unique[k]): float(shares[k]) for k in order})
+    return every
+
+
+def predict_left_out(
+    matches: Records,
+    log_density: Floats,
+    wanted: Patterns,
+    points: Floats,
+    fit: Fit,
+    groups: Sequence[int],
+    left_out: str,
+) -> Prediction:
+    """Predict the labels of each group of measurements from all others.
+
+    Parameters
+    ----------
+    matches : (n, points) MATCH, of the ensemble
+    log_density : (n,) of the ensemble's proposals
+    points : (points, axes), measured values
+    groups : (points,) number of each measurement's group
+    """
+    predicted, majority, nearest = (np.zeros_like(wanted) for _ in range(3))
+    effective = np.inf
+    spans = np.maximum(np.ptp(points, axis=0), 1e-300)
+    for group in sorted(set(groups)):
+        out = np.array([each == group for each in groups])
+        weights = weights_of(losses(matches, wanted, fit, ~out), log_density)
+        effective = min(effective, effective_size(weights))
+        for at in np.flatnonzero(out):
+            predicted[at] = next(iter(probabilities(matches["pattern"][:, [at]], weights)[0]))
+            counts = Counter(wanted[~out].tolist())
+            majority[at] = min(counts, key=lambda pattern: (-counts[pattern], pattern))
+            distance = (((points[~out] - points[at]) / spans) ** 2).sum(axis=1)
+            nearest[at] = wanted[~out][distance.argmin()]
+    return Prediction(left_out, predicted, majority, nearest, effective)
+
+
+def left_out_groups(points: Floats, axes: Sequence[str]) -> dict[str, list[int]]:
+    """Ways to leave measurements out: each alone, and all that share a value of an axis with some others."""
+    every = {"measurement": list(range(len(points)))}
+    for axis, column in zip(axes, points.T, strict=True):
+        values, group = np.unique(column, return_inverse=True)
+        if 1 < values.size < len(points):
+            every[axis] = group.reshape(-1).tolist()
+    return every
+
+
+# --- Reasons ----------------------------------------------------------------------------------------------------------
+
+
+def reason_of(label: str, match: np.void, axis: str) -> str:
+    """Sentences on why a run, MATCH, misses a measured label; axis : key of the value that was changed."""
+    if match["pattern"] == 0:
+        return "The run failed."
+    events = order_of_events(flanks_of_label(label), flanks_of(int(match["pattern"])))
+    if match["change"] == 0.0:
+        return f"{events} No change of {axis} alone brings about the measured label."
+    return f"{events} At {math.exp(match['change']):.2f} times {axis} it would be the measured label."
+
+
+def order_of_events(measured: tuple[int, ...], computed: tuple[int, ...]) -> str:
+    """Sentence on the first impact in which two sequences differ: which event would have to come before which."""
+    pairs = enumerate(zip_longest(measured, computed), 1)
+    number, wanted, there = next((n, *pair) for n, pair in pairs if pair[0] != pair[1])
+    before = "the initial flank" if number == 1 else f"the flank of impact {number - 1}"
+    if wanted is None:
+        return f"The lash would have to stay at {before} instead of parting from it before impact {number}."
+    if there is None:
+        return f"The lash would have to part from {before} once more before it comes to rest there."
+    if wanted == INITIAL:
+        return f"Impact {number} would have to be on the initial flank, before the gap is crossed."
+    return f"Impact {number} would have to be on the opposite flank, before the gap turns back."

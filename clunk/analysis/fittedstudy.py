@@ -1,18 +1,34 @@
-"""The study that a fit makes of its config: with the estimate's values, and with the ensemble as its tolerances."""
+"""What a fit makes of its config: a study with the estimate's values and the ensemble as its tolerances, and maps."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from clunk.analysis.comparison import codes_among
 from clunk.analysis.fitted import Fitted
+from clunk.results.regimemap import Results
 from clunk.study.arrays import Floats
+from clunk.study.axes import ResultAxis
 from clunk.study.document import with_value
+from clunk.study.errors import ClunkError
+from clunk.study.keys import key_at
 from clunk.study.parameters import located, nominal_value
 from clunk.study.study import Study, content
+from clunk.study.sweeps import Axis, Sweep
+from clunk.sweeping.sweep import sweep
 
 _SEED = 2  # of the picked draws, beside the fit's
+
+WHICH = ("nominal", "fitted")
+_COUNT = 81  # values of an axis that the config does not sweep
+_BEYOND = 0.15  # of the measured span, on either side of it
+
+
+class FitMapError(ClunkError):
+    """A fit of which no map over two parameters can be made; its text is one sentence for the user."""
 
 
 def fitted_study(fitted: Fitted, draws: int = 0) -> Study:
@@ -77,9 +93,9 @@ def _with_tolerances(fitted: Fitted, sweep: dict[str, Any], draws: int) -> dict[
     for key in dict.fromkeys(prior.parameter for prior in fitted.priors):
         ways = {prior.draws for prior in fitted.priors if prior.parameter == key}
         if "value" in ways:
-            relative = {"value": _made_of(fitted, key, 0.0, picked)}
+            relative = {"value": _apply_fit(fitted, key, 0.0, picked)}
         else:
-            (b, a), (f, e) = ([_made_of(fitted, key, v, n) for v in (0.0, 1.0)] for n in (picked, fitted.estimate))
+            (b, a), (f, e) = ([_apply_fit(fitted, key, v, n) for v in (0.0, 1.0)] for n in (picked, fitted.estimate))
             factor = (a - b) / (e - f) if "factor" in ways else np.ones(draws)
             relative = {"factor": factor, "offset": b - f * factor}
         for way, numbers in relative.items():
@@ -90,7 +106,7 @@ def _with_tolerances(fitted: Fitted, sweep: dict[str, Any], draws: int) -> dict[
     return without | {"tolerances": tuple(tolerances), "sampling": {"count": draws}}
 
 
-def _made_of(fitted: Fitted, key: str, value: float, numbers: Floats) -> Floats:
+def _apply_fit(fitted: Fitted, key: str, value: float, numbers: Floats) -> Floats:
     """Value of a key after a fit's numbers, (…, d), have been applied to this one."""
     made: Floats = np.full(numbers.shape[:-1], value)
     for prior, column in zip(fitted.priors, np.moveaxis(numbers, -1, 0), strict=True):
@@ -109,3 +125,51 @@ def as_comment(fitted: Fitted) -> str:
         before = "" if measured or prior.draws == "value" else f" of {nominal:g}"
         lines.append(f"# {prior.parameter}: {prior.draws} {number:.6g} [{low:.4g}, {high:.4g}]{measured or before}")
     return "\n".join(lines) + "\n"
+
+
+# --- Maps -------------------------------------------------------------------------------------------------------------
+
+
+def fit_maps(fitted: Fitted, workers: int | None = None) -> Results:
+    """Map of the two measured parameters, as they were measured, before and after the fit along a first axis, `fit`.
+
+    Raises FitMapError unless two parameters were measured, each at two values or more.
+    """
+    axes = tuple(_axis(fitted, k) for k in range(len(fitted.axes)) if np.ptp(fitted.points[:, k]) > 0.0)
+    if len(axes) != 2:
+        raise FitMapError(f"A map has two measured parameters that vary; {fitted.experiment.name} has {len(axes)}.")
+    first = zip(fitted.axes, fitted.points[0].tolist(), strict=True)
+    varying = [axis.parameter for axis in axes]
+    fixed = tuple(Axis(parameter=key, values=(value,)) for key, value in first if key not in varying)
+    study = fitted.study.model_copy(update={"sweep": Sweep(axes=(*axes, *fixed))})
+    studies = study.model_copy(update={"fit": None}), fitted_study(replace(fitted, study=study))
+    before, after = (sweep(each, workers=workers).of_lash(fitted.lash) for each in studies)
+    return _stacked(before, replace(after, axes=before.axes))
+
+
+def _axis(fitted: Fitted, k: int) -> Axis:
+    """The config's axis over a measured parameter, or one that reaches a little beyond the measured values."""
+    parameter, values = fitted.axes[k], fitted.points[:, k]
+    sweep = fitted.study.sweep
+    for axis in sweep.axes if sweep is not None and sweep.design == "grid" else ():
+        if axis.parameter == parameter and axis.count_of_values > 1:
+            return axis
+    key = key_at(located(fitted.study, parameter)[0])
+    assert key is not None
+    beyond = _BEYOND * float(np.ptp(values))
+    start, stop = max(values.min() - beyond, key.lowest), min(values.max() + beyond, key.highest)
+    if key.above and start == key.lowest:
+        start = float(values.min())
+    return Axis(parameter=parameter, start=float(start), stop=float(stop), count=_COUNT)
+
+
+def _stacked(before: Results, after: Results) -> Results:
+    """Two maps of the same axes behind one another, with labels in common."""
+    labels = tuple(dict.fromkeys((*before.labels, *after.labels)))
+    parts: dict[str, Any] = {
+        name: (np.concatenate if quantity.dimension else np.stack)([before.values(name), after.values(name)])
+        for name, quantity in before.quantities.items()
+    }
+    parts["sequence"] = np.stack([codes_among(each, labels) for each in (before, after)]).astype(np.int16)
+    which = ResultAxis("fit", np.array([1.0, 2.0]), "candidate", "", "1", WHICH)
+    return replace(before, axes=(which, *before.axes), labels=labels, arrays=parts)

@@ -1,60 +1,52 @@
-"""Fit of parameters to measured sequences of impacts: the best candidate, and an ensemble of all that are probable."""
+"""Fit of parameters to measured sequences of impacts: the best candidate, and an ensemble of all that are probable.
+
+The best candidate is looked for by differential evolution, the ensemble drawn by adaptive importance sampling:
+populations whose proposals follow the ones before.
+
+Draws are in the coordinates in which the prior is standard normal. Each population is proposed by Gaussian kernels at
+draws picked by their weights, and by the prior for a share, so that no region is shut out; all draws then have the
+mixture of all proposals as their density (deterministic mixture weights, Owen & Zhou 2000, doi:10.1080/01621459.2000.
+10473909; adapted as by Cornuet et al. 2012, doi:10.1111/j.1467-9469.2011.00756.x). While few draws count, the kernels
+follow a likelihood that is flattened until enough do.
+"""
 
 from __future__ import annotations
 
 import math
+import os
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
 
-from clunk.analysis.fitensemble import Population, effective_size, sample, sobol_points, weights_of
-from clunk.analysis.fitpredictions import losses, predict_left_out
-from clunk.analysis.fitruns import CandidateRuns, Worth, axes_of, numbers_at, patterns_of
-from clunk.analysis.fitted import Fewer, Fitted
-from clunk.analysis.measurements import Experiment
+from clunk.analysis.fitruns import CandidateRuns, axes_of, numbers_at, patterns_of
+from clunk.analysis.fitted import Fewer, Fitted, effective_size, losses, predict_left_out, weights_of
+from clunk.analysis.measurements import Experiment, read_experiment
 from clunk.core.status import Status
 from clunk.study.arrays import Bools, Floats, Patterns, Records
 from clunk.study.errors import ClunkError
-from clunk.study.fits import Fit
 from clunk.study.keys import key_at
 from clunk.study.lashes import lash_position
 from clunk.study.parameters import located, nominal_value
 from clunk.study.rules import load_complaint
 from clunk.study.study import Study
 from clunk.study.sweeps import Draw
-from clunk.sweeping.progress import Progress
+from clunk.sweeping.progress import Progress, reporting
 from clunk.sweeping.sweep import engine_of
 
 _NEGLIGIBLE = 30.0  # logarithm of how much less likely than the best a candidate is whose distances do not matter
 _SEARCHED = 16  # candidates of a population of the search, for each parameter
 
+POPULATION = 512  # draws of the ensemble
+_KERNELS = 64  # of a proposal
+_OF_PRIOR = 0.1  # share of a population that the prior proposes
+_COUNTING = 0.1  # share of the draws that are to count for the kernels to follow the likelihood as it is
+_RIDGE = 1e-6  # least width of a kernel, of the prior's
+
 
 class FitError(ClunkError):
     """A fit that cannot start; its text is one sentence for the user."""
-
-
-@dataclass
-class Populations:
-    """Runs of one population of candidates after the other, with their progress.
-
-    runs : CandidateRuns
-    progress, planned : called with the number of candidates so far, and this number in all
-    candidates : number of them so far
-    """
-
-    runs: CandidateRuns
-    progress: Progress | None = None
-    planned: int = 0
-    candidates: int = 0
-
-    def __call__(self, candidates: Floats, worth: Worth) -> Records:
-        """Run a population; parameters and result as of `CandidateRuns`."""
-        matches = self.runs(candidates, worth)
-        self.candidates += len(candidates)
-        if self.progress is not None:
-            self.progress(self.candidates, max(self.planned, self.candidates))
-        return matches
 
 
 @dataclass
@@ -82,61 +74,63 @@ class _Best:
 
 def fit(
     study: Study,
-    experiment: Experiment,
+    measurements: str | os.PathLike[str] | Experiment,
     *,
-    lash: str | None = None,
+    progress: bool | Progress = False,
     workers: int | None = None,
-    progress: Progress | None = None,
+    lash: str | None = None,
 ) -> Fitted:
-    """Fit the parameters of a study's [fit] to measured sequences of impacts.
+    """Fit the parameters of a study to measured sequences of impacts.
 
     Parameters
     ----------
     study : Study
         With [[fit.parameters]]; its sweep is left aside.
-    experiment : Experiment
+    measurements : path of a CSV file
+        Operating points, their labels and what else was measured, as ``clunk help fit`` tells; or ``table_4_1``, the
+        report's.
     lash : str, optional
         Of several lashes, the one that was measured, by name or number; by default the first.
-    workers : int, optional
-        Threads; by default one for each core that this process may use.
-    progress : callable(done, total), optional
-        Called with the number of candidates after each population.
+    progress, workers
+        As of `clunk.sweep`; candidates are counted.
+
+    Returns
+    -------
+    Fitted
+        `estimate` and `intervals()` of the parameters, `met` labels, `predictions`, `reasons` for the labels that are
+        not met, `warnings` and all draws of the ensemble with their `weights`. `clunk.draw` makes its pictures, and
+        `clunk.fitted_study` the study that it gives.
 
     Raises
     ------
     FitError, ExperimentError
-        Where the measurements do not go with the study, or a prior with them.
+        Where the measurements cannot be read or do not go with the study, or a prior with them.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> study = clunk.load_study("configs/fit_table_4_1.toml", ["fit.candidates=64", "fit.draws=512"])
+    >>> fitted = clunk.fit(study, "table_4_1")
+    >>> fitted.met, fitted.met_by_config
+    (15, 2)
+    >>> factor, offset = fitted.intervals()  # of 5 and 95 %
     """
+    experiment = measurements if isinstance(measurements, Experiment) else read_experiment(measurements)
     check(study, experiment)
     assert study.fit is not None
     settings, priors = study.fit, study.fit.parameters
-    position = lash_position(lash, study.lash_names)
-    with engine_of(None, workers) as engine:
-        runs = CandidateRuns(study, experiment, priors, engine, position)
-        populations = Populations(runs, progress, planned(settings))
+    position, most = lash_position(lash, study.lash_names), settings.candidates + settings.draws * len(priors)
+    plain = study.model_copy(update={"sweep": None})
+    with engine_of(None, workers) as engine, reporting(progress, most, plain, what="candidates") as report:
+        runs = CandidateRuns(study, experiment, priors, engine, position, report, most)
         best = _Best(runs.wanted)
         nominal = np.array([nominal_number(study, prior) for prior in priors])
-        nominal_matches = populations(nominal[None], lambda matches: np.ones(1, bool))[0]
-        _search(study, populations, best, nominal)
-        ensemble, matches = draw_ensemble(study, populations, best, nominal, len(priors))
-        fewer = []
-        for count in range(1, len(priors)):
-            part, of_part = draw_ensemble(study, populations, None, nominal, count)
-            predicted = predict_left_out(
-                of_part, part.log_density, runs.wanted, runs.points, settings, range(len(runs.points)), ""
-            ).predicted
-            hits = of_part["pattern"] == runs.wanted
-            weights = weights_of(part.losses, part.log_density)
-            fewer.append(
-                Fewer(
-                    count,
-                    int(hits.sum(axis=1).max()),
-                    int((predicted == runs.wanted).sum()),
-                    effective_size(weights),
-                )
-            )
-        if progress is not None:
-            progress(populations.candidates, populations.candidates)
+        nominal_matches = runs(nominal[None])[0]
+        _search(study, runs, best, nominal)
+        ensemble, matches = draw_ensemble(study, runs, best, nominal, len(priors))
+        fewer = [_fit_of_fewer(study, runs, nominal, count) for count in range(1, len(priors))]
+        if report is not None:
+            report(runs.candidates, runs.candidates)
     assert best.matches is not None
     return Fitted(
         study=study,
@@ -151,12 +145,23 @@ def fit(
         best_distances=np.asarray(best.distances),
         fewer=tuple(fewer),
         axis=runs.axis,
-        candidates=populations.candidates,
+        candidates=runs.candidates,
         failed=best.failed,
     )
 
 
-def _search(study: Study, populations: Populations, best: _Best, nominal: Floats) -> None:
+def _fit_of_fewer(study: Study, runs: CandidateRuns, nominal: Floats, count: int) -> Fewer:
+    """Fit the first parameters alone."""
+    assert study.fit is not None
+    ensemble, matches = draw_ensemble(study, runs, None, nominal, count)
+    density, each_alone = ensemble.log_density, range(len(runs.points))
+    predicted = predict_left_out(matches, density, runs.wanted, runs.points, study.fit, each_alone, "").predicted
+    hits = matches["pattern"] == runs.wanted
+    weights = weights_of(ensemble.losses, density)
+    return Fewer(count, int(hits.sum(axis=1).max()), int((predicted == runs.wanted).sum()), effective_size(weights))
+
+
+def _search(study: Study, runs: CandidateRuns, best: _Best, nominal: Floats) -> None:
     """Look for the best candidate by differential evolution, a population a sweep."""
     from scipy.optimize import differential_evolution
     from scipy.stats import norm
@@ -176,7 +181,7 @@ def _search(study: Study, populations: Populations, best: _Best, nominal: Floats
         shares = np.clip(trials.T, 1e-12, 1.0 - 1e-12)
         candidates = numbers_at(study, priors, np.asarray(norm.ppf(shares)))
         # a trial that cannot replace its parent whatever its distances are is not looked at further
-        matches = populations(candidates, lambda near: losses(near, wanted, settings) <= parents[: len(near)])
+        matches = runs(candidates, lambda near: losses(near, wanted, settings) <= parents[: len(near)])
         values = losses(matches, wanted, settings)
         best.take(candidates, matches, values)
         parents = np.minimum(parents, values)
@@ -196,12 +201,12 @@ def _search(study: Study, populations: Populations, best: _Best, nominal: Floats
 
 
 def draw_ensemble(
-    study: Study, populations: Populations, best: _Best | None, nominal: Floats, count: int
+    study: Study, runs: CandidateRuns, best: _Best | None, nominal: Floats, count: int
 ) -> tuple[Population, Records]:
     """Ensemble of the first parameters, the others being nominal, and its draws' MATCH."""
     settings = study.fit
     assert settings is not None
-    priors, wanted = settings.parameters, populations.runs.wanted
+    priors, wanted = settings.parameters, runs.wanted
     every: list[Records] = []
     least = np.inf
 
@@ -214,7 +219,7 @@ def draw_ensemble(
             bounds = losses(near, wanted, settings)
             return np.asarray(bounds <= min(least, bounds.min()) + _NEGLIGIBLE)
 
-        matches = populations(candidates, matters)
+        matches = runs(candidates, matters)
         values = losses(matches, wanted, settings)
         if best is not None:
             best.take(candidates, matches, values)
@@ -224,6 +229,116 @@ def draw_ensemble(
 
     population = sample(loss, count, settings.effective_draws, settings.draws, settings.seed)
     return population, np.concatenate(every)
+
+
+# --- Importance sampling ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """A mixture of Gaussian kernels and the prior; without kernels the prior alone.
+
+    centres : (k, d)
+    root : (d, d) lower triangular, of the kernels' covariance
+    """
+
+    centres: Floats
+    root: Floats
+
+    def over_prior(self, draws: Floats) -> Floats:
+        """Density at some draws, (n, d), as a multiple of the prior's."""
+        if not len(self.centres):
+            return np.ones(len(draws))
+        inverse = np.linalg.inv(self.root)
+        whitened = draws @ inverse.T, self.centres @ inverse.T
+        squares = ((whitened[0][:, None, :] - whitened[1][None, :, :]) ** 2).sum(axis=2)
+        exponents = ((draws**2).sum(axis=1)[:, None] - squares) / 2.0 - np.log(np.diag(self.root)).sum()
+        return np.asarray(_OF_PRIOR + (1.0 - _OF_PRIOR) * np.exp(np.minimum(exponents, 600.0)).mean(axis=1))
+
+    def draw(self, count: int, generator: np.random.Generator) -> Floats:
+        """Draw from the mixture, (count, d)."""
+        normal = generator.standard_normal((count, self.root.shape[0]))
+        kernel = generator.integers(len(self.centres), size=count)
+        of_prior = generator.random(count) < _OF_PRIOR
+        return np.where(of_prior[:, None], normal, self.centres[kernel] + normal @ self.root.T)
+
+
+@dataclass
+class Population:
+    """Draws of all populations so far.
+
+    draws : (n, d), in the coordinates of the standard normal prior
+    losses : (n,) minus the logarithm of their likelihood
+    proposals : of each population
+    """
+
+    draws: Floats
+    losses: Floats
+    proposals: list[Proposal] = field(default_factory=list)
+    counts: list[int] = field(default_factory=list)
+
+    @property
+    def log_density(self) -> Floats:
+        """(n,) logarithm of the density that proposed the draws, as a multiple of the prior's."""
+        densities = [
+            count * each.over_prior(self.draws) for each, count in zip(self.proposals, self.counts, strict=True)
+        ]
+        return np.asarray(np.log(np.sum(densities, axis=0) / sum(self.counts)))
+
+
+def sample(loss_of: Callable[[Floats], Floats], dimensions: int, effective: float, most: int, seed: int) -> Population:
+    """Draw populations until they are worth `effective` draws, or are `most`.
+
+    Parameters
+    ----------
+    loss_of : of draws, (n, dimensions), minus the logarithm of their likelihood, (n,)
+    """
+    from scipy.stats import norm
+
+    first = sobol_points(min(POPULATION, most), dimensions, np.random.default_rng([seed, 0]))
+    draws = np.asarray(norm.ppf(np.clip(first, 1e-12, 1.0 - 1e-12)), np.float64)
+    population = Population(draws, loss_of(draws), [Proposal(draws[:0], np.eye(dimensions))], [len(draws)])
+    while len(population.draws) < most:
+        density = population.log_density
+        if effective_size(weights_of(population.losses, density)) >= effective:
+            break
+        generator = np.random.default_rng([seed, len(population.counts)])
+        proposal = proposal_after(population, density, generator)
+        draws = proposal.draw(min(POPULATION, most - len(population.draws)), generator)
+        population.losses = np.concatenate([population.losses, loss_of(draws)])
+        population.draws = np.concatenate([population.draws, draws])
+        population.proposals.append(proposal)
+        population.counts.append(len(draws))
+    return population
+
+
+def sobol_points(count: int, dimensions: int, generator: np.random.Generator) -> Floats:
+    """The first points, (count, dimensions), of a scrambled Sobol sequence."""
+    from scipy.stats import qmc
+
+    return np.asarray(qmc.Sobol(dimensions, seed=generator).random_base2((count - 1).bit_length())[:count])
+
+
+def proposal_after(population: Population, log_density: Floats, generator: np.random.Generator) -> Proposal:
+    """The kernels that follow the weights of the draws so far, flattened until enough draws count."""
+    enough, losses = _COUNTING * POPULATION, population.losses
+    low, high = 0.0, 1.0
+    weights = weights_of(losses, log_density)
+    if effective_size(weights) < enough:
+        for _ in range(40):
+            middle = (low + high) / 2.0
+            if effective_size(weights_of(losses, log_density, middle)) < enough:
+                high = middle
+            else:
+                low = middle
+        weights = weights_of(losses, log_density, low)
+    dimensions = population.draws.shape[1]
+    offsets = population.draws - weights @ population.draws
+    covariance = (offsets * weights[:, None]).T @ offsets
+    width = (4.0 / ((dimensions + 2) * effective_size(weights))) ** (1.0 / (dimensions + 4))  # Silverman's rule
+    root = np.linalg.cholesky(width**2 * covariance + _RIDGE**2 * np.eye(dimensions))
+    picked = generator.choice(len(weights), size=_KERNELS, p=weights)
+    return Proposal(population.draws[picked], root)
 
 
 # --- Parameters and their priors -------------------------------------------------------------------------------------
@@ -287,8 +402,3 @@ def _check_axis(study: Study, axis: str, value: float, where: str) -> None:
                 f"{where}: the prior allows {axis} = {changed:.6g}, and it must be {key.must_be}; bound it with low "
                 "and high."
             )
-
-
-def planned(settings: Fit) -> int:
-    """Number of candidates that a fit may take."""
-    return settings.candidates + settings.draws * len(settings.parameters)

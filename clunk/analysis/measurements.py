@@ -9,7 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib.resources.abc import Traversable
+from importlib.resources import files
 from pathlib import Path
 
 from clunk.results.labels import flanks_of_label, normalised_label
@@ -67,16 +67,16 @@ class Experiment:
     caveat: str = CAVEAT
 
 
-Tables = Mapping[str, Traversable]  # by name: CSV files that come with a package
+TABLES = {"table_4_1": files(__package__) / "table_4_1.csv"}  # the report's, which come with clunk
 
 
-def is_experiment(path: str | os.PathLike[str], tables: Tables | None = None) -> bool:
-    """Whether a path names measurements rather than a results file: a .csv, or the name of a table."""
-    return Path(path).suffix.lower() == ".csv" or (not Path(path).exists() and os.fspath(path) in (tables or {}))
+def is_experiment(path: str | os.PathLike[str]) -> bool:
+    """Whether a path names measurements rather than a results file: a .csv, or the name of one of `TABLES`."""
+    return Path(path).suffix.lower() == ".csv" or (not Path(path).exists() and os.fspath(path) in TABLES)
 
 
-def read_experiment(path: str | os.PathLike[str], tables: Tables | None = None) -> Experiment:
-    """Read measurements from a CSV file in UTF-8, or from one of `tables` by its name.
+def read_experiment(path: str | os.PathLike[str]) -> Experiment:
+    """Read measurements from a CSV file in UTF-8, or from one of `TABLES` by its name; a file of that name comes first.
 
     The first line that is no comment (#) names the columns: one for each parameter, as in a results file
     (``load_ratio``) or in a config (``load.ratio``), in the parameter's unit, and ``label``. There may be measured
@@ -84,18 +84,9 @@ def read_experiment(path: str | os.PathLike[str], tables: Tables | None = None) 
     ``impact_severity_1``), blank where they were not measured, with their standard deviation, ``impact_time_std``, and
     ``detection_speed``, the closing speed below which an impact would not have been seen.
 
-    Parameters
-    ----------
-    path : str or path
-    tables : mapping of str to Traversable, optional
-        Packaged tables by name, for example `clunk.report.tables.TABLES`. A file of that name comes first.
-
-    Raises
-    ------
-    ExperimentError
-        Where the file cannot be read, with the number of the line that is wrong.
+    Raises ExperimentError where the file cannot be read, with the number of the line that is wrong.
     """
-    return experiment_of(_text_of(path, tables or {}), path)
+    return experiment_of(_text_of(path), path)
 
 
 def experiment_of(text: str, path: str | os.PathLike[str]) -> Experiment:
@@ -130,10 +121,10 @@ def experiment_of(text: str, path: str | os.PathLike[str]) -> Experiment:
     )
 
 
-def _text_of(path: str | os.PathLike[str], tables: Tables) -> str:
-    if os.fspath(path) in tables and not Path(path).exists():
-        return tables[os.fspath(path)].read_text("utf-8")
-    known = f"; the experiments that come with clunk are: {', '.join(tables)}." if tables else "."
+def _text_of(path: str | os.PathLike[str]) -> str:
+    if os.fspath(path) in TABLES and not Path(path).exists():
+        return TABLES[os.fspath(path)].read_text("utf-8")
+    known = f"; the experiments that come with clunk are: {', '.join(TABLES)}."
     try:
         return read_text(path, "an experiment", "a CSV file", known)
     except ConfigError as error:

@@ -33,23 +33,19 @@ def compare(a: Path, b: Path, output: Path | None, expect_equal: bool, lash: str
     from clunk.analysis.comparison import compare as compare_maps
     from clunk.analysis.measurements import is_experiment, read_experiment
     from clunk.analysis.trends import compare_experiment
-    from clunk.report.tables import TABLES
     from clunk.results import targets
     from clunk.results.store import read_results
 
     if output is not None:
         targets.check(output, targets.PICTURES)
     results = read_results(a)
-    other = None if is_experiment(b, TABLES) else read_results(b)
+    other = None if is_experiment(b) else read_results(b)
     if other is None or lash is not None:
         results = results.of_lash(lash)
     if other is not None and lash is not None:
         other = other.of_lash(lash)
     comparison: Any  # of two maps, or of a map and measurements
-    if other is None:
-        comparison = compare_experiment(results, read_experiment(b, TABLES))
-    else:
-        comparison = compare_maps(results, other)
+    comparison = compare_experiment(results, read_experiment(b)) if other is None else compare_maps(results, other)
     if not as_json:
         click.echo(f"A  {a}\nB  {b}\n")
     tables.tell(comparison, as_json)

@@ -10,12 +10,9 @@ import click
 
 from clunk.cli import tables, terminal
 from clunk.cli.options import PATH, json_option, lash_option, set_option, workers_option
-from clunk.sweeping import progress
 
 if TYPE_CHECKING:
     from clunk.analysis.fitted import Fitted
-    from clunk.analysis.measurements import Experiment
-    from clunk.study.study import Study
 
 
 @click.command()
@@ -52,44 +49,25 @@ def fit(
     """
     if tolerances is not None and fitted_config is None:
         raise click.UsageError("--tolerances goes with --write.")
-    from clunk.analysis import fitting
-    from clunk.analysis.measurements import read_experiment
-    from clunk.cli.fit_report import as_record, report
-    from clunk.report.tables import TABLES
+    import clunk
     from clunk.results import targets
-    from clunk.study.config import load_study
 
-    study = load_study(config, overrides)
-    experiment = read_experiment(measurements, TABLES)
-    fitting.check(study, experiment)
+    study = clunk.load_study(config, overrides)
     if picture is not None:
         targets.check(picture, targets.PICTURES)
     if fitted_config is not None:
         targets.check(fitted_config, (".toml",), reads=config)
-    fitted = _run(study, experiment, lash, workers)
-    if as_json:
-        tables.print_record(as_record(fitted))
-    else:
-        click.echo("\n".join(report(fitted)))
+    terminal.warn_of_coarse_step(study, study.solver.method)
+    began = time.perf_counter()
+    fitted = clunk.fit(study, measurements, progress=True, lash=lash, workers=workers)
+    click.echo(f"{fitted.candidates:,} candidates in {time.perf_counter() - began:.1f} s", err=True)
+    tables.tell(fitted, as_json)
     if fitted_config is not None:
         _write(fitted, fitted_config, tolerances or 0)
     if picture is not None:
         _draw(fitted, picture, workers)
-    for sentence in fitted.warnings():
+    for sentence in fitted.warnings:
         terminal.complain(f"warning: {sentence}")
-
-
-def _run(study: Study, experiment: Experiment, lash: str | None, workers: int | None) -> Fitted:
-    """Fit with a progress bar."""
-    from clunk.analysis import fitting
-
-    assert study.fit is not None
-    terminal.warm_up(study.model_copy(update={"sweep": None}), "fitted")
-    began = time.perf_counter()
-    with progress.shown(fitting.planned(study.fit), "candidates") as show:
-        fitted = fitting.fit(study, experiment, progress=show, lash=lash, workers=workers)
-    click.echo(f"{fitted.candidates:,} candidates in {time.perf_counter() - began:.1f} s", err=True)
-    return fitted
 
 
 def _write(fitted: Fitted, path: Path, tolerances: int) -> None:
@@ -105,7 +83,7 @@ def _write(fitted: Fitted, path: Path, tolerances: int) -> None:
 
 def _draw(fitted: Fitted, path: Path, workers: int | None) -> None:
     """Draw the pictures of a fit: PATH-ensemble, PATH-labels and, of two measured parameters, PATH-maps."""
-    from clunk.analysis.fitmaps import FitMapError, fit_maps
+    from clunk.analysis.fittedstudy import FitMapError, fit_maps
     from clunk.plot import comparisons
     from clunk.plot import fit as figures
 

@@ -10,9 +10,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from clunk.analysis.comparison import Comparison
-from clunk.analysis.fitmaps import WHICH
 from clunk.analysis.fitruns import label_of
 from clunk.analysis.fitted import Fitted
+from clunk.analysis.fittedstudy import WHICH
 from clunk.analysis.trends import ExperimentComparison
 from clunk.plot.layers import Layers, Measured, Note
 from clunk.plot.maps import plane_map, several_maps
@@ -82,7 +82,7 @@ def measured_on_maps(results: Results, fitted: Fitted) -> Figure:
 
     Points are compared with their own runs, not with the map's nearest cells.
 
-    results : of `clunk.analysis.fitmaps.fit_maps`
+    results : of `clunk.analysis.fittedstudy.fit_maps`
 
     Raises PlotError where the maps cannot be drawn.
     """

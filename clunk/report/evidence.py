@@ -8,7 +8,6 @@ from clunk.analysis.fitted import Fitted
 from clunk.analysis.fitting import fit
 from clunk.analysis.measurements import read_experiment
 from clunk.analysis.trends import ExperimentComparison, compare_experiment
-from clunk.report.tables import TABLES
 from clunk.results.regimemap import Results
 from clunk.simulation.driveline import Driveline, Modes
 from clunk.simulation.trajectory import Trajectory, simulate
@@ -143,7 +142,7 @@ class Evidence:
     @cached_property
     def measured(self) -> ExperimentComparison:
         """Table 4.1 on the map of the indentation model."""
-        return compare_experiment(self.maps["indentation"], read_experiment("table_4_1", TABLES))
+        return compare_experiment(self.maps["indentation"], read_experiment("table_4_1"))
 
     @property
     def fitted(self) -> Fitted:
@@ -154,7 +153,7 @@ class Evidence:
 @cache
 def _gaps_fitted() -> Fitted:
     study = study_from_text(_GAPS + _DRIVELINE, overrides=['solver.method="exact"'])
-    return fit(study, read_experiment("table_4_1", TABLES))
+    return fit(study, read_experiment("table_4_1"))
 
 
 def _closed_modes(study: Study) -> Modes:

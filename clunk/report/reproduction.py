@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from clunk import plot
 from clunk.analysis.comparison import compare
-from clunk.analysis.fitmaps import fit_maps
+from clunk.analysis.fittedstudy import fit_maps
 from clunk.plot import comparisons, histories, strips
 from clunk.report.claims import Claim, Verdict
 from clunk.report.evidence import MAPS, NOMINAL_RATIO, RATIOS, Evidence

@@ -15,9 +15,8 @@ import time
 import numpy as np
 
 from clunk.analysis import fitting
-from clunk.analysis.fitensemble import effective_size, weights_of
 from clunk.analysis.fitruns import CandidateRuns
-from clunk.analysis.fitted import INTERVAL, weighted_quantiles
+from clunk.analysis.fitted import INTERVAL, effective_size, weighted_quantiles, weights_of
 from clunk.analysis.measurements import experiment_of
 from clunk.api import run_points
 from clunk.results.labels import flanks_of_label
@@ -79,7 +78,7 @@ def intervals(study, text, engine):
     runs = CandidateRuns(study, experiment_of(text, "synthetic.csv"), study.fit.parameters, engine)
     priors = study.fit.parameters
     nominal = np.array([fitting.nominal_number(study, prior) for prior in priors])
-    population, _ = fitting.draw_ensemble(study, fitting.Populations(runs), None, nominal, len(priors))
+    population, _ = fitting.draw_ensemble(study, runs, None, nominal, len(priors))
     weights = weights_of(population.losses, population.log_density)
     draws = fitting.numbers_at(study, priors, population.draws)
     bounds = weighted_quantiles(draws, weights, INTERVAL)
