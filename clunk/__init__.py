@@ -101,6 +101,7 @@ _HOME = {
     "fitted_study": "analysis.fittedstudy",
     "load_study": "study.config",
     "open_results": "results.datasets",
+    "optimize": "analysis.optimisation",
     "plot": "plot",
     "read_results": "results.store",
     "read_tolerance_map": "results.store",

@@ -24,7 +24,7 @@ from clunk.study.problems import nearest
 
 _COMMANDS = (
     *("sweep", "plot", "explore", "simulate", "modes", "info", "report", "export", "init", "help", "completion"),
-    *("compare", "fit", "verify", "sensitivity", "thresholds", "reproduce"),
+    *("compare", "fit", "verify", "sensitivity", "thresholds", "optimize", "reproduce"),
 )
 
 

@@ -7,6 +7,7 @@ severity, touches, margin, …         a number, see `known_quantities`
 impulse, peak_torque, energy         numbers, see `clunk help measures`; a run to come need not be asked for them
 shuffle                              a measure of the config, by its name
 severity<=8000, touches=4            whether a number is <=, <, >=, > or = another
+double_sided=0                       whether something does not hold; with 1, whether it does
 single_sided, double_sided, …        whether the label has an SS, a DS, an OS (opposite_sided), a CR (crossed)
 NI, SS, DS, OS, CR                   short for label=NI, single_sided and so on
 chatter                              whether touches follow that are no primary impacts
@@ -155,7 +156,7 @@ class Quantity:
             return np.where(sequence == FAILED_CODE, np.nan, holds)
         if self.base is None:
             return results.numbers(self.name)
-        numbers = results.numbers(self.base.name)
+        numbers = self.base.of_runs(results)
         if self.base.name == "last_event_time":
             numbers = np.where(sequence == FAILED_CODE, np.nan, np.nan_to_num(numbers))
         return np.where(np.isnan(numbers), np.nan, _RELATIONS[self.relation][0](numbers, self.bound))
@@ -257,7 +258,8 @@ def quantity_of(text: str, source: Study | Map) -> Quantity:
             return _related(quantity, relation, normalised_label(bound))
         except ValueError:
             raise ClunkError(f"{shorten(text)} names no label; an example is 'label=DS(1)SS(1)'.") from None
-    if quantity.type not in (NUMBER, WHOLE):
+    is_whether = quantity.type == YES_NO and relation == "=" and bound in ("0", "1")
+    if quantity.type not in (NUMBER, WHOLE) and not is_whether:
         example = "label=DS(1)SS(1)" if quantity.type == TEXT else name
         raise ClunkError(f"{shorten(text)}: only numbers are compared so; {example!r} is a quantity.")
     try:

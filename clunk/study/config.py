@@ -125,6 +125,7 @@ def study_from_text(
     if isinstance(document.get("driveline"), dict):
         document["driveline"].pop("preset", None)
     findings += _fill_in(document, assigned)
+    _number_free_keys(document)
     study, wrong = validated(Study, document, document.get("driveline"))
     findings += wrong
     if study is not None and not findings and not malformed:
@@ -271,6 +272,23 @@ def _load_trace(document: dict[str, Any], folder: str | PathLike[str]) -> list[F
         return [(("load", "file"), str(error).rstrip("."))]
     del load["file"]
     return []
+
+
+def _number_free_keys(document: dict[str, Any]) -> None:
+    """Write the keys of an optimisation with numbers in the place of names; those that are none have errors later."""
+
+    def numbered(value: Any) -> Any:
+        if isinstance(value, list):
+            return [numbered(each) for each in value]
+        place = place_of(value, names) if isinstance(value, str) else None
+        return value if place is None else dotted(place)
+
+    names = names_of(document)
+    table = value_at(document, ("optimize",))
+    for each in (table, *items_of(value_at(table, ("parameters",)))):
+        for key in ("minimize", "parameter"):
+            if isinstance(each, dict) and key in each:
+                each[key] = numbered(each[key])
 
 
 def _fill_in(document: dict[str, Any], assigned: Sequence[Place]) -> list[Finding]:

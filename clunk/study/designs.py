@@ -17,6 +17,7 @@ import numpy.typing as npt
 from clunk.study.arrays import Cells, Floats
 from clunk.study.axes import RUN, ResultAxis
 from clunk.study.document import dotted
+from clunk.study.models import NOT_OF_A_RUN
 from clunk.study.parameters import located, nominal_value, quantity
 from clunk.study.problems import Problem, report
 from clunk.study.study import Study
@@ -117,7 +118,7 @@ def design_of_points(study: Study, points: Mapping[str, npt.ArrayLike]) -> Desig
     """
     columns = {dotted(located(study, key)[0]): np.asarray(values).tolist() for key, values in points.items()}
     axes = [{"parameter": parameter, "values": values} for parameter, values in columns.items()]
-    document = {**study.model_dump(exclude={"sweep", "fit"}), "sweep": {"design": "zip", "axes": axes}}
+    document = {**study.model_dump(exclude=NOT_OF_A_RUN), "sweep": {"design": "zip", "axes": axes}}
     walked, findings = validated(Study, document)
     if walked is not None:
         return design_of(walked)

@@ -16,6 +16,7 @@ from clunk.study.fits import Fit
 from clunk.study.lashes import lash_name
 from clunk.study.loads import Load
 from clunk.study.measures import Measure
+from clunk.study.optimisation import Optimize
 from clunk.study.problems import shorten
 from clunk.study.sweeps import Sweep
 from clunk.study.tables import (
@@ -35,6 +36,8 @@ from clunk.study.tables import (
     converted,
     is_number,
 )
+
+NOT_OF_A_RUN = {"sweep", "fit", "optimize"}  # tables that say which runs there are, and nothing of one
 
 _Stages = Annotated[
     tuple[Annotated[NotNegative, Quantity("stiffness of shaft {0} in stage {1}", "k{0},{1}", "N m/rad")], ...],
@@ -241,6 +244,7 @@ class Config(Table):
     measures: tuple[Measure, ...] = ()
     sweep: Sweep | None = None
     fit: Fit | None = None
+    optimize: Optimize | None = None
 
     @model_validator(mode="before")
     @classmethod

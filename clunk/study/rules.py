@@ -10,7 +10,7 @@ from clunk.study.arrays import Floats
 from clunk.study.document import Place, dotted, with_value
 from clunk.study.loads import PROFILES, TORQUES, uses
 from clunk.study.measures import broken_measures
-from clunk.study.models import Config
+from clunk.study.models import NOT_OF_A_RUN, Config
 from clunk.study.parameters import complaint, located
 from clunk.study.problems import listing, shorten
 from clunk.study.sweeps import Axis, Draw
@@ -27,7 +27,7 @@ Sizes = Sequence[tuple[float, Place]]  # positive numbers, each with its place
 
 def broken_rules(config: Config) -> list[Finding]:
     """Findings of all rules on a config; draws are only looked at where nothing else is wrong."""
-    rules = (_inertias, _lashes, _steps, _sizes, _swept, _times, _fitted, broken_measures)
+    rules = (_inertias, _lashes, _steps, _sizes, _swept, _times, _fitted, _optimised, broken_measures)
     findings = [finding for rule in rules for finding in rule(config)]
     return findings or list(_drawn(config))
 
@@ -343,7 +343,7 @@ def _forbidden(draw: Draw, value: float, what: str, config: Config) -> str | Non
     crossing = _crossing(config, draw.parameter, np.array([value]))
     if crossing is not None or place[:2] == ("load", "times"):
         return crossing
-    drawn = Config.model_validate(with_value(config.model_dump(exclude={"sweep", "fit"}), place, value))
+    drawn = Config.model_validate(with_value(config.model_dump(exclude=NOT_OF_A_RUN), place, value))
     drawn = drawn.model_copy(update={"sweep": config.sweep})
     return next((f"{what}; {text}" for rule in (_steps, _sizes) for _, text in rule(drawn)), None)
 
@@ -353,7 +353,7 @@ def _fitted(config: Config) -> Iterator[Finding]:
 
     A measured key's factor or offset acts on measured values, which are not known here.
     """
-    document = config.model_dump(exclude={"sweep", "fit"})
+    document = config.model_dump(exclude=NOT_OF_A_RUN)
     for k, prior in enumerate(config.fit.parameters if config.fit is not None else ()):
         parameter = prior.parameter
         text = complaint(parameter, document) or load_complaint(parameter, config)
@@ -367,3 +367,23 @@ def _fitted(config: Config) -> Iterator[Finding]:
             if text is not None:
                 yield ("fit", "parameters", k), text
                 break
+
+
+def _optimised(config: Config) -> Iterator[Finding]:
+    """Require free parameters that can be swept, over values that they allow; robustness with tolerances only."""
+    optimize = config.optimize
+    document = config.model_dump(exclude=NOT_OF_A_RUN)
+    for k, free in enumerate(optimize.parameters if optimize is not None else ()):
+        for parameter in free.keys:
+            text = complaint(parameter, document) or load_complaint(parameter, config)
+            if text is not None:
+                yield ("optimize", "parameters", k, "parameter"), text
+                continue
+            _, key, _ = located(config, parameter)
+            for name in ("low", "high"):
+                value = getattr(free, name)
+                if key.whole or not key.allows(value):
+                    must_be = "a key of numbers, not of whole ones" if key.whole else key.must_be
+                    yield ("optimize", "parameters", k, name), f"found {value:g}; {parameter} must be {must_be}"
+    if optimize is not None and optimize.robust is not None and not (config.sweep and config.sweep.tolerances):
+        yield ("optimize", "robust"), "a share of drawn drivelines needs [[sweep.tolerances]], and there are none"

@@ -11,7 +11,7 @@ import tomli_w
 from clunk.study.arrays import Floats
 from clunk.study.document import dotted, items_of, with_value
 from clunk.study.loads import numbers
-from clunk.study.models import Config, Contact, Lash
+from clunk.study.models import NOT_OF_A_RUN, Config, Contact, Lash
 from clunk.study.parameters import located
 from clunk.study.problems import Problem, report
 from clunk.study.rules import broken_rules
@@ -97,7 +97,7 @@ def replace_values(study: Study, values: Mapping[str, float]) -> Study:
     >>> [clunk.simulate(clunk.replace_values(study, {"load.ratio": ratio})).label for ratio in (1.0, 2.0, 5.0)]
     ['NI', 'SS(1)', 'DS(1)SS(1)']
     """
-    document = study.model_dump(exclude={"sweep", "fit"})
+    document = study.model_dump(exclude=NOT_OF_A_RUN)
     for parameter, value in values.items():
         place, key, _ = located(study, parameter)
         plain = value.item() if hasattr(value, "item") else value
@@ -106,7 +106,7 @@ def replace_values(study: Study, values: Mapping[str, float]) -> Study:
     replaced, findings = validated(Study, document)
     if replaced is None:
         raise report("the study with these values", [Problem(dotted(place), None, text) for place, text in findings])
-    return replaced.model_copy(update={"sweep": study.sweep, "fit": study.fit})
+    return replaced.model_copy(update={name: getattr(study, name) for name in NOT_OF_A_RUN})
 
 
 def refuse_points(study: Study, parameters: Sequence[str], values: Floats) -> None:
@@ -117,7 +117,7 @@ def refuse_points(study: Study, parameters: Sequence[str], values: Floats) -> No
     """
     ends = zip(parameters, values.min(axis=0).tolist(), values.max(axis=0).tolist(), strict=True) if values.size else ()
     axes = [{"parameter": parameter, "values": (least, greatest)} for parameter, least, greatest in ends]
-    document = study.model_dump(exclude={"sweep"})
+    document = study.model_dump(exclude=NOT_OF_A_RUN)
     if validated(Study, {**document, "sweep": {"design": "zip", "axes": axes}})[0] is None:
         for point in values.tolist():
             replace_values(study, dict(zip(parameters, point, strict=True)))
@@ -160,7 +160,8 @@ def decisive_content(study: Study) -> dict[str, Any]:
     """
     decisive = content(study)
     del decisive["title"]
-    decisive.pop("fit", None)
+    for table in NOT_OF_A_RUN - {"sweep"}:
+        decisive.pop(table, None)
     decisive["driveline"].pop("names", None)
     for lash in _lash_tables(decisive):
         lash.pop("name", None)

@@ -17,6 +17,7 @@ from clunk.results.regimemap import Results
 from clunk.study.arrays import Floats
 from clunk.study.designs import Column, Design, design_of_points
 from clunk.study.document import dotted
+from clunk.study.models import NOT_OF_A_RUN
 from clunk.study.parameters import located
 from clunk.study.problems import ConfigError
 from clunk.study.study import Study
@@ -40,7 +41,7 @@ class Runner:
     Parameters
     ----------
     study : Study
-        The values of all other keys; its sweep and fit are left aside.
+        The values of all other keys; its sweep, fit and optimisation are left aside.
     keys : of str
         Any numeric keys of the config.
     workers : int, optional
@@ -67,7 +68,7 @@ class Runner:
     def __init__(
         self, study: Study, keys: Sequence[str], *, workers: int | None = None, engine: Executor | None = None
     ) -> None:
-        self.study = study.model_copy(update={"sweep": None, "fit": None})
+        self.study = study.model_copy(update=dict.fromkeys(NOT_OF_A_RUN))
         self.keys = tuple(dotted(located(study, key)[0]) for key in keys)
         self.grid = Grid(self.study, self._design(np.zeros((1, len(self.keys)))))
         self.workers = workers or getattr(engine, "_max_workers", None) or available_cores()

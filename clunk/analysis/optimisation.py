@@ -1,0 +1,391 @@
+"""Optimisation: the values of some keys that minimise a key or a quantity while other quantities hold.
+
+The search is scipy's differential evolution, a generation of runs at a time, from several starts: each takes up the
+best of its half of the points of a space-filling exploration, since the regions of a label are thin and disconnected.
+Then each number in turn is scanned over its range, closing in on the best to 1e-9 of that.
+
+It ends by construction: generations, starts and scans are counted beforehand.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from clunk.core.runs import BEGIN
+from clunk.results.quantities import YES_NO, measuring, quantity_of
+from clunk.simulation.load import loads_of
+from clunk.study.arrays import Bools, Floats
+from clunk.study.designs import design_of, drawn_numbers, has_tolerances, nominal
+from clunk.study.errors import ClunkError
+from clunk.study.lashes import lash_position
+from clunk.study.optimisation import Optimize
+from clunk.study.parameters import nominal_value
+from clunk.study.problems import listing
+from clunk.study.records import SENTENCE, Record, tells, told
+from clunk.study.study import Study, replace_values
+from clunk.sweeping.progress import Progress
+from clunk.sweeping.runner import Runner
+
+RELEASE_TIME = "release_time"  # s, from which on the load rests
+_STARTS = 4
+_EXPLORED = 1 << 15  # runs
+_POPULATION = 16  # candidates of a generation for each free number
+_GENERATIONS = 100  # of a start
+_SCANNED = 64  # values of a scan; the next closes in on two steps of it
+_SCANS = 6  # of each number, to (2 / 64) ** 6 of its range
+_SAME = 1e-3  # by which the merits of starts that found the same differ
+_FRONT = 9  # optima of a trade-off
+
+
+class OptimizeError(ClunkError):
+    """An optimisation that cannot be done; its text is one sentence for the user."""
+
+
+@dataclass(frozen=True, repr=False)
+class Optimum(Record):
+    """The best values that were found, and what they give.
+
+    study : Study with these values
+    parameters : key -> value, in its unit
+    value : what is minimised, in the needed share of the drivelines
+    quantities : what is minimised, and the conditions -> the worst of all cells and drivelines
+    margin : least distance of a run to another label; NaN where the method tells none
+    share : of the drivelines in which the conditions hold; None without tolerances
+    value_of_nominal : with tolerances the least value of the driveline without; else None
+    found : how many of the starts found this value
+    runs : how many it took
+    holds : whether all conditions do
+    remarks : sentences on what is no inner optimum
+    changes : the free numbers and the quantities, as the config has them and of the best
+    """
+
+    study: Study
+    parameters: dict[str, float] = told()
+    value: float = told()
+    quantities: dict[str, float | bool] = told()
+    margin: float = told("margin to another label", form=".3g")
+    share: float | None = told("share of the drivelines", form=".4g")
+    value_of_nominal: float | None = told("best without tolerances", form=".9g")
+    found: int = told(f"found by so many of {_STARTS} starts")
+    runs: int = told("runs")
+    holds: bool = told()
+    remarks: tuple[str, ...] = told()
+    changes: tuple[dict[str, Any], ...] = told("values")
+
+    @tells(SENTENCE)
+    def sentence(self) -> str:
+        """The remarks, for people."""
+        return " ".join(self.remarks)
+
+
+@dataclass(frozen=True, repr=False)
+class Front(Record):
+    """A trade-off: the least of what is minimised for each of several bounds on a quantity, by falling bounds."""
+
+    points: tuple[Optimum, ...] = told()
+
+    @property
+    def traded(self) -> tuple[str, str]:
+        """What is minimised, and the quantity that is bounded."""
+        first, *_, last = self.points[0].quantities
+        return first, last
+
+    @tells("trade-off")
+    def values(self) -> list[dict[str, float]]:
+        """What is traded, and the free numbers of each optimum."""
+        return [{name: best.quantities[name] for name in self.traded} | best.parameters for best in self.points]
+
+
+@dataclass(frozen=True, eq=False)
+class Outcomes:
+    """What candidates give, (n,) each: see `Optimum`.
+
+    excess : how far the needed share of the drivelines is from meeting the conditions, in [0, 2); 0 where it does
+    """
+
+    value: Floats
+    excess: Floats
+    share: Floats
+    margin: Floats
+    quantities: dict[str, Floats | Bools]
+
+
+class Problem:
+    """Runs of candidates for the free numbers of a study, and how good they are.
+
+    study : with [optimize]
+    lash, workers, progress : as of `optimize`
+    shown : quantity that is told besides, if any
+    """
+
+    def __init__(
+        self,
+        study: Study,
+        lash: str | None = None,
+        workers: int | None = None,
+        progress: Progress | None = None,
+        shown: str = "",
+    ) -> None:
+        self.optimize, self.runs = _table(study), 0
+        self._lash, self._progress = study.lash_names[lash_position(lash, study.lash_names)], progress
+        free, minimize = self.optimize.parameters, self.optimize.minimize
+        self.low, self.high = np.array([(each.low, each.high) for each in free], np.float64).T
+        self._key = next((k for k, each in enumerate(free) if minimize in each.keys), None)
+        is_of_runs = self._key is None and minimize != RELEASE_TIME
+        self._numbers = [quantity_of(text, study) for text in (shown, minimize if is_of_runs else "") if text]
+        self._conditions = [quantity_of(text, study) for text in self.optimize.subject_to]
+        for quantity in self._numbers:
+            if quantity.type == "label":
+                raise OptimizeError("A label cannot be minimised; severity or double_sided, for example, can.")
+        for quantity in self._conditions:
+            if quantity.type != YES_NO or quantity.name == "nominal_label":
+                raise OptimizeError(f"{quantity.name} is no condition; severity<=8000 or double_sided=0 is one.")
+        self.study = measuring(nominal(study), [*self._conditions, *self._numbers])
+        design = design_of(self.study)
+        self._cells = design.at(np.arange(design.cells)) if design.shape else {}
+        self._tolerances = study.sweep.tolerances if study.sweep is not None and has_tolerances(study) else ()
+        self._drawn = drawn_numbers(study, self._tolerances) if self._tolerances else []
+        self.shape = design.cells, study.sweep.sampling.count if study.sweep is not None and self._tolerances else 1
+        self._needed = math.ceil((self.optimize.robust or 1.0) * self.shape[1] - 1e-9)  # drivelines
+        if swept := {key for each in free for key in each.keys} & self._cells.keys():
+            raise OptimizeError(f"{min(swept)} is both free and swept: leave out its axis.")
+        keys = [
+            *(key for each in free for key in each.keys),
+            *self._cells,
+            *(each.parameter for each in self._tolerances),
+        ]
+        self._runner = Runner(self.study, list(dict.fromkeys(keys)), workers=workers)
+        values = [nominal_value(study, each.keys[0]) for each in free]
+        self.start = np.where(np.isnan(values), 0.5 * (self.low + self.high), values)
+        self.before = self(self.start[None])
+        self._size = abs(float(self.before.value[0])) or 1.0
+
+    @property
+    def most(self) -> int:
+        """The most runs that a search takes."""
+        candidates = _STARTS * self.low.size * (_POPULATION * (_GENERATIONS + 1) + _SCANS * _SCANNED)
+        return int(_EXPLORED + candidates * math.prod(self.shape))
+
+    def __call__(self, candidates: Floats) -> Outcomes:
+        """Run candidates, (n, parameters)."""
+        shape = (len(candidates), *self.shape)
+        columns = self._columns(candidates, shape)
+        results = self._runner(self._runner.values(columns)).of_lash(self._lash)
+        self.runs += results.sequence.size
+        if self._progress is not None:
+            self._progress(self.runs, max(self.runs, self.most))
+
+        def worst(values: Floats) -> Floats:
+            """Of the cells of each driveline, (n, drivelines); a failed run is the worst."""
+            return np.asarray(np.nan_to_num(values, nan=np.inf).reshape(shape).max(axis=1))
+
+        lacks = np.zeros((shape[0], shape[2]))
+        quantities: dict[str, Floats | Bools] = {}
+        for condition in self._conditions:
+            met = condition.of_runs(results) == 1.0  # NaN where a run failed
+            # a number lacks its distance from its bound, a label the speed of the impacts
+            beyond = results.approach_velocity
+            if condition.base is not None and isinstance(condition.bound, float):
+                beyond = np.abs(condition.base.of_runs(results) - condition.bound) / (abs(condition.bound) or 1.0)
+            lacking = worst(np.where(met, 0.0, 0.1 + beyond))
+            lacks += lacking
+            quantities[condition.name] = (lacking == 0.0).all(axis=1)
+        for quantity in self._numbers:
+            numbers = worst(quantity.of_runs(results).astype(np.float64))
+            quantities[quantity.name] = numbers.max(axis=1)
+        if self._key is not None:
+            numbers = np.tile(candidates[:, self._key, None], shape[2])
+        elif self.optimize.minimize == RELEASE_TIME:
+            numbers = worst(self._release_times(columns))
+        value = np.sort(numbers, axis=1)[:, self._needed - 1]
+        holds = lacks == 0.0
+        share = holds.mean(axis=1)
+        graded = (1.0 - 1.0 / (1.0 + lacks)).mean(axis=1)
+        excess = np.where(holds.sum(axis=1) < self._needed, 1.0 - share + graded, 0.0)
+        margin = np.abs(results.margin).reshape(len(candidates), -1).min(axis=1)
+        return Outcomes(value, excess, share, margin, {self.optimize.minimize: value, **quantities})
+
+    def merit(self, outcomes: Outcomes) -> Floats:
+        """What the search minimises, (n,): below 1 where all conditions hold, and from 1 to 3 where not."""
+        value = np.nan_to_num(outcomes.value / self._size, posinf=1e300)
+        return np.where(outcomes.excess > 0.0, 1.0 + outcomes.excess, value / (1.0 + np.abs(value)) - 1e-9)
+
+    def _columns(self, candidates: Floats, shape: tuple[int, ...]) -> dict[str, Floats]:
+        """Values of all keys in the runs of candidates, for each its cells, and in each cell its draws."""
+        columns = {
+            key: np.broadcast_to(candidates[:, k, None, None], shape)
+            for k, free in enumerate(self.optimize.parameters)
+            for key in free.keys
+        }
+        columns |= {key: np.broadcast_to(values[:, None], shape) for key, values in self._cells.items()}
+        for tolerance, drawn in zip(self._tolerances, self._drawn, strict=True):
+            around = columns.get(tolerance.parameter, np.full(shape, nominal_value(self.study, tolerance.parameter)))
+            columns[tolerance.parameter] = tolerance.applied(drawn, around)
+        return {key: values.ravel() for key, values in columns.items()}
+
+    def _release_times(self, columns: dict[str, Floats]) -> Floats:
+        """Times from which on the load rests, in the runs [s]."""
+        swept = {key.removeprefix("load."): values for key, values in columns.items() if key.startswith("load.")}
+        count = len(next(iter(columns.values())))
+        return np.broadcast_to(loads_of(self.study.load, count, **swept).pieces[:, -1, BEGIN], count)
+
+
+def _table(study: Study) -> Optimize:
+    if study.optimize is None:
+        raise OptimizeError("There is nothing to optimise: the config has no [optimize] (clunk help optimize).")
+    return study.optimize
+
+
+def optimize(
+    study: Study,
+    *,
+    lash: str | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+    shown: str = "",
+) -> Optimum:
+    """Find the values of a study's free keys that minimise a key or a quantity while its conditions hold.
+
+    Parameters
+    ----------
+    study : Study
+        With [optimize]. Over axes a quantity is its worst, and conditions hold in all cells; with tolerances, for the
+        share `robust` of the drawn drivelines.
+    lash : str, optional
+        Of several lashes, the one that is meant, by name or number; by default the first.
+    workers : int, optional
+        Threads.
+    progress : callable(done, most), optional
+        Called with the number of runs so far, and the most that there can be.
+    shown : str, optional
+        A quantity that is told besides.
+
+    Returns
+    -------
+    Optimum
+
+    Raises
+    ------
+    OptimizeError
+        Where there is nothing to optimise.
+    KeyboardInterrupt
+        With the best so far as its first argument, an Optimum, if a start has ended.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> best = clunk.optimize(clunk.load_study("configs/shaped_release.toml"))
+    >>> best.value < 0.1275  # s
+    True
+    """
+    problem, found = Problem(study, lash, workers, progress, shown), []
+    try:
+        points = _explored(problem)
+        merits = problem.merit(problem(points))
+        for start in range(_STARTS):
+            found.append(_searched(problem, points, merits, np.random.default_rng([_table(study).seed, start])))
+    except KeyboardInterrupt as stopped:
+        if found:
+            stopped.args = (_optimum(problem, study, found), *stopped.args)
+        raise
+    best = _optimum(problem, study, found)
+    if not has_tolerances(study):
+        return best
+    free = _table(study).model_copy(update={"robust": None})
+    undrawn = optimize(nominal(study).model_copy(update={"optimize": free}), lash=lash, workers=workers)
+    return replace(best, value_of_nominal=undrawn.value, runs=best.runs + undrawn.runs)
+
+
+def front(study: Study, quantity: str, **options: Any) -> Front:
+    """Find the least value for each of several bounds on a quantity, from what the best has of it down to 0.
+
+    quantity : a number, such as severity; options : as of `optimize`
+    """
+    table, best = _table(study), optimize(study, shown=quantity, **options)
+    points = [best]
+    for bound in np.linspace(best.quantities[quantity], 0.0, _FRONT)[1:]:
+        bounded = table.model_copy(update={"subject_to": (*table.subject_to, f"{quantity}<={bound:.6g}")})
+        points.append(optimize(study.model_copy(update={"optimize": bounded}), shown=quantity, **options))
+    return Front(tuple(each for each in points if each.holds))
+
+
+def _explored(problem: Problem) -> Floats:
+    """Points that fill the space of the free numbers, (n, parameters)."""
+    from scipy.stats import qmc
+
+    free = problem.low.size
+    count = max(_EXPLORED // math.prod(problem.shape), 2 * _POPULATION * free)
+    design = qmc.Sobol(free, seed=np.random.default_rng(problem.optimize.seed))
+    return np.asarray(qmc.scale(design.random_base2(math.ceil(math.log2(count))), problem.low, problem.high))
+
+
+def _searched(problem: Problem, points: Floats, merits: Floats, rng: np.random.Generator) -> Floats:
+    """The best candidate of one start, (parameters,), from half of the points that were explored."""
+    from scipy.optimize import differential_evolution
+
+    size = _POPULATION * problem.low.size
+    half = rng.permutation(len(points))[: len(points) // 2]
+    order = half[np.argsort(merits[half], kind="stable")]
+    best = differential_evolution(
+        lambda columns: problem.merit(problem(columns.T)),
+        list(zip(problem.low, problem.high, strict=True)),
+        init=points[np.concatenate([order[: size // 2], rng.choice(order, size - size // 2)])],
+        maxiter=_GENERATIONS,
+        tol=1e-10,
+        vectorized=True,
+        updating="deferred",
+        polish=False,
+        seed=rng,
+    ).x
+    low, high = problem.low.copy(), problem.high.copy()
+    for _ in range(_SCANS):
+        for k in range(best.size):
+            values = np.linspace(low[k], high[k], _SCANNED - 1)
+            candidates = np.tile(best, (_SCANNED, 1))
+            candidates[1:, k] = values
+            best = candidates[np.argmin(problem.merit(problem(candidates)))]
+            step = values[1] - values[0]
+            low[k], high[k] = max(problem.low[k], best[k] - step), min(problem.high[k], best[k] + step)
+    return np.asarray(best)
+
+
+def _optimum(problem: Problem, study: Study, found: Sequence[Floats]) -> Optimum:
+    """The best of the candidates that starts have found."""
+    outcomes, free = problem(np.array(found)), problem.optimize.parameters
+    merits = problem.merit(outcomes)
+    k = int(np.argmin(merits))
+    best, holds = found[k], bool(outcomes.excess[k] == 0.0)
+    quantities = {name: values[k].item() for name, values in outcomes.quantities.items()}
+    ends = np.tile(best, (2, best.size, 1))
+    for end, values in zip(ends, (problem.low, problem.high), strict=True):
+        np.fill_diagonal(end, values)
+    is_idle = (problem.merit(problem(ends.reshape(-1, best.size))).reshape(2, -1) == merits[k]).all(axis=0)
+    is_at_end = ~is_idle & (np.minimum(best - problem.low, problem.high - best) <= 1e-9 * (problem.high - problem.low))
+    remarks = [] if holds else ["No values were found for which all conditions hold; these come nearest."]
+    for which, text in ((is_at_end, "at an end of its range"), (is_idle, "of no effect")):
+        remarks += [f"{listing(each.keys)} is {text}." for each, is_so in zip(free, which, strict=True) if is_so]
+    parameters = {key: float(value) for each, value in zip(free, best, strict=True) for key in each.keys}
+    before: dict[str, Any] = {
+        key: float(value) for each, value in zip(free, problem.start, strict=True) for key in each.keys
+    }
+    before = {name: values[0].item() for name, values in problem.before.quantities.items()} | before
+    after: dict[str, Any] = parameters | {name: value for name, value in quantities.items() if name not in parameters}
+    return Optimum(
+        study=replace_values(study, parameters),
+        parameters=parameters,
+        value=float(outcomes.value[k]),
+        quantities=quantities,
+        margin=float(outcomes.margin[k]),
+        share=float(outcomes.share[k]) if problem.shape[1] > 1 else None,
+        value_of_nominal=None,
+        found=int((merits <= merits[k] + _SAME).sum()),
+        runs=problem.runs,
+        holds=holds,
+        remarks=tuple(remarks),
+        changes=tuple({"": name, "as it is": before[name], "best": value} for name, value in after.items()),
+    )

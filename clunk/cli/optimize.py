@@ -1,0 +1,83 @@
+"""`clunk optimize`: the values of some keys that make a quantity least while others hold."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from clunk.cli import tables, terminal
+from clunk.cli.options import PATH, json_option, lash_option, set_option, workers_option
+from clunk.sweeping import progress
+
+
+@click.command()
+@click.argument("config", type=PATH)
+@set_option
+@click.option("-o", "--output", type=PATH, help="Also write the config with the best values (.toml).")
+@click.option("--front", "traded", metavar="QUANTITY", help="The least value for bounds on a quantity, too.")
+@click.option("--plot", "picture", type=PATH, help="Draw the run before and after, or the front: .png .svg .pdf.")
+@lash_option
+@workers_option
+@json_option
+def optimize(
+    config: Path,
+    overrides: tuple[str, ...],
+    output: Path | None,
+    traded: str | None,
+    picture: Path | None,
+    lash: str | None,
+    workers: int | None,
+    as_json: bool,
+) -> None:
+    """Find the values of free keys that make a key or a quantity least.
+
+    What is minimised, what must hold and which keys are free stands in [optimize] of CONFIG. With --front each point of
+    the trade-off is a config, FILE-1.toml and so on.
+
+    \b
+    Examples:
+      clunk optimize configs/shaped_release.toml -o best.toml
+      clunk optimize configs/car_release.toml --front severity --plot front.png
+    """
+    from clunk.analysis import optimisation
+    from clunk.results import targets
+    from clunk.results.files import write_text
+    from clunk.simulation.history import sample
+    from clunk.simulation.trajectory import simulate
+    from clunk.study.config import load_study
+    from clunk.study.study import to_toml
+
+    study = load_study(config, overrides)
+    for path, suffixes in ((output, (".toml",)), (picture, targets.PICTURES)):
+        if path is not None:
+            targets.check(path, suffixes, reads=config)
+    terminal.warm_up(study.model_copy(update={"sweep": None}))
+    with progress.shown(0, "runs at most") as show:
+        options: dict[str, Any] = {"lash": lash, "workers": workers, "progress": show}
+        try:
+            find = optimisation.optimize
+            found = optimisation.front(study, traded, **options) if traded else find(study, **options)
+        except KeyboardInterrupt as stopped:
+            for best in stopped.args:
+                tables.tell(best, as_json)
+            raise
+    tables.tell(found, as_json)
+    points = found.points if isinstance(found, optimisation.Front) else (found,)
+    for k, best in enumerate(points, 1):
+        if output is not None:
+            path = output.with_stem(f"{output.stem}-{k}") if traded else output
+            write_text(path, to_toml(best.study), optimisation.OptimizeError)
+            terminal.say_written(path)
+    if picture is not None:
+        from clunk.plot import histories, tradeoff
+
+        if isinstance(found, optimisation.Front):
+            figure = tradeoff.trade_off(found)
+        else:
+            runs = {"as it is": study, "best": found.study}
+            figure = histories.simulation_figure(
+                [sample(simulate(each.model_copy(update={"sweep": None})), name=name) for name, each in runs.items()]
+            )
+        terminal.save_picture(figure, picture)
