@@ -17,12 +17,13 @@ if TYPE_CHECKING:
     from clunk.analysis.comparison import ComparisonError as ComparisonError
     from clunk.analysis.comparison import compare as compare
     from clunk.analysis.comparison import verify as verify
-    from clunk.analysis.fitmaps import FitMapError as FitMapError
     from clunk.analysis.fitted import Fitted as Fitted
+    from clunk.analysis.fittedstudy import FitMapError as FitMapError
     from clunk.analysis.fittedstudy import fitted_study as fitted_study
     from clunk.analysis.fitting import FitError as FitError
     from clunk.analysis.fitting import fit as fit
     from clunk.analysis.measurements import ExperimentError as ExperimentError
+    from clunk.analysis.optimisation import OptimizeError as OptimizeError
     from clunk.analysis.quantiles import threshold_quantiles as threshold_quantiles
     from clunk.analysis.sobol import Sensitivity as Sensitivity
     from clunk.analysis.sobol import SensitivityError as SensitivityError
@@ -77,8 +78,9 @@ _HOME = {
     "Explorer": "explorer.server",
     "ExplorerError": "explorer.subject",
     "FitError": "analysis.fitting",
-    "FitMapError": "analysis.fitmaps",
+    "FitMapError": "analysis.fittedstudy",
     "Fitted": "analysis.fitted",
+    "OptimizeError": "analysis.optimisation",
     "PartsError": "sweeping.parts",
     "PlotError": "plot",
     "Results": "results.regimemap",
