@@ -11,7 +11,7 @@ from clunk.study.models import Config
 from clunk.study.problems import listing, shorten
 
 LARGEST_RADIUS = 10.0  # m; the gears of mills and radio telescopes have some meters
-DEEPEST = 1.0  # rad, of flanks pressed together by the load: of gears it is some 1e-3
+DEEPEST = 6.28  # rad, a whole turn, of flanks pressed together by the load: of gears it is some 1e-3
 LEAST_CHANGE = 0.05  # of the change of a load, that a run should see
 
 
