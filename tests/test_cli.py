@@ -678,7 +678,6 @@ def test_help_and_version_import_nothing_heavy():
     """Nor do the topics, where no terminal has them drawn."""
     script = f"""
 import sys
-from clunk.api import draw
 from clunk.cli import cli, main
 for arguments in (["--help"], ["--version"], ["help"], ["help", "method"], *([name, "--help"] for name in {COMMANDS})):
     sys.argv = ["clunk", *arguments]

@@ -29,8 +29,8 @@ OPEN, CLOSED = 0, 1
 
 
 @compiled
-def move(power, generator, modes, parts, work, size):
-    moving.move(power, generator, modes, vectors.load(parts, 0), work, size, np.zeros((2 * size, WIDTH)))
+def move(power, generator, modes, parts, work, size, room):
+    moving.move(power, generator, modes, vectors.load(parts, 0), work, size, room)
 
 
 @compiled
@@ -117,8 +117,8 @@ def cross(c, length, results):
 
 
 @compiled
-def turn(c, length, results):
-    found, none, s = taylor.turning(c, np.zeros((TERMS, WIDTH)), vectors.load(length, 0))
+def turn(c, room, length, results):
+    found, none, s = taylor.turning(c, room, vectors.load(length, 0))
     vectors.store(results, 0, s)
     return found, none
 
@@ -251,7 +251,7 @@ class Flow:
         return work
 
     def move(self, work, parts):
-        move(self.power, self.generator, self.is_modal, parts, work, self.count)
+        move(self.power, self.generator, self.is_modal, parts, work, self.count, np.zeros((2 * self.count, WIDTH)))
 
     def jump(self, work, k):
         """Each lane by another span."""
@@ -645,7 +645,9 @@ def test_a_turning_point_is_a_zero_of_the_slope():
         slopes, results = random_series(random)[:-1], np.zeros((1, WIDTH))
         length = random_lengths(random, slopes)
         slopes *= random.choice([-1.0, 1.0], WIDTH)
-        found, none = (holds(bits) for bits in turn(polyint(slopes, k=random.normal()), length, results))
+        found, none = (
+            holds(bits) for bits in turn(polyint(slopes, k=random.normal()), np.zeros((TERMS, WIDTH)), length, results)
+        )
         assert not np.any(found & none)
         for lane in range(WIDTH):
             exact, series = zeros(slopes[:, lane], length[lane]), np.abs(slopes[:, lane])

@@ -31,7 +31,7 @@ def optimize(
     workers: int | None,
     as_json: bool,
 ) -> None:
-    """Find the values of free keys that make a key or a quantity least.
+    """Find the values of keys that make a quantity least.
 
     What is minimised, what must hold and which keys are free stands in [optimize] of CONFIG. With --front each point of
     the trade-off is a config, FILE-1.toml and so on.

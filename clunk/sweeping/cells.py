@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
 import threading
 from collections import OrderedDict
@@ -14,6 +13,7 @@ import numpy.typing as npt
 
 from clunk.core import tile as kernel
 from clunk.core.events import EVENT
+from clunk.core.jit import is_cold
 from clunk.core.measures import OF_IMPACTS, measure_runs
 from clunk.core.regimes import System
 from clunk.core.status import Status
@@ -41,7 +41,6 @@ KEPT_SYSTEMS = 4096  # about 30 KB each
 _KEPT_MEASURED = 256  # some 100 KB more each
 _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
 _COMPILING = {"rk4": 15, "exact": 40}  # s
-_KERNELS: dict[str, Any] = {"rk4": kernel.by_rk4, "exact": kernel.by_exact}
 _IMPACTS = 8  # of a run in a lash, that there is room for at first
 _NO_LOGS, _NO_STATES = np.zeros((0, 0), EVENT), np.zeros((0, 0, 0))
 _STATES = 1 << 16  # events whose states there is room for at a time: 8 MB, which the caches nearly hold
@@ -389,20 +388,12 @@ def compiling_note(*studies: Study) -> str:
     """Sentence on the time that the kernels of these studies take to compile; empty where that has been done."""
     cold = {}
     for study in studies:
-        (system, _), method = driveline.prepare(study), study.solver.method
-        if not _is_compiled(_KERNELS[method], system):
+        method = study.solver.method
+        if is_cold(method):
             cold[method] = _COMPILING[method]
     if not cold:
         return ""
     return f"compiling {' and '.join(cold)}, once for this installation (about {sum(cold.values())} s) …"
-
-
-def _is_compiled(dispatcher: Any, system: System) -> bool:
-    """Whether a kernel is compiled for systems of such a type, in this process or on the disk."""
-    signatures = [*dispatcher.overloads]
-    with contextlib.suppress(Exception):  # whatever reading a damaged index raises: the kernel is compiled again then
-        signatures += [signature for signature, *_ in dispatcher._cache._cache_file._load_index()]
-    return any(signature[0] == dispatcher.typeof_pyval(system) for signature in signatures)
 
 
 def warm_up(study: Study) -> None:

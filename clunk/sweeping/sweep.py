@@ -175,7 +175,7 @@ class Job:
         result = reduction.result(provenance(engine))
         self.ran, self.seconds = reduction.done - before, time.perf_counter() - began
         self._write(result)
-        if self.directory is not None:
+        if self.directory is not None and self.path is not None:
             with suppress(PartsError):  # the map is in its file: parts of it that cannot be removed stay
                 self.directory.clear()
         return result
