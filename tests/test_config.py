@@ -30,6 +30,7 @@ from clunk.study.keys import PRESETS, json_schema
 from clunk.study.loads import Load
 from clunk.study.measures import Measure
 from clunk.study.models import DrivelineConfig, Impacts, Lash, Shaft
+from clunk.study.optimisation import FreeParameter, Optimize
 from clunk.study.parameters import get_value, quantity
 from clunk.study.problems import ConfigError
 from clunk.study.study import Study, digest, replace_values, to_toml
@@ -298,10 +299,10 @@ def test_starter_spells_the_preset_out():
 def test_starter_names_every_key():
     keys = set(re.findall(r"^(?:# )?([a-z_]+) = ", STARTER, re.MULTILINE))
     models = (Study, DrivelineConfig, Shaft, Lash, Load, Impacts, Measure, Axis, Sweep, Sampling, *get_args(Draw))
-    models += (Fit, *(Study.model_fields[name].annotation for name in ("solver",)))
+    models += (Fit, Optimize, FreeParameter, *(Study.model_fields[name].annotation for name in ("solver",)))
     models += (Lash.model_fields["contact"].annotation,)
     tables = {"driveline", "lash", "load", "solver", "impacts", "measures", "sweep", "shafts", "contact"}
-    tables |= {"axes", "samples", "tolerances", "sampling", "fit", "parameters"}
+    tables |= {"axes", "samples", "tolerances", "sampling", "fit", "optimize", "parameters"}
     assert keys == {name for model in models for name in model.model_fields} - tables | {"preset"}
 
 
