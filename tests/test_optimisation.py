@@ -16,6 +16,7 @@ from clunk.analysis.optimisation import OptimizeError, Problem, front, optimize
 from clunk.cli import cli
 from clunk.study.config import load_study, study_from_text
 from clunk.study.problems import ConfigError
+from clunk.study.records import text_of
 from clunk.study.study import to_toml
 
 ROOT = Path(__file__).parent.parent
@@ -120,6 +121,7 @@ def test_a_number_of_no_effect_and_one_at_an_end_of_its_range_are_said(brief):
     best = optimize(damped_ramp(subject_to=[]))
     assert best.value == 0.0
     assert best.remarks == ("load.duration is at an end of its range.", "lash.contact.damping is of no effect.")
+    assert text_of(best).startswith("load.duration is at an end of its range. lash.contact.damping is of no effect.")
 
 
 TOLERANCES = """

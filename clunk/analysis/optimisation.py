@@ -77,6 +77,7 @@ class Optimum(Record):
     remarks: tuple[str, ...] = told()
     changes: tuple[dict[str, Any], ...] = told("values")
 
+    @property
     @tells(SENTENCE)
     def sentence(self) -> str:
         """The remarks, for people."""
@@ -95,6 +96,7 @@ class Front(Record):
         first, *_, last = self.points[0].quantities
         return first, last
 
+    @property
     @tells("trade-off")
     def values(self) -> list[dict[str, float]]:
         """What is traded, and the free numbers of each optimum."""
@@ -308,7 +310,7 @@ def front(study: Study, quantity: str, **options: Any) -> Front:
     """
     table, best = _table(study), optimize(study, shown=quantity, **options)
     points = [best]
-    for bound in np.linspace(best.quantities[quantity], 0.0, _FRONT)[1:]:
+    for bound in np.unique(np.linspace(0.0, best.quantities[quantity], _FRONT))[-2::-1]:
         bounded = table.model_copy(update={"subject_to": (*table.subject_to, f"{quantity}<={bound:.6g}")})
         points.append(optimize(study.model_copy(update={"optimize": bounded}), shown=quantity, **options))
     return Front(tuple(each for each in points if each.holds))
