@@ -214,7 +214,7 @@ class TestPage:
         at = np.unravel_index(int(np.argmax(whole.severity)), whole.shape)
         cell = ", ".join(value_text(axis, axis.values[k], symbol=True) for axis, k in zip(whole.axes, at, strict=True))
         page.wait_for("legend", f"largest: {whole.severity.max():.6g} at {cell}")
-        page.driver.execute_script("model('quantity').value = 'regimes'")
+        page.driver.execute_script("model('quantity').value = 'label'")
         page.point(5.0, 6.0, click=True)
         page.wait_for("header", "σr = 5, φθ = 6 degrees", "energy")
         for name, start in (

@@ -76,12 +76,9 @@ class MapFigure:
         """Changes of the models to a picture of a quantity of this name."""
         if len(self._axes) > 1:
             return self._map_changes(picture)
-        assert picture.edges is not None
-        assert picture.curve is not None
         self._curve = picture.curve
-        colours = [f"#{pixel & 255:02x}{pixel >> 8 & 255:02x}{pixel >> 16 & 255:02x}" for pixel in picture.pixels]
         return {
-            "bands": {"data": {"x0": picture.edges[:-1], "x1": picture.edges[1:], "colour": colours}},
+            "bands": {"data": {"x0": picture.edges[:-1], "x1": picture.edges[1:], "colour": picture.bands}},
             "points": {"data": {"x": self._curve[:, 0], "y": self._curve[:, 1]}},
             "y axis": {"axis_label": name},
         }

@@ -1,4 +1,4 @@
-"""The page as it opens: the stored map as its cells are, before anything that runs or draws is imported."""
+"""The page as it opens: the stored map, before anything that runs or draws is imported."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from bokeh.models import ColumnDataSource, CustomJS, Div, Pane, UIElement
 
 from clunk.explorer.mapfigure import MapFigure
 from clunk.explorer.message import Message, asset
-from clunk.explorer.pictures import Picture, cells_picture
+from clunk.explorer.pictures import Picture, picture_of
 from clunk.explorer.subject import Subject
+from clunk.results.quantities import LABEL
 from clunk.study.errors import ClunkError
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ class Page:
         self._has_begun = False
         if self.map and len(subject.plane) == 2:
             first = {axis.parameter: float(axis.values[len(axis.values) // 2]) for axis in subject.slices}
-            picture = cells_picture(subject.stored(first).of_lash())
+            picture = picture_of(subject.stored(first).of_lash(), LABEL, 2)
             self.legend.text = legend_text(picture)
             for name, properties in self.map.changes(picture, "").items():
                 self.map.models[name].update(**properties)

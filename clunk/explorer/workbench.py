@@ -15,14 +15,14 @@ from clunk.explorer.controls import CellBoxes, Controls
 from clunk.explorer.mapfigure import RUN_COLOURS, Mark
 from clunk.explorer.newest import Newest, Request
 from clunk.explorer.page import CLICKS, box
-from clunk.explorer.pictures import Picture, cells_picture
+from clunk.explorer.pictures import Picture, picture_of
 from clunk.explorer.runpanel import RunPanel
 from clunk.explorer.saving import NAMES, Cell, Shown, download
 from clunk.explorer.variations import Variations
 from clunk.plot.layers import hardness
 from clunk.plot.plane import number_text, value_text
 from clunk.results.maps import share
-from clunk.results.quantities import TEXT, quantities_of
+from clunk.results.quantities import LABEL, TEXT, quantities_of
 from clunk.results.tolerancemap import CERTAIN, AnyMap, ToleranceMap
 from clunk.simulation.energy import balance
 from clunk.study.errors import ClunkError
@@ -271,7 +271,7 @@ class Workbench:
         slices, numbers = dict(self._slices), self._active_numbers()
         quantity, lash = self._quantity.value, self._lash.value
         if numbers and isinstance(subject.results, ToleranceMap) and quantity.startswith("severity_"):
-            quantity = "regimes"  # of the nominal map: other numbers leave tolerances aside
+            quantity = LABEL  # of the nominal map: other numbers leave tolerances aside
         self._reset.visible = bool(numbers)
         if not subject.plane:
             self._say("a run with these numbers, which are in no file" if numbers else "the run of this config")
@@ -280,14 +280,8 @@ class Workbench:
         nominal = "nominal " if isinstance(subject.results, ToleranceMap) else ""
 
         def show(request: Request, results: AnyMap, status: str) -> None:
-            from clunk.explorer.drawings import picture_of  # matplotlib: the first run does not wait for it
-
-            part, thresholds = results.of_lash(lash), []
-            if status == _COARSE and quantity == "regimes" and len(subject.plane) == 2:
-                picture = cells_picture(part)
-            else:
-                picture = picture_of(part, quantity, len(subject.plane))
-                thresholds = thresholds_of(results) if quantity == "regimes" else []
+            picture = picture_of(results.of_lash(lash), quantity, len(subject.plane))
+            thresholds = thresholds_of(results) if quantity == LABEL and status != _COARSE else []
             self._page.soon(lambda: self._show_map(request, results, quantity, picture, thresholds, status))
 
         def work(request: Request) -> None:
@@ -327,13 +321,13 @@ class Workbench:
         if request.is_superseded:
             return
         self._results, self._drawn = results, quantity
-        changes = [] if picture.edges is None else picture.edges[1:-1].tolist()
+        changes = picture.edges[1:-1].tolist()
         notes = [*_listed("thresholds for vanishing backlash", thresholds), *_listed("label changes", changes)]
         if picture.peak is not None:
             value, *at = picture.peak
             place = [value_text(axis, each, symbol=True) for axis, each in zip(self._subject.plane, at, strict=True)]
             notes.append(f"largest: {value:.6g} at {', '.join(place)}")
-        if isinstance(results, ToleranceMap) and quantity == "regimes" and picture.edges is None:
+        if isinstance(results, ToleranceMap) and quantity == LABEL and picture.pixels.size:
             notes.append(f"paler: less than {CERTAIN:.0%} likely, {share(results.uncertain, results.sequence.size)}")
         self._page.show_map(picture, _quantities(results)[quantity], f"{status}{_HELP}", *notes)
         self._mark()
@@ -379,4 +373,4 @@ def _listed(what: str, values: list[float]) -> list[str]:
 def _quantities(results: AnyMap) -> dict[str, str]:
     """Quantities of results that can be drawn, with their names for people."""
     known = quantities_of(results).items()
-    return {"regimes": "regimes"} | {name: results.plot_label(each) for name, each in known if each.type != TEXT}
+    return {name: "regimes" if each.type == TEXT else results.plot_label(each) for name, each in known}

@@ -6,17 +6,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.text import Text
 from scipy import ndimage
 
 from clunk.plot.layers import Layers
 from clunk.plot.plane import Codes
 from clunk.plot.style import CENTRED, INK
 from clunk.study.arrays import Bools, Floats
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 SIZES, SMALL_SIZES = (10.5, 9.5, 8.5, 8.0), (8.5, 7.5, 6.5)  # points, tried in turn: of a map, of a panel of several
 _PIXEL = 2.0  # display pixels per raster pixel; finer would only be slower
@@ -83,6 +84,8 @@ class Raster:
     def measure(self, text: str, size: float) -> tuple[int, int]:
         """Width and height in raster pixels that a text takes, with room around it."""
         if (text, size) not in self._sizes:
+            from matplotlib.text import Text  # the explorer has names on its page before matplotlib is there
+
             figure = self.ax.get_figure(root=True)
             assert figure is not None
             drawn = Text(0, 0, text, fontsize=size, parse_math=False, figure=figure)
@@ -197,7 +200,7 @@ def _inside(raster: Raster, mask: Bools, box: Any, text: str, sizes: Sequence[fl
         if mask.sum() < width * height:
             continue
         for angle in (0.0, slope) if abs(slope) > _STEEP else (0.0,):
-            if (centre := _roomiest(crop, width, height, angle)) is not None:
+            if (centre := roomiest(crop, width, height, angle)) is not None:
                 return Place(left + centre[0], low + centre[1], size, angle)
     return None
 
@@ -209,7 +212,7 @@ def _slope(mask: Bools) -> float:
     return math.degrees(0.5 * math.atan2(2.0 * xy, xx - yy))
 
 
-def _roomiest(mask: Bools, width: int, height: int, angle: float) -> tuple[float, float] | None:
+def roomiest(mask: Bools, width: int, height: int, angle: float = 0.0) -> tuple[float, float] | None:
     """(x, y): the centre of a turned rectangle inside a mask that may be moved furthest in any direction."""
     turned = ndimage.rotate(mask.astype(np.uint8), angle, order=0) > 0 if angle else mask
     fits = corners_that_fit(turned, width, height)
