@@ -21,6 +21,7 @@ from clunk.results.boundaries import (
 )
 from clunk.study.arrays import Codes, Floats, Records
 
+_MOST_CURVES = 500  # whose events are looked for, the largest ones
 _AT_END = 1e-6  # of the end time
 _SAME_TIME = 1e-6  # likewise: runs 1e-9 apart are alike until an event that only one of them has
 
@@ -31,10 +32,13 @@ def split_by_event(
     """Yield the parts of curves with one event each: the curve, the part's vertices and its event.
 
     The event is decided at each curve's first, middle and last crossing; between two that differ, where it changes.
+    It is unknown of all but the largest curves, where there are more than `_MOST_CURVES`.
 
     crossings : the points on either side of nodes, (n, axes) each in the axes' units
     """
     known: dict[int, int] = {}
+    sizes = np.array([np.ptp(path.vertices, axis=0).max() for path in paths])
+    asked = np.sort(np.argsort(-sizes, kind="stable")[:_MOST_CURVES]).tolist()
     numbers = [[k for k, node in enumerate(path.nodes) if node >= 0] for path in paths]
 
     def learn(places: list[tuple[int, int]]) -> None:
@@ -47,9 +51,9 @@ def split_by_event(
     def event_at(path: int, number: int) -> int:
         return known[node_at(path, number)]
 
-    marks = [sorted({0, (len(each) - 1) // 2, len(each) - 1}) for each in numbers]
-    learn([(k, mark) for k, each in enumerate(marks) for mark in each])
-    spans = [(k, low, high) for k, each in enumerate(marks) for low, high in pairwise(each)]
+    marks = {k: sorted({0, (len(numbers[k]) - 1) // 2, len(numbers[k]) - 1}) for k in asked}
+    learn([(k, mark) for k, each in marks.items() for mark in each])
+    spans = [(k, low, high) for k, each in marks.items() for low, high in pairwise(each)]
     changes = [span for span in spans if event_at(*span[:2]) != event_at(span[0], span[2])]
     while any(high - low > 1 for _, low, high in changes):
         learn([(k, (low + high) // 2) for k, low, high in changes])
@@ -64,7 +68,7 @@ def split_by_event(
             stop = path.at[numbers[k][high]]
             yield path, path.vertices[begin : stop + 1], event_at(k, low)
             begin = stop
-        yield path, path.vertices[begin:], event_at(k, len(numbers[k]) - 1)
+        yield path, path.vertices[begin:], event_at(k, len(numbers[k]) - 1) if k in marks else UNKNOWN
 
 
 def events_between(runs: PointRuns, one: Floats, other: Floats) -> Codes:

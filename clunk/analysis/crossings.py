@@ -31,11 +31,11 @@ class Crossings(NamedTuple):
 
 
 def located(
-    places: Floats, runs: Runs, tolerance: float = TOLERANCE, *, may_run: Callable[[], bool]
+    places: Floats, runs: Runs, tolerance: float = TOLERANCE, *, runs_left: Callable[[], int]
 ) -> Search[Crossings]:
     """Locate crossings on straight lines between points of different labels, by default to 1e-9 of each axis.
 
-    Where there are more than `_MOST` on a line, or `may_run` says no, their brackets stay wide.
+    Where there are more than `_MOST` on a line, or no runs are left, their brackets stay wide.
 
     places, runs : (n, 2, 2) points and (n, 2) their runs; or (n, 4, 2) and (n, 4), with further points on these lines
         before and behind them, or once more the ends
@@ -53,7 +53,7 @@ def located(
     distances[:, 2] = lengths[:, 0]
     lines = np.broadcast_to(np.arange(len(runs))[:, None], runs.shape)
     low, high = yield from narrow(
-        _points(lines, distances, runs), run_at, tolerance=tolerance, most=_MOST, may_run=may_run
+        _points(lines, distances, runs), run_at, tolerance=tolerance, most=_MOST, may_run=lambda: runs_left() > 0
     )
     order = np.lexsort((low["value"], low["cell"]))
     ends = np.stack([low, high], axis=1).take(order, axis=0)

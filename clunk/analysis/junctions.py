@@ -22,12 +22,13 @@ _RADII = 1e-7, 1e-8  # of the map, of circles around a junction: the smaller the
 _SHARPER = 2e-4  # of a circle's radius, crossings on it
 _ANGLES = np.arange(16) * np.pi / 8 + 0.1
 _DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
+_RUNS_OF_STEP = 3 * _NEARER.size  # of each triple point
 _PARALLEL = 1e-12  # determinant of the equations of lines that have no point in common
 _MOST_STEPS = 12  # towards a triple point, 5 as a rule
 
 
 def triple_points(
-    corners: Floats, labels: Codes, crossings: Floats, may_run: Callable[[], bool]
+    corners: Floats, labels: Codes, crossings: Floats, runs_left: Callable[[], int]
 ) -> Search[tuple[Floats, Bools]]:
     """Points (n, 2) at which the three labels of triangles meet, and which of them are known (n,).
 
@@ -38,7 +39,7 @@ def triple_points(
     corners : (n, 3, 2)
     labels : (n, 3)
     crossings : (n, 3, 2), on the way from each corner to the next one
-    may_run : asked before each batch of runs
+    runs_left : how many runs there may be, asked before each batch: the first points get them
     """
     corners, crossings, every = corners.copy(), crossings.copy(), np.arange(len(corners))
     after = np.roll(crossings, -1, axis=1)
@@ -47,7 +48,8 @@ def triple_points(
     active = every[apart.min(axis=1) > _NEEDLE]
     is_known = apart.min(axis=1) <= CLOSE
     for _ in range(_MOST_STEPS):
-        if not active.size or not may_run():
+        active = active[: runs_left() // _RUNS_OF_STEP]
+        if not active.size:
             break
         # on the way to each corner, the nearest points from which on the label is the corner's
         ways = corners[active] - guess[active, None]
@@ -64,7 +66,7 @@ def triple_points(
         begin, end = nearer.reshape(-1, 2), np.roll(nearer, -1, axis=1).reshape(-1, 2)
         pairs = np.stack([corner_runs.ravel(), np.roll(corner_runs, -1, axis=1).ravel()], axis=1)
         sharp = max(_SHARP[0], _SHARP[1] * np.hypot(*(end - begin).T).max())
-        ways = yield from located(np.stack([begin, end], 1), pairs, sharp, may_run=may_run)
+        ways = yield from located(np.stack([begin, end], 1), pairs, sharp, runs_left=runs_left)
         _, first, counts = np.unique(ways.lines, return_index=True, return_counts=True)
         new, single = ways.places[first].reshape(-1, 3, 2), (counts == 1).reshape(-1, 3)
         along = new - crossings[active]
@@ -91,8 +93,7 @@ def triple_points(
         is_known[active] |= moved <= CLOSE
         active = active[moved > _SETTLED]
     for radius in _RADII:
-        if may_run():
-            guess = yield from _sharpened(guess, radius, may_run)
+        guess = yield from _sharpened(guess, radius, runs_left)
     return guess, is_known
 
 
@@ -104,20 +105,20 @@ def have_around(points: Floats, labels: Codes) -> Search[Bools]:
     return have
 
 
-def _sharpened(points: Floats, radius: float, may_run: Callable[[], bool]) -> Search[Floats]:
+def _sharpened(points: Floats, radius: float, runs_left: Callable[[], int]) -> Search[Floats]:
     """The points (n, 2), within the map where the lines meet that leave two circles around each of them.
 
     A junction of four labels is found in needles as narrow as crossings are sharp, whose directions say nothing.
     """
     points, size = points.copy(), len(_DIRECTIONS)
-    inside = np.flatnonzero((np.abs(points - 0.5) < 0.5 - radius).all(axis=1))
+    inside = np.flatnonzero((np.abs(points - 0.5) < 0.5 - radius).all(axis=1))[: runs_left() // (2 * size)]
     circles = points[inside, None, None] + np.array([radius, 0.25 * radius])[:, None, None] * _DIRECTIONS
     runs = (yield circles.reshape(-1, 2)).reshape(circles.shape[:3])
     at = np.flatnonzero(runs["outcome"] != np.roll(runs["outcome"], -1, axis=2))
     after = np.where(at % size == size - 1, at + 1 - size, at + 1)
     begin, end = circles.reshape(-1, 2)[at], circles.reshape(-1, 2)[after]
     pairs = runs.ravel()[np.stack([at, after], 1)]
-    crossings = yield from located(np.stack([begin, end], 1), pairs, _SHARPER * radius, may_run=may_run)
+    crossings = yield from located(np.stack([begin, end], 1), pairs, _SHARPER * radius, runs_left=runs_left)
     circle, lines, places = at[crossings.lines] // size, crossings.runs["outcome"], crossings.places
     for k, point in enumerate(inside.tolist()):
         outer, inner = (np.flatnonzero(circle == number) for number in (2 * k, 2 * k + 1))

@@ -5,10 +5,10 @@ The cells in which labels differ are cut into triangles. Where the ends of an ed
 Where a line is further from its chord than `CHORD`, further crossings are located within the triangle.
 
 It ends because an edge is cut only between crossings that are `RESOLUTION` apart, in `_MOST_ROUNDS` rounds at most, and
-only with the first half of the runs that there are (`most_runs`). With the second half the lines between the nodes are
-located, which takes a known number of rounds; without a run left they stay as they are known. The network is closed
-whatever is cut, as it follows from the labels of the nodes alone. Where a line is not located, its place is kept as
-unresolved.
+only with the first half of the runs that there are (`most_runs`). With three quarters crossings on edges are located,
+with the rest the lines between these, which takes a known number of rounds; without a run left they stay as they are
+known. The network is closed whatever is cut, as it follows from the labels of the nodes alone. Where a line is not
+located, its place is kept as unresolved.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ CHORD = 1e-4  # of the map, that a line may be off its chord
 RESOLUTION = 1e-8  # of the map: crossings on an edge that are nearer to each other are not parted by a node
 _MOST_ROUNDS, _MOST_CUTS = 32, 32  # of tracing lines, and in each of cutting edges
 _NEAR, _INNER = 0.25, 0.05  # of an edge's length, how near to it a node is, and how far its foot is from its ends
-_RUNS_PER_CELL, _RUNS_OF_ANY_MAP = 20, 30_000
+_RUNS_PER_CELL, _RUNS_OF_ANY_MAP = 6, 20_000
+_CUT, _ON_EDGES = 0.5, 0.75  # of these, with which edges are cut, and with which crossings on edges are located
 _LOCATED = 4.0 * TOLERANCE  # of the map, the widest bracket of a single crossing
 
 # A segment of a line within a triangle. Beside it are its rails, on which no other segment ends.
@@ -73,7 +74,7 @@ class Lines:
     def __init__(self, triangles: Triangles, run: Run, progress: Progress | None = None) -> None:
         self.triangles, self.runs = triangles, 0
         self._run, self._most_runs, self._rounds = run, most_runs(triangles.runs.size), 0
-        self._cuts, self._progress = 0, progress
+        self._cuts, self._progress, self._is_rough = 0, progress, False
         self._checked = triangles.runs.size  # nodes that have been looked at, whether a region passes an edge near them
         self.keys, self.brackets = np.zeros(0, np.int64), np.zeros((0, 2, 2))
         self.triples: dict[tuple[int, ...], Floats] = {}
@@ -120,11 +121,11 @@ class Lines:
 
         return side_by_side(run, *searches)
 
-    def _may_run(self) -> bool:
-        return self.runs < self._most_runs
+    def _runs_left(self, share: float = 1.0) -> int:
+        return max(int(share * self._most_runs) - self.runs, 0)
 
     def _may_cut(self) -> bool:
-        return self.runs < 0.5 * self._most_runs and self._rounds < _MOST_ROUNDS and self._cuts < _MOST_CUTS
+        return self._runs_left(_CUT) > 0 and self._rounds < _MOST_ROUNDS and self._cuts < _MOST_CUTS
 
     def _join_triples(self, triangles: Nodes) -> Search[None]:
         """Put triple points that are one junction at one place, with the crossing between them.
@@ -151,7 +152,8 @@ class Lines:
         keys = np.unique(keys_of(mixed, np.roll(mixed, -1, axis=1)))
         keys = keys[np.isin(keys, self.keys)]
         ends = self.bracket(keys)
-        wide = np.hypot(*(ends[:, 1] - ends[:, 0]).T) > _LOCATED
+        # where runs were too few for all crossings, those as near as chords are will do
+        wide = np.hypot(*(ends[:, 1] - ends[:, 0]).T) > (CHORD if self._is_rough else _LOCATED)
         points = [self.triples[name] for name in map(tuple, three.tolist()) if name in self._unknown]
         points += [self._off_chord[name] for name in names if name in self._off_chord]
         return np.concatenate([ends[wide].mean(axis=1), np.array(points).reshape(-1, 2)])
@@ -196,7 +198,8 @@ class Lines:
         keys = keys[differ & ~np.isin(keys, self.keys)]
         first, second = ends_of(keys)
         nodes = self.triangles.along(first, second)
-        crossings = yield from located(positions[nodes], runs[nodes], may_run=self._may_run)
+        crossings = yield from located(positions[nodes], runs[nodes], runs_left=lambda: self._runs_left(_ON_EDGES))
+        self._is_rough |= crossings.lines.size > 0 and not self._runs_left(_ON_EDGES)
         lines, ends, middle = self._parted(crossings)
         edges, begins, counts = np.unique(lines, return_index=True, return_counts=True)
         begin, rest = ends_of(keys[edges])
@@ -292,7 +295,7 @@ class Lines:
             edges = keys_of(triangles, np.roll(triangles, -1, axis=1))
             crossings = self.position(edges.ravel()).reshape(-1, 3, 2)
             positions, outcome = self.triangles.positions[triangles], self.triangles.outcome[triangles]
-            points, is_known = yield from triple_points(positions, outcome, crossings, self._may_run)
+            points, is_known = yield from triple_points(positions, outcome, crossings, self._runs_left)
             is_within = _within(positions, points)
             is_known &= is_within
             points[~is_within] = crossings[~is_within].mean(axis=1)
@@ -304,7 +307,7 @@ class Lines:
         """Follow lines that are bent within triangles; returns nodes to add, _ASKED, with the edges' keys as cells."""
         names = _names(segments)
         todo = np.array([k for k, name in enumerate(names) if name not in self.inner], np.int64)
-        points, owner, share, asked = yield from bent(segments, todo, self._may_run)
+        points, owner, share, asked = yield from bent(segments, todo, self._runs_left)
         order = np.lexsort((share, owner))
         points, owner = points[order], owner[order]
         begins = np.searchsorted(owner, np.append(todo, len(names)))
@@ -327,7 +330,7 @@ def _within(corners: Floats, points: Floats) -> Bools:
     return within
 
 
-def bent(segments: Records, todo: Codes, may_run: Callable[[], bool]) -> Search[tuple[Floats, Codes, Floats, Records]]:
+def bent(segments: Records, todo: Codes, runs_left: Callable[[], int]) -> Search[tuple[Floats, Codes, Floats, Records]]:
     """Points on lines between the ends of segments, so many that no chord is off its line by more than `CHORD`.
 
     A line is within that of its chord if the labels are those of its sides as far from the chord, where that meets the
@@ -341,7 +344,7 @@ def bent(segments: Records, todo: Codes, may_run: Callable[[], bool]) -> Search[
     segment, ends, sides = todo, segments["ends"][todo], segments["sides"][todo]
     shares = np.tile([0.0, 1.0], (todo.size, 1))
     while segment.size:
-        if not may_run():
+        if not runs_left():
             left = np.zeros(segment.size, _ASKED)
             left["cell"], left["chord"] = segment, ends.mean(axis=1)
             asked.append(left)
@@ -365,7 +368,7 @@ def bent(segments: Records, todo: Codes, may_run: Callable[[], bool]) -> Search[
         around = np.select([side[:, :1], side[:, 1:]], [[1, 2, 3, 3], [0, 0, 1, 2]], [0, 0, 3, 3])
         places = np.stack([middles[:, 0], beside[off, 0], beside[off, 1], middles[:, 1]], axis=1)
         each = np.arange(off.size)[:, None]
-        crossings = yield from located(places[each, around][clear], four[each, around][clear], may_run=may_run)
+        crossings = yield from located(places[each, around][clear], four[each, around][clear], runs_left=runs_left)
         counts = np.bincount(crossings.lines, minlength=int(clear.sum()))
         single = clear.copy()
         single[clear] = counts == 1
