@@ -165,13 +165,24 @@ class Thresholds:
     def csv(self) -> str:
         """Comma-separated values: a row for each threshold; of a cell without any, a row with no value."""
         text = io.StringIO()
-        write = csv.writer(text, lineterminator="\n").writerow
-        write([*(axis.parameter for axis in (*self.axes, self.along)), "below", "above"])
-        for cell in self.cells():
-            none = {"value": "", "below": cell["lowest"], "above": cell["lowest"]}
-            for row in cell["thresholds"] or [none]:
-                write([*cell["at"].values(), row["value"], word_text(row["below"]), word_text(row["above"])])
+        rows = self.rows()
+        writer = csv.DictWriter(text, rows[0], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
         return text.getvalue()
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row for each threshold: the other axes' values, its own and the outcomes on either side, in words.
+
+        Of a cell without any threshold, a row whose value is None.
+        """
+        rows = []
+        for cell in self.cells():
+            none = {"value": None, "below": cell["lowest"], "above": cell["lowest"]}
+            for each in cell["thresholds"] or [none]:
+                sides = {side: word_text(each[side]) for side in ("below", "above")}
+                rows.append(cell["at"] | {self.along.parameter: each["value"]} | sides)
+        return rows
 
     def where(self, word: Word, **at: float) -> list[tuple[float, float]]:
         """Intervals of the key in which the outcome is this one, in the cell nearest to these values.

@@ -7,8 +7,9 @@ from typing import Any
 
 import click
 
-from clunk.cli import phrases, tables
+from clunk.cli import tables
 from clunk.cli.options import PATH, json_option
+from clunk.study.records import fill
 
 
 @click.command()
@@ -90,7 +91,7 @@ def info(file: Path, show_config: bool, show_map: bool, ranks: bool, check: bool
     load = header.setting("load")
     if load is not None:
         swept = {axis.parameter for axis in header.parameters}
-        click.echo(phrases.fill(f"load      {', '.join([PROFILES[load['profile']].name, *numbers(load, swept)])}"))
+        click.echo(fill(f"load      {', '.join([PROFILES[load['profile']].name, *numbers(load, swept)])}"))
     click.echo(f"config    {header.config_digest[:16]}…")
     for name, value in header.attributes.items():
         click.echo(f"{name.removesuffix('_version'):<9} {value}")
@@ -111,7 +112,7 @@ def info(file: Path, show_config: bool, show_map: bool, ranks: bool, check: bool
     else:
         tables.print_lashes(tolerances.by_lash(), tables.print_tolerances)
     for caveat in caveats:
-        click.echo(phrases.fill(f"note: {caveat}"))
+        click.echo(fill(f"note: {caveat}"))
     if show_map:
         click.echo()
         tables.print_map(store.read_map(file))

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clunk.cli import phrases, tables, terminal
+from clunk.cli import tables, terminal
 from clunk.cli.options import PATH, json_option, set_option
+from clunk.study.records import fill
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -75,7 +76,7 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
             moved = _largest_shares(shares[state][k - 1].tolist(), names)
             named = "shuffle: " if state == "closed" and shuffle == k - 1 else ""
             numbers = f"  {k:>4}  {frequency:>14.1f}  {ratio:>13.3f}  "
-            click.echo(phrases.fill(named + moved, numbers, " " * len(numbers)))
+            click.echo(fill(named + moved, numbers, " " * len(numbers)))
         rates = eigen.overdamped
         drifting = int(np.count_nonzero(rates <= 0.0))
         if drifting:

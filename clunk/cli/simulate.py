@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from clunk.cli import cells, completion, phrases, tables, terminal
+from clunk.cli import cells, completion, tables, terminal
 from clunk.cli.options import PATH, at_option, json_option, set_option
+from clunk.study.records import fill, number
 
 if TYPE_CHECKING:
     from clunk.results.quantities import Quantity
@@ -118,7 +119,7 @@ def simulate(
             print_trajectory(trajectory)
             click.echo()
             if k == 0:
-                click.echo(phrases.fill(_legend(trajectory.study)) + "\n")
+                click.echo(fill(_legend(trajectory.study)) + "\n")
             print_energy(trajectory, balance(trajectory))
     if output is not None:
         if lash is not None:
@@ -239,9 +240,9 @@ def print_measures(trajectory: Trajectory) -> None:
 
 def _print_record(record: dict[str, Any], quantities: dict[str, Quantity]) -> None:
     for name, value in record["measures"].items():
-        of_impacts = " ".join(phrases.number(each, ".6g") for each in record["impact_measures"].get(name, ()))
+        of_impacts = " ".join(number(each, ".6g") for each in record["impact_measures"].get(name, ()))
         each = f"; of the impacts {of_impacts}" if of_impacts else ""
-        click.echo(f"{name:<19} {phrases.number(value, '.6g')} {quantities[name].unit_symbol}{each}")
+        click.echo(f"{name:<19} {number(value, '.6g')} {quantities[name].unit_symbol}{each}")
 
 
 def measures_record(trajectory: Trajectory) -> dict[str, Any]:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from clunk.cli import phrases, terminal
-from clunk.study.records import Record, text_of
+from clunk.cli import terminal
+from clunk.study.records import Record, Row, number, plain, table, text_of
 from clunk.study.summaries import counted
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ Value = TypeVar("Value")
 
 def print_record(record: object) -> None:
     """Print a record as one line of JSON; numbers that are not finite are null."""
-    click.echo(json.dumps(phrases.plain(record), ensure_ascii=False))
+    click.echo(json.dumps(plain(record), ensure_ascii=False))
 
 
 def tell(record: Record, as_json: bool) -> None:
@@ -36,9 +36,9 @@ def tell(record: Record, as_json: bool) -> None:
         click.echo(text_of(record), nl=False)
 
 
-def print_table(rows: Sequence[Sequence[str]], right: Sequence[bool] = ()) -> None:
-    """Print rows as columns, see `clunk.cli.phrases.table`."""
-    click.echo("\n".join(phrases.table(rows, right)))
+def print_table(rows: Sequence[Row]) -> None:
+    """Print all rows as columns, see `clunk.study.records.table`."""
+    click.echo("\n".join(table(rows, most=len(rows))))
 
 
 def report_counts(counts: dict[str, dict[str, int]], target: Path, seconds: float, as_json: bool) -> int:
@@ -116,9 +116,8 @@ def print_boundaries(boundaries: Boundaries) -> None:
     """Print how many boundaries there are, and the labels that meet at each junction."""
     ((name, numbers),) = boundaries.summary()
     click.echo(f"{name} {numbers}")
-    rows = boundaries.meeting_rows()
-    if len(rows) > 1:
-        print_table(rows, [True] * len(boundaries.axes))
+    if rows := boundaries.meeting_rows():
+        print_table(rows)
     if boundaries.unresolved_sentence:
         click.echo(boundaries.unresolved_sentence)
 
@@ -126,18 +125,19 @@ def print_boundaries(boundaries: Boundaries) -> None:
 def print_ranks(ranks: Ranks, axes: Sequence[ResultAxis]) -> None:
     """Print the rank correlation of each two quantities, and the value of the second axis where each is largest."""
     click.echo(f"rank correlation (Spearman) over {counted(ranks.cells, 'cell')} with a primary impact")
+    rows: list[dict[str, str]] = []
     symbols = [each.symbol or f"({k})" for k, each in enumerate(ranks.quantities, 1)]
     names = [f"{symbol} {each.name}" for symbol, each in zip(symbols, ranks.quantities, strict=True)]
-    rows = [[name, *(f"{value:.2f}" for value in row)] for name, row in zip(names, ranks.correlation, strict=True)]
-    print_table([["", *symbols], *rows], [False] + [True] * len(symbols))
+    for name, row in zip(names, ranks.correlation.tolist(), strict=True):
+        rows.append({"": name} | {symbol: f"{value:.2f}" for symbol, value in zip(symbols, row, strict=True)})
+    print_table(rows)
     if not ranks.places.size:
         return
     across, upward = (axis.parameter for axis in axes[:2])
     click.echo(f"{upward} at which each is largest, - where that is at an end")
-    heads = [across, *(f"{place:g}" for place in ranks.places)]
-    ridges = [[phrases.number(value, "g") for value in row] for row in ranks.ridges.tolist()]
-    rows = [[name, *row] for name, row in zip(names, ridges, strict=True)]
-    print_table([heads, *rows], [False] + [True] * ranks.places.size)
+    places = [f"{place:g}" for place in ranks.places]
+    ridges = [{place: number(value, "g") for place, value in zip(places, row, strict=True)} for row in ranks.ridges]
+    print_table([{across: name} | row for name, row in zip(names, ridges, strict=True)])
 
 
 def rank_record(ranks: Ranks) -> dict[str, Any]:

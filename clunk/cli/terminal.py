@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import click
 
-from clunk.cli import phrases
 from clunk.cli.options import EXIT_INTERRUPTED, EXIT_USAGE
+from clunk.study.records import fill, words
 from clunk.study.summaries import WIDTH, counted
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def safe_output() -> Iterator[None]:
 def complain(message: str) -> None:
     """Print what is wrong, within the width of a terminal; a report that is laid out already stays as it is."""
     for line in safe(message).splitlines():
-        click.echo(line if len(line) <= WIDTH else phrases.fill(line), err=True)
+        click.echo(line if len(line) <= WIDTH else fill(line), err=True)
 
 
 def warn_of_coarse_step(study: Study, method: str) -> None:
@@ -88,7 +88,7 @@ def say_if_compiling(*studies: Study) -> None:
 
     note = compiling_note(*studies)
     if note:
-        click.echo(phrases.fill(note), err=True)
+        click.echo(fill(note), err=True)
 
 
 def warm_up(study: Study, verb: str | None = None) -> None:
@@ -147,7 +147,7 @@ def report_failures(results: AnyMap, how: str = "") -> None:
     import numpy as np
 
     from clunk.core.status import Status
-    from clunk.results.maps import values_at
+    from clunk.results.maps import at_cell, values_at
 
     results = results.of_lash()  # all lashes of a cell fail together
     for status in Status:
@@ -156,8 +156,8 @@ def report_failures(results: AnyMap, how: str = "") -> None:
             continue
         complain(f"{counted(len(cells), 'cell')} failed{how}: {status.sentence}")
         for cell in cells[:3]:
-            values = values_at(results.axes, cell, results.coordinates)
-            click.echo(phrases.at_cell(results.parameters, values), err=True)
+            at = at_cell(results.parameters, values_at(results.axes, cell, results.coordinates))
+            click.echo(fill(f"at {words(at)}", "  ", "     "), err=True)
         if len(cells) > 3:
             click.echo(f"  and {len(cells) - 3:,} more", err=True)
 

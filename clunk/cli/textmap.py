@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clunk.cli import phrases
 from clunk.results.labels import FAILED
 from clunk.study.arrays import Floats, Positions
 from clunk.study.axes import RUN
+from clunk.study.records import fill
 
 if TYPE_CHECKING:
     from clunk.results.tolerancemap import AnyMap
@@ -57,7 +57,7 @@ def text_map(results: AnyMap) -> list[str]:
     below = [_scale(x.values[columns], wide), _heading(x)]
     lines += [" " * (margin + 2) + line for line in below] + [""]
     legend = "   ".join(f"{symbols[name]}{_NO_BREAK}{name}" for name in labels)
-    return lines + [line.replace(_NO_BREAK, " ") for line in phrases.fill(legend).splitlines()]
+    return lines + [line.replace(_NO_BREAK, " ") for line in fill(legend).splitlines()]
 
 
 def _shown(axis: ResultAxis, most: int) -> Positions:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 import time
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clunk.cli import completion, phrases, tables, terminal
+from clunk.cli import completion, tables, terminal
 from clunk.cli.cells import nearest_values
 from clunk.cli.options import (
     EXIT_FAILED_CELLS,
@@ -21,6 +22,7 @@ from clunk.cli.options import (
     set_option,
     workers_option,
 )
+from clunk.study.records import fill, number
 from clunk.study.summaries import counted
 
 if TYPE_CHECKING:
@@ -163,7 +165,7 @@ def thresholds(
         terminal.say_written(output)
     if places := located.unresolved:
         cell, begin, end = places[0]
-        where = "".join(f", {key} = {phrases.number(value)}" for key, value in located.at(cell).items())
+        where = "".join(f", {key} = {number(value)}" for key, value in located.at(cell).items())
         terminal.complain(
             f"note: in {counted(len(places), 'place')} {located.outcome.words} changes too often along {along} to be "
             f"followed; the first is from {begin:.10g} to {end:.10g}{where}"
@@ -176,24 +178,17 @@ def thresholds(
 
 def print_thresholds(result: Thresholds) -> None:
     """Print a row for each threshold, with its value and the outcomes below and above."""
-    from clunk.analysis.thresholds import word_text
     from clunk.results.quantities import YES_NO
 
     along = result.along
     unit = "" if along.unit == "1" else f" [{along.unit}]"
     what = f"{'whether ' if result.outcome.type == YES_NO else ''}{result.outcome.heading_with_unit}"
     what += f" of {result.lash}" if result.lash else ""
-    click.echo(phrases.fill(f"thresholds of {along.parameter}{unit}, scanned from {along.spread}: {what}"))
-    cells = result.cells()
+    click.echo(fill(f"thresholds of {along.parameter}{unit}, scanned from {along.spread}: {what}"))
     if not result.value.size:
-        words = " or ".join(sorted({word_text(cell["lowest"]) for cell in cells}))
+        words = " or ".join(sorted({row["below"] for row in result.rows()}))
         click.echo(f"none, it never changes along {along.parameter}: {words}")
         return
-    rows = [[*(axis.parameter for axis in result.axes), along.parameter, "below", "above"]]
-    for cell in cells:
-        at = [phrases.number(value) for value in cell["at"].values()]
-        none = [{"value": float("nan"), "below": cell["lowest"], "above": ""}]
-        for k, row in enumerate(cell["thresholds"] or none):
-            pair = (word_text(row["below"]), word_text(row["above"]))
-            rows.append([*(at if k == 0 else [""] * len(at)), phrases.number(row["value"], ".10g"), *pair])
-    tables.print_table(rows, [True] * (len(result.axes) + 1))
+    values = [math.nan if row[along.parameter] is None else row[along.parameter] for row in result.rows()]
+    rows = [row | {along.parameter: number(value, ".10g")} for row, value in zip(result.rows(), values, strict=True)]
+    tables.print_table(rows)

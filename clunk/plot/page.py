@@ -18,6 +18,7 @@ from clunk.plot.plane import SurplusAxesError
 from clunk.plot.style import PlotError, styled
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
+from clunk.study.records import columns_of
 from clunk.study.summaries import html_table
 
 _STYLE = """
@@ -85,7 +86,7 @@ def _part(part: Results | ToleranceMap, lash: str) -> Iterator[str]:
         yield f"<p>One more impact appears at {escape(changing.pop())} = {values} (all modes, the lash locked).</p>"
     boundaries = part.boundaries if isinstance(part, Results) else None
     if boundaries is not None:
-        heads, *rows = boundaries.meeting_rows()
+        heads, *rows = columns_of(boundaries.meeting_rows())
         areas = [(label, f"{100.0 * area:.6g} %") for label, area in boundaries.areas.items()]
         yield f"<h3>Boundaries</h3>{html_table(rows, heads)}{html_table(areas, ('label', 'share of the map'))}"
 

@@ -169,8 +169,8 @@ class Boundaries:
             "labels change there more finely than lines are traced, or by rounding."
         )
 
-    def meeting_rows(self) -> list[list[str]]:
-        """Values of one axis with the labels on either side, or junctions with the labels that meet; headings first."""
+    def meeting_rows(self) -> list[dict[str, str]]:
+        """Values of one axis with the labels on either side, or junctions with the labels that meet, by heading."""
         if len(self.axes) == 1:
             places, heads = self.vertices, ["below", "above", "event"]
             words = [[curve.left, curve.right, curve.event.replace("_", " ")] for curve in self.curves]
@@ -179,7 +179,7 @@ class Boundaries:
             words = [[", ".join(labels)] for _, labels in self.meetings]
         heads = [*(axis.parameter for axis in self.axes), *heads]
         rows = [[f"{value:.10g}" for value in place] for place in places.tolist()]
-        return [heads, *([*row, *each] for row, each in zip(rows, words, strict=True))]
+        return [dict(zip(heads, [*row, *each], strict=True)) for row, each in zip(rows, words, strict=True)]
 
     def __repr__(self) -> str:
         return as_text("clunk.Boundaries", [*self.summary(), *((k, f"{v:.6%}") for k, v in self.areas.items())])
