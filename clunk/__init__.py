@@ -14,19 +14,13 @@ if TYPE_CHECKING:
     from clunk import plot as plot
     from clunk.analysis.boundaries import BoundaryError as BoundaryError
     from clunk.analysis.comparison import Comparison as Comparison
-    from clunk.analysis.comparison import ComparisonError as ComparisonError
     from clunk.analysis.comparison import compare as compare
     from clunk.analysis.comparison import verify as verify
     from clunk.analysis.fitted import Fitted as Fitted
-    from clunk.analysis.fittedstudy import FitMapError as FitMapError
     from clunk.analysis.fittedstudy import fitted_study as fitted_study
-    from clunk.analysis.fitting import FitError as FitError
     from clunk.analysis.fitting import fit as fit
-    from clunk.analysis.measurements import ExperimentError as ExperimentError
-    from clunk.analysis.optimisation import OptimizeError as OptimizeError
     from clunk.analysis.quantiles import threshold_quantiles as threshold_quantiles
     from clunk.analysis.sobol import Sensitivity as Sensitivity
-    from clunk.analysis.sobol import SensitivityError as SensitivityError
     from clunk.analysis.sobol import sensitivity as sensitivity
     from clunk.analysis.thresholds import ThresholdError as ThresholdError
     from clunk.analysis.thresholds import Thresholds as Thresholds
@@ -71,22 +65,16 @@ _HOME = {
     "ClunkError": "study.errors",
     "ClunkWarning": "study.errors",
     "Comparison": "analysis.comparison",
-    "ComparisonError": "analysis.comparison",
     "ConfigError": "study.problems",
     "EngineError": "sweeping.engines",
-    "ExperimentError": "analysis.measurements",
     "Explorer": "explorer.server",
     "ExplorerError": "explorer.subject",
-    "FitError": "analysis.fitting",
-    "FitMapError": "analysis.fittedstudy",
     "Fitted": "analysis.fitted",
-    "OptimizeError": "analysis.optimisation",
     "PartsError": "sweeping.parts",
     "PlotError": "plot",
     "Results": "results.regimemap",
     "Runner": "sweeping.runner",
     "Sensitivity": "analysis.sobol",
-    "SensitivityError": "analysis.sobol",
     "SimulationError": "simulation.trajectory",
     "StoreError": "results.netcdf",
     "Study": "study.study",

@@ -15,7 +15,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from clunk.analysis.comparison import (
-    ComparisonError,
     DifferingCell,
     Transition,
     compare,
@@ -24,7 +23,6 @@ from clunk.analysis.measurements import (
     CAVEAT,
     TABLES,
     Experiment,
-    ExperimentError,
     Measurement,
     is_experiment,
     read_experiment,
@@ -35,6 +33,7 @@ from clunk.plot.comparisons import difference_map, experiment_map
 from clunk.results.labels import normalised_label
 from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
+from clunk.study.errors import ClunkError
 from clunk.study.records import plain, text_of
 
 RATIO = ResultAxis("load.ratio", np.linspace(0.0, 10.0, 41), "load ratio", "σr = Td/Ts", "1")
@@ -209,7 +208,7 @@ Y = replace(BACKLASH, values=np.array([0.0, 5.0]))
     ],
 )
 def test_maps_of_other_grids_are_refused_in_one_sentence(axes: tuple[ResultAxis, ...], found: str) -> None:
-    with pytest.raises(ComparisonError) as caught:
+    with pytest.raises(ClunkError) as caught:
         compare(other_axes(X, Y), other_axes(*axes))
     assert found in str(caught.value)
     assert str(caught.value).endswith(".")
@@ -291,7 +290,7 @@ def test_versions_that_differ_are_named_and_dates_are_not() -> None:
 
 
 def test_a_config_that_is_no_toml_is_a_sentence() -> None:
-    with pytest.raises(ComparisonError, match="config that B carries cannot be read as TOML"):
+    with pytest.raises(ClunkError, match="config that B carries cannot be read as TOML"):
         compare(small(A), small(A, config="title = "))
 
 
@@ -417,7 +416,7 @@ def test_what_is_wrong_with_measurements_is_a_sentence_with_its_line(
     tmp_path: Path, content: str | bytes, line: int, found: str
 ) -> None:
     path = written(tmp_path, content)
-    with pytest.raises(ExperimentError) as caught:
+    with pytest.raises(ClunkError) as caught:
         read_experiment(path)
     assert f"{path}, line {line}: " in str(caught.value)
     assert found in str(caught.value)
@@ -428,16 +427,16 @@ def test_what_is_wrong_with_measurements_is_a_sentence_with_its_line(
     ("content", "found"), [("", "no measurements"), ("# x\n", "no measurements"), (HEADER, "only column names")]
 )
 def test_a_file_without_measurements_is_refused(tmp_path: Path, content: str, found: str) -> None:
-    with pytest.raises(ExperimentError, match=found):
+    with pytest.raises(ClunkError, match=found):
         read_experiment(written(tmp_path, content))
 
 
 def test_a_missing_file_a_directory_and_a_nul_are_sentences(tmp_path: Path) -> None:
-    with pytest.raises(ExperimentError, match=r"does not exist; .* table_4_1"):
+    with pytest.raises(ClunkError, match=r"does not exist; .* table_4_1"):
         read_experiment(tmp_path / "none.csv")
-    with pytest.raises(ExperimentError, match="is a directory"):
+    with pytest.raises(ClunkError, match="is a directory"):
         read_experiment(tmp_path)
-    with pytest.raises(ExperimentError, match="cannot be read"):
+    with pytest.raises(ClunkError, match="cannot be read"):
         read_experiment("a\0b")
 
 
@@ -500,9 +499,9 @@ def test_nothing_to_count_is_no_share() -> None:
 
 
 def test_columns_and_axes_must_match() -> None:
-    with pytest.raises(ExperimentError, match=r"sweep lash\.backlash_deg, and rig\.csv has no column for it"):
+    with pytest.raises(ClunkError, match=r"sweep lash\.backlash_deg, and rig\.csv has no column for it"):
         compare_experiment(small(A), measured({(1.0,): "NI"}, ["load_ratio"]))
-    with pytest.raises(ExperimentError, match=r"load_step_time of rig\.csv is no axis of the results"):
+    with pytest.raises(ClunkError, match=r"load_step_time of rig\.csv is no axis of the results"):
         compare_experiment(small(A), measured({(1.0, 1.0): "NI"}, ["load_ratio", "load_step_time"]))
 
 

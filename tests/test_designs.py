@@ -10,7 +10,7 @@ from test_store import assert_same
 from test_sweeping import equal, regimes, same_as_single_run
 
 from clunk import plot
-from clunk.analysis.comparison import ComparisonError, compare
+from clunk.analysis.comparison import compare
 from clunk.analysis.small_gap import thresholds_of
 from clunk.cli import main
 from clunk.plot.layers import Layers, stacked
@@ -20,6 +20,7 @@ from clunk.results.store import read_header, read_results, write_results
 from clunk.study.axes import RUN
 from clunk.study.config import study_from_text
 from clunk.study.designs import design_of
+from clunk.study.errors import ClunkError
 from clunk.study.records import plain, text_of
 from clunk.study.study import replace_values
 from clunk.sweeping.sweep import Job, cell_count, sweep
@@ -249,9 +250,9 @@ class TestComparison:
 
     def test_other_draws_cannot_be_compared(self, sampled, zipped):
         other = sweep(study_from_text(SAMPLE, "x", ["sweep.sampling.seed=4"]))
-        with pytest.raises(ComparisonError, match=r"grids differ: value 1 of lash\.contact\.stiffness is"):
+        with pytest.raises(ClunkError, match=r"grids differ: value 1 of lash\.contact\.stiffness is"):
             compare(sampled, other)
-        with pytest.raises(ComparisonError, match="sweep other parameters"):
+        with pytest.raises(ClunkError, match="sweep other parameters"):
             compare(sampled, zipped)
 
     def test_the_same_draws_are_the_same(self, sampled):

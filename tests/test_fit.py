@@ -13,12 +13,13 @@ from clunk.analysis import fitting
 from clunk.analysis.fitruns import MATCH, label_of, outlier_misfit, partners
 from clunk.analysis.fitted import effective_size, losses, order_of_events, weights_of
 from clunk.analysis.fittedstudy import fitted_study
-from clunk.analysis.fitting import FitError, sample
-from clunk.analysis.measurements import Experiment, ExperimentError, experiment_of
+from clunk.analysis.fitting import sample
+from clunk.analysis.measurements import Experiment, experiment_of
 from clunk.api import run_points, sweep, tolerance_map
 from clunk.cli import cli
 from clunk.results.labels import flanks_of_label
 from clunk.study.config import load_study, study_from_text
+from clunk.study.errors import ClunkError
 from clunk.study.fits import Fit
 from clunk.study.problems import ConfigError
 from clunk.study.study import Study, digest, to_toml
@@ -177,7 +178,7 @@ def test_what_cannot_be_fitted_is_refused_at_once(config: str, csv: str, words: 
     (tmp_path / "rig.csv").write_text(csv)
     ran = CliRunner().invoke(cli, ["fit", str(tmp_path / "rig.toml"), str(tmp_path / "rig.csv")])
     assert ran.exit_code == 1
-    assert isinstance(ran.exception, ConfigError | FitError | ExperimentError)
+    assert isinstance(ran.exception, ConfigError | ClunkError)
     assert words in " ".join(str(ran.exception).split())
 
 

@@ -42,10 +42,6 @@ _SAME_AXIS = 1e-9  # of an axis's smallest step: the same values computed in ano
 _ROUNDING = 1e-14  # of a value itself: drawn ones may lie as near to each other as that
 
 
-class ComparisonError(ClunkError):
-    """Results that cannot be compared; its text is one sentence for the user."""
-
-
 @dataclass(frozen=True)
 class Transition(Record):
     """A label of A that is another one in B, and in how many cells."""
@@ -272,7 +268,7 @@ def compare(a: Results, b: Results) -> Comparison:
 
     Raises
     ------
-    ComparisonError
+    ClunkError
         Where the axes are not the same, or a config cannot be read.
 
     Examples
@@ -362,12 +358,12 @@ def _require_same_axes(a: tuple[ResultAxis, ...], b: tuple[ResultAxis, ...]) -> 
     if names[0] != names[1]:
         same = {axis.parameter for axis in a} == {axis.parameter for axis in b}
         order = "in another order" if same else "other parameters"
-        raise ComparisonError(
+        raise ClunkError(
             f"The maps cannot be compared because they sweep {order}: {names[0]} in A and {names[1]} in B."
         )
     for axis_a, axis_b in zip(a, b, strict=True):
         if len(axis_a.values) != len(axis_b.values):
-            raise ComparisonError(
+            raise ClunkError(
                 f"The maps cannot be compared because their grids differ: {axis_a.parameter} takes {_span(axis_a)} "
                 f"in A and {_span(axis_b)} in B."
             )
@@ -377,7 +373,7 @@ def _require_same_axes(a: tuple[ResultAxis, ...], b: tuple[ResultAxis, ...]) -> 
         apart = np.abs(axis_a.values - axis_b.values) > tolerance
         if apart.any():
             k = int(np.argmax(apart))
-            raise ComparisonError(
+            raise ClunkError(
                 f"The maps cannot be compared because their grids differ: value {k + 1} of {axis_a.parameter} is "
                 f"{axis_a.values[k]:.10g} in A and {axis_b.values[k]:.10g} in B."
             )
@@ -483,5 +479,5 @@ def _flat_config(results: Results, which: str) -> dict[str, Any]:
     try:
         document = tomllib.loads(results.config)
     except tomllib.TOMLDecodeError as error:
-        raise ComparisonError(f"The config that {which} carries cannot be read as TOML ({error}).") from error
+        raise ClunkError(f"The config that {which} carries cannot be read as TOML ({error}).") from error
     return dict(leaves(document))

@@ -15,7 +15,7 @@ from difflib import SequenceMatcher
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.measurements import Experiment, ExperimentError
+from clunk.analysis.measurements import Experiment
 from clunk.core.sequence import OPPOSITE, label
 from clunk.core.status import Status
 from clunk.core.tile import LONGEST_PATTERN
@@ -24,6 +24,7 @@ from clunk.results.quantities import measuring
 from clunk.study.arrays import Bools, Floats, Patterns, Positions, Records
 from clunk.study.axes import variable_of
 from clunk.study.document import dotted
+from clunk.study.errors import ClunkError
 from clunk.study.keys import key_at
 from clunk.study.parameters import located, nominal_value, parameters
 from clunk.study.study import Study
@@ -254,19 +255,19 @@ def numbers_at(study: Study, priors: Sequence[Draw], coordinates: Floats) -> Flo
 
 
 def axes_of(study: Study, experiment: Experiment) -> tuple[str, ...]:
-    """Dotted keys of the measured columns. Raises ExperimentError where the study has no such parameter."""
+    """Dotted keys of the measured columns. Raises ClunkError where the study has no such parameter."""
     known = {variable_of(name): name for name in parameters(study.model_dump(exclude_none=True))}
     for column in experiment.columns:
         if column not in known:
-            raise ExperimentError(f"The column {column} of {experiment.name} is no parameter of this config.")
+            raise ClunkError(f"The column {column} of {experiment.name} is no parameter of this config.")
     return tuple(dotted(located(study, known[column])[0]) for column in experiment.columns)
 
 
 def pattern_of(label: str) -> int:
-    """Pattern of a label: its flanks as bits behind a leading 1. Raises ExperimentError where it has too many."""
+    """Pattern of a label: its flanks as bits behind a leading 1. Raises ClunkError where it has too many."""
     flanks = flanks_of_label(label)
     if len(flanks) > LONGEST_PATTERN:
-        raise ExperimentError(f"{label} has {len(flanks)} primary impacts; at most {LONGEST_PATTERN} can be fitted.")
+        raise ClunkError(f"{label} has {len(flanks)} primary impacts; at most {LONGEST_PATTERN} can be fitted.")
     return int("1" + "".join("1" if flank == OPPOSITE else "0" for flank in flanks), 2)
 
 

@@ -45,10 +45,6 @@ _COUNTING = 0.1  # share of the draws that are to count for the kernels to follo
 _RIDGE = 1e-6  # least width of a kernel, of the prior's
 
 
-class FitError(ClunkError):
-    """A fit that cannot start; its text is one sentence for the user."""
-
-
 @dataclass
 class _Best:
     """The best candidate so far, and how near any has come to each measurement."""
@@ -103,7 +99,7 @@ def fit(
 
     Raises
     ------
-    FitError, ExperimentError
+    ClunkError
         Where the measurements cannot be read or do not go with the study, or a prior with them.
 
     Examples
@@ -359,38 +355,38 @@ def _share_below(study: Study, prior: Draw, number: float) -> float:
 
 
 def check(study: Study, experiment: Experiment) -> None:
-    """Refuse measurements that do not go with a study. Raises FitError, ExperimentError."""
+    """Refuse measurements that do not go with a study. Raises ClunkError."""
     if study.fit is None:
-        raise FitError(
+        raise ClunkError(
             "There is nothing to fit: the config has no [[fit.parameters]], one for each parameter (clunk help fit)."
         )
     if len(experiment.measurements) < 2:
-        raise FitError(
+        raise ClunkError(
             f"{experiment.name} has one measurement; a fit needs two or more, to predict each from the others."
         )
     axes = axes_of(study, experiment)
     patterns_of(experiment)
     for axis in axes:
         if (text := load_complaint(axis, study)) is not None:
-            raise FitError(f"{experiment.name}: {text}.")
+            raise ClunkError(f"{experiment.name}: {text}.")
     for measurement in experiment.measurements:
         if "impact_severity" in measurement.impacts and study.lashes[0].contact.model == "restitution":
-            raise FitError("impact_severity is not defined for the restitution model; impact_closing_speed is.")
+            raise ClunkError("impact_severity is not defined for the restitution model; impact_closing_speed is.")
         for axis, value in zip(axes, measurement.values, strict=True):
             _check_axis(study, axis, value, f"{experiment.name}, line {measurement.line}")
 
 
 def _check_axis(study: Study, axis: str, value: float, where: str) -> None:
-    """Refuse a measured value that its key does not allow, or at which a prior makes it one. Raises FitError."""
+    """Refuse a measured value that its key does not allow, or at which a prior makes it one. Raises ClunkError."""
     assert study.fit is not None
     key = key_at(located(study, axis)[0])
     assert key is not None
     if not key.allows(value):
-        raise FitError(f"{where}: found {axis} = {value:g}; it must be {key.must_be}.")
+        raise ClunkError(f"{where}: found {axis} = {value:g}; it must be {key.must_be}.")
     priors = [prior for prior in study.fit.parameters if prior.parameter == axis]
     for prior in priors:
         if prior.draws == "value":
-            raise FitError(
+            raise ClunkError(
                 f'{axis} is measured: what is fitted must act on the measured values; set draws = "factor" or "offset".'
             )
     for numbers in product(*(prior.quantiles([0.0, 1.0], value) for prior in priors)):
@@ -398,7 +394,7 @@ def _check_axis(study: Study, axis: str, value: float, where: str) -> None:
         for prior, number in zip(priors, numbers, strict=True):
             changed = float(prior.applied(number, changed))
         if not key.allows(changed):
-            raise FitError(
+            raise ClunkError(
                 f"{where}: the prior allows {axis} = {changed:.6g}, and it must be {key.must_be}; bound it with low "
                 "and high."
             )

@@ -22,10 +22,6 @@ from clunk.study.problems import ConfigError, nearest, shorten
 CAVEAT = "trend comparison, unless the rig's parameters are the model's"
 
 
-class ExperimentError(ClunkError):
-    """Measurements that cannot be read or compared; its text is one sentence for the user."""
-
-
 IMPACT_QUANTITIES = ("impact_time", "impact_closing_speed", "impact_severity")  # as in results files
 DETECTION_SPEED = "detection_speed"
 _OF_IMPACTS = re.compile(rf"({'|'.join(IMPACT_QUANTITIES)})_([1-9]\d{{0,2}}|std)")
@@ -84,7 +80,7 @@ def read_experiment(path: str | os.PathLike[str]) -> Experiment:
     ``impact_severity_1``), blank where they were not measured, with their standard deviation, ``impact_time_std``, and
     ``detection_speed``, the closing speed below which an impact would not have been seen.
 
-    Raises ExperimentError where the file cannot be read, with the number of the line that is wrong.
+    Raises ClunkError where the file cannot be read, with the number of the line that is wrong.
     """
     return experiment_of(_text_of(path), path)
 
@@ -108,10 +104,10 @@ def experiment_of(text: str, path: str | os.PathLike[str]) -> Experiment:
             else:
                 measurements.append(_measurement(columns, cells, where, reader.line_num))
     except csv.Error as error:
-        raise ExperimentError(f"{path}, line {reader.line_num}: this is not CSV ({error}).") from error
+        raise ClunkError(f"{path}, line {reader.line_num}: this is not CSV ({error}).") from error
     if not measurements:
         contents = "no measurements, only column names" if columns else "no measurements"
-        raise ExperimentError(f"{path} holds {contents}.")
+        raise ClunkError(f"{path} holds {contents}.")
     caveats = [remark.split(":", 1)[1].strip() for remark in remarks if remark.lower().startswith("caveat:")]
     return Experiment(
         name=Path(path).name,
@@ -130,21 +126,21 @@ def _text_of(path: str | os.PathLike[str]) -> str:
     except ConfigError as error:
         line = error.problems[0].line
         not_utf8 = f"{path}, line {line}: this is not text in UTF-8, as an experiment's CSV must be."
-        raise ExperimentError(not_utf8 if line is not None else str(error)) from error
+        raise ClunkError(not_utf8 if line is not None else str(error)) from error
 
 
 def _columns(cells: list[str], where: str) -> list[str]:
     """Names of the columns as they are in results files, "label" among them."""
     if len(cells) == 1 and ";" in cells[0]:
-        raise ExperimentError(f"{where}: columns must be separated by commas, and numbers written with points.")
+        raise ClunkError(f"{where}: columns must be separated by commas, and numbers written with points.")
     columns = [cell if _is_measured(cell) else _variable(cell, where) for cell in cells]
     if "label" not in columns:
-        raise ExperimentError(f"{where}: there is no column named label.")
+        raise ClunkError(f"{where}: there is no column named label.")
     if all(map(_is_measured, columns)):
-        raise ExperimentError(f"{where}: there is no column of a parameter, for example load_ratio.")
+        raise ClunkError(f"{where}: there is no column of a parameter, for example load_ratio.")
     twice = [name for name, count in Counter(columns).items() if count > 1]
     if twice:
-        raise ExperimentError(f"{where}: there is more than one column {twice[0]}.")
+        raise ClunkError(f"{where}: there is more than one column {twice[0]}.")
     return columns
 
 
@@ -162,12 +158,12 @@ def _variable(column: str, where: str) -> str:
     variables = [*(variable_of(name) for name in known), "label"]
     likely = nearest(column, variables) or nearest(column, known)
     hint = f"did you mean {likely}?" if likely else "a column is a parameter, for example load_ratio, or the label."
-    raise ExperimentError(f"{where}: there is no parameter {shorten(column)}; {hint}")
+    raise ClunkError(f"{where}: there is no parameter {shorten(column)}; {hint}")
 
 
 def _measurement(columns: list[str], cells: list[str], where: str, line: int) -> Measurement:
     if len(cells) != len(columns):
-        raise ExperimentError(f"{where}: there are {len(cells)} columns here and {len(columns)} names of columns.")
+        raise ClunkError(f"{where}: there are {len(cells)} columns here and {len(columns)} names of columns.")
     numbers: dict[str, float] = {}
     label = ""
     for column, cell in zip(columns, cells, strict=True):
@@ -176,7 +172,7 @@ def _measurement(columns: list[str], cells: list[str], where: str, line: int) ->
                 label = normalised_label(cell)
                 flanks_of_label(label)
             except ValueError:
-                raise ExperimentError(
+                raise ClunkError(
                     f"{where}: {shorten(cell)} is no label of any sequence; labels are written like NI, SS(1), "
                     "DS(1)SS(1) or D(1)+S(1)."
                 ) from None
@@ -188,9 +184,9 @@ def _measurement(columns: list[str], cells: list[str], where: str, line: int) ->
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            raise ExperimentError(f"{where}: {column} must be a finite number, not {shorten(cell)}.")
+            raise ClunkError(f"{where}: {column} must be a finite number, not {shorten(cell)}.")
         if _is_measured(column) and (value < 0.0 or (value == 0.0 and column.endswith("_std"))):
-            raise ExperimentError(f"{where}: {column} must be greater than 0, not {shorten(cell)}.")
+            raise ClunkError(f"{where}: {column} must be greater than 0, not {shorten(cell)}.")
         numbers[column] = value
     values = tuple(value for column, value in numbers.items() if not _is_measured(column))
     impacts, std = _impacts_of(numbers, label, where)
@@ -213,10 +209,10 @@ def _impacts_of(
             std[quantity] = value
         elif int(number) > count:
             impacts_of_label = f"{count} primary impact{'' if count == 1 else 's'}"
-            raise ExperimentError(f"{where}: {column} is given, and {label} has {impacts_of_label}.")
+            raise ClunkError(f"{where}: {column} is given, and {label} has {impacts_of_label}.")
         else:
             impacts.setdefault(quantity, {})[int(number) - 1] = value
     for quantity in impacts:
         if quantity not in std:
-            raise ExperimentError(f"{where}: {quantity} is given without its standard deviation, {quantity}_std.")
+            raise ClunkError(f"{where}: {quantity} is given without its standard deviation, {quantity}_std.")
     return impacts, std

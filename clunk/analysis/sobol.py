@@ -42,10 +42,6 @@ _BATCH = 2**22  # indices that are resampled at once
 _FEWEST = 16
 
 
-class SensitivityError(ClunkError):
-    """A study or an outcome without Sobol indices; its text is one sentence for the user."""
-
-
 @dataclass(frozen=True)
 class Share(Record):
     """Share of a parameter in the variance of a quantity: alone (S), in all (ST), that is with its interactions."""
@@ -212,7 +208,7 @@ def sensitivity(
 
     Raises
     ------
-    SensitivityError
+    ClunkError
         Where there is nothing to divide, a draw is not allowed, or a run of the sample failed or has no such quantity.
     SimulationError
         Where the run without tolerances failed.
@@ -235,7 +231,7 @@ def sensitivity(
     parameters = tuple(draw.parameter for draw in _sweep(point).tolerances)
     quantities = tuple(dict.fromkeys(quantity_of(name, point) for name in names))
     if any(each.type == TEXT for each in quantities):
-        raise SensitivityError("The label is no number; nominal_label, double_sided and label=DS(1)SS(1) are 1 or 0.")
+        raise ClunkError("The label is no number; nominal_label, double_sided and label=DS(1)SS(1) are 1 or 0.")
     nominal = simulate(point).lashes[lash_position(lash, study.lash_names)]
     sample = saltelli_sample(point)
     _refuse_forbidden_draws(point, sample)
@@ -268,27 +264,27 @@ def sensitivity(
 
 
 def operating_point(study: Study) -> Study:
-    """The study with its tolerances and without axes. Raises SensitivityError where they have no Sobol indices."""
+    """The study with its tolerances and without axes. Raises ClunkError where they have no Sobol indices."""
     swept = study.sweep
     if swept is None or not swept.tolerances:
-        raise SensitivityError(
+        raise ClunkError(
             "There is no spread to divide: the config has no [[sweep.tolerances]], one for each parameter that is "
             "drawn (clunk help tolerances)."
         )
     if len(swept.tolerances) == 1:
-        raise SensitivityError(
+        raise ClunkError(
             f"{swept.tolerances[0].parameter} is the only parameter with a tolerance, and all of the variance is "
             "its own; Sobol indices need two or more."
         )
     if any(draw.distribution == "listed" for draw in swept.tolerances):
-        raise SensitivityError("Listed draws belong together; Sobol indices need draws that are independent.")
+        raise ClunkError("Listed draws belong together; Sobol indices need draws that are independent.")
     parameters = [draw.parameter for draw in swept.tolerances]
     if twice := next((each for each in parameters if parameters.count(each) > 1), None):
-        raise SensitivityError(f"{twice} has two tolerances; Sobol indices are those of parameters with one each.")
+        raise ClunkError(f"{twice} has two tolerances; Sobol indices are those of parameters with one each.")
     count = swept.sampling.count
     if count < _FEWEST or count & (count - 1):
         power = max(_FEWEST, 2 ** math.floor(math.log2(count)))
-        raise SensitivityError(
+        raise ClunkError(
             f"sweep.sampling.count = {count}: Sobol indices need a power of two, {_FEWEST} or more; take {power} or "
             f"{2 * power}."
         )
@@ -363,13 +359,13 @@ def first_and_total(values: Floats, seed: int) -> tuple[Floats, Floats, Floats, 
 
 
 def _refuse_forbidden_draws(study: Study, sample: Floats) -> None:
-    """Raise SensitivityError where a draw is not allowed: the config was checked with other draws."""
+    """Raise ClunkError where a draw is not allowed: the config was checked with other draws."""
     for k, draw in enumerate(_sweep(study).tolerances):
         for value in (float(sample[:, :, k].min()), float(sample[:, :, k].max())):
             try:
                 replace_values(study, {draw.parameter: value})
             except ConfigError as error:
-                raise SensitivityError(
+                raise ClunkError(
                     f"A draw makes {draw.parameter} {value:.6g}: {error.problems[0].message}; bound its distribution "
                     "with low and high."
                 ) from None
@@ -396,18 +392,18 @@ def _refuse_failures(results: Results) -> None:
         if status != Status.OK and (results.status == status).any()
     ]
     where = ", ".join(f"{axis.parameter} = {axis.values[failed[0]]:.6g}" for axis in results.coordinates)
-    raise SensitivityError(
+    raise ClunkError(
         f"{failed.size:,} of {results.status.size:,} runs failed, and the indices need all of them: "
         f"{'; '.join(causes)}. The first is at {where}."
     )
 
 
 def _values(quantity: Quantity, results: Results) -> Floats:
-    """Values of a quantity, (runs,) float64. Raises SensitivityError where a run has none."""
+    """Values of a quantity, (runs,) float64. Raises ClunkError where a run has none."""
     values = quantity.of_runs(results)
     undefined = int(np.count_nonzero(np.isnan(values)))
     if undefined:
-        raise SensitivityError(
+        raise ClunkError(
             f"{quantity.name} is not defined in {undefined:,} of {values.size:,} runs, in which nothing happens; "
             "ask for another quantity."
         )

@@ -10,11 +10,12 @@ from typing import cast
 
 import numpy as np
 
-from clunk.analysis.measurements import Experiment, ExperimentError, Measurement
+from clunk.analysis.measurements import Experiment, Measurement
 from clunk.results.labels import FAILED, FAILED_CODE, double_sided
 from clunk.results.maps import at_cell, values_at
 from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
+from clunk.study.errors import ClunkError
 from clunk.study.records import SENTENCE, Record, tells, told
 
 
@@ -179,19 +180,19 @@ def compare_experiment(results: Results, experiment: Experiment) -> ExperimentCo
 
     Raises
     ------
-    ExperimentError
+    ClunkError
         Where the measurements' columns are not the results' axes; an axis of one value needs no column.
     """
     variables = [axis.variable for axis in results.axes]
     swept = ", ".join(variables)
     for column in experiment.columns:
         if column not in variables:
-            raise ExperimentError(
+            raise ClunkError(
                 f"The column {column} of {experiment.name} is no axis of the results, which sweep {swept}."
             )
     for axis in results.axes:
         if axis.variable not in experiment.columns and len(axis.values) > 1:
-            raise ExperimentError(f"The results sweep {axis.parameter}, and {experiment.name} has no column for it.")
+            raise ClunkError(f"The results sweep {axis.parameter}, and {experiment.name} has no column for it.")
     points = tuple(_point(results, experiment.columns, measurement) for measurement in experiment.measurements)
     trends = tuple(_trend(axis, position, points) for position, axis in enumerate(results.axes) if len(axis.values) > 1)
     return ExperimentComparison(experiment, results.axes, results.title, points, trends)

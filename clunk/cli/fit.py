@@ -10,6 +10,7 @@ import click
 
 from clunk.cli import tables, terminal
 from clunk.cli.options import PATH, json_option, lash_option, set_option, workers_option
+from clunk.study.errors import ClunkError
 
 if TYPE_CHECKING:
     from clunk.analysis.fitted import Fitted
@@ -73,11 +74,10 @@ def fit(
 def _write(fitted: Fitted, path: Path, tolerances: int) -> None:
     """Write the fitted config, with the ensemble as tolerances if they are asked for."""
     from clunk.analysis.fittedstudy import as_comment, fitted_study
-    from clunk.analysis.fitting import FitError
     from clunk.results.files import write_text
     from clunk.study.study import to_toml
 
-    write_text(path, as_comment(fitted) + to_toml(fitted_study(fitted, tolerances)), FitError)
+    write_text(path, as_comment(fitted) + to_toml(fitted_study(fitted, tolerances)), ClunkError)
     terminal.say_written(path)
 
 
