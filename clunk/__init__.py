@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from clunk.analysis.quantiles import threshold_quantiles as threshold_quantiles
     from clunk.analysis.sobol import Sensitivity as Sensitivity
     from clunk.analysis.sobol import sensitivity as sensitivity
-    from clunk.analysis.thresholds import ThresholdError as ThresholdError
     from clunk.analysis.thresholds import Thresholds as Thresholds
     from clunk.analysis.thresholds import thresholds as thresholds
     from clunk.api import draw as draw
@@ -41,7 +40,6 @@ if TYPE_CHECKING:
     from clunk.results.store import read_results as read_results
     from clunk.results.store import read_tolerance_map as read_tolerance_map
     from clunk.results.store import write_results as write_results
-    from clunk.results.targets import TargetError as TargetError
     from clunk.results.tolerancemap import ToleranceMap as ToleranceMap
     from clunk.simulation.trajectory import SimulationError as SimulationError
     from clunk.simulation.trajectory import Trajectory as Trajectory
@@ -79,8 +77,6 @@ _HOME = {
     "StoreError": "results.netcdf",
     "Study": "study.study",
     "SweepError": "sweeping.reduction",
-    "TargetError": "results.targets",
-    "ThresholdError": "analysis.thresholds",
     "Thresholds": "analysis.thresholds",
     "ToleranceMap": "results.tolerancemap",
     "Trajectory": "simulation.trajectory",

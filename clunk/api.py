@@ -82,7 +82,7 @@ def sweep(
     SweepError
         Where there is nothing to sweep, the grid does not fit in memory, no cell of it could run, or the file holds
         something else.
-    TargetError, StoreError, PartsError
+    StoreError, PartsError, ClunkError
         Where the file cannot be written, or finished cells cannot be kept or taken up.
     EngineError
         Where the scheduler or its workers cannot start or go on; finished cells have been kept.
@@ -239,7 +239,7 @@ def draw(
 
     Raises
     ------
-    PlotError, FitMapError
+    PlotError, ClunkError
         Where the results cannot be drawn so.
     TypeError
         Where it is something else, a Dataset for example.

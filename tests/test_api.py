@@ -122,7 +122,7 @@ def test_a_sweep_into_a_file_of_something_else_leaves_it_alone(small, here):
     (here / "junk.h5").write_bytes(b"junk")
     with pytest.raises(clunk.SweepError, match=r"not HDF5.*in the way"):
         clunk.sweep(small, "junk.h5")
-    with pytest.raises(clunk.TargetError, match=re.escape("must end in .h5")):
+    with pytest.raises(clunk.ClunkError, match=re.escape("must end in .h5")):
         clunk.sweep(small, "small.csv")
     clunk.sweep(other, "small.h5", force=True)
     assert clunk.read_results("small.h5").config_digest == digest(other)
@@ -385,5 +385,5 @@ def test_errors_that_public_functions_document_are_public():
         for section in re.findall(r"Raises?\n\s*-+\n(.*?)(?:\n\s*\n|\Z)", function.__doc__ or "", flags=re.DOTALL)
         for error in re.findall(r"\b[A-Z]\w+Error\b", section)
     }
-    assert {"ConfigError", "FitMapError", "SweepError"} <= raised
+    assert {"ConfigError", "ClunkError", "SweepError"} <= raised
     assert raised <= {*clunk.__all__, "ValueError", "TypeError", "ImportError", "KeyError"}

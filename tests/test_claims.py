@@ -15,7 +15,6 @@ from clunk import cli
 from clunk.report import claims, reproduction
 from clunk.report.claims import Claim, Verdict
 from clunk.report.evidence import Evidence, run_maps
-from clunk.results.netcdf import StoreError
 from clunk.simulation.linear import (
     levels_of_excursions,
     one_mode_thresholds,
@@ -25,6 +24,7 @@ from clunk.simulation.linear import (
 )
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
+from clunk.study.errors import ClunkError
 from clunk.study.study import replace_values
 
 COARSE = 10  # 21 x 21 and 11 x 11: every region of Figure 3.4 has cells
@@ -138,7 +138,7 @@ def test_tables_are_written_between_the_marks_and_a_file_without_them_is_refused
     assert path.read_text() == once
     path.write_text("no marks")
     for wrong, sentence in ((path, "has no place for the claims"), (tmp_path / "none.md", "cannot be read")):
-        with pytest.raises(StoreError, match=sentence):
+        with pytest.raises(ClunkError, match=sentence):
             reproduction.write_tables(wrong, [broken])
 
 

@@ -11,11 +11,12 @@ from clunk.core.events import LOCK, TOUCH
 from clunk.plot import PlotError, histories, save
 from clunk.plot.histories import small_gap
 from clunk.results.historyfile import save_csv
-from clunk.simulation.history import HistoryError, sample, shown_until
+from clunk.simulation.history import sample, shown_until
 from clunk.simulation.phases import balanced
 from clunk.simulation.small_gap import SmallGap
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
+from clunk.study.errors import ClunkError
 from clunk.study.study import Study
 
 xarray = pytest.importorskip("xarray")
@@ -272,7 +273,7 @@ def test_run_from_an_initial_state_has_nothing_before_its_load_step():
     assert sampled.time[0] == 0.1
     assert sampled.velocity[0].tolist() == [0.0, 0.0, 1.0, 0.0]
     assert np.all(sampled.torque == -1.0)
-    with pytest.raises(HistoryError, match="initial state has nothing before"):
+    with pytest.raises(ClunkError, match="initial state has nothing before"):
         sample(trajectory, before=0.1)
 
 
@@ -289,7 +290,7 @@ def test_run_from_an_initial_state_has_nothing_before_its_load_step():
     ],
 )
 def test_impossible_samples_are_refused_in_one_sentence(options, sentence):
-    with pytest.raises(HistoryError, match=sentence) as error:
+    with pytest.raises(ClunkError, match=sentence) as error:
         sample(run(), **options)
     assert str(error.value).endswith(".")
 
@@ -298,9 +299,7 @@ def test_run_that_may_go_on_is_not_sampled_beyond_its_end():
     trajectory = run("gap", "solver.end_time=0.3")
     assert not trajectory.complete
     assert sample(trajectory).time[-1] == pytest.approx(0.4)
-    with pytest.raises(
-        HistoryError, match=r"ends at 0.4 s and more may follow; to go on until 1 s, raise solver.end_t"
-    ):
+    with pytest.raises(ClunkError, match=r"ends at 0.4 s and more may follow; to go on until 1 s, raise solver.end_t"):
         sample(trajectory, until=1.0)
 
 
@@ -339,10 +338,10 @@ def test_csv_reads_back_equal(tmp_path, model):
 
 def test_unwritable_path_is_an_error_in_one_sentence(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(HistoryError, match="cannot be written: "):
+    with pytest.raises(ClunkError, match="cannot be written: "):
         save_csv(tmp_path / "file" / "history.csv", history())
     (tmp_path / "directory").mkdir()
-    with pytest.raises(HistoryError, match="cannot be written: "):
+    with pytest.raises(ClunkError, match="cannot be written: "):
         save_csv(tmp_path / "directory", history())
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["directory", "file"]
 

@@ -18,6 +18,7 @@ from test_sweeping import equal, figure_3_4
 import clunk
 from clunk.results.store import read_header
 from clunk.study.config import study_from_text
+from clunk.study.errors import ClunkError
 from clunk.study.study import replace_values
 from clunk.sweeping import parts as keeping
 from clunk.sweeping import scratch
@@ -293,7 +294,7 @@ def test_no_room_for_results_on_the_disk_is_a_sentence(study, whole, target, oft
     with monkeypatch.context() as patch, WorkingDirectory(target) as directory:
         patch.setattr(scratch, "_LARGE_SHARE", 0.0)
         patch.setattr(scratch, "reserve", full)
-        with pytest.raises(scratch.ScratchError, match=r"has no room for the results \(no space left on device\)"):
+        with pytest.raises(ClunkError, match=r"has no room for the results \(no space left on device\)"):
             Job(study, directory=directory).run()
     results, parts = resumed(study, target)
     assert parts.taken_up == kept

@@ -11,13 +11,14 @@ from test_thresholds import DURATION, LASH, NOMINAL, RAMP, RATIO, axis
 
 import clunk as clunk_api
 from clunk.analysis.quantiles import probabilities, threshold_quantiles
-from clunk.analysis.thresholds import UNCERTAIN, ThresholdError, Thresholds, thresholds
+from clunk.analysis.thresholds import UNCERTAIN, Thresholds, thresholds
 from clunk.plot.style import PlotError
 from clunk.plot.thresholds import quantile_figure
 from clunk.results.quantities import OF_RUNS
 from clunk.study.axes import ResultAxis
 from clunk.study.config import study_from_text
 from clunk.study.designs import drawn_numbers, nominal
+from clunk.study.errors import ClunkError
 from clunk.study.parameters import get_value
 from clunk.sweeping import cells as sweeping
 
@@ -154,14 +155,14 @@ def test_each_drawn_driveline_is_prepared_once(monkeypatch):
     [([0.05], "0.05 is no quantile"), ([95.0], "95 is no quantile"), ([], "no quantile"), ([0.5, 0.5], "twice")],
 )
 def test_what_is_no_quantile_is_refused(ramps, quantiles, message):
-    with pytest.raises(ThresholdError, match=message):
+    with pytest.raises(ClunkError, match=message):
         threshold_quantiles(ramps, quantiles)
 
 
 def test_quantiles_need_draws(ramps):
     without = replace(ramps, axes=ramps.axes[1:])
     for function in (threshold_quantiles, probabilities):
-        with pytest.raises(ThresholdError, match=r"no \[\[sweep.tolerances\]\]"):
+        with pytest.raises(ClunkError, match=r"no \[\[sweep.tolerances\]\]"):
             function(without)
 
 

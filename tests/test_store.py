@@ -20,6 +20,7 @@ from clunk.results import netcdf, store
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
+from clunk.study.errors import ClunkError
 
 ROOT = Path(__file__).parents[1]
 RATIO = ResultAxis("load.ratio", np.linspace(0.0, 10.0, 5), "load ratio", "σr = Td/Ts", "1")
@@ -272,7 +273,7 @@ def test_an_interrupted_write_leaves_the_old_file_and_no_other(
         monkeypatch.setattr(os, "fsync", fail)
     else:
         monkeypatch.setattr(Path, "replace", fail)
-    with pytest.raises(netcdf.StoreError if isinstance(error, OSError) else KeyboardInterrupt) as raised:
+    with pytest.raises(ClunkError if isinstance(error, OSError) else KeyboardInterrupt) as raised:
         store.write_results(tmp_path / "map.h5", replace(old, title="new"))
     monkeypatch.undo()
     if isinstance(error, OSError):
@@ -286,11 +287,11 @@ def test_a_full_disk_is_a_sentence_and_the_interpreter_ends_well(tmp_path: Path)
     code = f"""
 import resource, sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
-from test_store import BACKLASH, RATIO, example, netcdf, store
+from test_store import BACKLASH, RATIO, ClunkError, example, netcdf, store
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 try:
     store.write_results({str(tmp_path / "map.h5")!r}, example(RATIO, BACKLASH))
-except netcdf.StoreError as error:
+except ClunkError as error:
     print(error)
 """
     pytest.importorskip("resource")
@@ -325,7 +326,7 @@ import resource, sys
 from dataclasses import replace
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 import numpy as np
-from test_store import CELL_QUANTITIES, IMPACT_QUANTITIES, RATIO, example, netcdf, store
+from test_store import CELL_QUANTITIES, IMPACT_QUANTITIES, RATIO, ClunkError, example, netcdf, store
 netcdf._LARGE, netcdf._AHEAD = 0, 1 << 22
 small = example(RATIO)
 count = 400_000
@@ -337,7 +338,7 @@ large = replace(small, axes=(replace(small.axes[0], values=np.arange(float(count
 resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
 try:
     store.write_results({str(tmp_path / "map.h5")!r}, large)
-except netcdf.StoreError as error:
+except ClunkError as error:
     print(error)
 """
     pytest.importorskip("resource")
@@ -362,11 +363,11 @@ def test_writing_through_a_link_replaces_what_it_points_to(tmp_path: Path) -> No
 
 def test_writing_onto_a_directory_or_under_a_file_is_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "taken").mkdir()
-    with pytest.raises(netcdf.StoreError) as raised:
+    with pytest.raises(ClunkError) as raised:
         store.write_results(tmp_path / "taken", example(RATIO))
     assert_sentence(raised.value, tmp_path / "taken", "is a directory")
     (tmp_path / "file").touch()
-    with pytest.raises(netcdf.StoreError) as raised:
+    with pytest.raises(ClunkError) as raised:
         store.write_results(tmp_path / "file" / "map.h5", example(RATIO))
     assert_sentence(raised.value, tmp_path / "file" / "map.h5", "cannot be written")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "taken"]
@@ -375,7 +376,7 @@ def test_writing_onto_a_directory_or_under_a_file_is_a_sentence(tmp_path: Path) 
 # --- files that are not what they should be
 
 
-def assert_sentence(error: netcdf.StoreError, path: Path, part: str) -> None:
+def assert_sentence(error: ClunkError, path: Path, part: str) -> None:
     text = str(error)
     assert text.startswith(str(path))
     assert part in text

@@ -27,10 +27,6 @@ _COUNT = 81  # values of an axis that the config does not sweep
 _BEYOND = 0.15  # of the measured span, on either side of it
 
 
-class FitMapError(ClunkError):
-    """A fit of which no map over two parameters can be made; its text is one sentence for the user."""
-
-
 def fitted_study(fitted: Fitted, draws: int = 0) -> Study:
     """The study with the best candidate's values, without [fit].
 
@@ -133,11 +129,11 @@ def as_comment(fitted: Fitted) -> str:
 def fit_maps(fitted: Fitted, workers: int | None = None) -> Results:
     """Map of the two measured parameters, as they were measured, before and after the fit along a first axis, `fit`.
 
-    Raises FitMapError unless two parameters were measured, each at two values or more.
+    Raises ClunkError unless two parameters were measured, each at two values or more.
     """
     axes = tuple(_axis(fitted, k) for k in range(len(fitted.axes)) if np.ptp(fitted.points[:, k]) > 0.0)
     if len(axes) != 2:
-        raise FitMapError(f"A map has two measured parameters that vary; {fitted.experiment.name} has {len(axes)}.")
+        raise ClunkError(f"A map has two measured parameters that vary; {fitted.experiment.name} has {len(axes)}.")
     first = zip(fitted.axes, fitted.points[0].tolist(), strict=True)
     varying = [axis.parameter for axis in axes]
     fixed = tuple(Axis(parameter=key, values=(value,)) for key, value in first if key not in varying)

@@ -42,10 +42,6 @@ _SAME = 1e-3  # by which the merits of starts that found the same differ
 _FRONT = 9  # optima of a trade-off
 
 
-class OptimizeError(ClunkError):
-    """An optimisation that cannot be done; its text is one sentence for the user."""
-
-
 @dataclass(frozen=True, repr=False)
 class Optimum(Record):
     """The best values that were found, and what they give.
@@ -143,10 +139,10 @@ class Problem:
         self._conditions = [quantity_of(text, study) for text in self.optimize.subject_to]
         for quantity in self._numbers:
             if quantity.type == "label":
-                raise OptimizeError("A label cannot be minimised; severity or double_sided, for example, can.")
+                raise ClunkError("A label cannot be minimised; severity or double_sided, for example, can.")
         for quantity in self._conditions:
             if quantity.type != YES_NO or quantity.name == "nominal_label":
-                raise OptimizeError(f"{quantity.name} is no condition; severity<=8000 or double_sided=0 is one.")
+                raise ClunkError(f"{quantity.name} is no condition; severity<=8000 or double_sided=0 is one.")
         self.study = measuring(nominal(study), [*self._conditions, *self._numbers])
         design = design_of(self.study)
         self._cells = design.at(np.arange(design.cells)) if design.shape else {}
@@ -155,7 +151,7 @@ class Problem:
         self.shape = design.cells, study.sweep.sampling.count if study.sweep is not None and self._tolerances else 1
         self._needed = math.ceil((self.optimize.robust or 1.0) * self.shape[1] - 1e-9)  # drivelines
         if swept := {key for each in free for key in each.keys} & self._cells.keys():
-            raise OptimizeError(f"{min(swept)} is both free and swept: leave out its axis.")
+            raise ClunkError(f"{min(swept)} is both free and swept: leave out its axis.")
         keys = [
             *(key for each in free for key in each.keys),
             *self._cells,
@@ -239,7 +235,7 @@ class Problem:
 
 def _table(study: Study) -> Optimize:
     if study.optimize is None:
-        raise OptimizeError("There is nothing to optimise: the config has no [optimize] (clunk help optimize).")
+        raise ClunkError("There is nothing to optimise: the config has no [optimize] (clunk help optimize).")
     return study.optimize
 
 
@@ -273,7 +269,7 @@ def optimize(
 
     Raises
     ------
-    OptimizeError
+    ClunkError
         Where there is nothing to optimise.
     KeyboardInterrupt
         With the best so far as its first argument, an Optimum, if a start has ended.

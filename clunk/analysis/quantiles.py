@@ -13,10 +13,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from clunk.analysis.thresholds import DRAW, UNCERTAIN_CODE, ThresholdError, Thresholds
+from clunk.analysis.thresholds import DRAW, UNCERTAIN_CODE, Thresholds
 from clunk.results.labels import FAILED_CODE
 from clunk.study.arrays import Codes, Floats
 from clunk.study.axes import ResultAxis
+from clunk.study.errors import ClunkError
 
 QUANTILE = "quantile"  # the axis in the place of `draw`
 
@@ -25,7 +26,7 @@ def probabilities(thresholds: Thresholds, cell: int = 0) -> tuple[Floats, Floats
     """Probability of each outcome along the key in a cell of the axes behind `draw`, as thresholds of tolerances have.
 
     Returns the ends of the intervals in which it is constant, (m + 1,), and the shares of the draws in each, of the
-    outcomes in the order of `words` and last of `failed`, (m, words + 1). Raises ThresholdError without draws.
+    outcomes in the order of `words` and last of `failed`, (m, words + 1). Raises ClunkError without draws.
     """
     draws = _draws(thresholds)
     counts, edges, _ = _counts(thresholds, cell, thresholds.lowest.size // draws)
@@ -33,15 +34,15 @@ def probabilities(thresholds: Thresholds, cell: int = 0) -> tuple[Floats, Floats
 
 
 def check(quantiles: Sequence[float]) -> None:
-    """Raise ThresholdError where quantiles are not such as `threshold_quantiles` takes."""
+    """Raise ClunkError where quantiles are not such as `threshold_quantiles` takes."""
     for quantile in quantiles:
         if not 0.5 <= quantile <= 1.0:
-            raise ThresholdError(
+            raise ClunkError(
                 f"{quantile:g} is no quantile here: it is the share of the draws that have the same outcome, from 0.5 "
                 "to 1."
             )
     if len(set(quantiles)) < max(len(quantiles), 1):
-        raise ThresholdError("A quantile is named twice." if quantiles else "There is no quantile.")
+        raise ClunkError("A quantile is named twice." if quantiles else "There is no quantile.")
 
 
 def threshold_quantiles(thresholds: Thresholds, quantiles: Sequence[float] = (0.5, 0.95)) -> Thresholds:
@@ -62,7 +63,7 @@ def threshold_quantiles(thresholds: Thresholds, quantiles: Sequence[float] = (0.
 
     Raises
     ------
-    ThresholdError
+    ClunkError
         Where the thresholds are not those of drawn drivelines, or a quantile is not from 0.5 to 1.
 
     Examples
@@ -105,7 +106,7 @@ def threshold_quantiles(thresholds: Thresholds, quantiles: Sequence[float] = (0.
 
 def _draws(thresholds: Thresholds) -> int:
     if not thresholds.axes or thresholds.axes[0].parameter != DRAW:
-        raise ThresholdError("Quantiles are those of drawn drivelines: the config has no [[sweep.tolerances]].")
+        raise ClunkError("Quantiles are those of drawn drivelines: the config has no [[sweep.tolerances]].")
     return len(thresholds.axes[0].values)
 
 

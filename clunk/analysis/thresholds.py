@@ -61,10 +61,6 @@ _MOST = 32  # thresholds between two neighbours that are resolved
 _STEEPER = 2.0  # than between known values, as the number of the runs may fall between them
 
 
-class ThresholdError(ClunkError):
-    """A study, a key or an outcome without thresholds; its text is one sentence for the user."""
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Thresholds:
     """The thresholds of an outcome along a key, in each cell of the other axes.
@@ -241,7 +237,7 @@ def thresholds(
 
     Raises
     ------
-    ThresholdError
+    ClunkError
         Where the key is no axis of this study, or there is no such outcome.
     ConfigError
         Where there is no such lash.
@@ -290,12 +286,12 @@ def thresholds(
 
 
 def parse(of: str, study: Study) -> Quantity:
-    """The quantity that a text names. Raises ThresholdError where it has no thresholds."""
+    """The quantity that a text names. Raises ClunkError where it has no thresholds."""
     quantity = quantity_of(of, study)
     if quantity.type == NUMBER:
-        raise ThresholdError(f"{quantity.name} changes everywhere; give a bound, as in severity<=8000.")
+        raise ClunkError(f"{quantity.name} changes everywhere; give a bound, as in severity<=8000.")
     if quantity.name == NOMINAL:
-        raise ThresholdError(f"{NOMINAL} has no thresholds; name the label, as in label=DS(1)SS(1).")
+        raise ClunkError(f"{NOMINAL} has no thresholds; name the label, as in label=DS(1)SS(1).")
     return quantity
 
 
@@ -308,27 +304,25 @@ def scan_count(study: Study) -> int:
 def axes_of(study: Study, along: str) -> tuple[ResultAxis, tuple[ResultAxis, ...]]:
     """The key's axis, ascending, and the other axes, with tolerances `draw` before them.
 
-    Raises ThresholdError where there are no thresholds along the key.
+    Raises ClunkError where there are no thresholds along the key.
     """
     axes, swept = design_of(study).axes, study.sweep
     if swept is None or not swept.axes:
-        raise ThresholdError(f"{along} is no axis: the config has no [[sweep.axes]], which say where to look.")
+        raise ClunkError(f"{along} is no axis: the config has no [[sweep.axes]], which say where to look.")
     if swept.design == "zip":
-        raise ThresholdError('The axes are walked together (design = "zip"); thresholds need a grid.')
+        raise ClunkError('The axes are walked together (design = "zip"); thresholds need a grid.')
     if swept.samples:
-        raise ThresholdError(
-            "The config has [[sweep.samples]]; thresholds need a grid of axes, or [[sweep.tolerances]]."
-        )
+        raise ClunkError("The config has [[sweep.samples]]; thresholds need a grid of axes, or [[sweep.tolerances]].")
     names = [axis.parameter for axis in axes]
     if along not in names:
         likely = nearest(along, names)
         hint = f"; did you mean {likely}?" if likely else "."
-        raise ThresholdError(f"{shorten(along)} is no axis of the config; its axes are {listing(names)}{hint}")
+        raise ClunkError(f"{shorten(along)} is no axis of the config; its axes are {listing(names)}{hint}")
     axis = axes[names.index(along)]
     if located(study, along)[1].whole:
-        raise ThresholdError(f"{along} is a whole number, between whose values nothing lies.")
+        raise ClunkError(f"{along} is a whole number, between whose values nothing lies.")
     if len(axis.values) < 2:
-        raise ThresholdError(f"{along} has one value; thresholds lie between two or more.")
+        raise ClunkError(f"{along} has one value; thresholds lie between two or more.")
     ascending = ResultAxis(along, np.sort(axis.values), axis.name, axis.symbol, axis.unit)
     draws = np.arange(1.0, swept.sampling.count + 1.0)
     drawn = (ResultAxis(DRAW, draws, "number of the draw", "", "1"),) if swept.tolerances else ()

@@ -8,6 +8,7 @@ import click
 
 from clunk.cli import terminal
 from clunk.cli.options import PATH
+from clunk.study.errors import ClunkError
 
 
 @click.command()
@@ -31,7 +32,6 @@ def export(file: Path, output: Path, boundaries: bool) -> None:
     """
     from clunk.results import export as exporting
     from clunk.results import targets
-    from clunk.results.netcdf import StoreError
     from clunk.results.store import read_map
 
     of_map = [] if boundaries else [*exporting.WRITERS]
@@ -41,6 +41,6 @@ def export(file: Path, output: Path, boundaries: bool) -> None:
         exporting.save(output, results)
     else:
         if results.boundaries is None:
-            raise StoreError(f"{file} has no boundaries; clunk sweep CONFIG --boundaries adds them to its file.")
+            raise ClunkError(f"{file} has no boundaries; clunk sweep CONFIG --boundaries adds them to its file.")
         exporting.save_boundaries(output, results.boundaries)
     terminal.say_written(output)

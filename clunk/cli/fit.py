@@ -77,20 +77,20 @@ def _write(fitted: Fitted, path: Path, tolerances: int) -> None:
     from clunk.results.files import write_text
     from clunk.study.study import to_toml
 
-    write_text(path, as_comment(fitted) + to_toml(fitted_study(fitted, tolerances)), ClunkError)
+    write_text(path, as_comment(fitted) + to_toml(fitted_study(fitted, tolerances)))
     terminal.say_written(path)
 
 
 def _draw(fitted: Fitted, path: Path, workers: int | None) -> None:
     """Draw the pictures of a fit: PATH-ensemble, PATH-labels and, of two measured parameters, PATH-maps."""
-    from clunk.analysis.fittedstudy import FitMapError, fit_maps
+    from clunk.analysis.fittedstudy import fit_maps
     from clunk.plot import comparisons
     from clunk.plot import fit as figures
 
     pictures = {name: figure_of(fitted) for name, figure_of in figures.FIGURES.items()}
     try:
         pictures["maps"] = comparisons.measured_on_maps(fit_maps(fitted, workers), fitted)
-    except FitMapError as error:
+    except ClunkError as error:
         terminal.complain(f"note: {error}")
     for name, figure in pictures.items():
         terminal.save_picture(figure, path.with_name(f"{path.stem}-{name}{path.suffix}"))

@@ -68,7 +68,7 @@ def optimize(
     for k, best in enumerate(points, 1):
         if output is not None:
             path = output.with_stem(f"{output.stem}-{k}") if traded else output
-            write_text(path, to_toml(best.study), optimisation.OptimizeError)
+            write_text(path, to_toml(best.study))
             terminal.say_written(path)
     if picture is not None:
         from clunk.plot import histories, tradeoff

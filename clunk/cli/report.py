@@ -43,7 +43,7 @@ def report(file: Path, output: Path | None, at: tuple[str, ...]) -> None:
         text = page(results, _commands(header, file, target, at), digests)
     except plots.SurplusAxesError as error:
         raise plots.PlotError(f"{error.problem}: also give {' '.join(map(cells.at_middle, error.surplus))}.") from error
-    write_text(target, text, plots.PlotError)
+    write_text(target, text)
     terminal.say_written(target)
 
 

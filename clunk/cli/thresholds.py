@@ -22,6 +22,7 @@ from clunk.cli.options import (
     set_option,
     workers_option,
 )
+from clunk.study.errors import ClunkError
 from clunk.study.records import fill, number
 from clunk.study.summaries import counted
 
@@ -123,7 +124,7 @@ def thresholds(
         )
     is_toleranced = has_tolerances(study)
     if (draws or quantiles) and not is_toleranced:
-        raise analysis.ThresholdError("--quantiles and --draws need [[sweep.tolerances]], and the config has none.")
+        raise ClunkError("--quantiles and --draws need [[sweep.tolerances]], and the config has none.")
     if draws and quantiles:
         raise click.UsageError("--draws has the thresholds themselves, not their --quantiles; give one of the two.")
     shares = quantiles or (0.5, 0.95)
@@ -161,7 +162,7 @@ def thresholds(
     elif output is not None:
         is_csv = output.suffix.lower() == ".csv"
         text = result.csv() if is_csv else json.dumps(result.cells(), ensure_ascii=False) + "\n"
-        write_text(output, text, analysis.ThresholdError)
+        write_text(output, text)
         terminal.say_written(output)
     if places := located.unresolved:
         cell, begin, end = places[0]

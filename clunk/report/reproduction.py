@@ -14,11 +14,11 @@ from clunk.plot import comparisons, histories, strips
 from clunk.report.claims import Claim, Verdict
 from clunk.report.evidence import MAPS, NOMINAL_RATIO, RATIOS, Evidence
 from clunk.results.files import reason, write_text
-from clunk.results.netcdf import StoreError
 from clunk.results.store import write_results
 from clunk.simulation.history import History, sample
 from clunk.simulation.linear import rigid_contact_thresholds
 from clunk.simulation.small_gap import SmallGap
+from clunk.study.errors import ClunkError
 from clunk.sweeping.progress import Progress
 
 Job = tuple[str, Callable[[], Figure]]
@@ -42,19 +42,19 @@ def save_all(
         write_results(written[-1], evidence.maps[name])
     written.append(directory / "claims.json")
     text = json.dumps([claim.record() for claim in claims], indent=1, ensure_ascii=False) + "\n"
-    write_text(written[-1], text, StoreError)
+    write_text(written[-1], text)
     return written
 
 
 def write_tables(path: Path, claims: Sequence[Claim]) -> None:
     """Write the claims into a Markdown file, between its comments ``<!-- claims: errors -->`` … ``<!-- end -->``.
 
-    The table ``errors`` has the claims that are known not to hold, ``agrees`` the others. Raises StoreError.
+    The table ``errors`` has the claims that are known not to hold, ``agrees`` the others. Raises ClunkError.
     """
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise StoreError(f"{path} cannot be read: {reason(error) if isinstance(error, OSError) else error}.") from error
+        raise ClunkError(f"{path} cannot be read: {reason(error) if isinstance(error, OSError) else error}.") from error
     for name, agrees in (("errors", False), ("agrees", True)):
         begin = f"<!-- claims: {name} -->\n"
         rows = ["| where | the report | clunk |", "| --- | --- | --- |"]
@@ -66,9 +66,9 @@ def write_tables(path: Path, claims: Sequence[Claim]) -> None:
         table = begin + "\n".join(rows) + "\n<!-- end -->"
         place = re.search(f"{re.escape(begin)}.*?<!-- end -->", text, flags=re.DOTALL)
         if place is None:
-            raise StoreError(f"{path} has no place for the claims: a line {begin.strip()}, and <!-- end --> after it.")
+            raise ClunkError(f"{path} has no place for the claims: a line {begin.strip()}, and <!-- end --> after it.")
         text = text[: place.start()] + table + text[place.end() :]
-    write_text(path, text, StoreError)
+    write_text(path, text)
 
 
 def figures(e: Evidence) -> list[Job]:

@@ -20,19 +20,19 @@ from clunk.results.boundaries import Boundaries
 from clunk.results.files import write_text, write_whole, writing
 from clunk.results.labels import FAILED
 from clunk.results.maps import Map
-from clunk.results.netcdf import StoreError
 from clunk.results.quantities import Quantity
 from clunk.results.store import dataset_of
 from clunk.results.tolerancemap import AnyMap
 from clunk.study.arrays import Array
 from clunk.study.axes import RUN, ResultAxis
+from clunk.study.errors import ClunkError
 
 _ROWS = 4096  # cells, written at once
 
 
 def save(path: str | os.PathLike[str], results: AnyMap) -> None:
-    """Write a map in the format of the file name's suffix, one of `WRITERS`. Raises StoreError."""
-    with writing(path, StoreError) as target:
+    """Write a map in the format of the file name's suffix, one of `WRITERS`. Raises ClunkError."""
+    with writing(path) as target:
         write_whole(target, lambda stream: WRITERS[target.suffix.lower()](stream, results))
 
 
@@ -80,15 +80,15 @@ def _write_mat(stream: BinaryIO, results: AnyMap) -> None:
     try:
         savemat(stream, arrays, long_field_names=True, do_compression=True, oned_as="column")
     except MatWriteError as error:
-        raise StoreError("The map is too large for a MAT-file; MATLAB reads the HDF5 file itself.") from error
+        raise ClunkError("The map is too large for a MAT-file; MATLAB reads the HDF5 file itself.") from error
 
 
 WRITERS = {".csv": _write_csv, ".mat": _write_mat}
 
 
 def save_boundaries(path: str | os.PathLike[str], boundaries: Boundaries) -> None:
-    """Write boundaries in the format of the file name's suffix, one of `OF_BOUNDARIES`. Raises StoreError."""
-    write_text(path, OF_BOUNDARIES[Path(path).suffix.lower()](boundaries), StoreError)
+    """Write boundaries in the format of the file name's suffix, one of `OF_BOUNDARIES`. Raises ClunkError."""
+    write_text(path, OF_BOUNDARIES[Path(path).suffix.lower()](boundaries))
 
 
 OF_BOUNDARIES: dict[str, Callable[[Boundaries], str]] = {

@@ -34,19 +34,19 @@ def write_whole(path: str | os.PathLike[str], write: Callable[[BinaryIO], object
 
 
 @contextmanager
-def writing(path: str | os.PathLike[str], error: type[ClunkError]) -> Iterator[Path]:
+def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Make a file's directory, and raise an OSError of writing the file as a sentence for the user."""
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield path
     except OSError as problem:
-        raise error(f"{path} cannot be written: {reason(problem)}.") from problem
+        raise ClunkError(f"{path} cannot be written: {reason(problem)}.") from problem
 
 
-def write_text(path: str | os.PathLike[str], text: str, error: type[ClunkError]) -> None:
+def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write a text file whole or not at all, in UTF-8; an OSError is raised as a sentence for the user."""
-    with writing(path, error) as target:
+    with writing(path) as target:
         write_whole(target, lambda file: file.write(text.encode()))
 
 

@@ -7,15 +7,15 @@ import numpy as np
 
 from clunk.core.events import TOUCH
 from clunk.results.files import write_whole, writing
-from clunk.simulation.history import History, HistoryError
+from clunk.simulation.history import History
 from clunk.simulation.trajectory import Trajectory
 
 _ROWS = 4096  # of a CSV file, written at once
 
 
 def save_csv(path: str | os.PathLike[str], history: History) -> None:
-    """Write a history as comma-separated values, as `write_csv`. Raises HistoryError."""
-    with writing(path, HistoryError) as target:
+    """Write a history as comma-separated values, as `write_csv`. Raises ClunkError."""
+    with writing(path) as target:
         write_whole(target, lambda stream: write_csv(stream, history))
 
 

@@ -55,7 +55,7 @@ def write(path: str | os.PathLike[str], dataset: Dataset, scratch: Path | None =
     """Write a dataset and its checksum so that at every moment `path` is either the old file or the complete new one.
 
     Missing parent directories are made. What is not complete yet is in `scratch`, by default in the same directory.
-    Raises StoreError.
+    Raises ClunkError.
 
     The file is assembled in memory (a results file takes about 65 bytes a cell): HDF5 writing to a full disk does not
     only fail, it leaves handles that crash the interpreter when it exits. Python's own write fails cleanly. A large one
@@ -77,7 +77,7 @@ def write(path: str | os.PathLike[str], dataset: Dataset, scratch: Path | None =
             checksum = trailer([image.getbuffer()])
         target.write(checksum)
 
-    with writing(path, StoreError) as target:
+    with writing(path) as target:
         write_whole(target, assemble, scratch)
 
 

@@ -58,7 +58,7 @@ def write_results(path: str | os.PathLike[str], results: AnyMap, scratch: Path |
     """Write a results file so that at every moment `path` is either the old file or the complete new one.
 
     Missing parent directories are made. What is not complete yet is in `scratch`, by default in the same directory.
-    Raises StoreError.
+    Raises ClunkError.
 
     Examples
     --------

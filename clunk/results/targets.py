@@ -13,20 +13,16 @@ PICTURES = (".png", ".svg", ".pdf")
 RESULTS = (".h5",)
 
 
-class TargetError(ClunkError):
-    """A file that a command must not or cannot write; its text is one sentence for the user."""
-
-
 def check(target: Path, suffixes: Sequence[str], *, reads: Path | None = None) -> None:
     """Refuse a file name of another suffix, a file that is being read, a directory, and a place that takes no files.
 
-    Missing parent directories are made. Raises TargetError.
+    Missing parent directories are made. Raises ClunkError.
     """
     if target.is_dir():
-        raise TargetError(f"{target} is a directory; name a file in it.")
+        raise ClunkError(f"{target} is a directory; name a file in it.")
     if target.suffix.lower() not in suffixes:
-        raise TargetError(f"{target} cannot be written: its name must end in {', '.join(suffixes)}.")
+        raise ClunkError(f"{target} cannot be written: its name must end in {', '.join(suffixes)}.")
     if reads is not None and target.resolve() == reads.resolve():
-        raise TargetError(f"{target} is what the command reads; -o must name another file.")
-    with writing(target, TargetError), tempfile.TemporaryFile(dir=target.parent):
+        raise ClunkError(f"{target} is what the command reads; -o must name another file.")
+    with writing(target), tempfile.TemporaryFile(dir=target.parent):
         pass

@@ -35,10 +35,6 @@ _NEAR = 1e-6  # of a step: a sample this near to an event would only repeat it
 _FAINT = 0.125  # of the first swing: what is left of the slowest oscillation where a picture may end
 
 
-class HistoryError(ClunkError):
-    """A history that cannot be sampled or written as asked; its text is one sentence for the user."""
-
-
 class Touches(NamedTuple):
     """The touches within a history, in order; E of them."""
 
@@ -203,7 +199,7 @@ def sample(
 
     Raises
     ------
-    HistoryError
+    ClunkError
     """
     study, system = trajectory.study, build(trajectory.study, waves=True)
     inputs_before, load = run_load(study)
@@ -346,24 +342,24 @@ class _Motion:
 def _span(trajectory: Trajectory, step: float, until: float, before: float, steady: bool) -> tuple[float, float]:
     """Begin and end of a history  [s after the load step]."""
     if not (np.isfinite(step) and step > 0.0):
-        raise HistoryError(f"The output step must be a positive number of seconds, not {step:g}.")
+        raise ClunkError(f"The output step must be a positive number of seconds, not {step:g}.")
     if not (np.isfinite(before) and before >= 0.0):
-        raise HistoryError(f"The time before the load step must be a number of seconds >= 0, not {before:g}.")
+        raise ClunkError(f"The time before the load step must be a number of seconds >= 0, not {before:g}.")
     if before > 0.0 and not steady:
-        raise HistoryError("A run from an initial state has nothing before its load step to sample.")
+        raise ClunkError("A run from an initial state has nothing before its load step to sample.")
     step_time = trajectory.study.load.step_time
     begin, end = -before, until - step_time
     if not np.isfinite(until) or end < begin:
-        raise HistoryError(f"A history that starts at {step_time + begin:g} s cannot end at {until:g} s.")
+        raise ClunkError(f"A history that starts at {step_time + begin:g} s cannot end at {until:g} s.")
     limit = max(trajectory.end, trajectory.study.solver.end_time)
     if not trajectory.complete and end > limit * (1.0 + 1e-9):
-        raise HistoryError(
+        raise ClunkError(
             f"The run ends at {step_time + limit:g} s and more may follow; to go on until {until:g} s, raise "
             "solver.end_time."
         )
     count = (end - begin) / step + 2.0 * trajectory.events.size
     if count > LARGEST:
-        raise HistoryError(
+        raise ClunkError(
             f"A step of {step:g} s from {step_time + begin:g} s to {until:g} s makes {count:.3g} samples, and "
             f"{LARGEST:,} is the limit; choose a larger step or a shorter time."
         )

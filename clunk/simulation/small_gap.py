@@ -16,10 +16,6 @@ from clunk.study.errors import ClunkError
 from clunk.study.study import Study
 
 
-class SmallGapError(ClunkError):
-    """A driveline without such a response; its text is one sentence for the user."""
-
-
 class SmallGap(NamedTuple):
     """The torque across a lash without a gap, on the plot's time axis, signed like q = lash · θ."""
 
@@ -49,22 +45,22 @@ class SmallGap(NamedTuple):
 
     @classmethod
     def of(cls, study: Study) -> "SmallGap":
-        """The response of a study's driveline to its load. Raises SmallGapError where there is none:
+        """The response of a study's driveline to its load. Raises ClunkError where there is none:
         without steady motion or oscillation, or with a load that does not reach the lash."""
         driveline, system = Driveline.from_study(study), build(study)
         if len(study.lashes) > 1:
-            raise SmallGapError("There is no one response to draw: several lashes do not change sides together.")
+            raise ClunkError("There is no one response to draw: several lashes do not change sides together.")
         if driveline.staged or driveline.frictions:
-            raise SmallGapError("There is no one response to draw: shafts with stages or friction are not linear.")
+            raise ClunkError("There is no one response to draw: shafts with stages or friction are not linear.")
         modes = driveline.modes(closed=True)
         if system.status != Status.OK:
-            raise SmallGapError(f"There is no response to draw: {explained(study, Status(system.status))}.")
+            raise ClunkError(f"There is no response to draw: {explained(study, Status(system.status))}.")
         if modes.frequency.size == 0 or modes.damping_ratio[0] <= 0.0:
-            raise SmallGapError("There is no decay to draw: the driveline has no damped oscillation in contact.")
+            raise ClunkError("There is no decay to draw: the driveline has no damped oscillation in contact.")
         before, after = (np.where(np.arange(inputs.size) == TORQUE, inputs, 0.0) for inputs in run_inputs(study))
         rest = preload(system, before)
         if rest.sides[0] == 0:
-            raise SmallGapError("There is no response to draw: the lash carries no torque before the load step.")
+            raise ClunkError("There is no response to draw: the lash carries no torque before the load step.")
         frequency, damping_ratio = float(modes.frequency[0]), float(modes.damping_ratio[0])
         decay = 2.0 * np.pi * frequency * damping_ratio
         start, end = (float(system.contact_torque[0, 0, TORQUE] * inputs[TORQUE]) for inputs in (before, after))

@@ -23,16 +23,12 @@ _BYTES_IN_MEMORY = 50  # of them, those that have to be in memory where the resu
 _LARGE_SHARE = 0.25  # of the memory
 
 
-class ScratchError(ClunkError):
-    """A disk without room for the arrays; its text is one sentence for the user."""
-
-
 class Scratch:
     """Maker of arrays, in memory or mapped to temporary files.
 
     directory : of the files, which have no name where the system allows that, and end with the arrays; None for memory
 
-    Its methods raise ScratchError where the disk has no room.
+    Its methods raise ClunkError where the disk has no room.
     """
 
     def __init__(self, directory: Path | None = None) -> None:
@@ -63,7 +59,7 @@ class Scratch:
                 reserve(file, size)  # else a full disk would be a bus error
                 return np.frombuffer(mmap.mmap(file.fileno(), size), np.uint8)
         except OSError as error:
-            raise ScratchError(
+            raise ClunkError(
                 f"{self._directory} has no room for the results ({reason(error)}); "
                 "the same command goes on from what is there."
             ) from error

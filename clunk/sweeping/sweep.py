@@ -139,7 +139,7 @@ class Job:
         workers : number of these threads; by default one for each core that this process may use
         progress : called in this thread with the number of cells, first of those taken up and then after each tile
 
-        Raises as `clunk.sweep`, and ScratchError where the disk has no room for the results.
+        Raises as `clunk.sweep`, and ClunkError where the disk has no room for the results.
         """
         opening = nullcontext(engine) if engine is not None else engine_of(None, workers)
         began = time.perf_counter()
