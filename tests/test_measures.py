@@ -10,10 +10,8 @@ from helpers.configs import plant_of
 from helpers.general import OneLash, kinks
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
-from scipy.stats import spearmanr
 
 import clunk
-from clunk.analysis.ranks import ranks_of
 from clunk.analysis.thresholds import thresholds
 from clunk.api import sweep
 from clunk.cli import cli
@@ -282,20 +280,6 @@ def test_no_measure_takes_the_name_of_another_variable():
     for name in (*REGIME_QUANTITIES, "load_ratio", "boundary_left"):
         with pytest.raises(ConfigError, match="another variable"):
             measuring(MAP[0], f"measures=[{{name='{name}', quantity='twist', of=1, reduce='largest'}}]", names=())
-
-
-def test_ranks_are_those_of_scipy_and_ridges_those_of_the_map():
-    results = sweep(measuring(*MAP, "sweep.axes[2].count=13", "solver.method=exact", names=["hit"]))
-    ranks = ranks_of(results)
-    names = [each.name for each in ranks.quantities]
-    assert names == ["severity", "approach_velocity", *OF_IMPACTS, "hit"]
-    struck = results.primary_impacts > 0
-    assert ranks.cells == np.count_nonzero(struck)
-    values = np.array([results.values(name)[struck] for name in names])
-    assert ranks.correlation == pytest.approx(spearmanr(values, axis=1).statistic)
-    peak = results.values("peak_torque")[-1]
-    assert ranks.places[-1] == 10.0
-    assert ranks.ridges[names.index("peak_torque"), -1] == results.axes[1].values[peak.argmax()]
 
 
 def test_a_tolerance_map_with_measures_is_refused():

@@ -16,10 +16,9 @@ from clunk.study.records import fill
 @click.argument("file", type=PATH)
 @click.option("--config", "show_config", is_flag=True, help="Print the whole resolved config (TOML) instead.")
 @click.option("--map", "show_map", is_flag=True, help="Also print the map, a letter for each cell.")
-@click.option("--ranks", is_flag=True, help="Also tell how alike the measures of hardness order the cells.")
 @click.option("--check", is_flag=True, help="Also read it whole and compare it with its checksums.")
 @json_option
-def info(file: Path, show_config: bool, show_map: bool, ranks: bool, check: bool, as_json: bool) -> None:
+def info(file: Path, show_config: bool, show_map: bool, check: bool, as_json: bool) -> None:
     """Say what a results file holds.
 
     Prints its axes, load, versions and how many cells each label has.
@@ -37,17 +36,10 @@ def info(file: Path, show_config: bool, show_map: bool, ranks: bool, check: bool
     header = store.read_header(file)
     tolerances = store.read_tolerance_map(file) if header.tolerance_map else None
     caveats = header.caveats if tolerances is None else tolerances.caveats
-    if ranks and tolerances is not None:
-        raise click.UsageError(f"--ranks does not go with a tolerance map, which {file} holds.")
     if show_map and as_json:
         raise click.UsageError("--map is for people and does not go with --json; clunk export writes each cell.")
     if show_map and not is_drawable(header.axes[:-1] if header.lashes else header.axes):
         raise click.UsageError("--map shows one axis or two; of more, clunk plot --at draws a slice.")
-    of_lashes = {}
-    if ranks:
-        from clunk.analysis.ranks import ranks_of  # with scipy.stats
-
-        of_lashes = {name: ranks_of(each) for name, each in store.read_results(file).by_lash().items()}
     if show_config:
         click.echo(header.config, nl=not header.config.endswith("\n"))
         return
@@ -70,8 +62,6 @@ def info(file: Path, show_config: bool, show_map: bool, ranks: bool, check: bool
             record |= tables.tolerance_records(tolerances)
         if header.boundaries is not None:
             record |= {"boundaries": tables.boundary_record(header.boundaries)}
-        if ranks:
-            record |= {"ranks": tables.of_lashes({name: tables.rank_record(each) for name, each in of_lashes.items()})}
         record |= {"caveats": caveats, "config_digest": header.config_digest}
         checked: dict[str, Any] = {"checked": {"data": True, "bytes": has_checksum}} if check else {}
         tables.print_record(record | header.attributes | checked)
@@ -106,9 +96,6 @@ def info(file: Path, show_config: bool, show_map: bool, ranks: bool, check: bool
         if header.boundaries is not None:
             click.echo()
             tables.print_boundaries(header.boundaries)
-        if ranks:
-            click.echo()
-            tables.print_lashes(of_lashes, lambda each: tables.print_ranks(each, header.axes))
     else:
         tables.print_lashes(tolerances.by_lash(), tables.print_tolerances)
     for caveat in caveats:

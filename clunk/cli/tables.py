@@ -9,16 +9,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from clunk.cli import terminal
-from clunk.study.records import Record, Row, number, plain, table, text_of
+from clunk.study.records import Record, Row, plain, table, text_of
 from clunk.study.summaries import counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from clunk.analysis.ranks import Ranks
     from clunk.results.boundaries import Boundaries
     from clunk.results.tolerancemap import AnyMap, ToleranceMap
-    from clunk.study.axes import ResultAxis
 
 Value = TypeVar("Value")
 
@@ -120,35 +118,6 @@ def print_boundaries(boundaries: Boundaries) -> None:
         print_table(rows)
     if boundaries.unresolved_sentence:
         click.echo(boundaries.unresolved_sentence)
-
-
-def print_ranks(ranks: Ranks, axes: Sequence[ResultAxis]) -> None:
-    """Print the rank correlation of each two quantities, and the value of the second axis where each is largest."""
-    click.echo(f"rank correlation (Spearman) over {counted(ranks.cells, 'cell')} with a primary impact")
-    rows: list[dict[str, str]] = []
-    symbols = [each.symbol or f"({k})" for k, each in enumerate(ranks.quantities, 1)]
-    names = [f"{symbol} {each.name}" for symbol, each in zip(symbols, ranks.quantities, strict=True)]
-    for name, row in zip(names, ranks.correlation.tolist(), strict=True):
-        rows.append({"": name} | {symbol: f"{value:.2f}" for symbol, value in zip(symbols, row, strict=True)})
-    print_table(rows)
-    if not ranks.places.size:
-        return
-    across, upward = (axis.parameter for axis in axes[:2])
-    click.echo(f"{upward} at which each is largest, - where that is at an end")
-    places = [f"{place:g}" for place in ranks.places]
-    ridges = [{place: number(value, "g") for place, value in zip(places, row, strict=True)} for row in ranks.ridges]
-    print_table([{across: name} | row for name, row in zip(names, ridges, strict=True)])
-
-
-def rank_record(ranks: Ranks) -> dict[str, Any]:
-    """Rank correlations and ridges for JSON."""
-    return {
-        "quantities": [each.name for each in ranks.quantities],
-        "cells": ranks.cells,
-        "correlation": ranks.correlation.tolist(),
-        "places": ranks.places.tolist(),
-        "ridges": ranks.ridges.tolist(),
-    }
 
 
 def boundary_record(boundaries: Boundaries) -> dict[str, Any]:
