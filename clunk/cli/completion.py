@@ -11,13 +11,6 @@ if TYPE_CHECKING:
     from clunk.study.axes import ResultAxis
     from clunk.study.study import Study
 
-# A key that is completed ends in =, and its value follows without a blank. fish knows that; to the others it is said.
-_NO_BLANK = {
-    "bash": ("COMPREPLY+=($value)", "COMPREPLY+=($value)\n            [[ $value == *= ]] && compopt -o nospace"),
-    "zsh": ("compadd -U", 'compadd -S "${${completions[1]##*=}:+ }" -U'),
-    "fish": ("", ""),
-}
-
 
 @click.command()
 @click.argument("shell", type=click.Choice(("bash", "zsh", "fish")))
@@ -39,7 +32,7 @@ def completion(shell: str) -> None:
 
     shells = get_completion_class(shell)
     assert shells is not None
-    click.echo(shells(cli, {}, "clunk", "_CLUNK_COMPLETE").source().replace(*_NO_BLANK[shell]), nl=False)
+    click.echo(shells(cli, {}, "clunk", "_CLUNK_COMPLETE").source(), nl=False)
 
 
 def assignments(context: click.Context, option: click.Parameter, incomplete: str) -> list[str]:
