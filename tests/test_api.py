@@ -254,15 +254,11 @@ def test_a_cell_that_is_not_there_is_refused(results):
 # --- what objects say of themselves
 
 
-def test_summaries_fit_a_terminal_and_escape_what_users_wrote(small, results):
+def test_summaries_fit_a_terminal(small, results):
     for thing in (small, results, clunk.simulate(small)):
         lines = repr(thing).splitlines()
         assert TITLE[:20] in lines[0]
         assert max(map(len, lines)) <= 80
-        html = thing._repr_html_()
-        assert "<script>" not in html
-        assert "&lt;script&gt;" in html
-        assert html.count("<table>") == html.count("</table>") > 0
     assert max(map(len, repr(small.model_copy(update={"title": "long " * 40})).splitlines())) == 80
 
 
@@ -277,28 +273,9 @@ def test_a_study_s_summary_tells_what_is_swept_and_solved(small):
 
 
 def test_a_results_summary_counts_every_label(results):
-    for text in (repr(results), results._repr_html_()):
-        for label, count in results.counts().items():
-            assert (label in text) == (count > 0)
+    for label, count in results.counts().items():
+        assert (label in repr(results)) == (count > 0)
     assert "1 cell, 5.0 %" in repr(example(RATIO, BACKLASH))  # the failed one of 20
-
-
-def test_a_run_s_table_has_its_events_but_not_endlessly(nominal):
-    run = clunk.simulate(nominal)
-    html = run._repr_html_()
-    assert html.count("primary<") == 3
-    assert "0.1191" in html
-    rebounding = clunk.simulate(
-        nominal.model_copy(
-            update={
-                "lash": nominal.lash.model_copy(
-                    update={"contact": nominal.lash.contact.model_copy(update={"model": "restitution"})}
-                )
-            }
-        )
-    )
-    assert len(rebounding.events) - 1 == 46
-    assert "… 6 more" in rebounding._repr_html_()
 
 
 def test_what_is_drawn_is_a_picture(results, nominal):

@@ -19,7 +19,7 @@ from clunk.results.quantities import Quantity, measured_quantities
 from clunk.study.arrays import Array, Floats, Integers
 from clunk.study.axes import LASH, RUN, ResultAxis
 from clunk.study.lashes import lash_name, lash_position
-from clunk.study.summaries import Rows, as_html, as_text, counted, html_table
+from clunk.study.summaries import Rows, as_text, counted, html_table
 
 Index = tuple[slice | int, ...]
 
@@ -269,9 +269,6 @@ class Map(Description, ABC):
 
     def __repr__(self) -> str:
         return as_text(f"clunk.{type(self).__name__} {self.title!r}", [*self.summary(), *self._label_rows()])
-
-    def _repr_html_(self) -> str:
-        return as_html(self.title, *self.html_tables())
 
     def html_tables(self) -> tuple[str, str]:
         """The summary and the labels as tables of HTML."""

@@ -22,10 +22,9 @@ from clunk.simulation.phases import preload
 from clunk.study.arrays import Floats, Integers, Records
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study
-from clunk.study.summaries import Rows, as_html, as_text, html_table
+from clunk.study.summaries import Rows, as_text
 
 _EVENT_COLUMNS = ("time [s]", "event", "flank", "q' [rad/s]", "impact", "Qi [rad/s²]")
-_SHOWN_EVENTS = 40  # in a notebook
 _LAST = 1000  # events of a run that has too many: what repeats is among them
 
 
@@ -186,14 +185,6 @@ class Trajectory:
     def __repr__(self) -> str:
         ended = ("ended", f"{self.end:.4g} s after the load step: {self.ending}")
         return as_text(f"clunk.Trajectory of {self.study.title!r}", [*self.summary(), ended])
-
-    def _repr_html_(self) -> str:
-        columns, *events = self.event_table()
-        shown = events[:_SHOWN_EVENTS]
-        if len(events) > len(shown):
-            shown.append((f"… {len(events) - len(shown)} more", *[""] * (len(columns) - 1)))
-        shown.append((f"{self.end:.7f}", f"end: {self.ending}", *[""] * (len(columns) - 2)))
-        return as_html(self.study.title, html_table(self.summary()), html_table(shown, columns))
 
 
 def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Trajectory:

@@ -2,7 +2,7 @@
 
 A record is a dataclass derived from `Record`, whose fields (`told`) and properties (`tells`) say under which heading,
 in which unit and in which format they are told. From that follow its text for 80 columns (`text_of`), its JSON
-(`plain`), its repr and its tables of HTML. Values may be numbers, texts, dictionaries, records, and sequences of these.
+(`plain`) and its repr. Values may be numbers, texts, dictionaries, records, and sequences of these.
 
 In a text, sentences come first (`SENTENCE` stands in the place of their heading), then single values, a line each, and
 then records and tables of records, each under its heading. What has no heading is for scripts alone.
@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from clunk.study.summaries import WIDTH, as_html, as_text, html_table
+from clunk.study.summaries import WIDTH, as_text
 
 SENTENCE = "."
 _MOST = 30  # rows of a table in a text; scripts get all
@@ -81,11 +81,6 @@ class Record:
 
     def __repr__(self) -> str:
         return as_text(f"clunk.{type(self).__name__} {self._title!r}", self.rows())
-
-    def _repr_html_(self) -> str:
-        blocks = [value for _, each, value in self.told() if each.heading and _is_block(value)]
-        tables = [columns_of(value) for value in blocks if isinstance(value, list | tuple) and value]
-        return as_html(self._title, html_table(self.rows()), *(html_table(table[1:], table[0]) for table in tables))
 
 
 Row = Record | Mapping[str, Any] | tuple[str, Record | Mapping[str, Any]]

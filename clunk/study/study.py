@@ -15,7 +15,7 @@ from clunk.study.models import NOT_OF_A_RUN, Config, Contact, Lash
 from clunk.study.parameters import located
 from clunk.study.problems import Problem, report
 from clunk.study.rules import broken_rules
-from clunk.study.summaries import Rows, as_html, as_text, counted, html_table
+from clunk.study.summaries import Rows, as_text, counted
 from clunk.study.tables import Finding
 from clunk.study.validation import validated
 
@@ -63,9 +63,6 @@ class Study(Config):
         return as_text(f"clunk.Study {self.title!r}", self.summary())
 
     __str__ = __repr__
-
-    def _repr_html_(self) -> str:
-        return as_html(self.title, html_table(self.summary()))
 
 
 def _model(contact: Contact) -> str:

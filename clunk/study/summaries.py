@@ -1,4 +1,4 @@
-"""Summaries of objects: a heading and named values, as text for a shell and as HTML for a notebook."""
+"""Summaries of objects: a heading and named values as text, and tables as HTML."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from html import escape
 Rows = Sequence[tuple[str, str]]
 
 WIDTH = 80  # columns of a terminal
-_LEFT = ' style="text-align: left"'  # notebooks align the cells of tables to the right
+_LEFT = ' style="text-align: left"'  # browsers centre the headings of tables
 
 
 def as_text(heading: str, rows: Rows) -> str:
@@ -17,11 +17,6 @@ def as_text(heading: str, rows: Rows) -> str:
     return "\n".join(
         [f"<{cut(heading, WIDTH - 2)}>", *(cut(f"  {name:<{width}}  {text}", WIDTH) for name, text in rows)]
     )
-
-
-def as_html(heading: str, *tables: str) -> str:
-    """A heading over tables that `html_table` made."""
-    return f"<div><strong>{escape(heading)}</strong>{''.join(tables)}</div>"
 
 
 def html_table(rows: Iterable[Sequence[str]], header: Sequence[str] = ()) -> str:
