@@ -287,9 +287,9 @@ def test_failed_cells_exit_3_and_name_their_cause(clunk, small):
 def test_simulate_prints_events_letters_and_label(clunk):
     code, out, _ = clunk("simulate", ROOT / "configs/nominal.toml")
     assert code == 0
-    assert "primary impacts     O I I" in out
+    assert "primary impacts      O I I" in out
     assert "q': rate of the gap, pinion less ring," in " ".join(out.split())
-    assert "label               DS(1)SS(1)" in out
+    assert "label                DS(1)SS(1)" in out
     assert max(map(len, out.splitlines())) <= 80
 
 

@@ -296,7 +296,7 @@ def test_commands_tell_measures():
     assert np.sqrt(np.sum(np.square(record["impact_measures"]["energy"]))) == pytest.approx(
         record["measures"]["energy"]
     )
-    assert "shaft_torque        6 N m" in CliRunner().invoke(cli, ["simulate", "configs/measures.toml", *at]).stdout
+    assert "shaft_torque         6 N m" in CliRunner().invoke(cli, ["simulate", "configs/measures.toml", *at]).stdout
 
 
 TWO_LASHES = """

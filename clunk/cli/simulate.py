@@ -10,10 +10,9 @@ import click
 
 from clunk.cli import cells, completion, tables, terminal
 from clunk.cli.options import PATH, at_option, json_option, set_option
-from clunk.study.records import fill, number
+from clunk.study.records import fill, number, words
 
 if TYPE_CHECKING:
-    from clunk.results.quantities import Quantity
     from clunk.simulation.energy import EnergyBalance
     from clunk.simulation.trajectory import Trajectory
     from clunk.study.study import Study
@@ -212,7 +211,7 @@ def _legend(study: Study) -> str:
 
 
 def print_trajectory(trajectory: Trajectory) -> None:
-    """Print the events and the summary of a run."""
+    """Print the events and the summary of a run, and the measures that its config asks for besides Q and V."""
     rows = trajectory.event_table()
     lash = f"{{:<{max(len(row[2]) for row in rows)}}}  " if len(trajectory.lashes) > 1 else ""
     widths = f"{{:>11}}  {{:<10}}  {lash}{{:<8}}  {{:>10}}  {{:<9}}  {{:>11}}"
@@ -220,29 +219,23 @@ def print_trajectory(trajectory: Trajectory) -> None:
         click.echo(widths.format(*row).rstrip())
     click.echo(f"{trajectory.end:11.7f}  end: {trajectory.ending}")
     click.echo()
-    for name, value in trajectory.summary():
-        click.echo(f"{name:<19} {value}")
-    print_measures(trajectory)
+    tables.print_values(trajectory.summary())
+    if trajectory.study.measured:
+        click.echo()
+        tables.print_lashes(dict(zip(trajectory.study.lash_names, trajectory.lashes, strict=True)), print_measures)
 
 
 def print_measures(trajectory: Trajectory) -> None:
     """Print the measures that the config asks for besides Q and V, of the run and then of its primary impacts."""
     from clunk.results.quantities import measured_quantities
 
-    study = trajectory.study
-    if not study.measured:
-        return
+    study, record, rows = trajectory.study, measures_record(trajectory), []
     quantities = measured_quantities(study.impacts.quantities, [dict(each) for each in study.measures])
-    click.echo()
-    by_lash = dict(zip(study.lash_names, map(measures_record, trajectory.lashes), strict=True))
-    tables.print_lashes(by_lash, lambda record: _print_record(record, quantities))
-
-
-def _print_record(record: dict[str, Any], quantities: dict[str, Quantity]) -> None:
     for name, value in record["measures"].items():
-        of_impacts = " ".join(number(each, ".6g") for each in record["impact_measures"].get(name, ()))
+        of_impacts = words(record["impact_measures"].get(name, ()))
         each = f"; of the impacts {of_impacts}" if of_impacts else ""
-        click.echo(f"{name:<19} {number(value, '.6g')} {quantities[name].unit_symbol}{each}")
+        rows.append((name, f"{number(value)} {quantities[name].unit_symbol}{each}"))
+    tables.print_values(rows)
 
 
 def measures_record(trajectory: Trajectory) -> dict[str, Any]:
@@ -298,30 +291,26 @@ def print_energy(trajectory: Trajectory, balance: EnergyBalance) -> None:
     """Print the energy balance of a run: stored before and after, taken by dampers and flanks, and the residual."""
     from clunk.simulation.driveline import Driveline
 
-    driveline, contacts = trajectory.study.driveline, [lash.contact for lash in trajectory.study.lashes]
-    shafts = [f"shaft {k}, {shaft.between[0]}-{shaft.between[1]}" for k, shaft in enumerate(driveline.shafts, 1)]
+    shafts = trajectory.study.driveline.shafts
+    names = [f"shaft {k}, {shaft.between[0]}-{shaft.between[1]}" for k, shaft in enumerate(shafts, 1)]
     shaft_terms = balance.shafts_before, balance.shafts_after, balance.damped_in_shafts, balance.rubbed_in_shafts
     rows = [
         ("inertias", balance.kinetic_before, balance.kinetic_after, 0.0, 0.0),
-        *zip(shafts, *shaft_terms, strict=True),
+        *zip(names, *shaft_terms, strict=True),
         ("contact", balance.contact_before, balance.contact_after, balance.damped_in_contact, 0.0),
         ("together", balance.stored_before, balance.stored_after, balance.damped, balance.rubbed),
     ]
-    rubs = any(shaft.friction for shaft in driveline.shafts)
-    columns = ("before", "after", "change", "damped", "rubbed")[: 5 if rubs else 4]
-    width = 12 if rubs else 14  # 80 columns in all
-    click.echo(f"{'energy [J]':<20}" + "".join(f"{column:>{width}}" for column in columns))
-    for name, before, after, damped, rubbed in rows:
-        numbers = (before, after, after - before, damped, rubbed)[: len(columns)]
-        click.echo(f"{name:<20}" + "".join(f"{number:>{width}.6g}" for number in numbers))
-    click.echo(f"{'work of the load':<20}{balance.work:>14.6g}")
-    if contacts[0].model == "restitution":
-        click.echo(f"{'lost at impacts':<20}{balance.lost_at_impacts:>14.6g}")
-    elif any(contact.separation == "force" for contact in contacts):
-        click.echo(f"{'dropped at partings':<20}{balance.dropped:>14.6g}")
-        click.echo(f"{'regained at rejoins':<20}{balance.regained:>14.6g}")
-    residual = f"{balance.residual:>14.6g}, {balance.relative_residual:.1e} of the largest energy"
-    click.echo(f"{'residual':<20}{residual}")
+    columns = "energy [J]", "before", "after", "damped", "rubbed"
+    tables.print_table([dict(zip(columns, row, strict=True)) for row in rows])
+    terms = {
+        "work of the load": balance.work,
+        "lost at impacts": balance.lost_at_impacts,
+        "dropped at partings": balance.dropped,
+        "regained at rejoins": balance.regained,
+    }
+    texts = [(name, f"{term:.6g} J") for name, term in terms.items() if term]
+    residual = f"{balance.residual:.6g} J, {balance.relative_residual:.1e} of the largest energy"
+    tables.print_values([*texts, ("residual", residual)])
     rigid = Driveline.from_study(trajectory.study).rigid_motion
     if rigid.shape.size and not rigid.is_dragged:
         click.echo("(nothing resists the rolling: speeds are those above the speed at the load step)")

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from clunk.cli import terminal
-from clunk.study.records import Record, Row, plain, table, text_of
+from clunk.study.records import Record, Row, plain, table, text_of, value_lines
 from clunk.study.summaries import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from clunk.results.boundaries import Boundaries
     from clunk.results.tolerancemap import AnyMap, ToleranceMap
@@ -37,6 +37,11 @@ def tell(record: Record, as_json: bool) -> None:
 def print_table(rows: Sequence[Row]) -> None:
     """Print all rows as columns, see `clunk.study.records.table`."""
     click.echo("\n".join(table(rows, most=len(rows))))
+
+
+def print_values(rows: Iterable[tuple[str, str]]) -> None:
+    """Print names and texts, a line each, see `clunk.study.records.value_lines`."""
+    click.echo("\n".join(value_lines(rows)))
 
 
 def report_counts(counts: dict[str, dict[str, int]], target: Path, seconds: float, as_json: bool) -> int:
