@@ -290,7 +290,7 @@ def _run(
     if path is not None:
         targets.check(path, targets.RESULTS)
     with sweeping.opened(path, study, restart=restart, force=force) as job:
-        if job.counts is not None:
+        if job.is_complete:
             result = job.finished()
         else:
             with engine as executor, reporting(progress, sweeping.cell_count(study), study) as report:

@@ -70,8 +70,7 @@ def sweep(
     from clunk.study.lashes import lash_position
 
     study = load_study(config, overrides)
-    tolerances = has_tolerances(study)
-    if tolerances and retry_failed:
+    if has_tolerances(study) and retry_failed:
         raise click.UsageError("--retry-failed does not go with [[sweep.tolerances]].")
     if boundaries:
         from clunk.analysis.boundaries import require_boundaries
@@ -88,19 +87,12 @@ def sweep(
     with opened(target, study, retry=retry_failed, restart=restart, force=force) as job:
         # those of a file whose failed cells are run again belong to its old labels
         earlier = getattr(job.earlier, "boundaries", None)
-        if job.counts is None:
-            failed = _report(_run(job, opening), job, as_json)
-        else:
+        if job.is_complete:
             click.echo(f"{target} {'has no failed cells' if retry_failed else 'is already complete'}.", err=True)
-            from clunk.results.store import read_header, read_tolerance_map
-
-            if tolerances:
-                failed = tables.report_tolerances(read_tolerance_map(target), target, 0.0, as_json)
-            else:
-                failed = tables.report_counts(job.counts, target, 0.0, as_json)
-                terminal.report_caveats(read_header(target).caveats)
-        if boundaries or (earlier and job.counts is None):
-            _trace(job, job.finished(), study, lash or getattr(earlier, "lash", None) or None, workers)
+        result = job.finished() if job.is_complete else _run(job, opening)
+        failed = _report(result, job, as_json)
+        if boundaries or (earlier and not job.is_complete):
+            _trace(job, result, study, lash or getattr(earlier, "lash", None) or None, workers)
     if failed:
         sys.exit(EXIT_FAILED_CELLS)
 
@@ -141,19 +133,19 @@ def _run(job: Job, opening: AbstractContextManager[Executor]) -> AnyMap:
 
 
 def _report(result: AnyMap, job: Job, as_json: bool) -> int:
-    """Print a map that has just been run; returns how many cells, or runs of a tolerance map, have failed."""
+    """Print a finished map; returns how many cells, or runs of a tolerance map, have failed."""
     from clunk.cli.textmap import is_drawable
     from clunk.results.tolerancemap import ToleranceMap
 
     assert job.path is not None
     if isinstance(result, ToleranceMap):
         failed = tables.report_tolerances(result, job.path, job.seconds, as_json)
-        terminal.report_speed(job, result.draws)
-        terminal.report_failures(result, " for some draws")
     else:
         failed = tables.report_counts(result.counts_of_lashes, job.path, job.seconds, as_json)
-        terminal.report_speed(job)
-        terminal.report_failures(result)
+    draws = result.draws if isinstance(result, ToleranceMap) else 0
+    if not job.is_complete:
+        terminal.report_speed(job, draws)
+    terminal.report_failures(result, " for some draws" if draws else "")
     terminal.report_caveats(result.caveats)
     if sys.stdout.isatty() and not as_json and is_drawable(result.of_lash().axes):
         click.echo()

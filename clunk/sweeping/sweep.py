@@ -52,7 +52,7 @@ class Job:
     earlier : finished results of which only the failed cells are run again, with another [solver]
     directory : open; finished cells are kept there as the sweep goes on, and taken up from there
     path : results file to write
-    counts : lash -> number of cells of each label, if the file is complete already, so that there is nothing to run
+    is_complete : whether the file is complete already, so that there is nothing to run
     ran, seconds : number of cells that `run` has run, and the time that they took
     is_written : whether the map is in its file
     """
@@ -65,12 +65,12 @@ class Job:
         earlier: Results | None = None,
         directory: WorkingDirectory | None = None,
         path: Path | None = None,
-        counts: dict[str, dict[str, int]] | None = None,
+        is_complete: bool = False,
     ) -> None:
         self.study, self.design = study, design or design_of(study)
         self.earlier = earlier
-        self.directory, self.path, self.counts = directory, path, counts
-        self.ran, self.seconds, self.is_written = 0, 0.0, counts is not None
+        self.directory, self.path, self.is_complete = directory, path, is_complete
+        self.ran, self.seconds, self.is_written = 0, 0.0, is_complete
 
     @cached_property
     def reduction(self) -> Reduction[AnyMap]:
@@ -204,18 +204,19 @@ def opened(
         return
     path = Path(path)
     with WorkingDirectory(path) as directory:
-        earlier, counts = None, None
+        earlier, is_complete = None, False
         if retry:
             earlier = read_results(path)
-            counts = None if (earlier.status != 0).any() else earlier.counts_of_lashes
+            is_complete = not (earlier.status != 0).any()
         elif path.exists() and not force:
-            counts = _complete_counts(path, study, restart=restart)
-        job = Job(study, earlier=earlier, directory=directory, path=path, counts=counts)
-        if counts is not None and directory.parts():  # of a process that was killed when its file was in place
+            _refuse_others(path, study)
+            is_complete = not restart
+        job = Job(study, earlier=earlier, directory=directory, path=path, is_complete=is_complete)
+        if is_complete and directory.parts():  # of a process that was killed when its file was in place
             with suppress(PartsError):  # another sweep's parts stay
                 _ = job.parts
                 directory.clear()
-        elif counts is None and restart:
+        elif restart:
             directory.clear()
         yield job
 
@@ -227,17 +228,14 @@ def _differing(header: Header, study: Study) -> str:
     return repr(header.title)
 
 
-def _complete_counts(path: Path, study: Study, *, restart: bool) -> dict[str, dict[str, int]] | None:
-    """The counts of a file that holds this very sweep. Raises SweepError where it holds anything else."""
+def _refuse_others(path: Path, study: Study) -> None:
+    """Raise SweepError where a file holds anything else than this very sweep."""
     try:
         header = read_header(path)
     except StoreError as error:
         raise SweepError(f"{error} It is in the way of the results. {_WAYS_OUT}") from error
     if header.config_digest != digest(study):
         raise SweepError(f"{path} holds the results of another config ({_differing(header, study)}). {_WAYS_OUT}")
-    if restart:
-        return None
-    return header.counts_of_lashes
 
 
 def engine_of(
