@@ -204,6 +204,42 @@ class TestPage:
         page.driver.execute_script("model('slider lash.contact.damping').value = 94.0")
         page.wait_for("status", "the config's own numbers")
 
+    def test_lines_follow_a_slider(self, page, study):
+        """After the map with other numbers come its boundaries, which are not the stored map's nor along its cells."""
+        lines = "return Object.values(model('map').renderers[1].data_source.data.x).length"
+        page.driver.execute_script("model('number lash.contact.damping').value = 60.0")
+        page.wait_for("legend", f"{traced_share(study, 60.0)} %")
+        assert page.driver.execute_script(lines) > 1000
+        assert "lash.contact.damping=60" in page.driver.execute_script("return location.hash")
+        page.driver.execute_script("model('slider lash.contact.damping').value = 94.0")
+        page.wait_for("status", "the config's own numbers")
+
+    def test_the_label_under_the_pointer_is_beside_it(self, page, study):
+        pointed = "return model('map').select_one('pointed').data_source.data.text[0]"
+        page.point(7.5, 12.0)
+        label = simulate(replace_values(study.model_copy(update={"sweep": None}), cell(7.5, 12.0))).label
+        page.wait(lambda: page.driver.execute_script(pointed) == label, message=label)
+        page.point(0.5, 0.0, name="torque")
+        page.wait(lambda: page.driver.execute_script(pointed) is None, message="the label stays")
+
+    def test_a_link_holds_the_quantity_the_cell_and_the_numbers(self, page):
+        page.driver.execute_script("model('number lash.contact.damping').value = 60.0")
+        page.driver.execute_script("model('quantity').value = 'severity'")
+        page.point(9.0, 1.0, click=True)
+        page.wait_for("status", "in no file")
+        parts = ("quantity=severity", "load.ratio=9&", "lash.backlash_deg=1&", "lash.contact.damping=60")
+        page.wait(lambda: all(part in page.driver.current_url for part in parts), message="no link")
+        url = page.driver.current_url
+        page.driver.get("about:blank")
+        page.open(url)
+        page.wait_for("header", "σr = 9, φθ = 1 degrees", "lash.contact.damping = 60")
+        page.wait_for("status", "in no file")
+        assert page.driver.execute_script("return model('quantity').value") == "severity"
+        assert page.driver.current_url == url
+        page.driver.execute_script("model('quantity').value = 'label'")
+        page.driver.execute_script("model('slider lash.contact.damping').value = 94.0")
+        page.wait_for("status", "the config's own numbers")
+
     def test_quantities_are_drawn_and_what_is_seen_is_saved(self, page, study):
         page.driver.execute_script("model('quantity').value = 'severity'")
         page.wait(
@@ -244,6 +280,13 @@ class TestPage:
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 0
         page.wait(lambda: page.driver.find_elements("id", "ended"), message="nothing is said")
+
+
+def traced_share(study, damping):
+    """Share of DS(1) in the traced map with another damping, in percent as the legend has it."""
+    traced = sweep(replace_values(study, {"lash.contact.damping": damping}), boundaries=True).boundaries
+    area = traced.region_area[traced.region_label == traced.labels.index("DS(1)")].sum()
+    return f"{100.0 * area:.3g}"
 
 
 def save(page, name):

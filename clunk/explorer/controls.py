@@ -76,6 +76,7 @@ class Controls:
     ) -> None:
         self._study, self._on_number = study, on_number
         self._values = adjustable(study, swept)
+        self._slices: dict[str, tuple[Slider, ResultAxis]] = {}
         self._rows = [self._slice(axis, on_slice) for axis in slices]
         self._shown: dict[str, Row] = {}
         self._inputs: dict[str, tuple[Slider, NumericInput]] = {}
@@ -91,6 +92,16 @@ class Controls:
         for key, (slider, box) in self._inputs.items():
             slider.value = box.value = self._values[key]
 
+    def set(self, values: Mapping[str, float]) -> None:
+        """Move sliders to values of further axes and to other numbers; what has no slider is left out."""
+        for key, value in values.items():
+            if key in self._slices:
+                slider, axis = self._slices[key]
+                slider.value = axis.nearest(value)
+            elif key in self._values:
+                self._on_more("", "", key)
+                self._inputs[key][1].value = value
+
     def _slice(self, axis: ResultAxis, on_slice: OnNumber) -> Row:
         title = Div(text="", render_as_text=True, width=250, margin=(6, 4, 0, 6))
         last = len(axis.values) - 1
@@ -104,6 +115,7 @@ class Controls:
 
         change("value", 0, last // 2)
         slider.on_change("value", change)
+        self._slices[axis.parameter] = slider, axis
         return Row(children=[title, slider], sizing_mode="stretch_width")
 
     def _add(self, key: str) -> None:

@@ -54,6 +54,7 @@ class MapFigure:
         image, bands = source("image", "x", "y", "dw", "dh"), source("x0", "x1", "colour")
         lines, points, texts = source("x", "y"), source("x", "y"), source("x", "y", "text")
         self._marks, self._curve = source("x", "y", "colour"), np.zeros((0, 2))
+        self._pointed = source("x", "y", "text", "align", "offset")
         shades = LinearColorMapper(palette=["#000000", "#ffffff"], low=0.0, high=1.0)
         bar = ColorBar(color_mapper=shades, width=10, visible=False)
         plot.add_layout(bar, "right")
@@ -71,6 +72,9 @@ class MapFigure:
         ring = {"source": self._marks, "size": 13, "fill_alpha": 0.0, "level": "overlay"}  # drawn without the rest
         for width, colour in ((6.0, "white"), (2.5, "colour")):
             plot.scatter("x", "y", line_width=width, line_color=colour, **ring)
+        beside = {"text_align": "align", "x_offset": "offset", "text_baseline": "middle", "text_font_size": "13px"}
+        ground: dict[str, Any] = {"background_fill_color": "white", "background_fill_alpha": 0.85, "padding": 3}
+        plot.text("x", "y", "text", source=self._pointed, level="overlay", name="pointed", **beside, **ground)
 
     def changes(self, picture: Picture, name: str) -> Changes:
         """Changes of the models to a picture of a quantity of this name."""
@@ -109,6 +113,15 @@ class MapFigure:
             marks = [(at, float(y[np.argmin(np.abs(x - at))]) if x.size else 0.0, colour) for at, _, colour in marks]
         columns = zip(*marks, strict=True) if marks else ((), (), ())
         self._marks.data = {name: list(each) for name, each in zip(("x", "y", "colour"), columns, strict=True)}
+
+    def label(self, text: str, x: float, y: float) -> None:
+        """Write a text beside the pointer, on the side that has more room; an empty one takes it away."""
+        axis = self._axes[0]
+        to, _ = ruler(axis)
+        is_right = to(x) > 0.5 * (to(axis.values.min()) + to(axis.values.max())) if text else False
+        align, offset = ("right", -14) if is_right else ("left", 14)
+        shown = {"x": [x], "y": [y], "text": [text], "align": [align], "offset": [offset]}
+        self._pointed.data = shown if text else {name: [] for name in shown}
 
     def nearest(self, x: float, y: float = 0.0) -> tuple[float, ...] | None:
         """Values of the axes in the cell at a point; None beyond the map."""

@@ -26,11 +26,14 @@ if TYPE_CHECKING:
 WIDE: dict[str, Any] = {"sizing_mode": "stretch_width", "margin": (2, 6, 2, 6)}
 CLICKS = (Tap, DoubleTap, Press)  # quick ones, wherever they are, and slow ones are other events to Bokeh
 _LISTED = 16  # labels below the map
+_READ_LINK = "link.data = {state: [location.hash.slice(1)], opened: [true]};"
+_WRITE_LINK = "if (!cb_obj.data.opened) history.replaceState(null, '', '#' + cb_obj.data.state[0]);"
 
 
 class Page:
     """One page in one browser: a map, and what its workbench puts around it once the browser has drawn that.
 
+    link : what the address of the page says of its state, after its #
     above, below, right : for the workbench: a row and a column around the map, and the right half
     """
 
@@ -47,6 +50,7 @@ class Page:
         self.below = box("column", overflow_y="auto", **room)
         self.right = box("column", flex="1 1 0", min_width="0")
         self.keys = ColumnDataSource(data={"key": [], "steps": []}, name="keys")
+        self.link = ColumnDataSource(data={"state": [""]}, name="link")
         self.download = ColumnDataSource(data={"name": [], "type": [], "content": []}, name="download")
         self._workbench: Workbench | None = None
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="clunk page")
@@ -63,7 +67,9 @@ class Page:
                 self.map.figure.on_event(event, self._on_pointer)
         self._add_roots()
         # the document is the browser's by then: a session takes what threads ask of its document before in any order
-        document.on_event(DocumentReady, lambda _: self._begin())
+        document.js_on_event(DocumentReady, CustomJS(args={"link": self.link}, code=_READ_LINK))
+        self.link.on_change("data", lambda _attribute, _old, _new: self._begin())
+        self.link.js_on_change("data", CustomJS(code=_WRITE_LINK))
         document.js_on_event(ConnectionLost, CustomJS(code=asset("ended.js")))
         self.download.js_on_change("data", CustomJS(code=asset("download.js")))
 
@@ -110,7 +116,7 @@ class Page:
         drawn = [self.map.figure, self.legend] if self.map else []
         left.elements = [title, self.above, *drawn, self.below, self.status]
         page = box("row", left, self.right, height="100vh")
-        for root in (page, self.keys, self.download, self._message.source):
+        for root in (page, self.keys, self.link, self.download, self._message.source):
             self.document.add_root(root)
 
     def _on_pointer(self, event: PointEvent) -> None:

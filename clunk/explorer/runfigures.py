@@ -27,12 +27,13 @@ class _Panel(NamedTuple):
     label: str
     values: Callable[[History], Floats]
     share: float  # of the height
+    padding: float = 0.25  # of the height of the curves, above and below them together
 
 
 _PANELS = (
     _Panel("torque", "load [N m]", lambda run: run.torque, 0.9),
     _Panel("lash", "lash x_b [mm]", lambda run: 1e3 * run.backlash_coordinate, 1.4),
-    _Panel("acceleration", "θ'' [rad/s²]", lambda run: run.acceleration[:, run.watched - 1], 1.4),
+    _Panel("acceleration", "θ'' [rad/s²]", lambda run: run.acceleration[:, run.watched - 1], 1.4, 0.6),
     _Panel("contact", "contact [N m]", lambda run: run.contact_torque, 1.6),
 )
 
@@ -79,7 +80,7 @@ class RunFigures:
         plot = figure(
             name=panel.name,
             x_range=self._time,
-            y_range=DataRange1d(range_padding=0.25),
+            y_range=DataRange1d(range_padding=panel.padding),
             y_axis_label=panel.label,
             lod_threshold=None,
             tools="xpan,xwheel_zoom,xbox_zoom,reset",

@@ -7,8 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from clunk.analysis.boundaries import BoundaryError, with_boundaries
 from clunk.explorer.subject import Numbers, Subject
 from clunk.results.regimemap import Results
+from clunk.results.tolerancemap import AnyMap
 from clunk.simulation.history import History, sample, shown_until
 from clunk.simulation.trajectory import simulate
 from clunk.study.axes import RUN
@@ -21,6 +23,7 @@ from clunk.sweeping.cells import compiling_note, warm_up
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.sweep import sweep
 
+_MOST_RUNS = 60_000  # along the boundaries of a map, a second or two
 _COARSE = 31  # values of an axis, of the map that is shown first
 
 
@@ -104,6 +107,22 @@ class Variations:
         if self.subject.has_runs:
             return sweep(study, progress=progress).at(slices)
         return sweep(study, progress=progress)
+
+    def traced_map(self, slices: Numbers, numbers: Numbers, drawn: AnyMap, lash: str, progress: Progress) -> AnyMap:
+        """A map that is shown, with its boundaries where the exact method traces them quickly; else as it is."""
+        if len(drawn.of_lash(lash).axes) != 2 or self.study.solver.method != "exact":
+            return drawn
+
+        def count(runs: int, total: int) -> None:
+            progress(runs, total)
+            if runs > _MOST_RUNS:
+                raise BoundaryError("The boundaries of this map take too many runs to follow a slider.")
+
+        try:
+            study = self.study_of_map(slices, numbers)
+            return with_boundaries(study, drawn, lash=lash if drawn.lashes else None, progress=count)
+        except BoundaryError:
+            return drawn
 
 
 def of_one_cell(study: Study) -> Study:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING
+from urllib.parse import parse_qsl, urlencode
 
 from bokeh.events import MouseLeave, PointEvent
 from bokeh.models import Button, Select, Toggle
@@ -21,6 +23,7 @@ from clunk.explorer.saving import NAMES, Cell, Shown, download
 from clunk.explorer.variations import Variations
 from clunk.plot.layers import hardness
 from clunk.plot.plane import number_text, value_text
+from clunk.results.labels import FAILED
 from clunk.results.maps import share
 from clunk.results.quantities import LABEL, TEXT, quantities_of
 from clunk.results.tolerancemap import CERTAIN, AnyMap, ToleranceMap
@@ -50,6 +53,7 @@ class Workbench:
         self._slices: dict[str, float] = {}
         self._is_ready = False
         self._results: AnyMap | None = None
+        self._latest: tuple[tuple[dict[str, float], dict[str, float]], AnyMap, str] | None = None
         self._drawn = ""  # the quantity that the map shows
         self._cell = self._first_cell()
         self._hovered: Cell | None = None
@@ -85,6 +89,7 @@ class Workbench:
         self._boxes.show(self._cell)
         self._listen()
         self._furnish()
+        self._restore(page.link.data["state"][0])
         self._is_ready = True
         self._request_both()
 
@@ -109,6 +114,28 @@ class Workbench:
         self._save.on_change("value", lambda _attribute, _old, name: self._save_as(name))
         self._page.keys.on_change("data", lambda _attribute, _old, _new: self._on_key())
 
+    # --- The link ----------------------------------------------------------------------------------------------------
+
+    def _restore(self, state: str) -> None:
+        """Show what a link says; what it says of other results is left out."""
+        texts = dict(parse_qsl(state))
+        for select in (self._quantity, self._lash):
+            known = [each if isinstance(each, str) else each[0] for each in select.options]
+            if texts.get(select.name) in known:
+                select.value = texts[select.name]
+        values = {name: value for name, text in texts.items() if math.isfinite(value := _number(text))}
+        self._controls.set(values)
+        if self._page.map and all(axis.parameter in values for axis in self._subject.plane):
+            self._on_values([values[axis.parameter] for axis in self._subject.plane])
+
+    def _keep_link(self) -> None:
+        """Let the address of the page hold what it shows."""
+        chosen = {select.name: select.value for select in (self._quantity, self._lash) if select.visible}
+        numbers = self._values(self._cell) | self._active_numbers()
+        state = urlencode(chosen | {key: f"{value:.12g}" for key, value in numbers.items()})
+        if self._is_ready and self._page.link.data["state"] != [state]:
+            self._page.link.data = {"state": [state]}
+
     # --- What the user does ------------------------------------------------------------------------------------------
 
     def point(self, event: PointEvent) -> None:
@@ -121,6 +148,15 @@ class Workbench:
                 self._select(cell)
         elif self._follow.active or cell is None:
             self._hover(cell)
+        self._page.map.label(self._label_of(cell) if cell else "", event.x, event.y)
+
+    def _label_of(self, cell: Cell) -> str:
+        """The label of a cell in the map that is shown."""
+        if self._results is None:
+            return ""
+        part, values = self._results.of_lash(self._lash.value), self._values(cell)
+        at = tuple(axis.nearest(values.get(axis.parameter, axis.values[0])) for axis in part.axes)
+        return str((*part.labels, FAILED)[part.sequence[at]])
 
     def _hover(self, cell: Cell | None) -> None:
         if cell != self._hovered:
@@ -131,6 +167,7 @@ class Workbench:
         self._cell, self._hovered = cell, None
         self._boxes.show(cell)
         self._mark()
+        self._keep_link()
         self._request_run()
         self._pin_where_wanted()
 
@@ -274,6 +311,7 @@ class Workbench:
             quantity = LABEL  # of the nominal map: other numbers leave tolerances aside
         self._reset.visible = bool(numbers)
         if not subject.plane:
+            self._keep_link()
             self._say("a run with these numbers, which are in no file" if numbers else "the run of this config")
             return
 
@@ -295,17 +333,26 @@ class Workbench:
                     self._page.soon(partial(self._say, f"computing the map: {done:,} of {total:,} cells"))
 
             self._newest_run.wait(_FIRST_RUN if self._results is None else _RUN)  # it is wanted at once
+            if self._latest is not None and self._latest[0] == (slices, numbers):
+                full, status = self._latest[1:]
+            elif numbers:
+                coarse = variations.coarse_map(slices, numbers, progress)
+                request.go_on()
+                if coarse is not None:
+                    show(request, coarse, _COARSE)
+                full = variations.full_map(slices, numbers, progress)
+                status = f"the {nominal}map with these numbers, which is in no file"
+            else:
+                full, status = subject.stored(slices), _OWN
+            request.go_on()
+            show(request, full, status)
             if not numbers:
-                show(request, subject.stored(slices), _OWN)
                 variations.prepare(lambda text: self._page.soon(partial(self._say, text)))
-                return
-            coarse = variations.coarse_map(slices, numbers, progress)
+            traced = variations.traced_map(slices, numbers, full, lash, request.go_on)
             request.go_on()
-            if coarse is not None:
-                show(request, coarse, _COARSE)
-            full = variations.full_map(slices, numbers, progress)
-            request.go_on()
-            show(request, full, f"the {nominal}map with these numbers, which is in no file" if numbers else _OWN)
+            self._latest = (slices, numbers), traced, status
+            if traced is not full:
+                show(request, traced, status)
 
         self._newest_map.submit(work)
 
@@ -321,6 +368,7 @@ class Workbench:
         if request.is_superseded:
             return
         self._results, self._drawn = results, quantity
+        self._keep_link()
         changes = picture.edges[1:-1].tolist()
         notes = [*_listed("thresholds for vanishing backlash", thresholds), *_listed("label changes", changes)]
         if picture.peak is not None:
@@ -368,6 +416,14 @@ class Workbench:
 def _listed(what: str, values: list[float]) -> list[str]:
     """A note on values of an axis, if there are any and they are few."""
     return [f"{what}: {', '.join(f'{each:.4g}' for each in values)}"] if 0 < len(values) <= _LISTED else []
+
+
+def _number(text: str) -> float:
+    """A number of a link; NaN of what is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def _quantities(results: AnyMap) -> dict[str, str]:
