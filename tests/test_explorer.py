@@ -143,6 +143,16 @@ class TestSubject:
         run = variations.run({"load.ratio": 7.5, "lash.backlash_deg": 10.0}, numbers).trajectory
         assert np.array_equal(simulate(config).events, run.events)
 
+    def test_boundaries_for_other_numbers_are_those_of_its_config(self, variations):
+        """The map keeps its cells' labels."""
+        numbers = {"lash.contact.damping": 40.0}
+        drawn = variations.full_map({}, numbers, lambda *_: None)
+        traced = variations.traced_map({}, numbers, drawn, drawn.lash_names[0], lambda *_: None)
+        config = study_from_text(variations.config({"load.ratio": 5.0, "lash.backlash_deg": 6.0}, numbers))
+        assert np.array_equal(traced.label_map, drawn.label_map)
+        expected = sweep(config, boundaries=True).boundaries
+        assert np.array_equal(traced.boundaries.vertices, expected.vertices)
+
     def test_of_runs_of_a_sample_the_map_is_a_strip(self):
         text = NOMINAL + EXACT + '[[sweep.samples]]\nparameter = "load.ratio"\ndistribution = "uniform"\n'
         results = sweep(study_from_text(text + "low = 2.0\nhigh = 8.0\n[sweep.sampling]\ncount = 4\n"))

@@ -26,8 +26,15 @@ if TYPE_CHECKING:
 WIDE: dict[str, Any] = {"sizing_mode": "stretch_width", "margin": (2, 6, 2, 6)}
 CLICKS = (Tap, DoubleTap, Press)  # quick ones, wherever they are, and slow ones are other events to Bokeh
 _LISTED = 16  # labels below the map
-_READ_LINK = "link.data = {state: [location.hash.slice(1)], opened: [true]};"
-_WRITE_LINK = "if (!cb_obj.data.opened) history.replaceState(null, '', '#' + cb_obj.data.state[0]);"
+_READ_LINK = """
+const state = [...new URLSearchParams(location.hash.slice(1))];
+link.data = {name: state.map(([name]) => name), value: state.map(([, value]) => value)};
+"""
+_WRITE_LINK = """
+const {name, value} = cb_obj.data;
+const state = new URLSearchParams([...name].map((each, k) => [each, value[k]]));
+if (name.length) history.replaceState(null, "", `#${state}`);
+"""
 
 
 class Page:
@@ -50,7 +57,7 @@ class Page:
         self.below = box("column", overflow_y="auto", **room)
         self.right = box("column", flex="1 1 0", min_width="0")
         self.keys = ColumnDataSource(data={"key": [], "steps": []}, name="keys")
-        self.link = ColumnDataSource(data={"state": [""]}, name="link")
+        self.link = ColumnDataSource(data={}, name="link")
         self.download = ColumnDataSource(data={"name": [], "type": [], "content": []}, name="download")
         self._workbench: Workbench | None = None
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="clunk page")

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
-from clunk.analysis.boundaries import BoundaryError, with_boundaries
+from clunk.analysis.boundaries import BoundaryError, boundaries
 from clunk.explorer.subject import Numbers, Subject
+from clunk.results.labels import FAILED_CODE
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import AnyMap
 from clunk.simulation.history import History, sample, shown_until
@@ -23,8 +25,8 @@ from clunk.sweeping.cells import compiling_note, warm_up
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.sweep import sweep
 
-_MOST_RUNS = 60_000  # along the boundaries of a map, a second or two
-_COARSE = 31  # values of an axis, of the map that is shown first
+_MOST_RUNS = 60_000  # along the boundaries of a map, a second or so
+_COARSE, _TRACED = 31, 60  # values of an axis, of the map that is shown first, and of the one that is traced
 
 
 class Variations:
@@ -89,14 +91,14 @@ class Variations:
         if note:
             say("compiled")
 
-    def coarse_map(self, slices: Numbers, numbers: Numbers, progress: Progress) -> Results | None:
-        """The map of every few values of its axes; None where all are few."""
+    def coarse_map(self, slices: Numbers, numbers: Numbers, progress: Progress, most: int = _COARSE) -> Results | None:
+        """The map of every few values of its axes, at most so many of each; None where all are few."""
         study = self.study_of_map(slices, numbers)
-        if self.subject.has_runs or all(len(axis.values) <= _COARSE for axis in self.subject.plane):
+        if self.subject.has_runs or all(len(axis.values) <= most for axis in self.subject.plane):
             return None
         shape, columns = [], []
         for k, column in enumerate(design_of(study).columns):
-            values = column.values[_every_few(len(column.values))]
+            values = column.values[_every_few(len(column.values), most)]
             shape.append(len(values))
             columns.append(Column(column.parameter, k, values))
         return sweep(study, Design(tuple(shape), tuple(columns)), progress=progress)
@@ -109,8 +111,14 @@ class Variations:
         return sweep(study, progress=progress)
 
     def traced_map(self, slices: Numbers, numbers: Numbers, drawn: AnyMap, lash: str, progress: Progress) -> AnyMap:
-        """A map that is shown, with its boundaries where the exact method traces them quickly; else as it is."""
-        if len(drawn.of_lash(lash).axes) != 2 or self.study.solver.method != "exact":
+        """A map that is shown, with its boundaries where the exact method traces them quickly; else as it is.
+
+        They are traced from few cells: to follow the sliders, and no less exactly.
+        """
+        of_plane = isinstance(drawn, Results) and len(drawn.of_lash(lash).axes) == 2
+        if not isinstance(drawn, Results) or not of_plane or self.study.solver.method != "exact":
+            return drawn
+        if drawn.of_lash(lash).boundaries is not None:
             return drawn
 
         def count(runs: int, total: int) -> None:
@@ -118,11 +126,17 @@ class Variations:
             if runs > _MOST_RUNS:
                 raise BoundaryError("The boundaries of this map take too many runs to follow a slider.")
 
+        study = self.study_of_map(slices, numbers)
         try:
-            study = self.study_of_map(slices, numbers)
-            return with_boundaries(study, drawn, lash=lash if drawn.lashes else None, progress=count)
+            few = self.coarse_map(slices, numbers, progress, _TRACED) or drawn
+            assert isinstance(few, Results)
+            traced = boundaries(study, few, lash=lash if drawn.lashes else None, progress=count)
         except BoundaryError:
             return drawn
+        labels = (*traced.labels, *(label for label in drawn.labels if label not in traced.labels))
+        codes = np.array([*map(labels.index, drawn.labels), FAILED_CODE], np.int16)[drawn.sequence]
+        arrays = {**drawn.arrays, "sequence": codes}
+        return replace(drawn, labels=labels, arrays=arrays, boundaries=replace(traced, labels=labels))
 
 
 def of_one_cell(study: Study) -> Study:
@@ -132,9 +146,9 @@ def of_one_cell(study: Study) -> Study:
     return study.model_copy(update={"sweep": Sweep(axes=(axis,))})
 
 
-def _every_few(count: int) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-    """Positions of at most `_COARSE` of `count` values, both ends among them."""
-    return np.unique(np.rint(np.linspace(0, count - 1, min(count, _COARSE))).astype(np.intp))
+def _every_few(count: int, most: int) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """Positions of at most `most` of `count` values, both ends among them."""
+    return np.unique(np.rint(np.linspace(0, count - 1, min(count, most))).astype(np.intp))
 
 
 def _fixed(slices: Numbers) -> dict[str, float]:

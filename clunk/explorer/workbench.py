@@ -7,7 +7,6 @@ import time
 from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING
-from urllib.parse import parse_qsl, urlencode
 
 from bokeh.events import MouseLeave, PointEvent
 from bokeh.models import Button, Select, Toggle
@@ -89,7 +88,7 @@ class Workbench:
         self._boxes.show(self._cell)
         self._listen()
         self._furnish()
-        self._restore(page.link.data["state"][0])
+        self._restore(dict(zip(*page.link.data.values(), strict=True)) if page.link.data else {})
         self._is_ready = True
         self._request_both()
 
@@ -116,9 +115,8 @@ class Workbench:
 
     # --- The link ----------------------------------------------------------------------------------------------------
 
-    def _restore(self, state: str) -> None:
+    def _restore(self, texts: Mapping[str, str]) -> None:
         """Show what a link says; what it says of other results is left out."""
-        texts = dict(parse_qsl(state))
         for select in (self._quantity, self._lash):
             known = [each if isinstance(each, str) else each[0] for each in select.options]
             if texts.get(select.name) in known:
@@ -132,9 +130,9 @@ class Workbench:
         """Let the address of the page hold what it shows."""
         chosen = {select.name: select.value for select in (self._quantity, self._lash) if select.visible}
         numbers = self._values(self._cell) | self._active_numbers()
-        state = urlencode(chosen | {key: f"{value:.12g}" for key, value in numbers.items()})
-        if self._is_ready and self._page.link.data["state"] != [state]:
-            self._page.link.data = {"state": [state]}
+        state = chosen | {key: f"{value:.12g}" for key, value in numbers.items()}
+        if self._is_ready:
+            self._page.link.data = {"name": list(state), "value": list(state.values())}
 
     # --- What the user does ------------------------------------------------------------------------------------------
 
