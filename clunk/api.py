@@ -41,7 +41,7 @@ def sweep(
     progress: bool | Progress = False,
     workers: int | None = None,
     scheduler: str | None = None,
-    boundaries: bool = False,
+    boundaries: bool | None = None,
     lash: str | None = None,
     restart: bool = False,
     force: bool = False,
@@ -63,8 +63,9 @@ def sweep(
     scheduler : str, optional
         Run on the workers of this dask scheduler, ``tcp://host:8786``; or, ``local``, on processes of this machine, as
         many as `workers`.
-    boundaries : bool
-        Also trace the curves between the labels, of one or two axes: `Results.boundaries`.
+    boundaries : bool, optional
+        Also trace the curves between the labels, of one or two axes: `Results.boundaries`. By default as the study's
+        ``[sweep] boundaries`` says, which is no where it is left out.
     lash : str, optional
         Of several lashes, the one whose boundaries are traced, by name or number; by default the first.
     restart : bool
@@ -103,6 +104,8 @@ def sweep(
     """
     if has_tolerances(study):
         raise SweepError(sweeping.HAS_TOLERANCES)
+    if boundaries is None:
+        boundaries = study.sweep is not None and bool(study.sweep.boundaries)
     if boundaries:
         require_boundaries(study)
         lash_position(lash, study.lash_names)

@@ -344,6 +344,24 @@ def test_the_command_adds_boundaries_to_a_file_tells_of_them_and_exports_them(co
     assert "must end in .csv, .geojson" in command("export", "r.h5", "b.mat", "--boundaries")[2]
 
 
+def test_a_config_asks_for_its_boundaries_and_is_no_other_for_that(command, tmp_path):
+    text = NOMINAL + axis("load.ratio", 2.0, 6.0, 9) + axis("lash.backlash_deg", 2.0, 6.0, 9)
+    (tmp_path / "c.toml").write_text(text, encoding="utf-8")
+    sweep = ("sweep", "c.toml", "--set", EXACT, "-o", "r.h5")
+    asked = ("--set", "sweep.boundaries=true")
+    assert command(*sweep)[0] == 0
+    assert command(*sweep, *asked, "--no-boundaries")[0] == 0
+    assert clunk.read_results("r.h5").boundaries is None
+    code, _, err = command(*sweep, *asked)
+    assert code == 0
+    assert "already complete" in err
+    assert clunk.read_results("r.h5").boundaries.region_area.sum() == pytest.approx(1.0)
+    swept = study_from_text(text, overrides=(EXACT, "sweep.boundaries=true"))
+    assert clunk.sweep(swept).boundaries is not None
+    assert clunk.sweep(swept, boundaries=False).boundaries is None
+    assert "must be true or false" in command(*sweep, "--set", "sweep.boundaries=1")[2]
+
+
 def test_a_map_is_kept_whole_where_its_tracing_is_interrupted(command, tmp_path, monkeypatch):
     axes = axis("load.ratio", 2.0, 6.0, 9), axis("lash.backlash_deg", 2.0, 6.0, 9)
     (tmp_path / "c.toml").write_text(NOMINAL + "".join(axes), encoding="utf-8")

@@ -30,7 +30,11 @@ if TYPE_CHECKING:
 @click.option("--scheduler", metavar="ADDRESS", help="Run on dask workers: tcp://HOST:8786, or local.")
 @click.option("--force", is_flag=True, help="Overwrite a results file of another config.")
 @click.option("--restart", is_flag=True, help="Begin anew: neither go on with a stopped sweep nor keep a finished one.")
-@click.option("--boundaries", is_flag=True, help="Also trace the curves between labels, of one or two axes.")
+@click.option(
+    "--boundaries/--no-boundaries",
+    default=None,
+    help="Also trace the curves between labels, of one or two axes [as sweep.boundaries says].",
+)
 @click.option("--lash", metavar="NAME", help="Of several lashes, the one whose boundaries are traced [the first].")
 @click.option(
     "--retry-failed", is_flag=True, help="Run the failed cells of the finished file again; [solver] may differ."
@@ -44,7 +48,7 @@ def sweep(
     scheduler: str | None,
     force: bool,
     restart: bool,
-    boundaries: bool,
+    boundaries: bool | None,
     lash: str | None,
     retry_failed: bool,
     as_json: bool,
@@ -72,6 +76,8 @@ def sweep(
     study = load_study(config, overrides)
     if has_tolerances(study) and retry_failed:
         raise click.UsageError("--retry-failed does not go with [[sweep.tolerances]].")
+    if boundaries is None and study.sweep is not None:
+        boundaries = study.sweep.boundaries
     if boundaries:
         from clunk.analysis.boundaries import require_boundaries
 
@@ -91,7 +97,7 @@ def sweep(
             click.echo(f"{target} {'has no failed cells' if retry_failed else 'is already complete'}.", err=True)
         result = job.finished() if job.is_complete else _run(job, opening)
         failed = _report(result, job, as_json)
-        if boundaries or (earlier and not job.is_complete):
+        if boundaries or (boundaries is None and earlier and not job.is_complete):
             _trace(job, result, study, lash or getattr(earlier, "lash", None) or None, workers)
     if failed:
         sys.exit(EXIT_FAILED_CELLS)

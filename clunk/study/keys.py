@@ -135,6 +135,8 @@ def _leaf(node: Mapping[str, Any]) -> Key:
         return Key(listing([shorten(choice) for choice in choices], "or"), choices=choices)
     if node["type"] == "string":
         return Key(node.get("description", "text on one line"))
+    if node["type"] == "boolean":
+        return Key("true or false")
     above = "exclusiveMinimum" in node
     lowest = node.get("exclusiveMinimum", node.get("minimum", -math.inf))
     highest = node.get("maximum", math.inf)

@@ -151,7 +151,7 @@ def to_toml(study: Study) -> str:
 
 
 def decisive_content(study: Study) -> dict[str, Any]:
-    """The part of a study that decides the results: physics, solver and sweep; not the title, names, or a fit.
+    """The part of a study that decides the results: physics, solver and sweep; not the title, names, lines or a fit.
 
     A swept key's own value does not count, since no cell has it: it is None.
     """
@@ -159,6 +159,7 @@ def decisive_content(study: Study) -> dict[str, Any]:
     del decisive["title"]
     for table in NOT_OF_A_RUN - {"sweep"}:
         decisive.pop(table, None)
+    decisive.get("sweep", {}).pop("boundaries", None)
     decisive["driveline"].pop("names", None)
     for lash in _lash_tables(decisive):
         lash.pop("name", None)

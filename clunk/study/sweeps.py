@@ -269,6 +269,7 @@ class Sweep(Table):
     samples : keys drawn together, a further dimension of the results
     tolerances : keys drawn for every cell, of which a cell gets the outcome's statistics
     sampling : of samples or tolerances
+    boundaries : whether the lines between the labels are traced when it has been run; None is no
     """
 
     design: Literal["grid", "zip"] = "grid"
@@ -276,6 +277,7 @@ class Sweep(Table):
     samples: Draws = ()
     tolerances: Draws = ()
     sampling: Sampling = Sampling()
+    boundaries: bool | None = None
 
     def contradictions(self) -> Iterator[Finding]:
         """Require something to run, tables that go together, and no more cells than allowed."""
