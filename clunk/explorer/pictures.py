@@ -149,6 +149,7 @@ def _pixel_centres(axis: ResultAxis) -> Floats:
 
 
 def _legend(layers: Layers) -> list[tuple[str, str, str]]:
-    """Regions, each with its share of the map; the last share is that of failed cells."""
+    """Regions that are large enough to be seen, each with its share of the map; the last share is of failed cells."""
+    seen = {*layers.seen, FAILED}
     entries = zip((*layers.names, FAILED), (*layers.colours, FAILED_FILL), layers.shares.tolist(), strict=True)
-    return [(name, colour, f"{100.0 * share:.3g} %") for name, colour, share in entries if share > 0.0]
+    return [(name, colour, f"{100.0 * share:.3g} %") for name, colour, share in entries if share and name in seen]
