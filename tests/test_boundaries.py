@@ -5,6 +5,7 @@ import dataclasses
 import json
 import sys
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,12 +16,14 @@ from clunk.analysis.boundaries import BoundaryError, boundaries
 from clunk.analysis.network import Ring, _contains
 from clunk.analysis.searches import side_by_side
 from clunk.analysis.thresholds import thresholds
+from clunk.analysis.tracing import most_runs
 from clunk.cli import main
 from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED
 from clunk.study.config import study_from_text
 
 NOMINAL = '[driveline]\npreset = "boere-2008"\n[lash]\nbacklash_deg = 6.0\n[load]\nratio = 5.0\n'
+ROOT = Path(__file__).parents[1]
 EXACT = "solver.method='exact'"
 
 
@@ -234,6 +237,40 @@ def test_any_order_of_axes_has_the_same_network():
     for (one, _), (other, _) in zip(whole.meetings, turned.meetings, strict=True):
         assert one == pytest.approx(other[::-1], abs=1e-7)
     assert whole.areas == pytest.approx(turned.areas, abs=2e-5)  # a chord may be off by 1e-4
+
+
+# Maps with a label without width, chaos, rest at a breakpoint of a shaft, or hundreds of touches.
+HARD = {
+    "car_tip_out": ("car_tip_out", ()),
+    "two_lashes": ("two_lashes", ()),
+    "rig_with_friction": ("rig_with_friction", ()),
+    "damping": ("", ("lash.contact.damping", 0.05, 3.0)),
+    "restitution": ('model = "restitution"\n', ("lash.contact.restitution", 0.0, 0.96)),
+}
+
+
+@pytest.mark.parametrize("name", HARD)
+def test_tracing_of_hard_maps_ends_and_its_regions_have_the_labels_of_runs_in_them(name):
+    """Outside of unresolved cells 2 % of the points may lie in regions smaller than a cell, 1/12 of the map."""
+    given, swept_to = HARD[name]
+    if swept_to:
+        text = NOMINAL.replace("[load]", f"[lash.contact]\n{given}[load]")
+        swept = study_from_text(text + axis("load.ratio", 0.0, 10.0, 13) + axis(*swept_to, 13), overrides=(EXACT,))
+    else:
+        counts = [f"sweep.axes[{k}].count=13" for k in (1, 2)]
+        swept = clunk.load_study(ROOT / f"configs/{given}.toml", counts)
+    results, batches = clunk.sweep(swept), []
+    network = boundaries(swept, results, progress=lambda done, _: batches.append(done))
+    assert batches[-1] <= most_runs(13 * 13) + max(np.diff([0, *batches]))
+    assert network.region_area.sum() == pytest.approx(1.0, abs=1e-9)
+    low, span = (np.array([of(each.values) for each in network.axes]) for of in (np.min, np.ptp))
+    shares = np.random.default_rng(2).random((300, 2))
+    cells = {*map(tuple, ((network.unresolved - low) / span * 12.0).astype(int).tolist())}
+    points = low + shares * span
+    runs = clunk.run_points(swept, dict(zip((each.parameter for each in network.axes), points.T, strict=True)))
+    labels = [next(region.label for region in network.regions if is_within(region, point)) for point in points]
+    is_clear = [tuple(cell) not in cells for cell in (shares * 12.0).astype(int).tolist()]
+    assert (np.array(labels) != runs.of_lash().label_map)[is_clear].sum() <= 6
 
 
 def test_one_axis_has_its_thresholds():

@@ -33,6 +33,7 @@ RESOLUTION = 1e-8  # of the map: crossings on an edge that are nearer to each ot
 _MOST_ROUNDS, _MOST_CUTS = 32, 32  # of tracing lines, and in each of cutting edges
 _NEAR, _INNER = 0.25, 0.05  # of an edge's length, how near to it a node is, and how far its foot is from its ends
 _RUNS_PER_CELL, _RUNS_OF_ANY_MAP = 6, 20_000
+_TOUCHES = 50  # of a run: for so many more it counts as one more run
 _CUT, _ON_EDGES = 0.5, 0.75  # of these, with which edges are cut, and with which crossings on edges are located
 _LOCATED = 4.0 * TOLERANCE  # of the map, the widest bracket of a single crossing
 
@@ -52,7 +53,7 @@ _ASKED = np.dtype([("cell", "i8"), ("place", "f8", 2), ("run", RUN), ("is_long",
 
 
 def most_runs(cells: int) -> int:
-    """Number of runs with which the lines of a map are traced at most, but for one batch."""
+    """Number of runs with which the lines of a map are traced at most, but for one batch; fewer of many touches."""
     return _RUNS_OF_ANY_MAP + _RUNS_PER_CELL * cells
 
 
@@ -74,6 +75,7 @@ class Lines:
     def __init__(self, triangles: Triangles, run: Run, progress: Progress | None = None) -> None:
         self.triangles, self.runs = triangles, 0
         self._run, self._most_runs, self._rounds = run, most_runs(triangles.runs.size), 0
+        self._spent = 0  # runs, those of many touches more than once
         self._cuts, self._progress, self._is_rough = 0, progress, False
         self._checked = triangles.runs.size  # nodes that have been looked at, whether a region passes an edge near them
         self.keys, self.brackets = np.zeros(0, np.int64), np.zeros((0, 2, 2))
@@ -115,6 +117,7 @@ class Lines:
         def run(places: Floats) -> Runs:
             runs = self._run(places)
             self.runs += len(places)
+            self._spent += len(places) + int(np.maximum(runs["touches"], 0).sum()) // _TOUCHES
             if self._progress is not None:
                 self._progress(self.runs, 0)
             return runs
@@ -122,7 +125,7 @@ class Lines:
         return side_by_side(run, *searches)
 
     def _runs_left(self, share: float = 1.0) -> int:
-        return max(int(share * self._most_runs) - self.runs, 0)
+        return max(int(share * self._most_runs) - self._spent, 0)
 
     def _may_cut(self) -> bool:
         return self._runs_left(_CUT) > 0 and self._rounds < _MOST_ROUNDS and self._cuts < _MOST_CUTS

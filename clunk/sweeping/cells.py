@@ -292,7 +292,7 @@ class Grid:
         points, point_of = self.points(values, count)
         for batch, positions, part in self._by_batches(self.structural, points, point_of, cases):
             for done, rows, (events,) in self._with_room(self._logged, batch, positions, part, stop):
-                records[done] = rows.reshape(done.size, -1)
+                records[done] = rows.reshape(-1, self.layout.lashes)
                 logs.append((done[records["status"][done, 0] == Status.OK], events))
         joined = np.zeros((count, max((events.shape[1] for _, events in logs), default=0)), EVENT)
         joined["time"] = np.nan
