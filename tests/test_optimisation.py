@@ -109,6 +109,21 @@ def test_the_same_seed_gives_the_same_answer(brief):
     assert optimize(study).parameters == optimize(study).parameters
 
 
+def test_an_interrupted_search_hands_over_the_best_so_far(brief):
+    study, interrupted = damped_ramp(), []
+
+    def interrupt(done, _most):
+        if done > 8000 and not interrupted:  # 4,096 runs explore, and the first start takes some 1,400
+            interrupted.append(done)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        optimize(study, progress=interrupt)
+    best = caught.value.args[0]
+    assert best.holds
+    assert best.runs < optimize(study).runs
+
+
 def test_conditions_that_nothing_meets_are_said_and_the_nearest_is_given(brief):
     best = optimize(damped_ramp(subject_to=["label=DS(3)SS(2)"]))
     assert not best.holds
