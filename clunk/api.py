@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from clunk.analysis.boundaries import RUNS_OF_BOUNDARIES, require_boundaries, with_boundaries
+from clunk.analysis.boundaries import RUNS_OF_BOUNDARIES, is_traced, with_boundaries
 from clunk.analysis.fitted import Fitted
 from clunk.analysis.fittedstudy import fit_maps
 from clunk.analysis.small_gap import thresholds_of
@@ -65,7 +65,7 @@ def sweep(
         many as `workers`.
     boundaries : bool, optional
         Also trace the curves between the labels, of one or two axes: `Results.boundaries`. By default as the study's
-        ``[sweep] boundaries`` says, which is no where it is left out.
+        ``[sweep] boundaries`` says, and where it is left out those of two axes are.
     lash : str, optional
         Of several lashes, the one whose boundaries are traced, by name or number; by default the first.
     restart : bool
@@ -104,10 +104,8 @@ def sweep(
     """
     if has_tolerances(study):
         raise SweepError(sweeping.HAS_TOLERANCES)
-    if boundaries is None:
-        boundaries = study.sweep is not None and bool(study.sweep.boundaries)
-    if boundaries:
-        require_boundaries(study)
+    traces = is_traced(study, boundaries)
+    if traces:
         lash_position(lash, study.lash_names)
     engine = sweeping.engine_of(scheduler, workers)
 
@@ -115,7 +113,7 @@ def sweep(
         with shown(0, RUNS_OF_BOUNDARIES) if progress is True else nullcontext() as report:
             return with_boundaries(study, results, lash=lash, workers=workers, progress=report)
 
-    addition = trace if boundaries else None
+    addition = trace if traces else None
     results = _run(study, output, progress, engine, addition=addition, restart=restart, force=force)
     assert isinstance(results, Results)
     return results

@@ -356,15 +356,15 @@ def test_the_command_adds_boundaries_to_a_file_tells_of_them_and_exports_them(co
     axes = axis("load.ratio", 0.0, 10.0, 21), axis("lash.backlash_deg", 0.0, 20.0, 21)
     (tmp_path / "c.toml").write_text(NOMINAL + "".join(axes), encoding="utf-8")
     sweep = ("sweep", "c.toml", "--set", EXACT, "-o", "r.h5")
-    assert command(*sweep)[0] == 0
+    assert command(*sweep, "--no-boundaries")[0] == 0
     code, _, err = command("export", "r.h5", "b.geojson")
     assert code == 2
     assert "has no boundaries; clunk sweep CONFIG --boundaries adds them" in err
-    code, _, err = command(*sweep, "--boundaries")
+    code, _, err = command(*sweep)
     assert code == 0
     assert "already complete" in err
     traced = clunk.read_results("r.h5").boundaries
-    swept = clunk.sweep(study(*axes), boundaries=True).boundaries
+    swept = clunk.sweep(study(*axes)).boundaries
     assert traced.labels == swept.labels
     for field in FIELDS:
         assert np.array_equal(getattr(traced, field), getattr(swept, field)), field
@@ -381,21 +381,22 @@ def test_the_command_adds_boundaries_to_a_file_tells_of_them_and_exports_them(co
     assert "must end in .csv, .geojson" in command("export", "r.h5", "b.mat", "--boundaries")[2]
 
 
-def test_a_config_asks_for_its_boundaries_and_is_no_other_for_that(command, tmp_path):
+def test_a_config_says_whether_its_boundaries_are_traced_and_is_no_other_for_that(command, tmp_path):
     text = NOMINAL + axis("load.ratio", 2.0, 6.0, 9) + axis("lash.backlash_deg", 2.0, 6.0, 9)
     (tmp_path / "c.toml").write_text(text, encoding="utf-8")
     sweep = ("sweep", "c.toml", "--set", EXACT, "-o", "r.h5")
-    asked = ("--set", "sweep.boundaries=true")
-    assert command(*sweep)[0] == 0
-    assert command(*sweep, *asked, "--no-boundaries")[0] == 0
+    assert command(*sweep, "--set", "sweep.boundaries=false")[0] == 0
+    assert command(*sweep, "--set", "sweep.boundaries=true", "--no-boundaries")[0] == 0
     assert clunk.read_results("r.h5").boundaries is None
-    code, _, err = command(*sweep, *asked)
+    code, _, err = command(*sweep)
     assert code == 0
     assert "already complete" in err
     assert clunk.read_results("r.h5").boundaries.region_area.sum() == pytest.approx(1.0)
-    swept = study_from_text(text, overrides=(EXACT, "sweep.boundaries=true"))
-    assert clunk.sweep(swept).boundaries is not None
+    swept = study_from_text(text, overrides=(EXACT,))
     assert clunk.sweep(swept, boundaries=False).boundaries is None
+    left_out = study_from_text(text, overrides=(EXACT, "sweep.boundaries=false"))
+    assert clunk.sweep(left_out).boundaries is None
+    assert clunk.sweep(left_out, boundaries=True).boundaries is not None
     assert "must be true or false" in command(*sweep, "--set", "sweep.boundaries=1")[2]
 
 

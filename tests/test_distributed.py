@@ -106,7 +106,7 @@ def clunk(directory, *arguments, before="pass"):
     (directory / "map.toml").write_text(CONFIG)
     code = f"import sys; {before}; sys.argv[0] = 'clunk'; from clunk.cli import main; main()"
     return subprocess.Popen(
-        [sys.executable, "-c", code, "sweep", "map.toml", "-o", "map.h5", *arguments],
+        [sys.executable, "-c", code, "sweep", "map.toml", "-o", "map.h5", "--no-boundaries", *arguments],
         cwd=directory,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -120,7 +120,7 @@ def main_in(directory, monkeypatch, capsys, *arguments):
     (directory / "map.toml").write_text(CONFIG)
     monkeypatch.chdir(directory)
     monkeypatch.setattr(signal, "signal", lambda *_: None)  # main's handler must not outlive a test
-    monkeypatch.setattr(sys, "argv", ["clunk", "sweep", "map.toml", "-o", "map.h5", *arguments])
+    monkeypatch.setattr(sys, "argv", ["clunk", "sweep", "map.toml", "-o", "map.h5", "--no-boundaries", *arguments])
     with pytest.raises(SystemExit) as stopped:
         main()
     return (stopped.value.code or 0, *capsys.readouterr())

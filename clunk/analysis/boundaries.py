@@ -63,6 +63,25 @@ def require_boundaries(study: Study) -> None:
             raise BoundaryError(f"{axis.parameter} is a whole number, between whose values nothing lies.")
 
 
+def is_traced(study: Study, asked: bool | None = None) -> bool:
+    """Whether a sweep of a study traces the boundaries of its map.
+
+    It does as asked, else as ``[sweep] boundaries`` says, and without either on two axes whose map has boundaries.
+    Raises BoundaryError where they are asked for and the map has none.
+    """
+    if asked is None and study.sweep is not None:
+        asked = study.sweep.boundaries
+    if asked is False or (asked is None and len(design_of(study).axes) != 2):
+        return False
+    try:
+        require_boundaries(study)
+    except BoundaryError:
+        if asked:
+            raise
+        return False
+    return True
+
+
 def boundaries(
     study: Study,
     results: Results,
@@ -107,7 +126,10 @@ def with_boundaries(
     progress: Progress | None = None,
 ) -> AnyMap:
     """A regime map with its boundaries, traced where it has none of this lash yet. Raises as `boundaries`."""
-    if not isinstance(results, Results) or results.of_lash(lash).boundaries is not None:
+    if not isinstance(results, Results):
+        return results
+    part = results if lash is None else results.of_lash(lash)
+    if part.boundaries is not None:
         return results
     return replace(results, boundaries=boundaries(study, results, lash=lash, workers=workers, progress=progress))
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 @click.option(
     "--boundaries/--no-boundaries",
     default=None,
-    help="Also trace the curves between labels, of one or two axes [as sweep.boundaries says].",
+    help="Trace the curves between labels, of one or two axes [two: yes, one: no].",
 )
 @click.option("--lash", metavar="NAME", help="Of several lashes, the one whose boundaries are traced [the first].")
 @click.option(
@@ -61,7 +61,7 @@ def sweep(
     \b
     Examples:
       clunk sweep configs/figure_3_4.toml --set solver.step=5e-5
-      clunk sweep configs/figure_3_4.toml --boundaries -o traced.h5
+      clunk sweep configs/figure_3_4.toml --no-boundaries -o cells.h5
       clunk sweep configs/figure_3_4.toml --retry-failed \\
           --set solver.step=2e-5
       clunk sweep configs/figure_3_4.toml --scheduler tcp://localhost:8786
@@ -76,12 +76,10 @@ def sweep(
     study = load_study(config, overrides)
     if has_tolerances(study) and retry_failed:
         raise click.UsageError("--retry-failed does not go with [[sweep.tolerances]].")
-    if boundaries is None and study.sweep is not None:
-        boundaries = study.sweep.boundaries
-    if boundaries:
-        from clunk.analysis.boundaries import require_boundaries
+    from clunk.analysis.boundaries import is_traced
 
-        require_boundaries(study)
+    traces = is_traced(study, boundaries)
+    if traces:
         lash_position(lash, study.lash_names)
     elif lash is not None:
         raise click.UsageError("--lash goes with --boundaries: a map has all lashes.")
@@ -91,13 +89,14 @@ def sweep(
 
     opening = engine_of(scheduler, workers, say=lambda text: click.echo(text, err=True))
     with opened(target, study, retry=retry_failed, restart=restart, force=force) as job:
-        # those of a file whose failed cells are run again belong to its old labels
         earlier = getattr(job.earlier, "boundaries", None)
+        if retry_failed and boundaries is None:  # those of the file belong to its old labels
+            traces = earlier is not None
         if job.is_complete:
             click.echo(f"{target} {'has no failed cells' if retry_failed else 'is already complete'}.", err=True)
         result = job.finished() if job.is_complete else _run(job, opening)
         failed = _report(result, job, as_json)
-        if boundaries or (boundaries is None and earlier and not job.is_complete):
+        if traces:
             _trace(job, result, study, lash or getattr(earlier, "lash", None) or None, workers)
     if failed:
         sys.exit(EXIT_FAILED_CELLS)

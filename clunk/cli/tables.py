@@ -122,7 +122,7 @@ def print_boundaries(boundaries: Boundaries) -> None:
     if rows := boundaries.meeting_rows():
         print_table(rows)
     if boundaries.unresolved_sentence:
-        click.echo(boundaries.unresolved_sentence)
+        click.echo(click.wrap_text(boundaries.unresolved_sentence, 80))
 
 
 def boundary_record(boundaries: Boundaries) -> dict[str, Any]:

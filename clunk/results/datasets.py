@@ -47,7 +47,7 @@ def open_results(path: str | os.PathLike[str]) -> xarray.Dataset:
     --------
     >>> import clunk
     >>> study = clunk.load_study("configs/smoke.toml")
-    >>> results = clunk.sweep(study, "results/smoke.h5")
+    >>> results = clunk.sweep(study, "results/smoke.h5", boundaries=False)
     >>> dataset = clunk.open_results("results/smoke.h5")
     >>> dict(dataset.sizes)
     {'load_ratio': 21, 'lash_backlash_deg': 21, 'impact': 6}

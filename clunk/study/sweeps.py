@@ -269,7 +269,7 @@ class Sweep(Table):
     samples : keys drawn together, a further dimension of the results
     tolerances : keys drawn for every cell, of which a cell gets the outcome's statistics
     sampling : of samples or tolerances
-    boundaries : whether the lines between the labels are traced when it has been run; None is no
+    boundaries : whether the lines between the labels are traced when it has been run; None is yes on two axes
     """
 
     design: Literal["grid", "zip"] = "grid"

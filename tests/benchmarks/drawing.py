@@ -18,13 +18,13 @@ from pathlib import Path
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 MAPS = {  # name -> config, options of `clunk sweep` beside the exact method, and the quantities drawn
-    "figure 3.4, 201 x 201, lines": ("figure_3_4", ["--boundaries"], ["regimes", "severity", "double_sided_impacts"]),
-    "figure 3.4, 201 x 201, cells": ("figure_3_4", [], ["regimes"]),
-    "figure 3.4, 2001 x 2001, cells": ("figure_3_4", ["count=2001"], ["regimes", "severity"]),
-    "two lashes, 121 x 156, cells": ("two_lashes", [], ["regimes"]),
-    "car, 121 x 156, cells": ("car_tip_out", [], ["regimes"]),
+    "figure 3.4, 201 x 201, lines": ("figure_3_4", [], ["regimes", "severity", "double_sided_impacts"]),
+    "figure 3.4, 201 x 201, cells": ("figure_3_4", ["--no-boundaries"], ["regimes"]),
+    "figure 3.4, 2001 x 2001, cells": ("figure_3_4", ["count=2001", "--no-boundaries"], ["regimes", "severity"]),
+    "two lashes, 121 x 156, cells": ("two_lashes", ["--no-boundaries"], ["regimes"]),
+    "car, 121 x 156, cells": ("car_tip_out", ["--no-boundaries"], ["regimes"]),
 }
-QUICK = {"smoke": ("smoke", ["--boundaries"], ["regimes", "double_sided_impacts"])}
+QUICK = {"smoke": ("smoke", [], ["regimes", "double_sided_impacts"])}
 
 
 def swept(config: str, options: list[str], directory: Path) -> Path:
