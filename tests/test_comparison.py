@@ -557,17 +557,13 @@ def coloured(figure: Any, results: Results) -> list[tuple[float, ...]]:
     """Values of the cells that a difference map shows in the colour of a note."""
     ax = figure.axes[0]
     marks = [patch.get_facecolor() for each in figure.legends for patch in each.get_patches()]
-    (picture,) = [np.asarray(image.get_array()) / 255.0 for image in ax.images]
-    cells = []
-    for values in itertools.product(*(axis.values.tolist() for axis in results.axes)):
-        place = ax.transAxes.inverted().transform(ax.transData.transform(values))
-        rows, columns = picture.shape[:2]
-        row, column = (
-            min(int(share * size), size - 1) for share, size in zip(place[::-1], (rows, columns), strict=True)
-        )
-        if any(np.allclose(picture[row, column], mark[:3], atol=0.003) for mark in marks):  # 8 bits
-            cells.append(values)
-    return cells
+    (picture,) = [np.asarray(each.get_array()) / 255.0 for each in ax.collections if each.get_gid() == "cells"]
+    x, y = (np.sort(axis.values) for axis in results.axes)
+    return [
+        (float(x[column]), float(y[row]))
+        for column, row in itertools.product(range(len(x)), range(len(y)))
+        if any(np.allclose(picture[row, column], mark[:3], atol=0.003) for mark in marks)  # 8 bits
+    ]
 
 
 def drawn(figure: Any, gid: str) -> list[tuple[float, float]]:
@@ -610,7 +606,7 @@ def test_difference_map_marks_every_differing_cell_once() -> None:
     figure = difference_map(a, comparison)
     assert coloured(figure, a) == sorted(tuple(cell.at.values()) for cell in comparison.differing_cells)
     assert_readable(figure)
-    title = figure.axes[0].get_title(loc="left")
+    title = figure.subfigs[0].get_suptitle()
     assert f"{comparison.differing} of 1,271 cells differ" in title
     assert "driveline.inertias[2] = 0.002 → 0.003" in title
     first = comparison.transitions[0]
@@ -633,7 +629,7 @@ def test_difference_map_of_equal_maps_marks_nothing() -> None:
     a = like_figure_3_4()
     figure = difference_map(a, compare(a, a))
     assert coloured(figure, a) == []
-    assert "0 of 1,271 cells differ" in figure.axes[0].get_title(loc="left")
+    assert "0 of 1,271 cells differ" in figure.subfigs[0].get_suptitle()
 
 
 def table_on_the_map() -> tuple[Results, ExperimentComparison]:
@@ -652,7 +648,7 @@ def test_experiment_map_shows_every_point_inside_filled_where_it_agrees() -> Non
     assert sorted(texts) == sorted(point.measured for point in inside)
     assert_readable(figure)
     assert_no_text_on_points(figure)
-    assert "rig's parameters are not the model's" in figure.axes[0].get_title(loc="left")
+    assert "rig's parameters are not the model's" in figure.subfigs[0].get_suptitle()
     assert any(f"{comparison.agreeing} of {comparison.counted}" in note for note in notes(figure))
     assert "outside the map, not counted: 4" in notes(figure)
 

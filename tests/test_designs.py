@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 import xarray
-from matplotlib import colormaps
 from test_store import assert_same
 from test_sweeping import equal, regimes, same_as_single_run
 
@@ -13,8 +12,9 @@ from clunk import plot
 from clunk.analysis.comparison import compare
 from clunk.analysis.small_gap import thresholds_of
 from clunk.cli import main
-from clunk.plot.layers import Layers, stacked
-from clunk.plot.maps import Colours
+from clunk.plot.layers import Layers
+from clunk.plot.maps import shades_of
+from clunk.plot.scatter import scatter
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.results.store import read_header, read_results, write_results
 from clunk.study.axes import RUN
@@ -328,26 +328,25 @@ class TestCommandLine:
     @pytest.mark.parametrize(
         ("arguments", "found"),
         [
-            (["four.h5"], "--at lash.contact.stiffness=409200 --at 'driveline.shafts[1].damping=0.16'"),
-            (["four.h5"], "--facet lash.contact.stiffness --facet 'driveline.shafts[1].damping'"),
-            (["four.h5", *FACETS[:2]], "also give --at 'driveline.shafts[1].damping=0.16'"),
-            (["four.h5", *FACETS, "--facet", "load.ratio"], "one facet, or two for rows and columns"),
+            (["four.h5"], "one value of lash.contact.stiffness and driveline.shafts[1].damping (--at), or draw a map"),
+            (["four.h5", *FACETS[:2]], "choose one value of driveline.shafts[1].damping (--at)"),
+            (["four.h5", *FACETS, "--facet", "load.ratio"], "one facet, or two different ones for rows and columns"),
             (["four.h5", "--facet", "load.ration"], "no axis of several values; these are load.ratio"),
-            (["four.h5", *FACETS[:2], *FACETS[:2]], "is there twice"),
-            (["four.h5", *FACETS, "--at", "load.ratio=1"], "beside the facets 1 of"),
+            (["four.h5", *FACETS[:2], *FACETS[:2]], "one facet, or two different ones for rows and columns"),
+            (["four.h5", *FACETS, "--at", "load.ratio=1"], "needs two axes"),
             (["four.h5", "--x", "load.ratio"], "x and y are for axes that are walked together and for samples"),
             (["four.h5", "--at", "load.ration=1"], "load.ration is not swept; did you mean load.ratio?"),
             (["four.h5", "--at", "load.ratio=11"], "swept from 0 to 10"),
-            (["zip.h5", "--x", "load.ratio"], "neither rises nor falls throughout the runs; x may be"),
-            (["zip.h5", "--x", "lash.radius"], "does not change in these results"),
+            (["zip.h5", "--x", "load.ratio"], "does not rise or fall throughout the runs; x may be"),
+            (["zip.h5", "--x", "lash.radius"], "does not rise or fall"),
             (["zip.h5", "--x", "run", "--y", "run"], "y is for samples"),
             (["sample.h5", "--y", "run"], "y goes with x"),
             (["sample.h5", "--x", "load.ratio", "--y", "load.ratio"], "are both load.ratio"),
             (["sample.h5", "--x", "lash.radius"], "lash.radius does not change in these results"),
-            (["sample.h5", "--facet", "run"], "none of run is left"),
+            (["sample.h5", "--facet", "run"], "needs two axes"),
             (["sample.h5", "--at", "load.ratio=5"], "name the run, --at run="),
-            (["mixed.h5"], "would lie on each other: also give --at run=4, for example, or --facet run"),
-            (["mixed.h5", "--x", "load.ratio"], "also give --at lash.backlash_deg=6"),
+            (["mixed.h5"], "differ in run would lie on each other: choose one value (--at)"),
+            (["mixed.h5", "--x", "load.ratio"], "differ in lash.backlash_deg would lie on each other"),
             (["mixed.h5", "--facet", "load.ratio"], "have no order that a map could show"),
         ],
     )
@@ -413,12 +412,12 @@ class TestFigures:
         panels = figure.subfigs[0].axes
         assert len(panels) == 6
         assert [panel.get_title(loc="left") for panel in panels[:2]] == [
-            "c$_\\mathregular{1}$ = 0.04 N m s/rad",
-            "c$_\\mathregular{1}$ = 0.16 N m s/rad",
+            "k = 100000 N/m\nc$_\\mathregular{1}$ = 0.04 N m s/rad",
+            "k = 100000 N/m\nc$_\\mathregular{1}$ = 0.16 N m s/rad",
         ]
-        (legend,) = figure.legends
-        named = [text.get_text() for text in legend.get_texts()]
-        assert named[: len(four.labels)] == list(four.labels)
+        noted = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+        assert len(set(noted)) == len(noted)
+        assert {text.get_text() for panel in panels for text in panel.texts} | set(noted) >= set(four.labels)
         limits = {(panel.get_xlim(), panel.get_ylim()) for panel in panels}
         assert limits == {((0.0, 10.0), (0.0, 15.0))}
 
@@ -427,14 +426,12 @@ class TestFigures:
         figure = plot.draw(part, "severity", facets=["lash.contact.stiffness"])
         slices = [part.at({"lash.contact.stiffness": value}) for value in part.axes[2].values]
         panels = [Layers.of(each, 2, "severity") for each in slices]
-        colours = Colours.of(stacked(panels))
-        assert colours.norm.vmax == part.severity.max()
+        shades = shades_of(panels)
+        assert shades.norm.vmax == part.severity.max()
         for ax, layers in zip(figure.axes, panels, strict=False):
-            (picture,) = ax.images
+            picture = next(each for each in ax.collections if each.get_gid() == "cells")
             corner = np.asarray(picture.get_array())[0, 0] / 255.0  # of the first cell
-            np.testing.assert_allclose(
-                corner, colormaps[colours.cmap](colours.norm(layers.values[0, 0]))[:3], atol=0.005
-            )
+            np.testing.assert_allclose(corner, shades.to_rgba(layers.values[0, 0])[:3], atol=0.005)  # 8 bits
 
     def test_of_many_values_twelve_are_drawn_from_the_first_to_the_last(self):
         fine = '[[sweep.axes]]\nparameter = "load.ratio"\nstart = 0\nstop = 10\ncount = 101\n'
@@ -447,7 +444,7 @@ class TestFigures:
         assert len(plot.shown_values(axis, 2)) == 4
 
     def test_a_point_stands_for_each_run_in_its_labels_colour(self, sampled):
-        figure = plot.scatter_map(sampled, "load.ratio", "driveline.inertias[4]")
+        figure = scatter(sampled, "regimes", "load.ratio", "driveline.inertias[4]")
         ax = figure.axes[0]
         (points,) = ax.collections
         inertia, ratio = (sampled.coordinates[k].values for k in (1, 2))
@@ -463,13 +460,14 @@ class TestFigures:
 
     def test_points_of_a_grid_of_samples_have_the_parameters_of_their_cells(self, mixed):
         part = mixed.at({"lash.backlash_deg": 6.0})
-        figure = plot.scatter_map(part, "load.ratio", "lash.contact.stiffness", "severity")
+        figure = scatter(part, "severity", "load.ratio", "lash.contact.stiffness")
         points = figure.axes[0].collections[0]
         ratio, stiffness = points.get_offsets().T
-        for k, value in enumerate(np.asarray(points.get_array())):
+        shades = shades_of([Layers.of(part, 0, "severity")])
+        for k, colour in enumerate(points.get_facecolors()):
             i = int(np.flatnonzero(mixed.axes[0].values == ratio[k])[0])
             run = int(np.flatnonzero(mixed.coordinates[0].values == stiffness[k])[0])
-            assert value == mixed.severity[i, 2, run]
+            np.testing.assert_allclose(colour, shades.to_rgba(mixed.severity[i, 2, run]), atol=1e-12)
 
     def test_a_path_is_drawn_along_the_first_parameter_that_rises_throughout(self, zipped):
         ax = plot.draw(zipped, "severity").axes[1]
@@ -480,10 +478,10 @@ class TestFigures:
 
     def test_a_slice_says_at_which_values_it_is(self, four, mixed):
         part = four.at({"lash.contact.stiffness": 4e5, "driveline.shafts[1].damping": 0.04})
-        line = plot.draw(part, "touches").axes[0].get_title(loc="left")
+        line = plot.draw(part, "touches").subfigs[0].get_suptitle()
         assert "contact stiffness = 409200 N/m" in line
         assert "damping of shaft 1 = 0.04 N m s/rad" in line
-        line = plot.draw(mixed.at({RUN: 3}), "touches").axes[0].get_title(loc="left")
+        line = plot.draw(mixed.at({RUN: 3}), "touches").subfigs[0].get_suptitle()
         assert f"inertia 4 = {mixed.coordinates[1].values[2]:.6g} kg m2" in line
 
     def test_thresholds_are_those_of_the_slices_driveline(self, four):

@@ -13,8 +13,8 @@ from test_store import BACKLASH, INERTIA, RATIO
 from test_store import example as example_without_config
 
 from clunk.analysis.small_gap import thresholds_of
-from clunk.plot import scatter_map
 from clunk.plot.page import page
+from clunk.plot.scatter import scatter
 from clunk.plot.style import MOST_POINTS, save
 from clunk.results import store
 from clunk.simulation.linear import rigid_contact_thresholds
@@ -146,7 +146,7 @@ def test_bad_usage_gives_one_sentence_and_writes_nothing(clunk, here):  # noqa: 
         ("five.h5", "-o", "map.pdf"): "map.pdf cannot be written: its name must end in .html.",
         ("five.h5", "-o", "folder.html"): "folder.html is a directory; name a file in it.",
         ("nothing.h5",): "nothing.h5 cannot be read",
-        ("five.h5",): "also give --at",
+        ("five.h5",): "choose one value of",
         ("five.h5", "--at", "load.ratio=50"): "load.ratio is swept from 0 to 10",
     }.items():
         code, _, err = clunk("report", *arguments)
@@ -168,7 +168,7 @@ def test_a_cloud_of_points_is_not_a_path_for_each(tmp_path, count):
     run = ResultAxis(RUN, np.arange(1.0, count + 1.0), "run", "", "1")
     x, y = (replace(axis, values=rng.uniform(0.5, 10.0, count)) for axis in (RATIO, BACKLASH))
     results = replace(example(run).with_arrays(quality=np.zeros(count, np.uint8)), coordinates=(x, y))
-    save(scatter_map(results, x.parameter, y.parameter), tmp_path / "cloud.svg")
+    save(scatter(results, "regimes", x.parameter, y.parameter), tmp_path / "cloud.svg")
     text = (tmp_path / "cloud.svg").read_text("utf-8")
     assert (text.count("<use") > count) == (count == 100)
     assert ("<image" in text) == (count > 100)

@@ -12,14 +12,15 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from matplotlib.text import Annotation, Text
+from matplotlib.text import Text
 
 from clunk import plot
 from clunk.analysis.ridge import ridge_of
 from clunk.core.status import QUALITY_UNDECIDED
 from clunk.plot.layers import Layers
-from clunk.plot.maps import Colours
-from clunk.plot.style import INK, UNDEFINED, group_colour, palette_of
+from clunk.plot.maps import shades_of
+from clunk.plot.strips import strip
+from clunk.plot.style import FAILED_FILL, INK, group_colour, palette_of
 from clunk.results.quantities import quantity_of
 from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
@@ -113,8 +114,6 @@ def label_at(results: Results, x: float, y: float) -> str:
 
 def box_of(text: Text) -> np.ndarray:
     """(4, 2) corners of the text itself, turned as it is, in display pixels."""
-    if isinstance(text, Annotation):  # its place is known only when it is drawn
-        text.update_positions(text.get_figure(root=True).canvas.get_renderer())
     angle = text.get_rotation()
     text.set_rotation(0.0)
     box = Text.get_window_extent(text)
@@ -134,11 +133,13 @@ def notes(figure: Figure) -> list[str]:
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
+def line_under(figure: Figure) -> str:
+    """The line under the title of a map."""
+    return figure.subfigs[0].get_suptitle()
+
+
 def assert_labels_are_where_they_belong(results: Results, ax: Axes) -> None:
     for text in ax.texts:
-        if isinstance(text, Annotation):
-            assert label_at(results, *text.xy) == text.get_text()
-            continue
         for point in ax.transData.inverted().transform(outline(box_of(text))):
             assert label_at(results, *point) == text.get_text()
 
@@ -157,7 +158,7 @@ def test_every_label_is_inside_its_region(nine: Results, nine_map: Figure) -> No
     assert sorted(text.get_text() for text in ax.texts) == sorted(LABELS)
     assert_labels_are_where_they_belong(nine, ax)
     assert_texts_do_not_overlap(ax)
-    assert notes(nine_map) == []
+    assert notes(nine_map) == ["vanishing backlash: 1.46, 3.13, 6.69"]
 
 
 def test_labels_are_large_enough_to_read(nine_map: Figure) -> None:
@@ -177,37 +178,11 @@ def test_labels_are_inside_their_regions_on_a_coarse_map(count: int) -> None:
     assert_texts_do_not_overlap(figure.axes[0])
 
 
-def test_a_small_region_gets_a_leader_and_a_speck_a_note(nine: Results) -> None:
+def test_a_region_too_small_for_its_name_has_a_note(nine: Results) -> None:
     small = with_cells(nine, [np.s_[14:15, 45:47]], len(nine.labels), "DS(4)")
-    both = with_cells(small, [np.s_[33:34, 54:55]], len(small.labels), "OS(1)DS(1)")
-    figure = regime_map(both)
-    leader = [text for text in figure.axes[0].texts if isinstance(text, Annotation)]
-    assert [text.get_text() for text in leader] == ["DS(4)"]
-    assert_labels_are_where_they_belong(both, figure.axes[0])
-    assert_texts_do_not_overlap(figure.axes[0])
-    assert notes(figure) == ["OS(1)DS(1): 1 cell"]
-    named = [text.get_text() for text in figure.axes[0].texts]
-    assert sorted([*named, "OS(1)DS(1)"]) == sorted(both.labels)
-
-
-def test_leaders_cross_neither_texts_nor_small_regions(nine: Results) -> None:
-    results = nine
-    spots = [(row, column) for row in (2, 5) for column in (10, 13, 24, 30)][:7]
-    for code, (row, column) in enumerate(spots, start=4):
-        results = with_cells(results, [np.s_[row : row + 1, column : column + 2]], len(results.labels), f"DS({code})")
-    figure = regime_map(results)
-    ax = figure.axes[0]
-    named = [text.get_text() for text in ax.texts] + [note.split(":")[0] for note in notes(figure)]
-    assert sorted(named) == sorted(results.labels)
-    assert_labels_are_where_they_belong(results, ax)
-    assert_texts_do_not_overlap(ax)
-    for text in ax.texts:
-        if isinstance(text, Annotation):
-            line = np.array(text.xy) + np.linspace(0.0, 1.0, 100)[:, None] * (np.array(text.xyann) - text.xy)
-            assert {label_at(results, *point) for point in line} <= {*LABELS, text.get_text()}
-            for other in ax.texts:
-                inside = matplotlib.path.Path(box_of(other)).contains_points(ax.transData.transform(line))
-                assert other is text or not inside.any()
+    figure = regime_map(small)
+    assert notes(figure) == ["DS(4): 2 cells"]
+    assert sorted([*(text.get_text() for text in figure.axes[0].texts), "DS(4)"]) == sorted(small.labels)
 
 
 def test_the_second_part_of_a_label_is_labelled_too(nine: Results) -> None:
@@ -219,14 +194,11 @@ def test_the_second_part_of_a_label_is_labelled_too(nine: Results) -> None:
 
 def colours_at(ax: Axes, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """(n, 3) colours of the picture of the cells at places in data coordinates, 0 to 255."""
-    (picture,) = [image for image in ax.images if image.get_gid() == "cells"]
-    pixels = np.asarray(picture.get_array())
-    across, upward = (ax.transData - ax.transAxes).transform(np.column_stack([x, y])).T
-    columns, rows = (
-        np.clip((share * size).astype(int), 0, size - 1)
-        for share, size in zip((across, upward), pixels.shape[1::-1], strict=True)
-    )
-    return pixels[rows, columns]
+    (picture,) = [cells for cells in ax.collections if cells.get_gid() == "cells"]
+    edges = picture.get_coordinates()
+    columns = np.searchsorted(edges[0, :, 0], x) - 1
+    rows = np.searchsorted(edges[:, 0, 1], y) - 1
+    return np.asarray(picture.get_array())[rows, columns]
 
 
 def cell_places(results: Results) -> tuple[np.ndarray, np.ndarray]:
@@ -270,7 +242,7 @@ def test_axes_carry_name_symbol_and_unit(nine_map: Figure) -> None:
     ax = nine_map.axes[0]
     plain = [label.replace(r"$_\mathregular{", "").replace("}$", "") for label in (ax.get_xlabel(), ax.get_ylabel())]
     assert plain == ["Load ratio σr = Td/Ts", "Backlash φθ [degrees]"]
-    assert ax.get_title(loc="left") == "ideal torque step"
+    assert line_under(nine_map) == "ideal torque step"
     assert nine_map.get_suptitle() == "Regimes of the nominal driveline"
 
 
@@ -280,69 +252,48 @@ def test_other_axes_come_in_their_own_order(nine: Results) -> None:
     ax = regime_map(results, THRESHOLDS).axes[0]
     assert ax.get_ylabel() == r"Inertia 4 J$_\mathregular{4}$ [kg m²]"
     assert ax.get_xlim() == (0.0, 20.0)
-    assert not ax.child_axes  # the thresholds are load ratios
+    assert not [line for line in ax.lines if line.get_marker() == "^"]  # the thresholds are load ratios
     assert_labels_are_where_they_belong(results, ax)
 
 
-def test_thresholds_are_marked_on_the_load_ratio_axis(nine_map: Figure) -> None:
-    ax = nine_map.axes[0]
-    (marks,) = [line for line in ax.lines if line.get_marker() == "^"]
-    np.testing.assert_array_equal(marks.get_xdata(), THRESHOLDS)
-    assert not np.any(marks.get_ydata())
-    (top,) = ax.child_axes
-    assert [tick.get_text() for tick in top.get_xticklabels()] == ["1.46", "3.13", "6.69"]
-    assert "vanishing backlash" in top.get_xlabel()
+def threshold_marks(ax: Axes) -> list[float]:
+    return [float(x) for line in ax.lines if line.get_marker() == "^" for x in line.get_xdata()]
 
 
-def test_a_threshold_beyond_the_map_is_not_marked(nine: Results) -> None:
-    (top,) = regime_map(nine, (*THRESHOLDS, 14.32)).axes[0].child_axes
-    assert len(top.get_xticks()) == 3
+def test_thresholds_on_the_map_are_marked_and_noted(nine: Results) -> None:
+    figure = regime_map(nine, (*THRESHOLDS, 14.32))
+    assert threshold_marks(figure.axes[0]) == list(THRESHOLDS)
+    assert notes(figure) == ["vanishing backlash: 1.46, 3.13, 6.69"]
 
 
 @pytest.mark.parametrize("parameter", ["load.initial_torque", "load.final_torque"])
-def test_thresholds_are_marked_on_a_torque_axis_in_any_order(nine: Results, parameter: str) -> None:
+def test_thresholds_are_marked_on_a_torque_axis_from_left_to_right_in_any_order(nine: Results, parameter: str) -> None:
     torque = ResultAxis(parameter, np.linspace(-10.0, 0.0, 61), "load torque", "T", "N m")
-    ax = regime_map(make((torque, BACKLASH), nine.labels, nine.sequence, nine.severity), (-2.46, -7.69, 5.0)).axes[0]
-    (marks,) = [line for line in ax.lines if line.get_marker() == "^"]
-    np.testing.assert_array_equal(marks.get_xdata(), [-7.69, -2.46])
-    (top,) = ax.child_axes
-    assert [tick.get_text() for tick in top.get_xticklabels()] == ["\N{MINUS SIGN}7.69", "\N{MINUS SIGN}2.46"]
-
-
-def test_thresholds_are_not_marked_where_the_torque_goes_upwards(nine: Results) -> None:
-    torque = ResultAxis("load.final_torque", np.linspace(-10.0, 0.0, 61), "load torque", "T", "N m")
-    ax = regime_map(make((BACKLASH, torque), nine.labels, nine.sequence, nine.severity), (2.46, 7.69)).axes[0]
-    assert not ax.child_axes
-
-
-def test_of_thresholds_too_close_to_be_read_every_one_is_marked_and_the_first_named(nine: Results) -> None:
-    ax = regime_map(nine, (3.0, 3.1, 3.2, 7.0)).axes[0]
-    assert [tick.get_text() for tick in ax.child_axes[0].get_xticklabels()] == ["3.00", "", "", "7.00"]
-    (marks,) = [line for line in ax.lines if line.get_marker() == "^"]
-    assert len(marks.get_xdata()) == 4
+    figure = regime_map(make((torque, BACKLASH), nine.labels, nine.sequence, nine.severity), (-2.46, -7.69, 5.0))
+    assert threshold_marks(figure.axes[0]) == [-7.69, -2.46]
+    assert notes(figure)[-1].endswith("\N{MINUS SIGN}7.69, \N{MINUS SIGN}2.46")
+    upward = make((BACKLASH, torque), nine.labels, nine.sequence, nine.severity)
+    assert not threshold_marks(regime_map(upward, (2.46, 7.69)).axes[0])
 
 
 @pytest.mark.parametrize(
-    "title", ["Regimes of a nominal driveline " * 5, "W" * 150, "Short", "Nine words of which none may leave the page"]
+    "title", ["Regimes of a nominal driveline " * 5, "Short", "Nine words of which none may leave the page"]
 )
 def test_a_title_is_wrapped_to_the_figure(nine: Results, title: str) -> None:
     figure = plot.draw(replace(nine, title=title), "severity")
     (drawn,) = [text for text in figure.texts if text.get_text() == figure.get_suptitle()]
-    assert "".join(figure.get_suptitle().split()) == "".join(title.split())
     box = drawn.get_window_extent(figure.canvas.get_renderer())
     assert box.x1 <= figure.bbox.width
     assert box.x0 == pytest.approx(figure.axes[0].get_window_extent().x0, abs=2.0)
     assert box.y0 > figure.axes[0].get_window_extent().y1
-    lines = figure.get_suptitle().count("\n") + 1
-    assert lines <= 1 + 1.2 * len(title) * drawn.get_fontsize() / 72 / 6.0  # no line is left half empty
 
 
-def test_failed_cells_are_hatched_counted_and_never_labelled(nine: Results) -> None:
+def test_failed_cells_are_grey_counted_and_never_labelled(nine: Results) -> None:
     results = with_cells(nine, [np.s_[30:42, 42:52], np.s_[6:7, 6:7]], -1)
     for figure in (regime_map(results), plot.draw(results, "severity")):
-        assert notes(figure) == ["failed: 121 cells"]
-        (hatched,) = [patch for patch in figure.axes[0].artists + figure.axes[0].patches if patch.get_gid() == "failed"]
-        assert hatched.get_hatch()
+        assert "failed: 121 cells" in notes(figure)
+        failed = colours_at(figure.axes[0], RATIO.values[[35]], BACKLASH.values[[45]])
+        np.testing.assert_allclose(failed[0] / 255.0, to_rgb(FAILED_FILL), atol=0.003)  # 8 bits
     assert_labels_are_where_they_belong(results, regime_map(results).axes[0])
 
 
@@ -365,7 +316,7 @@ def test_a_geometric_axis_is_drawn_as_one() -> None:
     assert ax.get_yscale() == "log"
     assert ax.get_xscale() == "linear"
     for text in ax.texts:
-        x, y = text.xy if isinstance(text, Annotation) else text.get_position()
+        x, y = text.get_position()
         cell = (np.argmin(np.abs(RATIO.values - x)), np.argmin(np.abs(np.log(results.axes[1].values / y))))
         assert results.labels[results.sequence[cell]] == text.get_text()
 
@@ -385,7 +336,7 @@ def test_an_axis_of_one_value_is_named_instead_of_drawn(nine: Results) -> None:
     third = ResultAxis("lash.contact.damping", np.array([94.0]), "contact damping", "c34", "N s/m")
     results = make((third, *nine.axes), nine.labels, nine.sequence[None], nine.severity[None])
     ax = regime_map(results).axes[0]
-    assert "contact damping = 94 N s/m" in ax.get_title(loc="left")
+    assert "contact damping = 94 N s/m" in line_under(ax.get_figure(root=True))
     assert_labels_are_where_they_belong(nine, ax)
 
 
@@ -394,11 +345,9 @@ def test_three_axes_are_refused_with_a_way_out(nine: Results) -> None:
     results = make((third, *nine.axes), nine.labels, np.stack([nine.sequence] * 2), np.stack([nine.severity] * 2))
     for quantity in ("regimes", "severity", "double_sided"):
         with pytest.raises(
-            plot.SurplusAxesError, match=r"sweep 3 axes .*: choose one value of .*, or draw a map"
-        ) as error:
+            plot.SurplusAxesError, match=r"sweep 3 axes .*: choose one value of lash.contact.damping .*, or draw a map"
+        ):
             plot.draw(results, quantity)
-        assert error.value.surplus == (third,)
-        assert error.value.facets == (third.parameter,)
 
 
 def test_dollar_signs_are_only_dollar_signs(nine: Results, tmp_path: Path) -> None:
@@ -494,11 +443,11 @@ def many_labels() -> Results:
 def test_more_labels_than_can_be_read_are_grouped_and_that_is_said() -> None:
     figure = regime_map(many_labels())
     ax = figure.axes[0]
-    assert "20 labels, grouped by their number of double-sided impacts" in ax.get_title(loc="left")
+    assert "labels grouped by their number of double-sided impacts" in line_under(figure)
     written = {text.get_text() for text in ax.texts} | {note.split(":")[0] for note in notes(figure)}
     assert written == {"NI", "no double-sided", *(f"{n} double-sided" for n in (1, 2, 3))}
     (lines,) = [each for each in ax.collections if each.get_gid() == "boundaries"]
-    assert len(lines.get_segments()) == 4  # between labels of one group there is none
+    assert len({float(line[0, 0]) for line in lines.get_segments()}) == 4  # between labels of one group there is none
 
 
 def test_panels_side_by_side_are_grouped_alike() -> None:
@@ -536,12 +485,9 @@ def test_what_labels_tell_and_what_holds_are_regions_with_lines_between(
     ax = figure.axes[0]
     values = quantity_of(quantity, nine).of_runs(nine)
     for text in ax.texts:
-        if not isinstance(text, Annotation):
-            x, y = text.get_position()
-            cell = np.argmin(np.abs(RATIO.values - x)), np.argmin(np.abs(BACKLASH.values - y))
-            assert {"no": 0.0, "yes": 1.0}.get(text.get_text()) == values[
-                cell
-            ] or text.get_text() == f"{values[cell]:g}"
+        x, y = text.get_position()
+        cell = np.argmin(np.abs(RATIO.values - x)), np.argmin(np.abs(BACKLASH.values - y))
+        assert {"no": 0.0, "yes": 1.0}.get(text.get_text()) == values[cell] or text.get_text() == f"{values[cell]:g}"
     assert {text.get_text() for text in ax.texts} | {note.split(":")[0] for note in notes(figure)} == words
     parted = np.count_nonzero(np.diff(values, axis=0)) + np.count_nonzero(np.diff(values, axis=1))
     (lines,) = [each for each in ax.collections if each.get_gid() == "boundaries"]
@@ -584,9 +530,8 @@ def test_a_ridge_is_only_where_the_largest_value_is_known_to_be_inside(column: l
 
 def test_the_colours_of_the_severity_map_are_the_severity(nine: Results) -> None:
     figure = plot.draw(with_cells(nine, [np.s_[30:40, 30:40]], -1), "severity")
-    colours = Colours.of(Layers.of(nine, 2, "severity"))
-    shades = matplotlib.colormaps[colours.cmap](colours.norm(nine.severity))[..., :3]
-    shades[30:40, 30:40] = to_rgb(UNDEFINED)
+    shades = shades_of([Layers.of(nine, 2, "severity")]).to_rgba(nine.severity)[..., :3]
+    shades[30:40, 30:40] = to_rgb(FAILED_FILL)
     expected = shades[1:-1, 1:-1].reshape(-1, 3)
     np.testing.assert_allclose(colours_at(figure.axes[0], *cell_places(nine)) / 255.0, expected, atol=0.005)  # 8 bits
     assert figure.axes[1].get_ylabel() == "Severity Q [rad/s²]"
@@ -620,9 +565,9 @@ def test_severity_of_the_restitution_model_points_to_the_approach_velocity(nine:
 def test_the_colours_of_the_margin_diverge_from_zero(nine: Results) -> None:
     margin = np.linspace(-0.2, 0.1, nine.sequence.size).reshape(nine.shape)
     figure = plot.draw(nine.with_arrays(margin=margin), "margin")
-    colours = Colours.of(Layers.of(nine.with_arrays(margin=margin), 2, "margin"))
-    assert [colours.norm(value) for value in (-0.2, 0.0, 0.2)] == pytest.approx([0.0, 0.5, 1.0])
-    assert min(matplotlib.colormaps[colours.cmap](0.5)[:3]) > 0.95
+    shades = shades_of([Layers.of(nine.with_arrays(margin=margin), 2, "margin")])
+    assert [shades.norm(value) for value in (-0.2, 0.0, 0.2)] == pytest.approx([0.0, 0.5, 1.0])
+    assert min(shades.to_rgba(0.0)[:3]) > 0.95
     assert "margin" in figure.axes[1].get_ylabel().lower()
 
 
@@ -656,7 +601,7 @@ def one_axis(codes: list[int], severity: np.ndarray | None = None) -> Results:
 def test_a_strip_names_the_regimes_over_the_curve() -> None:
     results = one_axis([0] * 30 + [1] * 40 + [4] * 60 + [7] * 70 + [8] * 1)
     results = replace(results, labels=("NI", "SS(1)", *LABELS[2:]))
-    figure = plot.strip(results, "severity")
+    figure = strip(results, "severity")
     band, curve = figure.axes
     for text in band.texts:
         x = band.transData.inverted().transform(outline(box_of(text)))[:, 0]
@@ -671,7 +616,7 @@ def test_a_strip_names_the_regimes_over_the_curve() -> None:
 
 def test_a_strip_breaks_its_curve_at_failed_cells_and_between_regimes() -> None:
     results = one_axis([0] * 5 + [-1] * 3 + [1] * 6, np.arange(14.0))
-    figure = plot.strip(results, "severity")
+    figure = strip(results, "severity")
     assert notes(figure) == ["failed: 3 cells"]
     curves = [line.get_ydata() for line in figure.axes[1].lines if line.get_marker() == "o"]
     assert [len(curve) for curve in curves] == [5, 3, 6]
@@ -699,7 +644,7 @@ def test_a_map_of_one_axis_and_a_strip_of_two_are_refused(nine: Results) -> None
     with pytest.raises(plot.PlotError, match="needs two axes and these results sweep one axis"):
         Layers.of(one_axis([0, 1]), 2)
     with pytest.raises(plot.PlotError, match="needs one axis and these results sweep two axes"):
-        plot.strip(nine, "severity")
+        strip(nine, "severity")
 
 
 def test_a_strip_under_the_restitution_model_shows_the_approach_velocity() -> None:

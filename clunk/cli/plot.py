@@ -5,15 +5,12 @@ from __future__ import annotations
 import re
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from clunk.cli import cells, completion, terminal
 from clunk.cli.options import PATH, at_option
-
-if TYPE_CHECKING:
-    from clunk.plot import SurplusAxesError
 
 _NO_FILE = r"[^\w.-]+"  # of a name, what a file's should not have
 
@@ -101,10 +98,7 @@ def plot(
         for name in names:
             of_quantity = "" if output and quantity else f"-{re.sub(_NO_FILE, '_', name)}"
             target = base.with_name(f"{base.stem}{of_lash}{of_quantity}{base.suffix}")
-            try:
-                figure = plots.draw(part, name, thresholds_of(part), **look)
-            except plots.SurplusAxesError as error:
-                raise plots.PlotError(f"{error.problem}: also give {_options(error)}.") from error
+            figure = plots.draw(part, name, thresholds_of(part), **look)
             if at and output is None and target.exists():
                 terminal.complain(f"{target} is replaced by a picture of the slice; -o names another file")
             plots.save(figure, target)
@@ -113,13 +107,3 @@ def plot(
         shown = len(plots.shown_values(axis, len(facets))) if axis.parameter in facets else len(axis.values)
         if shown < len(axis.values):
             terminal.complain(f"{shown} of the {len(axis.values)} values of {axis.parameter} are drawn, evenly spaced")
-
-
-def _options(error: SurplusAxesError) -> str:
-    """Example of options that leave no more axes than a figure shows."""
-    at = {axis.parameter: cells.at_middle(axis) for axis in error.surplus}
-    text = f"{' '.join(at.values())}, for example"
-    if error.facets:
-        rest = [option for name, option in at.items() if name not in error.facets]
-        text += f", or {' '.join([*(f'--facet {shlex.quote(name)}' for name in error.facets), *rest])}"
-    return text

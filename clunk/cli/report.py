@@ -27,7 +27,6 @@ def report(file: Path, output: Path | None, at: tuple[str, ...]) -> None:
 
     Example: clunk report results/figure_3_4.h5 -o report.html
     """
-    from clunk import plot as plots
     from clunk.plot.page import page
     from clunk.results import targets
     from clunk.results.files import write_text
@@ -39,11 +38,7 @@ def report(file: Path, output: Path | None, at: tuple[str, ...]) -> None:
     if at:
         results = results.at(cells.nearest_values(results.axes, results.coordinates, at))
     digests = [("config digest", header.config_digest), ("content digest", header.content_digest)]
-    try:
-        text = page(results, _commands(header, file, target, at), digests)
-    except plots.SurplusAxesError as error:
-        raise plots.PlotError(f"{error.problem}: also give {' '.join(map(cells.at_middle, error.surplus))}.") from error
-    write_text(target, text)
+    write_text(target, page(results, _commands(header, file, target, at), digests))
     terminal.say_written(target)
 
 

@@ -12,8 +12,8 @@ from scipy import ndimage
 from clunk.plot.labelling import roomiest
 from clunk.plot.layers import Layers
 from clunk.plot.plane import Codes, cells_of, ruler
-from clunk.plot.style import FAILED_FILL, UNDEFINED
-from clunk.results.labels import FAILED, FAILED_CODE
+from clunk.plot.style import FAILED_FILL
+from clunk.results.labels import FAILED
 from clunk.results.tolerancemap import AnyMap
 from clunk.study.arrays import Floats
 from clunk.study.axes import ResultAxis
@@ -89,7 +89,6 @@ def _map(layers: Layers) -> Picture:
     pixels = np.full((*regions.shape, 4), 255, np.uint8)
     if layers.shaded:
         shades, pixels[..., :3] = _shades(layers, cells)
-        pixels[regions == FAILED_CODE, :3] = list(bytes.fromhex(FAILED_FILL[1:]))
         peak = _peak(layers)
     else:
         colours = np.array([list(bytes.fromhex(each[1:])) for each in (*layers.colours, FAILED_FILL)], np.uint8)
@@ -101,19 +100,17 @@ def _map(layers: Layers) -> Picture:
 
 def _shades(layers: Layers, cells: tuple[npt.NDArray[np.intp], ...]) -> tuple[Shades, npt.NDArray[np.uint8]]:
     """The colour bar of a quantity, and the colours (y, x, 3) of these cells."""
-    from matplotlib import cm, colors  # the first picture, of regimes, does not wait for it
+    from matplotlib.colors import to_hex  # the first picture, of regimes, does not wait for it
 
-    from clunk.plot.maps import Colours
+    from clunk.plot.maps import cell_colours, shades_of
 
-    assert layers.values is not None
-    shades = Colours.of(layers)
-    mappable = cm.ScalarMappable(shades.norm, shades.cmap)
-    low, high = float(shades.norm.vmin or 0.0), float(shades.norm.vmax or 0.0)
-    scale = [colors.to_hex(colour) for colour in np.asarray(mappable.to_rgba(np.linspace(low, high, _SHADES))).tolist()]
-    values = layers.values[cells].T
-    painted = np.asarray(mappable.to_rgba(values, bytes=True))[..., :3]
-    painted[np.isnan(values)] = list(bytes.fromhex(UNDEFINED[1:]))
-    return Shades(shades.label, low, high, scale, not layers.has_light_lines), painted
+    shades = shades_of([layers])
+    low, high = shades.get_clim()
+    assert low is not None
+    assert high is not None
+    scale = [to_hex(colour) for colour in np.asarray(shades.to_rgba(np.linspace(low, high, _SHADES))).tolist()]
+    painted = np.rint(cell_colours(layers, shades)[cells].swapaxes(0, 1)).astype(np.uint8)
+    return Shades(layers.value_label, low, high, scale, not layers.has_light_lines), painted
 
 
 def _peak(layers: Layers) -> tuple[float, ...] | None:

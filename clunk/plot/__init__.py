@@ -13,37 +13,25 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from clunk.plot.drawing import default_quantities, draw, shown_values
-    from clunk.plot.layers import Layers
-    from clunk.plot.maps import plane_map
     from clunk.plot.plane import SurplusAxesError
-    from clunk.plot.scatter import scatter_map
-    from clunk.plot.strips import strip
     from clunk.plot.style import PlotError, save
 
 __all__ = [
-    "Layers",
     "PlotError",
     "SurplusAxesError",
     "default_quantities",
     "draw",
-    "plane_map",
     "save",
-    "scatter_map",
     "shown_values",
-    "strip",
 ]
 
 _HOME = {
-    "Layers": "layers",
     "PlotError": "style",
     "SurplusAxesError": "plane",
     "default_quantities": "drawing",
     "draw": "drawing",
-    "plane_map": "maps",
     "save": "style",
-    "scatter_map": "scatter",
     "shown_values": "drawing",
-    "strip": "strips",
 }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from dataclasses import replace
 from typing import Any
 
@@ -15,8 +14,8 @@ from clunk.analysis.fitted import Fitted
 from clunk.analysis.fittedstudy import WHICH
 from clunk.analysis.trends import ExperimentComparison
 from clunk.plot.layers import Layers, Measured, Note
-from clunk.plot.maps import plane_map, several_maps
-from clunk.plot.style import INK, capital, cells_phrase
+from clunk.plot.maps import map_figure
+from clunk.plot.style import INK, cells_phrase
 from clunk.results.labels import FAILED
 from clunk.results.regimemap import Results
 from clunk.study.problems import shorten
@@ -26,7 +25,6 @@ from clunk.study.summaries import percent
 _TRANSITION_COLOURS = ("#d55e00", "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9")
 _RARE_COLOUR = "#a9adb0"
 _PALE = 0.25  # depth of the regimes' colours under differing cells
-_LINE = 92  # characters of the line under the title
 
 
 def difference_map(a: Results, comparison: Comparison) -> Figure:
@@ -58,27 +56,26 @@ def difference_map(a: Results, comparison: Comparison) -> Figure:
             paint[cells] = list(bytes.fromhex(colour[1:]))
             notes.append(Note(f"{text}: {cells_phrase(int(np.count_nonzero(cells)))}", colour))
     title = f"Differences: {a.title}" if len(set(comparison.titles.values())) == 1 else "Differences between two maps"
-    look: dict[str, Any] = {"paint": paint.astype(np.uint8), "notes": tuple(notes)}
-    facts = ("\n".join(_differences(comparison)),)
-    return plane_map(replace(layers, title=title, facts=facts, undecided=np.zeros_like(layers.undecided), **look))
+    look: dict[str, Any] = {"paint": paint, "notes": tuple(notes), "facts": tuple(_differences(comparison))}
+    undoubted = replace(layers, title=title, undecided=np.zeros_like(layers.undecided), **look)
+    return map_figure([undoubted])
 
 
 def experiment_map(results: Results, comparison: ExperimentComparison) -> Figure:
-    """The regime map with the measured points on it: filled where the labels agree, open and crossed where not.
+    """The regime map with the measured points on it: dots where the labels agree, crosses where not.
 
     results : what `comparison` compares the measurements with
 
     Raises PlotError unless two axes were swept.
     """
-    caveat = capital(textwrap.fill(comparison.experiment.caveat, _LINE))
     layers = _with_points(Layers.of(results, 2), comparison)
-    facts = (*layers.facts, f"points: measured, {comparison.experiment.name}\n{caveat}")
+    facts = (*layers.facts, f"points: measured, {comparison.experiment.name}", comparison.experiment.caveat)
     outside = (Note(f"outside the map, not counted: {comparison.outside}", ""),) if comparison.outside else ()
-    return plane_map(replace(layers, facts=facts, notes=(*layers.notes, *outside)))
+    return map_figure([replace(layers, facts=facts, notes=(*layers.notes, *outside))])
 
 
 def measured_on_maps(results: Results, fitted: Fitted) -> Figure:
-    """The measured labels on the maps before and after the fit, side by side: filled points agree, others do not.
+    """The measured labels on the maps before and after the fit, side by side: dots agree, crosses do not.
 
     Points are compared with their own runs, not with the map's nearest cells.
 
@@ -96,7 +93,7 @@ def measured_on_maps(results: Results, fitted: Fitted) -> Figure:
         panels.append(replace(layers, points=points))
         names.append(f"{WHICH[number]}: {fitted.hits(matches['pattern'])} of {len(points)} labels")
     line = replace(panels[0], caveats=tuple(results.caveats)).subtitle(fixed=())
-    return several_maps(panels, [names], line)
+    return map_figure(panels, names, line)
 
 
 def _with_points(layers: Layers, comparison: ExperimentComparison) -> Layers:
@@ -118,14 +115,13 @@ def _differences(comparison: Comparison) -> list[str]:
     if comparison.cells:
         lines[0] += f" ({percent(comparison.differing, comparison.cells)})"
     if comparison.titles["a"] != comparison.titles["b"]:
-        for letter, title in comparison.titles.items():
-            lines += textwrap.wrap(f"{letter.upper()}: {title}", _LINE)
+        lines += [f"{letter.upper()}: {title}" for letter, title in comparison.titles.items()]
     changes = [change for change in comparison.config_differences if change.key != "title"]
     if comparison.configs_equal:
         lines.append("A and B: the same config")
     elif 0 < len(changes) <= 3:
-        listed = "; ".join(f"{each.key} = {_shortened(each.a)} → {_shortened(each.b)}" for each in changes)
-        lines += textwrap.wrap(f"A → B: {listed}", _LINE)
+        listed = ", ".join(f"{each.key} = {_shortened(each.a)} → {_shortened(each.b)}" for each in changes)
+        lines.append(f"A → B: {listed}")
     else:
         lines.append(f"A → B: {len(changes)} keys of the config differ")
     return lines

@@ -9,10 +9,10 @@ from itertools import product
 import numpy as np
 from matplotlib.figure import Figure
 
-from clunk.plot.layers import MOST_LABELS, Layers, hardness, stacked
-from clunk.plot.maps import grid_of, plane_map, several_maps
-from clunk.plot.plane import SurplusAxesError, axis_span, drawn_axes, value_text
-from clunk.plot.scatter import parameter_choice, scatter_curve, scatter_map
+from clunk.plot.layers import MOST_LABELS, Layers, hardness
+from clunk.plot.maps import map_figure
+from clunk.plot.plane import axis_span, drawn_axes, value_text
+from clunk.plot.scatter import parameter_choice, scatter
 from clunk.plot.strips import likelihood_curves, strip
 from clunk.plot.style import PlotError, bare, symbol_text
 from clunk.results.quantities import LABEL, TEXT, quantity_of
@@ -38,7 +38,7 @@ def draw(
     A map for two swept axes, a strip for one or for axes that are walked together, points for a sample. More axes are
     taken by `facets`, or fixed beforehand (`Results.at`). A tolerance map takes neither x nor y.
 
-    thresholds : see `plane_map`
+    thresholds : see `map_figure`
     facets : one axis or two, of which each value has its own map
     x, y : of axes that are walked together x, by default the first that rises or falls throughout; of a sample both,
         where x alone asks for the quantity over x
@@ -46,22 +46,26 @@ def draw(
     Raises PlotError, and ClunkError where there is no such quantity.
     """
     described = quantity_of(quantity, drawn)
+    curve = hardness(drawn) if described.type == TEXT else described.name
     if y is not None and x is None:
         raise PlotError("y goes with x, which is missing.")
-    if isinstance(drawn, Results) and _has_runs(drawn) and not facets:
-        return _draw_runs(drawn, described.name, x, y)
-    if x is not None:
-        raise PlotError(
-            "x and y are for axes that are walked together and for samples; of a map's two axes the load ratio or else "
-            "the first is x."
-        )
-    if facets:
-        return facet_map(drawn, facets, described.name)
-    if len(drawn_axes(drawn)) > 1:
-        return plane_map(Layers.of(drawn, 2, described), thresholds)
-    if isinstance(drawn, ToleranceMap):
-        return likelihood_curves(drawn)
-    return strip(drawn, hardness(drawn) if described.type == TEXT else described.name)
+    if facets or isinstance(drawn, ToleranceMap) or not _has_runs(drawn):
+        if x is not None:
+            raise PlotError(
+                "x and y are for axes that are walked together and for samples; of a map's two axes the load ratio or "
+                "else the first is x."
+            )
+        if facets:
+            return facet_map(drawn, facets, described.name)
+        if len(drawn_axes(drawn)) > 1:
+            return map_figure([Layers.of(drawn, 2, described.name)], thresholds=thresholds)
+        return likelihood_curves(drawn) if isinstance(drawn, ToleranceMap) else strip(drawn, curve)
+    if _is_path(drawn):
+        if y is not None:
+            raise PlotError("y is for samples: axes that are walked together are a path, drawn along x.")
+        return _path(drawn, curve, x)
+    chosen = parameter_choice(drawn) if x is None else (x,) if y is None else (x, y)
+    return scatter(drawn, described.name if len(chosen) > 1 else curve, *chosen)
 
 
 def facet_map(results: AnyMap, facets: Sequence[str], quantity: str = LABEL) -> Figure:
@@ -70,22 +74,26 @@ def facet_map(results: AnyMap, facets: Sequence[str], quantity: str = LABEL) -> 
     Of many values those that `shown_values` chooses are drawn. Raises PlotError where a facet is no axis of several
     values, or not two axes are left for the maps.
     """
-    axes = _facet_axes(results, facets)
+    changing = {results.axes[index].parameter: results.axes[index] for index in drawn_axes(results)}
+    if len(facets) > len(MOST_VALUES) or len(set(facets)) < len(facets):
+        raise PlotError("Small multiples have one facet, or two different ones for rows and columns.")
+    for facet in facets:
+        if facet not in changing:
+            raise PlotError(f"{facet} is no axis of several values; these are {', '.join(changing)}.")
+    axes = [changing[facet] for facet in facets]
     values = [shown_values(axis, len(axes)) for axis in axes]
     slices = [results.at(dict(zip(facets, place, strict=True))) for place in product(*values)]
     most = 0 if len(np.unique(results.sequence)) > MOST_LABELS else MOST_LABELS  # all panels alike
     panels = [Layers.of(each, 2, quantity, most) for each in slices]
-    varying = {axis.parameter for axis in axes}
-    if RUN in varying:
-        varying |= {axis.parameter for axis in results.coordinates}
+    varying = {*facets, *(axis.parameter for axis in results.coordinates if RUN in facets)}
     fixed = [axis for axis in panels[0].view.fixed if axis.parameter not in varying]
-    width = grid_of([len(each) for each in values])[2][0]
     names = [
-        [symbol_text(value_text(axis, v, symbol=True)) for v in each] for axis, each in zip(axes, values, strict=True)
+        "\n".join(symbol_text(value_text(axis, value, symbol=True)) for axis, value in zip(axes, place, strict=True))
+        for place in product(*values)
     ]
-    fact = f"each map at one {' and '.join(map(_full_name, axes))}"
-    together = replace(stacked(panels), caveats=tuple(results.caveats))
-    return several_maps(panels, names, together.subtitle(fact, fixed=fixed, width=width))
+    fact = f"each map at one {' and '.join(f'{axis.name} {bare(axis.symbol)}'.rstrip() for axis in axes)}"
+    line = replace(panels[0], caveats=tuple(results.caveats)).subtitle(fact, fixed=fixed)
+    return map_figure(panels, names, line, columns=len(values[1]) if len(values) > 1 else 0)
 
 
 def shown_values(axis: ResultAxis, facets: int) -> Floats:
@@ -94,47 +102,6 @@ def shown_values(axis: ResultAxis, facets: int) -> Floats:
     if len(values) <= most:
         return values
     return values[np.rint(np.linspace(0, len(values) - 1, most)).astype(np.intp)]
-
-
-def _facet_axes(results: AnyMap, facets: Sequence[str]) -> list[ResultAxis]:
-    """The axes of the facets. Raises PlotError where no maps can be drawn for each of their values."""
-    if len(facets) > len(MOST_VALUES):
-        raise PlotError("Small multiples have one facet, or two for rows and columns; fix the other axes.")
-    changing = {results.axes[index].parameter: results.axes[index] for index in drawn_axes(results)}
-    for facet in facets:
-        if facet not in changing:
-            raise PlotError(f"{facet} is no axis of several values; these are {', '.join(changing)}.")
-    if len(set(facets)) < len(facets):
-        raise PlotError(f"The facet {facets[0]} is there twice; rows and columns need two axes.")
-    rest = [axis for name, axis in changing.items() if name not in facets]
-    if len(rest) < 2:
-        count, names = len(rest) or "none", ", ".join(changing)
-        problem = f"A map needs two axes, and beside the facets {count} of {names} is left"
-        raise PlotError(f"{problem}; leave out a facet, or take a slice with --at instead.")
-    if len(rest) > 2:
-        names = ", ".join(axis.parameter for axis in rest)
-        text = f"Each map of a family shows two axes, and beside the facets {len(rest)} are left ({names})"
-        raise SurplusAxesError(text, rest[2:])
-    return [changing[facet] for facet in facets]
-
-
-def _full_name(axis: ResultAxis) -> str:
-    """Name and symbol of a parameter."""
-    symbol = bare(axis.symbol)
-    return f"{axis.name or axis.parameter} ({symbol})" if symbol else axis.name or axis.parameter
-
-
-def _draw_runs(results: Results, quantity: str, x: str | None, y: str | None) -> Figure:
-    """The figure of axes that are walked together, or of a sample."""
-    curve = hardness(results) if quantity == LABEL else quantity
-    if _is_path(results):
-        if y is not None:
-            raise PlotError("y is for samples: axes that are walked together are a path, drawn along x.")
-        return _path(results, curve, x)
-    chosen = parameter_choice(results) if x is None else (x,) if y is None else (x, y)
-    if len(chosen) == 1:
-        return scatter_curve(results, chosen[0], curve)
-    return scatter_map(results, chosen[0], chosen[1], quantity)
 
 
 def default_quantities(
@@ -171,9 +138,7 @@ def _path(results: Results, quantity: str, x: str | None) -> Figure:
     monotonic = [axis for axis, signs in steps if abs(signs.sum()) == signs.size]
     along = {axis.parameter: axis for axis in (*monotonic, run)}
     if x is not None and x not in along:
-        is_coordinate = any(axis.parameter == x for axis in results.coordinates)
-        problem = "neither rises nor falls throughout the runs" if is_coordinate else "does not change in these results"
-        raise PlotError(f"{x} {problem}; x may be {' or '.join(along)}.")
+        raise PlotError(f"{x} does not rise or fall throughout the runs; x may be {' or '.join(along)}.")
     chosen = along[x or next(iter(along))]
     spans = [axis_span(axis) for axis in results.coordinates if axis is not chosen]
     axes = tuple(chosen if axis is run else axis for axis in results.axes)

@@ -56,8 +56,7 @@ def corner(fitted: Fitted) -> Figure:
             ax.tick_params(labelsize=8.0)
             ax.xaxis.set_major_locator(ticker.MaxNLocator(4))
     line = f"{len(fitted.weights):,} draws, effectively {fitted.effective:.0f}; lines: best candidate; dashed: prior"
-    style.set_titles(figure, grid[0, 0], f"{fitted.study.title}: ensemble", line)
-    style.freeze_layout(figure, grid[0, 0])
+    style.lay_out(figure, grid[0, 0], f"{fitted.study.title}: ensemble", line)
     return figure
 
 
@@ -123,8 +122,8 @@ def label_probabilities(fitted: Fitted) -> Figure:
     ax.set_xlabel("probability of the label")
     frequent = [text for text in labels if any(each.get(text, 0.0) >= _LEAST for each in shares)]
     line = f"framed: the measured label; ensemble of {len(fitted.weights):,} draws"
-    style.set_titles(figure, ax, f"{fitted.study.title}: predicted labels", line)
-    style.freeze_layout(figure, ax, [style.swatch(text, palette.get(text, style.FAILED_FILL)) for text in frequent])
+    notes = [style.swatch(text, palette.get(text, style.FAILED_FILL)) for text in frequent]
+    style.lay_out(figure, ax, f"{fitted.study.title}: predicted labels", line, notes)
     return figure
 
 

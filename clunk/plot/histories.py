@@ -222,7 +222,6 @@ def _finished(
     line = listing([*loads]) + (f", {cases.pop()}" if len(cases) == 1 else "")
     if len(runs) == 1 and outcomes:
         line = f"{line}: {_outcome(runs[0])}"
-    style.set_titles(figure, axes[0], title, line, parse_math=True)
     handles: list[Artist] = []
     if legend and len(runs) > 1:
         names = [run.name for run in runs]
@@ -232,7 +231,7 @@ def _finished(
     if marks and any(run.touches.row.size for run in runs):
         for primary, text in ((True, "primary impact"), (False, "secondary impact (chatter)")):
             handles.append(Line2D([], [], marker="^", label=text, **touch_look(FAINT_INK, primary=primary)))
-    style.freeze_layout(figure, axes[0], handles)
+    style.lay_out(figure, axes[0], title, line, handles, parse_math=True)
     return figure
 
 
@@ -294,8 +293,7 @@ def small_gap(title: str, response: SmallGap) -> Figure:
     ax = figure.add_subplot()
     _draw_small_gap(ax, response)
     text = f"limit of vanishing backlash, the lash always closed\n{text}"
-    style.set_titles(figure, ax, title, text, parse_math=True)
-    style.freeze_layout(figure, ax, ax.get_legend_handles_labels()[0])
+    style.lay_out(figure, ax, title, text, ax.get_legend_handles_labels()[0], parse_math=True)
     return figure
 
 

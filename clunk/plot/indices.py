@@ -52,7 +52,7 @@ def sobol_bars(sensitivity: Sensitivity) -> Figure:
     title = f"{sensitivity.study.title}: {_point(sensitivity)}"
     for ax, indices in zip(panels, drawn, strict=False):
         _draw_bars(ax, indices, order)
-        style.set_titles(figure, ax, title, textwrap.fill(style.capital(indices.heading), characters))
+        ax.set_title(textwrap.fill(style.capital(indices.heading), characters), loc="left", fontsize=9.0)
     axes = [quantity(sensitivity.parameters[k]) for k in order]
     names = [f"{style.plain(style.capital(axis.name))}, {style.symbol_text(axis.symbol)}" for axis in axes]
     panels[0].set_yticks(np.arange(order.size), names)
@@ -68,7 +68,7 @@ def sobol_bars(sensitivity: Sensitivity) -> Figure:
         Patch(color=_TOTAL, label="in all (total index)"),
         Line2D([], [], **bar, label=f"{100 * CONFIDENCE:g} % interval"),
     ]
-    style.freeze_layout(figure, panels[0], notes)
+    style.lay_out(figure, panels[0], title, panels[0].get_title(loc="left"), notes)
     return figure
 
 

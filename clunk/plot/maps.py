@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib import colors, ticker
@@ -12,189 +11,168 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 
 from clunk.analysis.ridge import ridge_of
 from clunk.plot.labelling import SIZES, SMALL_SIZES, Raster, write_beside, write_names
-from clunk.plot.layers import Layers, stacked
-from clunk.plot.plane import cells_of, scale_axes, spaced_numbers
+from clunk.plot.layers import Layers
+from clunk.plot.plane import cell_edges, scale_axes
 from clunk.plot.style import (
-    CENTRED,
-    FAILED_LOOK,
-    FAINT_INK,
+    FAILED_FILL,
     HUES,
     INK,
+    MINUS,
     MOST_POINTS,
     SIZE,
     UNDEFINED,
-    append_notes,
+    add_notes,
     bare,
     cells_phrase,
-    freeze_layout,
     halo,
-    new_figure,
+    lay_out,
+    new_panels,
     remark,
-    set_titles,
     styled,
     swatch,
     symbol_text,
 )
 from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.quantities import NUMBER, TEXT, WHOLE, YES_NO
+from clunk.study.arrays import Floats
+from clunk.study.summaries import counted
 
 POINT = 6.5  # points, diameter of a measured point
-AGREES, DIFFERS = INK, "#b23500"
 POINT_LOOKS: dict[bool, dict[str, Any]] = {  # of points that agree, and that do not
-    True: {"marker": "o", "markersize": POINT, "markerfacecolor": AGREES, "markeredgecolor": "white"},
-    False: {"marker": "$\\otimes$", "markersize": POINT + 2.0, "markerfacecolor": DIFFERS, "markeredgecolor": "none"},
+    True: {"marker": "o", "markersize": POINT, "color": INK, "markeredgecolor": "white"},
+    False: {"marker": "X", "markersize": POINT + 1.0, "color": "#b23500", "markeredgecolor": "white"},
 }
 _POINT_TEXT = 8.0, 6.5  # points, of a map and of a panel of several
-_MOST_NOTES = 24
 _DOUBT: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": INK, "alpha": 0.45, "markeredgewidth": 0.0}
 _MAP = 330.0  # points, width of a map
 _STRIP_DOT = 0.12  # of a strip's height: undecided cells are marked under their labels
-_MOST_COLOURS = 12  # of whole numbers, each in a colour of its own
 _PROBABLE = colors.LinearSegmentedColormap.from_list("probable", ["#f6f5f1", HUES[1]])
 _WITH_THRESHOLDS = ("load.ratio", "load.initial_torque", "load.final_torque")
 _VANISHING = 0.02  # of the backlash axis, within which it has to begin at zero to show where backlash vanishes
 _NARROWEST, _HIGHEST = 2.0, 2.2  # inches, of a panel of several
 _AROUND = (0.9, 1.3)  # inches, for their axes and titles
 _WITHOUT_RIDGE = ("margin", "last_event_time")
-_LONG = 0.5  # of the x axis, that a ridge without gaps and jumps has at least
-
-
-class Colours(NamedTuple):
-    """Colours of a quantity, and the name and ticks of its colour bar."""
-
-    label: str
-    norm: colors.Normalize
-    cmap: str | colors.Colormap = "viridis"
-    formatter: ticker.Formatter | None = None
-    locator: ticker.Locator | None = None
-
-    @classmethod
-    def of(cls, layers: Layers) -> Colours:
-        """Colours of a quantity's values; the margin's diverge from zero, a probability's begin at white."""
-        assert layers.values is not None
-        quantity, label = layers.quantity, layers.value_label
-        low, high = float(np.nanmin(layers.values)), float(np.nanmax(layers.values))
-        if quantity.type == YES_NO:
-            return cls(label, colors.Normalize(0.0, 1.0), _PROBABLE, ticker.PercentFormatter(1.0, symbol=" %"))
-        if quantity.name == "margin":
-            return cls(label, colors.CenteredNorm(0.0, max(abs(low), abs(high)) or 1.0), "PuOr")
-        if quantity.type == WHOLE and high - low <= _MOST_COLOURS:
-            return cls(label, colors.BoundaryNorm(np.arange(low - 0.5, high + 1.0), 256))
-        low = min(low, 0.0)
-        norm = colors.Normalize(low, high if high > low else low + 1.0)
-        return cls(label, norm, locator=ticker.MaxNLocator(integer=True) if quantity.type == WHOLE else None)
-
-    def add_bar(self, figure: Figure | SubFigure, axes: Axes | Sequence[Axes], aspect: float = 28) -> None:
-        """Draw the colour bar beside the axes."""
-        shades = ScalarMappable(self.norm, self.cmap)
-        bar = figure.colorbar(shades, ax=axes, pad=0.02, aspect=aspect, ticks=self.locator, format=self.formatter)
-        bar.set_label(self.label)
-        bar.outline.set_linewidth(0.6)
-        if isinstance(bar.norm, colors.BoundaryNorm):
-            bar.set_ticks(0.5 * (bar.norm.boundaries[1:] + bar.norm.boundaries[:-1]))
-            bar.ax.yaxis.set_major_formatter(ticker.StrMethodFormatter("{x:.0f}"))
-            bar.ax.tick_params(length=0.0)
-            bar.minorticks_off()
-
-
-def new_plot(layers: Layers, *facts: str) -> tuple[Figure, Axes]:
-    """A figure with titles and empty axes; the facts go under the title."""
-    figure = new_figure()
-    ax = figure.add_subplot()
-    set_titles(figure, ax, layers.title, layers.subtitle(*facts))
-    return figure, ax
+_LONG = 0.5  # of the map's width, that a ridge without gaps and jumps has at least
 
 
 @styled()
-def plane_map(layers: Layers, thresholds: Sequence[float] = ()) -> Figure:
-    """A map over two axes: each region with its name inside (Figure 3.4), or a quantity as colour (Figure 3.7).
+def map_figure(
+    panels: Sequence[Layers],
+    names: Sequence[str] = (),
+    line: str = "",
+    *,
+    columns: int = 0,
+    thresholds: Sequence[float] = (),
+) -> Figure:
+    """Maps over the same two axes with the same colours: regions with their names (Figure 3.4), or a quantity (3.7).
 
-    Of how hard impacts are there is also the ridge: the backlash at which it is worst for each load ratio.
+    Of how hard impacts are a single map also has the ridge: the backlash at which it is worst for each load ratio.
 
+    names : of the panels, if there are several
+    line : under the title, by default the subtitle of the only map
+    columns : of panels, by default by their number
     thresholds : values of the x axis at which the number of impacts for vanishing backlash changes (report §3.2),
         marked where x is the load ratio or a load torque and y the backlash from zero on
     """
-    figure, ax = new_plot(layers)
-    scale_axes(ax, layers.view)
-    colours = Colours.of(layers) if layers.shaded else None
-    if colours is not None:
-        colours.add_bar(figure, ax)
-    elif layers.quantity.type == TEXT or layers.quantity.of_label("NI") is not None:
-        _mark_thresholds(ax, layers, thresholds)
-    freeze_layout(figure, ax)
-    paint(ax, layers, colours)
-    unnamed = write_on_map(ax, layers)
-    if colours is not None and layers.quantity.type == NUMBER and layers.quantity.name not in _WITHOUT_RIDGE:
-        _draw_ridge(ax, layers)
-    append_notes(figure, [*notes_of(layers, unnamed), *_missing_labels([ax], [layers])])
+    first, is_single = panels[0], len(panels) == 1
+    columns, size = grid_of(len(panels), columns)
+    figure, axes = new_panels(len(panels), columns, SIZE if is_single else size)
+    shades = shades_of(panels) if first.shaded else None
+    scale_axes(axes[0], first.view)
+    if not is_single:
+        figure.subfigs[0].supxlabel(axes[0].get_xlabel(), fontsize=10.0)
+        figure.subfigs[0].supylabel(axes[0].get_ylabel(), fontsize=10.0)
+        axes[0].set(xlabel="", ylabel="")
+        for axis in (axes[0].xaxis, axes[0].yaxis):
+            if isinstance(locator := axis.get_major_locator(), ticker.MaxNLocator):
+                locator.set_params(nbins=5)
+    for ax, name in zip(axes, names, strict=False):
+        ax.set_title(name, loc="left", fontsize=9.0)
+    if shades is not None:
+        add_bar(figure, axes, shades, first)
+    lay_out(figure, axes[0], first.title, line or first.subtitle())
+    notes: list[Artist] = []
+    for ax, layers in zip(axes, panels, strict=True):
+        paint(ax, layers, shades, linewidth=0.9 if is_single else 0.6)
+        notes += write_on_map(ax, layers, small=not is_single)
+    if is_single and shades is None:
+        notes += _mark_thresholds(axes[0], first, thresholds)
+    if is_single and first.shaded and first.quantity.type == NUMBER and first.quantity.name not in _WITHOUT_RIDGE:
+        notes += _draw_ridge(axes[0], first)
+    each_once = {str(note.get_label()): note for note in notes}.values()
+    add_notes(figure, sorted(each_once, key=lambda note: isinstance(note, Line2D)))
     return figure
 
 
-def paint(ax: Axes, layers: Layers, colours: Colours | None = None, *, linewidth: float = 0.9) -> None:
+def grid_of(count: int, columns: int = 0) -> tuple[int, tuple[float, float]]:
+    """Number of columns of maps side by side, and the figure's size without its notes  [inches]."""
+    columns = columns or (2 if count in (2, 4) else 4 if count > 9 else min(count, 3))
+    panel = max((SIZE[0] - _AROUND[0]) / columns, _NARROWEST)
+    height = _AROUND[1] + -(-count // columns) * min(0.85 * panel, _HIGHEST)
+    return columns, (_AROUND[0] + columns * panel, height)
+
+
+def shades_of(panels: Sequence[Layers]) -> ScalarMappable:
+    """Colours of a quantity's values; the margin's diverge from zero, a probability's begin at white."""
+    values = np.concatenate([layers.values.ravel() for layers in panels if layers.values is not None])
+    low, high = min(float(np.nanmin(values)), 0.0), float(np.nanmax(values))
+    if panels[0].quantity.type == YES_NO:
+        return ScalarMappable(colors.Normalize(0.0, 1.0), _PROBABLE)
+    if panels[0].quantity.name == "margin":
+        return ScalarMappable(colors.CenteredNorm(0.0, max(-low, abs(high)) or 1.0), "PuOr")
+    return ScalarMappable(colors.Normalize(low, high if high > low else low + 1.0), "viridis")
+
+
+def add_bar(figure: Figure, axes: Sequence[Axes], shades: ScalarMappable, layers: Layers) -> None:
+    """Draw the colour bar of a quantity beside the axes."""
+    look: dict[str, Any] = {"format": ticker.PercentFormatter(1.0, symbol=" %")} if shades.cmap is _PROBABLE else {}
+    if layers.quantity.type == WHOLE:
+        look["ticks"] = ticker.MaxNLocator(integer=True)
+    bar = figure.colorbar(shades, ax=axes, pad=0.02, aspect=28, label=layers.value_label, **look)
+    bar.outline.set_linewidth(0.6)
+
+
+def cell_colours(layers: Layers, shades: ScalarMappable | None) -> Floats:
+    """(nx, ny, 3) colours of the cells, 0 to 255: of their values where these have shades, else of their regions."""
+    if shades is None or layers.values is None:
+        return layers.region_colours if layers.paint is None else layers.paint
+    cells = np.asarray(shades.to_rgba(layers.values), np.float64)[..., :3] * 255.0
+    cells[np.isnan(layers.values)] = list(bytes.fromhex(UNDEFINED[1:]))
+    cells[layers.failed] = list(bytes.fromhex(FAILED_FILL[1:]))
+    return cells
+
+
+def paint(ax: Axes, layers: Layers, shades: ScalarMappable | None = None, *, linewidth: float = 0.9) -> None:
     """Fill the regions, or the cells with a quantity's colours, and draw lines and marks."""
-    if colours is None and layers.paint is None and layers.boundaries is not None:
-        for code, colour in enumerate(layers.colours):
-            _fill(ax, layers, code, facecolor=colour, edgecolor=colour)
+    if shades is None and layers.paint is None and layers.boundaries is not None:
+        _fill_regions(ax, layers)
     else:
-        _show_cells(ax, layers, colours)
-    if layers.failed.any():
-        _hatch_failed(ax, layers)
-    light = colours is not None and layers.has_light_lines
-    look: dict[str, Any] = {"colors": "white" if light else INK, "linewidths": linewidth * (0.65 if colours else 1.0)}
+        pixels = np.rint(cell_colours(layers, shades).swapaxes(0, 1)).astype(np.uint8)
+        look: dict[str, Any] = {"rasterized": True, "zorder": 0.5, "gid": "cells"}
+        ax.pcolormesh(*map(cell_edges, layers.view.axes), pixels, **look)
+        ax.set(xlim=layers.view.x.values[[0, -1]], ylim=layers.view.y.values[[0, -1]])
+    light = shades is not None and layers.has_light_lines
+    look = {"colors": "white" if light else INK, "linewidths": linewidth * (0.65 if shades else 1.0)}
     lines = LineCollection(layers.lines, joinstyle="round", capstyle="projecting", gid="boundaries", zorder=3, **look)
     ax.add_collection(lines, autolim=False)
     mark_doubts(ax, layers)
 
 
-def _fill(ax: Axes, layers: Layers, code: int, **look: Any) -> None:
-    """Fill all traced regions with a code; the thin edge closes the seam between two of them."""
-    rings = [ring for region, rings in layers.outlines if region == code for ring in rings]
-    if rings:
-        path = Path.make_compound_path(*(Path(ring, closed=True) for ring in rings))
-        ax.add_artist(
-            PathPatch(path, zorder=1, gid=f"region {(*layers.names, FAILED)[code]}", **{"linewidth": 0.3} | look)
-        )
-
-
-def _show_cells(ax: Axes, layers: Layers, colours: Colours | None) -> None:
-    """Draw the cells as they are, each in its colour, as an image with the pixels of a layout that is frozen."""
-    box = ax.get_window_extent()
-    across, upward = (np.linspace(0.0, 1.0, 2 * round(side) + 1)[1::2] for side in (box.width, box.height))
-    to_data = (ax.transAxes - ax.transData).transform
-    x = to_data(np.column_stack([across, np.zeros(across.size)]))[:, 0]
-    y = to_data(np.column_stack([np.zeros(upward.size), upward]))[:, 1]
-    columns, rows = (cells_of(axis, at) for axis, at in zip(layers.view.axes, (x, y), strict=True))
-    if colours is None:
-        cells = layers.region_colours.astype(np.uint8) if layers.paint is None else layers.paint
-    else:
-        assert layers.values is not None
-        shades = ScalarMappable(colours.norm, colours.cmap)
-        cells = np.asarray(shades.to_rgba(layers.values, bytes=True))[..., :3]
-        cells[np.isnan(layers.values)] = list(bytes.fromhex(UNDEFINED[1:]))
-    place: dict[str, Any] = {"extent": (0.0, 1.0, 0.0, 1.0), "transform": ax.transAxes, "aspect": "auto"}
-    image = np.ascontiguousarray(np.swapaxes(cells[np.ix_(columns, rows)], 0, 1))
-    ax.imshow(image, origin="lower", interpolation="none", zorder=0.5, gid="cells", **place)
-
-
-def _hatch_failed(ax: Axes, layers: Layers) -> None:
-    """Hatch the failed cells."""
-    if layers.boundaries is not None and layers.paint is None:
-        _fill(ax, layers, FAILED_CODE, **FAILED_LOOK)
-        return
-    x, y = layers.edges
-    i, j = np.nonzero(layers.failed)
-    corners = np.stack(
-        [np.column_stack([x[i + di], y[j + dj]]) for di, dj in ((0, 0), (1, 0), (1, 1), (0, 1), (0, 0))], 1
-    )
-    path = Path.make_compound_path(*(Path(cell, closed=True) for cell in corners))
-    ax.add_artist(PathPatch(path, linewidth=0.0, zorder=1, gid="failed", **FAILED_LOOK))
+def _fill_regions(ax: Axes, layers: Layers) -> None:
+    """Fill the traced regions; the thin edge closes the seam between two of them."""
+    looks = {FAILED_CODE: (FAILED, FAILED_FILL)} | dict(enumerate(zip(layers.names, layers.colours, strict=True)))
+    for code, (name, colour) in looks.items():
+        rings = [Path(ring, closed=True) for region, rings in layers.outlines if region == code for ring in rings]
+        if rings:
+            look: dict[str, Any] = {"color": colour, "linewidth": 0.3, "zorder": 1, "gid": f"region {name}"}
+            ax.add_artist(PathPatch(Path.make_compound_path(*rings), **look))
 
 
 def mark_doubts(ax: Axes, layers: Layers) -> None:
@@ -210,161 +188,81 @@ def mark_doubts(ax: Axes, layers: Layers) -> None:
     ax.plot(doubts[:, 0], upward, gid="undecided", **look)
 
 
-def write_on_map(ax: Axes, layers: Layers, *, small: bool = False) -> list[str]:
-    """Draw the measured points with their labels, then write the regions' names; returns those without room.
+def write_on_map(ax: Axes, layers: Layers, *, small: bool = False) -> list[Artist]:
+    """Draw the measured points with their labels, and write the regions' names; returns the notes that they need.
 
     small : in a panel of several
     """
     if layers.shaded:
-        return []
+        return notes_of(layers, is_counted=not small)
     raster = Raster.of(ax, layers)
-    if layers.points:
-        _draw_points(raster, layers, _POINT_TEXT[small])
-    look: dict[str, Any] = {} if layers.paint is None else {"path_effects": halo()}
-    return write_names(raster, layers.names, SMALL_SIZES if small else SIZES, **look)
+    places = np.array([(point.x, point.y) for point in layers.points]).reshape(-1, 2)
+    for point in layers.points:
+        look: dict[str, Any] = POINT_LOOKS[point.agrees] | {"clip_on": False, "zorder": 6}
+        ax.plot([point.x], [point.y], gid="agrees" if point.agrees else "differs", **look)
+    labels = [point.label for point in layers.points]
+    without = write_beside(raster, places, labels, _POINT_TEXT[small], 0.5 * POINT + 1.5)
+    look = {} if layers.paint is None else {"path_effects": halo()}
+    unnamed = write_names(raster, layers.names, SMALL_SIZES if small else SIZES, **look)
+    notes = notes_of(layers, unnamed, is_counted=not small)
+    return [*notes, remark("a point without a label: no room")] if without else notes
 
 
-def _draw_points(raster: Raster, layers: Layers, size: float) -> None:
-    """Draw the measured points, and their labels where there is room."""
-    places = np.array([(point.x, point.y) for point in layers.points])
-    for point, (x, y) in zip(layers.points, places.tolist(), strict=True):
-        look: dict[str, Any] = {"linestyle": "none", "clip_on": False, "zorder": 6}
-        if not point.agrees:
-            raster.ax.plot([x], [y], marker="o", color="white", markersize=POINT + 1.0, **look)
-        raster.ax.plot([x], [y], gid="agrees" if point.agrees else "differs", **POINT_LOOKS[point.agrees], **look)
-    before = len(raster.ax.texts)
-    without = write_beside(raster, places, [point.label for point in layers.points], size, 0.5 * POINT + 1.5)
-    written = [point for k, point in enumerate(layers.points) if k not in without]
-    for text, point in zip(raster.ax.texts[before:], written, strict=True):
-        text.set_color(AGREES if point.agrees else DIFFERS)
+def notes_of(layers: Layers, names: Sequence[str] = (), *, is_counted: bool = True) -> list[Artist]:
+    """Notes under a map: these names of regions with their colours, marks of cells, and further notes.
 
-
-def _missing_labels(axes: Sequence[Axes], panels: Sequence[Layers]) -> list[Artist]:
-    """A note where measured labels found no room beside their points."""
-    written = sum(text.get_gid() == "measured" for ax in axes for text in ax.texts)
-    missing = sum(len(layers.points) for layers in panels) > written
-    return [remark("a point without a label: no room")] if missing else []
-
-
-def notes_of(layers: Layers, names: Sequence[str] = (), *, counted: bool = True) -> list[Artist]:
-    """Notes under a map: these names of regions with their colours, marks of cells, and further notes."""
-    seen = [name for name in layers.names if name in names and name in layers.seen]
-    notes: list[Artist] = [swatch(*layers.note(name, counted=counted)) for name in seen[:_MOST_NOTES]]
-    if len(seen) > _MOST_NOTES:
-        notes.append(remark(f"and {len(seen) - _MOST_NOTES} more"))
-    if layers.failed.any():
-        text = f"{FAILED}: {cells_phrase(int(np.count_nonzero(layers.failed)))}"
-        notes.append(swatch(text, "none", **FAILED_LOOK))
+    is_counted : whether they say how much of the map it is
+    """
+    notes: list[Artist] = []
+    for code, (name, colour) in enumerate(zip(layers.names, layers.colours, strict=True)):
+        if name in names and name in layers.seen:
+            cells = cells_phrase(int(np.count_nonzero(layers.codes == code)))
+            extent = cells if layers.boundaries is None else f"{100.0 * layers.shares[code]:.2g} %"
+            notes.append(swatch(f"{name}: {extent}" if is_counted else name, colour))
+    failed, undecided = (int(np.count_nonzero(cells)) for cells in (layers.failed, layers.undecided))
+    if failed:
+        notes.append(swatch(f"{FAILED}: {cells_phrase(failed)}" if is_counted else FAILED, FAILED_FILL))
     if layers.shaded and layers.values is not None and (np.isnan(layers.values) & ~layers.failed).any():
         text = "not known" if layers.quantity.name == "margin" else "not defined (no events)"
         notes.append(swatch(text, UNDEFINED))
     if layers.points:
-        total, agreeing = len(layers.points), sum(point.agrees for point in layers.points)
-        agrees = f"measured, agrees: {agreeing} of {total}" if counted else "measured, agrees"
-        for agree, text in ((True, agrees), (False, "measured, differs")):
-            notes.append(Line2D([], [], linestyle="none", label=text, **POINT_LOOKS[agree]))
-    if layers.doubts_text:
-        notes.append(Line2D([], [], **_DOUBT, markersize=3.0, label=layers.doubts_text))
+        count = f": {sum(point.agrees for point in layers.points)} of {len(layers.points)}" if is_counted else ""
+        for agrees, text in ((True, f"measured, agrees{count}"), (False, "measured, differs")):
+            notes.append(Line2D([], [], linestyle="none", label=text, **POINT_LOOKS[agrees]))
+    unresolved = len(layers.unresolved)
+    texts = [f"undecided: {cells_phrase(undecided)}" if is_counted else "undecided"] * bool(undecided)
+    texts += [f"lines unresolved: {counted(unresolved, 'place')}" if is_counted else "unresolved"] * bool(unresolved)
+    notes += [Line2D([], [], **_DOUBT, markersize=3.0, label=text) for text in texts]
     return [*notes, *(swatch(*note) if note.colour else remark(note.text) for note in layers.notes)]
 
 
-@styled()
-def several_maps(panels: Sequence[Layers], names: Sequence[Sequence[str]], line: str) -> Figure:
-    """Maps over the same axes with the same colours, side by side.
-
-    names : of the panels, one after the other; or of rows, and then of columns
-    line : under the title
-    """
-    together = stacked(panels)
-    rows, columns, size = grid_of([len(each) for each in names])
-    figure = new_figure(size)
-    figure.suptitle(together.title, fontsize=11.5, fontweight="bold", ha="left", parse_math=False)
-    inner = figure.add_subfigure(figure.add_gridspec(1, 1)[0])  # for a second title, and names of the axes
-    grid = inner.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for ax in grid.flat[len(panels) :]:
-        ax.remove()
-    colours = Colours.of(together) if together.shaded else None
-    axes = list(grid.flat[: len(panels)])
-    for ax, layers in zip(axes, panels, strict=True):
-        scale_axes(ax, layers.view)
-        for axis in (ax.xaxis, ax.yaxis):
-            if isinstance(locator := axis.get_major_locator(), ticker.MaxNLocator):
-                locator.set_params(nbins=5)
-        ax.tick_params(labelsize=8.0)
-    inner.supxlabel(axes[0].get_xlabel(), fontsize=10.0)
-    inner.supylabel(axes[0].get_ylabel(), fontsize=10.0)
-    for ax in axes:
-        ax.set(xlabel="", ylabel="")
-    for ax, name in zip(axes, names[-1], strict=False):
-        ax.set_title(name, loc="left", fontsize=9.0)
-    for ax, name in zip(grid[:, -1], names[0] if len(names) > 1 else (), strict=False):
-        where = {"xytext": (5, 0), "textcoords": "offset points", "rotation": 270.0, "ha": "left", "va": "center"}
-        ax.annotate(name, (1.0, 0.5), xycoords="axes fraction", fontsize=9.0, **where)
-    for ax in axes[max(0, len(axes) - columns) :]:
-        ax.tick_params(labelbottom=True)  # nothing may be drawn under it
-    if colours is not None:
-        colours.add_bar(inner, axes, aspect=40)
-    subtitle = inner.suptitle(line, fontsize=9.0, color=FAINT_INK, ha="left", parse_math=False)
-    freeze_layout(figure, axes[0])
-    subtitle.set_x(axes[0].get_position().x0)
-    for ax, layers in zip(axes, panels, strict=True):
-        paint(ax, layers, colours, linewidth=0.6)
-        write_on_map(ax, layers, small=True)
-    shown = together.seen if colours is None else []
-    append_notes(figure, [*notes_of(together, shown, counted=False), *_missing_labels(axes, panels)])
-    return figure
-
-
-def grid_of(counts: Sequence[int]) -> tuple[int, int, tuple[float, float]]:
-    """Number of rows and columns of maps side by side, and the figure's size without its notes  [inches].
-
-    counts : of the maps; or of rows and of columns
-    """
-    columns = counts[-1] if len(counts) > 1 else 2 if counts[0] in (2, 4) else 4 if counts[0] > 9 else min(counts[0], 3)
-    rows = counts[0] if len(counts) > 1 else math.ceil(counts[0] / columns)
-    panel = max((SIZE[0] - _AROUND[0]) / columns, _NARROWEST)
-    return rows, columns, (_AROUND[0] + columns * panel, _AROUND[1] + rows * min(0.85 * panel, _HIGHEST))
-
-
-def _mark_thresholds(ax: Axes, layers: Layers, thresholds: Sequence[float]) -> None:
-    """Triangles where the number of impacts for vanishing backlash changes, with their values above the map."""
+def _mark_thresholds(ax: Axes, layers: Layers, thresholds: Sequence[float]) -> list[Artist]:
+    """Mark where the number of impacts for vanishing backlash changes; returns the note with these values."""
     low, high = ax.get_xlim()
     bottom, top = ax.get_ylim()
     inside = sorted(value for value in thresholds if low <= value <= high)
     vanishes = layers.view.y.parameter == "lash.backlash_deg" and bottom <= _VANISHING * top
-    if not (inside and vanishes and layers.view.x.parameter in _WITH_THRESHOLDS):
-        return
-    along = ax.get_xaxis_transform()
-    ax.plot(inside, [0.0] * len(inside), "^", color=INK, markersize=5.5, transform=along, clip_on=False, zorder=6)
-    above = ax.secondary_xaxis("top")
-    above.set_xticks(inside, spaced_numbers(ax, inside))
-    above.tick_params(direction="out", length=3.0, labelsize=8.5)
-    above.minorticks_off()
-    above.set_xlabel("▲ thresholds for vanishing backlash", loc="right", fontsize=8.5, color=FAINT_INK, labelpad=3.0)
+    of_impacts = layers.quantity.type == TEXT or layers.quantity.of_label("NI") is not None
+    if not (inside and vanishes and of_impacts and layers.view.x.parameter in _WITH_THRESHOLDS):
+        return []
+    text = f"vanishing backlash: {', '.join(f'{value:.3g}' for value in inside).replace('-', MINUS)}"
+    look: dict[str, Any] = {"linestyle": "none", "marker": "^", "color": INK, "markersize": 5.5, "label": text}
+    place: dict[str, Any] = {"transform": ax.get_xaxis_transform(), "clip_on": False, "zorder": 6}
+    ax.plot(inside, [0.0] * len(inside), **look, **place)
+    return [Line2D([], [], **look)]
 
 
-def _draw_ridge(ax: Axes, layers: Layers) -> None:
-    """Where a quantity is largest for each x: a line, if it goes through much of the map without gap or jump."""
+def _draw_ridge(ax: Axes, layers: Layers) -> list[Artist]:
+    """Draw where a quantity is largest for each x, if that goes through much of the map without gap or jump."""
     assert layers.values is not None
     view, ridge = layers.view, ridge_of(layers.values)
     known = np.isfinite(ridge)
     steady = known[1:] & known[:-1] & (np.abs(np.diff(ridge)) <= max(3.0, 0.05 * len(view.y.values)))
-    pieces = np.split(np.arange(known.size), np.flatnonzero(~steady) + 1)
-    at = max(pieces, key=len)
-    to_axes = (ax.transData - ax.transAxes).transform
-    points = np.column_stack([view.x.values[at], view.y.values[np.nan_to_num(ridge[at]).astype(np.intp)]])
-    if np.ptp(to_axes(points)[:, 0]) < _LONG:
-        return
-    look: dict[str, Any] = {"color": "white", "linewidth": 1.4, "path_effects": halo(2.8, INK), "zorder": 4}
-    ax.add_line(Line2D(*points.T, gid="ridge", label="ridge", **look))
-    symbol = bare(view.x.symbol) or view.x.name
-    text = f"largest {layers.quantity.symbol or 'value'} for each {symbol_text(symbol)}"
-    # The name goes along the line, above its middle.
-    middle = len(points) // 2
-    pixels = ax.transData.transform(points)
-    around = pixels[[max(0, middle - len(points) // 6), min(len(points) - 1, middle + len(points) // 6)]]
-    slope = float(np.degrees(np.arctan2(*np.diff(around, axis=0)[0][::-1])))
-    place: dict[str, Any] = CENTRED | {"va": "bottom", "rotation": slope, "rotation_mode": "anchor"}
-    shift = 5.0 * np.array([-np.sin(np.radians(slope)), np.cos(np.radians(slope))])
-    look = {"color": "white", "path_effects": halo(2.2, INK), "zorder": 5, "fontsize": 9.0, "gid": "ridge"}
-    ax.annotate(text, points[middle], tuple(shift), textcoords="offset points", **place, **look)
+    at = max(np.split(np.arange(known.size), np.flatnonzero(~steady) + 1), key=len)
+    if len(at) < _LONG * known.size or not known[at].all():
+        return []
+    symbol = symbol_text(bare(view.x.symbol) or view.x.name)
+    look: dict[str, Any] = {"color": "white", "linewidth": 1.4, "path_effects": halo(2.8, INK), "gid": "ridge"}
+    look["label"] = f"largest {layers.quantity.symbol or 'value'} for each {symbol}"
+    ax.plot(view.x.values[at], view.y.values[ridge[at].astype(np.intp)], zorder=4, **look)
+    return [Line2D([], [], **look)]

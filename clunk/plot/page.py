@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 
 from clunk.analysis.small_gap import thresholds_of
 from clunk.core.status import Status
-from clunk.plot.drawing import default_quantities, draw
-from clunk.plot.plane import SurplusAxesError
+from clunk.plot.drawing import MOST_VALUES, default_quantities, draw
+from clunk.plot.plane import SurplusAxesError, drawn_axes, surplus_axes
 from clunk.plot.style import PlotError, styled
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
@@ -66,9 +66,11 @@ def _part(part: Results | ToleranceMap, lash: str) -> Iterator[str]:
     thresholds = thresholds_of(part)
     if part.lashes:
         yield f"<h2>{escape(lash)}</h2>"
-    for name in default_quantities(part):
+    surplus = surplus_axes([part.axes[index] for index in drawn_axes(part)])
+    facets = [axis.parameter for axis in surplus[: len(MOST_VALUES)]]
+    for name in default_quantities(part, facets=facets):
         try:
-            yield _svg(_figure(part, name, thresholds), name)
+            yield _svg(draw(part, name, thresholds, facets=facets), name)
         except SurplusAxesError:
             raise
         except PlotError as error:
@@ -89,14 +91,6 @@ def _part(part: Results | ToleranceMap, lash: str) -> Iterator[str]:
         heads, *rows = columns_of(boundaries.meeting_rows())
         areas = [(label, f"{100.0 * area:.6g} %") for label, area in boundaries.areas.items()]
         yield f"<h3>Boundaries</h3>{html_table(rows, heads)}{html_table(areas, ('label', 'share of the map'))}"
-
-
-def _figure(part: Results | ToleranceMap, name: str, thresholds: Sequence[float]) -> Figure:
-    """The figure of a quantity; of three or four axes a family of maps."""
-    try:
-        return draw(part, name, thresholds)
-    except SurplusAxesError as surplus:
-        return draw(part, name, thresholds, facets=surplus.facets)
 
 
 def _svg(figure: Figure, name: str) -> str:

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
 Codes = npt.NDArray[np.int16]
 
-_USUAL = ("load.ratio", "lash.backlash_deg")  # stay axes of a map where others are fixed
-_DIGIT = 0.0114  # width of a number's digit over a map's
+USUAL = ("load.ratio", "lash.backlash_deg")  # stay axes of a map where others are fixed
 _MOST_COORDINATES = 3  # of a run in a title
 
 
@@ -44,9 +43,11 @@ class View:
         swept = [drawn.axes[index] for index in keep]
         names = ", ".join(axis.parameter for axis in swept)
         if len(swept) > 2:
-            surplus = sorted(swept, key=lambda axis: axis.parameter not in _USUAL)[2:]
-            problem = f"These results sweep {len(swept)} axes ({names}) and a map shows two"
-            raise SurplusAxesError(problem, surplus, [axis.parameter for axis in surplus[:2]])
+            surplus = " and ".join(axis.parameter for axis in surplus_axes(swept))
+            raise SurplusAxesError(
+                f"These results sweep {len(swept)} axes ({names}) and a map shows two: choose one value of {surplus} "
+                "(--at), or draw a map for each (--facet)."
+            )
         if len(swept) != dimensions:
             needed, present = ("one axis" if count == 1 else "two axes" for count in (dimensions, len(swept)))
             raise PlotError(f"This figure needs {needed} and these results sweep {present} ({names}).")
@@ -79,18 +80,12 @@ class View:
 
 
 class SurplusAxesError(PlotError):
-    """More axes than a figure shows.
+    """More axes than a figure shows."""
 
-    problem : the sentence without what to do about it
-    surplus : axes of which one value may be chosen
-    facets : parameters of which each value may have its own map instead
-    """
 
-    def __init__(self, problem: str, surplus: Sequence[ResultAxis], facets: Sequence[str] = ()) -> None:
-        names = " and ".join(axis.parameter for axis in surplus)
-        maps = f", or draw a map for each value of {' and '.join(facets)}" if facets else ""
-        super().__init__(f"{problem}: choose one value of {names}{maps}.")
-        self.problem, self.surplus, self.facets = problem, tuple(surplus), tuple(facets)
+def surplus_axes(swept: Sequence[ResultAxis]) -> list[ResultAxis]:
+    """The axes beyond the two that a map shows."""
+    return sorted(swept, key=lambda axis: axis.parameter not in USUAL)[2:]
 
 
 def drawn_axes(drawn: Map) -> tuple[int, ...]:
@@ -179,20 +174,6 @@ def value_text(axis: ResultAxis, value: float, *, symbol: bool = False) -> str:
 def number_text(value: float) -> str:
     """A number as figures write it: 1.6e6 for 1.6e+06."""
     return re.sub(r"e\+?(-?)0*", r"e\1", f"{value:.6g}").replace("-", MINUS)
-
-
-def spaced_numbers(ax: Axes, values: Sequence[float], form: str = "") -> list[str]:
-    """Ascending values as text, empty where it would run into the one before; form : of a number."""
-    texts = [f"{value:{form or ('.2f' if abs(value) >= 0.1 else '.2g')}}".replace("-", MINUS) for value in values]
-    across = ax.transAxes.inverted().transform(ax.transData.transform([(value, 0.0) for value in values]))[:, 0]
-    end = -np.inf
-    for k, middle in enumerate(across):
-        half = 0.5 * _DIGIT * len(texts[k])
-        if middle - half < end + 0.5 * _DIGIT:
-            texts[k] = ""
-        else:
-            end = middle + half
-    return texts
 
 
 def axis_span(axis: ResultAxis) -> str:

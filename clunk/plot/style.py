@@ -9,7 +9,6 @@ import io
 import math
 import os
 import re
-import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -27,18 +26,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
     from matplotlib.patheffects import AbstractPathEffect
-    from matplotlib.text import Text
 
 _FORMATS = ("png", "svg", "pdf")
 SIZE = (7.0, 5.2)  # inches
 HISTORY_WIDTH = 7.2  # inches
 MOST_POINTS = 10_000  # that a vector file has one by one: more would take seconds to show
-_TITLE_INDENT, _TITLE_MARGIN = 0.9, 0.08  # inches, at most at the left of a title, and at its right
+_INDENT = 0.125  # of the width, at the left of a title until the figure is laid out
 _DPI = 150
 INK = "#1c2126"
 FAINT_INK = "#5b646c"
-FAILED_FILL, FAILED_HATCH = "#d5d5d5", "#8a8a8a"
-FAILED_LOOK = {"facecolor": FAILED_FILL, "edgecolor": FAILED_HATCH, "hatch": "//////"}
+FAILED_FILL = "#a9a9a9"
 UNDEFINED = "#efefec"
 # Of lines, in this order; also the colour blind tell them apart, and their lightness differs.
 LINE_COLOURS = ("#2f7fc1", "#dd6b1f", "#1f9e83", "#7d55a8", "#b8447c", "#d9b310", "#7a6a55")
@@ -54,7 +51,6 @@ _LIGHTEST, _RANGE, _FALL = 0.172, 0.62, 2.35  # depth of a tint, and how it grow
 _GROUP_TINT = 0.55
 _WEIGHTS = {"DS": 0.0, "SS": 1.0, "OS": 1.67, "CR": 0.0}  # of an excursion, in what follows
 _BEFORE = 0.4  # more for an excursion before the last double-sided one
-_NOTE = 0.18  # inches, of a row of notes
 _STYLE: dict[str, Any] = {
     "font.size": 9.0,
     "axes.labelsize": 10.0,
@@ -64,7 +60,6 @@ _STYLE: dict[str, Any] = {
     "text.color": INK,
     "xtick.color": INK,
     "ytick.color": INK,
-    "hatch.linewidth": 0.6,
     "legend.fontsize": 8.5,
     "pdf.fonttype": 42,  # journals refuse Type 3
     "svg.hashsalt": "clunk",  # the same figure gives the same file
@@ -103,44 +98,52 @@ def new_figure(size: tuple[float, float] = SIZE) -> Figure:
     return figure
 
 
-def set_titles(figure: Figure, ax: Axes, title: str, line: str, *, parse_math: bool = False) -> None:
-    """A title over the whole figure, wrapped when its layout is frozen, and a line under it over the axes.
+def new_panels(count: int, columns: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
+    """A figure with panels side by side and one below the other, over the same axes, with one line under its title.
+
+    size : width and height  [inches]
+    """
+    figure = new_figure(size)
+    inner = figure.add_subfigure(figure.add_gridspec(1, 1)[0])  # for a line under the title, and names of the axes
+    panels = inner.subplots(math.ceil(count / columns), columns, sharex=True, sharey=True, squeeze=False).ravel()
+    for ax in panels[count:]:
+        ax.remove()
+    for ax in panels[max(0, count - columns) : count]:
+        ax.xaxis.set_tick_params(labelbottom=True)  # a removed panel may have been below
+    return figure, list(panels[:count])
+
+
+def lay_out(
+    figure: Figure, ax: Axes, title: str, line: str, notes: Sequence[Artist] = (), *, parse_math: bool = False
+) -> None:
+    """Write a title over the figure and a line under it, over the axes; lay the figure out with the notes below.
+
+    What is then drawn within the axes can be fitted to them.
 
     parse_math : whether the line is TeX between its dollar signs
     """
-    figure.suptitle(title, fontsize=11.5, fontweight="bold", ha="left", parse_math=False)
-    ax.set_title(line, loc="left", fontsize=9.0, color=FAINT_INK, parse_math=parse_math)
+    place: dict[str, Any] = {"x": _INDENT, "ha": "left", "wrap": True}
+    heading = figure.suptitle(title, fontsize=11.5, fontweight="bold", parse_math=False, **place)
+    look: dict[str, Any] = {"fontsize": 9.0, "color": FAINT_INK, "parse_math": parse_math}
+    below = [part.suptitle(line, **look, **place) for part in figure.subfigs]
+    if not below:
+        ax.set_title(line, loc="left", wrap=True, **look)
+    add_notes(figure, notes)
+    for text in (heading, *below):
+        text.set_x(ax.get_position().x0)
 
 
-def freeze_layout(figure: Figure, ax: Axes, notes: Sequence[Artist] = ()) -> None:
-    """Lay the figure out once and for all, so that labels can be fitted to it; then append the notes."""
-    title = figure._suptitle  # type: ignore[attr-defined]
-    _wrap(figure, title, figure.bbox.width - (_TITLE_INDENT + _TITLE_MARGIN) * figure.dpi)
+def add_notes(figure: Figure, handles: Sequence[Artist]) -> None:
+    """Put rows of notes under a figure, which grows by their height, and lay it out."""
     engine = figure.get_layout_engine()
     assert engine is not None
+    if handles:
+        widest = max(len(str(handle.get_label())) for handle in handles)
+        columns = max(1, int((figure.get_figwidth() - 0.4) / (0.45 + 0.075 * widest)))  # inches: a swatch, a character
+        look: dict[str, Any] = {"ncols": min(columns, len(handles)), "frameon": False, "handlelength": 1.6}
+        legend = figure.legend(handles=list(handles), loc="outside lower center", **look)
+        figure.set_figheight(figure.get_figheight() + legend.get_window_extent().height / figure.dpi)
     engine.execute(figure)
-    figure.set_layout_engine("none")
-    title.set_x(ax.get_position().x0)
-    append_notes(figure, notes)
-
-
-def append_notes(figure: Figure, handles: Sequence[Artist]) -> None:
-    """Put rows of notes under a figure whose layout is frozen: it grows, and what is above keeps its size."""
-    if not handles:
-        return
-    widest = max(len(str(handle.get_label())) for handle in handles)
-    columns = max(1, int((figure.get_figwidth() - 0.4) / (0.45 + 0.075 * widest)))  # inches: a swatch, a character
-    before = figure.get_figheight()
-    after = before + 0.1 + _NOTE * math.ceil(len(handles) / columns)
-    for ax in figure.axes:
-        box = ax.get_position(original=True)
-        ax.set_position((box.x0, 1.0 - (1.0 - box.y0) * before / after, box.width, box.height * before / after))
-    for part in (figure, *figure.subfigs):
-        for text in part.texts:
-            text.set_y(1.0 - (1.0 - text.get_position()[1]) * before / after)
-    figure.set_figheight(after)
-    look: dict[str, Any] = {"ncols": min(columns, len(handles)), "frameon": False, "handlelength": 1.6}
-    figure.legend(handles=list(handles), loc="lower center", borderaxespad=0.2, **look)
 
 
 def swatch(text: str, colour: str, **look: Any) -> Patch:
@@ -159,16 +162,6 @@ def remark(text: str) -> Patch:
 def cells_phrase(count: int) -> str:
     """A number of cells, for example 1 cell or 1,234 cells."""
     return f"{count:,} cell{'' if count == 1 else 's'}"
-
-
-def _wrap(figure: Figure, title: Text, room: float) -> None:
-    """Break a title into lines of `room` display pixels at most."""
-    text = " ".join(title.get_text().split())
-    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
-    for columns in range(max(1, len(text)), 0, -1):
-        title.set_text(textwrap.fill(text, columns))
-        if title.get_window_extent(renderer).width <= room:
-            break
 
 
 def halo(linewidth: float = 2.4, colour: str = "white") -> list[AbstractPathEffect]:
@@ -209,6 +202,11 @@ def tint(colour: str, depth: float) -> str:
     """A colour mixed with white; depth : 1 for the colour itself."""
     mixed = 255.0 - depth * (255.0 - np.frombuffer(bytes.fromhex(colour[1:]), np.uint8))
     return f"#{np.rint(mixed).astype(np.uint8).tobytes().hex()}"
+
+
+def shades(count: int) -> list[str]:
+    """Colours of ordered values, from a pale one to a deep one of one hue."""
+    return [tint(LINE_COLOURS[0], 0.08 + 0.52 * k / max(count - 1, 1)) for k in range(count)]
 
 
 def group_colour(count: int) -> str:

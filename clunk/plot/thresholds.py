@@ -59,24 +59,22 @@ def threshold_figure(thresholds: Thresholds) -> Figure:
     cells, (x, *others) = _arranged(thresholds, axes)
     count = len(others[0].values) if others else 1
     chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_PANELS)).round().astype(int))
-    rows, columns, size = grid_of([chosen.size])
-    figure = style.new_figure(size if others else style.SIZE)
-    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
-    for ax in panels[chosen.size :]:
-        ax.remove()
+    columns, size = grid_of(chosen.size)
+    figure, panels = style.new_panels(chosen.size, columns, size if others else style.SIZE)
     fills = _outcome_fills(thresholds)
     seen: set[int] = set()
+    names = [value_text(other, other.values[at], symbol=True) for other in others for at in chosen]
     line = _heading("thresholds of", thresholds)
-    for k, (ax, at) in enumerate(zip(panels, chosen, strict=False)):
+    for ax, name in zip(panels, names, strict=False):
+        ax.set_title(name, loc="left", fontsize=9.0)
+    for ax, at in zip(panels, chosen, strict=True):
         column = cells[:, at] if others else cells
-        name = "".join(f"\n{value_text(other, other.values[at], symbol=True)}" for other in others)
-        style.set_titles(figure, ax, thresholds.study.title, f"{line if k == 0 else ''}{name}")
         seen |= _fill_bands(ax, thresholds, x, column, fills)
         _draw_curves(ax, [points for _, points in _segments(thresholds, x.values, column)], style.INK)
         _scale_plane(ax, x, thresholds.along)
         ax.label_outer()
     notes = [style.swatch(_outcome_name(thresholds, code), fills[code]["facecolor"]) for code in sorted(seen)]
-    style.freeze_layout(figure, panels[0], notes)
+    style.lay_out(figure, panels[0], thresholds.study.title, line, notes)
     return figure
 
 
@@ -179,11 +177,10 @@ def _outcome_name(thresholds: Thresholds, code: int) -> str:
 
 def _outcome_fills(thresholds: Thresholds) -> dict[int, dict[str, Any]]:
     """Look of the band of each code: the tints of the labels, or shades of one hue."""
-    whole = max(len(thresholds.words) - 1, 1)
-    shades = [style.tint(style.LINE_COLOURS[0], 0.08 + 0.52 * code / whole) for code in range(len(thresholds.words))]
-    words = zip(thresholds.words, shades, strict=True)
+    words = zip(thresholds.words, style.shades(len(thresholds.words)), strict=True)
     fills = [style.colour_of(word) if isinstance(word, str) else shade for word, shade in words]
-    return {code: {"facecolor": fill} for code, fill in enumerate(fills)} | {FAILED_CODE: style.FAILED_LOOK}
+    colours = dict(enumerate(fills)) | {FAILED_CODE: style.FAILED_FILL}
+    return {code: {"facecolor": fill} for code, fill in colours.items()}
 
 
 @style.styled()
@@ -202,7 +199,6 @@ def quantile_figure(drawn: Thresholds, quantiles: Thresholds, nominal: Threshold
     figure = style.new_figure()
     ax = figure.subplots()
     draws = len(drawn.axes[0].values)
-    style.set_titles(figure, ax, drawn.study.title, _heading(f"share of {draws:,} drivelines", nominal))
     cells, (x,) = _arranged(nominal, axes)
     fills = _outcome_fills(quantiles)
     shares = quantiles.axes[-1].values
@@ -225,7 +221,8 @@ def quantile_figure(drawn: Thresholds, quantiles: Thresholds, nominal: Threshold
     notes.append(Line2D([], [], color=style.INK, linewidth=1.6, linestyle="--", label="without tolerances"))
     _scale_plane(ax, x, quantiles.along)
     swatches = [style.swatch(_outcome_name(quantiles, code), fills[code]["facecolor"]) for code in sorted(seen)]
-    style.freeze_layout(figure, ax, [*swatches, *notes])
+    heading = _heading(f"share of {draws:,} drivelines", nominal)
+    style.lay_out(figure, ax, drawn.study.title, heading, [*swatches, *notes])
     return figure
 
 
@@ -249,9 +246,6 @@ def _draw_probabilities(drawn: Thresholds, nominal: Thresholds) -> Figure:
     edges, shares = probabilities(drawn)
     figure = style.new_figure()
     ax = figure.subplots()
-    style.set_titles(
-        figure, ax, drawn.study.title, _heading(f"share of {len(drawn.axes[0].values):,} drivelines", nominal)
-    )
     fills = _outcome_fills(drawn)
     codes = [*range(len(drawn.words)), FAILED_CODE]
     bottom = np.zeros(len(shares))
@@ -270,5 +264,6 @@ def _draw_probabilities(drawn: Thresholds, nominal: Thresholds) -> Figure:
         notes.append(Line2D([], [], color=style.INK, linewidth=1.2, linestyle="--", label="without tolerances"))
     scale_axis(ax, "x", drawn.along)
     ax.set(xlim=drawn.along.values[[0, -1]], ylim=(0.0, 1.0), ylabel="Probability")
-    style.freeze_layout(figure, ax, notes)
+    heading = _heading(f"share of {len(drawn.axes[0].values):,} drivelines", nominal)
+    style.lay_out(figure, ax, drawn.study.title, heading, notes)
     return figure

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from clunk import plot
 from clunk.analysis.comparison import compare
 from clunk.analysis.fittedstudy import fit_maps
-from clunk.plot import comparisons, histories, strips
+from clunk.plot import comparisons, histories
 from clunk.report.claims import Claim, Verdict
 from clunk.report.evidence import MAPS, NOMINAL_RATIO, RATIOS, Evidence
 from clunk.results.files import reason, write_text
@@ -96,7 +96,6 @@ def figures(e: Evidence) -> list[Job]:
         ("figure_3_7_by_force", lambda: plot.draw(maps["by_force"], "severity")),
         ("figure_3_7_velocity", lambda: plot.draw(maps["indentation"], "approach_velocity")),
         ("figure_3_7_velocity_restitution", lambda: plot.draw(maps["restitution"], "approach_velocity")),
-        ("figure_4_4_trend", lambda: strips.severity_profiles(maps["indentation"], (2.5, 4.6, 6.7, 8.5, 10.0))),
         ("table_4_1", lambda: comparisons.experiment_map(maps["indentation"], e.measured)),
         ("table_4_1_fitted", lambda: comparisons.measured_on_maps(fit_maps(e.fitted), e.fitted)),
     ]
