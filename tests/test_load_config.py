@@ -217,13 +217,21 @@ def test_a_long_trace_floods_nothing(tmp_path):
         ("", axis("times[2]", "[0.1]"), 'the profile is "step", and not "table"'),
         (TABLE, axis("ratio", "[1.0]"), 'the profile is "table", and not "step"'),
         (TABLE, axis("torques[4]", "[1.0]"), "load.torques has 3 items"),
-        ('profile = "ramp"', axis("duration", "[-0.1, 0.1]"), "found -0.1; load.duration must be a number, 0 or"),
-        (TABLE, axis("times[2]", "[0.1, 0.3]"), "load.times[2] and load.times[3] are out of order in some runs"),
-        (TABLE, axis("times[1]", "[0.0, 0.1]"), "load.times[1] is the load step itself and must stay 0"),
-        (TABLE.replace("0.1", "0.0"), axis("times[3]", "[0.0, 0.1]"), "load.times[1] and load.times[3] are equal"),
-        (TABLE, axis("times[2]", "[0.1, 0.15]") + axis("times[3]", "[0.12, 0.2]"), "are out of order in some runs"),
-        (TABLE, uniform("samples", "times[2]", 0.05, 0.25), "are out of order in some runs"),
-        (TABLE, axis("times[3]", "[0.1, 0.2]") + uniform("tolerances", "times[2]", 0.05, 0.15), "are out of order"),
+        ('profile = "ramp"', axis("duration", "[-0.1, 0.1]"), "load.duration: found -0.1; must be a number, 0 or"),
+        (TABLE, axis("times[2]", "[0.1, 0.3]"), "load.times[2]: found 0.2 after 0.3; times must not decrease"),
+        (TABLE, axis("times[1]", "[0.0, 0.1]"), "found 0.1; the first time must be 0"),
+        (TABLE.replace("0.1", "0.0"), axis("times[3]", "[0.0, 0.1]"), "load.times[3]: found 0 for the third time"),
+        (
+            TABLE,
+            axis("times[2]", "[0.1, 0.15]") + axis("times[3]", "[0.12, 0.2]"),
+            "load.times[2] and load.times[3]: found 0.12 after 0.15",
+        ),
+        (TABLE, uniform("samples", "times[2]", 0.05, 0.25), "found 0.2 after 0.2"),
+        (
+            TABLE,
+            axis("times[3]", "[0.1, 0.2]") + uniform("tolerances", "times[2]", 0.05, 0.15),
+            "times must not decrease",
+        ),
     ],
 )
 def test_sweeps_of_a_load_are_checked_before_anything_runs(load, sweep, refused):

@@ -255,7 +255,7 @@ acceleration_of = 3
         ),
         (
             [*STAGES, "sweep.axes=[{parameter='driveline.shafts[1].breakpoints_deg[1]', start=-5, stop=2, count=3}]"],
-            "not in ascending order in some runs",
+            "breakpoints must be in ascending order",
         ),
     ],
 )

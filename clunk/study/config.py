@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any
 
 from clunk.study.document import (
-    KeyLines,
     Place,
     assign,
     dotted,
     items_of,
+    key_lines,
     parse_override,
     parse_toml,
     read_text,
@@ -134,7 +134,7 @@ def study_from_text(
         for doubt in doubts(study, given):
             warnings.warn(doubt, ClunkWarning, stacklevel=2)
         return study
-    lines, problems = KeyLines(text), {}
+    lines, problems = key_lines(text), {}
     for place, finding in findings:
         if any(place[:k] in problems for k in range(1, len(place) + 1)):
             continue  # the first finding at a place says what is wrong, a second would follow from it
@@ -144,8 +144,9 @@ def study_from_text(
             for target in (*assignments, *assigned)
         )
         is_of_preset = is_new and not is_set and value_at(preset, place) == value_at(document, place) is not None
+        line = next((lines[place[:k]] for k in range(len(place), 0, -1) if place[:k] in lines), None)
         message = finding + f" (the value is that of preset {shorten(preset_name)})" * is_of_preset
-        problems[place] = Problem(dotted(place), None if is_set else lines.find(place), message, override=is_set)
+        problems[place] = Problem(dotted(place), None if is_set else line, message, override=is_set)
     raise report(source, [*problems.values(), *malformed])
 
 

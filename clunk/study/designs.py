@@ -126,7 +126,9 @@ def design_of_points(study: Study, points: Mapping[str, npt.ArrayLike]) -> Desig
     for place, message in findings:
         match place:
             case ("sweep", "axes", int(axis), "values", int(point)):
-                problems.append(Problem([*columns][axis], None, f"point {point + 1}: {message}"))
+                parameter = [*columns][axis]
+                told = message.removeprefix(f"{parameter}: ")
+                problems.append(Problem(parameter, None, f"point {point + 1}: {told}"))
             case ("sweep", "axes", int(axis), *_):
                 problems.append(Problem([*columns][axis], None, message))
             case _:

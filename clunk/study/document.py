@@ -4,9 +4,7 @@ A place in a config is a tuple of keys and of list positions from 0, ``("driveli
 read and write it with items from 1, ``driveline.shafts[3].damping``.
 """
 
-import bisect
 import contextlib
-import json
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -221,99 +219,39 @@ def assign(document: dict[str, Any], place: Place, value: Any) -> str | None:
 # --- Lines -----------------------------------------------------------------------------------------------------------
 
 
-class KeyLines:
-    """Lines on which the keys of a TOML text stand, found by a small scanner (tomllib tells none).
+_HEADER = re.compile(r"\s*(\[\[?)([^\[\]]+)\]\]?\s*(#.*)?$")
+_ASSIGNMENT = re.compile(r"\s*([^=#\[{]+)=")
 
-    Meant for a text that has been parsed. In any other it finds what it can, and never raises.
-    """
 
-    def __init__(self, text: str) -> None:
-        self._text = text
-        self._ends = [match.start() for match in re.finditer("\n", text)]
-        self._lines: dict[Place, int] = {}
-        self._arrays: dict[Place, int] = {}
-        with contextlib.suppress(ValueError, IndexError, RecursionError):
-            self._scan()
+def key_lines(text: str) -> dict[Place, int]:
+    """The lines, from 1, of a TOML text's table headers and of the keys that begin a line; tomllib tells none."""
+    lines: dict[Place, int] = {}
+    last_items: dict[Place, int] = {}  # of the arrays of tables so far
+    table: Place = ()
+    for number, line in enumerate(text.split("\n"), 1):
+        header, assignment = _HEADER.match(line), _ASSIGNMENT.match(line)
+        keys = _keys(header[2] if header else assignment[1] if assignment else "")
+        place = () if header and keys else table
+        for k, key in enumerate(keys, 1):
+            place = (*place, key)
+            lines.setdefault(place, number)
+            if header and header[1] == "[[" and k == len(keys):
+                last_items[place] = last_items.get(place, -1) + 1
+            if header and place in last_items:
+                place = (*place, last_items[place])
+                lines.setdefault(place, number)
+        table = place if header else table
+    return lines
 
-    def find(self, place: Place) -> int | None:
-        """The line of a place, from 1; failing that, of the nearest table or list around it."""
-        return next((self._lines[place[:k]] for k in range(len(place), 0, -1) if place[:k] in self._lines), None)
 
-    def _scan(self) -> None:
-        table: Place = ()
-        at = 0
-        while (at := self._skip(at)) < len(self._text):
-            if self._text.startswith("[", at):
-                is_array = self._text.startswith("[[", at)
-                start, (keys, at) = at, self._keys(at + 1 + is_array)
-                table = self._enter(keys, is_array, start)
-                at += 1 + is_array
-            else:
-                at = self._assignment(table, at)
-
-    def _enter(self, keys: Place, is_array: bool, at: int) -> Place:
-        """The place of a table header; a key of an array of tables means its latest table."""
-        table: Place = ()
-        for k, key in enumerate(keys):
-            table = (*table, key)
-            self._note(table, at)
-            if is_array and k == len(keys) - 1:
-                self._arrays[table] = self._arrays.get(table, 0) + 1
-            if table in self._arrays:
-                table = (*table, self._arrays[table] - 1)
-                self._note(table, at)
-        return table
-
-    def _assignment(self, table: Place, start: int) -> int:
-        keys, at = self._keys(start)
-        for k in range(len(keys)):
-            self._note(table + keys[: k + 1], start)
-        return self._value(table + keys, at + 1)
-
-    def _note(self, place: Place, at: int) -> None:
-        self._lines.setdefault(place, bisect.bisect_left(self._ends, at) + 1)
-
-    _BLANK = re.compile(r"(?:\s|#[^\n]*)*")
-    _KEY = re.compile(r"""[ \t]*(?:([A-Za-z0-9_-]+)|"((?:[^"\\\n]|\\.)*)"|'([^'\n]*)')[ \t]*""")
-    _SCALAR = re.compile(
-        r'''"""(?:[^\\]|\\.)*?"{3,5}|\'\'\'.*?'{3,5}|"(?:[^"\\\n]|\\.)*"|'[^'\n]*'|[^,\]}#\n]+''', re.DOTALL
-    )
-
-    def _match(self, pattern: re.Pattern[str], at: int) -> re.Match[str]:
-        match = pattern.match(self._text, at)
-        if match is None:
-            raise ValueError
-        return match
-
-    def _skip(self, at: int) -> int:
-        return self._match(self._BLANK, at).end()
-
-    def _keys(self, at: int) -> tuple[Place, int]:
-        keys: list[str | int] = []
-        while True:
-            match = self._match(self._KEY, at)
-            bare, quoted, literal = match.groups()
-            keys.append(bare or literal or (json.loads(f'"{quoted}"') if quoted else ""))
-            at = match.end()
-            if not self._text.startswith(".", at):
-                return tuple(keys), at
-            at += 1
-
-    def _value(self, place: Place, at: int) -> int:
-        at = self._skip(at)
-        bracket = self._text[at]
-        if bracket not in "[{":
-            return self._match(self._SCALAR, at).end()
-        at = self._skip(at + 1)
-        item = 0
-        while self._text[at] not in "]}":
-            if bracket == "[":
-                self._note((*place, item), at)
-                at = self._value((*place, item), at)
-                item += 1
-            else:
-                at = self._assignment(place, at)
-            at = self._skip(at)
-            if self._text[at] == ",":
-                at = self._skip(at + 1)
-        return at + 1
+def _keys(text: str) -> list[str]:
+    """The keys of a dotted key of TOML; none of what is none."""
+    try:
+        node = tomllib.loads(f"{text} = 0")
+    except (ValueError, RecursionError):
+        return []
+    keys = []
+    while isinstance(node, dict):
+        ((key, node),) = node.items()
+        keys.append(key)
+    return keys

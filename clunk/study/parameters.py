@@ -150,6 +150,12 @@ def located(config: Config, parameter: str) -> tuple[Place, Key, float]:
     return place, key, math.nan if value is None else float(value)
 
 
+def plain_number(key: Key, value: Any) -> Any:
+    """A value of a key as a config has it: a whole number of a key of whole ones, and no scalar of numpy."""
+    plain = value.item() if hasattr(value, "item") else value
+    return int(plain) if key.whole and isinstance(plain, float) and plain.is_integer() else plain
+
+
 def nominal_value(config: Config, parameter: str) -> float:
     """The value of a parameter in its own unit, as `get_value`, but NaN where it has none."""
     return located(config, parameter)[2]

@@ -1,8 +1,13 @@
-"""Rules that tie keys of different tables to one another, for configs whose tables are sound by themselves."""
+"""Rules that tie keys of different tables to one another, for configs whose tables are sound by themselves.
+
+Some hold for each run. They are tried on the config itself, and then at the least and greatest values that its sweep,
+draws, fit and optimisation give to keys, one key and two keys at a time.
+"""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import chain
+from collections.abc import Iterator, Mapping
+from itertools import chain, combinations, product
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,25 +16,28 @@ from clunk.study.document import Place, dotted, with_value
 from clunk.study.loads import PROFILES, TORQUES, uses
 from clunk.study.measures import broken_measures
 from clunk.study.models import NOT_OF_A_RUN, Config
-from clunk.study.parameters import complaint, located
+from clunk.study.parameters import complaint, located, plain_number
 from clunk.study.problems import listing, shorten
 from clunk.study.sweeps import Axis, Draw
 from clunk.study.tables import Finding, allowed_inertias
+from clunk.study.validation import validated
 
 MOST_STEPS = 1e9  # of one run; about ten seconds of nothing but stepping
 MOST_PERIODS = 1e6  # of the load in one run; the exact method takes some steps in each
-LARGEST_SIZE = 1e30  # of inertias, stiffnesses, dampings and the radius, and the smallest is its inverse
 WIDEST_SPREAD = 1e12  # of the inertias and of the springs of one driveline: four digits are left where they add up
 FASTEST_RATE = 1e12  # 1/s, of stiffness or damping on an inertia; atoms swing ten times faster
 
-Sizes = Sequence[tuple[float, Place]]  # positive numbers, each with its place
-
 
 def broken_rules(config: Config) -> list[Finding]:
-    """Findings of all rules on a config; draws are only looked at where nothing else is wrong."""
-    rules = (_inertias, _lashes, _steps, _sizes, _swept, _times, _fitted, _optimised, broken_measures)
-    findings = [finding for rule in rules for finding in rule(config)]
-    return findings or list(_drawn(config))
+    """Findings of all rules on a config; values of swept and drawn keys are only looked at where nothing is wrong."""
+    rules = (_of_a_run, _swept, _fitted, _optimised, broken_measures)
+    return [finding for rule in rules for finding in rule(config)] or list(_reached(config))
+
+
+def _of_a_run(config: Config) -> Iterator[Finding]:
+    """Findings of the rules that each run must keep."""
+    for rule in (_inertias, _lashes, _steps, _sizes):
+        yield from rule(config)
 
 
 def load_complaint(parameter: str, config: Config) -> str | None:
@@ -87,61 +95,53 @@ def _lashes(config: Config) -> Iterator[Finding]:
 
 
 def _steps(config: Config) -> Iterator[Finding]:
-    """Require runs of at least one step and not absurdly many, also at every value that an axis gives."""
-    steps, ends = (list(_extent(config, ("solver", key))) for key in ("step", "end_time"))
-    frequency, at_frequency = max(_extent(config, ("load", "frequency")), default=(0.0, ()))
-    (longest, at_longest), (shortest, at_shortest) = max(steps), min(steps)
-    (earliest, at_earliest), (latest, at_latest) = min(ends), max(ends)
-    if longest > earliest:
-        text = f"a step of {longest:g} s is longer than the run, end_time = {earliest:g} s"
-        yield _axis_first(at_longest, at_earliest), text
-    elif latest / shortest > MOST_STEPS:
-        text = f"a run of {latest:g} s in steps of {shortest:g} s has {latest / shortest:.2g} of them"
-        yield _axis_first(at_shortest, at_latest), f"{text}; at most {MOST_STEPS:g} are allowed"
-    elif latest * frequency > MOST_PERIODS:
-        text = f"a run of {latest:g} s at {frequency:g} Hz has {latest * frequency:.2g} periods of the load"
-        yield _axis_first(at_frequency, at_latest), f"{text}; at most {MOST_PERIODS:g} are allowed"
+    """Require a run of at least one step and not absurdly many, nor of absurdly many periods of the load."""
+    step, end, frequency = config.solver.step, config.solver.end_time, config.load.frequency or 0.0
+    if step > end:
+        yield ("solver", "step"), f"a step of {step:g} s is longer than the run, end_time = {end:g} s"
+    elif end / step > MOST_STEPS:
+        text = f"a run of {end:g} s in steps of {step:g} s has {end / step:.2g} of them"
+        yield ("solver", "step"), f"{text}; at most {MOST_STEPS:g} are allowed"
+    elif end * frequency > MOST_PERIODS:
+        text = f"a run of {end:g} s at {frequency:g} Hz has {end * frequency:.2g} periods of the load"
+        yield ("load", "frequency"), f"{text}; at most {MOST_PERIODS:g} are allowed"
+
+
+Size = tuple[float, Place]  # a positive number, and the key that has it
 
 
 def _sizes(config: Config) -> Iterator[Finding]:
-    """Require inertias, springs and dampers that double precision can multiply, and add to one another."""
-    inertias, shafts = range(len(config.driveline.inertias)), range(len(config.driveline.shafts))
-    masses = [size for k in inertias for size in _extent(config, ("driveline", "inertias", k))]
-    springs = [[size for place in _stages(config, k) for size in _extent(config, place)] for k in shafts]
-    dampers = [list(_extent(config, ("driveline", "shafts", k, "damping"))) for k in shafts]
-    lashes = config.lash_places
-    places: list[Place] = [*(("driveline", "shafts", k) for k in shafts), *lashes]
-    ratios = [list(_ratios(config, (*place, "ratio"))) for place in places]
-    radii = [list(_extent(config, (*place, "radius"))) for place in lashes]
-    stiffnesses, dampings = (
-        [list(_extent(config, (*place, "contact", key))) for place in lashes] for key in ("stiffness", "damping")
-    )
-    absurd = [
-        (place, f"found {size:g}; must be from {1.0 / LARGEST_SIZE:g} to {LARGEST_SIZE:g}")
-        for size, place in [*masses, *chain(*springs, *dampers, *ratios, *radii, *stiffnesses, *dampings)]
-        if not 1.0 / LARGEST_SIZE <= size <= LARGEST_SIZE
-    ]
-    yield from absurd
-    if absurd:
-        return
-    at_springs, at_dampers = (
-        [size for sizes, gears in zip(joints, ratios, strict=True) for size in (*sizes, *_levered(sizes, gears))]
-        for joints in (
-            [*springs, *map(_levered, stiffnesses, radii)],
-            [*dampers, *map(_levered, dampings, radii)],
-        )
-    )
-    for sizes, unit in ((masses, "kg m2"), (at_springs, "N m/rad")):
+    """Require inertias, springs and dampers that double precision can add to one another."""
+    masses: list[Size] = [(mass, ("driveline", "inertias", k)) for k, mass in enumerate(config.driveline.inertias)]
+    springs: list[Size] = []
+    dampers: list[Size] = []
+    for k, shaft in enumerate(config.driveline.shafts):
+        at: Place = ("driveline", "shafts", k)
+        gear = abs(shaft.ratio), (*at, "ratio")
+        stiffness: Place = (*at, "stiffness")
+        places = [(*stiffness, n) for n in range(len(shaft.stages))] if len(shaft.stages) > 1 else [stiffness]
+        for sizes, joints in (
+            (springs, zip(shaft.stages, places, strict=True)),
+            (dampers, [(shaft.damping, (*at, "damping"))]),
+        ):
+            sizes += [size for joint in joints if joint[0] > 0.0 for size in (joint, _levered(joint, gear))]
+    for at, lash in zip(config.lash_places, config.lashes, strict=True):
+        radius, gear = (lash.radius, (*at, "radius")), (abs(lash.ratio), (*at, "ratio"))
+        for sizes, key in ((springs, "stiffness"), (dampers, "damping")):
+            if number := getattr(lash.contact, key):
+                contact = _levered((number, (*at, "contact", key)), radius)
+                sizes += [contact, _levered(contact, gear)]
+    for sizes, unit in ((masses, "kg m2"), (springs, "N m/rad")):
         (smallest, at_smallest), (largest, at_largest) = min(sizes, default=(1.0, ())), max(sizes, default=(1.0, ()))
         if largest > WIDEST_SPREAD * smallest:
             yield (
-                _axis_first(at_largest, at_smallest),
+                at_largest,
                 f"{largest:g} {unit} here and {smallest:g} {unit} at {dotted(at_smallest)} are more than a factor of "
                 f"{WIDEST_SPREAD:g} apart; the smaller one is lost in rounding",
             )
             return
     lightest, at_lightest = min(masses)
-    for sizes, power, unit in ((at_springs, 0.5, "N m/rad"), (at_dampers, 1.0, "N m s/rad")):
+    for sizes, power, unit in ((springs, 0.5, "N m/rad"), (dampers, 1.0, "N m s/rad")):
         largest, at_largest = max(sizes, default=(0.0, ()))
         rate = (largest / lightest) ** power
         if rate > FASTEST_RATE:
@@ -149,55 +149,17 @@ def _sizes(config: Config) -> Iterator[Finding]:
             yield at_largest, f"{text}; at most {FASTEST_RATE:g} 1/s is allowed"
 
 
-def _stages(config: Config, shaft: int) -> list[Place]:
-    """Places of a shaft's stiffness, or of its stiffness in each stage."""
-    place: Place = ("driveline", "shafts", shaft, "stiffness")
-    stages = config.driveline.shafts[shaft].stages
-    return [(*place, k) for k in range(len(stages))] if len(stages) > 1 else [place]
-
-
-def _levered(sizes: Sizes, levers: Sizes) -> Sizes:
+def _levered(joint: Size, lever: Size) -> Size:
     """A radius or a gear ratio, squared, times a stiffness or damping, at the place of whichever is further from 1."""
-    return [
-        (lever**2 * size, at if abs(math.log(size)) > abs(2.0 * math.log(lever)) else at_lever)
-        for size, at in sizes
-        for lever, at_lever in levers
-    ]
-
-
-def _axis_first(*places: Place) -> Place:
-    """The first of these places that lies on an axis, as the less obvious one; else the first."""
-    return next((place for place in places if place[0] == "sweep"), places[0])
-
-
-def _ratios(config: Config, place: Place) -> Iterator[tuple[float, Place]]:
-    """A gear ratio's size and the least and largest that an axis gives it, each with its place; none that are 1."""
-    value = abs(located(config, dotted(place))[2])
-    if value != 1.0:
-        yield value, place
-    for k, axis in enumerate(config.sweep.axes if config.sweep is not None else ()):
-        if axis.parameter == dotted(place):
-            sizes = np.abs(axis.grid[axis.grid != 0.0])  # zero has an error of its own
-            if sizes.size:
-                yield from ((float(size), ("sweep", "axes", k)) for size in (sizes.min(), sizes.max()))
-
-
-def _extent(config: Config, place: Place) -> Iterator[tuple[float, Place]]:
-    """Value of a key and of the ends of an axis over it, each with its place; positive ones only."""
-    parameter = dotted(place)
-    value = located(config, parameter)[2]
-    if value > 0.0:
-        yield value, place
-    for k, axis in enumerate(config.sweep.axes if config.sweep is not None else ()):
-        if axis.parameter == parameter:
-            yield from ((end, ("sweep", "axes", k, *where)) for where, end in axis.ends if end > 0.0)
+    (size, at), (length, at_lever) = joint, lever
+    return length**2 * size, at if abs(math.log(size)) > abs(2.0 * math.log(length)) else at_lever
 
 
 # --- Swept and drawn keys --------------------------------------------------------------------------------------------
 
 
 def _swept(config: Config) -> Iterator[Finding]:
-    """Require that a swept or drawn key is a parameter, in one place only, and gets values that it allows."""
+    """Require that a swept or drawn key is a parameter, in one place only."""
     if config.sweep is None:
         return
     document = config.model_dump(exclude={"sweep"})
@@ -216,77 +178,13 @@ def _swept(config: Config) -> Iterator[Finding]:
                 text = f"{parameter} is {verb} by {dotted(taken[parameter])} already"
             if text is not None:
                 yield (*at, "parameter"), text
-                continue
-            taken[parameter] = at
-            if name == "axes":
-                yield from (((*at, *where), message) for where, message in _range(entry, config))
+            else:
+                taken[parameter] = at
 
 
 def _go_together(*draws: Draw) -> bool:
     """Whether tolerances of one key are a factor and an offset, one applied after the other."""
     return sorted(each.draws for each in draws) == ["factor", "offset"]
-
-
-def _range(axis: Axis, config: Config) -> Iterator[Finding]:
-    """Require values of an axis that the swept key allows."""
-    _, key, _ = located(config, axis.parameter)
-    inertias = len(config.driveline.inertias)
-    for where, end in axis.ends:
-        if not key.allows(end):
-            yield where, f"found {end:g}; {axis.parameter} must be {key.must_be}"
-        elif key.whole and end > inertias:
-            yield where, f"found {end:g}; {axis.parameter} is an inertia's number, and there are {inertias}"
-    if key.not_zero and all(map(key.allows, axis.grid[[0, -1]])) and not np.all(axis.grid):
-        at = ("values", axis.values.index(0.0)) if axis.values is not None else ()
-        yield at, f"found 0 among the values; {axis.parameter} must be {key.must_be}"
-    crossing = _crossing(config, axis.parameter, axis.grid)
-    if crossing is not None:
-        yield (), crossing
-    if key.whole and np.any(axis.grid % 1.0):
-        yield (), f"{axis.parameter} must be {key.must_be} at every value of the axis"
-
-
-def _crossing(config: Config, parameter: str, values: Floats) -> str | None:
-    """Reason why a breakpoint cannot have some values: it would meet one beside it; None of any other key."""
-    *shaft, name, k = located(config, parameter)[0]
-    if name != "breakpoints_deg":
-        return None
-    for n in (int(k) - 1, int(k) + 1):
-        beside = dotted((*shaft, name, n))
-        if 0 <= n < len(config.driveline.shafts[int(shaft[-1])].breakpoints_deg or ()):
-            axes = [axis.grid for axis in config.sweep.axes if axis.parameter == beside] if config.sweep else []
-            reach = np.concatenate([*axes, values[:0]]) if axes else np.array([located(config, beside)[2]])
-            if not (values.max() < reach.min() if n > int(k) else values.min() > reach.max()):
-                return f"{parameter} and {beside} are not in ascending order in some runs"
-    return None
-
-
-Reach = tuple[Place, Floats, bool]  # of a time: its place in the sweep, its values, whether axes walk together
-
-
-def _times(config: Config, drawn: Mapping[int, Reach] | None = None) -> Iterator[Finding]:
-    """Require times of the load that are in order in every run; `drawn` are the extremes of those that are drawn."""
-    times, sweep = config.load.times or (), config.sweep
-    reaches: dict[int, Reach] = {}
-    for k, axis in enumerate(sweep.axes if sweep is not None and config.load.profile == "table" else ()):
-        place = located(config, axis.parameter)[0]
-        if place[:2] == ("load", "times"):
-            reaches[int(place[2])] = ("sweep", "axes", k), axis.grid, sweep is not None and sweep.design == "zip"
-    reaches |= drawn or {}
-    for n, (at, values, _) in reaches.items():
-        if n == 0 and np.any(values):
-            yield at, "load.times[1] is the load step itself and must stay 0"
-        for first, second in ((n - 2, n), (n - 1, n), (n, n + 1), (n, n + 2)):
-            if first < 0 or second >= len(times):
-                continue
-            (_, early, walked), (_, late, too) = (
-                reaches.get(m, ((), np.array([times[m]]), True)) for m in (first, second)
-            )
-            gap = (late - early if walked and too else late.min() - early.max()).min()
-            if gap < 0.0 or (gap == 0.0 and second == first + 2):
-                names = f"load.times[{first + 1}] and load.times[{second + 1}]"
-                yield at, f"{names} are {'out of order' if gap < 0.0 else 'equal, with one between them,'} in some runs"
-                break
 
 
 def _undrawable(draw: Draw, table: str, swept: Mapping[str, Place], config: Config) -> str | None:
@@ -304,86 +202,148 @@ def _undrawable(draw: Draw, table: str, swept: Mapping[str, Place], config: Conf
     return None
 
 
-def _drawn(config: Config) -> Iterator[Finding]:
-    """Require draws that their keys allow: of the sample, known beforehand, the least and the largest value."""
-    sweep = config.sweep
-    if sweep is None or not (sweep.samples or sweep.tolerances):
-        return
-    table, draws = ("samples", sweep.samples) if sweep.samples else ("tolerances", sweep.tolerances)
-    points = sweep.sampling.points(len(draws))
-    axes = {axis.parameter: axis.grid for axis in sweep.axes}
-    drawn_times: dict[int, Reach] = {}
-    reached: dict[str, Floats] = {}  # by the draws of a key so far
-    for k, draw in enumerate(draws):
-        place, key, value_of_study = located(config, draw.parameter)
-        nominal = axes.get(draw.parameter, np.array([value_of_study]))
-        drawn = draw.sample(points[:, k], float(nominal[0]))  # around a swept value it does not use this
-        before = reached.get(draw.parameter, np.array([nominal.min(), nominal.max()]))
-        values = reached[draw.parameter] = draw.applied(drawn[:, None], before)
-        if any(each.parameter == draw.parameter for each in draws[k + 1 :]):
-            continue
-        extremes = [values.min(), values.max(), *([values.flat[np.abs(values).argmin()]] if key.not_zero else [])]
-        for value in map(float, extremes):
-            number = int(np.nonzero(values == value)[0][0]) + 1 if math.isfinite(value) else 1
-            text = _forbidden(draw, value, f"draw {number} of {len(drawn)} makes {draw.parameter} {value:.6g}", config)
-            if text is not None:
-                yield ("sweep", table, k), text
-                break
-            if place[:2] == ("load", "times"):  # held against the others below
-                drawn_times[int(place[2])] = ("sweep", table, k), np.array(extremes), False
-    yield from _times(config, drawn_times)
-
-
-def _forbidden(draw: Draw, value: float, what: str, config: Config) -> str | None:
-    """Reason why a drawn key cannot have a value, beginning with `what`; None where it can."""
-    place, key, _ = located(config, draw.parameter)
-    if not math.isfinite(value) or not key.allows(value):
-        bound = "; bound the distribution with low and high" if draw.distribution != "uniform" else ""
-        return f"{what}; it must be {key.must_be}{bound}"
-    crossing = _crossing(config, draw.parameter, np.array([value]))
-    if crossing is not None or place[:2] == ("load", "times"):
-        return crossing
-    drawn = Config.model_validate(with_value(config.model_dump(exclude=NOT_OF_A_RUN), place, value))
-    drawn = drawn.model_copy(update={"sweep": config.sweep})
-    return next((f"{what}; {text}" for rule in (_steps, _sizes) for _, text in rule(drawn)), None)
-
-
 def _fitted(config: Config) -> Iterator[Finding]:
-    """Require fitted parameters that can be drawn, with priors that allow nothing that a config may not hold.
-
-    A measured key's factor or offset acts on measured values, which are not known here.
-    """
+    """Require fitted parameters that can be drawn."""
     document = config.model_dump(exclude=NOT_OF_A_RUN)
     for k, prior in enumerate(config.fit.parameters if config.fit is not None else ()):
-        parameter = prior.parameter
-        text = complaint(parameter, document) or load_complaint(parameter, config)
+        text = complaint(prior.parameter, document) or load_complaint(prior.parameter, config)
         text = text or _undrawable(prior, "fit", {}, config)
         if text is not None:
             yield ("fit", "parameters", k, "parameter"), text
-            continue
-        nominal = located(config, parameter)[2]
-        for value in map(float, prior.applied(prior.quantiles([0.0, 1.0], nominal), nominal)):
-            text = None if math.isnan(nominal) else _forbidden(prior, value, f"it allows {value:.6g}", config)
-            if text is not None:
-                yield ("fit", "parameters", k), text
-                break
 
 
 def _optimised(config: Config) -> Iterator[Finding]:
-    """Require free parameters that can be swept, over values that they allow; robustness with tolerances only."""
+    """Require free parameters that can be swept and are no whole numbers; robustness with tolerances only."""
     optimize = config.optimize
     document = config.model_dump(exclude=NOT_OF_A_RUN)
     for k, free in enumerate(optimize.parameters if optimize is not None else ()):
         for parameter in free.keys:
             text = complaint(parameter, document) or load_complaint(parameter, config)
+            if text is None and located(config, parameter)[1].whole:
+                text = f"{parameter} is an inertia's number, which cannot be searched"
             if text is not None:
                 yield ("optimize", "parameters", k, "parameter"), text
-                continue
-            _, key, _ = located(config, parameter)
-            for name in ("low", "high"):
-                value = getattr(free, name)
-                if key.whole or not key.allows(value):
-                    must_be = "a key of numbers, not of whole ones" if key.whole else key.must_be
-                    yield ("optimize", "parameters", k, name), f"found {value:g}; {parameter} must be {must_be}"
     if optimize is not None and optimize.robust is not None and not (config.sweep and config.sweep.tolerances):
         yield ("optimize", "robust"), "a share of drawn drivelines needs [[sweep.tolerances]], and there are none"
+
+
+# --- Values of swept, drawn, fitted and free keys ---------------------------------------------------------------------
+
+
+class Reach(NamedTuple):
+    """A value that a key has in some runs.
+
+    at : place in the config of what gives it this value
+    words : for people, what gives it this value
+    """
+
+    value: float
+    at: Place
+    words: str
+
+
+Case = Mapping[str, Reach]  # by parameter
+
+
+def _reached(config: Config) -> Iterator[Finding]:
+    """Require the rules of a run where swept, drawn, fitted and free keys have their least and greatest values.
+
+    Of swept and drawn keys every two have theirs together, too.
+    """
+    document = config.model_dump(exclude=NOT_OF_A_RUN)
+    together = [*_axes(config), *_draws(config)]
+    pairs = (one | other for first, second in combinations(together, 2) for one, other in product(first, second))
+    refused: set[Place] = set()
+    for case in chain(*together, _priors(config), _bounds(config), pairs):
+        places = {reach.at[:3] for reach in case.values()}
+        if refused.isdisjoint(places) and (finding := _broken_at(case, config, document)) is not None:
+            refused.add(finding[0][:3])
+            yield finding
+
+
+def _broken_at(case: Case, config: Config, document: Mapping[str, Any]) -> Finding | None:
+    """The first rule that a run breaks in which some keys have other values."""
+    keys = {parameter: located(config, parameter) for parameter in case}
+    for parameter, (place, key, _) in keys.items():
+        document = with_value(document, place, plain_number(key, case[parameter].value))
+    run, findings = validated(Config, document)
+    broken, text = next(iter(findings if run is None else _of_a_run(run)), (None, ""))
+    if broken is None:
+        return None
+    reach = next((case[parameter] for parameter, (place, *_) in keys.items() if place == broken), [*case.values()][-1])
+    return reach.at, f"{' and '.join(dict.fromkeys(each.words for each in case.values()))}: {text}"
+
+
+def _axes(config: Config) -> Iterator[list[dict[str, Reach]]]:
+    """The least and greatest values of each axis; of axes that are walked together, those of all."""
+    axes = config.sweep.axes if config.sweep is not None else ()
+    walked = config.sweep is not None and config.sweep.design == "zip"
+    cases: dict[int, dict[str, Reach]] = {}
+    for k, axis in enumerate(axes):
+        extremes = _extremes(axis.grid, located(config, axis.parameter)[1].whole)
+        for other in axes[:k] if walked else ():  # two times may not change places
+            apart = axis.grid - other.grid
+            extremes += [int(apart.argmin()), int(apart.argmax())]
+        if not walked:
+            yield [{axis.parameter: _on_axis(axis, k, position)} for position in dict.fromkeys(extremes)]
+        for position in extremes if walked else ():
+            cases[position] = {each.parameter: _on_axis(each, n, position) for n, each in enumerate(axes)}
+    if walked:
+        yield [*cases.values()]
+
+
+def _extremes(values: Floats, whole: bool = False) -> list[int]:
+    """Positions of the least and the greatest value, of that nearest to zero, and of one that is no whole number."""
+    fraction = [int((values % 1.0 != 0.0).argmax())] if whole else []
+    return [int(values.argmin()), int(values.argmax()), int(np.abs(values).argmin()), *fraction]
+
+
+def _on_axis(axis: Axis, number: int, position: int) -> Reach:
+    """The value at a position of an axis."""
+    end = {0: ("start",), axis.count_of_values - 1: ("stop",)}.get(position, ())
+    where: Place = ("values", position) if axis.values is not None else end
+    return Reach(float(axis.grid[position]), ("sweep", "axes", number, *where), axis.parameter)
+
+
+def _draws(config: Config) -> Iterator[list[dict[str, Reach]]]:
+    """The least and greatest values of each drawn key; the sample is known beforehand."""
+    sweep = config.sweep
+    if sweep is None or not (sweep.samples or sweep.tolerances):
+        return
+    table, draws = ("samples", sweep.samples) if sweep.samples else ("tolerances", sweep.tolerances)
+    points = sweep.sampling.points(len(draws))
+    reached = {axis.parameter: axis.grid for axis in sweep.axes}
+    for k, draw in enumerate(draws):
+        parameter = draw.parameter
+        before = reached.get(parameter, np.array([located(config, parameter)[2]]))
+        drawn = draw.sample(points[:, k], float(before.flat[0]))  # around a swept value it does not use this
+        values = reached[parameter] = draw.applied(drawn[:, None], np.array([before.min(), before.max()]))
+        if any(each.parameter == parameter for each in draws[k + 1 :]):
+            continue
+        reaches = []
+        for position in dict.fromkeys(_extremes(values.ravel())):
+            value = float(values.flat[position])
+            words = f"draw {position // 2 + 1} of {len(drawn)} makes {parameter} {value:.6g}"
+            reaches.append({parameter: Reach(value, ("sweep", table, k), f"{words} (low and high bound it)")})
+        yield reaches
+
+
+def _priors(config: Config) -> Iterator[dict[str, Reach]]:
+    """The least and greatest values that a fit allows.
+
+    A measured key's factor or offset acts on measured values, which are not known here.
+    """
+    for k, prior in enumerate(config.fit.parameters if config.fit is not None else ()):
+        nominal = located(config, prior.parameter)[2]
+        for value in map(float, prior.applied(prior.quantiles([0.0, 1.0], nominal), nominal)):
+            if not math.isnan(nominal):
+                words = f"it allows {prior.parameter} = {value:.6g}"
+                yield {prior.parameter: Reach(value, ("fit", "parameters", k), words)}
+
+
+def _bounds(config: Config) -> Iterator[dict[str, Reach]]:
+    """The least and greatest values of an optimisation's parameters."""
+    for k, free in enumerate(config.optimize.parameters if config.optimize is not None else ()):
+        for name, value in (("low", free.low), ("high", free.high)):
+            at: Place = ("optimize", "parameters", k, name)
+            yield {key: Reach(value, at, key) for key in free.keys}

@@ -12,7 +12,7 @@ from clunk.study.arrays import Floats
 from clunk.study.document import dotted, items_of, with_value
 from clunk.study.loads import numbers
 from clunk.study.models import NOT_OF_A_RUN, Config, Contact, Lash
-from clunk.study.parameters import located
+from clunk.study.parameters import located, plain_number
 from clunk.study.problems import Problem, report
 from clunk.study.rules import broken_rules
 from clunk.study.summaries import Rows, as_text, counted
@@ -97,9 +97,7 @@ def replace_values(study: Study, values: Mapping[str, float]) -> Study:
     document = study.model_dump(exclude=NOT_OF_A_RUN)
     for parameter, value in values.items():
         place, key, _ = located(study, parameter)
-        plain = value.item() if hasattr(value, "item") else value
-        is_whole = key.whole and isinstance(plain, float) and plain.is_integer()
-        document = with_value(document, place, int(plain) if is_whole else plain)
+        document = with_value(document, place, plain_number(key, value))
     replaced, findings = validated(Study, document)
     if replaced is None:
         raise report("the study with these values", [Problem(dotted(place), None, text) for place, text in findings])

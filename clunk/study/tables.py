@@ -26,6 +26,7 @@ from clunk.study.problems import listing, nearest, shorten
 Finding = tuple[Place, str]  # a place, and what is wrong there
 LONGEST_AXIS = 10_000_000  # values; known before any array is made
 MOST_DRAWS = 1_000_000  # of a sample
+LARGEST_SIZE = 1e30  # of positive numbers, and the smallest is its inverse
 ONE, SEVERAL = "<one number>", "<several numbers>"  # variants of a key, in pydantic's places only
 
 
@@ -150,15 +151,24 @@ def _not_zero(value: float) -> float:
     return value
 
 
+def _sizeable(value: float) -> float:
+    # double precision multiplies such numbers
+    if value != 0.0 and not 1.0 / LARGEST_SIZE <= abs(value) <= LARGEST_SIZE:
+        raise refusal(((), f"found {value:g}; must be from {1.0 / LARGEST_SIZE:g} to {LARGEST_SIZE:g}"))
+    return value
+
+
 def numbered_inertia(value: Any, info: ValidationInfo) -> Any:
     """Number of an inertia that is given by number or name."""
     return _numbered(value, info, ground=False)
 
 
 OneOrSeveral = Discriminator(lambda value: SEVERAL if isinstance(value, list | tuple) else ONE)
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-NotZero = Annotated[float, AfterValidator(_not_zero), WithJsonSchema({"type": "number", "not": {"const": 0}})]
+Positive = Annotated[float, Field(gt=0), AfterValidator(_sizeable)]
+NotNegative = Annotated[float, Field(ge=0), AfterValidator(_sizeable)]
+NotZero = Annotated[
+    float, AfterValidator(_not_zero), AfterValidator(_sizeable), WithJsonSchema({"type": "number", "not": {"const": 0}})
+]
 Text = Annotated[str, AfterValidator(_one_line)]
 Inertia = Annotated[
     int,
