@@ -270,10 +270,10 @@ def draw(
         raise TypeError(
             f"draw takes Results or a Trajectory, not a {type(what).__name__}; clunk.read_results(path) gives Results."
         )
-    from clunk.plot.histories import simulation_figure
+    from clunk.plot.histories import history_figure
     from clunk.simulation.history import sample
 
-    return simulation_figure([sample(what)])
+    return history_figure([sample(what)])
 
 
 def _run(

@@ -363,7 +363,7 @@ def test_backlash_panels_are_those_of_figure_3_2():
         for ratio in (1, 2, 5)
         for label, model in (("IFM", "gap"), ("RCM", "restitution"))
     ]
-    figure = histories.backlash(runs)
+    figure = histories.history_figure(runs, "backlash")
     assert len(figure.axes) == 3
     titles = [ax.get_title(loc="right") for ax in figure.axes]
     assert [title.split(": ")[1] for title in titles] == ["NI", "SS(1)", "DS(1)SS(1)"]
@@ -380,7 +380,7 @@ def test_backlash_panels_are_those_of_figure_3_2():
 
 def test_every_touch_is_marked_at_its_flank():
     trajectory = run()
-    figure = histories.backlash([recording("IFM")])
+    figure = histories.history_figure([recording("IFM")], "backlash")
     assert len(marks(figure, "primary")) == trajectory.primaries.size
     assert len(marks(figure, "secondary")) == trajectory.touches - trajectory.primaries.size
     assert {line.get_markerfacecolor() for line in marks(figure, "secondary")} == {"white"}
@@ -418,7 +418,7 @@ def test_closeup_without_a_touch_says_so():
 @pytest.mark.parametrize("overrides", [(), ("load.ratio=10", "lash.backlash_deg=1")])
 def test_arrows_span_the_peak_to_peak_accelerations(overrides):
     trajectory = run("gap", *overrides)
-    (ax,) = histories.acceleration([recording("IFM", "gap", *overrides)]).axes
+    (ax,) = histories.history_figure([recording("IFM", "gap", *overrides)], "acceleration").axes
     arrows = [text for text in ax.texts if getattr(text, "arrow_patch", None) is not None]
     spans = [arrow.xy[1] - arrow.xyann[1] for arrow in arrows]
     np.testing.assert_allclose(spans, trajectory.impact_severity, rtol=1e-12)
@@ -427,7 +427,7 @@ def test_arrows_span_the_peak_to_peak_accelerations(overrides):
 
 
 def test_restitution_model_is_given_no_severity():
-    figure = histories.simulation_figure([recording("RCM", "restitution")])
+    figure = histories.history_figure([recording("RCM", "restitution")])
     texts = [text.get_text() for text in figure.findobj(Text)]
     assert any("Q is not defined" in text for text in texts)
     assert not any(text.startswith("Q$") for text in texts)
@@ -435,7 +435,7 @@ def test_restitution_model_is_given_no_severity():
 
 def test_several_runs_are_explained_once():
     runs = [recording("five"), recording("ten $10", "gap", "load.ratio=10", "lash.backlash_deg=10")]
-    figure = histories.simulation_figure(runs)
+    figure = histories.history_figure(runs)
     texts = [text.get_text() for text in figure.legends[0].get_texts()]
     assert texts[0].startswith("five: DS(1)SS(1), Q = 9300")
     assert texts[1].startswith(r"ten \$10: DS(2)SS(1), Q = ")
@@ -455,7 +455,7 @@ def test_several_runs_are_explained_once():
 def test_the_torque_is_drawn_above_with_ticks_where_it_begins_and_ends(profile, ticks):
     numbers = "duration=0.2", "time_constant=0.05", "amplitude=2.0", "frequency=8.0"
     run = recording(profile, "gap", f"load.profile='{profile}'", *(f"load.{number}" for number in numbers))
-    ax = histories.simulation_figure([run]).axes[0]
+    ax = histories.history_figure([run]).axes[0]
     assert ax.get_ylabel().startswith("Torque")
     drawn = ax.lines[-1].get_ydata()
     np.testing.assert_array_equal(drawn, run.torque)
@@ -470,7 +470,7 @@ def test_a_pulse_is_named_there_and_back():
         '[driveline]\npreset = "boere-2008"\n[load]\nprofile = "pulse"\nduration = 0.2\n'
         "initial_torque = -6.0\nfinal_torque = -1.0\n"
     )
-    (ax, _) = histories.speeds([sample(simulate(study))]).axes
+    (ax, _) = histories.history_figure([sample(simulate(study))], "speeds").axes
     assert "T = −6 → −1 → −6 N m, d = 0.2 s" in ax.get_title(loc="left")
 
 
@@ -503,13 +503,13 @@ def test_small_gap_without_a_crossing_says_so():
 
 
 def test_pictures_are_written(tmp_path):
-    save(histories.angles([recording("IFM")]), tmp_path / "angles.svg")
+    save(histories.history_figure([recording("IFM")], "angles"), tmp_path / "angles.svg")
     assert (tmp_path / "angles.svg").stat().st_size > 5000
 
 
 def test_text_is_large_enough_to_read():
     for figure in (
-        histories.simulation_figure([recording("IFM")]),
+        histories.history_figure([recording("IFM")]),
         histories.closeup([recording("IFM")]),
         small_gap_of(nominal()),
     ):
@@ -519,7 +519,7 @@ def test_text_is_large_enough_to_read():
 
 def test_no_run_is_an_error():
     with pytest.raises(PlotError, match="no run to draw"):
-        histories.angles([])
+        histories.history_figure([], "angles")
 
 
 def test_units_beyond_integers_are_balanced_without_a_warning():

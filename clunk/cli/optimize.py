@@ -77,7 +77,7 @@ def optimize(
             figure = tradeoff.trade_off(found)
         else:
             runs = {"as it is": study, "best": found.study}
-            figure = histories.simulation_figure(
+            figure = histories.history_figure(
                 [sample(simulate(each.model_copy(update={"sweep": None})), name=name) for name, each in runs.items()]
             )
         terminal.save_picture(figure, picture)

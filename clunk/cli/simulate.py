@@ -180,16 +180,13 @@ def _save_runs(runs: list[tuple[str, Trajectory]], output: Path, options: Drawin
     if options.figure == "closeup" and options.around is not None:
         end = max(end, options.around + 0.6 * options.width)
     drawn = [histories.sample(trajectory, options.step, end, name=name) for name, trajectory in runs]
-    draw = {
-        "everything": lambda: figures.simulation_figure(drawn, each_lash=each_lash),
-        "angles": lambda: figures.angles(drawn),
-        "speeds": lambda: figures.speeds(drawn),
-        "backlash": lambda: figures.backlash(drawn, each_lash=each_lash),
-        "closeup": lambda: figures.closeup(drawn, options.around, options.width),
-        "acceleration": lambda: figures.acceleration(drawn, each_lash=each_lash),
-        "small-gap": lambda: figures.small_gap(runs[0][1].study.title, SmallGap.of(runs[0][1].study)),
-    }
-    terminal.save_picture(draw[options.figure](), output)
+    if options.figure == "closeup":
+        figure = figures.closeup(drawn, options.around, options.width)
+    elif options.figure == "small-gap":
+        figure = figures.small_gap(runs[0][1].study.title, SmallGap.of(runs[0][1].study))
+    else:
+        figure = figures.history_figure(drawn, options.figure, each_lash=each_lash)
+    terminal.save_picture(figure, output)
 
 
 def _legend(study: Study) -> str:

@@ -43,7 +43,7 @@ def download(
     """
     from clunk.analysis.small_gap import thresholds_of
     from clunk.plot.drawing import draw
-    from clunk.plot.histories import simulation_figure
+    from clunk.plot.histories import history_figure
     from clunk.plot.style import encode
     from clunk.results.historyfile import write_csv
 
@@ -57,7 +57,7 @@ def download(
         elif what == "map":
             encode(draw(results, quantity, thresholds_of(results)), suffix, target)
         else:
-            encode(simulation_figure([replace(run.history, name=run.place) for run in runs]), suffix, target)
+            encode(history_figure([replace(run.history, name=run.place) for run in runs]), suffix, target)
     stem = PurePath(variations.subject.name).stem or "map"
     content = base64.b64encode(target.getvalue()).decode()
     return {"name": [f"{stem}-{name}"], "type": [_TYPES[suffix]], "content": [content]}

@@ -3,7 +3,7 @@
 Several runs are drawn over each other, told apart by colour and dashes, those of the indentation model the more solid.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import cycle
 from typing import Any
@@ -16,70 +16,65 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from clunk.plot import style
-from clunk.plot.history_panels import (
-    Curve,
-    draw_acceleration,
-    draw_angles,
-    draw_backlash,
-    draw_speeds,
-    draw_torque,
-    touch_look,
-)
-from clunk.plot.style import FAINT_INK, HISTORY_WIDTH, INK, MINUS, PlotError
-from clunk.simulation.history import History
+from clunk.plot.style import FAINT_INK, INK, LINE_COLOURS, MINUS, PlotError, symbol_text
+from clunk.simulation.history import History, Impact
 from clunk.simulation.load import load_step
 from clunk.simulation.small_gap import SmallGap
-from clunk.study.arrays import Bools
+from clunk.study.arrays import Floats
 from clunk.study.loads import PROFILES, STEP_KEYS, numbers
 from clunk.study.problems import listing
 
 Runs = Sequence[History]
-_Panel = tuple[Callable[[Axes, Sequence[Curve]], None], float]  # draws it, and its share of the height
+Curve = tuple[History, dict[str, Any]]  # a run and its colour, dashes and width
 
+_WIDTH, _AROUND, _LOWEST = 7.2, 1.2, 4.6  # inches: of a figure, around its panels, and its least height
 _LINE = 1.3  # points
 _PATTERNS: tuple[Any, ...] = ("solid", style.DASHED, (0, (1.2, 1.2)), (0, (6.0, 1.2, 1.2, 1.2)))
 _BEFORE = 0.4  # share of a close-up's width before the moment that it is around
-
-
-def simulation_figure(runs: Runs, *, each_lash: bool = True) -> Figure:
-    """Load, angles, backlash coordinate and acceleration of runs on one time axis, the latter two of each lash."""
-    shared: list[_Panel] = [(draw_torque, 0.9), (draw_angles, 3.0)]
-    of_lash: list[_Panel] = [(draw_backlash, 2.4), (draw_acceleration, 2.6)]
-    by_lash = _by_lash(runs, of_lash, each_lash)
-    panels = by_lash or of_lash
-    return _stacked(runs, [*shared, *panels], 4.6 + 2.3 * len(panels), marks=True, outcomes=not by_lash)
-
-
-def angles(runs: Runs) -> Figure:
-    """The angle of every inertia over the load (Figure 3.1)."""
-    return _stacked(runs, ((draw_angles, 4.0), (draw_torque, 1.0)), 5.2)
-
-
-def speeds(runs: Runs) -> Figure:
-    """The speed of every inertia over the load."""
-    return _stacked(runs, ((draw_speeds, 4.0), (draw_torque, 1.0)), 5.2)
+_GAP_FILL = "#e4e4e4"
+_LABELLED = 12  # impacts; more arrows than these would hide the curve
+_LISTED = 6  # of their values, beside it
+_LONGEST_NAME = 12  # characters of an inertia's name in the legend
 
 
 @style.styled()
-def backlash(runs: Runs, *, each_lash: bool = True) -> Figure:
-    """The backlash coordinate in its gap, every touch marked (Figure 3.2).
+def history_figure(runs: Runs, name: str = "everything", *, each_lash: bool = True) -> Figure:
+    """One of the `FIGURES`, its panels over one time axis.
 
-    Runs that differ in their contact alone share a panel; every other one has its own. Of several lashes each has one.
+    Backlash coordinate and acceleration have a panel for each lash that all runs have. Of one lash, runs that differ in
+    their contact alone share a panel of the figure `backlash` (Figure 3.2), and each has its own in `acceleration`
+    (Figure 3.6).
+
+    each_lash : whether every lash is shown, or that in view alone
     """
-    if by_lash := _by_lash(runs, [(draw_backlash, 1.0)], each_lash):
-        return _stacked(runs, by_lash, 1.5 + 2.3 * len(by_lash), marks=True, outcomes=False)
-    panels: list[Runs] = [[run for run in runs if run.setup == setup] for setup in dict.fromkeys(r.setup for r in runs)]
-    if len(panels) > 1:  # a panel's title says what its runs have in common, and runs alike look alike
-        panels = [_shortened(panel) for panel in panels]
-        runs = [run for panel in panels for run in panel]
-    figure, axes = _frame(runs, (1.0,) * len(panels), 1.5 + (3.4 if len(panels) == 1 else 2.3 * len(panels)))
+    if not runs:
+        raise PlotError("There is no run to draw.")
+    lashes = min(len(run.lashes) for run in runs) if each_lash else 1
+    groups: list[Runs] = [runs]
+    if lashes > 1:
+        groups = [[run.lashes[lash] for run in runs] for lash in range(lashes)]
+    elif name == "acceleration":
+        groups = [[run] for run in runs]
+    elif name == "backlash":
+        groups = [[run for run in runs if run.setup == setup] for setup in dict.fromkeys(run.setup for run in runs)]
+        if len(groups) > 1:  # a panel's title says what its runs have in common, and runs alike look alike
+            groups = [_shortened(group) for group in groups]
+            runs = [run for group in groups for run in group]
+    shared = [(draw, height, runs) for draw, height in FIGURES[name] if draw not in _OF_LASH]
+    of_lash = [(draw, height, group) for group in groups for draw, height in FIGURES[name] if draw in _OF_LASH]
+    figure, axes = _frame(runs, [height for _, height, _ in (*shared, *of_lash)])
     looks = {run.name: look for run, look in _curves(runs)}
-    for ax, panel in zip(axes, panels, strict=True):
-        draw_backlash(ax, [(run, looks[run.name]) for run in panel])
-        if len(panels) > 1:
-            labels = dict.fromkeys(run.trajectory.label for run in panel)
-            ax.set_title(f"{_case(panel[0])}: {', '.join(labels)}", loc="right", fontsize=9.0)
-    return _finished(figure, axes, runs, marks=True)
+    for ax, (draw, _, group) in zip(axes, (*shared, *of_lash), strict=True):
+        if lashes == 1 and len(groups) > 1 and ax is not axes[0]:
+            ax.sharey(axes[0])
+        draw(ax, [(run, looks[run.name]) for run in group])
+        if draw in _OF_LASH and len(groups) > 1:
+            what = _lash_name(group[0]) if lashes > 1 else group[0].name if name == "acceleration" else ""
+            labels = ", ".join(dict.fromkeys(run.trajectory.label for run in group))
+            title = f"{style.plain(what) or _case(group[0])}: {labels}"
+            ax.set_title(title, loc="right", fontsize=9.0)
+    _finish(figure, axes, runs, outcomes=lashes == 1, marks=any(draw is draw_backlash for draw, _, _ in of_lash))
+    return figure
 
 
 @style.styled()
@@ -99,100 +94,33 @@ def closeup(runs: Runs, around: float | None = None, width: float = 0.1) -> Figu
         raise PlotError(f"A close-up must be wider than {width:g} s.")
     begin = 0.1 * width * np.round((around - _BEFORE * width) / (0.1 * width))  # so that the axis begins at a tick
     end = begin + width
-    times = [run.time[run.touches.row] for run in runs]
-    within = [(time >= begin) & (time <= end) for time in times]
-    distances = [
-        pair
-        for run, time, mask in zip(runs, times, within, strict=True)
-        for pair in zip(np.abs(time - around)[mask].tolist(), run.touches.side[mask].tolist(), strict=True)
+    touches = [
+        (abs(time - around), side, run, row, until)
+        for run in runs
+        for time, row, side, _, until in zip(run.time[run.touches.row], *run.touches, strict=True)
+        if begin <= time <= end
     ]
-    if not distances:
+    if not touches:
         raise PlotError(f"There is no touch to look at closely between {begin:g} s and {end:g} s.")
-    limits = _closeup_range(runs, within, min(distances)[1])
-    figure, (ax,) = _frame(runs, (1.0,), 4.6)
-    draw_backlash(ax, _curves(runs), limits)
-    ax.set_xlim(begin, end)
-    return _finished(figure, [ax], runs, marks=True)
+    side = min(touches, key=lambda touch: touch[0])[1]
+    near = []  # the rebounds and the indentation on the flank that is touched next to that moment
+    for run in runs:
+        spans = [(row, until) for _, touched, owner, row, until in touches if touched == side and owner is run]
+        if spans:
+            stop = 1 + np.searchsorted(run.after_step, spans[-1][1], side="right")
+            near.append(side * 1e3 * run.backlash_coordinate[spans[0][0] : stop])
+    low, high = min(part.min() for part in near), max(part.max() for part in near)
+    height = max(high - low, 0.02 * max(1e3 * run.half_gap for run in runs), 1e-9)
+    figure, (ax,) = _frame(runs, [_LOWEST - _AROUND])
+    draw_backlash(ax, _curves(runs))
+    ax.set(xlim=(begin, end), ylim=sorted((side * (low - 0.2 * height), side * (high + 0.22 * height))))
+    _finish(figure, [ax], runs)
+    return figure
 
 
-@style.styled()
-def acceleration(runs: Runs, *, each_lash: bool = True) -> Figure:
-    """The acceleration behind the severity, with each impact's peak-to-peak value Q_i (Figure 3.6).
-
-    There is a panel for each run or, of several lashes, for each of these.
-    """
-    if by_lash := _by_lash(runs, [(draw_acceleration, 1.0)], each_lash):
-        return _stacked(runs, by_lash, 1.6 + 2.6 * len(by_lash), outcomes=False)
-    figure, axes = _frame(runs, (1.0,) * len(runs), 1.6 + (3.2 if len(runs) == 1 else 2.6) * len(runs))
-    for ax, (run, look) in zip(axes, _curves(runs), strict=True):
-        if ax is not axes[0]:
-            ax.sharey(axes[0])
-        draw_acceleration(ax, [(run, look | {"linestyle": "solid"})])
-        if len(runs) > 1:
-            ax.set_title(f"{style.plain(run.name)}: {run.trajectory.label}", loc="right", fontsize=9.0)
-    return _finished(figure, axes, runs, legend=False)  # each panel names its run
-
-
-def _by_lash(runs: Runs, panels: Sequence[_Panel], each_lash: bool) -> list[_Panel]:
-    """Panels of each lash that all runs have; none where that is one, or where `each_lash` is not asked for."""
-    lashes = min((len(run.lashes) for run in runs), default=1) if each_lash else 1
-    return [_of_lash(draw, lash, share) for lash in range(lashes) for draw, share in panels] if lashes > 1 else []
-
-
-def _of_lash(draw: Callable[[Axes, Sequence[Curve]], None], lash: int, share: float) -> _Panel:
-    """Panel of one of several lashes, with its name and, of a single run, its label."""
-
-    def draw_lash(ax: Axes, curves: Sequence[Curve]) -> None:
-        views = [(run.lashes[lash], look) for run, look in curves]
-        draw(ax, views)
-        label = f": {views[0][0].trajectory.label}" if len(views) == 1 else ""
-        look: dict[str, Any] = {"ha": "right", "va": "top", "zorder": 7, "path_effects": style.halo()}
-        name = style.plain(_lash_name(views[0][0])) + label
-        ax.text(0.99, 0.97, name, transform=ax.transAxes, fontsize=9.0, **look)
-
-    return draw_lash, share
-
-
-def _lash_name(run: History) -> str:
-    return run.study.lash_names[run.trajectory.lash]
-
-
-def _closeup_range(runs: Runs, within: Iterable[Bools], side: int) -> tuple[float, float]:
-    """Limits of the backlash coordinate that show the rebounds and the indentation on one flank  [mm].
-
-    within : for each run which of its touches are shown
-    """
-    lowest, highest = np.inf, -np.inf
-    for run, mask in zip(runs, within, strict=True):
-        on_side = np.flatnonzero(mask & (run.touches.side == side))
-        if not on_side.size:
-            continue
-        first, last = run.touches.row[on_side[[0, -1]]]
-        until = run.touches.until[on_side[-1]]
-        stop = max(last + 1, int(np.searchsorted(run.after_step, until, side="right")))
-        coordinate = side * 1e3 * run.backlash_coordinate
-        lowest, highest = min(lowest, coordinate[first : last + 1].min()), max(highest, coordinate[first:stop].max())
-    height = max(highest - lowest, 0.02 * max(1e3 * run.half_gap for run in runs), 1e-9)
-    low, high = lowest - 0.2 * height, highest + 0.22 * height
-    return (low, high) if side > 0 else (-high, -low)
-
-
-@style.styled()
-def _stacked(
-    runs: Runs, panels: Sequence[_Panel], height: float, *, marks: bool = False, outcomes: bool = True
-) -> Figure:
-    """Panels over one time axis, each a function that draws it and its share of the height."""
-    figure, axes = _frame(runs, [share for _, share in panels], height)
-    for ax, (draw, _) in zip(axes, panels, strict=True):
-        draw(ax, _curves(runs))
-    return _finished(figure, axes, runs, marks=marks, outcomes=outcomes)
-
-
-def _frame(runs: Runs, heights: Sequence[float], height: float) -> tuple[Figure, list[Axes]]:
-    """A column of axes over one time axis."""
-    if not runs:
-        raise PlotError("There is no run to draw.")
-    figure = style.new_figure((HISTORY_WIDTH, height))
+def _frame(runs: Runs, heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
+    """A column of axes over one time axis; heights  [inches]."""
+    figure = style.new_figure((_WIDTH, max(_AROUND + sum(heights), _LOWEST)))
     axes = list(figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0])
     axes[-1].set_xlabel("Time [s]")
     begin = min(float(run.time[0]) for run in runs)
@@ -206,16 +134,8 @@ def _frame(runs: Runs, heights: Sequence[float], height: float) -> tuple[Figure,
     return figure, axes
 
 
-def _finished(
-    figure: Figure,
-    axes: Sequence[Axes],
-    runs: Runs,
-    *,
-    marks: bool = False,
-    legend: bool = True,
-    outcomes: bool = True,
-) -> Figure:
-    """The figure with titles above, and below a legend of the runs and of the marks; outcomes : of the lash in view."""
+def _finish(figure: Figure, axes: Sequence[Axes], runs: Runs, *, outcomes: bool = True, marks: bool = True) -> None:
+    """Write the titles, and below a legend of the runs and of the marks; outcomes : of the lash in view."""
     titles, cases = {run.study.title for run in runs}, {_case(run) for run in runs}
     title = titles.pop() if len(titles) == len(cases) == 1 else "Runs compared"
     loads = dict.fromkeys(PROFILES[run.study.load.profile].name for run in runs)
@@ -223,23 +143,21 @@ def _finished(
     if len(runs) == 1 and outcomes:
         line = f"{line}: {_outcome(runs[0])}"
     handles: list[Artist] = []
-    if legend and len(runs) > 1:
-        names = [run.name for run in runs]
-        for name, (run, look) in {run.name: (run, look) for run, look in _curves(runs)}.items():
-            outcome = f": {_outcome(run)}" if outcomes and names.count(name) == 1 else ""
-            handles.append(Line2D([], [], **look, label=style.plain(name) + outcome))
+    names = [run.name for run in runs]
+    for name, (run, look) in {run.name: (run, look) for run, look in _curves(runs) if len(runs) > 1}.items():
+        outcome = f": {_outcome(run)}" if outcomes and names.count(name) == 1 else ""
+        handles.append(Line2D([], [], **look, label=style.plain(name) + outcome))
     if marks and any(run.touches.row.size for run in runs):
         for primary, text in ((True, "primary impact"), (False, "secondary impact (chatter)")):
-            handles.append(Line2D([], [], marker="^", label=text, **touch_look(FAINT_INK, primary=primary)))
+            handles.append(Line2D([], [], marker="^", label=text, **_touch_look(FAINT_INK, primary=primary)))
     style.lay_out(figure, axes[0], title, line, handles, parse_math=True)
-    return figure
 
 
 def _curves(runs: Runs) -> list[Curve]:
     """Runs with their colours and dashes, alike for one name; indentation takes the first dashes, as in Figure 3.2."""
     is_restitution = {run.name: run.is_restitution for run in reversed(runs)}  # of several alike the first counts
     names = list(dict.fromkeys(run.name for run in runs))
-    colours = dict(zip(names, cycle(style.LINE_COLOURS), strict=False))
+    colours = dict(zip(names, cycle(LINE_COLOURS), strict=False))
     patterns = dict(zip(sorted(names, key=is_restitution.__getitem__), cycle(_PATTERNS), strict=False))
     return [(run, {"color": colours[run.name], "linestyle": patterns[run.name], "linewidth": _LINE}) for run in runs]
 
@@ -265,12 +183,159 @@ def _outcome(run: History) -> str:
     return name + run.trajectory.label + (f", Q = {severity:.0f} rad/s²" if severity > 0.0 else "")
 
 
+def _lash_name(run: History) -> str:
+    return run.study.lash_names[run.trajectory.lash]
+
+
 def _shortened(runs: Runs) -> Runs:
     """The runs without the parts of their names, "KEY=VALUE, KEY=VALUE", that are the same for all."""
     parts = [run.name.split(", ") for run in runs]
     common = set(parts[0]).intersection(*parts[1:])
     names = [", ".join(part for part in words if part not in common) for words in parts]
     return [replace(run, name=name) for run, name in zip(runs, names, strict=True)] if all(names) else runs
+
+
+def draw_angles(ax: Axes, curves: Sequence[Curve]) -> None:
+    """Angle of every inertia; where the driveline rolls, less its rolling."""
+    rolls = any(run.twist is not run.angle for run, _ in curves)
+    _draw_inertias(ax, curves, [run.twist for run, _ in curves], "θ")
+    ax.set_ylabel("Rotation less\nrolling [rad]" if rolls else "Rotation [rad]")
+
+
+def draw_speeds(ax: Axes, curves: Sequence[Curve]) -> None:
+    """Speed of every inertia, its rolling included."""
+    _draw_inertias(ax, curves, [run.velocity for run, _ in curves], r"$\mathregular{\dot{\theta}}$")
+    ax.set_ylabel("Speed [rad/s]")
+
+
+def _draw_inertias(ax: Axes, curves: Sequence[Curve], values: Sequence[Floats], symbol: str) -> None:
+    """Values of every inertia, (M, n) for each run: each inertia in its colour, each run in its dashes."""
+    handles: dict[int, Line2D] = {}
+    names = curves[0][0].study.driveline.names or ()
+    for (run, look), columns in zip(curves, values, strict=True):
+        for inertia, (column, colour) in enumerate(zip(columns.T, cycle(LINE_COLOURS), strict=False)):
+            ax.plot(run.time, column, zorder=3, **look | {"color": colour})
+            name = names[inertia] if inertia < len(names) and len(names[inertia]) <= _LONGEST_NAME else ""
+            label = f"{symbol}{_index(inertia + 1)} {style.plain(name)}".rstrip()
+            handles[inertia] = Line2D([], [], color=colour, label=label)
+    place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.03), "borderaxespad": 0.2}
+    ax.legend(handles=[*handles.values()][:16], handlelength=1.4, frameon=False, **place)
+
+
+def draw_torque(ax: Axes, curves: Sequence[Curve]) -> None:
+    """Torque of the load; ticks are at the torques before and after, where it stays between two."""
+    for run, look in curves:
+        single = {"color": INK} if len(curves) == 1 else {}  # the first inertia has the first run's colour
+        ax.plot(run.time, run.torque, zorder=3, **look | single)
+    ax.set_ylabel("Torque\n[N m]")
+    steady = sorted({torque for run, _ in curves for torque in load_step(run.study.load)})
+    torques = np.concatenate([run.torque for run, _ in curves])
+    is_between = np.ptp(torques) <= (1.0 + 1e-9) * np.ptp(steady)
+    levels = steady if is_between else np.unique(torques).tolist()
+    if len(levels) <= 2:
+        ax.set_yticks(levels)
+    else:
+        ax.yaxis.set_major_locator(ticker.MaxNLocator(4))
+    ax.margins(y=0.25)
+
+
+def draw_backlash(ax: Axes, curves: Sequence[Curve]) -> None:
+    """Backlash coordinate x_b in millimetres, the widest gap in grey, touches filled where primary."""
+    runs = [run for run, _ in curves]
+    half_gaps = sorted({1e3 * run.half_gap for run in runs})
+    widest = half_gaps[-1]
+    ax.axhspan(-widest, widest, color=_GAP_FILL, linewidth=0.0, zorder=0)
+    for edge in half_gaps[:-1]:
+        for side in (-1.0, 1.0):
+            ax.axhline(side * edge, color="0.7", linewidth=0.7, zorder=0.5)
+    size = 6.5
+    for run, look in curves:
+        coordinate = 1e3 * run.backlash_coordinate
+        ax.plot(run.time, coordinate, zorder=3, **look)
+        for row, side, primary in zip(run.touches.row, run.touches.side, run.touches.primary, strict=True):
+            mark: dict[str, Any] = {"marker": "^" if side > 0 else "v", "gid": "primary" if primary else "secondary"}
+            ax.plot(run.time[row], coordinate[row], **mark, **_touch_look(look["color"], primary=primary, size=size))
+        size *= 0.8  # so that of impacts in one place all can be seen
+    ax.set_ylabel(f"Backlash coordinate\n{symbol_text('xb')} [mm]")
+    reach = max(1.2 * widest, *(1.05e3 * np.abs(run.backlash_coordinate).max() for run in runs))
+    # locked flanks without a gap stay together but for rounding, which is nothing to look at
+    ax.set_ylim((-reach, reach) if reach > 1e-9 * max(run.lash.radius for run in runs) else (-1.0, 1.0))
+    initial_sides = {run.trajectory.initial_side for run in runs}
+    names = {0.0: "gap" if widest else "no gap"}
+    for side in (-1, 1) if widest else ():
+        name = "initial flank" if side in initial_sides else "opposite flank"
+        names[side * widest] = name if len(initial_sides) == 1 else "flank"
+    right = ax.secondary_yaxis("right")
+    right.set_yticks([*names], [*names.values()], fontsize=8.5)
+    right.tick_params(length=0.0, labelcolor=FAINT_INK)
+    right.spines["right"].set_visible(False)
+
+
+def _touch_look(colour: Any, *, primary: bool, size: float = 6.5) -> dict[str, Any]:
+    """Look of a touch's marker: primary impacts filled, chatter small and open."""
+    edge, face, zorder = (INK, colour, 5) if primary else (colour, "white", 4)
+    look = {"linestyle": "none", "color": colour, "markeredgewidth": 0.7, "markersize": size if primary else 4.0}
+    return look | {"markeredgecolor": edge, "markerfacecolor": face, "zorder": zorder}
+
+
+def draw_acceleration(ax: Axes, curves: Sequence[Curve]) -> None:
+    """Acceleration of the watched inertia, and of a single run the peak-to-peak values that Q is made of."""
+    for run, look in curves:
+        curve = run.acceleration[:, run.watched - 1]
+        solid = {"linestyle": "solid"} if len(curves) == 1 else {}
+        ax.plot(run.time, curve, zorder=3, **look | {"linewidth": 1.0} | solid)
+    watched = {run.watched for run, _ in curves}
+    index = _index(watched.pop()) if len(watched) == 1 else ""
+    ax.set_ylabel("Acceleration\n" + rf"$\mathregular{{\ddot{{\theta}}}}${index} [rad/s²]")
+    if any(run.is_restitution for run, _ in curves):
+        ax.margins(y=0.2)
+        text = "restitution model: between the touches only, where velocities jump; Q is not defined"
+        place: dict[str, Any] = {"transform": ax.transAxes, "ha": "right", "va": "top"}
+        ax.text(0.99, 0.97, text, fontsize=8.5, zorder=7, path_effects=style.halo(), **place)
+    elif len(curves) == 1:
+        _mark_severity(ax, curves[0][0])
+
+
+def _mark_severity(ax: Axes, run: History) -> None:
+    """A double arrow over each impact's peak-to-peak acceleration, and the list of their values."""
+    sampled = [impact for impact in run.impacts if impact.rows.stop > impact.rows.start]
+    if not sampled:
+        return
+    for impact in sampled if len(sampled) <= _LABELLED else []:
+        _draw_arrow(ax, run, impact)
+    ax.margins(y=0.12)
+    lines = [f"Q{_index(impact.number)} = {impact.severity:.0f}" for impact in run.impacts[:_LISTED]]
+    if len(run.impacts) > _LISTED:
+        lines.append("…")
+    text = "\n".join(["[rad/s²]", *lines, f"Q = {run.trajectory.severity:.0f}"])
+    ax.text(1.015, 1.0, text, transform=ax.transAxes, va="top", fontsize=8.5, linespacing=1.5)
+
+
+def _draw_arrow(ax: Axes, run: History, impact: Impact) -> None:
+    """A double arrow from the smallest to the largest acceleration after an impact."""
+    begin, end = run.time[[0, -1]]
+    x = min(impact.begin + 0.028 * (end - begin), 0.5 * (impact.begin + min(impact.end, end)))
+    arrow = {"arrowstyle": "<->", "color": INK, "linewidth": 0.9, "shrinkA": 0.0, "shrinkB": 0.0}
+    ax.annotate("", xy=(x, impact.largest), xytext=(x, impact.smallest), arrowprops=arrow, zorder=6)
+    look: dict[str, Any] = {"ha": "center", "textcoords": "offset points", "path_effects": style.halo()}
+    place, above = (x, impact.largest), (0.0, 2.0)
+    ax.annotate(f"Q{_index(impact.number)}", place, above, fontsize=9.0, zorder=7, gid="severity", **look)
+
+
+def _index(number: int) -> str:
+    """A subscript as TeX."""
+    return rf"$_\mathregular{{{number}}}$"
+
+
+_OF_LASH = (draw_backlash, draw_acceleration)
+# Name of a figure -> its panels from above, and the height of each  [inches].
+FIGURES: dict[str, Sequence[tuple[Callable[[Axes, Sequence[Curve]], None], float]]] = {
+    "everything": ((draw_torque, 0.8), (draw_angles, 2.7), (draw_backlash, 2.2), (draw_acceleration, 2.3)),
+    "angles": ((draw_angles, 3.2), (draw_torque, 0.8)),
+    "speeds": ((draw_speeds, 3.2), (draw_torque, 0.8)),
+    "backlash": ((draw_backlash, 2.3),),
+    "acceleration": ((draw_acceleration, 2.6),),
+}
 
 
 @style.styled()
@@ -281,15 +346,14 @@ def small_gap(title: str, response: SmallGap) -> Figure:
     swings within F_end ± ΔF exp(-ζ1 ω1 t); one side of this crosses zero at the characteristic time t_c, and
     n_c = t_c ω1 / 2π = ln(σr) / (2π ζ1) periods fit in (report Eq. 3.1, where 2π is missing), with σr = ΔF / F_end.
     """
-    symbol = style.symbol_text
-    values = f"{symbol('σr')} = {response.ratio:.4g}, {symbol('ζ1')} = {response.damping_ratio:.3f}"
+    values = f"{symbol_text('σr')} = {response.ratio:.4g}, {symbol_text('ζ1')} = {response.damping_ratio:.3f}"
     if _crosses_zero(response):
-        time = f"{symbol('tc')} - {symbol('t0')} = {response.characteristic_time:.3g} s"
-        formula = f"{symbol('nc')} = ln({symbol('σr')}) / (2π {symbol('ζ1')}) = {response.periods:.2f}"
+        time = f"{symbol_text('tc')} - {symbol_text('t0')} = {response.characteristic_time:.3g} s"
+        formula = f"{symbol_text('nc')} = ln({symbol_text('σr')}) / (2π {symbol_text('ζ1')}) = {response.periods:.2f}"
         text = f"{values}: {formula} periods of {1.0 / response.frequency:.3g} s until {time.replace('-', MINUS)}"
     else:
         text = f"{values}: the exponential decay never crosses zero"
-    figure = style.new_figure((HISTORY_WIDTH, 4.8))
+    figure = style.new_figure((_WIDTH, 4.8))
     ax = figure.add_subplot()
     _draw_small_gap(ax, response)
     text = f"limit of vanishing backlash, the lash always closed\n{text}"
@@ -301,7 +365,7 @@ def _draw_small_gap(ax: Axes, response: SmallGap) -> None:
     """Draw the response, its exponential decay, and the characteristic time where that crosses zero."""
     t0, reach = response.step_time, abs(response.start - response.end)
     lead = 0.06 * (response.time[-1] - t0)
-    blue, orange = style.LINE_COLOURS[:2]
+    blue, orange = LINE_COLOURS[:2]
     opposite = response.torque * np.sign(response.start) < 0.0
     fill: dict[str, Any] = {"where": opposite.tolist(), "interpolate": True, "color": blue, "alpha": 0.2}
     label = "on the opposite flank" if opposite.any() else "_"
@@ -321,7 +385,7 @@ def _draw_small_gap(ax: Axes, response: SmallGap) -> None:
     for name, at in times.items():
         ax.axvline(at, color=FAINT_INK, linewidth=0.7, linestyle=(0, (4.0, 3.0)), zorder=1)
         place: dict[str, Any] = {"xycoords": ax.get_xaxis_transform(), "textcoords": "offset points", "va": "top"}
-        ax.annotate(style.symbol_text(name), (at, 1.0), (3.0, -3.0), fontsize=9.5, **place)
+        ax.annotate(symbol_text(name), (at, 1.0), (3.0, -3.0), fontsize=9.5, **place)
     ax.set_xlabel("Time [s]")
     ax.set_ylabel("Torque across the lash [N m]")
     ax.set_xlim(t0 - lead, response.time[-1])

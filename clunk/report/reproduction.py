@@ -83,15 +83,15 @@ def figures(e: Evidence) -> list[Job]:
     all_runs = [run(name, ratio, f"{_NAMES[name]}, σr = {ratio:g}") for ratio in RATIOS for name in _NAMES]
     between = compare(maps["indentation"], maps["restitution"])
     return [
-        ("figure_3_1", lambda: histories.angles([nominal])),
-        ("figure_3_2", lambda: histories.backlash(all_runs)),
+        ("figure_3_1", lambda: histories.history_figure([nominal], "angles")),
+        ("figure_3_2", lambda: histories.history_figure(all_runs, "backlash")),
         ("figure_3_3", lambda: histories.closeup(both, 0.22, 0.1)),
         ("figure_3_4", lambda: plot.draw(maps["indentation"], "regimes", thresholds)),
         ("figure_3_4_restitution", lambda: plot.draw(maps["restitution"], "regimes", thresholds)),
         ("figure_3_4_difference", lambda: comparisons.difference_map(maps["indentation"], between)),
         ("figure_3_4_as_printed", lambda: plot.draw(maps["as_printed"], "regimes")),
         ("figure_3_5", lambda: histories.small_gap(e.study.title, SmallGap.of(e.study))),
-        ("figure_3_6", lambda: histories.acceleration([run("indentation", until=1.5)])),
+        ("figure_3_6", lambda: histories.history_figure([run("indentation", until=1.5)], "acceleration")),
         ("figure_3_7", lambda: plot.draw(maps["indentation"], "severity")),
         ("figure_3_7_by_force", lambda: plot.draw(maps["by_force"], "severity")),
         ("figure_3_7_velocity", lambda: plot.draw(maps["indentation"], "approach_velocity")),
