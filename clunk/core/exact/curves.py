@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core.exact.flows import BLOCK, CURVATURE, JERK, SIXTH, SLOPE, SLOPE_BOUND, SWAY, VALUE, WATCHED
-from clunk.core.jit import part
+from clunk.core.jit import inlined_part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, Table, Vector, fused
 from clunk.core.tables import INPUTS, TORQUE_RATE
@@ -48,13 +48,13 @@ class Origin(NamedTuple):
     jerk: Vector
 
 
-@part
+@inlined_part
 def weight(table: Table, row: int, column: int) -> Vector | float:
     """A number of a table whose rows have eight."""
     return vectors.number(table, row * ROW + column)
 
 
-@part
+@inlined_part
 def evaluate(
     watch: Table, work: FloatArray, size: int, left_out: Vector, most_left_out: int
 ) -> tuple[Curve, Vector, Curve, Vector, Vector]:
@@ -104,13 +104,13 @@ def evaluate(
     return slower, ringing, pair, next_sway, ringing + sway
 
 
-@part
+@inlined_part
 def _pair(watch: Table, at: int, one: Vector, other: Vector) -> Vector:
     """What a pair of coordinates adds to the number of a functional that begins at a place of `watch`."""
     return fused(other, vectors.number(watch, at + BLOCK), one * vectors.number(watch, at))
 
 
-@part
+@inlined_part
 def slope_bound(watch: Table, work: FloatArray, size: int, left_out: Vector, most_left_out: int) -> Vector:
     """What the fastest pairs of a functional add to its slope at most from now on."""
     total = vectors.splat(0.0)
@@ -121,7 +121,7 @@ def slope_bound(watch: Table, work: FloatArray, size: int, left_out: Vector, mos
     return total
 
 
-@part
+@inlined_part
 def evaluate_again(
     watch: Table, work: FloatArray, size: int, left_out: Vector, most_left_out: int, before: Curve
 ) -> Curve:
@@ -141,7 +141,7 @@ def evaluate_again(
     return Curve(value, slope, curvature, before.jerk, before.sixth)
 
 
-@part
+@inlined_part
 def bounds(watch: Table, work: FloatArray, size: int) -> tuple[Vector, Vector, Vector]:
     """What bounds from now on a functional's third and sixth derivatives, and its value less its origin."""
     zero = vectors.splat(0.0)
@@ -155,7 +155,7 @@ def bounds(watch: Table, work: FloatArray, size: int) -> tuple[Vector, Vector, V
     return jerk, sixth, sway
 
 
-@part
+@inlined_part
 def weighed(inputs: FloatArray, at: int, weights: Table, first: int, stride: int, driven: int, ramps: bool) -> Vector:
     """Weights times inputs, which are `driven` rows of lanes from `at` on; rounded once a term.
 
@@ -172,7 +172,7 @@ def weighed(inputs: FloatArray, at: int, weights: Table, first: int, stride: int
     return total
 
 
-@part
+@inlined_part
 def weighed_drift(inputs: FloatArray, at: int, weights: Table, first: int, stride: int, driven: int) -> Vector:
     """`weighed`, each product rounded: the slopes and curvatures of what drifts."""
     total = vectors.load(inputs, at) * vectors.number(weights, first)
@@ -181,7 +181,7 @@ def weighed_drift(inputs: FloatArray, at: int, weights: Table, first: int, strid
     return total
 
 
-@part
+@inlined_part
 def origin(
     output: Table,
     f: int,
@@ -213,14 +213,14 @@ def origin(
     return Origin(value, slope, curvature, jerk)
 
 
-@part
+@inlined_part
 def origin_slope(output: Table, f: int, functionals: int, inputs: FloatArray, at: int, driven: int) -> Vector:
     """What the torque's rate of change makes the slope of a functional's origin, of one that moves by nothing else."""
     first = (functionals + f) * driven + TORQUE_RATE
     return vectors.load(inputs, at + TORQUE_RATE) * vectors.number(output, first)
 
 
-@part
+@inlined_part
 def load_curve(array: FloatArray, row: int) -> Curve:
     """A curve whose five numbers are rows of an array, from `row` on."""
     return Curve(
@@ -232,7 +232,7 @@ def load_curve(array: FloatArray, row: int) -> Curve:
     )
 
 
-@part
+@inlined_part
 def store_curve(array: FloatArray, row: int, curve: Curve) -> None:
     """Write a curve to five rows of an array."""
     vectors.store(array, row, curve.value)
@@ -242,7 +242,7 @@ def store_curve(array: FloatArray, row: int, curve: Curve) -> None:
     vectors.store(array, row + 4, curve.sixth)
 
 
-@part
+@inlined_part
 def as_guard(curve: Curve, origin: Origin, still: bool, sign: Vector, shift: Vector) -> Curve:
     """sign, 1 or -1, times a functional, its origin included, plus shift.
 
@@ -260,7 +260,7 @@ def as_guard(curve: Curve, origin: Origin, still: bool, sign: Vector, shift: Vec
     )
 
 
-@part
+@inlined_part
 def without(guard: Curve, pair: Curve, sign: Vector, sway: Vector) -> Curve:
     """A guard without a pair of its modes, lower by that pair's sway."""
     return Curve(
@@ -272,19 +272,19 @@ def without(guard: Curve, pair: Curve, sign: Vector, sway: Vector) -> Curve:
     )
 
 
-@part
+@inlined_part
 def with_bounds(curve: Curve, bounded: Curve) -> Curve:
     """A curve with the bounds of another one, which hold for it too."""
     return Curve(curve.value, curve.slope, curve.curvature, bounded.jerk, bounded.sixth)
 
 
-@part
+@inlined_part
 def less(guard: Curve, by: Vector) -> Curve:
     """A guard, lower by so much."""
     return Curve(guard.value - by, guard.slope, guard.curvature, guard.jerk, guard.sixth)
 
 
-@part
+@inlined_part
 def either(bits: int, one: Curve, other: Curve) -> Curve:
     """One in the lanes whose bits are set, and the other elsewhere."""
     return Curve(
@@ -296,14 +296,14 @@ def either(bits: int, one: Curve, other: Curve) -> Curve:
     )
 
 
-@part
+@inlined_part
 def low(guard: Curve, h: Vector) -> Vector:
     """A bound, concave in h: a guard that is positive stays so within a time h for which this is."""
     bent = fused(guard.jerk * -A_SIXTH, h, 0.5 * vectors.smaller(guard.curvature, vectors.splat(0.0)))
     return fused(fused(bent, h, guard.slope), h, guard.value)
 
 
-@part
+@inlined_part
 def guess(guard: Curve, h: Vector) -> Vector:
     """What is positive as long as a guard will probably stay so, and as that can probably be proved by `between`."""
     square = h * h
@@ -312,7 +312,7 @@ def guess(guard: Curve, h: Vector) -> Vector:
     return fused(guard.sixth * -_OF_THE_SIXTH, square * square * square, expected)
 
 
-@part
+@inlined_part
 def longest(
     shortest: Vector, guards: FloatArray, first: int, stride: int, count: int, at_most: Vector, spans: int
 ) -> tuple[Vector, Vector]:
@@ -341,7 +341,7 @@ def longest(
     return h, vectors.choose(blocked, -1.0, k)
 
 
-@part
+@inlined_part
 def _passes(guards: FloatArray, first: int, stride: int, count: int, h: Vector, at_most: Vector) -> int:
     passes = int(h <= at_most)
     for n in range(count):
@@ -349,7 +349,7 @@ def _passes(guards: FloatArray, first: int, stride: int, count: int, h: Vector, 
     return passes
 
 
-@part
+@inlined_part
 def falls_by(guard: Curve) -> Vector:
     """How far at least a guard will go on falling before it turns back.
 
@@ -363,7 +363,7 @@ def falls_by(guard: Curve) -> Vector:
     return h * (fall - h * fused(guard.jerk * A_SIXTH, h, 0.5 * bend))
 
 
-@part
+@inlined_part
 def between(start: Curve, end: Curve, h: Vector) -> tuple[Vector, Vector, Vector]:
     """What a function does within a time h, by its value, slope and curvature at both ends.
 
@@ -392,7 +392,7 @@ def between(start: Curve, end: Curve, h: Vector) -> tuple[Vector, Vector, Vector
     return vectors.smaller(least, middle - away), vectors.larger(greatest, middle + away), remainder
 
 
-@part
+@inlined_part
 def turns_not(start: Curve, end: Curve, remainder: Vector, slope_bound: Vector, h: Vector) -> tuple[int, int]:
     """Where a function is monotone within a time h; and where it bends down all the way.
 

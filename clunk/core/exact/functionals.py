@@ -10,7 +10,7 @@ import numpy.typing as npt
 from clunk.core.exact import curves, taylor
 from clunk.core.exact.flows import LONG
 from clunk.core.exact.workspace import Workspace, is_still, shortest_span, size_of
-from clunk.core.jit import part
+from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, WIDTH, OfLanes, Vector
 from clunk.core.regimes import inputs_of
@@ -70,7 +70,7 @@ def _watch_of_lanes(space: Workspace, f: int) -> OfLanes:
     return OfLanes(space.lane_watch[f * space.flows.watch[0, 0, 0].size :])
 
 
-@part
+@inlined_part
 def evaluate(
     space: Workspace, flow: int, f: int, left_out: Vector, most_left_out: int
 ) -> tuple[curves.Curve, Vector, curves.Curve, Vector, Vector]:
@@ -81,7 +81,7 @@ def evaluate(
     return curves.evaluate(space.flows.watch[0, flow, f], work, size, left_out, most_left_out)
 
 
-@part
+@inlined_part
 def evaluate_again(
     space: Workspace, flow: int, f: int, left_out: Vector, most_left_out: int, before: curves.Curve
 ) -> curves.Curve:
@@ -92,7 +92,7 @@ def evaluate_again(
     return curves.evaluate_again(space.flows.watch[0, flow, f], work, size, left_out, most_left_out, before)
 
 
-@part
+@inlined_part
 def bounds(space: Workspace, flow: int, f: int) -> tuple[Vector, Vector, Vector]:
     """`curves.bounds` of the runs taken."""
     if space.mixed != 0:
@@ -100,7 +100,7 @@ def bounds(space: Workspace, flow: int, f: int) -> tuple[Vector, Vector, Vector]
     return curves.bounds(space.flows.watch[0, flow, f], space.pool.work, size_of(space))
 
 
-@part
+@inlined_part
 def slope_bound(space: Workspace, flow: int, f: int, left_out: Vector, most_left_out: int) -> Vector:
     """`curves.slope_bound` of the runs taken."""
     work, size = space.pool.work, size_of(space)
@@ -109,7 +109,7 @@ def slope_bound(space: Workspace, flow: int, f: int, left_out: Vector, most_left
     return curves.slope_bound(space.flows.watch[0, flow, f], work, size, left_out, most_left_out)
 
 
-@part
+@inlined_part
 def origin(space: Workspace, flow: int, f: int, still: bool, elapsed: Vector) -> curves.Origin:
     """`curves.origin` of the runs taken."""
     output, ramps = space.flows.origin_output, space.system.ramps != 0
@@ -120,7 +120,7 @@ def origin(space: Workspace, flow: int, f: int, still: bool, elapsed: Vector) ->
     return curves.origin(output[0, flow], f, functionals, work, space.inputs_at, driven, still, ramps, elapsed)
 
 
-@part
+@inlined_part
 def origin_slope(space: Workspace, flow: int, f: int) -> Vector:
     """`curves.origin_slope` of the runs taken."""
     work, at, driven = space.pool.work, space.inputs_at, inputs_of(space.system)
@@ -130,7 +130,7 @@ def origin_slope(space: Workspace, flow: int, f: int) -> Vector:
     return curves.origin_slope(output[0, flow], f, functionals, work, at, driven)
 
 
-@part
+@inlined_part
 def expand(space: Workspace, flow: int, f: int, sign: Vector, shift: Vector, at: curves.Origin) -> None:
     """`taylor.expand` of the runs taken, into `space.series`."""
     size, shortest, series, work = size_of(space), shortest_span(space, flow), space.flows.series, space.pool.work

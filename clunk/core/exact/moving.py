@@ -7,7 +7,7 @@ from clunk.core.exact import functionals, rows
 from clunk.core.exact.curves import A_THIRD, weighed, weighed_drift, weight
 from clunk.core.exact.flows import BLOCK, CROSS, DECAY, SELF, TERMS
 from clunk.core.exact.workspace import Workspace, field, is_still, size_of
-from clunk.core.jit import part
+from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, WIDTH, OfLanes, Table, Vector, fused
 from clunk.core.regimes import inputs_of
@@ -15,7 +15,7 @@ from clunk.core.regimes import inputs_of
 FloatArray = npt.NDArray[np.float64]
 
 
-@part
+@inlined_part
 def to_coordinates(space: Workspace, flow: int) -> None:
     """From the states of the runs taken to their coordinates in a flow, and the amplitudes of these."""
     if space.mixed != 0:
@@ -33,7 +33,7 @@ def _to_coordinates_of_lanes(space: Workspace, flow: int) -> None:
     _to_coordinates(space, OfLanes(space.lane_state_origins), OfLanes(space.lane_table))
 
 
-@part
+@inlined_part
 def _gather_origins(space: Workspace, flow: int, orders: int) -> None:
     """Gather the origins of a flow's coordinates, and so many derivatives less one."""
     origins = space.flows.origin
@@ -41,7 +41,7 @@ def _gather_origins(space: Workspace, flow: int, orders: int) -> None:
     functionals.gather(space, origins, flow * count, count // 4 * orders, space.lane_state_origins)
 
 
-@part
+@inlined_part
 def _to_coordinates(space: Workspace, origins: Table, coordinates: Table) -> None:
     work, away, size, states = space.pool.work, space.moved, size_of(space), space.flows.coordinates.shape[2]
     inputs, driven, ramps = space.inputs_at, inputs_of(space.system), space.system.ramps != 0
@@ -56,7 +56,7 @@ def _to_coordinates(space: Workspace, origins: Table, coordinates: Table) -> Non
     measure(work, size)
 
 
-@part
+@inlined_part
 def to_states(space: Workspace, flow: int, mask: int) -> None:
     """From the coordinates in a flow to states: those of the lanes in a mask, into `space.state`."""
     flows, size = space.flows, size_of(space)
@@ -81,7 +81,7 @@ def _to_states_of_lanes(space: Workspace, flow: int, still: bool) -> None:
     _to_states(space, OfLanes(space.lane_state_origins), OfLanes(space.lane_table), still)
 
 
-@part
+@inlined_part
 def _to_states(space: Workspace, origins: Table, basis: Table, still: bool) -> None:
     """The states of the runs taken, into `space.moved`."""
     work, left, size, elapsed = space.pool.work, space.moved, size_of(space), field(space, rows.ELAPSED)
@@ -100,7 +100,7 @@ def _to_states(space: Workspace, origins: Table, basis: Table, still: bool) -> N
         vectors.store(left, n, origin + away)
 
 
-@part
+@inlined_part
 def move_by_spans(space: Workspace, flow: int, numbers: Vector) -> None:
     """Move each of the items taken by the span of the ladder with its number; a negative one counts as 0."""
     size, propagator = size_of(space), space.flows.propagator
@@ -123,7 +123,7 @@ def _add_drivelines(space: Workspace, each: int) -> None:
         space.offsets[lane] += space.drivelines[lane] * each
 
 
-@part
+@inlined_part
 def move_by_parts(space: Workspace, flow: int, part: Vector) -> None:
     """Move each of the items taken by a part of the shortest span."""
     flows, size, modes = space.flows, size_of(space), space.flows.modal[0, flow] != 0
@@ -146,7 +146,7 @@ def _move_by_parts_of_lanes(space: Workspace, flow: int, modes: bool, part: Vect
     move(table, table, modes, part, space.pool.work, size_of(space), space.moved)
 
 
-@part
+@inlined_part
 def jump(propagated: FloatArray, work: FloatArray, size: int) -> None:
     """Move by a span.
 
@@ -168,7 +168,7 @@ def jump(propagated: FloatArray, work: FloatArray, size: int) -> None:
             vectors.store(work, pair, vectors.load(propagated, decay) * vectors.load(work, pair))
 
 
-@part
+@inlined_part
 def measure(work: FloatArray, size: int) -> None:
     """The amplitudes of the pairs."""
     for begin in range(0, size, ROW):
@@ -177,7 +177,7 @@ def measure(work: FloatArray, size: int) -> None:
             vectors.store(work, size + begin // 2 + k, vectors.root(fused(one, one, other * other)))
 
 
-@part
+@inlined_part
 def move(
     power: Table, generator: Table, modes: bool, part: Vector, work: FloatArray, size: int, moved: FloatArray
 ) -> None:

@@ -4,7 +4,7 @@ A row begins with the modal coordinates, C of them, and the amplitudes of their 
 `Workspace.behind`, where these end. In the lanes of `Pool.work` they are rows.
 """
 
-from clunk.core.jit import part
+from clunk.core.jit import inlined_part
 
 # A run's numbers that steps change.
 ELAPSED = 0  # s, in the phase
@@ -50,25 +50,25 @@ LOST = 4  # nothing is finite any more
 BY_EVENT = 5  # a guard turned negative: RUN's `guard`
 
 
-@part
+@inlined_part
 def zero_of(guard: int, order: int) -> float:
     """The number for a guard, of which so many derivatives are zero, itself included, at most 3; without any, 0."""
     return float(4 * guard + order) if guard >= 0 and order > 0 else 0.0
 
 
-@part
+@inlined_part
 def guard_and_order(zero: float) -> tuple[int, int]:
     """The guard and the order of `zero_of`; without any, -1 and 0."""
     return (int(zero) // 4, int(zero) % 4) if zero > 0.0 else (-1, 0)
 
 
-@part
+@inlined_part
 def changing(lashes: int) -> int:
     """How many numbers of a run steps change."""
     return _FIRST + _CHANGING * lashes
 
 
-@part
+@inlined_part
 def of_lash(name: int, lash: int, lashes: int) -> int:
     """Place of a number of one of the lashes."""
     if name < _CHANGING:
@@ -76,13 +76,13 @@ def of_lash(name: int, lash: int, lashes: int) -> int:
     return _FIRST + _CHANGING * lashes + (_OF_LASH - _CHANGING) * lash + name - _CHANGING
 
 
-@part
+@inlined_part
 def limit(lashes: int) -> int:
     """Place of LIMIT."""
     return _FIRST + _OF_LASH * lashes
 
 
-@part
+@inlined_part
 def shift(guard: int, lashes: int) -> int:
     """Place of a guard's SHIFT."""
     return _FIRST + _OF_LASH * lashes + 1 + guard

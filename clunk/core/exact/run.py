@@ -42,7 +42,7 @@ from clunk.core.exact.workspace import (
     system_of,
     turn_search,
 )
-from clunk.core.jit import part
+from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push, put_back, take
 from clunk.core.lanes.vectors import WIDTH
@@ -74,7 +74,7 @@ MOST = 0.25  # larger margins are not looked for, and written as this
 _MOST_SPANS = 1000.0  # the shortest ones, of the search for a depth: a guard that has not turned back then never will
 
 
-@part
+@inlined_part
 def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
     """Put a run of a driveline into an empty place of a workspace."""
     row, system = space.runs[slot], system_at(space, driveline)
@@ -101,7 +101,7 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
     _enter(space, slot, 0.0, start.x, Entry(written=1, regime=start.regime, zero_guard=-1, zero_order=0))
 
 
-@part
+@inlined_part
 def _begin_phase(space: Workspace, slot: int) -> None:
     """Begin a run's phase, of whose acceleration nothing is known."""
     for lash in range(lashes_of(space.system)):
@@ -109,7 +109,7 @@ def _begin_phase(space: Workspace, slot: int) -> None:
         set_number_of(space, slot, rows.PHASE_MIN, lash, np.inf)
 
 
-@part
+@inlined_part
 def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry) -> None:
     """Enter a regime, or go on in it: the state, what it makes of the inputs and the guards, and the run's queue."""
     system, row, inputs = system_of(space, slot), space.runs[slot], space.inputs[slot]
@@ -149,7 +149,7 @@ def _enter(space: Workspace, slot: int, time: float, x: FloatArray, entry: Entry
     push(space.pool, space.queues.enter + system.regimes[regime].group, slot)
 
 
-@part
+@inlined_part
 def _take_piece(space: Workspace, slot: int, time: float, x: FloatArray) -> None:
     """Set a run's torque to that of the load's piece at a time, and its limit to where that ends."""
     row, numbers, load = space.runs[slot], space.numbers[slot, space.behind :], space.loads[space.runs[slot].load]
@@ -205,7 +205,7 @@ def advance(space: Workspace, stop: npt.NDArray[np.uint8]) -> None:
         pool.length[queues.follow] = 0
 
 
-@part
+@inlined_part
 def _enter_coordinates(space: Workspace, flow: int, count: int) -> None:
     """From the states of the runs taken to their coordinates in a flow, with the acceleration as it is there."""
     zero, lashes = vectors.splat(0.0), lashes_of(space.system)
@@ -226,7 +226,7 @@ def _enter_coordinates(space: Workspace, flow: int, count: int) -> None:
     put_back(space.pool, space.numbers, space.behind + rows.changing(lashes), (1 << count) - 1)
 
 
-@part
+@inlined_part
 def _follow(space: Workspace, slot: int) -> None:
     """Send a run on: search something within its step, end its phase, or take the next step."""
     row = space.runs[slot]
@@ -277,7 +277,7 @@ def _follow(space: Workspace, slot: int) -> None:
         push(space.pool, step_queue(space, row.regime, row.ended == rows.NEARS), slot)
 
 
-@part
+@inlined_part
 def _go_on(space: Workspace, slot: int, time: float) -> None:
     """Go on in a phase where another piece of the load begins.
 
@@ -309,7 +309,7 @@ def _go_on(space: Workspace, slot: int, time: float) -> None:
             set_number_of(space, slot, rows.MARGIN, lash, least)
 
 
-@part
+@inlined_part
 def _label_hangs_on_depth(space: Workspace, slot: int, now: float) -> bool:
     """Whether a label hangs on how deep the guard goes that ended a run's phase."""
     system, row = system_of(space, slot), space.runs[slot]
@@ -322,7 +322,7 @@ def _label_hangs_on_depth(space: Workspace, slot: int, now: float) -> bool:
     return bool(guard.event_kind == SEPARATION and now - play.contact_began > system.sticking_time[lash])
 
 
-@part
+@inlined_part
 def _end(space: Workspace, slot: int, status: int, time: float) -> None:
     """End a run."""
     row = space.runs[slot]
@@ -333,7 +333,7 @@ def _end(space: Workspace, slot: int, status: int, time: float) -> None:
     push(space.pool, space.queues.over, slot)
 
 
-@part
+@inlined_part
 def _close_phase(space: Workspace, slot: int) -> None:
     """Write the extremes of the accelerations to the event that began a run's phase."""
     last = space.runs[slot].count - 1
@@ -342,7 +342,7 @@ def _close_phase(space: Workspace, slot: int) -> None:
         space.extremes[slot, last, lash, 1] = number_of(space, slot, rows.PHASE_MIN, lash)
 
 
-@part
+@inlined_part
 def _forget_phase(space: Workspace, slot: int) -> None:
     """Forget the extremes of a phase that lasted no time."""
     _begin_phase(space, slot)
@@ -352,7 +352,7 @@ def _forget_phase(space: Workspace, slot: int) -> None:
         set_number_of(space, slot, rows.WINDOW_MIN, lash, play.window_min)
 
 
-@part
+@inlined_part
 def _switch(space: Workspace, slot: int) -> None:
     """A guard turned negative: take what that says of the run's margin, and enter the regime that follows."""
     system, row, inputs, log = system_of(space, slot), space.runs[slot], space.inputs[slot], log_of(space, slot)
@@ -382,7 +382,7 @@ def _switch(space: Workspace, slot: int) -> None:
     _enter(space, slot, time, x, entry)
 
 
-@part
+@inlined_part
 def _take_events(space: Workspace, slot: int, first: int, written: int) -> None:
     """Take what events from the first up to those written say of their lashes' contacts and windows."""
     system, log = system_of(space, slot), log_of(space, slot)
@@ -405,7 +405,7 @@ def _take_events(space: Workspace, slot: int, first: int, written: int) -> None:
             play.from_sticking = int(event.time - play.contact_began > system.sticking_time[lash])
 
 
-@part
+@inlined_part
 def _take_margin(space: Workspace, slot: int, x: FloatArray, time: float) -> None:
     """Take what an event at state `x` says of the margin of its lash."""
     system, row = system_of(space, slot), space.runs[slot]
@@ -452,7 +452,7 @@ def _static(system: System, flows: Flows, driveline: int, start: Start, lash: in
     return float(max(side * value - offset, 0.0))
 
 
-@part
+@inlined_part
 def _at_rest(
     system: System, flows: Flows, driveline: int, regime: int, f: int, torque: float, inputs: FloatArray
 ) -> float:

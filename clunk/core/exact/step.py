@@ -40,7 +40,7 @@ from clunk.core.exact.workspace import (
     size_of,
     turn_search,
 )
-from clunk.core.jit import part
+from clunk.core.jit import inlined_part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import push_all, put_back
 from clunk.core.lanes.vectors import WIDTH, Vector
@@ -76,7 +76,7 @@ class _Lanes(NamedTuple):
     deep: int  # whose guard goes certainly deeper than the margin is
 
 
-@part
+@inlined_part
 def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     """Take a step with the `count` runs that have been taken: of a span, or of a part of the shortest one.
 
@@ -159,7 +159,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     _note_outcomes(space, regime, special, _Lanes(settled, lost, ends, close, grazing, happened, deep))
 
 
-@part
+@inlined_part
 def _note_outcomes(space: Workspace, regime: int, special: int, lanes: _Lanes) -> None:
     """Write to some runs how the step ended for them, and what is to be searched for within it."""
     while special != 0:
@@ -184,7 +184,7 @@ def _note_outcomes(space: Workspace, regime: int, special: int, lanes: _Lanes) -
             run.ended = rows.AT_END if lanes.ends & bit else (rows.NEARS if lanes.close & bit else rows.GOES_ON)
 
 
-@part
+@inlined_part
 def _evaluate_guards(space: Workspace, regime: int, left_out: Vector, most_left_out: int) -> None:
     """The guards at the step's beginning, without the pairs that are left out already."""
     system, outputs, flow = space.system, space.outputs, space.system.regimes[regime].flow
@@ -203,7 +203,7 @@ def _evaluate_guards(space: Workspace, regime: int, left_out: Vector, most_left_
         store_curve(space.guards, n * OF_GUARD + _START, _guard(space, regime, n, at))
 
 
-@part
+@inlined_part
 def _store_origin(space: Workspace, flow: int, f: int, at: int) -> None:
     """Write a functional's origin to `outputs`."""
     origin = functionals.origin(space, flow, f, is_still(space, flow), field(space, rows.ELAPSED))
@@ -213,7 +213,7 @@ def _store_origin(space: Workspace, flow: int, f: int, at: int) -> None:
     vectors.store(space.outputs, at + _ORIGIN + 3, origin.jerk)
 
 
-@part
+@inlined_part
 def _load_origin(outputs: FloatArray, at: int) -> curves.Origin:
     """The origin of the functional that is kept from row `at` on."""
     return curves.Origin(
@@ -224,7 +224,7 @@ def _load_origin(outputs: FloatArray, at: int) -> curves.Origin:
     )
 
 
-@part
+@inlined_part
 def _guard(space: Workspace, regime: int, n: int, at: int) -> curves.Curve:
     """Guard n, less the sway of the pairs that are left out, by the functional that is kept from row `at` on."""
     flow, outputs = space.system.regimes[regime].flow, space.outputs
@@ -233,39 +233,39 @@ def _guard(space: Workspace, regime: int, n: int, at: int) -> curves.Curve:
     return curves.as_guard(slower, origin, is_still(space, flow), _sign(space, regime, n), shift)
 
 
-@part
+@inlined_part
 def _sign(space: Workspace, regime: int, n: int) -> Vector:
     """The sign by which a functional makes guard n."""
     lash, sign = lash_of(space.system, regime, n), space.system.guards[regime, n].sign
     return field_of(space, rows.SIDE, lash) * sign if lash >= 0 else vectors.splat(sign)
 
 
-@part
+@inlined_part
 def _shift(space: Workspace, n: int) -> Vector:
     """The shift that makes guard n of its functional."""
     return field(space, rows.shift(n, lashes_of(space.system)))
 
 
-@part
+@inlined_part
 def _lash(space: Workspace, regime: int, n: int) -> int:
     """The lash whose margin guard n makes; of a guard that makes none, any."""
     return max(lash_of(space.system, regime, n), 0)
 
 
-@part
+@inlined_part
 def _scale(space: Workspace, regime: int, n: int) -> Vector:
     """The scale of the margin of guard n; 0 where it makes none."""
     scale = field_of(space, rows.SCALE, _lash(space, regime, n))
     return scale * float(space.system.guards[regime, n].makes_margin)
 
 
-@part
+@inlined_part
 def _bar(space: Workspace, regime: int, n: int) -> Vector:
     """How low guard n has to turn back to make the margin smaller, or how deep an event's guard may at most go."""
     return vectors.magnitude(field_of(space, rows.MARGIN, _lash(space, regime, n))) * _scale(space, regime, n)
 
 
-@part
+@inlined_part
 def _zero_order(space: Workspace, n: int) -> Vector:
     """How many derivatives of guard n are zero at the step's beginning, itself included."""
     zeros = field(space, rows.ZERO)
@@ -275,7 +275,7 @@ def _zero_order(space: Workspace, n: int) -> Vector:
     return vectors.choose((order > 0.0) & (order < 4.0), order, 0.0)
 
 
-@part
+@inlined_part
 def origin_of_acceleration(space: Workspace, flow: int, lash: int, elapsed: Vector) -> curves.Origin:
     """The origin of a lash's acceleration, which moves only under a ramp, even where the flow drifts."""
     f = lash * space.system.functionals_per_lash + ACCELERATION
@@ -286,7 +286,7 @@ def origin_of_acceleration(space: Workspace, flow: int, lash: int, elapsed: Vect
     return curves.Origin(origin.value + elapsed * slope, slope, origin.curvature, origin.jerk)
 
 
-@part
+@inlined_part
 def widen_extremes(space: Workspace, lash: int, seen: Vector) -> None:
     """Take a value of a lash's acceleration into the extremes of its window and of the phase."""
     set_field_of(space, rows.WINDOW_MAX, lash, vectors.larger(field_of(space, rows.WINDOW_MAX, lash), seen))
@@ -295,7 +295,7 @@ def widen_extremes(space: Workspace, lash: int, seen: Vector) -> None:
     set_field_of(space, rows.PHASE_MIN, lash, vectors.smaller(field_of(space, rows.PHASE_MIN, lash), seen))
 
 
-@part
+@inlined_part
 def _may_widen_windows(space: Workspace, flow: int, time_left: Vector) -> int:
     """Where an acceleration can come to exceed what its window holds, until the end of the run or of the load's piece.
 
@@ -320,7 +320,7 @@ def _may_widen_windows(space: Workspace, flow: int, time_left: Vector) -> int:
     return int(may_widen)
 
 
-@part
+@inlined_part
 def _stay_positive(space: Workspace, regime: int) -> int:
     """Where all guards will stay positive for ever, without a miss that counts."""
     stay = -1
@@ -332,7 +332,7 @@ def _stay_positive(space: Workspace, regime: int) -> int:
     return stay
 
 
-@part
+@inlined_part
 def _take_zeros(space: Workspace, regime: int) -> None:
     """Set the value of a guard to zero, to the last bit, where it is known to be."""
     for n in range(space.system.regimes[regime].guards):
@@ -341,7 +341,7 @@ def _take_zeros(space: Workspace, regime: int) -> None:
         vectors.store(space.guards, row, vectors.choose(is_zero, 0.0, vectors.load(space.guards, row)))
 
 
-@part
+@inlined_part
 def _propose_span(
     space: Workspace, regime: int, left_out: Vector, most_left_out: int, at_most: Vector
 ) -> tuple[Vector, Vector, Vector, int]:
@@ -400,7 +400,7 @@ def _propose_span(
     return h, k, left_out, ~passes
 
 
-@part
+@inlined_part
 def _without_pair(space: Workspace, regime: int, n: int) -> curves.Curve:
     """Guard n at the step's beginning without the fastest pair that is still in it."""
     at = space.system.guards[regime, n].alike * OF_OUTPUT
@@ -409,7 +409,7 @@ def _without_pair(space: Workspace, regime: int, n: int) -> curves.Curve:
     return curves.without(start, pair, _sign(space, regime, n), sway)
 
 
-@part
+@inlined_part
 def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tuple[Vector, Vector, int, int]:
     """Prove that no guard turns negative within a part of the shortest span, or find the first that does.
 
@@ -472,7 +472,7 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
     return event, part, lost, grazing
 
 
-@part
+@inlined_part
 def _first_zero(
     space: Workspace, near: int, order: Vector, noise: Vector, scale: Vector, part: Vector
 ) -> tuple[int, int, int, Vector]:
@@ -523,7 +523,7 @@ def _first_zero(
     return crosses & ~tangent, lost, crosses & tangent, s
 
 
-@part
+@inlined_part
 def _first_zeros_one_by_one(space: Workspace, mask: int) -> int:
     """Zero, slope and half the curvature of some lanes' series, into the first notes; the lanes that have a zero.
 
@@ -543,7 +543,7 @@ def _first_zeros_one_by_one(space: Workspace, mask: int) -> int:
     return crosses
 
 
-@part
+@inlined_part
 def _bound_slopes_left_out(space: Workspace, regime: int, left_out: Vector, most_left_out: int) -> None:
     """Bound what the pairs that are left out add to the slopes of functionals, from the step's beginning on."""
     system, flow = space.system, space.system.regimes[regime].flow
@@ -554,7 +554,7 @@ def _bound_slopes_left_out(space: Workspace, regime: int, left_out: Vector, most
             vectors.store(space.outputs, n * OF_OUTPUT + _SLOPE_BOUND, bound)
 
 
-@part
+@inlined_part
 def _prove(space: Workspace, regime: int, left_out: Vector, most_left_out: int, h: Vector) -> tuple[int, int, int]:
     """Look at the guards at the step's end, and prove that they stayed positive over its time h.
 
@@ -594,7 +594,7 @@ def _prove(space: Workspace, regime: int, left_out: Vector, most_left_out: int, 
     return failed, close, sunk
 
 
-@part
+@inlined_part
 def _watch_accelerations(space: Workspace, flow: int, h: Vector, advancing: int) -> int:
     """See what the accelerations did within a time h, and begin to search their extremes where one may count.
 
@@ -608,7 +608,7 @@ def _watch_accelerations(space: Workspace, flow: int, h: Vector, advancing: int)
     return int(extremes)
 
 
-@part
+@inlined_part
 def _watch_acceleration(space: Workspace, flow: int, lash: int, h: Vector, may_widen: int) -> int:
     """`_watch_accelerations` for one lash.
 
@@ -656,7 +656,7 @@ def _watch_acceleration(space: Workspace, flow: int, lash: int, h: Vector, may_w
     return int(turns)
 
 
-@part
+@inlined_part
 def _find_misses(space: Workspace, regime: int, left_out: Vector, event: Vector, h: Vector, advancing: int) -> int:
     """Begin to search the lowest turn of guards where one may be a near miss; the lanes of each into `guard_lanes`.
 
@@ -683,7 +683,7 @@ def _find_misses(space: Workspace, regime: int, left_out: Vector, event: Vector,
     return int(misses)
 
 
-@part
+@inlined_part
 def _begin_turn_searches(space: Workspace, regime: int, n: int, h: Vector, elapsed: Vector, mask: int) -> None:
     """Begin to search the lowest turn of guard n within the step, in some lanes."""
     notes = space.notes
@@ -700,7 +700,7 @@ def _begin_turn_searches(space: Workspace, regime: int, n: int, h: Vector, elaps
         wanted[rows.COUNTS] = notes[1, lane] - number_of(space, slot, rows.HELD_FROM, _lash(space, regime, n))
 
 
-@part
+@inlined_part
 def _certainly_deep(space: Workspace, regime: int, event: Vector) -> int:
     """Mask of the lanes in which the guard of an event certainly falls deeper than the margin, and does not make it."""
     deep = 0
@@ -710,7 +710,7 @@ def _certainly_deep(space: Workspace, regime: int, event: Vector) -> int:
     return deep
 
 
-@part
+@inlined_part
 def _set_where_they_were(space: Workspace, name: int, values: Vector, mask: int) -> None:
     """Set one number of runs that stay where they were."""
     if mask != 0:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from clunk.core.events import EVENT
 from clunk.core.exact import rows
 from clunk.core.exact.flows import LONG, TERMS, Flows
-from clunk.core.jit import part
+from clunk.core.jit import inlined_part, part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.pool import Pool, aligned, make_pool, push, whole
 from clunk.core.lanes.vectors import WIDTH, Vector
@@ -216,92 +216,92 @@ def put_systems(space: Workspace, each: Each) -> None:
         put(space.system, each, k, space.systems)
 
 
-@part
+@inlined_part
 def system_at(space: Workspace, driveline: int) -> System:
     """The system of a driveline."""
     return reference_at(space.systems, driveline, space.system)
 
 
-@part
+@inlined_part
 def system_of(space: Workspace, slot: int) -> System:
     """The system of a run's driveline."""
     return system_at(space, space.runs[slot].driveline)
 
 
-@part
+@inlined_part
 def size_of(space: Workspace) -> int:
     """The number of coordinates."""
     return int(space.flows.basis.shape[3])
 
 
-@part
+@inlined_part
 def shortest_span(space: Workspace, flow: int) -> Vector:
     """The shortest span of a flow  [s]."""
     return vectors.load(space.shortest, flow)
 
 
-@part
+@inlined_part
 def field(space: Workspace, name: int) -> Vector:
     """Load one number of each of the items that have been taken."""
     return vectors.load(space.pool.work, space.behind + name)
 
 
-@part
+@inlined_part
 def set_field(space: Workspace, name: int, values: Vector) -> None:
     """Set one number of each of the items that have been taken."""
     vectors.store(space.pool.work, space.behind + name, values)
 
 
-@part
+@inlined_part
 def field_of(space: Workspace, name: int, lash: int) -> Vector:
     """Load one number of a lash of each of the items that have been taken."""
     return field(space, rows.of_lash(name, lash, lashes_of(space.system)))
 
 
-@part
+@inlined_part
 def set_field_of(space: Workspace, name: int, lash: int, values: Vector) -> None:
     """Set one number of a lash of each of the items that have been taken."""
     set_field(space, rows.of_lash(name, lash, lashes_of(space.system)), values)
 
 
-@part
+@inlined_part
 def number_of(space: Workspace, slot: int, name: int, lash: int) -> float:
     """One number of a lash in a run."""
     return float(space.numbers[slot, space.behind + rows.of_lash(name, lash, lashes_of(space.system))])
 
 
-@part
+@inlined_part
 def set_number_of(space: Workspace, slot: int, name: int, lash: int, value: float) -> None:
     """Set one number of a lash in a run."""
     space.numbers[slot, space.behind + rows.of_lash(name, lash, lashes_of(space.system))] = value
 
 
-@part
+@inlined_part
 def shift_of(space: Workspace, slot: int, guard: int) -> float:
     """The shift that makes a guard of a functional of a run."""
     return float(space.numbers[slot, space.behind + rows.shift(guard, lashes_of(space.system))])
 
 
-@part
+@inlined_part
 def turn_search(space: Workspace, guard: int) -> int:
     """The one of a run's searches that is of a turn of a guard."""
     return lashes_of(space.system) + guard
 
 
-@part
+@inlined_part
 def is_still(space: Workspace, flow: int) -> bool:
     """Whether no origin of a flow moves, whatever the inputs of a run are."""
     return bool(space.flows.steady[0, flow] != 0 and space.system.ramps == 0)
 
 
-@part
+@inlined_part
 def sign_of(space: Workspace, slot: int, guard: int) -> float:
     """The sign by which a functional makes a guard of a run."""
     regime = space.runs[slot].regime
     return float(space.system.guards[regime, guard].sign)
 
 
-@part
+@inlined_part
 def scale_of(space: Workspace, slot: int, guard: int) -> float:
     """The scale of a guard's margin; 0 where it makes none."""
     regime = space.runs[slot].regime
@@ -310,19 +310,19 @@ def scale_of(space: Workspace, slot: int, guard: int) -> float:
     return number_of(space, slot, rows.SCALE, lash_of(space.system, regime, guard))
 
 
-@part
+@inlined_part
 def log_of(space: Workspace, slot: int) -> Log:
     """The events of a run, and its states."""
     return Log(space.events[slot], space.extremes[slot], space.margins[slot], space.states[slot])
 
 
-@part
+@inlined_part
 def queue_of(space: Workspace, first: int, flow: int, functional: int) -> int:
     """The queue of searches in a functional, behind the first of their kind."""
     return int(first + flow * space.flows.watch.shape[2] + functional)
 
 
-@part
+@inlined_part
 def step_queue(space: Workspace, regime: int, near: bool) -> int:
     """The queue of the next step of a run: of a part of the shortest span where an event is near, or of a span."""
     row = space.system.regimes[regime]
@@ -330,7 +330,7 @@ def step_queue(space: Workspace, regime: int, near: bool) -> int:
     return int((space.queues.short if short else space.queues.span) + row.group)
 
 
-@part
+@inlined_part
 def begin_search(space: Workspace, slot: int, search: int, length: float, sign: float, shift: float) -> None:
     """Begin a search in sign times a functional plus shift, for a time `length`.
 
@@ -347,7 +347,7 @@ def begin_search(space: Workspace, slot: int, search: int, length: float, sign: 
     wanted[rows.COUNTS] = np.inf
 
 
-@part
+@inlined_part
 def set_search_origin(space: Workspace, slot: int, functional: int) -> None:
     """A functional's origin where a run is, and its first three derivatives, into `space.origin`."""
     run = space.runs[slot]
@@ -362,7 +362,7 @@ def set_search_origin(space: Workspace, slot: int, functional: int) -> None:
     origin[2], origin[3] = curvature + elapsed * jerk, jerk
 
 
-@part
+@inlined_part
 def begin_acceleration_search(
     space: Workspace, slot: int, lash: int, length: float, value: float, slope: float
 ) -> None:
@@ -371,7 +371,7 @@ def begin_acceleration_search(
     begin_search(space, slot, rows.EXTREMES_SEARCH + lash, length, 1.0, 0.0)
 
 
-@part
+@inlined_part
 def push_search(space: Workspace, first: int, slot: int, search: int, functional: int) -> None:
     """Append a run's search in a functional to its queue."""
     flow = space.system.regimes[space.runs[slot].regime].flow
