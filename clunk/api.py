@@ -258,8 +258,8 @@ def draw(
         what = what.at_lash(lash)
         return plot.draw(what, quantity, thresholds_of(what))
     if isinstance(what, Fitted):
+        from clunk.plot.analyses import FIGURES
         from clunk.plot.comparisons import measured_on_maps
-        from clunk.plot.fit import FIGURES
 
         if quantity == "regimes":
             return measured_on_maps(fit_maps(what), what)

@@ -10,7 +10,7 @@ import pytest
 import clunk
 from clunk.analysis.sobol import first_and_total, saltelli_sample, sensitivity
 from clunk.cli import main
-from clunk.plot.indices import sobol_bars
+from clunk.plot.analyses import sobol_bars
 from clunk.plot.style import PlotError
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text

@@ -84,10 +84,9 @@ def _write(fitted: Fitted, path: Path, tolerances: int) -> None:
 def _draw(fitted: Fitted, path: Path, workers: int | None) -> None:
     """Draw the pictures of a fit: PATH-ensemble, PATH-labels and, of two measured parameters, PATH-maps."""
     from clunk.analysis.fittedstudy import fit_maps
-    from clunk.plot import comparisons
-    from clunk.plot import fit as figures
+    from clunk.plot import analyses, comparisons
 
-    pictures = {name: figure_of(fitted) for name, figure_of in figures.FIGURES.items()}
+    pictures = {name: figure_of(fitted) for name, figure_of in analyses.FIGURES.items()}
     try:
         pictures["maps"] = comparisons.measured_on_maps(fit_maps(fitted, workers), fitted)
     except ClunkError as error:

@@ -71,10 +71,10 @@ def optimize(
             write_text(path, to_toml(best.study))
             terminal.say_written(path)
     if picture is not None:
-        from clunk.plot import histories, tradeoff
+        from clunk.plot import analyses, histories
 
         if isinstance(found, optimisation.Front):
-            figure = tradeoff.trade_off(found)
+            figure = analyses.trade_off(found)
         else:
             runs = {"as it is": study, "best": found.study}
             figure = histories.history_figure(

@@ -70,6 +70,6 @@ def sensitivity(
     what = f"{result.runs:,} runs, {result.samples:,} samples x ({draws} parameters + 2), in {seconds:.1f} s"
     click.echo(f"{what} ({result.runs / seconds:,.0f} runs/s)", err=True)
     if output is not None:
-        from clunk.plot.indices import sobol_bars
+        from clunk.plot.analyses import sobol_bars
 
         terminal.save_picture(sobol_bars(result), output)

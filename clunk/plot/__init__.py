@@ -5,7 +5,7 @@ between their regimes where these have been traced, and else as cells.
 
 `layers` is what a figure of a plane (`maps`) needs of a map, whatever its quantity; `labelling` writes names and
 measured labels on it; `comparisons`, `strips` and `scatter` draw the rest, and `drawing` chooses among them. Figures of
-runs are in `histories`, of sensitivities in `indices`, of thresholds in `thresholds`, of fits in `fit`. `page` puts the
+runs are in `histories`, of thresholds in `thresholds`, of fits, sensitivities and optima in `analyses`. `page` puts the
 figures of a file on one page.
 """
 

@@ -19,7 +19,7 @@ from matplotlib.path import Path
 from clunk.analysis.ridge import ridge_of
 from clunk.plot.labelling import SIZES, SMALL_SIZES, Raster, write_beside, write_names
 from clunk.plot.layers import Layers
-from clunk.plot.plane import cell_edges, scale_axes
+from clunk.plot.plane import cell_edges, scale_panels
 from clunk.plot.style import (
     FAILED_FILL,
     HUES,
@@ -85,14 +85,7 @@ def map_figure(
     columns, size = grid_of(len(panels), columns)
     figure, axes = new_panels(len(panels), columns, SIZE if is_single else size)
     shades = shades_of(panels) if first.shaded else None
-    scale_axes(axes[0], first.view)
-    if not is_single:
-        figure.subfigs[0].supxlabel(axes[0].get_xlabel(), fontsize=10.0)
-        figure.subfigs[0].supylabel(axes[0].get_ylabel(), fontsize=10.0)
-        axes[0].set(xlabel="", ylabel="")
-        for axis in (axes[0].xaxis, axes[0].yaxis):
-            if isinstance(locator := axis.get_major_locator(), ticker.MaxNLocator):
-                locator.set_params(nbins=5)
+    scale_panels(figure, axes, first.view.axes)
     for ax, name in zip(axes, names, strict=False):
         ax.set_title(name, loc="left", fontsize=9.0)
     if shades is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -18,6 +17,7 @@ from clunk.study.axes import RUN, ResultAxis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Codes = npt.NDArray[np.int16]
 
@@ -133,32 +133,31 @@ def cells_of(axis: ResultAxis, at: Floats) -> Positions:
     return np.clip(np.searchsorted(cell_edges(axis), at) - 1, 0, len(axis.values) - 1)
 
 
-def scale_axes(ax: Axes, view: View) -> None:
-    """Scale both axes of a map, from the first to the last value."""
-    for which, axis in zip("xy", view.axes, strict=True):
-        scale_axis(ax, which, axis)
+def scale_panels(figure: Figure, panels: Sequence[Axes], axes: Sequence[ResultAxis]) -> None:
+    """Scale x and y of panels that share them, from the first to the last value; of several they are named once."""
+    ax, is_single = panels[0], len(panels) == 1
+    for which, axis in zip("xy", axes, strict=True):
+        scale_axis(ax, which, axis, 10 if is_single else 5)
         ax.set(**{f"{which}lim": (axis.values[0], axis.values[-1])})
-    ax.tick_params(direction="out")
+    if not is_single:
+        figure.subfigs[0].supxlabel(ax.get_xlabel(), fontsize=10.0)
+        figure.subfigs[0].supylabel(ax.get_ylabel(), fontsize=10.0)
+        ax.set(xlabel="", ylabel="")
 
 
-def scale_axis(ax: Axes, which: str, axis: ResultAxis) -> None:
-    """Set name, unit, scale and ticks of one axis, "x" or "y"."""
+def scale_axis(ax: Axes, which: str, axis: ResultAxis, most: int = 10) -> None:
+    """Set name, unit, scale and ticks of one axis, "x" or "y"; most : ticks."""
     from matplotlib import ticker
 
     ax.set(**{f"{which}label": axis_label(axis)})
-    if axis.is_geometric:
-        set_log_scale(ax, which, axis.values[0], axis.values[-1])
-    else:
-        getattr(ax, f"{which}axis").set_major_locator(ticker.MaxNLocator(10, steps=[1, 2, 5, 10]))
-
-
-def set_log_scale(ax: Axes, which: str, low: float, high: float) -> None:
-    """A logarithmic scale with plain numbers, some of them between the powers of ten: a short axis has few of those."""
-    from matplotlib import ticker
-
-    ax.set(**{f"{which}scale": "log"})
     line = getattr(ax, f"{which}axis")
-    line.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0) if math.log10(high / low) < 3 else (1.0,)))
+    if not axis.is_geometric:
+        line.set_major_locator(ticker.MaxNLocator(most, steps=[1, 2, 5, 10]))
+        return
+    # Plain numbers, some of them between the powers of ten: a short axis has few of those.
+    ax.set(**{f"{which}scale": "log"})
+    is_short = axis.values[-1] < 1e3 * axis.values[0]
+    line.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0) if is_short else (1.0,)))
     line.set_major_formatter(ticker.StrMethodFormatter("{x:g}"))
     line.set_minor_formatter(ticker.NullFormatter())
 

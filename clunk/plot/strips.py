@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib import ticker
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from clunk.plot import style
@@ -17,6 +18,7 @@ from clunk.results.labels import FAILED
 from clunk.results.quantities import CELL_QUANTITIES
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
+from clunk.study.arrays import Floats
 
 _FEW = 60  # samples, each of which is marked on the curve
 _COLOUR = style.LINE_COLOURS[0]
@@ -66,6 +68,12 @@ def strip(results: Results, quantity: str = "severity", more: str = "") -> Figur
     return figure
 
 
+def stack_shares(ax: Axes, x: Floats, shares: Sequence[Floats] | Floats, fills: Sequence[str], **look: Any) -> None:
+    """Draw probabilities along x one upon the other, each in its colour."""
+    ax.stackplot(x, *shares, colors=fills, edgecolor=style.INK, linewidth=0.5, **look)
+    ax.set(ylim=(0.0, 1.0), ylabel="Probability")
+
+
 @style.styled()
 def likelihood_curves(tolerances: ToleranceMap) -> Figure:
     """The probability of each label along one swept axis, stacked, over the severity's median and 5 to 95 % band.
@@ -79,12 +87,9 @@ def likelihood_curves(tolerances: ToleranceMap) -> Figure:
     probability = tolerances.probability.reshape(-1, len(names))[layers.view.order[0]]
     fills = {name: style.colour_of(name) for name in tolerances.labels} | {FAILED: style.FAILED_FILL}
     shown = {name: column for name, column in zip(names, probability.T, strict=True) if column.any()}
-    colours = [fills[name] for name in shown]
-    share.stackplot(x, *shown.values(), colors=colours, edgecolor=style.INK, linewidth=0.5)
-    share.set(ylim=(0.0, 1.0), ylabel="Probability")
-    share.yaxis.set_major_formatter(ticker.PercentFormatter(1.0, symbol=" %"))
+    stack_shares(share, x, [*shown.values()], [fills[name] for name in shown])
     share.tick_params(bottom=False, labelbottom=False)
-    notes = [style.swatch(name, fill) for name, fill in zip(shown, colours, strict=True)]
+    notes = [style.swatch(name, fills[name]) for name in shown]
     mean = layers.view.arrange(tolerances.severity_mean)
     low, median, high = (layers.view.arrange(each) for each in np.moveaxis(tolerances.severity_quantiles, -1, 0))
     if np.isfinite(median).any():

@@ -1,0 +1,190 @@
+"""Figures of analyses: a fit's ensemble and predicted labels, Sobol indices, a front of optima.
+
+The maps before and after a fit are in `comparisons`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from matplotlib import ticker
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from clunk.analysis.fitted import Fitted, weighted_quantiles
+from clunk.analysis.optimisation import Front
+from clunk.analysis.sobol import CONFIDENCE, Indices, Sensitivity
+from clunk.plot import style
+from clunk.study.arrays import Positions
+from clunk.study.parameters import quantity
+
+_SIDE = 1.9  # inches, of a panel of the corner plot
+_SHOWN = 1500  # draws
+_BINS = 30
+_ENDS = (0.002, 0.998)  # quantiles of the ensemble, between which it is drawn
+_LEAST = 0.02  # probability of a label that is in the legend
+_WIDTH = 7.2  # inches, of charts of bars
+_BAR = 0.36  # of the distance from one parameter to the next
+_FIRST, _SECOND = style.LINE_COLOURS[:2]
+
+
+@style.styled()
+def corner(fitted: Fitted) -> Figure:
+    """The ensemble: each parameter's distribution, and each two together; the lines are the best candidate's."""
+    count = len(fitted.priors)
+    side = 1.2 + max(count, 2) * _SIDE
+    figure = style.new_figure((side, side))
+    grid = figure.subplots(count, count, squeeze=False, sharex="col")
+    picked = np.random.default_rng(fitted.fit.seed).choice(len(fitted.weights), _SHOWN, p=fitted.weights)
+    draws, ends = fitted.draws[picked], weighted_quantiles(fitted.draws, fitted.weights, _ENDS)
+    limits = [_around(ends[k, 0], ends[k, 1], fitted.estimate[k]) for k in range(count)]
+    names = [_name(fitted, k) for k in range(count)]
+    for (row, column), ax in np.ndenumerate(grid):
+        if column > row:
+            ax.remove()
+            continue
+        ax.axvline(fitted.estimate[column], color=_SECOND, linewidth=0.9)
+        ax.set_xlim(limits[column])
+        ax.xaxis.set_major_locator(ticker.MaxNLocator(4))
+        ax.tick_params(labelsize=8.0, labelleft=column == 0)
+        if column == row:
+            _draw_distribution(ax, fitted, row)
+        else:
+            ax.scatter(draws[:, column], draws[:, row], s=3.0, color=_FIRST, alpha=0.25, linewidths=0)
+            ax.axhline(fitted.estimate[row], color=_SECOND, linewidth=0.9)
+            ax.set_ylim(limits[row])
+    for k in range(count):
+        grid[-1, k].set_xlabel(names[k])
+        if k:
+            grid[k, 0].set_ylabel(names[k])
+    line = f"{len(fitted.weights):,} draws, effectively {fitted.effective:.0f}; lines: best candidate; dashed: prior"
+    style.lay_out(figure, grid[0, 0], f"{fitted.study.title}: ensemble", line)
+    return figure
+
+
+def _draw_distribution(ax: Axes, fitted: Fitted, k: int) -> None:
+    """Draw the distribution of a parameter, its interval and its prior."""
+    edges = np.linspace(*ax.get_xlim(), _BINS + 1)
+    heights, _ = np.histogram(fitted.draws[:, k], edges, weights=fitted.weights)
+    ax.stairs(heights / np.diff(edges), edges, fill=True, color=_FIRST, alpha=0.5)
+    shares = np.linspace(0.0, 1.0, 2001)[1:-1]
+    below = np.interp(edges, fitted.prior_intervals(tuple(shares))[k], shares, 0.0, 1.0)
+    ax.stairs(np.diff(below) / np.diff(edges), edges, color=style.INK, linestyle="--", linewidth=0.8)
+    for bound in fitted.intervals()[k]:
+        ax.axvline(bound, color=_FIRST, linewidth=0.8)
+    ax.set_yticks([])
+
+
+def _around(begin: float, end: float, estimate: float) -> tuple[float, float]:
+    """Limits that hold the ensemble's ends and the estimate."""
+    low, high = min(begin, estimate), max(end, estimate)
+    beyond = 0.05 * (high - low) or 0.05 * abs(high) or 1.0
+    return low - beyond, high + beyond
+
+
+def _name(fitted: Fitted, k: int) -> str:
+    """Name of a parameter, and its unit where it is no factor."""
+    prior = fitted.priors[k]
+    described = quantity(prior.parameter)
+    symbol = style.symbol_text(style.bare(described.symbol)) or style.plain(described.name)
+    unit = "" if described.unit == "1" else f" [{described.unit}]"
+    return {"factor": f"factor of {symbol}", "offset": f"offset of {symbol}{unit}"}.get(prior.draws, symbol + unit)
+
+
+@style.styled()
+def label_probabilities(fitted: Fitted) -> Figure:
+    """The ensemble's probability of each label at each measured point; the measured label's part is framed."""
+    measurements, shares = fitted.experiment.measurements, fitted.probabilities
+    figure = style.new_figure((_WIDTH, 1.3 + 0.24 * len(measurements)))
+    ax = figure.add_subplot()
+    notes: dict[str, Artist] = {}
+    for row, (measurement, probabilities) in enumerate(zip(measurements, shares, strict=True)):
+        left = 0.0
+        for label, share in probabilities.items():
+            is_measured = label == measurement.label
+            look: dict[str, Any] = {"edgecolor": style.INK, "linewidth": 1.4} if is_measured else {"edgecolor": "white"}
+            colour = style.colour_of(label)
+            ax.barh(row, share, left=left, height=0.78, color=colour, **look)
+            left += share
+            if share >= _LEAST:
+                notes[label] = style.swatch(label, colour)
+    symbols = [style.symbol_text(style.bare(quantity(axis).symbol)) or axis for axis in fitted.axes]
+    names = [
+        ", ".join(f"{symbol} = {value:g}" for symbol, value in zip(symbols, each.values, strict=True))
+        + f":  {each.label}"
+        for each in measurements
+    ]
+    ax.set_yticks(range(len(names)), names, fontsize=8.0)
+    ax.set(xlim=(0.0, 1.0), ylim=(len(names) - 0.4, -0.6), xlabel="probability of the label")
+    line = f"framed: the measured label; ensemble of {len(fitted.weights):,} draws"
+    style.lay_out(figure, ax, f"{fitted.study.title}: predicted labels", line, list(notes.values()))
+    return figure
+
+
+FIGURES: dict[str, Callable[[Fitted], Figure]] = {"ensemble": corner, "labels": label_probabilities}
+
+
+@style.styled()
+def sobol_bars(sensitivity: Sensitivity) -> Figure:
+    """First-order and total index of each parameter with their intervals, a panel for each quantity that varies.
+
+    The parameters are in the order of the first panel's total indices, the largest on top.
+
+    Raises PlotError where no quantity varies.
+    """
+    drawn = [indices for indices in sensitivity.indices if indices.varies]
+    if not drawn:
+        raise style.PlotError("There are no indices to draw: every quantity is the same in all runs.")
+    order = drawn[0].order
+    figure, panels = style.new_panels(len(drawn), 1, (_WIDTH, 1.0 + len(drawn) * (0.6 + 0.45 * order.size)))
+    for ax, indices in zip(panels, drawn, strict=True):
+        _draw_bars(ax, indices, order)
+        ax.set_title(style.capital(indices.heading), loc="left", fontsize=9.0)
+    axes = [quantity(sensitivity.parameters[k]) for k in order]
+    names = [f"{style.plain(style.capital(axis.name))}, {style.symbol_text(axis.symbol)}" for axis in axes]
+    panels[0].set_yticks(np.arange(order.size), names)
+    panels[0].set_ylim(order.size - 0.5, -0.5)
+    panels[-1].set_xlabel("Share of the variance")
+    bar: dict[str, Any] = {"color": style.INK, "linewidth": 1.0, "marker": "|", "markersize": 5}
+    notes = [
+        style.swatch("alone (first-order index)", _FIRST),
+        style.swatch("in all (total index)", _SECOND),
+        Line2D([], [], **bar, label=f"{100 * CONFIDENCE:g} % interval"),
+    ]
+    at = ((quantity(parameter), value) for parameter, value in sensitivity.at.items())
+    line = ", ".join(f"{axis.name} {value:g} {axis.unit.removeprefix('1')}".rstrip() for axis, value in at)
+    style.lay_out(figure, panels[0], sensitivity.study.title, line, notes)
+    return figure
+
+
+def _draw_bars(ax: Axes, indices: Indices, order: Positions) -> None:
+    """Draw both indices of each parameter as bars, and their intervals over them."""
+    places = np.arange(order.size)
+    first, total = (indices.first, indices.first_interval, _FIRST), (indices.total, indices.total_interval, _SECOND)
+    for (share, interval, colour), at in ((first, places - 0.5 * _BAR), (total, places + 0.5 * _BAR)):
+        ax.barh(at, share[order], _BAR, color=colour, zorder=2)
+        low, high = interval[:, order]
+        ax.hlines(at, low, high, color=style.INK, linewidth=1.0, zorder=3)
+        ax.plot([low, high], [at, at], "|", color=style.INK, markersize=4.0, zorder=3)
+    ax.axvline(0.0, color=style.INK, linewidth=0.8, zorder=4)
+    ax.grid(axis="x", color="0.9", linewidth=0.6)
+    ax.set_axisbelow(True)
+    ax.spines[["top", "right", "left"]].set_visible(False)
+    ax.tick_params(axis="y", length=0)
+
+
+@style.styled()
+def trade_off(front: Front) -> Figure:
+    """What is minimised over the quantity that is bounded, a point for each optimum."""
+    figure = style.new_figure()
+    ax = figure.add_subplot()
+    minimized, bounded = ([best.quantities[name] for best in front.points] for name in front.traded)
+    ax.plot(bounded, minimized, "o-", color=style.INK)
+    ax.set(xlabel=front.traded[1], ylabel=front.traded[0])
+    style.tidy(ax)
+    style.lay_out(figure, ax, front.points[0].study.title, f"the least {front.traded[0]} for each {front.traded[1]}")
+    return figure
