@@ -16,7 +16,7 @@ from clunk.plot.layers import Layers
 from clunk.plot.maps import shades_of
 from clunk.plot.scatter import scatter
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
-from clunk.results.store import read_header, read_results, write_results
+from clunk.results.store import read_map, read_results, write_results
 from clunk.study.axes import RUN
 from clunk.study.config import study_from_text
 from clunk.study.designs import design_of
@@ -385,7 +385,7 @@ class TestCommandLine:
         ]
         _, out, _ = clunk("info", "four.h5")
         assert out.count("\naxis ") == 4
-        assert read_header("four.h5").coordinates == ()
+        assert read_map("four.h5").coordinates == ()
 
     def test_failed_cells_are_named_by_their_parameters(self, clunk, files):
         (files / "sample.toml").write_text(SAMPLE)

@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from test_parts import CONFIG, posix, resumed, stopped
-from test_sweeping import equal, figure_3_4, study
+from test_sweeping import digest_of, equal, figure_3_4, study
 
 from clunk.cli import main
-from clunk.results.store import read_header
 from clunk.study.config import load_study
 from clunk.sweeping import distributed
 from clunk.sweeping.distributed import Cluster
@@ -159,9 +158,9 @@ class TestTheSameBits:
         assert local.returncode == 0, err
         assert all("cells" in line for line in err.splitlines()), err
         assert sorted(path.name for path in tmp_path.iterdir()) == ["map.h5", "map.toml"]
-        digest = read_header(tmp_path / "map.h5").content_digest
+        digest = digest_of(tmp_path / "map.h5")
         assert main_in(tmp_path, monkeypatch, capsys, "--force")[:2] == (0, out)
-        assert read_header(tmp_path / "map.h5").content_digest == digest
+        assert digest_of(tmp_path / "map.h5") == digest
 
     @posix
     def test_when_a_worker_is_killed_and_another_joins(self, two_workers, map_17, whole):

@@ -12,7 +12,7 @@ from test_sweeping import equal, figure_3_4
 
 from clunk.sweeping import signals
 from clunk.sweeping.cells import Grid
-from clunk.sweeping.engines import Work, run_tiles
+from clunk.sweeping.engines import run_tiles
 from clunk.sweeping.signals import Threads
 from clunk.sweeping.sweep import sweep
 
@@ -22,19 +22,10 @@ def grid():
     return Grid(figure_3_4(17, step=2e-4))
 
 
-def test_all_cells_are_taken_once_and_in_order(grid):
-    work = Work(grid, np.arange(0, 20, 2))
-    assert list(work.take(3)) == [0, 2, 4]
-    assert (work.size, work.known) == (7, 10)
-    assert list(work.take(8)) == [6, 8, 10, 12, 14, 16, 18]
-    assert (work.size, work.known) == (0, 10)
-    assert work.take(8).size == 0
-
-
 @pytest.mark.parametrize("workers", [1, 3])
 def test_threads_go_on_until_nothing_waits_or_runs(grid, workers):
     with ThreadPoolExecutor(workers) as engine:
-        tiles = run_tiles(engine, grid, Work(grid, np.arange(grid.design.cells)))
+        tiles = run_tiles(engine, grid, np.arange(grid.design.cells))
         ran = [cell for tile in tiles for cell in tile.cells.tolist()]
     assert sorted(ran) == list(range(grid.design.cells))
 
@@ -81,7 +72,7 @@ def test_an_interrupt_at_any_moment_leaves_no_thread_waiting(monkeypatch):
     def tiles_until_interrupted(seconds):
         with Threads(2) as engine:
             signal.setitimer(signal.ITIMER_REAL, seconds)
-            for _ in run_tiles(engine, Nothing(), Work(Nothing(), np.arange(1_000_000))):
+            for _ in run_tiles(engine, Nothing(), np.arange(1_000_000)):
                 pass
 
     monkeypatch.setattr(signals, "_DEFERRED", (signal.SIGALRM,))

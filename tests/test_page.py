@@ -11,6 +11,7 @@ from conftest import RUBBING
 from test_cli import SMALL, clunk, here  # noqa: F401  fixtures
 from test_store import BACKLASH, INERTIA, RATIO
 from test_store import example as example_without_config
+from test_sweeping import digest_of
 
 from clunk.analysis.small_gap import thresholds_of
 from clunk.plot.page import page
@@ -111,11 +112,11 @@ def test_the_commands_of_a_page_make_the_same_results_from_its_config(clunk, her
     read = Page((here / "first.html").read_text("utf-8"))
     commands, config = read.texts["pre"]
     (here / "first.toml").write_text(config)
-    digest = store.read_header(here / "first.h5").content_digest
+    digest = digest_of(here / "first.h5")
     (here / "first.h5").unlink()
     for line in commands.splitlines()[1:]:
         assert clunk(*shlex.split(line)[1:])[0] == 0
-    assert store.read_header(here / "first.h5").content_digest == digest
+    assert digest_of(here / "first.h5") == digest
     assert digest in read.texts["td"]
     again = Page((here / "first.html").read_text("utf-8"))
     assert again.texts["pre"] == read.texts["pre"]

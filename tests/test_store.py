@@ -1,11 +1,9 @@
 """The results file: what is written is what is read, by clunk and by others, and a bad file is a sentence."""
 
 import hashlib
-import io
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -71,7 +69,7 @@ def example(*axes: ResultAxis, impacts: bool = True) -> Results:
 
 def padded(results: Results, name: str) -> np.ndarray:
     """Array of a quantity as its file has it: behind a cell's last impact NaN or 0."""
-    return store.dataset_of(results).rows(name)
+    return store.dataset_of(results).padded(name)
 
 
 def assert_same(left: Results, right: Results) -> None:
@@ -215,21 +213,11 @@ def test_the_file_needs_no_hdf5_types_that_netcdf_lacks(tmp_path: Path) -> None:
         assert h5py.check_string_dtype(file.attrs.get_id("config").dtype).length is None
 
 
-def test_header_tells_the_counts_without_the_arrays(tmp_path: Path) -> None:
-    results = example(RATIO, BACKLASH)
-    store.write_results(tmp_path / "map.h5", results)
-    header = store.read_header(tmp_path / "map.h5")
-    assert header.counts_of_lashes == {"": results.counts()}
-    assert header.labels == results.labels
-    assert header.config == results.config
-    assert header.config_digest == results.config_digest
-    assert header.attributes == results.attributes
-
-
 def test_content_digest_depends_on_the_data_and_nothing_else(tmp_path: Path) -> None:
     def digest(results: Results) -> str:
         store.write_results(tmp_path / "map.h5", results)
-        return store.read_header(tmp_path / "map.h5").content_digest
+        with h5py.File(tmp_path / "map.h5") as file:
+            return file.attrs["content_digest"]
 
     results = example(RATIO, BACKLASH)
     original = digest(results)
@@ -291,53 +279,6 @@ from test_store import BACKLASH, RATIO, ClunkError, example, netcdf, store
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 try:
     store.write_results({str(tmp_path / "map.h5")!r}, example(RATIO, BACKLASH))
-except ClunkError as error:
-    print(error)
-"""
-    pytest.importorskip("resource")
-    answer = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
-    assert (answer.returncode, answer.stderr) == (0, "")
-    assert answer.stdout.strip().endswith("cannot be written: file too large.")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_large_file_is_assembled_on_the_disk_to_the_same_bytes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    results = example(RATIO, BACKLASH)
-    for _ in range(5):  # HDF5 notes the second in which a file was made
-        began = int(time.time())
-        for name, large in (("memory.h5", 1 << 28), ("disk.h5", 0)):
-            monkeypatch.setattr(netcdf, "_LARGE", large)
-            store.write_results(tmp_path / name, results)
-        if int(time.time()) == began:
-            break
-    assert (tmp_path / "disk.h5").read_bytes() == (tmp_path / "memory.h5").read_bytes()
-    assert netcdf.check(tmp_path / "disk.h5")
-
-
-@pytest.mark.parametrize("limit", [60_000, 6_000_000])
-def test_a_disk_that_fills_up_under_a_large_file_is_a_sentence_and_the_interpreter_ends_well(
-    tmp_path: Path, limit: int
-) -> None:
-    # Of 10 MB of incompressible values, at the first variable and in the middle; a chunk has 1 MB.
-    code = f"""
-import resource, sys
-from dataclasses import replace
-sys.path.insert(0, {str(Path(__file__).parent)!r})
-import numpy as np
-from test_store import CELL_QUANTITIES, IMPACT_QUANTITIES, RATIO, ClunkError, example, netcdf, store
-netcdf._LARGE, netcdf._AHEAD = 0, 1 << 22
-small = example(RATIO)
-count = 400_000
-fields = {{name: np.resize(getattr(small, name), count) for name in CELL_QUANTITIES}}
-fields |= {{"primary_impacts": np.zeros(count, np.int32), "severity": np.random.default_rng(1).normal(size=count)}}
-fields |= {{name: getattr(small, name)[:0] for name in IMPACT_QUANTITIES}}
-fields |= {{name: np.random.default_rng(2).normal(size=count) for name in ("margin", "approach_velocity")}}
-large = replace(small, axes=(replace(small.axes[0], values=np.arange(float(count))),), arrays=fields)
-resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
-try:
-    store.write_results({str(tmp_path / "map.h5")!r}, large)
 except ClunkError as error:
     print(error)
 """
@@ -455,7 +396,7 @@ BROKEN = {
     "empty": (lambda path: path.write_bytes(b""), "not HDF5"),
     "text": (lambda path: path.write_text("σr, φθ\n"), "not HDF5"),
     "foreign HDF5": (_foreign, "although it is HDF5"),
-    "other schema": (_set_attribute("schema_version", np.int32(6)), "has schema version 6, and this clunk reads"),
+    "other schema": (_set_attribute("schema_version", np.int32(7)), "has schema version 7, and this clunk reads"),
     "truncated": (_truncate, "truncated file"),
     "a value changed": (_edit("severity", (1, 1), -1.0), "content_digest"),
     "an impact changed": (_edit("impact_time", (0, 1, 0), -1.0), "content_digest"),
@@ -465,7 +406,7 @@ BROKEN = {
     "variable gone": (_drop("quality"), "damaged"),
     "axis gone": (_drop("load_ratio"), "damaged"),
     "other shape": (_shorten, "damaged"),
-    "more rows than its axis": (_resize("quality"), "the shape of quality is not that of its axes"),
+    "more rows than its axis": (_resize("quality"), "claims more values than its bytes can hold"),
     "an axis that claims more than is there": (_resize("load_ratio"), "claims more values than its bytes can hold"),
     "no config": (_drop_attribute("config"), "damaged"),
 }
@@ -532,7 +473,7 @@ def test_what_is_behind_the_hdf5_is_its_checksum_or_nothing(tmp_path: Path, chan
     if changed == "bit":
         raw[-70] ^= 1
     path.write_bytes({"bit": raw, "cut": raw[:-1], "longer": raw + b"\n"}[changed])
-    for reader in (store.read_results, store.read_header, netcdf.check):
+    for reader in (store.read_results, netcdf.check):
         with pytest.raises(netcdf.StoreError) as raised:
             reader(path)
         assert_sentence(raised.value, path, "damaged")
@@ -554,7 +495,7 @@ for k in range(2 * int(sys.argv[2])):
         changed = raw[: chance.randrange(len(raw) - 78)]
     path.write_bytes(changed)
     faulthandler.dump_traceback_later(10, exit=True)
-    for reader in (store.read_results, store.read_header, netcdf.check):
+    for reader in (store.read_results, netcdf.check):
         try:
             reader(path)
         except netcdf.StoreError as error:
@@ -570,17 +511,3 @@ def test_three_hundred_cuts_and_three_hundred_flipped_bits_are_all_refused_at_on
     command = [sys.executable, "-c", BARRAGE, str(tmp_path / "map.h5"), "300"]
     answer = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert (answer.returncode, answer.stdout, answer.stderr) == (0, "", "")
-
-
-def test_chunks_are_what_hdf5_would_have_made_of_them() -> None:
-    """Over the edge of the last chunk, too, and with several chunks in each direction."""
-    rng = np.random.default_rng(2)
-    values = rng.normal(size=(5, 7, 3)).astype(np.float64)
-
-    with netcdf.Image(image := io.BytesIO()) as file:
-        variable = file.create_dataset("x", values.shape, "<f8", chunks=(2, 3, 2), compression="gzip", shuffle=True)
-        with netcdf.chunk_writer(file) as write:
-            for start in range(0, 5, 2):
-                write(variable, start, values[start : start + 2])
-    with h5py.File(image) as file:
-        np.testing.assert_array_equal(file["x"], values, strict=True)

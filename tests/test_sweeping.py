@@ -1,5 +1,6 @@
 """Sweeps: the report's map, the same bits for any number of workers, and every cell a single run."""
 
+import h5py
 import numpy as np
 import pytest
 
@@ -32,6 +33,12 @@ def figure_3_4(count, **options):
     return study(
         ("load.ratio", np.linspace(0.0, 10.0, count)), ("lash.backlash_deg", np.linspace(0.0, 20.0, count)), **options
     )
+
+
+def digest_of(path):
+    """The digest of the data in a results file."""
+    with h5py.File(path) as file:
+        return file.attrs["content_digest"].decode()
 
 
 def regimes(results):

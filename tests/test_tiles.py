@@ -10,12 +10,11 @@ from clunk.study.config import study_from_text
 from clunk.study.designs import design_of_points
 from clunk.sweeping import cells
 from clunk.sweeping.assembly import RegimeReduction
-from clunk.sweeping.cells import CELL, IMPACT, Grid
+from clunk.sweeping.cells import Grid
 from clunk.sweeping.sweep import sweep
-from clunk.sweeping.tiles import Layout, from_bytes, to_pieces
+from clunk.sweeping.tiles import from_bytes, to_bytes
 
 ORIGIN = bytes(range(32))
-LAYOUT = Layout(CELL, IMPACT, "primary_impacts")
 
 
 def assembled(study, batches):
@@ -91,7 +90,7 @@ def test_events_that_find_no_room_get_it(method, measured, monkeypatch):
 
 
 def test_bytes_give_the_same_tile_again(tile):
-    again = from_bytes(b"".join(to_pieces([tile, tile], ORIGIN)), ORIGIN, LAYOUT)
+    again = from_bytes(to_bytes([tile, tile], ORIGIN), ORIGIN)
     for name in ("cells", "records", "details"):
         one, two = getattr(tile, name), getattr(again, name)
         assert one.dtype == two.dtype
@@ -100,16 +99,11 @@ def test_bytes_give_the_same_tile_again(tile):
 
 
 def test_bytes_of_another_origin_cut_or_changed_are_refused(tile):
-    raw = b"".join(to_pieces([tile], ORIGIN))
-    with pytest.raises(ValueError, match="another study"):
-        from_bytes(raw, ORIGIN[::-1], LAYOUT)
-    for length in [*range(0, len(raw), 97), len(raw) - 1]:
-        with pytest.raises(ValueError, match=r"truncated|damaged"):
-            from_bytes(raw[:length], ORIGIN, LAYOUT)
-    with pytest.raises(ValueError, match="damaged"):
-        from_bytes(raw + b"\0", ORIGIN, LAYOUT)
-    for place in np.random.default_rng(0).integers(0, 8 * len(raw), 300):
-        changed = bytearray(raw)
+    raw = to_bytes([tile], ORIGIN)
+    flipped = [bytearray(raw) for _ in range(300)]
+    for changed, place in zip(flipped, np.random.default_rng(0).integers(0, 8 * len(raw), 300), strict=True):
         changed[place // 8] ^= 1 << (place % 8)
-        with pytest.raises(ValueError, match=r"another study|damaged"):
-            from_bytes(bytes(changed), ORIGIN, LAYOUT)
+    cut = [raw[:length] for length in [*range(0, len(raw), 97), len(raw) - 1]]
+    for changed, origin in [(raw, ORIGIN[::-1]), *((each, ORIGIN) for each in [*flipped, *cut, raw + b"\0"])]:
+        with pytest.raises(ValueError, match="damaged, or of another study"):
+            from_bytes(bytes(changed), origin)

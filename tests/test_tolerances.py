@@ -20,7 +20,7 @@ from clunk.plot.style import palette_of
 from clunk.results import netcdf, store
 from clunk.results.labels import double_sided, excursions
 from clunk.results.netcdf import StoreError
-from clunk.results.store import read_header, read_results
+from clunk.results.store import read_results
 from clunk.results.tolerancemap import QUANTILES, most_likely
 from clunk.simulation.trajectory import SimulationError, simulate
 from clunk.study.config import study_from_text
@@ -359,9 +359,6 @@ class TestFile:
             )
             assert np.array_equal(one.values, other.values)
         assert netcdf.check(path)
-        header = read_header(path)
-        assert header.tolerance_map
-        assert header.counts_of_lashes == {"": found.counts()}
 
     def test_xarray_finds_labels_by_their_name(self, found, path):
         with xarray.open_dataset(path, engine="h5netcdf") as data:
@@ -401,12 +398,6 @@ class TestFile:
         store.write_results(tmp_path / "plain.h5", sweep(nominal(toleranced)))
         with pytest.raises(StoreError, match="holds a regime map, where a tolerance map is needed"):
             store.read_tolerance_map(tmp_path / "plain.h5")
-
-    def test_a_map_whose_runs_do_not_add_up_is_none(self, found):
-        runs = found.runs.copy()
-        runs[3, 3, 0] += 1
-        with pytest.raises(ValueError, match="not as many as the sample"):
-            found.with_arrays(probability=runs / found.draws)
 
 
 class TestCommands:

@@ -29,8 +29,8 @@ from clunk.study.keys import key_at
 from clunk.study.parameters import located, nominal_value, parameters
 from clunk.study.study import Study
 from clunk.study.sweeps import Draw
-from clunk.sweeping.assembly import flanks_of
 from clunk.sweeping.progress import Progress
+from clunk.sweeping.reduction import flanks_of
 from clunk.sweeping.runner import Runner
 
 Worth = Callable[[Records], Bools]

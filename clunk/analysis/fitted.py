@@ -26,7 +26,7 @@ from clunk.study.parameters import nominal_value
 from clunk.study.records import Record, tells, told
 from clunk.study.study import Study
 from clunk.study.sweeps import Draw
-from clunk.sweeping.assembly import flanks_of
+from clunk.sweeping.reduction import flanks_of
 
 INTERVAL = (0.05, 0.95)  # quantiles of the ensemble that bound a parameter
 

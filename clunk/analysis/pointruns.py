@@ -16,7 +16,7 @@ from clunk.results.labels import FAILED_CODE, excursions
 from clunk.results.quantities import measuring
 from clunk.study.arrays import Codes, Floats, Records
 from clunk.study.study import Study
-from clunk.sweeping.assembly import flanks_of, long_sequences
+from clunk.sweeping.reduction import flanks_of, long_sequences
 from clunk.sweeping.runner import Runner
 from clunk.sweeping.tiles import Tile
 

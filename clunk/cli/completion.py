@@ -59,13 +59,13 @@ def _axes(context: click.Context) -> list[ResultAxis]:
     path = _path(context)
     if path is not None and path.suffix == ".h5":
         from clunk.results.netcdf import StoreError
-        from clunk.results.store import read_header
+        from clunk.results.store import read_map
 
         try:
-            header = read_header(path)
+            results = read_map(path)
         except StoreError:
             return []
-        return [*header.axes, *header.coordinates]
+        return [*results.axes, *results.coordinates]
     from clunk.study.designs import design_of
 
     study = _study(context)
@@ -81,9 +81,9 @@ def _study(context: click.Context) -> Study | None:
     path = _path(context)
     try:
         if path is not None and path.suffix == ".h5":
-            from clunk.results.store import read_header
+            from clunk.results.store import read_map
 
-            return study_from_text(read_header(path).config)
+            return study_from_text(read_map(path).config)
         return None if path is None else load_study(path)
     except ClunkError:
         return None

@@ -12,7 +12,7 @@ from clunk.cli import cells, terminal
 from clunk.cli.options import PATH, at_option
 
 if TYPE_CHECKING:
-    from clunk.results.store import Header
+    from clunk.results.tolerancemap import AnyMap
 
 
 @click.command()
@@ -30,26 +30,27 @@ def report(file: Path, output: Path | None, at: tuple[str, ...]) -> None:
     from clunk.plot.page import page
     from clunk.results import targets
     from clunk.results.files import write_text
-    from clunk.results.store import read_header, read_map
+    from clunk.results.netcdf import content_digest
+    from clunk.results.store import dataset_of, read_map
 
     target = output or file.with_suffix(".html")
     targets.check(target, (".html",), reads=file)
-    results, header = read_map(file), read_header(file)
+    results = part = read_map(file)
     if at:
-        results = results.at(cells.nearest_values(results.axes, results.coordinates, at))
-    digests = [("config digest", header.config_digest), ("content digest", header.content_digest)]
-    write_text(target, page(results, _commands(header, file, target, at), digests))
+        part = results.at(cells.nearest_values(results.axes, results.coordinates, at))
+    digests = [("config digest", results.config_digest), ("content digest", content_digest(dataset_of(results)))]
+    write_text(target, page(part, _commands(results, file, target, at), digests))
     terminal.say_written(target)
 
 
-def _commands(header: Header, file: Path, target: Path, at: tuple[str, ...]) -> list[str]:
+def _commands(results: AnyMap, file: Path, target: Path, at: tuple[str, ...]) -> list[str]:
     """Lines of a shell that make the results again from their config, and then the page."""
-    config, results = f"{file.stem}.toml", f"{file.stem}.h5"
-    sweep = ["clunk", "sweep", config, "-o", results]
-    if header.boundaries is not None:
-        sweep += ["--boundaries", *(["--lash", header.boundaries.lash] if header.boundaries.lash else [])]
+    config, copy = f"{file.stem}.toml", f"{file.stem}.h5"
+    sweep = ["clunk", "sweep", config, "-o", copy]
+    if results.boundaries is not None:
+        sweep += ["--boundaries", *(["--lash", results.boundaries.lash] if results.boundaries.lash else [])]
     made = [f"# the config below is {config}", shlex.join(sweep)]
-    if header.setting("sweep") is None:
+    if results.setting("sweep") is None:
         made = ["# by clunk.run_points, for the config below at points that a script names"]
     slices = [word for place in at for word in ("--at", place)]
-    return [*made, shlex.join(["clunk", "report", results, "-o", target.name, *slices])]
+    return [*made, shlex.join(["clunk", "report", copy, "-o", target.name, *slices])]

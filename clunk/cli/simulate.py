@@ -138,9 +138,9 @@ def _studies_to_simulate(
     from clunk.study.study import replace_values
 
     if source.suffix == ".h5":
-        from clunk.results.store import read_header
+        from clunk.results.store import read_map
 
-        text, name = read_header(source).config, f"the config in {source}"
+        text, name = read_map(source).config, f"the config in {source}"
     else:
         text, name = read_text(source), str(source)
     choices: dict[str, list[str]] = {}

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
-from clunk.study.arrays import Array, Cells
+from clunk.study.arrays import Array
 
 # Last dimension of a variable -> the variable that tells how many entries along it each cell has.
 COUNTED_BY = {"impact": "primary_impacts"}
@@ -46,34 +45,15 @@ class Dataset:
         """Lengths of a variable's dimensions."""
         return tuple(len(self.variables[dim].values) for dim in self.variables[name].dims)
 
-    def rows(self, name: str, start: int = 0, stop: int | None = None) -> Array:
-        """Rows of a variable's first dimension, in its shape; behind the last entry of a cell NaN (floats) or 0.
-
-        Padded whole, the impacts would be most of a large map's memory.
-        """
+    def padded(self, name: str) -> Array:
+        """Values of a variable in the shape of its dimensions; behind the last entry of a cell NaN (floats) or 0."""
         variable = self.variables[name]
         if variable.values.ndim == len(variable.dims):
-            return variable.values[start:stop]
-        counts = self.variables[COUNTED_BY[variable.dims[-1]]].values[start:stop]
-        first = self._first_entries[variable.dims[-1]]
-        block = np.full(
-            (*counts.shape, self.shape(name)[-1]),
-            np.nan if variable.values.dtype.kind == "f" else 0,
-            variable.values.dtype,
-        )
-        block[has_entry(counts, block.shape[-1])] = variable.values[first[start] : first[start + len(counts)]]
-        return block
-
-    @cached_property
-    def _first_entries(self) -> dict[str, Cells]:
-        """Position of each row's first entry in flat values, and last their number: by dimension, (rows + 1,)."""
-        known = {dim: name for dim, name in COUNTED_BY.items() if name in self.variables}
-        return {dim: first_entries(self.variables[name].values) for dim, name in known.items()}
-
-
-def first_entries(counts: npt.NDArray[np.int32]) -> Cells:
-    """Position of the first entry of each row of cells among the entries of all, and last their number: (rows + 1,)."""
-    return np.concatenate(([0], np.cumsum(counts.reshape(len(counts), -1).sum(axis=1, dtype=np.int64))))
+            return variable.values
+        is_entry = has_entry(self.variables[COUNTED_BY[variable.dims[-1]]].values, self.shape(name)[-1])
+        padded = np.full(is_entry.shape, np.nan if variable.values.dtype.kind == "f" else 0, variable.values.dtype)
+        padded[is_entry] = variable.values
+        return padded
 
 
 def has_entry(counts: npt.NDArray[np.int32], most: int) -> npt.NDArray[np.bool_]:

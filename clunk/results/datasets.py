@@ -87,7 +87,7 @@ def _to_xarray(dataset: Dataset) -> xarray.Dataset:
     sequence = dataset.variables["sequence"]
     along_run = str(sequence.attributes.get("coordinates", "")).split()
     arrays = {
-        name: (each.dims, dataset.rows(name), {k: v for k, v in each.attributes.items() if k != "coordinates"})
+        name: (each.dims, dataset.padded(name), {k: v for k, v in each.attributes.items() if k != "coordinates"})
         for name, each in dataset.variables.items()
     }
     coordinates = {name: arrays.pop(name) for name, each in dataset.variables.items() if each.dims == (name,)}

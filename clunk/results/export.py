@@ -10,7 +10,7 @@ import io
 import json
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -19,12 +19,11 @@ import numpy as np
 from clunk.results.boundaries import Boundaries
 from clunk.results.files import write_text, write_whole, writing
 from clunk.results.labels import FAILED
-from clunk.results.maps import Map
 from clunk.results.quantities import Quantity
 from clunk.results.store import dataset_of
 from clunk.results.tolerancemap import AnyMap
 from clunk.study.arrays import Array
-from clunk.study.axes import RUN, ResultAxis
+from clunk.study.axes import RUN
 from clunk.study.errors import ClunkError
 
 _ROWS = 4096  # cells, written at once
@@ -41,28 +40,25 @@ def _write_csv(stream: BinaryIO, results: AnyMap) -> None:
 
     A quantity of each primary impact, label or quantile has a column for each of these.
     """
+    dataset, cells = dataset_of(results), math.prod(results.shape)
+    columns: list[tuple[str, Quantity | None, Array]] = []  # heading, and the value in each cell
+    for axis, places in zip(results.axes, np.unravel_index(np.arange(cells), results.shape), strict=True):
+        for each in [axis, *results.coordinates] if axis.parameter == RUN else [axis]:
+            values = np.array(each.words, object) if each.words else each.values
+            columns.append((_with_unit(each.parameter, each.unit), None, values[places]))
+    for name, quantity in results.quantities.items():
+        values, suffixes = results.arrays[name], [""]
+        if quantity.dimension:
+            values = dataset.padded(name)
+            suffixes = [f"[{entry}]" for entry in dataset.variables[quantity.dimension].values.tolist()]
+        for suffix, column in zip(suffixes, values.reshape(cells, -1).T, strict=True):
+            columns.append((_with_unit(name + suffix, quantity.unit), quantity, column))
     text = io.TextIOWrapper(stream, encoding="utf-8", newline="")
     write = csv.writer(text, lineterminator="\n")
-    dataset, quantities = dataset_of(results), results.quantities.values()
-    names = [_with_unit(each.parameter, each.unit) for axis in results.axes for each in _along(results, axis)]
-    for quantity in quantities:
-        entries = dataset.variables[quantity.dimension].values.tolist() if quantity.dimension else []
-        of_each = [f"[{entry}]" for entry in entries] or [""]
-        names += [_with_unit(quantity.name + suffix, quantity.unit) for suffix in of_each]
-    write.writerow(names)
-    cells_a_row = math.prod(results.shape[1:])
-    rows = max(1, _ROWS // cells_a_row)
-    for start in range(0, results.shape[0], rows):
-        stop = min(start + rows, results.shape[0])
-        cells = np.arange(start * cells_a_row, stop * cells_a_row)
-        columns: list[list[Any]] = []
-        for axis, places in zip(results.axes, np.unravel_index(cells, results.shape), strict=True):
-            columns += [_texts_or_numbers(each)[places].tolist() for each in _along(results, axis)]
-        for quantity in quantities:
-            name = quantity.name
-            values = dataset.rows(name, start, stop) if quantity.dimension else results.values(name)[start:stop]
-            columns += [_texts(quantity, column, results.labels) for column in values.reshape(cells.size, -1).T]
-        write.writerows(zip(*columns, strict=True))
+    write.writerow(heading for heading, _, _ in columns)
+    for start in range(0, cells, _ROWS):
+        part = slice(start, start + _ROWS)
+        write.writerows(zip(*(_texts(of, column[part], results.labels) for _, of, column in columns), strict=True))
     text.detach()  # flushed, and the stream stays open
 
 
@@ -72,7 +68,7 @@ def _write_mat(stream: BinaryIO, results: AnyMap) -> None:
     from scipy.io.matlab import MatWriteError
 
     dataset = dataset_of(results)
-    arrays: dict[str, Any] = {name: dataset.rows(name) for name in dataset.variables}
+    arrays: dict[str, Any] = {name: dataset.padded(name) for name in dataset.variables}
     arrays |= {name: values.astype(object) for name, values in arrays.items() if values.dtype.kind == "U"}
     units = {name: each.attributes["units"] for name, each in dataset.variables.items() if "units" in each.attributes}
     arrays |= {"labels": np.array([FAILED, *results.labels], object), "units": units}
@@ -97,18 +93,10 @@ OF_BOUNDARIES: dict[str, Callable[[Boundaries], str]] = {
 }
 
 
-def _along(results: Map, axis: ResultAxis) -> Sequence[ResultAxis]:
-    return [axis, *results.coordinates] if axis.parameter == RUN else [axis]
-
-
-def _texts_or_numbers(axis: ResultAxis) -> Array:
-    return np.array(axis.words, object) if axis.words else axis.values
-
-
-def _texts(quantity: Quantity, values: Array, labels: tuple[str, ...]) -> list[Any]:
+def _texts(quantity: Quantity | None, values: Array, labels: tuple[str, ...]) -> list[Any]:
     """Values as a column: words for codes, those of its bits for the quality, and None for NaN."""
-    meanings = quantity.meanings(labels)
-    if quantity.coded == "quality":
+    meanings = {} if quantity is None else quantity.meanings(labels)
+    if quantity is not None and quantity.coded == "quality":
         return [" ".join(word for bit, word in meanings.items() if value & bit) for value in values.tolist()]
     if meanings:
         words = meanings | {code: None for code, word in meanings.items() if word == "none"}

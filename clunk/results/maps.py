@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.results.boundaries import Boundaries
-from clunk.results.dataset import COUNTED_BY, first_entries
+from clunk.results.dataset import COUNTED_BY
 from clunk.results.labels import FAILED, FAILED_CODE
-from clunk.results.quantities import Quantity, measured_quantities
+from clunk.results.quantities import Quantity
 from clunk.study.arrays import Array, Floats, Integers
 from clunk.study.axes import LASH, RUN, ResultAxis
 from clunk.study.lashes import lash_name, lash_position
@@ -24,9 +24,21 @@ from clunk.study.summaries import Rows, as_text, counted, html_table
 Index = tuple[slice | int, ...]
 
 
+@lru_cache(maxsize=4)
+def tables_of(config: str) -> dict[str, Any]:
+    """The tables of a config's TOML, parsed once for all maps of a runner; none of what is no TOML."""
+    try:
+        return tomllib.loads(config)
+    except tomllib.TOMLDecodeError:
+        return {}
+
+
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Description:
-    """Title, swept parameters, labels, config and provenance of a map: all but its arrays over cells.
+class Map(ABC):
+    """A map over one or more swept parameters, base of `Results` and `ToleranceMap`.
+
+    "Shape" is the axes' counts in order. Of several lashes the last axis is `lash`, and each lash of a cell counts as a
+    cell; see `of_lash`.
 
     title : str
     axes : one or more `ResultAxis`; of several lashes the last is `lash`
@@ -34,12 +46,17 @@ class Description:
     labels : code -> label; the code -1 is a failed cell
     config, config_digest : the resolved TOML and its digest
     attributes : versions, date and machine, by name
+    arrays : by the names of `quantities`, which are attributes of the map, too: over the axes and the quantity's
+        dimension; what each primary impact has, of the impacts of all cells in C order
     sample : of a tolerance map, one `ResultAxis` for each toleranced parameter; its values are what was drawn, (N,):
         the parameter's values, factors on its nominal value or offsets from it
     boundaries : of a regime map, the curves between the labels, if they have been traced
 
-    Raises ValueError where these do not belong together.
+    Raises ValueError where these do not belong together: where the arrays are not those of the map's quantities, an
+    array's shape or dtype is not its quantity's, or a code has no label.
     """
+
+    _measure: ClassVar[str]  # heading of the texts of `_label_rows`
 
     title: str
     axes: tuple[ResultAxis, ...]
@@ -47,22 +64,20 @@ class Description:
     config: str
     config_digest: str
     attributes: dict[str, str]
+    arrays: Mapping[str, Array]
     coordinates: tuple[ResultAxis, ...] = ()
     sample: tuple[ResultAxis, ...] = ()
     boundaries: Boundaries | None = None
 
     def __post_init__(self) -> None:
-        if not self.axes:
-            raise ValueError("results need at least one axis")
-        if len({axis.variable for axis in self.parameters}) != len(self.parameters):
-            raise ValueError("two axes have the same name")
-        run = {len(axis.values) for axis in self.axes if axis.parameter == RUN}
-        if {len(axis.values) for axis in self.coordinates} - run:
-            raise ValueError("a coordinate is not as long as the axis run")
-        if any(not label or label.split() != [label] or label == FAILED for label in self.labels):
-            raise ValueError("a label must be one word, and not 'failed'")
-        if len(set(self.labels)) != len(self.labels):
-            raise ValueError("labels must differ from each other")
+        if set(self.arrays) != set(self.quantities):
+            raise ValueError("the arrays are not those of the quantities that the config asks for")
+        for name, quantity in self.quantities.items():
+            shape = (*self.shape, len(self.entries[quantity.dimension])) if quantity.dimension else self.shape
+            if quantity.dimension in COUNTED_BY:
+                shape = (int(self.first_impact[-1]),)
+            require_array(name, self.arrays[name], shape, quantity.dtype)
+        require_codes(self.labels, self.arrays["sequence"])
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -86,54 +101,10 @@ class Description:
 
     def setting(self, key: str) -> Any:
         """Value of a dotted key of the resolved config; None where it has none."""
-        table: Any = _tables_of(self.config)
+        table: Any = tables_of(self.config)
         for name in key.split("."):
             table = table.get(name) if isinstance(table, dict) else None
         return table
-
-    @cached_property
-    def measured_quantities(self) -> dict[str, Quantity]:
-        """Quantities that the config asks for besides those that all runs have, by name: of cells, then of impacts."""
-        return measured_quantities(self.setting("impacts.quantities") or (), self.setting("measures") or ())
-
-
-@lru_cache(maxsize=4)
-def _tables_of(config: str) -> dict[str, Any]:
-    """The tables of a config's TOML, parsed once for all maps of a runner; none of what is no TOML."""
-    try:
-        return tomllib.loads(config)
-    except tomllib.TOMLDecodeError:
-        return {}
-
-
-@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Map(Description, ABC):
-    """A map over one or more swept parameters, base of `Results` and `ToleranceMap`.
-
-    "Shape" is the axes' counts in order. Of several lashes the last axis is `lash`, and each lash of a cell counts as a
-    cell; see `of_lash`.
-
-    arrays : by the names of `quantities`, which are attributes of the map, too: over the axes and the quantity's
-        dimension; what each primary impact has, of the impacts of all cells in C order
-
-    Raises ValueError where these are not the map's quantities, an array's shape or dtype is not its quantity's, or a
-    code has no label.
-    """
-
-    _measure: ClassVar[str]  # heading of the texts of `_label_rows`
-
-    arrays: Mapping[str, Array]
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if set(self.arrays) != set(self.quantities):
-            raise ValueError("the arrays are not those of the quantities that the config asks for")
-        for name, quantity in self.quantities.items():
-            shape = (*self.shape, len(self.entries[quantity.dimension])) if quantity.dimension else self.shape
-            if quantity.dimension in COUNTED_BY:
-                shape = (int(self.first_impact[-1]),)
-            require_array(name, self.arrays[name], shape, quantity.dtype)
-        require_codes(self.labels, self.arrays["sequence"])
 
     if not TYPE_CHECKING:  # the subclasses say which attributes there are
 
@@ -182,7 +153,7 @@ class Map(Description, ABC):
     @cached_property
     def first_impact(self) -> Integers:
         """Position of each cell's first impact in the flat arrays, and last their number: (cells + 1,), in C order."""
-        return first_entries(self.arrays["primary_impacts"].ravel())
+        return np.concatenate(([0], np.cumsum(self.arrays["primary_impacts"], dtype=np.int64)))
 
     def at(self, values: Mapping[str, float]) -> Self:
         """Slice at some axes' values, the nearest of each: ``results.at({"lash.contact.stiffness": 4e5})``.
@@ -217,12 +188,20 @@ class Map(Description, ABC):
 
         Of a tolerance map, cells in which the label is the most likely one.
         """
-        return count_labels(self.labels, self.arrays["sequence"])
+        sequence = self.arrays["sequence"].ravel().astype(np.intp)
+        cells = np.bincount(sequence - FAILED_CODE, minlength=len(self.labels) + 1).tolist()
+        return dict(zip((*self.labels, FAILED), (*cells[1:], cells[0]), strict=True))
 
     @property
     def counts_of_lashes(self) -> dict[str, dict[str, int]]:
         """The counts of each lash, by name; of several lashes without the labels that only others have."""
-        return counts_by_lash({name: part.counts() for name, part in self.by_lash().items()})
+        counts = {name: part.counts() for name, part in self.by_lash().items()}
+        if not self.lashes:
+            return counts
+        return {
+            name: {label: count for label, count in each.items() if count or label == FAILED}
+            for name, each in counts.items()
+        }
 
     def by_lash(self) -> dict[str, Self]:
         """The map of each lash, by name."""
@@ -299,22 +278,6 @@ def at_cell(parameters: Sequence[ResultAxis], values: Sequence[float]) -> dict[s
 def share(count: int, cells: int) -> str:
     """A number of cells and their part of all cells, for people: ``21 cells, 4.8 %``."""
     return f"{counted(count, 'cell')}, {100.0 * count / cells:.1f} %"
-
-
-def count_labels(labels: tuple[str, ...], sequence: npt.NDArray[np.int16]) -> dict[str, int]:
-    """Number of cells of each label, in the labels' order, and last of ``failed``."""
-    cells = np.bincount(sequence.ravel().astype(np.intp) - FAILED_CODE, minlength=len(labels) + 1)
-    return {label: int(cells[code - FAILED_CODE]) for code, label in enumerate(labels)} | {FAILED: int(cells[0])}
-
-
-def counts_by_lash(counts: dict[str, dict[str, int]]) -> dict[str, dict[str, int]]:
-    """Counts by lash; of several lashes each without the labels that only others have."""
-    if len(counts) == 1:
-        return counts
-    return {
-        name: {label: count for label, count in each.items() if count or label == FAILED}
-        for name, each in counts.items()
-    }
 
 
 def require_codes(labels: tuple[str, ...], sequence: npt.NDArray[np.int16]) -> None:

@@ -11,8 +11,16 @@ import numpy.typing as npt
 
 from clunk.core.status import QUALITY_COMPLETE, QUALITY_MEANINGS, Status
 from clunk.results.labels import FAILED, FAILED_CODE
-from clunk.results.maps import Map, share, values_at
-from clunk.results.quantities import LABEL, NOMINAL, OF_RUNS, REGIME_QUANTITIES, Quantity, named_numbers
+from clunk.results.maps import Map, share, tables_of, values_at
+from clunk.results.quantities import (
+    LABEL,
+    NOMINAL,
+    OF_RUNS,
+    REGIME_QUANTITIES,
+    Quantity,
+    measured_quantities,
+    named_numbers,
+)
 from clunk.study.arrays import Array, Bools, Floats
 from clunk.study.summaries import Rows, counted
 
@@ -57,7 +65,7 @@ class Results(Map):
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
         """The quantities of these results, in the order of their file."""
-        return REGIME_QUANTITIES | self.measured_quantities
+        return quantities_of_config(self.config)
 
     @cached_property
     def quantities_of_cells(self) -> dict[str, Quantity]:
@@ -76,13 +84,15 @@ class Results(Map):
     @property
     def cut_off(self) -> Bools:
         """Cells whose run ended at ``solver.end_time`` before it was proved that nothing follows, shape."""
-        return cut_off(self.status, self.quality)
+        return np.asarray((self.status == Status.OK) & (self.quality & QUALITY_COMPLETE == 0))
 
     @property
     def caveats(self) -> list[str]:
         """Phrases on what the labels do not tell: runs that were cut off."""
         run = self.of_lash()  # all lashes of a run end together
-        return cut_off_phrases(int(np.count_nonzero(run.cut_off)), run.sequence.size)
+        count = int(np.count_nonzero(run.cut_off))
+        cells = counted(run.sequence.size, "run")
+        return [f"{count:,} of {cells} ended at solver.end_time with more to follow"] if count else []
 
     @property
     def entries(self) -> dict[str, Array]:
@@ -158,11 +168,8 @@ class Results(Map):
         return [(label, share(n, cells)) for label, n in self.counts().items() if n]
 
 
-def cut_off(status: npt.NDArray[np.uint8], quality: npt.NDArray[np.uint8]) -> Bools:
-    """Runs that did not fail, of which it was not proved that nothing follows."""
-    return np.asarray((status == Status.OK) & (quality & QUALITY_COMPLETE == 0))
-
-
-def cut_off_phrases(count: int, cells: int) -> list[str]:
-    """Phrase on a number of runs that were cut off, for people; none where there are none."""
-    return [f"{count:,} of {counted(cells, 'run')} ended at solver.end_time with more to follow"] if count else []
+def quantities_of_config(config: str) -> dict[str, Quantity]:
+    """Quantities of the results of a resolved config: those that all runs have, and those that it asks for besides."""
+    tables = tables_of(config)
+    measured = measured_quantities(tables.get("impacts", {}).get("quantities", ()), tables.get("measures", ()))
+    return REGIME_QUANTITIES | measured

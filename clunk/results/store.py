@@ -6,25 +6,22 @@ The variables are the quantities of the map, see `clunk.results.quantities`.
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from clunk.results.boundaryvariables import boundaries_of, variables_of
 from clunk.results.dataset import Dataset, Variable, flags, meanings_of
-from clunk.results.maps import Description, count_labels, counts_by_lash, require_array, require_codes
-from clunk.results.netcdf import StoreError, opened, write
-from clunk.results.quantities import REGIME_QUANTITIES, TOLERANCE_QUANTITIES
-from clunk.results.regimemap import Results, cut_off, cut_off_phrases
+from clunk.results.netcdf import StoreError, read, refusing_damage, write
+from clunk.results.quantities import TOLERANCE_QUANTITIES
+from clunk.results.regimemap import Results, quantities_of_config
 from clunk.results.tolerancemap import AnyMap, ToleranceMap
 from clunk.study.arrays import Array
 from clunk.study.axes import LASH, RUN, ResultAxis, lash_axis
 
 _KIND = "kind"  # attribute of a tolerance map; a regime map has none
 _TOLERANCE_MAP = "tolerance map"
-_FIELDS = ("title", "config", "config_digest", _KIND, "content_digest")  # of a dataset, not among a map's attributes
+_FIELDS = ("title", "config", "config_digest", _KIND)  # of a dataset, not among a map's attributes
 _DIMENSIONS = {  # behind a map's axes -> attributes
     "impact": {"units": "1", "long_name": "number of the primary impact"},
     "label": {"long_name": "sequence of impact excursions (regime label)"},
@@ -32,26 +29,6 @@ _DIMENSIONS = {  # behind a map's axes -> attributes
     "draw": {"units": "1", "long_name": "number of the draw"},
 }
 _DRAWN = "drawn_"  # begins the names of the sample's variables
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Header(Description):
-    """Description of the map in a results file.
-
-    counts_of_lashes : name of a lash, empty for an only one -> label -> number of cells, ``failed`` last; of a
-        tolerance map, cells in which the label is the most likely one
-    caveats : as of the map
-    content_digest : SHA-256 of all variables
-    """
-
-    counts_of_lashes: dict[str, dict[str, int]]
-    caveats: tuple[str, ...]
-    content_digest: str
-
-    @property
-    def tolerance_map(self) -> bool:
-        """Whether the file holds a tolerance map."""
-        return bool(self.sample)
 
 
 def write_results(path: str | os.PathLike[str], results: AnyMap, scratch: Path | None = None) -> None:
@@ -70,7 +47,7 @@ def write_results(path: str | os.PathLike[str], results: AnyMap, scratch: Path |
 
 
 def read_results(path: str | os.PathLike[str]) -> Results:
-    """Read a regime map whole, its bytes compared with their checksum, or its data with their digest.
+    """Read a regime map whole, its bytes compared with their checksum and its data with their digest.
 
     Raises StoreError.
 
@@ -90,7 +67,7 @@ def read_results(path: str | os.PathLike[str]) -> Results:
 
 
 def read_tolerance_map(path: str | os.PathLike[str]) -> ToleranceMap:
-    """Read a tolerance map whole, its bytes compared with their checksum, or its data with their digest.
+    """Read a tolerance map whole, its bytes compared with their checksum and its data with their digest.
 
     Raises StoreError.
 
@@ -111,29 +88,9 @@ def read_tolerance_map(path: str | os.PathLike[str]) -> ToleranceMap:
 
 def read_map(path: str | os.PathLike[str]) -> AnyMap:
     """Read whichever map a results file holds, as `read_results` and `read_tolerance_map`. Raises StoreError."""
-    with opened(path) as dataset:
+    dataset = read(path)
+    with refusing_damage(path):
         return map_of(dataset)
-
-
-def read_header(path: str | os.PathLike[str]) -> Header:
-    """Read the header of a results file; of the arrays only the axes and `sequence`. Raises StoreError."""
-    with opened(path, unread=True) as dataset:
-        described = _described(dataset)
-        labels, codes = described["labels"], dataset.variables["sequence"].values
-        lashes = described["axes"][-1].words
-        counts = {name: count_labels(labels, codes[..., k]) for k, name in enumerate(lashes)}
-        return Header(
-            **described,
-            counts_of_lashes=counts_by_lash(counts or {"": count_labels(labels, codes)}),
-            caveats=() if described["sample"] else _caveats(dataset),
-            content_digest=dataset.attributes["content_digest"],
-        )
-
-
-def _caveats(dataset: Dataset) -> tuple[str, ...]:
-    """The caveats of a regime map."""
-    status, quality = (dataset.variables[name].values[...] for name in ("status", "quality"))
-    return tuple(cut_off_phrases(int(np.count_nonzero(cut_off(status, quality))), status.size))
 
 
 # --- from maps to datasets
@@ -176,19 +133,6 @@ def _of_axis(axis: ResultAxis, dim: str) -> Variable:
 
 def map_of(dataset: Dataset) -> AnyMap:
     """The map of a dataset. Raises KeyError and ValueError where it is of none."""
-    described = _described(dataset)
-    description = Description(**described)
-    quantities = TOLERANCE_QUANTITIES if description.sample else REGIME_QUANTITIES | description.measured_quantities
-    arrays: dict[str, Any] = {}
-    for name, quantity in quantities.items():
-        arrays[name] = dataset.variables[name].values
-        if quantity.of == "cell" and description.lashes:
-            arrays[name] = np.repeat(arrays[name][..., None], len(description.lashes), axis=-1)
-    return (ToleranceMap if description.sample else Results)(**described, arrays=arrays)
-
-
-def _described(dataset: Dataset) -> dict[str, Any]:
-    """The fields of the description of a dataset's map."""
     variables, attributes = dataset.variables, dataset.attributes
     sequence = variables["sequence"]
     axes = tuple(_axis_of(variables[dim]) for dim in sequence.dims)
@@ -196,20 +140,24 @@ def _described(dataset: Dataset) -> dict[str, Any]:
     is_tolerance_map = attributes.get(_KIND) == _TOLERANCE_MAP
     sample = str(variables["draw"].attributes["sample"]).split() if is_tolerance_map else []
     meanings = meanings_of(sequence)
-    labels = tuple(meanings[code] for code in range(len(meanings) - 1))
-    require_array("sequence", sequence.values, tuple(len(axis.values) for axis in axes), np.int16)
-    require_codes(labels, sequence.values)
-    return {
-        "title": attributes["title"],
-        "axes": axes,
-        "coordinates": tuple(_axis_of(variables[name]) for name in coordinates),
-        "labels": labels,
-        "config": attributes["config"],
-        "config_digest": attributes["config_digest"],
-        "attributes": {name: text for name, text in attributes.items() if name not in _FIELDS},
-        "sample": tuple(_axis_of(variables[name]) for name in sample),
-        "boundaries": boundaries_of(variables, tuple(axis for axis in axes if axis.parameter != LASH)),
-    }
+    quantities = TOLERANCE_QUANTITIES if is_tolerance_map else quantities_of_config(attributes["config"])
+    lashes = axes[-1].words
+    arrays = {name: variables[name].values for name in quantities}
+    for name, quantity in quantities.items():
+        if quantity.of == "cell" and lashes:
+            arrays[name] = np.repeat(arrays[name][..., None], len(lashes), axis=-1)
+    return (ToleranceMap if is_tolerance_map else Results)(
+        title=attributes["title"],
+        axes=axes,
+        coordinates=tuple(_axis_of(variables[name]) for name in coordinates),
+        labels=tuple(meanings[code] for code in range(len(meanings) - 1)),
+        config=attributes["config"],
+        config_digest=attributes["config_digest"],
+        attributes={name: text for name, text in attributes.items() if name not in _FIELDS},
+        sample=tuple(_axis_of(variables[name]) for name in sample),
+        boundaries=boundaries_of(variables, tuple(axis for axis in axes if axis.parameter != LASH)),
+        arrays=arrays,
+    )
 
 
 def _axis_of(variable: Variable) -> ResultAxis:

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.results.labels import FAILED, FAILED_CODE, double_sided
-from clunk.results.maps import Map, require_codes, share
+from clunk.results.maps import Map, share
 from clunk.results.quantities import CHATTER, NOMINAL, OF_RUNS, TEXT, TOLERANCE_QUANTITIES, YES_NO, Quantity
 from clunk.results.regimemap import Results
 from clunk.study.arrays import Array, Floats
@@ -36,8 +36,6 @@ class ToleranceMap(Map):
     severity_quantiles : shape + (3,), the `QUANTILES` of the same Q, linear between order statistics (type 7 of
         Hyndman and Fan, doi:10.2307/2684934)
     status : shape, how the first run that failed ended (see `clunk.core.status`), 0 where none did
-
-    Raises ValueError, too, where a cell's runs are not N, or its sequence is not what is most likely.
     """
 
     _measure: ClassVar[str] = "probability"
@@ -48,16 +46,6 @@ class ToleranceMap(Map):
     severity_mean: Floats
     severity_quantiles: Floats
     status: npt.NDArray[np.uint8]
-
-    def __post_init__(self) -> None:
-        if not self.sample or len({len(each.values) for each in self.sample}) > 1:
-            raise ValueError("the toleranced parameters need one sample")
-        super().__post_init__()
-        require_codes(self.labels, self.nominal_sequence)
-        if self.runs.min() < 0 or (self.runs.sum(axis=-1) != self.draws).any():
-            raise ValueError("the runs of a cell are not as many as the sample")
-        if not np.array_equal(self.sequence, most_likely(self.runs)):
-            raise ValueError("sequence is not what is most probable")
 
     @property
     def quantities(self) -> dict[str, Quantity]:

@@ -2,33 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.jit import compiled
-from clunk.core.sequence import INITIAL, OPPOSITE
-from clunk.core.status import Status
-from clunk.results.labels import FAILED_CODE
-from clunk.results.machine import available_cores
+from clunk.results.labels import FAILED_CODE, primary_impacts
 from clunk.results.quantities import REGIME_QUANTITIES, measured_quantities
 from clunk.results.regimemap import Results
-from clunk.study.arrays import Array, Cells, Records
+from clunk.study.arrays import Array, Cells
 from clunk.study.config import study_from_text
-from clunk.study.designs import Design
+from clunk.study.designs import Column, Design, design_of
 from clunk.study.study import Study, digest
 from clunk.sweeping.cells import Grid
-from clunk.sweeping.reduction import Flanks, Reduction, SweepError
-from clunk.sweeping.scratch import Scratch
-from clunk.sweeping.signals import Threads
+from clunk.sweeping.reduction import Reduction, SweepError
 from clunk.sweeping.tiles import Tile
-
-_SHORT = 1 << 12  # patterns below it, of up to eleven primaries, are looked up in a table
-_MANY = 10_000  # rows: fewer are not worth a second thread
-_UNSEEN = -2  # the code there of a pattern that has not turned up yet
 
 
 class RegimeReduction(Reduction[Results]):
@@ -36,7 +24,6 @@ class RegimeReduction(Reduction[Results]):
 
     study : Study
     design : Design, by default that of the study's sweep
-    scratch : maker of the arrays, by default in memory
     grid : runs the cells, where there is one already
     heading : as of `Reduction`
     """
@@ -45,167 +32,104 @@ class RegimeReduction(Reduction[Results]):
         self,
         study: Study,
         design: Design | None = None,
-        scratch: Scratch | None = None,
         grid: Grid | None = None,
         heading: dict[str, str] | None = None,
     ) -> None:
         grid = grid or Grid(study, design)
         super().__init__(study, design or grid.design, grid, heading)
-        self._scratch = scratch or Scratch()
-        self._code_of = np.full(_SHORT + 1, _UNSEEN, np.int32)  # of a pattern; the last is of all longer ones
-        self._code_of[0] = FAILED_CODE
-        self.codes: npt.NDArray[np.int32] = self._scratch.empty(self.rows, np.int32)
+        self._codes: npt.NDArray[np.int32] = np.zeros(self.rows, np.int32)
         measured = measured_quantities(study.impacts.quantities, [dict(each) for each in study.measures])
         quantities = REGIME_QUANTITIES | measured
-        self.of_cells = {name: each for name, each in quantities.items() if not each.dimension}
-        self.of_impacts = {name: each for name, each in quantities.items() if each.dimension}
-        self.fields = {
-            name: self._scratch.empty(self.rows, each.dtype)
-            for name, each in self.of_cells.items()
-            if name != "sequence"
+        self._of_impacts = {name: each for name, each in quantities.items() if each.dimension}
+        self._fields: dict[str, Array] = {
+            name: np.zeros(self.rows, each.dtype)
+            for name, each in quantities.items()
+            if not each.dimension and name != "sequence"
         }
-        self._impacts: list[tuple[Cells, dict[str, npt.NDArray[np.generic]]]] = []
+        self._impacts: list[tuple[Cells, dict[str, Array]]] = []  # rows, and the impacts of each behind one another
 
-    def fill(self, tile: Tile, index: slice | Cells) -> None:
+    def fill(self, tile: Tile, rows: Cells) -> None:
         """See `Reduction.fill`."""
-        self.codes[index] = self._codes_of(tile)
-        for name, field in self.fields.items():
-            field[index] = tile.records[name]
-        self.keep_impacts(
-            self.runner.layout.rows(tile.cells),
-            {
-                name: np.ascontiguousarray(tile.details[name.removeprefix("impact_")], each.dtype)
-                for name, each in self.of_impacts.items()
-            },
-        )
-
-    def keep_impacts(self, rows: Cells, impacts: dict[str, npt.NDArray[np.generic]]) -> None:
-        """Keep the impacts of some rows, in the order of the rows, until all are known."""
-        kept = {name: self._scratch.keep(values) for name, values in impacts.items()}
-        self._impacts.append((self._scratch.keep(rows), kept))
+        self._codes[rows] = self.sequences.codes_of(tile.records, [tile.details])
+        for name, field in self._fields.items():
+            field[rows] = tile.records[name]
+        impacts = {
+            name: np.ascontiguousarray(tile.details[name.removeprefix("impact_")], each.dtype)
+            for name, each in self._of_impacts.items()
+        }
+        self._impacts.append((rows, impacts))
 
     def result(self, attributes: dict[str, str]) -> Results:
         """See `Reduction.result`."""
         assert self.known.all()
-        labels, final = self.final_codes()
-        counts = self.fields["primary_impacts"]
-        first = np.zeros(counts.size + 1, np.int64)
-        np.cumsum(counts, out=first[1:])
-
-        def finished(name: str) -> Array:
-            if name == "sequence":
-                values = self._scratch.empty(self.codes.size, np.int16)
-                return np.take(final, self.codes, out=values, mode="wrap")  # -1 is the last
-            values = self._scratch.empty(int(first[-1]), self.of_impacts[name].dtype)
-            for rows, impacts in self._impacts:
-                _put(values, first, rows, impacts[name])
-            return values
-
-        made = self.for_each(finished, ("sequence", *self.of_impacts))
-        fields = {**self.fields, "sequence": made.pop("sequence")}
-        made |= {name: field.reshape(self.shape) for name, field in fields.items()}
-        return Results(**self.heading(), labels=labels, arrays=made, attributes=attributes)
-
-    def for_each(self, function: Callable[[str], Any], names: Sequence[str]) -> dict[str, Any]:
-        """Call a function with each name, of many rows in several threads; returns its values by name."""
-        if self.rows < _MANY:
-            return {name: function(name) for name in names}
-        with Threads(available_cores()) as pool:
-            return dict(zip(names, pool.map(function, names), strict=True))
-
-    def _codes_of(self, tile: Tile) -> npt.NDArray[np.int32]:
-        """The codes of a tile's rows."""
-        pattern = np.ascontiguousarray(tile.records["pattern"])
-        codes: npt.NDArray[np.int32] = self._code_of[np.minimum(pattern, _SHORT)]
-        unseen = np.flatnonzero(codes == _UNSEEN)
-        if unseen.size:
-            patterns, inverse = np.unique(pattern[unseen], return_inverse=True)
-            new = np.array([self.code(flanks_of(each)) for each in patterns.tolist()], np.int32)
-            codes[unseen] = new[inverse.reshape(-1)]
-            short = patterns < _SHORT
-            self._code_of[patterns[short]] = new[short]
-        for k, flanks in long_sequences(tile.records, [tile.details]):
-            codes[k] = self.code(flanks)
-        return codes
+        labels, final = self.sequences.labels()
+        arrays = {"sequence": final[self._codes], **self._fields}
+        arrays = {name: values.reshape(self.shape) for name, values in arrays.items()}
+        counts = self._fields["primary_impacts"]
+        rows = np.concatenate([rows for rows, _ in self._impacts])
+        begins = np.cumsum(counts) - counts  # of each row's impacts, among those of all
+        count = counts[rows]
+        places = np.repeat(begins[rows] - (np.cumsum(count) - count), count) + np.arange(count.sum())
+        for name, quantity in self._of_impacts.items():
+            arrays[name] = np.empty(places.size, quantity.dtype)
+            arrays[name][places] = np.concatenate([impacts[name] for _, impacts in self._impacts])
+        return Results(**self.heading(), labels=labels, arrays=arrays, attributes=attributes)
 
 
-class MendedReduction(RegimeReduction):
-    """The arrays of finished Results of which the failed cells are run again, with another [solver].
+def failed_cells(results: Results) -> Cells:
+    """Numbers of the cells that failed, in C order; all lashes of a cell fail together."""
+    return np.flatnonzero(results.of_lash().sequence == FAILED_CODE)
 
-    The other cells stay as they are, and so do the config and its digest; the attribute `retried` describes the runs.
 
-    Raises SweepError where the study differs in anything but [solver].
+def design_of_failed(study: Study, results: Results) -> Design:
+    """The failed cells of a study's finished sweep as a design of their own.
+
+    Raises SweepError where the results are of a study that differs in anything but [solver].
     """
-
-    plan = "the failed cells again"
-
-    def __init__(self, study: Study, earlier: Results, scratch: Scratch | None = None) -> None:
-        self._before = study_from_text(earlier.config, source="the results' config")
-        if digest(self._before.model_copy(update={"solver": study.solver})) != digest(study):
-            raise SweepError("The failed cells of another config cannot be run again: only [solver] may differ.")
-        super().__init__(study, None, scratch)
-        self._earlier = earlier
-        sequence, first = earlier.sequence.ravel(), earlier.first_impact
-        codes = np.full(len(earlier.labels) + 1, FAILED_CODE, np.int32)  # the last is of the failed, -1
-        for code, cell in zip(*np.unique(sequence, return_index=True), strict=True):
-            if code != FAILED_CODE:
-                codes[code] = self.code(tuple(earlier.impact_flank[first[cell] : first[cell + 1]].tolist()))
-        rows = np.flatnonzero(sequence != FAILED_CODE).astype(np.int64)
-        self.codes[rows] = codes[sequence[rows]]
-        for name, field in self.fields.items():
-            field[rows] = earlier.values(name).ravel()[rows]
-        not_failed = np.repeat(sequence != FAILED_CODE, np.diff(first))
-        self.keep_impacts(rows, {name: earlier.values(name)[not_failed] for name in self.of_impacts})
-        self.known[rows // self.runner.layout.lashes] = True
-        self.done = int(self.known.sum())
-        self._failed = self.first()
-
-    def result(self, attributes: dict[str, str]) -> Results:
-        """See `Reduction.result`."""
-        mended, earlier = super().result(attributes), self._earlier
-        more = self._failed.size - 100
-        of_first = mended.sequence.reshape(self.design.cells, -1)[:, 0]  # all lashes of a cell fail
-        failed_again = int(np.count_nonzero(of_first[self._failed] == FAILED_CODE))
-        changes = [
-            f"solver.{key} = {value} instead of {getattr(self._before.solver, key)}"
-            for key, value in self.study.solver.model_dump().items()
-            if value != getattr(self._before.solver, key)
-        ]
-        cells = ", ".join(map(str, self._failed[:100])) + (f", … ({more} more)" if more > 0 else "")
-        note = (
-            f"{self._failed.size} failed cells run again with {', '.join(changes) or 'the same solver'}: "
-            f"{failed_again} failed again; cells {cells} in C order"
-        )
-        retried = "; ".join(text for text in (earlier.attributes.get("retried"), note) if text)
-        return replace(
-            mended,
-            title=earlier.title,
-            config=earlier.config,
-            config_digest=earlier.config_digest,
-            attributes={**attributes, "retried": retried},
-        )
+    before = study_from_text(results.config, source="the results' config")
+    if digest(before.model_copy(update={"solver": study.solver})) != digest(study):
+        raise SweepError("The failed cells of another config cannot be run again: only [solver] may differ.")
+    failed = failed_cells(results)
+    columns = design_of(study).at(failed).items()
+    return Design((failed.size,), tuple(Column(key, 0, values) for key, values in columns), run=0)
 
 
-@compiled
-def _put(values: Array, first: Cells, rows: Cells, impacts: Array) -> None:
-    """Put the impacts of some rows into C order; `first` has the position of each row's first one."""
-    done = 0
-    for row in rows:
-        for at in range(first[row], first[row + 1]):
-            values[at] = impacts[done]
-            done += 1
+def mended(earlier: Results, again: Results, study: Study) -> Results:
+    """Results with the runs `again` in the place of the failed cells, of which the attribute `retried` tells.
 
-
-def flanks_of(pattern: int) -> Flanks:
-    """The flanks that the bits of a pattern stand for, behind its leading 1."""
-    return tuple(OPPOSITE if bit == "1" else INITIAL for bit in bin(pattern)[3:])
-
-
-def long_sequences(records: Records, impacts: Sequence[Records]) -> Iterator[tuple[int, Flanks]]:
-    """Positions and flanks of the runs whose sequences are too long for a pattern; impacts : IMPACT, in pieces."""
-    long = np.flatnonzero(records["pattern"] == 0)
-    long = long[records["status"][long] == Status.OK]
-    if long.size:
-        flanks, ends = np.concatenate(impacts)["flank"], np.cumsum(records["primary_impacts"])
-        for k in long.tolist():
-            yield k, tuple(flanks[ends[k] - records["primary_impacts"][k] : ends[k]].tolist())
+    study : of these runs
+    """
+    failed, lashes = failed_cells(earlier), len(earlier.lash_names)
+    rows = (failed[:, None] * lashes + np.arange(lashes)).ravel()
+    labels = tuple(sorted({*earlier.labels, *again.labels}, key=lambda text: (primary_impacts(text), text)))
+    is_kept = np.repeat(earlier.sequence.ravel() != FAILED_CODE, earlier.primary_impacts.ravel())
+    owners = np.repeat(np.arange(earlier.sequence.size), earlier.primary_impacts.ravel())[is_kept]
+    order = np.argsort(np.concatenate([owners, np.repeat(rows, again.primary_impacts.ravel())]), kind="stable")
+    arrays = {}
+    for name, quantity in earlier.quantities.items():
+        before, after = earlier.arrays[name], again.arrays[name]
+        if quantity.dimension:
+            arrays[name] = np.concatenate([before[is_kept], after])[order]
+            continue
+        if name == "sequence":
+            before, after = (
+                np.array([*(labels.index(text) for text in results.labels), FAILED_CODE], np.int16)[results.sequence]
+                for results in (earlier, again)
+            )
+        arrays[name] = before.copy()
+        arrays[name].reshape(-1)[rows] = after.ravel()
+    solver = study_from_text(earlier.config).solver.model_dump()
+    changes = [
+        f"solver.{key} = {value} instead of {solver[key]}"
+        for key, value in study.solver.model_dump().items()
+        if value != solver[key]
+    ]
+    more = failed.size - 100
+    cells = ", ".join(map(str, failed[:100])) + (f", … ({more} more)" if more > 0 else "")
+    note = (
+        f"{failed.size} failed cells run again with {', '.join(changes) or 'the same solver'}: "
+        f"{failed_cells(again).size} failed again; cells {cells} in C order"
+    )
+    retried = "; ".join(text for text in (earlier.attributes.get("retried"), note) if text)
+    attributes = {**again.attributes, "retried": retried}
+    return replace(earlier, labels=labels, arrays=arrays, attributes=attributes, boundaries=None)

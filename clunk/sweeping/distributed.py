@@ -31,7 +31,7 @@ from clunk.results.machine import available_cores
 from clunk.study.arrays import Cells
 from clunk.sweeping import engines
 from clunk.sweeping.cells import Flag
-from clunk.sweeping.engines import EngineError, Runner, Work
+from clunk.sweeping.engines import EngineError, Runner
 from clunk.sweeping.provenance import versions
 from clunk.sweeping.tiles import Tile
 
@@ -39,8 +39,6 @@ LOCAL = "local"
 
 _CONNECTING = 4.0  # s
 _ASKING = 1.0  # s between two looks at the number of threads
-_IN_FLIGHT = 3  # tiles for each thread of the workers
-_ATTENDED = 25  # threads whose tiles of the usual size this process can look after: 4 ms each, of 0.1 s
 _CLOSING = 30.0  # s that the workers of a local cluster have to end; dask kills them after five
 
 
@@ -72,11 +70,14 @@ class Cluster(Executor):
                 scheduler = opened.enter_context(_local_cluster(self._workers))
             try:
                 self._client = Client(scheduler, timeout=_CONNECTING, set_as_default=False, name="clunk")
+                opened.callback(self._client.close, timeout=_CONNECTING)
+                if not self._client.nthreads():
+                    self._say(f"waiting for a worker of {self._address} …")
+                    self._client.wait_for_workers(1)
             except Exception as error:  # any: the address may be of another service, or of none
                 raise EngineError(
                     f"No scheduler answers at {self._address} ({reason(error)}): start one with 'dask scheduler'."
                 ) from error
-            opened.callback(self._client.close, timeout=_CONNECTING)
             self._executor = self._client.get_executor(pure=False)
             self._open = opened.pop_all()
         return self
@@ -84,6 +85,16 @@ class Cluster(Executor):
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Leave the scheduler; its tasks end with that."""
         self._open.close()
+
+    @property
+    def _max_workers(self) -> int:
+        """Number of threads of the workers, or 1 while there are none."""
+        if time.monotonic() - self._asked > _ASKING:
+            try:
+                self._threads, self._asked = sum(self._client.nthreads().values()), time.monotonic()
+            except Exception as error:  # depends on the layer that notices first that the scheduler has gone
+                raise self._lost() from error
+        return max(1, self._threads)
 
     def processors(self) -> str:
         """The models of the workers' processors.
@@ -93,20 +104,8 @@ class Cluster(Executor):
         """
         return "; ".join(sorted(set(self._ask(engines.cpu_model).values()))) or engines.cpu_model()
 
-    def next_tile(self, running: int, work: Work, runner: Runner) -> int:
-        """Number of cells of the next tile; 0 where enough tiles are running."""
-        if not work.size:
-            return 0
-        threads = self._known_threads()
-        if running >= _IN_FLIGHT * threads:
-            return 0
-        largest = runner.tile_cells * max(1, threads // _ATTENDED)
-        least = engines.tile_size(work.known, runner, threads)
-        return max(least, min(largest, work.size // (4 * threads)))  # so that all end together
-
     def submit(self, function: Callable[..., Any], /, *arguments: Any, **_options: Any) -> Future[Any]:
         """Run a tile on a worker; `function` is `clunk.sweeping.engines.run_tile`."""
-        assert function is engines.run_tile
         runner, cells, stop = arguments
         if self._sent is None or self._sent[0] is not runner:
             self._check_workers(runner.method)
@@ -130,32 +129,13 @@ class Cluster(Executor):
             return self._lost()
         return EngineError(f"A worker could not run its cells: {reason(error)}.")
 
-    def _known_threads(self) -> int:
-        """Number of threads of the workers; waits for the first worker."""
-        if self._threads and time.monotonic() - self._asked < _ASKING:
-            return self._threads
-        announced = False
-        while True:
-            try:
-                self._threads, self._asked = int(sum(self._client.nthreads().values())), time.monotonic()
-            except Exception as error:  # depends on the layer that notices first that the scheduler has gone
-                raise self._lost() from error
-            if self._threads:
-                return self._threads
-            if not announced:
-                self._say(f"waiting for a worker of {self._address} …")
-            announced = True
-            time.sleep(_ASKING / 4)
-
     def _ask(self, function: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
         """Answer of each worker, or the error that it ended with; by address."""
         try:
             answers: dict[str, Any] = self._client.run(function, *arguments, on_error="return")
         except Exception as error:
             raise self._lost() from error
-        return {
-            address: answer for address, answer in answers.items() if not isinstance(answer, OSError)
-        }  # it has gone
+        return {address: each for address, each in answers.items() if not isinstance(each, OSError)}  # it has gone
 
     def _check_workers(self, method: str) -> None:
         """Raise EngineError where a worker has other versions; say how many will compile the kernel."""
@@ -165,7 +145,7 @@ class Cluster(Executor):
                     f"Worker {address} cannot run clunk ({reason(answer)}): it needs the same installation as here."
                 )
             _refuse_other_versions(address, answer, versions())
-        cold = [answer for answer in self._ask(is_cold, method).values() if isinstance(answer, bool)]
+        cold = [*self._ask(is_cold, method).values()]
         if any(cold):
             self._say(f"{sum(cold)} of {len(cold)} workers compile {method}, once for an installation …")
         if ";" in (processors := self.processors()):

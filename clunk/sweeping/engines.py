@@ -4,8 +4,8 @@ An engine is anything with the shape of `concurrent.futures.Executor`: threads b
 scheduler (`clunk.sweeping.distributed`). A cell's result depends on nothing but its parameters, so neither the engine,
 the cut into tiles, the order nor the number of workers can change a bit of it.
 
-An engine may have three methods besides: `next_tile(running, work, runner)`, as the function below, `processors()`, and
-`explained(error)`, which makes of a tile's error one for the user.
+An engine may have two methods besides: `processors()`, and `explained(error)`, which makes of a tile's error one for
+the user.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from clunk.sweeping.tiles import Layout, Tile
 
 _AHEAD = 2  # tiles handed to each worker
 _AHEAD_OF_WHOLE = 8  # of tiles of the largest size: they go on while a part is written to the disk, 0.3 s
+_ATTENDED = 25  # workers whose tiles of the usual size this process can look after: 4 ms each, of 0.1 s
 
 
 class EngineError(ClunkError):
@@ -59,39 +60,20 @@ class Runner(Protocol):
         """Run cells; the tile has those that were done before `stop` was set."""
 
 
-class Work:
-    """Queue of cells to run.
-
-    size : number that wait
-    known : number of all
-    """
-
-    def __init__(self, runner: Runner, cells: Cells) -> None:
-        self._waiting = runner.ordered(cells)
-        self.size = self.known = cells.size
-
-    def take(self, most: int) -> Cells:
-        """Remove up to `most` cells from the queue, such as are best run together."""
-        part = self._waiting[:most].copy()  # it may be kept, and the rest need not
-        self._waiting = self._waiting[most:]
-        self.size -= part.size
-        return part
-
-
-def run_tiles(engine: Executor, runner: Runner, work: Work) -> Generator[Tile, None, None]:
+def run_tiles(engine: Executor, runner: Runner, cells: Cells) -> Generator[Tile, None, None]:
     """Run cells until none wait or run; yield finished tiles in the order in which they finish.
 
     Leaving the generator early abandons the running cells. Raises EngineError where the engine cannot go on.
     """
     stop = np.zeros(1, np.uint8)
     running: set[Future[Tile]] = set()
-    workers = getattr(engine, "_max_workers", None) or available_cores()  # all of the standard library have this name
-    choose = getattr(engine, "next_tile", functools.partial(next_tile, workers))
-    explained = getattr(engine, "explained", None)
+    waiting = runner.ordered(cells)
     try:
         while True:
-            while most := choose(len(running), work, runner):
-                running.add(engine.submit(run_tile, runner, work.take(most), stop))
+            workers = getattr(engine, "_max_workers", None) or available_cores()  # all engines have this name
+            while size := next_tile(waiting.size, len(running), cells.size, workers, runner.tile_cells):
+                running.add(engine.submit(run_tile, runner, waiting[:size].copy(), stop))  # may be kept, the rest not
+                waiting = waiting[size:]
             if not running:
                 return
             with deferred_signals():
@@ -100,9 +82,9 @@ def run_tiles(engine: Executor, runner: Runner, work: Work) -> Generator[Tile, N
                 try:
                     tile = future.result()
                 except Exception as error:
-                    if explained is None:
+                    if not hasattr(engine, "explained"):
                         raise
-                    raise explained(error) from error
+                    raise engine.explained(error) from error
                 yield tile
     finally:
         stop[0] = 1
@@ -116,24 +98,22 @@ def run_tile(runner: Runner, cells: Cells, stop: Flag) -> Tile:
     return runner.run(cells, stop)
 
 
-def next_tile(workers: int, running: int, work: Work, runner: Runner) -> int:
+def next_tile(waiting: int, running: int, cells: int, workers: int, tile_cells: int) -> int:
     """Number of cells of the next tile; 0 where enough tiles are running.
 
-    Half of a worker's share of the rest, so that all workers end together.
+    Half of a worker's share of the rest, so that all workers end together; but not so few that a tile is not worth
+    while, unless a worker would be idle without it.
+
+    waiting : number of cells that wait
+    running : number of tiles that run
+    cells : number of all cells
+    tile_cells : the runner's
     """
-    most = min(max(-(-work.size // (2 * workers)), _least(work.known, runner, workers)), runner.tile_cells)
-    enough = workers * (_AHEAD_OF_WHOLE if most == runner.tile_cells else _AHEAD)
-    return most if work.size and running < enough else 0
-
-
-def tile_size(cells: int, runner: Runner, workers: int) -> int:
-    """Number of cells of a tile so that each worker gets eight tiles, within the limits of a tile."""
-    return min(max(-(-cells // (8 * workers)), _least(cells, runner, workers)), runner.tile_cells)
-
-
-def _least(cells: int, runner: Runner, workers: int) -> int:
-    """Number of cells below which a tile is not worth while, unless a worker would be idle without it."""
-    return max(min(runner.tile_cells // 8, -(-cells // workers)), 1)
+    largest = tile_cells * max(1, workers // _ATTENDED)
+    least = max(min(largest // 8, -(-cells // workers)), 1)
+    size = min(max(-(-waiting // (2 * workers)), least), largest)
+    enough = workers * (_AHEAD_OF_WHOLE if size == largest else _AHEAD)
+    return min(size, waiting) if running < enough else 0
 
 
 @functools.cache

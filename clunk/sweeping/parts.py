@@ -10,7 +10,6 @@ the parts, and moved into its place; then the directory is removed.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import sys
@@ -21,13 +20,11 @@ from pathlib import Path
 from typing import Any, BinaryIO, Self
 
 from clunk.results.files import reason, write_whole
-from clunk.results.tolerancemap import AnyMap
 from clunk.study.document import leaves
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study, decisive_content, digest
 from clunk.sweeping.provenance import versions
-from clunk.sweeping.reduction import Reduction
-from clunk.sweeping.tiles import Tile, from_bytes, to_pieces
+from clunk.sweeping.tiles import Tile, from_bytes, to_bytes
 
 _FIRST_PART = 2.0  # s: a shorter sweep is as soon run again
 _PART = 1.5  # s, at least; a part of 20,000 cells is 3 MB and takes 25 ms
@@ -112,26 +109,18 @@ class Parts:
 
     directory : open, that is locked
     study : Study
-    reduction : of the sweep; parts of another plan or layout of tiles are not taken up
 
-    Raises PartsError where the directory holds parts of another study or plan.
+    Raises PartsError where the directory holds parts of another study.
     """
 
-    def __init__(self, directory: WorkingDirectory, study: Study, reduction: Reduction[AnyMap]) -> None:
+    def __init__(self, directory: WorkingDirectory, study: Study) -> None:
         self.directory = directory
         self.discarded = 0  # parts of other versions, or damaged
         self.taken_up = 0  # cells that have been read
         self.kept = 0  # cells that are on the disk
-        self._layout = reduction.runner.layout
-        self._manifest = {
-            "plan": reduction.plan,
-            "config_digest": digest(study),
-            "versions": versions(),
-            "arrays": [str(self._layout.record.descr), str(self._layout.detail.descr)],
-        }
-        # the digest identifies the study; its values are kept for the sentence on what differs
-        self._origin = hashlib.sha256(json.dumps(self._manifest, sort_keys=True).encode()).digest()
-        self._manifest["study"] = flat(study)
+        decisive = {"config_digest": digest(study), "versions": versions()}
+        self._origin = json.dumps(decisive).encode()
+        self._manifest = {**decisive, "study": flat(study)}  # for the sentence on what differs
         self._waiting: list[Tile] = []
         self._cells_waiting = 0
         self._number = max((int(path.name.removeprefix("part-")) for path in directory.parts()), default=0)
@@ -142,7 +131,7 @@ class Parts:
         """The parts that are whole and of this sweep; all others are removed."""
         for path in self.directory.parts():
             try:
-                tile = from_bytes(path.read_bytes(), self._origin, self._layout)
+                tile = from_bytes(path.read_bytes(), self._origin)
             except (OSError, ValueError):
                 self.discarded += 1
                 with suppress(OSError):
@@ -174,8 +163,8 @@ class Parts:
             text = json.dumps(self._manifest, indent=1, ensure_ascii=False, default=str)
             if not manifest.exists():
                 write_whole(manifest, lambda file: file.write(text.encode()))
-            pieces = to_pieces(self._waiting, self._origin)
-            write_whole(self.directory.path / f"part-{self._number + 1:06}", lambda file: file.writelines(pieces))
+            part = to_bytes(self._waiting, self._origin)
+            write_whole(self.directory.path / f"part-{self._number + 1:06}", lambda file: file.write(part))
         except OSError as error:
             raise PartsError(
                 f"{self.directory.path} cannot take the finished cells: {reason(error)}; "
@@ -197,25 +186,18 @@ class Parts:
         path = self.directory.path / "manifest.json"
         try:
             earlier = json.loads(path.read_bytes())
-            current = json.loads(json.dumps(self._manifest, default=str))
-            differing = [key for key in ("config_digest", "plan", "versions") if earlier[key] != current[key]]
-            differing_values = differences(earlier["study"], current["study"])
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            is_other = earlier["config_digest"] != self._manifest["config_digest"]
+            current = json.loads(json.dumps(self._manifest["study"], default=str))
+            differing = differences(earlier["study"], current) or "the config"
+        except (OSError, ValueError, LookupError, TypeError, AttributeError):
             with suppress(OSError):
                 path.unlink(missing_ok=True)
             return
-        if "config_digest" in differing:
-            sweep = f"of another config ({differing_values or 'the config'})"
-        elif "plan" in differing:
-            sweep = f"that runs {earlier['plan']}, not {current['plan']}"
-        else:
-            if differing:
-                path.unlink()
-            return
-        raise PartsError(
-            f"{self.directory.path} holds an unfinished sweep {sweep}: finish that one, or begin anew with --restart "
-            "(in Python, restart=True)."
-        )
+        if is_other:
+            raise PartsError(
+                f"{self.directory.path} holds an unfinished sweep of another config ({differing}): finish that one, or "
+                "begin anew with --restart (in Python, restart=True)."
+            )
 
 
 def flat(study: Study) -> dict[str, Any]:

@@ -7,16 +7,18 @@ maps (`clunk.sweeping.assembly`) and tolerance maps (`clunk.sweeping.tolerances`
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.sequence import label
+from clunk.core.sequence import INITIAL, OPPOSITE, label
+from clunk.core.status import Status
 from clunk.results.labels import FAILED_CODE
 from clunk.results.tolerancemap import AnyMap
-from clunk.study.arrays import Bools, Cells
+from clunk.study.arrays import Bools, Cells, Records
 from clunk.study.axes import ResultAxis, lash_axis
 from clunk.study.designs import Design
 from clunk.study.errors import ClunkError
@@ -32,19 +34,61 @@ class SweepError(ClunkError):
     """A sweep that cannot start; its text is one sentence for the user."""
 
 
+def flanks_of(pattern: int) -> Flanks:
+    """The flanks that the bits of a pattern stand for, behind its leading 1."""
+    return tuple(OPPOSITE if bit == "1" else INITIAL for bit in bin(pattern)[3:])
+
+
+def long_sequences(records: Records, impacts: Sequence[Records]) -> Iterator[tuple[int, Flanks]]:
+    """Positions and flanks of the runs whose sequences are too long for a pattern; impacts : IMPACT, in pieces."""
+    long = np.flatnonzero(records["pattern"] == 0)
+    long = long[records["status"][long] == Status.OK]
+    if long.size:
+        flanks, ends = np.concatenate(impacts)["flank"], np.cumsum(records["primary_impacts"])
+        for k in long.tolist():
+            yield k, tuple(flanks[ends[k] - records["primary_impacts"][k] : ends[k]].tolist())
+
+
+class Sequences:
+    """Sequences of primary impacts, each with a code: its number in the order in which they were seen first."""
+
+    def __init__(self) -> None:
+        self.codes: dict[Flanks, int] = {}
+
+    def code(self, flanks: Flanks) -> int:
+        """The code of a sequence; a new one where it has not been seen yet."""
+        return self.codes.setdefault(flanks, len(self.codes))
+
+    def codes_of(self, records: Records, impacts: Sequence[Records]) -> npt.NDArray[np.int32]:
+        """The code of each run's sequence, -1 where it failed; records : CELL; impacts : IMPACT of them, in pieces."""
+        patterns, inverse = np.unique(records["pattern"], return_inverse=True)
+        of_patterns = [self.code(flanks_of(pattern)) if pattern else FAILED_CODE for pattern in patterns.tolist()]
+        codes = np.array(of_patterns, np.int32)[inverse.reshape(-1)]
+        for k, flanks in long_sequences(records, impacts):
+            codes[k] = self.code(flanks)
+        return codes
+
+    def labels(self) -> tuple[tuple[str, ...], npt.NDArray[np.int16]]:
+        """The labels, and each code's number among them; the last is that of -1.
+
+        They are sorted by (number of primaries, label), so that they do not depend on which cell finished first.
+        """
+        lengths = {label(flanks): len(flanks) for flanks in self.codes}
+        labels = tuple(sorted(lengths, key=lambda text: (lengths[text], text)))
+        return labels, np.array([*(labels.index(label(flanks)) for flanks in self.codes), FAILED_CODE], np.int16)
+
+
 class Reduction(ABC, Generic[SomeMap]):
     """The arrays of a map, filled tile by tile.
 
     study, design : of the cells
     runner : makes the tiles
     heading : title and config of the map, where they are known already
-    plan : which cells are run, for people
     rows : number of rows of all cells, one for each lash
     known : (cells,) bool, whether a cell has been added
     done : number of cells that have been added
+    sequences : of the runs
     """
-
-    plan = "every cell"
 
     def __init__(self, study: Study, design: Design, runner: Runner, heading: dict[str, str] | None = None) -> None:
         self.study, self.design, self.runner = study, design, runner
@@ -52,44 +96,27 @@ class Reduction(ABC, Generic[SomeMap]):
         self.rows = design.cells * runner.layout.lashes
         self.known: Bools = np.zeros(design.cells, bool)
         self.done = 0
-        self.sequences: dict[Flanks, int] = {}  # flanks -> code, in the order in which they were seen first
+        self.sequences = Sequences()
 
     def add(self, tile: Tile) -> None:
         """Add a tile's cells; those that are there already are passed over."""
-        new, layout = ~self.known[as_index(tile.cells)], self.runner.layout
+        new, layout = ~self.known[tile.cells], self.runner.layout
         if not new.all():
             rows = np.repeat(new, layout.lashes)
             tile = Tile(
                 tile.cells[new], tile.records[rows], tile.details[np.repeat(rows, tile.records[layout.counted_by])]
             )
-        self.fill(tile, as_index(layout.rows(tile.cells)))
-        self.known[as_index(tile.cells)] = True
+        self.fill(tile, layout.rows(tile.cells))
+        self.known[tile.cells] = True
         self.done += tile.cells.size
 
     @abstractmethod
-    def fill(self, tile: Tile, index: slice | Cells) -> None:
-        """Put a tile of new cells into the arrays; `index` is where its rows are in these."""
-
-    def first(self) -> Cells:
-        """Cells to run, in ascending order: those that have not been added."""
-        return np.flatnonzero(~self.known).astype(np.int64, copy=False)
+    def fill(self, tile: Tile, rows: Cells) -> None:
+        """Put a tile of new cells into the arrays; `rows` are its rows in these."""
 
     @abstractmethod
     def result(self, attributes: dict[str, str]) -> SomeMap:
-        """The finished map, with these attributes and perhaps others."""
-
-    def code(self, flanks: Flanks) -> int:
-        """The code of a sequence of primary impacts; a new one where it has not been seen yet."""
-        return self.sequences.setdefault(flanks, len(self.sequences))
-
-    def final_codes(self) -> tuple[tuple[str, ...], npt.NDArray[np.int16]]:
-        """The labels, and each code's number among them; the last is that of -1.
-
-        They are sorted by (number of primaries, label), so that they do not depend on which cell finished first.
-        """
-        lengths = {label(flanks): len(flanks) for flanks in self.sequences}
-        labels = tuple(sorted(lengths, key=lambda text: (lengths[text], text)))
-        return labels, np.array([*(labels.index(label(flanks)) for flanks in self.sequences), FAILED_CODE], np.int16)
+        """The finished map, with these attributes."""
 
     @cached_property
     def axes(self) -> tuple[ResultAxis, ...]:
@@ -111,10 +138,3 @@ class Reduction(ABC, Generic[SomeMap]):
 def heading_of(study: Study) -> dict[str, str]:
     """Title and config of a study's maps."""
     return {"title": study.title, "config": to_toml(study), "config_digest": digest(study)}
-
-
-def as_index(cells: Cells) -> slice | Cells:
-    """Cells as an index; where they follow one another, as a slice, which is quicker."""
-    if cells.size and np.all(cells[1:] - cells[:-1] == 1):
-        return slice(int(cells[0]), int(cells[-1]) + 1)
-    return cells

@@ -2,34 +2,36 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext, suppress
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+
 from clunk.core.status import Status
-from clunk.results.machine import available_cores
+from clunk.results.machine import available_cores, available_memory
 from clunk.results.netcdf import StoreError
 from clunk.results.regimemap import Results
-from clunk.results.store import Header, read_header, read_map, read_results, write_results
+from clunk.results.store import read_map, read_results, write_results
 from clunk.results.tolerancemap import AnyMap
 from clunk.simulation.driveline import explained
 from clunk.study.config import study_from_text
 from clunk.study.designs import Design, design_of, has_tolerances
 from clunk.study.problems import ConfigError
 from clunk.study.study import Study, digest
-from clunk.sweeping.assembly import MendedReduction, RegimeReduction
+from clunk.sweeping.assembly import RegimeReduction, design_of_failed, failed_cells, mended
 from clunk.sweeping.cells import warm_up
-from clunk.sweeping.engines import EngineError, Work, run_tiles
+from clunk.sweeping.engines import EngineError, run_tiles
 from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory, differences, flat
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.provenance import provenance
 from clunk.sweeping.reduction import Reduction, SweepError
-from clunk.sweeping.scratch import refuse_if_too_large, scratch_for
 from clunk.sweeping.signals import Threads
 from clunk.sweeping.tolerances import ToleranceReduction
 
@@ -41,6 +43,7 @@ _NO_SWEEP = (
     "There is nothing to sweep: the config has no [[sweep.axes]] and no [[sweep.samples]] (clunk help designs). "
     "clunk simulate runs it once."
 )
+_BYTES_PER_CELL = 400  # the most that a cell's results, their assembly and writing take
 _WAYS_OUT = "Name another file, or overwrite it with --force (in Python, force=True)."
 
 
@@ -49,7 +52,7 @@ class Job:
 
     study : with at least one axis or sample; with tolerances, the map is a ToleranceMap, else Results
     design : cells to run instead of those of the study's sweep
-    earlier : finished results of which only the failed cells are run again, with another [solver]
+    earlier : finished results, of which only the failed cells are run
     directory : open; finished cells are kept there as the sweep goes on, and taken up from there
     path : results file to write
     is_complete : whether the file is complete already, so that there is nothing to run
@@ -67,7 +70,8 @@ class Job:
         path: Path | None = None,
         is_complete: bool = False,
     ) -> None:
-        self.study, self.design = study, design or design_of(study)
+        self.study = study
+        self.design = design or (design_of(study) if earlier is None else design_of_failed(study, earlier))
         self.earlier = earlier
         self.directory, self.path, self.is_complete = directory, path, is_complete
         self.ran, self.seconds, self.is_written = 0, 0.0, is_complete
@@ -75,25 +79,20 @@ class Job:
     @cached_property
     def reduction(self) -> Reduction[AnyMap]:
         """Empty arrays of the map. Raises SweepError where nothing can run, or the arrays don't fit in memory."""
-        design = self.design
-        if not design.shape:
+        if not self.design.shape:
             raise SweepError(_NO_SWEEP)
-        on_disk = None if self.directory is None else self.directory.path
         lashes = len(self.study.lashes)
-        refuse_if_too_large((*design.shape, lashes) if lashes > 1 else design.shape, on_disk)
-        if has_tolerances(self.study):
-            if self.study.measured:
-                raise SweepError("A tolerance map has Q alone: leave out impacts.quantities and [[measures]].")
-            return ToleranceReduction(self.study)
-        scratch = scratch_for(design.cells * lashes, on_disk)
-        if self.earlier is not None:
-            return MendedReduction(self.study, self.earlier, scratch)
-        return RegimeReduction(self.study, design, scratch)
+        _refuse_if_too_large((*self.design.shape, lashes) if lashes > 1 else self.design.shape)
+        if not has_tolerances(self.study):
+            return RegimeReduction(self.study, self.design)
+        if self.study.measured:
+            raise SweepError("A tolerance map has Q alone: leave out impacts.quantities and [[measures]].")
+        return ToleranceReduction(self.study)
 
     @cached_property
     def parts(self) -> Parts | None:
         """Finished cells on the disk, if they are kept. Raises PartsError where they are another sweep's."""
-        return None if self.directory is None else Parts(self.directory, self.study, self.reduction)
+        return None if self.directory is None or self.earlier is not None else Parts(self.directory, self.study)
 
     @property
     def kept(self) -> str:
@@ -151,19 +150,18 @@ class Job:
         for tile in parts.read() if parts is not None else ():
             reduction.add(tile)
         if progress is not None and parts is not None and parts.taken_up:
-            progress(reduction.done, max(reduction.done, self.design.cells))
+            progress(reduction.done, self.design.cells)
         try:
             with opening as executor:
-                finished = reduction.done
-                work = Work(reduction.runner, reduction.first())
+                cells = np.flatnonzero(~reduction.known)
                 # closing it abandons the cells that run at an interrupt
-                with closing(run_tiles(executor, reduction.runner, work)) as tiles:
+                with closing(run_tiles(executor, reduction.runner, cells)) as tiles:
                     for tile in tiles:
                         reduction.add(tile)
                         if parts is not None:
                             parts.add(tile)
                         if progress is not None:
-                            progress(reduction.done, finished + work.known)
+                            progress(reduction.done, self.design.cells)
         except (KeyboardInterrupt, SystemExit, EngineError) as stopped:  # SIGINT, SIGTERM, workers gone
             if parts is not None:
                 parts.flush()
@@ -173,6 +171,8 @@ class Job:
         if parts is not None and parts.on_disk:  # a sweep shorter than the first part is not worth a file
             parts.flush()
         result = reduction.result(provenance(engine))
+        if self.earlier is not None and isinstance(result, Results):
+            result = mended(self.earlier, result, self.study)
         self.ran, self.seconds = reduction.done - before, time.perf_counter() - began
         self._write(result)
         if self.directory is not None and self.path is not None:
@@ -204,14 +204,16 @@ def opened(
         return
     path = Path(path)
     with WorkingDirectory(path) as directory:
-        earlier, is_complete = None, False
         if retry:
             earlier = read_results(path)
-            is_complete = not (earlier.status != 0).any()
-        elif path.exists() and not force:
+            is_complete = not failed_cells(earlier).size
+            yield Job(study, earlier=earlier, directory=directory, path=path, is_complete=is_complete)
+            return
+        is_complete = False
+        if path.exists() and not force:
             _refuse_others(path, study)
             is_complete = not restart
-        job = Job(study, earlier=earlier, directory=directory, path=path, is_complete=is_complete)
+        job = Job(study, directory=directory, path=path, is_complete=is_complete)
         if is_complete and directory.parts():  # of a process that was killed when its file was in place
             with suppress(PartsError):  # another sweep's parts stay
                 _ = job.parts
@@ -221,21 +223,28 @@ def opened(
         yield job
 
 
-def _differing(header: Header, study: Study) -> str:
-    """Keys and values in which a file's config differs from a study; the file's title where that cannot be told."""
-    with suppress(ConfigError):  # of a config that this version refuses
-        return differences(flat(study_from_text(header.config)), flat(study)) or repr(header.title)
-    return repr(header.title)
-
-
 def _refuse_others(path: Path, study: Study) -> None:
     """Raise SweepError where a file holds anything else than this very sweep."""
     try:
-        header = read_header(path)
+        held = read_map(path)
     except StoreError as error:
         raise SweepError(f"{error} It is in the way of the results. {_WAYS_OUT}") from error
-    if header.config_digest != digest(study):
-        raise SweepError(f"{path} holds the results of another config ({_differing(header, study)}). {_WAYS_OUT}")
+    if held.config_digest != digest(study):
+        differing = repr(held.title)
+        with suppress(ConfigError):  # of a config that this version refuses
+            differing = differences(flat(study_from_text(held.config)), flat(study)) or differing
+        raise SweepError(f"{path} holds the results of another config ({differing}). {_WAYS_OUT}")
+
+
+def _refuse_if_too_large(shape: Sequence[int]) -> None:
+    """Raise SweepError where results of this shape do not fit in memory."""
+    cells, memory = math.prod(shape), available_memory()
+    needed = cells * _BYTES_PER_CELL
+    if needed > 0.8 * memory:
+        raise SweepError(
+            f"The grid of {' x '.join(str(count) for count in shape)} = {cells:,} cells does not fit in memory: it "
+            f"takes about {needed / 2**30:.0f} GiB, and there are {memory / 2**30:.0f} GiB."
+        )
 
 
 def engine_of(

@@ -7,7 +7,7 @@ a regime map its CELL and its impacts, of a tolerance map its TOLERANCE_CELL and
 from __future__ import annotations
 
 import hashlib
-import struct
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,8 +15,8 @@ import numpy as np
 
 from clunk.study.arrays import Array, Cells, Records
 
-_MAGIC = b"clunk tiles 2\n\0\0"
-_HEADER = struct.Struct("<16sQQ32s32s")  # magic, cells, details, origin, SHA-256 of all other bytes
+_ARRAYS = ("cells", "records", "details")
+_DIGEST = 32  # bytes of SHA-256
 
 
 @dataclass(frozen=True)
@@ -52,40 +52,20 @@ class Tile:
     details: Records
 
 
-def to_pieces(tiles: Sequence[Tile], origin: bytes) -> list[bytes | memoryview]:
-    """Bytes of tiles, to be written one piece after the other; nothing is copied.
+def to_bytes(tiles: Sequence[Tile], origin: bytes) -> bytes:
+    """Bytes of tiles: a SHA-256, then all tiles' cells, their records, and their details, each as a file of NumPy's.
 
-    They are a header with a checksum, all tiles' cells, their records, and their details, as they are in memory.
-
-    origin : 32 bytes that identify the study and the versions of the tiles
+    origin : identifies the study and the versions of the tiles
     """
-    counts = sum(tile.cells.size for tile in tiles), sum(tile.details.size for tile in tiles)
-    arrays = [getattr(tile, name) for name in ("cells", "records", "details") for tile in tiles]
-    body = [np.ascontiguousarray(array).view(np.uint8).data for array in arrays if array.size]
-    return [_HEADER.pack(_MAGIC, *counts, origin, _checksum(*counts, origin, *body)), *body]
+    arrays = io.BytesIO()
+    for name in _ARRAYS:
+        np.save(arrays, np.concatenate([getattr(tile, name) for tile in tiles]))
+    return hashlib.sha256(origin + arrays.getbuffer()).digest() + arrays.getbuffer()
 
 
-def from_bytes(raw: bytes, origin: bytes, layout: Layout) -> Tile:
-    """Read the bytes that `to_pieces` made, as a single tile. Raises ValueError where a bit or the origin differs."""
-    if len(raw) < _HEADER.size:
-        raise ValueError("truncated")
-    magic, cells, details, written_origin, checksum = _HEADER.unpack_from(raw)
-    if magic != _MAGIC or written_origin != origin:
-        raise ValueError("of another study or version")
-    body = memoryview(raw)[_HEADER.size :]
-    width = 8 + layout.lashes * layout.record.itemsize
-    size = width * cells + layout.detail.itemsize * details
-    if len(body) != size or _checksum(cells, details, origin, body) != checksum:
-        raise ValueError("damaged")
-    return Tile(
-        np.frombuffer(body[: 8 * cells], np.int64).copy(),  # reductions keep the cells; a view would keep all the bytes
-        np.frombuffer(body[8 * cells : width * cells], layout.record),
-        np.frombuffer(body[width * cells :], layout.detail),
-    )
-
-
-def _checksum(cells: int, details: int, origin: bytes, *body: memoryview) -> bytes:
-    sha = hashlib.sha256(struct.pack("<QQ", cells, details) + origin)
-    for piece in body:
-        sha.update(piece)
-    return sha.digest()
+def from_bytes(raw: bytes, origin: bytes) -> Tile:
+    """Read the bytes that `to_bytes` made, as a single tile. Raises ValueError where a bit or the origin differs."""
+    if hashlib.sha256(origin + raw[_DIGEST:]).digest() != raw[:_DIGEST]:
+        raise ValueError("damaged, or of another study or version")
+    arrays = io.BytesIO(raw[_DIGEST:])
+    return Tile(*(np.load(arrays) for _ in _ARRAYS))

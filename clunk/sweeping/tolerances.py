@@ -23,9 +23,8 @@ from clunk.study.axes import ResultAxis
 from clunk.study.designs import design_of, drawn_numbers
 from clunk.study.parameters import nominal_value, quantity
 from clunk.study.study import Study
-from clunk.sweeping.assembly import flanks_of, long_sequences
 from clunk.sweeping.cells import KEPT_SYSTEMS, Flag, Grid, leaves_system
-from clunk.sweeping.reduction import Flanks, Reduction
+from clunk.sweeping.reduction import Flanks, Reduction, flanks_of, long_sequences
 from clunk.sweeping.tiles import Layout, Tile
 
 _QUANTILE_FIELDS = [f"severity_{100 * quantile:g}" for quantile in QUANTILES]
@@ -130,8 +129,6 @@ class SampleRunner:
 class ToleranceReduction(Reduction[ToleranceMap]):
     """The arrays of a tolerance map."""
 
-    plan = "every cell for every draw"
-
     def __init__(self, study: Study) -> None:
         self._sample = SampleRunner(study)
         super().__init__(study, self._sample.grid.design, self._sample)
@@ -139,23 +136,23 @@ class ToleranceReduction(Reduction[ToleranceMap]):
         self._nominal = np.zeros(self.rows, np.int64)  # codes
         self._runs: list[tuple[Cells, Cells, Cells]] = []  # rows, codes, and numbers of runs
 
-    def fill(self, tile: Tile, index: slice | Cells) -> None:
+    def fill(self, tile: Tile, rows: Cells) -> None:
         """See `Reduction.fill`."""
-        self._records[index] = tile.records
+        self._records[rows] = tile.records
         entries = []
-        rows_of_outcomes = np.repeat(self.runner.layout.rows(tile.cells), tile.records["outcomes"]).tolist()
+        rows_of_outcomes = np.repeat(rows, tile.records["outcomes"]).tolist()
         for row, flanks, count, nominal in _outcomes(rows_of_outcomes, tile.details):
-            code = FAILED_CODE if flanks is None else self.code(flanks)
+            code = FAILED_CODE if flanks is None else self.sequences.code(flanks)
             entries.append((row, code, count))
             if nominal:
                 self._nominal[row] = code
-        rows, codes, runs = np.array(entries, np.int64).reshape(-1, 3).T
-        self._runs.append((rows, codes, runs))
+        of_rows, codes, runs = np.array(entries, np.int64).reshape(-1, 3).T
+        self._runs.append((of_rows, codes, runs))
 
     def result(self, attributes: dict[str, str]) -> ToleranceMap:
         """See `Reduction.result`."""
         assert self.known.all()
-        labels, final = self.final_codes()
+        labels, final = self.sequences.labels()
         shape = self.shape
         runs = np.zeros((self.rows, len(labels) + 1), np.int32)  # failed is code -1, and so the last
         for rows, codes, count in self._runs:

@@ -1,7 +1,7 @@
-"""What a sweep costs beside its runs: `python tests/benchmarks/scale.py 1e6 1e7 1e8` with a kernel that is empty.
+"""What a sweep costs beside its runs: `python tests/benchmarks/scale.py 1e6 1e7` with a kernel that is empty.
 
 Every tile is a copy of a real one, so that impacts, labels and the size of the file are those of the report's map.
-Each size runs in a process of its own, in the directory that TMPDIR names; 1e8 cells take 25 GB of it for a while.
+Each size runs in a process of its own, in the directory that TMPDIR names.
 """
 
 from __future__ import annotations
@@ -136,7 +136,6 @@ def measure_tasks(count: float, workers: int) -> None:
     """The same tiles by the workers of a scheduler: what a tile costs on its way, and how much of that here."""
     from clunk.sweeping import distributed
 
-    distributed._Pace.took = lambda *_: None  # they would grow
     study = study_of(count)
     preload = f"import sys; sys.path[:0] = [{str(Path(__file__).parent)!r}] ; import scale ; scale.make_empty()"
     dask = [sys.executable, "-m", "dask"]
@@ -160,7 +159,7 @@ def measure_tasks(count: float, workers: int) -> None:
             for timed in (False, True):
                 began, tiles, process_began = time.perf_counter(), 0, time.process_time()
                 grid = cells.Grid(study)
-                for _tile in engines.run_tiles(engine, grid, engines.Work(grid, part)):
+                for _tile in engines.run_tiles(engine, grid, part):
                     tiles += 1
                 seconds, here = time.perf_counter() - began, time.process_time() - process_began
                 if timed:
