@@ -12,9 +12,9 @@ from clunk import plot
 from clunk.analysis.comparison import compare
 from clunk.analysis.small_gap import thresholds_of
 from clunk.cli import main
+from clunk.plot.drawing import scatter
 from clunk.plot.layers import Layers
 from clunk.plot.maps import shades_of
-from clunk.plot.scatter import scatter
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.results.store import read_map, read_results, write_results
 from clunk.study.axes import RUN

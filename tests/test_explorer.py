@@ -24,7 +24,7 @@ from clunk.explorer.newest import Newest
 from clunk.explorer.pictures import picture_of
 from clunk.explorer.subject import Subject
 from clunk.explorer.variations import Variations, of_one_cell
-from clunk.plot.style import palette_of
+from clunk.plot.style import colour_of
 from clunk.results.quantities import quantity_of
 from clunk.results.tolerancemap import CERTAIN
 from clunk.simulation.history import sample
@@ -199,9 +199,8 @@ class TestTolerances:
         assert not study_from_text(variations.config(cell, {"lash.contact.stiffness": 3e5})).sweep.tolerances
 
     def test_its_colours_are_paler_where_the_label_is_less_certain(self, subject):
-        palette = palette_of(tuple(subject.results.labels[code] for code in np.unique(subject.results.sequence)))
         picture = picture_of(subject.results, "regimes", 2)
-        full = {int(colour[1:], 16) for colour in palette.values()}
+        full = {int(colour_of(subject.results.labels[code])[1:], 16) for code in np.unique(subject.results.sequence)}
         rows, columns = (size - 1 for size in picture.pixels.shape)
         for row, column in np.ndindex(subject.results.shape):
             at = rows * row // 2, columns * column // 4
@@ -227,11 +226,10 @@ class TestPictures:
 
     def test_pixels_have_the_colours_of_the_labels_of_their_cells(self, subject):
         picture = picture_of(subject.results, "regimes", 2)
-        palette = palette_of(subject.results.labels)
         label = subject.results.cell({"load.ratio": 5.0, "lash.backlash_deg": 6.0})["label"]
         rows, columns = picture.pixels.shape
         pixel = int(picture.pixels[rows // 2, columns // 2])
-        assert "#" + "".join(f"{pixel >> shift & 255:02x}" for shift in (0, 8, 16)) == palette[label]
+        assert "#" + "".join(f"{pixel >> shift & 255:02x}" for shift in (0, 8, 16)) == colour_of(label)
         assert {label for label, *_ in picture.legend} == set(subject.results.label_map.ravel())
 
     def test_a_quantity_has_its_own_scale(self, subject):

@@ -14,8 +14,8 @@ from test_store import example as example_without_config
 from test_sweeping import digest_of
 
 from clunk.analysis.small_gap import thresholds_of
+from clunk.plot.drawing import scatter
 from clunk.plot.page import page
-from clunk.plot.scatter import scatter
 from clunk.plot.style import MOST_POINTS, save
 from clunk.results import store
 from clunk.simulation.linear import rigid_contact_thresholds

@@ -17,10 +17,10 @@ from matplotlib.text import Text
 from clunk import plot
 from clunk.analysis.ridge import ridge_of
 from clunk.core.status import QUALITY_UNDECIDED
+from clunk.plot.drawing import strip
 from clunk.plot.layers import Layers
 from clunk.plot.maps import shades_of
-from clunk.plot.strips import strip
-from clunk.plot.style import FAILED_FILL, INK, group_colour, palette_of
+from clunk.plot.style import FAILED_FILL, INK, colour_of, group_colour
 from clunk.results.quantities import quantity_of
 from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
@@ -209,8 +209,7 @@ def cell_places(results: Results) -> tuple[np.ndarray, np.ndarray]:
 
 def test_every_cell_has_the_colour_of_its_label_and_lines_run_along_cells(nine: Results, nine_map: Figure) -> None:
     ax = nine_map.axes[0]
-    palette = palette_of(nine.labels)
-    fills = np.array([to_rgb(palette[label]) for label in nine.labels])[nine.sequence[1:-1, 1:-1].ravel()]
+    fills = np.array([to_rgb(colour_of(label)) for label in nine.labels])[nine.sequence[1:-1, 1:-1].ravel()]
     np.testing.assert_allclose(colours_at(ax, *cell_places(nine)) / 255.0, fills, atol=0.003)  # 8 bits
     (lines,) = [each for each in ax.collections if each.get_gid() == "boundaries"]
     for line in lines.get_segments():
@@ -380,8 +379,8 @@ def _linear(colour: str) -> np.ndarray:
 @pytest.mark.parametrize("vision", VISION)
 def test_the_nine_labels_of_figure_3_4_differ_in_colour_for_everybody(vision: str) -> None:
     seen = {
-        label: _lightness_a_b(np.clip(np.array(VISION[vision]) @ _linear(colour), 0.0, 1.0))
-        for label, colour in palette_of(LABELS).items()
+        label: _lightness_a_b(np.clip(np.array(VISION[vision]) @ _linear(colour_of(label)), 0.0, 1.0))
+        for label in LABELS
     }
     assert set(seen) == set(LABELS)
     for one, other in itertools.combinations(LABELS, 2):
@@ -390,10 +389,10 @@ def test_the_nine_labels_of_figure_3_4_differ_in_colour_for_everybody(vision: st
 
 def test_any_labels_have_colours_of_their_own_that_text_can_be_read_on() -> None:
     labels = ("NI", *(f"DS({n})SS({m})" for n in range(1, 6) for m in range(1, 5)), "OS(1)DS(1)", "DS(1)CR")
-    palette = palette_of(labels)
-    assert len(set(palette.values())) == len(labels)
+    colours = set(map(colour_of, labels))
+    assert len(colours) == len(labels)
     ink = _linear(INK) @ [0.2126, 0.7152, 0.0722]
-    for colour in palette.values():
+    for colour in colours:
         assert (_linear(colour) @ [0.2126, 0.7152, 0.0722] + 0.05) / (ink + 0.05) > 4.5  # WCAG 2.2, level AA
 
 
@@ -417,16 +416,10 @@ def test_neighbours_and_groups_differ_in_colour_for_everybody(vision: str) -> No
         return _lightness_a_b(np.clip(np.array(VISION[vision]) @ _linear(colour), 0.0, 1.0))
 
     for one, other in NEIGHBOURS:
-        palette = palette_of((one, other))
-        assert np.linalg.norm(seen(palette[one]) - seen(palette[other])) > 2.3, (one, other)
-    groups = [palette_of(("NI",))["NI"], *map(group_colour, range(6))]
+        assert np.linalg.norm(seen(colour_of(one)) - seen(colour_of(other))) > 2.3, (one, other)
+    groups = [colour_of("NI"), *map(group_colour, range(6))]
     for one, other in itertools.combinations(groups, 2):
         assert np.linalg.norm(seen(one) - seen(other)) > 5.0, (one, other)
-
-
-def test_a_colour_means_the_same_in_every_map() -> None:
-    many = palette_of((*LABELS, "DS(4)", "OS(1)DS(1)", "CR(1)"))
-    assert all(palette_of((label,))[label] == many[label] for label in LABELS)
 
 
 # --- many labels, and quantities that labels tell

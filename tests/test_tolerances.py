@@ -14,9 +14,9 @@ from clunk import plot
 from clunk.analysis.comparison import verify
 from clunk.core.status import Status
 from clunk.plot import PlotError, save
+from clunk.plot.drawing import strip
 from clunk.plot.layers import Layers
-from clunk.plot.strips import likelihood_curves
-from clunk.plot.style import palette_of
+from clunk.plot.style import colour_of
 from clunk.results import netcdf, store
 from clunk.results.labels import double_sided, excursions
 from clunk.results.netcdf import StoreError
@@ -492,10 +492,6 @@ class TestFigures:
         figure = plot.draw(found, "regimes")
         save(figure, tmp_path / "map.png")
         ax = figure.axes[0]
-        present = tuple(
-            label for label in found.labels if label in {found.labels[k] for k in np.unique(found.sequence)}
-        )
-        palette = palette_of(present)
         image = np.asarray(figure.canvas.buffer_rgba())[..., :3] / 255.0
 
         def colour(at):
@@ -504,10 +500,10 @@ class TestFigures:
 
         certain = (1, 3)
         assert found.certainty[certain] == 1.0
-        assert colour(certain) == pytest.approx(to_rgb(palette[found.labels[found.sequence[certain]]]), abs=0.02)
+        assert colour(certain) == pytest.approx(to_rgb(colour_of(found.labels[found.sequence[certain]])), abs=0.02)
         least = np.unravel_index(np.argmin(found.certainty[1:-1, 1:-1]), (19, 5))
         least = (least[0] + 1, least[1] + 1)
-        own = np.array(to_rgb(palette[found.labels[found.sequence[least]]]))
+        own = np.array(to_rgb(colour_of(found.labels[found.sequence[least]])))
         assert np.sum(1.0 - colour(least)) < 0.6 * np.sum(1.0 - own)
         notes = [text.get_text() for text in figure.legends[0].get_texts()]
         assert f"less than 95 % likely: {found.uncertain} cells" in notes
@@ -530,7 +526,7 @@ class TestFigures:
         assert np.array_equal(Layers.of(found, 2, "severity_95").values, found.severity_quantiles[..., 2])
 
     def test_along_one_axis_the_median_is_drawn_within_its_band(self, found):
-        ax = likelihood_curves(found.at({"lash.backlash_deg": 9.5})).axes[1]
+        ax = strip(found.at({"lash.backlash_deg": 9.5})).axes[1]
         median = next(line for line in ax.lines if line.get_label() == "median")
         assert np.array_equal(median.get_ydata(), found.severity_quantiles[:, 3, 1])
         band = ax.collections[0].get_paths()[0].vertices[:, 1]
@@ -544,4 +540,4 @@ class TestFigures:
         assert plot.default_quantities(found) == ["regimes", "double_sided"]
         with pytest.raises(PlotError, match="no severity to draw"):
             plot.draw(found, "severity")
-        likelihood_curves(found.at({"lash.backlash_deg": 9.5}))
+        strip(found.at({"lash.backlash_deg": 9.5}))

@@ -4,7 +4,7 @@ Cells are samples: a regime is known at the swept values and nowhere between. Ma
 between their regimes where these have been traced, and else as cells.
 
 `layers` is what a figure of a plane (`maps`) needs of a map, whatever its quantity; `labelling` writes names and
-measured labels on it; `comparisons`, `strips` and `scatter` draw the rest, and `drawing` chooses among them. Figures of
+measured labels on it; `comparisons` draws two maps as one, `drawing` strips and points, and chooses. Figures of
 runs are in `histories`, of thresholds in `thresholds`, of fits, sensitivities and optima in `analyses`. `page` puts the
 figures of a file on one page.
 """
@@ -12,7 +12,8 @@ figures of a file on one page.
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from clunk.plot.drawing import default_quantities, draw, shown_values
+    from clunk.plot.drawing import default_quantities, draw
+    from clunk.plot.maps import shown_values
     from clunk.plot.plane import SurplusAxesError
     from clunk.plot.style import PlotError, save
 
@@ -31,7 +32,7 @@ _HOME = {
     "default_quantities": "drawing",
     "draw": "drawing",
     "save": "style",
-    "shown_values": "drawing",
+    "shown_values": "maps",
 }
 
 

@@ -19,11 +19,11 @@ from clunk.plot.style import INK, cells_phrase
 from clunk.results.labels import FAILED
 from clunk.results.regimemap import Results
 from clunk.study.problems import shorten
-from clunk.study.summaries import percent
 
 # After Okabe and Ito (2008): far apart also for the colour blind, and none of them near the grey of the rare ones.
 _TRANSITION_COLOURS = ("#d55e00", "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9")
 _RARE_COLOUR = "#a9adb0"
+_LISTED = 3  # keys of the config that differ
 _PALE = 0.25  # depth of the regimes' colours under differing cells
 
 
@@ -68,10 +68,16 @@ def experiment_map(results: Results, comparison: ExperimentComparison) -> Figure
 
     Raises PlotError unless two axes were swept.
     """
-    layers = _with_points(Layers.of(results, 2), comparison)
+    layers = Layers.of(results, 2)
+    across, upward = layers.view.keep
+    points = [
+        Measured(point.values[across], point.values[upward], point.measured, point.agrees)
+        for point in comparison.points
+        if point.computed is not None
+    ]
     facts = (*layers.facts, f"points: measured, {comparison.experiment.name}", comparison.experiment.caveat)
     outside = (Note(f"outside the map, not counted: {comparison.outside}", ""),) if comparison.outside else ()
-    return map_figure([replace(layers, facts=facts, notes=(*layers.notes, *outside))])
+    return map_figure([replace(layers, points=tuple(points), facts=facts, notes=outside)])
 
 
 def measured_on_maps(results: Results, fitted: Fitted) -> Figure:
@@ -96,35 +102,17 @@ def measured_on_maps(results: Results, fitted: Fitted) -> Figure:
     return map_figure(panels, names, line)
 
 
-def _with_points(layers: Layers, comparison: ExperimentComparison) -> Layers:
-    """The layers of a map with the measured points that lie on it."""
-    points = []
-    for point in comparison.points:
-        if point.computed is not None:
-            values = [
-                float(np.clip(point.values[k], axis.values[0], axis.values[-1]))
-                for k, axis in zip(layers.view.keep, layers.view.axes, strict=True)
-            ]
-            points.append(Measured(values[0], values[1], point.measured, point.agrees))
-    return replace(layers, points=tuple(points))
-
-
 def _differences(comparison: Comparison) -> list[str]:
     """Number of differing cells, titles and config of both maps; for the line under the title."""
-    lines = [f"{comparison.differing:,} of {comparison.cells:,} cells differ"]
-    if comparison.cells:
-        lines[0] += f" ({percent(comparison.differing, comparison.cells)})"
+    facts = [f"{comparison.differing:,} of {comparison.cells:,} cells differ"]
     if comparison.titles["a"] != comparison.titles["b"]:
-        lines += [f"{letter.upper()}: {title}" for letter, title in comparison.titles.items()]
+        facts += [f"{letter.upper()}: {title}" for letter, title in comparison.titles.items()]
     changes = [change for change in comparison.config_differences if change.key != "title"]
-    if comparison.configs_equal:
-        lines.append("A and B: the same config")
-    elif 0 < len(changes) <= 3:
-        listed = ", ".join(f"{each.key} = {_shortened(each.a)} → {_shortened(each.b)}" for each in changes)
-        lines.append(f"A → B: {listed}")
-    else:
-        lines.append(f"A → B: {len(changes)} keys of the config differ")
-    return lines
+    if not changes:
+        return [*facts, "A and B: the same config"]
+    listed = [f"{each.key} = {_shortened(each.a)} → {_shortened(each.b)}" for each in changes]
+    more = f" and {len(changes) - _LISTED} more keys" if len(changes) > _LISTED else ""
+    return [*facts, f"A → B: {', '.join(listed[:_LISTED])}{more}"]
 
 
 def _shortened(value: Any) -> str:

@@ -1,27 +1,30 @@
-"""The figure of a map's quantity: a map, maps side by side, a strip along one axis or path, or points."""
+"""The figure of a map's quantity: a map, maps side by side, a strip along one axis or path, or points of a sample."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import product
+from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from clunk.plot.layers import MOST_LABELS, Layers, hardness
-from clunk.plot.maps import map_figure
-from clunk.plot.plane import axis_span, drawn_axes, value_text
-from clunk.plot.scatter import parameter_choice, scatter
-from clunk.plot.strips import likelihood_curves, strip
-from clunk.plot.style import PlotError, bare, symbol_text
-from clunk.results.quantities import LABEL, TEXT, quantity_of
+from clunk.plot import style
+from clunk.plot.labelling import Raster, write_names
+from clunk.plot.layers import Layers, hardness
+from clunk.plot.maps import add_bar, cell_colours, facet_map, map_figure, mark_doubts, notes_of, shades_of
+from clunk.plot.plane import USUAL, SurplusAxesError, axis_label, axis_span, drawn_axes, scale_axis
+from clunk.results.labels import FAILED
+from clunk.results.quantities import CELL_QUANTITIES, TEXT, quantity_of
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import AnyMap, ToleranceMap
 from clunk.study.arrays import Floats
 from clunk.study.axes import RUN, ResultAxis
 
-MOST_VALUES = (12, 4)  # of one facet, of each of two
+_FEW = 60  # samples, each of which is marked on the curve
+_COLOUR = style.LINE_COLOURS[0]
 
 
 def draw(
@@ -48,10 +51,10 @@ def draw(
     described = quantity_of(quantity, drawn)
     curve = hardness(drawn) if described.type == TEXT else described.name
     if y is not None and x is None:
-        raise PlotError("y goes with x, which is missing.")
+        raise style.PlotError("y goes with x, which is missing.")
     if facets or isinstance(drawn, ToleranceMap) or not _has_runs(drawn):
         if x is not None:
-            raise PlotError(
+            raise style.PlotError(
                 "x and y are for axes that are walked together and for samples; of a map's two axes the load ratio or "
                 "else the first is x."
             )
@@ -59,49 +62,13 @@ def draw(
             return facet_map(drawn, facets, described.name)
         if len(drawn_axes(drawn)) > 1:
             return map_figure([Layers.of(drawn, 2, described.name)], thresholds=thresholds)
-        return likelihood_curves(drawn) if isinstance(drawn, ToleranceMap) else strip(drawn, curve)
+        return strip(drawn, curve)
     if _is_path(drawn):
         if y is not None:
-            raise PlotError("y is for samples: axes that are walked together are a path, drawn along x.")
+            raise style.PlotError("y is for samples: axes that are walked together are a path, drawn along x.")
         return _path(drawn, curve, x)
     chosen = parameter_choice(drawn) if x is None else (x,) if y is None else (x, y)
     return scatter(drawn, described.name if len(chosen) > 1 else curve, *chosen)
-
-
-def facet_map(results: AnyMap, facets: Sequence[str], quantity: str = LABEL) -> Figure:
-    """A map of the regimes or of a quantity for each value of one facet, or of two: rows, then columns.
-
-    Of many values those that `shown_values` chooses are drawn. Raises PlotError where a facet is no axis of several
-    values, or not two axes are left for the maps.
-    """
-    changing = {results.axes[index].parameter: results.axes[index] for index in drawn_axes(results)}
-    if len(facets) > len(MOST_VALUES) or len(set(facets)) < len(facets):
-        raise PlotError("Small multiples have one facet, or two different ones for rows and columns.")
-    for facet in facets:
-        if facet not in changing:
-            raise PlotError(f"{facet} is no axis of several values; these are {', '.join(changing)}.")
-    axes = [changing[facet] for facet in facets]
-    values = [shown_values(axis, len(axes)) for axis in axes]
-    slices = [results.at(dict(zip(facets, place, strict=True))) for place in product(*values)]
-    most = 0 if len(np.unique(results.sequence)) > MOST_LABELS else MOST_LABELS  # all panels alike
-    panels = [Layers.of(each, 2, quantity, most) for each in slices]
-    varying = {*facets, *(axis.parameter for axis in results.coordinates if RUN in facets)}
-    fixed = [axis for axis in panels[0].view.fixed if axis.parameter not in varying]
-    names = [
-        "\n".join(symbol_text(value_text(axis, value, symbol=True)) for axis, value in zip(axes, place, strict=True))
-        for place in product(*values)
-    ]
-    fact = f"each map at one {' and '.join(f'{axis.name} {bare(axis.symbol)}'.rstrip() for axis in axes)}"
-    line = replace(panels[0], caveats=tuple(results.caveats)).subtitle(fact, fixed=fixed)
-    return map_figure(panels, names, line, columns=len(values[1]) if len(values) > 1 else 0)
-
-
-def shown_values(axis: ResultAxis, facets: int) -> Floats:
-    """The values of a facet that are drawn, ascending: all, or evenly spaced ones with the first and the last."""
-    values, most = np.sort(axis.values), MOST_VALUES[facets - 1]
-    if len(values) <= most:
-        return values
-    return values[np.rint(np.linspace(0, len(values) - 1, most)).astype(np.intp)]
 
 
 def default_quantities(
@@ -138,8 +105,178 @@ def _path(results: Results, quantity: str, x: str | None) -> Figure:
     monotonic = [axis for axis, signs in steps if abs(signs.sum()) == signs.size]
     along = {axis.parameter: axis for axis in (*monotonic, run)}
     if x is not None and x not in along:
-        raise PlotError(f"{x} does not rise or fall throughout the runs; x may be {' or '.join(along)}.")
+        raise style.PlotError(f"{x} does not rise or fall throughout the runs; x may be {' or '.join(along)}.")
     chosen = along[x or next(iter(along))]
     spans = [axis_span(axis) for axis in results.coordinates if axis is not chosen]
     axes = tuple(chosen if axis is run else axis for axis in results.axes)
     return strip(replace(results, axes=axes, coordinates=()), quantity, "; ".join(spans))
+
+
+@style.styled()
+def strip(drawn: AnyMap, quantity: str = "severity", more: str = "") -> Figure:
+    """The labels along one swept axis as a coloured strip over the curve of a quantity.
+
+    Of a tolerance map the probability of each label, stacked, over the severity's median and 5 to 95 % band.
+
+    more : further facts for the line under the title
+
+    Raises PlotError unless one axis was swept and the quantity is defined in some cell.
+    """
+    layers = Layers.of(drawn, 1)
+    samples, (edges, _) = layers.view.x.values, layers.bands
+    figure = style.new_figure()
+    is_toleranced = isinstance(drawn, ToleranceMap)
+    band, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 1.3 if is_toleranced else 4.6))
+    if isinstance(drawn, ToleranceMap):
+        notes = [*_draw_likelihoods(band, layers, drawn), *_draw_spread(ax, layers, drawn)]
+    else:
+        _draw_regimes(band, ax, layers, Layers.of(drawn, 1, quantity))
+    scale_axis(ax, "x", layers.view.x)
+    ax.set_xlim(*((samples[0], samples[-1]) if len(samples) > 1 else edges[[0, -1]]))
+    style.tidy(ax)
+    band.tick_params(bottom=False, labelbottom=False)
+    style.lay_out(figure, band, layers.title, layers.subtitle(more))
+    if not is_toleranced:
+        notes = notes_of(layers, write_names(Raster.of(band, layers), layers.names))
+        if layers.boundaries is not None:
+            changes = ", ".join(f"{value:.7g}" for value in layers.boundaries.vertices[:, 0])
+            notes.append(style.remark(f"the label changes at {changes}"))
+    style.add_notes(figure, notes)
+    return figure
+
+
+def _draw_regimes(band: Axes, ax: Axes, layers: Layers, of_quantity: Layers) -> None:
+    """Draw the bands of the labels, and the curve of a quantity, which jumps between them."""
+    samples, values, (edges, codes) = layers.view.x.values, of_quantity.values, layers.bands
+    assert values is not None
+    fills = (*layers.colours, style.FAILED_FILL)
+    for left, right, code in zip(edges[:-1], edges[1:], codes, strict=True):
+        band.axvspan(left, right, facecolor=fills[code], linewidth=0.0, zorder=1)
+    for edge in edges[1:-1]:
+        band.axvline(edge, color=style.INK, linewidth=0.9, zorder=2)
+        ax.axvline(edge, color=style.FAINT_INK, linewidth=0.6, linestyle=style.DASHED, zorder=1)
+    for cells in np.split(np.arange(samples.size), np.flatnonzero(np.diff(layers.codes)) + 1):
+        marker = "o" if samples.size <= _FEW or cells.size == 1 else ""
+        look: dict[str, Any] = {"color": _COLOUR, "linewidth": 1.5, "markersize": 3.0, "clip_on": False, "zorder": 3}
+        ax.plot(samples[cells], values[cells], marker=marker, **look)
+    ax.set_ylabel(of_quantity.value_label)
+    if not np.nanmin(values) < 0.0:
+        ax.set_ylim(bottom=0.0)
+    elif np.nanmax(values) > 0.0:
+        ax.axhline(0.0, color=style.INK, linewidth=0.8, zorder=2)
+    band.set_yticks([])
+    mark_doubts(band, layers)
+
+
+def _draw_likelihoods(ax: Axes, layers: Layers, tolerances: ToleranceMap) -> list[Artist]:
+    """Draw the probability of each label, stacked; returns their notes."""
+    names = (*tolerances.labels, FAILED)
+    probability = tolerances.probability.reshape(-1, len(names))[layers.view.order[0]]
+    shown = {name: column for name, column in zip(names, probability.T, strict=True) if column.any()}
+    fills = [style.colour_of(name) if name != FAILED else style.FAILED_FILL for name in shown]
+    stack_shares(ax, layers.view.x.values, [*shown.values()], fills)
+    return [style.swatch(name, fill) for name, fill in zip(shown, fills, strict=True)]
+
+
+def stack_shares(ax: Axes, x: Floats, shares: Sequence[Floats] | Floats, fills: Sequence[str], **look: Any) -> None:
+    """Draw probabilities along x one upon the other, each in its colour."""
+    ax.stackplot(x, *shares, colors=fills, edgecolor=style.INK, linewidth=0.5, **look)
+    ax.set(ylim=(0.0, 1.0), ylabel="Probability")
+
+
+def _draw_spread(ax: Axes, layers: Layers, tolerances: ToleranceMap) -> list[Artist]:
+    """Draw median, mean and 5 to 95 % band of the severity; returns their notes."""
+    ax.set_ylabel(CELL_QUANTITIES["severity"].plot_label)
+    x, mean = layers.view.x.values, layers.view.arrange(tolerances.severity_mean)
+    low, median, high = (layers.view.arrange(each) for each in np.moveaxis(tolerances.severity_quantiles, -1, 0))
+    if not np.isfinite(median).any():
+        ax.text(0.5, 0.5, "not defined", transform=ax.transAxes, ha="center", color=style.FAINT_INK)
+        return []
+    band = ax.fill_between(x, low, high, color=_COLOUR, alpha=0.25, linewidth=0.0, label="5 to 95 % of the draws")
+    line = ax.plot(x, median, color=_COLOUR, linewidth=1.6, label="median")
+    dashed = ax.plot(x, mean, color=style.INK, linewidth=1.0, linestyle=style.DASHED, label="mean")
+    ax.set_ylim(bottom=0.0)
+    return [*line, band, *dashed]
+
+
+@style.styled()
+def scatter(results: Results, quantity: str, x: str, y: str | None = None) -> Figure:
+    """Every run as a point over two parameters, in the colour of its label or of a quantity.
+
+    Without y the quantity is upwards, and each point in the colour of its label.
+
+    Raises PlotError where x or y is not swept, points would lie on each other, or the quantity is defined nowhere.
+    """
+    axes = [_parameter(results, name) for name in (x, y) if name is not None]
+    _require_points_apart(results, x, RUN if y is None else y)
+    layers = Layers.of(results, 0, quantity)
+    regimes = Layers.of(results, 0) if y is None else layers
+    places = [_values_of(results, axis) for axis in axes]
+    figure = style.new_figure()
+    ax = figure.add_subplot()
+    shades = shades_of([layers]) if regimes.shaded else None
+    if shades is not None:
+        add_bar(figure, [ax], shades, layers)
+    if y is None:
+        assert layers.values is not None
+        places.append(layers.values)
+        ax.set_ylabel(layers.value_label)
+    colours = cell_colours(regimes, shades) / 255.0
+    order = np.argsort(~regimes.failed, kind="stable")  # failed ones are behind the others
+    across, upward = (values[order] for values in places)
+    ax.scatter(across, upward, c=colours[order], **_look(order.size))
+    for which, axis in zip("xy", axes, strict=False):
+        ax.set(**{f"{which}label": axis_label(axis)})
+    ax.margins(0.03)
+    ax.grid(color="0.92", linewidth=0.6)
+    ax.set_axisbelow(True)
+    line = regimes.subtitle(f"{order.size:,} runs")
+    style.lay_out(figure, ax, regimes.title, line, notes_of(regimes, regimes.names))
+    return figure
+
+
+def parameter_choice(results: Results) -> tuple[str, ...]:
+    """The two parameters over which a sample is drawn by default, or the only one.
+
+    The grid's axes first, then load ratio and backlash, then the others in order.
+    """
+    axes = [results.axes[index].parameter for index in drawn_axes(results)]
+    coordinates = [axis.parameter for axis in results.coordinates]
+    names = [name for name in axes if name != RUN] + sorted(coordinates, key=lambda name: name not in USUAL)
+    return tuple(names[:2])
+
+
+def _parameter(results: Results, name: str) -> ResultAxis:
+    """The axis of a parameter that changes. Raises PlotError where it does not."""
+    changing = {axis.parameter: axis for axis in (*results.parameters, *results.axes) if len(axis.values) > 1}
+    if name not in changing:
+        raise style.PlotError(f"{name} does not change in these results; what does is {', '.join(changing)}.")
+    return changing[name]
+
+
+def _require_points_apart(results: Results, x: str, y: str) -> None:
+    """Raise PlotError where cells that differ in a dimension that is not drawn would lie on each other."""
+    if x == y:
+        raise style.PlotError(f"x and y are both {x}; name two parameters.")
+    axes = [results.axes[index].parameter for index in drawn_axes(results)]
+    shown = {name if name in axes else RUN for name in (x, y)}
+    if hidden := " and ".join(name for name in axes if name not in shown):
+        raise SurplusAxesError(
+            f"Points that differ in {hidden} would lie on each other: choose one value (--at), or draw a map for each "
+            "(--facet)."
+        )
+
+
+def _values_of(results: Results, axis: ResultAxis) -> Floats:
+    """A parameter's value in every cell, in C order."""
+    names = [each.parameter for each in results.axes]
+    dimension = names.index(axis.parameter if axis.parameter in names else RUN)
+    shape = [-1 if k == dimension else 1 for k in range(len(names))]
+    return np.broadcast_to(axis.values.reshape(shape), results.shape).ravel()
+
+
+def _look(count: int) -> dict[str, Any]:
+    """Look of the points: seen one by one in a small sample, and as a cloud in a large one."""
+    size = float(np.clip(6.5 * (256.0 / count) ** 0.35, 1.6, 6.5))
+    edges = {"edgecolors": style.INK, "linewidths": 0.5 if size > 3.0 else 0.0}
+    return {"s": size**2, "rasterized": count > style.MOST_POINTS, "zorder": 3, **edges}

@@ -144,9 +144,9 @@ def _finish(figure: Figure, axes: Sequence[Axes], runs: Runs, *, outcomes: bool 
         line = f"{line}: {_outcome(runs[0])}"
     handles: list[Artist] = []
     names = [run.name for run in runs]
-    for name, (run, look) in {run.name: (run, look) for run, look in _curves(runs) if len(runs) > 1}.items():
-        outcome = f": {_outcome(run)}" if outcomes and names.count(name) == 1 else ""
-        handles.append(Line2D([], [], **look, label=style.plain(name) + outcome))
+    for run, look in dict(zip(names, _curves(runs), strict=True)).values() if len(runs) > 1 else ():
+        outcome = f": {_outcome(run)}" if outcomes and names.count(run.name) == 1 else ""
+        handles.append(Line2D([], [], **look, label=style.plain(run.name) + outcome))
     if marks and any(run.touches.row.size for run in runs):
         for primary, text in ((True, "primary impact"), (False, "secondary impact (chatter)")):
             handles.append(Line2D([], [], marker="^", label=text, **_touch_look(FAINT_INK, primary=primary)))
@@ -356,40 +356,32 @@ def small_gap(title: str, response: SmallGap) -> Figure:
     figure = style.new_figure((_WIDTH, 4.8))
     ax = figure.add_subplot()
     _draw_small_gap(ax, response)
-    text = f"limit of vanishing backlash, the lash always closed\n{text}"
-    style.lay_out(figure, ax, title, text, ax.get_legend_handles_labels()[0], parse_math=True)
+    line = f"limit of vanishing backlash, the lash always closed; {text}"
+    style.lay_out(figure, ax, title, line, ax.get_legend_handles_labels()[0], parse_math=True)
     return figure
 
 
 def _draw_small_gap(ax: Axes, response: SmallGap) -> None:
     """Draw the response, its exponential decay, and the characteristic time where that crosses zero."""
     t0, reach = response.step_time, abs(response.start - response.end)
-    lead = 0.06 * (response.time[-1] - t0)
     blue, orange = LINE_COLOURS[:2]
-    opposite = response.torque * np.sign(response.start) < 0.0
-    fill: dict[str, Any] = {"where": opposite.tolist(), "interpolate": True, "color": blue, "alpha": 0.2}
-    label = "on the opposite flank" if opposite.any() else "_"
-    ax.fill_between(response.time, response.torque, 0.0, linewidth=0.0, label=label, **fill)
+    swing = reach * np.exp(-response.decay * (response.time - t0))
+    decay: dict[str, Any] = {"color": orange, "linewidth": 1.1, "linestyle": style.DASHED}
+    ax.plot(response.time, response.end + swing, label="exponential decay", **decay)
+    ax.plot(response.time, response.end - swing, **decay)
+    time = np.append(t0 - 0.06 * (response.time[-1] - t0), response.time)
+    torque = np.append(response.start, response.torque)
+    ax.plot(time, torque, color=blue, linewidth=1.5, zorder=4, label="response")
+    opposite = (torque * np.sign(response.start) < 0.0).tolist()
+    fill: dict[str, Any] = {"where": opposite, "interpolate": True, "color": blue, "alpha": 0.2, "linewidth": 0.0}
+    ax.fill_between(time, torque, 0.0, label="on the opposite flank", **fill)
     ax.axhline(0.0, color=INK, linewidth=1.0, zorder=2)
     ax.axhline(response.end, color=FAINT_INK, linewidth=0.9, linestyle=(0, (1.0, 2.0)), label="equilibrium")
-    swing = reach * np.exp(-response.decay * (response.time - t0))
-    for curve, name in ((response.end + swing, "exponential decay"), (response.end - swing, "_")):
-        ax.plot(response.time, curve, color=orange, linewidth=1.1, linestyle=style.DASHED, label=name)
-    time, torque = np.append(t0 - lead, response.time), np.append(response.start, response.torque)
-    ax.plot(time, torque, color=blue, linewidth=1.5, zorder=4, label="response")
-    times = {"t0": t0}
     if _crosses_zero(response):
-        times["tc"] = t0 + response.characteristic_time
-        point: dict[str, Any] = {"color": orange, "markeredgecolor": INK, "markersize": 5.5}
-        ax.plot(times["tc"], 0.0, "o", zorder=6, gid="tc", **point)
-    for name, at in times.items():
-        ax.axvline(at, color=FAINT_INK, linewidth=0.7, linestyle=(0, (4.0, 3.0)), zorder=1)
-        place: dict[str, Any] = {"xycoords": ax.get_xaxis_transform(), "textcoords": "offset points", "va": "top"}
-        ax.annotate(symbol_text(name), (at, 1.0), (3.0, -3.0), fontsize=9.5, **place)
-    ax.set_xlabel("Time [s]")
-    ax.set_ylabel("Torque across the lash [N m]")
-    ax.set_xlim(t0 - lead, response.time[-1])
-    ax.set_ylim(min(response.end - reach, 0.0) - 0.08 * reach, max(response.end + reach, 0.0) + 0.12 * reach)
+        mark: dict[str, Any] = {"marker": "o", "linestyle": "none", "color": orange, "markeredgecolor": INK}
+        label = f"characteristic time {symbol_text('tc')}"
+        ax.plot(t0 + response.characteristic_time, 0.0, zorder=6, gid="tc", label=label, **mark)
+    ax.set(xlabel="Time [s]", ylabel="Torque across the lash [N m]", xlim=time[[0, -1]])
     style.tidy(ax)
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -18,8 +20,8 @@ from matplotlib.path import Path
 
 from clunk.analysis.ridge import ridge_of
 from clunk.plot.labelling import SIZES, SMALL_SIZES, Raster, write_beside, write_names
-from clunk.plot.layers import Layers
-from clunk.plot.plane import cell_edges, scale_panels
+from clunk.plot.layers import MOST_LABELS, Layers
+from clunk.plot.plane import cell_edges, drawn_axes, scale_panels, value_text
 from clunk.plot.style import (
     FAILED_FILL,
     HUES,
@@ -28,6 +30,7 @@ from clunk.plot.style import (
     MOST_POINTS,
     SIZE,
     UNDEFINED,
+    PlotError,
     add_notes,
     bare,
     cells_phrase,
@@ -40,8 +43,10 @@ from clunk.plot.style import (
     symbol_text,
 )
 from clunk.results.labels import FAILED, FAILED_CODE
-from clunk.results.quantities import NUMBER, TEXT, WHOLE, YES_NO
+from clunk.results.quantities import LABEL, NUMBER, TEXT, WHOLE, YES_NO
+from clunk.results.tolerancemap import AnyMap
 from clunk.study.arrays import Floats
+from clunk.study.axes import RUN, ResultAxis
 from clunk.study.summaries import counted
 
 POINT = 6.5  # points, diameter of a measured point
@@ -49,6 +54,7 @@ POINT_LOOKS: dict[bool, dict[str, Any]] = {  # of points that agree, and that do
     True: {"marker": "o", "markersize": POINT, "color": INK, "markeredgecolor": "white"},
     False: {"marker": "X", "markersize": POINT + 1.0, "color": "#b23500", "markeredgecolor": "white"},
 }
+MOST_VALUES = (12, 4)  # of one facet, of each of two
 _POINT_TEXT = 8.0, 6.5  # points, of a map and of a panel of several
 _DOUBT: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": INK, "alpha": 0.45, "markeredgewidth": 0.0}
 _MAP = 330.0  # points, width of a map
@@ -102,6 +108,42 @@ def map_figure(
     each_once = {str(note.get_label()): note for note in notes}.values()
     add_notes(figure, sorted(each_once, key=lambda note: isinstance(note, Line2D)))
     return figure
+
+
+def facet_map(results: AnyMap, facets: Sequence[str], quantity: str = LABEL) -> Figure:
+    """A map of the regimes or of a quantity for each value of one facet, or of two: rows, then columns.
+
+    Of many values those that `shown_values` chooses are drawn. Raises PlotError where a facet is no axis of several
+    values, or not two axes are left for the maps.
+    """
+    changing = {results.axes[index].parameter: results.axes[index] for index in drawn_axes(results)}
+    if len(facets) > len(MOST_VALUES) or len(set(facets)) < len(facets):
+        raise PlotError("Small multiples have one facet, or two different ones for rows and columns.")
+    for facet in facets:
+        if facet not in changing:
+            raise PlotError(f"{facet} is no axis of several values; these are {', '.join(changing)}.")
+    axes = [changing[facet] for facet in facets]
+    values = [shown_values(axis, len(axes)) for axis in axes]
+    slices = [results.at(dict(zip(facets, place, strict=True))) for place in product(*values)]
+    most = 0 if len(np.unique(results.sequence)) > MOST_LABELS else MOST_LABELS  # all panels alike
+    panels = [Layers.of(each, 2, quantity, most) for each in slices]
+    varying = {*facets, *(axis.parameter for axis in results.coordinates if RUN in facets)}
+    fixed = [axis for axis in panels[0].view.fixed if axis.parameter not in varying]
+    names = [
+        "\n".join(symbol_text(value_text(axis, value, symbol=True)) for axis, value in zip(axes, place, strict=True))
+        for place in product(*values)
+    ]
+    fact = f"each map at one {' and '.join(f'{axis.name} {bare(axis.symbol)}'.rstrip() for axis in axes)}"
+    line = replace(panels[0], caveats=tuple(results.caveats)).subtitle(fact, fixed=fixed)
+    return map_figure(panels, names, line, columns=len(values[1]) if len(values) > 1 else 0)
+
+
+def shown_values(axis: ResultAxis, facets: int) -> Floats:
+    """The values of a facet that are drawn, ascending: all, or evenly spaced ones with the first and the last."""
+    values, most = np.sort(axis.values), MOST_VALUES[facets - 1]
+    if len(values) <= most:
+        return values
+    return values[np.rint(np.linspace(0, len(values) - 1, most)).astype(np.intp)]
 
 
 def grid_of(count: int, columns: int = 0) -> tuple[int, tuple[float, float]]:

@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 
 from clunk.analysis.small_gap import thresholds_of
 from clunk.core.status import Status
-from clunk.plot.drawing import MOST_VALUES, default_quantities, draw
+from clunk.plot.drawing import default_quantities, draw
+from clunk.plot.maps import MOST_VALUES
 from clunk.plot.plane import SurplusAxesError, drawn_axes, surplus_axes
 from clunk.plot.style import PlotError, styled
 from clunk.results.regimemap import Results

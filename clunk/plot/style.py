@@ -9,7 +9,7 @@ import io
 import math
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -224,11 +224,6 @@ def colour_of(label: str) -> str:
     follows += sum(_BEFORE * count for kind, count in terms[:last] if kind != "DS")
     depth = _LIGHTEST + _RANGE * (1.0 - math.exp(-follows / _FALL))
     return tint(HUES[double_sided(label) % len(HUES)], depth)
-
-
-def palette_of(labels: Iterable[str]) -> dict[str, str]:
-    """Colour of every label."""
-    return {label: colour_of(label) for label in labels}
 
 
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:

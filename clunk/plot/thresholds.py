@@ -21,9 +21,9 @@ from matplotlib.lines import Line2D
 from clunk.analysis.quantiles import QUANTILE, probabilities
 from clunk.analysis.thresholds import DRAW, Thresholds, word_text
 from clunk.plot import style
+from clunk.plot.drawing import stack_shares
 from clunk.plot.maps import grid_of
 from clunk.plot.plane import cell_edges, scale_axis, scale_panels, value_text
-from clunk.plot.strips import stack_shares
 from clunk.results.labels import FAILED_CODE
 from clunk.study.arrays import Positions
 from clunk.study.axes import ResultAxis
