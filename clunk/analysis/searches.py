@@ -10,6 +10,8 @@ import numpy as np
 from clunk.analysis.pointruns import Runs
 from clunk.study.arrays import Floats
 
+TOUCHES_OF_A_RUN = 50  # for so many more touches a run counts as one more run
+
 _Result = TypeVar("_Result")
 Run = Callable[[Floats], Runs]  # of points (n, 2), on each axis from 0 to 1
 Search = Generator[Floats, Runs, _Result]  # yields points to run, is sent their runs, and returns its result

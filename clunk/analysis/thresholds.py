@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from clunk.analysis.brackets import POINT, TOLERANCE, Points, narrow
-from clunk.analysis.searches import Search, side_by_side
+from clunk.analysis.searches import TOUCHES_OF_A_RUN, Search, side_by_side
 from clunk.core.status import Status
 from clunk.results.labels import FAILED, FAILED_CODE, excursions
 from clunk.results.quantities import CHATTER, LABEL, NOMINAL, NUMBER, TEXT, YES_NO, Quantity, measuring, quantity_of
@@ -56,8 +56,13 @@ _TOUCHES = 2  # by which neighbours differ where something may be hidden between
 # With 61 values of a ramp's duration 18 slivers of 1e-5 s are found of the 29 that 961 values show; with 10 halvings
 # they are 15, with 22 no more than with 16.
 _HALVINGS = 16  # of the spacing where something may be hidden
-_LOOKED = 64  # runs between two values of the axis that look for what is hidden, at most, but for those of a halving
+# runs between two values of the axis that look for what is hidden, at most, but for those of a halving; of many touches
+# a run counts as several
+_LOOKED = 64
 _MOST = 32  # thresholds between two neighbours that are resolved
+# of the range, to which it is located where runs begin to fail: that says how far they were followed, no physics, and
+# runs of 10⁵ events take half a second each
+OFF_FAILURES = 1e-3
 _STEEPER = 2.0  # than between known values, as the number of the runs may fall between them
 
 
@@ -75,7 +80,8 @@ class Thresholds:
     words : code -> label, whether something holds, or count; the code -1 is `failed`, and -3 `uncertain`
     lowest : (cells,) int64, the outcome's code at the axis's least value
     cell : (n,) int64
-    value : (n,) float64, in the key's unit, right to 1e-9 of the axis's range where it is resolved
+    value : (n,) float64, in the key's unit, right to 1e-9 of the axis's range where it is resolved, to 1e-3 where runs
+        begin to fail
     off : (n,) float64, in the key's unit, by how much it may be off
     below, above : (n,) int64, the outcome's code at smaller and at greater values
     runs : number of runs that it took
@@ -122,7 +128,9 @@ class Thresholds:
     def unresolved(self) -> list[tuple[int, float, float]]:
         """Places at which the outcome changes too often to be followed: the cell, and where they begin and end."""
         places: list[tuple[int, float, float]] = []
-        for k in np.flatnonzero(self.off > TOLERANCE * np.ptp(self.along.values)).tolist():
+        fails = (self.below == FAILED_CODE) | (self.above == FAILED_CODE)
+        sharp = np.where(fails, OFF_FAILURES, TOLERANCE) * np.ptp(self.along.values)
+        for k in np.flatnonzero(self.off > sharp).tolist():
             cell, begin, end = int(self.cell[k]), float(self.value[k] - self.off[k]), float(self.value[k] + self.off[k])
             if places and places[-1][0] == cell and begin - places[-1][2] <= end - places[-1][1]:
                 begin = places.pop()[1]
@@ -410,9 +418,10 @@ class _Search:
             between, begun = between[few], (begun[0][few], behind[few])
             if not between.size:
                 break
-            np.add.at(looked, begun, 1)
             middles = 0.5 * (points["value"][between] + points["value"][between + 1])
-            points = np.insert(points, between + 1, self.run(points["cell"][between], middles))
+            runs = self.run(points["cell"][between], middles)
+            np.add.at(looked, begun, 1 + np.maximum(runs["touches"], 0) // TOUCHES_OF_A_RUN)
+            points = np.insert(points, between + 1, runs)
         return points
 
     def located(self, points: Points) -> tuple[Points, Points]:
@@ -425,7 +434,8 @@ class _Search:
         def run_at(cells: Codes, values: Floats) -> Search[Points]:
             return (yield np.column_stack([cells, values]))
 
-        narrowing = narrow(points[around], run_at, float(np.ptp(self.along.values)), most=_MOST)
+        span = float(np.ptp(self.along.values))
+        narrowing = narrow(points[around], run_at, span, tolerance_of_failures=OFF_FAILURES, most=_MOST)
         (ends,) = side_by_side(self._run_within, narrowing)
         return ends[0], ends[1]
 

@@ -22,7 +22,7 @@ from clunk.analysis.brackets import TOLERANCE
 from clunk.analysis.crossings import Crossings, located
 from clunk.analysis.junctions import CLOSE, have_around, triple_points
 from clunk.analysis.pointruns import RUN, Runs
-from clunk.analysis.searches import Run, Search, side_by_side
+from clunk.analysis.searches import TOUCHES_OF_A_RUN, Run, Search, side_by_side
 from clunk.analysis.thin import hidden
 from clunk.analysis.triangles import Triangles, cross, ends_of, keys_of
 from clunk.study.arrays import Bools, Codes, Floats, Nodes, Records
@@ -33,7 +33,6 @@ RESOLUTION = 1e-8  # of the map: crossings on an edge that are nearer to each ot
 _MOST_ROUNDS, _MOST_CUTS = 32, 32  # of tracing lines, and in each of cutting edges
 _NEAR, _INNER = 0.25, 0.05  # of an edge's length, how near to it a node is, and how far its foot is from its ends
 _RUNS_PER_CELL, _RUNS_OF_ANY_MAP = 6, 20_000
-_TOUCHES = 50  # of a run: for so many more it counts as one more run
 _CUT, _ON_EDGES = 0.5, 0.75  # of these, with which edges are cut, and with which crossings on edges are located
 _LOCATED = 4.0 * TOLERANCE  # of the map, the widest bracket of a single crossing
 
@@ -117,7 +116,7 @@ class Lines:
         def run(places: Floats) -> Runs:
             runs = self._run(places)
             self.runs += len(places)
-            self._spent += len(places) + int(np.maximum(runs["touches"], 0).sum()) // _TOUCHES
+            self._spent += len(places) + int(np.maximum(runs["touches"], 0).sum()) // TOUCHES_OF_A_RUN
             if self._progress is not None:
                 self._progress(self.runs, 0)
             return runs
