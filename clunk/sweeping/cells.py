@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-import threading
-from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,20 +24,18 @@ from clunk.study.arrays import Cells, Floats, Records
 from clunk.study.designs import Design, design_of
 from clunk.study.document import dotted
 from clunk.study.measures import OF_IMPACTS as IMPACT_MEASURES
-from clunk.study.study import Study, replace_values
+from clunk.study.study import Study
 from clunk.sweeping.tiles import Layout, Tile
 
 Flag = npt.NDArray[np.uint8]  # (1,); set by another thread, it ends the work within a run
-_Key = tuple[tuple[str, ...], tuple[float, ...]]  # structural parameters, and their values
+_Part = tuple[kernel.Batch, Cells]  # drivelines, and the number among them of each of those that were asked for
 Runs = tuple[Cells, Records, list[Records]]  # positions of runs, their records, and their impacts in pieces
 
 CELL, IMPACT = kernel.CELL, kernel.IMPACT
 
 _BACKLASH = re.compile(r"lash(\[\d+\])?\.backlash_deg")
 
-_NOMINAL: _Key = (), ()
-KEPT_SYSTEMS = 4096  # about 30 KB each
-_KEPT_MEASURED = 256  # some 100 KB more each
+_KEPT = 1024  # drivelines, of about 30 KB each, and some 100 KB more where they are measured
 _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: progress is smooth, overhead small
 _COMPILING = {"rk4": 15, "exact": 40}  # s
 _IMPACTS = 8  # of a run in a lash, that there is room for at first
@@ -55,109 +52,70 @@ def leaves_system(study: Study, parameter: str) -> bool:
     return is_load or _BACKLASH.fullmatch(parameter) is not None
 
 
-class Systems:
-    """The systems of a study and their tables, by values of structural parameters; the latest ones are kept.
-
-    study : Study
-    shared : those without other values than the study's, where they are known already
-    """
-
-    def __init__(self, study: Study, shared: kernel.Batch | None = None) -> None:
-        self._study = study
-        self._most = _KEPT_MEASURED if study.measured else KEPT_SYSTEMS
-        self._kept: OrderedDict[_Key, tuple[kernel.Batch, int]] = OrderedDict()
-        if shared is not None:
-            self._kept[_NOMINAL] = shared, 0
-        self._lock = threading.Lock()
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self._study, self._alone({}) if _NOMINAL in self._kept else None)
-
-    @property
-    def nominal(self) -> System:
-        """The system with the study's own values of structural parameters."""
-        return self._alone({}).system
-
-    def _alone(self, values: Mapping[str, float]) -> kernel.Batch:
-        key = tuple(values), tuple(values.values())
-        with self._lock:
-            if (kept := self._kept.get(key)) is not None:
-                return kept[0].only(kept[1])
-        batch = prepare_one(replace_values(self._study, values) if values else self._study)
-        self._keep({key: (batch, 0)})
-        return batch
-
-    def batches(self, parameters: tuple[str, ...], points: Floats) -> Iterator[tuple[kernel.Batch, Cells]]:
-        """The drivelines at some values of structural parameters, which are prepared many at a time.
-
-        points : (D, parameters)
-
-        Yields batches, each with the number in it of every driveline, (D,), or -1.
-        """
-        keys: dict[_Key, list[int]] = {}
-        for k, row in enumerate(points.tolist()):
-            keys.setdefault((parameters, tuple(row)), []).append(k)
-        with self._lock:
-            known = {key: self._kept[key] for key in keys if key in self._kept}
-        missing = [key for key in keys if key not in known]
-        if len(missing) == 1:  # also without any values
-            known[missing[0]] = self._alone(dict(zip(*missing[0], strict=True))), 0
-            missing = []
-        self._keep(known)
-        members: dict[int, tuple[kernel.Batch, Cells]] = {}
-        for key, (batch, number) in known.items():
-            _, numbers = members.get(id(batch)) or members.setdefault(id(batch), (batch, np.full(len(points), -1)))
-            numbers[keys[key]] = number
-        yield from members.values()
-        for positions, batch in prepare_many(self._study, parameters, np.array([row for _, row in missing])):
-            some, numbers = [missing[k] for k in positions.tolist()], np.full(len(points), -1)
-            for number, key in enumerate(some):
-                numbers[keys[key]] = number
-            self._keep({key: (batch, number) for number, key in enumerate(some)})
-            yield batch, numbers
-
-    def _keep(self, drivelines: Mapping[_Key, tuple[kernel.Batch, int]]) -> None:
-        """Keep drivelines, as the latest."""
-        with self._lock:
-            for key, each in drivelines.items():
-                self._kept[key] = each
-                self._kept.move_to_end(key)
-            while len(self._kept) > self._most:
-                self._kept.popitem(last=False)
-
-
 class Grid:
     """The cells of a study's design, run once each.
 
     study : Study
     design : Design, by default that of the study's sweep
-    systems : of this study, where some are known already
+    shared : the system that cells without structural parameters share, where it is known already
     structural : the parameters that differ between the cells and with which the system does
     """
 
     runs = 1  # of each cell
 
-    def __init__(self, study: Study, design: Design | None = None, systems: Systems | None = None) -> None:
+    def __init__(self, study: Study, design: Design | None = None, shared: kernel.Batch | None = None) -> None:
         self.study = study
-        self.systems = systems or Systems(study)
         self.design = design or design_of(study)
         self.method: str = study.solver.method
         self.layout = layout_of(study)
         self.tile_cells = min(_TILE_CELLS[self.method], max(_TILE_POINTS // len(study.load.times or (0,)), 1))
         parameters = (each.parameter for each in self.design.columns)
         self.structural = tuple(key for key in parameters if not leaves_system(study, key))
+        self._latest: tuple[bytes, list[_Part]] = b"", []  # the points of some drivelines, and these
+        if shared is not None:
+            self._nominal = shared
 
     def __reduce__(self) -> tuple[Any, ...]:  # the shared system goes along, so that all processes have its bits
-        self.shared()
-        return type(self), (self.study, self.design, self.systems)
+        return type(self), (self.study, self.design, None if self.structural else self._nominal)
 
     def ordered(self, cells: Cells) -> Cells:
-        """Cells in the order in which they are best cut into tiles."""
-        return cells
+        """Cells in the order in which they are best cut into tiles: those of one system behind one another."""
+        if not self.structural:
+            return cells
+        values = self.design.at(cells)
+        return cells[np.lexsort([values[parameter] for parameter in self.structural])]
+
+    @cached_property
+    def _nominal(self) -> kernel.Batch:
+        """The driveline with the study's own values of structural parameters."""
+        return prepare_one(self.study)
 
     def shared(self) -> System | None:
         """The system that all cells share, if they do."""
-        return None if self.structural else self.systems.nominal
+        return None if self.structural else self._nominal.system
+
+    def drivelines(self, points: Floats) -> Iterator[_Part]:
+        """The drivelines at some values of structural parameters, those of the latest call perhaps once more.
+
+        points : (D, parameters)
+
+        Yields batches, each with the number in it of every driveline, (D,), or -1.
+        """
+        if not self.structural:
+            yield self._nominal, np.zeros(1, np.int64)
+            return
+        latest, parts = self._latest
+        if latest == points.tobytes():
+            yield from parts
+            return
+        parts = []
+        for positions, batch in prepare_many(self.study, self.structural, points):
+            numbers = np.full(len(points), -1)
+            numbers[positions] = np.arange(positions.size)
+            yield batch, numbers
+            parts.append((batch, numbers))
+        if len(points) <= _KEPT:
+            self._latest = points.tobytes(), parts
 
     def cases(self, values: Mapping[str, float | Floats], count: int) -> kernel.Cases:
         """Torques and gaps of `count` cells with these values of parameters."""
@@ -185,58 +143,27 @@ class Grid:
 
     def run_at(self, cells: Cells, values: Mapping[str, Floats], stop: Flag) -> Tile:
         """Run cells with these values of the design's parameters, whatever the design's are."""
-        cases = self.cases(values, cells.size)
-        points = self.points(values, cells.size)
-        runs = self._runs(self.structural, *points, cases, stop, self.study.measured)
-        done, records, details = self._in_order(runs, self.layout)
-        return Tile(cells[done], records, details)
-
-    def run_cases(
-        self, parameters: tuple[str, ...], points: Floats, point_of: Cells, cases: kernel.Cases, stop: Flag
-    ) -> tuple[Cells, Records, Records]:
-        """Run cases, each with the driveline at one of some points.
-
-        parameters, points : structural ones, and their values, (D, parameters)
-        point_of : (runs,)
-
-        Returns the positions of the runs that were done before `stop` was set, in order, and their CELL and IMPACT.
-        """
-        runs = self._runs(parameters, points, point_of, cases, stop)
-        return self._in_order(runs, Layout(CELL, IMPACT, self.layout.counted_by, self.layout.lashes))
-
-    def _in_order(self, runs: Iterable[Runs], layout: Layout) -> tuple[Cells, Records, Records]:
-        """Positions, records and impacts of runs in the order of their positions."""
+        layout, run = self.layout, self._measured if self.study.measured else self._run
         done, rows, pieces = [np.zeros(0, np.int64)], [np.zeros(0, layout.record)], [np.zeros(0, layout.detail)]
-        for positions, finished, impacts in runs:
-            done.append(positions[: finished.size // layout.lashes])
-            rows.append(finished)
-            pieces += impacts
+        for batch, positions, part in self._by_batches(values, cells.size):
+            for finished, records, impacts in self._with_room(run, batch, positions, part, stop, self.study.measured):
+                done.append(finished[: records.size // layout.lashes])
+                rows.append(records)
+                pieces += impacts
         # with the type, which numpy would otherwise find anew for each piece
-        positions, records = np.concatenate(done), np.concatenate(rows, dtype=layout.record)
+        places, records = np.concatenate(done), np.concatenate(rows, dtype=layout.record)
         details = np.concatenate(pieces, dtype=layout.detail)
-        if (positions[1:] > positions[:-1]).all():
-            return positions, records, details
-        first, order = np.argsort(positions), np.empty_like(positions)
-        order[first] = np.arange(positions.size)
-        owners = np.repeat(layout.rows(order), records["primary_impacts"])
-        in_order = np.argsort(owners, kind="stable")
-        return positions[first], records[layout.rows(first)], details[in_order]
-
-    def _runs(
-        self,
-        parameters: tuple[str, ...],
-        points: Floats,
-        point_of: Cells,
-        cases: kernel.Cases,
-        stop: Flag,
-        measured: bool = False,
-    ) -> Iterator[Runs]:
-        """Runs of one batch of drivelines after the other; with the measures of the study, or without."""
-        for batch, positions, part in self._by_batches(parameters, points, point_of, cases):
-            if stop[0]:
-                return
-            run = self._measured if measured else self._run
-            yield from self._with_room(run, batch, positions, part, stop, measured)
+        if (places[1:] < places[:-1]).any():
+            order = np.argsort(places)
+            rank = np.empty_like(order)
+            rank[order] = np.arange(order.size)
+            owners = np.repeat(layout.rows(rank), records["primary_impacts"])
+            places, records, details = (
+                places[order],
+                records[layout.rows(order)],
+                details[np.argsort(owners, kind="stable")],
+            )
+        return Tile(cells[places], records, details)
 
     def _with_room(
         self,
@@ -264,14 +191,22 @@ class Grid:
             positions, cases, room = positions[again], cases.at(again), min(kernel.MORE * room, most)
 
     def _by_batches(
-        self, parameters: tuple[str, ...], points: Floats, point_of: Cells, cases: kernel.Cases
+        self, values: Mapping[str, Floats], count: int
     ) -> Iterator[tuple[kernel.Batch, Cells, kernel.Cases]]:
-        """Cut runs by the batches of their drivelines, and by drivelines where each has many."""
-        for batch, numbers in self.systems.batches(parameters, points):
+        """Cut cells by the batches of their drivelines, and by drivelines where each has many.
+
+        values : of each parameter in `count` cells
+        """
+        cases = self.cases(values, count)
+        points, point_of = np.zeros((1, 0)), np.zeros(count, np.int64)
+        if self.structural:
+            combinations = np.stack([values[parameter] for parameter in self.structural], axis=1)
+            points, point_of = np.unique(combinations, axis=0, return_inverse=True)
+        for batch, numbers in self.drivelines(points):
             if len(points) == 1:
-                yield batch.only(int(numbers[0])), np.arange(point_of.size), cases
+                yield batch.only(int(numbers[0])), np.arange(count), cases
                 continue
-            of_runs = numbers[point_of]
+            of_runs = numbers[point_of.reshape(-1)]
             positions = np.flatnonzero(of_runs >= 0)
             drivelines = of_runs[positions]
             used = np.unique(drivelines)
@@ -287,10 +222,9 @@ class Grid:
 
         Returns CELL (count, lashes), and EVENT (count, events), times NaN behind the last one.
         """
-        cases, stop, logs = self.cases(values, count), np.zeros(1, np.uint8), []
+        stop, logs = np.zeros(1, np.uint8), []
         records = np.zeros((count, self.layout.lashes), CELL)
-        points, point_of = self.points(values, count)
-        for batch, positions, part in self._by_batches(self.structural, points, point_of, cases):
+        for batch, positions, part in self._by_batches(values, count):
             for done, rows, (events,) in self._with_room(self._logged, batch, positions, part, stop):
                 records[done] = rows.reshape(-1, self.layout.lashes)
                 logs.append((done[records["status"][done, 0] == Status.OK], events))
