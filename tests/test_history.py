@@ -420,7 +420,7 @@ def test_arrows_span_the_peak_to_peak_accelerations(overrides):
     trajectory = run("gap", *overrides)
     (ax,) = histories.history_figure([recording("IFM", "gap", *overrides)], "acceleration").axes
     arrows = [text for text in ax.texts if getattr(text, "arrow_patch", None) is not None]
-    spans = [arrow.xy[1] - arrow.xyann[1] for arrow in arrows]
+    spans = [arrow.xyann[1] - arrow.xy[1] for arrow in arrows]
     np.testing.assert_allclose(spans, trajectory.impact_severity, rtol=1e-12)
     names = [text.get_text() for text in ax.texts if text.get_gid() == "severity"]
     assert names == [rf"Q$_\mathregular{{{i + 1}}}$" for i in range(trajectory.primaries.size)]

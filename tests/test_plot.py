@@ -181,7 +181,7 @@ def test_labels_are_inside_their_regions_on_a_coarse_map(count: int) -> None:
 def test_a_region_too_small_for_its_name_has_a_note(nine: Results) -> None:
     small = with_cells(nine, [np.s_[14:15, 45:47]], len(nine.labels), "DS(4)")
     figure = regime_map(small)
-    assert notes(figure) == ["DS(4): 2 cells"]
+    assert notes(figure) == ["DS(4): 0.054 %"]
     assert sorted([*(text.get_text() for text in figure.axes[0].texts), "DS(4)"]) == sorted(small.labels)
 
 
@@ -601,7 +601,7 @@ def test_a_strip_names_the_regimes_over_the_curve() -> None:
         for cell in np.rint(x * 20).astype(int):
             assert results.labels[results.sequence[cell]] == text.get_text()
     assert {text.get_text() for text in band.texts} == {"NI", "SS(1)", "DS(1)SS(1)", "DS(2)SS(1)"}
-    assert "DS(3): 1 cell" in notes(figure)
+    assert "DS(3): 0.5 %" in notes(figure)
     points = np.concatenate([line.get_xydata() for line in curve.lines if len(line.get_xdata()) != 2])
     np.testing.assert_array_equal(points, np.column_stack((results.axes[0].values, results.severity))[: len(points)])
     assert curve.get_ylabel() == "Severity Q [rad/s²]"

@@ -506,7 +506,7 @@ class TestFigures:
         own = np.array(to_rgb(colour_of(found.labels[found.sequence[least]])))
         assert np.sum(1.0 - colour(least)) < 0.6 * np.sum(1.0 - own)
         notes = [text.get_text() for text in figure.legends[0].get_texts()]
-        assert f"less than 95 % likely: {found.uncertain} cells" in notes
+        assert f"paler: less than 95 % likely, {found.uncertain} cells" in notes
 
     @pytest.mark.parametrize("quantity", ["double_sided", "severity_5"])
     def test_what_is_drawn_of_two_axes_is_a_picture(self, found, quantity, tmp_path):

@@ -1,9 +1,8 @@
-"""The figure of a map's quantity: a map, maps side by side, a strip along one axis or path, or points of a sample."""
+"""The figure of a map's quantity: a map, maps side by side, a strip along one axis, or runs as points."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from clunk.plot import style
 from clunk.plot.labelling import Raster, write_names
 from clunk.plot.layers import Layers, hardness
 from clunk.plot.maps import add_bar, cell_colours, facet_map, map_figure, mark_doubts, notes_of, shades_of
-from clunk.plot.plane import USUAL, SurplusAxesError, axis_label, axis_span, drawn_axes, scale_axis
+from clunk.plot.plane import USUAL, SurplusAxesError, axis_label, drawn_axes, scale_axis
 from clunk.results.labels import FAILED
 from clunk.results.quantities import CELL_QUANTITIES, TEXT, quantity_of
 from clunk.results.regimemap import Results
@@ -38,37 +37,32 @@ def draw(
 ) -> Figure:
     """The figure of a quantity, in the words of `clunk.results.quantities`.
 
-    A map for two swept axes, a strip for one or for axes that are walked together, points for a sample. More axes are
-    taken by `facets`, or fixed beforehand (`Results.at`). A tolerance map takes neither x nor y.
+    A map for two swept axes, a strip for one, points for runs of a sample or of axes that are walked together. More
+    axes are taken by `facets`, or fixed beforehand (`Results.at`).
 
     thresholds : see `map_figure`
     facets : one axis or two, of which each value has its own map
-    x, y : of axes that are walked together x, by default the first that rises or falls throughout; of a sample both,
-        where x alone asks for the quantity over x
+    x, y : of runs the parameters, by default those of `parameter_choice`; x alone asks for the quantity over x
 
     Raises PlotError, and ClunkError where there is no such quantity.
     """
     described = quantity_of(quantity, drawn)
     curve = hardness(drawn) if described.type == TEXT else described.name
-    if y is not None and x is None:
-        raise style.PlotError("y goes with x, which is missing.")
-    if facets or isinstance(drawn, ToleranceMap) or not _has_runs(drawn):
-        if x is not None:
-            raise style.PlotError(
-                "x and y are for axes that are walked together and for samples; of a map's two axes the load ratio or "
-                "else the first is x."
-            )
-        if facets:
-            return facet_map(drawn, facets, described.name)
-        if len(drawn_axes(drawn)) > 1:
-            return map_figure([Layers.of(drawn, 2, described.name)], thresholds=thresholds)
-        return strip(drawn, curve)
-    if _is_path(drawn):
-        if y is not None:
-            raise style.PlotError("y is for samples: axes that are walked together are a path, drawn along x.")
-        return _path(drawn, curve, x)
-    chosen = parameter_choice(drawn) if x is None else (x,) if y is None else (x, y)
-    return scatter(drawn, described.name if len(chosen) > 1 else curve, *chosen)
+    if isinstance(drawn, Results) and _has_runs(drawn) and not facets:
+        if y is not None and x is None:
+            raise style.PlotError("y goes with x, which is missing.")
+        chosen = parameter_choice(drawn) if x is None else (x,) if y is None else (x, y)
+        return scatter(drawn, described.name if len(chosen) > 1 else curve, *chosen)
+    if x is not None or y is not None:
+        raise style.PlotError(
+            "x and y are for axes that are walked together and for samples; of a map's two axes the load ratio or else "
+            "the first is x."
+        )
+    if facets:
+        return facet_map(drawn, facets, described.name)
+    if len(drawn_axes(drawn)) > 1:
+        return map_figure([Layers.of(drawn, 2, described.name)], thresholds=thresholds)
+    return strip(drawn, curve)
 
 
 def default_quantities(
@@ -84,41 +78,20 @@ def default_quantities(
         hard = ["severity"] * bool(np.isfinite(drawn.severity_mean).any())
         return ["regimes", "double_sided", *hard] if is_map else ["regimes"]
     if _has_runs(drawn) and not facets:
-        is_map = not _is_path(drawn) and (y is not None or (x is None and len(parameter_choice(drawn)) > 1))
+        is_map = y is not None or (x is None and len(parameter_choice(drawn)) > 1)
     return ["regimes", hardness(drawn)] if is_map else [hardness(drawn)]
 
 
 def _has_runs(results: Results) -> bool:
-    """Whether several runs are points of a path or of a sample."""
+    """Whether there are several runs, of a sample or of axes that are walked together."""
     return any(axis.parameter == RUN and len(axis.values) > 1 for axis in results.axes)
 
 
-def _is_path(results: Results) -> bool:
-    """Whether the runs are axes that are walked together, and nothing else was swept."""
-    return results.setting("sweep.design") == "zip" and len(drawn_axes(results)) == 1
-
-
-def _path(results: Results, quantity: str, x: str | None) -> Figure:
-    """The strip along axes that are walked together."""
-    run = results.axes[drawn_axes(results)[0]]
-    steps = [(axis, np.sign(np.diff(axis.values))) for axis in results.coordinates]
-    monotonic = [axis for axis, signs in steps if abs(signs.sum()) == signs.size]
-    along = {axis.parameter: axis for axis in (*monotonic, run)}
-    if x is not None and x not in along:
-        raise style.PlotError(f"{x} does not rise or fall throughout the runs; x may be {' or '.join(along)}.")
-    chosen = along[x or next(iter(along))]
-    spans = [axis_span(axis) for axis in results.coordinates if axis is not chosen]
-    axes = tuple(chosen if axis is run else axis for axis in results.axes)
-    return strip(replace(results, axes=axes, coordinates=()), quantity, "; ".join(spans))
-
-
 @style.styled()
-def strip(drawn: AnyMap, quantity: str = "severity", more: str = "") -> Figure:
+def strip(drawn: AnyMap, quantity: str = "severity") -> Figure:
     """The labels along one swept axis as a coloured strip over the curve of a quantity.
 
     Of a tolerance map the probability of each label, stacked, over the severity's median and 5 to 95 % band.
-
-    more : further facts for the line under the title
 
     Raises PlotError unless one axis was swept and the quantity is defined in some cell.
     """
@@ -135,7 +108,7 @@ def strip(drawn: AnyMap, quantity: str = "severity", more: str = "") -> Figure:
     ax.set_xlim(*((samples[0], samples[-1]) if len(samples) > 1 else edges[[0, -1]]))
     style.tidy(ax)
     band.tick_params(bottom=False, labelbottom=False)
-    style.lay_out(figure, band, layers.title, layers.subtitle(more))
+    style.lay_out(figure, band, layers.title, layers.subtitle())
     if not is_toleranced:
         notes = notes_of(layers, write_names(Raster.of(band, layers), layers.names))
         if layers.boundaries is not None:
@@ -207,8 +180,10 @@ def scatter(results: Results, quantity: str, x: str, y: str | None = None) -> Fi
 
     Raises PlotError where x or y is not swept, points would lie on each other, or the quantity is defined nowhere.
     """
+    if x == y:
+        raise style.PlotError(f"x and y are both {x}; name two parameters.")
     axes = [_parameter(results, name) for name in (x, y) if name is not None]
-    _require_points_apart(results, x, RUN if y is None else y)
+    _require_points_apart(results, {x, RUN if y is None else y})
     layers = Layers.of(results, 0, quantity)
     regimes = Layers.of(results, 0) if y is None else layers
     places = [_values_of(results, axis) for axis in axes]
@@ -254,12 +229,10 @@ def _parameter(results: Results, name: str) -> ResultAxis:
     return changing[name]
 
 
-def _require_points_apart(results: Results, x: str, y: str) -> None:
+def _require_points_apart(results: Results, chosen: set[str]) -> None:
     """Raise PlotError where cells that differ in a dimension that is not drawn would lie on each other."""
-    if x == y:
-        raise style.PlotError(f"x and y are both {x}; name two parameters.")
     axes = [results.axes[index].parameter for index in drawn_axes(results)]
-    shown = {name if name in axes else RUN for name in (x, y)}
+    shown = {name if name in axes else RUN for name in chosen}
     if hidden := " and ".join(name for name in axes if name not in shown):
         raise SurplusAxesError(
             f"Points that differ in {hidden} would lie on each other: choose one value (--at), or draw a map for each "

@@ -1,6 +1,6 @@
 """Time histories of runs, like the report's Figures 3.1, 3.2, 3.3, 3.5 and 3.6.
 
-Several runs are drawn over each other, told apart by colour and dashes, those of the indentation model the more solid.
+Several runs are drawn over each other, told apart by colour and dashes.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 
 from clunk.plot import style
 from clunk.plot.style import FAINT_INK, INK, LINE_COLOURS, MINUS, PlotError, symbol_text
-from clunk.simulation.history import History, Impact
+from clunk.simulation.history import History
 from clunk.simulation.load import load_step
 from clunk.simulation.small_gap import SmallGap
 from clunk.study.arrays import Floats
@@ -95,20 +95,16 @@ def closeup(runs: Runs, around: float | None = None, width: float = 0.1) -> Figu
     begin = 0.1 * width * np.round((around - _BEFORE * width) / (0.1 * width))  # so that the axis begins at a tick
     end = begin + width
     touches = [
-        (abs(time - around), side, run, row, until)
+        (time, side)
         for run in runs
-        for time, row, side, _, until in zip(run.time[run.touches.row], *run.touches, strict=True)
+        for time, side in zip(run.time[run.touches.row].tolist(), run.touches.side.tolist(), strict=True)
         if begin <= time <= end
     ]
     if not touches:
         raise PlotError(f"There is no touch to look at closely between {begin:g} s and {end:g} s.")
-    side = min(touches, key=lambda touch: touch[0])[1]
-    near = []  # the rebounds and the indentation on the flank that is touched next to that moment
-    for run in runs:
-        spans = [(row, until) for _, touched, owner, row, until in touches if touched == side and owner is run]
-        if spans:
-            stop = 1 + np.searchsorted(run.after_step, spans[-1][1], side="right")
-            near.append(side * 1e3 * run.backlash_coordinate[spans[0][0] : stop])
+    side = min(touches, key=lambda touch: abs(touch[0] - around))[1]
+    first = min(time for time, touched in touches if touched == side)
+    near = [side * 1e3 * run.backlash_coordinate[(run.time >= first) & (run.time <= end)] for run in runs]
     low, high = min(part.min() for part in near), max(part.max() for part in near)
     height = max(high - low, 0.02 * max(1e3 * run.half_gap for run in runs), 1e-9)
     figure, (ax,) = _frame(runs, [_LOWEST - _AROUND])
@@ -154,12 +150,11 @@ def _finish(figure: Figure, axes: Sequence[Axes], runs: Runs, *, outcomes: bool 
 
 
 def _curves(runs: Runs) -> list[Curve]:
-    """Runs with their colours and dashes, alike for one name; indentation takes the first dashes, as in Figure 3.2."""
-    is_restitution = {run.name: run.is_restitution for run in reversed(runs)}  # of several alike the first counts
-    names = list(dict.fromkeys(run.name for run in runs))
-    colours = dict(zip(names, cycle(LINE_COLOURS), strict=False))
-    patterns = dict(zip(sorted(names, key=is_restitution.__getitem__), cycle(_PATTERNS), strict=False))
-    return [(run, {"color": colours[run.name], "linestyle": patterns[run.name], "linewidth": _LINE}) for run in runs]
+    """Runs with their colours and dashes, alike for one name."""
+    names = dict.fromkeys(run.name for run in runs)
+    each = zip(names, cycle(LINE_COLOURS), cycle(_PATTERNS), strict=False)
+    looks = {name: {"color": colour, "linestyle": dashes, "linewidth": _LINE} for name, colour, dashes in each}
+    return [(run, looks[run.name]) for run in runs]
 
 
 def _case(run: History) -> str:
@@ -242,12 +237,8 @@ def draw_torque(ax: Axes, curves: Sequence[Curve]) -> None:
 def draw_backlash(ax: Axes, curves: Sequence[Curve]) -> None:
     """Backlash coordinate x_b in millimetres, the widest gap in grey, touches filled where primary."""
     runs = [run for run, _ in curves]
-    half_gaps = sorted({1e3 * run.half_gap for run in runs})
-    widest = half_gaps[-1]
+    widest = max(1e3 * run.half_gap for run in runs)
     ax.axhspan(-widest, widest, color=_GAP_FILL, linewidth=0.0, zorder=0)
-    for edge in half_gaps[:-1]:
-        for side in (-1.0, 1.0):
-            ax.axhline(side * edge, color="0.7", linewidth=0.7, zorder=0.5)
     size = 6.5
     for run, look in curves:
         coordinate = 1e3 * run.backlash_coordinate
@@ -301,25 +292,19 @@ def _mark_severity(ax: Axes, run: History) -> None:
     sampled = [impact for impact in run.impacts if impact.rows.stop > impact.rows.start]
     if not sampled:
         return
+    begin, end = run.time[[0, -1]]
+    arrow = {"arrowstyle": "<->", "relpos": (0.5, 0.0), "shrinkA": 0.0, "shrinkB": 0.0}
+    look: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": 9.0, "gid": "severity", "zorder": 6}
     for impact in sampled if len(sampled) <= _LABELLED else []:
-        _draw_arrow(ax, run, impact)
+        x = min(impact.begin + 0.028 * (end - begin), 0.5 * (impact.begin + min(impact.end, end)))
+        name = f"Q{_index(impact.number)}"
+        ax.annotate(name, (x, impact.smallest), (x, impact.largest), arrowprops=arrow, **look)
     ax.margins(y=0.12)
     lines = [f"Q{_index(impact.number)} = {impact.severity:.0f}" for impact in run.impacts[:_LISTED]]
     if len(run.impacts) > _LISTED:
         lines.append("…")
     text = "\n".join(["[rad/s²]", *lines, f"Q = {run.trajectory.severity:.0f}"])
     ax.text(1.015, 1.0, text, transform=ax.transAxes, va="top", fontsize=8.5, linespacing=1.5)
-
-
-def _draw_arrow(ax: Axes, run: History, impact: Impact) -> None:
-    """A double arrow from the smallest to the largest acceleration after an impact."""
-    begin, end = run.time[[0, -1]]
-    x = min(impact.begin + 0.028 * (end - begin), 0.5 * (impact.begin + min(impact.end, end)))
-    arrow = {"arrowstyle": "<->", "color": INK, "linewidth": 0.9, "shrinkA": 0.0, "shrinkB": 0.0}
-    ax.annotate("", xy=(x, impact.largest), xytext=(x, impact.smallest), arrowprops=arrow, zorder=6)
-    look: dict[str, Any] = {"ha": "center", "textcoords": "offset points", "path_effects": style.halo()}
-    place, above = (x, impact.largest), (0.0, 2.0)
-    ax.annotate(f"Q{_index(impact.number)}", place, above, fontsize=9.0, zorder=7, gid="severity", **look)
 
 
 def _index(number: int) -> str:

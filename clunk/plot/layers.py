@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from clunk.core.status import QUALITY_UNDECIDED
 from clunk.plot.plane import Codes, View, cell_edges, cells_of, value_text
-from clunk.plot.style import FAILED_FILL, FAINT_INK, PlotError, cells_phrase, colour_of, group_colour, shades, tint
+from clunk.plot.style import FAILED_FILL, PlotError, cells_phrase, colour_of, group_colour, shades
 from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED_CODE, double_sided
 from clunk.results.quantities import LABEL, NUMBER, TEXT, YES_NO, Quantity, quantity_of
@@ -202,10 +202,8 @@ class Layers:
         certainty, white = self.view.arrange(drawn.certainty), np.zeros(self.codes.shape)
         for below, amount in _FADES:
             white[certainty < below] = amount
-        grey = [tint(FAINT_INK, 1.0 - amount) for _, amount in _FADES]
-        spans = [f"less than {100 * below:.0f} % likely" for below, _ in _FADES]
-        spans[0] += f": {cells_phrase(drawn.uncertain)}"
-        notes = tuple(Note(text, colour) for text, colour in zip(spans, grey, strict=True) if drawn.uncertain)
+        text = f"paler: less than {100 * CERTAIN:.0f} % likely, {cells_phrase(drawn.uncertain)}"
+        notes = (Note(text, ""),) if drawn.uncertain else ()
         paint = self.region_colours + white[..., None] * (255.0 - self.region_colours)
         return replace(self, paint=paint, notes=notes, facts=(f"most likely of {drawn.draws:,} draws", *self.facts[1:]))
 

@@ -251,9 +251,7 @@ def notes_of(layers: Layers, names: Sequence[str] = (), *, is_counted: bool = Tr
     notes: list[Artist] = []
     for code, (name, colour) in enumerate(zip(layers.names, layers.colours, strict=True)):
         if name in names and name in layers.seen:
-            cells = cells_phrase(int(np.count_nonzero(layers.codes == code)))
-            extent = cells if layers.boundaries is None else f"{100.0 * layers.shares[code]:.2g} %"
-            notes.append(swatch(f"{name}: {extent}" if is_counted else name, colour))
+            notes.append(swatch(f"{name}: {100.0 * layers.shares[code]:.2g} %" if is_counted else name, colour))
     failed, undecided = (int(np.count_nonzero(cells)) for cells in (layers.failed, layers.undecided))
     if failed:
         notes.append(swatch(f"{FAILED}: {cells_phrase(failed)}" if is_counted else FAILED, FAILED_FILL))

@@ -175,12 +175,6 @@ def number_text(value: float) -> str:
     return re.sub(r"e\+?(-?)0*", r"e\1", f"{value:.6g}").replace("-", MINUS)
 
 
-def axis_span(axis: ResultAxis) -> str:
-    """A parameter's name and from where to where it goes."""
-    first, last = (number_text(axis.values[k]) for k in (0, -1))
-    return f"{axis.name or axis.parameter} from {first} to {last}{_unit(axis)}"
-
-
 def _unit(axis: ResultAxis) -> str:
     """An axis's unit after a space, or nothing where it has none."""
     return "" if axis.unit in ("", "1") else f" {axis.unit}"

@@ -1,4 +1,4 @@
-"""Thresholds as curves: over one other axis with the outcomes between them, over two in panels.
+"""Thresholds as curves over one other axis, with the outcomes between them.
 
 Under tolerances they are quantiles, as curves over one other axis, or probabilities along the key without one.
 """
@@ -22,62 +22,41 @@ from clunk.analysis.quantiles import QUANTILE, probabilities
 from clunk.analysis.thresholds import DRAW, Thresholds, word_text
 from clunk.plot import style
 from clunk.plot.drawing import stack_shares
-from clunk.plot.maps import grid_of
 from clunk.plot.plane import cell_edges, scale_axis, scale_panels, value_text
 from clunk.results.labels import FAILED_CODE
-from clunk.study.arrays import Positions
 from clunk.study.axes import ResultAxis
 
-_MOST_PANELS = 6
 _NARROWEST = 0.002  # of the axis, a band that is seen
+_ALL = slice(None)
 _WITHOUT: dict[str, Any] = {"color": style.INK, "linewidth": 1.2, "linestyle": "--", "label": "without tolerances"}
 
 
-def curve_axes(axes: Sequence[ResultAxis], *, toleranced: bool = False) -> tuple[ResultAxis, ...]:
-    """The axes with several values, x first, then that of the panels.
-
-    Raises PlotError where there are not one or two; of toleranced thresholds, where there are more than one.
-    """
+def other_axis(axes: Sequence[ResultAxis]) -> ResultAxis | None:
+    """The axis with several values beside the key, if there is one. Raises PlotError where there are more."""
     several = [axis for axis in axes if len(axis.values) > 1 and axis.parameter not in (DRAW, QUANTILE)]
-    if not (len(several) <= 1 if toleranced else 1 <= len(several) <= 2):
-        count = "no other axis" if not several else f"{len(several)} other axes"
-        what, most = ("Quantiles", "one other axis") if toleranced else ("Thresholds", "one or two other axes")
-        raise style.PlotError(f"{what} are drawn over {most}, and the config has {count}; -o FILE.csv takes all.")
-    return tuple(sorted(several, key=lambda axis: -len(axis.values)))
+    if len(several) > 1:
+        names = " and ".join(axis.parameter for axis in several)
+        raise style.PlotError(f"Thresholds are drawn over one other axis: take one value of {names} (--at).")
+    return several[0] if several else None
 
 
 @style.styled()
 def threshold_figure(thresholds: Thresholds) -> Figure:
     """The outcomes as coloured bands over the other axis, exact upwards, and the thresholds as curves between them.
 
-    Of two other axes the longer is x, and values of the other have a panel each.
-
-    Raises PlotError where there is no other axis with several values, or more than two.
+    Raises PlotError where there is not one other axis with several values.
     """
-    cells, (x, *others) = _arranged(thresholds, curve_axes(thresholds.axes))
-    columns = cells.reshape(len(x.values), -1).T  # of the panels
-    chosen = np.unique(np.linspace(0, len(columns) - 1, min(len(columns), _MOST_PANELS)).round().astype(int))
-    abreast, size = grid_of(chosen.size)
-    figure, panels = style.new_panels(chosen.size, abreast, size if others else style.SIZE)
+    x = other_axis(thresholds.axes)
+    if x is None:
+        raise style.PlotError("There is no other axis to draw thresholds over; -o FILE.csv takes them.")
+    figure = style.new_figure()
+    ax = figure.subplots()
     fills = _outcome_fills(thresholds)
-    seen: set[int] = set()
-    for ax, at in zip(panels, chosen, strict=True):
-        seen |= _draw_bands(ax, thresholds, x, columns[at], fills)
-        name = "".join(value_text(other, other.values[at], symbol=True) for other in others)
-        ax.set_title(name, loc="left", fontsize=9.0)
-    scale_panels(figure, panels, (x, thresholds.along))
+    seen = _draw_bands(ax, thresholds, x, fills)
+    scale_panels(figure, [ax], (x, thresholds.along))
     line = _heading("thresholds of", thresholds)
-    style.lay_out(figure, panels[0], thresholds.study.title, line, _notes(thresholds, sorted(seen), fills))
+    style.lay_out(figure, ax, thresholds.study.title, line, _notes(thresholds, sorted(seen), fills))
     return figure
-
-
-def _arranged(thresholds: Thresholds, axes: Sequence[ResultAxis]) -> tuple[Positions, list[ResultAxis]]:
-    """Positions along these axes, which have all that have several values, and the axes, all in ascending order."""
-    cells = np.arange(thresholds.lowest.size).reshape(thresholds.shape)
-    cells = cells[np.ix_(*(np.argsort(axis.values, kind="stable") for axis in thresholds.axes))]
-    front = [thresholds.axes.index(axis) for axis in axes]
-    cells = np.moveaxis(cells, front, range(len(front))).reshape([len(axis.values) for axis in axes])
-    return cells, [replace(axis, values=np.sort(axis.values), words=()) for axis in axes]
 
 
 def _heading(drawn: str, thresholds: Thresholds) -> str:
@@ -99,17 +78,20 @@ def _bands(thresholds: Thresholds, cell: int) -> tuple[tuple[int, ...], list[flo
 
 
 def _draw_bands(
-    ax: Axes, thresholds: Thresholds, x: ResultAxis, cells: Positions, fills: Mapping[int, str], **look: Any
+    ax: Axes, thresholds: Thresholds, x: ResultAxis, fills: Mapping[int, str], every: slice = _ALL, **look: Any
 ) -> set[int]:
     """Fill the intervals of the key with one outcome as bands over x, and draw the thresholds between them.
 
     fills : colour of each code; those without one stay empty
+    every : of the thresholds' cells, those that are drawn
 
     Returns the codes of the outcomes that have a band.
     """
     seen: set[int] = set()
-    edges = np.clip(cell_edges(x), x.values[0], x.values[-1])
     low, high = thresholds.along.values[[0, -1]]
+    cells = np.arange(thresholds.lowest.size)[every][np.argsort(x.values, kind="stable")]
+    x = replace(x, values=np.sort(x.values), words=())
+    edges = np.clip(cell_edges(x), x.values[0], x.values[-1])
     columns = [_bands(thresholds, cell) for cell in cells.tolist()]
     for codes, group in groupby(range(len(columns)), key=lambda k: columns[k][0]):
         alike = list(group)
@@ -151,14 +133,13 @@ def quantile_figure(drawn: Thresholds, quantiles: Thresholds, nominal: Threshold
 
     Without another axis, the probability of each outcome along the key. Raises PlotError where there are more.
     """
-    axes = curve_axes(nominal.axes, toleranced=True)
+    x = other_axis(nominal.axes)
     line = _heading(f"share of {len(drawn.axes[0].values):,} drivelines", nominal)
     figure = style.new_figure()
     ax = figure.subplots()
-    if not axes:
+    if x is None:
         style.lay_out(figure, ax, drawn.study.title, line, _draw_probabilities(ax, drawn, nominal))
         return figure
-    cells, (x,) = _arranged(nominal, axes)
     fills = _outcome_fills(quantiles)
     shares = quantiles.axes[-1].values  # the last axis is that of the quantiles
     shades = [colors.to_hex(mpl.colormaps["viridis"](depth)) for depth in np.linspace(0.85, 0.0, len(shares))]
@@ -166,9 +147,9 @@ def quantile_figure(drawn: Thresholds, quantiles: Thresholds, nominal: Threshold
     notes: list[Artist] = []
     for rank, k in enumerate(np.argsort(shares)):
         paler = {code: style.tint(fill, (rank + 1.0) / len(shares)) for code, fill in fills.items()}
-        seen |= _draw_bands(ax, quantiles, x, cells * len(shares) + k, paler, color=shades[rank])
+        seen |= _draw_bands(ax, quantiles, x, paler, slice(k, None, len(shares)), color=shades[rank])
         notes.append(Line2D([], [], color=shades[rank], linewidth=1.6, label=f"in {100.0 * shares[k]:g} %"))
-    _draw_bands(ax, nominal, x, cells, {}, **_WITHOUT)
+    _draw_bands(ax, nominal, x, {}, **_WITHOUT)
     scale_panels(figure, [ax], (x, quantiles.along))
     notes = [*_notes(quantiles, sorted(seen), fills), *notes, Line2D([], [], **_WITHOUT)]
     style.lay_out(figure, ax, drawn.study.title, line, notes)
