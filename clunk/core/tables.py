@@ -31,7 +31,7 @@ its own element. Regimes are numbered by the first lash's state first, then by t
 
 import itertools
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -359,18 +359,20 @@ def _product(elements: list[_Element], lashes: int, inputs: int) -> Tables:
     batch = max((np.shape(guard.offset) for row in rows for _, guard in row), default=())
     guards, offsets = np.zeros((len(states), most), GUARD), np.zeros((*batch, len(states), most, inputs))
     batch = max((np.shape(state.weight) for active in states for state in active), default=())
-    weights, leaders, groups = np.ones((*batch, len(states), inputs)), [], []
+    weights = np.ones((*batch, len(states), inputs))
+    groups: dict[tuple[Any, ...], int] = {}  # what makes a group -> its number
+    leaders = []
     for k, active in enumerate(states):
         flow = int(np.dot([state.flow for state in active], flow_strides[:-1]))
         sides = [int(np.asarray(state.weight)) for state in active[:lashes]]
         functionals = [elements[e].functional + guard.functional for e, guard in rows[k]]
         signs = [guard.sign * (sides[e] or 1 if e < lashes else 1) for e, guard in rows[k]]
-        key = flow, [side != 0 for side in sides], functionals, signs
+        key = flow, tuple(side != 0 for side in sides), tuple(functionals), tuple(signs)
         if key not in groups:
-            groups.append(key)
+            groups[key] = len(groups)
             leaders.append(k)
         count = sum(len(state.guards) for state in active)
-        regimes[k] = (flow, count, len(rows[k]), groups.index(key))
+        regimes[k] = (flow, count, len(rows[k]), groups[key])
         for e, (element, state) in enumerate(zip(elements, active, strict=True)):
             weights[..., k, element.input] = state.weight
             if element.lash >= 0:
