@@ -24,6 +24,7 @@ from clunk.study.validation import validated
 
 MOST_STEPS = 1e9  # of one run; about ten seconds of nothing but stepping
 MOST_PERIODS = 1e6  # of the load in one run; the exact method takes some steps in each
+MOST_REGIMES = 30_000  # of one driveline, which take some 5 s to prepare
 WIDEST_SPREAD = 1e12  # of the inertias and of the springs of one driveline: four digits are left where they add up
 FASTEST_RATE = 1e12  # 1/s, of stiffness or damping on an inertia; atoms swing ten times faster
 
@@ -36,7 +37,7 @@ def broken_rules(config: Config) -> list[Finding]:
 
 def _of_a_run(config: Config) -> Iterator[Finding]:
     """Findings of the rules that each run must keep."""
-    for rule in (_inertias, _lashes, _steps, _sizes):
+    for rule in (_inertias, _lashes, _regimes, _steps, _sizes):
         yield from rule(config)
 
 
@@ -92,6 +93,18 @@ def _lashes(config: Config) -> Iterator[Finding]:
         if models[k] != models[0]:
             text = f"found {shorten(models[k])} beside {shorten(models[0])}"
             yield (*place, "contact", "model"), f"{text} of lash 1; all lashes of a driveline have one contact model"
+
+
+def _regimes(config: Config) -> Iterator[Finding]:
+    """Require no more combinations of the states of lashes, staged shafts and frictions than can be prepared."""
+    shafts = config.driveline.shafts
+    frictions, staged = sum(shaft.friction > 0.0 for shaft in shafts), [s for s in shafts if len(s.stages) > 1]
+    # a lash is open or on one of two flanks, a friction sticks or slips in one of two directions
+    regimes = 3 ** (len(config.lashes) + frictions) * math.prod(len(shaft.stages) for shaft in staged)
+    if regimes > MOST_REGIMES:
+        counts = f"{len(config.lashes)} lash(es), {len(staged)} staged shaft(s) and {frictions} friction(s)"
+        text = f"the states of {counts} combine to {regimes:,} regimes"
+        yield ("driveline", "shafts"), f"{text}; at most {MOST_REGIMES:,} are allowed"
 
 
 def _steps(config: Config) -> Iterator[Finding]:
