@@ -480,15 +480,6 @@ def test_a_starter_taken_for_a_file_name_is_answered_with_the_command(clunk, her
     assert [path.name for path in here.iterdir()] == ["car.toml"]
 
 
-def test_a_picture_of_one_cell_is_answered_with_the_command_for_its_motion(clunk, small):
-    clunk("sweep", small)
-    at = ["--at", "load.ratio=4", "--at", "lash.backlash_deg=5"]
-    code, _, err = clunk("plot", "results/small.h5", *at)
-    assert code == 0
-    command = re.search(r"clunk (simulate .*) draws", " ".join(err.split()))
-    assert clunk(*shlex.split(command[1]))[0] == 0
-
-
 def test_a_slice_s_picture_is_said_to_replace_another(clunk, small, here):
     clunk("sweep", small)
     at = ("--at", "load.ratio=4")

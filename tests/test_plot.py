@@ -616,14 +616,12 @@ def test_a_strip_breaks_its_curve_at_failed_cells_and_between_regimes() -> None:
     assert np.isnan(curves[1]).all()
 
 
-def test_a_strip_of_the_margin_has_a_line_at_zero_and_dots_under_the_labels() -> None:
+def test_a_strip_of_the_margin_has_a_line_at_zero_and_counts_undecided_cells() -> None:
     results = one_axis([0, 0, 1, 1])
     quality = np.array([1, 3, 1, 1], np.uint8)
     figure = plot.draw(results.with_arrays(margin=np.array([0.1, 5e-5, -0.01, -0.1]), quality=quality), "margin")
-    band, ax = figure.axes[:2]
+    ax = figure.axes[1]
     assert any(np.all(np.asarray(line.get_ydata()) == 0.0) for line in ax.lines)
-    (dots,) = [line for line in band.lines if line.get_gid() == "undecided"]
-    assert dots.get_xdata() == results.axes[0].values[1]
     assert "undecided: 1 cell" in notes(figure)
 
 
@@ -670,14 +668,15 @@ def test_pictures_of_a_full_map_are_small(tmp_path: Path) -> None:
 
 def test_an_unknown_suffix_is_answered_with_the_known(nine_map: Figure, tmp_path: Path) -> None:
     for name in ("map.jpg", "map"):
-        with pytest.raises(plot.PlotError, match=r"must end in \.png, \.svg, \.pdf"):
+        with pytest.raises(ClunkError, match=r"must end in \.png, \.svg, \.pdf"):
             plot.save(nine_map, tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_an_unwritable_place_is_a_sentence(nine_map: Figure, tmp_path: Path) -> None:
-    with pytest.raises(plot.PlotError, match="cannot be written: no such file or directory"):
-        plot.save(nine_map, tmp_path / "nowhere" / "map.png")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ClunkError, match="cannot be written: "):
+        plot.save(nine_map, tmp_path / "file" / "map.png")
 
 
 def test_a_failed_save_leaves_the_old_picture(
@@ -689,7 +688,7 @@ def test_a_failed_save_leaves_the_old_picture(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Figure, "savefig", fail)
-    with pytest.raises(plot.PlotError, match="no space left"):
+    with pytest.raises(ClunkError, match="no space left"):
         plot.save(nine_map, tmp_path / "map.png")
     assert (tmp_path / "map.png").read_bytes() == b"old"
     assert len(list(tmp_path.iterdir())) == 1

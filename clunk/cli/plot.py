@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +71,6 @@ def plot(
     from clunk import plot as plots
     from clunk.analysis.small_gap import thresholds_of
     from clunk.results import targets
-    from clunk.results.regimemap import Results
     from clunk.results.store import read_map
     from clunk.study.axes import LASH
 
@@ -82,28 +80,20 @@ def plot(
     if output is not None:
         targets.check(base, targets.PICTURES, reads=file)
     results = read_map(file)
-    if not isinstance(results, Results) and (x is not None or y is not None):
-        raise click.UsageError(f"--x and --y do not go with a tolerance map, which {file} holds; --at and --facet do.")
     if at:
         results = results.at(cells.nearest_values(results.axes, results.coordinates, at))
-        if results.of_lash().sequence.size == 1:
-            options = shlex.join([word for place in at for word in ("--at", place)])
-            terminal.complain(f"note: that is one cell; clunk simulate {file} {options} -o run.png draws its motion")
     look: dict[str, Any] = {"facets": facets, "x": x, "y": y}
     each = {"": results if LASH in facets else results.at_lash(lash)}
     if lash is None and results.lashes and LASH not in facets:
         each = {"-" + re.sub(_NO_FILE, "_", name): results.at_lash(name) for name in results.lashes}
     for of_lash, part in each.items():
+        thresholds = thresholds_of(part)
         names = [quantity] if quantity else plots.default_quantities(part, **look)
         for name in names:
             of_quantity = "" if output and quantity else f"-{re.sub(_NO_FILE, '_', name)}"
             target = base.with_name(f"{base.stem}{of_lash}{of_quantity}{base.suffix}")
-            figure = plots.draw(part, name, thresholds_of(part), **look)
+            figure = plots.draw(part, name, thresholds, **look)
             if at and output is None and target.exists():
                 terminal.complain(f"{target} is replaced by a picture of the slice; -o names another file")
             plots.save(figure, target)
             click.echo(str(target))
-    for axis in results.axes:
-        shown = len(plots.shown_values(axis, len(facets))) if axis.parameter in facets else len(axis.values)
-        if shown < len(axis.values):
-            terminal.complain(f"{shown} of the {len(axis.values)} values of {axis.parameter} are drawn, evenly spaced")

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from clunk.plot.drawing import default_quantities, draw
-    from clunk.plot.maps import shown_values
     from clunk.plot.plane import SurplusAxesError
     from clunk.plot.style import PlotError, save
 
@@ -23,7 +22,6 @@ __all__ = [
     "default_quantities",
     "draw",
     "save",
-    "shown_values",
 ]
 
 _HOME = {
@@ -32,7 +30,6 @@ _HOME = {
     "default_quantities": "drawing",
     "draw": "drawing",
     "save": "style",
-    "shown_values": "maps",
 }
 
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from clunk.plot import style
 from clunk.plot.labelling import Raster, write_names
 from clunk.plot.layers import Layers, hardness
-from clunk.plot.maps import add_bar, cell_colours, facet_map, map_figure, mark_doubts, notes_of, shades_of
+from clunk.plot.maps import add_bar, cell_colours, facet_map, map_figure, notes_of, shades_of
 from clunk.plot.plane import USUAL, SurplusAxesError, axis_label, drawn_axes, scale_axis
 from clunk.results.labels import FAILED
 from clunk.results.quantities import CELL_QUANTITIES, TEXT, quantity_of
@@ -138,7 +138,6 @@ def _draw_regimes(band: Axes, ax: Axes, layers: Layers, of_quantity: Layers) -> 
     elif np.nanmax(values) > 0.0:
         ax.axhline(0.0, color=style.INK, linewidth=0.8, zorder=2)
     band.set_yticks([])
-    mark_doubts(band, layers)
 
 
 def _draw_likelihoods(ax: Axes, layers: Layers, tolerances: ToleranceMap) -> list[Artist]:

@@ -21,7 +21,7 @@ from matplotlib.path import Path
 from clunk.analysis.ridge import ridge_of
 from clunk.plot.labelling import SIZES, SMALL_SIZES, Raster, write_beside, write_names
 from clunk.plot.layers import MOST_LABELS, Layers
-from clunk.plot.plane import cell_edges, drawn_axes, scale_panels, value_text
+from clunk.plot.plane import cell_edges, drawn_axes, fixed_parameters, scale_panels, value_text
 from clunk.plot.style import (
     FAILED_FILL,
     HUES,
@@ -43,10 +43,9 @@ from clunk.plot.style import (
     symbol_text,
 )
 from clunk.results.labels import FAILED, FAILED_CODE
-from clunk.results.quantities import LABEL, NUMBER, TEXT, WHOLE, YES_NO
+from clunk.results.quantities import LABEL, NUMBER, WHOLE, YES_NO
 from clunk.results.tolerancemap import AnyMap
 from clunk.study.arrays import Floats
-from clunk.study.axes import RUN, ResultAxis
 from clunk.study.summaries import counted
 
 POINT = 6.5  # points, diameter of a measured point
@@ -58,14 +57,13 @@ MOST_VALUES = (12, 4)  # of one facet, of each of two
 _POINT_TEXT = 8.0, 6.5  # points, of a map and of a panel of several
 _DOUBT: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": INK, "alpha": 0.45, "markeredgewidth": 0.0}
 _MAP = 330.0  # points, width of a map
-_STRIP_DOT = 0.12  # of a strip's height: undecided cells are marked under their labels
 _PROBABLE = colors.LinearSegmentedColormap.from_list("probable", ["#f6f5f1", HUES[1]])
 _WITH_THRESHOLDS = ("load.ratio", "load.initial_torque", "load.final_torque")
 _VANISHING = 0.02  # of the backlash axis, within which it has to begin at zero to show where backlash vanishes
 _NARROWEST, _HIGHEST = 2.0, 2.2  # inches, of a panel of several
 _AROUND = (0.9, 1.3)  # inches, for their axes and titles
 _WITHOUT_RIDGE = ("margin", "last_event_time")
-_LONG = 0.5  # of the map's width, that a ridge without gaps and jumps has at least
+_LONG = 0.5  # of the map's width, that a ridge has at least
 
 
 @styled()
@@ -113,7 +111,7 @@ def map_figure(
 def facet_map(results: AnyMap, facets: Sequence[str], quantity: str = LABEL) -> Figure:
     """A map of the regimes or of a quantity for each value of one facet, or of two: rows, then columns.
 
-    Of many values those that `shown_values` chooses are drawn. Raises PlotError where a facet is no axis of several
+    Of many values evenly spaced ones are drawn. Raises PlotError where a facet is no axis of several
     values, or not two axes are left for the maps.
     """
     changing = {results.axes[index].parameter: results.axes[index] for index in drawn_axes(results)}
@@ -123,27 +121,29 @@ def facet_map(results: AnyMap, facets: Sequence[str], quantity: str = LABEL) -> 
         if facet not in changing:
             raise PlotError(f"{facet} is no axis of several values; these are {', '.join(changing)}.")
     axes = [changing[facet] for facet in facets]
-    values = [shown_values(axis, len(axes)) for axis in axes]
-    slices = [results.at(dict(zip(facets, place, strict=True))) for place in product(*values)]
+    values = [_evenly_spaced(np.sort(axis.values), MOST_VALUES[len(axes) - 1]) for axis in axes]
+    places = list(product(*values))
     most = 0 if len(np.unique(results.sequence)) > MOST_LABELS else MOST_LABELS  # all panels alike
-    panels = [Layers.of(each, 2, quantity, most) for each in slices]
-    varying = {*facets, *(axis.parameter for axis in results.coordinates if RUN in facets)}
-    fixed = [axis for axis in panels[0].view.fixed if axis.parameter not in varying]
+    panels = [Layers.of(results.at(dict(zip(facets, place, strict=True))), 2, quantity, most) for place in places]
     names = [
         "\n".join(symbol_text(value_text(axis, value, symbol=True)) for axis, value in zip(axes, place, strict=True))
-        for place in product(*values)
+        for place in places
     ]
-    fact = f"each map at one {' and '.join(f'{axis.name} {bare(axis.symbol)}'.rstrip() for axis in axes)}"
-    line = replace(panels[0], caveats=tuple(results.caveats)).subtitle(fact, fixed=fixed)
+    counts = [
+        f"{axis.name} {bare(axis.symbol)}".rstrip()
+        + (f" ({len(shown)} of {len(axis.values)} values)" if len(shown) < len(axis.values) else "")
+        for axis, shown in zip(axes, values, strict=True)
+    ]
+    caveats = tuple(results.caveats)
+    line = replace(panels[0], caveats=caveats).subtitle(
+        f"each map at one {' and '.join(counts)}", fixed=fixed_parameters(results)
+    )
     return map_figure(panels, names, line, columns=len(values[1]) if len(values) > 1 else 0)
 
 
-def shown_values(axis: ResultAxis, facets: int) -> Floats:
-    """The values of a facet that are drawn, ascending: all, or evenly spaced ones with the first and the last."""
-    values, most = np.sort(axis.values), MOST_VALUES[facets - 1]
-    if len(values) <= most:
-        return values
-    return values[np.rint(np.linspace(0, len(values) - 1, most)).astype(np.intp)]
+def _evenly_spaced(values: Floats, most: int) -> Floats:
+    """So many of these values at most, with the first and the last."""
+    return values[np.unique(np.linspace(0, len(values) - 1, min(most, len(values))).round().astype(np.intp))]
 
 
 def grid_of(count: int, columns: int = 0) -> tuple[int, tuple[float, float]]:
@@ -197,7 +197,7 @@ def paint(ax: Axes, layers: Layers, shades: ScalarMappable | None = None, *, lin
     look = {"colors": "white" if light else INK, "linewidths": linewidth * (0.65 if shades else 1.0)}
     lines = LineCollection(layers.lines, joinstyle="round", capstyle="projecting", gid="boundaries", zorder=3, **look)
     ax.add_collection(lines, autolim=False)
-    mark_doubts(ax, layers)
+    _mark_doubts(ax, layers)
 
 
 def _fill_regions(ax: Axes, layers: Layers) -> None:
@@ -210,17 +210,12 @@ def _fill_regions(ax: Axes, layers: Layers) -> None:
             ax.add_artist(PathPatch(Path.make_compound_path(*rings), **look))
 
 
-def mark_doubts(ax: Axes, layers: Layers) -> None:
-    """Put a quiet dot on every undecided cell of a map, or under that of a strip, and where tracing left it open."""
-    doubts = layers.doubts
-    if not len(doubts):
-        return
-    is_map = doubts.shape[1] > 1
-    upward = doubts[:, 1] if is_map else np.full(len(doubts), _STRIP_DOT)
-    size = float(np.clip(0.5 * _MAP / max(layers.codes.shape), 1.2, 2.6))
-    look: dict[str, Any] = _DOUBT | {"markersize": size, "zorder": 4, "rasterized": len(upward) > MOST_POINTS}
-    look["transform"] = ax.transData if is_map else ax.get_xaxis_transform()
-    ax.plot(doubts[:, 0], upward, gid="undecided", **look)
+def _mark_doubts(ax: Axes, layers: Layers) -> None:
+    """Put a quiet dot on every undecided cell, and where tracing left it open."""
+    if len(layers.doubts):
+        size = float(np.clip(0.5 * _MAP / max(layers.codes.shape), 1.2, 2.6))
+        look = _DOUBT | {"markersize": size, "zorder": 4, "rasterized": len(layers.doubts) > MOST_POINTS}
+        ax.plot(*layers.doubts.T, gid="undecided", **look)
 
 
 def write_on_map(ax: Axes, layers: Layers, *, small: bool = False) -> list[Artist]:
@@ -248,24 +243,26 @@ def notes_of(layers: Layers, names: Sequence[str] = (), *, is_counted: bool = Tr
 
     is_counted : whether they say how much of the map it is
     """
+
+    def text(name: str, count: str) -> str:
+        return f"{name}: {count}" if is_counted else name
+
     notes: list[Artist] = []
-    for code, (name, colour) in enumerate(zip(layers.names, layers.colours, strict=True)):
+    for name, colour, share in zip(layers.names, layers.colours, layers.shares.tolist(), strict=False):
         if name in names and name in layers.seen:
-            notes.append(swatch(f"{name}: {100.0 * layers.shares[code]:.2g} %" if is_counted else name, colour))
+            notes.append(swatch(text(name, f"{100.0 * share:.2g} %"), colour))
     failed, undecided = (int(np.count_nonzero(cells)) for cells in (layers.failed, layers.undecided))
     if failed:
-        notes.append(swatch(f"{FAILED}: {cells_phrase(failed)}" if is_counted else FAILED, FAILED_FILL))
+        notes.append(swatch(text(FAILED, cells_phrase(failed)), FAILED_FILL))
     if layers.shaded and layers.values is not None and (np.isnan(layers.values) & ~layers.failed).any():
-        text = "not known" if layers.quantity.name == "margin" else "not defined (no events)"
-        notes.append(swatch(text, UNDEFINED))
+        notes.append(swatch("not known" if layers.quantity.name == "margin" else "not defined (no events)", UNDEFINED))
     if layers.points:
-        count = f": {sum(point.agrees for point in layers.points)} of {len(layers.points)}" if is_counted else ""
-        for agrees, text in ((True, f"measured, agrees{count}"), (False, "measured, differs")):
-            notes.append(Line2D([], [], linestyle="none", label=text, **POINT_LOOKS[agrees]))
-    unresolved = len(layers.unresolved)
-    texts = [f"undecided: {cells_phrase(undecided)}" if is_counted else "undecided"] * bool(undecided)
-    texts += [f"lines unresolved: {counted(unresolved, 'place')}" if is_counted else "unresolved"] * bool(unresolved)
-    notes += [Line2D([], [], **_DOUBT, markersize=3.0, label=text) for text in texts]
+        agreeing = f"{sum(point.agrees for point in layers.points)} of {len(layers.points)}"
+        looks = {text("measured, agrees", agreeing): POINT_LOOKS[True], "measured, differs": POINT_LOOKS[False]}
+        notes += [Line2D([], [], linestyle="none", label=label, **look) for label, look in looks.items()]
+    doubts = {text("undecided", cells_phrase(undecided)): undecided}
+    doubts[text("lines unresolved", counted(len(layers.unresolved), "place"))] = len(layers.unresolved)
+    notes += [Line2D([], [], **_DOUBT, markersize=3.0, label=label) for label, count in doubts.items() if count]
     return [*notes, *(swatch(*note) if note.colour else remark(note.text) for note in layers.notes)]
 
 
@@ -275,8 +272,7 @@ def _mark_thresholds(ax: Axes, layers: Layers, thresholds: Sequence[float]) -> l
     bottom, top = ax.get_ylim()
     inside = sorted(value for value in thresholds if low <= value <= high)
     vanishes = layers.view.y.parameter == "lash.backlash_deg" and bottom <= _VANISHING * top
-    of_impacts = layers.quantity.type == TEXT or layers.quantity.of_label("NI") is not None
-    if not (inside and vanishes and of_impacts and layers.view.x.parameter in _WITH_THRESHOLDS):
+    if not (inside and vanishes and layers.view.x.parameter in _WITH_THRESHOLDS):
         return []
     text = f"vanishing backlash: {', '.join(f'{value:.3g}' for value in inside).replace('-', MINUS)}"
     look: dict[str, Any] = {"linestyle": "none", "marker": "^", "color": INK, "markersize": 5.5, "label": text}
@@ -286,16 +282,15 @@ def _mark_thresholds(ax: Axes, layers: Layers, thresholds: Sequence[float]) -> l
 
 
 def _draw_ridge(ax: Axes, layers: Layers) -> list[Artist]:
-    """Draw where a quantity is largest for each x, if that goes through much of the map without gap or jump."""
+    """Draw where a quantity is largest for each x, if that goes through much of the map."""
     assert layers.values is not None
     view, ridge = layers.view, ridge_of(layers.values)
     known = np.isfinite(ridge)
-    steady = known[1:] & known[:-1] & (np.abs(np.diff(ridge)) <= max(3.0, 0.05 * len(view.y.values)))
-    at = max(np.split(np.arange(known.size), np.flatnonzero(~steady) + 1), key=len)
-    if len(at) < _LONG * known.size or not known[at].all():
+    if np.mean(known) < _LONG:
         return []
+    upward = np.where(known, view.y.values[np.nan_to_num(ridge).astype(np.intp)], np.nan)
     symbol = symbol_text(bare(view.x.symbol) or view.x.name)
     look: dict[str, Any] = {"color": "white", "linewidth": 1.4, "path_effects": halo(2.8, INK), "gid": "ridge"}
     look["label"] = f"largest {layers.quantity.symbol or 'value'} for each {symbol}"
-    ax.plot(view.x.values[at], view.y.values[ridge[at].astype(np.intp)], zorder=4, **look)
+    ax.plot(view.x.values, upward, zorder=4, **look)
     return [Line2D([], [], **look)]

@@ -38,7 +38,7 @@ class View:
     def of(cls, drawn: Map, dimensions: int) -> View:
         """The view of a map over this many axes, 0 for its cells as points. Raises PlotError where it has others."""
         if dimensions == 0:
-            return cls((), _fixed_parameters(drawn), (), ())
+            return cls((), fixed_parameters(drawn), (), ())
         keep = drawn_axes(drawn)
         swept = [drawn.axes[index] for index in keep]
         names = ", ".join(axis.parameter for axis in swept)
@@ -58,7 +58,7 @@ class View:
             )
         order = tuple(np.argsort(axis.values, kind="stable") for axis in swept)
         axes = tuple(replace(axis, values=axis.values[at], words=()) for axis, at in zip(swept, order, strict=True))
-        return cls(axes, _fixed_parameters(drawn), keep, order)
+        return cls(axes, fixed_parameters(drawn), keep, order)
 
     @property
     def x(self) -> ResultAxis:
@@ -99,7 +99,7 @@ def drawn_axes(drawn: Map) -> tuple[int, ...]:
     return keep
 
 
-def _fixed_parameters(drawn: Map) -> tuple[ResultAxis, ...]:
+def fixed_parameters(drawn: Map) -> tuple[ResultAxis, ...]:
     """Parameters with one value: axes, and a single run's coordinates or, if they are many, its number."""
     keep = drawn_axes(drawn)
     fixed: list[ResultAxis] = []

@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from clunk.results.files import reason, write_whole
+from clunk.results.files import write_whole, writing
 from clunk.results.labels import double_sided
+from clunk.results.targets import PICTURES, check
 from clunk.study.errors import ClunkError
 
 if TYPE_CHECKING:
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.patches import Patch
     from matplotlib.patheffects import AbstractPathEffect
 
-_FORMATS = ("png", "svg", "pdf")
 SIZE = (7.0, 5.2)  # inches
 HISTORY_WIDTH = 7.2  # inches
 MOST_POINTS = 10_000  # that a vector file has one by one: more would take seconds to show
@@ -227,15 +227,10 @@ def colour_of(label: str) -> str:
 
 
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:
-    """Write a figure as PNG, SVG or PDF, by the suffix; the file appears whole or not at all. Raises PlotError."""
-    path = Path(path)
-    suffix = path.suffix.lower().removeprefix(".")
-    if suffix not in _FORMATS:
-        raise PlotError(f"{path} cannot be drawn: its name must end in {', '.join('.' + name for name in _FORMATS)}.")
-    try:
-        write_whole(path, lambda target: encode(figure, suffix, target))
-    except OSError as error:
-        raise PlotError(f"{path} cannot be written: {reason(error)}.") from error
+    """Write a figure as PNG, SVG or PDF, by the suffix; the file appears whole or not at all. Raises ClunkError."""
+    check(Path(path), PICTURES)
+    with writing(path) as target:
+        write_whole(target, lambda file: encode(figure, target.suffix.lower().removeprefix("."), file))
 
 
 def encode(figure: Figure, suffix: str, target: BinaryIO) -> None:
