@@ -6,7 +6,6 @@ import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -207,14 +206,11 @@ def run_points(
     if not points:
         raise ConfigError("There is nothing to run: points names no parameter, such as load.ratio.")
     design = design_of_points(study, points)
-    runner = Runner(study, [column.parameter for column in design.columns], workers=workers)
-    with reporting(progress, design.cells, runner.study) as report:
-        values = np.stack([column.values for column in design.columns], axis=-1)
-        if scheduler is None:
-            return runner(values, progress=report)
-        with sweeping.engine_of(scheduler, workers) as engine:
-            results = sweeping.sweep(runner.study, design, engine=engine, progress=report)
-    return replace(results, config_digest=runner.digest(values))
+    values = np.stack([column.values for column in design.columns], axis=-1)
+    with sweeping.engine_of(scheduler, workers) as engine:
+        runner = Runner(study, [column.parameter for column in design.columns], engine=engine)
+        with reporting(progress, design.cells, runner.study) as report:
+            return runner.run(values, report)
 
 
 def draw(

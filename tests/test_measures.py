@@ -202,8 +202,8 @@ def test_a_map_has_the_measures_of_its_runs_and_all_else_as_without_them(method,
     study = measuring(*MAP, f"solver.method={method}")
     write_results(tmp_path / "map.h5", sweep(study))
     results = read_results(tmp_path / "map.h5")
-    measured = results.quantities.keys() - REGIME_QUANTITIES.keys()
-    assert measured == {*OF_IMPACTS, *MEASURES, *(f"impact_{name}" for name in OF_IMPACTS)}
+    besides = results.quantities.keys() - REGIME_QUANTITIES.keys()
+    assert besides == {*OF_IMPACTS, *MEASURES, *(f"impact_{name}" for name in OF_IMPACTS)}
     for name in plain.quantities:
         assert results.values(name).tobytes() == plain.values(name).tobytes()
     at = {"load.ratio": 7.5, "lash.backlash_deg": 7.0}

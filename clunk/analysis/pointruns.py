@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
-from contextlib import closing
 
 import numpy as np
 import numpy.typing as npt
@@ -51,8 +50,10 @@ class PointRuns:
 
     def __call__(self, values: Floats) -> Runs:
         """Run points; values : (n, parameters), in their units. Returns (n,) RUN."""
-        with closing(self._runner.tiles(values)) as tiles:
-            return np.concatenate([np.zeros(0, RUN), *map(self._described, tiles)])
+        runs = np.zeros(len(values), RUN)
+        for tile in self._runner.tiles(values):
+            runs[tile.cells] = self._described(tile)
+        return runs
 
     def _described(self, tile: Tile) -> Runs:
         """RUN of each run of a tile."""

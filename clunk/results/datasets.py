@@ -9,7 +9,7 @@ import numpy as np
 
 from clunk.results.dataset import Dataset, meanings_of
 from clunk.results.labels import FAILED_CODE
-from clunk.results.netcdf import read
+from clunk.results.netcdf import content_digest, read
 from clunk.results.store import dataset_of
 from clunk.results.tolerancemap import AnyMap
 
@@ -60,7 +60,7 @@ def open_results(path: str | os.PathLike[str]) -> xarray.Dataset:
 
 
 def to_dataset(results: AnyMap) -> xarray.Dataset:
-    """Convert results to the xarray Dataset that `open_results` makes of their file, but for its `content_digest`.
+    """Convert results to the xarray Dataset that `open_results` makes of their file.
 
     Raises
     ------
@@ -96,4 +96,5 @@ def _to_xarray(dataset: Dataset) -> xarray.Dataset:
     words = np.array([labels[code] for code in sorted(labels)])[sequence.values - FAILED_CODE]
     label = (sequence.dims, words, {"units": "1", "long_name": sequence.attributes["long_name"]})
     name = "label" if "label" not in coordinates else "most_likely_label"
-    return xarray.Dataset({name: label, **arrays}, coordinates, dataset.attributes)
+    attributes = {**dataset.attributes, "content_digest": content_digest(dataset)}
+    return xarray.Dataset({name: label, **arrays}, coordinates, attributes)

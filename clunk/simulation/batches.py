@@ -1,5 +1,6 @@
 """Many drivelines prepared at once: the same study with other values of any of its keys, as arrays."""
 
+import functools
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -19,8 +20,12 @@ _MOST = 512  # drivelines of a batch with two flows: 14 MB of tables, and each o
 _MEASURED = 128  # of those whose channels are tabulated, which take some 100 KB each
 
 
+@functools.lru_cache(maxsize=4)
 def prepare_one(study: Study) -> Batch:
-    """The switched linear system of a study, the tables of its method, and the channels of its measures, if any."""
+    """The switched linear system of a study, the tables of its method, and the channels of its measures, if any.
+
+    The latest ones are kept: they are a third of the time of a small sweep, and of a call with few points.
+    """
     line = Driveline.from_study(study)
     batch = batch_of(*prepare(study, line))
     if not study.measured:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import re
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
@@ -71,12 +72,19 @@ class Grid:
         self.tile_cells = min(_TILE_CELLS[self.method], max(_TILE_POINTS // len(study.load.times or (0,)), 1))
         parameters = (each.parameter for each in self.design.columns)
         self.structural = tuple(key for key in parameters if not leaves_system(study, key))
-        self._latest: tuple[bytes, list[_Part]] = b"", []  # the points of some drivelines, and these
+        self._latest: dict[bytes, list[_Part]] = {}  # the points of some drivelines, and these
         if shared is not None:
             self._nominal = shared
 
     def __reduce__(self) -> tuple[Any, ...]:  # the shared system goes along, so that all processes have its bits
         return type(self), (self.study, self.design, None if self.structural else self._nominal)
+
+    def with_design(self, design: Design) -> Grid:
+        """The cells of another design with the same parameters, run with the same drivelines."""
+        self.shared()  # is prepared once for both
+        grid = copy.copy(self)
+        grid.design = design
+        return grid
 
     def ordered(self, cells: Cells) -> Cells:
         """Cells in the order in which they are best cut into tiles: those of one system behind one another."""
@@ -104,9 +112,8 @@ class Grid:
         if not self.structural:
             yield self._nominal, np.zeros(1, np.int64)
             return
-        latest, parts = self._latest
-        if latest == points.tobytes():
-            yield from parts
+        if (latest := self._latest.get(points.tobytes())) is not None:
+            yield from latest
             return
         parts = []
         for positions, batch in prepare_many(self.study, self.structural, points):
@@ -115,7 +122,8 @@ class Grid:
             yield batch, numbers
             parts.append((batch, numbers))
         if len(points) <= _KEPT:
-            self._latest = points.tobytes(), parts
+            self._latest.clear()
+            self._latest[points.tobytes()] = parts
 
     def cases(self, values: Mapping[str, float | Floats], count: int) -> kernel.Cases:
         """Torques and gaps of `count` cells with these values of parameters."""

@@ -1,12 +1,11 @@
-"""Progress of a long computation on stderr: a bar in a terminal or a notebook, elsewhere a line now and then."""
+"""Progress of a long computation on stderr: one line that is rewritten, or where that is kept a line now and then."""
 
 from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
-from html import escape
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -15,25 +14,47 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int], None]
 
 _LINE_EVERY = 5.0  # s
-_BAR_EVERY = 0.1  # s; each update of a notebook is a message to the browser
+_REWRITTEN_EVERY = 0.1  # s
+_BAR = 20  # characters
+_WIDTH = 79
 
 
 @contextmanager
 def shown(total: int, unit: str = "cells") -> Iterator[Progress]:
-    """Show progress while this is open; the function that it yields takes the numbers done and in all, 0 if unknown."""
-    state = _State(total, unit)
-    display: AbstractContextManager[Callable[[], None]] = nullcontext(state.print_line)
-    if in_notebook():
-        display = _notebook_bar(state)
-    elif sys.stderr.isatty():
-        display = _terminal_bar(state)
-    with display as show:
+    """Show progress while this is open; the function that it yields takes the numbers done and in all, 0 if unknown.
 
-        def update(done: int, total: int) -> None:
-            state.advance(done, total)
-            show()
+    A terminal and a notebook show a bar in a line that is rewritten.
+    """
+    is_rewritten = in_notebook() or sys.stderr.isatty()
+    stream = getattr(sys.stderr, "direct", sys.stderr)  # a command's own stderr shows control characters as text
+    first: tuple[int, float] | None = None
+    last = time.perf_counter()
+    line = ""
 
+    def update(done: int, total: int) -> None:
+        nonlocal first, last, line
+        now = time.perf_counter()
+        began_with, began = first = first or (done, now)  # it may include the cells of an earlier run
+        rate = (done - began_with) / max(now - began, 1e-9)
+        line = f"{done:,} of {total:,} {unit}" if total else f"{done:,} {unit}"
+        if rate > 0.0:
+            line += f", {rate:,.0f}/s"
+            if done < total:
+                line += f", {(total - done) / rate:.0f} s left"
+        if is_rewritten and total:
+            line = f"{'█' * (_BAR * done // total):░<{_BAR}} {line}"
+        is_news = done != total and (is_rewritten or rate > 0.0)
+        if is_news and now - last >= (_REWRITTEN_EVERY if is_rewritten else _LINE_EVERY):
+            last = now
+            stream.write(f"\r{line:<{_WIDTH}}" if is_rewritten else f"{line}\n")
+            stream.flush()
+
+    try:
         yield update
+    finally:
+        if is_rewritten:  # a notebook keeps the last state, after an interrupt too; a terminal has no need of it
+            stream.write(f"\r{line:<{_WIDTH}}\n" if in_notebook() else f"\r{'':<{_WIDTH}}\r")
+            stream.flush()
 
 
 @contextmanager
@@ -54,49 +75,6 @@ def reporting(progress: bool | Progress, cells: int, *studies: Study, what: str 
         yield progress
 
 
-class _State:
-    """Progress as text, and as HTML where a front end shows it.
-
-    rate : a second, since the first report, which may include the cells of an earlier run
-    """
-
-    def __init__(self, total: int, unit: str) -> None:
-        self.done, self.total, self.unit, self.rate = 0, total, unit, 0.0
-        self._first: tuple[int, float] | None = None
-        self._shown = time.perf_counter()
-
-    def advance(self, done: int, total: int) -> None:
-        now = time.perf_counter()
-        count, began = self._first = self._first or (done, now)
-        self.done, self.total, self.rate = done, total, (done - count) / max(now - began, 1e-9)
-
-    def is_due(self, pause: float) -> bool:
-        """Whether it was last shown so many seconds ago; it is shown now if so."""
-        now = time.perf_counter()
-        if now - self._shown < pause:
-            return False
-        self._shown = now
-        return True
-
-    def print_line(self) -> None:
-        if self.rate > 0.0 and self.done != self.total and self.is_due(_LINE_EVERY):
-            print(self, file=sys.stderr)
-
-    def __repr__(self) -> str:
-        """For example 1,000 of 40,401 cells, 6,200/s, 6 s left."""
-        line = f"{self.done:,} of {self.total:,} {self.unit}" if self.total else f"{self.done:,} {self.unit}"
-        if self.rate > 0.0:
-            line += f", {self.rate:,.0f}/s"
-            if self.done < self.total:
-                line += f", {(self.total - self.done) / self.rate:.0f} s left"
-        return line
-
-    def _repr_html_(self) -> str:
-        share = f' max="{self.total}" value="{self.done}"' if self.total else ""
-        bar = f'<progress style="width: 50%"{share}></progress>'
-        return f"<div>{bar} {escape(repr(self))}</div>"
-
-
 def in_notebook() -> bool:
     """Whether this runs in a kernel, whose front end shows what IPython displays."""
     if "IPython" not in sys.modules:  # a kernel has imported it
@@ -104,28 +82,3 @@ def in_notebook() -> bool:
     from IPython import get_ipython
 
     return getattr(get_ipython(), "kernel", None) is not None
-
-
-@contextmanager
-def _terminal_bar(state: _State) -> Iterator[Callable[[], None]]:
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    text = TextColumn(state.unit + "  {task.fields[rate]}")
-    columns = BarColumn(bar_width=None), MofNCompleteColumn(), text, TimeRemainingColumn()
-    stream = getattr(sys.stderr, "direct", sys.stderr)  # a command's own stderr shows control sequences as text
-    with Progress(*columns, console=Console(file=stream), transient=True) as bar:
-        task = bar.add_task("", total=state.total or None, rate="")
-        yield lambda: bar.update(task, completed=state.done, total=state.total or None, rate=f"{state.rate:,.0f}/s ")
-
-
-@contextmanager
-def _notebook_bar(state: _State) -> Iterator[Callable[[], None]]:
-    """An element of HTML that IPython's display replaces; rich and tqdm need ipywidgets for theirs."""
-    from IPython.display import display
-
-    handle = display(state, display_id=True)
-    try:
-        yield lambda: handle.update(state) if state.is_due(_BAR_EVERY) else None
-    finally:
-        handle.update(state)  # the last state stays in the notebook, after an interrupt too

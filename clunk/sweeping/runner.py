@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import closing, nullcontext
 from functools import cached_property
@@ -23,6 +23,7 @@ from clunk.study.problems import ConfigError
 from clunk.study.study import Study
 from clunk.sweeping.assembly import RegimeReduction
 from clunk.sweeping.cells import Grid
+from clunk.sweeping.engines import run_tiles
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.provenance import provenance
 from clunk.sweeping.reduction import heading_of
@@ -46,8 +47,8 @@ class Runner:
         Any numeric keys of the config.
     workers : int, optional
         Threads; by default one for each core that this process may use.
-    engine : of threads, optional
-        One that is open already.
+    engine : optional
+        One that is open already, see `clunk.sweeping.engines`.
 
     Raises
     ------
@@ -94,14 +95,16 @@ class Runner:
         ConfigError
             Where a value is not one that a config may hold.
         """
-        values = self.checked(points)
+        return self.run(self.checked(points), progress)
+
+    def run(self, values: Floats, progress: Progress | None = None) -> Results:
+        """Run points, (n, keys), whose values are allowed."""
         heading = self._heading | {"config_digest": self.digest(values)}
         reduction = RegimeReduction(self.study, self._design(values), grid=self.grid, heading=heading)
-        with closing(self.tiles(values)) as tiles:
-            for tile in tiles:
-                reduction.add(tile)
-                if progress is not None:
-                    progress(reduction.done, len(values))
+        for tile in self.tiles(values):
+            reduction.add(tile)
+            if progress is not None:
+                progress(reduction.done, len(values))
         return reduction.result(self._attributes)
 
     def digest(self, values: Floats) -> str:
@@ -135,27 +138,18 @@ class Runner:
                 self._allowed = least, greatest
         return values
 
-    def tiles(self, values: Floats) -> Generator[Tile, None, None]:
-        """Run points, (n, keys), whose values are allowed; yields the results of some after the others, in order.
+    def tiles(self, values: Floats) -> Iterator[Tile]:
+        """Run points, (n, keys), whose values are allowed; yields tiles of some after the others, in any order.
 
         Closing the generator ends the runs.
         """
-        stop, count = np.zeros(1, np.uint8), len(values)
-
-        def run(begin: int, end: int) -> Tile:
-            columns = dict(zip(self.keys, values[begin:end].T, strict=True))
-            return self.grid.run_at(np.arange(begin, end), columns, stop)
-
-        if count <= _ALONE:
-            yield from [run(0, count)] if count else []
+        grid, cells = self.grid.with_design(self._design(values)), np.arange(len(values))
+        if cells.size <= _ALONE:
+            yield grid.run(cells, np.zeros(1, np.uint8))
             return
-        begins = [*range(0, count, min(-(-count // self.workers), self.grid.tile_cells))]
         opening = nullcontext(self._engine) if self._engine is not None else Threads(self.workers)
-        with opening as engine:
-            try:
-                yield from engine.map(run, begins, [*begins[1:], count])
-            finally:
-                stop[0] = 1
+        with opening as engine, closing(run_tiles(engine, grid, cells)) as tiles:
+            yield from tiles
 
     def _design(self, values: Floats) -> Design:
         columns = zip(self.keys, values.T, strict=True)
