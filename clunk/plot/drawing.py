@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from clunk.plot import style
@@ -15,15 +14,13 @@ from clunk.plot.labelling import Raster, write_names
 from clunk.plot.layers import Layers, hardness
 from clunk.plot.maps import add_bar, cell_colours, facet_map, map_figure, notes_of, shades_of
 from clunk.plot.plane import USUAL, SurplusAxesError, axis_label, drawn_axes, scale_axis
-from clunk.results.labels import FAILED
-from clunk.results.quantities import CELL_QUANTITIES, TEXT, quantity_of
+from clunk.results.quantities import TEXT, quantity_of
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import AnyMap, ToleranceMap
 from clunk.study.arrays import Floats
 from clunk.study.axes import RUN, ResultAxis
 
 _FEW = 60  # samples, each of which is marked on the curve
-_COLOUR = style.LINE_COLOURS[0]
 
 
 def draw(
@@ -74,12 +71,10 @@ def default_quantities(
     tolerance map how probable double-sided impacts are, too.
     """
     is_map = len(drawn_axes(drawn)) > 1
-    if isinstance(drawn, ToleranceMap):
-        hard = ["severity"] * bool(np.isfinite(drawn.severity_mean).any())
-        return ["regimes", "double_sided", *hard] if is_map else ["regimes"]
-    if _has_runs(drawn) and not facets:
+    if isinstance(drawn, Results) and _has_runs(drawn) and not facets:
         is_map = y is not None or (x is None and len(parameter_choice(drawn)) > 1)
-    return ["regimes", hardness(drawn)] if is_map else [hardness(drawn)]
+    names = ["regimes", *["double_sided"] * isinstance(drawn, ToleranceMap), hardness(drawn)]
+    return list(dict.fromkeys(names)) if is_map else names[-1:]
 
 
 def _has_runs(results: Results) -> bool:
@@ -89,86 +84,43 @@ def _has_runs(results: Results) -> bool:
 
 @style.styled()
 def strip(drawn: AnyMap, quantity: str = "severity") -> Figure:
-    """The labels along one swept axis as a coloured strip over the curve of a quantity.
-
-    Of a tolerance map the probability of each label, stacked, over the severity's median and 5 to 95 % band.
+    """The labels along one swept axis as a coloured strip over the curve of a quantity; the most likely ones of draws.
 
     Raises PlotError unless one axis was swept and the quantity is defined in some cell.
     """
-    layers = Layers.of(drawn, 1)
-    samples, (edges, _) = layers.view.x.values, layers.bands
-    figure = style.new_figure()
-    is_toleranced = isinstance(drawn, ToleranceMap)
-    band, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 1.3 if is_toleranced else 4.6))
-    if isinstance(drawn, ToleranceMap):
-        notes = [*_draw_likelihoods(band, layers, drawn), *_draw_spread(ax, layers, drawn)]
-    else:
-        _draw_regimes(band, ax, layers, Layers.of(drawn, 1, quantity))
-    scale_axis(ax, "x", layers.view.x)
-    ax.set_xlim(*((samples[0], samples[-1]) if len(samples) > 1 else edges[[0, -1]]))
-    style.tidy(ax)
-    band.tick_params(bottom=False, labelbottom=False)
-    style.lay_out(figure, band, layers.title, layers.subtitle())
-    if not is_toleranced:
-        notes = notes_of(layers, write_names(Raster.of(band, layers), layers.names))
-        if layers.boundaries is not None:
-            changes = ", ".join(f"{value:.7g}" for value in layers.boundaries.vertices[:, 0])
-            notes.append(style.remark(f"the label changes at {changes}"))
-    style.add_notes(figure, notes)
-    return figure
-
-
-def _draw_regimes(band: Axes, ax: Axes, layers: Layers, of_quantity: Layers) -> None:
-    """Draw the bands of the labels, and the curve of a quantity, which jumps between them."""
+    layers, of_quantity = replace(Layers.of(drawn, 1), notes=()), Layers.of(drawn, 1, quantity)
     samples, values, (edges, codes) = layers.view.x.values, of_quantity.values, layers.bands
     assert values is not None
+    figure = style.new_figure()
+    band, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 4.6))
     fills = (*layers.colours, style.FAILED_FILL)
     for left, right, code in zip(edges[:-1], edges[1:], codes, strict=True):
         band.axvspan(left, right, facecolor=fills[code], linewidth=0.0, zorder=1)
     for edge in edges[1:-1]:
         band.axvline(edge, color=style.INK, linewidth=0.9, zorder=2)
         ax.axvline(edge, color=style.FAINT_INK, linewidth=0.6, linestyle=style.DASHED, zorder=1)
+    # The quantity jumps between regimes.
     for cells in np.split(np.arange(samples.size), np.flatnonzero(np.diff(layers.codes)) + 1):
         marker = "o" if samples.size <= _FEW or cells.size == 1 else ""
-        look: dict[str, Any] = {"color": _COLOUR, "linewidth": 1.5, "markersize": 3.0, "clip_on": False, "zorder": 3}
-        ax.plot(samples[cells], values[cells], marker=marker, **look)
+        look: dict[str, Any] = {"linewidth": 1.5, "markersize": 3.0, "clip_on": False, "zorder": 3}
+        ax.plot(samples[cells], values[cells], marker=marker, color=style.LINE_COLOURS[0], **look)
+    scale_axis(ax, "x", layers.view.x)
+    ax.set_xlim(*((samples[0], samples[-1]) if len(samples) > 1 else edges[[0, -1]]))
     ax.set_ylabel(of_quantity.value_label)
     if not np.nanmin(values) < 0.0:
         ax.set_ylim(bottom=0.0)
     elif np.nanmax(values) > 0.0:
         ax.axhline(0.0, color=style.INK, linewidth=0.8, zorder=2)
+    style.tidy(ax)
     band.set_yticks([])
-
-
-def _draw_likelihoods(ax: Axes, layers: Layers, tolerances: ToleranceMap) -> list[Artist]:
-    """Draw the probability of each label, stacked; returns their notes."""
-    names = (*tolerances.labels, FAILED)
-    probability = tolerances.probability.reshape(-1, len(names))[layers.view.order[0]]
-    shown = {name: column for name, column in zip(names, probability.T, strict=True) if column.any()}
-    fills = [style.colour_of(name) if name != FAILED else style.FAILED_FILL for name in shown]
-    stack_shares(ax, layers.view.x.values, [*shown.values()], fills)
-    return [style.swatch(name, fill) for name, fill in zip(shown, fills, strict=True)]
-
-
-def stack_shares(ax: Axes, x: Floats, shares: Sequence[Floats] | Floats, fills: Sequence[str], **look: Any) -> None:
-    """Draw probabilities along x one upon the other, each in its colour."""
-    ax.stackplot(x, *shares, colors=fills, edgecolor=style.INK, linewidth=0.5, **look)
-    ax.set(ylim=(0.0, 1.0), ylabel="Probability")
-
-
-def _draw_spread(ax: Axes, layers: Layers, tolerances: ToleranceMap) -> list[Artist]:
-    """Draw median, mean and 5 to 95 % band of the severity; returns their notes."""
-    ax.set_ylabel(CELL_QUANTITIES["severity"].plot_label)
-    x, mean = layers.view.x.values, layers.view.arrange(tolerances.severity_mean)
-    low, median, high = (layers.view.arrange(each) for each in np.moveaxis(tolerances.severity_quantiles, -1, 0))
-    if not np.isfinite(median).any():
-        ax.text(0.5, 0.5, "not defined", transform=ax.transAxes, ha="center", color=style.FAINT_INK)
-        return []
-    band = ax.fill_between(x, low, high, color=_COLOUR, alpha=0.25, linewidth=0.0, label="5 to 95 % of the draws")
-    line = ax.plot(x, median, color=_COLOUR, linewidth=1.6, label="median")
-    dashed = ax.plot(x, mean, color=style.INK, linewidth=1.0, linestyle=style.DASHED, label="mean")
-    ax.set_ylim(bottom=0.0)
-    return [*line, band, *dashed]
+    band.tick_params(bottom=False, labelbottom=False)
+    style.lay_out(figure, band, layers.title, layers.subtitle())
+    notes = notes_of(layers, write_names(Raster.of(band, layers), layers.names))
+    if layers.boundaries is not None:
+        changes = ", ".join(f"{value:.7g}" for value in layers.boundaries.vertices[:, 0])
+        notes.append(style.remark(f"the label changes at {changes}"))
+    style.add_notes(figure, notes)
+    return figure
 
 
 @style.styled()
@@ -243,8 +195,8 @@ def _values_of(results: Results, axis: ResultAxis) -> Floats:
     """A parameter's value in every cell, in C order."""
     names = [each.parameter for each in results.axes]
     dimension = names.index(axis.parameter if axis.parameter in names else RUN)
-    shape = [-1 if k == dimension else 1 for k in range(len(names))]
-    return np.broadcast_to(axis.values.reshape(shape), results.shape).ravel()
+    values: Floats = axis.values[np.indices(results.shape)[dimension]].ravel()
+    return values
 
 
 def _look(count: int) -> dict[str, Any]:

@@ -17,7 +17,6 @@ from clunk.plot.style import FAILED_FILL, PlotError, cells_phrase, colour_of, gr
 from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED_CODE, double_sided
 from clunk.results.quantities import LABEL, NUMBER, TEXT, YES_NO, Quantity, quantity_of
-from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import CERTAIN, AnyMap, ToleranceMap
 from clunk.study.arrays import Array, Bools, Floats
 from clunk.study.axes import ResultAxis
@@ -301,10 +300,11 @@ class Layers:
         return "; ".join(filter(None, [self.load, *values, *facts, *self.facts, *self.caveats]))
 
 
-def hardness(results: AnyMap) -> str:
+def hardness(drawn: AnyMap) -> str:
     """The quantity that tells how hard impacts are: Q is not defined for the restitution model, V is."""
-    is_defined = not isinstance(results, Results) or np.isfinite(results.severity).any()
-    return "severity" if is_defined else "approach_velocity"
+    if isinstance(drawn, ToleranceMap):
+        return "severity" if np.isfinite(drawn.severity_mean).any() else "double_sided"
+    return "severity" if np.isfinite(drawn.severity).any() else "approach_velocity"
 
 
 def _load_phrase(drawn: AnyMap) -> str:

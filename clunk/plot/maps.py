@@ -148,7 +148,7 @@ def _evenly_spaced(values: Floats, most: int) -> Floats:
 
 def grid_of(count: int, columns: int = 0) -> tuple[int, tuple[float, float]]:
     """Number of columns of maps side by side, and the figure's size without its notes  [inches]."""
-    columns = columns or (2 if count in (2, 4) else 4 if count > 9 else min(count, 3))
+    columns = columns or (2 if count == 4 else min(count, 3))
     panel = max((SIZE[0] - _AROUND[0]) / columns, _NARROWEST)
     height = _AROUND[1] + -(-count // columns) * min(0.85 * panel, _HIGHEST)
     return columns, (_AROUND[0] + columns * panel, height)
@@ -167,10 +167,8 @@ def shades_of(panels: Sequence[Layers]) -> ScalarMappable:
 
 def add_bar(figure: Figure, axes: Sequence[Axes], shades: ScalarMappable, layers: Layers) -> None:
     """Draw the colour bar of a quantity beside the axes."""
-    look: dict[str, Any] = {"format": ticker.PercentFormatter(1.0, symbol=" %")} if shades.cmap is _PROBABLE else {}
-    if layers.quantity.type == WHOLE:
-        look["ticks"] = ticker.MaxNLocator(integer=True)
-    bar = figure.colorbar(shades, ax=axes, pad=0.02, aspect=28, label=layers.value_label, **look)
+    ticks = ticker.MaxNLocator(integer=True) if layers.quantity.type == WHOLE else None
+    bar = figure.colorbar(shades, ax=axes, pad=0.02, aspect=28, label=layers.value_label, ticks=ticks)
     bar.outline.set_linewidth(0.6)
 
 

@@ -21,7 +21,6 @@ from matplotlib.lines import Line2D
 from clunk.analysis.quantiles import QUANTILE, probabilities
 from clunk.analysis.thresholds import DRAW, Thresholds, word_text
 from clunk.plot import style
-from clunk.plot.drawing import stack_shares
 from clunk.plot.plane import cell_edges, scale_axis, scale_panels, value_text
 from clunk.results.labels import FAILED_CODE
 from clunk.study.axes import ResultAxis
@@ -161,12 +160,12 @@ def _draw_probabilities(ax: Axes, drawn: Thresholds, nominal: Thresholds) -> lis
     edges, shares = probabilities(drawn)
     fills = _outcome_fills(drawn)
     codes = [code for code, share in zip(fills, shares.T, strict=True) if share.any()]
-    stack_shares(
-        ax, edges, np.pad(shares[:, codes].T, ((0, 0), (0, 1)), "edge"), [fills[code] for code in codes], step="post"
-    )
+    until_the_end = np.pad(shares[:, codes].T, ((0, 0), (0, 1)), "edge")
+    look: dict[str, Any] = {"colors": [fills[code] for code in codes], "edgecolor": style.INK, "linewidth": 0.5}
+    ax.stackplot(edges, until_the_end, step="post", **look)
     _, without = _bands(nominal, 0)
     for value in without:
         ax.axvline(value, **_WITHOUT)
     scale_axis(ax, "x", drawn.along)
-    ax.set(xlim=drawn.along.values[[0, -1]])
+    ax.set(xlim=drawn.along.values[[0, -1]], ylim=(0.0, 1.0), ylabel="Probability")
     return [*_notes(drawn, codes, fills), *(Line2D([], [], **_WITHOUT) for _ in without[:1])]
