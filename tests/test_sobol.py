@@ -276,7 +276,7 @@ def test_the_chart_has_a_panel_for_what_varies_and_bars_of_the_indices():
     assert len(figure.axes) == 2  # a double-sided impact is always there
     assert [ax.get_title(loc="left") for ax in figure.axes] == ["Severity Q [rad/s²]", "Approach velocity V [rad/s]"]
     for ax, indices in zip(figure.axes, (severity, velocity), strict=True):
-        widths = [bar.get_width() for bars in ax.containers for bar in bars]
+        widths = [bar.get_width() for bar in ax.patches]
         assert widths == [*indices.first[severity.order], *indices.total[severity.order]]
     with pytest.raises(PlotError, match="same in all runs"):
         sobol_bars(sensitivity(study(DRIVING), of=["double_sided"]))

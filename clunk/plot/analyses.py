@@ -29,6 +29,7 @@ _ENDS = (0.002, 0.998)  # quantiles of the ensemble, between which it is drawn
 _LEAST = 0.02  # probability of a label that is in the legend
 _WIDTH = 7.2  # inches, of charts of bars
 _BAR = 0.36  # of the distance from one parameter to the next
+_INTERVAL = {"ecolor": style.INK, "elinewidth": 1.0, "capsize": 2.0}
 _FIRST, _SECOND = style.LINE_COLOURS[:2]
 
 
@@ -149,11 +150,10 @@ def sobol_bars(sensitivity: Sensitivity) -> Figure:
     panels[0].set_yticks(np.arange(order.size), names)
     panels[0].set_ylim(order.size - 0.5, -0.5)
     panels[-1].set_xlabel("Share of the variance")
-    bar: dict[str, Any] = {"color": style.INK, "linewidth": 1.0, "marker": "|", "markersize": 5}
     notes = [
         style.swatch("alone (first-order index)", _FIRST),
         style.swatch("in all (total index)", _SECOND),
-        Line2D([], [], **bar, label=f"{100 * CONFIDENCE:g} % interval"),
+        Line2D([], [], color=style.INK, linewidth=1.0, marker="|", label=f"{100 * CONFIDENCE:g} % interval"),
     ]
     at = ((quantity(parameter), value) for parameter, value in sensitivity.at.items())
     line = ", ".join(f"{axis.name} {value:g} {axis.unit.removeprefix('1')}".rstrip() for axis, value in at)
@@ -166,10 +166,8 @@ def _draw_bars(ax: Axes, indices: Indices, order: Positions) -> None:
     places = np.arange(order.size)
     first, total = (indices.first, indices.first_interval, _FIRST), (indices.total, indices.total_interval, _SECOND)
     for (share, interval, colour), at in ((first, places - 0.5 * _BAR), (total, places + 0.5 * _BAR)):
-        ax.barh(at, share[order], _BAR, color=colour, zorder=2)
-        low, high = interval[:, order]
-        ax.hlines(at, low, high, color=style.INK, linewidth=1.0, zorder=3)
-        ax.plot([low, high], [at, at], "|", color=style.INK, markersize=4.0, zorder=3)
+        beyond = np.abs(interval - share)[:, order]
+        ax.barh(at, share[order], _BAR, color=colour, xerr=beyond, error_kw=_INTERVAL, zorder=2)
     ax.axvline(0.0, color=style.INK, linewidth=0.8, zorder=4)
     ax.grid(axis="x", color="0.9", linewidth=0.6)
     ax.set_axisbelow(True)

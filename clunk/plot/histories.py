@@ -34,7 +34,6 @@ _BEFORE = 0.4  # share of a close-up's width before the moment that it is around
 _GAP_FILL = "#e4e4e4"
 _LABELLED = 12  # impacts; more arrows than these would hide the curve
 _LISTED = 6  # of their values, beside it
-_LONGEST_NAME = 12  # characters of an inertia's name in the legend
 
 
 @style.styled()
@@ -210,11 +209,11 @@ def _draw_inertias(ax: Axes, curves: Sequence[Curve], values: Sequence[Floats], 
     for (run, look), columns in zip(curves, values, strict=True):
         for inertia, (column, colour) in enumerate(zip(columns.T, cycle(LINE_COLOURS), strict=False)):
             ax.plot(run.time, column, zorder=3, **look | {"color": colour})
-            name = names[inertia] if inertia < len(names) and len(names[inertia]) <= _LONGEST_NAME else ""
+            name = names[inertia] if inertia < len(names) else ""
             label = f"{symbol}{_index(inertia + 1)} {style.plain(name)}".rstrip()
             handles[inertia] = Line2D([], [], color=colour, label=label)
     place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.03), "borderaxespad": 0.2}
-    ax.legend(handles=[*handles.values()][:16], handlelength=1.4, frameon=False, **place)
+    ax.legend(handles=[*handles.values()], handlelength=1.4, frameon=False, **place)
 
 
 def draw_torque(ax: Axes, curves: Sequence[Curve]) -> None:

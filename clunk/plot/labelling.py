@@ -48,9 +48,8 @@ class Raster:
     @classmethod
     def of(cls, ax: Axes, layers: Layers) -> Raster:
         """The regions of a map, or of a strip over its whole height, as they are drawn."""
-        box = ax.get_window_extent()
-        across, upward = ((np.arange(int(side / _PIXEL)) + 0.5) * _PIXEL for side in (box.width, box.height))
-        to_data = ax.transData.inverted().transform
+        box, to_data = ax.get_window_extent(), ax.transData.inverted().transform
+        across, upward = (np.arange(0.5 * _PIXEL, side, _PIXEL) for side in (box.width, box.height))
         x = to_data(np.column_stack([box.x0 + across, np.full(across.size, box.y0)]))[:, 0]
         y = to_data(np.column_stack([np.full(upward.size, box.x0), box.y0 + upward]))[:, 1]
         return cls(ax, layers.codes_at(x, y))
@@ -105,7 +104,7 @@ def write_beside(raster: Raster, points: Floats, texts: Sequence[str], size: flo
     return without
 
 
-def write_names(raster: Raster, names: Sequence[str], sizes: Sequence[float] = SIZES, **look: Any) -> list[str]:
+def write_names(raster: Raster, names: Sequence[str], sizes: Sequence[float] = SIZES) -> list[str]:
     """Write each name into its region, as large as there is room; returns those that found none, in order.
 
     sizes : that are tried
@@ -118,14 +117,12 @@ def write_names(raster: Raster, names: Sequence[str], sizes: Sequence[float] = S
         for rank, part in enumerate(np.argsort(-areas, kind="stable")[:_MOST_PARTS]):
             if rank and areas[part] < _SMALLEST_REPEAT * parts.size:
                 break
-            if _write_inside(raster, parts[boxes[part]] == part + 1, boxes[part], name, sizes, **look):
+            if _write_inside(raster, parts[boxes[part]] == part + 1, boxes[part], name, sizes):
                 written.add(name)
     return [name for name in names if name not in written]
 
 
-def _write_inside(
-    raster: Raster, mask: Bools, box: tuple[slice, slice], text: str, sizes: Sequence[float], **look: Any
-) -> bool:
+def _write_inside(raster: Raster, mask: Bools, box: tuple[slice, slice], text: str, sizes: Sequence[float]) -> bool:
     """Write a text at the roomiest place wholly inside a region, level or along it; False where there is no room.
 
     mask, box : the region's pixels in its bounding box, and where that is
@@ -137,7 +134,7 @@ def _write_inside(
             centre = roomiest(crop, width, height, angle) if mask.sum() >= width * height else None
             if centre is not None:
                 x, y = box[1].start - 1 + centre[0], box[0].start - 1 + centre[1]
-                raster.write(text, x, y, size, rotation=angle, **look)
+                raster.write(text, x, y, size, rotation=angle)
                 return True
     return False
 

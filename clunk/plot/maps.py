@@ -97,7 +97,7 @@ def map_figure(
     lay_out(figure, axes[0], first.title, line or first.subtitle())
     notes: list[Artist] = []
     for ax, layers in zip(axes, panels, strict=True):
-        paint(ax, layers, shades, linewidth=0.9 if is_single else 0.6)
+        paint(ax, layers, shades, linewidth=0.9 if is_single and shades is None else 0.6)
         notes += write_on_map(ax, layers, small=not is_single)
     if is_single and shades is None:
         notes += _mark_thresholds(axes[0], first, thresholds)
@@ -192,7 +192,7 @@ def paint(ax: Axes, layers: Layers, shades: ScalarMappable | None = None, *, lin
         ax.pcolormesh(*map(cell_edges, layers.view.axes), pixels, **look)
         ax.set(xlim=layers.view.x.values[[0, -1]], ylim=layers.view.y.values[[0, -1]])
     light = shades is not None and layers.has_light_lines
-    look = {"colors": "white" if light else INK, "linewidths": linewidth * (0.65 if shades else 1.0)}
+    look = {"colors": "white" if light else INK, "linewidths": linewidth}
     lines = LineCollection(layers.lines, joinstyle="round", capstyle="projecting", gid="boundaries", zorder=3, **look)
     ax.add_collection(lines, autolim=False)
     _mark_doubts(ax, layers)
@@ -230,8 +230,7 @@ def write_on_map(ax: Axes, layers: Layers, *, small: bool = False) -> list[Artis
         ax.plot([point.x], [point.y], gid="agrees" if point.agrees else "differs", **look)
     labels = [point.label for point in layers.points]
     without = write_beside(raster, places, labels, _POINT_TEXT[small], 0.5 * POINT + 1.5)
-    look = {} if layers.paint is None else {"path_effects": halo()}
-    unnamed = write_names(raster, layers.names, SMALL_SIZES if small else SIZES, **look)
+    unnamed = write_names(raster, layers.names, SMALL_SIZES if small else SIZES)
     notes = notes_of(layers, unnamed, is_counted=not small)
     return [*notes, remark("a point without a label: no room")] if without else notes
 

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 Codes = npt.NDArray[np.int16]
 
 USUAL = ("load.ratio", "lash.backlash_deg")  # stay axes of a map where others are fixed
-_MOST_COORDINATES = 3  # of a run in a title
 
 
 @dataclass(frozen=True)
@@ -100,13 +99,14 @@ def drawn_axes(drawn: Map) -> tuple[int, ...]:
 
 
 def fixed_parameters(drawn: Map) -> tuple[ResultAxis, ...]:
-    """Parameters with one value: axes, and a single run's coordinates or, if they are many, its number."""
+    """Parameters with one value: axes, and a single run's coordinates."""
     keep = drawn_axes(drawn)
     fixed: list[ResultAxis] = []
     for index, axis in enumerate(drawn.axes):
-        if index not in keep or (axis.parameter == RUN and len(axis.values) == 1):
-            few = axis.parameter == RUN and len(drawn.coordinates) <= _MOST_COORDINATES
-            fixed += drawn.coordinates if few else [axis]
+        if axis.parameter == RUN and len(axis.values) == 1:
+            fixed += drawn.coordinates
+        elif index not in keep:
+            fixed.append(axis)
     return tuple(fixed)
 
 

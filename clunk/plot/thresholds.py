@@ -7,12 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import groupby
+from itertools import cycle, groupby
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib import colors
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -141,13 +139,12 @@ def quantile_figure(drawn: Thresholds, quantiles: Thresholds, nominal: Threshold
         return figure
     fills = _outcome_fills(quantiles)
     shares = quantiles.axes[-1].values  # the last axis is that of the quantiles
-    shades = [colors.to_hex(mpl.colormaps["viridis"](depth)) for depth in np.linspace(0.85, 0.0, len(shares))]
     seen: set[int] = set()
     notes: list[Artist] = []
-    for rank, k in enumerate(np.argsort(shares)):
+    for (rank, k), colour in zip(enumerate(np.argsort(shares)), cycle(style.LINE_COLOURS[1:]), strict=False):
         paler = {code: style.tint(fill, (rank + 1.0) / len(shares)) for code, fill in fills.items()}
-        seen |= _draw_bands(ax, quantiles, x, paler, slice(k, None, len(shares)), color=shades[rank])
-        notes.append(Line2D([], [], color=shades[rank], linewidth=1.6, label=f"in {100.0 * shares[k]:g} %"))
+        seen |= _draw_bands(ax, quantiles, x, paler, slice(k, None, len(shares)), color=colour)
+        notes.append(Line2D([], [], color=colour, linewidth=1.6, label=f"in {100.0 * shares[k]:g} %"))
     _draw_bands(ax, nominal, x, {}, **_WITHOUT)
     scale_panels(figure, [ax], (x, quantiles.along))
     notes = [*_notes(quantiles, sorted(seen), fills), *notes, Line2D([], [], **_WITHOUT)]
