@@ -11,6 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+pytest.importorskip("bokeh", reason="the explorer's page needs Bokeh")
+from bokeh.document import Document
+from bokeh.events import DocumentReady
 from click.testing import CliRunner
 from conftest import NOMINAL
 from hypothesis import given
@@ -19,11 +23,13 @@ from hypothesis import strategies as st
 from clunk import ClunkError, load_study, simulate, sweep, tolerance_map
 from clunk.cli import cli
 from clunk.explorer.controls import adjustable, slider_range
-from clunk.explorer.curves import thinned
+from clunk.explorer.mapfigure import MapFigure
+from clunk.explorer.message import Message
 from clunk.explorer.newest import Newest
-from clunk.explorer.pictures import picture_of
-from clunk.explorer.subject import Subject
-from clunk.explorer.variations import Variations, of_one_cell
+from clunk.explorer.runfigures import RunFigures, Shown, thinned
+from clunk.explorer.server import explore
+from clunk.explorer.subject import Subject, of_one_cell
+from clunk.explorer.workbench import Workbench
 from clunk.plot.style import colour_of
 from clunk.results.quantities import quantity_of
 from clunk.results.tolerancemap import CERTAIN
@@ -44,16 +50,24 @@ stop = 10.0
 count = 5
 """
 EXACT = '[solver]\nmethod = "exact"\n'
+CELL = {"load.ratio": 5.0, "lash.backlash_deg": 6.0}
 
 
 @pytest.fixture(scope="module")
 def subject():
-    return Subject.of(sweep(study_from_text(NOMINAL + EXACT + AXES)), "nominal")
+    return Subject(sweep(study_from_text(NOMINAL + EXACT + AXES)), "nominal")
 
 
-@pytest.fixture(scope="module")
-def variations(subject):
-    return Variations(subject)
+def picture(results, quantity):
+    """What a map changes on the page: name of a model -> property -> value."""
+    return MapFigure(Subject(results).plane).changes(results, quantity)
+
+
+def pixels(changes):
+    """Colours of an image's pixels as `#rrggbb`, rows upwards."""
+    (image,) = changes["image"]["data"]["image"]
+    packed = image.ravel().tolist()
+    return np.array([f"#{pixel.to_bytes(4, 'little').hex()[:6]}" for pixel in packed]).reshape(image.shape)
 
 
 class TestCurves:
@@ -122,33 +136,33 @@ class TestSubject:
     def test_the_load_ratio_is_x_and_further_axes_are_slices(self, subject):
         assert [axis.parameter for axis in subject.plane] == ["load.ratio", "lash.backlash_deg"]
         text = AXES + '[[sweep.axes]]\nparameter = "lash.contact.damping"\nvalues = [50.0, 94.0]\n'
-        three = Subject.of(sweep(study_from_text(NOMINAL + EXACT + text)))
+        three = Subject(sweep(study_from_text(NOMINAL + EXACT + text)))
         assert [axis.parameter for axis in three.plane] == ["load.ratio", "lash.backlash_deg"]
         assert [axis.parameter for axis in three.slices] == ["lash.contact.damping"]
-        part = three.stored({"lash.contact.damping": 94.0})
+        part = three.results.at({"lash.contact.damping": 94.0})
         assert np.array_equal(part.sequence[..., 0], subject.results.sequence)
 
-    def test_a_run_is_that_of_its_cell(self, subject, variations):
-        run = variations.run({"load.ratio": 5.0, "lash.backlash_deg": 6.0}, {}).trajectory
-        cell = subject.results.cell({"load.ratio": 5.0, "lash.backlash_deg": 6.0})
+    def test_a_run_is_that_of_its_cell(self, subject):
+        run = subject.run(CELL, {}).trajectory
+        cell = subject.results.cell(CELL)
         assert (run.label, run.severity, run.touches) == (cell["label"], cell["severity"], cell["touches"])
 
-    def test_the_map_with_other_numbers_is_that_of_its_config(self, variations):
+    def test_the_map_with_other_numbers_is_that_of_its_config(self, subject):
         numbers = {"lash.contact.damping": 40.0}
-        computed = variations.full_map({}, numbers, lambda *_: None)
-        config = study_from_text(variations.config({"load.ratio": 7.5, "lash.backlash_deg": 10.0}, numbers))
+        computed = subject.full_map({}, numbers, lambda *_: None)
+        config = study_from_text(subject.config({"load.ratio": 7.5, "lash.backlash_deg": 10.0}, numbers))
         again = sweep(config)
         assert again.config_digest == computed.config_digest
         assert np.array_equal(again.severity, computed.severity)
-        run = variations.run({"load.ratio": 7.5, "lash.backlash_deg": 10.0}, numbers).trajectory
+        run = subject.run({"load.ratio": 7.5, "lash.backlash_deg": 10.0}, numbers).trajectory
         assert np.array_equal(simulate(config).events, run.events)
 
-    def test_boundaries_for_other_numbers_are_those_of_its_config(self, variations):
+    def test_boundaries_for_other_numbers_are_those_of_its_config(self, subject):
         """The map keeps its cells' labels."""
         numbers = {"lash.contact.damping": 40.0}
-        drawn = variations.full_map({}, numbers, lambda *_: None)
-        traced = variations.traced_map({}, numbers, drawn, drawn.lash_names[0], lambda *_: None)
-        config = study_from_text(variations.config({"load.ratio": 5.0, "lash.backlash_deg": 6.0}, numbers))
+        drawn = subject.full_map({}, numbers, lambda *_: None)
+        traced = subject.traced_map({}, numbers, drawn, drawn.lash_names[0], lambda *_: None)
+        config = study_from_text(subject.config(CELL, numbers))
         assert np.array_equal(traced.label_map, drawn.label_map)
         expected = sweep(config, boundaries=True).boundaries
         assert np.array_equal(traced.boundaries.vertices, expected.vertices)
@@ -156,16 +170,16 @@ class TestSubject:
     def test_of_runs_of_a_sample_the_map_is_a_strip(self):
         text = NOMINAL + EXACT + '[[sweep.samples]]\nparameter = "load.ratio"\ndistribution = "uniform"\n'
         results = sweep(study_from_text(text + "low = 2.0\nhigh = 8.0\n[sweep.sampling]\ncount = 4\n"))
-        sampled = Subject.of(results)
+        sampled = Subject(results)
         assert [axis.parameter for axis in sampled.plane] == ["run"]
         ratio = float(results.coordinates[0].values[2])
         assert sampled.values({"run": 3.0}) == {"load.ratio": ratio}
-        assert Variations(sampled).run({"run": 3.0}, {}).trajectory.severity == results.severity[2]
-        assert picture_of(results, "severity", 1).curve[:, 1].tolist() == results.severity.tolist()
+        assert sampled.run({"run": 3.0}, {}).trajectory.severity == results.severity[2]
+        assert picture(results, "severity")["points"]["data"]["y"].tolist() == results.severity.tolist()
 
     def test_of_one_cell_there_is_a_run_and_no_map(self):
-        alone = Variations(Subject.of(sweep(of_one_cell(study_from_text(NOMINAL + EXACT)))))
-        assert (alone.subject.plane, alone.subject.slices, alone.subject.swept) == ((), (), ())
+        alone = Subject(sweep(of_one_cell(study_from_text(NOMINAL + EXACT))))
+        assert (alone.plane, alone.slices, alone.swept) == ((), (), ())
         numbers = {"load.ratio": 9.0}
         again = simulate(study_from_text(alone.config({}, numbers)))
         assert np.array_equal(alone.run({}, numbers).trajectory.events, again.events)
@@ -179,68 +193,89 @@ class TestTolerances:
     def subject(self):
         drawn = '[[sweep.tolerances]]\nparameter = "lash.contact.damping"\ndistribution = "uniform"\nlow = 47.0\n'
         drawn += "high = 188.0\n[sweep.sampling]\ncount = 8\n"
-        return Subject.of(tolerance_map(study_from_text(NOMINAL + EXACT + AXES + drawn)))
+        return Subject(tolerance_map(study_from_text(NOMINAL + EXACT + AXES + drawn)))
 
     def test_a_cell_has_its_nominal_run_and_the_probability_of_each_label(self, subject):
-        cell = {"load.ratio": 5.0, "lash.backlash_deg": 6.0}
-        run = Variations(subject).run(cell, {}).trajectory
+        run = subject.run(CELL, {}).trajectory
         assert run.label == subject.results.labels[subject.results.nominal_sequence[1, 2]]
-        text = subject.likelihood(cell, subject.results.lash_names[0])
+        text = subject.likelihood(CELL, subject.results.lash_names[0])
         assert text.startswith("of 8 draws: ")
         shares = [float(part.split()[-2]) for part in text.removeprefix("of 8 draws: ").split(", ")]
         assert shares == sorted(shares, reverse=True)
         assert sum(shares) == pytest.approx(100.0, abs=0.5)  # three figures of each
 
     def test_its_config_is_that_of_the_map_and_with_other_numbers_that_of_the_nominal_one(self, subject):
-        cell, variations = {"load.ratio": 5.0, "lash.backlash_deg": 6.0}, Variations(subject)
-        assert (
-            tolerance_map(study_from_text(variations.config(cell, {}))).config_digest == subject.results.config_digest
-        )
-        assert not study_from_text(variations.config(cell, {"lash.contact.stiffness": 3e5})).sweep.tolerances
+        assert tolerance_map(study_from_text(subject.config(CELL, {}))).config_digest == subject.results.config_digest
+        assert not study_from_text(subject.config(CELL, {"lash.contact.stiffness": 3e5})).sweep.tolerances
 
     def test_its_colours_are_paler_where_the_label_is_less_certain(self, subject):
-        picture = picture_of(subject.results, "regimes", 2)
-        full = {int(colour_of(subject.results.labels[code])[1:], 16) for code in np.unique(subject.results.sequence)}
-        rows, columns = (size - 1 for size in picture.pixels.shape)
-        for row, column in np.ndindex(subject.results.shape):
-            at = rows * row // 2, columns * column // 4
-            pixel = int(picture.pixels[at])
-            shown = int(f"{pixel & 255:02x}{pixel >> 8 & 255:02x}{pixel >> 16 & 255:02x}", 16)
-            assert (shown in full) == (subject.results.certainty[row, column] >= CERTAIN)
+        full = {colour_of(subject.results.labels[code]) for code in np.unique(subject.results.sequence)}
+        shown = pixels(picture(subject.results, "label"))[np.ix_([0, 320, -1], [0, 160, 320, 480, -1])]
+        assert np.array_equal(np.isin(shown, list(full)), subject.results.certainty >= CERTAIN)
 
     @pytest.mark.parametrize("quantity", ["double_sided", "severity", "severity_95"])
     def test_its_probabilities_and_quantiles_have_colours(self, subject, quantity):
-        shades = picture_of(subject.results, quantity, 2).shades
-        assert shades.low <= shades.high
-        assert shades.label == subject.results.plot_label(quantity_of(quantity, subject.results))
+        changes = picture(subject.results, quantity)
+        assert changes["shades"]["low"] <= changes["shades"]["high"]
+        assert changes["bar"]["title"] == subject.results.plot_label(quantity_of(quantity, subject.results))
 
 
 class TestPictures:
     def test_a_strip_has_an_edge_where_the_label_changes(self):
         results = sweep(study_from_text(NOMINAL + EXACT + AXES[AXES.rindex("[[") :].replace("count = 5", "count = 41")))
-        picture = picture_of(results, "severity", 1)
-        labels = results.label_map
-        changes = np.flatnonzero(labels[1:] != labels[:-1])
-        assert picture.edges[1:-1].tolist() == pytest.approx(0.25 * changes + 0.125)
-        assert len(picture.bands) == changes.size + 1
+        changes, bands = np.flatnonzero(np.diff(results.sequence)), picture(results, "severity")["bands"]["data"]
+        assert bands["x1"][:-1].tolist() == pytest.approx(0.25 * changes + 0.125)
+        assert len(bands["colour"]) == changes.size + 1
 
     def test_pixels_have_the_colours_of_the_labels_of_their_cells(self, subject):
-        picture = picture_of(subject.results, "regimes", 2)
-        label = subject.results.cell({"load.ratio": 5.0, "lash.backlash_deg": 6.0})["label"]
-        rows, columns = picture.pixels.shape
-        pixel = int(picture.pixels[rows // 2, columns // 2])
-        assert "#" + "".join(f"{pixel >> shift & 255:02x}" for shift in (0, 8, 16)) == colour_of(label)
-        assert {label for label, *_ in picture.legend} == set(subject.results.label_map.ravel())
+        changes, label = picture(subject.results, "label"), subject.results.cell(CELL)["label"]
+        colours = pixels(changes)
+        assert colours[colours.shape[0] // 2, colours.shape[1] // 2] == colour_of(label)
+        assert all(escape(label) in changes["legend"]["text"] for label in subject.results.label_map.ravel())
 
     def test_a_quantity_has_its_own_scale(self, subject):
-        shades = picture_of(subject.results, "severity", 2).shades
-        assert shades.high == subject.results.severity.max()
-        assert "rad/s²" in shades.label
+        changes = picture(subject.results, "severity")
+        assert changes["shades"]["high"] == subject.results.severity.max()
+        assert "rad/s²" in changes["bar"]["title"]
+
+
+class TestRuns:
+    @pytest.mark.parametrize("axes", ["", AXES[: AXES.rindex("[[")], AXES])
+    def test_a_run_comes_with_its_header_and_events_in_one_message(self, axes, monkeypatch):
+        """Each message lays the page out again."""
+        sent, waiting = [], queue.Queue()
+        monkeypatch.setattr(Message, "send", lambda _, changes: sent.append(changes))
+        monkeypatch.setattr(Document, "add_next_tick_callback", lambda _, change: waiting.put(change))
+        study = study_from_text(NOMINAL + EXACT + axes)
+        workbench = Workbench(document := Document(), Subject(sweep(study if axes else of_one_cell(study))), {})
+        try:
+            document.callbacks.trigger_event(DocumentReady())
+            while not any("curves" in changes for changes in sent):
+                waiting.get(timeout=60.0)()
+        finally:
+            workbench.close()
+        (run,) = (changes for changes in sent if "curves" in changes)
+        assert "severity Q" in run["header"]["text"]
+        assert run["events"]["text"].count("<tr>") > 3
+        assert not [changes for changes in sent if "header" in changes and changes is not run]
+
+    @pytest.mark.parametrize(("ratio", "backlash"), [(5.0, 6.0), (10.0, 2.0), (10.0, 6.0)])
+    def test_each_q_has_an_arrow_and_no_two_texts_overlap(self, subject, ratio, backlash):
+        history = subject.run({"load.ratio": ratio, "lash.backlash_deg": backlash}, {})
+        figures = RunFigures(0.1)
+        figures.show(Shown((ratio, backlash), {}, {}, history, ""), [], 0, "")
+        (arrows,) = (properties["data"] for properties in figures.message.source.data["arrows"])
+        assert len(arrows["x"]) == len(history.impacts)
+        written = np.sort([x for x, text in zip(arrows["x"], arrows["text"], strict=True) if text])
+        span = history.time[-1] - history.time[0]
+        widest = 70.0 / 536.0  # pixels of "Q12 = 12345", and of a panel where the page is 1280 wide
+        assert written.size
+        assert (np.diff(written) >= 0.99 * widest * span).all()
 
 
 class TestControls:
-    def test_there_is_a_slider_for_each_number_that_is_not_swept_and_changes_something(self, variations):
-        keys = adjustable(variations.study, {"load.ratio", "lash.backlash_deg"})
+    def test_there_is_a_slider_for_each_number_that_is_not_swept_and_changes_something(self, subject):
+        keys = adjustable(subject.study, {"load.ratio", "lash.backlash_deg"})
         assert "lash.contact.stiffness" in keys
         assert not {"load.ratio", "lash.contact.restitution", "load.step_time"} & set(keys)
 
@@ -272,13 +307,8 @@ def test_the_contact_torque_is_what_the_other_torques_leave(model, method, nomin
     assert history.contact_torque[0] == pytest.approx(-6.0, rel=1e-9)
 
 
-bokeh = pytest.importorskip("bokeh", reason="the explorer's page needs Bokeh")
-
-
 @pytest.fixture(scope="module")
 def explorer(subject):
-    from clunk.explorer.server import explore
-
     running = explore(subject.results, browser=False)
     yield running
     running.stop()
@@ -303,14 +333,14 @@ class TestServer:
         assert status == 200
         assert headers["Content-Security-Policy"].startswith("default-src 'self'")
         assert b"https://" not in body
-        status, headers, body = answer(explorer, f"/{token}/drawn/autoload.js?bokeh-autoload-element=page")
+        status, headers, body = answer(explorer, f"/{token}/autoload.js?bokeh-autoload-element=page")
         assert status == 200
         assert b"https://" not in body
         assert not [name for name in headers if name.startswith("Access-Control")]
         assert explorer.url.startswith("http://127.0.0.1:")
         assert len(token) >= 20
 
-    @pytest.mark.parametrize("path", ["/", "/drawn/ws", "/static/js/bokeh.min.js", "/drawn/autoload.js", "/wrong/"])
+    @pytest.mark.parametrize("path", ["/", "/ws", "/static/js/bokeh.min.js", "/autoload.js", "/wrong/"])
     def test_without_the_token_there_is_nothing(self, explorer, path):
         assert answer(explorer, path)[0] == 404
 
@@ -332,17 +362,13 @@ class TestServer:
             "Sec_WebSocket_Protocol": "bokeh, none",
             "Origin": origin or explorer.url.rsplit("/", 2)[0],
         }
-        assert answer(explorer, f"/{token}/drawn/ws", **headers)[0] == status
+        assert answer(explorer, f"/{token}/ws", **headers)[0] == status
 
     def test_a_port_in_use_is_said_to_be(self, explorer, subject):
-        from clunk.explorer.server import explore
-
         with pytest.raises(ClunkError, match=f"Port {explorer.port} of this machine cannot be used: address already"):
             explore(subject.results, port=explorer.port, browser=False)
 
     def test_a_second_explorer_has_a_port_and_a_token_of_its_own(self, explorer, subject):
-        from clunk.explorer.server import explore
-
         second = explore(subject.results, browser=False)
         assert second.url.split("/")[2:4] != explorer.url.split("/")[2:4]
         assert answer(second, f"/{explorer.url.split('/')[3]}/")[0] == 404
@@ -352,48 +378,12 @@ class TestServer:
 
 
 def test_titles_and_names_are_text():
-    from bokeh.document import Document
-
-    from clunk.explorer.page import Page
-    from clunk.explorer.workbench import Workbench
-
     hostile = "<script>alert(1)</script>"
     text = f'title = "{hostile}"\n' + NOMINAL.replace("[lash]", f'[lash]\nname = "{hostile}"')
-    page = Page(document := Document(), subject := Subject.of(sweep(study_from_text(text + EXACT + AXES))))
-    workbench = Workbench(page, Variations(subject))
-    workbench.close()
-    page.close()
+    Workbench(document := Document(), Subject(sweep(study_from_text(text + EXACT + AXES))), {}).close()
     assert escape(hostile) in document.get_model_by_name("title").text
     assert hostile not in document.get_model_by_name("title").text
     assert not document.get_model_by_name("of lash").visible
-
-
-@pytest.mark.parametrize("axes", ["", AXES[: AXES.rindex("[[")], AXES])
-def test_a_run_comes_with_its_header_events_and_energy_in_one_message(axes, monkeypatch):
-    """A header of its own for the energy could come before the run it is of, and lays the page out twice."""
-    from bokeh.document import Document
-
-    from clunk.explorer.message import Message
-    from clunk.explorer.page import Page
-    from clunk.explorer.workbench import Workbench
-
-    sent, waiting = [], queue.Queue()
-    monkeypatch.setattr(Message, "send", lambda _, changes: sent.append(changes))
-    study = study_from_text(NOMINAL + EXACT + axes)
-    subject = Subject.of(sweep(study if axes else of_one_cell(study)))
-    page = Page(Document(), subject)
-    monkeypatch.setattr(page, "soon", waiting.put)
-    workbench = Workbench(page, Variations(subject))
-    try:
-        while not any("curves" in changes for changes in sent):
-            waiting.get(timeout=60.0)()
-    finally:
-        workbench.close()
-        page.close()
-    (run,) = (changes for changes in sent if "curves" in changes)
-    assert "energy: work of the load" in run["header"]["text"]
-    assert run["events"]["text"].count("<tr>") > 3
-    assert not [changes for changes in sent if "header" in changes and changes is not run]
 
 
 def test_what_cannot_be_explored_is_said(tmp_path):
@@ -409,6 +399,6 @@ def test_without_bokeh_the_command_names_the_package_to_install(tmp_path):
     assert "pip install 'clunk[explore]'" in " ".join(run.stderr.split())
 
 
-def test_numbers_that_are_not_allowed_are_refused_by_the_rules_of_a_config(variations):
+def test_numbers_that_are_not_allowed_are_refused_by_the_rules_of_a_config(subject):
     with pytest.raises(ClunkError, match="stiffness"):
-        variations.run({"load.ratio": 5.0, "lash.backlash_deg": 6.0}, {"lash.contact.stiffness": -1.0})
+        subject.run(CELL, {"lash.contact.stiffness": -1.0})

@@ -51,7 +51,7 @@ def _results_of(source: Path, overrides: tuple[str, ...]) -> AnyMap:
         if overrides:
             raise click.UsageError("--set goes with a config; on the page, the numbers of a file have sliders.")
         return read_map(source)
-    from clunk.explorer.variations import of_one_cell
+    from clunk.explorer.subject import of_one_cell
     from clunk.study.config import load_study
     from clunk.study.designs import has_tolerances, nominal
     from clunk.sweeping.progress import shown

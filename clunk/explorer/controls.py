@@ -9,7 +9,9 @@ from functools import partial
 
 from bokeh.models import Column, Div, NumericInput, Row, Select, Slider, TextInput
 
+from clunk.explorer.mapfigure import title_of
 from clunk.plot.plane import number_text
+from clunk.plot.style import bare
 from clunk.study.axes import ResultAxis
 from clunk.study.designs import is_unused
 from clunk.study.keys import Key
@@ -110,7 +112,7 @@ class Controls:
 
         def change(_attribute: str, _old: int, position: int) -> None:
             value = float(axis.values[min(position, last)])
-            title.text = f"{axis_name(axis.name or axis.parameter, axis.symbol, axis.unit)} = {number_text(value)}"
+            title.text = f"{title_of(axis.name or axis.parameter, axis.symbol, axis.unit)} = {number_text(value)}"
             on_slice(axis.parameter, value)
 
         change("value", 0, last // 2)
@@ -121,7 +123,7 @@ class Controls:
     def _add(self, key: str) -> None:
         described, (_, allowed, value) = quantity(key), located(self._study, key)
         start, end, step = slider_range(value, allowed)
-        name = axis_name(described.name, described.symbol, described.unit)
+        name = title_of(described.name, described.symbol, described.unit)
         title = Div(text=name, render_as_text=True, width=250, margin=(6, 4, 0, 6))
         slider = Slider(
             start=min(start, value), end=max(end, value), step=step, value=value, show_value=False, title=""
@@ -163,7 +165,7 @@ class CellBoxes:
 
     def __init__(self, axes: Sequence[ResultAxis], on_values: Callable[[list[float]], None]) -> None:
         self._on_values, self._is_setting = on_values, False
-        names = [axis.symbol.split("=")[0].strip() or axis.name or axis.parameter for axis in axes]
+        names = [bare(axis.symbol) or axis.name or axis.parameter for axis in axes]
         look = {"width": 110, "height": 30, "margin": (0, 0, 4, 6)}
         self.boxes = [
             TextInput(prefix=name, name=f"at {axis.parameter}", **look) for axis, name in zip(axes, names, strict=True)
@@ -187,9 +189,3 @@ class CellBoxes:
             values = list(self._cell)
         self._on_values(values)
         self.show(self._cell)  # of a value that is no cell's, the nearest one; of none, the one before
-
-
-def axis_name(name: str, symbol: str, unit: str) -> str:
-    """A quantity with its short symbol and its unit."""
-    short = symbol.split("=")[0].strip()
-    return " ".join(part for part in (name, short, f"[{unit}]" if unit not in ("", "1") else "") if part)

@@ -1,30 +1,36 @@
-"""The figure of the map: its image, boundaries and labels, and marks of the cells that runs are shown of."""
+"""The figure of the map: its image, boundaries and names, and marks of the cells that runs are shown of."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from html import escape
 from typing import Any
 
 import numpy as np
-from bokeh.models import ColorBar, DataRange1d, LinearColorMapper, Model, Range1d
+from bokeh.models import ColorBar, DataRange1d, Div, LinearColorMapper, Model, Range1d
 from bokeh.plotting import figure
+from matplotlib.colors import to_hex
+from scipy import ndimage
 
-from clunk.explorer.message import Changes, source
-from clunk.explorer.pictures import Picture
-from clunk.plot.plane import ruler
-from clunk.plot.style import INK, LINE_COLOURS
+from clunk.explorer.message import Changes, columns, source
+from clunk.plot.labelling import roomiest
+from clunk.plot.layers import Layers
+from clunk.plot.maps import cell_colours, shades_of
+from clunk.plot.plane import Codes, cells_of, ruler, value_text
+from clunk.plot.style import FAILED_FILL, INK, LINE_COLOURS, bare, capital
+from clunk.results.labels import FAILED
+from clunk.results.tolerancemap import AnyMap
+from clunk.study.arrays import Floats
 from clunk.study.axes import ResultAxis
 
 RUN_COLOURS = (INK, *LINE_COLOURS[:2])  # of the run that is shown, and of those that are pinned
+_PIXELS = 640  # of an image, across and upward
+_SKIP = 4  # of the image, between the pixels among which names are placed
+_WIDTH, _HEIGHT = 2, 5  # of these pixels, that a character of a name takes
+_SHADES = 256
+_LISTED = 16  # labels below the map, and edges of a strip's bands
 
-Mark = tuple[float, float, str]  # x, y and colour
-
-
-def axis_title(axis: ResultAxis) -> str:
-    """Name, symbol and unit of an axis as plain text."""
-    name = axis.name or axis.parameter
-    unit = "" if axis.unit in ("", "1") else f"[{axis.unit}]"
-    return " ".join(part for part in (name[:1].upper() + name[1:], axis.symbol, unit) if part)
+Cell = tuple[float, ...]  # values of the map's axes
 
 
 class MapFigure:
@@ -42,103 +48,177 @@ class MapFigure:
             y_axis_type="log" if is_map and axes[1].is_geometric else "linear",
             x_range=_range(axes[0]),
             y_range=_range(axes[1]) if is_map else DataRange1d(),
-            x_axis_label=axis_title(axes[0]),
-            y_axis_label=axis_title(axes[1]) if is_map else "",
-            tools="pan,wheel_zoom,box_zoom,reset",
+            x_axis_label=_title(axes[0]),
+            y_axis_label=_title(axes[1]) if is_map else "",
+            tools="pan,wheel_zoom,box_zoom,reset,save",
             sizing_mode="stretch_both",
             min_height=240,
             margin=0,
         )
         plot.toolbar.logo = None
         plot.grid.visible = False
+        # of one height, or the map would be drawn anew with every text
+        look = {"line-height": "20px", "flex": "none", "overflow-y": "auto"}
+        self.legend = Div(name="legend", height=62, styles=look, sizing_mode="stretch_width", margin=(2, 6, 2, 6))
         image, bands = source("image", "x", "y", "dw", "dh"), source("x0", "x1", "colour")
-        lines, points, texts = source("x", "y"), source("x", "y"), source("x", "y", "text")
-        self._marks, self._curve = source("x", "y", "colour"), np.zeros((0, 2))
+        lines, points, names = source("x", "y"), source("x", "y"), source("text", "x", "y")
+        self._marks = source("x", "y", "colour")
         self._pointed = source("x", "y", "text", "align", "offset")
         shades = LinearColorMapper(palette=["#000000", "#ffffff"], low=0.0, high=1.0)
         bar = ColorBar(color_mapper=shades, width=10, visible=False)
         plot.add_layout(bar, "right")
         self.models: dict[str, Model] = {"image": image, "bands": bands, "lines": lines, "points": points}
-        self.models |= {"texts": texts, "shades": shades, "bar": bar, "y axis": plot.yaxis[0]}
-        text = {"text_align": "center", "text_baseline": "middle", "text_font_size": "14px", "text_color": INK}
+        self.models |= {"names": names, "shades": shades, "bar": bar, "y axis": plot.yaxis[0], "legend": self.legend}
+        ring = {"source": self._marks, "level": "overlay"}  # drawn without the rest
+        text = {"text_baseline": "middle", "text_font_size": "14px", "text_color": INK}
         if is_map:
             plot.image_rgba("image", "x", "y", "dw", "dh", source=image)
             self.models["boundaries"] = plot.line("x", "y", source=lines, color=INK, line_width=0.9).glyph
             plot.scatter("x", "y", source=points, size=2.5, color=INK)
-            plot.text("x", "y", "text", source=texts, **text)
+            plot.text("x", "y", "text", source=names, text_align="center", **text)
+            for width, colour in ((6.0, "white"), (2.5, "colour")):
+                plot.scatter("x", "y", size=13, fill_alpha=0.0, line_width=width, line_color=colour, **ring)
         else:
             plot.vstrip("x0", "x1", source=bands, fill_color="colour", line_color=INK, line_width=0.9, level="underlay")
             plot.line("x", "y", source=points, color=INK, line_width=1.5)
-        ring = {"source": self._marks, "size": 13, "fill_alpha": 0.0, "level": "overlay"}  # drawn without the rest
-        for width, colour in ((6.0, "white"), (2.5, "colour")):
-            plot.scatter("x", "y", line_width=width, line_color=colour, **ring)
-        beside = {"text_align": "align", "x_offset": "offset", "text_baseline": "middle", "text_font_size": "13px"}
-        ground: dict[str, Any] = {"background_fill_color": "white", "background_fill_alpha": 0.85, "padding": 3}
-        plot.text("x", "y", "text", source=self._pointed, level="overlay", name="pointed", **beside, **ground)
+            plot.vspan("x", line_width=2.5, line_color="colour", **ring)
+        beside: dict[str, Any] = {"text_align": "align", "x_offset": "offset", "background_fill_color": "white"}
+        beside |= {"background_fill_alpha": 0.85, "padding": 3, "level": "overlay", "name": "pointed"}
+        plot.text("x", "y", "text", source=self._pointed, **beside, **text)
 
-    def changes(self, picture: Picture, name: str) -> Changes:
-        """Changes of the models to a picture of a quantity of this name."""
+    def changes(self, part: AnyMap, quantity: str) -> Changes:
+        """Changes of the models to a picture of a quantity of one lash's map.
+
+        Raises PlotError where the quantity has no value at all.
+        """
+        layers = Layers.of(part, len(self._axes), quantity)
         if len(self._axes) > 1:
-            return self._map_changes(picture)
-        self._curve = picture.curve
+            return self._map_changes(layers)
+        regimes = Layers.of(part, 1)
+        edges, codes = regimes.bands
+        inner = [f"{edge:.4g}" for edge in edges[1:-1].tolist()]
+        notes = [f"label changes: {', '.join(inner)}"] if 0 < len(inner) <= _LISTED else []
+        colours = [(*regimes.colours, FAILED_FILL)[code] for code in codes]
         return {
-            "bands": {"data": {"x0": picture.edges[:-1], "x1": picture.edges[1:], "colour": picture.bands}},
-            "points": {"data": {"x": self._curve[:, 0], "y": self._curve[:, 1]}},
-            "y axis": {"axis_label": name},
+            "bands": {"data": {"x0": edges[:-1], "x1": edges[1:], "colour": colours}},
+            "points": {"data": {"x": layers.view.x.values, "y": layers.values}},
+            "y axis": {"axis_label": layers.value_label},
+            "legend": {"text": _legend(regimes, [*notes, *self._peak(layers)])},
         }
 
-    def _map_changes(self, picture: Picture) -> Changes:
-        (x, width), (y, height) = ((axis.values.min(), np.ptp(axis.values)) for axis in self._axes)
+    def _map_changes(self, layers: Layers) -> Changes:
+        x, y = (_pixel_centres(axis) for axis in layers.view.axes)
+        regions = layers.codes_at(x, y)
+        shades = shades_of([layers]) if layers.shaded else None
+        pixels = np.full((*regions.shape, 4), 255, np.uint8)
+        if shades is None and layers.paint is None:
+            table = [list(bytes.fromhex(each[1:])) for each in (*layers.colours, FAILED_FILL)]
+            pixels[..., :3] = np.array(table, np.uint8)[regions]
+        else:
+            cells = np.ix_(*(cells_of(axis, at) for axis, at in zip(layers.view.axes, (x, y), strict=True)))
+            pixels[..., :3] = np.rint(cell_colours(layers, shades)[cells].swapaxes(0, 1))
+        (left, width), (low, height) = ((axis.values.min(), np.ptp(axis.values)) for axis in self._axes)
+        image = {"image": [pixels.view(np.uint32)[..., 0]], "x": [left], "y": [low], "dw": [width], "dh": [height]}
         # one line with gaps: each of a hundred lines would be two buffers of the message
         gap = np.full((1, 2), np.nan)
-        line = np.concatenate([part for each in picture.lines for part in (each, gap)] or [gap])
-        shades, names = picture.shades, ("text", "x", "y")
-        texts = zip(*picture.texts, strict=True) if picture.texts else ((), (), ())
-        changes: dict[str, dict[str, Any]] = {
-            "image": {"data": {"image": [picture.pixels], "x": [x], "y": [y], "dw": [width], "dh": [height]}},
+        line = np.concatenate([part for each in layers.lines for part in (each, gap)] or [gap])
+        is_light = layers.shaded and layers.has_light_lines
+        notes = [note.text for note in layers.notes]
+        changes: Changes = {
+            "image": {"data": image},
             "lines": {"data": {"x": line[:, 0], "y": line[:, 1]}},
-            "points": {"data": {"x": picture.dots[:, 0], "y": picture.dots[:, 1]}},
-            "texts": {"data": {name: list(column) for name, column in zip(names, texts, strict=True)}},
-            "boundaries": {"line_color": INK if shades is None or shades.has_dark_lines else "white"},
-            "bar": {"visible": False} if shades is None else {"visible": True, "title": shades.label},
+            "points": {"data": {"x": layers.doubts[:, 0], "y": layers.doubts[:, 1]}},
+            "names": columns("text x y", [] if layers.shaded else _names(regions, layers, x, y)),
+            "boundaries": {"line_color": "white" if is_light else INK},
+            "bar": {"visible": layers.shaded, "title": layers.value_label},
+            "legend": {"text": _legend(layers, [*notes, *self._peak(layers)])},
         }
         if shades is not None:
-            changes["shades"] = {"palette": shades.colours, "low": shades.low, "high": shades.high}
+            (bottom, top), colours = shades.get_clim(), shades.get_cmap()(np.linspace(0.0, 1.0, _SHADES))
+            changes["shades"] = {"palette": [to_hex(each) for each in colours], "low": bottom, "high": top}
         return changes
 
-    def mark(self, marks: Sequence[Mark]) -> None:
-        """Put rings around cells, the last on top; over one axis, where the curve is."""
-        if len(self._axes) == 1:
-            x, y = self._curve.T
-            marks = [(at, float(y[np.argmin(np.abs(x - at))]) if x.size else 0.0, colour) for at, _, colour in marks]
-        columns = zip(*marks, strict=True) if marks else ((), (), ())
-        self._marks.data = {name: list(each) for name, each in zip(("x", "y", "colour"), columns, strict=True)}
+    def _peak(self, layers: Layers) -> list[str]:
+        """A note on the largest value of a quantity, with its cell."""
+        if layers.values is None:
+            return []
+        at = np.unravel_index(int(np.nanargmax(layers.values)), layers.values.shape)
+        axes = zip(self._axes, layers.view.axes, at, strict=True)
+        place = [value_text(axis, ascending.values[k], symbol=True) for axis, ascending, k in axes]
+        return [f"largest: {layers.values[at]:.6g} at {', '.join(place)}"]
+
+    def mark(self, marks: Sequence[tuple[Cell, str]]) -> None:
+        """Mark cells with colours, the last on top."""
+        x, y = ([cell[min(k, len(cell) - 1)] for cell, _ in marks] for k in (0, 1))
+        self._marks.data = {"x": x, "y": y, "colour": [colour for _, colour in marks]}
 
     def label(self, text: str, x: float, y: float) -> None:
         """Write a text beside the pointer, on the side that has more room; an empty one takes it away."""
-        axis = self._axes[0]
-        to, _ = ruler(axis)
-        is_right = to(x) > 0.5 * (to(axis.values.min()) + to(axis.values.max())) if text else False
-        align, offset = ("right", -14) if is_right else ("left", 14)
-        shown = {"x": [x], "y": [y], "text": [text], "align": [align], "offset": [offset]}
-        self._pointed.data = shown if text else {name: [] for name in shown}
+        to, _ = ruler(self._axes[0])
+        is_right = to(x) > np.mean(to(self._axes[0].values)) if text else False
+        shown = (x, y, text, "right", -14) if is_right else (x, y, text, "left", 14)
+        self._pointed.data = columns("x y text align offset", [shown] if text else [])["data"]
 
-    def nearest(self, x: float, y: float = 0.0) -> tuple[float, ...] | None:
+    def nearest(self, x: float, y: float = 0.0) -> Cell | None:
         """Values of the axes in the cell at a point; None beyond the map."""
-        point = (x, y)[: len(self._axes)]
-        at = []
-        for axis, value in zip(self._axes, point, strict=True):
-            low, high = float(axis.values.min()), float(axis.values.max())
-            if not low <= value <= high:
+        cell = []
+        for axis, value in zip(self._axes, (x, y), strict=False):
+            if not axis.values.min() <= value <= axis.values.max():
                 return None
             to, _ = ruler(axis)
-            at.append(float(axis.values[int(np.argmin(np.abs(to(axis.values) - to(value))))]))
-        return tuple(at)
+            cell.append(float(axis.values[np.argmin(np.abs(to(axis.values) - to(value)))]))
+        return tuple(cell)
+
+
+def title_of(name: str, symbol: str, unit: str) -> str:
+    """A quantity with its short symbol and its unit."""
+    return " ".join(part for part in (name, bare(symbol), f"[{unit}]" if unit not in ("", "1") else "") if part)
+
+
+def _title(axis: ResultAxis) -> str:
+    return title_of(capital(axis.name or axis.parameter), axis.symbol, axis.unit)
+
+
+def _legend(layers: Layers, notes: Sequence[str]) -> str:
+    """Regions that are large enough to be seen, with their colours and shares of the map, and notes."""
+    square = '<span style="background: {}; border: 1px solid #1c2126">&emsp;</span>'
+    swatch = f'<span style="white-space: nowrap">{square}&nbsp;{{}}&nbsp;{{:.3g}} %</span>'
+    seen = {*layers.seen, FAILED}
+    regions = zip((*layers.names, FAILED), (*layers.colours, FAILED_FILL), layers.shares.tolist(), strict=True)
+    entries = [
+        swatch.format(colour, escape(name), 100.0 * share) for name, colour, share in regions if share and name in seen
+    ]
+    if len(entries) > _LISTED:
+        entries[_LISTED:] = [f"and {len(entries) - _LISTED} more"]
+    if len(layers.doubts) and len(layers.view.axes) > 1:
+        entries.append(f"● undecided: {len(layers.doubts):,} cells")
+    return " &nbsp; ".join([*entries, *map(escape, notes)])
+
+
+def _names(regions: Codes, layers: Layers, x: Floats, y: Floats) -> list[tuple[str, float, float]]:
+    """Names in the roomiest part of their largest region, where they have room, and where that is."""
+    regions, x, y = regions[::_SKIP, ::_SKIP], x[::_SKIP], y[::_SKIP]
+    names = []
+    for name in layers.seen:
+        parts, count = ndimage.label(regions == layers.names.index(name))
+        if not count:
+            continue
+        largest = 1 + int(np.argmax(np.bincount(parts.ravel())[1:]))
+        rows, columns = ndimage.find_objects(parts)[largest - 1]
+        centre = roomiest(parts[rows, columns] == largest, _WIDTH * (len(name) + 1), _HEIGHT)
+        if centre is not None:
+            column, row = columns.start + int(centre[0]), rows.start + int(centre[1])
+            names.append((name, float(x[column]), float(y[row])))
+    return names
+
+
+def _pixel_centres(axis: ResultAxis) -> Floats:
+    """Centres of an image's pixels along an ascending axis, in its unit."""
+    to, back = ruler(axis)
+    edges = np.linspace(to(axis.values[0]), to(axis.values[-1]), _PIXELS + 1)
+    return np.asarray(back(0.5 * (edges[1:] + edges[:-1])), np.float64)
 
 
 def _range(axis: ResultAxis) -> Range1d:
     low, high = float(axis.values.min()), float(axis.values.max())
-    if low == high:
-        half = 0.5 * (abs(low) or 1.0)
-        low, high = low - half, high + half
     return Range1d(low, high, bounds=(low, high))

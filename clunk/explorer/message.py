@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.resources import files
 from typing import Any
 
 from bokeh.models import ColumnDataSource, CustomJS, Model
 
-Changes = Mapping[str, Mapping[str, Any]]  # name of a model -> property -> value
+Changes = dict[str, Mapping[str, Any]]  # name of a model -> property -> value
+
+# The server, which asks for it, need not hear of the changes again.
+_CHANGE = "for (const [name, [values]] of Object.entries(cb_obj.data)) models[name].setv(values, {sync: false});"
 
 
 class Message:
@@ -18,9 +20,9 @@ class Message:
     source : what carries them; it has to be in the document
     """
 
-    def __init__(self, **models: Model) -> None:
+    def __init__(self, models: Mapping[str, Model]) -> None:
         self.source = ColumnDataSource(data={})
-        self.source.js_on_change("data", CustomJS(args={"models": models}, code=asset("message.js")))
+        self.source.js_on_change("data", CustomJS(args={"models": dict(models)}, code=_CHANGE))
 
     def send(self, changes: Changes) -> None:
         """Change the models in the browser."""
@@ -32,6 +34,6 @@ def source(*names: str) -> ColumnDataSource:
     return ColumnDataSource(data={name: [] for name in names})
 
 
-def asset(name: str) -> str:
-    """Text of a file of the explorer."""
-    return files(__package__).joinpath(name).read_text("utf-8")
+def columns(names: str, rows: list[tuple[Any, ...]]) -> Mapping[str, Any]:
+    """The data of a source with columns of these names, separated by blanks."""
+    return {"data": {name: [row[k] for row in rows] for k, name in enumerate(names.split())}}

@@ -1,8 +1,10 @@
-"""The figures of runs: load, lash coordinate, acceleration and contact torque over one time axis."""
+"""The right half of the page: the run that is shown and those that are pinned, in figures, texts and a table."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
+from html import escape
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,16 +12,28 @@ from bokeh.events import Reset
 from bokeh.models import BoxAnnotation, DataRange1d, Div, Range1d, Span
 from bokeh.plotting import figure
 
-from clunk.explorer.curves import thinned
-from clunk.explorer.mapfigure import RUN_COLOURS
-from clunk.explorer.message import Changes, Message, source
+from clunk.explorer.mapfigure import RUN_COLOURS, Cell
+from clunk.explorer.message import Changes, Message, columns, source
 from clunk.plot.style import FAINT_INK, INK
 from clunk.simulation.history import History
 from clunk.study.arrays import Floats
+from clunk.study.summaries import html_table
 
 _COLUMNS = 800  # spans of time that a screen tells apart
 _MOST_ARROWS = 12  # impacts; more arrows than these would hide the curve
+_TEXT = 0.13  # of the width of a panel, that the text of an arrow takes on a narrow screen
 _LEFT, _RIGHT = 72, 32  # pixels beside all panels, so that their time axes lie under each other
+_WIDE: dict[str, Any] = {"sizing_mode": "stretch_width", "margin": (2, 6, 2, 6)}
+
+
+class Shown(NamedTuple):
+    """A run on the page, with what it takes to make it again."""
+
+    cell: Cell
+    values: dict[str, float]  # of all axes
+    numbers: dict[str, float]
+    history: History
+    place: str  # values and numbers in words
 
 
 class _Panel(NamedTuple):
@@ -39,16 +53,24 @@ _PANELS = (
 
 
 class RunFigures:
-    """Panels of one run and of those that are pinned beside it, thinned anew for what the time axis shows.
+    """Panels, header and event table of one run and of those that are pinned beside it.
 
-    texts : by name, what is written beside the panels
+    Curves are thinned anew for what the time axis shows.
+
+    load_step : its time  [s]
+    header, compared, events : texts above and below the figures
+    message : carries what changes
     """
 
-    def __init__(self, **texts: Div) -> None:
+    def __init__(self, load_step: float) -> None:
+        self._load_step = load_step
+        self.header = Div(name="header", height=62, styles={"overflow": "hidden", "flex": "none"}, **_WIDE)
+        self.compared = Div(name="compared", styles={"flex": "none"}, **_WIDE)
+        self.events = Div(name="events", styles={"overflow-y": "auto", "font-size": "12px"}, **_WIDE)
+        self.events.update(sizing_mode="stretch_both", min_height=80, max_height=170)
         self._runs: Sequence[History] = []
         self._time = Range1d(0.0, 1.0)
         self._whole = self._span = (0.0, 1.0)  # times of the runs, and those that are seen
-        self._steps: list[Span] = []
         # all curves of all panels in one source
         self._curves = source(*(f"{panel.name}_{axis}" for panel in _PANELS for axis in "xy"), "colour")
         unit = [[0.0, 1.0]]  # a line to begin with: without any, ranges are complained of in the browser's console
@@ -71,10 +93,10 @@ class RunFigures:
         acceleration.text("x", "high", "text", source=arrows, **text)
         for name in ("start", "end"):
             self._time.on_change(name, self._on_zoom)
-        sources = {"curves": self._curves, "flanks": flanks, "touches": touches, "arrows": arrows}
-        self._marks = {name: list(source.data) for name, source in sources.items() if name != "curves"}
-        self._message = Message(time=self._time, gap=gap, **sources, **texts)
-        lash.tags = [self._message.source]  # a part of the page that is not drawn
+        models = {"time": self._time, "gap": gap, "curves": self._curves, "flanks": flanks, "touches": touches}
+        models |= {"arrows": arrows, "header": self.header, "compared": self.compared, "events": self.events}
+        self.message = Message(models)
+        lash.tags = [self.message.source]  # a part of the page that is not drawn
 
     def _figure(self, panel: _Panel) -> Any:
         plot = figure(
@@ -106,78 +128,137 @@ class RunFigures:
             plot.xaxis.axis_label = "time [s]"
         else:
             plot.xaxis.visible = False
-        step = Span(location=0.0, dimension="height", line_color=FAINT_INK, line_dash="dotted", line_width=1.0)
+        step = Span(
+            location=self._load_step, dimension="height", line_color=FAINT_INK, line_dash="dotted", line_width=1.0
+        )
         plot.add_layout(step)
-        self._steps.append(step)
         plot.multi_line(f"{panel.name}_x", f"{panel.name}_y", source=self._curves, color="colour", line_width=1.4)
-        plot.on_event(Reset, lambda _: self._message.send({**self._see(self._whole), **self._drawn()}))
+        plot.on_event(Reset, lambda _: self.message.send({**self._see(self._whole), **self._drawn()}))
         return plot
 
-    def show(self, runs: Sequence[History], **texts: str) -> None:
-        """Show a run and those that are pinned, and texts; the time axis stays as the user has zoomed it."""
-        self._runs = runs
-        changes: dict[str, dict[str, Any]] = {name: {"text": text} for name, text in texts.items()}
-        if runs:
-            whole = float(min(run.time[0] for run in runs)), float(max(run.time[-1] for run in runs))
-            if self._span == self._whole:
-                changes |= self._see(whole)
-            self._whole = whole
-            for step in self._steps:
-                step.location = runs[0].study.load.step_time
-            half = 1e3 * runs[0].half_gap
-            changes |= {"gap": {"bottom": -half, "top": half}, **self._marks_of(runs[0])}
-        else:
-            changes |= {name: {"data": {column: [] for column in columns}} for name, columns in self._marks.items()}
-        self._message.send({**changes, **self._drawn()})
+    def show(self, run: Shown, pins: Sequence[Shown], lash: int, note: str) -> None:
+        """Show the motion of one lash in a run, with a note, and in those that are pinned.
 
-    def _see(self, span: tuple[float, float]) -> dict[str, dict[str, Any]]:
+        The time axis stays as the user has zoomed it.
+        """
+        self._runs = [each.history.lashes[lash] for each in (run, *pins)]
+        whole = float(min(each.time[0] for each in self._runs)), float(max(each.time[-1] for each in self._runs))
+        changes: Changes = self._see(whole) if self._span == self._whole else {}
+        self._whole = whole
+        first = self._runs[0]
+        half = 1e3 * first.half_gap
+        trajectory = first.trajectory
+        facts = [*filter(None, [note]), *(f"{name} {text}" for name, text in trajectory.outcome() if name != "label")]
+        label = f'<span style="font-size: 20px; font-weight: bold">{escape(trajectory.label)}</span>'
+        headings, *events = trajectory.event_table()
+        ending = (f"{trajectory.end:.7f}", f"end: {trajectory.ending}", *[""] * (len(headings) - 2))
+        pinned = zip(pins, self._runs[1:], RUN_COLOURS[1:], strict=False)
+        lines = [
+            f'<span style="color: {colour}">■</span> {escape(f"{pin.place}: {_outcome(history)}")}'
+            for pin, history, colour in pinned
+        ]
+        changes |= {
+            "gap": {"bottom": -half, "top": half},
+            "header": {"text": f"{label} &nbsp; {escape(run.place)}<br>{escape(' · '.join(facts))}"},
+            "compared": {"text": "<br>".join(lines)},
+            "events": {"text": html_table([*events, ending], headings)},
+        }
+        self.message.send({**changes, **self._marks(), **self._drawn()})
+
+    def refuse(self, text: str) -> None:
+        """Show no run, and why."""
+        self._runs = []
+        texts: Changes = {"header": {"text": f"<b>no run</b>: {escape(text)}"}, "events": {"text": ""}}
+        empty: Changes = {"flanks": columns("x y text baseline", [])}
+        empty["touches"] = columns("x y angle fill colour size", [])
+        self.message.send({**texts, **empty, **self._drawn()})
+
+    def _see(self, span: tuple[float, float]) -> Changes:
         """Let the time axis begin and end at these times."""
         self._span = span
         return {"time": {"start": span[0], "end": span[1]}}
 
     def _on_zoom(self, _attribute: str, _old: float, _new: float) -> None:
         self._span = float(self._time.start), float(self._time.end)
-        self._message.send(self._drawn())
+        self.message.send(self._drawn())
 
     def _drawn(self) -> Changes:
-        """The curves of all runs within what the time axis shows."""
+        """The curves of all runs, and the arrows of the one that is shown, within what the time axis shows."""
         begin, end = self._span
         shown = list(zip(self._runs, RUN_COLOURS, strict=False))[::-1]
         data: dict[str, list[Any]] = {"colour": [colour for _, colour in shown]}
         for panel in _PANELS:
             curves = [thinned(run.time, panel.values(run), begin, end, _COLUMNS) for run, _ in shown]
             data[f"{panel.name}_x"], data[f"{panel.name}_y"] = [x for x, _ in curves], [y for _, y in curves]
-        return {"curves": {"data": data}}
+        return {"curves": {"data": data}, "arrows": self._arrows()}
 
-    def _marks_of(self, run: History) -> dict[str, dict[str, Any]]:
-        """Flanks, touches and Q_i of the run that is shown."""
+    def _arrows(self) -> Mapping[str, Any]:
+        """Each Q_i at its arrow; of those that would overlap, the largest are written."""
+        run = self._runs[0] if self._runs else None
+        impacts = [] if run is None or run.is_restitution else run.impacts
+        impacts = [each for each in impacts if each.rows.stop > each.rows.start]
+        width = self._span[1] - self._span[0]
+        written: list[float] = []
+        arrows = []
+        for each in sorted(impacts, key=lambda impact: -impact.severity) if len(impacts) <= _MOST_ARROWS else []:
+            is_apart = all(abs(each.begin - other) > _TEXT * width for other in written)
+            if is_apart:
+                written.append(each.begin)
+            text = f"Q{each.number} = {each.severity:.0f}" if is_apart else ""
+            arrows.append((each.begin + 0.012 * width, each.smallest, each.largest, text))
+        return columns("x low high text", arrows)
+
+    def _marks(self) -> Changes:
+        """Flanks and touches of the run that is shown."""
+        run = self._runs[0]
         half, side = 1e3 * run.half_gap, run.trajectory.initial_side
         names = {side * half: "initial flank", -side * half: "opposite flank"} if half > 0.0 else {0.0: "no gap"}
+        flanks = [(self._whole[0], y, name, "top" if y > 0.0 else "bottom") for y, name in names.items()]
         on_top = np.argsort(run.touches.primary, kind="stable")  # primary ones last
         row, sides, primary = (each[on_top] for each in run.touches[:3])
-        offset = 0.012 * (self._whole[1] - self._whole[0])
-        impacts = [] if run.is_restitution else [each for each in run.impacts if each.rows.stop > each.rows.start]
-        impacts = impacts if len(impacts) <= _MOST_ARROWS else []
-        marks: dict[str, dict[str, Any]] = {
-            "flanks": {
-                "x": [self._whole[0]] * len(names),
-                "y": list(names),
-                "text": list(names.values()),
-                "baseline": ["top" if y > 0.0 else "bottom" for y in names],
-            },
-            "touches": {
-                "x": run.time[row],
-                "y": 1e3 * run.backlash_coordinate[row],
-                "angle": np.where(sides > 0, 0.0, np.pi),
-                "fill": [RUN_COLOURS[0] if each else "white" for each in primary],
-                "colour": [RUN_COLOURS[0]] * row.size,
-                "size": np.where(primary, 10, 6),
-            },
-            "arrows": {
-                "x": [each.begin + offset for each in impacts],
-                "low": [each.smallest for each in impacts],
-                "high": [each.largest for each in impacts],
-                "text": [f"Q{each.number} = {each.severity:.0f}" for each in impacts],
-            },
+        touches = {
+            "x": run.time[row],
+            "y": 1e3 * run.backlash_coordinate[row],
+            "angle": np.where(sides > 0, 0.0, np.pi),
+            "fill": np.where(primary, RUN_COLOURS[0], "white").tolist(),
+            "colour": [RUN_COLOURS[0]] * row.size,
+            "size": np.where(primary, 10, 6),
         }
-        return {name: {"data": columns} for name, columns in marks.items()}
+        return {"flanks": columns("x y text baseline", flanks), "touches": {"data": touches}}
+
+
+def _outcome(history: History) -> str:
+    """Label and severity of a run."""
+    severity = history.trajectory.severity
+    return history.trajectory.label + ("" if math.isnan(severity) else f", Q = {severity:.1f} rad/s²")
+
+
+def thinned(time: Floats, values: Floats, begin: float, end: float, columns: int) -> tuple[Floats, Floats]:
+    """The part of a curve between two times, with no more points than a screen tells apart.
+
+    Each of `columns` equal spans of time keeps its first and last point and its extremes, so that no peak is lost and
+    nothing moves by more than a span.
+
+    Parameters
+    ----------
+    time, values : (M,) float64
+        Time does not decrease.
+    begin, end : float
+        One point beyond each is kept, so that the line leaves the picture as it should.
+    columns : int
+
+    Returns
+    -------
+    time, values : (m,) float64, m at most 4 columns + 8
+    """
+    first = max(0, int(np.searchsorted(time, begin)) - 1)
+    last = min(time.size, int(np.searchsorted(time, end, side="right")) + 1)
+    time, values = time[first:last], values[first:last]
+    if time.size <= 4 * columns or not end > begin:
+        return time, values
+    column = np.clip(np.floor((time - begin) * (columns / (end - begin))), -1, columns).astype(np.int64)
+    starts = np.flatnonzero(np.diff(column, prepend=column[0] - 1))
+    stops = np.append(starts[1:], time.size)
+    by_value = np.lexsort((values, column))  # within each span ascending; spans stay where they are
+    kept = np.unique(np.concatenate([starts, stops - 1, by_value[starts], by_value[stops - 1]]))
+    return time[kept], values[kept]

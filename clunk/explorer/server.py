@@ -13,8 +13,6 @@ import socket
 import threading
 import webbrowser
 from html import escape
-from importlib.resources import files
-from typing import TYPE_CHECKING, Any
 
 from clunk.explorer.subject import ExplorerError, Subject
 from clunk.results.files import reason
@@ -22,24 +20,22 @@ from clunk.results.tolerancemap import AnyMap
 from clunk.sweeping.progress import in_notebook
 
 try:
-    from bokeh.settings import settings
+    from bokeh.application import Application
+    from bokeh.application.handlers.function import FunctionHandler
+    from bokeh.document import Document
+    from bokeh.server.server import BaseServer
+    from bokeh.server.tornado import BokehTornado
     from tornado.httpserver import HTTPServer
     from tornado.httputil import HTTPHeaders
     from tornado.ioloop import IOLoop
-    from tornado.routing import AnyMatches, PathMatches, Rule, RuleRouter
-    from tornado.template import Template
-    from tornado.web import Application, OutputTransform, RequestHandler, StaticFileHandler
+    from tornado.web import OutputTransform
+
+    from clunk.explorer.workbench import Workbench
 except ModuleNotFoundError as error:
     needs = f"The explorer needs Bokeh, which is not installed (no {error.name})"
     raise ExplorerError(f"{needs}: pip install 'clunk[explore]'") from error
 
-if TYPE_CHECKING:
-    from bokeh.document import Document
-    from bokeh.server.server import BaseServer
-
 HOST = "127.0.0.1"
-_SCRIPTS = ("bokeh", "bokeh-widgets")  # without those for tables, WebGL and TeX
-_DRAWN = "drawn"  # last part of the address at which Bokeh answers
 _HEADERS = {
     # Bokeh's own scripts make functions of the texts of callbacks, and styles within the page
     "Content-Security-Policy": "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; "
@@ -63,20 +59,6 @@ class _Headers(OutputTransform):
         for name, value in _HEADERS.items():
             headers[name] = value
         return status_code, headers, chunk
-
-
-class _Opening(RequestHandler):
-    """The frame of the page: the browser has its scripts, of a megabyte, while the server imports what draws in it."""
-
-    async def get(self) -> None:
-        """Write the head, and once Bokeh answers the rest."""
-        page = Template(files(__package__).joinpath("page.html").read_text("utf-8"))
-        self.write(page.generate(title=self.settings["title"], scripts=_SCRIPTS))
-        await self.flush()
-        await asyncio.shield(self.settings["attached"])
-        path = f"/{self.settings['token']}/{_DRAWN}"
-        script = f"{path}/autoload.js?resources=none&bokeh-autoload-element=page&bokeh-app-path={path}"
-        self.finish(f'<script src="{escape(script)}"></script></body></html>')
 
 
 class Explorer:
@@ -113,46 +95,28 @@ class Explorer:
 
     async def _serve(self) -> None:
         self._loop, self._is_stopped = asyncio.get_running_loop(), asyncio.Event()
-        router = RuleRouter([])
-        http = HTTPServer(router)
-        attached = asyncio.create_task(self._attach(router, http))
-        options: dict[str, Any] = {"title": f"clunk: {self._subject.title}", "token": self._token, "attached": attached}
-        static = (rf"/{self._token}/static/(.*)", StaticFileHandler, {"path": settings.bokehjs_path()})
-        opening = Application([(rf"/{self._token}/", _Opening), static], transforms=[_Headers], **options)
-        router.add_rules([Rule(PathMatches(rf"/{self._token}/(static/.*)?"), opening)])
+        pages = BokehTornado(
+            {"/": Application(FunctionHandler(self._open))},
+            prefix=self._token,
+            extra_websocket_origins=[f"{HOST}:{self.port}"],
+            transforms=[_Headers],
+        )
+        http = HTTPServer(pages)
         http.add_socket(self._socket)
+        server = BaseServer(IOLoop.current(), pages, http)
+        server.start()
         self._has_started.set()
         await self._is_stopped.wait()
-        server = await attached
         server.stop()
         await asyncio.sleep(0.1)
         await http.close_all_connections()
 
-    async def _attach(self, router: RuleRouter, http: HTTPServer) -> BaseServer:
-        """Let Bokeh answer, once it is imported."""
-        await asyncio.to_thread(_import_pages)
-        from bokeh.application import Application as Pages
-        from bokeh.application.handlers.function import FunctionHandler
-        from bokeh.server.server import BaseServer
-        from bokeh.server.tornado import BokehTornado
-
-        pages = BokehTornado(
-            {f"/{_DRAWN}": Pages(FunctionHandler(self._open))},
-            prefix=self._token,
-            extra_websocket_origins=[f"{HOST}:{self.port}"],
-            transforms=[_Headers],
-            use_index=False,
-        )
-        router.add_rules([Rule(AnyMatches(), pages)])
-        server = BaseServer(IOLoop.current(), pages, http)
-        server.start()
-        return server
-
     def _open(self, document: Document) -> None:
-        from clunk.explorer.page import Page
-
-        page = Page(document, self._subject)
-        document.on_session_destroyed(lambda _: page.close())
+        document.title = f"clunk: {self._subject.title}"
+        arguments = document.session_context.request.arguments.items()
+        link = {name: values[-1].decode("utf-8", "replace") for name, values in arguments}
+        workbench = Workbench(document, self._subject, link)
+        document.on_session_destroyed(lambda _: workbench.close())
 
     def open_browser(self) -> None:
         """Open the page in the user's browser."""
@@ -206,15 +170,7 @@ def explore(
     >>> explorer = clunk.explore(results, browser=False)
     >>> explorer.stop()
     """
-    explorer = Explorer(Subject.of(results, name), port)
+    explorer = Explorer(Subject(results, name), port)
     if browser or (browser is None and not in_notebook()):
         explorer.open_browser()
     return explorer
-
-
-def _import_pages() -> None:
-    """Import in a thread what takes a second, so that the server sends scripts meanwhile."""
-    from importlib import import_module
-
-    for module in ("bokeh.server.tornado", "clunk.explorer.page"):
-        import_module(module)

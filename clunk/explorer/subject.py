@@ -1,22 +1,33 @@
-"""Subject of the explorer: results, and which of their axes a map of them has; of a single cell only its run.
-
-It imports nothing that runs, validates or draws: the stored map is on the page before these are there.
-"""
+"""Subject of the explorer: results and their study, the axes of the map, and maps and runs with other numbers."""
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
 
+import numpy as np
+
+from clunk.analysis.boundaries import BoundaryError, with_boundaries
 from clunk.results.labels import FAILED
 from clunk.results.maps import parameters_of, values_at
+from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import AnyMap, ToleranceMap
+from clunk.simulation.history import History, sample, shown_until
+from clunk.simulation.trajectory import simulate
 from clunk.study.axes import LASH, RUN, ResultAxis
+from clunk.study.config import study_from_text
+from clunk.study.designs import Column, Design, design_of, has_tolerances, nominal
 from clunk.study.errors import ClunkError
+from clunk.study.parameters import nominal_value
+from clunk.study.study import Study, replace_values, to_toml
+from clunk.study.sweeps import Axis, Sweep
+from clunk.sweeping.progress import Progress
+from clunk.sweeping.sweep import sweep
 
 _USUAL = ("load.ratio", "lash.backlash_deg")  # stay on the map where there are more axes
+_MOST_RUNS = 80_000  # along the boundaries of a map, a second or so
+_COARSE = 31  # values of an axis, of the map that is shown first
 
 Numbers = Mapping[str, float]  # dotted key -> value, in its unit
 
@@ -25,82 +36,133 @@ class ExplorerError(ClunkError):
     """Something that cannot be explored; its text is one sentence for the user."""
 
 
-@dataclass(frozen=True, eq=False)
 class Subject:
-    """Results, and the axes of the map.
+    """Results, the axes of the map, and what is computed with other numbers than the config's.
 
     results : of all axes and lashes
-    name : for files that are saved
+    name : for the config that is saved
+    study : its sweep included, without tolerances
+    plane : the axes of the map, x first: two, one where no more than one changes, or none where there is one cell
+    slices : the further axes, of which the map shows one value each
+    swept : the parameters that differ from cell to cell
+
+    Raises ExplorerError where no run can be made of a cell, ConfigError where the config is not allowed any more.
     """
 
-    results: AnyMap
-    name: str
-
-    @classmethod
-    def of(cls, results: AnyMap, name: str | os.PathLike[str] = "map") -> Subject:
-        """The subject of some results. Raises ExplorerError where no run can be made of a cell."""
+    def __init__(self, results: AnyMap, name: str | os.PathLike[str] = "map") -> None:
         if not results.config:
             raise ExplorerError("These results have no config, so that no run can be made of a cell.")
-        return cls(results, str(name))
-
-    @property
-    def title(self) -> str:
-        """Title of the results."""
-        return self.results.title.strip() or "Impact regimes"
-
-    @cached_property
-    def plane(self) -> tuple[ResultAxis, ...]:
-        """The axes of the map, x first: two, one where no more than one changes, or none where there is one cell."""
-        ranked = sorted(self._changing, key=lambda axis: (axis.parameter == RUN, axis.parameter not in _USUAL))
+        self.results, self.name = results, str(name)
+        self.title = results.title.strip() or "Impact regimes"
+        self._toleranced = study_from_text(results.config, "the results' config")
+        self.study = nominal(self._toleranced)
+        self._axes = tuple(axis for axis in results.axes if axis.parameter != LASH)
+        changing = [axis for axis in self._axes if len(axis.values) > 1]
+        ranked = sorted(changing, key=lambda axis: (axis.parameter == RUN, axis.parameter not in _USUAL))
         chosen = [axis for k, axis in enumerate(ranked[:2]) if k == 0 or axis.parameter != RUN]  # runs have no order
-        return tuple(sorted(chosen, key=lambda axis: (axis.parameter != "load.ratio", self._axes.index(axis))))
+        chosen.sort(key=lambda axis: (axis.parameter != "load.ratio", self._axes.index(axis)))
+        self.plane = tuple(chosen)
+        self.slices = tuple(axis for axis in changing if axis not in self.plane)
+        swept = (axis for axis in results.parameters if axis.parameter != LASH)
+        self.swept = tuple(axis for axis in swept if len(axis.values) > 1)
 
-    @cached_property
-    def slices(self) -> tuple[ResultAxis, ...]:
-        """The further axes, of which the map shows one value each."""
-        return tuple(axis for axis in self._changing if axis not in self.plane)
+    def number(self, key: str) -> float:
+        """The config's own value of a key; NaN where it has none."""
+        return nominal_value(self.study, key) if key != RUN else math.nan
 
-    @cached_property
-    def fixed(self) -> dict[str, float]:
-        """Values of the keys that are axes of one value."""
-        alone = [axis for axis in self._axes if axis not in self._changing and axis.parameter != RUN]
-        return {axis.parameter: float(axis.values[0]) for axis in alone}
-
-    @property
-    def swept(self) -> tuple[ResultAxis, ...]:
-        """The parameters that differ from cell to cell."""
-        return tuple(axis for axis in self.results.parameters if len(axis.values) > 1 and axis.parameter != LASH)
-
-    @property
-    def has_runs(self) -> bool:
-        """Whether some parameters lie together along `run`."""
-        return any(axis.parameter == RUN for axis in self.results.axes)
-
-    def stored(self, slices: Numbers) -> AnyMap:
-        """The stored map at values of the further axes."""
-        return self.results.at(slices) if slices else self.results
+    def values(self, cell: Numbers) -> dict[str, float]:
+        """Values of the swept keys in a cell, from values of the axes, `run` included."""
+        swept = values_at(self._axes, _position(self._axes, cell), self.results.coordinates)
+        names = [axis.parameter for axis in parameters_of(self._axes, self.results.coordinates)]
+        return dict(zip(names, swept, strict=True))
 
     def likelihood(self, cell: Numbers, lash: str) -> str:
         """The probability of each label in a cell of a tolerance map; empty for a regime map."""
         if not isinstance(self.results, ToleranceMap):
             return ""
         part = self.results.of_lash(lash)
-        at = tuple(axis.nearest(cell.get(axis.parameter, axis.values[0])) for axis in part.axes)
-        shares = zip((*part.labels, FAILED), part.probability[at].tolist(), strict=True)
+        shares = zip((*part.labels, FAILED), part.probability[_position(part.axes, cell)].tolist(), strict=True)
         likely = sorted(((share, label) for label, share in shares if share), reverse=True)
         return f"of {part.draws:,} draws: " + ", ".join(f"{label} {100.0 * share:.3g} %" for share, label in likely)
 
-    def values(self, cell: Numbers) -> dict[str, float]:
-        """Values of the swept keys in a cell, from values of the axes, `run` included."""
-        at = [axis.nearest(cell.get(axis.parameter, axis.values[0])) for axis in self._axes]
-        swept = values_at(self._axes, at, self.results.coordinates)
-        names = [axis.parameter for axis in parameters_of(self._axes, self.results.coordinates)]
-        return dict(zip(names, swept, strict=True))
+    def run(self, cell: Numbers, numbers: Numbers) -> History:
+        """The motion in a cell, with other numbers. Raises SimulationError, ConfigError."""
+        trajectory = simulate(self._study_at(cell, numbers))
+        load_step = trajectory.study.load.step_time
+        limit = load_step + trajectory.study.solver.end_time
+        return sample(trajectory, until=min(max(shown_until(trajectory), load_step + trajectory.end), limit))
 
-    @cached_property
-    def _changing(self) -> tuple[ResultAxis, ...]:
-        return tuple(axis for axis in self._axes if len(axis.values) > 1)
+    def config(self, cell: Numbers, numbers: Numbers) -> str:
+        """TOML with which `clunk sweep` gives the map that is shown, and `clunk simulate` the run of the cell."""
+        if not self.plane:
+            return to_toml(self._study_at(cell, numbers))
+        swept, whole = self._study_of_map(cell, numbers).sweep, self._toleranced.sweep
+        if has_tolerances(self._toleranced) and not numbers:
+            assert swept is not None
+            assert whole is not None
+            swept = swept.model_copy(update={"tolerances": whole.tolerances, "sampling": whole.sampling})
+        return to_toml(self._study_at(cell, numbers).model_copy(update={"sweep": swept}))
 
-    @cached_property
-    def _axes(self) -> tuple[ResultAxis, ...]:
-        return tuple(axis for axis in self.results.axes if axis.parameter != LASH)
+    def coarse_map(self, slices: Numbers, numbers: Numbers, progress: Progress) -> Results | None:
+        """The map of every few values of its axes; None where all are few, or the axes are walked together."""
+        if self._has_runs or all(len(axis.values) <= _COARSE for axis in self.plane):
+            return None
+        study = self._study_of_map(slices, numbers)
+        columns = []
+        for k, column in enumerate(design_of(study).columns):
+            last = len(column.values) - 1
+            few = np.unique(np.rint(np.linspace(0, last, min(last + 1, _COARSE))).astype(np.intp))
+            columns.append(Column(column.parameter, k, column.values[few]))
+        shape = tuple(len(column.values) for column in columns)
+        return sweep(study, Design(shape, tuple(columns)), progress=progress)
+
+    def full_map(self, slices: Numbers, numbers: Numbers, progress: Progress) -> Results:
+        """The map at all values of its axes."""
+        results = sweep(self._study_of_map(slices, numbers), progress=progress)
+        return results.at(slices) if self._has_runs else results
+
+    def traced_map(self, slices: Numbers, numbers: Numbers, full: Results, lash: str, progress: Progress) -> AnyMap:
+        """The full map with its boundaries, where the exact method traces them quickly; else as it is."""
+        if len(full.of_lash(lash).axes) != 2 or self.study.solver.method != "exact":
+            return full
+
+        def count(runs: int, total: int) -> None:
+            progress(runs, total)
+            if runs > _MOST_RUNS:
+                raise BoundaryError("The boundaries of this map take too many runs to follow a slider.")
+
+        study = self._study_of_map(slices, numbers)
+        try:
+            return with_boundaries(study, full, lash=lash if full.lashes else None, progress=count)
+        except BoundaryError:
+            return full
+
+    @property
+    def _has_runs(self) -> bool:
+        return any(axis.parameter == RUN for axis in self._axes)
+
+    def _study_at(self, cell: Numbers, numbers: Numbers) -> Study:
+        alone = self.study.model_copy(update={"sweep": None})
+        return replace_values(alone, {**self.values(cell), **numbers})
+
+    def _study_of_map(self, cell: Numbers, numbers: Numbers) -> Study:
+        """The study whose sweep is the map that is shown, at a cell's values of the other axes."""
+        shown = {axis.parameter for axis in self.plane}
+        fixed = {key: value for key, value in self.values(cell).items() if key not in shown}
+        if self._has_runs:
+            fixed = {axis.parameter: fixed[axis.parameter] for axis in self._axes if axis.parameter in fixed}
+        study = replace_values(self.study.model_copy(update={"sweep": None}), {**fixed, **numbers})
+        assert self.study.sweep is not None
+        axes = tuple(axis for axis in self.study.sweep.axes if axis.parameter in shown)
+        return study.model_copy(update={"sweep": self.study.sweep if self._has_runs else Sweep(axes=axes)})
+
+
+def of_one_cell(study: Study) -> Study:
+    """A study without a sweep as one of a single cell, so that it has results."""
+    key = "solver.end_time"  # any key does that every study has
+    axis = Axis(parameter=key, values=(nominal_value(study, key),))
+    return study.model_copy(update={"sweep": Sweep(axes=(axis,))})
+
+
+def _position(axes: tuple[ResultAxis, ...], cell: Numbers) -> tuple[int, ...]:
+    return tuple(axis.nearest(cell.get(axis.parameter, axis.values[0])) for axis in axes)

@@ -1,59 +1,100 @@
-"""The workbench around the map: what is asked for with pointer, keys and widgets, and where it is shown."""
+"""The page: a map, what is asked for with pointer, keys and widgets, and where it is shown."""
 
 from __future__ import annotations
 
+import logging
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING
+from html import escape
+from pathlib import PurePath
 
-from bokeh.events import MouseLeave, PointEvent
-from bokeh.models import Button, Select, Toggle
+from bokeh.document import Document
+from bokeh.events import (
+    ConnectionLost,
+    DocumentEvent,
+    DocumentReady,
+    DoubleTap,
+    MouseLeave,
+    MouseMove,
+    PointEvent,
+    Press,
+    Tap,
+)
+from bokeh.models import Button, ColumnDataSource, CustomJS, Div, Model, Pane, Select, UIElement
 
-from clunk.analysis.small_gap import thresholds_of
 from clunk.explorer.controls import CellBoxes, Controls
-from clunk.explorer.mapfigure import RUN_COLOURS, Mark
+from clunk.explorer.mapfigure import RUN_COLOURS, Cell, MapFigure
+from clunk.explorer.message import Changes, Message
 from clunk.explorer.newest import Newest, Request
-from clunk.explorer.page import CLICKS, box
-from clunk.explorer.pictures import Picture, picture_of
-from clunk.explorer.runpanel import RunPanel
-from clunk.explorer.saving import NAMES, Cell, Shown, download
-from clunk.explorer.variations import Variations
+from clunk.explorer.runfigures import RunFigures, Shown
+from clunk.explorer.subject import Subject
 from clunk.plot.layers import hardness
 from clunk.plot.plane import number_text, value_text
 from clunk.results.labels import FAILED
-from clunk.results.maps import share
 from clunk.results.quantities import LABEL, TEXT, quantities_of
-from clunk.results.tolerancemap import CERTAIN, AnyMap, ToleranceMap
-from clunk.simulation.energy import balance
+from clunk.results.tolerancemap import AnyMap, ToleranceMap
 from clunk.study.errors import ClunkError
+from clunk.sweeping.cells import compiling_note, warm_up
 
-if TYPE_CHECKING:
-    from clunk.explorer.page import Page
-
+_CLICKS = (Tap, DoubleTap, Press)  # quick ones, wherever they are, and slow ones are other events to Bokeh
 _PINS = len(RUN_COLOURS) - 1
 _ARROWS = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowDown": (0, -1), "ArrowUp": (0, 1)}
-_HELP = "   ·   click: keep a run · shift-click or p: pin it · u: unpin · arrows: next cell · f: follow"
+_HELP = "   ·   click: keep a run · shift-click or p: pin it · u: unpin · arrows: next cell · f: follow the pointer"
 _HELP_WITHOUT_MAP = "   ·   p: pin this run · u: unpin"
-_FIRST_RUN, _RUN = 10.0, 0.2  # s for which a map waits for a run at most; the first run imports much
+_FIRST_RUN, _RUN = 10.0, 0.2  # s for which a map waits for a run at most; the first may have to compile
 _OFTEN = 0.5  # s between two words of progress: for each, the browser lays the page out again, 0.1 s
-_LISTED = 12  # values in a note below the map
-_COARSE = "computing the map: every few cells are shown"
-_OWN = "the map with the config's own numbers"
+
+_KEEP_LINK = """
+const {name, value} = cb_obj.data;
+const state = new URLSearchParams([...name].map((each, k) => [each, value[k]]));
+history.replaceState(null, "", `?${state}`);
+"""
+_ENDED = """
+const banner = document.createElement("div");
+banner.id = "ended";
+banner.style = "position: fixed; inset: 0 0 auto 0; padding: 12px; z-index: 9999; text-align: center; color: white; "
+  + "background: #a13d2d; font-size: 16px";
+banner.textContent = "The explorer has ended: this page no longer answers. Start clunk explore again and open the "
+  + "address that it prints.";
+document.body.append(banner);
+"""
+_DOWNLOAD = """
+const {name: [name], text: [text]} = cb_obj.data;
+const link = document.createElement("a");
+link.href = URL.createObjectURL(new Blob([text], {type: "application/toml"}));
+link.download = name;
+link.click();
+setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+"""
+_LISTEN = """
+window.addEventListener("keydown", (event) => {
+  const target = event.composedPath()[0];
+  const known = ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "p", "u", "f", "Escape"];
+  if (["INPUT", "SELECT", "TEXTAREA"].includes(target.tagName) || target.closest?.(".noUi-target")) return;
+  if (!known.includes(event.key) || event.ctrlKey || event.metaKey || event.altKey) return;
+  event.preventDefault();
+  keys.data = {key: [event.key], steps: [event.shiftKey ? 10 : 1]};
+});
+"""
 
 
 class Workbench:
-    """Widgets around a page's map, what is shown in them, and the threads that compute it."""
+    """One page in one browser, and the threads that compute what is shown on it.
 
-    def __init__(self, page: Page, variations: Variations) -> None:
-        self._page, self._subject, self._variations = page, page.subject, variations
+    link : what a link says of the state of its page: quantity, lash, values of axes and other numbers
+    """
+
+    def __init__(self, document: Document, subject: Subject, link: Mapping[str, str]) -> None:
+        self._document, self._subject = document, subject
+        self._map = MapFigure(subject.plane) if subject.plane else None
         self._numbers: dict[str, float] = {}
         self._slices: dict[str, float] = {}
         self._is_ready = False
         self._results: AnyMap | None = None
-        self._latest: tuple[tuple[dict[str, float], dict[str, float]], AnyMap, str] | None = None
-        self._drawn = ""  # the quantity that the map shows
+        self._latest: tuple[tuple[dict[str, float], dict[str, float]], AnyMap] | None = None
+        self._follows = True
         self._cell = self._first_cell()
         self._hovered: Cell | None = None
         self._run: Shown | None = None
@@ -61,36 +102,33 @@ class Workbench:
         self._pins_next = False
         self._requested: tuple[dict[str, float], dict[str, float]] | None = None
 
-        results = self._subject.results
-        options = {"width": 260, "margin": (0, 6, 4, 6)}
+        results = subject.results
         # over one axis, labels are the colours under a curve
-        described = list(_quantities(results).items())[len(self._subject.plane) == 1 :]
-        first = described[0][0] if len(self._subject.plane) > 1 else hardness(results)
-        has_map = page.map is not None
-        self._quantity = Select(value=first, options=described, name="quantity", visible=has_map, **options)
-        self._lash = Select(value=results.lash_names[0], options=list(results.lash_names), name="of lash", **options)
-        self._lash.visible = bool(results.lashes)
-        small = {"height": 30, "margin": (0, 0, 4, 6)}
-        self._follow = Toggle(label="follow the pointer", active=True, name="follow", visible=has_map, **small)
-        self._pin = Button(label="pin this run", name="pin", **small)
-        self._unpin = Button(label="unpin", name="unpin", **small)
-        self._reset = Button(label="reset the numbers", name="reset", visible=False, **small)
-        saved = [("", "save …"), *((name, name) for name in NAMES if has_map or not name.startswith("map"))]
-        self._save = Select(value="", options=saved, name="save", width=130, **small)
-        self._panel = RunPanel()
+        described = list(_quantities(results).items())[len(subject.plane) == 1 :]
+        first = described[0][0] if len(subject.plane) > 1 else hardness(results)
+        names = list(results.lash_names)
+        self._quantity = Select(value=first, options=described, name="quantity", visible=bool(subject.plane), width=260)
+        self._lash = Select(value=names[0], options=names, name="of lash", visible=bool(results.lashes), width=260)
+        one_line = {"color": "#5b646c", "flex": "none", "overflow": "hidden", "white-space": "nowrap"}
+        look = {"sizing_mode": "stretch_width", "margin": (2, 6, 2, 6)}
+        self._status = Div(text="…", name="status", render_as_text=True, height=20, styles=one_line, **look)
+        self._figures = RunFigures(subject.study.load.step_time)
+        self._keys = ColumnDataSource(data={"key": [], "steps": []})
+        self._link = ColumnDataSource(data={})
+        self._download = ColumnDataSource(data={}, name="download")
+        models: dict[str, Model] = {"status": self._status}
+        self._message = Message(models | (self._map.models if self._map else {}))
 
-        self._newest_run = Newest("run", page.complain_soon)
-        self._newest_map = Newest("map", page.complain_soon)
-        swept = {axis.parameter for axis in self._subject.swept}
-        on_change = self._on_slice, self._on_number
-        self._controls = Controls(variations.study, self._subject.slices, swept, *on_change, shown=4 if has_map else 12)
-        self._boxes = CellBoxes(self._subject.plane, self._on_values)
+        self._newest_run = Newest("run", self._complain_soon)
+        self._newest_map = Newest("map", self._complain_soon)
+        swept = {axis.parameter for axis in subject.swept}
+        shown = 4 if self._map else 12
+        self._controls = Controls(subject.study, subject.slices, swept, self._on_slice, self._on_number, shown)
+        self._boxes = CellBoxes(subject.plane, self._on_values)
         self._boxes.show(self._cell)
-        self._listen()
+        self._listen()  # of what is listened to once it is in the document, Bokeh does not tell
         self._furnish()
-        self._restore(dict(zip(*page.link.data.values(), strict=True)) if page.link.data else {})
-        self._is_ready = True
-        self._request_both()
+        self._restore(link)
 
     def close(self) -> None:
         """End the threads."""
@@ -98,32 +136,61 @@ class Workbench:
         self._newest_map.close()
 
     def _furnish(self) -> None:
-        buttons = box("row", *self._boxes.boxes, self._pin, self._unpin, self._save, flex="none")
-        self._page.above.elements = [self._quantity, self._lash, self._follow, self._reset]
-        self._page.below.elements = [self._controls.layout]
-        self._page.right.elements = self._panel.elements(buttons)
+        save = Button(label="save the config", name="save", height=30, margin=(0, 0, 4, 6))
+        save.on_click(lambda *_: self._save())
+        title = Div(text=f"<b>{escape(self._subject.title)}</b>", name="title", styles={"font-size": "16px"})
+        drawn = [self._map.figure, self._map.legend] if self._map else []
+        room = {"height": "190px", "flex": "none"} if self._map else {"flex": "1 1 0"}
+        left = [
+            title,
+            _box("row", self._quantity, self._lash, flex="none"),
+            *drawn,
+            _box("column", self._controls.layout, overflow_y="auto", **room),
+            self._status,
+        ]
+        panels = self._figures
+        right = [
+            panels.header,
+            _box("row", *self._boxes.boxes, save, flex="none"),
+            panels.compared,
+            *panels.figures.values(),
+            panels.events,
+        ]
+        halves = [_box("column", *half, flex="1 1 0", min_width="0") for half in (left, right)]
+        roots = _box("row", *halves, height="100vh"), self._keys, self._link, self._download, self._message.source
+        for root in roots:
+            self._document.add_root(root)
 
     def _listen(self) -> None:
         self._quantity.on_change("value", lambda _attribute, _old, _new: self._request_map())
         self._lash.on_change("value", lambda _attribute, _old, _new: self._on_lash())
-        self._follow.on_change("active", lambda _attribute, _old, _new: self._hover(None))
-        self._pin.on_click(lambda *_: self._pin_run())
-        self._unpin.on_click(lambda *_: self._unpin_runs())
-        self._reset.on_click(lambda *_: self._controls.reset())
-        self._save.on_change("value", lambda _attribute, _old, name: self._save_as(name))
-        self._page.keys.on_change("data", lambda _attribute, _old, _new: self._on_key())
+        self._keys.on_change("data", lambda _attribute, _old, _new: self._on_key())
+        self._link.js_on_change("data", CustomJS(code=_KEEP_LINK))
+        self._download.js_on_change("data", CustomJS(code=_DOWNLOAD))
+        if self._map:
+            for event in (*_CLICKS, MouseMove, MouseLeave):
+                self._map.figure.on_event(event, self._on_pointer)
+        self._document.js_on_event(DocumentReady, CustomJS(args={"keys": self._keys}, code=_LISTEN))
+        self._document.js_on_event(ConnectionLost, CustomJS(code=_ENDED))
+        # the document is the browser's by then: before, what threads ask of it would come in any order
+        self._document.on_event(DocumentReady, self._begin)
+
+    def _begin(self, _event: DocumentEvent) -> None:
+        self._is_ready = True
+        self._mark()
+        self._request_both()
 
     # --- The link ----------------------------------------------------------------------------------------------------
 
-    def _restore(self, texts: Mapping[str, str]) -> None:
+    def _restore(self, link: Mapping[str, str]) -> None:
         """Show what a link says; what it says of other results is left out."""
         for select in (self._quantity, self._lash):
             known = [each if isinstance(each, str) else each[0] for each in select.options]
-            if texts.get(select.name) in known:
-                select.value = texts[select.name]
-        values = {name: value for name, text in texts.items() if math.isfinite(value := _number(text))}
+            if link.get(select.name) in known:
+                select.value = link[select.name]
+        values = {name: value for name, text in link.items() if math.isfinite(value := _number(text))}
         self._controls.set(values)
-        if self._page.map and all(axis.parameter in values for axis in self._subject.plane):
+        if self._map and all(axis.parameter in values for axis in self._subject.plane):
             self._on_values([values[axis.parameter] for axis in self._subject.plane])
 
     def _keep_link(self) -> None:
@@ -132,21 +199,21 @@ class Workbench:
         numbers = self._values(self._cell) | self._active_numbers()
         state = chosen | {key: f"{value:.12g}" for key, value in numbers.items()}
         if self._is_ready:
-            self._page.link.data = {"name": list(state), "value": list(state.values())}
+            self._link.data = {"name": list(state), "value": list(state.values())}
 
     # --- What the user does ------------------------------------------------------------------------------------------
 
-    def point(self, event: PointEvent) -> None:
+    def _on_pointer(self, event: PointEvent) -> None:
         """Follow the pointer over the map, or keep the cell that is clicked."""
-        assert self._page.map is not None
-        cell = None if isinstance(event, MouseLeave) else self._page.map.nearest(event.x, event.y)
-        if isinstance(event, CLICKS):
+        assert self._map is not None
+        cell = None if isinstance(event, MouseLeave) else self._map.nearest(event.x, event.y)
+        if isinstance(event, _CLICKS):
             if cell is not None:
                 self._pins_next = bool((event.modifiers or {}).get("shift"))
                 self._select(cell)
-        elif self._follow.active or cell is None:
+        elif self._follows or cell is None:
             self._hover(cell)
-        self._page.map.label(self._label_of(cell) if cell else "", event.x, event.y)
+        self._map.label(self._label_of(cell) if cell else "", event.x, event.y)
 
     def _label_of(self, cell: Cell) -> str:
         """The label of a cell in the map that is shown."""
@@ -170,14 +237,15 @@ class Workbench:
         self._pin_where_wanted()
 
     def _on_values(self, values: list[float]) -> None:
-        assert self._page.map is not None
-        low, high = ([limit(axis.values) for axis in self._subject.plane] for limit in (min, max))
-        cell = self._page.map.nearest(*(sorted(each)[1] for each in zip(low, values, high, strict=True)))
+        assert self._map is not None
+        axes = zip(self._subject.plane, values, strict=True)
+        within = [min(max(value, axis.values.min()), axis.values.max()) for axis, value in axes]
+        cell = self._map.nearest(*within)
         if cell is not None:
             self._select(cell)
 
     def _on_key(self) -> None:
-        (key,), (steps,) = self._page.keys.data["key"], self._page.keys.data["steps"]
+        (key,), (steps,) = self._keys.data["key"], self._keys.data["steps"]
         if key in _ARROWS:
             cell = []
             for axis, value, direction in zip(self._subject.plane, self._cell, _ARROWS[key], strict=False):
@@ -187,19 +255,20 @@ class Workbench:
             self._select(tuple(cell))
         elif key == "p":
             self._pin_run()
-        elif key in ("u", "Escape"):
-            self._unpin_runs()
         elif key == "f":
-            self._follow.active = not self._follow.active
+            self._follows = not self._follows
+            self._hover(None)
+        else:
+            self._pins = []
+            self._show_runs()
 
     def _on_lash(self) -> None:
         self._request_map()
         self._show_runs()
 
     def _on_slice(self, parameter: str, value: float) -> None:
-        if self._slices.get(parameter) != value:
-            self._slices[parameter] = value
-            self._request_both()
+        self._slices[parameter] = value
+        self._request_both()
 
     def _on_number(self, parameter: str, value: float) -> None:
         if self._numbers.get(parameter) != value:
@@ -207,61 +276,60 @@ class Workbench:
             self._request_both()
 
     def _request_both(self) -> None:
-        if self._is_ready:
-            self._request_run()
-            self._request_map()
+        self._request_run()
+        self._request_map()
 
     def _pin_run(self) -> None:
         if self._run is not None:
             self._pins = [*self._pins, self._run][-_PINS:]
-            self._mark()
             self._show_runs()
 
-    def _unpin_runs(self) -> None:
-        self._pins = []
-        self._mark()
-        self._show_runs()
+    def _save(self) -> None:
+        """Hand the browser the config of what is shown as a download."""
+        name = f"{PurePath(self._subject.name).stem or 'map'}-config.toml"
+        if self._run is not None:
+            config = self._subject.config(self._run.values, self._run.numbers)
+            self._download.data = {"name": [name], "text": [config]}
+            what = f", clunk sweep {name} the map" if self._map else ""
+            self._say(f"saved {name}: clunk simulate {name} makes this run{what}")
 
     # --- Runs --------------------------------------------------------------------------------------------------------
 
     def _first_cell(self) -> Cell:
         """The cell in which the config's own values lie, or else the middle one."""
-        at = []
+        cell = []
         for axis in self._subject.plane:
-            value = self._variations.number(axis.parameter)
-            low, high = axis.values.min(), axis.values.max()
-            at.append(float(axis.values[axis.nearest(value) if low <= value <= high else len(axis.values) // 2]))
-        return tuple(at)
+            value = self._subject.number(axis.parameter)
+            is_on_axis = axis.values.min() <= value <= axis.values.max()
+            cell.append(float(axis.values[axis.nearest(value) if is_on_axis else len(axis.values) // 2]))
+        return tuple(cell)
 
     def _values(self, cell: Cell) -> dict[str, float]:
         axes = self._subject.plane
         return {**self._slices, **{axis.parameter: value for axis, value in zip(axes, cell, strict=True)}}
 
     def _request_run(self) -> None:
-        if not self._is_ready:
-            return
         cell = self._cell if self._hovered is None else self._hovered
-        values, numbers = self._values(cell), dict(self._active_numbers())
-        if (values, numbers) == self._requested:
+        values, numbers = self._values(cell), self._active_numbers()
+        if not self._is_ready or (values, numbers) == self._requested:
             return
         self._requested = values, numbers
 
         def work(request: Request) -> None:
             try:
-                history = self._variations.run(values, numbers)
+                history = self._subject.run(values, numbers)
             except ClunkError as error:
-                self._page.soon(partial(self._refuse_run, str(error)))
+                self._soon(partial(self._refuse_run, str(error)))
                 return
             request.go_on()
-            shown = Shown(cell, values, numbers, history, balance(history.trajectory), self._place(values, numbers))
-            request.go_on()
-            self._page.soon(partial(self._show_run, shown))
+            shown = Shown(cell, values, numbers, history, self._place(values, numbers))
+            self._soon(partial(self._show_run, shown))
 
         self._newest_run.submit(work)
 
     def _refuse_run(self, text: str) -> None:
         self._run = None
-        self._panel.refuse(text)
+        self._figures.refuse(text)
 
     def _show_run(self, shown: Shown) -> None:
         self._run = shown
@@ -275,50 +343,50 @@ class Workbench:
             self._pin_run()
 
     def _show_runs(self) -> None:
+        self._mark()
         if self._run is not None:
             # other numbers are those of no map
             note = "" if self._run.numbers else self._subject.likelihood(self._run.values, self._lash.value)
-            self._panel.show(self._run, self._pins, self._lash_position, note)
+            lash = self._subject.results.lash_names.index(self._lash.value)
+            self._figures.show(self._run, self._pins, lash, note)
 
     def _place(self, values: Mapping[str, float], numbers: Mapping[str, float]) -> str:
         """Values of all axes, and numbers, in words."""
-        results = self._subject.results
-        axes = {axis.parameter: axis for axis in (*results.axes, *results.coordinates)}
-        swept, changing = self._subject.values(values), {axis.parameter for axis in self._subject.swept}
-        texts = [value_text(axes[name], value, symbol=True) for name, value in swept.items() if name in changing]
+        swept = self._subject.values(values)
+        texts = [value_text(axis, swept[axis.parameter], symbol=True) for axis in self._subject.swept]
         texts += [f"{name} = {number_text(value)}" for name, value in numbers.items()]
         return ", ".join(texts)
 
-    # --- Maps --------------------------------------------------------------------------------------------------------
+    def _mark(self) -> None:
+        if self._map:
+            pinned = zip((pin.cell for pin in self._pins), RUN_COLOURS[1:], strict=False)
+            self._map.mark([*pinned, (self._cell, RUN_COLOURS[0])])
 
-    @property
-    def _lash_position(self) -> int:
-        return self._subject.results.lash_names.index(self._lash.value)
+    # --- Maps --------------------------------------------------------------------------------------------------------
 
     def _active_numbers(self) -> dict[str, float]:
         """The numbers that differ from the config's."""
-        return {key: value for key, value in self._numbers.items() if value != self._variations.number(key)}
+        return {key: value for key, value in self._numbers.items() if value != self._subject.number(key)}
 
     def _request_map(self) -> None:
         if not self._is_ready:
             return
-        subject, variations = self._subject, self._variations
+        subject = self._subject
         slices, numbers = dict(self._slices), self._active_numbers()
         quantity, lash = self._quantity.value, self._lash.value
-        if numbers and isinstance(subject.results, ToleranceMap) and quantity.startswith("severity_"):
+        nominal = isinstance(subject.results, ToleranceMap)
+        if numbers and nominal and quantity.startswith("severity_"):
             quantity = LABEL  # of the nominal map: other numbers leave tolerances aside
-        self._reset.visible = bool(numbers)
+        self._keep_link()
         if not subject.plane:
-            self._keep_link()
             self._say("a run with these numbers, which are in no file" if numbers else "the run of this config")
             return
 
-        nominal = "nominal " if isinstance(subject.results, ToleranceMap) else ""
-
-        def show(request: Request, results: AnyMap, status: str) -> None:
-            picture = picture_of(results.of_lash(lash), quantity, len(subject.plane))
-            thresholds = thresholds_of(results) if quantity == LABEL and status != _COARSE else []
-            self._page.soon(lambda: self._show_map(request, results, quantity, picture, thresholds, status))
+        def show(results: AnyMap, status: str) -> None:
+            assert self._map is not None
+            changes = self._map.changes(results.of_lash(lash), quantity)
+            changes["status"] = {"text": f"{status}{_HELP}"}
+            self._soon(partial(self._show_map, results, changes))
 
         def work(request: Request) -> None:
             said = time.monotonic()
@@ -328,92 +396,67 @@ class Workbench:
                 request.go_on()
                 if time.monotonic() > said + _OFTEN:
                     said = time.monotonic()
-                    self._page.soon(partial(self._say, f"computing the map: {done:,} of {total:,} cells"))
+                    self._say_soon(f"computing the map: {done:,} of {total:,} cells")
 
-            self._newest_run.wait(_FIRST_RUN if self._results is None else _RUN)  # it is wanted at once
-            if self._latest is not None and self._latest[0] == (slices, numbers):
-                full, status = self._latest[1:]
-            elif numbers:
-                coarse = variations.coarse_map(slices, numbers, progress)
-                request.go_on()
-                if coarse is not None:
-                    show(request, coarse, _COARSE)
-                full = variations.full_map(slices, numbers, progress)
-                status = f"the {nominal}map with these numbers, which is in no file"
-            else:
-                full, status = subject.stored(slices), _OWN
-            request.go_on()
-            show(request, full, status)
             if not numbers:
-                variations.prepare(lambda text: self._page.soon(partial(self._say, text)))
-            traced = variations.traced_map(slices, numbers, full, lash, request.go_on)
+                show(subject.results.at(slices) if slices else subject.results, "the map with the config's own numbers")
+                if note := compiling_note(subject.study):
+                    self._say_soon(note)
+                warm_up(subject.study)  # so that the first map with other numbers does not wait for it
+                if note:
+                    self._say_soon("compiled")
+                return
+            self._newest_run.wait(_FIRST_RUN if self._run is None else _RUN)  # it is wanted at once
+            status = f"the {'nominal ' if nominal else ''}map with these numbers, which is in no file"
+            if self._latest is not None and self._latest[0] == (slices, numbers):
+                show(self._latest[1], status)
+                return
+            coarse = subject.coarse_map(slices, numbers, progress)
+            if coarse is not None:
+                show(coarse, "computing the map: every few cells are shown")
+            full = subject.full_map(slices, numbers, progress)
             request.go_on()
-            self._latest = (slices, numbers), traced, status
+            show(full, status)
+            traced = subject.traced_map(slices, numbers, full, lash, request.go_on)
+            request.go_on()
+            self._latest = (slices, numbers), traced
             if traced is not full:
-                show(request, traced, status)
+                show(traced, status)
 
         self._newest_map.submit(work)
 
-    def _show_map(
-        self,
-        request: Request,
-        results: AnyMap,
-        quantity: str,
-        picture: Picture,
-        thresholds: list[float],
-        status: str,
-    ) -> None:
-        if request.is_superseded:
-            return
-        self._results, self._drawn = results, quantity
-        self._keep_link()
-        changes = picture.edges[1:-1].tolist()
-        notes = [*_listed("thresholds for vanishing backlash", thresholds), *_listed("label changes", changes)]
-        if picture.peak is not None:
-            value, *at = picture.peak
-            place = [value_text(axis, each, symbol=True) for axis, each in zip(self._subject.plane, at, strict=True)]
-            notes.append(f"largest: {value:.6g} at {', '.join(place)}")
-        if isinstance(results, ToleranceMap) and quantity == LABEL and picture.pixels.size:
-            notes.append(f"paler: less than {CERTAIN:.0%} likely, {share(results.uncertain, results.sequence.size)}")
-        self._page.show_map(picture, _quantities(results)[quantity], f"{status}{_HELP}", *notes)
-        self._mark()
+    def _show_map(self, results: AnyMap, changes: Changes) -> None:
+        self._results = results
+        self._message.send(changes)
 
-    def _mark(self) -> None:
-        if self._page.map is None:
-            return
-        cells = [(pin.cell, colour) for pin, colour in zip(self._pins, RUN_COLOURS[1:], strict=False)]
-        marks: list[Mark] = []
-        for cell, colour in [*cells, (self._cell, RUN_COLOURS[0])]:
-            marks.append((cell[0], cell[1] if len(cell) > 1 else 0.0, colour))
-        self._page.map.mark(marks)
+    # --- Words -------------------------------------------------------------------------------------------------------
 
-    def _save_as(self, name: str) -> None:
-        """Make a file in a thread, and hand it to the browser as a download."""
-        self._save.value = ""
-        if name not in NAMES or self._run is None or (self._results is None and self._page.map):
-            return
-        runs, quantity = [self._run, *self._pins], self._drawn
-        part = (self._results or self._subject.results).at_lash(self._lash.value)
-
-        def work() -> None:
-            data = download(name, runs, self._variations, part, quantity)
-            self._page.soon(partial(self._hand_over, data))
-
-        self._page.work(work)
-
-    def _hand_over(self, data: dict[str, list[str]]) -> None:
-        (name,), self._page.download.data = data["name"], data
-        again = f": clunk simulate {name} makes this run" if name.endswith(".toml") else ""
-        again += f", clunk sweep {name} the map" if again and self._page.map else ""
-        self._say(f"saved {name}{again}")
+    def _soon(self, change: Callable[[], None]) -> None:
+        """Change the page in the thread of its events."""
+        self._document.add_next_tick_callback(change)
 
     def _say(self, text: str) -> None:
-        self._page.say(f"{text}{_HELP if self._page.map else _HELP_WITHOUT_MAP}")
+        """Write a text below the page."""
+        self._message.send({"status": {"text": f"{text}{_HELP if self._map else _HELP_WITHOUT_MAP}"}})
+
+    def _say_soon(self, text: str) -> None:
+        self._soon(partial(self._say, text))
+
+    def _complain_soon(self, error: Exception) -> None:
+        """Say what went wrong in a thread."""
+        if not isinstance(error, ClunkError):
+            logging.getLogger(__name__).error("the explorer could not do what was asked", exc_info=error)
+        self._say_soon(str(error) if isinstance(error, ClunkError) else f"internal error: {error!r}")
 
 
-def _listed(what: str, values: list[float]) -> list[str]:
-    """A note on values of an axis, if there are any and they are few."""
-    return [f"{what}: {', '.join(f'{each:.4g}' for each in values)}"] if 0 < len(values) <= _LISTED else []
+def _box(direction: str, *elements: UIElement, **styles: str) -> Pane:
+    """Elements in a row or a column, by CSS; styles : properties, with underscores.
+
+    Bokeh lays each out by itself. In its own rows and columns a change of one text lays the whole page out again, and
+    draws each figure, which takes 0.1 s.
+    """
+    names = {name.replace("_", "-"): value for name, value in styles.items()}
+    return Pane(elements=list(elements), styles={"display": "flex", "flex-direction": direction, **names})
 
 
 def _number(text: str) -> float:
