@@ -135,15 +135,16 @@ def lay_out(
 
 def add_notes(figure: Figure, handles: Sequence[Artist]) -> None:
     """Put rows of notes under a figure, which grows by their height, and lay it out."""
-    engine = figure.get_layout_engine()
-    assert engine is not None
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
     if handles:
         widest = max(len(str(handle.get_label())) for handle in handles)
         columns = max(1, int((figure.get_figwidth() - 0.4) / (0.45 + 0.075 * widest)))  # inches: a swatch, a character
         look: dict[str, Any] = {"ncols": min(columns, len(handles)), "frameon": False, "handlelength": 1.6}
         legend = figure.legend(handles=list(handles), loc="outside lower center", **look)
         figure.set_figheight(figure.get_figheight() + legend.get_window_extent().height / figure.dpi)
-    engine.execute(figure)
+    ConstrainedLayoutEngine().execute(figure)
+    figure.set_layout_engine("none")  # else it would be laid out again when it is written
 
 
 def swatch(text: str, colour: str, **look: Any) -> Patch:
