@@ -3,7 +3,6 @@
 import csv
 import json
 import re
-from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -132,26 +131,17 @@ def test_one_lash_is_a_map_without_the_axis(two, lash, tmp_path):
     assert equal(clunk.read_results(tmp_path / "one.h5"), part)
 
 
-def test_the_first_lash_is_meant_where_none_is_named(two):
+def test_a_lash_is_taken_by_name_or_number_and_by_default_the_first(two):
     assert equal(two.of_lash(), two.of_lash("gear"))
     assert equal(two.of_lash("2"), two.of_lash("differential"))
     alone = two.of_lash()
     assert alone.of_lash() is alone
-
-
-def test_a_lash_of_none_is_refused_with_the_names(two):
-    with pytest.raises(clunk.ConfigError, match=r'no lash "rear"; there are gear and differential\.'):
-        two.of_lash("rear")
-    with pytest.raises(clunk.ConfigError, match=r"there is only lash 1\."):
-        two.of_lash().of_lash("rear")
-    named = replace(two.of_lash(), config='[lash]\nname = "gear"\n')
-    assert named.of_lash("gear") is named
-
-
-def test_a_slice_keeps_the_lashes(two):
     part = two.at({"load.ratio": 5.0})
     assert part.lashes == NAMES
     assert equal(part.of_lash("differential"), two.of_lash("differential").at({"load.ratio": 5.0}))
+    for map_, sentence in ((two, r'no lash "rear"; there are gear and differential\.'), (alone, r"only lash 1\.")):
+        with pytest.raises(clunk.ConfigError, match=sentence):
+            map_.of_lash("rear")
 
 
 def test_exports_have_a_row_for_each_lash_of_each_cell(two, tmp_path):

@@ -14,7 +14,7 @@ from clunk.analysis.quantiles import probabilities, threshold_quantiles
 from clunk.analysis.thresholds import UNCERTAIN, Thresholds, thresholds
 from clunk.plot.style import PlotError
 from clunk.plot.thresholds import quantile_figure
-from clunk.results.quantities import OF_RUNS
+from clunk.results.quantities import OF_RUNS, quantity_of
 from clunk.study.axes import ResultAxis
 from clunk.study.config import study_from_text
 from clunk.study.designs import drawn_numbers, nominal
@@ -70,7 +70,7 @@ def test_shares_of_the_draws_are_the_probabilities_of_a_tolerance_map(ramps):
     for cell in range(3):
         edges, shares = probabilities(ramps, cell)
         inside = np.searchsorted(edges, ramps.along.values[1:-1]) - 1
-        expected = by_cell.double_sided[cell, 1:-1]
+        expected = quantity_of("double_sided", by_cell).of_runs(by_cell)[cell, 1:-1]
         assert shares[inside, ramps.words.index(True)].tolist() == expected.tolist()
         assert shares.sum(axis=1) == pytest.approx(1.0)
 

@@ -194,7 +194,7 @@ def test_the_restitution_model_has_an_approach_velocity():
         (study(DRIVING, count=100), [], "count = 100: .* take 64 or 128"),
         (study(DRIVING, count=4), [], "count = 4: .* take 16 or 32"),
         (study(DRIVING), ["sevrity"], "did you mean severity"),
-        (study(DRIVING), ["label=DS"], "names no label"),
+        (study(DRIVING), ["label=DS"], "compares nothing"),
         # the run without tolerances has 18 events
         (study(DRIVING, "solver.max_events=18"), [], r"\d+ of 256 runs failed.*max_events.*The first is at load"),
         (

@@ -152,16 +152,6 @@ class TestCells:
             values = {axis.parameter: axis.values[k] for axis, k in zip(figure.axes, at, strict=True)}
             same_as_single_run(figure, at, replace_values(base, values))
 
-    def test_an_inertia_can_be_swept(self):
-        inertias, ratios = [0.001, 0.002, 0.02], [2.0, 5.0, 9.0]
-        base = study(("driveline.inertias[4]", inertias), ("load.ratio", ratios))
-        results = sweep(base, workers=2)
-        assert np.unique(results.severity[:, 1]).size == 3  # the inertia matters
-        for i, inertia in enumerate(inertias):
-            for j, ratio in enumerate(ratios):
-                values = {"driveline.inertias[4]": inertia, "load.ratio": ratio}
-                same_as_single_run(results, (i, j), replace_values(base, values))
-
     def test_the_order_of_the_axes_does_not_matter(self):
         axes = [("driveline.inertias[4]", [0.001, 0.002, 0.02]), ("load.ratio", np.linspace(1.0, 9.0, 9))]
         one, other = sweep(study(*axes)), sweep(study(*axes[::-1]))
@@ -170,69 +160,72 @@ class TestCells:
             assert np.array_equal(getattr(one, name), getattr(other, name).T, equal_nan=True), name
 
     @pytest.mark.parametrize(
-        ("parameter", "values"),
+        "axes",
         [
-            ("lash.contact.damping", [0.0, 94.0, 200.0]),
-            ("lash.contact.stiffness", [2e5, 4e5]),
-            ("lash.radius", [0.05, 0.08]),
-            ("driveline.shafts[3].damping", [0.01, 0.1]),
-            ("load.static_torque", [-2.0, 0.5]),
-            ("impacts.sticking_time", [1e-9, 0.0039, 10.0]),
-            ("impacts.acceleration_of", [1.0, 4.0]),
-            ("solver.step", [5e-5, 2e-4]),
-            ("solver.end_time", [0.15, 0.4, 1.5]),
-            ("load.on", [1.0, 3.0]),
+            [("lash.contact.damping", [0.0, 94.0, 200.0])],
+            [("lash.contact.stiffness", [2e5, 4e5])],
+            [("lash.radius", [0.05, 0.08])],
+            [("driveline.shafts[3].damping", [0.01, 0.1])],
+            [("load.static_torque", [-2.0, 0.5])],
+            [("impacts.sticking_time", [1e-9, 0.0039, 10.0])],
+            [("impacts.acceleration_of", [1.0, 4.0])],
+            [("solver.step", [5e-5, 2e-4])],
+            [("solver.end_time", [0.15, 0.4, 1.5])],
+            [("load.on", [1.0, 3.0])],
+            [("driveline.inertias[4]", [0.001, 0.002, 0.02]), ("load.ratio", [2.0, 5.0, 9.0])],
+            [("driveline.inertias[1]", [0.02, 0.024, 0.04]), ("driveline.shafts[1].damping", [0.05, 0.1])],
+            [("load.ratio", [2.0, 8.0]), ("driveline.inertias[1]", [0.02, 0.03]), ("lash.backlash_deg", [1, 6])],
         ],
+        ids=lambda axes: axes[-1][0],
     )
-    def test_whatever_is_swept_a_cell_is_a_single_run(self, parameter, values):
-        base = study((parameter, values))
-        results = sweep(base)
-        for k, value in enumerate(values):
-            same_as_single_run(results, (k,), replace_values(base, {parameter: value}))
-
-    def test_two_axes_that_change_the_driveline_are_not_mixed_up(self):
-        base = study(("driveline.inertias[1]", [0.02, 0.024, 0.04]), ("driveline.shafts[1].damping", [0.05, 0.1]))
-        results = sweep(base)
-        for at in np.ndindex(results.shape):
-            values = {axis.parameter: axis.values[k] for axis, k in zip(results.axes, at, strict=True)}
-            same_as_single_run(results, at, replace_values(base, values))
-
-    def test_three_axes_are_a_grid_too(self):
-        base = study(("load.ratio", [2.0, 8.0]), ("driveline.inertias[1]", [0.02, 0.03]), ("lash.backlash_deg", [1, 6]))
-        results = sweep(base)
-        assert results.shape == (2, 2, 2)
+    def test_whatever_is_swept_a_cell_is_a_single_run(self, axes):
+        base = study(*axes)
+        results = sweep(base, workers=2)
+        assert results.shape == tuple(len(values) for _, values in axes)
         for at in np.ndindex(results.shape):
             values = {axis.parameter: axis.values[k] for axis, k in zip(results.axes, at, strict=True)}
             same_as_single_run(results, at, replace_values(base, values))
 
 
 class TestFailedCells:
-    def test_a_cell_without_an_initial_flank_fails_alone(self):
-        """σr = -1 leaves no torque before the step; its neighbours run."""
-        results = sweep(study(("load.ratio", [-2.0, -1.0, 0.0, 5.0])))
-        assert list(results.status) == [Status.OK, Status.NO_INITIAL_FLANK, Status.OK, Status.OK]
-        assert list(regimes(results)) == ["OS(1)CR(1)", "failed", "NI", "DS(1)SS(1)"]
-        assert np.isnan(results.severity[1])
-        assert results.primary_impacts[1] == results.touches[1] == results.initial_side[1] == 0
-        assert results.quality[1] == 0
-
-    def test_a_step_that_is_too_large_fails_alone(self):
-        results = sweep(study(("solver.step", [1e-4, 2e-3, 2e-4])))
-        assert list(results.status) == [Status.OK, Status.UNSTABLE_STEP, Status.OK]
-        assert regimes(results)[1] == "failed"
-
-    def test_more_events_than_allowed_fail_alone(self):
-        base = study(("load.ratio", [1.0, 5.0, 2.0]))
-        base = base.model_copy(update={"solver": base.solver.model_copy(update={"max_events": 10})})
-        results = sweep(base)
-        assert list(results.status) == [Status.OK, Status.EVENT_BUFFER_FULL, Status.OK]
-        assert list(regimes(results)) == ["NI", "failed", "SS(1)"]
-
-    def test_a_run_that_ends_in_the_middle_of_something_is_no_failure(self):
-        results = sweep(study(("solver.end_time", [0.15, 2.0])))
-        assert list(results.status) == [Status.OK, Status.OK]
-        assert list(results.quality) == [0, 1]
-        assert list(regimes(results)) == ["CR(1)", "DS(1)SS(1)"]
+    @pytest.mark.parametrize(
+        ("parameter", "values", "status", "labels"),
+        [
+            # σr = -1 leaves no torque before the step
+            (
+                "load.ratio",
+                [-2.0, -1.0, 0.0, 5.0],
+                [Status.OK, Status.NO_INITIAL_FLANK, Status.OK, Status.OK],
+                ["OS(1)CR(1)", "failed", "NI", "DS(1)SS(1)"],
+            ),
+            (
+                "solver.step",
+                [1e-4, 2e-3, 2e-4],
+                [Status.OK, Status.UNSTABLE_STEP, Status.OK],
+                ["DS(1)SS(1)", "failed", "DS(1)SS(1)"],
+            ),
+            (
+                "load.ratio",
+                [1.0, 5.0, 2.0],
+                [Status.OK, Status.EVENT_BUFFER_FULL, Status.OK],
+                ["NI", "failed", "SS(1)"],
+            ),
+            # ended in the middle of something, which is no failure
+            ("solver.end_time", [0.15, 2.0], [Status.OK, Status.OK], ["CR(1)", "DS(1)SS(1)"]),
+        ],
+        ids=["no initial flank", "unstable step", "many events", "cut off"],
+    )
+    def test_a_cell_fails_alone_and_has_no_numbers(self, parameter, values, status, labels):
+        base, few = study((parameter, values)), Status.EVENT_BUFFER_FULL in status
+        solver = base.solver.model_copy(update={"max_events": 10} if few else {})
+        results = sweep(base.model_copy(update={"solver": solver}))
+        assert list(results.status) == status
+        assert list(regimes(results)) == labels
+        failed = results.status != Status.OK
+        assert np.array_equal(np.isnan(results.severity), failed)
+        for counts in (results.primary_impacts, results.touches, results.quality):
+            assert not counts[failed].any()
+        assert np.array_equal(results.quality == 1, ~failed & (np.array(labels) != "CR(1)"))
 
     def test_a_sweep_in_which_no_cell_can_run_is_refused(self):
         with pytest.raises(SweepError, match="No cell can run"):

@@ -19,6 +19,7 @@ from clunk.plot.style import colour_of
 from clunk.results import netcdf, store
 from clunk.results.labels import double_sided, excursions
 from clunk.results.netcdf import StoreError
+from clunk.results.quantities import quantity_of
 from clunk.results.store import read_results
 from clunk.results.tolerancemap import QUANTILES, most_likely
 from clunk.simulation.trajectory import SimulationError, simulate
@@ -155,11 +156,6 @@ class TestCells:
         with pytest.raises(ValueError, match="no axis of these results"):
             found.at({"load.on": 1.0})
 
-    def test_the_most_likely_label_is_the_one_with_the_most_runs(self, found):
-        runs = np.take_along_axis(found.runs, found.sequence[..., None], axis=-1)[..., 0]
-        assert np.array_equal(runs, found.runs.max(axis=-1))
-        assert np.array_equal(runs / 16, found.certainty)
-
     def test_of_equally_likely_labels_the_first_counts(self, found):
         runs = np.zeros((*found.shape, len(found.labels) + 1), np.int32)
         runs[..., 1] = runs[..., 2] = 8
@@ -171,18 +167,15 @@ class TestCells:
 
     def test_the_probability_of_a_double_sided_impact_is_that_of_its_labels(self, found):
         crossing = [double_sided(label) > 0 for label in found.labels]
-        assert found.double_sided == pytest.approx(found.probability[..., :-1][..., crossing].sum(axis=-1), abs=1e-12)
-        assert found.double_sided.min() == 0.0
-        assert found.double_sided.max() == 1.0
+        shares = quantity_of("double_sided", found).of_runs(found)
+        assert shares == pytest.approx(found.probability[..., :-1][..., crossing].sum(axis=-1), abs=1e-12)
+        assert (shares.min(), shares.max()) == (0.0, 1.0)
 
     def test_a_label_that_means_no_impact_has_severity_zero(self, found):
         quiet = found.runs[..., found.labels.index("NI")] == 16
         assert quiet.any()
         assert np.all(found.severity_mean[quiet] == 0.0)
         assert np.all(found.severity_quantiles[quiet] == 0.0)
-
-    def test_quantiles_are_in_order(self, found):
-        assert np.all(np.diff(found.severity_quantiles, axis=-1) >= 0.0)
 
 
 def test_the_uncertain_fraction_grows_with_the_tolerance():
@@ -271,7 +264,8 @@ class TestFailedRuns:
         found = clunk_api.tolerance_map(failing)
         crossing = ["DS" in label for label in found.labels]
         finished = found.runs[:, :-1].sum(axis=-1)
-        assert found.double_sided == pytest.approx(found.runs[:, :-1][:, crossing].sum(axis=-1) / finished)
+        shares = quantity_of("double_sided", found).of_runs(found)
+        assert shares == pytest.approx(found.runs[:, :-1][:, crossing].sum(axis=-1) / finished)
         assert found.certainty == pytest.approx(found.runs[:, :-1].max(axis=-1) / finished)
         (caveat,) = found.caveats
         assert "probabilities are of the others" in caveat
@@ -521,7 +515,9 @@ class TestFigures:
         assert {text.get_text() for text in band.texts} <= set(part.labels)
 
     def test_the_map_of_double_sided_impacts_shows_their_probability(self, found):
-        assert np.array_equal(Layers.of(found, 2, "double_sided").values, found.double_sided)
+        assert np.array_equal(
+            Layers.of(found, 2, "double_sided").values, quantity_of("double_sided", found).of_runs(found)
+        )
         figure = plot.draw(found, "double_sided")
         assert figure.axes[1].get_ylim() == (0.0, 1.0)
         assert "Probability" in figure.axes[1].get_ylabel()

@@ -50,19 +50,6 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
         write_whole(target, lambda file: file.write(text.encode()))
 
 
-def reserve(file: BinaryIO, size: int) -> None:
-    """Reserve room on the disk for a file to grow to `size` bytes, with zeros behind its content. Raises OSError."""
-    if hasattr(os, "posix_fallocate"):
-        os.posix_fallocate(file.fileno(), 0, size)
-    else:
-        at = file.tell()
-        begin = file.seek(0, os.SEEK_END)
-        while begin < size:
-            begin += file.write(bytes(min(size - begin, 1 << 20)))
-        file.flush()
-        file.seek(at)
-
-
 def reason(error: BaseException) -> str:
     """Text of an error as one phrase, to stand within a sentence."""
     if isinstance(error, OSError) and error.strerror:

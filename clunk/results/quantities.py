@@ -27,6 +27,7 @@ nominal_label                        whether it is that of the run without toler
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import math
 import operator
@@ -253,22 +254,25 @@ def quantity_of(text: str, source: Study | Map) -> Quantity:
     quantity = known[name]
     if not relation:
         return quantity
-    if quantity.type == TEXT and relation == "=":
-        try:
-            return _related(quantity, relation, normalised_label(bound))
-        except ValueError:
-            raise ClunkError(f"{shorten(text)} names no label; an example is 'label=DS(1)SS(1)'.") from None
-    is_whether = quantity.type == YES_NO and relation == "=" and bound in ("0", "1")
-    if quantity.type not in (NUMBER, WHOLE) and not is_whether:
-        example = "label=DS(1)SS(1)" if quantity.type == TEXT else name
-        raise ClunkError(f"{shorten(text)}: only numbers are compared so; {example!r} is a quantity.")
-    try:
+    value = _compared(quantity, relation, bound)
+    if value is None:
+        raise ClunkError(
+            f"{shorten(text)} compares nothing: a number is compared with a number, as in severity<=8000, and a label "
+            "is one such as label=DS(1)SS(1)."
+        )
+    return _related(quantity, relation, value)
+
+
+def _compared(quantity: Quantity, relation: str, bound: str) -> float | str | None:
+    """The label or number that a quantity is compared with; None where it is none."""
+    with contextlib.suppress(ValueError):
+        if quantity.type == TEXT:
+            return normalised_label(bound) if relation == "=" else None
         number = float(bound)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise ClunkError(f"{shorten(text)}: {shorten(bound)} is not a number to compare {name} with.")
-    return _related(quantity, relation, number)
+        is_whether = relation == "=" and number in (0.0, 1.0)
+        if math.isfinite(number) and (quantity.type != YES_NO or is_whether):
+            return number
+    return None
 
 
 def _related(base: Quantity, relation: str, bound: float | str) -> Quantity:

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from clunk.results.labels import FAILED, FAILED_CODE, double_sided
+from clunk.results.labels import FAILED, FAILED_CODE
 from clunk.results.maps import Map, share
 from clunk.results.quantities import CHATTER, NOMINAL, OF_RUNS, TEXT, TOLERANCE_QUANTITIES, YES_NO, Quantity
 from clunk.results.regimemap import Results
@@ -108,11 +108,6 @@ class ToleranceMap(Map):
     def certainty(self) -> Floats:
         """Probability of the most likely label among the runs that did not fail, shape; NaN where all failed."""
         return self._of_finished(self.runs[..., :FAILED_CODE].max(axis=-1, initial=0))
-
-    @property
-    def double_sided(self) -> Floats:
-        """Probability of a double-sided impact among the runs that did not fail, shape; NaN where all failed."""
-        return self.of_labels([double_sided(label) > 0 for label in self.labels])
 
     @property
     def caveats(self) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import re
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
@@ -42,7 +41,6 @@ _COMPILING = {"rk4": 15, "exact": 40}  # s
 _IMPACTS = 8  # of a run in a lash, that there is room for at first
 _NO_LOGS, _NO_STATES = np.zeros((0, 0), EVENT), np.zeros((0, 0, 0))
 _STATES = 1 << 16  # events whose states there is room for at a time: 8 MB, which the caches nearly hold
-_APART = 64  # runs of a driveline: so many are quicker without those of others beside them
 _TILE_POINTS = 2**19  # of tabulated loads: 20 MB where each cell has its own
 
 
@@ -72,7 +70,7 @@ class Grid:
         self.tile_cells = min(_TILE_CELLS[self.method], max(_TILE_POINTS // len(study.load.times or (0,)), 1))
         parameters = (each.parameter for each in self.design.columns)
         self.structural = tuple(key for key in parameters if not leaves_system(study, key))
-        self._latest: dict[bytes, list[_Part]] = {}  # the points of some drivelines, and these
+        self._kept: dict[bytes, tuple[kernel.Batch, int]] = {}  # drivelines, by the bytes of their points
         if shared is not None:
             self._nominal = shared
 
@@ -81,9 +79,8 @@ class Grid:
 
     def with_design(self, design: Design) -> Grid:
         """The cells of another design with the same parameters, run with the same drivelines."""
-        self.shared()  # is prepared once for both
-        grid = copy.copy(self)
-        grid.design = design
+        grid = Grid(self.study, design, None if self.structural else self._nominal)
+        grid._kept = self._kept
         return grid
 
     def ordered(self, cells: Cells) -> Cells:
@@ -103,7 +100,7 @@ class Grid:
         return None if self.structural else self._nominal.system
 
     def drivelines(self, points: Floats) -> Iterator[_Part]:
-        """The drivelines at some values of structural parameters, those of the latest call perhaps once more.
+        """The drivelines at some values of structural parameters; some thousand are kept for later calls.
 
         points : (D, parameters)
 
@@ -112,18 +109,20 @@ class Grid:
         if not self.structural:
             yield self._nominal, np.zeros(1, np.int64)
             return
-        if (latest := self._latest.get(points.tobytes())) is not None:
-            yield from latest
-            return
-        parts = []
-        for positions, batch in prepare_many(self.study, self.structural, points):
-            numbers = np.full(len(points), -1)
-            numbers[positions] = np.arange(positions.size)
+        if len(self._kept) > _KEPT:
+            self._kept.clear()
+        rows = [row.tobytes() for row in points]
+        known = [self._kept.get(row) for row in rows]
+        members: dict[int, _Part] = {}
+        for k, (batch, number) in ((k, each) for k, each in enumerate(known) if each is not None):
+            members.setdefault(id(batch), (batch, np.full(len(rows), -1)))[1][k] = number
+        yield from members.values()
+        missing = np.array([k for k, each in enumerate(known) if each is None], np.int64)
+        for positions, batch in prepare_many(self.study, self.structural, points[missing]):
+            numbers = np.full(len(rows), -1)
+            numbers[missing[positions]] = np.arange(positions.size)
+            self._kept |= {rows[k]: (batch, number) for number, k in enumerate(missing[positions].tolist())}
             yield batch, numbers
-            parts.append((batch, numbers))
-        if len(points) <= _KEPT:
-            self._latest.clear()
-            self._latest[points.tobytes()] = parts
 
     def cases(self, values: Mapping[str, float | Floats], count: int) -> kernel.Cases:
         """Torques and gaps of `count` cells with these values of parameters."""
@@ -201,7 +200,7 @@ class Grid:
     def _by_batches(
         self, values: Mapping[str, Floats], count: int
     ) -> Iterator[tuple[kernel.Batch, Cells, kernel.Cases]]:
-        """Cut cells by the batches of their drivelines, and by drivelines where each has many.
+        """Cut cells by the batches of their drivelines.
 
         values : of each parameter in `count` cells
         """
@@ -211,19 +210,15 @@ class Grid:
             combinations = np.stack([values[parameter] for parameter in self.structural], axis=1)
             points, point_of = np.unique(combinations, axis=0, return_inverse=True)
         for batch, numbers in self.drivelines(points):
-            if len(points) == 1:
-                yield batch.only(int(numbers[0])), np.arange(count), cases
+            of_cells = numbers[point_of.reshape(-1)]
+            positions = np.flatnonzero(of_cells >= 0)
+            used = of_cells[positions]
+            if not used.size:
                 continue
-            of_runs = numbers[point_of.reshape(-1)]
-            positions = np.flatnonzero(of_runs >= 0)
-            drivelines = of_runs[positions]
-            used = np.unique(drivelines)
-            if used.size > 1 and positions.size < _APART * used.size:
-                yield batch, positions, cases.at(positions)._replace(drivelines=drivelines)
-                continue
-            for each in used.tolist():
-                some = positions[drivelines == each] if used.size > 1 else positions
-                yield batch.only(each), some, cases.at(some)
+            if (used == used[0]).all():
+                yield batch.only(int(used[0])), positions, cases.at(positions)
+            else:
+                yield batch, positions, cases.at(positions)._replace(drivelines=used)
 
     def logged(self, values: Mapping[str, Floats], count: int) -> tuple[Records, Records]:
         """Run cells with these values of parameters and keep their events.
