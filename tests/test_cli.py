@@ -14,6 +14,7 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
+from matplotlib.text import Text
 from test_store import BACKLASH, RATIO, example
 
 from clunk.api import draw
@@ -145,7 +146,8 @@ def test_runs_that_are_cut_off_are_announced(clunk, small):
     assert "25 of 30 runs ended at solver.end_time with more to follow" in clunk("info", "results/small.h5")[1]
     results = read_results("results/small.h5")
     assert np.array_equal(results.cut_off.any(axis=1), results.axes[0].values > 0.0)
-    assert results.caveats[0] in " ".join(draw(results).axes[0].get_title(loc="left").split())
+    texts = [" ".join(text.get_text().split()) for text in draw(results).findobj(Text)]
+    assert any(results.caveats[0] in text for text in texts)
     assert "end_time" not in clunk("sweep", small, "--force")[2]
 
 
@@ -288,7 +290,7 @@ def test_simulate_prints_events_letters_and_label(clunk):
     code, out, _ = clunk("simulate", ROOT / "configs/nominal.toml")
     assert code == 0
     assert "primary impacts      O I I" in out
-    assert "q': rate of the gap, pinion less ring," in " ".join(out.split())
+    assert "q': rate of the gap just before the event" in " ".join(out.split())
     assert "label                DS(1)SS(1)" in out
     assert max(map(len, out.splitlines())) <= 80
 
@@ -352,7 +354,7 @@ def test_simulate_accounts_for_the_energy(clunk, contact):
     table = out[out.index("energy [J]") :].splitlines()
     assert max(map(len, table)) <= 80
     assert [line.split()[0] for line in table[1:7]] == ["inertias", "shaft", "shaft", "shaft", "shaft", "contact"]
-    assert table[-1].startswith("residual")
+    assert any(line.startswith("residual") for line in table)
     _, out, _ = clunk(*arguments, "--json")
     energy = json.loads(out)["energy"]
     assert energy["relative_residual"] < 1e-8
@@ -451,8 +453,8 @@ def test_shafts_that_replace_those_of_a_preset_are_warned_of(clunk, here):
 
 def test_modes_names_what_each_mode_moves(clunk):
     _, out, _ = clunk("modes", ROOT / "configs/nominal.toml")
-    assert "shuffle: motor 94 %" in out
-    assert "pinion 39 %, ring 39 %, flange 18 %" in out
+    assert re.search("shuffle +mode 1", out)
+    assert "pinion 39 %, ring 39 %" in out
     record = json.loads(clunk("modes", ROOT / "configs/nominal.toml", "--json")[1])
     assert record["shuffle"] == 1
     assert record["inertias"] == ["motor", "flange", "pinion", "ring"]
@@ -577,8 +579,8 @@ def test_a_broken_config_gives_one_clear_message_and_leaves_files_alone(clunk, h
         (["sweep", "small.toml", "-o", "map.png"], ".h5"),
         (["simulate", "small.toml", "-o", "run.docx"], ".csv"),
         (["simulate", "small.toml", "--figure", "closeup"], "-o"),
-        (["simulate", "small.toml", "--until", "1.0"], "-o"),
-        (["simulate", "small.toml", "--width", "-1", "-o", "run.png"], "--width"),
+        (["simulate", "small.toml", "--step", "1.0"], "-o"),
+        (["simulate", "small.toml", "--step", "-1", "-o", "run.png"], "--step"),
         (["simulate", "small.toml", "--overlay", "load.ratio", "-o", "run.png"], "--overlay"),
         (["simulate", "small.toml", "--overlay", "lash.radius=1", "--overlay", "lash.radius=2"], "twice"),
         (["simulate", "small.toml", "--overlay", "lash.radius=1,2", "-o", "run.csv"], "one run"),
@@ -597,8 +599,7 @@ def test_a_broken_config_gives_one_clear_message_and_leaves_files_alone(clunk, h
         (["sweep", "one.toml"], "clunk simulate runs it once"),
         (["plot", "small.toml"], "clunk sweep small.toml makes one"),
         (["plot", "smal.h5"], "did you mean results/small.h5?"),
-        (["simulate", "small.toml", "--at", "load.rato=1"], "load.rato is not swept; did you mean load.ratio?"),
-        (["simulate", "small.toml", "--at", "solver.step=1"], "--set sets other keys"),
+        (["simulate", "small.toml", "--at", "load.rato=1"], "load.rato is not swept; swept: load.ratio"),
         (["thresholds", "small.toml"], "--along load.ratio or --along lash.backlash_deg"),
         (["help", "configs"], "did you mean config?"),
     ],

@@ -334,7 +334,7 @@ class TestCommandLine:
             (["four.h5", *FACETS[:2], *FACETS[:2]], "one facet, or two different ones for rows and columns"),
             (["four.h5", *FACETS, "--at", "load.ratio=1"], "needs two axes"),
             (["four.h5", "--x", "load.ratio"], "x and y are for axes that are walked together and for samples"),
-            (["four.h5", "--at", "load.ration=1"], "load.ration is not swept; did you mean load.ratio?"),
+            (["four.h5", "--at", "load.ration=1"], "load.ration is not swept; swept: load.ratio"),
             (["four.h5", "--at", "load.ratio=11"], "swept from 0 to 10"),
             (["zip.h5", "--x", "lash.radius"], "lash.radius does not change in these results"),
             (["sample.h5", "--y", "run"], "y goes with x"),
@@ -372,8 +372,8 @@ class TestCommandLine:
     def test_info_tells_what_lies_along_the_runs(self, clunk, sampled):
         _, out, _ = clunk("info", "sample.h5")
         ratio = sampled.coordinates[2].values
-        assert "axis      run: 1 to 32, 32 values" in out
-        assert f"along run load.ratio: {ratio.min():g} to {ratio.max():g}" in out
+        assert "run: 1 to 32, 32 values" in out
+        assert f"load.ratio: {ratio.min():g} to {ratio.max():g}" in out
         _, out, _ = clunk("info", "sample.h5", "--json")
         assert [each["parameter"] for each in json.loads(out)["coordinates"]] == [
             axis.parameter for axis in sampled.coordinates

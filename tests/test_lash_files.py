@@ -275,7 +275,7 @@ def test_commands_take_a_lash_by_name(two, path, capsys, monkeypatch):
 
     code, out, _ = run("info", path)
     assert code == 0
-    assert "lashes    gear, differential" in out
+    assert "lash: gear, differential" in out
     code, out, _ = run("plot", path, "--lash", "differential", "--quantity", "regimes", "-o", path.with_name("one.svg"))
     assert code == 0
     assert "differential" in path.with_name("one.svg").read_text("utf-8")

@@ -371,4 +371,4 @@ def test_a_run_of_two_lashes_is_told_lash_by_lash(tmp_path):
     for name, each in zip(lashes, simulate(study_from_text(TWO_LASHES)).lashes, strict=True):
         assert lashes[name]["impact_measures"]["energy"] == pytest.approx(measured(each).of_impacts["energy"])
     printed = CliRunner().invoke(cli, ["simulate", str(tmp_path / "two.toml")])
-    assert printed.stdout.count("J; of the impacts") == 2
+    assert printed.stdout.count("J (impacts:") == 2

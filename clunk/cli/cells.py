@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from clunk.cli import terminal
-from clunk.study.problems import listing, nearest
+from clunk.study.problems import listing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -61,32 +61,20 @@ def nearest_values(
         if not equals:
             raise click.UsageError(f"--at {assignment}: must be KEY=VALUE, for example load.ratio=7.")
         if key not in swept:
-            raise click.UsageError(f"--at {assignment}: {_not_swept(key, [*swept])}")
+            raise click.UsageError(f"--at {assignment}: {key} is not swept; swept: {listing([*swept]) or 'nothing'}.")
         axis = swept[key]
-        lowest, highest = axis.values.min(), axis.values.max()
         try:
             wanted = float(text)
-        except ValueError:
-            raise click.UsageError(f"--at {assignment}: {text!r} is not a number.") from None
-        if not lowest <= wanted <= highest:  # also when not a number
-            raise click.UsageError(f"--at {assignment}: {key} is swept from {lowest:g} to {highest:g}.")
-        nearest = float(axis.values[axis.nearest(wanted)])
+            position = axis.nearest(wanted)
+        except ValueError as error:
+            raise click.UsageError(f"--at {assignment}: {error}") from None
+        nearest = float(axis.values[position])
         if axis in coordinates:
             raise click.UsageError(
                 f"--at {assignment}: {key} changes together with the other keys of its run; name the run, --at "
-                f"run={axis.nearest(wanted) + 1}, where it is {nearest:.6g}."
+                f"run={position + 1}, where it is {nearest:.6g}."
             )
         values[key] = nearest
         if not np.isclose(nearest, wanted, rtol=1e-9, atol=0.0):
             terminal.complain(f"{key} = {nearest:.6g} is the nearest value of its axis")
     return values
-
-
-def _not_swept(key: str, swept: Sequence[str]) -> str:
-    """The reason why --at does not know a key, and what to name instead."""
-    likely = nearest(key, swept)
-    if likely:
-        return f"{key} is not swept; did you mean {likely}?"
-    takes_others = any(option.name == "overrides" for option in click.get_current_context().command.params)
-    listed = f"; swept: {listing(swept)}" if swept else ""
-    return f"{key} is not swept{listed}{'; --set sets other keys' if takes_others else ''}."

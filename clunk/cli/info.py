@@ -57,48 +57,36 @@ def info(file: Path, show_config: bool, show_map: bool, check: bool, as_json: bo
         ]
         record: dict[str, Any] = {"title": results.title, "axes": axes}
         record |= {"coordinates": coordinates} if coordinates else {}
-        if tolerances is None:
-            record |= {"counts": tables.of_lashes(results.counts_of_lashes)}
-        else:
-            record |= tables.tolerance_records(tolerances)
+        record |= tables.outcomes(results)
         if results.boundaries is not None:
             record |= {"boundaries": tables.boundary_record(results.boundaries)}
         record |= {"caveats": results.caveats, "config_digest": results.config_digest}
         checked: dict[str, Any] = {"checked": {"data": True, "bytes": has_checksum}} if check else {}
         tables.print_record(record | results.attributes | checked)
         return
-    click.echo(results.title)
-    click.echo()
-    for axis in results.axes:
-        click.echo(f"{'lashes    ' if axis.words else f'axis      {axis.parameter}: '}{axis.spread}")
-    for axis in results.coordinates:
-        click.echo(f"along run {axis.parameter}: {axis.spread}")
-    for each in results.sample:
-        unit = "" if each.unit == "1" else f" {each.unit}"
-        click.echo(f"drawn     {each.name}, {each.values.min():.4g} to {each.values.max():.4g}{unit}")
+    rows = [("lashes" if axis.words else "axis", f"{axis.parameter}: {axis.spread}") for axis in results.axes]
+    rows += [("along run", f"{axis.parameter}: {axis.spread}") for axis in results.coordinates]
+    rows += [("drawn", f"{each.name}: {each.spread}") for each in results.sample]
     for quantity in results.quantities.values() if tolerances is None else ():
         if not quantity.dimension and quantity.name not in REGIME_QUANTITIES:
-            click.echo(f"measured  {quantity.name}: {quantity.words} [{quantity.unit_symbol}]")
+            rows.append(("measured", f"{quantity.name}: {quantity.words} [{quantity.unit_symbol}]"))
     load = results.setting("load")
     if load is not None:
         swept = {axis.parameter for axis in results.parameters}
-        click.echo(fill(f"load      {', '.join([PROFILES[load['profile']].name, *numbers(load, swept)])}"))
-    click.echo(f"config    {results.config_digest[:16]}…")
-    for name, value in results.attributes.items():
-        click.echo(f"{name.removesuffix('_version'):<9} {value}")
+        rows.append(("load", ", ".join([PROFILES[load["profile"]].name, *numbers(load, swept)])))
+    rows.append(("config", f"{results.config_digest[:16]}…"))
+    rows += [(name.removesuffix("_version"), str(value)) for name, value in results.attributes.items()]
     if check:
-        checked_bytes = ", the bytes their checksum" if has_checksum else "; the bytes have no checksum:"
-        click.echo(f"checked   the data match their digest{checked_bytes}")
-        if not has_checksum:
-            click.echo("          another program has changed the file")
+        of_bytes = ", the bytes their checksum" if has_checksum else "; another program has changed the file, so that"
+        of_bytes += "" if has_checksum else " its bytes have no checksum"
+        rows.append(("checked", f"the data match their digest{of_bytes}"))
+    click.echo(f"{results.title}\n")
+    tables.print_values(rows)
     click.echo()
-    if tolerances is None:
-        tables.print_lashes(results.counts_of_lashes, tables.print_counts)
-        if results.boundaries is not None:
-            click.echo()
-            tables.print_boundaries(results.boundaries)
-    else:
-        tables.print_lashes(tolerances.by_lash(), tables.print_tolerances)
+    tables.print_outcomes(results)
+    if results.boundaries is not None:
+        click.echo()
+        tables.print_boundaries(results.boundaries)
     for caveat in results.caveats:
         click.echo(fill(f"note: {caveat}"))
     if show_map:

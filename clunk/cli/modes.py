@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from clunk.cli import tables, terminal
 from clunk.cli.options import PATH, json_option, set_option
-from clunk.study.records import fill
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 _FAINTEST = 0.05  # share of a mode's kinetic energy that is printed
+_MOST_SHARES = 2
 
 
 @click.command()
@@ -30,8 +27,6 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
 
     Example: clunk modes configs/nominal.toml
     """
-    import numpy as np
-
     from clunk.core.status import Status
     from clunk.simulation.driveline import explained, steady_driveline, steady_stages, steps_a_period
     from clunk.simulation.linear import one_mode_thresholds, rigid_contact_thresholds
@@ -40,54 +35,45 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
 
     study = load_study(config, overrides)
     driveline, stages = steady_driveline(study), steady_stages(study)
-    states = {"closed": driveline.modes(closed=True), "open": driveline.modes(closed=False)}
-    shares = {
-        state: kinetic_energy_shares(driveline, mode_shapes(driveline, closed=state == "closed")) for state in states
-    }
     if driveline.rigid_motion.shape.shape[1] > 1:  # parts that turn by themselves
         terminal.complain(f"warning: {explained(study, Status.NO_EQUILIBRIUM)}")
-    names = driveline.names
-    shuffle = shuffle_mode(driveline)
-    several = len(study.lashes) > 1
-    periods = dict(zip(study.lash_names, driveline.contact_periods.tolist(), strict=True))
-    thresholds = {"lowest mode": one_mode_thresholds, "all modes": rigid_contact_thresholds}
-    ratios_above = {name: of(study) for name, of in thresholds.items() if not several}
-    if as_json:
-        record: dict[str, Any] = {
-            state: {
-                "frequency_hz": eigen.frequency.tolist(),
-                "damping_ratio": eigen.damping_ratio.tolist(),
-                "decay_rate_per_s": eigen.overdamped.tolist(),
-                "kinetic_energy_share": shares[state].tolist(),
-            }
-            for state, eigen in states.items()
+    record: dict[str, Any] = {}
+    for state in ("closed", "open"):
+        eigen = driveline.modes(closed=state == "closed")
+        record[state] = {
+            "frequency_hz": eigen.frequency.tolist(),
+            "damping_ratio": eigen.damping_ratio.tolist(),
+            "decay_rate_per_s": eigen.overdamped.tolist(),
+            "kinetic_energy_share": kinetic_energy_shares(
+                driveline, mode_shapes(driveline, closed=state == "closed")
+            ).tolist(),
         }
-        record["thresholds"] = {name: ratios.tolist() for name, ratios in ratios_above.items()}
-        record |= {"inertias": names, "shuffle": None if shuffle is None else shuffle + 1}
-        record |= {"stages": stages} if stages else {}
+    several, shuffle = len(study.lashes) > 1, shuffle_mode(driveline)
+    thresholds = {"lowest mode": one_mode_thresholds, "all modes": rigid_contact_thresholds}
+    record["thresholds"] = {name: of(study).tolist() for name, of in thresholds.items() if not several}
+    record |= {"inertias": driveline.names, "shuffle": None if shuffle is None else shuffle + 1}
+    record |= {"stages": stages} if stages else {}
+    periods = dict(zip(study.lash_names, driveline.contact_periods.tolist(), strict=True))
+    if as_json:
         tables.print_record(record | {"contact_period": tables.of_lashes(periods)})
         return
     for k, stage in stages.items():
         click.echo(f"shaft {k} in stage {stage}, as before the load step")
-    for state, eigen in states.items():
+    for state in ("closed", "open"):
         click.echo(f"{'all lashes' if several else 'lash'} {state}")
-        click.echo("  mode  frequency [Hz]  damping ζ [-]  share of kinetic energy")
-        for k, (frequency, ratio) in enumerate(zip(eigen.frequency, eigen.damping_ratio, strict=True), 1):
-            moved = _largest_shares(shares[state][k - 1].tolist(), names)
-            named = "shuffle: " if state == "closed" and shuffle == k - 1 else ""
-            numbers = f"  {k:>4}  {frequency:>14.1f}  {ratio:>13.3f}  "
-            click.echo(fill(named + moved, numbers, " " * len(numbers)))
-        rates = eigen.overdamped
-        drifting = int(np.count_nonzero(rates <= 0.0))
+        tables.print_table(_rows(record[state], driveline.names))
+        rates = record[state]["decay_rate_per_s"]
+        drifting = sum(rate <= 0.0 for rate in rates)
         if drifting:
-            click.echo(f"     -  does not oscillate; drifts (zero eigenvalues: {drifting})")
-        for rate in rates[rates > 0.0]:
-            click.echo(f"     -  does not oscillate; decays at {rate:.4g} 1/s")
+            click.echo(f"  not oscillating: drifts (zero eigenvalues: {drifting})")
+        for rate in rates:
+            if rate > 0.0:
+                click.echo(f"  not oscillating: decays at {rate:.4g} 1/s")
         click.echo()
-    for name, period in periods.items():
-        click.echo(f"contact period T_c  {1e3 * period:.2f} ms{f', {name}' if several else ''}")
-    steps = steps_a_period(study)
-    click.echo(f"solver.step         {study.solver.step:g} s, {steps:.1f} steps a period of the fastest mode")
+    values = [("shuffle", "none" if shuffle is None else f"mode {shuffle + 1} of the closed lash")]
+    values += [(f"contact period T_c{f', {name}' * several}", f"{1e3 * time:.2f} ms") for name, time in periods.items()]
+    steps = f"{study.solver.step:g} s, {steps_a_period(study):.1f} steps a period of the fastest mode"
+    tables.print_values([*values, ("solver.step", steps)])
     if several:
         return
     click.echo()
@@ -95,15 +81,20 @@ def modes(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
         click.echo("no thresholds of a vanishing backlash: they hold for shafts without stages")
         return
     click.echo("load ratio σr of an ideal step above which one more impact appears as the\nbacklash vanishes")
-    click.echo("  impacts       " + "".join(f"{n:>8}" for n in range(1, 5)))
-    for name, ratios in ratios_above.items():
-        click.echo(f"  {name:<14}" + ("".join(f"{ratio:>8.2f}" for ratio in ratios) or "    none"))
+    ratios_above = record["thresholds"].items()
+    tables.print_table(
+        [{"impacts": name} | {str(n): f"{ratio:.2f}" for n, ratio in enumerate(of, 1)} for name, of in ratios_above]
+    )
     click.echo("(lowest mode: σr = exp(2π ζ1 (n - 1/2)); all modes: with the lash locked)")
 
 
-def _largest_shares(shares: Sequence[float], names: Sequence[str]) -> str:
-    """The inertias that have most of a mode's kinetic energy, for example motor 93 %, flange 5 %."""
-    largest_first = sorted(zip(shares, names, strict=True), reverse=True)
-    return ", ".join(
-        f"{name} {share:.0%}".replace("%", " %") for share, name in largest_first[:3] if share >= _FAINTEST
-    )
+def _rows(state: dict[str, Any], names: tuple[str, ...]) -> list[dict[str, str]]:
+    """A row for each mode, with the inertias that have most of its kinetic energy."""
+    rows = []
+    of_modes = zip(state["frequency_hz"], state["damping_ratio"], state["kinetic_energy_share"], strict=True)
+    for k, (frequency, ratio, shares) in enumerate(of_modes, 1):
+        largest_first = sorted(zip(shares, names, strict=True), reverse=True)[:_MOST_SHARES]
+        moved = ", ".join(f"{name} {100.0 * share:.0f} %" for share, name in largest_first if share >= _FAINTEST)
+        row = {"mode": str(k), "frequency [Hz]": f"{frequency:.1f}", "damping ζ": f"{ratio:.3f}"}
+        rows.append(row | {"share of kinetic energy": moved})
+    return rows

@@ -142,17 +142,20 @@ def _report(result: AnyMap, job: Job, as_json: bool) -> int:
     from clunk.cli.textmap import is_drawable
     from clunk.results.tolerancemap import ToleranceMap
 
-    assert job.path is not None
-    if isinstance(result, ToleranceMap):
-        failed = tables.report_tolerances(result, job.path, job.seconds, as_json)
+    if as_json:
+        cells = {} if isinstance(result, ToleranceMap) else {"cells": job.design.cells}
+        head = {"file": str(job.path), "seconds": round(job.seconds, 3)} | cells
+        tables.print_record(head | tables.outcomes(result))
     else:
-        failed = tables.report_counts(result.counts_of_lashes, job.path, job.seconds, as_json)
+        tables.print_outcomes(result)
     draws = result.draws if isinstance(result, ToleranceMap) else 0
+    first = result.of_lash()  # all lashes of a cell fail together
+    failed = first.failed if isinstance(first, ToleranceMap) else int((first.status != 0).sum())
     if not job.is_complete:
         terminal.report_speed(job, draws)
     terminal.report_failures(result, " for some draws" if draws else "")
     terminal.report_caveats(result.caveats)
-    if sys.stdout.isatty() and not as_json and is_drawable(result.of_lash().axes):
+    if sys.stdout.isatty() and not as_json and is_drawable(first.axes):
         click.echo()
         tables.print_map(result)
     return failed

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from clunk.cli import terminal
-from clunk.study.records import Record, Row, plain, table, text_of, value_lines
+from clunk.study.records import Record, Row, fill, plain, table, text_of, value_lines
 from clunk.study.summaries import counted
 
 if TYPE_CHECKING:
@@ -44,17 +43,6 @@ def print_values(rows: Iterable[tuple[str, str]]) -> None:
     click.echo("\n".join(value_lines(rows)))
 
 
-def report_counts(counts: dict[str, dict[str, int]], target: Path, seconds: float, as_json: bool) -> int:
-    """Print the number of cells of each label, lash by lash, or a record of it; returns the number of failed cells."""
-    first = next(iter(counts.values()))
-    if as_json:
-        record = {"file": str(target), "cells": sum(first.values()), "seconds": round(seconds, 3)}
-        print_record(record | {"counts": of_lashes(counts)})
-    else:
-        print_lashes(counts, print_counts)
-    return first["failed"]  # all lashes of a cell fail together
-
-
 def print_map(results: AnyMap) -> None:
     """Print the map of each lash as text."""
     from clunk.cli.textmap import text_map
@@ -76,22 +64,16 @@ def print_lashes(values: dict[str, Value], show: Callable[[Value], None]) -> Non
         show(value)
 
 
-def report_tolerances(tolerances: ToleranceMap, target: Path, seconds: float, as_json: bool) -> int:
-    """Print the summary of a tolerance map, or a record of it; returns the number of failed runs."""
-    if as_json:
-        print_record({"file": str(target), "seconds": round(seconds, 3)} | tolerance_records(tolerances))
-    else:
-        print_lashes(tolerances.by_lash(), print_tolerances)
-    return tolerances.of_lash().failed
-
-
 def print_counts(counts: dict[str, int]) -> None:
     """Print the number and the share of cells of each label."""
     total = sum(counts.values())
-    width = max(len(label) for label in counts)
-    for label, count in counts.items():
-        if label != "failed" or count:
-            click.echo(f"{label:<{width}}  {count:>9,} {'cell ' if count == 1 else 'cells'}  {count / total:6.1%}")
+    print_table(
+        [
+            {"label": label, "cells": f"{count:,}", "share": f"{count / total:.1%}"}
+            for label, count in counts.items()
+            if label != "failed" or count
+        ]
+    )
 
 
 def print_tolerances(tolerances: ToleranceMap) -> None:
@@ -99,20 +81,53 @@ def print_tolerances(tolerances: ToleranceMap) -> None:
     from clunk.results.tolerancemap import CERTAIN
 
     counts, shares = tolerances.counts(), tolerances.shares()
-    cells, width = sum(counts.values()), max(len(label) for label in counts)
-    click.echo(f"{'':<{width}}  {'most likely in':>15}  {'of all runs':>19}")
-    for label, count in counts.items():
-        if label != "failed" or shares[label]:
-            click.echo(f"{label:<{width}}  {counted(count, 'cell'):>15}  {count / cells:6.1%}  {shares[label]:11.4%}")
-    click.echo()
-    uncertain = f"{counted(tolerances.uncertain, 'cell')} of {cells:,}, {tolerances.uncertain / cells:.1%}"
-    click.echo(f"uncertain (no label has {CERTAIN:.0%} of the {tolerances.draws:,} draws): {uncertain}")
+    cells = sum(counts.values())
+    print_table(
+        [
+            {"label": label, "cells where it is most likely": f"{count:,}", "share of all runs": f"{shares[label]:.4%}"}
+            for label, count in counts.items()
+            if label != "failed" or shares[label]
+        ]
+    )
     moved = int((tolerances.sequence != tolerances.nominal_sequence).sum())
-    click.echo(f"another most likely label than without tolerances: {counted(moved, 'cell')} of {cells:,}")
+    click.echo()
+    click.echo(
+        f"uncertain (no label has {CERTAIN:.0%} of the {tolerances.draws:,} draws): {tolerances.uncertain:,} of "
+        f"{counted(cells, 'cell')}\nanother most likely label than without tolerances: {moved:,}"
+    )
     if tolerances.failed:
-        runs = cells * tolerances.draws
         affected = counted(int((tolerances.runs[..., -1] > 0).sum()), "cell")
-        terminal.complain(f"{tolerances.failed:,} of {runs:,} runs failed, in {affected}")
+        terminal.complain(f"{tolerances.failed:,} of {cells * tolerances.draws:,} runs failed, in {affected}")
+
+
+def print_outcomes(results: AnyMap) -> None:
+    """Print how many cells each label has, lash by lash, or how likely it is."""
+    from clunk.results.tolerancemap import ToleranceMap
+
+    if isinstance(results, ToleranceMap):
+        print_lashes(results.by_lash(), print_tolerances)
+    else:
+        print_lashes(results.counts_of_lashes, print_counts)
+
+
+def outcomes(results: AnyMap) -> dict[str, Any]:
+    """How many cells each label has, or how likely it is, for JSON; of several lashes, by lash."""
+    from clunk.results.tolerancemap import ToleranceMap
+
+    if not isinstance(results, ToleranceMap):
+        return {"counts": of_lashes(results.counts_of_lashes)}
+    records = {
+        name: {
+            "cells": sum(each.counts().values()),
+            "draws": each.draws,
+            "counts": each.counts(),
+            "shares": each.shares(),
+            "uncertain_cells": each.uncertain,
+            "failed_runs": each.failed,
+        }
+        for name, each in results.by_lash().items()
+    }
+    return {"lashes": records} if len(records) > 1 else of_lashes(records)
 
 
 def print_boundaries(boundaries: Boundaries) -> None:
@@ -122,7 +137,7 @@ def print_boundaries(boundaries: Boundaries) -> None:
     if rows := boundaries.meeting_rows():
         print_table(rows)
     if boundaries.unresolved_sentence:
-        click.echo(click.wrap_text(boundaries.unresolved_sentence, 80))
+        click.echo(fill(boundaries.unresolved_sentence))
 
 
 def boundary_record(boundaries: Boundaries) -> dict[str, Any]:
@@ -137,23 +152,4 @@ def boundary_record(boundaries: Boundaries) -> dict[str, Any]:
         "junctions": [{"at": place.tolist(), "labels": labels} for place, labels in boundaries.meetings],
         "areas": boundaries.areas,
         "unresolved": boundaries.unresolved.tolist(),
-    }
-
-
-def tolerance_records(tolerances: ToleranceMap) -> dict[str, Any]:
-    """A tolerance map for JSON; of several lashes, by lash."""
-    records = {name: tolerance_record(each) for name, each in tolerances.by_lash().items()}
-    return {"lashes": records} if len(records) > 1 else of_lashes(records)
-
-
-def tolerance_record(tolerances: ToleranceMap) -> dict[str, Any]:
-    """A tolerance map for JSON."""
-    counts = tolerances.counts()
-    return {
-        "cells": sum(counts.values()),
-        "draws": tolerances.draws,
-        "counts": counts,
-        "shares": tolerances.shares(),
-        "uncertain_cells": tolerances.uncertain,
-        "failed_runs": tolerances.failed,
     }

@@ -24,7 +24,7 @@ from clunk.study.errors import ClunkError
 from clunk.study.study import Study
 from clunk.study.summaries import Rows, as_text
 
-_EVENT_COLUMNS = ("time [s]", "event", "flank", "q' [rad/s]", "impact", "Qi [rad/s²]")
+_EVENT_COLUMNS = ("time [s]", "event", "flank", "q' [rad/s]", "Qi [rad/s²]")
 _LAST = 1000  # events of a run that has too many: what repeats is among them
 
 
@@ -170,13 +170,12 @@ class Trajectory:
         ranks = {int(k): (each, rank) for each in self.lashes for rank, k in enumerate(each.primaries)}
         rows: list[tuple[str, ...]] = [_EVENT_COLUMNS]
         for k, event in enumerate(self.events[1:], 1):
-            impact = "primary" if k in ranks else "secondary" if event["kind"] == TOUCH else ""
             severity = ""
             if k in ranks:
                 each, rank = ranks[k]
                 severity = _severity(each.impact_severity[rank])
             texts = f"{event['time']:.7f}", self.kind_name(k), self.flank_name(k), f"{event['speed']:+.6f}"
-            rows.append((*texts, impact, severity))
+            rows.append((*texts, severity))
         if len(self.lashes) == 1:
             return rows
         names = ["lash", *map(self.lash_name, range(1, len(self.events)))]
