@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.feet import feet_of_figure_3_4
+from helpers.studies import random_study
 
 import clunk
 from clunk.analysis.boundaries import BoundaryError, boundaries
@@ -247,19 +248,26 @@ HARD = {
     "damping": ("", ("lash.contact.damping", 0.05, 3.0)),
     "restitution": ('model = "restitution"\n', ("lash.contact.restitution", 0.0, 0.96)),
 }
+RANDOM = (10, 12, 19, 23, 29, 39)  # studies: of staged shafts, frictions, gears, all profiles but the report's step
 
 
-@pytest.mark.parametrize("name", HARD)
+def hard_study(name):
+    """A study of 13 values an axis."""
+    counts = [f"sweep.axes[{k}].count=13" for k in (1, 2)]
+    if isinstance(name, int):
+        return random_study(name, EXACT, *counts)
+    given, swept_to = HARD[name]
+    if not swept_to:
+        return clunk.load_study(ROOT / f"configs/{given}.toml", counts)
+    text = NOMINAL.replace("[load]", f"[lash.contact]\n{given}[load]")
+    return study_from_text(text + axis("load.ratio", 0.0, 10.0, 13) + axis(*swept_to, 13), overrides=(EXACT,))
+
+
+@pytest.mark.parametrize("name", [*HARD, *RANDOM])
 def test_tracing_of_hard_maps_ends_and_its_regions_have_the_labels_of_runs_in_them(name):
     """Outside of unresolved cells 2 % of the points may lie in regions smaller than a cell, 1/12 of the map."""
-    given, swept_to = HARD[name]
-    if swept_to:
-        text = NOMINAL.replace("[load]", f"[lash.contact]\n{given}[load]")
-        swept = study_from_text(text + axis("load.ratio", 0.0, 10.0, 13) + axis(*swept_to, 13), overrides=(EXACT,))
-    else:
-        counts = [f"sweep.axes[{k}].count=13" for k in (1, 2)]
-        swept = clunk.load_study(ROOT / f"configs/{given}.toml", counts)
-    results, batches = clunk.sweep(swept), []
+    swept = hard_study(name)
+    results, batches = clunk.sweep(swept, boundaries=False), []
     network = boundaries(swept, results, progress=lambda done, _: batches.append(done))
     assert batches[-1] <= most_runs(13 * 13) + max(np.diff([0, *batches]))
     assert network.region_area.sum() == pytest.approx(1.0, abs=1e-9)
@@ -267,10 +275,11 @@ def test_tracing_of_hard_maps_ends_and_its_regions_have_the_labels_of_runs_in_th
     shares = np.random.default_rng(2).random((300, 2))
     cells = {*map(tuple, ((network.unresolved - low) / span * 12.0).astype(int).tolist())}
     points = low + shares * span
-    runs = clunk.run_points(swept, dict(zip((each.parameter for each in network.axes), points.T, strict=True)))
+    points_by_key = dict(zip((each.parameter for each in network.axes), points.T, strict=True))
+    runs = clunk.run_points(swept, points_by_key).of_lash()
     labels = [next(region.label for region in network.regions if is_within(region, point)) for point in points]
     is_clear = [tuple(cell) not in cells for cell in (shares * 12.0).astype(int).tolist()]
-    assert (np.array(labels) != runs.of_lash().label_map)[is_clear].sum() <= 6
+    assert (np.array(labels) != runs.label_map)[is_clear].sum() <= 6
 
 
 def test_one_axis_has_its_thresholds():

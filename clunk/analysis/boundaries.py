@@ -175,7 +175,7 @@ def _of_plane(study: Study, results: Results, lash: int, workers: int | None, pr
         nodes["outcome"], nodes["measure"] = results.sequence[ascending], results.margin[ascending]
         nodes["touches"] = results.touches[ascending]
         triangles = Triangles(across, upward, nodes)
-        lines = Lines(triangles, run, progress)
+        lines = Lines(triangles, run, progress, point_runs.cost)
         paths = paths_of(*lines.trace(), lines.position)
         regions = regions_of(rings_of(paths, int(triangles.outcome[0])))
 

@@ -14,6 +14,7 @@ from clunk.core.tile import EVENTS
 from clunk.results.labels import FAILED_CODE, excursions
 from clunk.results.quantities import measuring
 from clunk.study.arrays import Codes, Floats, Records
+from clunk.study.rules import count_of_regimes
 from clunk.study.study import Study
 from clunk.sweeping.reduction import flanks_of, long_sequences
 from clunk.sweeping.runner import Runner
@@ -26,6 +27,7 @@ Runs = npt.NDArray[np.void]  # RUN: the label's code, the margin and the number 
 Events = npt.NDArray[np.void]  # EVENT
 
 _EVENT_MEMORY = 500_000  # events that there is room for at a time, in each thread: 28 MB
+_STEPS = 20_000
 _FEW = 50  # pairs: fewer are not worth a second thread
 
 
@@ -47,6 +49,13 @@ class PointRuns:
         self._engine = engine
         self._codes = {text: code for code, text in enumerate(labels)}
         self._code_of_pattern: dict[int, int] = {}
+
+    @property
+    def cost(self) -> int:
+        """How many runs of one common driveline, by exact or in `_STEPS` steps of rk4, take as long as one of these."""
+        solver, structural = self.study.solver, self._runner.grid.structural
+        steps = solver.end_time / solver.step if solver.method == "rk4" else 0.0
+        return max(1, round(steps / _STEPS), count_of_regimes(self.study) // 2 if structural else 1)
 
     def __call__(self, values: Floats) -> Runs:
         """Run points; values : (n, parameters), in their units. Returns (n,) RUN."""

@@ -51,9 +51,12 @@ SEGMENT = np.dtype(
 _ASKED = np.dtype([("cell", "i8"), ("place", "f8", 2), ("run", RUN), ("is_long", "?"), ("chord", "f8", 2)])
 
 
-def most_runs(cells: int) -> int:
-    """Number of runs with which the lines of a map are traced at most, but for one batch; fewer of many touches."""
-    return _RUNS_OF_ANY_MAP + _RUNS_PER_CELL * cells
+def most_runs(cells: int, cost: int = 1) -> int:
+    """Number of runs with which the lines of a map are traced at most, but for one batch; fewer of many touches.
+
+    cost : see `PointRuns`
+    """
+    return _RUNS_OF_ANY_MAP // cost + _RUNS_PER_CELL * cells
 
 
 class Lines:
@@ -71,9 +74,9 @@ class Lines:
     unresolved : (n, 2) places where lines are not located
     """
 
-    def __init__(self, triangles: Triangles, run: Run, progress: Progress | None = None) -> None:
+    def __init__(self, triangles: Triangles, run: Run, progress: Progress | None = None, cost: int = 1) -> None:
         self.triangles, self.runs = triangles, 0
-        self._run, self._most_runs, self._rounds = run, most_runs(triangles.runs.size), 0
+        self._run, self._most_runs, self._rounds = run, most_runs(triangles.runs.size, cost), 0
         self._spent = 0  # runs, those of many touches more than once
         self._cuts, self._progress, self._is_rough = 0, progress, False
         self._checked = triangles.runs.size  # nodes that have been looked at, whether a region passes an edge near them

@@ -95,15 +95,19 @@ def _lashes(config: Config) -> Iterator[Finding]:
             yield (*place, "contact", "model"), f"{text} of lash 1; all lashes of a driveline have one contact model"
 
 
-def _regimes(config: Config) -> Iterator[Finding]:
-    """Require no more combinations of the states of lashes, staged shafts and frictions than can be prepared."""
+def count_of_regimes(config: Config) -> int:
+    """Number of combinations of the states of lashes, staged shafts and frictions."""
     shafts = config.driveline.shafts
-    frictions, staged = sum(shaft.friction > 0.0 for shaft in shafts), [s for s in shafts if len(s.stages) > 1]
     # a lash is open or on one of two flanks, a friction sticks or slips in one of two directions
-    regimes = 3 ** (len(config.lashes) + frictions) * math.prod(len(shaft.stages) for shaft in staged)
+    threefold = len(config.lashes) + sum(shaft.friction > 0.0 for shaft in shafts)
+    return 3**threefold * math.prod(len(shaft.stages) for shaft in shafts)
+
+
+def _regimes(config: Config) -> Iterator[Finding]:
+    """Require no more regimes than can be prepared."""
+    regimes = count_of_regimes(config)
     if regimes > MOST_REGIMES:
-        counts = f"{len(config.lashes)} lash(es), {len(staged)} staged shaft(s) and {frictions} friction(s)"
-        text = f"the states of {counts} combine to {regimes:,} regimes"
+        text = f"the states of lashes, staged shafts and frictions combine to {regimes:,} regimes"
         yield ("driveline", "shafts"), f"{text}; at most {MOST_REGIMES:,} are allowed"
 
 

@@ -143,6 +143,8 @@ class Runner:
 
         Closing the generator ends the runs.
         """
+        if not len(values):
+            return
         grid, cells = self.grid.with_design(self._design(values)), np.arange(len(values))
         if cells.size <= _ALONE:
             yield grid.run(cells, np.zeros(1, np.uint8))
