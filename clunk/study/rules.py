@@ -100,7 +100,7 @@ def count_of_regimes(config: Config) -> int:
     shafts = config.driveline.shafts
     # a lash is open or on one of two flanks, a friction sticks or slips in one of two directions
     threefold = len(config.lashes) + sum(shaft.friction > 0.0 for shaft in shafts)
-    return 3**threefold * math.prod(len(shaft.stages) for shaft in shafts)
+    return int(3**threefold) * math.prod(len(shaft.stages) for shaft in shafts)
 
 
 def _regimes(config: Config) -> Iterator[Finding]:
