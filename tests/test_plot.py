@@ -344,7 +344,7 @@ def test_three_axes_are_refused_with_a_way_out(nine: Results) -> None:
     results = make((third, *nine.axes), nine.labels, np.stack([nine.sequence] * 2), np.stack([nine.severity] * 2))
     for quantity in ("regimes", "severity", "double_sided"):
         with pytest.raises(
-            plot.SurplusAxesError, match=r"sweep 3 axes .*: choose one value of lash.contact.damping .*, or draw a map"
+            plot.PlotError, match=r"sweep 3 axes .*: choose one value of lash.contact.damping .*, or draw a map"
         ):
             plot.draw(results, quantity)
 

@@ -13,12 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from clunk.plot.drawing import default_quantities, draw
-    from clunk.plot.plane import SurplusAxesError
     from clunk.plot.style import PlotError, save
 
 __all__ = [
     "PlotError",
-    "SurplusAxesError",
     "default_quantities",
     "draw",
     "save",
@@ -26,7 +24,6 @@ __all__ = [
 
 _HOME = {
     "PlotError": "style",
-    "SurplusAxesError": "plane",
     "default_quantities": "drawing",
     "draw": "drawing",
     "save": "style",

@@ -13,7 +13,7 @@ from clunk.plot import style
 from clunk.plot.labelling import Raster, write_names
 from clunk.plot.layers import Layers, hardness
 from clunk.plot.maps import add_bar, cell_colours, facet_map, map_figure, notes_of, shades_of
-from clunk.plot.plane import USUAL, SurplusAxesError, axis_label, drawn_axes, scale_axis
+from clunk.plot.plane import USUAL, axis_label, drawn_axes, scale_axis
 from clunk.results.quantities import TEXT, quantity_of
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import AnyMap, ToleranceMap
@@ -71,15 +71,15 @@ def default_quantities(
     tolerance map how probable double-sided impacts are, too.
     """
     is_map = len(drawn_axes(drawn)) > 1
-    if isinstance(drawn, Results) and _has_runs(drawn) and not facets:
+    if _has_runs(drawn) and not facets:
         is_map = y is not None or (x is None and len(parameter_choice(drawn)) > 1)
     names = ["regimes", *["double_sided"] * isinstance(drawn, ToleranceMap), hardness(drawn)]
     return list(dict.fromkeys(names)) if is_map else names[-1:]
 
 
-def _has_runs(results: Results) -> bool:
+def _has_runs(drawn: AnyMap) -> bool:
     """Whether there are several runs, of a sample or of axes that are walked together."""
-    return any(axis.parameter == RUN and len(axis.values) > 1 for axis in results.axes)
+    return any(axis.parameter == RUN and len(axis.values) > 1 for axis in drawn.axes)
 
 
 @style.styled()
@@ -105,7 +105,7 @@ def strip(drawn: AnyMap, quantity: str = "severity") -> Figure:
         look: dict[str, Any] = {"linewidth": 1.5, "markersize": 3.0, "clip_on": False, "zorder": 3}
         ax.plot(samples[cells], values[cells], marker=marker, color=style.LINE_COLOURS[0], **look)
     scale_axis(ax, "x", layers.view.x)
-    ax.set_xlim(*((samples[0], samples[-1]) if len(samples) > 1 else edges[[0, -1]]))
+    ax.set_xlim(edges[0], edges[-1])
     ax.set_ylabel(of_quantity.value_label)
     if not np.nanmin(values) < 0.0:
         ax.set_ylim(bottom=0.0)
@@ -161,7 +161,7 @@ def scatter(results: Results, quantity: str, x: str, y: str | None = None) -> Fi
     return figure
 
 
-def parameter_choice(results: Results) -> tuple[str, ...]:
+def parameter_choice(results: AnyMap) -> tuple[str, ...]:
     """The two parameters over which a sample is drawn by default, or the only one.
 
     The grid's axes first, then load ratio and backlash, then the others in order.
@@ -185,7 +185,7 @@ def _require_points_apart(results: Results, chosen: set[str]) -> None:
     axes = [results.axes[index].parameter for index in drawn_axes(results)]
     shown = {name if name in axes else RUN for name in chosen}
     if hidden := " and ".join(name for name in axes if name not in shown):
-        raise SurplusAxesError(
+        raise style.PlotError(
             f"Points that differ in {hidden} would lie on each other: choose one value (--at), or draw a map for each "
             "(--facet)."
         )

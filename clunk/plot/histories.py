@@ -72,7 +72,7 @@ def history_figure(runs: Runs, name: str = "everything", *, each_lash: bool = Tr
             labels = ", ".join(dict.fromkeys(run.trajectory.label for run in group))
             title = f"{style.plain(what) or _case(group[0])}: {labels}"
             ax.set_title(title, loc="right", fontsize=9.0)
-    _finish(figure, axes, runs, outcomes=lashes == 1, marks=any(draw is draw_backlash for draw, _, _ in of_lash))
+    _finish(figure, axes, runs, outcomes=lashes == 1)
     return figure
 
 
@@ -129,8 +129,8 @@ def _frame(runs: Runs, heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
     return figure, axes
 
 
-def _finish(figure: Figure, axes: Sequence[Axes], runs: Runs, *, outcomes: bool = True, marks: bool = True) -> None:
-    """Write the titles, and below a legend of the runs and of the marks; outcomes : of the lash in view."""
+def _finish(figure: Figure, axes: Sequence[Axes], runs: Runs, *, outcomes: bool = True) -> None:
+    """Write the titles, and below a legend of the runs and of the touches; outcomes : of the lash in view."""
     titles, cases = {run.study.title for run in runs}, {_case(run) for run in runs}
     title = titles.pop() if len(titles) == len(cases) == 1 else "Runs compared"
     loads = dict.fromkeys(PROFILES[run.study.load.profile].name for run in runs)
@@ -142,7 +142,7 @@ def _finish(figure: Figure, axes: Sequence[Axes], runs: Runs, *, outcomes: bool 
     for run, look in dict(zip(names, _curves(runs), strict=True)).values() if len(runs) > 1 else ():
         outcome = f": {_outcome(run)}" if outcomes and names.count(run.name) == 1 else ""
         handles.append(Line2D([], [], **look, label=style.plain(run.name) + outcome))
-    if marks and any(run.touches.row.size for run in runs):
+    if any(line.get_gid() in ("primary", "secondary") for ax in axes for line in ax.lines):
         for primary, text in ((True, "primary impact"), (False, "secondary impact (chatter)")):
             handles.append(Line2D([], [], marker="^", label=text, **_touch_look(FAINT_INK, primary=primary)))
     style.lay_out(figure, axes[0], title, line, handles, parse_math=True)

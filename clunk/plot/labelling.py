@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,10 +41,7 @@ class Raster:
 
     ax: Axes
     codes: Codes
-    taken: Bools = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.taken = np.zeros(self.codes.shape, np.bool_)
+    taken: Bools
 
     @classmethod
     def of(cls, ax: Axes, layers: Layers) -> Raster:
@@ -52,7 +50,8 @@ class Raster:
         across, upward = (np.arange(0.5 * _PIXEL, side, _PIXEL) for side in (box.width, box.height))
         x = to_data(np.column_stack([box.x0 + across, np.full(across.size, box.y0)]))[:, 0]
         y = to_data(np.column_stack([np.full(upward.size, box.x0), box.y0 + upward]))[:, 1]
-        return cls(ax, layers.codes_at(x, y))
+        codes = layers.codes_at(x, y)
+        return cls(ax, codes, np.zeros(codes.shape, np.bool_))
 
     def pixels(self, values: Floats) -> Floats:
         """Raster columns and rows (n, 2) of data coordinates (n, 2)."""
@@ -90,14 +89,14 @@ def write_beside(raster: Raster, points: Floats, texts: Sequence[str], size: flo
     box = {"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.85, "edgecolor": "none"}
     for k, (text, (column, row)) in enumerate(zip(texts, around.tolist(), strict=True)):
         width, height = raster.measure(text, size)
-        for away, (right, up) in ((away, side) for away in _FURTHER for side in _SIDES):
-            left = round(column + right * (away * reach + 0.5 * width) - 0.5 * width)
-            low = round(row + up * (away * reach + 0.5 * height) - 0.5 * height)
-            window = np.s_[low : low + height, left : left + width]
-            is_within = min(left, low) >= 0 and raster.taken[window].shape == (height, width)
-            if is_within and not raster.taken[window].any():
-                raster.taken[window] = True
-                raster.write(text, left + 0.5 * width, low + 0.5 * height, size, gid="measured", bbox=box, zorder=7)
+        for away, (right, up) in product(_FURTHER, _SIDES):
+            x = column + right * (away * reach + 0.5 * width)
+            y = row + up * (away * reach + 0.5 * height)
+            left, low = round(x - 0.5 * width), round(y - 0.5 * height)
+            window = raster.taken[max(0, low) : low + height, max(0, left) : left + width]
+            if window.shape == (height, width) and not window.any():
+                window[:] = True
+                raster.write(text, x, y, size, gid="measured", bbox=box, zorder=7)
                 break
         else:
             without.append(k)

@@ -25,8 +25,7 @@ from clunk.study.loads import PROFILES, STEP_KEYS, numbers
 MOST_LABELS = 16  # that are told apart: more are grouped by their number of double-sided impacts
 _SEEN = 5e-6  # of a map's area, some pixels: a smaller region has no name
 _MOST_STEPS = 40_000  # of lines between cells: more would be a veil
-# A cell's colour is taken towards white where its label is less certain than these, by so much.
-_FADES = ((CERTAIN, 0.30), (0.8, 0.55), (0.65, 0.80))
+_FADES = (0.5, CERTAIN), (0.8, 0.3)  # certainty of a label, and how far its colour is taken towards white
 _WHY_UNDEFINED = {
     "severity": "; under the restitution model accelerations are impulsive, and approach_velocity is the measure to "
     "plot",
@@ -198,9 +197,8 @@ class Layers:
 
     def _faded(self, drawn: ToleranceMap) -> Layers:
         """The most likely labels, paler where they are less certain."""
-        certainty, white = self.view.arrange(drawn.certainty), np.zeros(self.codes.shape)
-        for below, amount in _FADES:
-            white[certainty < below] = amount
+        certainty = self.view.arrange(drawn.certainty)
+        white = np.where(certainty < CERTAIN, np.interp(certainty, *_FADES), 0.0)
         text = f"paler: less than {100 * CERTAIN:.0f} % likely, {cells_phrase(drawn.uncertain)}"
         notes = (Note(text, ""),) if drawn.uncertain else ()
         paint = self.region_colours + white[..., None] * (255.0 - self.region_colours)
@@ -302,9 +300,9 @@ class Layers:
 
 def hardness(drawn: AnyMap) -> str:
     """The quantity that tells how hard impacts are: Q is not defined for the restitution model, V is."""
-    if isinstance(drawn, ToleranceMap):
-        return "severity" if np.isfinite(drawn.severity_mean).any() else "double_sided"
-    return "severity" if np.isfinite(drawn.severity).any() else "approach_velocity"
+    if np.isfinite(quantity_of("severity", drawn).of_runs(drawn)).any():
+        return "severity"
+    return "double_sided" if isinstance(drawn, ToleranceMap) else "approach_velocity"
 
 
 def _load_phrase(drawn: AnyMap) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
@@ -86,8 +87,11 @@ def map_figure(
         marked where x is the load ratio or a load torque and y the backlash from zero on
     """
     first, is_single = panels[0], len(panels) == 1
-    columns, size = grid_of(len(panels), columns)
-    figure, axes = new_panels(len(panels), columns, SIZE if is_single else size)
+    columns = columns or (2 if len(panels) == 4 else min(len(panels), 3))
+    width = max((SIZE[0] - _AROUND[0]) / columns, _NARROWEST)
+    height = math.ceil(len(panels) / columns) * min(0.85 * width, _HIGHEST)
+    size = SIZE if is_single else (_AROUND[0] + columns * width, _AROUND[1] + height)
+    figure, axes = new_panels(len(panels), columns, size)
     shades = shades_of(panels) if first.shaded else None
     scale_panels(figure, axes, first.view.axes)
     for ax, name in zip(axes, names, strict=False):
@@ -146,14 +150,6 @@ def _evenly_spaced(values: Floats, most: int) -> Floats:
     return values[np.unique(np.linspace(0, len(values) - 1, min(most, len(values))).round().astype(np.intp))]
 
 
-def grid_of(count: int, columns: int = 0) -> tuple[int, tuple[float, float]]:
-    """Number of columns of maps side by side, and the figure's size without its notes  [inches]."""
-    columns = columns or (2 if count == 4 else min(count, 3))
-    panel = max((SIZE[0] - _AROUND[0]) / columns, _NARROWEST)
-    height = _AROUND[1] + -(-count // columns) * min(0.85 * panel, _HIGHEST)
-    return columns, (_AROUND[0] + columns * panel, height)
-
-
 def shades_of(panels: Sequence[Layers]) -> ScalarMappable:
     """Colours of a quantity's values; the margin's diverge from zero, a probability's begin at white."""
     values = np.concatenate([layers.values.ravel() for layers in panels if layers.values is not None])
@@ -168,8 +164,7 @@ def shades_of(panels: Sequence[Layers]) -> ScalarMappable:
 def add_bar(figure: Figure, axes: Sequence[Axes], shades: ScalarMappable, layers: Layers) -> None:
     """Draw the colour bar of a quantity beside the axes."""
     ticks = ticker.MaxNLocator(integer=True) if layers.quantity.type == WHOLE else None
-    bar = figure.colorbar(shades, ax=axes, pad=0.02, aspect=28, label=layers.value_label, ticks=ticks)
-    bar.outline.set_linewidth(0.6)
+    figure.colorbar(shades, ax=axes, pad=0.02, aspect=28, label=layers.value_label, ticks=ticks)
 
 
 def cell_colours(layers: Layers, shades: ScalarMappable | None) -> Floats:

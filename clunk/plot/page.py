@@ -15,8 +15,8 @@ from clunk.analysis.small_gap import thresholds_of
 from clunk.core.status import Status
 from clunk.plot.drawing import default_quantities, draw
 from clunk.plot.maps import MOST_VALUES
-from clunk.plot.plane import SurplusAxesError, drawn_axes, surplus_axes
-from clunk.plot.style import PlotError, styled
+from clunk.plot.plane import drawn_axes, surplus_axes
+from clunk.plot.style import styled
 from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import ToleranceMap
 from clunk.study.records import columns_of
@@ -32,7 +32,27 @@ td { overflow-wrap: break-word }
 pre { background: #f6f6f4; font-size: 13px; overflow-x: auto; padding: 0.8em }
 @media print { pre { white-space: pre-wrap } svg { break-inside: avoid } }
 """
-_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+_PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
+<meta name="viewport" content="width=device-width">
+<title>{title}</title>
+<style>{style}</style>
+</head>
+<body>
+<h1>{title}</h1>
+{parts}
+<h2>How to make it again</h2>
+<pre>{again}</pre>
+<h2>Versions and digests</h2>
+{provenance}
+<h2>Config</h2>
+<pre>{config}</pre>
+</body>
+</html>
+"""
 
 
 def page(results: Results | ToleranceMap, commands: Sequence[str], digests: Sequence[tuple[str, str]]) -> str:
@@ -41,25 +61,18 @@ def page(results: Results | ToleranceMap, commands: Sequence[str], digests: Sequ
     commands : lines of a shell by which the map and the page are made again from the config
     digests : name and value of what tells whether it is the same
 
-    Raises SurplusAxesError where more axes have several values than pictures show.
+    Raises PlotError where more axes have several values than pictures show.
     """
-    title = escape(results.title.strip() or "Impact regimes")
     parts = [part for name in results.lash_names for part in _part(results.at_lash(name), name)]
-    again = "\n".join(escape(line) for line in commands)
     provenance = [*((name.removesuffix("_version"), value) for name, value in results.attributes.items()), *digests]
-    body = [
-        *(f"<h1>{title}</h1>", *parts),
-        *("<h2>How to make it again</h2>", f"<pre>{again}</pre>"),
-        *("<h2>Versions and digests</h2>", html_table(provenance)),
-        *("<h2>Config</h2>", f"<pre>{escape(results.config)}</pre>"),
-    ]
-    head = [
-        *('<meta charset="utf-8">', f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'),
-        *('<meta name="viewport" content="width=device-width">', f"<title>{title}</title>"),
-        f"<style>{_STYLE}</style>",
-    ]
-    lines = ["<!doctype html>", '<html lang="en">', "<head>", *head, "</head>", "<body>", *body, "</body>", "</html>"]
-    return "\n".join(lines) + "\n"
+    return _PAGE.format(
+        title=escape(results.title.strip() or "Impact regimes"),
+        style=_STYLE,
+        parts="\n".join(parts),
+        again=escape("\n".join(commands)),
+        provenance=html_table(provenance),
+        config=escape(results.config),
+    )
 
 
 def _part(part: Results | ToleranceMap, lash: str) -> Iterator[str]:
@@ -70,12 +83,7 @@ def _part(part: Results | ToleranceMap, lash: str) -> Iterator[str]:
     surplus = surplus_axes([part.axes[index] for index in drawn_axes(part)])
     facets = [axis.parameter for axis in surplus[: len(MOST_VALUES)]]
     for name in default_quantities(part, facets=facets):
-        try:
-            yield _svg(draw(part, name, thresholds, facets=facets), name)
-        except SurplusAxesError:
-            raise
-        except PlotError as error:
-            yield f"<p>{escape(str(error))}</p>"
+        yield _svg(draw(part, name, thresholds, facets=facets), name)
     summary, labels = part.html_tables()
     yield f"{summary}<h3>Labels</h3>{labels}"
     counts = ((status, int((part.status == status).sum())) for status in Status if status != Status.OK)
@@ -87,10 +95,9 @@ def _part(part: Results | ToleranceMap, lash: str) -> Iterator[str]:
         values = ", ".join(f"{value:.6g}" for value in thresholds)
         yield "<h3>Thresholds as the backlash vanishes</h3>"
         yield f"<p>One more impact appears at {escape(changing.pop())} = {values} (all modes, the lash locked).</p>"
-    boundaries = part.boundaries if isinstance(part, Results) else None
-    if boundaries is not None:
-        heads, *rows = columns_of(boundaries.meeting_rows())
-        areas = [(label, f"{100.0 * area:.6g} %") for label, area in boundaries.areas.items()]
+    if part.boundaries is not None:
+        heads, *rows = columns_of(part.boundaries.meeting_rows())
+        areas = [(label, f"{100.0 * area:.6g} %") for label, area in part.boundaries.areas.items()]
         yield f"<h3>Boundaries</h3>{html_table(rows, heads)}{html_table(areas, ('label', 'share of the map'))}"
 
 

@@ -43,7 +43,7 @@ class View:
         names = ", ".join(axis.parameter for axis in swept)
         if len(swept) > 2:
             surplus = " and ".join(axis.parameter for axis in surplus_axes(swept))
-            raise SurplusAxesError(
+            raise PlotError(
                 f"These results sweep {len(swept)} axes ({names}) and a map shows two: choose one value of {surplus} "
                 "(--at), or draw a map for each (--facet)."
             )
@@ -76,10 +76,6 @@ class View:
         rest = tuple(axis for axis in range(array.ndim) if axis not in self.keep)
         turned = np.transpose(array, (*self.keep, *rest)).reshape([len(order) for order in self.order])
         return turned[np.ix_(*self.order)]
-
-
-class SurplusAxesError(PlotError):
-    """More axes than a figure shows."""
 
 
 def surplus_axes(swept: Sequence[ResultAxis]) -> list[ResultAxis]:
@@ -158,8 +154,8 @@ def scale_axis(ax: Axes, which: str, axis: ResultAxis, most: int = 10) -> None:
     ax.set(**{f"{which}scale": "log"})
     is_short = axis.values[-1] < 1e3 * axis.values[0]
     line.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0) if is_short else (1.0,)))
-    line.set_major_formatter(ticker.StrMethodFormatter("{x:g}"))
-    line.set_minor_formatter(ticker.NullFormatter())
+    line.set_major_formatter("{x:g}")
+    line.set_minor_formatter("")
 
 
 def value_text(axis: ResultAxis, value: float, *, symbol: bool = False) -> str:
