@@ -37,11 +37,12 @@ def completion(shell: str) -> None:
 
 def assignments(context: click.Context, option: click.Parameter, incomplete: str) -> list[str]:
     """Beginnings of KEY=VALUE for each key of the config on the line that `--set` may change."""
-    from clunk.study.parameters import converted, settable
+    from clunk.study.document import leaves
 
     study, axes = _study(context), swept(context, option, "")
-    keys = [] if study is None else settable(study.model_dump(exclude_none=True))
-    return [f"{key}=" for key in keys if key.startswith(incomplete) and converted(key) not in axes]
+    keys = [] if study is None else [key for key, _ in leaves(study.model_dump())]
+    keys = [key for key in keys if "." in key or key == "title"]  # and not tables that the study leaves out
+    return [f"{key}=" for key in keys if key.startswith(incomplete) and key not in axes]
 
 
 def places(context: click.Context, option: click.Parameter, incomplete: str) -> list[str]:

@@ -124,15 +124,11 @@ def design_of_points(study: Study, points: Mapping[str, npt.ArrayLike]) -> Desig
         return design_of(walked)
     problems = []
     for place, message in findings:
-        match place:
-            case ("sweep", "axes", int(axis), "values", int(point)):
-                parameter = [*columns][axis]
-                told = message.removeprefix(f"{parameter}: ")
-                problems.append(Problem(parameter, None, f"point {point + 1}: {told}"))
-            case ("sweep", "axes", int(axis), *_):
-                problems.append(Problem([*columns][axis], None, message))
-            case _:
-                problems.append(Problem(dotted(place), None, message))
+        key, point = dotted(place), ""
+        if place[:2] == ("sweep", "axes") and len(place) > 2:
+            key = [*columns][int(place[2])]
+            point = f"point {int(place[4]) + 1}: " if len(place) > 4 else ""
+        problems.append(Problem(key, None, point + message.removeprefix(f"{key}: ")))
     raise report("this set of points", problems)
 
 

@@ -124,8 +124,3 @@ def broken_measures(config: Config) -> Iterator[Finding]:
         elif _is_impulsive(part, config) and measure.quantity != "twist":
             text = f"under the restitution model a touch makes the {measure.quantity} infinite"
             yield (*place, "quantity"), f"{text}; twists and shaft torques stay finite"
-    shafts = [shaft.name for shaft in config.driveline.shafts]
-    for k, name in enumerate(shafts):
-        if name is not None and name in shafts[:k]:
-            at: Place = ("driveline", "shafts", k, "name")
-            yield at, f"the name {shorten(name)} is taken by shaft {shafts.index(name) + 1}"

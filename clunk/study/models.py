@@ -17,7 +17,6 @@ from clunk.study.lashes import lash_name
 from clunk.study.loads import Load
 from clunk.study.measures import Measure
 from clunk.study.optimisation import Optimize
-from clunk.study.problems import shorten
 from clunk.study.sweeps import Sweep
 from clunk.study.tables import (
     ONE,
@@ -35,6 +34,7 @@ from clunk.study.tables import (
     Text,
     converted,
     is_number,
+    misnamed,
 )
 
 NOT_OF_A_RUN = {"sweep", "fit", "optimize"}  # tables that say which runs there are, and nothing of one
@@ -124,14 +124,9 @@ class DrivelineConfig(Table):
 
     def contradictions(self) -> Iterator[Finding]:
         """Require names that differ from each other, from numbers and from ground."""
-        names = self.names or ()
-        for k, name in enumerate(names):
-            if name == "ground":
-                yield ("names", k), 'found "ground"; that name is kept for the ground itself'
-            elif not name or name.isdigit() or set(name) & set("[]"):
-                yield ("names", k), f"found {shorten(name)}; a name must not be empty, a number, or have brackets in it"
-            elif name in names[:k]:
-                yield ("names", k), f"the name {shorten(name)} is taken by inertia {names.index(name) + 1}"
+        yield from ((("names", k), text) for k, text in misnamed(self.names or (), "inertia"))
+        shafts = [shaft.name for shaft in self.shafts]
+        yield from ((("shafts", k, "name"), text) for k, text in misnamed(shafts, "shaft"))
 
 
 class Contact(Table):

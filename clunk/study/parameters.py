@@ -7,7 +7,7 @@ Neither are the ends of shafts and lashes: another topology is another study.
 
 import functools
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from clunk.study.document import Place, dotted, items_of, parse_place, value_at
@@ -55,28 +55,9 @@ def names_of(document: Mapping[str, Any]) -> Names:
 
 
 def parameters(document: Mapping[str, Any]) -> list[str]:
-    """The parameters of a document; of long lists the first."""
-    return _keys(document, [pattern for pattern, key in keys().items() if key.quantity is not None])
-
-
-def settable(document: Mapping[str, Any]) -> list[str]:
-    """The keys of a document, given or left out, whose values are neither tables nor arrays of tables."""
-    tables = {pattern for pattern, key in keys().items() if key.children}
-    tables |= {pattern[:-1] for pattern in tables if pattern[-1:] == (ITEM,)}
-    return _keys(document, [pattern for pattern in keys() if pattern not in tables])
-
-
-def converted(key: str) -> str:
-    """The key that a number is converted to: of ``lash.gap_mm`` ``lash.backlash_deg``; of most keys the key itself."""
-    place = parse_place(key)
-    known = None if place is None else key_at(place)
-    return dotted((*place[:-1], known.other_unit_of)) if place and known and known.other_unit_of else key
-
-
-def _keys(document: Mapping[str, Any], patterns: Iterable[Place]) -> list[str]:
-    """The keys of a document that have these patterns; of long lists the first."""
+    """The parameters of a document, given or left out; of long lists the first."""
     known: list[Place] = []
-    for pattern in patterns:
+    for pattern in (pattern for pattern, key in keys().items() if key.quantity is not None):
         places: list[Place] = [()]
         for step in pattern:
             if step != ITEM:  # a list has items, and no keys
@@ -107,7 +88,8 @@ def complaint(parameter: str, document: Mapping[str, Any]) -> str | None:
             return f"{parameter} has {len(items_of(value_at(document, place)))} stages; name one, {parameter}[1]"
         return None
     if place is not None and key is not None and key.other_unit_of:
-        return f"{parameter} cannot be swept; sweep {converted(dotted(place))} instead, which it becomes"
+        instead = dotted((*place[:-1], key.other_unit_of))
+        return f"{parameter} cannot be swept; sweep {instead} instead, which it becomes"
     known = parameters(document)
     leaf = parameter.rsplit(".", 1)[-1]
     same_leaf = [name for name in known if name.rsplit(".", 1)[-1] == leaf or name.startswith(f"{parameter}[")]
@@ -141,12 +123,9 @@ def located(config: Config, parameter: str) -> tuple[Place, Key, float]:
             value = getattr(value, step, None)
     if isinstance(value, tuple):  # one for each stage
         value = None
-    if (
-        place is None
-        or key is None
-        or (value is None and complaint(parameter, config.model_dump(exclude_defaults=True)) is not None)
-    ):
-        raise _refusal(parameter, complaint(parameter, config.model_dump(exclude_defaults=True)))
+    message = complaint(parameter, config.model_dump(exclude_defaults=True)) if value is None else None
+    if place is None or key is None or message is not None:
+        raise _refusal(parameter, message)
     return place, key, math.nan if value is None else float(value)
 
 

@@ -19,7 +19,7 @@ from clunk.study.models import NOT_OF_A_RUN, Config
 from clunk.study.parameters import complaint, located, plain_number
 from clunk.study.problems import listing, shorten
 from clunk.study.sweeps import Axis, Draw
-from clunk.study.tables import Finding, allowed_inertias
+from clunk.study.tables import Finding, allowed_inertias, misnamed
 from clunk.study.validation import validated
 
 MOST_STEPS = 1e9  # of one run; about ten seconds of nothing but stepping
@@ -82,17 +82,12 @@ def _inertias(config: Config) -> Iterator[Finding]:
 
 def _lashes(config: Config) -> Iterator[Finding]:
     """Require lashes whose names differ from each other and from numbers, and that have one contact model."""
-    names, models = config.lash_names, [lash.contact.model for lash in config.lashes]
-    for k, (place, lash) in enumerate(zip(config.lash_places, config.lashes, strict=True)):
-        if lash.name is not None and (lash.name.isdigit() or not lash.name.strip() or set(lash.name) & set("[]")):
-            text = f"found {shorten(lash.name)}; a name must not be empty, a number, or have brackets in it"
-            yield (*place, "name"), text
-        elif names[k] in names[:k]:
-            text = f"the name {shorten(names[k])} is taken by lash {names.index(names[k]) + 1}"
-            yield (*place, "name"), text
-        if models[k] != models[0]:
-            text = f"found {shorten(models[k])} beside {shorten(models[0])}"
-            yield (*place, "contact", "model"), f"{text} of lash 1; all lashes of a driveline have one contact model"
+    yield from (((*config.lash_places[k], "name"), text) for k, text in misnamed(config.lash_names, "lash"))
+    first = config.lashes[0].contact.model
+    for place, lash in zip(config.lash_places, config.lashes, strict=True):
+        if lash.contact.model != first:
+            text = f"found {shorten(lash.contact.model)} beside {shorten(first)} of lash 1"
+            yield (*place, "contact", "model"), f"{text}; all lashes of a driveline have one contact model"
 
 
 def count_of_regimes(config: Config) -> int:

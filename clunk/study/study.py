@@ -3,7 +3,7 @@
 import hashlib
 import json
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import tomli_w
@@ -43,10 +43,7 @@ class Study(Config):
         step = f", step {solver.step:g} s" if solver.method == "rk4" else ""
         rows = [
             ("driveline", f"{len(self.driveline.inertias)} inertias, {len(self.driveline.shafts)} shafts"),
-            *(
-                (name, _gap(lash, {key for key in ("backlash_deg", "ratio") if dotted((*place, key)) in swept}))
-                for name, lash, place in joints
-            ),
+            *((name, _gap(lash, dotted((*place, "backlash_deg")) in swept)) for name, lash, place in joints),
             ("contact", "; ".join(models)),
             ("load", f"{load.profile} on inertia {load.on}: {', '.join([*points, *numbers(dict(load), swept)])}"),
             ("solver", f"{solver.method}{step}, to {solver.end_time:g} s"),
@@ -71,12 +68,11 @@ def _model(contact: Contact) -> str:
     return f"restitution, e = {contact.restitution:g}"
 
 
-def _gap(lash: Lash, swept: Collection[str]) -> str:
-    """Ends, backlash and ratio of a lash for people; swept : those of its keys that are."""
-    gap = "swept" if "backlash_deg" in swept else f"{lash.backlash_deg:g} degrees"
-    if lash.ratio != 1.0 or "ratio" in swept:
-        gap += ", ratio swept" if "ratio" in swept else f", ratio {lash.ratio:g}"
-    return f"between {lash.between[0]} and {lash.between[1]}: {gap}"
+def _gap(lash: Lash, is_swept: bool) -> str:
+    """Ends, backlash and ratio of a lash for people."""
+    ratio = f", ratio {lash.ratio:g}" if lash.ratio != 1.0 else ""
+    gap = "swept" if is_swept else f"{lash.backlash_deg:g} degrees"
+    return f"between {lash.between[0]} and {lash.between[1]}: {gap}{ratio}"
 
 
 def replace_values(study: Study, values: Mapping[str, float]) -> Study:

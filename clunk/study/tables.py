@@ -113,6 +113,17 @@ def _one_line(text: str) -> str:
     return text
 
 
+def misnamed(names: Sequence[str | None], noun: str) -> Iterator[tuple[int, str]]:
+    """Yield the position of each name that a key could not tell from a number or from another name, and why."""
+    for k, name in enumerate(names):
+        if name is not None and (not name.strip() or name.isdigit() or set(name) & set("[]")):
+            yield k, f"found {shorten(name)}; a name must not be empty, a number, or have brackets in it"
+        elif name == "ground":
+            yield k, 'found "ground"; that name is kept for the ground itself'
+        elif name is not None and name in names[:k]:
+            yield k, f"the name {shorten(name)} is taken by {noun} {names.index(name) + 1}"
+
+
 def allowed_inertias(count: int, names: Sequence[Any], ground: bool) -> str:
     """Phrase for the inertias that a key may name; a count of 0 where it is not known."""
     choices = [f"an inertia's number from 1 to {count}" if count else "an inertia's number"]

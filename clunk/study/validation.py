@@ -63,20 +63,18 @@ def _place(location: Place) -> tuple[Place, str]:
 
 
 def _likely_key(place: Place) -> Place | None:
-    """The key that an unknown one was meant to be: a neighbour, or one of that name in another table."""
-    name, table = str(place[-1]), place[:-1]
-    around = key_at(table)
-    near = nearest(name, around.children) if around is not None else None
-    homes = [pattern for pattern in keys() if len(pattern) > 1 and pattern[-1] != ITEM]
-    far = nearest(name, [str(pattern[-1]) for pattern in homes])
-    if far is not None and _likeness(name, far) > max(0.75, _likeness(name, near or "")):
+    """The key that an unknown one was meant to be: a neighbour, or one that is clearly more like it elsewhere."""
+
+    def likeness(known: Place) -> float:
         # of several tables that have such a key, the one below this table
-        return max((home for home in homes if home[-1] == far), key=lambda home: home[: len(table)] == table)
-    return None if near is None else (*table, near)
+        nearness = 0.2 * (known[:-1] == table) + 0.01 * (known[: len(table)] == table)
+        return nearness + difflib.SequenceMatcher(None, str(place[-1])[:100], str(known[-1])).ratio()
 
-
-def _likeness(name: str, other: str) -> float:
-    return difflib.SequenceMatcher(None, name[:100], other).ratio()
+    table = tuple(ITEM if isinstance(step, int) else step for step in place[:-1])
+    likely = max((known for known in keys() if known and known[-1] != ITEM), key=likeness)
+    if likeness(likely) <= 0.77:
+        return None
+    return (*place[:-1], likely[-1]) if likely[:-1] == table else likely
 
 
 def _unknown_key(place: Place, variant: str, likely: Place | None) -> str:
