@@ -183,12 +183,12 @@ class TestPage:
         body.send_keys("u")
         page.wait(lambda: not page.text("compared"), message="runs stay pinned")
 
-    @pytest.mark.parametrize(("typed", "shown"), [("3.04", "3"), ("-1", "0"), ("some", "0"), ("99", "20"), ("6", "6")])
+    @pytest.mark.parametrize(("typed", "shown"), [(3.04, 3), (-1, 0), (None, 0), (99, 20), (6, 6)])
     def test_a_cell_is_also_named_by_its_numbers(self, page, typed, shown):
         """The nearest one is taken, and what is no number changes nothing."""
-        box = "model('at lash.backlash_deg').value"
+        box = "model('number lash.backlash_deg').value"
         page.driver.execute_script(f"{box} = arguments[0]", typed)
-        page.wait(lambda: page.driver.execute_script(f"return {box}") == shown, message=typed)
+        page.wait(lambda: page.driver.execute_script(f"return {box}") == shown, message=str(typed))
         page.wait_for("header", f"φθ = {shown} degrees")
 
     def test_a_number_changes_the_run_at_once_and_then_the_map(self, page, study):

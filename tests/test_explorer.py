@@ -72,23 +72,17 @@ def pixels(changes):
 
 class TestCurves:
     @given(st.integers(2, 3000), st.integers(1, 50), st.integers(0, 2**32 - 1))
-    def test_a_thinned_curve_keeps_ends_and_extremes_of_every_column_and_no_more_points_than_stated(
-        self, size, columns, seed
-    ):
+    def test_a_thinned_curve_keeps_ends_and_extremes_and_no_more_points_than_stated(self, size, spans, seed):
         random = np.random.default_rng(seed)
         time_of, values = np.sort(random.random(size)), random.normal(size=size)
-        thin_time, thin = thinned(time_of, values, 0.0, 1.0, columns)
-        assert thin.size <= max(4 * columns + 8, 0)
+        thin_time, thin = thinned(time_of, values, 0.0, 1.0, spans)
+        assert thin.size <= 5 * spans + 2
         assert (thin_time[0], thin_time[-1]) == (time_of[0], time_of[-1])
-        for k in range(columns):
-            whole, part = (
-                v[(t >= k / columns) & (t < (k + 1) / columns)] for t, v in ((time_of, values), (thin_time, thin))
-            )
-            if whole.size:
-                # a time within rounding of a column's edge may count to its neighbour
-                assert part.min() >= whole.min()
-                assert part.max() <= whole.max()
-        assert (thin.min(), thin.max()) == (values.min(), values.max())
+        length = max(size // spans, 1)
+        for start in range(0, size - length + 1, length):
+            whole = values[start : start + length]
+            part = thin[np.isin(thin_time, time_of[start : start + length])]
+            assert (part.min(), part.max()) == (whole.min(), whole.max())
 
     def test_a_jump_moves_by_a_column_at_most(self):
         at = np.concatenate([np.linspace(0.0, 0.5, 5000), np.linspace(0.5, 1.0, 5000)])
@@ -291,7 +285,7 @@ class TestControls:
     def test_the_range_of_a_slider_holds_its_number(self, value):
         start, end, step = slider_range(value, Key(""))
         assert start <= value <= end
-        assert 50 <= (end - start) / step <= 250
+        assert 50 <= (end - start) / step <= 510
 
 
 @pytest.mark.parametrize("model", ["indentation", "restitution"])

@@ -1,18 +1,16 @@
-"""Sliders for values of a map's further axes and for other numbers of the config, and boxes for those of a cell."""
+"""Sliders with boxes to type into, for the values of a map's axes and for other numbers of the config."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 
-from bokeh.models import Column, Div, NumericInput, Row, Select, Slider, TextInput
+import numpy as np
+from bokeh.models import Column, Div, NumericInput, Row, Select, Slider
 
 from clunk.explorer.mapfigure import title_of
-from clunk.plot.plane import number_text
-from clunk.plot.style import bare
-from clunk.study.axes import ResultAxis
+from clunk.study.axes import RUN, ResultAxis
 from clunk.study.designs import is_unused
 from clunk.study.keys import Key
 from clunk.study.parameters import complaint, located, nominal_value, parameters, quantity
@@ -30,9 +28,7 @@ _FIRST = (
     "driveline.shafts[1].stiffness",
     "load.static_torque",
 )
-_STEPS = 200  # of a slider
-
-OnNumber = Callable[[str, float], None]
+_STEPS = 50  # of a slider at least
 
 
 def adjustable(study: Study, swept: set[str]) -> dict[str, float]:
@@ -53,139 +49,108 @@ def slider_range(value: float, key: Key) -> tuple[float, float, float]:
     """Start, end and step of a slider for a number: from nothing to twice and a half of it, within what is allowed."""
     low, high = sorted((0.0, 2.5 * value)) if value else (0.0, 1.0)
     low, high = max(low, key.lowest), min(high, key.highest)
-    rough = (high - low) / _STEPS
-    power = 10.0 ** math.floor(math.log10(rough)) if rough > 0.0 else 1.0
-    step = next((k * power for k in (1.0, 2.0, 5.0) if k * power >= rough), 10.0 * power)
+    step = 10.0 ** math.floor(math.log10((high - low) / _STEPS)) if high > low else 1.0
     step = max(step, 1.0) if key.whole else step
     return (low + step if key.above else low), high, step
 
 
 class Controls:
-    """A column of sliders.
+    """A column of sliders with boxes to type into, for the axes of a map and for numbers of the config.
 
-    on_slice, on_number : called with a key and its new value
+    axes : each begins at the config's own value, or in its middle
+    on_change : called when the user has changed something
     shown : numbers that have sliders to begin with
     """
 
     def __init__(
-        self,
-        study: Study,
-        slices: tuple[ResultAxis, ...],
-        swept: set[str],
-        on_slice: OnNumber,
-        on_number: OnNumber,
-        shown: int,
+        self, study: Study, axes: Sequence[ResultAxis], swept: set[str], on_change: Callable[[], None], shown: int
     ) -> None:
-        self._study, self._on_number = study, on_number
-        self._values = adjustable(study, swept)
-        self._slices: dict[str, tuple[Slider, ResultAxis]] = {}
-        self._rows = [self._slice(axis, on_slice) for axis in slices]
-        self._shown: dict[str, Row] = {}
-        self._inputs: dict[str, tuple[Slider, NumericInput]] = {}
-        self._more = Select(title="", options=[], name="more", sizing_mode="stretch_width", margin=(2, 6, 2, 6))
-        self._more.on_change("value", self._on_more)
-        self.layout = Column(children=[], name="controls", sizing_mode="stretch_width")
-        for key in list(self._values)[:shown]:
+        self._study, self._on_change, self._is_setting = study, on_change, False
+        self._config = adjustable(study, swept)
+        self._values: dict[str, float] = {}
+        self._changes: dict[str, Callable[[float | None], None]] = {}
+        self._more = Select(name="more", sizing_mode="stretch_width", margin=(2, 6, 2, 6))
+        self._more.on_change("value", lambda _attribute, _old, key: self._add(key))
+        self.layout = Column(sizing_mode="stretch_width")
+        for axis in axes:
+            self._add_axis(axis)
+        for key in list(self._config)[:shown]:
             self._add(key)
-        self._arrange()
 
-    def reset(self) -> None:
-        """Put all numbers back to those of the config."""
-        for key, (slider, box) in self._inputs.items():
-            slider.value = box.value = self._values[key]
+    @property
+    def cell(self) -> dict[str, float]:
+        """Values of the axes."""
+        return {key: value for key, value in self._values.items() if key not in self._config}
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """The numbers that differ from the config's."""
+        return {key: value for key, value in self._values.items() if value != self._config.get(key, value)}
 
     def set(self, values: Mapping[str, float]) -> None:
-        """Move sliders to values of further axes and to other numbers; what has no slider is left out."""
+        """Take the values of axes nearest to these, and other numbers, where they are allowed."""
+        self._is_setting = True
         for key, value in values.items():
-            if key in self._slices:
-                slider, axis = self._slices[key]
-                slider.value = axis.nearest(value)
-            elif key in self._values:
-                self._on_more("", "", key)
-                self._inputs[key][1].value = value
-
-    def _slice(self, axis: ResultAxis, on_slice: OnNumber) -> Row:
-        title = Div(text="", render_as_text=True, width=250, margin=(6, 4, 0, 6))
-        last = len(axis.values) - 1
-        slider = Slider(start=0, end=max(last, 1), step=1, value=last // 2, show_value=False, title="")
-        slider.update(sizing_mode="stretch_width", margin=(6, 12, 0, 6), name=f"slice {axis.parameter}")
-
-        def change(_attribute: str, _old: int, position: int) -> None:
-            value = float(axis.values[min(position, last)])
-            title.text = f"{title_of(axis.name or axis.parameter, axis.symbol, axis.unit)} = {number_text(value)}"
-            on_slice(axis.parameter, value)
-
-        change("value", 0, last // 2)
-        slider.on_change("value", change)
-        self._slices[axis.parameter] = slider, axis
-        return Row(children=[title, slider], sizing_mode="stretch_width")
-
-    def _add(self, key: str) -> None:
-        described, (_, allowed, value) = quantity(key), located(self._study, key)
-        start, end, step = slider_range(value, allowed)
-        name = title_of(described.name, described.symbol, described.unit)
-        title = Div(text=name, render_as_text=True, width=250, margin=(6, 4, 0, 6))
-        slider = Slider(
-            start=min(start, value), end=max(end, value), step=step, value=value, show_value=False, title=""
-        )
-        slider.update(sizing_mode="stretch_width", margin=(6, 12, 0, 6), name=f"slider {key}")
-        box = NumericInput(value=value, mode="float", width=112, margin=(0, 6, 0, 0), name=f"number {key}")
-
-        def change(source: str, _attribute: str, _old: float, new: float | None) -> None:
-            if new is None or not allowed.allows(new):
-                box.value = slider.value
-                return
-            if source == "box":
-                slider.update(start=min(slider.start, new), end=max(slider.end, new))
-            slider.value = box.value = new
-            self._on_number(key, new)
-
-        slider.on_change("value", partial(change, "slider"))
-        box.on_change("value", partial(change, "box"))
-        self._inputs[key] = slider, box
-        self._shown[key] = Row(children=[title, slider, box], sizing_mode="stretch_width")
-
-    def _on_more(self, _attribute: str, _old: str, key: str) -> None:
-        if key in self._values and key not in self._shown:
             self._add(key)
-            self._arrange()
-
-    def _arrange(self) -> None:
-        names: Mapping[str, str] = {key: quantity(key).name for key in self._values if key not in self._shown}
-        self._more.options = [("", "another number …"), *((key, f"{name}  ({key})") for key, name in names.items())]
-        self._more.value = ""
-        self.layout.children = [*self._rows, *self._shown.values(), *([self._more] if names else [])]
-
-
-class CellBoxes:
-    """A box for each axis of the map, with the value in the cell that was chosen last.
-
-    on_values : called with the values when one was typed
-    """
-
-    def __init__(self, axes: Sequence[ResultAxis], on_values: Callable[[list[float]], None]) -> None:
-        self._on_values, self._is_setting = on_values, False
-        names = [bare(axis.symbol) or axis.name or axis.parameter for axis in axes]
-        look = {"width": 110, "height": 30, "margin": (0, 0, 4, 6)}
-        self.boxes = [
-            TextInput(prefix=name, name=f"at {axis.parameter}", **look) for axis, name in zip(axes, names, strict=True)
-        ]
-        for box in self.boxes:
-            box.on_change("value", self._on_change)
-
-    def show(self, cell: Sequence[float]) -> None:
-        """Show the values in a cell."""
-        self._cell, self._is_setting = cell, True
-        for box, value in zip(self.boxes, cell, strict=True):
-            box.value = f"{value:.6g}"
+            if key in self._changes:
+                self._changes[key](value)
         self._is_setting = False
 
-    def _on_change(self, _attribute: str, _old: str, _new: str) -> None:
-        if self._is_setting:
+    def _add_axis(self, axis: ResultAxis) -> None:
+        values, own = axis.values, math.nan if axis.parameter == RUN else nominal_value(self._study, axis.parameter)
+        first = own if values.min() <= own <= values.max() else values[len(values) // 2]
+
+        def place(value: float) -> int:
+            return int(np.argmin(np.abs(values - value)))
+
+        title = title_of(axis.name or axis.parameter, axis.symbol, axis.unit)
+        limits = 0, len(values) - 1, 1
+        self._add_row(axis.parameter, title, limits, first, place, lambda at: float(values[int(at)]), math.isfinite)
+
+    def _add(self, key: str) -> None:
+        """Add a number, if it has no slider."""
+        if key not in self._config or key in self._changes:
             return
-        try:
-            values = [float(box.value) for box in self.boxes]
-        except ValueError:
-            values = list(self._cell)
-        self._on_values(values)
-        self.show(self._cell)  # of a value that is no cell's, the nearest one; of none, the one before
+        described, (_, allowed, value) = quantity(key), located(self._study, key)
+        title = title_of(described.name, described.symbol, described.unit)
+        self._add_row(key, title, slider_range(value, allowed), value, float, float, allowed.allows)
+        names = [(each, f"{quantity(each).name}  ({each})") for each in self._config if each not in self._changes]
+        self._more.update(options=[("", "another number …"), *names], value="", visible=bool(names))
+        self.layout.children = [*(row for row in self.layout.children if row is not self._more), self._more]
+
+    def _add_row(
+        self,
+        key: str,
+        name: str,
+        limits: tuple[float, float, float],
+        first: float,
+        place: Callable[[float], float],
+        value_at: Callable[[float], float],
+        is_allowed: Callable[[float], bool],
+    ) -> None:
+        """Add a title, a slider and a box.
+
+        limits : start, end and step of the slider
+        place, value_at : position of the slider for a value, and value at a position
+        """
+        title = Div(text=name, render_as_text=True, width=250, margin=(6, 4, 0, 6))
+        start, end, step = limits
+        slider = Slider(start=start, end=end, step=step, value=place(first), show_value=False, name=f"slider {key}")
+        slider.update(sizing_mode="stretch_width", margin=(6, 12, 0, 6))
+        self._values[key] = value_at(place(first))
+        box = NumericInput(value=self._values[key], mode="float", width=112, margin=(0, 6, 0, 0), name=f"number {key}")
+
+        def change(new: float | None) -> None:
+            value = value_at(place(new)) if new is not None and is_allowed(new) else self._values[key]
+            is_changed = value != self._values[key]
+            self._values[key] = value
+            at = place(value)
+            slider.update(start=min(slider.start, at), end=max(slider.end, at), value=at)
+            box.value = value
+            if is_changed and not self._is_setting:
+                self._on_change()
+
+        slider.on_change("value", lambda _attribute, _old, at: change(value_at(at)))
+        box.on_change("value", lambda _attribute, _old, new: change(new))
+        self._changes[key] = change
+        self.layout.children = [*self.layout.children, Row(children=[title, slider, box], sizing_mode="stretch_width")]

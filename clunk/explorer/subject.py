@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping
 
@@ -65,10 +64,6 @@ class Subject:
         self.slices = tuple(axis for axis in changing if axis not in self.plane)
         swept = (axis for axis in results.parameters if axis.parameter != LASH)
         self.swept = tuple(axis for axis in swept if len(axis.values) > 1)
-
-    def number(self, key: str) -> float:
-        """The config's own value of a key; NaN where it has none."""
-        return nominal_value(self.study, key) if key != RUN else math.nan
 
     def values(self, cell: Numbers) -> dict[str, float]:
         """Values of the swept keys in a cell, from values of the axes, `run` included."""

@@ -9,11 +9,11 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from html import escape
 from pathlib import PurePath
+from typing import Any
 
 from bokeh.document import Document
 from bokeh.events import (
     ConnectionLost,
-    DocumentEvent,
     DocumentReady,
     DoubleTap,
     MouseLeave,
@@ -24,7 +24,7 @@ from bokeh.events import (
 )
 from bokeh.models import Button, ColumnDataSource, CustomJS, Div, Model, Pane, Select, UIElement
 
-from clunk.explorer.controls import CellBoxes, Controls
+from clunk.explorer.controls import Controls
 from clunk.explorer.mapfigure import RUN_COLOURS, Cell, MapFigure
 from clunk.explorer.message import Changes, Message
 from clunk.explorer.newest import Newest, Request
@@ -52,13 +52,15 @@ const state = new URLSearchParams([...name].map((each, k) => [each, value[k]]));
 history.replaceState(null, "", `?${state}`);
 """
 _ENDED = """
-const banner = document.createElement("div");
-banner.id = "ended";
-banner.style = "position: fixed; inset: 0 0 auto 0; padding: 12px; z-index: 9999; text-align: center; color: white; "
-  + "background: #a13d2d; font-size: 16px";
-banner.textContent = "The explorer has ended: this page no longer answers. Start clunk explore again and open the "
-  + "address that it prints.";
-document.body.append(banner);
+if (!document.getElementById("ended")) {
+  const banner = document.createElement("div");
+  banner.id = "ended";
+  banner.style = "position: fixed; inset: 0 0 auto 0; padding: 12px; z-index: 9999; text-align: center; color: white; "
+    + "background: #a13d2d; font-size: 16px";
+  banner.textContent = "The explorer has ended: this page no longer answers. Start clunk explore again and open the "
+    + "address that it prints.";
+  document.body.append(banner);
+}
 """
 _DOWNLOAD = """
 const {name: [name], text: [text]} = cb_obj.data;
@@ -89,18 +91,15 @@ class Workbench:
     def __init__(self, document: Document, subject: Subject, link: Mapping[str, str]) -> None:
         self._document, self._subject = document, subject
         self._map = MapFigure(subject.plane) if subject.plane else None
-        self._numbers: dict[str, float] = {}
-        self._slices: dict[str, float] = {}
-        self._is_ready = False
         self._results: AnyMap | None = None
         self._latest: tuple[tuple[dict[str, float], dict[str, float]], AnyMap] | None = None
         self._follows = True
-        self._cell = self._first_cell()
         self._hovered: Cell | None = None
         self._run: Shown | None = None
         self._pins: list[Shown] = []
         self._pins_next = False
-        self._requested: tuple[dict[str, float], dict[str, float]] | None = None
+        self._requested: tuple[dict[str, float], dict[str, float]] | None = None  # run
+        self._requested_map: tuple[Any, ...] | None = None
 
         results = subject.results
         # over one axis, labels are the colours under a curve
@@ -123,12 +122,9 @@ class Workbench:
         self._newest_map = Newest("map", self._complain_soon)
         swept = {axis.parameter for axis in subject.swept}
         shown = 4 if self._map else 12
-        self._controls = Controls(subject.study, subject.slices, swept, self._on_slice, self._on_number, shown)
-        self._boxes = CellBoxes(subject.plane, self._on_values)
-        self._boxes.show(self._cell)
-        self._listen()  # of what is listened to once it is in the document, Bokeh does not tell
+        self._controls = Controls(subject.study, [*subject.plane, *subject.slices], swept, self._on_change, shown)
+        self._listen(link)  # of what is listened to once it is in the document, Bokeh does not tell
         self._furnish()
-        self._restore(link)
 
     def close(self) -> None:
         """End the threads."""
@@ -136,14 +132,14 @@ class Workbench:
         self._newest_map.close()
 
     def _furnish(self) -> None:
-        save = Button(label="save the config", name="save", height=30, margin=(0, 0, 4, 6))
+        save = Button(label="save the config", name="save", height=30, margin=6)
         save.on_click(lambda *_: self._save())
         title = Div(text=f"<b>{escape(self._subject.title)}</b>", name="title", styles={"font-size": "16px"})
         drawn = [self._map.figure, self._map.legend] if self._map else []
         room = {"height": "190px", "flex": "none"} if self._map else {"flex": "1 1 0"}
         left = [
             title,
-            _box("row", self._quantity, self._lash, flex="none"),
+            _box("row", self._quantity, self._lash, save, flex="none"),
             *drawn,
             _box("column", self._controls.layout, overflow_y="auto", **room),
             self._status,
@@ -151,7 +147,6 @@ class Workbench:
         panels = self._figures
         right = [
             panels.header,
-            _box("row", *self._boxes.boxes, save, flex="none"),
             panels.compared,
             *panels.figures.values(),
             panels.events,
@@ -161,9 +156,9 @@ class Workbench:
         for root in roots:
             self._document.add_root(root)
 
-    def _listen(self) -> None:
-        self._quantity.on_change("value", lambda _attribute, _old, _new: self._request_map())
-        self._lash.on_change("value", lambda _attribute, _old, _new: self._on_lash())
+    def _listen(self, link: Mapping[str, str]) -> None:
+        self._quantity.on_change("value", lambda _attribute, _old, _new: self._on_quantity())
+        self._lash.on_change("value", lambda _attribute, _old, _new: self._on_quantity())
         self._keys.on_change("data", lambda _attribute, _old, _new: self._on_key())
         self._link.js_on_change("data", CustomJS(code=_KEEP_LINK))
         self._download.js_on_change("data", CustomJS(code=_DOWNLOAD))
@@ -173,12 +168,11 @@ class Workbench:
         self._document.js_on_event(DocumentReady, CustomJS(args={"keys": self._keys}, code=_LISTEN))
         self._document.js_on_event(ConnectionLost, CustomJS(code=_ENDED))
         # the document is the browser's by then: before, what threads ask of it would come in any order
-        self._document.on_event(DocumentReady, self._begin)
+        self._document.on_event(DocumentReady, lambda _: self._begin(link))
 
-    def _begin(self, _event: DocumentEvent) -> None:
-        self._is_ready = True
-        self._mark()
-        self._request_both()
+    def _begin(self, link: Mapping[str, str]) -> None:
+        self._restore(link)
+        self._on_change()
 
     # --- The link ----------------------------------------------------------------------------------------------------
 
@@ -190,16 +184,13 @@ class Workbench:
                 select.value = link[select.name]
         values = {name: value for name, text in link.items() if math.isfinite(value := _number(text))}
         self._controls.set(values)
-        if self._map and all(axis.parameter in values for axis in self._subject.plane):
-            self._on_values([values[axis.parameter] for axis in self._subject.plane])
 
     def _keep_link(self) -> None:
         """Let the address of the page hold what it shows."""
         chosen = {select.name: select.value for select in (self._quantity, self._lash) if select.visible}
-        numbers = self._values(self._cell) | self._active_numbers()
+        numbers = self._controls.cell | self._controls.numbers
         state = chosen | {key: f"{value:.12g}" for key, value in numbers.items()}
-        if self._is_ready:
-            self._link.data = {"name": list(state), "value": list(state.values())}
+        self._link.data = {"name": list(state), "value": list(state.values())}
 
     # --- What the user does ------------------------------------------------------------------------------------------
 
@@ -211,9 +202,9 @@ class Workbench:
             if cell is not None:
                 self._pins_next = bool((event.modifiers or {}).get("shift"))
                 self._select(cell)
-        elif self._follows or cell is None:
-            self._hover(cell)
-        self._map.label(self._label_of(cell) if cell else "", event.x, event.y)
+        else:
+            self._hover(cell if self._follows else None)
+            self._map.label(self._label_of(cell) if cell else "", event.x, event.y)
 
     def _label_of(self, cell: Cell) -> str:
         """The label of a cell in the map that is shown."""
@@ -229,20 +220,16 @@ class Workbench:
             self._request_run()
 
     def _select(self, cell: Cell) -> None:
-        self._cell, self._hovered = cell, None
-        self._boxes.show(cell)
+        self._controls.set(self._values(cell))
+        self._on_change()
+        self._pin_where_wanted()
+
+    def _on_change(self) -> None:
+        self._hovered = None
         self._mark()
         self._keep_link()
         self._request_run()
-        self._pin_where_wanted()
-
-    def _on_values(self, values: list[float]) -> None:
-        assert self._map is not None
-        axes = zip(self._subject.plane, values, strict=True)
-        within = [min(max(value, axis.values.min()), axis.values.max()) for axis, value in axes]
-        cell = self._map.nearest(*within)
-        if cell is not None:
-            self._select(cell)
+        self._request_map()
 
     def _on_key(self) -> None:
         (key,), (steps,) = self._keys.data["key"], self._keys.data["steps"]
@@ -260,28 +247,18 @@ class Workbench:
             self._hover(None)
         else:
             self._pins = []
+            self._mark()
             self._show_runs()
 
-    def _on_lash(self) -> None:
+    def _on_quantity(self) -> None:
+        self._keep_link()
         self._request_map()
         self._show_runs()
-
-    def _on_slice(self, parameter: str, value: float) -> None:
-        self._slices[parameter] = value
-        self._request_both()
-
-    def _on_number(self, parameter: str, value: float) -> None:
-        if self._numbers.get(parameter) != value:
-            self._numbers[parameter] = value
-            self._request_both()
-
-    def _request_both(self) -> None:
-        self._request_run()
-        self._request_map()
 
     def _pin_run(self) -> None:
         if self._run is not None:
             self._pins = [*self._pins, self._run][-_PINS:]
+            self._mark()
             self._show_runs()
 
     def _save(self) -> None:
@@ -295,23 +272,20 @@ class Workbench:
 
     # --- Runs --------------------------------------------------------------------------------------------------------
 
-    def _first_cell(self) -> Cell:
-        """The cell in which the config's own values lie, or else the middle one."""
-        cell = []
-        for axis in self._subject.plane:
-            value = self._subject.number(axis.parameter)
-            is_on_axis = axis.values.min() <= value <= axis.values.max()
-            cell.append(float(axis.values[axis.nearest(value) if is_on_axis else len(axis.values) // 2]))
-        return tuple(cell)
+    @property
+    def _cell(self) -> Cell:
+        """Values of the map's axes in the cell that was chosen last."""
+        return tuple(self._controls.cell[axis.parameter] for axis in self._subject.plane)
 
     def _values(self, cell: Cell) -> dict[str, float]:
-        axes = self._subject.plane
-        return {**self._slices, **{axis.parameter: value for axis, value in zip(axes, cell, strict=True)}}
+        """Values of all axes."""
+        plane = (axis.parameter for axis in self._subject.plane)
+        return self._controls.cell | dict(zip(plane, cell, strict=True))
 
     def _request_run(self) -> None:
         cell = self._cell if self._hovered is None else self._hovered
-        values, numbers = self._values(cell), self._active_numbers()
-        if not self._is_ready or (values, numbers) == self._requested:
+        values, numbers = self._values(cell), self._controls.numbers
+        if (values, numbers) == self._requested:
             return
         self._requested = values, numbers
 
@@ -343,7 +317,6 @@ class Workbench:
             self._pin_run()
 
     def _show_runs(self) -> None:
-        self._mark()
         if self._run is not None:
             # other numbers are those of no map
             note = "" if self._run.numbers else self._subject.likelihood(self._run.values, self._lash.value)
@@ -364,20 +337,17 @@ class Workbench:
 
     # --- Maps --------------------------------------------------------------------------------------------------------
 
-    def _active_numbers(self) -> dict[str, float]:
-        """The numbers that differ from the config's."""
-        return {key: value for key, value in self._numbers.items() if value != self._subject.number(key)}
-
     def _request_map(self) -> None:
-        if not self._is_ready:
-            return
         subject = self._subject
-        slices, numbers = dict(self._slices), self._active_numbers()
+        numbers, cell = self._controls.numbers, self._controls.cell
+        slices = {axis.parameter: cell[axis.parameter] for axis in subject.slices}
         quantity, lash = self._quantity.value, self._lash.value
+        if (slices, numbers, quantity, lash) == self._requested_map:
+            return
+        self._requested_map = slices, numbers, quantity, lash
         nominal = isinstance(subject.results, ToleranceMap)
         if numbers and nominal and quantity.startswith("severity_"):
             quantity = LABEL  # of the nominal map: other numbers leave tolerances aside
-        self._keep_link()
         if not subject.plane:
             self._say("a run with these numbers, which are in no file" if numbers else "the run of this config")
             return
