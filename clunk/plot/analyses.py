@@ -42,7 +42,7 @@ def corner(fitted: Fitted) -> Figure:
     grid = figure.subplots(count, count, squeeze=False, sharex="col")
     picked = np.random.default_rng(fitted.fit.seed).choice(len(fitted.weights), _SHOWN, p=fitted.weights)
     draws, ends = fitted.draws[picked], weighted_quantiles(fitted.draws, fitted.weights, _ENDS)
-    limits = [_around(ends[k, 0], ends[k, 1], fitted.estimate[k]) for k in range(count)]
+    limits = np.sort(np.column_stack([ends, fitted.estimate]))[:, [0, -1]]  # hold the best candidate, too
     names = [_name(fitted, k) for k in range(count)]
     for (row, column), ax in np.ndenumerate(grid):
         if column > row:
@@ -78,13 +78,6 @@ def _draw_distribution(ax: Axes, fitted: Fitted, k: int) -> None:
     for bound in fitted.intervals()[k]:
         ax.axvline(bound, color=_FIRST, linewidth=0.8)
     ax.set_yticks([])
-
-
-def _around(begin: float, end: float, estimate: float) -> tuple[float, float]:
-    """Limits that hold the ensemble's ends and the estimate."""
-    low, high = min(begin, estimate), max(end, estimate)
-    beyond = 0.05 * (high - low) or 0.05 * abs(high) or 1.0
-    return low - beyond, high + beyond
 
 
 def _name(fitted: Fitted, k: int) -> str:

@@ -15,14 +15,13 @@ from clunk.analysis.fittedstudy import WHICH
 from clunk.analysis.trends import ExperimentComparison
 from clunk.plot.layers import Layers, Measured, Note
 from clunk.plot.maps import map_figure
-from clunk.plot.style import INK, cells_phrase
+from clunk.plot.style import INK, LINE_COLOURS, cells_phrase
 from clunk.results.labels import FAILED
 from clunk.results.regimemap import Results
 from clunk.study.problems import shorten
 
-# After Okabe and Ito (2008): far apart also for the colour blind, and none of them near the grey of the rare ones.
-_TRANSITION_COLOURS = ("#d55e00", "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9")
 _RARE_COLOUR = "#a9adb0"
+_MARKED = 6  # transitions with colours of their own
 _LISTED = 3  # keys of the config that differ
 _PALE = 0.25  # depth of the regimes' colours under differing cells
 
@@ -41,7 +40,7 @@ def difference_map(a: Results, comparison: Comparison) -> Figure:
     )
     rest = rest.copy()
     marks = []
-    for transition, colour in zip(comparison.transitions, _TRANSITION_COLOURS, strict=False):
+    for transition, colour in zip(comparison.transitions, LINE_COLOURS[:_MARKED], strict=False):
         code_a, code_b = comparison.labels.index(transition.a), comparison.labels.index(transition.b)
         cells = (codes_a == code_a) & (codes_b == code_b)
         rest &= ~cells

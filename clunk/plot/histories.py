@@ -105,7 +105,7 @@ def closeup(runs: Runs, around: float | None = None, width: float = 0.1) -> Figu
     first = min(time for time, touched in touches if touched == side)
     near = [side * 1e3 * run.backlash_coordinate[(run.time >= first) & (run.time <= end)] for run in runs]
     low, high = min(part.min() for part in near), max(part.max() for part in near)
-    height = max(high - low, 0.02 * max(1e3 * run.half_gap for run in runs), 1e-9)
+    height = max(high - low, 1e-9)
     figure, (ax,) = _frame(runs, [_LOWEST - _AROUND])
     draw_backlash(ax, _curves(runs))
     ax.set(xlim=(begin, end), ylim=sorted((side * (low - 0.2 * height), side * (high + 0.22 * height))))
@@ -281,7 +281,7 @@ def draw_acceleration(ax: Axes, curves: Sequence[Curve]) -> None:
         ax.margins(y=0.2)
         text = "restitution model: between the touches only, where velocities jump; Q is not defined"
         place: dict[str, Any] = {"transform": ax.transAxes, "ha": "right", "va": "top"}
-        ax.text(0.99, 0.97, text, fontsize=8.5, zorder=7, path_effects=style.halo(), **place)
+        ax.text(0.99, 0.97, text, fontsize=8.5, zorder=7, **place)
     elif len(curves) == 1:
         _mark_severity(ax, curves[0][0])
 

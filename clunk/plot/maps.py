@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
+from matplotlib.patheffects import withStroke
 
 from clunk.analysis.ridge import ridge_of
 from clunk.plot.labelling import SIZES, SMALL_SIZES, Raster, write_beside, write_names
@@ -35,7 +36,6 @@ from clunk.plot.style import (
     add_notes,
     bare,
     cells_phrase,
-    halo,
     lay_out,
     new_panels,
     remark,
@@ -282,7 +282,8 @@ def _draw_ridge(ax: Axes, layers: Layers) -> list[Artist]:
         return []
     upward = np.where(known, view.y.values[np.nan_to_num(ridge).astype(np.intp)], np.nan)
     symbol = symbol_text(bare(view.x.symbol) or view.x.name)
-    look: dict[str, Any] = {"color": "white", "linewidth": 1.4, "path_effects": halo(2.8, INK), "gid": "ridge"}
+    look: dict[str, Any] = {"color": "white", "linewidth": 1.4, "gid": "ridge"}
+    look["path_effects"] = [withStroke(linewidth=2.8, foreground=INK)]
     look["label"] = f"largest {layers.quantity.symbol or 'value'} for each {symbol}"
     ax.plot(view.x.values, upward, zorder=4, **look)
     return [Line2D([], [], **look)]

@@ -26,10 +26,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
-    from matplotlib.patheffects import AbstractPathEffect
 
 SIZE = (7.0, 5.2)  # inches
-HISTORY_WIDTH = 7.2  # inches
 MOST_POINTS = 10_000  # that a vector file has one by one: more would take seconds to show
 _INDENT = 0.125  # of the width, at the left of a title until the figure is laid out
 _DPI = 150
@@ -163,13 +161,6 @@ def remark(text: str) -> Patch:
 def cells_phrase(count: int) -> str:
     """A number of cells, for example 1 cell or 1,234 cells."""
     return f"{count:,} cell{'' if count == 1 else 's'}"
-
-
-def halo(linewidth: float = 2.4, colour: str = "white") -> list[AbstractPathEffect]:
-    """An outline around a text or a line, so that it is seen on any ground."""
-    from matplotlib import patheffects
-
-    return [patheffects.withStroke(linewidth=linewidth, foreground=colour)]
 
 
 def tidy(ax: Axes) -> None:
