@@ -179,7 +179,7 @@ def test_results_of_another_config_are_not_overwritten_without_force(clunk, smal
 def test_restart_takes_no_part_of_a_stopped_sweep(clunk, small, here):
     directory = here / "results/small.h5.partial"
     directory.mkdir(parents=True)
-    other = {"config_digest": "ab", "versions": {}, "study": {"load.ratio": 7.0}}
+    other = {"config_digest": "ab", "versions": {}, "config": "load.ratio = 7.0"}
     (directory / "manifest.json").write_text(json.dumps(other))
     (directory / "part-000001").write_bytes(b"of another sweep")
     code, _, err = clunk("sweep", small)

@@ -196,12 +196,6 @@ class TestTheSameBits:
             other.kill()
             other.wait()
 
-    @pytest.mark.slow
-    def test_of_figure_3_4_by_a_local_cluster(self):
-        figure = figure_3_4(201)
-        with Cluster("local", workers=2) as engine:
-            assert equal(sweep(figure, engine=engine), sweep(figure))
-
 
 class TestWhatIsRefused:
     def test_no_scheduler(self, tmp_path, monkeypatch, capsys):

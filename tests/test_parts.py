@@ -171,7 +171,7 @@ def test_only_an_edit_of_what_decides_the_numbers_is_another_version(tmp_path):
         before = versions(package)
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"study": 1}', '{"config_digest": 2, "study": 3, "versions": 4}'])
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"config": 1}', '{"config_digest": 2, "config": 3, "versions": 4}'])
 def test_parts_without_a_readable_manifest_still_tell_what_they_are(study, whole, target, text):
     kept = stopped(study, target, 150)
     other = replace_values(study, {"load.static_torque": -2.0})
@@ -393,7 +393,7 @@ def test_where_files_cannot_grow_the_command_ends_with_a_sentence_and_can_go_on(
     assert done.returncode == 2
     assert "cannot be written: file too large" in " ".join(done.stderr.split())
     assert "Traceback" not in done.stderr
-    assert json.loads((tmp_path / "map.h5.partial" / "manifest.json").read_text())["study"]["solver.step"] == 2e-4
+    assert "step = 0.0002" in json.loads((tmp_path / "map.h5.partial" / "manifest.json").read_text())["config"]
     assert Path(tmp_path / "map.h5.partial" / "part-000001").exists()
     digest, _, err = finish(tmp_path)
     assert digest == undisturbed

@@ -474,11 +474,6 @@ class TestFromPython:
         assert np.array_equal(data["most_likely_label"], labels[found.sequence])
         assert data["probability"].sel(label="NI", load_ratio=0.0).min() == 1.0
 
-    def test_it_is_drawn_and_says_what_it_is(self, found):
-        assert len(clunk_api.draw(found, "double_sided").axes) == 2
-        assert "backlash_deg" in repr(found)
-        assert f"{found.uncertain} cells" in repr(found)
-
 
 class TestFigures:
     def test_a_certain_cell_has_its_label_s_colour_and_an_uncertain_one_is_paler(self, found, tmp_path):
@@ -502,10 +497,6 @@ class TestFigures:
         notes = [text.get_text() for text in figure.legends[0].get_texts()]
         assert f"paler: less than 95 % likely, {found.uncertain} cells" in notes
 
-    @pytest.mark.parametrize("quantity", ["double_sided", "severity_5"])
-    def test_what_is_drawn_of_two_axes_is_a_picture(self, found, quantity, tmp_path):
-        save(plot.draw(found, quantity), tmp_path / "map.png")
-
     @pytest.mark.parametrize("quantity", ["double_sided", "severity", "severity_50"])
     def test_of_one_axis_a_quantity_is_a_curve_below_the_most_likely_labels(self, found, quantity):
         part = found.at({"lash.backlash_deg": 9.5})
@@ -522,9 +513,6 @@ class TestFigures:
         figure = plot.draw(found, "double_sided")
         assert figure.axes[1].get_ylim() == (0.0, 1.0)
         assert "Probability" in figure.axes[1].get_ylabel()
-
-    def test_a_quantile_of_the_severity_is_drawn_by_its_name(self, found):
-        assert np.array_equal(Layers.of(found, 2, "severity_95").values, found.severity_quantiles[..., 2])
 
     def test_under_the_restitution_model_there_is_no_severity_to_draw(self):
         base = DRIVELINE + '[lash.contact]\nmodel = "restitution"\n'

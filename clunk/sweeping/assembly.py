@@ -19,7 +19,7 @@ from clunk.sweeping.reduction import Reduction, SweepError
 from clunk.sweeping.tiles import Tile
 
 
-class RegimeReduction(Reduction[Results]):
+class RegimeReduction(Reduction):
     """The arrays of Results.
 
     study : Study

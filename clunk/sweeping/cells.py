@@ -17,7 +17,6 @@ from clunk.core.measures import OF_IMPACTS, measure_runs
 from clunk.core.regimes import System
 from clunk.core.status import Status
 from clunk.core.switching import MOST_STAGES
-from clunk.simulation import driveline
 from clunk.simulation.batches import prepare_many, prepare_one
 from clunk.simulation.load import WAVES, loads_of
 from clunk.study.arrays import Cells, Floats, Records
@@ -59,8 +58,6 @@ class Grid:
     shared : the system that cells without structural parameters share, where it is known already
     structural : the parameters that differ between the cells and with which the system does
     """
-
-    runs = 1  # of each cell
 
     def __init__(self, study: Study, design: Design | None = None, shared: kernel.Batch | None = None) -> None:
         self.study = study
@@ -334,10 +331,5 @@ def compiling_note(*studies: Study) -> str:
 
 
 def warm_up(study: Study) -> None:
-    """Compile the kernel of a study's method, or load it, before a sweep rather than in the middle of it."""
-    batch = kernel.batch_of(*driveline.prepare(study))
-    cases, output = (
-        Grid(study).cases({}, 0),
-        kernel.Output(np.zeros((0, 1), CELL), np.zeros(0, IMPACT), _NO_LOGS, _NO_STATES),
-    )
-    kernel.run_tile(batch, 0.0, cases, 0, 1, output, np.zeros(1, np.uint8))
+    """Compile the kernels of a study, or load them, before a sweep rather than in the middle of it."""
+    Grid(study.model_copy(update={"sweep": None})).run_at(np.arange(1), {}, np.zeros(1, np.uint8))

@@ -40,13 +40,11 @@ class Runner(Protocol):
     """Runs cells to tiles, in any thread or process: it can be pickled.
 
     layout : of the tiles
-    runs : of each cell
     method : of the runs, ``rk4`` or ``exact``
     tile_cells : the most cells of a tile
     """
 
     layout: Layout
-    runs: int
     method: str
     tile_cells: int
 

@@ -14,15 +14,17 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Any, BinaryIO, Self
+from typing import BinaryIO, Self
 
 from clunk.results.files import reason, write_whole
+from clunk.study.config import study_from_text
 from clunk.study.document import leaves
 from clunk.study.errors import ClunkError
-from clunk.study.study import Study, decisive_content, digest
+from clunk.study.problems import ConfigError, shorten
+from clunk.study.study import Study, decisive_content, digest, to_toml
 from clunk.sweeping.provenance import versions
 from clunk.sweeping.tiles import Tile, from_bytes, to_bytes
 
@@ -120,12 +122,12 @@ class Parts:
         self.kept = 0  # cells that are on the disk
         decisive = {"config_digest": digest(study), "versions": versions()}
         self._origin = json.dumps(decisive).encode()
-        self._manifest = {**decisive, "study": flat(study)}  # for the sentence on what differs
+        self._manifest = {**decisive, "config": to_toml(study)}  # for the sentence on what differs
         self._waiting: list[Tile] = []
         self._cells_waiting = 0
         self._number = max((int(path.name.removeprefix("part-")) for path in directory.parts()), default=0)
         self._began = self._written = time.monotonic()
-        self._refuse_other_sweeps()
+        self._refuse_other_sweeps(study)
 
     def read(self) -> Iterator[Tile]:
         """The parts that are whole and of this sweep; all others are removed."""
@@ -160,7 +162,7 @@ class Parts:
             return
         try:
             manifest = self.directory.path / "manifest.json"
-            text = json.dumps(self._manifest, indent=1, ensure_ascii=False, default=str)
+            text = json.dumps(self._manifest, indent=1, ensure_ascii=False)
             if not manifest.exists():
                 write_whole(manifest, lambda file: file.write(text.encode()))
             part = to_bytes(self._waiting, self._origin)
@@ -181,14 +183,13 @@ class Parts:
         """Whether any part has been written."""
         return self._number > 0
 
-    def _refuse_other_sweeps(self) -> None:
+    def _refuse_other_sweeps(self, study: Study) -> None:
         """Compare with the directory's manifest; one that cannot be read is removed, as parts identify themselves."""
         path = self.directory.path / "manifest.json"
         try:
             earlier = json.loads(path.read_bytes())
             is_other = earlier["config_digest"] != self._manifest["config_digest"]
-            current = json.loads(json.dumps(self._manifest["study"], default=str))
-            differing = differences(earlier["study"], current) or "the config"
+            differing = differences(earlier["config"], study)
         except (OSError, ValueError, LookupError, TypeError, AttributeError):
             with suppress(OSError):
                 path.unlink(missing_ok=True)
@@ -200,21 +201,21 @@ class Parts:
             )
 
 
-def flat(study: Study) -> dict[str, Any]:
-    """Values of a study that decide its results, by dotted key, list items by number from 1."""
-    return dict(leaves(decisive_content(study), whole_lists=True))
-
-
-def differences(earlier: Mapping[str, Any], current: Mapping[str, Any]) -> str:
-    """The first five keys in which two studies differ, with both values, and how many more there are."""
+def differences(config: str, study: Study) -> str:
+    """The first five keys in which a config differs from a study, with both values, and how many more there are."""
+    try:
+        earlier, current = (
+            dict(leaves(decisive_content(each), whole_lists=True)) for each in (study_from_text(config), study)
+        )
+    except ConfigError:
+        return "which this version refuses"
     keys = [key for key in {**earlier, **current} if earlier.get(key) != current.get(key)]
     texts = [f"{key} = {_shown(earlier.get(key))} there, {_shown(current.get(key))} here" for key in keys[:5]]
     return "; ".join([*texts, f"and {len(keys) - 5} more"] if len(keys) > 5 else texts)
 
 
-def _shown(value: Any) -> str:
-    text = "nothing" if value is None else json.dumps(value, ensure_ascii=False)
-    return text if len(text) <= 40 else text[:37] + "…"
+def _shown(value: object) -> str:
+    return "nothing" if value is None else shorten(value)
 
 
 def _lock(file: BinaryIO) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from functools import cached_property
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +26,6 @@ from clunk.study.study import Study, digest, to_toml
 from clunk.sweeping.engines import Runner
 from clunk.sweeping.tiles import Tile
 
-SomeMap = TypeVar("SomeMap", bound=AnyMap, covariant=True)
 Flanks = tuple[int, ...]  # of a run's primary impacts in order, +1 opposite, -1 initial
 
 
@@ -78,7 +77,7 @@ class Sequences:
         return labels, np.array([*(labels.index(label(flanks)) for flanks in self.codes), FAILED_CODE], np.int16)
 
 
-class Reduction(ABC, Generic[SomeMap]):
+class Reduction(ABC):
     """The arrays of a map, filled tile by tile.
 
     study, design : of the cells
@@ -115,7 +114,7 @@ class Reduction(ABC, Generic[SomeMap]):
         """Put a tile of new cells into the arrays; `rows` are its rows in these."""
 
     @abstractmethod
-    def result(self, attributes: dict[str, str]) -> SomeMap:
+    def result(self, attributes: dict[str, str]) -> AnyMap:
         """The finished map, with these attributes."""
 
     @cached_property

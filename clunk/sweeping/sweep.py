@@ -21,14 +21,12 @@ from clunk.results.regimemap import Results
 from clunk.results.store import read_map, read_results, write_results
 from clunk.results.tolerancemap import AnyMap
 from clunk.simulation.driveline import explained
-from clunk.study.config import study_from_text
 from clunk.study.designs import Design, design_of, has_tolerances
-from clunk.study.problems import ConfigError
 from clunk.study.study import Study, digest
 from clunk.sweeping.assembly import RegimeReduction, design_of_failed, failed_cells, mended
 from clunk.sweeping.cells import warm_up
 from clunk.sweeping.engines import EngineError, run_tiles
-from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory, differences, flat
+from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory, differences
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.provenance import provenance
 from clunk.sweeping.reduction import Reduction, SweepError
@@ -77,7 +75,7 @@ class Job:
         self.ran, self.seconds, self.is_written = 0, 0.0, is_complete
 
     @cached_property
-    def reduction(self) -> Reduction[AnyMap]:
+    def reduction(self) -> Reduction:
         """Empty arrays of the map. Raises SweepError where nothing can run, or the arrays don't fit in memory."""
         if not self.design.shape:
             raise SweepError(_NO_SWEEP)
@@ -230,9 +228,7 @@ def _refuse_others(path: Path, study: Study) -> None:
     except StoreError as error:
         raise SweepError(f"{error} It is in the way of the results. {_WAYS_OUT}") from error
     if held.config_digest != digest(study):
-        differing = repr(held.title)
-        with suppress(ConfigError):  # of a config that this version refuses
-            differing = differences(flat(study_from_text(held.config)), flat(study)) or differing
+        differing = differences(held.config, study)
         raise SweepError(f"{path} holds the results of another config ({differing}). {_WAYS_OUT}")
 
 

@@ -63,7 +63,7 @@ class SampleRunner:
         keys = dict.fromkeys(each.parameter for each in (*self.design.columns, *self._tolerances))
         self._grid = Grid(nominal, Design((1,), tuple(Column(key, 0, np.zeros(1)) for key in keys), run=0))
         self.layout = Layout(TOLERANCE_CELL, OUTCOME, "outcomes", len(study.lashes))
-        self.draws = self.runs = study.sweep.sampling.count
+        self.draws = study.sweep.sampling.count
         self.drawn = drawn_numbers(study, self._tolerances)
         self.method = self._grid.method
         self.tile_cells = max(1, _TILE_RUNS // self.draws)
@@ -110,7 +110,7 @@ class SampleRunner:
         return {key: column.ravel() for key, column in values.items()}
 
 
-class ToleranceReduction(Reduction[ToleranceMap]):
+class ToleranceReduction(Reduction):
     """The arrays of a tolerance map."""
 
     def __init__(self, study: Study) -> None:
