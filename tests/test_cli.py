@@ -492,55 +492,19 @@ def test_a_slice_s_picture_is_said_to_replace_another(clunk, small, here):
         assert ("small-severity.png is replaced" in " ".join(err.split())) == says
 
 
-def broken(table_and_key, line):
-    """The small config with a line added to one of its tables."""
-    return SMALL.replace(f"[{table_and_key}]\n", f"[{table_and_key}]\n{line}\n", 1)
-
-
-# (config, what the message must name)
+# (config, what the message must name); all that a config can have wrong is in test_config
 BROKEN = [
     (SMALL.replace("preset", "prest"), "preset"),
     (SMALL.replace("boere-2008", "boere-2009"), "boere-2008"),
-    (broken("solver", "stp = 1e-4"), "solver.stp"),
-    (SMALL.replace("step = 2e-4", "step = 0.0"), "solver.step"),
-    (SMALL.replace("step = 2e-4", "step = -1e-4"), "solver.step"),
-    (SMALL.replace("step = 2e-4", 'step = "small"'), "solver.step"),
     (SMALL.replace("step = 2e-4", "step = nan"), "solver.step"),
-    (SMALL.replace("step = 2e-4", "step = 0.01"), "solver.step"),
-    (SMALL.replace("step = 2e-4", "step = true"), "solver.step"),
-    (broken("solver", "end_time = inf"), "solver.end_time"),
-    (broken("solver", "max_events = 0"), "solver.max_events"),
-    (broken("solver", 'method = "euler"'), "solver.method"),
-    (broken("driveline", "inertias = [0.024, -0.002, 0.002, 0.002]"), "driveline.inertias[2]"),
-    (broken("driveline", "inertias = []"), "driveline.inertias"),
-    (broken("driveline", "inertias = 0.02"), "driveline.inertias"),
-    (SMALL + "[[driveline.shafts]]\nbetween = [1, 7]\nstiffness = 1.0\ndamping = 0.0\n", "driveline.shafts[1].between"),
-    (SMALL + "[[driveline.shafts]]\nbetween = [1, 1]\nstiffness = 1.0\ndamping = 0.0\n", "driveline.shafts[1].between"),
-    (SMALL + "[[driveline.shafts]]\nbetween = [1, 2]\nstifness = 1.0\ndamping = 0.0\n", "stiffness"),
-    (SMALL + "[lash]\nbetween = [3, 9]\n", "lash.between"),
     (SMALL + "[lash]\nbacklsh_deg = 6.0\n", "backlash_deg"),
-    (SMALL + "[lash]\nradius = 0.0\n", "lash.radius"),
-    (SMALL + "[lash.contact]\nstiffness = -4e5\n", "lash.contact.stiffness"),
-    (SMALL + '[lash.contact]\nseparation = "sometimes"\n', "lash.contact.separation"),
-    (SMALL + "[lash.contact]\nrestitution = 1.5\n", "lash.contact.restitution"),
-    (SMALL + "[load]\non = 5\n", "load.on"),
     (SMALL + "[load]\nstatic_torque = -1.0\ninitial_torque = -6.0\n", "load"),
-    (SMALL + '[load]\nprofile = "tip-in"\n', "load.profile"),
-    (SMALL.replace("count = 6", "count = 0"), "sweep.axes[1].count"),
-    (SMALL.replace("count = 6", "count = 1000000000000"), "sweep.axes[1].count"),
     (SMALL.replace("count = 6", "count = 100000").replace("count = 5", "count = 100000"), "cells"),
     (SMALL.replace("count = 6", "count = 40000").replace("count = 5", "count = 40000"), "memory"),
-    (SMALL.replace('"load.ratio"', '"load.ration"'), "load.ratio"),
-    (SMALL.replace('"load.ratio"', '"load.profile"'), "load.profile"),
-    (SMALL.replace('"load.ratio"', '"lash.backlash_deg"'), "lash.backlash_deg"),
-    (SMALL.replace('"load.ratio"', '"driveline.inertias[9]"'), "driveline.inertias"),
-    (SMALL.replace("stop = 20.0", "stop = inf"), "sweep.axes[2].stop"),
     (SMALL.replace("start = 0.0\nstop = 20.0", "start = -5.0\nstop = 20.0"), "sweep.axes[2]"),
-    (SMALL.replace("count = 6", 'count = 6\nscale = "log"'), "sweep.axes[1]"),
     (SMALL[: SMALL.index("[[sweep")], "sweep.axes"),
     ("title = \n", "TOML"),
     ("", "driveline"),
-    (LADEN + "[[sweep.axes]]\nparameter = 'load.ratio'\nvalues = []\n", "sweep.axes[1].values"),
     (LADEN.replace("[1.0, 1.0]", "[1.0, 1.0, 2.0]").replace("stiffness = 10.0", "stiffness = 0.0") + AXES, "inertia 3"),
 ]
 
