@@ -61,13 +61,11 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
     try:
         document = tomllib.loads(text)
     except RecursionError:
-        raise _refusal(f"{source} is nested too deeply for a config.") from None
-    except tomllib.TOMLDecodeError as error:
+        document = None
+    except ValueError as error:  # also where Python refuses to read an integer of more than 4300 digits
         line = re.search(r"at line (\d+)", str(error))
         raise _refusal(f"{source} is not valid TOML: {error}.", int(line[1]) if line else None) from None
-    except ValueError:  # Python refuses to read integers of more than 4300 digits
-        raise _refusal(f"{source} holds an integer of thousands of digits.") from None
-    if _is_too_deep(document):
+    if document is None or _is_too_deep(document):
         raise _refusal(f"{source} is nested too deeply for a config.")
     return document
 

@@ -241,12 +241,6 @@ class Config(Table):
     fit: Fit | None = None
     optimize: Optimize | None = None
 
-    @model_validator(mode="before")
-    @classmethod
-    def _unwrap(cls, config: Any) -> Any:
-        lashes = items_of(config.get("lash")) if isinstance(config, dict) else ()
-        return {**config, "lash": lashes[0]} if len(lashes) == 1 else config
-
     @property
     def lashes(self) -> tuple[Lash, ...]:
         """The lashes, in order."""

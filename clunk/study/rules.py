@@ -56,6 +56,11 @@ def load_complaint(parameter: str, config: Config) -> str | None:
     return None
 
 
+def _unsweepable(parameter: str, config: Config) -> str | None:
+    """Reason why a key cannot be swept in this config; None where it can."""
+    return complaint(parameter, config.model_dump(exclude=NOT_OF_A_RUN)) or load_complaint(parameter, config)
+
+
 # --- Inertias, steps, sizes ------------------------------------------------------------------------------------------
 
 
@@ -174,7 +179,6 @@ def _swept(config: Config) -> Iterator[Finding]:
     """Require that a swept or drawn key is a parameter, in one place only."""
     if config.sweep is None:
         return
-    document = config.model_dump(exclude={"sweep"})
     swept: dict[str, Place] = {}
     drawn: dict[str, Place] = {}
     for name, taken, verb in (("axes", swept, "swept"), ("samples", drawn, "drawn"), ("tolerances", drawn, "drawn")):
@@ -182,7 +186,7 @@ def _swept(config: Config) -> Iterator[Finding]:
         for k, entry in enumerate(entries):
             at: Place = ("sweep", name, k)
             parameter = entry.parameter
-            text = complaint(parameter, document) or load_complaint(parameter, config)
+            text = _unsweepable(parameter, config)
             if text is None and name != "axes":
                 text = _undrawable(entry, name, swept, config)
             before = [each for each in entries[:k] if each.parameter == parameter]
@@ -216,10 +220,8 @@ def _undrawable(draw: Draw, table: str, swept: Mapping[str, Place], config: Conf
 
 def _fitted(config: Config) -> Iterator[Finding]:
     """Require fitted parameters that can be drawn."""
-    document = config.model_dump(exclude=NOT_OF_A_RUN)
     for k, prior in enumerate(config.fit.parameters if config.fit is not None else ()):
-        text = complaint(prior.parameter, document) or load_complaint(prior.parameter, config)
-        text = text or _undrawable(prior, "fit", {}, config)
+        text = _unsweepable(prior.parameter, config) or _undrawable(prior, "fit", {}, config)
         if text is not None:
             yield ("fit", "parameters", k, "parameter"), text
 
@@ -227,10 +229,9 @@ def _fitted(config: Config) -> Iterator[Finding]:
 def _optimised(config: Config) -> Iterator[Finding]:
     """Require free parameters that can be swept and are no whole numbers; robustness with tolerances only."""
     optimize = config.optimize
-    document = config.model_dump(exclude=NOT_OF_A_RUN)
     for k, free in enumerate(optimize.parameters if optimize is not None else ()):
         for parameter in free.keys:
-            text = complaint(parameter, document) or load_complaint(parameter, config)
+            text = _unsweepable(parameter, config)
             if text is None and located(config, parameter)[1].whole:
                 text = f"{parameter} is an inertia's number, which cannot be searched"
             if text is not None:
