@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 from click.shell_completion import BashComplete
@@ -28,7 +29,7 @@ def files(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "small.toml").write_text(SMALL)
     (tmp_path / "broken.toml").write_text("[driveline\n")
-    store.write_results(tmp_path / "map.h5", example(RATIO, BACKLASH))
+    store.write_results(tmp_path / "map.h5", replace(example(RATIO, BACKLASH), config=SMALL))
     (tmp_path / "map.svg").touch()
 
 

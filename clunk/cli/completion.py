@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from clunk.study.axes import ResultAxis
     from clunk.study.study import Study
 
 
@@ -52,26 +51,12 @@ def places(context: click.Context, option: click.Parameter, incomplete: str) -> 
 
 def swept(context: click.Context, _option: click.Parameter, incomplete: str) -> list[str]:
     """Swept keys of the config or results file on the line."""
-    return [axis.parameter for axis in _axes(context) if axis.parameter.startswith(incomplete)]
-
-
-def _axes(context: click.Context) -> list[ResultAxis]:
-    """Axes and coordinates of the file on the line; none where it cannot be read."""
-    path = _path(context)
-    if path is not None and path.suffix == ".h5":
-        from clunk.results.netcdf import StoreError
-        from clunk.results.store import read_map
-
-        try:
-            results = read_map(path)
-        except StoreError:
-            return []
-        return [*results.axes, *results.coordinates]
     from clunk.study.designs import design_of
 
     study = _study(context)
     design = None if study is None else design_of(study)
-    return [] if design is None else [*design.axes, *design.coordinates]
+    axes = () if design is None else (*design.axes, *design.coordinates)
+    return [axis.parameter for axis in axes if axis.parameter.startswith(incomplete)]
 
 
 def _study(context: click.Context) -> Study | None:
