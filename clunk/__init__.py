@@ -33,12 +33,12 @@ if TYPE_CHECKING:
     from clunk.explorer.subject import ExplorerError as ExplorerError
     from clunk.plot import PlotError as PlotError
     from clunk.results.boundaries import Boundaries as Boundaries
-    from clunk.results.datasets import open_results as open_results
-    from clunk.results.datasets import to_dataset as to_dataset
     from clunk.results.netcdf import StoreError as StoreError
     from clunk.results.regimemap import Results as Results
+    from clunk.results.store import open_results as open_results
     from clunk.results.store import read_results as read_results
     from clunk.results.store import read_tolerance_map as read_tolerance_map
+    from clunk.results.store import to_dataset as to_dataset
     from clunk.results.store import write_results as write_results
     from clunk.results.tolerancemap import ToleranceMap as ToleranceMap
     from clunk.simulation.trajectory import SimulationError as SimulationError
@@ -86,7 +86,7 @@ _HOME = {
     "fit": "analysis.fitting",
     "fitted_study": "analysis.fittedstudy",
     "load_study": "study.config",
-    "open_results": "results.datasets",
+    "open_results": "results.store",
     "optimize": "analysis.optimisation",
     "plot": "plot",
     "read_results": "results.store",
@@ -99,7 +99,7 @@ _HOME = {
     "sweep": "api",
     "threshold_quantiles": "analysis.quantiles",
     "thresholds": "analysis.thresholds",
-    "to_dataset": "results.datasets",
+    "to_dataset": "results.store",
     "tolerance_map": "api",
     "verify": "analysis.comparison",
     "write_results": "results.store",

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from test_sweeping import equal, figure_3_4
 
-from clunk.sweeping import signals
+from clunk.sweeping import engines
 from clunk.sweeping.cells import Grid
-from clunk.sweeping.engines import run_tiles
-from clunk.sweeping.signals import Threads
+from clunk.sweeping.engines import Threads, run_tiles
 from clunk.sweeping.sweep import sweep
 
 
@@ -75,7 +74,7 @@ def test_an_interrupt_at_any_moment_leaves_no_thread_waiting(monkeypatch):
             for _ in run_tiles(engine, Nothing(), np.arange(1_000_000)):
                 pass
 
-    monkeypatch.setattr(signals, "_DEFERRED", (signal.SIGALRM,))
+    monkeypatch.setattr(engines, "_DEFERRED", (signal.SIGALRM,))
     faulthandler.dump_traceback_later(60, exit=True)
     previous = signal.signal(signal.SIGALRM, interrupt)
     gc.disable()

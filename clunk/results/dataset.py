@@ -41,16 +41,13 @@ class Dataset:
     variables: Mapping[str, Variable]
     attributes: Mapping[str, str]
 
-    def shape(self, name: str) -> tuple[int, ...]:
-        """Lengths of a variable's dimensions."""
-        return tuple(len(self.variables[dim].values) for dim in self.variables[name].dims)
-
     def padded(self, name: str) -> Array:
         """Values of a variable in the shape of its dimensions; behind the last entry of a cell NaN (floats) or 0."""
         variable = self.variables[name]
         if variable.values.ndim == len(variable.dims):
             return variable.values
-        is_entry = has_entry(self.variables[COUNTED_BY[variable.dims[-1]]].values, self.shape(name)[-1])
+        counts, most = (self.variables[each].values for each in (COUNTED_BY[variable.dims[-1]], variable.dims[-1]))
+        is_entry = has_entry(counts, most.size)
         padded = np.full(is_entry.shape, np.nan if variable.values.dtype.kind == "f" else 0, variable.values.dtype)
         padded[is_entry] = variable.values
         return padded

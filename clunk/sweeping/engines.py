@@ -12,10 +12,13 @@ from __future__ import annotations
 
 import functools
 import platform
-from collections.abc import Generator
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+import signal
+import threading
+from collections.abc import Generator, Iterator
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -24,9 +27,9 @@ from clunk.results.machine import available_cores
 from clunk.study.arrays import Cells
 from clunk.study.errors import ClunkError
 from clunk.sweeping.cells import Flag
-from clunk.sweeping.signals import deferred_signals
 from clunk.sweeping.tiles import Layout, Tile
 
+_DEFERRED = (signal.SIGINT, signal.SIGTERM)
 _AHEAD = 2  # tiles handed to each worker
 _AHEAD_OF_WHOLE = 8  # of tiles of the largest size: they go on while a part is written to the disk, 0.3 s
 _ATTENDED = 25  # workers whose tiles of the usual size this process can look after: 4 ms each, of 0.1 s
@@ -112,6 +115,38 @@ def next_tile(waiting: int, running: int, cells: int, workers: int, tile_cells: 
     size = min(max(-(-waiting // (2 * workers)), least), largest)
     enough = workers * (_AHEAD_OF_WHOLE if size == largest else _AHEAD)
     return min(size, waiting) if running < enough else 0
+
+
+@contextmanager
+def deferred_signals() -> Iterator[None]:
+    """Context that defers the handlers of SIGINT and SIGTERM to its end.
+
+    Python runs the handler of a signal between any two steps of the main thread. A handler that raises, as that of
+    SIGINT does, can interrupt `concurrent.futures` where it has locked something and not yet noted that it has to
+    unlock it; its threads then wait for ever, and so does who waits for them.
+    """
+    handlers: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():  # the only one that runs handlers, and that may set them
+        handlers = {number: handler for number in _DEFERRED if callable(handler := signal.getsignal(number))}
+    arrived: list[int] = []
+    try:
+        for number in handlers:
+            signal.signal(number, lambda number, _frame: arrived.append(number))
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for number in arrived[:1]:
+            handlers[number](number, None)
+
+
+class Threads(ThreadPoolExecutor):
+    """Thread pool in which a signal leaves no lock held."""
+
+    def submit(self, *arguments: Any, **options: Any) -> Future[Any]:
+        """Submit a task as `ThreadPoolExecutor` does; a signal waits until the task is in the queue."""
+        with deferred_signals():
+            return super().submit(*arguments, **options)
 
 
 @functools.cache

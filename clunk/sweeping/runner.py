@@ -23,11 +23,10 @@ from clunk.study.problems import ConfigError
 from clunk.study.study import Study
 from clunk.sweeping.assembly import RegimeReduction
 from clunk.sweeping.cells import Grid
-from clunk.sweeping.engines import run_tiles
+from clunk.sweeping.engines import Threads, run_tiles
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.provenance import provenance
 from clunk.sweeping.reduction import heading_of
-from clunk.sweeping.signals import Threads
 from clunk.sweeping.tiles import Tile
 
 _ALONE = 100  # runs: fewer are not worth a second thread

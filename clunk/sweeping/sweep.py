@@ -25,12 +25,11 @@ from clunk.study.designs import Design, design_of, has_tolerances
 from clunk.study.study import Study, digest
 from clunk.sweeping.assembly import RegimeReduction, design_of_failed, failed_cells, mended
 from clunk.sweeping.cells import warm_up
-from clunk.sweeping.engines import EngineError, run_tiles
+from clunk.sweeping.engines import EngineError, Threads, run_tiles
 from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory, differences
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.provenance import provenance
 from clunk.sweeping.reduction import Reduction, SweepError
-from clunk.sweeping.signals import Threads
 from clunk.sweeping.tolerances import ToleranceReduction
 
 __all__ = ["Job", "SweepError", "cell_count", "engine_of", "opened", "sweep", "warm_up"]
