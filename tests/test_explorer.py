@@ -21,6 +21,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from clunk import ClunkError, load_study, simulate, sweep, tolerance_map
+from clunk.analysis.boundaries import with_boundaries
 from clunk.cli import cli
 from clunk.explorer.controls import adjustable, slider_range
 from clunk.explorer.mapfigure import MapFigure
@@ -84,12 +85,6 @@ class TestCurves:
             part = thin[np.isin(thin_time, time_of[start : start + length])]
             assert (part.min(), part.max()) == (whole.min(), whole.max())
 
-    def test_a_jump_moves_by_a_column_at_most(self):
-        at = np.concatenate([np.linspace(0.0, 0.5, 5000), np.linspace(0.5, 1.0, 5000)])
-        thin_time, thin = thinned(at, np.repeat([0.0, 1.0], 5000), 0.0, 1.0, 100)
-        jump = int(np.argmax(thin > 0.5))
-        assert 0.49 <= thin_time[jump - 1] <= 0.5 <= thin_time[jump] <= 0.51
-
     def test_a_part_is_cut_with_a_point_on_either_side(self):
         at = np.arange(100.0)
         assert thinned(at, at, 10.5, 20.5, 1000)[0].tolist() == list(range(10, 22))
@@ -141,25 +136,17 @@ class TestSubject:
         cell = subject.results.cell(CELL)
         assert (run.label, run.severity, run.touches) == (cell["label"], cell["severity"], cell["touches"])
 
-    def test_the_map_with_other_numbers_is_that_of_its_config(self, subject):
-        numbers = {"lash.contact.damping": 40.0}
+    def test_map_boundaries_and_run_with_other_numbers_are_those_of_the_config(self, subject):
+        numbers, cell = {"lash.contact.damping": 40.0}, {"load.ratio": 7.5, "lash.backlash_deg": 10.0}
         computed = subject.full_map({}, numbers, lambda *_: None)
-        config = study_from_text(subject.config({"load.ratio": 7.5, "lash.backlash_deg": 10.0}, numbers))
+        traced = subject.traced_map({}, numbers, computed, computed.lash_names[0], lambda *_: None)
+        config = study_from_text(subject.config(cell, numbers))
         again = sweep(config)
-        assert again.config_digest == computed.config_digest
-        assert np.array_equal(again.severity, computed.severity)
-        run = subject.run({"load.ratio": 7.5, "lash.backlash_deg": 10.0}, numbers).trajectory
-        assert np.array_equal(simulate(config).events, run.events)
-
-    def test_boundaries_for_other_numbers_are_those_of_its_config(self, subject):
-        """The map keeps its cells' labels."""
-        numbers = {"lash.contact.damping": 40.0}
-        drawn = subject.full_map({}, numbers, lambda *_: None)
-        traced = subject.traced_map({}, numbers, drawn, drawn.lash_names[0], lambda *_: None)
-        config = study_from_text(subject.config(CELL, numbers))
-        assert np.array_equal(traced.label_map, drawn.label_map)
-        expected = sweep(config, boundaries=True).boundaries
-        assert np.array_equal(traced.boundaries.vertices, expected.vertices)
+        assert again.config_digest == traced.config_digest
+        assert np.array_equal(again.severity, traced.severity)
+        assert np.array_equal(again.label_map, traced.label_map)
+        assert np.array_equal(traced.boundaries.vertices, with_boundaries(config, again).boundaries.vertices)
+        assert np.array_equal(simulate(config).events, subject.run(cell, numbers).trajectory.events)
 
     def test_of_runs_of_a_sample_the_map_is_a_strip(self):
         text = NOMINAL + EXACT + '[[sweep.samples]]\nparameter = "load.ratio"\ndistribution = "uniform"\n'
@@ -208,10 +195,12 @@ class TestTolerances:
         assert np.array_equal(np.isin(shown, list(full)), subject.results.certainty >= CERTAIN)
 
     @pytest.mark.parametrize("quantity", ["double_sided", "severity", "severity_95"])
-    def test_its_probabilities_and_quantiles_have_colours(self, subject, quantity):
-        changes = picture(subject.results, quantity)
-        assert changes["shades"]["low"] <= changes["shades"]["high"]
-        assert changes["bar"]["title"] == subject.results.plot_label(quantity_of(quantity, subject.results))
+    def test_its_probabilities_and_quantiles_have_colours_and_the_largest_is_named(self, subject, quantity):
+        changes, described = picture(subject.results, quantity), quantity_of(quantity, subject.results)
+        largest = np.nanmax(described.of_runs(subject.results))
+        assert changes["shades"]["low"] <= largest <= changes["shades"]["high"]
+        assert changes["bar"]["title"] == subject.results.plot_label(described)
+        assert f"largest: {largest:.6g} at " in changes["legend"]["text"]
 
 
 class TestPictures:
@@ -226,11 +215,6 @@ class TestPictures:
         colours = pixels(changes)
         assert colours[colours.shape[0] // 2, colours.shape[1] // 2] == colour_of(label)
         assert all(escape(label) in changes["legend"]["text"] for label in subject.results.label_map.ravel())
-
-    def test_a_quantity_has_its_own_scale(self, subject):
-        changes = picture(subject.results, "severity")
-        assert changes["shades"]["high"] == subject.results.severity.max()
-        assert "rad/s²" in changes["bar"]["title"]
 
 
 class TestRuns:

@@ -19,6 +19,7 @@ from clunk.plot.maps import cell_colours, shades_of
 from clunk.plot.plane import Codes, cells_of, ruler, value_text
 from clunk.plot.style import FAILED_FILL, INK, LINE_COLOURS, bare, capital
 from clunk.results.labels import FAILED
+from clunk.results.quantities import YES_NO
 from clunk.results.tolerancemap import AnyMap
 from clunk.study.arrays import Floats
 from clunk.study.axes import ResultAxis
@@ -140,7 +141,7 @@ class MapFigure:
 
     def _peak(self, layers: Layers) -> list[str]:
         """A note on the largest value of a quantity, with its cell."""
-        if layers.values is None:
+        if layers.values is None or (layers.quantity.type == YES_NO and not layers.shaded):
             return []
         at = np.unravel_index(int(np.nanargmax(layers.values)), layers.values.shape)
         axes = zip(self._axes, layers.view.axes, at, strict=True)
