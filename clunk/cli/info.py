@@ -16,7 +16,7 @@ from clunk.study.records import fill
 @click.argument("file", type=PATH)
 @click.option("--config", "show_config", is_flag=True, help="Print the whole resolved config (TOML) instead.")
 @click.option("--map", "show_map", is_flag=True, help="Also print the map, a letter for each cell.")
-@click.option("--check", is_flag=True, help="Also read it whole and compare it with its checksums.")
+@click.option("--check", is_flag=True, help="Also say that its data and its bytes match their checksums.")
 @json_option
 def info(file: Path, show_config: bool, show_map: bool, check: bool, as_json: bool) -> None:
     """Say what a results file holds.
