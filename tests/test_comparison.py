@@ -222,26 +222,18 @@ def test_axes_that_differ_by_rounding_are_the_same() -> None:
     assert compare(other_axes(thirds, Y), other_axes(rounded, Y)).same_regimes
 
 
-def test_severity_ratio_has_its_quantiles_and_its_extremes_where_they_are() -> None:
+def test_severity_ratio_has_its_quantiles() -> None:
     a = like_figure_3_4()
     rng = np.random.default_rng(3)
     factor = rng.uniform(0.9, 1.1, a.shape)
-    factor[30, 4], factor[35, 2] = 0.5, 1.6  # 1/2 is further from 1 than 1.6, the difference is larger at the latter
-    severity = a.severity.copy()
-    severity[30, 4], severity[35, 2] = 2000.0, 9000.0
-    a = a.with_arrays(severity=severity)
-    deviation = compare(a, a.with_arrays(severity=severity * factor)).deviation
+    deviation = compare(a, a.with_arrays(severity=a.severity * factor)).deviation
     assert deviation is not None
     assert deviation.quantity == "severity"
-    impacts = severity > 0.0
+    impacts = a.severity > 0.0
     assert deviation.cells == np.count_nonzero(impacts)
     expected = np.quantile(factor[impacts], (0.05, 0.5, 0.95))
     found = [deviation.ratio[name] for name in ("quantile_5", "median", "quantile_95")]
     np.testing.assert_allclose(found, expected, rtol=1e-12)
-    assert deviation.largest_ratio.ratio == 0.5
-    assert deviation.largest_ratio.at == place(RATIO.values[30], BACKLASH.values[4])
-    assert deviation.largest_difference.difference == pytest.approx(5400.0)
-    assert deviation.largest_difference.at == place(RATIO.values[35], BACKLASH.values[2])
 
 
 def test_without_severity_in_one_map_the_approach_velocities_are_compared() -> None:
@@ -525,7 +517,7 @@ def test_trend_counts_neighbours_that_are_ordered_alike() -> None:
     assert (ratio.parameter, ratio.pairs) == ("load.ratio", 4)
     assert ratio.measured == Tally(rises=2, same=1, falls=1)
     assert ratio.computed == Tally(rises=3, same=1, falls=0)
-    assert (ratio.alike, ratio.opposed, ratio.share) == (1, 1, 0.25)
+    assert (ratio.alike, ratio.opposed) == (1, 1)
     assert (ratio.measured.direction, ratio.computed.direction) == ("varies", "rises")
     assert backlash.measured == Tally(rises=0, same=2, falls=1)
     assert backlash.computed == Tally(rises=0, same=1, falls=2)
@@ -536,7 +528,6 @@ def test_a_point_without_a_computed_label_is_not_skipped_over() -> None:
     results = small([["SS(1)"] * 2, ["failed"] * 2, ["DS(1)"] * 2])
     trend = compare_experiment(results, measured({(k, 0.0): "SS(1)" for k in (0.0, 1.0, 2.0)})).trends[0]
     assert trend.pairs == 0
-    assert math.isnan(trend.share)
 
 
 def test_table_4_1_has_the_trends_of_a_map_like_figure_3_4() -> None:

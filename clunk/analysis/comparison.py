@@ -69,27 +69,6 @@ class DifferingCell(Record):
 
 
 @dataclass(frozen=True)
-class Extreme(Record):
-    """A quantity in the cell where A and B are furthest apart."""
-
-    at: dict[str, float | str] = told("at")
-    a: float = told("A", form=".5g")
-    b: float = told("B", form=".5g")
-
-    @property
-    @tells("B over A", form=".4g")
-    def ratio(self) -> float:
-        """B over A."""
-        return self.b / self.a
-
-    @property
-    @tells("B less A", form="+.4g")
-    def difference(self) -> float:
-        """B less A, in the quantity's unit."""
-        return self.b - self.a
-
-
-@dataclass(frozen=True)
 class Deviation(Record):
     """Ratio of a quantity in B to the one in A, over the cells where it is positive in both.
 
@@ -97,16 +76,12 @@ class Deviation(Record):
     cells : number of these cells
     zero_in_one : number of cells where it is zero in one of the two only, and there is no ratio
     ratio : median, 5 and 95 % quantiles of B/A
-    largest_ratio : the cell whose ratio is furthest from 1; 1/2 is as far as 2
-    largest_difference : the cell whose difference is largest
     """
 
     quantity: str = told("of")
     cells: int = told("cells where it is not zero")
     zero_in_one: int = told("zero in one of the two")
     ratio: dict[str, float] = told("B over A", form=".4g")
-    largest_ratio: Extreme = told("furthest ratio")
-    largest_difference: Extreme = told("largest difference")
 
 
 @dataclass(frozen=True)
@@ -415,22 +390,14 @@ def _deviation(a: Results, b: Results) -> Deviation | None:
     both = known & (values_a > 0.0) & (values_b > 0.0)
     if not both.any():
         return None
-    cells = np.argwhere(both)
     ratio = values_b[both] / values_a[both]
     low, median, high = np.quantile(ratio, (0.05, 0.5, 0.95))
 
-    def extreme(k: np.intp) -> Extreme:
-        at = tuple(int(index) for index in cells[k])
-        place = at_cell(a.parameters, values_at(a.axes, at, a.coordinates))
-        return Extreme(place, float(values_a[at]), float(values_b[at]))
-
     return Deviation(
         quantity=name,
-        cells=len(cells),
+        cells=int(np.count_nonzero(both)),
         zero_in_one=int(np.count_nonzero(known & ((values_a > 0.0) != (values_b > 0.0)))),
         ratio={"median": float(median), "quantile_5": float(low), "quantile_95": float(high)},
-        largest_ratio=extreme(np.argmax(np.abs(np.log(ratio)))),
-        largest_difference=extreme(np.argmax(np.abs(values_b[both] - values_a[both]))),
     )
 
 

@@ -34,22 +34,6 @@ _PRIOR_WEIGHT = 10.0  # measurements that the expected share of wrong labels is 
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Fewer(Record):
-    """A fit of the first parameters alone, the others being nominal.
-
-    parameters : number of them
-    met : most labels met by any of its draws
-    predicted : number of labels predicted from the other measurements
-    effective : effective size of its ensemble
-    """
-
-    parameters: int = told("parameters")
-    met: int = told("most labels met")
-    predicted: int = told("predicted")
-    effective: float = told("effective draws", form=".0f")
-
-
-@dataclass(frozen=True, eq=False, repr=False)
 class Estimate(Record):
     """A parameter's number: a value, a factor or an offset.
 
@@ -82,7 +66,7 @@ class Measured(Record):
 
     computed : by the best candidate
     probabilities : of labels, in the ensemble
-    met_by_some : whether any candidate meets it
+    met_by_some : whether any draw of the ensemble meets it
     reason : sentences on why the best candidate misses it; empty where it does not
     """
 
@@ -90,7 +74,7 @@ class Measured(Record):
     label: str = told("measured")
     computed: str = told("computed")
     probabilities: dict[str, float] = told()
-    met_by_some: bool = told("met by some candidate")
+    met_by_some: bool = told("met by some draw")
     reason: str = told("why")
 
 
@@ -123,8 +107,6 @@ class Fitted(Record):
     coordinates : (N, d) of the ensemble's draws, in which the prior is standard normal
     matches : (N, n) MATCH, of the ensemble's draws
     log_density : (N,) of their proposals, over the prior
-    best_distances : (n,) least distance of any candidate's label from the measured one; 0 where one has met it
-    fewer : fits of fewer parameters
     axis : number of the measured column along which labels change most
     candidates : number that have been run
     failed : number of candidates of which some run failed
@@ -139,10 +121,8 @@ class Fitted(Record):
     coordinates: Floats
     matches: Records
     log_density: Floats
-    best_distances: Floats
     axis: int
     failed: int
-    fewer: tuple[Fewer, ...] = told("fits of fewer parameters, the others as in the config")
     candidates: int = told("candidates")
 
     @property
@@ -272,15 +252,15 @@ class Fitted(Record):
                 label=measurement.label,
                 computed=label_of(int(match["pattern"])),
                 probabilities=shares,
-                met_by_some=bool(best == 0.0),
+                met_by_some=bool(met),
                 reason=self.reasons.get(k, ""),
             )
-            for k, (measurement, match, shares, best) in enumerate(
+            for k, (measurement, match, shares, met) in enumerate(
                 zip(
                     self.experiment.measurements,
                     self.estimate_matches,
                     self.probabilities,
-                    self.best_distances,
+                    (self.matches["pattern"] == self.wanted).any(axis=0),
                     strict=True,
                 )
             )
@@ -350,13 +330,6 @@ class Fitted(Record):
                 "rough; raise fit.draws."
             )
         predicted = self.hits(self.predictions[0].predicted)
-        best = max(self.fewer, key=lambda each: (each.predicted, -each.parameters), default=None)
-        if best is not None and best.predicted >= predicted:
-            first = "first parameter alone predicts" if best.parameters == 1 else f"first {best.parameters} predict"
-            sentences.append(
-                f"More parameters predict no better: all {parameters} predict {predicted} of {count} labels from the "
-                f"other measurements, the {first} {best.predicted}."
-            )
         for rule in ("majority", "nearest"):
             by_rule = self.hits(getattr(self.predictions[0], rule))
             if by_rule >= predicted:

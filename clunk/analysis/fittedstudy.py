@@ -15,7 +15,7 @@ from clunk.study.axes import ResultAxis
 from clunk.study.document import with_value
 from clunk.study.errors import ClunkError
 from clunk.study.keys import key_at
-from clunk.study.parameters import located, nominal_value
+from clunk.study.parameters import located
 from clunk.study.study import Study, content
 from clunk.study.sweeps import Axis, Sweep
 from clunk.sweeping.sweep import sweep
@@ -109,18 +109,6 @@ def _apply_fit(fitted: Fitted, key: str, value: float, numbers: Floats) -> Float
         if prior.parameter == key:
             made = prior.applied(column, made)
     return made
-
-
-def as_comment(fitted: Fitted) -> str:
-    """Comment lines of TOML on what was fitted."""
-    met = f"{fitted.met} of {len(fitted.points)} labels"
-    lines = [f"# Fitted to {fitted.experiment.name}: {met}."]
-    for prior, number, (low, high) in zip(fitted.priors, fitted.estimate, fitted.intervals(), strict=True):
-        measured = " of the measured value" if prior.parameter in fitted.axes else ""
-        nominal = nominal_value(fitted.study, prior.parameter)
-        before = "" if measured or prior.draws == "value" else f" of {nominal:g}"
-        lines.append(f"# {prior.parameter}: {prior.draws} {number:.6g} [{low:.4g}, {high:.4g}]{measured or before}")
-    return "\n".join(lines) + "\n"
 
 
 # --- Maps -------------------------------------------------------------------------------------------------------------

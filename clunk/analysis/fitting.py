@@ -21,10 +21,10 @@ from itertools import product
 import numpy as np
 
 from clunk.analysis.fitruns import CandidateRuns, axes_of, numbers_at, patterns_of
-from clunk.analysis.fitted import Fewer, Fitted, effective_size, losses, predict_left_out, weights_of
+from clunk.analysis.fitted import Fitted, effective_size, losses, weights_of
 from clunk.analysis.measurements import Experiment, read_experiment
 from clunk.core.status import Status
-from clunk.study.arrays import Bools, Floats, Patterns, Records
+from clunk.study.arrays import Bools, Floats, Records
 from clunk.study.errors import ClunkError
 from clunk.study.keys import key_at
 from clunk.study.lashes import lash_position
@@ -47,13 +47,11 @@ _RIDGE = 1e-6  # least width of a kernel, of the prior's
 
 @dataclass
 class _Best:
-    """The best candidate so far, and how near any has come to each measurement."""
+    """The best candidate so far, and the number of those that failed at some point."""
 
-    wanted: Patterns
     loss: float = math.inf
     numbers: Floats = field(default_factory=lambda: np.zeros(0))
     matches: Records | None = None
-    distances: Floats | float = math.inf
     failed: int = 0
 
     def take(self, candidates: Floats, matches: Records, values: Floats) -> None:
@@ -61,10 +59,6 @@ class _Best:
         k = int(values.argmin())
         if values[k] < self.loss:
             self.loss, self.numbers, self.matches = float(values[k]), candidates[k], matches[k]
-        met = matches["pattern"] == self.wanted
-        # what is not met, and has no distance, was not looked for
-        distances = np.where(met, 0.0, np.where(matches["distance"] > 0.0, matches["distance"], np.inf))
-        self.distances = np.minimum(self.distances, distances.min(axis=0))
         self.failed += int((matches["status"] != Status.OK).any(axis=1).sum())
 
 
@@ -115,16 +109,15 @@ def fit(
     check(study, experiment)
     assert study.fit is not None
     settings, priors = study.fit, study.fit.parameters
-    position, most = lash_position(lash, study.lash_names), settings.candidates + settings.draws * len(priors)
+    position, most = lash_position(lash, study.lash_names), settings.candidates + settings.draws
     plain = study.model_copy(update={"sweep": None})
     with engine_of(None, workers) as engine, reporting(progress, most, plain, what="candidates") as report:
         runs = CandidateRuns(study, experiment, priors, engine, position, report, most)
-        best = _Best(runs.wanted)
+        best = _Best()
         nominal = np.array([nominal_number(study, prior) for prior in priors])
         nominal_matches = runs(nominal[None])[0]
         _search(study, runs, best, nominal)
-        ensemble, matches = draw_ensemble(study, runs, best, nominal, len(priors))
-        fewer = [_fit_of_fewer(study, runs, nominal, count) for count in range(1, len(priors))]
+        ensemble, matches = draw_ensemble(study, runs, best)
         if report is not None:
             report(runs.candidates, runs.candidates)
     assert best.matches is not None
@@ -138,23 +131,10 @@ def fit(
         coordinates=ensemble.draws,
         matches=matches,
         log_density=ensemble.log_density,
-        best_distances=np.asarray(best.distances),
-        fewer=tuple(fewer),
         axis=runs.axis,
         candidates=runs.candidates,
         failed=best.failed,
     )
-
-
-def _fit_of_fewer(study: Study, runs: CandidateRuns, nominal: Floats, count: int) -> Fewer:
-    """Fit the first parameters alone."""
-    assert study.fit is not None
-    ensemble, matches = draw_ensemble(study, runs, None, nominal, count)
-    density, each_alone = ensemble.log_density, range(len(runs.points))
-    predicted = predict_left_out(matches, density, runs.wanted, runs.points, study.fit, each_alone, "").predicted
-    hits = matches["pattern"] == runs.wanted
-    weights = weights_of(ensemble.losses, density)
-    return Fewer(count, int(hits.sum(axis=1).max()), int((predicted == runs.wanted).sum()), effective_size(weights))
 
 
 def _search(study: Study, runs: CandidateRuns, best: _Best, nominal: Floats) -> None:
@@ -164,7 +144,7 @@ def _search(study: Study, runs: CandidateRuns, best: _Best, nominal: Floats) -> 
 
     settings = study.fit
     assert settings is not None
-    priors, wanted = settings.parameters, best.wanted
+    priors, wanted = settings.parameters, runs.wanted
     size = min(max(_SEARCHED * len(priors), 32), settings.candidates)
     if size < 5:  # of which no differential evolution is possible
         return
@@ -196,10 +176,8 @@ def _search(study: Study, runs: CandidateRuns, best: _Best, nominal: Floats) -> 
     )
 
 
-def draw_ensemble(
-    study: Study, runs: CandidateRuns, best: _Best | None, nominal: Floats, count: int
-) -> tuple[Population, Records]:
-    """Ensemble of the first parameters, the others being nominal, and its draws' MATCH."""
+def draw_ensemble(study: Study, runs: CandidateRuns, best: _Best) -> tuple[Population, Records]:
+    """Ensemble of candidates, and its draws' MATCH."""
     settings = study.fit
     assert settings is not None
     priors, wanted = settings.parameters, runs.wanted
@@ -208,8 +186,7 @@ def draw_ensemble(
 
     def loss(draws: Floats) -> Floats:
         nonlocal least
-        candidates = np.tile(nominal, (len(draws), 1))
-        candidates[:, :count] = numbers_at(study, priors[:count], draws)
+        candidates = numbers_at(study, priors, draws)
 
         def matters(near: Records) -> Bools:
             bounds = losses(near, wanted, settings)
@@ -217,13 +194,12 @@ def draw_ensemble(
 
         matches = runs(candidates, matters)
         values = losses(matches, wanted, settings)
-        if best is not None:
-            best.take(candidates, matches, values)
+        best.take(candidates, matches, values)
         every.append(matches)
         least = min(least, float(values.min()))
         return values
 
-    population = sample(loss, count, settings.effective_draws, settings.draws, settings.seed)
+    population = sample(loss, len(priors), settings.effective_draws, settings.draws, settings.seed)
     return population, np.concatenate(every)
 
 

@@ -94,12 +94,6 @@ class Trend(Record):
         """Number of pairs of neighbours that have computed labels."""
         return self.measured.rises + self.measured.same + self.measured.falls
 
-    @property
-    @tells(key="share_alike")
-    def share(self) -> float:
-        """Share of the pairs that are ordered alike; NaN without any."""
-        return self.alike / self.pairs if self.pairs else math.nan
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExperimentComparison(Record):

@@ -73,11 +73,12 @@ def fit(
 
 def _write(fitted: Fitted, path: Path, tolerances: int) -> None:
     """Write the fitted config, with the ensemble as tolerances if they are asked for."""
-    from clunk.analysis.fittedstudy import as_comment, fitted_study
+    from clunk.analysis.fittedstudy import fitted_study
     from clunk.results.files import write_text
     from clunk.study.study import to_toml
 
-    write_text(path, as_comment(fitted) + to_toml(fitted_study(fitted, tolerances)))
+    comment = f"# Fitted to {fitted.experiment.name}: {fitted.met} of {fitted.count} labels.\n"
+    write_text(path, comment + to_toml(fitted_study(fitted, tolerances)))
     terminal.say_written(path)
 
 

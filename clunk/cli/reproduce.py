@@ -4,18 +4,12 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from clunk.cli import tables, terminal
 from clunk.cli.options import EXIT_MISMATCH, PATH, json_option, workers_option
 from clunk.sweeping import progress
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from clunk.report.claims import Claim
 
 
 @click.command()
@@ -57,27 +51,13 @@ def reproduce(output: Path, workers: int | None, coarsen: int, table: Path | Non
     if table is not None:
         reproduction.write_tables(table, claims)
     if as_json:
-        tables.print_record([claim.record() for claim in claims])
+        tables.print_record(claims)
     else:
-        print_claims(claims)
+        for claim in claims:
+            tables.tell(claim, as_json)
+            click.echo()
     click.echo(f"{len(written)} files -> {output}", err=True)
     failed = [claim for claim in claims if claim.failed]
     if failed:
         click.echo(f"{len(failed)} of {len(claims)} claims no longer agree (!)", err=True)
         sys.exit(EXIT_MISMATCH)
-
-
-def print_claims(claims: Sequence[Claim]) -> None:
-    """Print the report's claims beside clunk's."""
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1), show_lines=False, leading=1)
-    table.add_column("where", max_width=10)
-    table.add_column("the report", ratio=2)
-    table.add_column("clunk", ratio=3)
-    table.add_column("verdict", max_width=11)
-    for claim in claims:
-        table.add_row(claim.where, claim.report, claim.ours, claim.verdict.value + (" (!)" if claim.failed else ""))
-    Console(highlight=False, markup=False).print(table)

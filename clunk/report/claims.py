@@ -7,7 +7,7 @@ A claim has the verdict that it is known to deserve. One that is known to agree 
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from enum import Enum
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -23,11 +23,12 @@ from clunk.simulation.linear import one_mode_thresholds, periods_in_envelope, ri
 from clunk.simulation.load import load_step
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.arrays import Floats
+from clunk.study.records import Record, told
 
 NINE = ("NI", "SS(1)", "SS(2)", "DS(1)", "DS(1)SS(1)", "DS(1)SS(2)", "DS(2)", "DS(2)SS(1)", "DS(3)")
 
 
-class Verdict(Enum):
+class Verdict(StrEnum):
     """Outcome of comparing a claim with the computation."""
 
     AGREES = "agrees"
@@ -36,7 +37,7 @@ class Verdict(Enum):
 
 
 @dataclass(frozen=True)
-class Claim:
+class Claim(Record):
     """A number or statement of the report beside ours.
 
     where : place in the report
@@ -46,26 +47,16 @@ class Claim:
     known : the verdict that it is known to deserve
     """
 
-    where: str
-    report: str
-    ours: str
-    verdict: Verdict
-    known: Verdict = Verdict.AGREES
+    where: str = told("where")
+    report: str = told("the report")
+    ours: str = told("clunk", key="clunk")
+    verdict: Verdict = told("verdict")
+    known: Verdict = told("known")
 
     @property
     def failed(self) -> bool:
         """Whether a claim that is known to agree no longer does."""
         return self.known == Verdict.AGREES and self.verdict != Verdict.AGREES
-
-    def record(self) -> dict[str, str]:
-        """The claim for JSON."""
-        return {
-            "where": self.where,
-            "report": self.report,
-            "clunk": self.ours,
-            "verdict": self.verdict.value,
-            "known": self.known.value,
-        }
 
 
 def claims(evidence: Evidence) -> list[Claim]:

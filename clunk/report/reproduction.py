@@ -19,6 +19,7 @@ from clunk.simulation.history import History, sample
 from clunk.simulation.linear import rigid_contact_thresholds
 from clunk.simulation.small_gap import SmallGap
 from clunk.study.errors import ClunkError
+from clunk.study.records import plain
 from clunk.sweeping.progress import Progress
 
 Job = tuple[str, Callable[[], Figure]]
@@ -41,7 +42,7 @@ def save_all(
         written.append(directory / f"{name}.h5")
         write_results(written[-1], evidence.maps[name])
     written.append(directory / "claims.json")
-    text = json.dumps([claim.record() for claim in claims], indent=1, ensure_ascii=False) + "\n"
+    text = json.dumps(plain(claims), indent=1, ensure_ascii=False) + "\n"
     write_text(written[-1], text)
     return written
 
