@@ -44,7 +44,10 @@ _FEWEST = 16
 
 @dataclass(frozen=True)
 class Share(Record):
-    """Share of a parameter in the variance of a quantity: alone (S), in all (ST), that is with its interactions."""
+    """Share of a parameter in the variance of a quantity: alone (S), in all (ST), that is with its interactions.
+
+    first_interval, total_interval : low and high of the percentile bootstrap
+    """
 
     first: float = told("alone", form=".3f")
     first_interval: list[float] = told(f"alone {CONFIDENCE:.0%}", form=".3f")
@@ -54,52 +57,23 @@ class Share(Record):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Indices(Record):
-    """Sobol indices of one quantity: the shares of d parameters in its variance.
+    """Sobol indices of one quantity: the shares of parameters in its variance.
 
     quantity : its name, see `sensitivity`
     heading : name for people, with symbol and unit
-    parameters : (d,) str, dotted keys
     nominal : float, without tolerances
     mean, std : float, over the 2 n runs of A and B; the mean of an indicator is its probability
     quantiles : at `QUANTILES`
-    first, total : (d,) float64, NaN where the quantity is the same in all of those runs
-    first_interval, total_interval : (2, d) float64, their percentile bootstrap intervals, low and high
+    indices : dotted key -> share, by falling total index; None where the quantity is the same in all of those runs
     """
 
     quantity: str
     heading: str
-    parameters: tuple[str, ...]
-    first: Floats
-    total: Floats
-    first_interval: Floats
-    total_interval: Floats
     nominal: float = told("without tolerances")
     mean: float = told("mean")
     std: float = told("standard deviation", form=".4g")
     quantiles: dict[str, float] = told("quantiles")
-
-    @property
-    @tells("share of the variance, alone (S) and in all (ST)")
-    def indices(self) -> dict[str, Share] | None:
-        """Share of each parameter, by falling total index; None where there is no variance to divide."""
-        if not self.varies:
-            return None
-        intervals = zip(self.first_interval.T.tolist(), self.total_interval.T.tolist(), strict=True)
-        shares = [
-            Share(float(first), of_first, float(total), of_total)
-            for first, total, (of_first, of_total) in zip(self.first, self.total, intervals, strict=True)
-        ]
-        return {self.parameters[k]: shares[k] for k in self.order}
-
-    @property
-    def varies(self) -> bool:
-        """Whether there is any variance to divide."""
-        return self.std > 0.0
-
-    @property
-    def order(self) -> Positions:
-        """The parameters' numbers by falling total index."""
-        return np.argsort(-self.total, kind="stable")
+    indices: dict[str, Share] | None = told("share of the variance, alone (S) and in all (ST)")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -222,8 +196,7 @@ def sensitivity(
     >>> sensitivity = clunk.sensitivity(study, of=["severity"])
     >>> sensitivity.label, sensitivity.runs
     ('DS(1)SS(1)', 384)
-    >>> severity = sensitivity.indices[0]
-    >>> sensitivity.parameters[severity.order[0]]
+    >>> next(iter(sensitivity.indices[0].indices))
     'lash.contact.stiffness'
     """
     point = operating_point(study)
@@ -416,21 +389,20 @@ def _indices(quantity: Quantity, nominal: Results, parameters: tuple[str, ...], 
     nominal : the single run without tolerances
     values : (n, d + 2), of the runs of `saltelli_sample`
     """
-    d = values.shape[1] - 2
     base = values[:, :2]
-    varies = bool(np.ptp(base) > 0.0)
-    none = np.full(d, np.nan), np.full(d, np.nan), np.full((2, d), np.nan), np.full((2, d), np.nan)
-    first, total, first_interval, total_interval = first_and_total(values, seed) if varies else none
+    shares = None
+    if np.ptp(base) > 0.0:
+        first, total, of_first, of_total = first_and_total(values, seed)
+        shares = {
+            parameters[k]: Share(float(first[k]), of_first[:, k].tolist(), float(total[k]), of_total[:, k].tolist())
+            for k in np.argsort(-total, kind="stable")
+        }
     return Indices(
         quantity=quantity.name,
         heading=quantity.heading_with_unit,
-        parameters=parameters,
         nominal=float(quantity.of_runs(nominal)[0]),
         mean=float(base.mean()),
-        std=float(base.std()) if varies else 0.0,  # the rounding of a mean is no variance
+        std=float(base.std()) if shares else 0.0,  # the rounding of a mean is no variance
         quantiles={f"{q:g}": float(value) for q, value in zip(QUANTILES, np.quantile(base, QUANTILES), strict=True)},
-        first=first,
-        total=total,
-        first_interval=first_interval,
-        total_interval=total_interval,
+        indices=shares,
     )

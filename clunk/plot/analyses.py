@@ -5,7 +5,7 @@ The maps before and after a fit are in `comparisons`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,9 +17,8 @@ from matplotlib.lines import Line2D
 
 from clunk.analysis.fitted import Fitted, weighted_quantiles
 from clunk.analysis.optimisation import Front
-from clunk.analysis.sobol import CONFIDENCE, Indices, Sensitivity
+from clunk.analysis.sobol import CONFIDENCE, Sensitivity, Share
 from clunk.plot import style
-from clunk.study.arrays import Positions
 from clunk.study.parameters import quantity
 
 _SIDE = 1.9  # inches, of a panel of the corner plot
@@ -130,18 +129,18 @@ def sobol_bars(sensitivity: Sensitivity) -> Figure:
 
     Raises PlotError where no quantity varies.
     """
-    drawn = [indices for indices in sensitivity.indices if indices.varies]
+    drawn = [(each.heading, each.indices) for each in sensitivity.indices if each.indices]
     if not drawn:
         raise style.PlotError("There are no indices to draw: every quantity is the same in all runs.")
-    order = drawn[0].order
-    figure, panels = style.new_panels(len(drawn), 1, (_WIDTH, 1.0 + len(drawn) * (0.6 + 0.45 * order.size)))
-    for ax, indices in zip(panels, drawn, strict=True):
-        _draw_bars(ax, indices, order)
-        ax.set_title(style.capital(indices.heading), loc="left", fontsize=9.0)
-    axes = [quantity(sensitivity.parameters[k]) for k in order]
+    parameters = [*drawn[0][1]]
+    figure, panels = style.new_panels(len(drawn), 1, (_WIDTH, 1.0 + len(drawn) * (0.6 + 0.45 * len(parameters))))
+    for ax, (heading, shares) in zip(panels, drawn, strict=True):
+        _draw_bars(ax, [shares[parameter] for parameter in parameters])
+        ax.set_title(style.capital(heading), loc="left", fontsize=9.0)
+    axes = [*map(quantity, parameters)]
     names = [f"{style.plain(style.capital(axis.name))}, {style.symbol_text(axis.symbol)}" for axis in axes]
-    panels[0].set_yticks(np.arange(order.size), names)
-    panels[0].set_ylim(order.size - 0.5, -0.5)
+    panels[0].set_yticks(np.arange(len(parameters)), names)
+    panels[0].set_ylim(len(parameters) - 0.5, -0.5)
     panels[-1].set_xlabel("Share of the variance")
     notes = [
         style.swatch("alone (first-order index)", _FIRST),
@@ -154,13 +153,15 @@ def sobol_bars(sensitivity: Sensitivity) -> Figure:
     return figure
 
 
-def _draw_bars(ax: Axes, indices: Indices, order: Positions) -> None:
+def _draw_bars(ax: Axes, shares: Sequence[Share]) -> None:
     """Draw both indices of each parameter as bars, and their intervals over them."""
-    places = np.arange(order.size)
-    first, total = (indices.first, indices.first_interval, _FIRST), (indices.total, indices.total_interval, _SECOND)
-    for (share, interval, colour), at in ((first, places - 0.5 * _BAR), (total, places + 0.5 * _BAR)):
-        beyond = np.abs(interval - share)[:, order]
-        ax.barh(at, share[order], _BAR, color=colour, xerr=beyond, error_kw=_INTERVAL, zorder=2)
+    places = np.arange(len(shares))
+    first = [(each.first, *each.first_interval) for each in shares]
+    total = [(each.total, *each.total_interval) for each in shares]
+    for values, colour, at in ((first, _FIRST, places - 0.5 * _BAR), (total, _SECOND, places + 0.5 * _BAR)):
+        share, *interval = np.transpose(values)
+        beyond = np.abs(interval - share)
+        ax.barh(at, share, _BAR, color=colour, xerr=beyond, error_kw=_INTERVAL, zorder=2)
     ax.axvline(0.0, color=style.INK, linewidth=0.8, zorder=4)
     ax.grid(axis="x", color="0.9", linewidth=0.6)
     ax.set_axisbelow(True)
