@@ -47,7 +47,7 @@ def jump(propagated, work, size):
 def observe(watch, output, f, steady, work, size, inputs, times, results):
     """Value, slope and curvature of a functional, its origin included."""
     none = vectors.splat(0.0)
-    seen = curves.evaluate_again(watch, work, size, none, 0, curves.Curve(none, none, none, none, none))
+    seen = curves.evaluate(watch, work, size, none, none)
     functionals, driven = output.shape[1:]
     origin = curves.origin(output, f, functionals, inputs, 0, driven, steady, True, vectors.load(times, 0))
     vectors.store(results, 0, seen.value + origin.value)
@@ -56,21 +56,8 @@ def observe(watch, output, f, steady, work, size, inputs, times, results):
 
 
 @compiled
-def look(watch, work, size, levels, deepest, results):
-    """Value, slope and curvature without the fastest pairs, and of the next; then what bounds the functional."""
-    level = vectors.load(levels, 0)
-    slower, ringing, pair, _, _ = curves.evaluate(watch, work, size, level, deepest)
-    curves.store_curve(results, 0, slower)
-    curves.store_curve(results, 3, pair)
-    jerk, sixth, sway = curves.bounds(watch, work, size)
-    vectors.store(results, 6, jerk)
-    vectors.store(results, 7, sixth)
-    vectors.store(results, 8, sway)
-    vectors.store(results, 9, ringing)
-    vectors.store(results, 10, curves.slope_bound(watch, work, size, level, deepest))
-
-
-JERKING, SIXTHS, SWAYING, RINGING, RUSHING = range(6, 11)
+def bound(watch, work, size, results):
+    vectors.store(results, 0, curves.bounds(watch, work, size))
 
 
 @compiled
@@ -94,12 +81,12 @@ def find_low(guard, h, results):
 
 
 @compiled
-def find_between(ends, rush, h, results):
+def find_between(ends, h, results):
     start, end, length = curves.load_curve(ends, 0), curves.load_curve(ends, 5), vectors.load(h, 0)
     least, greatest, parts = curves.between(start, end, length)
     vectors.store(results, 0, least)
     vectors.store(results, 1, greatest)
-    return curves.turns_not(start, end, parts, vectors.load(rush, 0), length)
+    return curves.turns_not(start, end, parts, length)
 
 
 @compiled
@@ -127,12 +114,6 @@ def sizes(y):
     """(…, C/2, W): the amplitude of each pair."""
     halves = y.reshape(*y.shape[:-2], -1, 2, BLOCK, y.shape[-1])
     return np.hypot(halves[..., 0, :, :], halves[..., 1, :, :]).reshape(*y.shape[:-2], -1, y.shape[-1])
-
-
-def both(pairs):
-    """(C, …): what is known of each pair, for both its coordinates."""
-    blocks = pairs.reshape(-1, 1, BLOCK, *pairs.shape[1:])
-    return np.repeat(blocks, 2, axis=1).reshape(-1, *pairs.shape[1:])
 
 
 def dealt(*values):
@@ -271,10 +252,10 @@ class Flow:
         observe(self.watch[f], self.origin_output, f, bool(self.steady), work, self.count, u, times, results)
         return results
 
-    def look(self, f, work, levels=0, deepest=0):
-        """(11, W): what `look` stores."""
-        results = np.zeros((11, WIDTH))
-        look(self.watch[f], work, self.count, np.full(WIDTH, levels, float), deepest, results)
+    def bounds(self, f, work):
+        """(3, W): of the third and the sixth derivative, and of the value less its origin."""
+        results = np.zeros((3, WIDTH))
+        bound(self.watch[f], work, self.count, results)
         return results
 
     def weights(self, f):
@@ -412,36 +393,15 @@ def test_bounds_of_derivatives_and_of_what_is_off_the_origin_hold_for_ever(flow)
     work, states = flow.enter_lanes(x, u), flow.trajectory(x, u, length)
     scale = np.abs(flow.functionals) @ flow.scale(*states, flow.origin[0] @ u)
     origin = [flow.output_origin(u, time)[0] for time in np.linspace(0.0, length, len(states))]
-    bounded = [(SWAYING, 0, flow.output(states, u) - origin)]
-    for row, order in ((JERKING, 3), (SIXTHS, 6)):
+    bounded = []
+    for order in (3, 6):
         derivative = flow.functionals @ np.linalg.matrix_power(flow.rates, order - 1)
-        bounded.append((row, order, derivative @ (flow.rates @ states + flow.inputs @ u)))
+        bounded.append((order, derivative @ (flow.rates @ states + flow.inputs @ u)))
+    bounded.append((0, flow.output(states, u) - origin))
     for f in range(len(flow.watch)):
-        bounds = flow.look(f, work)
-        for row, order, values in bounded:
-            if row != SWAYING or f == ACCELERATION or flow.steady:
-                assert np.all(np.abs(values[:, f]).max(axis=0) <= bounds[row] + TIGHT * scale[f] * flow.pace**order)
-
-
-def test_the_fastest_pairs_can_be_left_out(flow):
-    """Another number of them in each lane: oscillating modes, whose part in value and slope is bounded for ever."""
-    deepest = min(int(flow.oscillating), flow.count // 2 - 1)
-    if deepest == 0:
-        pytest.skip("knows no oscillating modes")
-    x, u = flow.starts()
-    levels, pairs = np.arange(WIDTH) % (deepest + 1), np.arange(flow.count // 2)[:, None]
-    states = flow.trajectory(x - flow.origin[0] @ u, 0.0 * u, 100.0 / flow.pace)
-    y, scale = flow.coordinates.T @ states, np.abs(flow.functionals) @ flow.scale(*states)
-    for f in range(len(flow.watch)):
-        seen = flow.look(f, flow.enter_lanes(x, u), levels, deepest)
-        terms = [weights @ (y * both(pairs < levels)) for weights in flow.weights(f)[:2]]
-        for bound, values, pace in zip((RINGING, RUSHING), terms, (1.0, flow.pace), strict=True):
-            assert np.all(np.abs(values).max(axis=0) <= seen[bound] + TIGHT * scale[f] * pace)
-            assert np.all(seen[bound][levels == 0] == 0.0)
-        for first, chosen in ((0, pairs >= levels), (3, (pairs == levels) & (levels < deepest))):
-            alone = flow.weights(f) @ (y[0] * both(chosen))
-            rounding = TIGHT * scale[f] * flow.pace ** np.arange(3)[:, None]
-            assert np.all(np.abs(seen[first : first + 3] - alone) <= rounding)
+        for limit, (order, values) in zip(flow.bounds(f, work), bounded, strict=True):
+            if order > 0 or f == ACCELERATION or flow.steady:
+                assert np.all(np.abs(values[:, f]).max(axis=0) <= limit + TIGHT * scale[f] * flow.pace**order)
 
 
 @pytest.mark.parametrize("plant", PLANTS.values(), ids=PLANTS)
@@ -543,7 +503,7 @@ def test_between_its_ends_a_function_is_where_they_say():
     for _ in range(1600 // WIDTH):
         curves, h, sixth = random_curves(random)
         found, ends = np.zeros((2, WIDTH)), ends_of(curves, h, sixth)
-        monotone, bent = (holds(bits) for bits in find_between(ends, np.zeros(WIDTH), h, found))
+        monotone, bent = (holds(bits) for bits in find_between(ends, h, found))
         values, slopes, bends = (polyval(t, polyder(curves, n)) for n in range(3))  # (W, 200)
         rounding = 1e-13 * np.abs(curves).sum(axis=0)
         assert np.all(values.min(axis=1) >= np.minimum(np.minimum(ends[0], ends[5]), found[0]) - rounding)

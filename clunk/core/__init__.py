@@ -48,10 +48,9 @@ steady      of a flow: the functionals of its origin rest under a constant torqu
 rolls       of a steady flow: its angles go on all the same, which no functional depends on
 rolled      by what angle of the first inertia that rolls a run's angles, which are less that, have turned together
 pair        two modal coordinates that belong together; its amplitude never grows, its sway is what it adds at most
-left out    of a step's guards: the fastest pairs, whose sway is subtracted instead; how many, in LEFT_OUT
 group       regimes with one flow and, but for the sides, the same guards, whose runs take steps together
 miss        a turn of a guard above zero; grazing: one within rounding of zero, or an event that all but did not happen
-ring, sway  how far the pairs that are left out, or all pairs, move a functional at most from now on
+sway        how far all pairs move a functional at most from now on
 bar         how low a guard has to turn back to make the run's margin smaller
 static      the overlap or the locking torque at rest in contact, which margins of a contact are relative to
 sticking    a contact that lasts longer than the sticking time; also of a friction, whose twist rests

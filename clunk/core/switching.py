@@ -7,11 +7,11 @@ import numpy as np
 import numpy.typing as npt
 
 from clunk.core import rigid, rubbing
-from clunk.core.events import STAGE, TOUCH
+from clunk.core.events import LOAD_STEP, STAGE, TOUCH
 from clunk.core.jit import compiled, inlined_part, part
 from clunk.core.references import refer
-from clunk.core.regimes import System, frictions_of, gap_input, inputs_of, lash_of, lashes_of
-from clunk.core.runs import Entry, Log, record
+from clunk.core.regimes import System, frictions_of, gap_input, inputs_of, lash_of, lashes_of, turn_back
+from clunk.core.runs import Entry, Log, Start, begin_wave, record, set_gaps, set_torque
 from clunk.core.status import Status
 from clunk.core.tables import (
     BEYOND,
@@ -180,6 +180,21 @@ def _functional(system: System, flow: int, which: int, x: FloatArray) -> float:
     for k in range(x.size):
         value += system.functionals[flow, which, k] * x[k]
     return value
+
+
+@inlined_part
+def begin_run(system: System, start: Start, piece: int, inputs: FloatArray, log: Log) -> float:
+    """Set state and inputs to those at the load step, and write that; return what the run has rolled by  [rad].
+
+    piece : the one that the load begins with
+    """
+    load, side = start.loads[start.load], system.contacts[start.regime, 0].side
+    set_gaps(system, start.before, inputs)
+    rubbing.stick_all(system, start.x, inputs)
+    begin_wave(system, load, piece, start.x)
+    set_torque(system, load, piece, 0.0, inputs)
+    record(log, 0, 0.0, 0.0, LOAD_STEP, start.regime, -1, side, start.x)
+    return turn_back(system, start.x)
 
 
 @inlined_part

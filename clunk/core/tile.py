@@ -124,7 +124,7 @@ def cases_of(torque_before: FloatArray, half_gaps: FloatArray, loads: FloatArray
 class Batch(NamedTuple):
     """Drivelines that differ in inertias, stiffnesses, dampings and radii only: for rk4 one, else any number D of them.
 
-    All have the same `modal`, `oscillating`, `steady` and `rolls` in their `Flows` (`simulation.batches` sees to that),
+    All have the same `modal`, `steady` and `rolls` in their `Flows` (`simulation.batches` sees to that),
     and the same fields of `System` that `Each` does not name: of these the first driveline's are read for all.
     """
 

@@ -97,7 +97,7 @@ def _batches(study: Study, line: Driveline) -> Iterator[tuple[Positions, Batch]]
     channels = channels_of(study, line, system, each) if study.measured else None
     shapes = np.arange(len(each.rates))[:, None]
     if isinstance(flows, Flows):  # what a step asks of a flow as a whole
-        shapes = np.concatenate([flows.modal, flows.oscillating, flows.steady, flows.rolls], axis=1)
+        shapes = np.concatenate([flows.modal, flows.steady, flows.rolls], axis=1)
     _, shape_of = np.unique(shapes, axis=0, return_inverse=True)
     for shape in range(shape_of.max() + 1):
         some = np.flatnonzero(shape_of.ravel() == shape)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.exact.flows import BLOCK, CURVATURE, JERK, SIXTH, SLOPE, SLOPE_BOUND, SWAY, VALUE, WATCHED
+from clunk.core.exact.flows import BLOCK, CURVATURE, JERK, SIXTH, SLOPE, SWAY, VALUE, WATCHED
 from clunk.core.jit import inlined_part
 from clunk.core.lanes import vectors
 from clunk.core.lanes.vectors import ROW, Table, Vector, fused
@@ -55,90 +55,27 @@ def weight(table: Table, row: int, column: int) -> Vector | float:
 
 
 @inlined_part
-def evaluate(
-    watch: Table, work: FloatArray, size: int, left_out: Vector, most_left_out: int
-) -> tuple[Curve, Vector, Curve, Vector, Vector]:
-    """A functional less its origin, and without its fastest pairs.
-
-    size : of the coordinates
-    left_out : how many pairs are left out in each lane, at most `most_left_out`
-
-    Returns
-    -------
-    slower : Curve
-        Without the first `left_out` pairs.
-    ringing : Vector
-        The sway of those pairs.
-    pair, sway : Curve, Vector
-        The next pair alone.
-    sway : Vector
-        Of all of it.
-    """
-    zero = vectors.splat(0.0)
-    value, slope, curvature, jerk, sixth, sway, ringing = zero, zero, zero, zero, zero, zero, zero
-    next_value, next_slope, next_curvature, next_jerk, next_sixth, next_sway = zero, zero, zero, zero, zero, zero
-    for begin in range(0, size, ROW):
-        for k in range(BLOCK):
-            p, number, at = begin + k, begin // 2 + k, begin // ROW * WATCHED + k
-            one, other = vectors.load(work, p), vectors.load(work, p + BLOCK)
-            amplitude = vectors.load(work, size + number)
-            a, b = _pair(watch, at + VALUE, one, other), _pair(watch, at + SLOPE, one, other)
-            c = _pair(watch, at + CURVATURE, one, other)
-            jerking, swing = amplitude * vectors.number(watch, at + JERK), amplitude * vectors.number(watch, at + SWAY)
-            highest = amplitude * vectors.number(watch, at + SIXTH)
-            if number < most_left_out:
-                slow, fastest = left_out <= float(number), left_out == float(number)
-                next_value, next_slope = vectors.choose(fastest, a, next_value), vectors.choose(fastest, b, next_slope)
-                next_curvature = vectors.choose(fastest, c, next_curvature)
-                next_jerk = vectors.choose(fastest, jerking, next_jerk)
-                next_sway = vectors.choose(fastest, swing, next_sway)
-                next_sixth = vectors.choose(fastest, highest, next_sixth)
-                ringing += vectors.choose(slow, 0.0, swing)
-                a, b, c = vectors.choose(slow, a, 0.0), vectors.choose(slow, b, 0.0), vectors.choose(slow, c, 0.0)
-                jerking, swing = vectors.choose(slow, jerking, 0.0), vectors.choose(slow, swing, 0.0)
-                highest = vectors.choose(slow, highest, 0.0)
-            value, slope, curvature = value + a, slope + b, curvature + c
-            jerk, sixth, sway = jerk + jerking, sixth + highest, sway + swing
-    slower = Curve(value, slope, curvature, jerk, sixth)
-    pair = Curve(next_value, next_slope, next_curvature, next_jerk, next_sixth)
-    return slower, ringing, pair, next_sway, ringing + sway
-
-
-@inlined_part
 def _pair(watch: Table, at: int, one: Vector, other: Vector) -> Vector:
     """What a pair of coordinates adds to the number of a functional that begins at a place of `watch`."""
     return fused(other, vectors.number(watch, at + BLOCK), one * vectors.number(watch, at))
 
 
 @inlined_part
-def slope_bound(watch: Table, work: FloatArray, size: int, left_out: Vector, most_left_out: int) -> Vector:
-    """What the fastest pairs of a functional add to its slope at most from now on."""
-    total = vectors.splat(0.0)
-    for pair in range(most_left_out):
-        at = pair // BLOCK * WATCHED + pair % BLOCK
-        fast = vectors.load(work, size + pair) * vectors.number(watch, at + SLOPE_BOUND)
-        total += vectors.choose(left_out > float(pair), fast, 0.0)
-    return total
+def evaluate(watch: Table, work: FloatArray, size: int, jerk: Vector, sixth: Vector) -> Curve:
+    """A functional less its origin, with the bounds that are known of it.
 
-
-@inlined_part
-def evaluate_again(
-    watch: Table, work: FloatArray, size: int, left_out: Vector, most_left_out: int, before: Curve
-) -> Curve:
-    """The value, slope and curvature of `evaluate`, with the bounds that were known `before`."""
+    size : of the coordinates
+    """
     zero = vectors.splat(0.0)
     value, slope, curvature = zero, zero, zero
     for begin in range(0, size, ROW):
         for k in range(BLOCK):
-            p, pair, at = begin + k, begin // 2 + k, begin // ROW * WATCHED + k
+            p, at = begin + k, begin // ROW * WATCHED + k
             one, other = vectors.load(work, p), vectors.load(work, p + BLOCK)
-            if pair < most_left_out:
-                slow = left_out <= float(pair)
-                one, other = vectors.choose(slow, one, 0.0), vectors.choose(slow, other, 0.0)
             value += _pair(watch, at + VALUE, one, other)
             slope += _pair(watch, at + SLOPE, one, other)
             curvature += _pair(watch, at + CURVATURE, one, other)
-    return Curve(value, slope, curvature, before.jerk, before.sixth)
+    return Curve(value, slope, curvature, jerk, sixth)
 
 
 @inlined_part
@@ -233,24 +170,19 @@ def load_curve(array: FloatArray, row: int) -> Curve:
 
 
 @inlined_part
-def store_curve(array: FloatArray, row: int, curve: Curve) -> None:
-    """Write a curve to five rows of an array."""
-    vectors.store(array, row, curve.value)
-    vectors.store(array, row + 1, curve.slope)
-    vectors.store(array, row + 2, curve.curvature)
-    vectors.store(array, row + 3, curve.jerk)
-    vectors.store(array, row + 4, curve.sixth)
+def load_origin(array: FloatArray, row: int) -> Origin:
+    """An origin whose four numbers are rows of an array, from `row` on."""
+    return Origin(
+        vectors.load(array, row),
+        vectors.load(array, row + 1),
+        vectors.load(array, row + 2),
+        vectors.load(array, row + 3),
+    )
 
 
 @inlined_part
-def as_guard(curve: Curve, origin: Origin, still: bool, sign: Vector, shift: Vector) -> Curve:
-    """sign, 1 or -1, times a functional, its origin included, plus shift.
-
-    still : whether the origin does not move
-    """
-    if still:
-        value = fused(sign, curve.value + origin.value, shift)
-        return Curve(value, sign * curve.slope, sign * curve.curvature, curve.jerk, curve.sixth)
+def as_guard(curve: Curve, origin: Origin, sign: Vector, shift: Vector) -> Curve:
+    """sign, 1 or -1, times a functional, its origin included, plus shift."""
     return Curve(
         fused(sign, curve.value + origin.value, shift),
         sign * (curve.slope + origin.slope),
@@ -261,39 +193,9 @@ def as_guard(curve: Curve, origin: Origin, still: bool, sign: Vector, shift: Vec
 
 
 @inlined_part
-def without(guard: Curve, pair: Curve, sign: Vector, sway: Vector) -> Curve:
-    """A guard without a pair of its modes, lower by that pair's sway."""
-    return Curve(
-        guard.value - sign * pair.value - sway,
-        guard.slope - sign * pair.slope,
-        guard.curvature - sign * pair.curvature,
-        guard.jerk - pair.jerk,
-        guard.sixth - pair.sixth,
-    )
-
-
-@inlined_part
 def with_bounds(curve: Curve, bounded: Curve) -> Curve:
     """A curve with the bounds of another one, which hold for it too."""
     return Curve(curve.value, curve.slope, curve.curvature, bounded.jerk, bounded.sixth)
-
-
-@inlined_part
-def less(guard: Curve, by: Vector) -> Curve:
-    """A guard, lower by so much."""
-    return Curve(guard.value - by, guard.slope, guard.curvature, guard.jerk, guard.sixth)
-
-
-@inlined_part
-def either(bits: int, one: Curve, other: Curve) -> Curve:
-    """One in the lanes whose bits are set, and the other elsewhere."""
-    return Curve(
-        vectors.choose(bits, one.value, other.value),
-        vectors.choose(bits, one.slope, other.slope),
-        vectors.choose(bits, one.curvature, other.curvature),
-        vectors.choose(bits, one.jerk, other.jerk),
-        vectors.choose(bits, one.sixth, other.sixth),
-    )
 
 
 @inlined_part
@@ -393,16 +295,16 @@ def between(start: Curve, end: Curve, h: Vector) -> tuple[Vector, Vector, Vector
 
 
 @inlined_part
-def turns_not(start: Curve, end: Curve, remainder: Vector, slope_bound: Vector, h: Vector) -> tuple[int, int]:
+def turns_not(start: Curve, end: Curve, remainder: Vector, h: Vector) -> tuple[int, int]:
     """Where a function is monotone within a time h; and where it bends down all the way.
 
-    remainder : as `between` has them; slope_bound : what else is in its slope at most
+    remainder : as `between` has it
     """
     square = h * h
     s0, q0, s1, q1 = start.slope * h, start.curvature * square, end.slope * h, end.curvature * square
     a, b = fused(q0, 0.25, s0), fused(q1, -0.25, s1)
     middle = 5.0 * (fused(q1, 0.05, fused(s1, -0.4, end.value)) - fused(q0, 0.05, fused(s0, 0.4, start.value)))
-    away = fused(remainder, _SLOPE_REMAINDER, slope_bound * h)
+    away = remainder * _SLOPE_REMAINDER
     least = vectors.smaller(vectors.smaller(s0, s1), vectors.smaller(vectors.smaller(a, b), middle))
     greatest = vectors.larger(vectors.larger(s0, s1), vectors.larger(vectors.larger(a, b), middle))
     bend = 4.0 * vectors.larger(middle - a, b - middle)

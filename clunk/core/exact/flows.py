@@ -40,12 +40,12 @@ BLOCK = ROW // 2  # pairs: their number is filled up to a multiple
 TERMS = 12  # of a Taylor series over the shortest span
 LONG = 2 * ROW  # room for its terms
 # where in a block of `Flows.watch` begins what multiplies coordinates: to a functional less its origin, its slope and
-# curvature; and amplitudes: to what bounds from now on its third derivative, its value less its origin, its slope and
-# its sixth derivative
+# curvature; and amplitudes: to what bounds from now on its third derivative, its value less its origin and its sixth
+# derivative
 VALUE, SLOPE, CURVATURE = range(0, 3 * ROW, ROW)
-JERK, SWAY, SLOPE_BOUND, SIXTH = range(3 * ROW, 3 * ROW + 4 * BLOCK, BLOCK)
-WATCHED = 3 * ROW + 4 * BLOCK
-_BOUNDED = (3, 0, 1, 6)  # the orders that JERK and what follows it bound
+JERK, SWAY, SIXTH = range(3 * ROW, 3 * ROW + 3 * BLOCK, BLOCK)
+WATCHED = 3 * ROW + 3 * BLOCK
+_BOUNDED = (3, 0, 6)  # the orders that JERK and what follows it bound
 SELF, CROSS, DECAY = range(3)  # of a 2 x 2 block: what multiplies a coordinate itself, and its partner
 _SHORTEST = 1.0 / 4.0  # |λ| times the shortest span: TERMS terms are then exact to rounding
 _TAYLOR = np.array([1.0 / math.factorial(k) for k in range(TERMS)])
@@ -66,7 +66,6 @@ class Flows(NamedTuple):
     coordinates: FloatArray  # (K, N, C)  x - origin -> y
     basis: FloatArray  # (K, C, C)  y -> x - origin, filled up; the angles of x less the rolling, which stands apart
     modal: IntArray  # (K,)  whether the coordinates are modes
-    oscillating: IntArray  # (K,)  how many pairs, from the first on and fastest first, are oscillating modes
     span: FloatArray  # (K, SPANS)  [s]
     propagator: FloatArray  # (K, SPANS, B, 3, 8)  over a span: each coordinate's SELF and CROSS share, and its DECAY
     power: FloatArray  # (K, TERMS, B, 2, 8)  SELF and CROSS of (Λ times the shortest span)^k / k!, for modes
@@ -133,7 +132,6 @@ def build_flows(
         coordinates=np.zeros((*many, flows, states, size)),
         basis=np.zeros((*many, flows, size, size)),
         modal=np.zeros((*many, flows), np.int64),
-        oscillating=np.zeros((*many, flows), np.int64),
         span=np.zeros((*many, flows, spans)),
         propagator=np.empty((*many, flows, spans, blocks, 3, ROW)),  # the most: in larger pages, if any
         power=np.zeros((*many, flows, TERMS, blocks, 2, ROW)),
@@ -228,7 +226,6 @@ def _fill_alike(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int
     else:
         vectors, inverse, block = modes
         into, back = inverse @ into, back @ vectors
-        tables.oscillating[:] = np.count_nonzero(block[:, 1::2, ::2].diagonal(axis1=-2, axis2=-1), axis=-1)
     modal, growth = modes is not None, 1.0
     seen = _outputs(functionals[..., :unforced], back, chain)
     unseen = alike(~np.any(block, axis=-2) & ~np.any(seen, axis=-2))
@@ -240,7 +237,7 @@ def _fill_alike(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int
         into, back, block, resonates = _with_wave(into, back, block, drive[..., 0], wave_rates, modal)
         if resonates or not modal:
             modal, growth = False, _GROWTH
-            tables.steady[:] = tables.oscillating[:] = 0
+            tables.steady[:] = 0
     tables.modal[:] = modal
     fastest = np.sqrt((block * block).sum(axis=-1).max(axis=-1, initial=0.0)) if modal else _norm(block)
     fastest[fastest == 0.0] = _SHORTEST
@@ -267,9 +264,10 @@ def _fill_alike(tables: Flows, matrices: _Matrices, chain: Chain, held: list[int
     orders = np.arange(max(_BOUNDED) + 1)[:, None, None, None]
     slow = derivatives[: orders.size] / shortest[:, None, None] ** orders
     bounds = growth * _reach(slow[list(_BOUNDED)], modal)
-    watch = tables.watch.reshape(*tables.watch.shape[:-1], -1, ROW)
-    watch[..., : JERK // ROW, :] = np.moveaxis(slow[: JERK // ROW].reshape(-1, *watch.shape[:-2], ROW), 0, -2)
-    watch[..., JERK // ROW :, :] = np.moveaxis(bounds, 0, -2).reshape(*watch.shape[:-2], -1, ROW)
+    blocks = tables.watch.shape[:-1]
+    values = slow[: JERK // ROW].reshape(-1, *blocks, ROW)
+    tables.watch[..., :JERK] = np.moveaxis(values, 0, -2).reshape(*blocks, -1)
+    tables.watch[..., JERK:] = np.moveaxis(bounds, 0, -2).reshape(*blocks, -1)
 
 
 def _outputs(functionals: FloatArray, columns: FloatArray, chain: Chain) -> FloatArray:
@@ -520,11 +518,7 @@ def _propagate(pairs: _Pairs, unseen: BoolArray, result: FloatArray) -> None:
     # one coordinate after the other, (…, D, SPANS), and each pass along memory
     sigma, omega, drift = (np.moveaxis(array, 0, -1)[..., None] for array in pairs)
     rates, angle, drifting = sigma * _ladder(spans), omega * _ladder(spans), drift.any()
-    decay = np.empty_like(rates)
-    decay[:, 0] = decay[:, 1] = np.exp(rates[:, 0])  # which of all takes longest: once where both rates are the same
-    for block, pair in np.argwhere((sigma[:, 0] != sigma[:, 1]).any(axis=(-2, -1))):
-        np.exp(rates[block, 1, pair], out=decay[block, 1, pair])
-    turning = np.where(drift, 0.0, angle) if drifting else angle
+    decay, turning = np.exp(rates), np.where(drift, 0.0, angle)
     cosine, sine = np.cos(turning), np.sin(turning)
     table = np.empty((len(decay), 3, *decay.shape[1:]))
     table[:, SELF], table[:, CROSS, 0] = decay * cosine[:, None], decay[:, 0] * sine

@@ -71,25 +71,11 @@ def _watch_of_lanes(space: Workspace, f: int) -> OfLanes:
 
 
 @inlined_part
-def evaluate(
-    space: Workspace, flow: int, f: int, left_out: Vector, most_left_out: int
-) -> tuple[curves.Curve, Vector, curves.Curve, Vector, Vector]:
+def evaluate(space: Workspace, flow: int, f: int, jerk: Vector, sixth: Vector) -> curves.Curve:
     """`curves.evaluate` of the runs taken."""
-    work, size = space.pool.work, size_of(space)
     if space.mixed != 0:
-        return curves.evaluate(_watch_of_lanes(space, f), work, size, left_out, most_left_out)
-    return curves.evaluate(space.flows.watch[0, flow, f], work, size, left_out, most_left_out)
-
-
-@inlined_part
-def evaluate_again(
-    space: Workspace, flow: int, f: int, left_out: Vector, most_left_out: int, before: curves.Curve
-) -> curves.Curve:
-    """`curves.evaluate_again` of the runs taken."""
-    work, size = space.pool.work, size_of(space)
-    if space.mixed != 0:
-        return curves.evaluate_again(_watch_of_lanes(space, f), work, size, left_out, most_left_out, before)
-    return curves.evaluate_again(space.flows.watch[0, flow, f], work, size, left_out, most_left_out, before)
+        return curves.evaluate(_watch_of_lanes(space, f), space.pool.work, size_of(space), jerk, sixth)
+    return curves.evaluate(space.flows.watch[0, flow, f], space.pool.work, size_of(space), jerk, sixth)
 
 
 @inlined_part
@@ -98,15 +84,6 @@ def bounds(space: Workspace, flow: int, f: int) -> tuple[Vector, Vector, Vector]
     if space.mixed != 0:
         return curves.bounds(_watch_of_lanes(space, f), space.pool.work, size_of(space))
     return curves.bounds(space.flows.watch[0, flow, f], space.pool.work, size_of(space))
-
-
-@inlined_part
-def slope_bound(space: Workspace, flow: int, f: int, left_out: Vector, most_left_out: int) -> Vector:
-    """`curves.slope_bound` of the runs taken."""
-    work, size = space.pool.work, size_of(space)
-    if space.mixed != 0:
-        return curves.slope_bound(_watch_of_lanes(space, f), work, size, left_out, most_left_out)
-    return curves.slope_bound(space.flows.watch[0, flow, f], work, size, left_out, most_left_out)
 
 
 @inlined_part

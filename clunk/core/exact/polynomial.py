@@ -107,12 +107,4 @@ def first_negative_of(c: FloatArray, length: float, points: FloatArray, ladder: 
     """The first s of [0, length] from which on a polynomial is negative, or -1 where there is none."""
     if c[0] < 0.0:
         return 0.0
-    turns = turning_points(c, length, points, ladder)
-    low, before = 0.0, c[0]
-    for piece in range(turns + 1):
-        high = points[piece] if piece < turns else length
-        after = value_of(c, c.size, high)
-        if after < 0.0:
-            return zero_between(c, c.size, low, high, before, after)
-        low, before = high, after
-    return -1.0
+    return float(points[0]) if sign_changes(c, c.size, length, points, ladder) > 0 else -1.0

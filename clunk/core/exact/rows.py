@@ -8,10 +8,9 @@ from clunk.core.jit import inlined_part
 
 # A run's numbers that steps change.
 ELAPSED = 0  # s, in the phase
-LEFT_OUT = 1  # how many of the fastest pairs are left out of the guards
-ZERO = 2  # which guard is zero, and how many of its derivatives are, see `zero_of`
-TRY = 3  # s, the longest span that is proposed next
-_FIRST = 4
+ZERO = 1  # which guard is zero, and how many of its derivatives are, see `zero_of`
+TRY = 2  # s, the longest span that is proposed next
+_FIRST = 3
 # Then those of each lash, see `of_lash`.
 WINDOW_MAX, WINDOW_MIN = 0, 1  # extremes of the acceleration since the last primary impact
 PHASE_MAX, PHASE_MIN = 2, 3  # and in the phase

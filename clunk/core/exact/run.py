@@ -19,14 +19,14 @@ so are the near misses, which give the run's margin: how near it came to another
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.events import INSTANT, LOAD_STEP, LOCK, OPENING, REJOIN, SEPARATION, TOUCH
-from clunk.core.exact import curves, functionals, moving, rows
+from clunk.core.events import INSTANT, LOCK, OPENING, REJOIN, SEPARATION, TOUCH
+from clunk.core.exact import functionals, moving, rows
 from clunk.core.exact.flows import Flows
 from clunk.core.exact.search import DEPTH, EXTREMES, TURN, conclude, search
 from clunk.core.exact.step import GRAZING, origin_of_acceleration, take_step, widen_extremes
 from clunk.core.exact.workspace import (
     Workspace,
-    begin_search,
+    begin_guard_search,
     log_of,
     number_of,
     push_search,
@@ -34,9 +34,6 @@ from clunk.core.exact.workspace import (
     set_field,
     set_field_of,
     set_number_of,
-    set_search_origin,
-    shift_of,
-    sign_of,
     step_queue,
     system_at,
     system_of,
@@ -55,13 +52,11 @@ from clunk.core.regimes import (
     lash_of,
     lashes_of,
     take_rolling,
-    turn_back,
 )
 from clunk.core.rigid import holding_torque
-from clunk.core.rubbing import stick_all
-from clunk.core.runs import BEGIN, LEVEL, Entry, Start, begin_wave, piece_at, record, roll_states, set_gaps, set_torque
+from clunk.core.runs import BEGIN, LEVEL, Entry, Start, begin_wave, piece_at, roll_states, set_torque
 from clunk.core.status import QUALITY_COMPLETE, Status
-from clunk.core.switching import MOST_STAGES, after_rubbing, room_for_a_switch, switch, weigh
+from clunk.core.switching import MOST_STAGES, after_rubbing, begin_run, room_for_a_switch, switch, weigh
 from clunk.core.tables import ACCELERATION, FORCE, GAP, HALF_GAP, INPUTS, TORQUE
 
 FloatArray = npt.NDArray[np.float64]
@@ -80,10 +75,7 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
     row, system = space.runs[slot], system_at(space, driveline)
     row.driveline, row.status, row.quality, row.stages = driveline, _OK, 0, 0
     row.load, row.piece = start.load, piece_at(start.loads[start.load], 0, 0.0)
-    set_gaps(system, start.before, space.inputs[slot])
-    stick_all(system, start.x, space.inputs[slot])
-    begin_wave(system, start.loads[start.load], row.piece, start.x)
-    set_torque(system, start.loads[start.load], row.piece, 0.0, space.inputs[slot])
+    row.rolled = begin_run(system, start, row.piece, space.inputs[slot], log_of(space, slot))
     for lash in range(lashes_of(system)):
         play = space.plays[slot, lash]
         play.last_side = system.contacts[start.regime, lash].side
@@ -94,9 +86,6 @@ def begin(space: Workspace, slot: int, driveline: int, start: Start) -> None:
         # no acceleration counts before the first primary impact
         set_number_of(space, slot, rows.WINDOW_MAX, lash, np.inf)
         set_number_of(space, slot, rows.WINDOW_MIN, lash, -np.inf)
-    side = system.contacts[start.regime, 0].side
-    record(log_of(space, slot), 0, 0.0, 0.0, LOAD_STEP, start.regime, -1, side, start.x)
-    row.rolled = turn_back(system, start.x)
     _begin_phase(space, slot)
     _enter(space, slot, 0.0, start.x, Entry(written=1, regime=start.regime, zero_guard=-1, zero_order=0))
 
@@ -211,12 +200,10 @@ def _enter_coordinates(space: Workspace, flow: int, count: int) -> None:
     zero, lashes = vectors.splat(0.0), lashes_of(space.system)
     moving.to_coordinates(space, flow)
     set_field(space, rows.ELAPSED, zero)
-    set_field(space, rows.LEFT_OUT, zero)
     set_field(space, rows.TRY, zero + np.inf)
     for lash in range(lashes):
         f = lash * space.system.functionals_per_lash + ACCELERATION
-        unbounded = curves.Curve(zero, zero, zero, zero, zero)
-        acceleration = functionals.evaluate_again(space, flow, f, zero, 0, unbounded)
+        acceleration = functionals.evaluate(space, flow, f, zero, zero)
         origin = origin_of_acceleration(space, flow, lash, zero)
         seen = acceleration.value + origin.value
         widen_extremes(space, lash, seen)
@@ -252,9 +239,7 @@ def _follow(space: Workspace, slot: int) -> None:
         scale = scale_of(space, slot, row.guard)
         if row.depth_known == 0 and scale > 0.0 and _label_hangs_on_depth(space, slot, now):
             functional = space.system.guards[row.regime, row.guard].functional
-            set_search_origin(space, slot, functional)
-            sign = sign_of(space, slot, row.guard)
-            begin_search(space, slot, rows.DEPTH_SEARCH, _MOST_SPANS, sign, shift_of(space, slot, row.guard))
+            begin_guard_search(space, slot, rows.DEPTH_SEARCH, row.guard, _MOST_SPANS)
             wanted = space.searches[slot * each + rows.DEPTH_SEARCH, space.behind :]
             margin = number_of(space, slot, rows.MARGIN, lash_of(space.system, row.regime, row.guard))
             wanted[rows.TOP] = abs(margin) * scale

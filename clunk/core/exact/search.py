@@ -58,14 +58,9 @@ def search(space: Workspace, sought: int, flow: int, f: int, count: int) -> int:
     still, modal, shortest = is_still(space, flow), space.flows.modal[0, flow] != 0, shortest_span(space, flow)
     zero, present = vectors.splat(0.0), (1 << count) - 1
     time_left, sign, shift = field(space, rows.TIME_LEFT), field(space, rows.BY_SIGN), field(space, rows.BY_SHIFT)
-    origin = curves.Origin(
-        field(space, rows.AT),
-        field(space, rows.AT_SLOPE),
-        field(space, rows.AT_CURVATURE),
-        field(space, rows.AT_JERK),
-    )
+    origin = curves.load_origin(space.pool.work, space.behind + rows.AT)
     jerk, sixth, _ = functionals.bounds(space, flow, f)
-    seen = functionals.evaluate_again(space, flow, f, zero, 0, curves.Curve(zero, zero, zero, jerk, sixth))
+    seen = functionals.evaluate(space, flow, f, jerk, sixth)
     value = sign * (seen.value + origin.value) + shift
     slope, curvature = sign * (seen.slope + origin.slope), sign * (seen.curvature + origin.curvature)
     curve = curves.Curve(value, slope, curvature, jerk + vectors.magnitude(origin.jerk), sixth)
@@ -183,10 +178,7 @@ def _search_series(
         bottom = vectors.choose(turns, vectors.smaller(bottom, value), bottom)
     if unclear != 0:
         notes = space.notes
-        vectors.store(notes, 0, top)
-        vectors.store(notes, 1, bottom)
-        vectors.store(notes, 2, length)
-        vectors.store(notes, 3, known.idle / shortest)
+        vectors.store(notes, 0, (top, bottom, length, known.idle / shortest))
         done |= _search_one_by_one(space, sought, unclear)
         top, bottom = vectors.load(notes, 0), vectors.load(notes, 1)
     return top, bottom, done

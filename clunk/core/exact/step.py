@@ -4,9 +4,10 @@ A span is proposed by guess, and then moved by. Only where it is proved that the
 does it count; elsewhere a run stays where it was, and tries a shorter one next. Where not even the shortest span will
 probably pass, the guards are expanded into their Taylor series over it, whose first zero is the event.
 
-The fastest pairs of modes, LEFT_OUT of them, are taken out of a guard, and the most that they can add, their sway, is
-subtracted instead, as soon as that lets a longer span pass; but only while the guard stays above its bar: below that a
-turn makes the margin, and has to be seen as it is.
+What is not done, for it would buy too little: taking the fastest pairs of modes out of the guards, with the most that
+they can add subtracted instead, lets longer spans pass, but costs about as much time as it saves (load x lash and a car
+0.96 of the time, ramps 1.05, two lashes 1.04); expanding the guards of one functional that are near in other lanes as
+one series, likewise.
 
 Between its parts a step keeps rows of lanes: OF_OUTPUT in `outputs` for each functional, OF_GUARD in `guards` for each
 guard. Guards of one functional share its rows, those from `alike * OF_OUTPUT` on, `alike` being the first such guard.
@@ -19,24 +20,21 @@ import numpy.typing as npt
 
 from clunk.core.events import INSTANT
 from clunk.core.exact import curves, functionals, moving, polynomial, rows, taylor
-from clunk.core.exact.curves import load_curve, store_curve
+from clunk.core.exact.curves import load_curve
 from clunk.core.exact.flows import TERMS
 from clunk.core.exact.workspace import (
     OF_GUARD,
     OF_OUTPUT,
     Workspace,
     begin_acceleration_search,
-    begin_search,
+    begin_guard_search,
     field,
     field_of,
     is_still,
     number_of,
     set_field,
     set_field_of,
-    set_search_origin,
-    shift_of,
     shortest_span,
-    sign_of,
     size_of,
     turn_search,
 )
@@ -51,17 +49,13 @@ from clunk.core.tables import ACCELERATION
 FloatArray = npt.NDArray[np.float64]
 
 GRAZING = 1e-12  # a guard that turns back within this share of its scale has not turned negative
-_WORTH = 1.0 / 3.0  # of what bounds a guard's jerk: a pair that makes less of it is no obstacle to a longer span
-_CLEAR = 0.5  # of what misses count below: what is left of a guard after a span in which a pair is left out
 _NEXT_TRY = 0.4  # of a span within which a guard was not proved positive
 
-# Rows of `outputs`: the functional less its origin and without the pairs that are left out; their sway; the fastest
-# pair that is still in it, and its sway; the sway of all; the origin's value and first three derivatives; a bound of
-# what the pairs that are left out add to the slope.
-_SLOWER, _RING, _PAIR, _PAIR_SWAY, _SWAY, _ORIGIN, _SLOPE_BOUND = 0, 5, 6, 11, 12, 13, 17
-# Rows of `guards`: the guard at the step's beginning, at its end, and with a margin; its least value and the sixth
-# derivative's remainder in between, as `curves.between` has them.
-_START, _END, _CLEARED, _LEAST, _REMAINDER = 0, 5, 10, 15, 16
+# Rows of `outputs`: the functional less its origin; its sway; the origin's value and first three derivatives.
+_AWAY, _SWAY, _ORIGIN = 0, 5, 6
+# Rows of `guards`: the guard at the step's beginning and at its end; its least value and the sixth derivative's
+# remainder in between, as `curves.between` has them.
+_START, _END, _LEAST, _REMAINDER = 0, 5, 10, 11
 
 
 class _Lanes(NamedTuple):
@@ -86,11 +80,10 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     regime = system.leaders[group]
     flow = system.regimes[regime].flow
     size, zero, present = size_of(space), vectors.splat(0.0), (1 << count) - 1
-    shortest, most_left_out = shortest_span(space, flow), min(flows.oscillating[0, flow], size // 2 - 1)
-    elapsed, left_out = field(space, rows.ELAPSED), field(space, rows.LEFT_OUT)
+    shortest, elapsed = shortest_span(space, flow), field(space, rows.ELAPSED)
     time_left = field(space, rows.limit(lashes_of(system))) - elapsed
 
-    _evaluate_guards(space, regime, left_out, most_left_out)
+    _evaluate_guards(space, regime)
     may_widen = _may_widen_windows(space, flow, time_left)
     settled, kinks, at_most = 0, 0, field(space, rows.TRY)
     if flows.steady[0, flow] != 0:
@@ -110,11 +103,10 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
         event, part, lost, grazing = _find_event(space, regime, there, part)
         h = whole * part
     else:
-        h, k, left_out, blocked = _propose_span(space, regime, left_out, most_left_out, at_most)
+        h, k, blocked = _propose_span(space, regime, at_most)
         blocked &= there
         part = zero
     advancing = there & ~blocked & ~lost
-    _bound_slopes_left_out(space, regime, left_out, most_left_out)
 
     # All lanes are moved, also those that will not be put back. Until `put_back` the work space is at the step's end,
     # and `space.numbers` at its beginning, where the searches of this step begin.
@@ -127,14 +119,13 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     elapsed += h
     set_field(space, rows.ELAPSED, elapsed)
 
-    failed, close, sunk = _prove(space, regime, left_out, most_left_out, h)
+    failed, close = _prove(space, regime, h)
     # A part of the shortest span was proved by `_find_event`. A span beyond the end of the run counts as failed, so
     # that no event depends on where that end is.
     failed = 0 if short else (failed | (h > time_left)) & advancing
     advancing &= ~failed
     extremes = _watch_accelerations(space, flow, h, advancing)
-    misses = _find_misses(space, regime, left_out, event, h, advancing)
-    set_field(space, rows.LEFT_OUT, vectors.choose(sunk, 0.0, left_out))
+    misses = _find_misses(space, regime, event, h, advancing)
     set_field(space, rows.ZERO, zero)
     set_field(space, rows.TRY, zero + np.inf)
 
@@ -146,8 +137,7 @@ def take_step(space: Workspace, group: int, short: bool, count: int) -> None:
     if (happened | arrived) != 0:
         moving.to_states(space, flow, happened | arrived)
     put_back(pool, space.numbers, space.behind + rows.changing(lashes_of(system)), advancing)
-    _set_where_they_were(space, rows.LEFT_OUT, zero, blocked)
-    _set_where_they_were(space, rows.TRY, _NEXT_TRY * h, failed)
+    _set_next_try(space, _NEXT_TRY * h, failed)
 
     special = (settled | lost | ends | grazing | happened | extremes | misses) & present
     if flows.modal[0, flow] != 0:
@@ -185,52 +175,32 @@ def _note_outcomes(space: Workspace, regime: int, special: int, lanes: _Lanes) -
 
 
 @inlined_part
-def _evaluate_guards(space: Workspace, regime: int, left_out: Vector, most_left_out: int) -> None:
-    """The guards at the step's beginning, without the pairs that are left out already."""
+def _evaluate_guards(space: Workspace, regime: int) -> None:
+    """The guards at the step's beginning."""
     system, outputs, flow = space.system, space.outputs, space.system.regimes[regime].flow
     for n in range(system.regimes[regime].watched):
         alike, f = system.guards[regime, n].alike, system.guards[regime, n].functional
         at = alike * OF_OUTPUT
         if alike == n:
-            evaluated = functionals.evaluate(space, flow, f, left_out, most_left_out)
-            slower, ring, pair, pair_sway, sway = evaluated
-            store_curve(outputs, at + _SLOWER, slower)
-            vectors.store(outputs, at + _RING, ring)
-            store_curve(outputs, at + _PAIR, pair)
-            vectors.store(outputs, at + _PAIR_SWAY, pair_sway)
+            jerk, sixth, sway = functionals.bounds(space, flow, f)
+            vectors.store(outputs, at + _AWAY, functionals.evaluate(space, flow, f, jerk, sixth))
             vectors.store(outputs, at + _SWAY, sway)
             _store_origin(space, flow, f, at)
-        store_curve(space.guards, n * OF_GUARD + _START, _guard(space, regime, n, at))
+        vectors.store(space.guards, n * OF_GUARD + _START, _guard(space, regime, n, at))
 
 
 @inlined_part
 def _store_origin(space: Workspace, flow: int, f: int, at: int) -> None:
     """Write a functional's origin to `outputs`."""
     origin = functionals.origin(space, flow, f, is_still(space, flow), field(space, rows.ELAPSED))
-    vectors.store(space.outputs, at + _ORIGIN, origin.value)
-    vectors.store(space.outputs, at + _ORIGIN + 1, origin.slope)
-    vectors.store(space.outputs, at + _ORIGIN + 2, origin.curvature)
-    vectors.store(space.outputs, at + _ORIGIN + 3, origin.jerk)
-
-
-@inlined_part
-def _load_origin(outputs: FloatArray, at: int) -> curves.Origin:
-    """The origin of the functional that is kept from row `at` on."""
-    return curves.Origin(
-        vectors.load(outputs, at + _ORIGIN),
-        vectors.load(outputs, at + _ORIGIN + 1),
-        vectors.load(outputs, at + _ORIGIN + 2),
-        vectors.load(outputs, at + _ORIGIN + 3),
-    )
+    vectors.store(space.outputs, at + _ORIGIN, origin)
 
 
 @inlined_part
 def _guard(space: Workspace, regime: int, n: int, at: int) -> curves.Curve:
-    """Guard n, less the sway of the pairs that are left out, by the functional that is kept from row `at` on."""
-    flow, outputs = space.system.regimes[regime].flow, space.outputs
-    shift = _shift(space, n) - vectors.load(outputs, at + _RING)
-    slower, origin = load_curve(outputs, at + _SLOWER), _load_origin(outputs, at)
-    return curves.as_guard(slower, origin, is_still(space, flow), _sign(space, regime, n), shift)
+    """Guard n, by the functional that is kept from row `at` on."""
+    away, origin = load_curve(space.outputs, at + _AWAY), curves.load_origin(space.outputs, at + _ORIGIN)
+    return curves.as_guard(away, origin, _sign(space, regime, n), _shift(space, n))
 
 
 @inlined_part
@@ -312,9 +282,7 @@ def _may_widen_windows(space: Workspace, flow: int, time_left: Vector) -> int:
             last = origin.value + origin.slope * time_left
             largest, smallest = vectors.larger(largest, last), vectors.smaller(smallest, last)
         lanes = (largest + sway > high) | (smallest - sway < low)
-        vectors.store(space.accelerations, 3 * lash, origin.value)
-        vectors.store(space.accelerations, 3 * lash + 1, origin.slope)
-        vectors.store(space.accelerations, 3 * lash + 2, sixth)
+        vectors.store(space.accelerations, 3 * lash, (origin.value, origin.slope, sixth))
         space.may_widen[lash] = lanes
         may_widen |= lanes
     return int(may_widen)
@@ -342,10 +310,8 @@ def _take_zeros(space: Workspace, regime: int) -> None:
 
 
 @inlined_part
-def _propose_span(
-    space: Workspace, regime: int, left_out: Vector, most_left_out: int, at_most: Vector
-) -> tuple[Vector, Vector, Vector, int]:
-    """The longest span in which, by guess, no guard turns negative; with one more pair left out where that helps.
+def _propose_span(space: Workspace, regime: int, at_most: Vector) -> tuple[Vector, Vector, int]:
+    """The longest span in which, by guess, no guard turns negative.
 
     at_most : the longest that may be proposed
 
@@ -353,60 +319,19 @@ def _propose_span(
     -------
     h, k : Vector
         The span, and its number on the ladder.
-    left_out : Vector
-        How many pairs are left out now.
     blocked : int
         The lanes where not even the shortest span will probably pass.
     """
-    system, guards, outputs = space.system, space.guards, space.outputs
-    count, watched = system.regimes[regime].guards, system.regimes[regime].watched
-    shortest, spans = shortest_span(space, system.regimes[regime].flow), space.flows.propagator.shape[2]
+    guards, count = space.guards, space.system.regimes[regime].guards
+    shortest, spans = shortest_span(space, space.system.regimes[regime].flow), space.flows.propagator.shape[2]
     h, k = curves.longest(shortest, guards, _START, OF_GUARD, count, at_most, spans)
-    # where a guard is zero with its slope, its series decides
-    starts_flat = 0
-    if (field(space, rows.ZERO) > 0.0) != 0:
-        for n in range(count):
-            starts_flat |= _zero_order(space, n) > 1.0
-    k = vectors.choose(starts_flat, -1.0, k)
-    # only while the guard stays above its bar: below it, a turn makes the margin
-    one_more, worth = (left_out < float(most_left_out)) & ~starts_flat & ((k >= 0.0) | (left_out == 0.0)), 0
-    for n in range(watched):
-        at = system.guards[regime, n].alike * OF_OUTPUT
-        start, pair = load_curve(guards, n * OF_GUARD + _START), load_curve(outputs, at + _PAIR)
-        worth |= pair.jerk > _WORTH * start.jerk
-        if n < count:
-            slower = start.value - _sign(space, regime, n) * pair.value
-            one_more &= slower - vectors.load(outputs, at + _PAIR_SWAY) > _bar(space, regime, n)
-    one_more &= worth
-    if one_more != 0:
-        for n in range(count):
-            cleared = curves.less(_without_pair(space, regime, n), _CLEAR * _bar(space, regime, n))
-            store_curve(guards, n * OF_GUARD + _CLEARED, cleared)
-        longer, number = curves.longest(shortest, guards, _CLEARED, OF_GUARD, count, at_most, spans)
-        one_more &= number > k
-        k, h = vectors.choose(one_more, number, k), vectors.choose(one_more, longer, h)
-        left_out = vectors.choose(one_more, left_out + 1.0, left_out)
-        for n in range(watched):
-            row, alike = n * OF_GUARD + _START, system.guards[regime, n].alike
-            slower = curves.either(one_more, _without_pair(space, regime, n), load_curve(guards, row))
-            store_curve(guards, row, slower)
-            if alike == n:
-                at = alike * OF_OUTPUT
-                more = vectors.choose(one_more, vectors.load(outputs, at + _PAIR_SWAY), 0.0)
-                vectors.store(outputs, at + _RING, vectors.load(outputs, at + _RING) + more)
     passes = int(k >= 0.0)
     for n in range(count):
         passes &= vectors.load(guards, n * OF_GUARD + _START) >= 0.0
-    return h, k, left_out, ~passes
-
-
-@inlined_part
-def _without_pair(space: Workspace, regime: int, n: int) -> curves.Curve:
-    """Guard n at the step's beginning without the fastest pair that is still in it."""
-    at = space.system.guards[regime, n].alike * OF_OUTPUT
-    start, pair = load_curve(space.guards, n * OF_GUARD + _START), load_curve(space.outputs, at + _PAIR)
-    sway = vectors.load(space.outputs, at + _PAIR_SWAY)
-    return curves.without(start, pair, _sign(space, regime, n), sway)
+    if (field(space, rows.ZERO) > 0.0) != 0:
+        for n in range(count):  # where a guard is zero with its slope, its series decides
+            passes &= ~(_zero_order(space, n) > 1.0)
+    return h, k, ~passes
 
 
 @inlined_part
@@ -416,9 +341,6 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
     A guard whose lower bound `curves.low` is positive stays so; the others are expanded into their Taylor series. So is
     one that a jump of the load has made negative, though it may rise again.
 
-    Guards of one functional are seldom near in the same lane: their series are expanded together, each lane that of the
-    first one that is near in it.
-
     Returns
     -------
     event, part : Vector
@@ -426,49 +348,30 @@ def _find_event(space: Workspace, regime: int, there: int, part: Vector) -> tupl
     lost, grazing : int
         The lanes where nothing is finite any more, and where a guard all but turned negative.
     """
-    system, outputs, series = space.system, space.outputs, space.series
+    system, series = space.system, space.series
     flow, count = system.regimes[regime].flow, system.regimes[regime].guards
     shortest, zero = shortest_span(space, flow), vectors.splat(0.0)
     event, lost, grazing = zero - 1.0, 0, 0
     for n in range(count):
-        start = load_curve(space.guards, n * OF_GUARD + _START)
-        near = ~(curves.low(start, shortest) > 0.0) | (start.value < 0.0) | (_zero_order(space, n) >= 2.0)
-        space.guard_lanes[n] = near & there
-    for n in range(count):
-        alike, f = system.guards[regime, n].alike, system.guards[regime, n].functional
-        if alike != n:
+        start, order = load_curve(space.guards, n * OF_GUARD + _START), _zero_order(space, n)
+        near = there & (~(curves.low(start, shortest) > 0.0) | (start.value < 0.0) | (order >= 2.0))
+        if near == 0:
             continue
-        for _ in range(count):
-            near, guard, sign, shift, scale, order = 0, zero, zero, zero, zero, zero
-            for m in range(n, count):
-                if system.guards[regime, m].alike == n:
-                    first = space.guard_lanes[m] & ~near
-                    near |= first
-                    space.guard_lanes[m] &= ~first
-                    guard = vectors.choose(first, float(m), guard)
-                    sign = vectors.choose(first, _sign(space, regime, m), sign)
-                    shift = vectors.choose(first, _shift(space, m), shift)
-                    of_this = _scale(space, regime, m)
-                    if lash_of(system, regime, m) < 0:
-                        of_this = vectors.magnitude(_shift(space, m))
-                    scale = vectors.choose(first, of_this, scale)
-                    order = vectors.choose(first, _zero_order(space, m), order)
-            if near == 0:
-                break
-            at = n * OF_OUTPUT
-            origin = _load_origin(outputs, at)
-            functionals.expand(space, flow, f, sign, shift, origin)
-            noise = vectors.magnitude(origin.value) + vectors.magnitude(shift) + vectors.load(outputs, at + _SWAY)
-            noise = ROUNDING * noise
-            if elements_of(system) > 1:  # another lash's event at the same time may have been located first
-                instant = vectors.magnitude(vectors.load(series, 1)) * (INSTANT / shortest)
-                instant = vectors.choose(field(space, rows.ELAPSED) == 0.0, instant, 0.0)
-                noise = vectors.larger(noise, instant)
-            crosses, bad, grazes, s = _first_zero(space, near, order, noise, scale, part)
-            lost |= bad
-            grazing |= grazes
-            crosses &= (event < 0.0) | (s < part)
-            event, part = vectors.choose(crosses, guard, event), vectors.choose(crosses, s, part)
+        sign, shift, at = _sign(space, regime, n), _shift(space, n), system.guards[regime, n].alike * OF_OUTPUT
+        scale = _scale(space, regime, n) if lash_of(system, regime, n) >= 0 else vectors.magnitude(shift)
+        origin = curves.load_origin(space.outputs, at + _ORIGIN)
+        functionals.expand(space, flow, system.guards[regime, n].functional, sign, shift, origin)
+        noise = vectors.magnitude(origin.value) + vectors.magnitude(shift) + vectors.load(space.outputs, at + _SWAY)
+        noise = ROUNDING * noise
+        if elements_of(system) > 1:  # another lash's event at the same time may have been located first
+            instant = vectors.magnitude(vectors.load(series, 1)) * (INSTANT / shortest)
+            instant = vectors.choose(field(space, rows.ELAPSED) == 0.0, instant, 0.0)
+            noise = vectors.larger(noise, instant)
+        crosses, bad, grazes, s = _first_zero(space, near, order, noise, scale, part)
+        lost |= bad
+        grazing |= grazes
+        crosses &= (event < 0.0) | (s < part)
+        event, part = vectors.choose(crosses, float(n), event), vectors.choose(crosses, s, part)
     return event, part, lost, grazing
 
 
@@ -507,10 +410,7 @@ def _first_zero(
     unclear = near & ~crosses & ~positive
     if unclear != 0:
         notes = space.notes
-        vectors.store(notes, 0, s)
-        vectors.store(notes, 1, fall)
-        vectors.store(notes, 2, half)
-        vectors.store(notes, 3, part)
+        vectors.store(notes, 0, (s, fall, half, part))
         crosses |= _first_zeros_one_by_one(space, unclear)
         s, fall, half = vectors.load(notes, 0), vectors.load(notes, 1), vectors.load(notes, 2)
     # only where it falls at once can it turn back within rounding
@@ -544,18 +444,7 @@ def _first_zeros_one_by_one(space: Workspace, mask: int) -> int:
 
 
 @inlined_part
-def _bound_slopes_left_out(space: Workspace, regime: int, left_out: Vector, most_left_out: int) -> None:
-    """Bound what the pairs that are left out add to the slopes of functionals, from the step's beginning on."""
-    system, flow = space.system, space.system.regimes[regime].flow
-    for n in range(system.regimes[regime].watched):
-        if system.guards[regime, n].alike == n:
-            f = system.guards[regime, n].functional
-            bound = functionals.slope_bound(space, flow, f, left_out, most_left_out)
-            vectors.store(space.outputs, n * OF_OUTPUT + _SLOPE_BOUND, bound)
-
-
-@inlined_part
-def _prove(space: Workspace, regime: int, left_out: Vector, most_left_out: int, h: Vector) -> tuple[int, int, int]:
+def _prove(space: Workspace, regime: int, h: Vector) -> tuple[int, int]:
     """Look at the guards at the step's end, and prove that they stayed positive over its time h.
 
     Returns
@@ -564,34 +453,29 @@ def _prove(space: Workspace, regime: int, left_out: Vector, most_left_out: int, 
         The lanes where that is not proved.
     close : int
         The lanes where not even the shortest span will probably pass next.
-    sunk : int
-        The lanes where nothing should be left out of the guards any more.
     """
     system, guards, outputs = space.system, space.guards, space.outputs
     flow, count = system.regimes[regime].flow, system.regimes[regime].guards
     shortest = shortest_span(space, flow)
-    failed, close, sunk = 0, 0, 0
+    failed, close = 0, 0
     for n in range(system.regimes[regime].watched):
         alike, f = system.guards[regime, n].alike, system.guards[regime, n].functional
         at, row = alike * OF_OUTPUT, n * OF_GUARD
         if alike == n:
-            before = load_curve(outputs, at + _SLOWER)
-            seen = functionals.evaluate_again(space, flow, f, left_out, most_left_out, before)
-            store_curve(outputs, at + _SLOWER, seen)
+            before = load_curve(outputs, at + _AWAY)
+            vectors.store(outputs, at + _AWAY, functionals.evaluate(space, flow, f, before.jerk, before.sixth))
             if not is_still(space, flow):
                 _store_origin(space, flow, f, at)
         start = load_curve(guards, row + _START)
         end = curves.with_bounds(_guard(space, regime, n, at), start)
         least, _, remainder = curves.between(start, end, h)
-        store_curve(guards, row + _END, end)
+        vectors.store(guards, row + _END, end)
         vectors.store(guards, row + _LEAST, least)
         vectors.store(guards, row + _REMAINDER, remainder)
         if n < count:
-            near = curves.guess(end, shortest) <= 0.0
-            close |= near
-            sunk |= near | (end.value < 0.0)
+            close |= curves.guess(end, shortest) <= 0.0
             failed |= ~(vectors.smaller(least, end.value) > 0.0)
-    return failed, close, sunk
+    return failed, close
 
 
 @inlined_part
@@ -600,73 +484,56 @@ def _watch_accelerations(space: Workspace, flow: int, h: Vector, advancing: int)
 
     Returns the lanes in which to search; each lash's are in `seeks_extremes`.
     """
-    extremes = 0
+    known, zero, extremes = space.accelerations, vectors.splat(0.0), 0
     for lash in range(lashes_of(space.system)):
-        lanes = _watch_acceleration(space, flow, lash, h, space.may_widen[lash] & advancing)
-        space.seeks_extremes[lash] = lanes
-        extremes |= lanes
+        f = lash * space.system.functionals_per_lash + ACCELERATION
+        origin_value, origin_slope = vectors.load(known, 3 * lash), vectors.load(known, 3 * lash + 1)
+        start = curves.Curve(
+            field_of(space, rows.SEEN, lash),
+            field_of(space, rows.SEEN_SLOPE, lash),
+            field_of(space, rows.SEEN_CURVATURE, lash),
+            zero,
+            vectors.load(known, 3 * lash + 2),
+        )
+        seen = functionals.evaluate(space, flow, f, zero, start.sixth)
+        last, slope = seen.value + origin_value, seen.slope
+        if space.system.ramps != 0:
+            last, slope = last + h * origin_slope, slope + origin_slope
+        end = curves.Curve(last, slope, seen.curvature, zero, start.sixth)
+        turns, may_widen = 0, space.may_widen[lash] & advancing
+        if may_widen != 0:
+            high = vectors.larger(field_of(space, rows.WINDOW_MAX, lash), last)
+            low = vectors.smaller(field_of(space, rows.WINDOW_MIN, lash), last)
+            least, greatest, remainder = curves.between(start, end, h)
+            monotone, _ = curves.turns_not(start, end, remainder, h)
+            turns = ((greatest > high) | (least < low)) & may_widen & ~monotone
+        widen_extremes(space, lash, last)
+        set_field_of(space, rows.SEEN, lash, last)
+        set_field_of(space, rows.SEEN_SLOPE, lash, slope)
+        set_field_of(space, rows.SEEN_CURVATURE, lash, seen.curvature)
+        space.seeks_extremes[lash] = turns
+        extremes |= turns
+        if turns != 0:
+            vectors.store(space.notes, 0, h)
+            while turns != 0:
+                lane = vectors.first_of(turns)
+                turns &= turns - 1
+                value, slope_here = known[3 * lash, lane], known[3 * lash + 1, lane]
+                begin_acceleration_search(space, space.pool.items[lane], lash, space.notes[0, lane], value, slope_here)
     return int(extremes)
 
 
 @inlined_part
-def _watch_acceleration(space: Workspace, flow: int, lash: int, h: Vector, may_widen: int) -> int:
-    """`_watch_accelerations` for one lash.
-
-    may_widen : the lanes where its acceleration can exceed what its window holds
-    """
-    notes, zero = space.notes, vectors.splat(0.0)
-    origin_value, origin_slope = (
-        vectors.load(space.accelerations, 3 * lash),
-        vectors.load(space.accelerations, 3 * lash + 1),
-    )
-    sixth = vectors.load(space.accelerations, 3 * lash + 2)
-    start = curves.Curve(
-        field_of(space, rows.SEEN, lash),
-        field_of(space, rows.SEEN_SLOPE, lash),
-        field_of(space, rows.SEEN_CURVATURE, lash),
-        zero,
-        sixth,
-    )
-    seen = functionals.evaluate_again(
-        space, flow, lash * space.system.functionals_per_lash + ACCELERATION, zero, 0, start
-    )
-    last, slope = seen.value + origin_value, seen.slope
-    if space.system.ramps != 0:
-        last, slope = last + h * origin_slope, slope + origin_slope
-    end = curves.Curve(last, slope, seen.curvature, zero, sixth)
-    turns = 0
-    if may_widen != 0:
-        high = vectors.larger(field_of(space, rows.WINDOW_MAX, lash), last)
-        low = vectors.smaller(field_of(space, rows.WINDOW_MIN, lash), last)
-        least, greatest, remainder = curves.between(start, end, h)
-        monotone, _ = curves.turns_not(start, end, remainder, zero, h)
-        turns = ((greatest > high) | (least < low)) & may_widen & ~monotone
-    widen_extremes(space, lash, last)
-    set_field_of(space, rows.SEEN, lash, last)
-    set_field_of(space, rows.SEEN_SLOPE, lash, slope)
-    set_field_of(space, rows.SEEN_CURVATURE, lash, seen.curvature)
-    if turns != 0:
-        vectors.store(notes, 0, h)
-        mask = turns
-        while mask != 0:
-            lane = vectors.first_of(mask)
-            mask &= mask - 1
-            value, slope_here = space.accelerations[3 * lash, lane], space.accelerations[3 * lash + 1, lane]
-            begin_acceleration_search(space, space.pool.items[lane], lash, notes[0, lane], value, slope_here)
-    return int(turns)
-
-
-@inlined_part
-def _find_misses(space: Workspace, regime: int, left_out: Vector, event: Vector, h: Vector, advancing: int) -> int:
+def _find_misses(space: Workspace, regime: int, event: Vector, h: Vector, advancing: int) -> int:
     """Begin to search the lowest turn of guards where one may be a near miss; the lanes of each into `guard_lanes`.
 
     A miss is a turn within the step. Guards that are zero with their slope at the beginning are passed over: there,
     rounding would show one.
     """
-    system, guards, outputs, elapsed, misses = space.system, space.guards, space.outputs, field(space, rows.ELAPSED), 0
-    for n in range(system.regimes[regime].watched):
+    guards, elapsed, misses = space.guards, field(space, rows.ELAPSED), 0
+    for n in range(space.system.regimes[regime].watched):
         held_from = field_of(space, rows.HELD_FROM, _lash(space, regime, n))
-        row, at = n * OF_GUARD, system.guards[regime, n].alike * OF_OUTPUT
+        row = n * OF_GUARD
         start, end = load_curve(guards, row + _START), load_curve(guards, row + _END)
         least, remainder = vectors.load(guards, row + _LEAST), vectors.load(guards, row + _REMAINDER)
         starts_level = (_zero_order(space, n) > 1.0) & (held_from <= 0.0)
@@ -674,8 +541,8 @@ def _find_misses(space: Workspace, regime: int, left_out: Vector, event: Vector,
             advancing & (elapsed > held_from) & (_scale(space, regime, n) > 0.0) & ~(event == float(n)) & ~starts_level
         )
         may &= vectors.smaller(vectors.smaller(start.value, end.value), least) < _bar(space, regime, n)
-        monotone, bends_down = curves.turns_not(start, end, remainder, vectors.load(outputs, at + _SLOPE_BOUND), h)
-        may &= ~monotone & ~(bends_down & (left_out == 0.0))
+        monotone, bends_down = curves.turns_not(start, end, remainder, h)
+        may &= ~monotone & ~bends_down
         space.guard_lanes[n] = may
         misses |= may
         if may != 0:
@@ -687,15 +554,12 @@ def _find_misses(space: Workspace, regime: int, left_out: Vector, event: Vector,
 def _begin_turn_searches(space: Workspace, regime: int, n: int, h: Vector, elapsed: Vector, mask: int) -> None:
     """Begin to search the lowest turn of guard n within the step, in some lanes."""
     notes = space.notes
-    vectors.store(notes, 0, h)
-    vectors.store(notes, 1, elapsed)
+    vectors.store(notes, 0, (h, elapsed))
     while mask != 0:
         lane = vectors.first_of(mask)
         mask &= mask - 1
-        slot = space.pool.items[lane]
-        set_search_origin(space, slot, space.system.guards[regime, n].functional)
-        turn, sign = turn_search(space, n), sign_of(space, slot, n)
-        begin_search(space, slot, turn, notes[0, lane], sign, shift_of(space, slot, n))
+        slot, turn = space.pool.items[lane], turn_search(space, n)
+        begin_guard_search(space, slot, turn, n, notes[0, lane])
         wanted = space.searches[slot * space.searches_each + turn, space.behind :]
         wanted[rows.COUNTS] = notes[1, lane] - number_of(space, slot, rows.HELD_FROM, _lash(space, regime, n))
 
@@ -711,12 +575,11 @@ def _certainly_deep(space: Workspace, regime: int, event: Vector) -> int:
 
 
 @inlined_part
-def _set_where_they_were(space: Workspace, name: int, values: Vector, mask: int) -> None:
-    """Set one number of runs that stay where they were."""
+def _set_next_try(space: Workspace, longest: Vector, mask: int) -> None:
+    """Set the longest span that is proposed next to runs that stay where they were."""
     if mask != 0:
-        vectors.store(space.notes, 1, values)
-        at = space.behind + name
+        vectors.store(space.notes, 1, longest)
         while mask != 0:
             lane = vectors.first_of(mask)
             mask &= mask - 1
-            space.numbers[space.pool.items[lane], at] = space.notes[1, lane]
+            space.numbers[space.pool.items[lane], space.behind + rows.TRY] = space.notes[1, lane]

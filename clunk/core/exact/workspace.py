@@ -26,7 +26,7 @@ IntArray = npt.NDArray[np.int64]
 
 UNDER_WAY = 16 * WIDTH  # runs: many wait for the same, and its code is at hand for several steps on end
 NOTES = 4
-OF_OUTPUT, OF_GUARD = 18, 17  # rows that a step keeps of a functional, and of a guard
+OF_OUTPUT, OF_GUARD = 10, 12  # rows that a step keeps of a functional, and of a guard
 
 RUN = np.dtype(
     [
@@ -277,12 +277,6 @@ def set_number_of(space: Workspace, slot: int, name: int, lash: int, value: floa
 
 
 @inlined_part
-def shift_of(space: Workspace, slot: int, guard: int) -> float:
-    """The shift that makes a guard of a functional of a run."""
-    return float(space.numbers[slot, space.behind + rows.shift(guard, lashes_of(space.system))])
-
-
-@inlined_part
 def turn_search(space: Workspace, guard: int) -> int:
     """The one of a run's searches that is of a turn of a guard."""
     return lashes_of(space.system) + guard
@@ -292,13 +286,6 @@ def turn_search(space: Workspace, guard: int) -> int:
 def is_still(space: Workspace, flow: int) -> bool:
     """Whether no origin of a flow moves, whatever the inputs of a run are."""
     return bool(space.flows.steady[0, flow] != 0 and space.system.ramps == 0)
-
-
-@inlined_part
-def sign_of(space: Workspace, slot: int, guard: int) -> float:
-    """The sign by which a functional makes a guard of a run."""
-    regime = space.runs[slot].regime
-    return float(space.system.guards[regime, guard].sign)
 
 
 @inlined_part
@@ -314,12 +301,6 @@ def scale_of(space: Workspace, slot: int, guard: int) -> float:
 def log_of(space: Workspace, slot: int) -> Log:
     """The events of a run, and its states."""
     return Log(space.events[slot], space.extremes[slot], space.margins[slot], space.states[slot])
-
-
-@inlined_part
-def queue_of(space: Workspace, first: int, flow: int, functional: int) -> int:
-    """The queue of searches in a functional, behind the first of their kind."""
-    return int(first + flow * space.flows.watch.shape[2] + functional)
 
 
 @inlined_part
@@ -348,18 +329,20 @@ def begin_search(space: Workspace, slot: int, search: int, length: float, sign: 
 
 
 @inlined_part
-def set_search_origin(space: Workspace, slot: int, functional: int) -> None:
-    """A functional's origin where a run is, and its first three derivatives, into `space.origin`."""
+def begin_guard_search(space: Workspace, slot: int, search: int, guard: int, length: float) -> None:
+    """Begin a search in a guard of a run, for a time `length`."""
     run = space.runs[slot]
-    output = space.flows.origin_output[run.driveline, space.system.regimes[run.regime].flow]
+    row, flow = space.system.guards[run.regime, guard], space.system.regimes[run.regime].flow
+    output = space.flows.origin_output[run.driveline, flow]
     numbers, origin = space.numbers[slot, space.behind :], space.origin
     inputs, elapsed = space.numbers[slot, space.inputs_at : space.kink_at], numbers[rows.ELAPSED]
-    driven = inputs_of(space.system)
-    value, slope = weigh(output[0, functional], inputs, driven), weigh(output[1, functional], inputs, driven)
-    curvature, jerk = weigh(output[2, functional], inputs, driven), weigh(output[3, functional], inputs, driven)
+    for order in range(4):
+        origin[order] = weigh(output[order, row.functional], inputs, inputs_of(space.system))
+    value, slope, curvature, jerk = origin[0], origin[1], origin[2], origin[3]
     origin[0] = value + elapsed * (slope + 0.5 * elapsed * (curvature + elapsed / 3.0 * jerk))
     origin[1] = slope + elapsed * (curvature + 0.5 * elapsed * jerk)
-    origin[2], origin[3] = curvature + elapsed * jerk, jerk
+    origin[2] = curvature + elapsed * jerk
+    begin_search(space, slot, search, length, row.sign, numbers[rows.shift(guard, lashes_of(space.system))])
 
 
 @inlined_part
@@ -375,4 +358,5 @@ def begin_acceleration_search(
 def push_search(space: Workspace, first: int, slot: int, search: int, functional: int) -> None:
     """Append a run's search in a functional to its queue."""
     flow = space.system.regimes[space.runs[slot].regime].flow
-    push(space.pool, queue_of(space, first, flow, functional), slot * space.searches_each + search)
+    queue = first + flow * space.flows.watch.shape[2] + functional
+    push(space.pool, queue, slot * space.searches_each + search)

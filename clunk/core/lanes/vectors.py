@@ -90,28 +90,28 @@ def _loaded(builder: Any, pointer: Any) -> Any:
     return lanes
 
 
-@_operation
-def align_stack(typing: Any) -> Any:
-    """Let what the calling function keeps on the stack lie where a register's worth of memory begins."""
+def _marked(attributes: tuple[str, ...], alignment: int) -> Any:
+    """Mark the calling function."""
 
     def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        builder.function.attributes.add("noinline")  # llvmlite writes alignstack only beside another
-        builder.function.attributes.alignstack = 8 * ROW
+        for attribute in attributes:
+            builder.function.attributes.add(attribute)
+        builder.function.attributes.alignstack = alignment
         return context.get_dummy_value()
 
     return types.void(), emit
+
+
+@_operation
+def align_stack(typing: Any) -> Any:
+    """Let what the calling function keeps on the stack lie where a register's worth of memory begins."""
+    return _marked(("noinline",), 8 * ROW)  # llvmlite writes alignstack only beside another
 
 
 @_operation
 def stay_apart(typing: Any) -> Any:
     """Mark the calling function noinline and cold: what it is seldom called for is not to slow its callers."""
-
-    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        for attribute in ("noinline", "cold"):
-            builder.function.attributes.add(attribute)
-        return context.get_dummy_value()
-
-    return types.void(), emit
+    return _marked(("noinline", "cold"), 0)
 
 
 @_operation
@@ -145,14 +145,17 @@ def number(typing: Any, table: Any, k: Any) -> Any:
 
 @_operation
 def store(typing: Any, array: Any, row: Any, lanes: Any) -> Any:
-    """Write a row of an array."""
+    """Write a row of an array, or several lanes to as many rows from that one on."""
 
     def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         first = builder.mul(values[1], _INT(WIDTH))
-        builder.store(values[2], _at(context, builder, signature.args[0], values[0], first)).align = 8
+        of_rows = [values[2]] if lanes == _LANES else cgutils.unpack_tuple(builder, values[2])  # type: ignore[no-untyped-call]
+        for k, of_row in enumerate(of_rows):
+            at = builder.add(first, _INT(k * WIDTH))
+            builder.store(of_row, _at(context, builder, signature.args[0], values[0], at)).align = 8
         return context.get_dummy_value()
 
-    return types.void(array, types.intp, _LANES), emit
+    return types.void(array, types.intp, lanes), emit
 
 
 @_operation
@@ -161,59 +164,54 @@ def splat(typing: Any, x: Any) -> Any:
     return _LANES(types.float64), lambda context, builder, signature, values: _splat(builder, values[0])
 
 
-def _by_llvm(name: str) -> Any:
-    """An operation on one row of lanes that LLVM has."""
+def _by_llvm(name: str, sides: tuple[Any, ...]) -> Any:
+    """An operation on rows of lanes that LLVM has; numbers stand for the same in all lanes."""
 
     def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        signature_of = ir.FunctionType(_ROW, [_ROW])
-        module, full = builder.module, f"llvm.{name}.v{WIDTH}f64"
-        return builder.call(cgutils.get_or_insert_function(module, signature_of, full), values)  # type: ignore[no-untyped-call]
+        lanes = [_as_lanes(builder, *side) for side in zip(signature.args, values, strict=True)]
+        signature_of, full = ir.FunctionType(_ROW, [_ROW] * len(lanes)), f"llvm.{name}.v{WIDTH}f64"
+        return builder.call(cgutils.get_or_insert_function(builder.module, signature_of, full), lanes)  # type: ignore[no-untyped-call]
 
-    return _LANES(_LANES), emit
+    return _LANES(*sides), emit
 
 
 @_operation
 def fused(typing: Any, a: Any, b: Any, c: Any) -> Any:
-    """a b + c, rounded once; numbers stand for the same in all lanes."""
-
-    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        sides = [_as_lanes(builder, *side) for side in zip(signature.args, values, strict=True)]
-        signature_of, name = ir.FunctionType(_ROW, [_ROW] * 3), f"llvm.fma.v{WIDTH}f64"
-        return builder.call(cgutils.get_or_insert_function(builder.module, signature_of, name), sides)  # type: ignore[no-untyped-call]
-
-    return _LANES(a, b, c), emit
+    """a b + c, rounded once."""
+    return _by_llvm("fma", (a, b, c))
 
 
 @_operation
 def root(typing: Any, a: Any) -> Any:
     """Square roots."""
-    return _by_llvm("sqrt")
+    return _by_llvm("sqrt", (a,))
 
 
 @_operation
 def magnitude(typing: Any, a: Any) -> Any:
     """Absolute values."""
-    return _by_llvm("fabs")
+    return _by_llvm("fabs", (a,))
+
+
+def _selected(sign: str) -> Any:
+    """The first of two where it compares so with the second, which stands elsewhere."""
+
+    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        return builder.select(builder.fcmp_ordered(sign, *values), *values)
+
+    return _LANES(_LANES, _LANES), emit
 
 
 @_operation
 def larger(typing: Any, a: Any, b: Any) -> Any:
     """The larger of two, lane by lane; b where either is NaN."""
-
-    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        return builder.select(builder.fcmp_ordered(">", *values), *values)
-
-    return _LANES(_LANES, _LANES), emit
+    return _selected(">")
 
 
 @_operation
 def smaller(typing: Any, a: Any, b: Any) -> Any:
     """The smaller of two, lane by lane; b where either is NaN."""
-
-    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        return builder.select(builder.fcmp_ordered("<", *values), *values)
-
-    return _LANES(_LANES, _LANES), emit
+    return _selected("<")
 
 
 def _as_lanes(builder: Any, type_: Any, value: Any) -> Any:

@@ -12,14 +12,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clunk.core.events import INSTANT, LOAD_STEP
+from clunk.core.events import INSTANT
 from clunk.core.jit import inlined_part, part
 from clunk.core.regimes import System, elements_of, frictions_of, lashes_of, take_rolling, turn_back
 from clunk.core.rk4 import quartic
 from clunk.core.rk4.propagator import BEND, BLOCK, Steps
 from clunk.core.rk4.settling import settled
 from clunk.core.rk4.step import Phase, enter, expand, finish, first_event, make_phase, widen_extremes
-from clunk.core.rubbing import stick_all
 from clunk.core.runs import (
     BEGIN,
     Entry,
@@ -28,13 +27,11 @@ from clunk.core.runs import (
     Start,
     begin_wave,
     piece_at,
-    record,
     roll_states,
-    set_gaps,
     set_torque,
 )
 from clunk.core.status import INTERRUPTED, QUALITY_COMPLETE, Status
-from clunk.core.switching import MOST_STAGES, after_rubbing, room_for_a_switch, switch
+from clunk.core.switching import MOST_STAGES, after_rubbing, begin_run, room_for_a_switch, switch
 from clunk.core.tables import ACCELERATION
 
 FloatArray = npt.NDArray[np.float64]
@@ -100,12 +97,9 @@ def run(system: System, steps: Steps, start: Start, log: Log, room: Room, stop: 
         fastest[lash], log.margins[lash] = 0.0, np.nan
     for k in range(room.z.size):
         room.z[k] = 0.0  # a run before may have left what is not a number where nothing is written
-    set_gaps(system, start.before, inputs)
-    stick_all(system, x, inputs)
     entry = Entry(_unknown(1), start.regime, _unknown(-1), _unknown(0))
-    record(log, 0, 0.0, 0.0, LOAD_STEP, entry.regime, -1, system.contacts[entry.regime, 0].side, x)
-    rolled, written = turn_back(system, x), entry.written
-    piece = piece_at(load, 0, 0.0)
+    piece, written = piece_at(load, 0, 0.0), entry.written
+    rolled = begin_run(system, start, piece, inputs, log)
     begin, grid = _begin_piece(system, steps, load, piece, x, inputs)
     index, offset, spanned, stages = 0, 0.0, 1, 0  # the time is begin + index · step + offset
     while True:
