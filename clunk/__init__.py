@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from clunk.api import tolerance_map as tolerance_map
     from clunk.explorer.server import Explorer as Explorer
     from clunk.explorer.server import explore as explore
-    from clunk.explorer.subject import ExplorerError as ExplorerError
     from clunk.plot import PlotError as PlotError
     from clunk.results.boundaries import Boundaries as Boundaries
     from clunk.results.netcdf import StoreError as StoreError
@@ -41,7 +40,6 @@ if TYPE_CHECKING:
     from clunk.results.store import to_dataset as to_dataset
     from clunk.results.store import write_results as write_results
     from clunk.results.tolerancemap import ToleranceMap as ToleranceMap
-    from clunk.simulation.trajectory import SimulationError as SimulationError
     from clunk.simulation.trajectory import Trajectory as Trajectory
     from clunk.simulation.trajectory import simulate as simulate
     from clunk.study.config import load_study as load_study
@@ -53,7 +51,6 @@ if TYPE_CHECKING:
     from clunk.study.study import replace_values as replace_values
     from clunk.sweeping.engines import EngineError as EngineError
     from clunk.sweeping.parts import PartsError as PartsError
-    from clunk.sweeping.reduction import SweepError as SweepError
     from clunk.sweeping.runner import Runner as Runner
 
 # Public name -> the module that it is in; `plot` is a module itself.
@@ -66,17 +63,14 @@ _HOME = {
     "ConfigError": "study.problems",
     "EngineError": "sweeping.engines",
     "Explorer": "explorer.server",
-    "ExplorerError": "explorer.subject",
     "Fitted": "analysis.fitted",
     "PartsError": "sweeping.parts",
     "PlotError": "plot",
     "Results": "results.regimemap",
     "Runner": "sweeping.runner",
     "Sensitivity": "analysis.sobol",
-    "SimulationError": "simulation.trajectory",
     "StoreError": "results.netcdf",
     "Study": "study.study",
-    "SweepError": "sweeping.reduction",
     "Thresholds": "analysis.thresholds",
     "ToleranceMap": "results.tolerancemap",
     "Trajectory": "simulation.trajectory",

@@ -21,12 +21,12 @@ from clunk.results.regimemap import Results
 from clunk.results.tolerancemap import AnyMap, ToleranceMap
 from clunk.simulation.trajectory import Trajectory
 from clunk.study.designs import design_of_points, has_tolerances
+from clunk.study.errors import ClunkError
 from clunk.study.lashes import lash_position
 from clunk.study.problems import ConfigError
 from clunk.study.study import Study
 from clunk.sweeping import sweep as sweeping
 from clunk.sweeping.progress import Progress, reporting, shown
-from clunk.sweeping.reduction import SweepError
 from clunk.sweeping.runner import Runner
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def sweep(
 
     Raises
     ------
-    SweepError
+    ClunkError
         Where there is nothing to sweep, the grid does not fit in memory, no cell of it could run, or the file holds
         something else.
     StoreError, PartsError, ClunkError
@@ -102,7 +102,7 @@ def sweep(
     160
     """
     if has_tolerances(study):
-        raise SweepError(sweeping.HAS_TOLERANCES)
+        raise ClunkError(sweeping.HAS_TOLERANCES)
     traces = is_traced(study, boundaries)
     if traces:
         lash_position(lash, study.lash_names)
@@ -144,7 +144,7 @@ def tolerance_map(
 
     Raises
     ------
-    SweepError
+    ClunkError
         Where the study has no tolerances. Other errors are as of `sweep`.
 
     Examples
@@ -156,7 +156,7 @@ def tolerance_map(
     (np.int64(16), 16)
     """
     if not has_tolerances(study):
-        raise SweepError("The study has no [[sweep.tolerances]]: clunk.sweep runs it.")
+        raise ClunkError("The study has no [[sweep.tolerances]]: clunk.sweep runs it.")
     probabilities = _run(study, output, progress, sweeping.engine_of(scheduler, workers), restart=restart, force=force)
     assert isinstance(probabilities, ToleranceMap)
     return probabilities
@@ -190,7 +190,7 @@ def run_points(
     ------
     ConfigError
         Where a key or a value is not one that a config may hold, or the arrays are not equally long.
-    SweepError, EngineError, KeyboardInterrupt
+    ClunkError, EngineError, KeyboardInterrupt
         As of `sweep`.
 
     Examples

@@ -9,8 +9,9 @@ from helpers.gears import geared, lever
 
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.linear import one_mode_thresholds, rigid_contact_thresholds
-from clunk.simulation.trajectory import SimulationError, simulate
+from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
+from clunk.study.errors import ClunkError
 from clunk.study.study import replace_values
 
 
@@ -164,13 +165,13 @@ def test_a_load_that_does_not_reach_the_lash_has_no_initial_flank():
         ratio = 5.0
         """
     )
-    with pytest.raises(SimulationError, match="initial flank"):
+    with pytest.raises(ClunkError, match="initial flank"):
         simulate(study)
 
 
 @pytest.mark.parametrize("values", [[0.0] * 7, [0.0] * 7 + [np.nan], [np.inf] + [0.0] * 7, [[0.0] * 8]])
 def test_an_initial_state_that_is_none_is_refused(nominal, values):
-    with pytest.raises(SimulationError, match="8 finite numbers"):
+    with pytest.raises(ClunkError, match="8 finite numbers"):
         simulate(nominal, initial_state=values)
 
 

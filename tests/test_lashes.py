@@ -11,7 +11,7 @@ from helpers.reference import Lash, Plant
 
 from clunk.api import sweep
 from clunk.simulation.driveline import build
-from clunk.simulation.trajectory import SimulationError, simulate
+from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.errors import ClunkError
 
@@ -160,7 +160,7 @@ def test_every_lash_presses_its_own_flank_before_the_load_step():
     assert torques[0, 0] == pytest.approx(1.0, rel=1e-9)  # in series
     assert 0.0 < torques[1, 0] < 1.0
     slack = replace(parallel, other_lashes=(GEARBOX, replaced(AXLE, backlash=1.0)))
-    with pytest.raises(SimulationError, match="No initial flank"):
+    with pytest.raises(ClunkError, match="No initial flank"):
         simulate(study_of(slack))
 
 

@@ -7,7 +7,8 @@ import pytest
 from helpers import reference
 from helpers.running import core_run, prepared, unproved
 
-from clunk.simulation.trajectory import SimulationError, simulate
+from clunk.simulation.trajectory import simulate
+from clunk.study.errors import ClunkError
 from clunk.study.models import Solver
 from clunk.study.parameters import get_value
 from clunk.study.study import replace_values
@@ -179,7 +180,7 @@ def test_no_released_torque_no_motion(nominal):
 
 def test_no_torque_before_the_load_step_no_initial_flank(nominal):
     """σr = -1: T(0⁻) = 0, and nothing says where in the gap the driveline rests."""
-    with pytest.raises(SimulationError, match="initial flank"):
+    with pytest.raises(ClunkError, match="initial flank"):
         simulate(at(nominal, -1.0, 6.0))
 
 

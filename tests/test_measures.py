@@ -22,9 +22,9 @@ from clunk.simulation.history import sample
 from clunk.simulation.measures import measured
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import load_study, study_from_text
+from clunk.study.errors import ClunkError
 from clunk.study.problems import ConfigError
 from clunk.study.study import replace_values
-from clunk.sweeping.reduction import SweepError
 
 CLOSE = 1e-8  # relative, to SciPy's DOP853 at 1e-12 a step
 SHORT = ["solver.end_time=0.4", 'solver.method="exact"']
@@ -285,7 +285,7 @@ def test_no_measure_takes_the_name_of_another_variable():
 
 def test_a_tolerance_map_with_measures_is_refused():
     study = load_study("configs/tolerance.toml", ["impacts.quantities=['energy']"])
-    with pytest.raises(SweepError, match="has Q alone"):
+    with pytest.raises(ClunkError, match="has Q alone"):
         clunk.tolerance_map(study)
 
 

@@ -5,8 +5,9 @@ import pytest
 
 from clunk.core.events import LOCK, OPENING, SEPARATION, TOUCH
 from clunk.simulation import driveline
-from clunk.simulation.trajectory import SimulationError, simulate
+from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
+from clunk.study.errors import ClunkError
 from clunk.study.study import replace_values
 from clunk.sweeping.sweep import sweep
 
@@ -173,7 +174,7 @@ def test_without_restitution_no_release_is_taken_for_sticking():
 def test_an_elastic_impact_keeps_the_energy_and_the_run_ends_by_itself():
     study = nominal(lash__contact__restitution=1.0)
     repeating = r"More events than solver\.max_events .* Of the last \d+, from .*, \d+ are touches and separations of "
-    with pytest.raises(SimulationError, match=repeating):
+    with pytest.raises(ClunkError, match=repeating):
         simulate(study.model_copy(update={"solver": study.solver.model_copy(update={"max_events": 200})}))
     run = simulate(replace_values(study, {"solver.end_time": 0.2}))
     inertias = np.array(study.driveline.inertias)
@@ -238,7 +239,7 @@ def test_the_mirrored_load_swaps_the_flanks_and_nothing_else():
 
 
 def test_an_overlap_to_begin_with_is_refused():
-    with pytest.raises(SimulationError, match="overlaps"):
+    with pytest.raises(ClunkError, match="overlaps"):
         simulate(nominal(), initial_state=[0, 0, 1.0, 0, 0, 0, 0, 0])
 
 

@@ -12,8 +12,9 @@ from clunk.core.events import STAGE
 from clunk.simulation.driveline import Driveline, steady_stages
 from clunk.simulation.energy import balance
 from clunk.simulation.history import sample
-from clunk.simulation.trajectory import SimulationError, simulate
+from clunk.simulation.trajectory import simulate
 from clunk.study.config import load_study, study_from_text
+from clunk.study.errors import ClunkError
 from clunk.study.problems import ConfigError
 from clunk.study.study import replace_values
 
@@ -69,7 +70,7 @@ def same_as_the_reference(seed):
     try:
         plant.preload()
     except ValueError:  # a stage without stiffness carries the load, or nothing does
-        with pytest.raises(SimulationError):
+        with pytest.raises(ClunkError):
             exact(plant, None, 0.5)
         return
     run = exact(plant, None, 0.5)
@@ -230,7 +231,7 @@ method = "exact"
 [impacts]
 acceleration_of = 3
 """
-    with pytest.raises(SimulationError, match="No steady motion"):
+    with pytest.raises(ClunkError, match="No steady motion"):
         simulate(study_from_text(branch))
     soft = branch.replace("0.0, 20.0]", "1e-3, 20.0]")
     assert simulate(study_from_text(soft)).label == simulate(study_from_text(soft.replace("exact", "rk4"))).label

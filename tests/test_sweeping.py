@@ -8,9 +8,10 @@ from clunk.core.status import Status
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
+from clunk.study.errors import ClunkError
 from clunk.study.study import replace_values
 from clunk.sweeping.cells import compiling_note, warm_up
-from clunk.sweeping.sweep import SweepError, sweep
+from clunk.sweeping.sweep import sweep
 
 FIGURE_3_4 = {"NI", "SS(1)", "SS(2)", "DS(1)", "DS(1)SS(1)", "DS(1)SS(2)", "DS(2)", "DS(2)SS(1)", "DS(3)"}
 
@@ -228,11 +229,11 @@ class TestFailedCells:
         assert np.array_equal(results.quality == 1, ~failed & (np.array(labels) != "CR(1)"))
 
     def test_a_sweep_in_which_no_cell_can_run_is_refused(self):
-        with pytest.raises(SweepError, match="No cell can run"):
+        with pytest.raises(ClunkError, match="No cell can run"):
             sweep(figure_3_4(3, step=2e-3))
 
     def test_without_axes_there_is_nothing_to_sweep(self, nominal):
-        with pytest.raises(SweepError, match="nothing to sweep"):
+        with pytest.raises(ClunkError, match="nothing to sweep"):
             sweep(nominal)
 
 

@@ -23,16 +23,16 @@ from clunk.results.netcdf import StoreError
 from clunk.results.quantities import quantity_of
 from clunk.results.store import read_results
 from clunk.results.tolerancemap import QUANTILES, most_likely
-from clunk.simulation.trajectory import SimulationError, simulate
+from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.designs import drawn_numbers, nominal
+from clunk.study.errors import ClunkError
 from clunk.study.parameters import get_value
 from clunk.study.study import replace_values, to_toml
 from clunk.study.sweeps import Axis
 from clunk.sweeping import parts as keeping
 from clunk.sweeping import tolerances
 from clunk.sweeping.parts import PartsError, WorkingDirectory
-from clunk.sweeping.reduction import SweepError
 from clunk.sweeping.sweep import Job, sweep
 
 DRIVELINE = """
@@ -86,7 +86,7 @@ def single_runs(toleranced, cell):
             values[draw.parameter] = numbers[k] * own if draw.draws == "factor" else own + numbers[k]
         try:
             run = simulate(replace_values(bare, values))
-        except SimulationError:
+        except ClunkError:
             labels.append("failed")
             continue
         labels.append(run.label)
@@ -450,11 +450,11 @@ class TestCommands:
         assert verified.differing_elsewhere == 0
 
     def test_each_function_refuses_the_other_ones_study(self, toleranced):
-        with pytest.raises(SweepError, match=r"clunk\.tolerance_map runs it"):
+        with pytest.raises(ClunkError, match=r"clunk\.tolerance_map runs it"):
             sweep(toleranced)
-        with pytest.raises(SweepError, match=r"clunk\.sweep runs it"):
+        with pytest.raises(ClunkError, match=r"clunk\.sweep runs it"):
             clunk_api.tolerance_map(nominal(toleranced))
-        with pytest.raises(SweepError, match="nothing to sweep"):
+        with pytest.raises(ClunkError, match="nothing to sweep"):
             clunk_api.tolerance_map(study(tolerance("lash.backlash_deg"), axes=""))
 
 

@@ -301,7 +301,7 @@ def verify(study: Study, *, progress: bool | Progress = False, workers: int | No
 
     Raises
     ------
-    SweepError
+    ClunkError
         Where no cell can run.
 
     Examples

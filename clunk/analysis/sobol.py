@@ -184,9 +184,9 @@ def sensitivity(
     ------
     ClunkError
         Where there is nothing to divide, a draw is not allowed, or a run of the sample failed or has no such quantity.
-    SimulationError
+    ClunkError
         Where the run without tolerances failed.
-    SweepError, KeyboardInterrupt
+    ClunkError, KeyboardInterrupt
         As `clunk.sweep`.
 
     Examples

@@ -249,7 +249,7 @@ def thresholds(
         Where the key is no axis of this study, or there is no such outcome.
     ConfigError
         Where there is no such lash.
-    SweepError, KeyboardInterrupt
+    ClunkError, KeyboardInterrupt
         As `clunk.sweep`.
 
     Examples

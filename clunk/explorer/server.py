@@ -14,9 +14,10 @@ import threading
 import webbrowser
 from html import escape
 
-from clunk.explorer.subject import ExplorerError, Subject
+from clunk.explorer.subject import Subject
 from clunk.results.files import reason
 from clunk.results.tolerancemap import AnyMap
+from clunk.study.errors import ClunkError
 from clunk.sweeping.progress import in_notebook
 
 try:
@@ -33,7 +34,7 @@ try:
     from clunk.explorer.workbench import Workbench
 except ModuleNotFoundError as error:
     needs = f"The explorer needs Bokeh, which is not installed (no {error.name})"
-    raise ExplorerError(f"{needs}: pip install 'clunk[explore]'") from error
+    raise ClunkError(f"{needs}: pip install 'clunk[explore]'") from error
 
 HOST = "127.0.0.1"
 _HEADERS = {
@@ -82,7 +83,7 @@ class Explorer:
         try:
             self._socket = socket.create_server((HOST, port))
         except OSError as error:
-            raise ExplorerError(f"Port {port} of this machine cannot be used: {reason(error)}.") from error
+            raise ClunkError(f"Port {port} of this machine cannot be used: {reason(error)}.") from error
         self._socket.setblocking(False)
         self.port = self._socket.getsockname()[1]
         self._token = secrets.token_urlsafe(16)
@@ -160,7 +161,7 @@ def explore(
 
     Raises
     ------
-    ExplorerError
+    ClunkError
         Where the port is in use, or the results have no config to run.
 
     Examples

@@ -31,10 +31,6 @@ _COARSE = 31  # values of an axis, of the map that is shown first
 Numbers = Mapping[str, float]  # dotted key -> value, in its unit
 
 
-class ExplorerError(ClunkError):
-    """Something that cannot be explored; its text is one sentence for the user."""
-
-
 class Subject:
     """Results, the axes of the map, and what is computed with other numbers than the config's.
 
@@ -45,12 +41,12 @@ class Subject:
     slices : the further axes, of which the map shows one value each
     swept : the parameters that differ from cell to cell
 
-    Raises ExplorerError where no run can be made of a cell, ConfigError where the config is not allowed any more.
+    Raises ClunkError where no run can be made of a cell, ConfigError where the config is not allowed any more.
     """
 
     def __init__(self, results: AnyMap, name: str | os.PathLike[str] = "map") -> None:
         if not results.config:
-            raise ExplorerError("These results have no config, so that no run can be made of a cell.")
+            raise ClunkError("These results have no config, so that no run can be made of a cell.")
         self.results, self.name = results, str(name)
         self.title = results.title.strip() or "Impact regimes"
         self._toleranced = study_from_text(results.config, "the results' config")
@@ -81,7 +77,7 @@ class Subject:
         return f"of {part.draws:,} draws: " + ", ".join(f"{label} {100.0 * share:.3g} %" for share, label in likely)
 
     def run(self, cell: Numbers, numbers: Numbers) -> History:
-        """The motion in a cell, with other numbers. Raises SimulationError, ConfigError."""
+        """The motion in a cell, with other numbers. Raises ClunkError, ConfigError."""
         trajectory = simulate(self._study_at(cell, numbers))
         load_step = trajectory.study.load.step_time
         limit = load_step + trajectory.study.solver.end_time

@@ -28,10 +28,6 @@ _EVENT_COLUMNS = ("time [s]", "event", "flank", "q' [rad/s]", "Qi [rad/s²]")
 _LAST = 1000  # events of a run that has too many: what repeats is among them
 
 
-class SimulationError(ClunkError):
-    """A run that cannot start or did not finish; its text is one sentence for the user."""
-
-
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """A run of one load step: its events, primary impacts and severity; n inertias, E events (the load step included).
@@ -203,7 +199,7 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
 
     Raises
     ------
-    SimulationError
+    ClunkError
         Where there is no steady motion or no initial flank, or the run fails.
 
     Examples
@@ -242,10 +238,10 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
         is_event = phases["kind"] != STAGE
         stages = np.count_nonzero(~is_event)
         if len(phases) - stages > study.solver.max_events + 1 or stages > switching.MOST_STAGES:
-            raise SimulationError(f"{_sentence(study, Status.EVENT_BUFFER_FULL)} {_repeating(study, system, phases)}")
+            raise ClunkError(f"{_sentence(study, Status.EVENT_BUFFER_FULL)} {_repeating(study, system, phases)}")
         room *= tile.MORE
     if status != Status.OK:
-        raise SimulationError(_sentence(study, status))
+        raise ClunkError(_sentence(study, status))
     states = log.states[: outcome.written, : 2 * system.inertias].copy()
     events, begins, (high, low) = phases[is_event].copy(), np.flatnonzero(is_event), log.extremes[: outcome.written].T
     extremes = np.stack([np.maximum.reduceat(high, begins, 1), np.minimum.reduceat(low, begins, 1)]).T
@@ -278,10 +274,10 @@ def simulate(study: Study, *, initial_state: npt.ArrayLike | None = None) -> Tra
 def _preloaded(study: Study, system: System, before: Floats, pieces: Floats) -> tuple[Integers, Start]:
     """The initial sides and the start of a run from steady motion in contact."""
     if system.status != Status.OK:
-        raise SimulationError(_sentence(study, Status(system.status)))
+        raise ClunkError(_sentence(study, Status(system.status)))
     rest = preload(system, before)
     if rest.status != Status.OK:
-        raise SimulationError(_sentence(study, rest.status))
+        raise ClunkError(_sentence(study, rest.status))
     return rest.sides, Start(rest.x, rest.regime, before, pieces[None], 0)
 
 
@@ -289,13 +285,13 @@ def _started_at(study: Study, system: System, before: Floats, pieces: Floats, st
     """The initial sides and the start of a run from a state (θ, θ')."""
     size = 2 * system.inertias
     if system.status == Status.UNSTABLE_STEP:
-        raise SimulationError(_sentence(study, Status.UNSTABLE_STEP))
+        raise ClunkError(_sentence(study, Status.UNSTABLE_STEP))
     if state.shape != (size,) or not np.all(np.isfinite(state)):
-        raise SimulationError(f"The initial state must be {size} finite numbers, θ in rad and then θ' in rad/s.")
+        raise ClunkError(f"The initial state must be {size} finite numbers, θ in rad and then θ' in rad/s.")
     gaps = system.lashes[:, system.inertias : size] @ state[: system.inertias]
     half_gaps = before[[half_gap_of(lash) for lash in range(len(gaps))]]
     if system.impulsive and np.any(np.abs(gaps) > half_gaps * (1.0 + 1e-12)):
-        raise SimulationError("The initial state overlaps a flank, which the restitution model does not allow.")
+        raise ClunkError("The initial state overlaps a flank, which the restitution model does not allow.")
     x, inputs = np.zeros(system.rates.shape[1]), np.ones(system.weights.shape[1])
     x[:size], inputs[: before.size] = state, before
     sides = np.where(gaps >= 0.0, 1, -1)

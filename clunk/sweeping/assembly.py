@@ -13,9 +13,10 @@ from clunk.results.regimemap import Results
 from clunk.study.arrays import Array, Cells
 from clunk.study.config import study_from_text
 from clunk.study.designs import Column, Design, design_of
+from clunk.study.errors import ClunkError
 from clunk.study.study import Study, digest
 from clunk.sweeping.cells import Grid
-from clunk.sweeping.reduction import Reduction, SweepError
+from clunk.sweeping.reduction import Reduction
 from clunk.sweeping.tiles import Tile
 
 
@@ -84,11 +85,11 @@ def failed_cells(results: Results) -> Cells:
 def design_of_failed(study: Study, results: Results) -> Design:
     """The failed cells of a study's finished sweep as a design of their own.
 
-    Raises SweepError where the results are of a study that differs in anything but [solver].
+    Raises ClunkError where the results are of a study that differs in anything but [solver].
     """
     before = study_from_text(results.config, source="the results' config")
     if digest(before.model_copy(update={"solver": study.solver})) != digest(study):
-        raise SweepError("The failed cells of another config cannot be run again: only [solver] may differ.")
+        raise ClunkError("The failed cells of another config cannot be run again: only [solver] may differ.")
     failed = failed_cells(results)
     columns = design_of(study).at(failed).items()
     return Design((failed.size,), tuple(Column(key, 0, values) for key, values in columns), run=0)

@@ -21,16 +21,11 @@ from clunk.results.tolerancemap import AnyMap
 from clunk.study.arrays import Bools, Cells, Records
 from clunk.study.axes import ResultAxis, lash_axis
 from clunk.study.designs import Design
-from clunk.study.errors import ClunkError
 from clunk.study.study import Study, digest, to_toml
 from clunk.sweeping.engines import Runner
 from clunk.sweeping.tiles import Tile
 
 Flanks = tuple[int, ...]  # of a run's primary impacts in order, +1 opposite, -1 initial
-
-
-class SweepError(ClunkError):
-    """A sweep that cannot start; its text is one sentence for the user."""
 
 
 def flanks_of(pattern: int) -> Flanks:

@@ -22,6 +22,7 @@ from clunk.results.store import read_map, read_results, write_results
 from clunk.results.tolerancemap import AnyMap
 from clunk.simulation.driveline import explained
 from clunk.study.designs import Design, design_of, has_tolerances
+from clunk.study.errors import ClunkError
 from clunk.study.study import Study, digest
 from clunk.sweeping.assembly import RegimeReduction, design_of_failed, failed_cells, mended
 from clunk.sweeping.cells import warm_up
@@ -29,10 +30,10 @@ from clunk.sweeping.engines import EngineError, Threads, run_tiles
 from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory, differences
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.provenance import provenance
-from clunk.sweeping.reduction import Reduction, SweepError
+from clunk.sweeping.reduction import Reduction
 from clunk.sweeping.tolerances import ToleranceReduction
 
-__all__ = ["Job", "SweepError", "cell_count", "engine_of", "opened", "sweep", "warm_up"]
+__all__ = ["Job", "cell_count", "engine_of", "opened", "sweep", "warm_up"]
 
 HAS_TOLERANCES = "The study has [[sweep.tolerances]]: clunk.tolerance_map runs it."
 
@@ -75,15 +76,15 @@ class Job:
 
     @cached_property
     def reduction(self) -> Reduction:
-        """Empty arrays of the map. Raises SweepError where nothing can run, or the arrays don't fit in memory."""
+        """Empty arrays of the map. Raises ClunkError where nothing can run, or the arrays don't fit in memory."""
         if not self.design.shape:
-            raise SweepError(_NO_SWEEP)
+            raise ClunkError(_NO_SWEEP)
         lashes = len(self.study.lashes)
         _refuse_if_too_large((*self.design.shape, lashes) if lashes > 1 else self.design.shape)
         if not has_tolerances(self.study):
             return RegimeReduction(self.study, self.design)
         if self.study.measured:
-            raise SweepError("A tolerance map has Q alone: leave out impacts.quantities and [[measures]].")
+            raise ClunkError("A tolerance map has Q alone: leave out impacts.quantities and [[measures]].")
         return ToleranceReduction(self.study)
 
     @cached_property
@@ -142,7 +143,7 @@ class Job:
         reduction, parts = self.reduction, self.parts
         shared = reduction.runner.shared()
         if shared is not None and (status := Status(shared.status)) != Status.OK:
-            raise SweepError(f"No cell can run: {explained(self.study, status)}.")
+            raise ClunkError(f"No cell can run: {explained(self.study, status)}.")
         before = reduction.done
         for tile in parts.read() if parts is not None else ():
             reduction.add(tile)
@@ -193,7 +194,7 @@ def opened(
     restart, force : as of `clunk.sweep`
     retry : whether to run only the failed cells of the finished file again
 
-    Raises SweepError where the file holds something else, StoreError where `retry` finds none that can be read, and
+    Raises ClunkError where the file holds something else, StoreError where `retry` finds none that can be read, and
     PartsError where it is being written, or another sweep into it has been stopped.
     """
     if path is None:
@@ -221,22 +222,22 @@ def opened(
 
 
 def _refuse_others(path: Path, study: Study) -> None:
-    """Raise SweepError where a file holds anything else than this very sweep."""
+    """Raise ClunkError where a file holds anything else than this very sweep."""
     try:
         held = read_map(path)
     except StoreError as error:
-        raise SweepError(f"{error} It is in the way of the results. {_WAYS_OUT}") from error
+        raise ClunkError(f"{error} It is in the way of the results. {_WAYS_OUT}") from error
     if held.config_digest != digest(study):
         differing = differences(held.config, study)
-        raise SweepError(f"{path} holds the results of another config ({differing}). {_WAYS_OUT}")
+        raise ClunkError(f"{path} holds the results of another config ({differing}). {_WAYS_OUT}")
 
 
 def _refuse_if_too_large(shape: Sequence[int]) -> None:
-    """Raise SweepError where results of this shape do not fit in memory."""
+    """Raise ClunkError where results of this shape do not fit in memory."""
     cells, memory = math.prod(shape), available_memory()
     needed = cells * _BYTES_PER_CELL
     if needed > 0.8 * memory:
-        raise SweepError(
+        raise ClunkError(
             f"The grid of {' x '.join(str(count) for count in shape)} = {cells:,} cells does not fit in memory: it "
             f"takes about {needed / 2**30:.0f} GiB, and there are {memory / 2**30:.0f} GiB."
         )
@@ -280,10 +281,10 @@ def sweep(
 ) -> Results:
     """Run the cells of a study in memory.
 
-    Parameters and errors are those of `Job` and `Job.run`; SweepError, too, where the study has tolerances.
+    Parameters and errors are those of `Job` and `Job.run`; ClunkError, too, where the study has tolerances.
     """
     if has_tolerances(study):
-        raise SweepError(HAS_TOLERANCES)
+        raise ClunkError(HAS_TOLERANCES)
     results = Job(study, design).run(engine, workers=workers, progress=progress)
     assert isinstance(results, Results)
     return results
