@@ -8,7 +8,7 @@ and saturates, it speaks of the measured one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from difflib import SequenceMatcher
 
@@ -21,7 +21,7 @@ from clunk.core.status import Status
 from clunk.core.tile import LONGEST_PATTERN
 from clunk.results.labels import FAILED, flanks_of_label
 from clunk.results.quantities import measuring
-from clunk.study.arrays import Bools, Floats, Patterns, Positions, Records
+from clunk.study.arrays import Floats, Patterns, Positions, Records
 from clunk.study.axes import variable_of
 from clunk.study.document import dotted
 from clunk.study.errors import ClunkError
@@ -32,8 +32,6 @@ from clunk.study.sweeps import Draw
 from clunk.sweeping.progress import Progress
 from clunk.sweeping.reduction import flanks_of
 from clunk.sweeping.runner import Runner
-
-Worth = Callable[[Records], Bools]
 
 # A candidate's run at a measured operating point: the flanks as bits behind a leading 1 (0: failed), the distance to
 # the measured label, the signed change that brings it about (0: none does), the misfit of the impacts' measured
@@ -85,12 +83,10 @@ class CandidateRuns:
         self._numbers = tuple(dict.fromkeys(name for each in experiment.measurements for name in each.impacts))
         self.axis = self._telling_axis() if len(self.axes) > 1 else 0
 
-    def __call__(self, candidates: Floats, worth: Worth | None = None) -> Records:
+    def __call__(self, candidates: Floats) -> Records:
         """Run candidates, (n, priors), at all operating points.
 
-        worth : tells of MATCH without distances of missed labels, (n, points), which candidates need these, (n,) bool
-
-        Returns MATCH, (n, points); the distances are 0 of candidates that do not need them.
+        Returns MATCH, (n, points).
         """
         runner = self._runner()  # for these candidates only: there are too many drivelines to keep
         matches = np.zeros((len(candidates), len(self.points)), MATCH)
@@ -99,8 +95,6 @@ class CandidateRuns:
         matches["pattern"], matches["status"] = (each.reshape(matches.shape) for each in (patterns, status))
         matches["misfit"] = self._misfits(every[1], patterns, impacts).reshape(matches.shape)
         missed = np.flatnonzero(patterns != self.wanted[every[1]])
-        if worth is not None:
-            missed = missed[worth(matches)[every[0, missed]]]
         self._look_around(candidates, matches.reshape(-1), missed, every, runner)
         self.candidates += len(candidates)
         if self._progress is not None:

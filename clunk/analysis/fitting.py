@@ -24,7 +24,7 @@ from clunk.analysis.fitruns import CandidateRuns, axes_of, numbers_at, patterns_
 from clunk.analysis.fitted import Fitted, effective_size, losses, weights_of
 from clunk.analysis.measurements import Experiment, read_experiment
 from clunk.core.status import Status
-from clunk.study.arrays import Bools, Floats, Records
+from clunk.study.arrays import Floats, Records
 from clunk.study.errors import ClunkError
 from clunk.study.keys import key_at
 from clunk.study.lashes import lash_position
@@ -35,7 +35,6 @@ from clunk.study.sweeps import Draw
 from clunk.sweeping.progress import Progress, reporting
 from clunk.sweeping.sweep import engine_of
 
-_NEGLIGIBLE = 30.0  # logarithm of how much less likely than the best a candidate is whose distances do not matter
 _SEARCHED = 16  # candidates of a population of the search, for each parameter
 
 POPULATION = 512  # draws of the ensemble
@@ -150,17 +149,13 @@ def _search(study: Study, runs: CandidateRuns, best: _Best, nominal: Floats) -> 
         return
     first = sobol_points(size, len(priors), np.random.default_rng([settings.seed, 0, 1]))
     first[0] = [_share_below(study, prior, number) for prior, number in zip(priors, nominal, strict=True)]
-    parents = np.full(size, np.inf)
 
     def loss(trials: Floats) -> Floats:
-        nonlocal parents
         shares = np.clip(trials.T, 1e-12, 1.0 - 1e-12)
         candidates = numbers_at(study, priors, np.asarray(norm.ppf(shares)))
-        # a trial that cannot replace its parent whatever its distances are is not looked at further
-        matches = runs(candidates, lambda near: losses(near, wanted, settings) <= parents[: len(near)])
+        matches = runs(candidates)
         values = losses(matches, wanted, settings)
         best.take(candidates, matches, values)
-        parents = np.minimum(parents, values)
         return values
 
     differential_evolution(
@@ -182,21 +177,14 @@ def draw_ensemble(study: Study, runs: CandidateRuns, best: _Best) -> tuple[Popul
     assert settings is not None
     priors, wanted = settings.parameters, runs.wanted
     every: list[Records] = []
-    least = np.inf
 
     def loss(draws: Floats) -> Floats:
-        nonlocal least
         candidates = numbers_at(study, priors, draws)
 
-        def matters(near: Records) -> Bools:
-            bounds = losses(near, wanted, settings)
-            return np.asarray(bounds <= min(least, bounds.min()) + _NEGLIGIBLE)
-
-        matches = runs(candidates, matters)
+        matches = runs(candidates)
         values = losses(matches, wanted, settings)
         best.take(candidates, matches, values)
         every.append(matches)
-        least = min(least, float(values.min()))
         return values
 
     population = sample(loss, len(priors), settings.effective_draws, settings.draws, settings.seed)
