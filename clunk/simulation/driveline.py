@@ -30,6 +30,7 @@ FloatArray = npt.NDArray[np.float64]
 Varied = Mapping[Place, FloatArray]  # values of keys in a batch of D drivelines, (D,) each, in the keys' units
 
 _FAST = 1e6  # rate of a load's wave by the end time: the shorter ladder of spans ends at some hundredth of it
+_ROUNDING = 1e-14  # of the terms of a sum that cancel
 _SIDE_BY_SIDE = 1e-12  # of a unit vector, by which twists of shafts side by side may differ: rounding
 
 
@@ -368,8 +369,16 @@ def _chain(line: Driveline, closed: tuple[int, ...], ties: Reduction, parts: Flo
     if left == n:
         return Chain(line.inertia, damping, stiffness, *ties, parts)
     basis, pick = ties.expand[..., :n, :left], ties.pick[..., :left, :n]
-    across, inertia = basis.swapaxes(-1, -2), (line.inertia[..., None, :] @ basis**2)[..., 0, :]
-    return Chain(inertia, across @ damping @ basis, across @ stiffness @ basis, *ties, pick @ parts)
+    inertia = (line.inertia[..., None, :] @ basis**2)[..., 0, :]
+    return Chain(inertia, _tied(damping, basis), _tied(stiffness, basis), *ties, pick @ parts)
+
+
+def _tied(matrix: FloatArray, basis: FloatArray) -> FloatArray:
+    """A stiffness or damping in the angles that ties leave; what they cancel is zero to the last bit."""
+    across = basis.swapaxes(-1, -2)
+    tied: FloatArray = across @ matrix @ basis
+    tied[np.abs(tied) <= _ROUNDING * (np.abs(across) @ np.abs(matrix) @ np.abs(basis))] = 0.0
+    return tied
 
 
 def steady_stages(study: Study) -> dict[int, int]:
