@@ -185,7 +185,11 @@ def test_a_trade_off_falls_on_both_sides(brief, monkeypatch):
     [
         ('"load.durations[1]"\nlow', '"load.duration"\nlow', "does not apply"),
         ("high = 1.0", "high = -1.0", "must be greater than low"),
-        ("low = 0.0\nhigh = 0.3", "low = -0.1\nhigh = 0.3", "load.durations[1] must be a number, 0 or greater"),
+        (
+            "low = 0.0\nhigh = 0.3",
+            "low = -0.1\nhigh = 0.3",
+            "load.durations[1]: found -0.1; must be a number, 0 or greater",
+        ),
         ("[optimize]\n", "[optimize]\nrobust = 0.9\n", "needs [[sweep.tolerances]]"),
         ('"load.levels[1]"\nlow', '"load.durations[1]"\nlow', "is free as optimize.parameters[1] already"),
         ('"label=NI"', '"severity"', "severity is no condition"),

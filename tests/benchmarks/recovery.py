@@ -77,8 +77,7 @@ def intervals(study, text, engine):
     """90 % intervals of the ensemble, (parameters, 2), its effective size and number of draws."""
     runs = CandidateRuns(study, experiment_of(text, "synthetic.csv"), study.fit.parameters, engine)
     priors = study.fit.parameters
-    nominal = np.array([fitting.nominal_number(study, prior) for prior in priors])
-    population, _ = fitting.draw_ensemble(study, runs, None, nominal, len(priors))
+    population, _ = fitting.draw_ensemble(study, runs, fitting._Best())
     weights = weights_of(population.losses, population.log_density)
     draws = fitting.numbers_at(study, priors, population.draws)
     bounds = weighted_quantiles(draws, weights, INTERVAL)
