@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from clunk.analysis.fitted import Fitted as Fitted
     from clunk.analysis.fittedstudy import fitted_study as fitted_study
     from clunk.analysis.fitting import fit as fit
+    from clunk.analysis.optimisation import optimize as optimize
     from clunk.analysis.quantiles import threshold_quantiles as threshold_quantiles
     from clunk.analysis.sobol import Sensitivity as Sensitivity
     from clunk.analysis.sobol import sensitivity as sensitivity

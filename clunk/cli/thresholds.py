@@ -137,7 +137,7 @@ def thresholds(
 
         if draws:
             raise click.UsageError("--draws has no picture; -o FILE.csv takes the thresholds of each draw.")
-        plot.other_axis(axes)
+        plot.other_axis(axes, is_needed=not is_toleranced)
     terminal.warm_up(study)
     began = time.perf_counter()
     located = analysis.thresholds(study, along=along, of=outcome, lash=lash, workers=workers, progress=True)

@@ -28,12 +28,17 @@ _ALL = slice(None)
 _WITHOUT: dict[str, Any] = {"color": style.INK, "linewidth": 1.2, "linestyle": "--", "label": "without tolerances"}
 
 
-def other_axis(axes: Sequence[ResultAxis]) -> ResultAxis | None:
-    """The axis with several values beside the key, if there is one. Raises PlotError where there are more."""
+def other_axis(axes: Sequence[ResultAxis], *, is_needed: bool = False) -> ResultAxis | None:
+    """The axis with several values beside the key, if there is one.
+
+    Raises PlotError where there are more, or none and one is needed.
+    """
     several = [axis for axis in axes if len(axis.values) > 1 and axis.parameter not in (DRAW, QUANTILE)]
     if len(several) > 1:
         names = " and ".join(axis.parameter for axis in several)
         raise style.PlotError(f"Thresholds are drawn over one other axis: take one value of {names} (--at).")
+    if is_needed and not several:
+        raise style.PlotError("There is no other axis to draw thresholds over; -o FILE.csv takes them.")
     return several[0] if several else None
 
 
@@ -43,9 +48,8 @@ def threshold_figure(thresholds: Thresholds) -> Figure:
 
     Raises PlotError where there is not one other axis with several values.
     """
-    x = other_axis(thresholds.axes)
-    if x is None:
-        raise style.PlotError("There is no other axis to draw thresholds over; -o FILE.csv takes them.")
+    x = other_axis(thresholds.axes, is_needed=True)
+    assert x is not None
     figure = style.new_figure()
     ax = figure.subplots()
     fills = _outcome_fills(thresholds)
