@@ -27,7 +27,7 @@ Runs = npt.NDArray[np.void]  # RUN: the label's code, the margin and the number 
 Events = npt.NDArray[np.void]  # EVENT
 
 _EVENT_MEMORY = 500_000  # events that there is room for at a time, in each thread: 28 MB
-_STEPS = 20_000
+_STEPS = 20_000  # of rk4 in a run that counts as one: 2 s at the default step
 _FEW = 50  # pairs: fewer are not worth a second thread
 
 
