@@ -227,9 +227,10 @@ class TestPage:
         page.wait(lambda: page.driver.execute_script(pointed) is None, message="the label stays")
 
     def test_a_link_holds_the_quantity_the_cell_and_the_numbers(self, page):
+        show_severity(page)
         page.driver.execute_script("model('number lash.contact.damping').value = 60.0")
-        page.driver.execute_script("model('quantity').value = 'severity'")
         page.point(9.0, 1.0, click=True)
+        page.wait_for("header", "σr = 9, φθ = 1 degrees")
         page.wait_for("status", "in no file")
         parts = ("quantity=severity", "load.ratio=9&", "lash.backlash_deg=1&", "lash.contact.damping=60")
         page.wait(lambda: all(part in page.driver.current_url for part in parts), message="no link")
@@ -245,11 +246,7 @@ class TestPage:
         page.wait_for("status", "the config's own numbers")
 
     def test_quantities_are_drawn_and_what_is_seen_is_saved(self, page, study):
-        page.driver.execute_script("model('quantity').value = 'severity'")
-        page.wait(
-            lambda: page.driver.execute_script("return model('map').right.some((each) => each.visible && each.title)"),
-            message="no colour bar",
-        )
+        show_severity(page)
         whole = sweep(study)
         at = np.unravel_index(int(np.argmax(whole.severity)), whole.shape)
         cell = ", ".join(value_text(axis, axis.values[k], symbol=True) for axis, k in zip(whole.axes, at, strict=True))
@@ -300,6 +297,17 @@ def watch(page):
         }
         """
     )
+
+
+def show_severity(page):
+    """Draw the severity, and wait for its colour bar, for which the map becomes narrower: clicks before would miss."""
+    page.driver.execute_script("model('quantity').value = 'severity'")
+    bar = "return model('map').right.some((each) => each.visible && each.title)"
+    page.wait(lambda: page.driver.execute_script(bar), message="no colour bar")
+    narrow = "return Bokeh.index.find_one(model('map')).frame.bbox.width"
+    width = None
+    while width != (width := page.driver.execute_script(narrow)):
+        time.sleep(0.1)
 
 
 def watched(page):
