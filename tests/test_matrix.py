@@ -25,7 +25,7 @@ CONFIGS = sorted((Path(__file__).parent.parent / "configs").glob("*.toml"))
 ENERGY = {"exact": 1e-9, "rk4": 1e-3}  # of the largest term: exact to rounding, rk4 as its step is
 REFINEMENTS = (4, 16, 64)  # of rk4's step, where labels differ
 LAST_EVENT = 1e-5  # s, to which the last event's time is the same where rk4 has converged
-FOUND = (83, 588, 856, 961)  # studies of the long form in which something was found and mended
+FOUND = (83, 259, 588, 856, 875, 912, 914, 961)  # studies of the long form in which something was found and mended
 REFUSED = ("no steady motion before the load step",)  # what a study may be refused for
 
 STUDIES = [

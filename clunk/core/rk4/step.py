@@ -79,13 +79,14 @@ def first_event(
     """When the first of the regime's guards turns negative within `length`, and which; (length, -1) if none does.
 
     Where the last event left a guard at zero, with or without its first derivatives, those zeros are divided out; a
-    guard within rounding of zero is taken to be zero, so that its derivatives decide. Where there is more than one
-    lash, so is one that is within an instant of it: another lash's event may have been located first.
+    guard within rounding of zero is taken to be zero, and so is its rate, so that the next derivative decides. Where
+    there is more than one lash, so is one that is within an instant of it: another lash's event may have been located
+    first.
     """
     earliest, which = length, -1
     for guard in range(system.regimes[regime].guards):
         sign, shift = phase.sign[guard], phase.shift[guard]
-        c0, c1, c2, c3, c4, scale = _quartic(
+        c0, c1, c2, c3, c4, scale, of_rate = _quartic(
             system, system.regimes[regime].flow, system.guards[regime, guard].functional, phase
         )
         c0, c1, c2, c3, c4 = sign * c0 + shift, sign * c1, sign * c2, sign * c3, sign * c4
@@ -93,7 +94,7 @@ def first_event(
         if elements_of(system) > 1:
             rounding = max(rounding, INSTANT * abs(c1))
         if order == 0 and abs(c0) <= rounding:
-            order = 1
+            order = 1 if abs(c1) > ROUNDING * of_rate else 2
         for _ in range(order):
             c0, c1, c2, c3, c4 = c1, c2, c3, c4, 0.0
         s = quartic.first_negative(c0, c1, c2, c3, c4, length)
@@ -106,7 +107,7 @@ def first_event(
 def widen_extremes(system: System, flow: int, phase: Phase, length: float, extremes: FloatArray) -> None:
     """Update the extremes of each lash's acceleration, (L, 2), by those on the step, both ends included  [rad/s2]."""
     for lash in range(lashes_of(system)):
-        c0, c1, c2, c3, c4, _ = _quartic(system, flow, lash * system.functionals_per_lash + ACCELERATION, phase)
+        c0, c1, c2, c3, c4, _, _ = _quartic(system, flow, lash * system.functionals_per_lash + ACCELERATION, phase)
         high, low = quartic.extremes(c0, c1, c2, c3, c4, length)
         extremes[lash, 0], extremes[lash, 1] = max(extremes[lash, 0], high), min(extremes[lash, 1], low)
 
@@ -122,10 +123,12 @@ def finish(phase: Phase, s: float, x: FloatArray) -> bool:
 
 
 @part
-def _quartic(system: System, flow: int, which: int, phase: Phase) -> tuple[float, float, float, float, float, float]:
-    """A functional over the step: the coefficients of its quartic, and the size of the terms that make the first."""
+def _quartic(
+    system: System, flow: int, which: int, phase: Phase
+) -> tuple[float, float, float, float, float, float, float]:
+    """A functional over the step: the coefficients of its quartic, and the terms that make the first two in size."""
     driven, taylor = weigh(system.feedthrough[flow, which], phase.inputs, inputs_of(system)), phase.taylor
-    c0, c1, c2, c3, c4, scale = driven, 0.0, 0.0, 0.0, 0.0, abs(driven)
+    c0, c1, c2, c3, c4, scale, of_rate = driven, 0.0, 0.0, 0.0, 0.0, abs(driven), 0.0
     for k in range(taylor.shape[1]):
         weight = system.functionals[flow, which, k]
         c0 += weight * taylor[0, k]
@@ -134,4 +137,5 @@ def _quartic(system: System, flow: int, which: int, phase: Phase) -> tuple[float
         c3 += weight * taylor[3, k]
         c4 += weight * taylor[4, k]
         scale += abs(weight * taylor[0, k])
-    return c0, c1, c2, c3, c4, scale
+        of_rate += abs(weight * taylor[1, k])
+    return c0, c1, c2, c3, c4, scale, of_rate
