@@ -39,6 +39,7 @@ _TILE_CELLS = {"rk4": 512, "exact": 4096}  # 0.1 s of the report's driveline: pr
 _COMPILING = {"rk4": 15, "exact": 40}  # s
 _IMPACTS = 8  # of a run in a lash, that there is room for at first
 _NO_LOGS, _NO_STATES = np.zeros((0, 0), EVENT), np.zeros((0, 0, 0))
+_THE_ONLY = np.zeros(1, np.int64)  # driveline of a batch of one
 _STATES = 1 << 16  # events whose states there is room for at a time: 8 MB, which the caches nearly hold
 _TILE_POINTS = 2**19  # of tabulated loads: 20 MB where each cell has its own
 
@@ -188,6 +189,8 @@ class Grid:
             most += MOST_STAGES
         room = min(kernel.EVENTS, most)
         while positions.size and not stop[0]:
+            if (cases.drivelines == cases.drivelines[0]).all():  # several times faster than each with its own
+                batch, cases = batch.only(int(cases.drivelines[0])), cases._replace(drivelines=_THE_ONLY)
             rows, impacts = run(batch, cases, stop, room)
             full = (rows["status"][::lashes] == Status.EVENT_BUFFER_FULL) & (room < most)
             yield positions[: full.size][~full], rows[np.repeat(~full, lashes)], impacts
@@ -210,11 +213,7 @@ class Grid:
             of_cells = numbers[point_of.reshape(-1)]
             positions = np.flatnonzero(of_cells >= 0)
             used = of_cells[positions]
-            if not used.size:
-                continue
-            if (used == used[0]).all():
-                yield batch.only(int(used[0])), positions, cases.at(positions)
-            else:
+            if used.size:
                 yield batch, positions, cases.at(positions)._replace(drivelines=used)
 
     def logged(self, values: Mapping[str, Floats], count: int) -> tuple[Records, Records]:
