@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from helpers import reference
-from helpers.agreement import NUDGE, kinds_of
+from helpers.agreement import NUDGE, exact, kinds_of
 from helpers.randomplants import clutch_plant, element_plant, nudged
+from helpers.reference import Plant, Shaft, table
 
 from clunk.api import sweep
 from clunk.core.events import STAGE
@@ -268,6 +269,28 @@ def test_what_sticks_holds_up_to_its_friction():
     held = ["driveline.shafts[4].friction=2.0", "solver.end_time=0.3"]
     times, _ = changes(simulate(nominal(*METHODS["exact"], *ramp, *held)))
     assert times[0] == pytest.approx(0.2, abs=1e-9)  # it holds a billionth more, 2e-9 N m
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("frictions", [(1.0, 2.0), (2.0, 1.0)])
+def test_three_that_hold_two_inertias_give_way_where_that_is_easiest(frictions, method):
+    """Two inertias rub on ground, and on each other with 1.5 N m; the first is turned by 10 N m/s.
+
+    It gives way alone beyond F1 + 1.5, and both together beyond F1 + F2.
+    """
+    one, other = frictions
+    rubbing = (Shaft(1, "ground", 0.0, 0.0, (), one), Shaft(2, "ground", 0.0, 0.0, (), other))
+    plant = Plant(
+        inertias=(1.0, 1.0),
+        shafts=(*rubbing, Shaft(1, 2, 0.0, 0.0, (), 1.5)),
+        lash=(1, "ground"),
+        backlash=6.0,
+        acceleration_of=1,
+        profile=table((0.0, 1.0), (0.0, 10.0)),
+    )
+    times, _ = changes(exact(plant, np.zeros(4), 0.4, method))
+    gives_way = times[times > 0.0][0]  # at 0 all of them stick
+    assert gives_way == pytest.approx(min(one + 1.5, one + other) / 10.0, abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,28 @@ from clunk.core.events import OPENING, SEPARATION, TOUCH
 METHODS = {"exact": 1e-12, "rk4": 1e-10}
 
 
+BACKLASH = """
+[driveline]
+inertias = [5.0]
+shafts = []
+[lash]
+between = [1, "ground"]
+backlash_deg = 45.0
+radius = 1.0
+[lash.contact]
+stiffness = 2e4
+damping = 50.0
+separation = "force"
+[load]
+on = 1
+initial_torque = 0.0
+final_torque = 0.0
+[solver]
+step = 1e-5
+end_time = 0.04
+"""
+
+
 @pytest.fixture(params=METHODS)
 def method(request):
     return request.param
@@ -32,27 +54,7 @@ def test_backlash_to_ground_with_spring_and_damper(method):
     -66.196495 rad/s and the other flank at 0.038023866 s.
     """
     inertia, stiffness, damping, gap = 5.0, 2.0e4, 50.0, math.pi / 4
-    study = clunk.study_from_text(f"""
-        [driveline]
-        inertias = [{inertia}]
-        shafts = []
-        [lash]
-        between = [1, "ground"]
-        backlash_deg = 45.0
-        radius = 1.0
-        [lash.contact]
-        stiffness = {stiffness}
-        damping = {damping}
-        separation = "force"
-        [load]
-        on = 1
-        initial_torque = 0.0
-        final_torque = 0.0
-        [solver]
-        method = "{method}"
-        step = 1e-5
-        end_time = 0.04
-    """)
+    study = clunk.study_from_text(BACKLASH, overrides=[f"solver.method={method}"])
     run = clunk.simulate(study, initial_state=[math.pi / 2, 0.0])
     decay, overlap = damping / (2.0 * inertia), math.pi / 2 - gap / 2
     omega = math.sqrt(stiffness / inertia - decay**2)
@@ -72,6 +74,19 @@ def test_backlash_to_ground_with_spring_and_damper(method):
     ((touches, closing), *_) = events_of(run, TOUCH)
     assert touches == pytest.approx(0.03802384258, abs=5e-12 + METHODS[method])
     assert closing == pytest.approx(speed, **within)
+
+
+def test_the_same_with_flanks_that_part_where_the_gap_opens(method):
+    """At the first zero of the overlap, 3π/8 e^(-σt) (cos ωt + σ/ω sin ωt)."""
+    study = clunk.study_from_text(BACKLASH, overrides=[f"solver.method={method}", "lash.contact.separation=gap"])
+    run = clunk.simulate(study, initial_state=[math.pi / 2, 0.0])
+    decay = 50.0 / (2.0 * 5.0)
+    omega = math.sqrt(2.0e4 / 5.0 - decay**2)
+    opens = (math.pi - math.atan2(omega, decay)) / omega
+    speed = -3.0 * math.pi / 8.0 * math.exp(-decay * opens) * (omega + decay**2 / omega) * math.sin(omega * opens)
+    assert (opens, speed) == pytest.approx((0.0261697, -65.371), rel=1e-5)  # as written down
+    ((time, leaving),) = events_of(run, SEPARATION)
+    assert (time, leaving) == pytest.approx((opens, speed), rel=METHODS[method])
 
 
 def test_spring_under_gravity_on_a_floor(method):

@@ -65,6 +65,7 @@ class TestSymmetry:
         assert agree(other.states, -one.states, method)
         assert other.label == one.label
         assert agree(other.impact_severity, one.impact_severity, method)
+        assert agree(other.margin, one.margin, method)
 
     def test_twice_the_torque_in_twice_the_gap_is_twice_the_motion(self, nominal, ratio, backlash, contact, method):
         """Piecewise linear: equal times, twice the speeds."""
@@ -79,6 +80,7 @@ class TestSymmetry:
         assert agree(other.impact_severity, 2.0 * one.impact_severity, method)
         assert agree(other.severity, 2.0 * one.severity, method)
         assert agree(other.approach_velocity, 2.0 * one.approach_velocity, method)
+        assert agree(other.margin, one.margin, method)
 
     def test_four_times_the_inertia_and_twice_the_damping_is_half_the_pace(
         self, nominal, ratio, backlash, contact, method
@@ -105,6 +107,7 @@ class TestSymmetry:
         # a stiff contact turns 1e-11 of the speeds into more than that of the accelerations of a weak impact
         assert agree(other.impact_severity, one.impact_severity / 4.0, method, within=1e-10)
         assert agree(other.approach_velocity, one.approach_velocity / 2.0, method, within=1e-11)
+        assert agree(other.margin, one.margin, method, within=1e-9)
 
 
 def energy(plant, state):

@@ -1,19 +1,12 @@
-"""Loads that move, by both methods: the independent reference, limits in which one profile is another, and margins.
-
-RK4 steps 5e-5 s, of which the contact's mode (ω = 1623 1/s) makes 0.08 rad: it loses (ωh)⁴/120 = 3.6e-7 of its
-amplitude a radian, so Q is good to some 1e-6, and the end of a contact of 2 ms to some 1e-8 s.
-"""
+"""Loads that move, by both methods: the independent reference, limits in which one profile is another, and margins."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from helpers import margins, reference
-from helpers.agreement import check, exact, kinds_of, propagated, sticking_time
-from helpers.randomplants import general_plants
+from helpers.agreement import TIME, both_methods_are_the_reference, exact, kinds_of, propagated, sticking_time
 from helpers.reference import Plant, lag, pulse, ramp, sine, smooth, table
-from hypothesis import HealthCheck, Phase, given, settings
-from hypothesis import strategies as st
 
 from clunk.simulation.driveline import Driveline, prepare
 from clunk.simulation.trajectory import simulate
@@ -52,26 +45,6 @@ PAIRS = [("nominal", profile) for profile in PROFILES] + [
     *(("free", profile) for profile in ("ramp", "smooth", "table")),
     *(("undamped", profile) for profile in ("ramp", "pulse", "sine")),
 ]
-TIME = {"exact": 4e-12, "rk4": 1e-7}  # s
-SEVERITY = {"exact": 1e-10, "rk4": 3e-6}  # relative
-
-
-def compare(plant, end_time, state=None):
-    """Both methods against the reference; return the exact run."""
-    events = propagated(plant, state, end_time)
-    primaries = reference.primary_impacts(events, sticking_time(plant))
-    for method in ("rk4", "exact"):
-        run = exact(plant, state, end_time, method=method, step=5e-5)
-        assert kinds_of(run) == [(event.kind, event.side) for event in events]
-        assert run.events["time"] == pytest.approx([event.time for event in events], abs=TIME[method])
-        assert list(run.primaries) == primaries
-        assert run.label == reference.label(events, primaries)
-        if plant.restitution is None:
-            severities = reference.severities(events, primaries)
-            assert run.impact_severity == pytest.approx(severities, rel=SEVERITY[method])
-        if run.complete and plant.profile.name != "lag":  # which rests for good only once its tail makes no difference
-            assert run.end >= plant.pieces[-1].begin
-    return run
 
 
 @pytest.mark.parametrize("contact", CONTACTS)
@@ -82,32 +55,8 @@ def test_both_methods_are_the_reference(driveline, profile, contact):
     if load.name == "table":
         torques = np.interp(load.torques, (-6.0, -1.0), (plant.before, plant.after))
         load = replace(load, torques=tuple(torques.tolist()))
-    run = compare(replace(plant, profile=load), 0.4)
+    run = both_methods_are_the_reference(replace(plant, profile=load), 0.4)
     assert len(run.events) > 4
-
-
-SEARCH = {"deadline": None, "phases": [Phase.generate], "suppress_health_check": list(HealthCheck), "derandomize": True}
-
-
-def drawn_plants():
-    """Plants with gears, free or held, under any profile; a config's sine begins at the torque after."""
-    contacts = st.none() | st.sampled_from([0.0, 0.3, 0.5, 0.7])
-    return contacts.flatmap(general_plants).map(
-        lambda drawn: (replace(drawn[0], profile=replace(drawn[0].profile, phase=0.0)), drawn[1])
-    )
-
-
-@settings(max_examples=6, **SEARCH)
-@given(drawn_plants())
-def test_random_drivelines_under_random_loads(drawn):
-    check(*drawn)
-
-
-@pytest.mark.slow
-@settings(max_examples=600, **SEARCH)
-@given(drawn_plants())
-def test_many_random_drivelines_under_random_loads(drawn):
-    check(*drawn)
 
 
 # Resonance with the load's wave
@@ -133,7 +82,7 @@ def test_a_wave_in_resonance(closed, mode, off, contact):
     _, flows = prepare(study_from_text(reference.config_of(plant, method="exact")))
     if plant.restitution is None or not closed:  # the modes with the lash locked are others
         assert flows.modal[int(closed)] == (off > 1e-4)
-    compare(plant, 0.3)
+    both_methods_are_the_reference(plant, 0.3)
 
 
 # One profile as another
@@ -220,7 +169,7 @@ def test_an_event_at_a_kink_or_a_jump_happens_once(contact, event):
         table((0.0, time, time), (-6.0, torque, -5.0)),
         table((0.0, time, time), (-6.0, torque, 3.0)),
     ):
-        run = compare(replace(plant, profile=profile), 0.3)
+        run = both_methods_are_the_reference(replace(plant, profile=profile), 0.3)
         assert run.events["time"][event] == pytest.approx(time, abs=TIME["exact"])
 
 
@@ -254,7 +203,7 @@ def test_flanks_that_a_jump_parts_part_at_that_very_time(begin, following):
     """Also where the torque would press them together again soon, within less than a shortest span of the method."""
     times = (0.0, begin, begin, begin + 0.02) if begin else (0.0, 0.0, 0.02)
     torques = (-8.0,) * (2 if begin else 1) + following
-    run = compare(replace(HELD, profile=table(times[: len(torques)], torques)), 0.3)
+    run = both_methods_are_the_reference(replace(HELD, profile=table(times[: len(torques)], torques)), 0.3)
     assert kinds_of(run)[1] == ("separation", -1)
     assert run.events["time"][1] == begin
 
@@ -274,7 +223,7 @@ def test_rigid_flanks_of_two_free_inertias_part_where_the_torque_changes_its_sig
         restitution=0.0,
         profile=profile,
     )
-    assert len(compare(plant, 0.6).events) > 2
+    assert len(both_methods_are_the_reference(plant, 0.6).events) > 2
 
 
 # Margins

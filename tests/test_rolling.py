@@ -263,6 +263,41 @@ def test_two_rigid_inertias_part_and_lock_by_the_torque_on_one_of_them(method):
     assert balance(run).relative_residual < 1e-12
 
 
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("torques", [(-6.0, 1.0), (6.0, -1.0), (-2.0, 4.0)])
+def test_two_free_inertias_part_and_meet_as_by_hand(torques, method):
+    """In contact the indentation swings about J_red T / (J1 k) with ω² = k/J_red; in the gap q'' = T/J1."""
+    before, after = torques
+    first, second, k, gap = 0.03, 0.02, 2000.0, 0.05
+    plant = reference.Plant(
+        inertias=(first, second),
+        shafts=(),
+        lash=(1, 2),
+        contact_stiffness=k,
+        contact_damping=0.0,
+        backlash=gap,
+        before=before,
+        after=after,
+        acceleration_of=1,
+    )
+    side, reduced = np.sign(before), 1.0 / (1.0 / first + 1.0 / second)
+    omega = np.sqrt(k / reduced)
+    start, centre = (side * reduced * torque / (first * k) for torque in torques)
+    swing = np.arccos(-centre / (start - centre))  # from the turning point `start` until the indentation is 0
+    leaving, apart = -side * (start - centre) * omega * np.sin(swing), after / first
+    # q runs over the whole gap: leaving t + apart t²/2 = -side gap
+    until = np.roots([0.5 * apart, leaving, side * gap])
+    flight = min(t.real for t in until if abs(t.imag) < 1e-12 and t.real > 0.0)
+    run = simulate(study_of(plant, method, step=1e-5, end_time=0.2))
+    events = run.events[1:3]
+    assert run.initial_side == side
+    assert [run.kind_name(k) for k in (1, 2)] == ["separation", "touch"]
+    assert events["side"].tolist() == [side, -side]
+    # rk4 is late by (ωh)⁴/120 = 1e-12 of what has passed
+    assert events["time"] == pytest.approx([swing / omega, swing / omega + flight], abs=1e-12)
+    assert events["speed"] == pytest.approx([leaving, leaving + apart * flight], rel=1e-10)
+
+
 def test_a_loose_gear_is_pressed_by_its_drag_or_by_acceleration():
     """At constant speed it needs none of the load, and no flank carries any."""
     loose = reference.Plant(

@@ -138,6 +138,30 @@ class TestStages:
         assert np.array_equal(mirrored.events["side"], -run.events["side"])
 
 
+@pytest.mark.parametrize("method", ["exact", "rk4"])
+def test_a_clutch_damper_swings_on_its_stages_by_hand(method):
+    """From a deflection of 0.3 rad on 50 N m/rad beyond 0.1 rad, on 20 below, none behind: arcs of circles."""
+    plant = Plant(
+        inertias=(0.01,),
+        shafts=((1, "ground", (20.0, 50.0), 0.0, (0.1,)),),
+        lash=(1, "ground"),
+        backlash=6.0,
+        acceleration_of=1,
+        before=0.0,
+        after=0.0,
+    )
+    run = exact(plant, np.array([0.3, 0.0]), 0.12, method, step=2e-5)
+    stiff, soft = np.sqrt(50.0 / 0.01), np.sqrt(20.0 / 0.01)
+    centre = 0.1 - 20.0 * 0.1 / 50.0  # where the stiff stage's torque would be zero
+    first = np.arccos((0.1 - centre) / (0.3 - centre)) / stiff
+    speed = (0.3 - centre) * stiff * np.sin(stiff * first)
+    back = 2.0 * (np.pi - np.arctan2(speed / soft, 0.1)) / soft
+    changes = run.phases["kind"] == STAGE
+    # rk4 is late by (71 rad/s h)⁴/120 = 3e-14 of what has passed
+    assert run.phases["time"][changes] == pytest.approx([first, first + back], abs=1e-12)
+    assert run.phase_states[changes, 1] == pytest.approx([-speed, speed], rel=1e-10)
+
+
 KNEE = float(np.rad2deg(-1.0 / 31.3))  # of shaft 1 under the load's last 1 N m
 RESTING = {
     "under its last load": [f"driveline.shafts[1].breakpoints_deg=[{KNEE!r}]", "load.ratio=5.0"],
