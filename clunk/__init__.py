@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from clunk.analysis.comparison import compare as compare
     from clunk.analysis.comparison import verify as verify
     from clunk.analysis.fitted import Fitted as Fitted
-    from clunk.analysis.fittedstudy import fitted_study as fitted_study
+    from clunk.analysis.fitted import fitted_study as fitted_study
     from clunk.analysis.fitting import fit as fit
     from clunk.analysis.optimisation import optimize as optimize
     from clunk.analysis.quantiles import threshold_quantiles as threshold_quantiles
@@ -79,7 +79,7 @@ _HOME = {
     "draw": "api",
     "explore": "explorer.server",
     "fit": "analysis.fitting",
-    "fitted_study": "analysis.fittedstudy",
+    "fitted_study": "analysis.fitted",
     "load_study": "study.config",
     "open_results": "results.store",
     "optimize": "analysis.optimisation",

@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 from clunk.analysis.boundaries import RUNS_OF_BOUNDARIES, is_traced, with_boundaries
 from clunk.analysis.fitted import Fitted
-from clunk.analysis.fittedstudy import fit_maps
 from clunk.analysis.small_gap import thresholds_of
 from clunk.results import targets
 from clunk.results.regimemap import Results
@@ -258,7 +257,7 @@ def draw(
         from clunk.plot.comparisons import measured_on_maps
 
         if quantity == "regimes":
-            return measured_on_maps(fit_maps(what), what)
+            return measured_on_maps(what)
         if quantity not in FIGURES:
             raise plot.PlotError(f"There is no picture {quantity} of a fit; there are regimes, {', '.join(FIGURES)}.")
         return FIGURES[quantity](what)

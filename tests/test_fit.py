@@ -10,9 +10,8 @@ from click.testing import CliRunner
 
 import clunk
 from clunk.analysis import fitting
-from clunk.analysis.fitruns import MATCH, label_of, outlier_misfit, partners
-from clunk.analysis.fitted import effective_size, losses, order_of_events, weights_of
-from clunk.analysis.fittedstudy import fitted_study
+from clunk.analysis.fitruns import MATCH, label_of, losses, outlier_misfit, partners
+from clunk.analysis.fitted import effective_size, fitted_study, order_of_events, weights_of
 from clunk.analysis.fitting import sample
 from clunk.analysis.measurements import Experiment, experiment_of
 from clunk.api import run_points, sweep, tolerance_map
@@ -60,11 +59,13 @@ def test_a_label_of_no_sequence_is_refused(text: str) -> None:
 
 def test_importance_sampling_finds_a_gaussian_posterior_far_from_the_prior() -> None:
     # likelihood N(3, 0.05²) in the first coordinate: posterior mean 3/(1 + 0.05²), spread about 0.05; the second: prior
-    population = sample(lambda draws: (draws[:, 0] - 3.0) ** 2 / (2 * 0.05**2), 2, effective=500, most=8192, seed=1)
-    weights = weights_of(population.losses, population.log_density)
+    draws, values, log_density = sample(
+        lambda draws: (draws[:, 0] - 3.0) ** 2 / (2 * 0.05**2), 2, effective=500, most=8192, seed=1
+    )
+    weights = weights_of(values, log_density)
     assert effective_size(weights) >= 500
-    mean = weights @ population.draws
-    spread = np.sqrt(weights @ (population.draws - mean) ** 2)
+    mean = weights @ draws
+    spread = np.sqrt(weights @ (draws - mean) ** 2)
     # standard errors with 500 draws: 1/sqrt(500) = 0.045 of a spread; four of them
     expected = np.array([0.05 / np.sqrt(1.0025), 1.0])
     assert np.all(np.abs(mean - [3.0 / 1.0025, 0.0]) < 4 * 0.045 * expected)
@@ -138,7 +139,7 @@ def test_a_measured_label_that_nobody_meets_is_missed_with_a_reason(measured: Ex
     assert [each.met_by_some for each in fitted.measured[:2]] == [False, True]
     assert fitted.met == len(measured.measurements) - 1
     assert fitted.intervals()[0, 0] <= TRUE_GAP <= fitted.intervals()[0, 1]
-    assert "No change of load.ratio alone" in fitted.reasons[0]
+    assert "No change of a measured value alone" in fitted.missed[0].reason
 
 
 def test_a_fit_does_not_change_the_digest_of_a_sweep() -> None:
@@ -161,7 +162,11 @@ SEVERITY = HEADER + ",impact_severity_1,impact_severity_std\n2,3,SS(1),1,1\n5,6,
         (GAP, SPEED.format(1, ""), "without its standard deviation"),
         (GAP, CSV.replace("load_ratio", "load_initial_torque"), "the load is given by"),
         (GAP.replace("factor", "value"), CSV, "must act on the measured values"),
-        (PRIOR.format("lash.backlash_deg", "offset", -4.0, 4.0), CSV, "line 2: the prior allows lash.backlash_deg ="),
+        (
+            PRIOR.format("lash.backlash_deg", "offset", -4.0, 4.0),
+            CSV,
+            "line 2: lash.backlash_deg is -1, as measured or at an end of its prior",
+        ),
         (
             PRIOR.format("driveline.inertias[4]", "factor", -1.0, 1.0),
             CSV,

@@ -2,35 +2,42 @@
 
 The ensemble's draws are weighted by their likelihood: of the measured labels as they are met, or of some of them, from
 which the others are predicted. Why a label is missed is told by the two events that would have to change their order.
+What a fit makes of its config is a study with the estimate's values, and the ensemble as its tolerances.
 """
 
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import zip_longest
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from clunk.analysis.fitruns import axes_of, label_of, numbers_at, patterns_of
+from clunk.analysis.fitruns import label_of, losses
 from clunk.analysis.measurements import Experiment
 from clunk.core.sequence import INITIAL
 from clunk.results.labels import flanks_of_label
-from clunk.study.arrays import Bools, Floats, Patterns, Records
+from clunk.results.regimemap import Results
+from clunk.study.arrays import Floats, Patterns, Positions, Records
+from clunk.study.document import with_value
+from clunk.study.errors import ClunkError
 from clunk.study.fits import Fit
-from clunk.study.parameters import nominal_value
+from clunk.study.keys import key_at
+from clunk.study.parameters import located, nominal_value
 from clunk.study.records import Record, tells, told
-from clunk.study.study import Study
-from clunk.study.sweeps import Draw
+from clunk.study.study import Study, content
+from clunk.study.sweeps import Axis, Draw, Sweep
 from clunk.sweeping.reduction import flanks_of
+from clunk.sweeping.sweep import sweep
 
 INTERVAL = (0.05, 0.95)  # quantiles of the ensemble that bound a parameter
-
-_PRIOR_WEIGHT = 10.0  # measurements that the expected share of wrong labels is worth
+_SEED = 2  # of the draws that become tolerances, beside the fit's
+_COUNT = 81  # values of a map's axis that the config does not sweep
+_BEYOND = 0.15  # of the measured span, on either side of it
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -78,23 +85,6 @@ class Measured(Record):
     reason: str = told("why")
 
 
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """Labels predicted without the measurements themselves.
-
-    left_out : at a time: measurement, or a measured parameter all of whose equal values were
-    predicted : (points,) uint64 patterns
-    majority, nearest : as the ensemble, by the most frequent label of the others, and by that of the nearest one
-    effective : the least effective size of an ensemble that is left
-    """
-
-    left_out: str
-    predicted: Patterns
-    majority: Patterns
-    nearest: Patterns
-    effective: float
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Fitted(Record):
     """Outcome of a fit of d parameters to n measurements.
@@ -102,12 +92,15 @@ class Fitted(Record):
     study : Study, with its [fit]
     experiment : Experiment
     lash : name of the lash that was measured
+    axes : dotted keys of the measured columns
+    points : (n, axes) measured values
+    wanted : (n,) patterns of the measured labels
     estimate : (d,) numbers of the best candidate: values, factors or offsets, as the priors draw
     estimate_matches, nominal_matches : (n,) MATCH, of the best candidate and of the config as it is
-    coordinates : (N, d) of the ensemble's draws, in which the prior is standard normal
+    coordinates, draws : (N, d) of the ensemble, in which the prior is standard normal, and as the priors draw
     matches : (N, n) MATCH, of the ensemble's draws
     log_density : (N,) of their proposals, over the prior
-    axis : number of the measured column along which labels change most
+    weights : (N,) of the draws
     candidates : number that have been run
     failed : number of candidates of which some run failed
     """
@@ -115,13 +108,17 @@ class Fitted(Record):
     study: Study
     experiment: Experiment
     lash: str
+    axes: tuple[str, ...]
+    points: Floats
+    wanted: Patterns
     estimate: Floats
     estimate_matches: Records
     nominal_matches: Records
     coordinates: Floats
+    draws: Floats
     matches: Records
     log_density: Floats
-    axis: int
+    weights: Floats
     failed: int
     candidates: int = told("candidates")
 
@@ -153,31 +150,6 @@ class Fitted(Record):
     def priors(self) -> tuple[Draw, ...]:
         """The prior of each parameter."""
         return self.fit.parameters
-
-    @cached_property
-    def axes(self) -> tuple[str, ...]:
-        """Dotted keys of the measured columns."""
-        return axes_of(self.study, self.experiment)
-
-    @cached_property
-    def points(self) -> Floats:
-        """(n, axes) measured values."""
-        return np.array([each.values for each in self.experiment.measurements])
-
-    @cached_property
-    def wanted(self) -> Patterns:
-        """(n,) patterns of the measured labels."""
-        return patterns_of(self.experiment)
-
-    @cached_property
-    def weights(self) -> Floats:
-        """(N,) weights of the draws."""
-        return weights_of(losses(self.matches, self.wanted, self.fit), self.log_density)
-
-    @cached_property
-    def draws(self) -> Floats:
-        """(N, d) numbers of the ensemble's draws."""
-        return numbers_at(self.study, self.priors, self.coordinates)
 
     @property
     @tells("ensemble's draws", key="draws")
@@ -211,18 +183,17 @@ class Fitted(Record):
     @tells("most probable in the ensemble")
     def most_probable(self) -> int:
         """Number of measured labels that are the most probable ones of the ensemble."""
-        pairs = zip(self.probabilities, self.experiment.measurements, strict=True)
-        return sum(next(iter(shares)) == measurement.label for shares, measurement in pairs)
+        return sum(next(iter(each.probabilities)) == each.label for each in self.measured)
 
     @property
     @tells("parameters", key="parameters")
     def estimates(self) -> list[Estimate]:
         """Each parameter's estimate and intervals."""
-        numbers = zip(self.priors, self.estimate, self.intervals(), self.prior_intervals(), strict=True)
-        return [
-            Estimate(prior.parameter, prior.draws, float(number), within.tolist(), before.tolist(), prior.model_dump())
-            for prior, number, within, before in numbers
-        ]
+        rows = []
+        for prior, number, within in zip(self.priors, self.estimate, self.intervals().tolist(), strict=True):
+            before = prior.quantiles(INTERVAL, nominal_value(self.study, prior.parameter)).tolist()
+            rows.append(Estimate(prior.parameter, prior.draws, float(number), within, before, prior.model_dump()))
+        return rows
 
     @property
     @tells("what the data leave undetermined", key="combinations")
@@ -232,39 +203,55 @@ class Fitted(Record):
         return [Combination(float(spread), direction.tolist()) for spread, direction in pairs]
 
     @property
-    @tells("labels predicted from the other measurements", key="predictions")
-    def predicted_labels(self) -> list[dict[str, Any]]:
+    @tells("labels predicted from the other measurements")
+    def predictions(self) -> list[dict[str, Any]]:
         """Number of labels that are predicted without some measurements, by the ensemble and by simple rules."""
-        return [
-            {"left_out": each.left_out}
-            | {name: self.hits(getattr(each, name)) for name in ("predicted", "majority", "nearest")}
-            | {"effective_draws": each.effective}
-            for each in self.predictions
-        ]
+        count, ways = len(self.points), {"measurement": np.arange(len(self.points))}
+        for axis, column in zip(self.axes, self.points.T, strict=True):
+            values, groups = np.unique(column, return_inverse=True)
+            if 1 < values.size < count:
+                ways[axis] = groups
+        return [{"left_out": left_out} | self._predicted(groups) for left_out, groups in ways.items()]
+
+    def _predicted(self, groups: Positions) -> dict[str, float]:
+        """Number of labels that are predicted where each group of measurements, (n,), is left out.
+
+        By the ensemble, by the most frequent label of the other measurements, and by that of the nearest one.
+        """
+        hits, effective = dict.fromkeys(("predicted", "majority", "nearest"), 0), math.inf
+        spans = np.maximum(np.ptp(self.points, axis=0), 1e-300)
+        for group in np.unique(groups):
+            out = groups == group
+            weights = weights_of(losses(self.matches, self.wanted, self.fit, ~out), self.log_density)
+            effective = min(effective, effective_size(weights))
+            patterns, counts = np.unique(self.wanted[~out], return_counts=True)
+            for at in np.flatnonzero(out):
+                distances = (((self.points[~out] - self.points[at]) / spans) ** 2).sum(axis=1)
+                hits["predicted"] += next(iter(probabilities(self.matches["pattern"][:, at], weights))) == label_of(
+                    int(self.wanted[at])
+                )
+                hits["majority"] += int(patterns[counts.argmax()] == self.wanted[at])
+                hits["nearest"] += int(self.wanted[~out][distances.argmin()] == self.wanted[at])
+        return hits | {"effective_draws": effective}
 
     @property
     @tells()
     def measured(self) -> list[Measured]:
         """Each measured label."""
-        return [
-            Measured(
-                at=dict(zip(self.axes, measurement.values, strict=True)),
-                label=measurement.label,
-                computed=label_of(int(match["pattern"])),
-                probabilities=shares,
-                met_by_some=bool(met),
-                reason=self.reasons.get(k, ""),
-            )
-            for k, (measurement, match, shares, met) in enumerate(
-                zip(
-                    self.experiment.measurements,
-                    self.estimate_matches,
-                    self.probabilities,
-                    (self.matches["pattern"] == self.wanted).any(axis=0),
-                    strict=True,
+        rows = []
+        for k, (measurement, match) in enumerate(zip(self.experiment.measurements, self.estimate_matches, strict=True)):
+            patterns, is_met = self.matches["pattern"][:, k], match["pattern"] == self.wanted[k]
+            rows.append(
+                Measured(
+                    at=dict(zip(self.axes, measurement.values, strict=True)),
+                    label=measurement.label,
+                    computed=label_of(int(match["pattern"])),
+                    probabilities=probabilities(patterns, self.weights),
+                    met_by_some=bool((patterns == self.wanted[k]).any()),
+                    reason="" if is_met else reason_of(measurement.label, match, self.axes[match["axis"]]),
                 )
             )
-        ]
+        return rows
 
     @property
     @tells("not met by the best candidate")
@@ -276,11 +263,6 @@ class Fitted(Record):
         """(d, shares) quantiles of each parameter in the ensemble."""
         return weighted_quantiles(self.draws, self.weights, shares)
 
-    def prior_intervals(self, shares: Sequence[float] = INTERVAL) -> Floats:
-        """(d, shares) quantiles of each prior."""
-        nominal = [nominal_value(self.study, prior.parameter) for prior in self.priors]
-        return np.array([prior.quantiles(shares, value) for prior, value in zip(self.priors, nominal, strict=True)])
-
     @cached_property
     def combinations(self) -> tuple[Floats, Floats]:
         """Spread, (d,), and direction, (d, d) by row, of the ensemble's principal axes, the widest first.
@@ -290,31 +272,6 @@ class Fitted(Record):
         offsets = self.coordinates - self.weights @ self.coordinates
         variances, directions = np.linalg.eigh((offsets * self.weights[:, None]).T @ offsets)
         return np.sqrt(np.maximum(variances[::-1], 0.0)), directions.T[::-1]
-
-    @cached_property
-    def probabilities(self) -> list[dict[str, float]]:
-        """Probability of each label at each measured point, the largest first."""
-        every = probabilities(self.matches["pattern"], self.weights)
-        return [{label_of(pattern): share for pattern, share in each.items()} for each in every]
-
-    @cached_property
-    def predictions(self) -> list[Prediction]:
-        """Labels predicted from other measurements, for each way to leave some out."""
-        return [
-            predict_left_out(self.matches, self.log_density, self.wanted, self.points, self.fit, groups, left_out)
-            for left_out, groups in left_out_groups(self.points, self.axes).items()
-        ]
-
-    @cached_property
-    def reasons(self) -> dict[int, str]:
-        """Sentences on why the best candidate misses a label, by the measurement's number from 0."""
-        return {
-            k: reason_of(measurement.label, match, self.axes[self.axis])
-            for k, (measurement, match) in enumerate(
-                zip(self.experiment.measurements, self.estimate_matches, strict=True)
-            )
-            if match["pattern"] != self.wanted[k]
-        }
 
     @property
     @tells()
@@ -329,12 +286,12 @@ class Fitted(Record):
                 f"The ensemble is worth {self.effective:.0f} draws, not {self.fit.effective_draws}: its intervals are "
                 "rough; raise fit.draws."
             )
-        predicted = self.hits(self.predictions[0].predicted)
-        for rule in ("majority", "nearest"):
-            by_rule = self.hits(getattr(self.predictions[0], rule))
-            if by_rule >= predicted:
-                words = {"majority": "the most frequent label", "nearest": "the label of the nearest measurement"}[rule]
-                sentences.append(f"The fit predicts {predicted} of {count} labels, and {words} predicts {by_rule}.")
+        hits = self.predictions[0]
+        rules = {"majority": "the most frequent label", "nearest": "the label of the nearest measurement"}
+        for rule, words in rules.items():
+            if hits[rule] >= hits["predicted"]:
+                predicted = f"The fit predicts {hits['predicted']} of {count} labels"
+                sentences.append(f"{predicted}, and {words} predicts {hits[rule]}.")
         if self.failed:
             sentences.append(f"{self.failed:,} candidates failed at some operating points, which count as missed.")
         return sentences
@@ -353,9 +310,9 @@ def weighted_quantiles(values: Floats, weights: Floats, shares: Sequence[float])
 # --- Weights and predictions ------------------------------------------------------------------------------------------
 
 
-def weights_of(losses: Floats, log_density: Floats, flattening: float = 1.0) -> Floats:
-    """Weights of draws, which add up to 1; flattening : power of the likelihood."""
-    exponents = -flattening * losses - log_density
+def weights_of(losses: Floats, log_density: Floats) -> Floats:
+    """Weights of draws, which add up to 1."""
+    exponents = -losses - log_density
     weights = np.exp(exponents - exponents.max())
     return np.asarray(weights / weights.sum())
 
@@ -365,83 +322,11 @@ def effective_size(weights: Floats) -> float:
     return float(1.0 / (weights**2).sum())
 
 
-def losses(matches: Records, wanted: Patterns, fit: Fit, rows: Bools | slice = slice(None)) -> Floats:
-    """Minus the logarithm of candidates' likelihood, up to a constant.
-
-    A label that is not met costs its distance over the scatter. Besides, labels are wrong with a probability that is
-    not known: its beta distribution is integrated over, so that one miss more costs much where few labels are missed
-    and little where many are.
-
-    Parameters
-    ----------
-    matches : (n, points) MATCH
-    wanted : (points,) uint64, patterns of the measured labels
-    rows : of the measurements that count
-    """
-    from scipy.special import betaln
-
-    matches, wanted = matches[:, rows], wanted[rows]
-    missed = matches["pattern"] != wanted
-    misses, count = missed.sum(axis=1), matches.shape[1]
-    wrong, right = _PRIOR_WEIGHT * fit.wrong_labels, _PRIOR_WEIGHT * (1.0 - fit.wrong_labels)
-    of_labels = betaln(wrong, count + right) - betaln(misses + wrong, count - misses + right)
-    of_distances = np.where(missed, matches["distance"], 0.0).sum(axis=1) / fit.scatter
-    return np.asarray(of_labels + of_distances + matches["misfit"].sum(axis=1))
-
-
-def probabilities(patterns: Patterns, weights: Floats) -> list[dict[int, float]]:
-    """Probability of each pattern at each point, the largest first; patterns : (n, points), weights : (n,)."""
-    every = []
-    for column in patterns.T:
-        unique, inverse = np.unique(column, return_inverse=True)
-        shares = np.bincount(inverse.reshape(-1), weights, unique.size)
-        order = np.lexsort((unique, -shares))
-        every.append({int(unique[k]): float(shares[k]) for k in order})
-    return every
-
-
-def predict_left_out(
-    matches: Records,
-    log_density: Floats,
-    wanted: Patterns,
-    points: Floats,
-    fit: Fit,
-    groups: Sequence[int],
-    left_out: str,
-) -> Prediction:
-    """Predict the labels of each group of measurements from all others.
-
-    Parameters
-    ----------
-    matches : (n, points) MATCH, of the ensemble
-    log_density : (n,) of the ensemble's proposals
-    points : (points, axes), measured values
-    groups : (points,) number of each measurement's group
-    """
-    predicted, majority, nearest = (np.zeros_like(wanted) for _ in range(3))
-    effective = np.inf
-    spans = np.maximum(np.ptp(points, axis=0), 1e-300)
-    for group in sorted(set(groups)):
-        out = np.array([each == group for each in groups])
-        weights = weights_of(losses(matches, wanted, fit, ~out), log_density)
-        effective = min(effective, effective_size(weights))
-        for at in np.flatnonzero(out):
-            predicted[at] = next(iter(probabilities(matches["pattern"][:, [at]], weights)[0]))
-            counts = Counter(wanted[~out].tolist())
-            majority[at] = min(counts, key=lambda pattern: (-counts[pattern], pattern))
-            distance = (((points[~out] - points[at]) / spans) ** 2).sum(axis=1)
-            nearest[at] = wanted[~out][distance.argmin()]
-    return Prediction(left_out, predicted, majority, nearest, effective)
-
-
-def left_out_groups(points: Floats, axes: Sequence[str]) -> dict[str, list[int]]:
-    """Ways to leave measurements out: each alone, and all that share a value of an axis with some others."""
-    every = {"measurement": list(range(len(points)))}
-    for axis, column in zip(axes, points.T, strict=True):
-        values, group = np.unique(column, return_inverse=True)
-        if 1 < values.size < len(points):
-            every[axis] = group.reshape(-1).tolist()
-    return every
+def probabilities(patterns: Patterns, weights: Floats) -> dict[str, float]:
+    """Probability of the label of each pattern, the largest first; patterns, weights : (N,)."""
+    unique, inverse = np.unique(patterns, return_inverse=True)
+    shares = np.bincount(inverse.reshape(-1), weights)
+    return {label_of(int(unique[k])): float(shares[k]) for k in np.argsort(-shares, kind="stable")}
 
 
 # --- Reasons ----------------------------------------------------------------------------------------------------------
@@ -453,7 +338,7 @@ def reason_of(label: str, match: np.void, axis: str) -> str:
         return "The run failed."
     events = order_of_events(flanks_of_label(label), flanks_of(int(match["pattern"])))
     if match["change"] == 0.0:
-        return f"{events} No change of {axis} alone brings about the measured label."
+        return f"{events} No change of a measured value alone brings about the measured label."
     return f"{events} At {math.exp(match['change']):.2f} times {axis} it would be the measured label."
 
 
@@ -469,3 +354,99 @@ def order_of_events(measured: tuple[int, ...], computed: tuple[int, ...]) -> str
     if wanted == INITIAL:
         return f"Impact {number} would have to be on the initial flank, before the gap is crossed."
     return f"Impact {number} would have to be on the opposite flank, before the gap turns back."
+
+
+# --- Studies and maps -------------------------------------------------------------------------------------------------
+
+
+def fitted_study(fitted: Fitted, draws: int = 0) -> Study:
+    """The study with the best candidate's values, without [fit].
+
+    Values of measured keys, that of the config and those on its axes, are taken for measured ones: fitted factors and
+    offsets are applied to them.
+
+    Parameters
+    ----------
+    fitted : Fitted
+    draws : int
+        Number of the ensemble's draws to be tolerances around the estimate; 0 for none.
+
+    Raises
+    ------
+    ConfigError
+        Where the config does not allow the values.
+
+    Examples
+    --------
+    >>> import clunk
+    >>> study = clunk.load_study("configs/fit_table_4_1.toml", ["fit.candidates=64", "fit.draws=512"])
+    >>> tolerant = clunk.fitted_study(clunk.fit(study, "table_4_1"), draws=32)
+    >>> [each.draws for each in tolerant.sweep.tolerances]
+    ['factor', 'offset']
+    """
+    generator = np.random.default_rng([fitted.fit.seed, _SEED])
+    picked = fitted.draws[generator.choice(len(fitted.weights), size=draws, p=fitted.weights)]
+    document, tolerances = content(fitted.study.model_copy(update={"fit": None})), []
+    for key in dict.fromkeys(prior.parameter for prior in fitted.priors):
+        place, _, value = located(fitted.study, key)
+        document = with_value(document, place, float(_applied(fitted, key, value, fitted.estimate)))
+        ways = {prior.draws for prior in fitted.priors if prior.parameter == key}
+        if "value" in ways:
+            relative = {"value": _applied(fitted, key, 0.0, picked)}
+        else:
+            for axis in document.get("sweep", {}).get("axes", ()):
+                for end in {"start", "stop", "values"} & axis.keys() if axis["parameter"] == key else ():
+                    ends = _applied(fitted, key, np.array(axis[end]), fitted.estimate)
+                    axis[end] = tuple(ends.tolist()) if end == "values" else float(ends)
+            # A draw makes the value v to a v + b, and the estimate made it to e v + f.
+            (b, a), (f, e) = ([_applied(fitted, key, v, n) for v in (0.0, 1.0)] for n in (picked, fitted.estimate))
+            factor = (a - b) / (e - f)
+            relative = {"factor": factor, "offset": b - f * factor}
+        for way, numbers in relative.items():
+            if way in ways:
+                table = {"parameter": key, "distribution": "listed", "draws": way}
+                tolerances.append(table | {"values": tuple(numbers.tolist())})
+    if draws:
+        kept = {key: value for key, value in document.get("sweep", {}).items() if key != "samples"}
+        document["sweep"] = kept | {"tolerances": tuple(tolerances), "sampling": {"count": draws}}
+    return Study.model_validate(document)
+
+
+def _applied(fitted: Fitted, key: str, value: npt.ArrayLike, numbers: Floats) -> Floats:
+    """Values of a key after a fit's numbers, (…, d), have been applied to these."""
+    made = np.asarray(value, np.float64)
+    for prior, column in zip(fitted.priors, np.moveaxis(numbers, -1, 0), strict=True):
+        if prior.parameter == key:
+            made = prior.applied(column, made)
+    return made
+
+
+def fit_maps(fitted: Fitted, workers: int | None = None) -> tuple[Results, Results]:
+    """Maps of the two measured parameters, as they were measured, before and after the fit.
+
+    Raises ClunkError unless two parameters were measured, each at two values or more.
+    """
+    axes = tuple(_axis(fitted, k) for k in range(len(fitted.axes)) if np.ptp(fitted.points[:, k]) > 0.0)
+    if len(axes) != 2:
+        raise ClunkError(f"A map has two measured parameters that vary; {fitted.experiment.name} has {len(axes)}.")
+    first = zip(fitted.axes, fitted.points[0].tolist(), strict=True)
+    varying = [axis.parameter for axis in axes]
+    fixed = tuple(Axis(parameter=key, values=(value,)) for key, value in first if key not in varying)
+    study = fitted.study.model_copy(update={"sweep": Sweep(axes=(*axes, *fixed))})
+    studies = study.model_copy(update={"fit": None}), fitted_study(replace(fitted, study=study))
+    before, after = (sweep(each, workers=workers).of_lash(fitted.lash) for each in studies)
+    return before, replace(after, axes=before.axes)
+
+
+def _axis(fitted: Fitted, k: int) -> Axis:
+    """The config's axis over a measured parameter, or one that reaches a little beyond the measured values."""
+    parameter, values, swept = fitted.axes[k], fitted.points[:, k], fitted.study.sweep
+    for axis in swept.axes if swept is not None and swept.design == "grid" else ():
+        if axis.parameter == parameter and axis.count_of_values > 1:
+            return axis
+    key = key_at(located(fitted.study, parameter)[0])
+    assert key is not None
+    beyond = _BEYOND * float(np.ptp(values))
+    start, stop = max(values.min() - beyond, key.lowest), min(values.max() + beyond, key.highest)
+    start = start if key.allows(start) else values.min()
+    return Axis(parameter=parameter, start=float(start), stop=float(stop), count=_COUNT)

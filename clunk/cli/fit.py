@@ -73,7 +73,7 @@ def fit(
 
 def _write(fitted: Fitted, path: Path, tolerances: int) -> None:
     """Write the fitted config, with the ensemble as tolerances if they are asked for."""
-    from clunk.analysis.fittedstudy import fitted_study
+    from clunk.analysis.fitted import fitted_study
     from clunk.results.files import write_text
     from clunk.study.study import to_toml
 
@@ -84,12 +84,11 @@ def _write(fitted: Fitted, path: Path, tolerances: int) -> None:
 
 def _draw(fitted: Fitted, path: Path, workers: int | None) -> None:
     """Draw the pictures of a fit: PATH-ensemble, PATH-labels and, of two measured parameters, PATH-maps."""
-    from clunk.analysis.fittedstudy import fit_maps
     from clunk.plot import analyses, comparisons
 
     pictures = {name: figure_of(fitted) for name, figure_of in analyses.FIGURES.items()}
     try:
-        pictures["maps"] = comparisons.measured_on_maps(fit_maps(fitted, workers), fitted)
+        pictures["maps"] = comparisons.measured_on_maps(fitted, workers)
     except ClunkError as error:
         terminal.complain(f"note: {error}")
     for name, figure in pictures.items():

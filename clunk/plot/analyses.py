@@ -19,7 +19,7 @@ from clunk.analysis.fitted import Fitted, weighted_quantiles
 from clunk.analysis.optimisation import Front
 from clunk.analysis.sobol import CONFIDENCE, Sensitivity, Share
 from clunk.plot import style
-from clunk.study.parameters import quantity
+from clunk.study.parameters import nominal_value, quantity
 
 _SIDE = 1.9  # inches, of a panel of the corner plot
 _SHOWN = 1500  # draws
@@ -71,8 +71,9 @@ def _draw_distribution(ax: Axes, fitted: Fitted, k: int) -> None:
     edges = np.linspace(*ax.get_xlim(), _BINS + 1)
     heights, _ = np.histogram(fitted.draws[:, k], edges, weights=fitted.weights)
     ax.stairs(heights / np.diff(edges), edges, fill=True, color=_FIRST, alpha=0.5)
-    shares = np.linspace(0.0, 1.0, 2001)[1:-1]
-    below = np.interp(edges, fitted.prior_intervals(tuple(shares))[k], shares, 0.0, 1.0)
+    shares, prior = np.linspace(0.0, 1.0, 2001)[1:-1], fitted.priors[k]
+    quantiles = prior.quantiles(shares, nominal_value(fitted.study, prior.parameter))
+    below = np.interp(edges, quantiles, shares, 0.0, 1.0)
     ax.stairs(np.diff(below) / np.diff(edges), edges, color=style.INK, linestyle="--", linewidth=0.8)
     for bound in fitted.intervals()[k]:
         ax.axvline(bound, color=_FIRST, linewidth=0.8)
@@ -91,14 +92,14 @@ def _name(fitted: Fitted, k: int) -> str:
 @style.styled()
 def label_probabilities(fitted: Fitted) -> Figure:
     """The ensemble's probability of each label at each measured point; the measured label's part is framed."""
-    measurements, shares = fitted.experiment.measurements, fitted.probabilities
-    figure = style.new_figure((_WIDTH, 1.3 + 0.24 * len(measurements)))
+    measured = fitted.measured
+    figure = style.new_figure((_WIDTH, 1.3 + 0.24 * len(measured)))
     ax = figure.add_subplot()
     notes: dict[str, Artist] = {}
-    for row, (measurement, probabilities) in enumerate(zip(measurements, shares, strict=True)):
+    for row, each in enumerate(measured):
         left = 0.0
-        for label, share in probabilities.items():
-            is_measured = label == measurement.label
+        for label, share in each.probabilities.items():
+            is_measured = label == each.label
             look: dict[str, Any] = {"edgecolor": style.INK, "linewidth": 1.4} if is_measured else {"edgecolor": "white"}
             colour = style.colour_of(label)
             ax.barh(row, share, left=left, height=0.78, color=colour, **look)
@@ -106,11 +107,10 @@ def label_probabilities(fitted: Fitted) -> Figure:
             if share >= _LEAST:
                 notes[label] = style.swatch(label, colour)
     symbols = [style.symbol_text(style.bare(quantity(axis).symbol)) or axis for axis in fitted.axes]
-    names = [
-        ", ".join(f"{symbol} = {value:g}" for symbol, value in zip(symbols, each.values, strict=True))
-        + f":  {each.label}"
-        for each in measurements
-    ]
+    names = []
+    for each in measured:
+        values = (f"{symbol} = {value:g}" for symbol, value in zip(symbols, each.at.values(), strict=True))
+        names.append(f"{', '.join(values)}:  {each.label}")
     ax.set_yticks(range(len(names)), names, fontsize=8.0)
     ax.set(xlim=(0.0, 1.0), ylim=(len(names) - 0.4, -0.6), xlabel="probability of the label")
     line = f"framed: the measured label; ensemble of {len(fitted.weights):,} draws"

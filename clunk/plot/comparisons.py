@@ -9,9 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from clunk.analysis.comparison import Comparison
-from clunk.analysis.fitruns import label_of
-from clunk.analysis.fitted import Fitted
-from clunk.analysis.fittedstudy import WHICH
+from clunk.analysis.fitted import Fitted, fit_maps
 from clunk.analysis.trends import ExperimentComparison
 from clunk.plot.layers import Layers, Measured, Note
 from clunk.plot.maps import map_figure
@@ -79,26 +77,24 @@ def experiment_map(results: Results, comparison: ExperimentComparison) -> Figure
     return map_figure([replace(layers, points=tuple(points), facts=facts, notes=outside)])
 
 
-def measured_on_maps(results: Results, fitted: Fitted) -> Figure:
-    """The measured labels on the maps before and after the fit, side by side: dots agree, crosses do not.
+def measured_on_maps(fitted: Fitted, workers: int | None = None) -> Figure:
+    """The measured labels on maps before and after the fit, side by side, which are run: dots agree, crosses do not.
 
     Points are compared with their own runs, not with the map's nearest cells.
 
-    results : of `clunk.analysis.fittedstudy.fit_maps`
-
-    Raises PlotError where the maps cannot be drawn.
+    Raises ClunkError unless two parameters were measured, PlotError where the maps cannot be drawn.
     """
     panels, names = [], []
-    for number, matches in enumerate((fitted.nominal_matches, fitted.estimate_matches)):
-        layers = Layers.of(results.at({"fit": number + 1.0}), 2)
+    matches = {"nominal": fitted.nominal_matches, "fitted": fitted.estimate_matches}
+    for (name, of_name), results in zip(matches.items(), fit_maps(fitted, workers), strict=True):
+        layers = Layers.of(results, 2)
         places = fitted.points[:, [fitted.axes.index(axis.parameter) for axis in layers.view.axes]].tolist()
-        labels = map(label_of, matches["pattern"].tolist())
-        rows = zip(places, fitted.experiment.measurements, labels, strict=True)
-        points = tuple(Measured(x, y, each.label, each.label == label) for (x, y), each, label in rows)
+        labels = [each.label for each in fitted.experiment.measurements]
+        met = (of_name["pattern"] == fitted.wanted).tolist()
+        points = tuple(Measured(x, y, label, is_met) for (x, y), label, is_met in zip(places, labels, met, strict=True))
         panels.append(replace(layers, points=points))
-        names.append(f"{WHICH[number]}: {fitted.hits(matches['pattern'])} of {len(points)} labels")
-    line = replace(panels[0], caveats=tuple(results.caveats)).subtitle(fixed=())
-    return map_figure(panels, names, line)
+        names.append(f"{name}: {sum(met)} of {len(points)} labels")
+    return map_figure(panels, names)
 
 
 def _differences(comparison: Comparison) -> list[str]:

@@ -317,8 +317,7 @@ def _experiment(e: Evidence) -> Iterator[Claim]:
     )
     fitted, count = e.fitted, len(e.fitted.points)
     factor, offset = fitted.estimate
-    others = fitted.predictions[0]
-    predicted, majority, nearest = map(fitted.hits, (others.predicted, others.majority, others.nearest))
+    predicted, majority, nearest = (fitted.predictions[0][rule] for rule in ("predicted", "majority", "nearest"))
     at_reversal = (fitted.points[:, 0] == 6.7) & (fitted.points[:, 1] < 4.0)
     agrees = fitted.estimate_matches["pattern"] == fitted.wanted
     appears = "appears" if agrees[at_reversal].all() else "does not appear"

@@ -14,13 +14,14 @@ import time
 
 import numpy as np
 
-from clunk.analysis import fitting
-from clunk.analysis.fitruns import CandidateRuns
+from clunk.analysis.fitruns import Candidates
 from clunk.analysis.fitted import INTERVAL, effective_size, weighted_quantiles, weights_of
+from clunk.analysis.fitting import sample
 from clunk.analysis.measurements import experiment_of
 from clunk.api import run_points
 from clunk.results.labels import flanks_of_label
 from clunk.study.config import study_from_text
+from clunk.study.parameters import nominal_value
 from clunk.sweeping.sweep import engine_of
 
 PRIOR = '[[fit.parameters]]\nparameter = "{}"\ndistribution = "uniform"\ndraws = "{}"\nlow = {}\nhigh = {}\n'
@@ -50,7 +51,7 @@ def synthetic(study, number):
     ratios, gaps = (each.ravel() for each in np.meshgrid(RATIOS, GAPS))
     values = {"load.ratio": ratios, "lash.backlash_deg": gaps}
     for prior, number in zip(priors, true, strict=True):
-        nominal = np.full(ratios.size, fitting.nominal_value(study, prior.parameter))
+        nominal = np.full(ratios.size, nominal_value(study, prior.parameter))
         values[prior.parameter] = prior.applied(number, values.get(prior.parameter, nominal))
     runs = run_points(study, values)
     most = int(runs.primary_impacts.max()) + 2
@@ -75,12 +76,11 @@ def without_times(text):
 
 def intervals(study, text, engine):
     """90 % intervals of the ensemble, (parameters, 2), its effective size and number of draws."""
-    runs = CandidateRuns(study, experiment_of(text, "synthetic.csv"), study.fit.parameters, engine)
-    priors = study.fit.parameters
-    population, _ = fitting.draw_ensemble(study, runs, fitting._Best())
-    weights = weights_of(population.losses, population.log_density)
-    draws = fitting.numbers_at(study, priors, population.draws)
-    bounds = weighted_quantiles(draws, weights, INTERVAL)
+    candidates = Candidates(study, experiment_of(text, "synthetic.csv"), study.lash_names[0], engine)
+    fit = study.fit
+    draws, values, density = sample(candidates, len(fit.parameters), fit.effective_draws, fit.draws, fit.seed)
+    weights = weights_of(values, density)
+    bounds = weighted_quantiles(candidates.numbers(draws), weights, INTERVAL)
     return bounds, effective_size(weights), len(draws)
 
 
