@@ -1,11 +1,8 @@
 """The report's driveline and other ones: matrices, modes, preload, and every event of chains with 1 to 8 inertias."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from helpers import reference
-from helpers.gears import geared, lever
 
 from clunk.simulation.driveline import Driveline
 from clunk.simulation.linear import one_mode_thresholds, rigid_contact_thresholds
@@ -124,23 +121,6 @@ class TestLashToGround:
         assert np.array_equal(trajectory.states, simulate(single()).states)
         assert trajectory.label == simulate(single()).label
 
-    def test_it_holds_an_inertia_without_a_shaft(self):
-        assert Driveline.from_study(single()).rigid_motion.shape.size == 0
-
-    @pytest.mark.parametrize("separation", ["gap", "force"])
-    def test_its_events_are_those_of_the_reference(self, separation):
-        plant = reference.Plant(
-            inertias=(0.01, 0.002),
-            shafts=((1, 2, 40.0, 0.02), (1, "ground", 0.0, 0.05)),
-            lash=(2, "ground"),
-            contact_stiffness=1000.0,
-            contact_damping=0.4,
-            backlash=np.deg2rad(4.0),
-            acceleration_of=2,
-            separation=separation,
-        )
-        agree(plant)
-
 
 def test_a_load_that_does_not_reach_the_lash_has_no_initial_flank():
     """The lash hangs off a grounded inertia: whatever the torque, nothing presses its flanks together."""
@@ -237,58 +217,3 @@ def test_a_branched_driveline_agrees_with_the_reference():
             acceleration_of=2,
         )
     )
-
-
-def random_plant(n, rng):
-    """A tree of n inertias rooted in ground, one branch of it loaded through the lash; sometimes a loop."""
-    edges = [(k, "ground" if k == 1 else int(rng.integers(1, k))) for k in range(1, n + 1)]
-    loaded = n
-    path = [loaded]  # from the load to ground
-    while path[-1] != "ground":
-        path.append(edges[path[-1] - 1][1])
-    lash = edges[path[int(rng.integers(0, len(path) - 1))] - 1]
-    shafts = []
-    for edge in edges:
-        if edge != lash:
-            stiffness = float(10 ** rng.uniform(1.0, 2.3))
-            shafts.append((*edge, stiffness, float(rng.uniform(0.05, 0.2) * np.sqrt(0.004 * stiffness))))
-    shafts += [(k, "ground", 0.0, float(rng.uniform(0.01, 0.1))) for k in range(1, n + 1) if rng.random() < 0.6]
-    inertias = tuple(float(10 ** rng.uniform(-2.8, -1.5)) for _ in range(n))
-    mobility = sum(1.0 / inertias[end - 1] for end in lash if end != "ground")
-    stiffness = float(10 ** rng.uniform(2.5, 3.3))
-    return reference.Plant(
-        inertias=inertias,
-        shafts=tuple(shafts),
-        lash=lash,
-        contact_stiffness=stiffness,
-        contact_damping=float(rng.uniform(0.1, 0.4) * np.sqrt(stiffness / mobility)),
-        backlash=float(np.deg2rad(10 ** rng.uniform(-1.0, 1.3))),
-        before=float(-1.0 - rng.uniform(2.0, 12.0)),
-        loaded=loaded,
-        acceleration_of=lash[0],
-        separation=str(rng.choice(["gap", "force"])),
-    )
-
-
-@pytest.mark.parametrize("n", range(1, 9))
-def test_random_drivelines_agree_with_the_reference(n):
-    """Event by event. Three of each size, both separation rules among them."""
-    rng = np.random.default_rng(100 + n)
-    touches = sum(agree(random_plant(n, rng)).touches for _ in range(3))
-    assert touches >= 3
-
-
-@pytest.mark.parametrize("restitution", [None, 0.4], ids=["indentation", "restitution"])
-@pytest.mark.parametrize("n", range(1, 9))
-def test_random_drivelines_with_gears_agree_with_the_reference(n, restitution):
-    """Every part turns by a gear of its own, some backwards; the reference runs the driveline reflected to none."""
-    rng = np.random.default_rng(200 + n)
-    for _ in range(2):
-        plant = replace(random_plant(n, rng), restitution=restitution)
-        turns = rng.choice([-1.0, 1.0], n) * 10.0 ** rng.uniform(-1.0, 1.0, n)
-        trajectory = simulate(geared(plant, turns, method="exact"))
-        events, _ = reference.run(plant, end_time=1.0)
-        kinds = [(trajectory.kind_name(k), int(event["side"])) for k, event in enumerate(trajectory.events)]
-        flipped = int(np.sign(lever(plant, turns)))
-        assert kinds == [(event.kind, flipped * event.side) for event in events]
-        assert trajectory.events["time"] == pytest.approx([event.time for event in events], abs=1e-9)

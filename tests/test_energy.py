@@ -47,6 +47,7 @@ class TestEnergyIsAccountedFor:
         energy = balance(run(contact, ratio, backlash, method=method))
         assert energy.relative_residual < CLOSED
         assert energy.damped > 0.0
+        assert min(*energy.damped_in_shafts, energy.damped_in_contact, energy.lost_at_impacts) >= 0.0
 
     def test_without_a_gap(self, contact, method):
         assert balance(run(contact, 7.0, 0.0, method=method)).relative_residual < CLOSED

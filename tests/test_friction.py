@@ -2,15 +2,10 @@
 
 import numpy as np
 import pytest
-from helpers import reference
-from helpers.agreement import NUDGE, exact, kinds_of
-from helpers.randomplants import clutch_plant, element_plant, nudged
+from helpers.agreement import exact
 from helpers.reference import Plant, Shaft, table
 
-from clunk.api import sweep
 from clunk.core.events import STAGE
-from clunk.core.regimes import rubs
-from clunk.simulation.driveline import Driveline
 from clunk.simulation.energy import balance
 from clunk.simulation.history import sample
 from clunk.simulation.trajectory import simulate
@@ -20,9 +15,6 @@ from clunk.study.problems import ConfigError
 from clunk.study.study import replace_values
 
 METHODS = {"exact": ['solver.method="exact"'], "rk4": ['solver.method="rk4"', "solver.step=1e-4"]}
-BEARINGS = ["driveline.shafts[3].friction=0.2", "driveline.shafts[4].friction=0.1"]
-NEAR = 1e-9  # s, between two exact codes over up to a hundred events; chatter multiplies rounding
-
 # An inertia with a lash of its own, which never closes, so that there is one.
 OPEN_LASH = """
 [lash]
@@ -145,61 +137,6 @@ end_time = {end_time}
     assert final[3] == pytest.approx(0.0, abs=1e-9)  # the brake holds
 
 
-def same_as_the_reference(plant, method="exact", near=NEAR):
-    study = study_from_text(reference.config_of(plant, step=2e-5, end_time=0.5, method=method))
-    line = Driveline.from_study(study)
-    if any(rubs(friction, line.rigid_motion) for friction, _ in line.frictions):
-        with pytest.raises(ClunkError, match=r"shafts\[\d+\] slips as the driveline rolls"):
-            simulate(study)
-        return
-    run = simulate(study)
-    assert balance(run).relative_residual < (1e-9 if method == "exact" else 1e-6)
-
-    def touches_and_separations(which):
-        return [event for event in reference.run(which, 0.5)[0] if event.kind not in ("stage", "slip", "stick")]
-
-    events = touches_and_separations(plant)
-    times = np.array([event.time for event in events])
-    if times.size != len(run.events) or not np.allclose(times, run.events["time"], rtol=0.0, atol=near):
-        moved = np.array([event.time for event in touches_and_separations(nudged(plant, None, NUDGE)[0])])
-        both = min(moved.size, times.size)
-        apart = np.flatnonzero(np.abs(moved[:both] - times[:both]) > near)
-        times = times[: apart[0] if apart.size else both]  # later ones are not resolved
-        assert moved.size != len(events) or apart.size, "the run has other events"
-    assert kinds_of(run)[: times.size] == [(event.kind, event.side) for event in events[: times.size]]
-    assert run.events["time"][: times.size] == pytest.approx(times, abs=near)
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_events_are_those_of_the_reference(seed):
-    """One to three frictions, some side by side, some in loops, where their torques are not unique."""
-    same_as_the_reference(element_plant(seed, lashes=1, frictions=1 + seed % 3))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(12, 500))
-def test_events_are_those_of_the_reference_in_many_drivelines(seed):
-    same_as_the_reference(element_plant(seed, lashes=1 + seed % 2, staged=seed % 3 == 0, frictions=1 + seed % 3))
-
-
-@pytest.mark.parametrize("seed", range(12, 18))
-def test_rk4_has_the_events_of_the_reference(seed):
-    same_as_the_reference(element_plant(seed, lashes=1, frictions=1 + seed % 3), "rk4", near=1e-5)
-
-
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("seed", range(6))
-def test_a_hysteretic_clutch_has_the_events_of_the_reference(seed, method):
-    """Stages and friction on one shaft: it sticks at any twist, at a breakpoint too."""
-    same_as_the_reference(clutch_plant(seed), method, near=NEAR if method == "exact" else 1e-5)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(6, 200))
-def test_many_hysteretic_clutches_have_the_events_of_the_reference(seed):
-    same_as_the_reference(clutch_plant(seed))
-
-
 @pytest.mark.parametrize("method", METHODS)
 class TestFriction:
     def test_of_no_torque_it_is_none(self, method):
@@ -219,39 +156,11 @@ class TestFriction:
         assert rubbed[3] == pytest.approx(3.0 * rubbed[4], rel=1e-12)
         assert sum(rubbed) == pytest.approx(balance(one).rubbed, rel=1e-9)
 
-    def test_a_sweep_has_the_runs_of_simulate(self, method):
-        """What sticks and slips is not written in a sweep, and does not count as an event."""
-        axis = ["sweep.axes=[{parameter='load.ratio', values=[2.0, 5.0]}]"]
-        study = nominal(*METHODS[method], *BEARINGS, *axis)
-        results = sweep(study, workers=1)
-        for k, ratio in enumerate((2.0, 5.0)):
-            run = simulate(replace_values(study, {"load.ratio": ratio}))
-            assert len(run.phases) > len(run.events)
-            assert results.label_map[k] == run.label
-            assert results.severity[k] == pytest.approx(run.severity, rel=1e-12)
-            assert results.last_event_time[k] == run.events["time"][-1]
-
-    def test_the_order_of_shafts_does_not_matter(self, method):
-        study = nominal(*METHODS[method], *BEARINGS)
-        shafts = [shaft.model_dump(exclude_none=True) for shaft in study.driveline.shafts]
-        turned = simulate(study.model_copy(update={"driveline": with_shafts(study, shafts[::-1])}))
-        assert turned.events["time"] == pytest.approx(simulate(study).events["time"], abs=1e-10)
-
 
 def with_shafts(study, shafts):
     return type(study.driveline).model_validate(
         study.driveline.model_dump(exclude_none=True) | {"shafts": tuple(shafts)}
     )
-
-
-def test_both_methods_and_a_mirrored_driveline_agree():
-    """rk4's step of 1e-4 s: its times are off by some 1e-7 s."""
-    run, other = (simulate(nominal(*METHODS[method], *BEARINGS)) for method in METHODS)
-    assert kinds_of(run) == kinds_of(other)
-    assert run.events["time"] == pytest.approx(other.events["time"], abs=2e-6)
-    mirrored = simulate(nominal(*METHODS["exact"], *BEARINGS, "load.static_torque=1.0"))
-    assert mirrored.events["time"] == pytest.approx(run.events["time"], abs=1e-10)
-    assert list(mirrored.events["side"]) == list(-run.events["side"])
 
 
 @pytest.mark.parametrize("method", METHODS)

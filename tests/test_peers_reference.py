@@ -52,13 +52,3 @@ def test_every_event_and_severity_of_all_runs_is_that_of_the_table(table, method
         assert found.label == table.label[cell]
         np.testing.assert_array_equal(found.primaries - 1, np.flatnonzero(table.primary[own]))
         np.testing.assert_allclose(found.impact_severity, table.severity_of(cell), rtol=SEVERITY_ERROR[method])
-
-
-def test_rk4_converges_to_the_table_s_times_with_its_own_order(table):
-    coarse_error, fine_error = [], []
-    for cell in range(0, table.ratio.size, 9):
-        exact = table.time[table.of(cell)]
-        coarse_error.append(run(table, cell, "rk4", step=1e-4).events["time"][1:] - exact)
-        fine_error.append(run(table, cell, "rk4", step=2.5e-5).events["time"][1:] - exact)
-    coarse, fine = np.max(np.abs(np.concatenate(coarse_error))), np.max(np.abs(np.concatenate(fine_error)))
-    assert coarse / fine == pytest.approx(256.0, rel=0.1)  # 4⁴; the next order is ωh/6 = 3 % of it

@@ -67,13 +67,6 @@ TO_GROUND = reference.Plant(
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("contact", CONTACTS.values(), ids=CONTACTS)
 class TestLashToGround:
-    def test_behind_gears_it_moves_as_the_reflected_one(self, contact, method):
-        plant = replace(TO_GROUND, lash=(4, "ground"), **contact)
-        plain, trajectory = (simulate(geared(plant, turns, method=method)) for turns in (PLAIN, DECIMAL))
-        assert_same_motion(trajectory, plain, plant, DECIMAL, 1e-10)
-        unturned = replace_values(trajectory.study, {"lash.ratio": -7.0})
-        assert np.array_equal(simulate(unturned).states, trajectory.states)  # whatever the ratio, ground does not turn
-
     @pytest.mark.parametrize("ratio", [2.5, -2.5])
     def test_with_ground_as_its_first_end_q_is_ratio_times_the_angle(self, ratio, contact, method):
         """q = -i θ: a gap i times as wide, with a contact 1/i² times as stiff, is the same one."""
@@ -199,15 +192,6 @@ def test_the_shuffle_of_a_free_driveline_is_its_lowest_mode(reverse):
     shares = kinetic_energy_shares(driveline, mode_shapes(driveline, closed=True))
     assert shares.sum(axis=1) == pytest.approx(np.ones(len(shares)), rel=1e-14)
     assert shares[0, :2].sum() == pytest.approx((1.0 / 0.22) / (1.0 / 0.22 + 144.0 / 120.9), abs=0.02)
-
-
-def test_the_shuffle_of_a_driveline_held_to_ground_is_the_mode_in_which_all_turn_in_phase():
-    """Reflected through the gears, that is: with reversing ones some turn the other way."""
-    plain, turned = (Driveline.from_study(geared(reference.Plant(), turns)) for turns in (PLAIN, DECIMAL))
-    assert shuffle_mode(plain) == shuffle_mode(turned) == 0
-    for closed in (True, False):
-        shares = [kinetic_energy_shares(each, mode_shapes(each, closed=closed)) for each in (plain, turned)]
-        assert shares[0] == pytest.approx(shares[1], abs=1e-7)
 
 
 def test_a_driveline_of_dampers_has_no_shuffle():

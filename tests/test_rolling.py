@@ -212,17 +212,6 @@ def test_rk4_converges_to_the_exact_events_of_random_drivelines_that_roll(drawn)
 @pytest.mark.parametrize("plant", [CAR, COASTING], ids=["dragged", "coasting"])
 @pytest.mark.parametrize("contact", CONTACTS.values(), ids=CONTACTS)
 class TestRuns:
-    def test_both_methods_agree_and_energy_is_conserved(self, contact, plant):
-        """RK4 at 5e-5 s: the contact's 700 1/s loses (ωh)⁵/144 a step, 1e-6 of its energy in the time that it rings."""
-        plant = replace(plant, **contact)
-        exact, stepped = (simulate(study_of(plant, method, step=5e-5)) for method in ("exact", "rk4"))
-        assert exact.touches > 0
-        assert stepped.label == exact.label
-        assert np.array_equal(stepped.events["kind"], exact.events["kind"])
-        assert stepped.events["time"] == pytest.approx(exact.events["time"], abs=1e-6)
-        assert balance(exact).relative_residual < 1e-11  # rounding, of angles that rolling makes ten times as large
-        assert balance(stepped).relative_residual < 1e-7
-
     def test_the_history_begins_with_the_steady_motion(self, contact, plant):
         """Its velocities lead to its angles, and so do its accelerations to its velocities."""
         history = sample(simulate(study_of(replace(plant, **contact), end_time=0.3)), step=1e-3)
@@ -316,13 +305,6 @@ def test_a_loose_gear_is_pressed_by_its_drag_or_by_acceleration():
     assert build(study_of(coasting)).contact_torque[0, 0, 0] * 8.0 == pytest.approx(8.0 * 0.01 / 0.81, rel=1e-13)
 
 
-def test_a_loop_whose_ratios_do_not_fit_has_no_rigid_motion():
-    loop = replace(PAIR, shafts=((1, 2, 30.0, 0.1),), ratios=(2.0,))
-    assert Driveline.from_study(study_of(loop)).rigid_motion.shape.size == 0
-    fitting = replace(loop, ratios=(1.0,))
-    assert Driveline.from_study(study_of(fitting)).rigid_motion.shape.size == 2
-
-
 def test_a_driveline_in_two_parts_is_refused_by_the_name_of_one():
     """A damper joins nothing, and neither does a shaft without stiffness."""
     plant = replace(CAR, shafts=(*CAR.shafts[:2], (3, 5, 0.0, 0.1), (4, 5, 0.0, 0.1), CAR.shafts[4]))
@@ -341,6 +323,13 @@ def test_a_flywheel_on_a_slipping_clutch_turns_at_the_speed_that_its_damper_allo
     assert speed == pytest.approx([-30.0, 0.0, 0.0, 0.0], rel=1e-14)
 
 
+def test_a_loop_whose_ratios_do_not_fit_has_no_rigid_motion():
+    loop = replace(PAIR, shafts=((1, 2, 30.0, 0.1),), ratios=(2.0,))
+    assert Driveline.from_study(study_of(loop)).rigid_motion.shape.size == 0
+    fitting = replace(loop, ratios=(1.0,))
+    assert Driveline.from_study(study_of(fitting)).rigid_motion.shape.size == 2
+
+
 def test_the_small_gap_response_is_of_the_torque_that_the_rolling_driveline_carries():
     gap = SmallGap.of(study_of(CAR))
     assert gap.start == pytest.approx(6.0, rel=1e-12)  # all drag is behind the lash
@@ -348,25 +337,10 @@ def test_the_small_gap_response_is_of_the_torque_that_the_rolling_driveline_carr
     assert gap.torque[0] == pytest.approx(gap.start, rel=1e-9)
 
 
-@pytest.mark.parametrize("contact", CONTACTS.values(), ids=CONTACTS)
-@pytest.mark.parametrize("tip", ["out", "in"])
-class TestTheCar:
-    def test_it_shuffles_and_clunks_alike_by_both_methods_and_keeps_its_energy(self, tip, contact):
-        """RK4's 1e-5 s are 70 steps a period of the mesh."""
-        model = "restitution" if "restitution" in contact else "indentation"
-        changes = [
-            f"lash.contact.model='{model}'",
-            *(f"lash.contact.{key}={value!r}" for key, value in contact.items()),
-        ]
-        exact, stepped = (
-            simulate(load_study(CONFIGS / f"car_tip_{tip}.toml", [*changes, f"solver.method='{each}'"]))
-            for each in ("exact", "rk4")
-        )
-        driveline = Driveline.from_study(exact.study)
-        assert 2.0 < driveline.modes(closed=True).frequency[shuffle_mode(driveline)] < 8.0
-        assert exact.label.startswith("DS(" if tip == "out" else "CR(1)")
-        assert stepped.label == exact.label
-        assert stepped.events["time"] == pytest.approx(exact.events["time"], abs=1e-7)
-        assert exact.complete
-        assert balance(exact).relative_residual < 1e-9
-        assert balance(stepped).relative_residual < 1e-8
+@pytest.mark.parametrize(("tip", "begins"), [("out", "DS("), ("in", "CR(1)")])
+def test_the_car_shuffles_at_a_few_hertz_and_clunks(tip, begins):
+    run = simulate(load_study(CONFIGS / f"car_tip_{tip}.toml", ["solver.method='exact'"]))
+    driveline = Driveline.from_study(run.study)
+    assert 2.0 < driveline.modes(closed=True).frequency[shuffle_mode(driveline)] < 8.0
+    assert run.label.startswith(begins)
+    assert run.complete

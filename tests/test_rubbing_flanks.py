@@ -5,16 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import reference
-from helpers.agreement import happened_in, in_order, lashes_as_in_the_reference
+from helpers.agreement import happened_in, in_order
 from helpers.randomplants import element_plant
 
-from clunk.api import sweep
 from clunk.core.events import LOCK, SEPARATION, TOUCH
-from clunk.core.regimes import rubs
-from clunk.simulation.driveline import Driveline
 from clunk.simulation.energy import balance
 from clunk.simulation.history import sample
-from clunk.simulation.measures import measured
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import load_study, study_from_text
 from clunk.study.study import replace_values
@@ -112,37 +108,6 @@ def test_a_flank_lets_go_where_the_pull_exceeds_the_friction_beside_it(method):
     assert run.events["speed"][2] == pytest.approx(-10.0 * crossing**2 / (2.0 * J), rel=1e-8)
 
 
-@pytest.mark.parametrize(
-    ("method", "lashes", "frictions", "seed"),
-    [
-        *(("exact", 1, 2, seed) for seed in (6, 8)),
-        *(("exact", 2, 1, seed) for seed in (2, 3)),
-        *(("exact", 2, 2, seed) for seed in (2, 3, 5)),
-        *(("rk4", 1, 1, seed) for seed in (0, 2)),
-        *(("rk4", 2, 2, seed) for seed in (1, 3)),
-    ],
-)
-def test_events_are_those_of_the_reference(method, lashes, frictions, seed):
-    as_in_the_reference(method, lashes, frictions, seed)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2, 30))
-@pytest.mark.parametrize("lashes", [1, 2])
-@pytest.mark.parametrize("frictions", [1, 2])
-def test_events_are_those_of_the_reference_in_many_drivelines(lashes, frictions, seed):
-    as_in_the_reference("exact", lashes, frictions, seed)
-
-
-def as_in_the_reference(method, lashes, frictions, seed):
-    """Where nothing presses on locked flanks, rounding says whether they stay so: the seeds are few."""
-    plant = element_plant(seed, lashes=lashes, frictions=frictions, restitution=E)
-    line = Driveline.from_study(study_of(plant))
-    if any(rubs(friction, line.rigid_motion) for friction, _ in line.frictions):
-        pytest.skip("a friction slips in steady motion")
-    lashes_as_in_the_reference(plant, method, END_TIME)
-
-
 def study_of(plant):
     return study_from_text(reference.config_of(plant, method="exact", end_time=END_TIME))
 
@@ -171,28 +136,3 @@ def test_the_contact_torque_moves_the_pinion(method):
     assert {TOUCH, LOCK, SEPARATION} <= set(kinds.tolist())
     assert balance(run).rubbed > 0.0
     assert balance(run).relative_residual < 1e-9
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_a_sweep_has_the_runs_of_simulate(method):
-    axis = "sweep.axes=[{parameter='load.ratio', values=[2.0, 5.0]}]"
-    torque = "measures=[{name='bearing', quantity='shaft torque', of=3, reduce='largest'}]"
-    rigid = f"solver.method='{method}'", "lash.contact.model='restitution'", axis, torque
-    study = load_study("configs/rig_with_friction.toml", [*rigid])
-    results = sweep(study, workers=1)
-    for k, ratio in enumerate((2.0, 5.0)):
-        run = simulate(replace_values(study, {"load.ratio": ratio}))
-        assert len(run.phases) > len(run.events)
-        assert results.label_map[k] == run.label
-        assert results.approach_velocity[k] == pytest.approx(run.approach_velocity, rel=1e-12)
-        assert results.values("bearing")[k] == pytest.approx(measured(run).totals["bearing"], rel=1e-9)
-
-
-def test_both_methods_and_a_mirrored_driveline_agree():
-    run, other, mirrored = (
-        simulate(each) for each in (rig("exact"), rig("rk4"), rig("exact", "load.static_torque=1.0"))
-    )
-    assert run.label == other.label == mirrored.label
-    assert run.events["time"] == pytest.approx(other.events["time"], abs=2e-6)  # rk4's step of 1e-4 s
-    assert mirrored.events["time"] == pytest.approx(run.events["time"], abs=1e-10)
-    assert list(mirrored.events["side"]) == list(-run.events["side"])

@@ -94,20 +94,6 @@ def test_both_methods_find_the_same_labels_touches_and_times_on_a_coarse_grid(gr
     assert found["approach_velocity"].over_largest < 1e-6
 
 
-def test_the_methods_approach_each_other_sixteenfold_when_the_step_halves():
-    coarse, fine = (largest(verify(study(GRID, f"solver.step={step}"))) for step in (1e-4, 5e-5))
-    for quantity in ("impact_time", "severity", "approach_velocity"):
-        # RK4 is of fourth order; the next order is a tenth of it at the contact's 258 Hz
-        assert 12.0 < coarse[quantity].difference / fine[quantity].difference < 20.0
-
-
-@pytest.mark.parametrize("separation", ["gap", "force"])
-def test_the_methods_agree_for_either_separation(separation):
-    found = verify(study(GRID, f"lash.contact.separation={separation}"))
-    assert agree(found)
-    assert (found.cells, found.differing) == (99, 0)
-
-
 def test_restitution_agrees_and_its_severity_is_left_out():
     found = verify(study(GRID, "lash.contact.model=restitution"))
     assert agree(found)
@@ -126,14 +112,6 @@ def test_a_step_that_damps_the_contact_gives_labels_that_exact_does_not_flag():
     _, exact = found.maps
     assert all(exact.margin[cell.index] > study().solver.margin_tolerance for cell in cells)
     assert "2 of 6 cells differ" in found.verdict
-
-
-def test_labels_may_differ_in_flagged_cells():
-    found = verify(study(NEAR_A_BOUNDARY, TOO_COARSE, "solver.margin_tolerance=0.01"))
-    assert agree(found)
-    assert (found.differing_elsewhere, found.differing) == (0, 2)
-    _, exact = found.maps
-    assert all(cell.flagged and abs(exact.margin[cell.index]) < 0.01 for cell in found.differing_cells)
 
 
 def test_differences_are_taken_where_labels_are_equal_and_impacts_correspond():
@@ -159,12 +137,6 @@ def test_a_cell_with_a_lost_rebound_tells_its_touches():
     assert last.touches == {"a": rk4.at(last.at).touches.item(), "b": exact.at(last.at).touches.item()}
 
 
-def test_a_run_without_axes_is_a_map_of_one_cell():
-    found = verify(study())
-    assert (found.cells, found.differing, found.maps[0].touches.item()) == (1, 0, 9)
-    assert largest(found)["last_event_time"].difference < 1e-6
-
-
 # --- whatever the study
 
 
@@ -173,23 +145,6 @@ def test_the_config_s_own_method_does_not_matter(grid, method):
     base = study(GRID)
     assert with_method(base, method).solver.method == method
     assert plain(grid) == plain(verify(with_method(base, method)))
-
-
-def test_any_number_of_axes_is_compared():
-    axis = '[[sweep.axes]]\nparameter = "{}"\nvalues = [{}]\n'
-    one = axis.format("load.ratio", "1.0, 5.0, 9.0")
-    three = one + axis.format("driveline.inertias[4]", "0.002, 0.004") + axis.format("lash.backlash_deg", "2.0, 8.0")
-    for axes, cells in ((one, 3), (three, 12)):
-        found = verify(study(axes))
-        assert (found.cells, found.differing) == (cells, 0)
-        at = plain(found)["largest_differences"][0]["at"]
-        assert list(at) == [axis.parameter for axis in found.maps[0].axes]
-
-
-def test_progress_counts_the_cells_of_each_sweep():
-    seen = []
-    verify(study(NEAR_A_BOUNDARY), progress=lambda done, total: seen.append((done, total)))
-    assert seen.count((6, 6)) == 2
 
 
 # --- the command

@@ -229,8 +229,10 @@ def _driveline(rng, lashes, staged, frictions, restitution):
     shafts = [Shaft(*ends, octaves(30.0), round(float(damping) * octaves(0.5), 6)) for ends in pairs]
     for k in range(staged):
         breakpoints = np.unique(rng.uniform(-0.1, 0.1, rng.integers(1, 4)).round(4))
-        stiffnesses = tuple(octaves(30.0) for _ in range(len(breakpoints) + 1))
-        shafts[k] = shafts[k]._replace(stiffness=stiffnesses, breakpoints=tuple(breakpoints.tolist()))
+        stiffnesses = [octaves(30.0) for _ in range(len(breakpoints) + 1)]
+        if staged == 1 and rng.random() < 0.3:
+            stiffnesses[rng.integers(len(stiffnesses))] = 0.0
+        shafts[k] = shafts[k]._replace(stiffness=tuple(stiffnesses), breakpoints=tuple(breakpoints.tolist()))
     shafts += [Shaft(k, "ground", 0.0, octaves(0.02)) for k in range(1, n + 1) if rng.random() < 0.3]
     shafts += [Shaft(int(rng.integers(1, n + 1)), "ground", 0.0, 0.0) for _ in range(frictions)]
     for k in rng.permutation(len(shafts))[:frictions]:
