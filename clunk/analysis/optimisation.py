@@ -25,7 +25,6 @@ from clunk.study.errors import ClunkError
 from clunk.study.lashes import lash_position
 from clunk.study.optimisation import Optimize
 from clunk.study.parameters import nominal_value
-from clunk.study.problems import listing
 from clunk.study.records import SENTENCE, Record, tells, told
 from clunk.study.study import Study, replace_values
 from clunk.sweeping.progress import Progress
@@ -56,7 +55,6 @@ class Optimum(Record):
     found : how many of the starts found this value
     runs : how many it took
     holds : whether all conditions do
-    remarks : sentences on what is no inner optimum
     changes : the free numbers and the quantities, as the config has them and of the best
     """
 
@@ -70,14 +68,13 @@ class Optimum(Record):
     found: int = told(f"found by so many of {_STARTS} starts")
     runs: int = told("runs")
     holds: bool = told()
-    remarks: tuple[str, ...] = told()
     changes: tuple[dict[str, Any], ...] = told("values")
 
     @property
     @tells(SENTENCE)
     def sentence(self) -> str:
-        """The remarks, for people."""
-        return " ".join(self.remarks)
+        """What to know where not all conditions hold."""
+        return "" if self.holds else "No values were found for which all conditions hold; these come nearest."
 
 
 @dataclass(frozen=True, repr=False)
@@ -111,6 +108,10 @@ class Outcomes:
     share: Floats
     margin: Floats
     quantities: dict[str, Floats | Bools]
+
+    def quantities_of(self, candidate: int) -> dict[str, Any]:
+        """The quantities of a candidate, by its number."""
+        return {name: values[candidate].item() for name, values in self.quantities.items()}
 
 
 class Problem:
@@ -207,6 +208,11 @@ class Problem:
         excess = np.where(holds.sum(axis=1) < self._needed, 1.0 - share + graded, 0.0)
         margin = np.abs(results.margin).reshape(len(candidates), -1).min(axis=1)
         return Outcomes(value, excess, share, margin, {self.optimize.minimize: value, **quantities})
+
+    def parameters(self, candidate: Floats) -> dict[str, float]:
+        """Values of the free keys by a candidate, (parameters,)."""
+        pairs = zip(self.optimize.parameters, candidate.tolist(), strict=True)
+        return {key: value for free, value in pairs for key in free.keys}
 
     def merit(self, outcomes: Outcomes) -> Floats:
         """What the search minimises, (n,): below 1 where all conditions hold, and from 1 to 3 where not."""
@@ -354,25 +360,12 @@ def _searched(problem: Problem, points: Floats, merits: Floats, rng: np.random.G
 
 def _optimum(problem: Problem, study: Study, found: Sequence[Floats]) -> Optimum:
     """The best of the candidates that starts have found."""
-    outcomes, free = problem(np.array(found)), problem.optimize.parameters
+    outcomes = problem(np.array(found))
     merits = problem.merit(outcomes)
     k = int(np.argmin(merits))
-    best, holds = found[k], bool(outcomes.excess[k] == 0.0)
-    quantities = {name: values[k].item() for name, values in outcomes.quantities.items()}
-    ends = np.tile(best, (2, best.size, 1))
-    for end, values in zip(ends, (problem.low, problem.high), strict=True):
-        np.fill_diagonal(end, values)
-    is_idle = (problem.merit(problem(ends.reshape(-1, best.size))).reshape(2, -1) == merits[k]).all(axis=0)
-    is_at_end = ~is_idle & (np.minimum(best - problem.low, problem.high - best) <= 1e-9 * (problem.high - problem.low))
-    remarks = [] if holds else ["No values were found for which all conditions hold; these come nearest."]
-    for which, text in ((is_at_end, "at an end of its range"), (is_idle, "of no effect")):
-        remarks += [f"{listing(each.keys)} is {text}." for each, is_so in zip(free, which, strict=True) if is_so]
-    parameters = {key: float(value) for each, value in zip(free, best, strict=True) for key in each.keys}
-    before: dict[str, Any] = {
-        key: float(value) for each, value in zip(free, problem.start, strict=True) for key in each.keys
-    }
-    before = {name: values[0].item() for name, values in problem.before.quantities.items()} | before
-    after: dict[str, Any] = parameters | {name: value for name, value in quantities.items() if name not in parameters}
+    parameters = problem.parameters(found[k])
+    quantities = outcomes.quantities_of(k)
+    before = problem.before.quantities_of(0) | problem.parameters(problem.start)
     return Optimum(
         study=replace_values(study, parameters),
         parameters=parameters,
@@ -383,7 +376,8 @@ def _optimum(problem: Problem, study: Study, found: Sequence[Floats]) -> Optimum
         value_of_nominal=None,
         found=int((merits <= merits[k] + _SAME).sum()),
         runs=problem.runs,
-        holds=holds,
-        remarks=tuple(remarks),
-        changes=tuple({"": name, "as it is": before[name], "best": value} for name, value in after.items()),
+        holds=bool(outcomes.excess[k] == 0.0),
+        changes=tuple(
+            {"": name, "as it is": before[name], "best": best} for name, best in (parameters | quantities).items()
+        ),
     )

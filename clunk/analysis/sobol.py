@@ -8,7 +8,6 @@ from B, n (d + 2) runs for d parameters (Saltelli et al. 2010, doi:10.1016/j.cpc
 
 from __future__ import annotations
 
-import inspect
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,26 +18,22 @@ import numpy as np
 from clunk.core.status import Status
 from clunk.results.quantities import TEXT, Quantity, measuring, quantity_of
 from clunk.results.regimemap import Results
-from clunk.simulation.trajectory import simulate
 from clunk.study.arrays import Floats, Positions
-from clunk.study.designs import Column, Design
 from clunk.study.document import dotted
 from clunk.study.errors import ClunkError
-from clunk.study.lashes import lash_position
 from clunk.study.loads import PROFILES
 from clunk.study.parameters import get_value, nominal_value
 from clunk.study.problems import ConfigError
 from clunk.study.records import Record, tells, told
-from clunk.study.study import Study, digest, replace_values
+from clunk.study.study import Study
 from clunk.study.sweeps import Sweep
 from clunk.sweeping.progress import Progress
-from clunk.sweeping.sweep import sweep
+from clunk.sweeping.runner import Runner
 
 CONFIDENCE = 0.95  # of the intervals
 QUANTILES = (0.05, 0.5, 0.95)
 
 _RESAMPLES = 999
-_BATCH = 2**22  # indices that are resampled at once
 _FEWEST = 16
 
 
@@ -84,21 +79,23 @@ class Sensitivity(Record):
     parameters : (d,) str, dotted keys
     samples : int, n
     runs : int, n (d + 2)
-    label, severity, approach_velocity : of the run without tolerances
+    nominal : label, severity and approach velocity of the run without tolerances
     labels : each label's share of the 2 n runs of A and B, the most frequent first
     indices : of each quantity
     """
 
     study: Study
     parameters: tuple[str, ...]
-    label: str
-    severity: float
-    approach_velocity: float
     indices: tuple[Indices, ...]
     samples: int = told("samples")
     runs: int = told("runs")
+    nominal: dict[str, Any] = told("without tolerances")
     labels: dict[str, float] = told("labels with tolerances", form=".2%")
-    confidence: float = told()
+
+    @property
+    def label(self) -> str:
+        """The label of the run without tolerances."""
+        return str(self.nominal["label"])
 
     @property
     @tells()
@@ -108,27 +105,9 @@ class Sensitivity(Record):
 
     @property
     @tells()
-    def config_digest(self) -> str:
-        """Digest of the study."""
-        return digest(self.study)
-
-    @property
-    @tells()
-    def sampling(self) -> str:
-        """How the sample was drawn."""
-        return _sweep(self.study).sampling.method
-
-    @property
-    @tells()
     def seed(self) -> int:
         """Seed of the sample."""
         return _sweep(self.study).sampling.seed
-
-    @property
-    @tells("without tolerances")
-    def nominal(self) -> dict[str, str | float]:
-        """Label, severity and approach velocity of the run without tolerances."""
-        return {"label": self.label, "severity": self.severity, "approach_velocity": self.approach_velocity}
 
     @property
     @tells("tolerances", key="parameters")
@@ -183,9 +162,7 @@ def sensitivity(
     Raises
     ------
     ClunkError
-        Where there is nothing to divide, a draw is not allowed, or a run of the sample failed or has no such quantity.
-    ClunkError
-        Where the run without tolerances failed.
+        Where there is nothing to divide, a draw is not allowed, or a run failed or has no such quantity.
     ClunkError, KeyboardInterrupt
         As `clunk.sweep`.
 
@@ -205,33 +182,32 @@ def sensitivity(
     quantities = tuple(dict.fromkeys(quantity_of(name, point) for name in names))
     if any(each.type == TEXT for each in quantities):
         raise ClunkError("The label is no number; nominal_label, double_sided and label=DS(1)SS(1) are 1 or 0.")
-    nominal = simulate(point).lashes[lash_position(lash, study.lash_names)]
-    sample = saltelli_sample(point)
-    _refuse_forbidden_draws(point, sample)
-    runs = measuring(point, quantities).model_copy(update={"sweep": None})
-    results = sweep(runs, _design(point, sample), workers=workers, progress=progress).of_lash(lash)
-    _refuse_failures(results)
-    n, pages, _ = sample.shape
-    seed = _sweep(point).sampling.seed
-    without = np.array([nominal_value(point, draw.parameter) for draw in _sweep(point).tolerances])
-    run = sweep(runs, _design(point, without)).of_lash(lash)
+    sample, without = saltelli_sample(point), [nominal_value(point, parameter) for parameter in parameters]
+    n, pages, d = sample.shape
+    runner = Runner(measuring(point, quantities), parameters, workers=workers)
+    try:
+        runs = runner([*sample.reshape(-1, d), without], progress=progress).of_lash(lash)
+    except ConfigError as error:
+        raise ClunkError(
+            f"A draw is not allowed: {error.problems[0].key}, {error.problems[0].message}; bound its distribution with "
+            "low and high."
+        ) from None
+    _refuse_failures(runs)
+    nominal = {"label": str(runs.label_map[-1])}
     indices = tuple(
-        _indices(each, run, parameters, _values(each, results).reshape(n, pages), seed)
-        for each in (quantity.named(nominal.label) for quantity in quantities)
+        _indices(each.named(nominal["label"]), runs, parameters, (n, pages), _sweep(point).sampling.seed)
+        for each in quantities
     )
-    base = results.sequence.reshape(n, pages)[:, :2]
-    counts = np.bincount(base.ravel(), minlength=len(results.labels))
-    frequent = sorted(zip(counts.tolist(), results.labels, strict=True), key=lambda pair: (-pair[0], pair[1]))
+    base = runs.label_map[:-1].reshape(n, pages)[:, :2]
+    labels, counts = np.unique(base, return_counts=True)
+    order = np.argsort(-counts, kind="stable")
     return Sensitivity(
         study=point,
         parameters=parameters,
         samples=n,
-        runs=results.sequence.size,
-        confidence=CONFIDENCE,
-        label=nominal.label,
-        severity=nominal.severity,
-        approach_velocity=nominal.approach_velocity,
-        labels={label: count / base.size for count, label in frequent if count},
+        runs=sample.size // d,
+        nominal=nominal | {name: float(runs.values(name)[-1]) for name in ("severity", "approach_velocity")},
+        labels={str(labels[k]): float(counts[k] / base.size) for k in order},
         indices=indices,
     )
 
@@ -243,11 +219,6 @@ def operating_point(study: Study) -> Study:
         raise ClunkError(
             "There is no spread to divide: the config has no [[sweep.tolerances]], one for each parameter that is "
             "drawn (clunk help tolerances)."
-        )
-    if len(swept.tolerances) == 1:
-        raise ClunkError(
-            f"{swept.tolerances[0].parameter} is the only parameter with a tolerance, and all of the variance is "
-            "its own; Sobol indices need two or more."
         )
     if any(draw.distribution == "listed" for draw in swept.tolerances):
         raise ClunkError("Listed draws belong together; Sobol indices need draws that are independent.")
@@ -262,11 +233,6 @@ def operating_point(study: Study) -> Study:
             f"{2 * power}."
         )
     return study.model_copy(update={"sweep": swept.model_copy(update={"axes": (), "design": "grid"})})
-
-
-def run_count(point: Study) -> int:
-    """Number of runs that the indices of an operating point take."""
-    return _sweep(point).sampling.count * (len(_sweep(point).tolerances) + 2)
 
 
 def _sweep(study: Study) -> Sweep:
@@ -307,52 +273,18 @@ def first_and_total(values: Floats, seed: int) -> tuple[Floats, Floats, Floats, 
     seed : int
         Of the bootstrap.
     """
-    from scipy.stats import bootstrap, sobol_indices  # most of a second
+    from scipy.stats import sobol_indices  # most of a second
 
     def estimate(rows: Positions) -> Floats:
         f_a, f_b, *f_ab = values[rows].T[:, None, :]
         estimates = sobol_indices(func={"f_A": f_a, "f_B": f_b, "f_AB": np.array(f_ab)}, n=rows.size)
         return np.array([estimates.first_order, estimates.total_order])
 
-    rows = np.arange(len(values))
-    seeded = "rng" if "rng" in inspect.signature(bootstrap).parameters else "random_state"  # before SciPy 1.15
-    interval = bootstrap(
-        (rows,),
-        estimate,
-        vectorized=False,
-        n_resamples=_RESAMPLES,
-        batch=max(1, _BATCH // rows.size),
-        confidence_level=CONFIDENCE,
-        method="percentile",
-        **{seeded: np.random.default_rng([seed, 1])},  # not the stream that scrambled the points
-    ).confidence_interval
-    first, total = estimate(rows)
-    first_interval, total_interval = np.stack([interval.low, interval.high], axis=1)
-    return first, total, first_interval, total_interval
-
-
-def _refuse_forbidden_draws(study: Study, sample: Floats) -> None:
-    """Raise ClunkError where a draw is not allowed: the config was checked with other draws."""
-    for k, draw in enumerate(_sweep(study).tolerances):
-        for value in (float(sample[:, :, k].min()), float(sample[:, :, k].max())):
-            try:
-                replace_values(study, {draw.parameter: value})
-            except ConfigError as error:
-                raise ClunkError(
-                    f"A draw makes {draw.parameter} {value:.6g}: {error.problems[0].message}; bound its distribution "
-                    "with low and high."
-                ) from None
-
-
-def _design(study: Study, sample: Floats) -> Design:
-    """The rows of a sample, (..., d), as runs in order: those that share a system are next to each other."""
-    columns = sample.reshape(-1, sample.shape[-1]).T
-    draws = _sweep(study).tolerances
-    return Design(
-        (columns.shape[1],),
-        tuple(Column(draw.parameter, 0, column.copy()) for draw, column in zip(draws, columns, strict=True)),
-        run=0,
-    )
+    n, generator = len(values), np.random.default_rng([seed, 1])  # not the stream that scrambled the points
+    resampled = [estimate(generator.integers(n, size=n)) for _ in range(_RESAMPLES)]
+    ends = np.quantile(resampled, [0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE], axis=0)
+    first, total = estimate(np.arange(n))
+    return first, total, ends[:, 0], ends[:, 1]
 
 
 def _refuse_failures(results: Results) -> None:
@@ -371,28 +303,25 @@ def _refuse_failures(results: Results) -> None:
     )
 
 
-def _values(quantity: Quantity, results: Results) -> Floats:
-    """Values of a quantity, (runs,) float64. Raises ClunkError where a run has none."""
-    values = quantity.of_runs(results)
-    undefined = int(np.count_nonzero(np.isnan(values)))
-    if undefined:
-        raise ClunkError(
-            f"{quantity.name} is not defined in {undefined:,} of {values.size:,} runs, in which nothing happens; "
-            "ask for another quantity."
-        )
-    return values
-
-
-def _indices(quantity: Quantity, nominal: Results, parameters: tuple[str, ...], values: Floats, seed: int) -> Indices:
+def _indices(
+    quantity: Quantity, runs: Results, parameters: Sequence[str], shape: tuple[int, int], seed: int
+) -> Indices:
     """Sobol indices of a quantity.
 
-    nominal : the single run without tolerances
-    values : (n, d + 2), of the runs of `saltelli_sample`
+    runs : those of `saltelli_sample`, of this shape, (n, d + 2), and last the one without tolerances
+
+    Raises ClunkError where a run has none.
     """
-    base = values[:, :2]
-    shares = None
+    values = quantity.of_runs(runs)
+    pages = values[:-1].reshape(shape)
+    if undefined := int(np.count_nonzero(np.isnan(pages))):
+        raise ClunkError(
+            f"{quantity.name} is not defined in {undefined:,} of {pages.size:,} runs, in which nothing happens; "
+            "ask for another quantity."
+        )
+    base, shares = pages[:, :2], None
     if np.ptp(base) > 0.0:
-        first, total, of_first, of_total = first_and_total(values, seed)
+        first, total, of_first, of_total = first_and_total(pages, seed)
         shares = {
             parameters[k]: Share(float(first[k]), of_first[:, k].tolist(), float(total[k]), of_total[:, k].tolist())
             for k in np.argsort(-total, kind="stable")
@@ -400,7 +329,7 @@ def _indices(quantity: Quantity, nominal: Results, parameters: tuple[str, ...], 
     return Indices(
         quantity=quantity.name,
         heading=quantity.heading_with_unit,
-        nominal=float(quantity.of_runs(nominal)[0]),
+        nominal=float(values[-1]),
         mean=float(base.mean()),
         std=float(base.std()) if shares else 0.0,  # the rounding of a mean is no variance
         quantiles={f"{q:g}": float(value) for q, value in zip(QUANTILES, np.quantile(base, QUANTILES), strict=True)},

@@ -6,12 +6,11 @@ import math
 from collections import defaultdict
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import cast
 
 import numpy as np
 
 from clunk.analysis.measurements import Experiment, Measurement
-from clunk.results.labels import FAILED, FAILED_CODE, double_sided
+from clunk.results.labels import FAILED, double_sided
 from clunk.results.maps import at_cell, values_at
 from clunk.results.regimemap import Results
 from clunk.study.axes import ResultAxis
@@ -52,39 +51,19 @@ class Point(Record):
 
 
 @dataclass(frozen=True)
-class Tally(Record):
-    """Numbers of pairs of neighbours between which the number of double-sided impacts rises, stays or falls."""
-
-    rises: int = told("rises")
-    same: int = told("same")
-    falls: int = told("falls")
-
-    def __str__(self) -> str:
-        return f"{self.direction} ({self.rises}, {self.same}, {self.falls})"
-
-    @property
-    def direction(self) -> str:
-        """Direction in one word: rises, falls, varies or constant."""
-        if self.rises and self.falls:
-            return "varies"
-        return "rises" if self.rises else "falls" if self.falls else "constant"
-
-
-@dataclass(frozen=True)
 class Trend(Record):
     """Change of the number of double-sided impacts along one parameter, from each point to its neighbour.
 
-    parameter, name, symbol : of the axis
-    measured, computed : over the same pairs of neighbours
+    parameter, symbol : of the axis
+    measured, computed : numbers of pairs of neighbours between which it rises, stays and falls, over the same pairs
     alike : pairs in which both rise, both stay or both fall
     opposed : pairs in which one rises and the other falls
     """
 
     parameter: str = told("along")
-    name: str = told()
     symbol: str = told()
-    measured: Tally = told("measured")
-    computed: Tally = told("computed")
+    measured: tuple[int, ...] = told("measured")
+    computed: tuple[int, ...] = told("computed")
     alike: int = told("alike")
     opposed: int = told("opposed")
 
@@ -92,7 +71,7 @@ class Trend(Record):
     @tells("pairs")
     def pairs(self) -> int:
         """Number of pairs of neighbours that have computed labels."""
-        return self.measured.rises + self.measured.same + self.measured.falls
+        return sum(self.measured)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -137,12 +116,6 @@ class ExperimentComparison(Record):
         return sum(point.agrees for point in self.points)
 
     @property
-    @tells("share that agrees", form=".1%", key="share_agreeing")
-    def share(self) -> float:
-        """Share of the counted points that agree; NaN without any."""
-        return self.agreeing / self.counted if self.counted else math.nan
-
-    @property
     @tells("double-sided impacts agree at", key="points_same_double_sided")
     def same_double_sided(self) -> int:
         """Number of counted points with the same number of double-sided impacts."""
@@ -153,7 +126,7 @@ class ExperimentComparison(Record):
     @property
     @tells("outside the swept range", key="points_outside")
     def outside(self) -> int:
-        """Number of points more than half a cell outside the swept range."""
+        """Number of points outside the swept range."""
         return sum(point.computed is None for point in self.points)
 
     @property
@@ -195,32 +168,12 @@ def compare_experiment(results: Results, experiment: Experiment) -> ExperimentCo
 def _point(results: Results, columns: tuple[str, ...], measurement: Measurement) -> Point:
     measured = dict(zip(columns, measurement.values, strict=True))
     values = {axis.parameter: measured.get(axis.variable, math.nan) for axis in results.axes}
-    at = [_nearest(axis, values[axis.parameter]) if axis.variable in measured else 0 for axis in results.axes]
-    if None in at:
+    try:
+        cell = tuple(axis.nearest(measured.get(axis.variable, axis.values[0])) for axis in results.axes)
+    except ValueError:  # beyond an axis
         return Point(values, measurement.label, None, None)
-    cell = cast("tuple[int, ...]", tuple(at))
-    code = int(results.sequence[cell])
-    computed = FAILED if code == FAILED_CODE else results.labels[code]
+    computed = str((*results.labels, FAILED)[results.sequence[cell]])  # the code of failed cells, -1, is the last
     return Point(values, measurement.label, computed, at_cell(results.axes, values_at(results.axes, cell)))
-
-
-def _nearest(axis: ResultAxis, value: float) -> int | None:
-    """Index of the nearest of an axis's values, in any order; None more than half a cell beyond the outermost.
-
-    Near is meant on the axis's own scale, the logarithm where that is how the values are spaced.
-    """
-    values = axis.values
-    ascending = np.sort(values)
-    if len(values) == 1:  # no cell to be half of
-        return 0 if math.isclose(value, values[0], rel_tol=1e-6, abs_tol=1e-12) else None
-    if axis.is_geometric:
-        if value <= 0.0:
-            return None
-        ascending, values, value = np.log(ascending), np.log(values), math.log(value)
-    room = 1e-9 * (ascending[-1] - ascending[0])  # exactly half a cell is inside, whatever the rounding
-    low = ascending[0] - 0.5 * (ascending[1] - ascending[0]) - room
-    high = ascending[-1] + 0.5 * (ascending[-1] - ascending[-2]) + room
-    return int(np.argmin(np.abs(values - value))) if low <= value <= high else None
 
 
 def _trend(axis: ResultAxis, position: int, points: tuple[Point, ...]) -> Trend:
@@ -242,13 +195,12 @@ def _trend(axis: ResultAxis, position: int, points: tuple[Point, ...]) -> Trend:
         if first.counts and second.counts
     ]
     measured, computed = np.sign(np.array(changes, int)).reshape(-1, 2).T
-    rises_same_falls = [[int((signs == way).sum()) for way in (1, 0, -1)] for signs in (measured, computed)]
+    tallies = [tuple(int((signs == way).sum()) for way in (1, 0, -1)) for signs in (measured, computed)]
     return Trend(
         parameter=axis.parameter,
-        name=axis.name,
         symbol=axis.symbol,
-        measured=Tally(*rises_same_falls[0]),
-        computed=Tally(*rises_same_falls[1]),
+        measured=tallies[0],
+        computed=tallies[1],
         alike=int((measured == computed).sum()),
         opposed=int((measured * computed < 0).sum()),
     )

@@ -102,10 +102,10 @@ def _differences(comparison: Comparison) -> list[str]:
     facts = [f"{comparison.differing:,} of {comparison.cells:,} cells differ"]
     if comparison.titles["a"] != comparison.titles["b"]:
         facts += [f"{letter.upper()}: {title}" for letter, title in comparison.titles.items()]
-    changes = [change for change in comparison.config_differences if change.key != "title"]
+    changes = {key: each for key, each in comparison.config_differences.items() if key != "title"}
     if not changes:
         return [*facts, "A and B: the same config"]
-    listed = [f"{each.key} = {_shortened(each.a)} → {_shortened(each.b)}" for each in changes]
+    listed = [f"{key} = {_shortened(each['a'])} → {_shortened(each['b'])}" for key, each in changes.items()]
     more = f" and {len(changes) - _LISTED} more keys" if len(changes) > _LISTED else ""
     return [*facts, f"A → B: {', '.join(listed[:_LISTED])}{more}"]
 
