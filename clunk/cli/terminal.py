@@ -135,11 +135,11 @@ def report_resumed(taken_up: int, discarded: int) -> None:
 
 def report_speed(job: Job, draws: int = 0) -> None:
     """Print the number of cells, the time and the speed; a cell of a tolerance map has a run for each draw."""
-    total, ran, seconds = job.design.cells, job.ran, job.seconds
-    runs = (ran - (0 if job.parts is None else job.parts.taken_up)) * (draws + 1)  # and nominally
+    seconds, taken_up = job.seconds, 0 if job.parts is None else job.parts.taken_up
+    runs = (job.ran - taken_up) * (draws + 1)  # and nominally
     rate = f" ({runs / seconds:,.0f} runs/s)" if runs > 0 and seconds > 0.0 else ""
     each = f" x {draws:,} draws" if draws else ""
-    click.echo(f"{counted(total, 'cell')}{each} in {seconds:.1f} s{rate} -> {job.path}", err=True)
+    click.echo(f"{counted(job.ran, 'cell')}{each} in {seconds:.1f} s{rate} -> {job.path}", err=True)
 
 
 def report_failures(results: AnyMap, how: str = "") -> None:

@@ -19,6 +19,11 @@ def primary_impacts(label: str) -> int:
     return excursions(label) + double_sided(label)
 
 
+def label_order(label: str) -> tuple[int, str]:
+    """Key by which labels are sorted in files, tables and legends: the number of primary impacts, then the label."""
+    return primary_impacts(label), label
+
+
 def excursions(label: str) -> int:
     """Number of excursions from a flank in a label, of whatever type."""
     return sum(int(count) for count in re.findall(r"\((\d+)\)", label))

@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from clunk.results.labels import FAILED_CODE, primary_impacts
+from clunk.results.labels import FAILED_CODE
 from clunk.results.quantities import REGIME_QUANTITIES, measured_quantities
 from clunk.results.regimemap import Results
 from clunk.study.arrays import Array, Cells
 from clunk.study.config import study_from_text
-from clunk.study.designs import Column, Design, design_of
+from clunk.study.designs import Design
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study, digest
 from clunk.sweeping.cells import Grid
 from clunk.sweeping.reduction import Reduction
-from clunk.sweeping.tiles import Tile
+from clunk.sweeping.tiles import Layout, Tile
 
 
 class RegimeReduction(Reduction):
@@ -51,7 +51,7 @@ class RegimeReduction(Reduction):
 
     def fill(self, tile: Tile, rows: Cells) -> None:
         """See `Reduction.fill`."""
-        self._codes[rows] = self.sequences.codes_of(tile.records, [tile.details])
+        self._codes[rows] = self.labels.codes_of(tile.records, [tile.details])
         for name, field in self._fields.items():
             field[rows] = tile.records[name]
         impacts = {
@@ -63,7 +63,7 @@ class RegimeReduction(Reduction):
     def result(self, attributes: dict[str, str]) -> Results:
         """See `Reduction.result`."""
         assert self.known.all()
-        labels, final = self.sequences.labels()
+        labels, final = self.labels.ordered()
         arrays = {"sequence": final[self._codes], **self._fields}
         arrays = {name: values.reshape(self.shape) for name, values in arrays.items()}
         counts = self._fields["primary_impacts"]
@@ -82,43 +82,29 @@ def failed_cells(results: Results) -> Cells:
     return np.flatnonzero(results.of_lash().sequence == FAILED_CODE)
 
 
-def design_of_failed(study: Study, results: Results) -> Design:
-    """The failed cells of a study's finished sweep as a design of their own.
+def finished_cells(study: Study, results: Results, layout: Layout) -> Tile:
+    """The cells of a study's finished sweep that have not failed, as they ran.
 
     Raises ClunkError where the results are of a study that differs in anything but [solver].
     """
     before = study_from_text(results.config, source="the results' config")
     if digest(before.model_copy(update={"solver": study.solver})) != digest(study):
         raise ClunkError("The failed cells of another config cannot be run again: only [solver] may differ.")
-    failed = failed_cells(results)
-    columns = design_of(study).at(failed).items()
-    return Design((failed.size,), tuple(Column(key, 0, values) for key, values in columns), run=0)
+    is_finished = results.sequence.ravel() != FAILED_CODE
+    records = np.zeros(results.sequence.size, layout.record)
+    details = np.zeros(results.impact_flank.size, layout.detail)
+    for name, quantity in results.quantities.items():
+        if quantity.dimension:
+            details[name.removeprefix("impact_")] = results.arrays[name]
+        elif name != "sequence":
+            records[name] = results.arrays[name].ravel()
+    cells = np.flatnonzero(is_finished[:: layout.lashes])
+    return Tile(cells, records[is_finished], details[np.repeat(is_finished, results.primary_impacts.ravel())])
 
 
 def mended(earlier: Results, again: Results, study: Study) -> Results:
-    """Results with the runs `again` in the place of the failed cells, of which the attribute `retried` tells.
-
-    study : of these runs
-    """
-    failed, lashes = failed_cells(earlier), len(earlier.lash_names)
-    rows = (failed[:, None] * lashes + np.arange(lashes)).ravel()
-    labels = tuple(sorted({*earlier.labels, *again.labels}, key=lambda text: (primary_impacts(text), text)))
-    is_kept = np.repeat(earlier.sequence.ravel() != FAILED_CODE, earlier.primary_impacts.ravel())
-    owners = np.repeat(np.arange(earlier.sequence.size), earlier.primary_impacts.ravel())[is_kept]
-    order = np.argsort(np.concatenate([owners, np.repeat(rows, again.primary_impacts.ravel())]), kind="stable")
-    arrays = {}
-    for name, quantity in earlier.quantities.items():
-        before, after = earlier.arrays[name], again.arrays[name]
-        if quantity.dimension:
-            arrays[name] = np.concatenate([before[is_kept], after])[order]
-            continue
-        if name == "sequence":
-            before, after = (
-                np.array([*(labels.index(text) for text in results.labels), FAILED_CODE], np.int16)[results.sequence]
-                for results in (earlier, again)
-            )
-        arrays[name] = before.copy()
-        arrays[name].reshape(-1)[rows] = after.ravel()
+    """A finished sweep with its failed cells run again, of which the attribute `retried` tells; study : of these."""
+    failed = failed_cells(earlier)
     solver = study_from_text(earlier.config).solver.model_dump()
     changes = [
         f"solver.{key} = {value} instead of {solver[key]}"
@@ -133,4 +119,4 @@ def mended(earlier: Results, again: Results, study: Study) -> Results:
     )
     retried = "; ".join(text for text in (earlier.attributes.get("retried"), note) if text)
     attributes = {**again.attributes, "retried": retried}
-    return replace(earlier, labels=labels, arrays=arrays, attributes=attributes, boundaries=None)
+    return replace(again, config=earlier.config, config_digest=earlier.config_digest, attributes=attributes)

@@ -131,17 +131,6 @@ class Grid:
             gaps[:, k] = values.get(dotted((*place, "backlash_deg")), lash.backlash_deg)
         return kernel.cases_of(before, np.deg2rad(gaps) / 2, pieces)
 
-    def points(self, values: Mapping[str, Floats], count: int) -> tuple[Floats, Cells]:
-        """The different values of structural parameters, (D, parameters), and which of them each of the cells has.
-
-        values : of each parameter in `count` cells
-        """
-        if not self.structural:
-            return np.zeros((1, 0)), np.zeros(count, np.int64)
-        combinations = np.stack([values[parameter] for parameter in self.structural], axis=1)
-        points, point_of = np.unique(combinations, axis=0, return_inverse=True)
-        return points, point_of.reshape(-1)
-
     def run(self, cells: Cells, stop: Flag) -> Tile:
         """Run cells; the tile has those that were done before `stop` was set."""
         return self.run_at(cells, self.design.at(cells), stop)

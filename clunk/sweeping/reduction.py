@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from clunk.core.sequence import INITIAL, OPPOSITE, label
 from clunk.core.status import Status
-from clunk.results.labels import FAILED_CODE
+from clunk.results.labels import FAILED_CODE, label_order
 from clunk.results.tolerancemap import AnyMap
 from clunk.study.arrays import Bools, Cells, Records
 from clunk.study.axes import ResultAxis, lash_axis
@@ -43,33 +43,32 @@ def long_sequences(records: Records, impacts: Sequence[Records]) -> Iterator[tup
             yield k, tuple(flanks[ends[k] - records["primary_impacts"][k] : ends[k]].tolist())
 
 
-class Sequences:
-    """Sequences of primary impacts, each with a code: its number in the order in which they were seen first."""
+class Labels:
+    """Labels of runs, each with a code: its number in the order in which they were seen first."""
 
     def __init__(self) -> None:
-        self.codes: dict[Flanks, int] = {}
+        self._codes: dict[str, int] = {}
 
-    def code(self, flanks: Flanks) -> int:
-        """The code of a sequence; a new one where it has not been seen yet."""
-        return self.codes.setdefault(flanks, len(self.codes))
+    def code(self, text: str) -> int:
+        """The code of a label; a new one where it has not been seen yet."""
+        return self._codes.setdefault(text, len(self._codes))
 
     def codes_of(self, records: Records, impacts: Sequence[Records]) -> npt.NDArray[np.int32]:
-        """The code of each run's sequence, -1 where it failed; records : CELL; impacts : IMPACT of them, in pieces."""
+        """The code of each run's label, -1 where it failed; records : CELL; impacts : IMPACT of them, in pieces."""
         patterns, inverse = np.unique(records["pattern"], return_inverse=True)
-        of_patterns = [self.code(flanks_of(pattern)) if pattern else FAILED_CODE for pattern in patterns.tolist()]
+        of_patterns = [self.code(label(flanks_of(each))) if each else FAILED_CODE for each in patterns.tolist()]
         codes = np.array(of_patterns, np.int32)[inverse.reshape(-1)]
         for k, flanks in long_sequences(records, impacts):
-            codes[k] = self.code(flanks)
+            codes[k] = self.code(label(flanks))
         return codes
 
-    def labels(self) -> tuple[tuple[str, ...], npt.NDArray[np.int16]]:
+    def ordered(self) -> tuple[tuple[str, ...], npt.NDArray[np.int16]]:
         """The labels, and each code's number among them; the last is that of -1.
 
-        They are sorted by (number of primaries, label), so that they do not depend on which cell finished first.
+        They are in `label_order`, so that they do not depend on which cell finished first.
         """
-        lengths = {label(flanks): len(flanks) for flanks in self.codes}
-        labels = tuple(sorted(lengths, key=lambda text: (lengths[text], text)))
-        return labels, np.array([*(labels.index(label(flanks)) for flanks in self.codes), FAILED_CODE], np.int16)
+        labels = tuple(sorted(self._codes, key=label_order))
+        return labels, np.array([*map(labels.index, self._codes), FAILED_CODE], np.int16)
 
 
 class Reduction(ABC):
@@ -81,7 +80,7 @@ class Reduction(ABC):
     rows : number of rows of all cells, one for each lash
     known : (cells,) bool, whether a cell has been added
     done : number of cells that have been added
-    sequences : of the runs
+    labels : of the runs
     """
 
     def __init__(self, study: Study, design: Design, runner: Runner, heading: dict[str, str] | None = None) -> None:
@@ -90,7 +89,7 @@ class Reduction(ABC):
         self.rows = design.cells * runner.layout.lashes
         self.known: Bools = np.zeros(design.cells, bool)
         self.done = 0
-        self.sequences = Sequences()
+        self.labels = Labels()
 
     def add(self, tile: Tile) -> None:
         """Add a tile's cells; those that are there already are passed over."""

@@ -24,7 +24,7 @@ from clunk.simulation.driveline import explained
 from clunk.study.designs import Design, design_of, has_tolerances
 from clunk.study.errors import ClunkError
 from clunk.study.study import Study, digest
-from clunk.sweeping.assembly import RegimeReduction, design_of_failed, failed_cells, mended
+from clunk.sweeping.assembly import RegimeReduction, failed_cells, finished_cells, mended
 from clunk.sweeping.cells import warm_up
 from clunk.sweeping.engines import EngineError, Threads, run_tiles
 from clunk.sweeping.parts import Parts, PartsError, WorkingDirectory, differences
@@ -50,7 +50,7 @@ class Job:
 
     study : with at least one axis or sample; with tolerances, the map is a ToleranceMap, else Results
     design : cells to run instead of those of the study's sweep
-    earlier : finished results, of which only the failed cells are run
+    earlier : finished results of the study, of which only the failed cells are run
     directory : open; finished cells are kept there as the sweep goes on, and taken up from there
     path : results file to write
     is_complete : whether the file is complete already, so that there is nothing to run
@@ -69,7 +69,7 @@ class Job:
         is_complete: bool = False,
     ) -> None:
         self.study = study
-        self.design = design or (design_of(study) if earlier is None else design_of_failed(study, earlier))
+        self.design = design or design_of(study)
         self.earlier = earlier
         self.directory, self.path, self.is_complete = directory, path, is_complete
         self.ran, self.seconds, self.is_written = 0, 0.0, is_complete
@@ -82,7 +82,10 @@ class Job:
         lashes = len(self.study.lashes)
         _refuse_if_too_large((*self.design.shape, lashes) if lashes > 1 else self.design.shape)
         if not has_tolerances(self.study):
-            return RegimeReduction(self.study, self.design)
+            reduction = RegimeReduction(self.study, self.design)
+            if self.earlier is not None:
+                reduction.add(finished_cells(self.study, self.earlier, reduction.runner.layout))
+            return reduction
         if self.study.measured:
             raise ClunkError("A tolerance map has Q alone: leave out impacts.quantities and [[measures]].")
         return ToleranceReduction(self.study)

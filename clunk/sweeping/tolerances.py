@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -23,14 +22,14 @@ from clunk.study.designs import Column, Design, design_of, drawn_numbers
 from clunk.study.parameters import nominal_value, quantity
 from clunk.study.study import Study
 from clunk.sweeping.cells import Flag, Grid
-from clunk.sweeping.reduction import Flanks, Reduction, Sequences
+from clunk.sweeping.reduction import Labels, Reduction
 from clunk.sweeping.tiles import Layout, Tile
 
 _QUANTILE_FIELDS = [f"severity_{100 * quantile:g}" for quantile in QUANTILES]
 
 TOLERANCE_CELL = np.dtype(
     [
-        ("outcomes", np.int32),  # number of entries
+        ("outcomes", np.int32),  # number of labels
         ("nominal_status", np.uint8),
         ("status", np.uint8),  # of the first draw that failed
         ("severity_mean", np.float64),
@@ -38,11 +37,10 @@ TOLERANCE_CELL = np.dtype(
     ],
     align=True,
 )
-# An outcome is an entry with the number of runs that had it, followed by one of `_FLANK` runs for each primary impact.
-# That of the nominal run, unless it failed, is the first of its cell, also where no draw had it.
-OUTCOME = np.dtype([("runs", np.int32), ("flank", np.int8)], align=True)
+# A label that runs of a cell had, and how many; the text is as long as the longest of a tile. That of the nominal run,
+# unless it failed, is the first of its cell, also where no draw had it.
+OUTCOME = np.dtype([("runs", np.int32), ("label", "S1")])
 
-_FLANK = -1
 _TILE_RUNS = 1 << 16  # 1 MB of them, in about a second
 
 
@@ -82,7 +80,7 @@ class SampleRunner:
         codes = np.zeros((count, self.draws + 1), np.int32)  # the nominal run last
         severity = np.full((count, self.draws + 1), np.nan)
         status = np.zeros((count, self.draws + 1), np.uint8)
-        sequences = Sequences()
+        seen = Labels()
         at_a_time = max(_TILE_RUNS // cells.size, 1)
         for begin in range(0, self.draws + 1, at_a_time):
             draws = np.arange(begin, min(begin + at_a_time, self.draws + 1))
@@ -90,13 +88,15 @@ class SampleRunner:
             tile = self._grid.run_at(np.arange(draws.size * cells.size), values, stop)
             if tile.cells.size < draws.size * cells.size:
                 return Tile(cells[:0], np.zeros(0, TOLERANCE_CELL), np.zeros(0, OUTCOME))
-            codes[:, draws] = sequences.codes_of(tile.records, [tile.details]).reshape(draws.size, -1).T
+            codes[:, draws] = seen.codes_of(tile.records, [tile.details]).reshape(draws.size, -1).T
             severity[:, draws] = tile.records["severity"].reshape(draws.size, -1).T
             status[:, draws] = tile.records["status"].reshape(draws.size, -1).T
-        flanks = [*sequences.codes]
-        summaries = [_summary(codes[k], severity[k], status[k], flanks) for k in range(count)]
-        records = np.array([record for record, _ in summaries], TOLERANCE_CELL)
-        return Tile(cells, records, np.array([each for _, outcomes in summaries for each in outcomes], OUTCOME))
+        labels, final = seen.ordered()
+        summaries = [_summary(final[codes[k]], severity[k], status[k]) for k in range(count)]
+        outcomes = [(runs, labels[code].encode()) for _, counts in summaries for code, runs in counts.items()]
+        longest = max(map(len, labels), default=1)
+        details = np.array(outcomes, [("runs", np.int32), ("label", f"S{longest}")])
+        return Tile(cells, np.array([record for record, _ in summaries], TOLERANCE_CELL), details)
 
     def _values(self, draws: Cells, cells: Cells) -> dict[str, Floats]:
         """Values of the parameters in some cells at one draw after the other, (draws cells,); the last is nominal."""
@@ -123,19 +123,16 @@ class ToleranceReduction(Reduction):
     def fill(self, tile: Tile, rows: Cells) -> None:
         """See `Reduction.fill`."""
         self._records[rows] = tile.records
-        entries, ends = tile.details, np.cumsum(tile.records["outcomes"])
-        heads = np.flatnonzero(entries["runs"] != _FLANK)
-        outcomes = (entries["flank"][head + 1 : end] for head, end in pairwise([*heads.tolist(), entries.size]))
-        codes = np.array([self.sequences.code(tuple(flanks.tolist())) for flanks in outcomes], np.int64)
-        self._runs.append((rows[np.searchsorted(ends, heads, side="right")], codes, entries["runs"][heads]))
+        codes = np.array([self.labels.code(text.decode()) for text in tile.details["label"].tolist()], np.int64)
+        count = tile.records["outcomes"]
+        self._runs.append((np.repeat(rows, count), codes, tile.details["runs"]))
         is_known = tile.records["nominal_status"] == Status.OK
-        first = np.searchsorted(heads, (ends - tile.records["outcomes"])[is_known])
-        self._nominal[rows[is_known]] = codes[first]
+        self._nominal[rows[is_known]] = codes[(np.cumsum(count) - count)[is_known]]
 
     def result(self, attributes: dict[str, str]) -> ToleranceMap:
         """See `Reduction.result`."""
         assert self.known.all()
-        labels, final = self.sequences.labels()
+        labels, final = self.labels.ordered()
         shape = self.shape
         runs = np.zeros((self.rows, len(labels) + 1), np.int32)
         for rows, codes, count in self._runs:
@@ -175,21 +172,13 @@ def sample_of(study: Study, drawn: Sequence[Floats]) -> tuple[ResultAxis, ...]:
     return tuple(sample)
 
 
-def _summary(
-    codes: Codes, severity: Floats, status: npt.NDArray[np.uint8], flanks: Sequence[Flanks]
-) -> tuple[tuple[float, ...], list[tuple[int, int]]]:
-    """A cell's TOLERANCE_CELL and its OUTCOMEs, from its runs, of which the last is the nominal one.
-
-    flanks : of each code
-    """
-    drawn, nominal = codes[:-1], int(codes[-1])
-    found, counts = np.unique(drawn[drawn != FAILED_CODE], return_counts=True)
-    runs = dict.fromkeys([] if nominal == FAILED_CODE else [nominal], 0)
+def _summary(codes: Codes, severity: Floats, status: npt.NDArray[np.uint8]) -> tuple[tuple[float, ...], dict[int, int]]:
+    """A cell's TOLERANCE_CELL, and how many draws have each code; of its runs, the last is the nominal one."""
+    nominal = int(codes[-1])
+    runs = {} if nominal == FAILED_CODE else {nominal: 0}
+    found, counts = np.unique(codes[:-1][codes[:-1] != FAILED_CODE], return_counts=True)
     runs |= dict(zip(found.tolist(), counts.tolist(), strict=True))
-    outcomes: list[tuple[int, int]] = []
-    for code, count in runs.items():
-        outcomes += [(count, 0), *((_FLANK, flank) for flank in flanks[code])]
     known = severity[:-1][np.isfinite(severity[:-1])]
     statistics = (known.mean(), *np.quantile(known, QUANTILES)) if known.size else (np.nan,) * (1 + len(QUANTILES))
     first_failed = int(status[np.argmax(status[:-1] != Status.OK)])
-    return (len(outcomes), int(status[-1]), first_failed, *statistics), outcomes
+    return (len(runs), int(status[-1]), first_failed, *statistics), runs
