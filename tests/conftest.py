@@ -1,12 +1,15 @@
 """What every test may use."""
 
 import os
+import signal
+import sys
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
 import pytest
 from hypothesis import settings
 
+from clunk.cli import main
 from clunk.simulation.trajectory import simulate
 from clunk.study.config import study_from_text
 from clunk.study.study import Study
@@ -54,3 +57,25 @@ def nominal() -> Study:
 def as_printed() -> Study:
     """The same with J2, J3 and J4 as the report's Table 2.2 prints them, ten times too large."""
     return study_from_text('[driveline]\npreset = "boere-2008-as-printed"\n')
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """An empty directory, which is the current one."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def command(here, monkeypatch, capsys):
+    """A command of the program, run in this process by its words: exit code, stdout, stderr."""
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # main's handler must not outlive a test
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["clunk", *map(str, words)])
+        with pytest.raises(SystemExit) as stopped:
+            main()
+        out, err = capsys.readouterr()
+        return stopped.value.code, out, err
+
+    return run

@@ -20,7 +20,6 @@ from test_sweeping import digest_of
 
 import clunk
 from clunk.results.quantities import CELL_QUANTITIES, IMPACT_QUANTITIES
-from clunk.study.axes import RUN, ResultAxis
 from clunk.study.errors import ClunkError
 from clunk.study.study import digest
 from clunk.sweeping import progress
@@ -39,12 +38,6 @@ count = 6
 parameter = "lash.backlash_deg"
 values = [1.0, 5.0, 10.0, 20.0]
 """
-
-
-@pytest.fixture
-def here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 @pytest.fixture(scope="module")
@@ -184,14 +177,6 @@ def test_a_dataset_of_results_in_memory_is_that_of_their_file(tmp_path):
     xarray.testing.assert_identical(clunk.to_dataset(results), of_file)
 
 
-def test_a_dataset_has_the_parameters_of_each_run_as_coordinates():
-    run = ResultAxis(RUN, np.arange(1.0, 6.0), "run", "", "1")
-    results = replace(example(RATIO), axes=(run,), coordinates=(RATIO,))
-    found = clunk.to_dataset(results)
-    assert found.label.dims == ("run",)
-    np.testing.assert_array_equal(found.label.coords["load_ratio"], RATIO.values)
-
-
 def test_without_xarray_a_dataset_is_refused_with_how_to_install_it(tmp_path, monkeypatch):
     results = example(RATIO, BACKLASH)
     clunk.write_results(tmp_path / "map.h5", results)
@@ -229,21 +214,6 @@ def test_a_cell_has_all_that_its_own_run_finds(small, results):
     assert set(cell) == {*values, "label", *CELL_QUANTITIES, *IMPACT_QUANTITIES}
 
 
-def test_a_failed_cell_says_so():
-    results = example(RATIO, BACKLASH)
-    at = tuple(np.argwhere(results.status != 0)[0])
-    cell = results.cell({axis.parameter: axis.values[k] for axis, k in zip(results.axes, at, strict=True)})
-    assert cell["label"] == "failed" == results.label_map[at]
-    assert cell["status"] == "non_finite"
-    assert cell["impact_time"].size == 0
-
-
-def test_a_cell_along_run_tells_its_parameters():
-    run = ResultAxis(RUN, np.arange(1.0, 6.0), "run", "", "1")
-    cell = replace(example(RATIO), axes=(run,), coordinates=(RATIO,)).cell({"run": 3})
-    assert (cell["run"], cell["load.ratio"]) == (3.0, RATIO.values[2])
-
-
 def test_a_cell_that_is_not_there_is_refused(results):
     with pytest.raises(ValueError, match=r"named by load.ratio and lash.backlash_deg, not by load.ratio\."):
         results.cell({"load.ratio": 5.0})
@@ -261,22 +231,6 @@ def test_summaries_fit_a_terminal(small, results):
         assert TITLE[:20] in lines[0]
         assert max(map(len, lines)) <= 80
     assert max(map(len, repr(small.model_copy(update={"title": "long " * 40})).splitlines())) == 80
-
-
-def test_a_study_s_summary_tells_what_is_swept_and_solved(small):
-    text = str(small)
-    assert "load.ratio: 0 to 10, 6 values" in text
-    assert "σr swept" in text
-    assert "rk4, step 0.0001 s, to 2 s" in text
-    assert "restitution, e = 0.5" in repr(
-        clunk.load_study(ROOT / "configs/nominal.toml", ["lash.contact.model='restitution'"])
-    )
-
-
-def test_a_results_summary_counts_every_label(results):
-    for label, count in results.counts().items():
-        assert (label in repr(results)) == (count > 0)
-    assert "1 cell, 5.0 %" in repr(example(RATIO, BACKLASH))  # the failed one of 20
 
 
 def test_what_is_drawn_is_a_picture(results, nominal):
@@ -316,13 +270,6 @@ def test_progress_is_a_line_that_is_rewritten_or_a_line_now_and_then(where, monk
     assert any(re.search(r"20 of 100 cells, [\d,]+/s, 0 s left", line) for line in before)
     assert any("█" in line for line in before) == (where != "elsewhere")
     assert ("60 of 100 cells" in last) == (where != "terminal")
-
-
-def test_a_terminal_shows_the_progress_of_a_sweep(small, monkeypatch):
-    monkeypatch.setattr(sys, "stderr", Screen())
-    monkeypatch.setattr(progress, "_REWRITTEN_EVERY", 0.0)
-    clunk.sweep(small, progress=True, boundaries=False)
-    assert "of 24 cells" in sys.stderr.getvalue()
 
 
 def test_errors_that_public_functions_document_are_public():

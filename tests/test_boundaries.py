@@ -3,7 +3,6 @@
 import csv
 import dataclasses
 import json
-import sys
 from collections import Counter
 from pathlib import Path
 
@@ -18,7 +17,6 @@ from clunk.analysis.network import Ring, _contains
 from clunk.analysis.searches import side_by_side
 from clunk.analysis.thresholds import thresholds
 from clunk.analysis.tracing import most_runs
-from clunk.cli import main
 from clunk.results.boundaries import Boundaries
 from clunk.results.labels import FAILED
 from clunk.study.config import study_from_text
@@ -347,16 +345,10 @@ FIELDS = [field.name for field in dataclasses.fields(Boundaries) if field.name n
 
 
 @pytest.fixture
-def command(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("signal.signal", lambda *_: None)  # main's handler must not outlive a test
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["clunk", *arguments])
-        with pytest.raises(SystemExit) as stopped:
-            main()
-        out, err = capsys.readouterr()
-        return stopped.value.code, out, " ".join(err.split())
+def command(command):
+    def run(*words):
+        code, out, err = command(*words)
+        return code, out, " ".join(err.split())
 
     return run
 

@@ -2,8 +2,6 @@
 
 import json
 import re
-import signal
-import sys
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -11,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clunk import cli
 from clunk.report import claims, reproduction
 from clunk.report.claims import Claim, Verdict
 from clunk.report.evidence import Evidence, run_maps
@@ -142,16 +139,12 @@ def test_tables_are_written_between_the_marks_and_a_file_without_them_is_refused
             reproduction.write_tables(wrong, [broken])
 
 
-def test_reproduce_writes_every_figure_and_exits_4_when_a_claim_stops_agreeing(tmp_path, monkeypatch, capsys):
+def test_reproduce_writes_every_figure_and_exits_4_when_a_claim_stops_agreeing(tmp_path, monkeypatch, command):
     broken = Claim("§0", "two and two make four", "five", Verdict.DIFFERS, Verdict.AGREES)
     monkeypatch.setattr(claims, "claims", lambda _evidence: [broken])
     monkeypatch.setattr(reproduction, "figures", lambda e: _figures(e)[:1])
-    monkeypatch.setattr(signal, "signal", lambda *_: None)
-    monkeypatch.setattr(sys, "argv", ["clunk", "reproduce", "-o", str(tmp_path), "--coarsen", "20"])
-    with pytest.raises(SystemExit) as stopped:
-        cli.main()
-    out, err = capsys.readouterr()
-    assert stopped.value.code == 4
+    code, out, err = command("reproduce", "-o", tmp_path, "--coarsen", "20")
+    assert code == 4
     assert "five" in out
     assert "1 of 1 claims no longer agree" in err
     (record,) = json.loads((tmp_path / "claims.json").read_text())

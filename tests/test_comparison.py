@@ -23,7 +23,6 @@ from clunk.analysis.measurements import (
     TABLES,
     Experiment,
     Measurement,
-    is_experiment,
     read_experiment,
 )
 from clunk.analysis.trends import ExperimentComparison, compare_experiment
@@ -124,14 +123,6 @@ def test_a_map_is_the_same_as_itself() -> None:
     assert "the same in 1,271 cells" in text_of(comparison)
 
 
-def test_labels_are_compared_by_their_text_and_not_by_their_codes() -> None:
-    a, b = small(A), small(A, order=["DS(2)", "DS(3)", "DS(1)", "SS(1)", "NI"])
-    assert not np.array_equal(a.sequence, b.sequence)
-    comparison = compare(a, b)
-    assert comparison.same_regimes
-    assert not comparison.identical
-
-
 def test_differing_cells_are_counted_by_transition_and_found_by_their_values() -> None:
     b = [["NI", "DS(1)", "DS(1)"], ["DS(1)", "SS(1)", "NI"]]
     comparison = compare(small(A), small(b))
@@ -177,14 +168,6 @@ def test_failed_cells_are_not_compared_but_reported() -> None:
     assert compare(a, a).same_regimes
 
 
-def test_maps_without_a_comparable_cell_are_not_the_same() -> None:
-    failed = small([["failed", "failed"]])
-    comparison = compare(failed, failed)
-    assert not comparison.same_regimes
-    assert plain(comparison)["share_differing"] is None
-    assert "No cell has a label in both maps." in text_of(comparison)
-
-
 def other_axes(*axes: ResultAxis) -> Results:
     return make(np.full([len(axis.values) for axis in axes], "NI", dtype=object), axes)
 
@@ -210,13 +193,6 @@ def test_maps_of_other_grids_are_refused_in_one_sentence(axes: tuple[ResultAxis,
     assert "\n" not in str(caught.value)
 
 
-def test_axes_that_differ_by_rounding_are_the_same() -> None:
-    thirds = replace(X, values=np.array([0.1, 0.2, 0.3]))
-    rounded = replace(X, values=0.1 * np.arange(1, 4))
-    assert not np.array_equal(thirds.values, rounded.values)
-    assert compare(other_axes(thirds, Y), other_axes(rounded, Y)).same_regimes
-
-
 def test_configs_and_versions_are_compared_key_by_key_and_titles_and_dates_decide_nothing() -> None:
     other = CONFIG.replace("0.002", "0.02").replace('"indentation"', '"restitution"\nrestitution = 0.5')
     versions = {"clunk_version": "0.2.0", "created": "2027-01-02"}
@@ -235,11 +211,6 @@ def test_configs_and_versions_are_compared_key_by_key_and_titles_and_dates_decid
     titled = compare(small(A), small(A, config=CONFIG.replace('"Map"', '"Other"')))
     assert titled.configs_equal
     assert [*titled.config_differences] == ["title"]
-
-
-def test_a_config_that_is_no_toml_is_a_sentence() -> None:
-    with pytest.raises(ClunkError, match="config that B carries cannot be read as TOML"):
-        compare(small(A), small(A, config="title = "))
 
 
 def awkward() -> tuple[Results, Results]:
@@ -290,17 +261,6 @@ def test_table_4_1_is_the_reports() -> None:
     assert {found.values: found.label for found in experiment.measurements} == expected
     assert "rig's parameters are not the model's" in experiment.caveat
     assert "DCT 2008.116" in TABLES["table_4_1"].read_text("utf-8")
-
-
-def test_packaged_tables_are_known_by_name_and_files_by_their_suffix(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert is_experiment("table_4_1")
-    assert is_experiment(tmp_path / "mine.CSV")
-    assert not is_experiment("results/map.h5")
-    monkeypatch.chdir(tmp_path)
-    Path("table_4_1").write_text("load_ratio,label\n1,NI\n")  # a file comes before a table of its name
-    assert [found.label for found in read_experiment("table_4_1").measurements] == ["NI"]
 
 
 @pytest.mark.parametrize(
@@ -425,27 +385,11 @@ def test_points_outside_or_at_failed_cells_are_reported_and_not_counted() -> Non
     assert re.search("nearest to a failed cell +1\n", text)
 
 
-def test_nothing_to_count_is_no_share() -> None:
-    comparison = compare_experiment(small(A), measured({(99.0, 0.0): "NI"}))
-    assert not comparison.same_regimes
-    assert re.search("points with a computed label +0\n", text_of(comparison))
-
-
 def test_columns_and_axes_must_match() -> None:
     with pytest.raises(ClunkError, match=r"sweep lash\.backlash_deg, and rig\.csv has no column for it"):
         compare_experiment(small(A), measured({(1.0,): "NI"}, ["load_ratio"]))
     with pytest.raises(ClunkError, match=r"load_step_time of rig\.csv is no axis of the results"):
         compare_experiment(small(A), measured({(1.0, 1.0): "NI"}, ["load_ratio", "load_step_time"]))
-
-
-def test_an_axis_of_one_value_needs_no_column_and_takes_no_other_value() -> None:
-    results = make(
-        [["SS(1)"], ["DS(1)"]], [replace(X, values=np.array([0.0, 1.0])), replace(Y, values=np.array([6.0]))]
-    )
-    assert compare_experiment(results, measured({(1.0,): "DS(1)"}, ["load_ratio"])).agreeing == 1
-    both = compare_experiment(results, measured({(1.0, 6.0): "DS(1)", (1.0, 6.1): "DS(1)"}))
-    assert (both.agreeing, both.outside) == (1, 1)
-    assert [trend.parameter for trend in both.trends] == ["load.ratio"]
 
 
 def test_trend_counts_neighbours_that_are_ordered_alike() -> None:
@@ -462,12 +406,6 @@ def test_trend_counts_neighbours_that_are_ordered_alike() -> None:
     assert backlash.measured == (0, 2, 1)
     assert backlash.computed == (0, 1, 2)
     assert (backlash.alike, backlash.opposed) == (2, 0)
-
-
-def test_a_point_without_a_computed_label_is_not_skipped_over() -> None:
-    results = small([["SS(1)"] * 2, ["failed"] * 2, ["DS(1)"] * 2])
-    trend = compare_experiment(results, measured({(k, 0.0): "SS(1)" for k in (0.0, 1.0, 2.0)})).trends[0]
-    assert trend.pairs == 0
 
 
 def test_table_4_1_has_the_trends_of_a_map_like_figure_3_4() -> None:
@@ -545,25 +483,6 @@ def test_difference_map_marks_every_differing_cell_once() -> None:
     assert f"{first.a} → {first.b}: {first.cells} cells" in notes(figure)
 
 
-def test_difference_map_of_very_different_maps_gathers_the_rare_transitions() -> None:
-    a, b = awkward()
-    comparison = compare(a, b)
-    figure = difference_map(a, comparison)
-    only_in_b = [tuple(map(float, cell)) for cell in np.argwhere(comparison.failed_b & ~comparison.failed_a) * [1, 2]]
-    assert only_in_b
-    differing = [tuple(cell.at.values()) for cell in comparison.differing_cells]
-    assert coloured(figure, a) == sorted(differing + only_in_b)
-    assert any(f"{len(comparison.transitions) - 6} other transitions" in note for note in notes(figure))
-    assert f"failed in B only: {len(only_in_b)} cells" in notes(figure)
-
-
-def test_difference_map_of_equal_maps_marks_nothing() -> None:
-    a = like_figure_3_4()
-    figure = difference_map(a, compare(a, a))
-    assert coloured(figure, a) == []
-    assert "0 of 1,271 cells differ" in figure.subfigs[0].get_suptitle()
-
-
 def table_on_the_map() -> tuple[Results, ExperimentComparison]:
     results = like_figure_3_4()
     return results, compare_experiment(results, read_experiment("table_4_1"))
@@ -583,28 +502,6 @@ def test_experiment_map_shows_every_point_inside_filled_where_it_agrees() -> Non
     assert "rig's parameters are not the model's" in figure.subfigs[0].get_suptitle()
     assert any(f"{comparison.agreeing} of {comparison.counted}" in note for note in notes(figure))
     assert "outside the map, not counted: 4" in notes(figure)
-
-
-def test_crowded_points_lose_their_labels_and_that_is_noted() -> None:
-    rng = np.random.default_rng(2)
-    where = rng.uniform([3.0, 4.0], [5.0, 8.0], (60, 2))
-    points = dict.fromkeys(map(tuple, where.tolist()), "DS(1)SS(1)")
-    results = like_figure_3_4()
-    figure = experiment_map(results, compare_experiment(results, measured(points)))
-    assert len(drawn(figure, "agrees")) + len(drawn(figure, "differs")) == 60
-    assert_readable(figure)
-    assert_no_text_on_points(figure)
-    assert "a point without a label: no room" in notes(figure)
-
-
-def test_maps_with_the_axes_the_other_way_round_look_the_same() -> None:
-    results, comparison = table_on_the_map()
-    turned = make(
-        np.array([[results.labels[code] for code in row] for row in results.sequence], dtype=object).T,
-        (BACKLASH, RATIO),
-    )
-    figure = experiment_map(turned, compare_experiment(turned, read_experiment("table_4_1")))
-    assert drawn(figure, "agrees") == drawn(experiment_map(results, comparison), "agrees")
 
 
 def test_figures_need_two_axes() -> None:

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 from click.shell_completion import BashComplete
-from test_cli import HEAVY, SMALL, clunk, here  # noqa: F401  fixtures
+from test_cli import HEAVY, SMALL
 from test_store import BACKLASH, RATIO, example
 
 from clunk.cli import cli
@@ -70,21 +70,21 @@ def test_all_keys_that_are_offered_can_be_set(files):
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_the_script_of_a_shell_asks_clunk(clunk, shell):  # noqa: F811
-    code, script, _ = clunk("completion", shell)
+def test_the_script_of_a_shell_asks_clunk(command, shell):
+    code, script, _ = command("completion", shell)
     assert code == 0
     assert f"_CLUNK_COMPLETE={shell}_complete" in script
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
-def test_bash_completes_a_key_and_imports_no_kernels(files, tmp_path, clunk):  # noqa: F811
+def test_bash_completes_a_key_and_imports_no_kernels(files, tmp_path, command):
     program = tmp_path / "clunk"
     program.write_text(
         f"#!{sys.executable}\nimport atexit, sys\nfrom clunk.cli import main\n"
         f"atexit.register(lambda: print('plain', sorted({HEAVY} & set(sys.modules)), sep=','))\nmain()\n"
     )
     program.chmod(0o755)
-    (tmp_path / "completion").write_text(clunk("completion", "bash")[1])
+    (tmp_path / "completion").write_text(command("completion", "bash")[1])
     line = "COMP_WORDS=(clunk sweep small.toml --set solver.e); COMP_CWORD=4"
     ask = f'compopt() {{ echo "$@"; }}; . ./completion; {line}; _clunk_completion clunk; echo "${{COMPREPLY[@]}}"'
     environment = os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"}

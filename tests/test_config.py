@@ -1,6 +1,5 @@
 import contextlib
 import hashlib
-import itertools
 import json
 import math
 import pickle
@@ -8,13 +7,13 @@ import re
 import tomllib
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 import pytest
 import tomli_w
 from click.testing import CliRunner
-from hypothesis import HealthCheck, assume, example, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from jsonschema.protocols import Validator
@@ -22,11 +21,10 @@ from scipy import stats
 
 from clunk.cli import cli
 from clunk.study.config import load_study, study_from_text
-from clunk.study.designs import design_of, design_of_points
-from clunk.study.document import dotted, key_lines, parse_place
+from clunk.study.designs import design_of
 from clunk.study.errors import ClunkWarning
 from clunk.study.fits import Fit
-from clunk.study.keys import PRESETS, json_schema
+from clunk.study.keys import json_schema
 from clunk.study.loads import Load
 from clunk.study.measures import Measure
 from clunk.study.models import DrivelineConfig, Impacts, Lash, Shaft
@@ -237,12 +235,6 @@ def test_severity_is_that_of_the_lash_s_first_inertia(between, inertia):
     assert study_from_text(f"{PRESET}[lash]\nbetween = {between}").impacts.acceleration_of == inertia
 
 
-def test_whole_numbers_stand_for_floats():
-    inertias = study_from_text(ONE_RUN.replace("0.024, ", "1, ")).driveline.inertias
-    assert inertias[0] == 1.0
-    assert isinstance(inertias[0], float)
-
-
 def test_figure_3_4_is_the_report_s_grid():
     study = load_study(next(path for path in CONFIGS if path.stem == "figure_3_4"))
     assert study.sweep is not None
@@ -321,13 +313,10 @@ def test_schema_allows_what_a_config_may_hold(schema, name):
     "text",
     [
         with_line(1, 'titel = "x"'),
-        with_line(3, "inertias = [0.024, 0.0, 0.002, 0.002]"),
         with_line(14, "between = [1]"),
         with_line(15, "stiffness = 31.3\nratio = 0"),
         with_line(20, 'radius = "x"'),
         with_line(22, 'model = "hertz"'),
-        with_line(26, "restitution = 1.1"),
-        with_line(37, "max_events = 0"),
         with_line(42, "parameter = 1"),
         f"{ONE_RUN}[[sweep.tolerances]]\nparameter = 'lash.radius'\ndistribution = 'uniform'\nlow = 1\nstd = 2\n",
         '[driveline]\npreset = "boere"\n',
@@ -351,39 +340,27 @@ def test_init_prints_the_schema_that_the_starter_names():
 BROKEN = [
     # text, key, line, what the message must say
     (with_line(1, "title = 3"), "title", 1, "found 3; must be text"),
-    (with_line(1, 'title = ""'), "title", 1, 'found ""'),
     (with_line(1, 'title = "a\\u0000b"'), "title", 1, "text on one line"),
-    (with_line(1, 'titel = "x"'), "titel", 1, 'did you mean "title"?'),
     (with_line(3, "inertias = [0.024, 0.0, 0.002, 0.002]"), "driveline.inertias[2]", 3, r"greater than 0 (kg m2)"),
     (with_line(3, "inertias = [0.024, true, 0.002, 0.002]"), "driveline.inertias[2]", 3, "found true"),
     (with_line(3, 'inertias = [\n0.024, # "\n"x",\n1,1]'), "driveline.inertias[2]", 3, 'found "x"; must be a number'),
     (with_line(3, "inertias = 0.024"), "driveline.inertias", 3, "must be a list of numbers greater than 0 (kg m2)"),
-    (with_line(3, "inertias = []"), "driveline.inertias", 3, "found []"),
     (with_line(3, "inertias = [1, 1, 1, 1, 1]"), "driveline.names", 4, "4 names for 5 inertias"),
     (with_line(3, ""), "driveline.inertias", 2, "missing"),
     (with_line(4, 'names = ["motor", "ring", "pinion", "ring"]'), "driveline.names[4]", 4, "taken by inertia 2"),
     (with_line(4, 'names = ["ground", "a", "b", "c"]'), "driveline.names[1]", 4, "kept for the ground"),
     (with_line(4, 'names = ["a", "2", "b", "c"]'), "driveline.names[2]", 4, 'found "2"'),
-    (with_line(4, 'names = ["a", 1, "b", "c"]'), "driveline.names[2]", 4, "found 1; must be text"),
     (with_line(6, "between = [1, 5]"), "driveline.shafts[1].between[2]", 6, "there is no inertia 5"),
-    (with_line(6, "between = [0, 1]"), "driveline.shafts[1].between[1]", 6, "from 1 to 4"),
     (with_line(10, "between = [2, 2]"), "driveline.shafts[2].between", 10, "both ends are 2"),
-    (with_line(10, 'between = ["flange", 2]'), "driveline.shafts[2].between", 10, "both ends are 2"),
     (with_line(14, 'between = ["ground", "ground"]'), "driveline.shafts[3].between", 14, 'both ends are "ground"'),
     (with_line(14, "between = [1]"), "driveline.shafts[3].between", 14, "found [1]; must be two inertias"),
-    (with_line(14, "between = 4"), "driveline.shafts[3].between", 14, "found 4; must be two inertias"),
-    (with_line(14, ""), "driveline.shafts[3].between", 13, "missing; must be two inertias"),
     (with_line(15, "stiffness = -1"), "driveline.shafts[3].stiffness", 15, "found -1; must be a number, 0 or greater"),
     (with_line(15, "stiffness = 31.3\nratio = 0"), "driveline.shafts[3].ratio", 16, "found 0; must be a finite number"),
-    (with_line(15, "stiffness = 31.3\nratio = inf"), "driveline.shafts[3].ratio", 16, "a finite number other than 0"),
     (with_line(15, "stiffness = 31.3\nratio = 1e7"), "driveline.shafts[3].ratio", 16, "lost in rounding"),
-    (with_line(16, "dampign = 0.1"), "driveline.shafts[3].dampign", 16, 'did you mean "damping"?'),
     (with_line(18, 'between = ["pinion", "rign"]'), "lash.between[2]", 18, 'did you mean "ring"?'),
     (with_line(18, "between = [3, 4.0]"), "lash.between[2]", 18, "found 4.0; must be an inertia's number"),
     (with_line(19, "backlsh_deg = 6.0"), "lash.backlsh_deg", 19, 'did you mean "backlash_deg"?'),
     (with_line(19, "backlash_deg = 361"), "lash.backlash_deg", 19, "from 0 to 360 (degrees)"),
-    (with_line(19, "backlash_deg = nan"), "lash.backlash_deg", 19, "found nan; must be a finite number"),
-    (with_line(19, "backlash_deg = 6.0\nratio = -0.0"), "lash.ratio", 20, "found 0; must be a finite number other"),
     (with_line(19, "backlash_deg = 6.0\nratio = 1e-40"), "lash.ratio", 20, "must be from 1e-30 to 1e+30"),
     (with_line(42, 'parameter = "lash.ratio"'), "sweep.axes[1].start", 43, "found 0; must be a finite number other"),
     (with_line(42, 'parameter = "lash.ratio"').replace("start = 0.0", "start = -10.0"), "sweep.axes[1]", 41,
@@ -392,27 +369,18 @@ BROKEN = [
      "sweep.axes[2].values[2]", 48, "ratio: found 0; must be"),
     (with_line(48, "values = [1, 1e8]").replace("lash.backlash_deg", "lash.ratio"),
      "sweep.axes[2].values[2]", 48, "lost in"),
-    (with_line(20, "radius = inf"), "lash.radius", 20, "found inf; must be a finite number"),
     (with_line(20, "radius = 1979-05-27"), "lash.radius", 20, "found 1979-05-27"),
-    (with_line(20, f"radius = {10**400}"), "lash.radius", 20, "beyond 64 bits"),
     (with_line(20, f"radius = 0x{'f' * 6000}"), "lash.radius", 20, "beyond 64 bits"),
     (with_line(48, f"values = [1, 0x{'f' * 6000}]"), "sweep.axes[2].values[2]", 48, "beyond 64 bits"),
     (with_line(20, "radius = 0.08\nstifness = 3"), "lash.stifness", 21, '"stiffness" in [lash.contact]'),
-    (with_line(22, 'model = "hertz"'), "lash.contact.model", 22, 'must be "indentation" or "restitution"'),
     (with_line(22, 'model = "indentatoin"'), "lash.contact.model", 22, 'did you mean "indentation"?'),
     (with_line(23, "stiffness = 0"), "lash.contact.stiffness", 23, "greater than 0 (N/m)"),
-    (with_line(25, 'separation = "never"'), "lash.contact.separation", 25, '"gap" or "force"'),
     (with_line(26, "restitution = 1.1"), "lash.contact.restitution", 26, "from 0 to 1"),
-    (with_line(26, "locking_speed = 0"), "lash.contact.locking_speed", 26, "(rad/s)"),
-    (with_line(28, 'profile = "tip-in"'), "load.profile", 28, 'must be "step", "ramp", '),
     (with_line(29, 'on = "ground"'), "load.on", 29, 'no inertia is named "ground"'),
-    (with_line(29, "on = 5"), "load.on", 29, "there is no inertia 5"),
     (with_line(30, ""), "load.static_torque", 27, "ratio needs static_torque"),
     (with_line(31, "initial_torque = 2"), "load", 27, "given together"),
     (ONE_RUN.replace("static_torque = -1.0\nratio", "final_torque"), "load.initial_torque", 27, "needs initial_torque"),
     (with_line(32, "[foo]\nx = 1"), "foo", 32, "unknown key; allowed here: title, driveline"),
-    (with_line(34, 'method = "euler"'), "solver.method", 34, 'must be "rk4" or "exact"'),
-    (with_line(35, "step = 0.0"), "solver.step", 35, "found 0.0; must be a number greater than 0 (s)"),
     (with_line(35, "step = 3.0"), "solver.step", 35, "longer than the run, end_time = 2 s"),
     (with_line(35, "step = 1e-10"), "solver.step", 35, "at most 1e+09"),
     (with_line(20, "radius = 1e-300"), "lash.radius", 20, "found 1e-300; must be from 1e-30 to 1e+30"),
@@ -426,17 +394,10 @@ BROKEN = [
     (with_line(42, 'parameter = "driveline.shafts[2].stiffness"').replace("stop = 10.0", "stop = 1e18"),
      "sweep.axes[1].stop", 44, "lost in rounding"),
     (with_line(37, "max_events = 100001"), "solver.max_events", 37, "a whole number from 1 to 100000"),
-    (with_line(37, "max_events = 5.0"), "solver.max_events", 37, "found 5.0; must be a whole number"),
-    (with_line(39, "sticking_time = -1"), "impacts.sticking_time", 39, "greater than 0 (s)"),
-    (with_line(40, 'acceleration_of = "pinoin"'), "impacts.acceleration_of", 40, 'did you mean "pinion"?'),
     (with_line(42, 'parameter = "load.ration"'), "sweep.axes[1].parameter", 42, 'did you mean "load.ratio"?'),
     (with_line(42, 'parameter = "ratio"'), "sweep.axes[1].parameter", 42, 'did you mean "load.ratio"?'),
     (with_line(42, 'parameter = "driveline.inertias"'), "sweep.axes[1].parameter", 42, "driveline.inertias[1]"),
-    (with_line(42, 'parameter = "driveline.inertias[5]"'), "sweep.axes[1].parameter", 42, "has 4 items"),
-    (with_line(42, 'parameter = "driveline.inertias[0]"'), "sweep.axes[1].parameter", 42, "no key"),
     (with_line(42, 'parameter = "lash.contact.model"'), "sweep.axes[1].parameter", 42, "no quantity that can be swept"),
-    (with_line(42, 'parameter = "solver.max_events"'), "sweep.axes[1].parameter", 42, "no quantity that can be swept"),
-    (with_line(42, 'parameter = "sweep.axes[1].start"'), "sweep.axes[1].parameter", 42, "no quantity"),
     (with_line(42, 'parameter = "lash.backlash_deg"'), "sweep.axes[2].parameter", 47, "swept by sweep.axes[1] already"),
     (with_line(42, 'parameter = "load.initial_torque"'), "sweep.axes[1].parameter", 42, "given by static_torque and"),
     (with_line(42, 'parameter = "driveline.shafts[2].damping"\nstart = -1').replace("start = 0.0\n", ""),
@@ -446,7 +407,6 @@ BROKEN = [
      "a step of 10 s is longer than the run"),
     (with_line(42, 'parameter = "load.on"\nstart = 1').replace("start = 0.0\nstop = 10.0", "stop = 11.0"),
      "sweep.axes[1].stop", 44, "must be an inertia's number from 1 to 4"),
-    (with_line(45, "count = 0"), "sweep.axes[1].count", 45, "from 1 to 10000000"),
     (with_line(45, "count = 1"), "sweep.axes[1].count", 45, "one value cannot span 0 to 10"),
     (with_line(45, f"count = {10**12}"), "sweep.axes[1].count", 45, "from 1 to 10000000"),
     (with_line(45, ""), "sweep.axes[1]", 41, "missing count"),
@@ -454,19 +414,14 @@ BROKEN = [
     (with_line(44, "stop = 1e308"), "sweep.axes[1]", 41, "beyond the range of numbers"),
     (with_line(45, "count = 3\nvalues = [1.0]"), "sweep.axes[1]", 41, "given together"),
     (with_line(45, 'count = 3\nscale = "cubic"'), "sweep.axes[1].scale", 46, '"linear" or "log"'),
-    (with_line(48, "values = []"), "sweep.axes[2].values", 48, "found []"),
-    (with_line(48, "values = [1.0, 400.0]"), "sweep.axes[2].values[2]", 48, "found 400.0; must be a number from"),
     (with_line(48, "values = [1.0,\n 2, 1]"), "sweep.axes[2].values[3]", 48, "the value 1 occurs twice"),
     (with_line(48, "values = [1.0, inf]"), "sweep.axes[2].values[2]", 48, "found inf"),
     (with_line(48, ""), "sweep.axes[2]", 46, "no values are given"),
     (f"{WHOLE}[sweep.axis]\n", "sweep.axis", 49, 'did you mean "axes"?'),
     (f"{ONE_RUN}[sweep]\naxes = []\n", "sweep.axes", 42, "an array of tables, [[sweep.axes]]"),
-    (f"{ONE_RUN}[sweep]\n", "sweep.axes", 41, "missing"),
     ('preset = "boere-2008"\n', "preset", 1, '"preset" in [driveline]'),
     ('[driveline]\npreset = "boere-2080"\n', "driveline.preset", 2, 'did you mean "boere-2008"?'),
-    ("[driveline]\npreset = 2008\n", "driveline.preset", 2, "found 2008; must be one of"),
     (f"{PRESET}inertias = [1, 1, 1]\n", "lash.between[2]", None, "there is no inertia 4"),
-    (f"{PRESET}lash = 3\n", "driveline.lash", 3, "unknown key"),
     ("lash = 3\n", "lash", 1, "found 3; must be a table"),
     ("", "driveline", None, "give driveline.preset"),
     (f"{PRESET}[load]\ninitial_torque = 1\n", "load.final_torque", 3, "initial_torque needs final_torque"),
@@ -528,34 +483,10 @@ def test_all_errors_are_reported_at_once_in_the_order_of_their_lines():
     assert str(error).startswith("study.toml has 11 errors:\n  line 1, titel: unknown key")
 
 
-def test_errors_of_keys_that_contradict_each_other_are_reported_at_once():
-    text = WHOLE
-    for old, new in {
-        "between = [2, 3]": "between = [2, 9]",
-        "on = 1": "on = 7",
-        "step = 1e-4": "step = 3.0",
-        "inertias = [0.024": "inertias = [1e11",
-    }.items():
-        assert text.count(old) == 1
-        text = text.replace(old, new)
-    assert [(problem.line, problem.key) for problem in errors_of(text, "impacts.acceleration_of=5").problems] == [
-        (3, "driveline.inertias[1]"),
-        (10, "driveline.shafts[2].between[2]"),
-        (29, "load.on"),
-        (35, "solver.step"),
-        (None, "impacts.acceleration_of"),
-    ]
-
-
 def test_report_fits_eighty_columns():
     error = errors_of(WHOLE.replace("[3, 4]", '["' + "x" * 500 + '", 4]').replace("on = 1", 'on = "moter"'))
     assert max(len(line) for line in str(error).splitlines()) <= 80
     assert "…" in str(error)
-
-
-def test_misspelt_required_key_is_not_also_missing():
-    error = errors_of(ONE_RUN.replace("radius =", "raduis ="))
-    assert [problem.key for problem in error.problems] == ["lash.raduis"]
 
 
 def test_wrong_value_of_a_preset_says_so():
@@ -642,10 +573,6 @@ def test_override_sets_its_key(override, parameter, value):
     assert get_value(study_from_text(PRESET), "load.static_torque") == -1.0
 
 
-def test_last_override_of_a_key_counts():
-    assert study_from_text(PRESET, overrides=["load.ratio=7", "load.ratio=8"]).load.ratio == 8.0
-
-
 @pytest.mark.parametrize(
     ("override", "key", "message"),
     [
@@ -654,21 +581,14 @@ def test_last_override_of_a_key_counts():
         ("load..ratio=7", '"load..ratio=7"', "must be KEY=VALUE"),
         ("driveline.inertias[0]=7", '"driveline.inertias[0]=7"', "from 1"),
         ("load.ratio=", '"load.ratio="', "no TOML value"),
-        ("load.ratio=7 8", '"load.ratio=7 8"', "no TOML value"),
         ("load.ratio=7\nx=8", '"load.ratio=7\\nx=8"', "not one TOML value"),
         ("load.ration=7", "load.ration", 'did you mean "ratio"?'),
-        ("laod.ratio=7", "laod", 'did you mean "load"?'),
-        ("load.ratio=many", "load.ratio", 'found "many"'),
-        ("solver.step=0.0", "solver.step", "found 0.0; must be a number greater than 0 (s)"),
-        ("solver.step=5", "solver.step", "longer than the run"),
         ("driveline.inertias[9]=1", "driveline.inertias[9]", "has 4 items"),
         ("driveline.inertias[rign]=1", "driveline.inertias[rign]", "no inertia has this name"),
         ("driveline.shafts.damping=1", "driveline.shafts.damping", "is a list"),
         ("title.x=1", "title.x", "title is no table"),
         ("lash.backlash_deg=7", "lash.backlash_deg", "sweep.axes[2] sweeps lash.backlash_deg"),
-        ("sweep.axes[1].count=-1", "sweep.axes[1].count", "from 1"),
         ("sweep.axes[2].values=[500.0]", "sweep.axes[2].values[1]", "from 0 to 360"),
-        ("driveline.preset=boere", "driveline.preset", "boere-2008"),
     ],
 )
 def test_broken_override_is_reported_as_an_override(override, key, message):
@@ -696,12 +616,6 @@ def test_log_axis_has_a_constant_ratio():
     # four multiplications and a power: a few units in the last place
     np.testing.assert_allclose(grid, [0.01, 0.1, 1.0, 10.0], rtol=1e-14)
     assert grid[[0, -1]].tolist() == [0.01, 10.0]
-
-
-def test_axis_of_one_value_needs_no_stop():
-    study = study_from_text(axis('parameter = "load.ratio"\nstart = 3\ncount = 1'))
-    assert study.sweep is not None
-    assert study.sweep.axes[0].grid.tolist() == [3.0]
 
 
 @example(start=203.33966460944185, stop=203.33966460944188, count=15, log=True)  # rounding alone would leave the ends
@@ -745,23 +659,6 @@ def test_wrong_axis_over_a_left_out_key_is_one_error():
     assert [problem.key for problem in errors_of(text).problems] == ["sweep.axes[2].values[1]"]
 
 
-def test_axes_over_both_torques_replace_the_preset_s_ratio():
-    axes = "".join(
-        f'[[sweep.axes]]\nparameter = "load.{key}_torque"\nvalues = [1, 2]\n' for key in ("initial", "final")
-    )
-    load = study_from_text(PRESET + axes).load
-    assert (load.initial_torque, load.final_torque, load.ratio) == (1.0, 1.0, None)
-
-
-def test_axis_over_the_ratio_of_a_load_given_by_its_torques_explains_itself():
-    text = (
-        f'{PRESET}[load]\ninitial_torque = 1\nfinal_torque = 2\n[[sweep.axes]]\nparameter = "load.ratio"\nvalues = [1]'
-    )
-    error = errors_of(text)
-    assert [problem.key for problem in error.problems] == ["sweep.axes[1].parameter"]
-    assert "given by initial_torque and final_torque" in error.problems[0].message
-
-
 def test_absurd_grids_are_refused_before_anything_is_allocated():
     three = "".join(
         f'[[sweep.axes]]\nparameter = "{parameter}"\nstart = 1\nstop = 2\ncount = 10000\n'
@@ -795,16 +692,6 @@ def test_resolved_config_gives_an_equal_study(text):
     assert study_from_text(resolved) == study
     assert to_toml(study_from_text(resolved)) == resolved
     assert digest(study_from_text(resolved)) == digest(study)
-
-
-def test_single_inertia_with_a_lash_to_ground_survives_the_round_trip():
-    text = """
-    driveline = { inertias = [1.0], shafts = [] }
-    lash = { between = [1, "ground"], backlash_deg = 1, radius = 1, contact = { stiffness = 1, damping = 0 } }
-    load = { on = 1, initial_torque = 1, final_torque = 0 }
-    """
-    study = study_from_text(text)
-    assert study_from_text(to_toml(study)) == study
 
 
 def test_digest_is_of_what_decides_the_results():
@@ -861,11 +748,6 @@ def test_replaced_values_obey_the_rules_of_a_file(values, message):
     assert message in str(caught.value).replace("\n    ", " ")
 
 
-def test_value_that_is_not_set_is_an_error():
-    with pytest.raises(ConfigError, match="no value in this study"):
-        get_value(study_from_text(PRESET), "impacts.sticking_time")
-
-
 @pytest.mark.parametrize(
     ("parameter", "name", "symbol", "unit"),
     [
@@ -881,129 +763,7 @@ def test_quantities_have_name_symbol_and_unit(parameter, name, symbol, unit):
     assert (found.name, found.symbol, found.unit) == (name, symbol, unit)
 
 
-@pytest.mark.parametrize("parameter", ["load.ration", "title", "", "driveline.inertias", "solver.max_events", "]["])
-def test_what_is_no_quantity_is_an_error(parameter):
-    with pytest.raises(ConfigError):
-        quantity(parameter)
-
-
-def test_study_built_by_hand_is_held_to_the_same_rules():
-    parts: dict[str, Any] = dict(study_from_text(PRESET))
-    assert Study(**parts) == study_from_text(PRESET)
-    with pytest.raises(ValueError, match="there is no inertia 7"):
-        Study(**parts | {"load": parts["load"].model_copy(update={"on": 7})})
-    with pytest.raises(ValueError, match="frozen"):
-        parts["load"].ratio = 3.0
-
-
-# --- The lines of keys -----------------------------------------------------------------------------------------------
-
-
-def test_lines_of_headers_and_keys_are_found():
-    text = '''
-# comment [x]
-a.b = """
-not = "a key"
-""" # 3
-"quoted key" = 'it # s'
-[t]
-list = [
-  1, # ]
-  [2,
-   "]"],
-  { k = 1, l.m = 2 },
-]
-[[t.array]]
-x = 1
-[[t.array]]
-x = 2
-[t.array.sub]
-y = 1979-05-27T07:32:00Z
-'''
-    lines = key_lines(text)
-    for key, line in {
-        "a.b": 3,
-        "t": 7,
-        "t.list": 8,
-        "t.array[1].x": 15,
-        "t.array[2]": 16,
-        "t.array[2].x": 17,
-        "t.array[2].sub.y": 19,
-    }.items():
-        assert (key, lines[parse_place(key)]) == (key, line)
-    assert ("nothing",) not in lines
-    assert lines[("quoted key",)] == 6
-
-
-@given(st.text(alphabet="ab.=[]{},\"'\\\n# 1", max_size=60))
-@example('a = """')
-@example("[[")
-@example("a = [}")
-def test_key_lines_never_raise(text):
-    key_lines(text)
-
-
-@given(st.lists(st.one_of(st.integers(0, 99), st.from_regex(r"[A-Za-z_][A-Za-z0-9_-]*", fullmatch=True)), min_size=1))
-def test_dotted_keys_read_back(place):
-    place = ["x", *place]
-    assert parse_place(dotted(tuple(place))) == tuple(place)
-
-
 # --- Whatever comes --------------------------------------------------------------------------------------------------
-
-_KEYS = sorted(
-    set(re.findall(r"^#? ?([a-z_]+) = ", STARTER, re.MULTILINE)) | {"axes", "lash", "load", "shafts", "sweep"}
-)
-_WORDS = ["ground", "motor", "ring", "rk4", "exact", "log", "gap", "load.ratio", "driveline.inertias[4]", *PRESETS, ""]
-_LEAVES = st.one_of(
-    st.sampled_from(_WORDS),
-    st.integers(-3, 6),
-    st.integers(),
-    st.floats(),
-    st.booleans(),
-    st.dates(),
-    st.text(st.characters(exclude_categories=("Cs",)), max_size=5),
-)
-_TREES = st.recursive(
-    _LEAVES,
-    lambda below: st.one_of(
-        st.lists(below, max_size=3),
-        st.dictionaries(
-            st.one_of(st.sampled_from(_KEYS), st.text(st.characters(exclude_categories=("Cs",)), max_size=3)),
-            below,
-            max_size=4,
-        ),
-    ),
-    max_leaves=12,
-)
-
-
-def _places(node: Any, place: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    entries = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
-    return [place, *itertools.chain.from_iterable(_places(child, (*place, key)) for key, child in entries)]
-
-
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-@given(data=st.data(), tree=_TREES)
-def test_a_config_with_anything_anywhere_is_a_study_or_a_config_error(data, tree):
-    document = tomllib.loads(
-        data.draw(st.sampled_from([WHOLE, PRESET, axis('parameter = "load.ratio"\nvalues = [1]')]))
-    )
-    place = data.draw(st.sampled_from([place for place in _places(document) if place]))
-    node: Any = document
-    for step in place[:-1]:
-        node = node[step]
-    node[place[-1]] = tree
-    try:
-        text = tomli_w.dumps(document)
-    except (ValueError, OverflowError):  # tomli_w cannot write every string as a key
-        return
-    override = f"{dotted(place)}={data.draw(st.sampled_from(['1', 'x', '[1', '{a = 1}', '[]', '']))}"
-    for overrides in ([], [override]):
-        with contextlib.suppress(ConfigError):
-            study = study_from_text(text, overrides=overrides)
-            assert study_from_text(to_toml(study)) == study
-            assert len(digest(study)) == 64
 
 
 @settings(max_examples=200, deadline=None)
@@ -1108,24 +868,6 @@ def test_wrong_design_is_reported_where_it_is_wrong(case):
     assert found.line is not None
 
 
-def test_axes_that_are_walked_together_may_repeat_values():
-    sweep = study_from_text(ZIP.replace("[1, 2, 5]", "[1, 5, 5]")).sweep
-    assert sweep is not None
-    assert sweep.axes[0].grid.tolist() == [1.0, 5.0, 5.0]
-
-
-@pytest.mark.parametrize(
-    ("override", "read"),
-    [
-        ("sweep.sampling.count=512", lambda sweep: sweep.sampling.count == 512),
-        ("sweep.sampling.method=latin-hypercube", lambda sweep: sweep.sampling.method == "latin-hypercube"),
-        ("sweep.samples[1].std=0.01", lambda sweep: sweep.samples[0].std == 0.01),
-    ],
-)
-def test_design_may_be_set_on_the_command_line(override, read):
-    assert read(study_from_text(drawn(sample(STIFFNESS, "normal", draws="factor", std=0.1)), "x", [override]).sweep)
-
-
 def test_design_survives_the_round_trip_and_counts_in_the_digest():
     text = drawn(sample(STIFFNESS, "normal", draws="factor", std=0.1))
     study = study_from_text(text)
@@ -1188,67 +930,6 @@ def test_truncation_holds_in_the_far_tail():
     assert values.min() >= 4.4e5
     assert values.max() <= 4.41e5
     assert np.unique(values).size == values.size
-
-
-# --- Arbitrary points ------------------------------------------------------------------------------------------------
-
-
-def test_points_are_the_cells_of_their_design():
-    points = {"load.ratio": [5.0, 1.0, 5], "lash.backlash_deg": np.array([6.0, 6.0, 0.0])}
-    design = design_of_points(study_from_text(WHOLE), points)
-    assert (design.shape, design.run) == ((3,), 0)
-    at = design.at(np.array([2, 0]))
-    assert {parameter: values.tolist() for parameter, values in at.items()} == {
-        "load.ratio": [5.0, 5.0],
-        "lash.backlash_deg": [0.0, 6.0],
-    }
-
-
-def test_points_may_give_keys_that_the_study_leaves_out_and_name_inertias():
-    points = {"impacts.sticking_time": [1e-3, 2e-3], "driveline.inertias[ring]": [0.002, 0.003], "load.on": [1, 2]}
-    design = design_of_points(study_from_text(PRESET), points)
-    assert [column.parameter for column in design.columns] == [
-        "impacts.sticking_time",
-        "driveline.inertias[4]",
-        "load.on",
-    ]
-
-
-@pytest.mark.parametrize(
-    ("points", "key", "message"),
-    [
-        ({}, "sweep.axes", "must be an array of tables"),
-        ({"load.ration": [1.0]}, "load.ration", 'did you mean "load.ratio"?'),
-        ({"driveline.inertias[5]": [1.0]}, "driveline.inertias[5]", "has 4 items"),
-        (
-            {"lash.backlash_deg": [1.0, 361.0, 2.0]},
-            "lash.backlash_deg",
-            "point 2: found 361.0; must be a number from 0 to 360",
-        ),
-        (
-            {"lash.radius": [1.0, 0.0]},
-            "lash.radius",
-            "point 2: found 0.0; must be a number greater than 0",
-        ),
-        ({"load.ratio": [1.0, math.nan]}, "load.ratio", "point 2: found nan; must be a finite number"),
-        ({"load.on": [1.0, 2.5]}, "load.on", "must be an inertia's number"),
-        ({"load.on": [1.0, 5.0]}, "load.on", "from 1 to 4"),
-        ({"load.ratio": [[1.0]]}, "load.ratio", "point 1: found [1.0]; must be a finite number"),
-        ({"load.ratio": []}, "load.ratio", "found []; must be a list of finite numbers"),
-        ({"load.ratio": 1.0}, "load.ratio", "found 1.0; must be a list of finite numbers"),
-        ({"load.ratio": ["a"]}, "load.ratio", 'point 1: found "a"; must be a finite number'),
-        ({"load.ratio": [1.0], "lash.radius": [0.1, 0.2]}, "lash.radius", "found 2 values, and load.ratio has 1"),
-        ({"load.final_torque": [1.0]}, "load.final_torque", "does not apply"),
-        ({"load.ratio": [1.0], "solver.step": [3.0]}, "solver.step", "longer than the run"),
-        ({"driveline.inertias[4]": [1e-3, 1e11]}, "driveline.inertias[4]", "lost in rounding"),
-    ],
-)
-def test_points_obey_the_rules_of_a_file(points, key, message):
-    with pytest.raises(ConfigError) as caught:
-        design_of_points(study_from_text(PRESET), points)
-    (problem,) = caught.value.problems
-    assert problem.key == key
-    assert message in problem.message
 
 
 DAMPER = 'name = "clutch damper"\nbetween = [1, 2]\nstiffness = 31.3\ndamping = 0.08\n'

@@ -10,8 +10,6 @@ from test_sweeping import equal, regimes, same_as_single_run
 
 from clunk import plot
 from clunk.analysis.comparison import compare
-from clunk.analysis.small_gap import thresholds_of
-from clunk.cli import main
 from clunk.plot.drawing import scatter
 from clunk.plot.layers import Layers
 from clunk.plot.maps import shades_of
@@ -114,12 +112,6 @@ class TestCells:
             values |= {axis.parameter: float(axis.values[cell[2]]) for axis in mixed.coordinates}
             same_as_single_run(mixed, cell, replace_values(study, values))
 
-    def test_axes_that_are_walked_together_take_their_values_in_order(self, zipped):
-        walked = {axis.parameter: axis.values.tolist() for axis in zipped.coordinates}
-        assert walked["load.ratio"] == [1.0, 2.0, 5.0, 5.0, 8.0]
-        assert walked["lash.backlash_deg"] == [1.0, 3.0, 5.0, 7.0, 9.0]
-        assert zipped.axes[0].values.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
-
     def test_a_seed_reproduces_the_sweep_whatever_the_number_of_workers(self, sampled):
         assert equal(sampled, sweep(study_from_text(SAMPLE), workers=1))
         other = sweep(study_from_text(SAMPLE, "x", ["sweep.sampling.seed=4"]))
@@ -163,20 +155,12 @@ class TestSlices:
                     mine = getattr(part, name)[part.first_impact[own] : part.first_impact[own + 1]]
                     assert np.array_equal(mine, getattr(four, name)[first[whole] : first[whole + 1]])
 
-    def test_the_nearest_value_is_taken(self, four):
-        assert four.at({"lash.contact.stiffness": 3e5}).axes[2].values.tolist() == [4.092e5]
-        assert four.at({"lash.contact.stiffness": 1.5e6}).axes[2].values.tolist() == [1.6e6]
-
     def test_a_run_keeps_its_coordinates(self, mixed):
         part = mixed.at({RUN: 4})
         assert part.shape == (6, 4, 1)
         for whole, own in zip(mixed.coordinates, part.coordinates, strict=True):
             assert own.values.tolist() == [whole.values[3]]
         assert np.array_equal(part.sequence[:, :, 0], mixed.sequence[:, :, 3])
-
-    def test_slicing_twice_is_slicing_once(self, four):
-        once = four.at({"load.ratio": 7.0, "lash.contact.stiffness": 1e5})
-        assert_same(four.at({"lash.contact.stiffness": 1e5}).at({"load.ratio": 7.0}), once)
 
     def test_what_is_no_axis_or_no_number_is_refused(self, four, zipped):
         with pytest.raises(ValueError, match=r"'load\.ration' is no axis .* load\.ratio, lash"):
@@ -200,11 +184,6 @@ class TestFiles:
             assert np.array_equal(mine.values, theirs.values)
             assert (mine.name, mine.symbol, mine.unit) == (theirs.name, theirs.symbol, theirs.unit)
 
-    def test_a_slice_can_be_written_too(self, mixed, tmp_path):
-        part = mixed.at({RUN: 2})
-        write_results(tmp_path / "slice.h5", part)
-        assert_same(part, read_results(tmp_path / "slice.h5"))
-
     def test_xarray_selects_from_four_axes(self, four, tmp_path):
         write_results(tmp_path / "four.h5", four)
         with xarray.open_dataset(tmp_path / "four.h5", engine="h5netcdf") as data:
@@ -219,18 +198,6 @@ class TestFiles:
             np.testing.assert_array_equal(chosen["severity"], part.severity[:, :, 0, 0])
             hardest = data["severity"].sel(load_ratio=10.0).max().item()
             assert hardest == four.severity[-1].max()
-
-    def test_xarray_selects_runs_by_what_was_drawn(self, mixed, tmp_path):
-        write_results(tmp_path / "mixed.h5", mixed)
-        with xarray.open_dataset(tmp_path / "mixed.h5", engine="h5netcdf") as data:
-            assert data["severity"].dims == ("load_ratio", "lash_backlash_deg", "run")
-            stiff = data["lash_contact_stiffness"]
-            assert stiff.dims == ("run",)
-            soft = data["severity"].where(stiff < 4.092e5, drop=True)
-            chosen = mixed.coordinates[0].values < 4.092e5
-            assert 0 < chosen.sum() < 6
-            np.testing.assert_array_equal(soft, mixed.severity[:, :, chosen])
-            assert data["severity"].swap_dims(run="lash_contact_stiffness").sortby("lash_contact_stiffness").ndim == 3
 
 
 class TestComparison:
@@ -254,11 +221,6 @@ class TestComparison:
         with pytest.raises(ClunkError, match=r"they sweep .* \(32 values\), .* in B"):
             compare(sampled, zipped)
 
-    def test_the_same_draws_are_the_same(self, sampled):
-        found = compare(sampled, sweep(study_from_text(SAMPLE)))
-        assert found.identical
-        assert found.same_regimes
-
 
 SHAFTS = """
   { between = [1, 2], stiffness = 31.3, damping = 0.12 },
@@ -270,7 +232,7 @@ SHAFTS = """
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory, four, zipped, sampled, mixed):
-    """The results in files, and what a command prints about them: clunk(*arguments) -> code, stdout, stderr."""
+    """The results in files, and what a command prints about them: command(*arguments) -> code, stdout, stderr."""
     place = tmp_path_factory.mktemp("designs")
     for name, results in {"four": four, "zip": zipped, "sample": sampled, "mixed": mixed}.items():
         write_results(place / f"{name}.h5", results)
@@ -278,17 +240,9 @@ def files(tmp_path_factory, four, zipped, sampled, mixed):
 
 
 @pytest.fixture
-def clunk(files, monkeypatch, capsys):
+def command(files, command, monkeypatch):
     monkeypatch.chdir(files)
-
-    def run(*arguments):
-        monkeypatch.setattr("sys.argv", ["clunk", *arguments])
-        with pytest.raises(SystemExit) as stopped:
-            main()
-        written = capsys.readouterr()
-        return stopped.value.code, written.out, written.err
-
-    return run
+    return command
 
 
 FACETS = ["--facet", "lash.contact.stiffness", "--facet", "driveline.shafts[1].damping"]
@@ -317,8 +271,8 @@ class TestCommandLine:
             (["mixed.h5", "--at", "lash.backlash_deg=6", "--quantity", "severity"], ["mixed-severity.png"]),
         ],
     )  # fmt: skip
-    def test_every_design_is_drawn(self, clunk, files, arguments, pictures):
-        code, out, err = clunk("plot", *arguments)
+    def test_every_design_is_drawn(self, command, files, arguments, pictures):
+        code, out, err = command("plot", *arguments)
         assert code == 0, err
         assert out.split() == pictures
         for picture in pictures:
@@ -347,58 +301,40 @@ class TestCommandLine:
             (["mixed.h5", "--facet", "load.ratio"], "have no order that a map could show"),
         ],
     )
-    def test_what_cannot_be_drawn_is_answered_with_what_to_type(self, clunk, files, arguments, found):
+    def test_what_cannot_be_drawn_is_answered_with_what_to_type(self, command, files, arguments, found):
         before = sorted(files.iterdir())
-        code, out, err = clunk("plot", *arguments)
+        code, out, err = command("plot", *arguments)
         assert (code, out) == (2, "")
         assert found in " ".join(err.split())
         assert sorted(files.iterdir()) == before
 
-    def test_nearest_values_are_told(self, clunk):
+    def test_nearest_values_are_told(self, command):
         at = ["--at", "lash.contact.stiffness=4e5", "--at", "load.ratio=1"]
-        _, _, err = clunk("plot", "four.h5", *at, "--quantity", "touches")
+        _, _, err = command("plot", "four.h5", *at, "--quantity", "touches")
         assert err.splitlines() == ["lash.contact.stiffness = 409200 is the nearest value of its axis"]
 
-    def test_a_cell_of_a_sample_is_run_again_by_its_run(self, clunk, sampled):
-        code, out, _ = clunk("simulate", "sample.h5", "--at", "run=17", "--json")
+    def test_a_cell_of_a_sample_is_run_again_by_its_run(self, command, sampled):
+        code, out, _ = command("simulate", "sample.h5", "--at", "run=17", "--json")
         found = json.loads(out)
         assert code == 0
         assert found["label"] == regimes(sampled)[16]
         assert found["severity"] == sampled.severity[16]
-        code, _, err = clunk("simulate", "sample.h5")
+        code, _, err = command("simulate", "sample.h5")
         assert code == 2
         assert "--at run=17" in err
 
-    def test_info_tells_what_lies_along_the_runs(self, clunk, sampled):
-        _, out, _ = clunk("info", "sample.h5")
+    def test_info_tells_what_lies_along_the_runs(self, command, sampled):
+        _, out, _ = command("info", "sample.h5")
         ratio = sampled.coordinates[2].values
         assert "run: 1 to 32, 32 values" in out
         assert f"load.ratio: {ratio.min():g} to {ratio.max():g}" in out
-        _, out, _ = clunk("info", "sample.h5", "--json")
+        _, out, _ = command("info", "sample.h5", "--json")
         assert [each["parameter"] for each in json.loads(out)["coordinates"]] == [
             axis.parameter for axis in sampled.coordinates
         ]
-        _, out, _ = clunk("info", "four.h5")
+        _, out, _ = command("info", "four.h5")
         assert out.count("\naxis ") == 4
         assert read_map("four.h5").coordinates == ()
-
-    def test_failed_cells_are_named_by_their_parameters(self, clunk, files):
-        (files / "sample.toml").write_text(SAMPLE)
-        code, _, err = clunk("sweep", "sample.toml", "--set", "solver.max_events=12", "-o", "failed.h5")
-        assert code == 3
-        assert "  at lash.contact.stiffness = " in err
-        assert max(map(len, err.splitlines())) <= 80
-
-    def test_verify_compares_a_sample(self, clunk, files):
-        (files / "small.toml").write_text(SAMPLE.replace("count = 32", "count = 4"))
-        code, out, _ = clunk("verify", "small.toml", "--json")
-        found = json.loads(out)
-        assert code == 0
-        assert found["cells_compared"] == 4
-        assert found["cells_differing"] == 0
-        code, out, _ = clunk("verify", "small.toml")
-        assert "    at lash.contact.stiffness = " in out
-        assert max(map(len, out.splitlines())) <= 80
 
 
 class TestFigures:
@@ -450,37 +386,3 @@ class TestFigures:
         assert all(len(own) == 1 for own in by_label.values())
         assert len(set.union(*by_label.values())) == len(sampled.labels)
         assert len(figure.legends[0].get_texts()) == len(sampled.labels)
-
-    def test_points_of_a_grid_of_samples_have_the_parameters_of_their_cells(self, mixed):
-        part = mixed.at({"lash.backlash_deg": 6.0})
-        figure = scatter(part, "severity", "load.ratio", "lash.contact.stiffness")
-        points = figure.axes[0].collections[0]
-        ratio, stiffness = points.get_offsets().T
-        shades = shades_of([Layers.of(part, 0, "severity")])
-        for k, colour in enumerate(points.get_facecolors()):
-            i = int(np.flatnonzero(mixed.axes[0].values == ratio[k])[0])
-            run = int(np.flatnonzero(mixed.coordinates[0].values == stiffness[k])[0])
-            np.testing.assert_allclose(colour, shades.to_rgba(mixed.severity[i, 2, run]), atol=1e-12)
-
-    def test_a_slice_says_at_which_values_it_is(self, four, mixed):
-        part = four.at({"lash.contact.stiffness": 4e5, "driveline.shafts[1].damping": 0.04})
-        line = plot.draw(part, "touches").subfigs[0].get_suptitle()
-        assert "contact stiffness = 409200 N/m" in line
-        assert "damping of shaft 1 = 0.04 N m s/rad" in line
-        line = plot.draw(mixed.at({RUN: 3}), "touches").subfigs[0].get_suptitle()
-        assert f"inertia 4 = {mixed.coordinates[1].values[2]:.6g} kg m2" in line
-
-    def test_thresholds_are_those_of_the_slices_driveline(self, four):
-        """More damping, higher thresholds."""
-        light, heavy = (thresholds_of(four.at({"driveline.shafts[1].damping": c})) for c in (0.04, 0.16))
-        assert len(light) == len(heavy) > 2
-        assert all(b > 1.02 * a for a, b in zip(light, heavy, strict=True))
-
-    def test_only_labels_of_the_slice_are_noted(self, four):
-        part = four.at({"load.ratio": 2.5, "driveline.shafts[1].damping": 0.04})
-        figure = plot.draw(part, "regimes")
-        written = {text.get_text() for ax in figure.axes for text in ax.texts}
-        written |= {text.get_text().split(":")[0] for legend in figure.legends for text in legend.get_texts()}
-        present = set(regimes(part).ravel())
-        assert present < set(four.labels)
-        assert written - {"undecided"} == present

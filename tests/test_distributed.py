@@ -13,7 +13,6 @@ import pytest
 from test_parts import CONFIG, posix, resumed, stopped
 from test_sweeping import digest_of, equal, figure_3_4, study
 
-from clunk.cli import main
 from clunk.study.config import load_study
 from clunk.sweeping import distributed
 from clunk.sweeping.distributed import Cluster
@@ -114,15 +113,11 @@ def clunk(directory, *arguments, before="pass"):
     )
 
 
-def main_in(directory, monkeypatch, capsys, *arguments):
-    """(exit code, stdout, stderr) of the command, run in this process."""
-    (directory / "map.toml").write_text(CONFIG)
-    monkeypatch.chdir(directory)
-    monkeypatch.setattr(signal, "signal", lambda *_: None)  # main's handler must not outlive a test
-    monkeypatch.setattr(sys, "argv", ["clunk", "sweep", "map.toml", "-o", "map.h5", "--no-boundaries", *arguments])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    return (stopped.value.code or 0, *capsys.readouterr())
+@pytest.fixture
+def swept(command, here):
+    """Sweep in this process with such options: exit code, stdout, stderr."""
+    (here / "map.toml").write_text(CONFIG)
+    return lambda *options: command("sweep", "map.toml", "-o", "map.h5", "--no-boundaries", *options)
 
 
 def words(text):
@@ -152,14 +147,14 @@ class TestTheSameBits:
         for name in ("runs", "nominal_sequence", "severity_mean", "severity_quantiles", "status"):
             assert getattr(here, name).tobytes() == getattr(there, name).tobytes()
 
-    def test_by_a_local_cluster_of_the_command_which_leaves_nothing_behind(self, tmp_path, monkeypatch, capsys):
+    def test_by_a_local_cluster_of_the_command_which_leaves_nothing_behind(self, tmp_path, swept):
         local = clunk(tmp_path, "--scheduler", "local", "--workers", "2")
         out, err = local.communicate(timeout=120)
         assert local.returncode == 0, err
         assert all("cells" in line for line in err.splitlines()), err
         assert sorted(path.name for path in tmp_path.iterdir()) == ["map.h5", "map.toml"]
         digest = digest_of(tmp_path / "map.h5")
-        assert main_in(tmp_path, monkeypatch, capsys, "--force")[:2] == (0, out)
+        assert swept("--force")[:2] == (0, out)
         assert digest_of(tmp_path / "map.h5") == digest
 
     @posix
@@ -198,8 +193,8 @@ class TestTheSameBits:
 
 
 class TestWhatIsRefused:
-    def test_no_scheduler(self, tmp_path, monkeypatch, capsys):
-        code, out, err = main_in(tmp_path, monkeypatch, capsys, "--scheduler", "tcp://127.0.0.1:9")
+    def test_no_scheduler(self, tmp_path, swept):
+        code, out, err = swept("--scheduler", "tcp://127.0.0.1:9")
         assert code == 2
         assert "No scheduler answers at tcp://127.0.0.1:9" in words(err)
         assert "Traceback" not in err
@@ -213,15 +208,15 @@ class TestWhatIsRefused:
             (["--scheduler", "tcp://127.0.0.1:9", "--workers", "2"], "for a local scheduler; this one has its own"),
         ],
     )
-    def test_options_that_make_no_sense(self, tmp_path, monkeypatch, capsys, arguments, sentence):
-        code, _, err = main_in(tmp_path, monkeypatch, capsys, *arguments)
+    def test_options_that_make_no_sense(self, swept, arguments, sentence):
+        code, _, err = swept(*arguments)
         assert code == 2
         assert sentence in words(err)
 
-    def test_without_dask(self, tmp_path, monkeypatch, capsys):
+    def test_without_dask(self, swept, monkeypatch):
         monkeypatch.delitem(sys.modules, distributed.__name__)
         monkeypatch.setitem(sys.modules, "dask", None)
-        code, _, err = main_in(tmp_path, monkeypatch, capsys, "--scheduler", "local")
+        code, _, err = swept("--scheduler", "local")
         assert code == 2
         assert "pip install 'clunk[dask]'" in words(err)
         assert "Traceback" not in err

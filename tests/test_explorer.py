@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from clunk.simulation.history import sample
+
 pytest.importorskip("bokeh", reason="the explorer's page needs Bokeh")
 from bokeh.document import Document
 from bokeh.events import DocumentReady
@@ -33,10 +35,7 @@ from clunk.explorer.subject import Subject, of_one_cell
 from clunk.explorer.workbench import Workbench
 from clunk.plot.style import colour_of
 from clunk.results.quantities import quantity_of
-from clunk.results.tolerancemap import CERTAIN
-from clunk.simulation.history import sample
 from clunk.study.config import study_from_text
-from clunk.study.keys import Key
 from clunk.study.parameters import located
 
 CONFIGS = Path(__file__).parent.parent / "configs"
@@ -84,10 +83,6 @@ class TestCurves:
             whole = values[start : start + length]
             part = thin[np.isin(thin_time, time_of[start : start + length])]
             assert (part.min(), part.max()) == (whole.min(), whole.max())
-
-    def test_a_part_is_cut_with_a_point_on_either_side(self):
-        at = np.arange(100.0)
-        assert thinned(at, at, 10.5, 20.5, 1000)[0].tolist() == list(range(10, 22))
 
 
 class TestNewest:
@@ -185,15 +180,6 @@ class TestTolerances:
         assert shares == sorted(shares, reverse=True)
         assert sum(shares) == pytest.approx(100.0, abs=0.5)  # three figures of each
 
-    def test_its_config_is_that_of_the_map_and_with_other_numbers_that_of_the_nominal_one(self, subject):
-        assert tolerance_map(study_from_text(subject.config(CELL, {}))).config_digest == subject.results.config_digest
-        assert not study_from_text(subject.config(CELL, {"lash.contact.stiffness": 3e5})).sweep.tolerances
-
-    def test_its_colours_are_paler_where_the_label_is_less_certain(self, subject):
-        full = {colour_of(subject.results.labels[code]) for code in np.unique(subject.results.sequence)}
-        shown = pixels(picture(subject.results, "label"))[np.ix_([0, 320, -1], [0, 160, 320, 480, -1])]
-        assert np.array_equal(np.isin(shown, list(full)), subject.results.certainty >= CERTAIN)
-
     @pytest.mark.parametrize("quantity", ["double_sided", "severity", "severity_95"])
     def test_its_probabilities_and_quantiles_have_colours_and_the_largest_is_named(self, subject, quantity):
         changes, described = picture(subject.results, quantity), quantity_of(quantity, subject.results)
@@ -204,12 +190,6 @@ class TestTolerances:
 
 
 class TestPictures:
-    def test_a_strip_has_an_edge_where_the_label_changes(self):
-        results = sweep(study_from_text(NOMINAL + EXACT + AXES[AXES.rindex("[[") :].replace("count = 5", "count = 41")))
-        changes, bands = np.flatnonzero(np.diff(results.sequence)), picture(results, "severity")["bands"]["data"]
-        assert bands["x1"][:-1].tolist() == pytest.approx(0.25 * changes + 0.125)
-        assert len(bands["colour"]) == changes.size + 1
-
     def test_pixels_have_the_colours_of_the_labels_of_their_cells(self, subject):
         changes, label = picture(subject.results, "label"), subject.results.cell(CELL)["label"]
         colours = pixels(changes)
@@ -264,12 +244,6 @@ class TestControls:
             start, end, step = slider_range(value, located(study, key)[1])
             assert start < end
             assert step > 0.0
-
-    @pytest.mark.parametrize("value", [0.0, 94.0, -3.0, 4e5])
-    def test_the_range_of_a_slider_holds_its_number(self, value):
-        start, end, step = slider_range(value, Key(""))
-        assert start <= value <= end
-        assert 50 <= (end - start) / step <= 510
 
 
 @pytest.mark.parametrize("model", ["indentation", "restitution"])
@@ -345,14 +319,6 @@ class TestServer:
     def test_a_port_in_use_is_said_to_be(self, explorer, subject):
         with pytest.raises(ClunkError, match=f"Port {explorer.port} of this machine cannot be used: address already"):
             explore(subject.results, port=explorer.port, browser=False)
-
-    def test_a_second_explorer_has_a_port_and_a_token_of_its_own(self, explorer, subject):
-        second = explore(subject.results, browser=False)
-        assert second.url.split("/")[2:4] != explorer.url.split("/")[2:4]
-        assert answer(second, f"/{explorer.url.split('/')[3]}/")[0] == 404
-        second.stop()
-        with pytest.raises(OSError, match="refused"):
-            answer(second, "/")
 
 
 def test_titles_and_names_are_text():

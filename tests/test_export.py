@@ -5,7 +5,6 @@ import csv
 import numpy as np
 import pytest
 from scipy.io import loadmat
-from test_cli import clunk, here  # noqa: F401  fixtures
 from test_store import BACKLASH, INERTIA, RATIO, example, padded
 from test_tolerances import DRIVELINE, study, tolerance
 
@@ -76,13 +75,13 @@ def test_runs_of_a_path_have_their_coordinates(tmp_path):
     ]
 
 
-def test_the_command_exports_and_refuses_other_formats(clunk, here):  # noqa: F811
+def test_the_command_exports_and_refuses_other_formats(command, here):
     store.write_results(here / "map.h5", example(RATIO))
-    assert clunk("export", "map.h5", "out/map.csv")[0] == 0
+    assert command("export", "map.h5", "out/map.csv")[0] == 0
     assert (here / "out/map.csv").read_text().startswith("load.ratio,sequence,")
-    code, _, err = clunk("export", "map.h5", "map.xlsx")
+    code, _, err = command("export", "map.h5", "map.xlsx")
     assert code == 2
     assert "must end in .csv, .mat" in err
-    code, _, err = clunk("export", "nothing.h5", "map.csv")
+    code, _, err = command("export", "nothing.h5", "map.csv")
     assert code == 2
     assert "nothing.h5 cannot be read" in err

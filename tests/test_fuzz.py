@@ -21,8 +21,9 @@ from test_config import ONE_RUN, PRESET, STARTER, WHOLE
 from clunk.cli import main
 from clunk.core.status import Status
 from clunk.simulation.trajectory import simulate
-from clunk.study.config import load_study
+from clunk.study.config import load_study, study_from_text
 from clunk.study.problems import ConfigError
+from clunk.study.study import to_toml
 
 # Sizes at the edge of double precision may overflow on the way to the answer; it is the answer that counts.
 pytestmark = [
@@ -195,6 +196,8 @@ def hold_to_the_contract(command, content):
             came_of_it.append(f"{name}: {kind}")
         else:
             assert out
+            study = load_study(command.path)
+            assert study_from_text(to_toml(study)) == study
             came_of_it.append(f"{name}: done")
     return came_of_it
 

@@ -11,7 +11,6 @@ from scipy.io import loadmat
 from test_store import padded
 
 import clunk
-from clunk.cli import main
 from clunk.results import export, netcdf
 from clunk.results.historyfile import save_csv
 from clunk.results.quantities import CELL_QUANTITIES, REGIME_QUANTITIES
@@ -266,31 +265,27 @@ def test_tolerances_and_sensitivities_know_the_lashes():
     assert shares.nominal == clunk.simulate(rig()).lashes[1].severity
 
 
-def test_commands_take_a_lash_by_name(two, path, capsys, monkeypatch):
-    def run(*arguments):
-        monkeypatch.setattr("sys.argv", ["clunk", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stopped:
-            main()
-        return stopped.value.code, *capsys.readouterr()
-
-    code, out, _ = run("info", path)
+def test_commands_take_a_lash_by_name(path, command):
+    code, out, _ = command("info", path)
     assert code == 0
     assert "lash: gear, differential" in out
-    code, out, _ = run("plot", path, "--lash", "differential", "--quantity", "regimes", "-o", path.with_name("one.svg"))
+    code, out, _ = command(
+        "plot", path, "--lash", "differential", "--quantity", "regimes", "-o", path.with_name("one.svg")
+    )
     assert code == 0
     assert "differential" in path.with_name("one.svg").read_text("utf-8")
-    code, out, err = run("plot", path, "--lash", "rear")
+    code, out, err = command("plot", path, "--lash", "rear")
     assert code == 2
     assert "there are gear and differential" in err
     config = path.with_name("rig.toml")
     config.write_text(RIG)
-    code, out, _ = run("simulate", config, "--set", "load.ratio=2.0")
+    code, out, _ = command("simulate", config, "--set", "load.ratio=2.0")
     assert code == 0
     assert re.search(r"touch +joint +\w+", out)
     assert re.search(r"^gear +\S+ \(", out, re.MULTILINE)
-    code, out, _ = run("simulate", config, "--json", "--set", "load.ratio=2.0")
+    code, out, _ = command("simulate", config, "--json", "--set", "load.ratio=2.0")
     assert list(json.loads(out)["lashes"]) == ["gear", "joint"]
-    code, out, _ = run("modes", config)
+    code, out, _ = command("modes", config)
     assert "all lashes closed" in out
 
 

@@ -3,8 +3,6 @@
 pytest -m slow tests/test_matrix.py       1,000 random studies in the place of 40
 """
 
-import signal
-import sys
 import tomllib
 from pathlib import Path
 from typing import NamedTuple
@@ -17,7 +15,6 @@ from helpers.studies import random_study
 
 import clunk
 from clunk.analysis.comparison import METHODS, with_method
-from clunk.cli import main
 from clunk.core.status import Status
 from clunk.simulation.energy import balance
 from clunk.study.designs import has_tolerances
@@ -194,36 +191,25 @@ COMMANDS = (
 OF_MAPS_OF_TWO_AXES = ("plot", "report")  # of more axes a picture is a slice, which the user chooses
 
 
-def test_commands_answer(ran, tmp_path, monkeypatch, capsys):
+def test_commands_answer(ran, here, command):
     """Each command by every fifth study: it does what it says, or refuses in a sentence."""
-    (tmp_path / "study.toml").write_text(to_toml(ran.study), encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
+    (here / "study.toml").write_text(to_toml(ran.study), encoding="utf-8")
     if ran.comparison is None:
-        code, _, errors = _command(monkeypatch, capsys, "sweep", "study.toml", "-o", "map.h5")
+        code, _, errors = command("sweep", "study.toml", "-o", "map.h5")
         assert code == 2
         assert "Traceback" not in errors
         return
     if has_tolerances(ran.study):
-        code, output, errors = _command(monkeypatch, capsys, "sweep", "study.toml", "-o", "map.h5")
+        code, output, errors = command("sweep", "study.toml", "-o", "map.h5")
         assert code == 0, errors
     else:
         clunk.write_results("map.h5", ran.maps["exact"])
     turn = sum(map(ord, ran.study.title)) % 5
-    for command in COMMANDS[turn::5]:
-        if command[0] in OF_MAPS_OF_TWO_AXES and len(ran.maps["exact"].of_lash().axes) > 2:
+    for words in COMMANDS[turn::5]:
+        if words[0] in OF_MAPS_OF_TWO_AXES and len(ran.maps["exact"].of_lash().axes) > 2:
             continue
-        code, output, errors = _command(monkeypatch, capsys, *command)
+        code, output, errors = command(*words)
         plt.close("all")
-        agrees = command[0] != "verify" or not ran.comparison.differing_elsewhere
-        assert code == (0 if agrees else 4), f"{command}\n{errors}"
-        assert output or Path(command[-1]).stat().st_size, command
-
-
-def _command(monkeypatch, capsys, *words):
-    """Exit code, output and messages of a command."""
-    monkeypatch.setattr(signal, "signal", lambda *_: None)  # main's handler must not outlive a test
-    monkeypatch.setattr(sys, "argv", ["clunk", *words])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    captured = capsys.readouterr()
-    return stopped.value.code, captured.out, captured.err
+        agrees = words[0] != "verify" or not ran.comparison.differing_elsewhere
+        assert code == (0 if agrees else 4), f"{words}\n{errors}"
+        assert output or Path(words[-1]).stat().st_size, words

@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 from conftest import RUBBING
-from test_cli import SMALL, clunk, here  # noqa: F401  fixtures
+from test_cli import SMALL
 from test_store import BACKLASH, INERTIA, RATIO
 from test_store import example as example_without_config
 from test_sweeping import digest_of
@@ -105,17 +105,17 @@ def test_texts_of_a_file_are_text(text):
     assert read.tags.count("svg") == len(lashes.words)
 
 
-def test_the_commands_of_a_page_make_the_same_results_from_its_config(clunk, here):  # noqa: F811
+def test_the_commands_of_a_page_make_the_same_results_from_its_config(command, here):
     (here / "first.toml").write_text(LINE.replace("step = 2e-4", 'method = "exact"'))
-    assert clunk("sweep", "first.toml", "-o", "first.h5", "--boundaries")[0] == 0
-    assert clunk("report", "first.h5")[0] == 0
+    assert command("sweep", "first.toml", "-o", "first.h5", "--boundaries")[0] == 0
+    assert command("report", "first.h5")[0] == 0
     read = Page((here / "first.html").read_text("utf-8"))
     commands, config = read.texts["pre"]
     (here / "first.toml").write_text(config)
     digest = digest_of(here / "first.h5")
     (here / "first.h5").unlink()
     for line in commands.splitlines()[1:]:
-        assert clunk(*shlex.split(line)[1:])[0] == 0
+        assert command(*shlex.split(line)[1:])[0] == 0
     assert digest_of(here / "first.h5") == digest
     assert digest in read.texts["td"]
     again = Page((here / "first.html").read_text("utf-8"))
@@ -127,11 +127,11 @@ def test_the_commands_of_a_page_make_the_same_results_from_its_config(clunk, her
     assert f"{first:.10g}" in read.texts["td"]
 
 
-def test_three_axes_are_a_family_of_maps_and_a_slice_is_one(clunk, here):  # noqa: F811
+def test_three_axes_are_a_family_of_maps_and_a_slice_is_one(command, here):
     store.write_results(here / "map.h5", example(INERTIA, RATIO, BACKLASH))
     at = ["--at", "driveline.inertias[4]=0.002", "--at", "load.ratio=5"]
     for name, options, swept in (("out/family.html", [], (3, 5, 4)), ("slice.html", at, (1, 1, 4))):
-        assert clunk("report", "map.h5", "-o", name, *options)[0] == 0
+        assert command("report", "map.h5", "-o", name, *options)[0] == 0
         read = Page((here / name).read_text("utf-8"))
         counts = [re.search(r"(\d+) values", text) for text in read.texts["td"]]
         assert tuple(int(count[1]) for count in counts if count) == swept
@@ -139,7 +139,7 @@ def test_three_axes_are_a_family_of_maps_and_a_slice_is_one(clunk, here):  # noq
         assert shlex.split(read.texts["pre"][0].splitlines()[-1])[5:] == options
 
 
-def test_bad_usage_gives_one_sentence_and_writes_nothing(clunk, here):  # noqa: F811
+def test_bad_usage_gives_one_sentence_and_writes_nothing(command, here):
     further = [ResultAxis(f"driveline.inertias[{k}]", np.array([1.0, 2.0]), "", "", "kg m2") for k in (1, 2, 3)]
     store.write_results(here / "five.h5", example(RATIO, BACKLASH, *further))
     (here / "folder.html").mkdir()
@@ -150,7 +150,7 @@ def test_bad_usage_gives_one_sentence_and_writes_nothing(clunk, here):  # noqa: 
         ("five.h5",): "choose one value of",
         ("five.h5", "--at", "load.ratio=50"): "load.ratio is swept from 0 to 10",
     }.items():
-        code, _, err = clunk("report", *arguments)
+        code, _, err = command("report", *arguments)
         assert code == 2
         assert sentence in " ".join(err.split())
     assert not [path for path in here.glob("*.html") if path.is_file()]

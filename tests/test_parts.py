@@ -216,34 +216,6 @@ def test_a_disk_that_is_full_is_a_sentence_and_what_was_kept_stays(study, whole,
     assert equal(results, whole)
 
 
-def test_few_parts_are_written_however_long_a_sweep_takes(study, target, monkeypatch):
-    """One every 1.5 s at first, at most 2 % of the time so far later, 30 s at the longest: 24 h are 3,100 files."""
-    now = [0.0]
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    tile = next(iter(_tiles(study)))
-    moments = []
-    with WorkingDirectory(target) as directory:
-        parts = Job(study, directory=directory).parts
-        monkeypatch.setattr(parts, "flush", lambda: (moments.append(now[0]), _written(parts, now[0])))
-        while now[0] < 86400.0:
-            parts.add(tile)
-            now[0] += 0.5
-    pauses = np.diff(moments)
-    assert moments[0] == pytest.approx(2.0, abs=0.5)
-    assert pauses.min() >= 1.5
-    assert pauses.max() <= 30.5
-    assert len(moments) < 3200
-
-
-def _written(parts, now):
-    parts._written, parts._number = now, parts._number + 1
-    parts._waiting.clear()
-
-
-def _tiles(study):
-    yield Grid(study).run(np.arange(5), np.zeros(1, np.uint8))
-
-
 def test_what_waits_to_be_written_is_bounded_however_fast_cells_finish(study, whole, target, monkeypatch):
     monkeypatch.setattr(keeping, "_LARGEST_PART", 100)
     monkeypatch.setattr(time, "monotonic", lambda: 0.0)  # no part falls due by the clock

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_cli import clunk, here  # noqa: F401  fixtures
 from test_thresholds import DURATION, LASH, NOMINAL, RAMP, RATIO, axis
 
 import clunk as clunk_api
@@ -187,25 +186,25 @@ def test_pictures_have_curves_of_each_quantile_or_probabilities(ramps):
         quantile_figure(ramps, result, replace(undrawn, axes=more))
 
 
-def test_the_command_says_and_writes_quantiles_or_draws(clunk, here):  # noqa: F811
+def test_the_command_says_and_writes_quantiles_or_draws(command, here):
     text = f"{RAMPED}{FEW}{COARSE}{STIFFNESS}{INERTIA}[sweep.sampling]\ncount = 8\n"
     (here / "config.toml").write_text(text, encoding="utf-8")
-    command = ("thresholds", "config.toml", "--along", "load.duration", "--of", "double_sided")
-    command = (*command, "--set", "solver.method=exact")
-    code, out, err = clunk(*command, "--quantiles", "0.5,0.95", "-o", "t.csv")
+    words = ("thresholds", "config.toml", "--along", "load.duration", "--of", "double_sided")
+    words = (*words, "--set", "solver.method=exact")
+    code, out, err = command(*words, "--quantiles", "0.5,0.95", "-o", "t.csv")
     assert code == 0
     assert "in 3 cells x 8 draws" in err
     assert "uncertain" in out
-    _, out, _ = clunk(*command, "--json")
+    _, out, _ = command(*words, "--json")
     listed = [(cell["at"], row) for cell in json.loads(out) for row in cell["thresholds"]]
     rows = list(csv.DictReader((here / "t.csv").read_text().splitlines()))
     assert [(float(row["quantile"]), float(row["load.duration"])) for row in rows] == [
         (at["quantile"], row["value"]) for at, row in listed
     ]
-    assert clunk(*command, "--draws", "-o", "d.csv")[0] == 0
+    assert command(*words, "--draws", "-o", "d.csv")[0] == 0
     rows = list(csv.DictReader((here / "d.csv").read_text().splitlines()))
     assert {float(row["draw"]) for row in rows} == set(range(1, 9))
-    assert clunk(*command, "-o", "t.png")[0] == 0
+    assert command(*words, "-o", "t.png")[0] == 0
 
 
 @pytest.mark.parametrize(
@@ -221,8 +220,8 @@ def test_the_command_says_and_writes_quantiles_or_draws(clunk, here):  # noqa: F
         ("duration = 0.1\n" + INERTIA, (), "the config has no [[sweep.axes]]"),
     ],
 )
-def test_the_command_refuses_before_it_runs(clunk, here, tables, arguments, message):  # noqa: F811
+def test_the_command_refuses_before_it_runs(command, here, tables, arguments, message):
     (here / "config.toml").write_text(RAMPED + tables, encoding="utf-8")
-    code, _, err = clunk("thresholds", "config.toml", "--along", "load.duration", *arguments)
+    code, _, err = command("thresholds", "config.toml", "--along", "load.duration", *arguments)
     assert code == 2
     assert message in " ".join(err.split())

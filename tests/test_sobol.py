@@ -2,14 +2,12 @@
 
 import json
 import re
-import sys
 
 import numpy as np
 import pytest
 
 import clunk
 from clunk.analysis.sobol import first_and_total, saltelli_sample, sensitivity
-from clunk.cli import main
 from clunk.plot.analyses import sobol_bars
 from clunk.plot.style import PlotError
 from clunk.simulation.trajectory import simulate
@@ -63,17 +61,10 @@ def record(found):
 
 
 @pytest.fixture
-def clunk_command(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("signal.signal", lambda *_: None)  # main's handler must not outlive a test
-
+def clunk_command(command, here):
     def run(config, *arguments):
-        (tmp_path / "config.toml").write_text(config, encoding="utf-8")
-        monkeypatch.setattr(sys, "argv", ["clunk", "sensitivity", "config.toml", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stopped:
-            main()
-        out, err = capsys.readouterr()
-        return stopped.value.code, out, err
+        (here / "config.toml").write_text(config, encoding="utf-8")
+        return command("sensitivity", "config.toml", *arguments)
 
     return run
 

@@ -127,11 +127,6 @@ def test_padded_impacts_follow_their_cell() -> None:
     assert position == results.impact_time.size
 
 
-def test_counts_are_of_cells_and_name_the_failed_ones() -> None:
-    counts = example(RATIO, BACKLASH).counts()
-    assert counts == {"NI": 5, "SS(1)": 5, "DS(1)SS(1)": 4, "DS(2)SS(1)": 5, "failed": 1}
-
-
 def test_results_refuse_arrays_that_do_not_belong_together() -> None:
     results = example(RATIO, BACKLASH)
     with pytest.raises(ValueError, match="not those of the quantities"):
@@ -173,12 +168,6 @@ def test_xarray_sees_named_dimensions_and_coordinates(tmp_path: Path, axes: tupl
         assert dataset.attrs["title"] == "Régimes"
         assert dataset.attrs["config"] == results.config
         assert dataset.attrs["cpu"] == "Ω 5000"
-
-
-def test_structural_keys_become_plain_variable_names() -> None:
-    assert INERTIA.variable == "driveline_inertias_4"
-    assert RATIO.variable == "load_ratio"
-    assert BACKLASH.variable == "lash_backlash_deg"
 
 
 def test_flag_meanings_decode_every_code(tmp_path: Path) -> None:
@@ -232,12 +221,6 @@ def test_content_digest_depends_on_the_data_and_nothing_else(tmp_path: Path) -> 
     assert len({original, *others}) == 5
 
 
-def test_store_brings_in_no_plotting() -> None:
-    code = "import sys, clunk.results.store; print({'matplotlib'} & set(sys.modules))"
-    answer = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert answer.stdout.strip() == "set()"
-
-
 # --- interrupted and impossible writes
 
 
@@ -283,11 +266,6 @@ except ClunkError as error:
     assert (answer.returncode, answer.stderr) == (0, "")
     assert answer.stdout.strip().endswith("cannot be written: file too large.")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_missing_directories_are_made(tmp_path: Path) -> None:
-    store.write_results(tmp_path / "deep" / "er" / "map.h5", example(RATIO))
-    assert store.read_results(tmp_path / "deep" / "er" / "map.h5").shape == (5,)
 
 
 def test_writing_through_a_link_replaces_what_it_points_to(tmp_path: Path) -> None:

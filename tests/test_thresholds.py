@@ -2,7 +2,6 @@
 
 import csv
 import json
-import sys
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +12,6 @@ import clunk
 from clunk.analysis import thresholds as analysis
 from clunk.analysis.brackets import POINT, TOLERANCE, narrow
 from clunk.analysis.thresholds import thresholds
-from clunk.cli import main
 from clunk.plot.style import PlotError
 from clunk.plot.thresholds import threshold_figure
 from clunk.results.labels import FAILED
@@ -238,18 +236,12 @@ def test_progress_is_told_as_a_sweep_tells_it(capsys):
 
 
 @pytest.fixture
-def command(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("signal.signal", lambda *_: None)  # main's handler must not outlive a test
-
+def command(command, here):
     def run(text, *arguments):
-        (tmp_path / "config.toml").write_text(NOMINAL + text, encoding="utf-8")
-        monkeypatch.setattr(sys, "argv", ["clunk", "thresholds", "config.toml", *arguments])
-        with pytest.raises(SystemExit) as stopped:
-            main()
-        out, err = capsys.readouterr()
+        (here / "config.toml").write_text(NOMINAL + text, encoding="utf-8")
+        code, out, err = command("thresholds", "config.toml", *arguments)
         assert max(map(len, err.splitlines())) <= 80
-        return stopped.value.code, out, err
+        return code, out, err
 
     return run
 

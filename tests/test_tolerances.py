@@ -1,24 +1,21 @@
 """Tolerance maps: every cell is a plain loop of single runs, and what a figure and a file say is what was counted."""
 
 import re
-import tracemalloc
 
 import h5py
 import numpy as np
 import pytest
 import xarray
 from matplotlib.colors import to_rgb
-from test_cli import clunk, here  # noqa: F401  fixtures
 
 import clunk as clunk_api
 from clunk import plot
-from clunk.analysis.comparison import verify
 from clunk.core.status import Status
 from clunk.plot import PlotError, save
 from clunk.plot.layers import Layers
 from clunk.plot.style import colour_of
 from clunk.results import netcdf, store
-from clunk.results.labels import double_sided, excursions
+from clunk.results.labels import excursions
 from clunk.results.netcdf import StoreError
 from clunk.results.quantities import quantity_of
 from clunk.results.store import read_results
@@ -149,14 +146,6 @@ class TestCells:
         assert 0.3 < certain.mean() < 1.0
         assert np.array_equal(found.sequence[certain], found.nominal_sequence[certain])
 
-    def test_a_slice_has_the_cells_of_the_whole(self, found):
-        part = found.at({"load.ratio": 8.4})
-        assert part.axes[0].values == [8.5]
-        assert np.array_equal(part.runs, found.runs[17:18])
-        assert np.array_equal(part.severity_quantiles, found.severity_quantiles[17:18])
-        with pytest.raises(ValueError, match="no axis of these results"):
-            found.at({"load.on": 1.0})
-
     def test_of_equally_likely_labels_the_first_counts(self, found):
         runs = np.zeros((*found.shape, len(found.labels) + 1), np.int32)
         runs[..., 1] = runs[..., 2] = 8
@@ -165,27 +154,6 @@ class TestCells:
         tied = found.with_arrays(probability=runs / 16, sequence=most_likely(runs))
         assert tied.sequence[0, 0] == len(found.labels) - 1
         assert np.all(tied.sequence.ravel()[1:] == 1)
-
-    def test_the_probability_of_a_double_sided_impact_is_that_of_its_labels(self, found):
-        crossing = [double_sided(label) > 0 for label in found.labels]
-        shares = quantity_of("double_sided", found).of_runs(found)
-        assert shares == pytest.approx(found.probability[..., :-1][..., crossing].sum(axis=-1), abs=1e-12)
-        assert (shares.min(), shares.max()) == (0.0, 1.0)
-
-    def test_a_label_that_means_no_impact_has_severity_zero(self, found):
-        quiet = found.runs[..., found.labels.index("NI")] == 16
-        assert quiet.any()
-        assert np.all(found.severity_mean[quiet] == 0.0)
-        assert np.all(found.severity_quantiles[quiet] == 0.0)
-
-
-def test_the_uncertain_fraction_grows_with_the_tolerance():
-    fractions = [
-        clunk_api.tolerance_map(study(tolerance("lash.backlash_deg", std), tolerance("load.ratio", std))).uncertain
-        / 147
-        for std in (0.01, 0.03, 0.1)
-    ]
-    assert 0.0 < fractions[0] < fractions[1] < fractions[2] < 0.8
 
 
 def test_a_lopsided_tolerance_moves_the_most_likely_label():
@@ -202,17 +170,6 @@ def replace_axis(base, parameter, values):
     changed = Axis(parameter=parameter, values=tuple(float(value) for value in values))
     axes = tuple(changed if own.parameter == parameter else own for own in base.sweep.axes)
     return base.model_copy(update={"sweep": base.sweep.model_copy(update={"axes": axes})})
-
-
-def test_a_structural_axis_may_have_a_tolerance_of_its_own():
-    axes = (
-        '[[sweep.axes]]\nparameter = "load.ratio"\nvalues = [2.0, 8.5]\n'
-        '[[sweep.axes]]\nparameter = "driveline.inertias[4]"\nvalues = [0.0015, 0.002, 0.003]\n'
-    )
-    base = study(tolerance("driveline.inertias[4]", 0.1), tolerance("load.ratio", 0.5, "offset"), axes=axes, count=8)
-    found = clunk_api.tolerance_map(base)
-    for at in np.ndindex(found.shape):
-        same_as_single_runs(found, base, at)
 
 
 def test_rk4_and_axes_walked_together():
@@ -273,14 +230,14 @@ class TestFailedRuns:
         titles = [ax.get_title(loc="left") for ax in clunk_api.draw(found).axes]
         assert any(caveat in " ".join(title.split()) for title in titles)
 
-    def test_the_command_says_where_and_exits_with_3(self, failing, clunk, here):  # noqa: F811
+    def test_the_command_says_where_and_exits_with_3(self, failing, command, here):
         (here / "failing.toml").write_text(to_toml(failing))
-        code, out, err = clunk("sweep", "failing.toml", "-o", "map.h5")
+        code, out, err = command("sweep", "failing.toml", "-o", "map.h5")
         assert code == 3
         assert "of 48 runs failed" in err
         assert "failed for some draws: more events" in " ".join(err.split())
         assert out.splitlines()[-1].startswith("another most likely label")
-        code, _, err = clunk("sweep", "failing.toml", "-o", "map.h5")
+        code, _, err = command("sweep", "failing.toml", "-o", "map.h5")
         assert code == 3
         assert "already complete" in err
 
@@ -291,19 +248,6 @@ class TestTiles:
         for runs in (1, 150, 900):
             monkeypatch.setattr(tolerances, "_TILE_RUNS", runs)
             assert equal(found, clunk_api.tolerance_map(toleranced, workers=3))
-
-    def test_memory_does_not_grow_with_the_sample(self, monkeypatch):
-        """8 and 64 draws of 49 cells; the sample itself and the kept system are all that is there for longer."""
-        monkeypatch.setattr(tolerances, "_TILE_RUNS", 256)
-        peaks = []
-        for count in (8, 64):
-            backlash = study(tolerance("lash.backlash_deg"), axes=AXES.replace("21", "7"), count=count)
-            clunk_api.tolerance_map(backlash, workers=1)  # what is made once
-            tracemalloc.start()
-            clunk_api.tolerance_map(backlash, workers=1)
-            peaks.append(tracemalloc.get_traced_memory()[1])
-            tracemalloc.stop()
-        assert peaks[1] < 1.3 * peaks[0]
 
     def test_a_stopped_sweep_goes_on_where_it_was(self, found, toleranced, tmp_path, monkeypatch):
         monkeypatch.setattr(tolerances, "_TILE_RUNS", 160)
@@ -370,11 +314,6 @@ class TestFile:
             for name, variable in data.variables.items():
                 assert "long_name" in variable.attrs, name
 
-    def test_the_sample_is_what_the_config_draws(self, found, toleranced):
-        drawn = drawn_numbers(toleranced, toleranced.sweep.tolerances)
-        assert all(np.array_equal(own.values, numbers) for own, numbers in zip(found.sample, drawn, strict=True))
-        assert [own.unit for own in found.sample] == ["1", "1", "1", "N m"]
-
     @pytest.mark.parametrize("name", ["probability", "sequence", "severity_mean", "drawn_lash_contact_stiffness"])
     def test_a_changed_value_is_noticed(self, path, tmp_path, name):
         changed = tmp_path / "changed.h5"
@@ -396,34 +335,34 @@ class TestFile:
 
 class TestCommands:
     @pytest.fixture
-    def config(self, here):  # noqa: F811
+    def config(self, here):
         text = (
             DRIVELINE + AXES.replace("21", "11") + "[sweep.sampling]\ncount = 8\n" + tolerance("lash.backlash_deg", 0.1)
         )
         (here / "small.toml").write_text(text)
         return "small.toml"
 
-    def test_sweep_info_plot_and_simulate(self, config, clunk, here):  # noqa: F811
-        code, out, err = clunk("sweep", config)
+    def test_sweep_info_plot_and_simulate(self, config, command, here):
+        code, out, err = command("sweep", config)
         assert code == 0
         assert "77 cells x 8 draws in" in err
         assert "uncertain (no label has 95% of the 8 draws)" in out
         assert all(len(line) <= 80 for line in (out + err).splitlines())
-        code, again, err = clunk("sweep", config)
+        code, again, err = command("sweep", config)
         assert (code, again) == (0, out)
         assert "already complete" in err
-        code, shown, _ = clunk("info", "results/small.h5", "--check")
+        code, shown, _ = command("info", "results/small.h5", "--check")
         assert code == 0
         assert re.search("drawn +backlash: factor on its nominal value", shown)
         assert shown.endswith(out)
-        code, shown, _ = clunk("info", "results/small.h5", "--json")
+        code, shown, _ = command("info", "results/small.h5", "--json")
         assert '"uncertain_cells"' in shown
-        code, shown, _ = clunk("plot", "results/small.h5")
+        code, shown, _ = command("plot", "results/small.h5")
         assert [line.rsplit("-", 1)[1] for line in shown.split()] == ["regimes.png", "double_sided.png", "severity.png"]
         assert (here / "results" / "small-regimes.png").exists()
-        code, shown, _ = clunk("plot", "results/small.h5", "--at", "lash.backlash_deg=6.5", "-o", "slice.png")
+        code, shown, _ = command("plot", "results/small.h5", "--at", "lash.backlash_deg=6.5", "-o", "slice.png")
         assert (code, shown) == (0, "slice-severity.png\n")
-        code, shown, err = clunk(
+        code, shown, err = command(
             "simulate", "results/small.h5", "--at", "load.ratio=5", "--at", "lash.backlash_deg=6.5"
         )
         assert "DS(1)SS(1)" in shown
@@ -438,16 +377,11 @@ class TestCommands:
             (("plot", "small.h5", "--quantity", "touches"), 'There is no quantity "touches"; there are label'),
         ],
     )
-    def test_what_does_not_go_is_a_sentence(self, config, clunk, found, arguments, sentence):  # noqa: F811
+    def test_what_does_not_go_is_a_sentence(self, config, command, found, arguments, sentence):
         store.write_results("small.h5", found)
-        code, out, err = clunk(*arguments)
+        code, out, err = command(*arguments)
         assert (code, out) == (2, "")
         assert sentence in " ".join(err.split())
-
-    def test_verify_compares_the_nominal_runs(self, toleranced):
-        verified = verify(replace_axis(toleranced, "load.ratio", [2.0, 5.0]))
-        assert verified.cells == 14
-        assert verified.differing_elsewhere == 0
 
     def test_each_function_refuses_the_other_ones_study(self, toleranced):
         with pytest.raises(ClunkError, match=r"clunk\.tolerance_map runs it"):
@@ -505,14 +439,6 @@ class TestFigures:
         values = Layers.of(part, 1, quantity).values
         assert set(drawn) <= set(values)
         assert {text.get_text() for text in band.texts} <= set(part.labels)
-
-    def test_the_map_of_double_sided_impacts_shows_their_probability(self, found):
-        assert np.array_equal(
-            Layers.of(found, 2, "double_sided").values, quantity_of("double_sided", found).of_runs(found)
-        )
-        figure = plot.draw(found, "double_sided")
-        assert figure.axes[1].get_ylim() == (0.0, 1.0)
-        assert "Probability" in figure.axes[1].get_ylabel()
 
     def test_under_the_restitution_model_there_is_no_severity_to_draw(self):
         base = DRIVELINE + '[lash.contact]\nmodel = "restitution"\n'

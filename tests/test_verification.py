@@ -1,14 +1,12 @@
 """Two methods that share the model and nothing else: where they agree and where not, and what a person is told."""
 
 import json
-import sys
 
 import numpy as np
 import pytest
 from test_store import padded
 
 from clunk.analysis.comparison import METHODS, verify, with_method
-from clunk.cli import main
 from clunk.core.status import QUALITY_COMPLETE
 from clunk.study.config import study_from_text
 from clunk.study.records import plain
@@ -56,17 +54,10 @@ def grid():
 
 
 @pytest.fixture
-def clunk(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("signal.signal", lambda *_: None)  # main's handler must not outlive a test
-
+def verify_command(command, here):
     def run(text, *arguments):
-        (tmp_path / "study.toml").write_text(text)
-        monkeypatch.setattr(sys, "argv", ["clunk", "verify", "study.toml", *arguments])
-        with pytest.raises(SystemExit) as stopped:
-            main()
-        out, err = capsys.readouterr()
-        return stopped.value.code, out, err
+        (here / "study.toml").write_text(text)
+        return command("verify", "study.toml", *arguments)
 
     return run
 
@@ -150,16 +141,16 @@ def test_the_config_s_own_method_does_not_matter(grid, method):
 # --- the command
 
 
-def test_verify_prints_what_compare_does_within_80_columns(clunk):
-    code, out, _ = clunk(NOMINAL + GRID)
+def test_verify_prints_what_compare_does_within_80_columns(verify_command):
+    code, out, _ = verify_command(NOMINAL + GRID)
     assert code == 0
     assert out.startswith("The labels are the same in 99 cells.")
     assert "solver.method  rk4  exact" in out
     assert max(map(len, out.splitlines())) <= 80
 
 
-def test_verify_exits_4_and_names_the_cells_where_labels_differ(clunk):
-    code, out, err = clunk(NOMINAL + NEAR_A_BOUNDARY, "--set", TOO_COARSE)
+def test_verify_exits_4_and_names_the_cells_where_labels_differ(verify_command):
+    code, out, err = verify_command(NOMINAL + NEAR_A_BOUNDARY, "--set", TOO_COARSE)
     assert code == 4
     assert "weak rebounds are lost" in err
     cells = out[out.index("\ncells with two labels\n") :].split("\n\n")[0]
@@ -167,31 +158,33 @@ def test_verify_exits_4_and_names_the_cells_where_labels_differ(clunk):
         ["9", "15", "DS(1)SS(2)", "DS(1)SS(1)", "no"],
         ["9", "16", "DS(1)SS(2)", "DS(1)SS(1)", "no"],
     ]
-    code, out, _ = clunk(NOMINAL + NEAR_A_BOUNDARY, "--set", TOO_COARSE, "--set", "solver.margin_tolerance=0.01")
+    code, out, _ = verify_command(
+        NOMINAL + NEAR_A_BOUNDARY, "--set", TOO_COARSE, "--set", "solver.margin_tolerance=0.01"
+    )
     assert code == 0
     assert "2 of 6 cells differ" in out
 
 
-def test_verify_answers_in_json(clunk):
-    code, out, _ = clunk(NOMINAL + NEAR_A_BOUNDARY, "--set", TOO_COARSE, "--json")
+def test_verify_answers_in_json(verify_command):
+    code, out, _ = verify_command(NOMINAL + NEAR_A_BOUNDARY, "--set", TOO_COARSE, "--json")
     assert code == 4
     printed = json.loads(out)
     assert printed["same_regimes"] is False
     assert (printed["cells_compared"], printed["cells_differing"], printed["differing_elsewhere"]) == (6, 2, 2)
     assert printed["differing_cells"][0]["at"] == {"load.ratio": 9.0, "lash.backlash_deg": 15.0}
-    code, out, _ = clunk(NOMINAL, "--json")
+    code, out, _ = verify_command(NOMINAL, "--json")
     assert (code, json.loads(out)["cells_compared"]) == (0, 1)
 
 
-def test_verify_exits_3_where_cells_failed(clunk):
+def test_verify_exits_3_where_cells_failed(verify_command):
     axes = GRID.replace("start = 0.0", "start = -1.0", 1).replace("stop = 10.0", "stop = 9.0")
-    code, out, err = clunk(NOMINAL + axes)
+    code, out, err = verify_command(NOMINAL + axes)
     assert code == 3
     assert "the same in 90 cells" in out
     for method in METHODS:
         assert f"9 cells failed by {method}: no initial flank" in err
     nowhere = axes.replace("count = 11", "count = 1")
-    code, out, _ = clunk(NOMINAL + nowhere, "--set", "sweep.axes[1].stop=-1.0")
+    code, out, _ = verify_command(NOMINAL + nowhere, "--set", "sweep.axes[1].stop=-1.0")
     assert code == 3
     assert "No cell has a label in both maps" in out
 
@@ -204,8 +197,8 @@ def test_verify_exits_3_where_cells_failed(clunk):
         (["--workers", "0"], "--workers"),
     ],
 )
-def test_bad_input_exits_2_with_a_sentence(clunk, arguments, named):
-    code, out, err = clunk(NOMINAL, *arguments)
+def test_bad_input_exits_2_with_a_sentence(verify_command, arguments, named):
+    code, out, err = verify_command(NOMINAL, *arguments)
     assert (code, out) == (2, "")
     assert named in err
     assert "Traceback" not in err
