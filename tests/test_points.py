@@ -80,7 +80,7 @@ def test_other_points_have_another_digest(single):
         ({"solver.method": [1.0]}, "solver.method: "),
         ({"driveline.inertias[5]": [1.0]}, "has 4 items"),
         ({"driveline.inertias[4]": [1e-3, 1e11]}, "lost in rounding"),
-        ({"load.ratio": [1.0], "solver.step": [3.0]}, "longer than the run"),
+        ({"load.ratio": [1.0], "solver.step": [3.0]}, "a step of 3 s is longer"),
         ({"load.ratio": [1.0, np.nan]}, "load.ratio: point 2: found nan; must be a finite number"),
         ({"lash.backlash_deg": [6.0, -1.0]}, "lash.backlash_deg: point 2: found -1.0; must be "),
         ({"load.ratio": [1.0, 2.0], "lash.backlash_deg": [6.0]}, "found 1 values, and load.ratio has 2"),
