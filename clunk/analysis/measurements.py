@@ -6,7 +6,7 @@ import csv
 import math
 import os
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.resources import files
@@ -17,7 +17,8 @@ from clunk.study.axes import variable_of
 from clunk.study.document import read_text
 from clunk.study.errors import ClunkError
 from clunk.study.parameters import parameters
-from clunk.study.problems import ConfigError, nearest, shorten
+from clunk.study.problems import nearest, shorten
+from clunk.study.summaries import counted
 
 CAVEAT = "trend comparison, unless the rig's parameters are the model's"
 
@@ -82,13 +83,17 @@ def read_experiment(path: str | os.PathLike[str]) -> Experiment:
 
     Raises ClunkError where the file cannot be read, with the number of the line that is wrong.
     """
-    return experiment_of(_text_of(path), path)
+    if os.fspath(path) in TABLES and not Path(path).exists():
+        return experiment_of(TABLES[os.fspath(path)].read_text("utf-8"), path)
+    known = f"; the experiments that come with clunk are: {', '.join(TABLES)}."
+    return experiment_of(read_text(path, "an experiment", "a CSV file", known), path)
 
 
 def experiment_of(text: str, path: str | os.PathLike[str]) -> Experiment:
     """Measurements of a CSV file's text; path : its name. As `read_experiment` otherwise."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").splitlines(keepends=True)
-    remarks = [line.lstrip().lstrip("#").strip() for line in lines if line.lstrip().startswith("#")]
+    comments = [line.strip("# \t\n") for line in lines if line.lstrip().startswith("#")]
+    caveats = [each.split(":", 1)[1].strip() for each in comments if each.lower().startswith("caveat:")]
     # Blank in place of a comment, so that the reader's count of lines is the file's.
     reader = csv.reader(("\n" if line.lstrip().startswith("#") else line for line in lines), strict=True)
     columns: list[str] = []
@@ -106,27 +111,13 @@ def experiment_of(text: str, path: str | os.PathLike[str]) -> Experiment:
     except csv.Error as error:
         raise ClunkError(f"{path}, line {reader.line_num}: this is not CSV ({error}).") from error
     if not measurements:
-        contents = "no measurements, only column names" if columns else "no measurements"
-        raise ClunkError(f"{path} holds {contents}.")
-    caveats = [remark.split(":", 1)[1].strip() for remark in remarks if remark.lower().startswith("caveat:")]
+        raise ClunkError(f"{path} holds no measurements{', only column names' if columns else ''}.")
     return Experiment(
         name=Path(path).name,
         columns=tuple(column for column in columns if not _is_measured(column)),
         measurements=tuple(measurements),
-        caveat=caveats[0] if caveats and caveats[0] else CAVEAT,
+        caveat=next(iter(caveats), "") or CAVEAT,
     )
-
-
-def _text_of(path: str | os.PathLike[str]) -> str:
-    if os.fspath(path) in TABLES and not Path(path).exists():
-        return TABLES[os.fspath(path)].read_text("utf-8")
-    known = f"; the experiments that come with clunk are: {', '.join(TABLES)}."
-    try:
-        return read_text(path, "an experiment", "a CSV file", known)
-    except ConfigError as error:
-        line = error.problems[0].line
-        not_utf8 = f"{path}, line {line}: this is not text in UTF-8, as an experiment's CSV must be."
-        raise ClunkError(not_utf8 if line is not None else str(error)) from error
 
 
 def _columns(cells: list[str], where: str) -> list[str]:
@@ -164,55 +155,33 @@ def _variable(column: str, where: str) -> str:
 def _measurement(columns: list[str], cells: list[str], where: str, line: int) -> Measurement:
     if len(cells) != len(columns):
         raise ClunkError(f"{where}: there are {len(cells)} columns here and {len(columns)} names of columns.")
-    numbers: dict[str, float] = {}
-    label = ""
-    for column, cell in zip(columns, cells, strict=True):
-        if column == "label":
-            try:
-                label = normalised_label(cell)
-                flanks_of_label(label)
-            except ValueError:
-                raise ClunkError(
-                    f"{where}: {shorten(cell)} is no label of any sequence; labels are written like NI, SS(1), "
-                    "DS(1)SS(1) or D(1)+S(1)."
-                ) from None
-            continue
-        if not cell and column != DETECTION_SPEED and _is_measured(column):
+    texts = dict(zip(columns, cells, strict=True))
+    try:
+        label = normalised_label(texts.pop("label"))
+        count = len(flanks_of_label(label))
+    except ValueError as error:
+        raise ClunkError(f"{where}: {error}; labels are written like NI, SS(1), DS(1)SS(1) or D(1)+S(1).") from None
+    values, impacts, std = [], defaultdict[str, dict[int, float]](dict), dict[str, float]()
+    for column, text in texts.items():
+        if _is_measured(column) and not text:
             continue
         try:
-            value = float(cell)
+            value = float(text)
         except ValueError:
             value = math.nan
-        if not math.isfinite(value):
-            raise ClunkError(f"{where}: {column} must be a finite number, not {shorten(cell)}.")
-        if _is_measured(column) and (value < 0.0 or (value == 0.0 and column.endswith("_std"))):
-            raise ClunkError(f"{where}: {column} must be greater than 0, not {shorten(cell)}.")
-        numbers[column] = value
-    values = tuple(value for column, value in numbers.items() if not _is_measured(column))
-    impacts, std = _impacts_of(numbers, label, where)
-    return Measurement(line, values, label, impacts, std, numbers.get(DETECTION_SPEED, 0.0))
-
-
-def _impacts_of(
-    numbers: Mapping[str, float], label: str, where: str
-) -> tuple[dict[str, dict[int, float]], dict[str, float]]:
-    """Measured quantities of the impacts of a row, and their standard deviations."""
-    impacts: dict[str, dict[int, float]] = {}
-    std: dict[str, float] = {}
-    count = len(flanks_of_label(label))
-    for column, value in numbers.items():
+        if not math.isfinite(value) or (_is_measured(column) and value <= 0.0):
+            above = " greater than 0" if _is_measured(column) else ""
+            raise ClunkError(f"{where}: {column} must be a finite number{above}, not {shorten(text)}.")
         words = _OF_IMPACTS.fullmatch(column)
-        if words is None:
-            continue
-        quantity, number = words.groups()
-        if number == "std":
+        quantity, number = words.groups() if words else (column, "std")
+        if not _is_measured(column):
+            values.append(value)
+        elif number == "std":
             std[quantity] = value
         elif int(number) > count:
-            impacts_of_label = f"{count} primary impact{'' if count == 1 else 's'}"
-            raise ClunkError(f"{where}: {column} is given, and {label} has {impacts_of_label}.")
+            raise ClunkError(f"{where}: {column} is given, and {label} has {counted(count, 'primary impact')}.")
         else:
-            impacts.setdefault(quantity, {})[int(number) - 1] = value
-    for quantity in impacts:
-        if quantity not in std:
-            raise ClunkError(f"{where}: {quantity} is given without its standard deviation, {quantity}_std.")
-    return impacts, std
+            impacts[quantity][int(number) - 1] = value
+    for quantity in impacts.keys() - std.keys():
+        raise ClunkError(f"{where}: {quantity} is given without its standard deviation, {quantity}_std.")
+    return Measurement(line, tuple(values), label, dict(impacts), std, std.get(DETECTION_SPEED, 0.0))
