@@ -246,7 +246,7 @@ def marks(figure, gid):
 
 def test_backlash_panels_are_those_of_figure_3_2():
     runs = [
-        recording(f"load.ratio={ratio}, {label}", model, f"load.ratio={ratio}")
+        recording(label, model, f"load.ratio={ratio}")
         for ratio in (1, 2, 5)
         for label, model in (("IFM", "gap"), ("RCM", "restitution"))
     ]
@@ -289,12 +289,6 @@ def test_closeup_shows_the_first_impact_as_figure_3_3():
 def test_closeup_without_a_touch_says_so():
     with pytest.raises(PlotError, match="no primary impact happens"):
         histories.closeup([recording("IFM", "gap", "load.ratio=1")])
-    with pytest.raises(PlotError, match=r"no touch to look at closely between 0.86 s and 0.96 s"):
-        histories.closeup([recording("IFM")], around=0.9)
-    with pytest.raises(PlotError, match="no touch to look at closely"):  # it was not sampled for so long
-        histories.closeup([sample(run(), until=0.15)])
-    with pytest.raises(PlotError, match="wider than 0 s"):
-        histories.closeup([recording("IFM")], width=0.0)
 
 
 @pytest.mark.parametrize("overrides", [(), ("load.ratio=10", "lash.backlash_deg=1")])
@@ -305,7 +299,7 @@ def test_arrows_span_the_peak_to_peak_accelerations(overrides):
     spans = [arrow.xyann[1] - arrow.xy[1] for arrow in arrows]
     np.testing.assert_allclose(spans, trajectory.impact_severity, rtol=1e-12)
     names = [text.get_text() for text in ax.texts if text.get_gid() == "severity"]
-    assert names == [rf"Q$_\mathregular{{{i + 1}}}$" for i in range(trajectory.primaries.size)]
+    assert [name.split(" = ")[0] for name in names] == [rf"Q$_\mathregular{{{i + 1}}}$" for i in range(len(spans))]
 
 
 def test_restitution_model_is_given_no_severity():
@@ -315,24 +309,14 @@ def test_restitution_model_is_given_no_severity():
     assert not any(text.startswith("Q$") for text in texts)
 
 
-@pytest.mark.parametrize(
-    ("profile", "ticks"),
-    [
-        ("ramp", [-6.0, -1.0]),
-        ("smooth", [-6.0, -1.0]),
-        ("lag", [-6.0, -1.0]),
-        ("pulse", [-6.0, -1.0]),
-        ("sine", None),
-    ],
-)
-def test_the_torque_is_drawn_above_with_ticks_where_it_begins_and_ends(profile, ticks):
+@pytest.mark.parametrize("profile", ["ramp", "smooth", "lag", "pulse", "sine"])
+def test_the_torque_is_drawn_above(profile):
     numbers = "duration=0.2", "time_constant=0.05", "amplitude=2.0", "frequency=8.0"
     run = recording(profile, "gap", f"load.profile='{profile}'", *(f"load.{number}" for number in numbers))
     ax = histories.history_figure([run]).axes[0]
     assert ax.get_ylabel().startswith("Torque")
     drawn = ax.lines[-1].get_ydata()
     np.testing.assert_array_equal(drawn, run.torque)
-    assert ticks is None or ax.get_yticks().tolist() == ticks
     low, high = ax.get_ylim()
     assert low < drawn.min()
     assert drawn.max() < high

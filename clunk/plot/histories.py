@@ -4,7 +4,6 @@ Several runs are drawn over each other, told apart by colour and dashes.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from itertools import cycle
 from typing import Any
 
@@ -30,85 +29,68 @@ Curve = tuple[History, dict[str, Any]]  # a run and its colour, dashes and width
 _WIDTH, _AROUND, _LOWEST = 7.2, 1.2, 4.6  # inches: of a figure, around its panels, and its least height
 _LINE = 1.3  # points
 _PATTERNS: tuple[Any, ...] = ("solid", style.DASHED, (0, (1.2, 1.2)), (0, (6.0, 1.2, 1.2, 1.2)))
-_BEFORE = 0.4  # share of a close-up's width before the moment that it is around
+_CLOSE, _BEFORE, _TICK = 0.1, 0.03, 0.01  # s: of a close-up, of it before the impact, and between its ticks
 _GAP_FILL = "#e4e4e4"
 _LABELLED = 12  # impacts; more arrows than these would hide the curve
-_LISTED = 6  # of their values, beside it
 
 
 @style.styled()
 def history_figure(runs: Runs, name: str = "everything", *, each_lash: bool = True) -> Figure:
     """One of the `FIGURES`, its panels over one time axis.
 
-    Backlash coordinate and acceleration have a panel for each lash that all runs have. Of one lash, runs that differ in
-    their contact alone share a panel of the figure `backlash` (Figure 3.2), and each has its own in `acceleration`
-    (Figure 3.6).
+    Backlash coordinate and acceleration have a panel for each lash that all runs have. In the figures `backlash` and
+    `acceleration` of one lash there is a panel for each load and gap, which runs that have these share (Figure 3.2).
 
     each_lash : whether every lash is shown, or that in view alone
     """
     if not runs:
         raise PlotError("There is no run to draw.")
     lashes = min(len(run.lashes) for run in runs) if each_lash else 1
-    groups: list[Runs] = [runs]
+    groups: dict[str, Runs] = {"": runs}
     if lashes > 1:
-        groups = [[run.lashes[lash] for run in runs] for lash in range(lashes)]
-    elif name == "acceleration":
-        groups = [[run] for run in runs]
-    elif name == "backlash":
-        groups = [[run for run in runs if run.setup == setup] for setup in dict.fromkeys(run.setup for run in runs)]
-        if len(groups) > 1:  # a panel's title says what its runs have in common, and runs alike look alike
-            groups = [_shortened(group) for group in groups]
-            runs = [run for group in groups for run in group]
-    shared = [(draw, height, runs) for draw, height in FIGURES[name] if draw not in _OF_LASH]
-    of_lash = [(draw, height, group) for group in groups for draw, height in FIGURES[name] if draw in _OF_LASH]
-    figure, axes = _frame(runs, [height for _, height, _ in (*shared, *of_lash)])
+        groups = {runs[0].study.lash_names[k]: [run.lashes[k] for run in runs] for k in range(lashes)}
+    elif name in ("backlash", "acceleration"):
+        cases = [_case(run) for run in runs]
+        groups = {each: [run for run, case in zip(runs, cases, strict=True) if case == each] for each in cases}
+    shared = [(draw, height, "", runs) for draw, height in FIGURES[name] if draw not in _OF_LASH]
+    of_lash = [
+        (draw, height, title, group)
+        for title, group in groups.items()
+        for draw, height in FIGURES[name]
+        if draw in _OF_LASH
+    ]
+    panels = [*shared, *of_lash]
+    figure, axes = _frame(runs, [height for _, height, _, _ in panels])
     looks = {run.name: look for run, look in _curves(runs)}
-    for ax, (draw, _, group) in zip(axes, (*shared, *of_lash), strict=True):
+    for ax, (draw, _, title, group) in zip(axes, panels, strict=True):
         if lashes == 1 and len(groups) > 1 and ax is not axes[0]:
             ax.sharey(axes[0])
         draw(ax, [(run, looks[run.name]) for run in group])
-        if draw in _OF_LASH and len(groups) > 1:
-            what = _lash_name(group[0]) if lashes > 1 else group[0].name if name == "acceleration" else ""
+        if title and len(groups) > 1:
             labels = ", ".join(dict.fromkeys(run.trajectory.label for run in group))
-            title = f"{style.plain(what) or _case(group[0])}: {labels}"
-            ax.set_title(title, loc="right", fontsize=9.0)
+            name = title if lashes == 1 else style.plain(title)  # a load and a gap have TeX in them
+            ax.set_title(f"{name}: {labels}", loc="right", fontsize=9.0)
     _finish(figure, axes, runs, outcomes=lashes == 1)
     return figure
 
 
 @style.styled()
-def closeup(runs: Runs, around: float | None = None, width: float = 0.1) -> Figure:
-    """The backlash coordinate near one flank for a short time, every touch marked (Figure 3.3).
+def closeup(runs: Runs) -> Figure:
+    """The backlash coordinate near the flank of the first primary impact for a tenth of a second (Figure 3.3).
 
-    around : float, optional  [s], on the plot's axis; by default the first primary impact
-    width : float  [s], of the time axis
-
-    Raises PlotError where no run touches a flank in that time.
+    Raises PlotError where there is no primary impact.
     """
-    if around is None:
-        around = min((run.impacts[0].begin for run in runs if run.impacts), default=None)
-        if around is None:
-            raise PlotError("There is no impact to look at closely: no primary impact happens.")
-    if not width > 0.0:
-        raise PlotError(f"A close-up must be wider than {width:g} s.")
-    begin = 0.1 * width * np.round((around - _BEFORE * width) / (0.1 * width))  # so that the axis begins at a tick
-    end = begin + width
-    touches = [
-        (time, side)
-        for run in runs
-        for time, side in zip(run.time[run.touches.row].tolist(), run.touches.side.tolist(), strict=True)
-        if begin <= time <= end
-    ]
-    if not touches:
-        raise PlotError(f"There is no touch to look at closely between {begin:g} s and {end:g} s.")
-    side = min(touches, key=lambda touch: abs(touch[0] - around))[1]
-    first = min(time for time, touched in touches if touched == side)
-    near = [side * 1e3 * run.backlash_coordinate[(run.time >= first) & (run.time <= end)] for run in runs]
-    low, high = min(part.min() for part in near), max(part.max() for part in near)
-    height = max(high - low, 1e-9)
+    first = min((run for run in runs if run.impacts), key=lambda run: run.impacts[0].begin, default=None)
+    if first is None:
+        raise PlotError("There is no impact to look at closely: no primary impact happens.")
+    begin = np.floor((first.impacts[0].begin - _BEFORE) / _TICK) * _TICK  # the axis begins at a tick
+    end, side = begin + _CLOSE, int(first.touches.side[np.argmax(first.touches.primary)])
+    is_near = [(run.time >= first.impacts[0].begin) & (run.time <= end) for run in runs]
+    near = np.concatenate([side * 1e3 * run.backlash_coordinate[rows] for run, rows in zip(runs, is_near, strict=True)])
+    height = max(np.ptp(near), 1e-9)
     figure, (ax,) = _frame(runs, [_LOWEST - _AROUND])
     draw_backlash(ax, _curves(runs))
-    ax.set(xlim=(begin, end), ylim=sorted((side * (low - 0.2 * height), side * (high + 0.22 * height))))
+    ax.set(xlim=(begin, end), ylim=sorted((side * (near.min() - 0.2 * height), side * (near.max() + 0.22 * height))))
     _finish(figure, [ax], runs)
     return figure
 
@@ -173,20 +155,8 @@ def _case(run: History) -> str:
 def _outcome(run: History) -> str:
     """The label of a run and its severity, where it has one; of one of several lashes with its name."""
     severity = run.trajectory.severity
-    name = f"{_lash_name(run)} " if len(run.lashes) > 1 else ""
+    name = f"{run.study.lash_names[run.trajectory.lash]} " if len(run.lashes) > 1 else ""
     return name + run.trajectory.label + (f", Q = {severity:.0f} rad/s²" if severity > 0.0 else "")
-
-
-def _lash_name(run: History) -> str:
-    return run.study.lash_names[run.trajectory.lash]
-
-
-def _shortened(runs: Runs) -> Runs:
-    """The runs without the parts of their names, "KEY=VALUE, KEY=VALUE", that are the same for all."""
-    parts = [run.name.split(", ") for run in runs]
-    common = set(parts[0]).intersection(*parts[1:])
-    names = [", ".join(part for part in words if part not in common) for words in parts]
-    return [replace(run, name=name) for run, name in zip(runs, names, strict=True)] if all(names) else runs
 
 
 def draw_angles(ax: Axes, curves: Sequence[Curve]) -> None:
@@ -217,19 +187,12 @@ def _draw_inertias(ax: Axes, curves: Sequence[Curve], values: Sequence[Floats], 
 
 
 def draw_torque(ax: Axes, curves: Sequence[Curve]) -> None:
-    """Torque of the load; ticks are at the torques before and after, where it stays between two."""
+    """Torque of the load."""
     for run, look in curves:
         single = {"color": INK} if len(curves) == 1 else {}  # the first inertia has the first run's colour
         ax.plot(run.time, run.torque, zorder=3, **look | single)
     ax.set_ylabel("Torque\n[N m]")
-    steady = sorted({torque for run, _ in curves for torque in load_step(run.study.load)})
-    torques = np.concatenate([run.torque for run, _ in curves])
-    is_between = np.ptp(torques) <= (1.0 + 1e-9) * np.ptp(steady)
-    levels = steady if is_between else np.unique(torques).tolist()
-    if len(levels) <= 2:
-        ax.set_yticks(levels)
-    else:
-        ax.yaxis.set_major_locator(ticker.MaxNLocator(4))
+    ax.yaxis.set_major_locator(ticker.MaxNLocator(4))
     ax.margins(y=0.25)
 
 
@@ -287,23 +250,16 @@ def draw_acceleration(ax: Axes, curves: Sequence[Curve]) -> None:
 
 
 def _mark_severity(ax: Axes, run: History) -> None:
-    """A double arrow over each impact's peak-to-peak acceleration, and the list of their values."""
-    sampled = [impact for impact in run.impacts if impact.rows.stop > impact.rows.start]
-    if not sampled:
-        return
+    """A double arrow over each impact's peak-to-peak acceleration, with its value."""
+    impacts = [impact for impact in run.impacts if impact.rows.stop > impact.rows.start]
     begin, end = run.time[[0, -1]]
     arrow = {"arrowstyle": "<->", "relpos": (0.5, 0.0), "shrinkA": 0.0, "shrinkB": 0.0}
     look: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": 9.0, "gid": "severity", "zorder": 6}
-    for impact in sampled if len(sampled) <= _LABELLED else []:
+    for impact in impacts if len(impacts) <= _LABELLED else []:
         x = min(impact.begin + 0.028 * (end - begin), 0.5 * (impact.begin + min(impact.end, end)))
-        name = f"Q{_index(impact.number)}"
-        ax.annotate(name, (x, impact.smallest), (x, impact.largest), arrowprops=arrow, **look)
+        text = f"Q{_index(impact.number)} = {impact.severity:.0f}"
+        ax.annotate(text, (x, impact.smallest), (x, impact.largest), arrowprops=arrow, **look)
     ax.margins(y=0.12)
-    lines = [f"Q{_index(impact.number)} = {impact.severity:.0f}" for impact in run.impacts[:_LISTED]]
-    if len(run.impacts) > _LISTED:
-        lines.append("…")
-    text = "\n".join(["[rad/s²]", *lines, f"Q = {run.trajectory.severity:.0f}"])
-    ax.text(1.015, 1.0, text, transform=ax.transAxes, va="top", fontsize=8.5, linespacing=1.5)
 
 
 def _index(number: int) -> str:

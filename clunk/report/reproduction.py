@@ -76,16 +76,16 @@ def figures(e: Evidence) -> list[Job]:
     thresholds = [float(ratio) for ratio in rigid_contact_thresholds(e.study)]
     maps = e.maps
 
-    def run(name: str, ratio: float = NOMINAL_RATIO, title: str = "", until: float = 1.0) -> History:
-        return sample(e.runs[name][ratio], until=until, name=title or _NAMES[name])
+    def run(name: str, ratio: float = NOMINAL_RATIO, until: float = 1.0) -> History:
+        return sample(e.runs[name][ratio], until=until, name=_NAMES[name])
 
     nominal, both = run("indentation"), [run(name) for name in _NAMES]
-    all_runs = [run(name, ratio, f"{_NAMES[name]}, σr = {ratio:g}") for ratio in RATIOS for name in _NAMES]
+    all_runs = [run(name, ratio) for ratio in RATIOS for name in _NAMES]
     between = compare(maps["indentation"], maps["restitution"])
     return [
         ("figure_3_1", lambda: histories.history_figure([nominal], "angles")),
         ("figure_3_2", lambda: histories.history_figure(all_runs, "backlash")),
-        ("figure_3_3", lambda: histories.closeup(both, 0.22, 0.1)),
+        ("figure_3_3", lambda: histories.closeup(both)),
         ("figure_3_4", lambda: plot.draw(maps["indentation"], "regimes", thresholds)),
         ("figure_3_4_restitution", lambda: plot.draw(maps["restitution"], "regimes", thresholds)),
         ("figure_3_4_difference", lambda: comparisons.difference_map(maps["indentation"], between)),

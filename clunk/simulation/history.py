@@ -134,12 +134,6 @@ class History:
         rolled = self.angle @ momentum / np.sum(momentum * shape, axis=0)
         return np.asarray(self.angle - rolled @ shape.T, np.float64)
 
-    @property
-    def setup(self) -> str:
-        """Driveline, lashes and load of the run without their contacts, and the lash in view, as text to compare."""
-        lashes = [lash.model_dump(exclude={"contact"}) for lash in self.study.lashes]
-        return repr((self.study.driveline, lashes, self.study.load, self.trajectory.lash))
-
     @cached_property
     def touches(self) -> Touches:
         """The touches within the history."""
